@@ -1,0 +1,15 @@
+//! What crosses Gnomon's wire.
+//!
+//! Sans-IO: bytes and time come in as arguments, nothing here owns a socket, a clock or a GPU.
+//! One frame's way through this crate: [`mask`] → [`codec`] → [`frame`] → [`packetizer`] → (the network)
+//! → [`reassembler`] → [`frame`] → [`codec`] → [`mask`].
+
+pub mod codec;
+pub mod ids;
+pub mod limits;
+pub mod mask;
+pub mod message;
+pub mod pose;
+
+/// Version of everything in this crate that a peer can see. Peers with different versions refuse each other.
+pub const PROTOCOL_VERSION: u16 = 1;

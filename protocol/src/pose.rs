@@ -1,0 +1,100 @@
+//! Where a client looked from: the only thing that it sends for every frame.
+//!
+//! The dissertation sends three vectors of three f32 (§3.5, 36 bytes). Ours are f64, so that a scene may lie far from
+//! its origin, and carry the field of view and the scene's time: 76 bytes, little-endian, in the order of the fields.
+
+use thiserror::Error;
+
+use crate::limits::{MAX_POSITION_M, YFOV_RANGE_RAD};
+
+/// Bytes of an encoded pose.
+pub const POSE_BYTES: usize = 76;
+
+/// A camera, without the size of its picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// Position in world space, in metres.
+    pub position_m: [f64; 3],
+    /// Rotation from camera to world space: a unit quaternion (x, y, z, w). The camera looks along its −Z, +Y is up.
+    pub orientation: [f64; 4],
+    /// Full vertical field of view, in radians.
+    pub yfov_rad: f64,
+    /// Time of the scene's animation, in seconds.
+    pub scene_time_s: f64,
+    /// Time that the client has spent since its first frame, in milliseconds; wraps.
+    pub client_time_ms: u32,
+}
+
+/// Why bytes are no pose.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum PoseError {
+    /// Not exactly [`POSE_BYTES`] bytes.
+    #[error("a pose has {POSE_BYTES} bytes, not {0}")]
+    Length(usize),
+    /// A field is NaN or infinite, or lies outside `limits`.
+    #[error("pose field {0} is not finite or out of range")]
+    Range(&'static str),
+    /// The quaternion is not of unit length.
+    #[error("orientation has length {0}, not 1")]
+    NotUnit(f64),
+}
+
+impl Pose {
+    /// Checks every field against [`crate::limits`].
+    ///
+    /// # Errors
+    /// When a field is not finite, out of range, or the quaternion's length is off by more than 1e-3.
+    pub fn validate(&self) -> Result<(), PoseError> {
+        if !self.position_m.iter().all(|v| v.abs() <= MAX_POSITION_M) {
+            return Err(PoseError::Range("position_m"));
+        }
+        if !YFOV_RANGE_RAD.contains(&self.yfov_rad) {
+            return Err(PoseError::Range("yfov_rad"));
+        }
+        if !self.scene_time_s.is_finite() {
+            return Err(PoseError::Range("scene_time_s"));
+        }
+        let length = self.orientation.iter().map(|v| v * v).sum::<f64>().sqrt();
+        // A NaN fails this comparison as well.
+        if (length - 1.0).abs() <= 1e-3 { Ok(()) } else { Err(PoseError::NotUnit(length)) }
+    }
+
+    /// The pose's bytes.
+    #[must_use]
+    pub fn encode(&self) -> [u8; POSE_BYTES] {
+        let [px, py, pz] = self.position_m;
+        let [ox, oy, oz, ow] = self.orientation;
+        let mut bytes = [0; POSE_BYTES];
+        for (place, value) in
+            bytes.chunks_exact_mut(8).zip([px, py, pz, ox, oy, oz, ow, self.yfov_rad, self.scene_time_s])
+        {
+            place.copy_from_slice(&value.to_le_bytes());
+        }
+        bytes[72..].copy_from_slice(&self.client_time_ms.to_le_bytes());
+        bytes
+    }
+
+    /// A pose from its bytes.
+    ///
+    /// # Errors
+    /// When the length is wrong or a field fails [`Self::validate`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, PoseError> {
+        let bytes: &[u8; POSE_BYTES] = bytes.try_into().map_err(|_| PoseError::Length(bytes.len()))?;
+        let mut values = [0.0; 9];
+        for (value, place) in values.iter_mut().zip(bytes.chunks_exact(8)) {
+            let mut raw = [0; 8];
+            raw.copy_from_slice(place);
+            *value = f64::from_le_bytes(raw);
+        }
+        let [px, py, pz, ox, oy, oz, ow, yfov_rad, scene_time_s] = values;
+        let client_time_ms = u32::from_le_bytes([bytes[72], bytes[73], bytes[74], bytes[75]]);
+        let pose = Self {
+            position_m: [px, py, pz],
+            orientation: [ox, oy, oz, ow],
+            yfov_rad,
+            scene_time_s,
+            client_time_ms,
+        };
+        pose.validate().map(|()| pose)
+    }
+}

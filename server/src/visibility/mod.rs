@@ -1,0 +1,61 @@
+//! Which lights reach which pixels.
+//!
+//! # The rules that every back end follows
+//!
+//! 1. **Surface point.** A pixel's ray (`gnomon_shaders::camera::RayBasis`) meets the nearest OPAQUE or MASK triangle.
+//!    Back faces of single-sided materials are passed through. A MASK point is there when the bilinear sample of the
+//!    full-size alpha picture, times the factor, is at least the cutoff. BLEND triangles are never met.
+//! 2. **Normals.** The geometric normal is the triangle's plane's, turned towards the camera. The shading normal is
+//!    interpolated from the vertices, and negated when the back face was met.
+//! 3. **Relevance.** Light k matters at the point when the shading normal faces it, and the point lies within its range
+//!    and inside its outer cone. Irrelevant bits are 0.
+//! 4. **Facing.** Where the geometric normal faces away from a relevant light the surface hides it from itself: bit 0,
+//!    no ray.
+//! 5. **Shadow ray.** It starts at the point, interpolated from the vertices and pushed along the geometric normal by an
+//!    amount that covers the rounding error of its coordinates (Wächter and Binder, Ray Tracing Gems, ch. 6), and ends
+//!    at the light, or beyond the scene for a directional light. Any OPAQUE triangle, from either side, and any MASK
+//!    triangle whose alpha is there, stops it. Bit 1 when nothing does.
+
+use std::time::Instant;
+
+use gnomon_protocol::{ids::FrameNumber, mask::Mask};
+use gnomon_shaders::camera::Camera;
+
+/// A mask to trace: the newest that a session wants.
+#[derive(Debug, Clone, Copy)]
+pub struct TraceRequest {
+    /// The client's frame.
+    pub frame: FrameNumber,
+    /// Where it looks from, and the size of its mask.
+    pub camera: Camera,
+    /// When its pose arrived.
+    pub received_at: Instant,
+}
+
+/// A traced mask, and what it cost.
+#[derive(Debug)]
+pub struct TracedMask {
+    /// The client's frame.
+    pub frame: FrameNumber,
+    /// The mask.
+    pub mask: Mask,
+    /// When its pose arrived.
+    pub received_at: Instant,
+    /// What it cost.
+    pub cost: TraceCost,
+}
+
+/// What a mask cost: time by stage, and work.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct TraceCost {
+    /// Finding surface points, in milliseconds of the device.
+    pub primary_ms: f64,
+    /// Shadow rays, in milliseconds of the device.
+    pub shadow_ms: f64,
+    /// From the end of tracing until the bits were in host memory, in milliseconds; 0 on the CPU.
+    pub readback_ms: f64,
+    /// Primary rays.
+    pub primary_rays: u64,
+    /// Shadow rays: relevant bits that the surface does not hide from itself.
+    pub shadow_rays: u64,
+}

@@ -1,0 +1,86 @@
+//! WGSL with include-once imports: a line `#import "shared/mask.wgsl"` is replaced by that file, the first time.
+//!
+//! All of `wgsl/` is compiled into the program. Files under `shared/` are only ever imported.
+
+use thiserror::Error;
+
+/// Every WGSL file: its path under `wgsl/`, and its text.
+pub const FILES: &[(&str, &str)] = &[];
+
+/// Why a shader cannot be put together.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum SpliceError {
+    /// No such file.
+    #[error("no WGSL file {0:?}")]
+    Missing(String),
+    /// A line starts with `#` but is no import.
+    #[error("{file}:{line}: expected #import \"PATH\"")]
+    Directive {
+        /// File with the line.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+    },
+}
+
+/// The whole text of the WGSL file `path`, with its imports in place.
+///
+/// # Errors
+/// When a file does not exist or a directive is malformed.
+pub fn splice(path: &str) -> Result<String, SpliceError> {
+    splice_from(FILES, path)
+}
+
+fn splice_from(files: &[(&str, &str)], path: &str) -> Result<String, SpliceError> {
+    let (mut text, mut seen) = (String::new(), Vec::new());
+    append(files, path, &mut seen, &mut text)?;
+    Ok(text)
+}
+
+fn append(files: &[(&str, &str)], path: &str, seen: &mut Vec<String>, text: &mut String) -> Result<(), SpliceError> {
+    if seen.iter().any(|done| done == path) {
+        return Ok(());
+    }
+    seen.push(path.to_owned());
+    let (_, source) =
+        files.iter().find(|(name, _)| *name == path).ok_or_else(|| SpliceError::Missing(path.to_owned()))?;
+    for (index, line) in source.lines().enumerate() {
+        if let Some(directive) = line.strip_prefix('#') {
+            let import = directive
+                .strip_prefix("import \"")
+                .and_then(|rest| rest.trim_end().strip_suffix('"'))
+                .ok_or_else(|| SpliceError::Directive { file: path.to_owned(), line: index + 1 })?;
+            append(files, import, seen, text)?;
+        } else {
+            text.push_str(line);
+            text.push('\n');
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TREE: &[(&str, &str)] = &[
+        ("a", "#import \"b\"\n#import \"c\"\nA"),
+        ("b", "#import \"c\"\nB"),
+        ("c", "C"),
+        ("loop", "#import \"loop\"\nL"),
+        ("bad", "x\n#include \"c\""),
+        ("gone", "#import \"nowhere\""),
+    ];
+
+    #[test]
+    fn imports_come_once_and_before_their_reader() {
+        assert_eq!(splice_from(TREE, "a").as_deref(), Ok("C\nB\nA\n"));
+        assert_eq!(splice_from(TREE, "loop").as_deref(), Ok("L\n"));
+    }
+
+    #[test]
+    fn mistakes_name_their_place() {
+        assert_eq!(splice_from(TREE, "bad"), Err(SpliceError::Directive { file: "bad".into(), line: 2 }));
+        assert_eq!(splice_from(TREE, "gone"), Err(SpliceError::Missing("nowhere".into())));
+    }
+}
