@@ -1,0 +1,31 @@
+# Everything a person does with a clone. `make demo` and `make test` do their own set-up.
+.PHONY: help setup demo test lint deny fuzz
+
+help:
+	@echo 'make demo   real server, real client, loopback: pictures in target/demo  (SCENE=… LIGHTS=… CAMERA=… SIZE=… FRAMES=…)'
+	@echo 'make test   the whole suite; wants GNOMON_SCENES=DIR, the folder with the real scenes'
+	@echo 'make lint   fmt and clippy, warnings denied'
+	@echo 'make deny   licences, bans and sources of every dependency'
+	@echo 'make fuzz   every fuzz target for SECONDS=60; wants nightly Rust and cargo-fuzz'
+
+setup:
+	@deploy/setup
+
+demo: setup
+	cargo build --release --locked -p gnomon-server -p gnomon-client
+	deploy/demo
+
+test: setup
+	cargo test --workspace --locked
+
+lint:
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --locked -- -D warnings
+
+deny:
+	cargo deny --locked check bans licenses sources
+
+SECONDS ?= 60
+fuzz:
+	cd protocol && for target in $$(cargo +nightly fuzz list); do \
+	  cargo +nightly fuzz run $$target -- -max_total_time=$(SECONDS) -rss_limit_mb=1024 || exit 1; done
