@@ -16,6 +16,8 @@
 //!    at the light, or beyond the scene for a directional light. Any OPAQUE triangle, from either side, and any MASK
 //!    triangle whose alpha is there, stops it. Bit 1 when nothing does.
 
+pub mod backend;
+
 use std::time::Instant;
 
 use gnomon_protocol::{ids::FrameNumber, mask::Mask};

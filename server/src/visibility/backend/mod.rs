@@ -1,0 +1,55 @@
+//! What traces: kernels on a graphics adapter, or the processor.
+
+use thiserror::Error;
+
+use gnomon_shaders::gpu::GpuError;
+
+/// Why a back end cannot be had for a scene.
+#[derive(Debug, Error)]
+pub enum BackendError {
+    /// There is no adapter, or it gives no device.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// The adapter lacks something that the kernels are written with.
+    #[error("adapter {adapter:?} lacks {missing}: trace with --backend cpu")]
+    Feature {
+        /// The adapter's name.
+        adapter: String,
+        /// What it lacks.
+        missing: String,
+    },
+    /// A part of the scene is larger than what the back end can address.
+    #[error("the scene is too large: its {what} takes {bytes} bytes, and {limit} is what {adapter:?} can bind")]
+    SceneTooLarge {
+        /// The part.
+        what: &'static str,
+        /// Its size.
+        bytes: u64,
+        /// The most that fits.
+        limit: u64,
+        /// The adapter's name.
+        adapter: String,
+    },
+    /// The scene's bounding volume hierarchy is deeper than the traversal stack.
+    #[error("the scene's bounding volume hierarchy is {depth} levels deep, the traversal has room for {limit}")]
+    TooDeep {
+        /// Its depth.
+        depth: u32,
+        /// The most levels that fit.
+        limit: u32,
+    },
+    /// A kernel cannot be built, or the device refuses it or a buffer.
+    #[error("the device cannot be set up for tracing: {0}")]
+    Setup(String),
+    /// The device is lost, or it does not answer.
+    #[error("the device failed: {0}")]
+    Device(String),
+    /// The threads cannot be had.
+    #[error("cannot start {threads} tracing threads: {reason}")]
+    Threads {
+        /// Threads asked for.
+        threads: usize,
+        /// The system's reason.
+        reason: String,
+    },
+}
