@@ -7,4 +7,5 @@ pub mod camera;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod scene;
+pub mod shading;
 pub mod splice;

@@ -5,7 +5,15 @@
 use thiserror::Error;
 
 /// Every WGSL file: its path under `wgsl/`, and its text.
-pub const FILES: &[(&str, &str)] = &[];
+pub const FILES: &[(&str, &str)] = &[
+    ("shading/blend.wgsl", include_str!("../wgsl/shading/blend.wgsl")),
+    ("shading/gbuffer.wgsl", include_str!("../wgsl/shading/gbuffer.wgsl")),
+    ("shading/lighting.wgsl", include_str!("../wgsl/shading/lighting.wgsl")),
+    ("shading/material.wgsl", include_str!("../wgsl/shading/material.wgsl")),
+    ("shading/shade.wgsl", include_str!("../wgsl/shading/shade.wgsl")),
+    ("shading/tone.wgsl", include_str!("../wgsl/shading/tone.wgsl")),
+    ("shading/view.wgsl", include_str!("../wgsl/shading/view.wgsl")),
+];
 
 /// Why a shader cannot be put together.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]

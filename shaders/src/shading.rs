@@ -1,0 +1,311 @@
+//! Host types that the shading shaders read, byte for byte as WGSL lays them out (`wgsl/shading/`).
+//!
+//! Everything that does not change from frame to frame is computed here once, in f64: exposure, cone falloff, tone curve.
+
+use bytemuck::{Pod, Zeroable};
+use glam::{DVec3, Mat4, Vec3, Vec4};
+
+use crate::{
+    camera::{Camera, NEAR_M},
+    scene::{AlphaMode, Light as SceneLight, LightKind, Material as SceneMaterial, Wrap},
+};
+
+/// Lights that fit [`Lighting`]; as many as a visibility mask has planes.
+pub const MAX_LIGHTS: usize = 32;
+
+/// The camera. Twin of `View` in `view.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct View {
+    /// Reversed-Z clip space from local space.
+    pub clip_from_local: Mat4,
+    /// The camera's position in local space, in metres.
+    pub origin: Vec3,
+    /// Distance of the near plane, in metres.
+    pub near_m: f32,
+    /// Unit vector along the view.
+    pub forward: Vec3,
+    /// Width of the picture, in pixels.
+    pub width: u32,
+    /// Half the picture's width on the plane at distance 1.
+    pub right: Vec3,
+    /// Height of the picture, in pixels.
+    pub height: u32,
+    /// Half the picture's height on the plane at distance 1.
+    pub up: Vec3,
+    /// Planes of the mask that fits this picture, or 0 when there is none.
+    pub mask_lights: u32,
+}
+
+impl View {
+    /// What the shaders need of `camera`, in the space whose origin lies at `origin_m` of the world.
+    #[must_use]
+    pub fn new(camera: &Camera, origin_m: DVec3, mask_lights: u32) -> Self {
+        let basis = camera.ray_basis(origin_m);
+        Self {
+            clip_from_local: camera.clip_from_local(origin_m),
+            origin: basis.origin,
+            #[expect(clippy::cast_possible_truncation, reason = "rounding is what is wanted")]
+            near_m: NEAR_M as f32,
+            forward: basis.forward,
+            width: camera.width,
+            right: basis.right,
+            height: camera.height,
+            up: basis.up,
+            mask_lights,
+        }
+    }
+}
+
+/// A material. Twin of `Material` in `material.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Material {
+    /// Linear RGBA factor.
+    pub base_color: Vec4,
+    /// A MASK point is there when its alpha is at least this.
+    pub alpha_cutoff: f32,
+    /// Index into the table of emitted light.
+    pub index: u32,
+    /// What happens outside 0 to 1 along u: 0 repeats, 1 repeats mirrored, 2 holds the edge.
+    pub wrap_u: u32,
+    /// The same along v.
+    pub wrap_v: u32,
+}
+
+impl Material {
+    /// What the shaders need of the scene's material number `index`.
+    #[must_use]
+    pub fn new(material: &SceneMaterial, index: u32) -> Self {
+        let wrap = |wrap| match wrap {
+            Wrap::Repeat => 0,
+            Wrap::MirroredRepeat => 1,
+            Wrap::ClampToEdge => 2,
+        };
+        let (wrap_u, wrap_v) =
+            material.base_color_texture.map_or((0, 0), |texture| (wrap(texture.wrap_u), wrap(texture.wrap_v)));
+        let alpha_cutoff = match material.alpha {
+            AlphaMode::Mask { cutoff } => cutoff,
+            AlphaMode::Opaque | AlphaMode::Blend => 0.0,
+        };
+        Self { base_color: material.base_color, alpha_cutoff, index, wrap_u, wrap_v }
+    }
+}
+
+/// A light. Twin of `Light` in `lighting.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Light {
+    /// Position in local space, in metres.
+    pub position: Vec3,
+    /// 0 directional, 1 point, 2 spot.
+    pub kind: u32,
+    /// Unit vector in which the light travels.
+    pub direction: Vec3,
+    /// One over the range in metres, or 0.
+    pub inverse_range: f32,
+    /// Colour times intensity times exposure.
+    pub intensity: Vec3,
+    /// Factor of the cone's falloff.
+    pub cone_scale: f32,
+    /// Offset of the cone's falloff.
+    pub cone_offset: f32,
+    /// Fills the last 16 bytes.
+    pub unused: [f32; 3],
+}
+
+impl Light {
+    /// What the shaders need of a light of the scene, with `exposure` in it.
+    #[must_use]
+    pub fn new(light: &SceneLight, exposure: f32) -> Self {
+        let (kind, cone_scale, cone_offset) = match light.kind {
+            LightKind::Directional => (0, 0.0, 1.0),
+            LightKind::Point => (1, 0.0, 1.0),
+            LightKind::Spot { inner_cone_rad, outer_cone_rad } => {
+                // KHR_lights_punctual, "Inner and Outer Cone Angles": the recommended falloff.
+                let outer = outer_cone_rad.cos();
+                let scale = 1.0 / (inner_cone_rad.cos() - outer).max(0.001);
+                (2, scale, -outer * scale)
+            }
+        };
+        let inverse_range = if light.range_m.is_finite() && kind != 0 { 1.0 / light.range_m.max(1e-6) } else { 0.0 };
+        Self {
+            position: light.position,
+            kind,
+            direction: light.direction,
+            inverse_range,
+            intensity: light.color * light.intensity * exposure,
+            cone_scale,
+            cone_offset,
+            unused: [0.0; 3],
+        }
+    }
+
+    /// Irradiance on a surface at `point` that faces the light, where nothing stands between: `arrival` of
+    /// `lighting.wgsl`, for the exposure. Also the unit vector towards the light.
+    #[must_use]
+    pub fn arrival(&self, point: Vec3) -> (Vec3, Vec3) {
+        if self.kind == 0 {
+            return (self.intensity, -self.direction);
+        }
+        let between = self.position - point;
+        let squared = between.length_squared().max(1e-4);
+        let toward = between / squared.sqrt();
+        let reach = squared * self.inverse_range * self.inverse_range;
+        let cone = (-toward.dot(self.direction) * self.cone_scale + self.cone_offset).clamp(0.0, 1.0);
+        (self.intensity * ((1.0 - reach * reach).clamp(0.0, 1.0) / squared * cone * cone), toward)
+    }
+}
+
+/// Everything that lights the scene. Twin of `Lighting` in `lighting.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Lighting {
+    /// Ambient irradiance from above, exposed.
+    pub ambient_above: Vec3,
+    /// Lights there are.
+    pub count: u32,
+    /// Ambient irradiance from below, exposed.
+    pub ambient_below: Vec3,
+    /// Fills a row.
+    pub unused_0: f32,
+    /// Radiance of the sky at the zenith, exposed.
+    pub zenith: Vec3,
+    /// Fills a row.
+    pub unused_1: f32,
+    /// Radiance of the sky at the horizon, exposed.
+    pub horizon: Vec3,
+    /// Fills a row.
+    pub unused_2: f32,
+    /// The lights, in the order of the mask's planes.
+    pub lights: [Light; MAX_LIGHTS],
+}
+
+/// The tone curve x^a / (b·x^(a·d) + c) (Lottes, GDC 2016). Twin of `Tone` in `tone.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Tone {
+    /// a: steepness in the middle.
+    pub contrast: f32,
+    /// d: steepness of the shoulder.
+    pub shoulder: f32,
+    /// b: places the white point.
+    pub b: f32,
+    /// c: places the middle.
+    pub c: f32,
+}
+
+impl Tone {
+    /// The curve with these slopes that maps `white` to 1 and `middle` to `middle_shown`.
+    #[must_use]
+    pub fn new(contrast: f64, shoulder: f64, white: f64, middle: f64, middle_shown: f64) -> Self {
+        let (white_a, middle_a) = (white.powf(contrast), middle.powf(contrast));
+        let (white_ad, middle_ad) = (white_a.powf(shoulder), middle_a.powf(shoulder));
+        let below = (white_ad - middle_ad) * middle_shown;
+        let b = (white_a * middle_shown - middle_a) / below;
+        let c = (white_ad * middle_a - white_a * middle_ad * middle_shown) / below;
+        #[expect(clippy::cast_possible_truncation, reason = "rounding is what is wanted")]
+        let rounded = |value: f64| value as f32;
+        Self { contrast: rounded(contrast), shoulder: rounded(shoulder), b: rounded(b), c: rounded(c) }
+    }
+
+    /// The curve at `x`, before it is clamped to 1.
+    #[must_use]
+    pub fn curve(&self, x: f32) -> f32 {
+        let power = x.powf(self.contrast);
+        power / (self.b * power.powf(self.shoulder) + self.c)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::mem::{offset_of, size_of};
+
+    use super::*;
+    use crate::splice::splice;
+
+    /// Names, offsets and size of a WGSL struct, as naga lays it out.
+    fn layout(path: &str, name: &str) -> (Vec<(String, usize)>, usize) {
+        let module = naga::front::wgsl::parse_str(&splice(path).unwrap()).unwrap();
+        let (_, ty) = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).unwrap();
+        let naga::TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is no struct") };
+        let members = members.iter().map(|m| (m.name.clone().unwrap(), m.offset as usize)).collect();
+        (members, *span as usize)
+    }
+
+    macro_rules! assert_layout {
+        ($path:literal, $host:ident, [$($field:ident),+]) => {
+            let (members, span) = layout($path, stringify!($host));
+            let host = vec![$((stringify!($field).to_owned(), offset_of!($host, $field))),+];
+            assert_eq!(members[..host.len()], host[..]);
+            assert_eq!(span, size_of::<$host>());
+        };
+    }
+
+    #[test]
+    fn host_types_lie_as_wgsl_lays_them() {
+        assert_layout!(
+            "shading/shade.wgsl",
+            View,
+            [clip_from_local, origin, near_m, forward, width, right, height, up, mask_lights]
+        );
+        assert_layout!("shading/gbuffer.wgsl", Material, [base_color, alpha_cutoff, index, wrap_u, wrap_v]);
+        assert_layout!(
+            "shading/shade.wgsl",
+            Light,
+            [position, kind, direction, inverse_range, intensity, cone_scale, cone_offset]
+        );
+        assert_layout!(
+            "shading/shade.wgsl",
+            Lighting,
+            [ambient_above, count, ambient_below, unused_0, zenith, unused_1, horizon, unused_2, lights]
+        );
+        assert_layout!("shading/tone.wgsl", Tone, [contrast, shoulder, b, c]);
+    }
+
+    #[test]
+    fn every_shading_shader_is_valid() {
+        for name in ["gbuffer", "shade", "blend", "tone"] {
+            let text = splice(&format!("shading/{name}.wgsl")).unwrap();
+            let module = naga::front::wgsl::parse_str(&text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
+            naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())
+                .validate(&module)
+                .unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
+        }
+    }
+
+    #[test]
+    fn the_tone_curve_goes_through_its_points() {
+        let tone = Tone::new(1.25, 0.97, 8.0, 0.18, 0.2);
+        assert!((tone.curve(8.0) - 1.0).abs() < 1e-4);
+        assert!((tone.curve(0.18) - 0.2).abs() < 1e-4);
+        let steps: Vec<f32> = (0..800_u16).map(|i| tone.curve(f32::from(i) * 0.01)).collect();
+        assert!(steps.windows(2).all(|pair| pair[0] < pair[1]));
+    }
+
+    #[test]
+    fn lights_follow_the_khronos_falloff() {
+        let mut light = SceneLight {
+            name: String::new(),
+            kind: LightKind::Point,
+            position: Vec3::new(0.0, 3.0, 0.0),
+            direction: Vec3::NEG_Y,
+            color: Vec3::ONE,
+            intensity: 90.0,
+            range_m: f32::INFINITY,
+        };
+        let at_origin = |light: &SceneLight| Light::new(light, 1.0).arrival(Vec3::ZERO).0.x;
+        assert!((at_origin(&light) - 10.0).abs() < 1e-5);
+        light.range_m = 6.0;
+        assert!((at_origin(&light) - 10.0 * (1.0 - 0.5_f32.powi(4))).abs() < 1e-5);
+        light.range_m = 2.9;
+        assert_eq!(at_origin(&light), 0.0);
+        light.range_m = f32::INFINITY;
+        light.kind = LightKind::Spot { inner_cone_rad: 0.2, outer_cone_rad: 0.4 };
+        assert!((at_origin(&light) - 10.0).abs() < 1e-5);
+        for (angle, lit) in [(0.1_f32, 1.0), (0.2, 1.0), (0.4, 0.0), (0.5, 0.0)] {
+            light.direction = Vec3::new(angle.sin(), -angle.cos(), 0.0);
+            assert!((at_origin(&light) - 10.0 * lit).abs() < 0.05, "{angle}");
+        }
+    }
+}

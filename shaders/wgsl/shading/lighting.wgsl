@@ -1,0 +1,85 @@
+// Light on a point: every light with its bit of the visibility mask, and a little ambient light. Twin: `shading::Lighting`.
+
+const DIRECTIONAL: u32 = 0u;
+const POINT: u32 = 1u;
+const SPOT: u32 = 2u;
+
+struct Light {
+    // Position in local space, in metres.
+    position: vec3f,
+    // DIRECTIONAL, POINT or SPOT.
+    kind: u32,
+    // Unit vector in which the light travels.
+    direction: vec3f,
+    // One over the range in metres, or 0 for a light without one.
+    inverse_range: f32,
+    // Colour times intensity (candela or lux), times the exposure.
+    intensity: vec3f,
+    // The cone's falloff is (cosine · scale + offset)², clamped to 0 and 1 before it is squared (KHR_lights_punctual).
+    cone_scale: f32,
+    cone_offset: f32,
+    unused_0: f32,
+    unused_1: f32,
+    unused_2: f32,
+}
+
+struct Lighting {
+    // Ambient irradiance from above, times the exposure.
+    ambient_above: vec3f,
+    // Lights there are.
+    count: u32,
+    // Ambient irradiance from below, times the exposure.
+    ambient_below: vec3f,
+    unused_0: f32,
+    // Radiance of the sky at the zenith and at the horizon, exposed.
+    zenith: vec3f,
+    unused_1: f32,
+    horizon: vec3f,
+    unused_2: f32,
+    lights: array<Light, 32>,
+}
+
+// What a light sends to a point where nothing stands between them.
+struct Arrival {
+    // Unit vector towards the light.
+    toward: vec3f,
+    // Irradiance on a surface that faces the light; 0 outside the light's range and cone.
+    irradiance: vec3f,
+}
+
+fn arrival(light: Light, point: vec3f) -> Arrival {
+    if light.kind == DIRECTIONAL {
+        return Arrival(-light.direction, light.intensity);
+    }
+    let between = light.position - point;
+    // A centimetre at least: a punctual light has no size, and would be infinitely bright at its own place.
+    let squared = max(dot(between, between), 1e-4);
+    let toward = between * inverseSqrt(squared);
+    let reach = squared * light.inverse_range * light.inverse_range;
+    var strength = saturate(1.0 - reach * reach) / squared;
+    if light.kind == SPOT {
+        let cone = saturate(-dot(toward, light.direction) * light.cone_scale + light.cone_offset);
+        strength *= cone * cone;
+    }
+    return Arrival(toward, light.intensity * strength);
+}
+
+fn ambient(above: vec3f, below: vec3f, normal: vec3f) -> vec3f {
+    return mix(below, above, 0.5 * normal.y + 0.5);
+}
+
+// The word of the mask, seen as array<u32>, that holds a pixel's bit for light 0, the step to the next light, and the
+// bit's place in it: 8×8 tiles of 64 bits, as in protocol/src/mask.rs.
+struct MaskPlace {
+    word: u32,
+    step: u32,
+    bit: u32,
+}
+
+fn mask_place(width: u32, height: u32, pixel: vec2u) -> MaskPlace {
+    let tiles_x = (width + 7u) / 8u;
+    let tiles = tiles_x * ((height + 7u) / 8u);
+    let bit = (pixel.y & 7u) * 8u + (pixel.x & 7u);
+    let tile = (pixel.y >> 3u) * tiles_x + (pixel.x >> 3u);
+    return MaskPlace(tile * 2u + (bit >> 5u), tiles * 2u, bit & 31u);
+}
