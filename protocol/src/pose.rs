@@ -88,13 +88,8 @@ impl Pose {
         }
         let [px, py, pz, ox, oy, oz, ow, yfov_rad, scene_time_s] = values;
         let client_time_ms = u32::from_le_bytes([bytes[72], bytes[73], bytes[74], bytes[75]]);
-        let pose = Self {
-            position_m: [px, py, pz],
-            orientation: [ox, oy, oz, ow],
-            yfov_rad,
-            scene_time_s,
-            client_time_ms,
-        };
+        let pose =
+            Self { position_m: [px, py, pz], orientation: [ox, oy, oz, ow], yfov_rad, scene_time_s, client_time_ms };
         pose.validate().map(|()| pose)
     }
 }

@@ -1,1 +1,5 @@
-//! placeholder
+//! Gnomon's end-to-end tests and what they need: the f64 referee, scenes, metrics, and a rig that boots real programs.
+
+pub mod metrics;
+pub mod reference;
+pub mod scenes;

@@ -1,0 +1,139 @@
+//! How wrong a mask is, counted over the bits that matter.
+
+use std::{fmt, ops::AddAssign};
+
+use gnomon_protocol::mask::Mask;
+
+use crate::reference::Truth;
+
+/// Wrong pixels that a report keeps as examples.
+const EXAMPLES: usize = 8;
+
+/// Counts of bits, of one mask or summed over many.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct RelevantError {
+    /// Bits that the referee calls relevant.
+    pub relevant: u64,
+    /// Of these, bits that differ from the referee's.
+    pub wrong: u64,
+    /// Of the wrong ones, those that are 1 where the referee says 0: light that leaks.
+    pub leaks: u64,
+    /// Bits whose relevance or value rounding may change, whether they differ or not.
+    pub undecided: u64,
+    /// Wrong bits among these.
+    pub wrong_undecided: u64,
+    /// Bits that are 1 where the referee says irrelevant, and is sure: a back end leaves them 0.
+    pub irrelevant_set: u64,
+    /// The first few wrong bits that are not undecided: light, x, y.
+    pub examples: Vec<[u32; 3]>,
+}
+
+impl RelevantError {
+    /// Compares a mask with the truth, bit by bit.
+    ///
+    /// # Panics
+    /// When their sizes differ: masks of another size are not merely wrong.
+    #[must_use]
+    pub fn of(mask: &Mask, truth: &Truth) -> Self {
+        let shape = mask.shape();
+        assert_eq!((shape.width(), shape.height(), shape.lights()), (truth.width, truth.height, truth.lights));
+        let mut error = Self::default();
+        for y in 0..truth.height {
+            for x in 0..truth.width {
+                let verdict = truth.at(x, y);
+                for light in 0..truth.lights {
+                    let bit = |word: u32| word >> light & 1 == 1;
+                    let (set, undecided) = (mask.get(light, x, y), bit(verdict.undecided));
+                    error.undecided += u64::from(undecided);
+                    if !bit(verdict.relevant) {
+                        error.irrelevant_set += u64::from(set && !undecided);
+                        continue;
+                    }
+                    error.relevant += 1;
+                    if set != bit(verdict.lit) {
+                        error.wrong += 1;
+                        error.leaks += u64::from(set);
+                        error.wrong_undecided += u64::from(undecided);
+                        if !undecided && error.examples.len() < EXAMPLES {
+                            error.examples.push([light, x, y]);
+                        }
+                    }
+                }
+            }
+        }
+        error
+    }
+
+    /// The share of relevant bits that are wrong, undecided ones included; 0 where nothing is relevant.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
+    pub fn share(&self) -> f64 {
+        if self.relevant == 0 { 0.0 } else { self.wrong as f64 / self.relevant as f64 }
+    }
+}
+
+impl AddAssign for RelevantError {
+    fn add_assign(&mut self, other: Self) {
+        self.relevant += other.relevant;
+        self.wrong += other.wrong;
+        self.leaks += other.leaks;
+        self.undecided += other.undecided;
+        self.wrong_undecided += other.wrong_undecided;
+        self.irrelevant_set += other.irrelevant_set;
+        self.examples.extend(other.examples.into_iter().take(EXAMPLES.saturating_sub(self.examples.len())));
+    }
+}
+
+impl fmt::Display for RelevantError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{:.4} % of {} relevant bits wrong ({}: {} leaks, {} of all among the {} undecided); {} irrelevant bits set",
+            self.share() * 100.0,
+            self.relevant,
+            self.wrong,
+            self.leaks,
+            self.wrong_undecided,
+            self.undecided,
+            self.irrelevant_set
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use gnomon_protocol::mask::MaskShape;
+
+    use super::*;
+    use crate::reference::Verdict;
+
+    #[test]
+    fn each_kind_of_bit_is_counted_once_and_in_its_place() {
+        let verdict = |relevant, lit, undecided| Verdict { surface: true, relevant, lit, undecided };
+        let truth = Truth {
+            width: 3,
+            height: 1,
+            lights: 2,
+            pixels: vec![verdict(0b11, 0b01, 0), verdict(0b01, 0b00, 0b01), Verdict::default()],
+        };
+        let mut mask = Mask::new(MaskShape::new(3, 1, 2).unwrap());
+        mask.set(0, 0, 0, true);
+        let exact = RelevantError::of(&mask, &truth);
+        let expected = RelevantError { relevant: 3, undecided: 1, ..RelevantError::default() };
+        assert_eq!(exact, expected);
+        // A shadow that is not there, a leak, a leak in doubt, a bit where nothing matters.
+        mask.set(0, 0, 0, false);
+        mask.set(1, 0, 0, true);
+        mask.set(0, 1, 0, true);
+        mask.set(1, 2, 0, true);
+        let error = RelevantError::of(&mask, &truth);
+        let examples = vec![[0, 0, 0], [1, 0, 0]];
+        let expected =
+            RelevantError { wrong: 3, leaks: 2, wrong_undecided: 1, irrelevant_set: 1, examples, ..expected };
+        assert_eq!(error, expected);
+        assert!((error.share() - 1.0).abs() < 1e-12);
+        let mut sum = exact;
+        sum += error;
+        assert_eq!((sum.relevant, sum.wrong, sum.undecided), (6, 3, 2));
+    }
+}

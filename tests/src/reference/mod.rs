@@ -1,0 +1,158 @@
+//! The referee: a plain f64 tracer that shares no code with the back ends.
+//!
+//! It follows the rules of `gnomon_server::visibility` to the letter, from the scene and the camera's f64 rays alone,
+//! with its own BVH, triangle test and alpha sampling. For every pixel it says whether there is a surface, which lights
+//! are relevant, which of them reach it, and which of these answers are **undecided**: closer to the other answer than
+//! f32 can tell.
+//!
+//! The shadow ray starts at the exact f64 point, pushed along the geometric normal by 1e-9 of the scene's magnitude
+//! (some 1e-8 m in a building; rounding in f64 is a million times smaller), and its own triangle cannot stop it.
+//!
+//! **Undecided** is found by experiment. f32 cannot tell points apart that are closer than 2^-24 of their coordinates;
+//! a back end rounds the ray's start, its direction and the point a few times each, so it may honestly be off by
+//! `rounding_m` = 2^-21 of the scene's magnitude. A pixel for which any decision passes within that distance of an edge, of
+//! another surface, or of a limit (range, cone, facing, alpha cutoff) is judged eight more times, with the camera and the
+//! point moved by `rounding_m` along each diagonal, and bits that change are undecided. They stay in every figure: they
+//! are reported beside it, to explain a difference, never to excuse one.
+
+mod alpha;
+mod bvh;
+#[cfg(test)]
+mod closed_form;
+mod pixel;
+mod triangle;
+
+use glam::DVec3;
+use gnomon_shaders::{
+    camera::Camera,
+    scene::{Light, LightKind, Scene},
+};
+use rayon::prelude::*;
+
+use alpha::AlphaTest;
+use bvh::Bvh;
+
+/// The referee's answers for one picture, row by row; bit k of a word is light k.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Truth {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Lights of the scene.
+    pub lights: u32,
+    /// One entry a pixel.
+    pub pixels: Vec<Verdict>,
+}
+
+/// The referee's answers for one pixel.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Verdict {
+    /// Whether the pixel sees a surface.
+    pub surface: bool,
+    /// Lights that matter there.
+    pub relevant: u32,
+    /// Relevant lights that reach it.
+    pub lit: u32,
+    /// Lights whose relevance or visibility rounding may change.
+    pub undecided: u32,
+}
+
+impl Truth {
+    /// The verdict for pixel (x, y).
+    ///
+    /// # Panics
+    /// When the pixel lies outside the picture.
+    #[must_use]
+    pub fn at(&self, x: u32, y: u32) -> Verdict {
+        assert!(x < self.width && y < self.height, "({x}, {y}) outside {}×{}", self.width, self.height);
+        self.pixels[(y * self.width + x) as usize]
+    }
+}
+
+/// A scene, prepared for tracing.
+#[derive(Debug)]
+pub struct Reference {
+    origin_m: DVec3,
+    corners: Vec<[DVec3; 3]>,
+    surfaces: Vec<Surface>,
+    bvh: Bvh,
+    materials: Vec<Sheet>,
+    lights: Vec<Light>,
+    /// What f32 cannot tell apart, in metres: see the module.
+    rounding_m: f64,
+    /// How far shadow rays are pushed off their surface, in metres.
+    push_m: f64,
+}
+
+/// What a triangle is besides its corners.
+#[derive(Debug)]
+struct Surface {
+    normals: [DVec3; 3],
+    uvs: [[f64; 2]; 3],
+    material: u32,
+}
+
+/// How rays see a material.
+#[derive(Debug)]
+struct Sheet {
+    double_sided: bool,
+    alpha: Option<AlphaTest>,
+}
+
+impl Reference {
+    /// Prepares the OPAQUE and MASK triangles of a scene. `rounding_m` follows from its size: see the module.
+    #[must_use]
+    pub fn new(scene: &Scene) -> Self {
+        let (mut corners, mut surfaces) = (Vec::new(), Vec::new());
+        let traced = scene.tracing_triangles().len();
+        for draw in &scene.draws {
+            let first = draw.first_triangle as usize;
+            let end = (first + draw.triangles as usize).min(traced);
+            for triangle in scene.triangles.get(first..end).unwrap_or_default() {
+                let vertices = triangle.map(|vertex| vertex as usize);
+                corners.push(vertices.map(|vertex| scene.positions[vertex].as_dvec3()));
+                surfaces.push(Surface {
+                    normals: vertices.map(|vertex| scene.normals[vertex].as_dvec3()),
+                    uvs: vertices.map(|vertex| scene.uvs[vertex].as_dvec2().to_array()),
+                    material: draw.material,
+                });
+            }
+        }
+        let lights = scene.lights.iter().filter(|light| light.kind != LightKind::Directional);
+        let magnitude_m = corners
+            .iter()
+            .flatten()
+            .map(|corner| corner.abs().max_element())
+            .chain(lights.map(|light| light.position.as_dvec3().abs().max_element()))
+            .fold(f64::MIN_POSITIVE, f64::max);
+        let rounding_m = magnitude_m * 2.0_f64.powi(-21);
+        Self {
+            origin_m: scene.origin_m,
+            bvh: Bvh::new(&corners, rounding_m * 4.0),
+            corners,
+            surfaces,
+            materials: scene
+                .materials
+                .iter()
+                .map(|material| Sheet { double_sided: material.double_sided, alpha: AlphaTest::new(scene, material) })
+                .collect(),
+            lights: scene.lights.clone(),
+            rounding_m,
+            push_m: magnitude_m * 1e-9,
+        }
+    }
+
+    /// Judges every pixel of the camera's picture, on all threads of the current rayon pool.
+    #[must_use]
+    pub fn trace(&self, camera: &Camera) -> Truth {
+        let mut pixels = vec![Verdict::default(); camera.width as usize * camera.height as usize];
+        pixels.par_chunks_mut(camera.width as usize).zip(0..camera.height).for_each(|(row, y)| {
+            for (verdict, x) in row.iter_mut().zip(0..camera.width) {
+                *verdict = self.judge(camera, x, y);
+            }
+        });
+        let lights = u32::try_from(self.lights.len()).unwrap_or(u32::MAX);
+        Truth { width: camera.width, height: camera.height, lights, pixels }
+    }
+}

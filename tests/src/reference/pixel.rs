@@ -1,0 +1,232 @@
+//! One pixel's judgement: the rules of `gnomon_server::visibility`, in f64, with doubts.
+
+use glam::DVec3;
+use gnomon_shaders::{
+    camera::Camera,
+    scene::{Light, LightKind},
+};
+
+use super::{
+    Reference, Verdict,
+    triangle::{Crossing, Ray},
+};
+
+/// How a pixel is judged: exactly, or moved by what f32 cannot tell.
+#[derive(Debug, Clone, Copy)]
+struct Nudge {
+    /// Moves the camera and the shadow ray's start, in metres.
+    offset: DVec3,
+    /// Moves alpha samples, in units of their rounding.
+    alpha: f64,
+}
+
+/// The point that a pixel sees.
+struct Seen {
+    triangle: u32,
+    point: DVec3,
+    /// Unit normal of the triangle's plane, towards the camera.
+    geometric: DVec3,
+    /// Interpolated normal, negated when the back was met; any length.
+    shading: DVec3,
+}
+
+/// Set when a decision came closer than rounding to the other answer.
+#[derive(Default)]
+struct Doubt(bool);
+
+impl Doubt {
+    fn about(&mut self, close: bool) {
+        self.0 |= close;
+    }
+}
+
+impl Reference {
+    pub(super) fn judge(&self, camera: &Camera, x: u32, y: u32) -> Verdict {
+        let (position, direction) = camera.ray(x, y);
+        let origin = position - self.origin_m;
+        let mut doubt = Doubt::default();
+        let mut verdict = self.judge_nudged(origin, direction, Nudge { offset: DVec3::ZERO, alpha: 0.0 }, &mut doubt);
+        if doubt.0 {
+            // A camera far outside the scene rounds more coarsely than the scene does.
+            let rounding_m = self.rounding_m.max(origin.abs().max_element() * 2.0_f64.powi(-21));
+            for corner in 0..8_u32 {
+                let sign = |bit: u32| if corner >> bit & 1 == 1 { 1.0 } else { -1.0 };
+                let offset = DVec3::new(sign(0), sign(1), sign(2)) * rounding_m;
+                let nudge = Nudge { offset, alpha: sign(0) };
+                let other = self.judge_nudged(origin, direction, nudge, &mut Doubt::default());
+                verdict.undecided |= (verdict.relevant ^ other.relevant) | (verdict.lit ^ other.lit);
+            }
+        }
+        verdict
+    }
+
+    fn judge_nudged(&self, origin: DVec3, direction: DVec3, nudge: Nudge, doubt: &mut Doubt) -> Verdict {
+        let ray = Ray::new(origin + nudge.offset, direction);
+        let Some(seen) = self.surface(&ray, nudge, doubt) else { return Verdict::default() };
+        let mut verdict = Verdict { surface: true, ..Verdict::default() };
+        for (k, light) in self.lights.iter().enumerate() {
+            if !self.relevant(light, &seen, doubt) {
+                continue;
+            }
+            verdict.relevant |= 1 << k;
+            if self.reached(light, &seen, nudge, doubt) {
+                verdict.lit |= 1 << k;
+            }
+        }
+        verdict
+    }
+
+    /// Rules 1 and 2.
+    fn surface(&self, ray: &Ray, nudge: Nudge, doubt: &mut Doubt) -> Option<Seen> {
+        let slack = 4.0 * self.rounding_m / ray.direction.length();
+        let mut nearest: Option<(u32, Crossing)> = None;
+        let mut nearest_doubt = f64::INFINITY;
+        self.bvh.walk(ray, f64::INFINITY, |triangle| {
+            let end = nearest.map_or(f64::INFINITY, |(_, crossing)| crossing.t);
+            let meeting = self.meet(ray, triangle, nudge, true);
+            if let Some((crossing, there, close)) = meeting.filter(|(crossing, ..)| crossing.t > 0.0) {
+                if close || there && (crossing.t - end).abs() <= slack {
+                    nearest_doubt = nearest_doubt.min(crossing.t);
+                }
+                if there && crossing.t < end {
+                    nearest = Some((triangle, crossing));
+                    return crossing.t + slack;
+                }
+            }
+            end + slack
+        });
+        let end = nearest.as_ref().map_or(f64::INFINITY, |(_, crossing)| crossing.t);
+        doubt.about(nearest_doubt.is_finite() && nearest_doubt <= end + slack);
+        let (triangle, crossing) = nearest?;
+        let [a, b, c] = self.corners[triangle as usize];
+        let normal = (b - a).cross(c - a).normalize();
+        let [na, nb, nc] = self.surfaces[triangle as usize].normals;
+        let [wa, wb, wc] = crossing.weights;
+        let shading = na * wa + nb * wb + nc * wc;
+        let side = if normal.dot(ray.direction) > 0.0 { -1.0 } else { 1.0 };
+        Some(Seen { triangle, point: ray.at(crossing.t), geometric: normal * side, shading: shading * side })
+    }
+
+    /// Whether the ray meets the triangle: where, whether it is there, and whether that is in doubt. `None` for sure misses.
+    fn meet(&self, ray: &Ray, triangle: u32, nudge: Nudge, sides_matter: bool) -> Option<(Crossing, bool, bool)> {
+        let corners = &self.corners[triangle as usize];
+        let crossing = ray.cross(corners)?;
+        let margin = 4.0 * self.rounding_m;
+        if crossing.inside_m < -margin {
+            return None;
+        }
+        let surface = &self.surfaces[triangle as usize];
+        let sheet = &self.materials[surface.material as usize];
+        let mut there = crossing.inside_m >= 0.0;
+        let mut close = crossing.inside_m <= margin;
+        if sides_matter && !sheet.double_sided {
+            let [a, b, c] = *corners;
+            // A triangle that is seen so edge-on that its side is in doubt is narrower than the margin: `close` says so.
+            there &= (b - a).cross(c - a).dot(ray.direction) < 0.0;
+        }
+        if let Some(alpha) = &sheet.alpha {
+            let mut uv = [0.0; 2];
+            for (weight, corner) in crossing.weights.iter().zip(surface.uvs) {
+                uv = [uv[0] + weight * corner[0], uv[1] + weight * corner[1]];
+            }
+            let (above, rounding) = alpha.margin(uv[0], uv[1]);
+            there &= above + nudge.alpha * rounding >= 0.0;
+            // Moving the ray moves the sample too; the eight nudges say whether that matters.
+            close |= above.abs() <= rounding + self.alpha_slope(triangle) * margin;
+        }
+        (there || close).then_some((crossing, there, close))
+    }
+
+    /// The most that alpha can change per metre on a triangle: one whole step a texel is its bound, so only texels a
+    /// metre count; taken from the edges' texture coordinates.
+    fn alpha_slope(&self, triangle: u32) -> f64 {
+        let corners = &self.corners[triangle as usize];
+        let surface = &self.surfaces[triangle as usize];
+        let texels = self.materials[surface.material as usize].alpha.as_ref().map_or(0.0, super::AlphaTest::side_px);
+        let mut slope = 0.0_f64;
+        for (i, j) in [(0, 1), (1, 2), (2, 0)] {
+            let [u, v] = [0, 1].map(|axis| surface.uvs[j][axis] - surface.uvs[i][axis]);
+            slope = slope.max(u.hypot(v) * texels / corners[i].distance(corners[j]));
+        }
+        slope
+    }
+
+    /// Rule 3.
+    fn relevant(&self, light: &Light, seen: &Seen, doubt: &mut Doubt) -> bool {
+        let margin = 4.0 * self.rounding_m;
+        let to_light = towards(light, seen.point);
+        let facing = seen.shading.dot(to_light);
+        doubt.about(facing.abs() <= self.dot_margin(light, to_light) * seen.shading.length());
+        let mut relevant = facing > 0.0;
+        if light.kind != LightKind::Directional {
+            let distance = to_light.length();
+            let range = f64::from(light.range_m);
+            doubt.about((distance - range).abs() <= margin);
+            relevant &= distance <= range;
+            if let LightKind::Spot { outer_cone_rad, .. } = light.kind {
+                let along = -to_light.dot(light.direction.as_dvec3());
+                let edge = distance * f64::from(outer_cone_rad).cos();
+                doubt.about((along - edge).abs() <= margin + distance * 4.0 * f64::from(f32::EPSILON));
+                relevant &= along >= edge;
+            }
+        }
+        relevant
+    }
+
+    /// Rules 4 and 5.
+    fn reached(&self, light: &Light, seen: &Seen, nudge: Nudge, doubt: &mut Doubt) -> bool {
+        let to_light = towards(light, seen.point);
+        let facing = seen.geometric.dot(to_light);
+        doubt.about(facing.abs() <= self.dot_margin(light, to_light));
+        if facing <= 0.0 {
+            return false;
+        }
+        // Back ends push their starts up by more than rounding, so doubt moves a start along the surface and up, never down.
+        let down = seen.geometric * nudge.offset.dot(seen.geometric).min(0.0);
+        let start = seen.point + seen.geometric * self.push_m + (nudge.offset - down);
+        let (direction, end) = if light.kind == LightKind::Directional {
+            (to_light, f64::INFINITY)
+        } else {
+            (light.position.as_dvec3() - start, 1.0)
+        };
+        let ray = Ray::new(start, direction);
+        let slack = 4.0 * self.rounding_m / direction.length();
+        let (mut stopped, mut close) = (false, false);
+        self.bvh.walk(&ray, end + slack, |triangle| {
+            if triangle == seen.triangle {
+                return end + slack;
+            }
+            if let Some((crossing, there, in_doubt)) = self.meet(&ray, triangle, nudge, false) {
+                let inside = there && crossing.t > 0.0 && crossing.t < end;
+                let near_an_end = crossing.t.abs() <= slack || (crossing.t - end).abs() <= slack;
+                if inside && !in_doubt && !near_an_end {
+                    (stopped, close) = (true, false);
+                    return -1.0;
+                }
+                stopped |= inside;
+                close |= near_an_end || in_doubt && crossing.t > 0.0 && crossing.t < end;
+            }
+            end + slack
+        });
+        doubt.about(close);
+        !stopped
+    }
+
+    /// How far rounding may move a unit vector's dot product with `to_light`.
+    fn dot_margin(&self, light: &Light, to_light: DVec3) -> f64 {
+        let rounding = 8.0 * f64::from(f32::EPSILON);
+        if light.kind == LightKind::Directional {
+            rounding
+        } else {
+            4.0 * self.rounding_m + rounding * to_light.length()
+        }
+    }
+}
+
+/// From a point to a light; of unit length for directional lights.
+fn towards(light: &Light, point: DVec3) -> DVec3 {
+    match light.kind {
+        LightKind::Directional => -light.direction.as_dvec3(),
+        LightKind::Point | LightKind::Spot { .. } => light.position.as_dvec3() - point,
+    }
+}

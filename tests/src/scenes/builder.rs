@@ -1,0 +1,212 @@
+//! Scenes built in code, of rectangles, boxes and spheres: what closed forms can judge.
+
+use glam::{DVec3, Vec2, Vec3, Vec4};
+use gnomon_shaders::scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
+
+/// Collects triangles of one material after another.
+#[derive(Debug)]
+pub struct SceneBuilder {
+    scene: Scene,
+}
+
+impl Default for SceneBuilder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl SceneBuilder {
+    /// An empty scene with one white, opaque, double-sided material, which is the current one.
+    #[must_use]
+    pub fn new() -> Self {
+        let scene = Scene {
+            origin_m: DVec3::ZERO,
+            bounds: Aabb { min: Vec3::ZERO, max: Vec3::ZERO },
+            positions: Vec::new(),
+            normals: Vec::new(),
+            uvs: Vec::new(),
+            triangles: Vec::new(),
+            draws: Vec::new(),
+            materials: Vec::new(),
+            images: Vec::new(),
+            lights: Vec::new(),
+            instances: 1,
+        };
+        Self { scene }.material(AlphaMode::Opaque, true)
+    }
+
+    /// Moves the local origin: positions stay as they are, relative to it.
+    #[must_use]
+    pub fn origin(mut self, origin_m: DVec3) -> Self {
+        self.scene.origin_m = origin_m;
+        self
+    }
+
+    /// Starts a white material. OPAQUE ones must come before MASK ones, those before BLEND.
+    #[must_use]
+    pub fn material(mut self, alpha: AlphaMode, double_sided: bool) -> Self {
+        self.scene.materials.push(Material {
+            name: String::new(),
+            base_color: Vec4::ONE,
+            base_color_texture: None,
+            emissive: Vec3::ZERO,
+            alpha,
+            double_sided,
+        });
+        self
+    }
+
+    /// Gives the current material a picture with the given alpha values, row by row.
+    #[must_use]
+    pub fn alpha_picture(mut self, width: u32, alpha: &[u8], wrap: Wrap) -> Self {
+        let rgba: Vec<_> = alpha.iter().flat_map(|&a| [255, 255, 255, a]).collect();
+        let height = u32::try_from(alpha.len()).unwrap_or(u32::MAX) / width;
+        let mut encoded = std::io::Cursor::new(Vec::new());
+        let written = image::RgbaImage::from_raw(width, height, rgba.clone())
+            .map(|picture| picture.write_to(&mut encoded, image::ImageFormat::Png));
+        debug_assert!(matches!(written, Some(Ok(()))), "{width} does not divide {} texels", alpha.len());
+        let image = u32::try_from(self.scene.images.len()).unwrap_or(u32::MAX);
+        self.scene.images.push(Image { encoded: encoded.into_inner(), width, height, rgba });
+        if let Some(material) = self.scene.materials.last_mut() {
+            material.base_color_texture = Some(Texture { image, wrap_u: wrap, wrap_v: wrap });
+        }
+        self
+    }
+
+    /// A triangle with its own corners, seen counter-clockwise from its front, and texture coordinates.
+    #[must_use]
+    pub fn triangle(mut self, corners: [Vec3; 3], normals: [Vec3; 3], uvs: [Vec2; 3]) -> Self {
+        let scene = &mut self.scene;
+        let first = u32::try_from(scene.positions.len()).unwrap_or(u32::MAX);
+        scene.positions.extend(corners);
+        scene.normals.extend(normals);
+        scene.uvs.extend(uvs);
+        let material = u32::try_from(scene.materials.len() - 1).unwrap_or(u32::MAX);
+        match scene.draws.last_mut() {
+            Some(draw) if draw.material == material => draw.triangles += 1,
+            _ => {
+                let first_triangle = u32::try_from(scene.triangles.len()).unwrap_or(u32::MAX);
+                scene.draws.push(Draw { first_triangle, triangles: 1, material });
+            }
+        }
+        scene.triangles.push([first, first + 1, first + 2]);
+        self
+    }
+
+    /// A parallelogram from a corner along two sides; its front is where `side_u × side_v` points, and (u, v) runs from 0
+    /// to 1 along the sides.
+    #[must_use]
+    pub fn quad(self, corner: Vec3, side_u: Vec3, side_v: Vec3) -> Self {
+        let normals = [side_u.cross(side_v).normalize(); 3];
+        let far = corner + side_u + side_v;
+        self.triangle([corner, corner + side_u, far], normals, [Vec2::ZERO, Vec2::X, Vec2::ONE]).triangle(
+            [corner, far, corner + side_v],
+            normals,
+            [Vec2::ZERO, Vec2::ONE, Vec2::Y],
+        )
+    }
+
+    /// A closed box with outward fronts.
+    #[must_use]
+    pub fn cuboid(self, min: Vec3, max: Vec3) -> Self {
+        let size = max - min;
+        let (x, y, z) = (Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z);
+        self.quad(min, y, x).quad(min, z, y).quad(min, x, z).quad(max, -x, -y).quad(max, -y, -z).quad(max, -z, -x)
+    }
+
+    /// A sphere with outward fronts and smooth normals, of `rings` × 2·`rings` patches. Its corners lie on the sphere.
+    #[must_use]
+    pub fn sphere(mut self, centre: Vec3, radius: f32, rings: u16) -> Self {
+        let at = |ring: u16, sector: u16| {
+            // The seam and the poles come from equal arguments, so that the sphere is closed to the last bit.
+            let sector = if ring == 0 || ring == rings { 0 } else { sector % (2 * rings) };
+            let polar = f32::from(ring) / f32::from(rings) * std::f32::consts::PI;
+            let azimuth = f32::from(sector) / f32::from(rings) * std::f32::consts::PI;
+            Vec3::new(polar.sin() * azimuth.cos(), polar.cos(), -polar.sin() * azimuth.sin())
+        };
+        for ring in 0..rings {
+            for sector in 0..2 * rings {
+                let n = [(ring, sector), (ring + 1, sector), (ring + 1, sector + 1), (ring, sector + 1)]
+                    .map(|(ring, sector)| at(ring, sector));
+                let p = n.map(|n| centre + n * radius);
+                if ring + 1 < rings {
+                    self = self.triangle([p[0], p[1], p[2]], [n[0], n[1], n[2]], [Vec2::ZERO; 3]);
+                }
+                if ring > 0 {
+                    self = self.triangle([p[0], p[2], p[3]], [n[0], n[2], n[3]], [Vec2::ZERO; 3]);
+                }
+            }
+        }
+        self
+    }
+
+    /// A light that shines everywhere from a point.
+    #[must_use]
+    pub fn point_light(self, position: Vec3, range_m: f32) -> Self {
+        self.light(LightKind::Point, position, Vec3::NEG_Y, range_m)
+    }
+
+    /// A light from far away that travels along `direction`.
+    #[must_use]
+    pub fn sun(self, direction: Vec3) -> Self {
+        self.light(LightKind::Directional, Vec3::ZERO, direction, f32::INFINITY)
+    }
+
+    /// A cone of light along `direction`.
+    #[must_use]
+    pub fn spot_light(self, position: Vec3, direction: Vec3, outer_cone_rad: f32) -> Self {
+        let kind = LightKind::Spot { inner_cone_rad: outer_cone_rad * 0.5, outer_cone_rad };
+        self.light(kind, position, direction, f32::INFINITY)
+    }
+
+    fn light(mut self, kind: LightKind, position: Vec3, direction: Vec3, range_m: f32) -> Self {
+        self.scene.lights.push(Light {
+            name: String::new(),
+            kind,
+            position,
+            direction: direction.normalize(),
+            color: Vec3::ONE,
+            intensity: 1.0,
+            range_m,
+        });
+        self
+    }
+
+    /// The scene, with its bounds.
+    #[must_use]
+    pub fn build(mut self) -> Scene {
+        let mut points = self.scene.positions.iter().copied();
+        let first = points.next().unwrap_or(Vec3::ZERO);
+        self.scene.bounds =
+            points.fold(Aabb { min: first, max: first }, |b, p| Aabb { min: b.min.min(p), max: b.max.max(p) });
+        // Materials without triangles would break no rule, but the loader makes none either.
+        debug_assert!(!self.scene.lights.is_empty(), "a scene has at least one light");
+        self.scene
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_and_spheres_are_closed_and_face_outwards() {
+        for scene in [
+            SceneBuilder::new().cuboid(Vec3::new(1.0, 2.0, 3.0), Vec3::new(4.0, 6.0, 8.0)).sun(Vec3::NEG_Y).build(),
+            SceneBuilder::new().sphere(Vec3::new(1.0, 2.0, 3.0), 2.0, 24).sun(Vec3::NEG_Y).build(),
+        ] {
+            // Gauss: a closed surface with outward fronts has this signed volume, and its areas' vectors cancel.
+            let (mut volume, mut area) = (0.0, DVec3::ZERO);
+            for triangle in &scene.triangles {
+                let [a, b, c] = triangle.map(|i| scene.positions[i as usize].as_dvec3());
+                volume += a.dot(b.cross(c)) / 6.0;
+                area += (b - a).cross(c - a) * 0.5;
+                let normal = triangle.iter().map(|&i| scene.normals[i as usize].as_dvec3()).sum::<DVec3>();
+                assert!(normal.dot((b - a).cross(c - a)) > 0.0);
+            }
+            let expected = if scene.triangles.len() == 12 { 60.0 } else { 4.0 / 3.0 * std::f64::consts::PI * 8.0 };
+            assert!((volume / expected - 1.0).abs() < 0.02, "{volume}, not {expected}");
+            assert!(area.length() < 1e-5);
+        }
+    }
+}

@@ -1,0 +1,3 @@
+//! Scenes to test with: some built in code, with known answers, and the real ones that `GNOMON_SCENES` names.
+
+pub mod builder;
