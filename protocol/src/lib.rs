@@ -5,11 +5,16 @@
 //! → [`reassembler`] → [`frame`] → [`codec`] → [`mask`].
 
 pub mod codec;
+pub mod congestion;
+pub mod frame;
+pub mod header;
 pub mod ids;
 pub mod limits;
 pub mod mask;
 pub mod message;
+pub mod packetizer;
 pub mod pose;
+pub mod reassembler;
 
 /// Version of everything in this crate that a peer can see. Peers with different versions refuse each other.
 pub const PROTOCOL_VERSION: u16 = 1;

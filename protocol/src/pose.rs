@@ -5,10 +5,17 @@
 
 use thiserror::Error;
 
-use crate::limits::{MAX_POSITION_M, YFOV_RANGE_RAD};
+use crate::{
+    header::{HEADER_BYTES, HeaderError, PacketHeader},
+    ids::FrameNumber,
+    limits::{MAX_POSITION_M, YFOV_RANGE_RAD},
+};
 
 /// Bytes of an encoded pose.
 pub const POSE_BYTES: usize = 76;
+
+/// Bytes of a pose packet: header and pose.
+pub const POSE_PACKET_BYTES: usize = HEADER_BYTES + POSE_BYTES;
 
 /// A camera, without the size of its picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -92,4 +99,54 @@ impl Pose {
             Self { position_m: [px, py, pz], orientation: [ox, oy, oz, ow], yfov_rad, scene_time_s, client_time_ms };
         pose.validate().map(|()| pose)
     }
+}
+
+/// Why bytes are no pose packet.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum PosePacketError {
+    /// They are no packet at all.
+    #[error(transparent)]
+    Header(#[from] HeaderError),
+    /// The header has no frame number.
+    #[error("pose packet {0} has no frame number")]
+    NoFrame(u32),
+    /// The header says that it is a packet of visibility: it has a number of packets, a timestamp or the first-packet
+    /// flag.
+    #[error("packet {0} is no pose packet: its header describes a frame of visibility")]
+    Visibility(u32),
+    /// The data is no pose.
+    #[error(transparent)]
+    Pose(#[from] PoseError),
+}
+
+/// The packet that says where the client's frame `frame` was looked at from: a header with placeholders in the fields
+/// that only visibility has (§3.1), then the pose. `frame` must not be `u32::MAX`, the placeholder.
+#[must_use]
+pub fn encode_pose_packet(sequence: u32, frame: FrameNumber, pose: &Pose) -> [u8; POSE_PACKET_BYTES] {
+    let header = PacketHeader {
+        sequence,
+        frame: Some(frame),
+        #[expect(clippy::cast_possible_truncation, reason = "76")]
+        data_bytes: POSE_BYTES as u16,
+        frame_packets: None,
+        first: false,
+        timestamp_ms: None,
+    };
+    let mut packet = [0; POSE_PACKET_BYTES];
+    packet[..HEADER_BYTES].copy_from_slice(&header.encode());
+    packet[HEADER_BYTES..].copy_from_slice(&pose.encode());
+    packet
+}
+
+/// Sequence number, frame and pose of a pose packet.
+///
+/// # Errors
+/// When the bytes are no packet, one of visibility, or carry no valid pose.
+pub fn decode_pose_packet(datagram: &[u8]) -> Result<(u32, FrameNumber, Pose), PosePacketError> {
+    let (header, data) = PacketHeader::decode(datagram)?;
+    if header.frame_packets.is_some() || header.timestamp_ms.is_some() || header.first {
+        return Err(PosePacketError::Visibility(header.sequence));
+    }
+    let frame = header.frame.ok_or(PosePacketError::NoFrame(header.sequence))?;
+    Ok((header.sequence, frame, Pose::decode(data)?))
 }

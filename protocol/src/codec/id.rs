@@ -1,0 +1,85 @@
+//! The codecs' names and numbers.
+
+use std::{fmt, str::FromStr};
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Names of the codecs, as they cross the wire.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[repr(u8)]
+pub enum CodecId {
+    /// One u32 a pixel, bit k for light k, uncompressed: where the dissertation began (§1.3).
+    Words = 0,
+    /// The same words, LZ4: the dissertation's own format (§3.5).
+    WordsLz4 = 1,
+    /// Bit planes in 8×8 tiles, LZ4.
+    PlanesLz4 = 2,
+}
+
+/// A text that names no codec.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("no codec is called {0:?}: there are words, words-lz4 and planes-lz4")]
+pub struct UnknownCodec(pub String);
+
+impl CodecId {
+    /// All codecs.
+    pub const ALL: [Self; 3] = [Self::Words, Self::WordsLz4, Self::PlanesLz4];
+
+    /// Name on command lines and in configuration.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Words => "words",
+            Self::WordsLz4 => "words-lz4",
+            Self::PlanesLz4 => "planes-lz4",
+        }
+    }
+
+    /// Number in a frame's head.
+    #[must_use]
+    pub const fn number(self) -> u8 {
+        self as u8
+    }
+
+    /// The codec with this number, if there is one.
+    #[must_use]
+    pub fn from_number(number: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|codec| codec.number() == number)
+    }
+}
+
+impl fmt::Display for CodecId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for CodecId {
+    type Err = UnknownCodec;
+
+    fn from_str(text: &str) -> Result<Self, UnknownCodec> {
+        Self::ALL.into_iter().find(|codec| codec.name() == text).ok_or_else(|| UnknownCodec(text.to_owned()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_numbers_name_one_codec_each() {
+        for (codec, name, number) in
+            [(CodecId::Words, "words", 0), (CodecId::WordsLz4, "words-lz4", 1), (CodecId::PlanesLz4, "planes-lz4", 2)]
+        {
+            assert_eq!(codec.to_string(), name);
+            assert_eq!(name.parse(), Ok(codec));
+            assert_eq!(codec.number(), number);
+            assert_eq!(CodecId::from_number(number), Some(codec));
+        }
+        assert_eq!(CodecId::from_number(3), None);
+        for wrong in ["", "Words", "words_lz4", "planes", " words"] {
+            assert_eq!(wrong.parse::<CodecId>(), Err(UnknownCodec(wrong.to_owned())));
+        }
+    }
+}

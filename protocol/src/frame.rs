@@ -1,0 +1,174 @@
+//! A frame's body: what the packets of one frame carry together.
+//!
+//! | bytes | field |
+//! |---|---|
+//! | 0 | codec ([`CodecId`]'s number) |
+//! | 1–2 | width in pixels |
+//! | 3–4 | height in pixels |
+//! | 5 | lights |
+//! | 6–7 | number of slices n |
+//! | 8 … 8 + 4n | length of each slice in bytes, u32 |
+//! | to the end | the slices, one after the other |
+//!
+//! All little-endian. A slice can be decoded without the others: slice i of n covers the rows of tiles from
+//! ⌊i·rows/n⌋ up to ⌊(i+1)·rows/n⌋ ([`slice_tile_rows`]), so a frame has at most as many slices as rows of tiles.
+
+use std::ops::Range;
+
+use thiserror::Error;
+
+use crate::{
+    codec::CodecId,
+    limits::{MAX_FRAME_BYTES, MAX_FRAME_SLICES},
+    mask::{MaskShape, ShapeError},
+};
+
+/// Bytes before the table of slice lengths.
+pub const FRAME_HEAD_BYTES: usize = 8;
+
+/// What a frame is: how it is coded, and the shape of its mask.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FrameHead {
+    /// How the slices are coded.
+    pub codec: CodecId,
+    /// Shape of the mask.
+    pub shape: MaskShape,
+}
+
+/// Why bytes are no frame.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum FrameError {
+    /// Too short for its head or its table of slices.
+    #[error("a frame of {found} bytes, at least {needed} are needed")]
+    TooShort {
+        /// Bytes that the head and the table need.
+        needed: usize,
+        /// Bytes that are there.
+        found: usize,
+    },
+    /// Longer than any frame may be.
+    #[error("a frame of {0} bytes: at most {MAX_FRAME_BYTES} are allowed")]
+    TooLong(usize),
+    /// No codec has this number.
+    #[error("no codec has number {0}")]
+    Codec(u8),
+    /// No mask can have the frame's shape.
+    #[error("the frame's shape: {0}")]
+    Shape(#[from] ShapeError),
+    /// No slices, or more than rows of tiles or than [`MAX_FRAME_SLICES`].
+    #[error("{found} slices: this shape has 1 to {most}")]
+    Slices {
+        /// Slices stated.
+        found: usize,
+        /// The most that the shape can have.
+        most: usize,
+    },
+    /// The slices' lengths do not add up to the rest of the frame.
+    #[error("the slices have {stated} bytes, {found} follow the table")]
+    Length {
+        /// Sum of the stated lengths.
+        stated: u64,
+        /// Bytes that are there.
+        found: usize,
+    },
+}
+
+impl FrameHead {
+    /// The most slices that the frame can have.
+    #[must_use]
+    pub fn max_slices(&self) -> usize {
+        (self.shape.tiles_y() as usize).min(MAX_FRAME_SLICES)
+    }
+
+    /// Writes the head for `slices` slices of length 0 at the end of `body`; [`set_slice_length`] fills the table in.
+    pub(crate) fn begin(&self, slices: u16, body: &mut Vec<u8>) {
+        let (width, height, lights) = self.shape.into();
+        body.push(self.codec.number());
+        body.extend_from_slice(&low_u16(width).to_le_bytes());
+        body.extend_from_slice(&low_u16(height).to_le_bytes());
+        body.push(low_u16(lights).to_le_bytes()[0]);
+        body.extend_from_slice(&slices.to_le_bytes());
+        body.resize(body.len() + usize::from(slices) * 4, 0);
+    }
+}
+
+/// Writes the length of slice `index` into a body whose head is `FrameHead::begin`'s.
+pub(crate) fn set_slice_length(body: &mut [u8], index: usize, bytes: u32) {
+    let place = FRAME_HEAD_BYTES + index * 4;
+    body[place..place + 4].copy_from_slice(&bytes.to_le_bytes());
+}
+
+/// Every number in a shape is at most 4096, so nothing is lost.
+fn low_u16(value: u32) -> u16 {
+    let [low, high, ..] = value.to_le_bytes();
+    u16::from_le_bytes([low, high])
+}
+
+/// Rows of tiles that slice `index` of `count` covers.
+#[must_use]
+pub fn slice_tile_rows(shape: MaskShape, index: usize, count: usize) -> Range<usize> {
+    let rows = shape.tiles_y() as usize;
+    index * rows / count..(index + 1) * rows / count
+}
+
+/// A frame's body, taken apart and checked: the slices are there and fill it exactly.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Frame<'a> {
+    /// What the frame is.
+    pub head: FrameHead,
+    table: &'a [u8],
+    slices: &'a [u8],
+}
+
+impl<'a> Frame<'a> {
+    /// Takes a body apart. Nothing is decoded and no memory is taken.
+    ///
+    /// # Errors
+    /// When the body is too short or too long, the codec or the shape cannot be, or the slices do not fill the body.
+    pub fn parse(body: &'a [u8]) -> Result<Self, FrameError> {
+        if body.len() > MAX_FRAME_BYTES {
+            return Err(FrameError::TooLong(body.len()));
+        }
+        let Some((head, rest)) = body.split_first_chunk::<FRAME_HEAD_BYTES>() else {
+            return Err(FrameError::TooShort { needed: FRAME_HEAD_BYTES, found: body.len() });
+        };
+        let [codec, w0, w1, h0, h1, lights, n0, n1] = *head;
+        let codec = CodecId::from_number(codec).ok_or(FrameError::Codec(codec))?;
+        let [width, height] = [[w0, w1], [h0, h1]].map(|side| u32::from(u16::from_le_bytes(side)));
+        let head = FrameHead { codec, shape: MaskShape::new(width, height, u32::from(lights))? };
+        let count = usize::from(u16::from_le_bytes([n0, n1]));
+        if count == 0 || count > head.max_slices() {
+            return Err(FrameError::Slices { found: count, most: head.max_slices() });
+        }
+        let Some((table, slices)) = rest.split_at_checked(count * 4) else {
+            return Err(FrameError::TooShort { needed: FRAME_HEAD_BYTES + count * 4, found: body.len() });
+        };
+        let stated = lengths(table).map(u64::from).sum();
+        if stated != slices.len() as u64 {
+            return Err(FrameError::Length { stated, found: slices.len() });
+        }
+        Ok(Self { head, table, slices })
+    }
+
+    /// Number of slices.
+    #[must_use]
+    pub const fn slice_count(&self) -> usize {
+        self.table.len() / 4
+    }
+
+    /// The slices: the rows of tiles that each covers, and its bytes.
+    pub fn slices(&self) -> impl Iterator<Item = (Range<usize>, &'a [u8])> + use<'a> {
+        let (shape, count) = (self.head.shape, self.slice_count());
+        let mut rest = self.slices;
+        lengths(self.table).enumerate().map(move |(index, length)| {
+            // `parse` has checked that the lengths add up.
+            let (slice, after) = rest.split_at(length as usize);
+            rest = after;
+            (slice_tile_rows(shape, index, count), slice)
+        })
+    }
+}
+
+fn lengths(table: &[u8]) -> impl Iterator<Item = u32> + use<'_> {
+    table.as_chunks::<4>().0.iter().map(|length| u32::from_le_bytes(*length))
+}

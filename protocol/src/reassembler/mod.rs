@@ -1,0 +1,213 @@
+//! The greedy reassembler: packets in, whole frames out.
+//!
+//! Data goes straight to its place in one buffer, which is kept from frame to frame and never grows beyond its limit.
+//! Frames come out in strictly increasing order. Which packets are taken is the [`Policy`]'s business.
+//!
+//! The reassembler believes what the packets say, as the dissertation's does: that nobody but the peer can send them
+//! is the transport's duty. (A forged frame number near 2³² would make it ignore all that follows.)
+
+mod stats;
+mod whole_frame;
+
+use thiserror::Error;
+
+use self::whole_frame::{FramePacket, Verdict, WholeFrame};
+pub use self::{stats::ReassemblerStats, whole_frame::IgnoredCause};
+use crate::{
+    header::{HeaderError, PacketHeader},
+    ids::FrameNumber,
+    limits::MAX_FRAME_BYTES,
+};
+
+/// Which packets make a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Policy {
+    /// All packets of a frame, in order, or none (dissertation §3.2, Figure 2).
+    #[default]
+    WholeFrame,
+}
+
+/// What a packet did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Progress {
+    /// Nothing of it was kept.
+    Ignored(IgnoredCause),
+    /// Its data is in the buffer.
+    Stored,
+    /// Its data is in the buffer, and the frame is complete: [`Reassembler::frame`] has it until the next packet.
+    Complete,
+}
+
+/// Why bytes are no packet of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+pub enum PacketError {
+    /// They are no packet at all.
+    #[error(transparent)]
+    Header(#[from] HeaderError),
+    /// A field that every frame packet has is a placeholder.
+    #[error("packet {sequence} has no {field}")]
+    Placeholder {
+        /// The packet.
+        sequence: u32,
+        /// Its missing field.
+        field: &'static str,
+    },
+    /// It carries nothing.
+    #[error("packet {0} carries no data")]
+    Empty(u32),
+    /// It has another number of packets or timestamp than its frame's first packet, or the first-packet flag in the
+    /// wrong place. The frame is dropped.
+    #[error("packet {sequence} contradicts the other packets of frame {frame}")]
+    Contradiction {
+        /// The packet.
+        sequence: u32,
+        /// Its frame.
+        frame: FrameNumber,
+    },
+    /// The frame has become longer than allowed. It is dropped.
+    #[error("frame {frame} has more than {limit} bytes")]
+    TooLong {
+        /// The frame.
+        frame: FrameNumber,
+        /// The most allowed.
+        limit: usize,
+    },
+}
+
+/// A frame that has come out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CompleteFrame<'a> {
+    /// Its number.
+    pub frame: FrameNumber,
+    /// When its sender made it, in ms since the sender's first frame.
+    pub timestamp_ms: u32,
+    /// Packets that it took.
+    pub packets: u16,
+    /// Its bytes.
+    pub body: &'a [u8],
+}
+
+/// Puts frames together. See the module.
+#[derive(Debug)]
+pub struct Reassembler {
+    state: WholeFrame,
+    body: Vec<u8>,
+    max_frame_bytes: usize,
+    stats: ReassemblerStats,
+}
+
+impl Reassembler {
+    /// A reassembler for frames of up to [`MAX_FRAME_BYTES`].
+    #[must_use]
+    pub fn new(policy: Policy) -> Self {
+        Self::with_max_frame_bytes(policy, MAX_FRAME_BYTES)
+    }
+
+    /// A reassembler for frames of up to `max_frame_bytes`, for who knows how long a frame can be.
+    #[must_use]
+    pub fn with_max_frame_bytes(policy: Policy, max_frame_bytes: usize) -> Self {
+        let Policy::WholeFrame = policy;
+        Self {
+            state: WholeFrame::new(max_frame_bytes),
+            body: Vec::new(),
+            max_frame_bytes,
+            stats: ReassemblerStats::default(),
+        }
+    }
+
+    /// Takes a packet, header included.
+    ///
+    /// # Errors
+    /// When it is no frame packet, or contradicts its frame. It is counted and changes nothing else, except that a
+    /// frame which contradicts itself or gets too long is dropped. The reassembler goes on.
+    pub fn push(&mut self, datagram: &[u8]) -> Result<Progress, PacketError> {
+        self.stats.packets += 1;
+        self.stats.bytes += datagram.len() as u64;
+        let progress = self.take(datagram);
+        match progress {
+            Ok(Progress::Stored | Progress::Complete) => self.stats.stored += 1,
+            Ok(Progress::Ignored(cause)) => *self.ignored(cause) += 1,
+            Err(_) => self.stats.malformed += 1,
+        }
+        self.stats.frames_complete = self.state.frames_complete;
+        self.stats.frames_incomplete = self.state.frames_incomplete;
+        progress
+    }
+
+    /// The frame that the last packet completed, if it did.
+    #[must_use]
+    pub fn frame(&self) -> Option<CompleteFrame<'_>> {
+        self.state.complete().map(|complete| CompleteFrame {
+            frame: complete.first.frame,
+            timestamp_ms: complete.first.timestamp_ms,
+            packets: complete.taken,
+            body: &self.body,
+        })
+    }
+
+    /// What has happened so far.
+    #[must_use]
+    pub const fn stats(&self) -> &ReassemblerStats {
+        &self.stats
+    }
+
+    /// Bytes of memory that the buffer holds.
+    #[must_use]
+    pub const fn buffer_bytes(&self) -> usize {
+        self.body.capacity()
+    }
+
+    fn take(&mut self, datagram: &[u8]) -> Result<Progress, PacketError> {
+        let (header, data) = PacketHeader::decode(datagram)?;
+        let packet = frame_packet(&header, data)?;
+        if data.is_empty() {
+            return Err(PacketError::Empty(packet.sequence));
+        }
+        match self.state.packet(&packet) {
+            Verdict::Ignore(cause) => return Ok(Progress::Ignored(cause)),
+            Verdict::Contradiction => {
+                return Err(PacketError::Contradiction { sequence: packet.sequence, frame: packet.frame });
+            }
+            Verdict::TooLong => {
+                return Err(PacketError::TooLong { frame: packet.frame, limit: self.max_frame_bytes });
+            }
+            Verdict::Begin => self.body.clear(),
+            Verdict::Append => {}
+        }
+        self.append(data);
+        Ok(if self.state.complete().is_some() { Progress::Complete } else { Progress::Stored })
+    }
+
+    /// Appends, and grows the buffer by doubling, but not beyond the limit.
+    fn append(&mut self, data: &[u8]) {
+        let needed = self.body.len() + data.len();
+        if needed > self.body.capacity() {
+            let target = needed.next_power_of_two().min(self.max_frame_bytes);
+            self.body.reserve_exact(target - self.body.len());
+        }
+        self.body.extend_from_slice(data);
+    }
+
+    fn ignored(&mut self, cause: IgnoredCause) -> &mut u64 {
+        match cause {
+            IgnoredCause::NotFirst => &mut self.stats.ignored_not_first,
+            IgnoredCause::Old => &mut self.stats.ignored_old,
+            IgnoredCause::Duplicate => &mut self.stats.ignored_duplicate,
+            IgnoredCause::OutOfOrder => &mut self.stats.ignored_out_of_order,
+            IgnoredCause::Newer => &mut self.stats.ignored_newer,
+        }
+    }
+}
+
+fn frame_packet(header: &PacketHeader, data: &[u8]) -> Result<FramePacket, PacketError> {
+    let sequence = header.sequence;
+    let missing = |field| PacketError::Placeholder { sequence, field };
+    Ok(FramePacket {
+        sequence,
+        frame: header.frame.ok_or(missing("frame number"))?,
+        packets: header.frame_packets.ok_or(missing("number of packets"))?,
+        first: header.first,
+        timestamp_ms: header.timestamp_ms.ok_or(missing("timestamp"))?,
+        data_bytes: data.len(),
+    })
+}

@@ -1,0 +1,193 @@
+//! The `WholeFrame` policy: the receiving algorithm of the dissertation (§3.2, Figures 2 and 3), headers only.
+//!
+//! Waiting (the initial state): the first packet of a frame newer than all that is settled begins that frame; other
+//! packets are ignored. At a frame i:
+//! - the packet that is next in sequence is taken, and the last one completes the frame;
+//! - any other packet of i drops i, except one that has already been taken: the network may duplicate, that says
+//!   nothing about loss, and the figures have no case for it, so it is ignored;
+//! - packets of older frames are ignored;
+//! - a packet of a newer frame j abandons i. Here we are greedier than Figure 2, which goes back to waiting and so
+//!   loses j as well: if it is j's first packet, j begins at once; if not, j is lost and we wait for a newer one.
+//!
+//! A frame that came out, was dropped or was abandoned is settled, and so are all older ones: frames come out in
+//! strictly increasing order. Frame numbers do not wrap (u32 at 120 Hz: 414 days); sequence numbers do, after some
+//! days, and are only ever compared with those of the same frame.
+
+use std::num::NonZeroU16;
+
+use crate::ids::FrameNumber;
+
+/// The header of a packet that belongs to a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct FramePacket {
+    pub(super) sequence: u32,
+    pub(super) frame: FrameNumber,
+    pub(super) packets: NonZeroU16,
+    pub(super) first: bool,
+    pub(super) timestamp_ms: u32,
+    pub(super) data_bytes: usize,
+}
+
+/// Why a packet was ignored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum IgnoredCause {
+    /// No frame is begun, and this is no first packet.
+    NotFirst,
+    /// Its frame came out, was dropped, or is older than the one at hand.
+    Old,
+    /// It has been stored already.
+    Duplicate,
+    /// It is not the next one of the frame at hand; the frame is dropped.
+    OutOfOrder,
+    /// It belongs to a newer frame but is not its first packet; both frames are lost.
+    Newer,
+}
+
+/// What to do with a packet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Verdict {
+    /// Its data opens the buffer; the frame needs more.
+    Begin,
+    /// Its data goes to the end of the buffer; the frame needs more, or is complete.
+    Append,
+    /// Nothing is stored.
+    Ignore(IgnoredCause),
+    /// It contradicts the frame that it says it belongs to: that is dropped.
+    Contradiction,
+    /// With it, its frame is longer than allowed: that is dropped.
+    TooLong,
+}
+
+/// The frame at hand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Current {
+    pub(super) first: FramePacket,
+    /// Packets taken, at least one.
+    pub(super) taken: u16,
+    /// Their data.
+    bytes: usize,
+}
+
+impl Current {
+    fn is_complete(&self) -> bool {
+        self.taken == self.first.packets.get()
+    }
+
+    /// Whether the fields that all packets of a frame share are those of the first packet.
+    fn agrees_with(&self, packet: &FramePacket) -> bool {
+        packet.packets == self.first.packets && packet.timestamp_ms == self.first.timestamp_ms
+    }
+}
+
+/// The policy's state.
+#[derive(Debug)]
+pub(super) struct WholeFrame {
+    max_frame_bytes: usize,
+    current: Option<Current>,
+    /// Newest settled frame.
+    settled: Option<FrameNumber>,
+    /// Newest frame that is counted as incomplete because packets of it came, but no first one.
+    headless: Option<FrameNumber>,
+    pub(super) frames_complete: u64,
+    pub(super) frames_incomplete: u64,
+}
+
+impl WholeFrame {
+    pub(super) const fn new(max_frame_bytes: usize) -> Self {
+        Self { max_frame_bytes, current: None, settled: None, headless: None, frames_complete: 0, frames_incomplete: 0 }
+    }
+
+    /// The frame that the last packet completed. It stays until [`Self::packet`] is called again.
+    pub(super) fn complete(&self) -> Option<Current> {
+        self.current.filter(Current::is_complete)
+    }
+
+    /// Decides about a packet.
+    pub(super) fn packet(&mut self, packet: &FramePacket) -> Verdict {
+        if self.complete().is_some() {
+            self.current = None;
+        }
+        let Some(current) = &mut self.current else {
+            return self.waiting(packet);
+        };
+        if packet.frame < current.first.frame {
+            return Verdict::Ignore(IgnoredCause::Old);
+        }
+        if packet.frame > current.first.frame {
+            self.drop_current();
+            return match self.waiting(packet) {
+                Verdict::Ignore(_) => {
+                    self.settled = Some(packet.frame);
+                    Verdict::Ignore(IgnoredCause::Newer)
+                }
+                begun => begun,
+            };
+        }
+        // Wrapping: a session lives longer than 2³² packets.
+        let index = packet.sequence.wrapping_sub(current.first.sequence);
+        if !current.agrees_with(packet) || packet.first != (index == 0) {
+            self.drop_current();
+            return Verdict::Contradiction;
+        }
+        if index < u32::from(current.taken) {
+            return Verdict::Ignore(IgnoredCause::Duplicate);
+        }
+        if index > u32::from(current.taken) {
+            self.drop_current();
+            return Verdict::Ignore(IgnoredCause::OutOfOrder);
+        }
+        if packet.data_bytes > self.max_frame_bytes - current.bytes {
+            self.drop_current();
+            return Verdict::TooLong;
+        }
+        current.taken += 1;
+        current.bytes += packet.data_bytes;
+        self.settle_if_complete();
+        Verdict::Append
+    }
+
+    /// Gives the frame at hand up, if there is one.
+    fn drop_current(&mut self) {
+        if let Some(Current { first, .. }) = self.current.take() {
+            self.settled = Some(first.frame);
+            self.count_incomplete(first.frame);
+        }
+    }
+
+    fn waiting(&mut self, packet: &FramePacket) -> Verdict {
+        if self.settled.is_some_and(|settled| packet.frame <= settled) {
+            return Verdict::Ignore(IgnoredCause::Old);
+        }
+        if !packet.first {
+            if self.headless < Some(packet.frame) {
+                self.headless = Some(packet.frame);
+                self.frames_incomplete += 1;
+            }
+            return Verdict::Ignore(IgnoredCause::NotFirst);
+        }
+        self.current = Some(Current { first: *packet, taken: 1, bytes: packet.data_bytes });
+        if packet.data_bytes > self.max_frame_bytes {
+            self.drop_current();
+            return Verdict::TooLong;
+        }
+        self.settle_if_complete();
+        Verdict::Begin
+    }
+
+    fn settle_if_complete(&mut self) {
+        if let Some(Current { first, .. }) = self.complete() {
+            self.settled = Some(first.frame);
+            self.frames_complete += 1;
+            if self.headless == Some(first.frame) {
+                // Its second packet came before its first, and then once more.
+                self.frames_incomplete -= 1;
+            }
+        }
+    }
+
+    fn count_incomplete(&mut self, frame: FrameNumber) {
+        if self.headless != Some(frame) {
+            self.frames_incomplete += 1;
+        }
+    }
+}
