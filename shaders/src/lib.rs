@@ -6,6 +6,7 @@
 pub mod camera;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod host;
 pub mod scene;
 pub mod shading;
 pub mod splice;

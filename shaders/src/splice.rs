@@ -13,6 +13,13 @@ pub const FILES: &[(&str, &str)] = &[
     ("shading/shade.wgsl", include_str!("../wgsl/shading/shade.wgsl")),
     ("shading/tone.wgsl", include_str!("../wgsl/shading/tone.wgsl")),
     ("shading/view.wgsl", include_str!("../wgsl/shading/view.wgsl")),
+    ("shared/alpha.wgsl", include_str!("../wgsl/shared/alpha.wgsl")),
+    ("shared/cwbvh.wgsl", include_str!("../wgsl/shared/cwbvh.wgsl")),
+    ("shared/mask.wgsl", include_str!("../wgsl/shared/mask.wgsl")),
+    ("shared/ray.wgsl", include_str!("../wgsl/shared/ray.wgsl")),
+    ("shared/traced_scene.wgsl", include_str!("../wgsl/shared/traced_scene.wgsl")),
+    ("visibility/primary.wgsl", include_str!("../wgsl/visibility/primary.wgsl")),
+    ("visibility/shadow.wgsl", include_str!("../wgsl/visibility/shadow.wgsl")),
 ];
 
 /// Why a shader cannot be put together.

@@ -1,0 +1,49 @@
+// Holes: whether a point of a MASK triangle is there. Needs shared/traced_scene.wgsl.
+
+#import "shared/traced_scene.wgsl"
+
+// The texel inside the picture that stands for texel `place` of the endless one. Wraps: 0 repeats, 1 repeats mirrored,
+// 2 holds the edge.
+fn wrapped(place: i32, size: i32, wrap: u32) -> i32 {
+    if wrap == 2u {
+        return clamp(place, 0, size - 1);
+    }
+    if wrap == 1u {
+        let period = 2 * size;
+        let folded = ((place % period) + period) % period;
+        return min(folded, period - 1 - folded);
+    }
+    return ((place % size) + size) % size;
+}
+
+fn alpha_texel(material: AlphaMaterial, x: i32, y: i32) -> f32 {
+    let column = u32(wrapped(x, i32(material.width), material.wraps & 0xffffu));
+    let row = u32(wrapped(y, i32(material.height), material.wraps >> 16u));
+    let texel = material.first_texel + row * material.width + column;
+    return f32((alpha_texels[texel >> 2u] >> ((texel & 3u) * 8u)) & 0xffu);
+}
+
+// Bilinear in the full-size picture. Farther out than 2³⁰ texels an f32 has no place between texels anyway.
+fn is_there(index: u32, uv: vec2f) -> bool {
+    let material = alpha_materials[index];
+    let size = vec2f(f32(material.width), f32(material.height));
+    let place = clamp(uv * size - 0.5, vec2f(-1073741824.0), vec2f(1073741824.0));
+    let corner = floor(place);
+    let weight = place - corner;
+    let x = i32(corner.x);
+    let y = i32(corner.y);
+    let upper = mix(alpha_texel(material, x, y), alpha_texel(material, x + 1, y), weight.x);
+    let lower = mix(alpha_texel(material, x, y + 1), alpha_texel(material, x + 1, y + 1), weight.x);
+    return mix(upper, lower, weight.y) / 255.0 * material.factor >= material.cutoff;
+}
+
+// Whether the triangle at `triangle` is there at a meeting with these weights.
+fn triangle_is_there(triangle: u32, kind: u32, weights: vec3f) -> bool {
+    let alpha = kind & TRIANGLE_ALPHA;
+    if alpha == 0u {
+        return true;
+    }
+    let first = triangles[triangle * 3u + 1u].w;
+    let uv = alpha_uvs[first] * weights.x + alpha_uvs[first + 1u] * weights.y + alpha_uvs[first + 2u] * weights.z;
+    return is_there(alpha - 1u, uv);
+}

@@ -1,0 +1,86 @@
+// One step through obvhs' eight-wide compressed hierarchy (Ylitie, Karras, Laine, "Efficient Incoherent Ray Traversal on
+// GPUs Through Compressed Wide BVHs", HPG 2017). Needs shared/traced_scene.wgsl and shared/ray.wgsl.
+//
+// A node: corner (3 × f32); exponents of the grid's spacing (3 × u8) and which children are nodes (u8); first child;
+// first triangle; a byte for each child; then for x, y, z the children's lower and upper planes, a byte each.
+
+#import "shared/traced_scene.wgsl"
+#import "shared/ray.wgsl"
+
+// Entries of a traversal stack. Every level pushes at most one, so it is also the deepest hierarchy allowed.
+// Twin: `host::TRAVERSAL_STACK`.
+const TRAVERSAL_STACK: u32 = 32u;
+
+// Planes are moved outwards by this part of the distances involved. Rounding in obvhs' quantisation (2 units of 2⁻²⁴),
+// in this test (7) and in the triangle test's own view of the ray (4) stays below 16 units.
+const SLACK: f32 = 9.5367431640625e-7;
+
+struct NodeHits {
+    // Index of the first child node and of the first triangle.
+    child_base: u32,
+    triangle_base: u32,
+    // Bits 31 to 24: children to visit, the highest first; bits 23 to 0: triangles to test.
+    bits: u32,
+    // Which children are nodes.
+    inner: u32,
+}
+
+// Which of four children the ray meets, as bits of `NodeHits.bits`.
+fn quad_hits(near: vec3u, far: vec3u, scale: vec3f, base_in: vec3f, base_out: vec3f, limit: f32, about: u32, octants: u32) -> u32 {
+    let in_x = fma(vec4f(unpack4xU8(near.x)), vec4f(scale.x), vec4f(base_in.x));
+    let in_y = fma(vec4f(unpack4xU8(near.y)), vec4f(scale.y), vec4f(base_in.y));
+    let in_z = fma(vec4f(unpack4xU8(near.z)), vec4f(scale.z), vec4f(base_in.z));
+    let out_x = fma(vec4f(unpack4xU8(far.x)), vec4f(scale.x), vec4f(base_out.x));
+    let out_y = fma(vec4f(unpack4xU8(far.y)), vec4f(scale.y), vec4f(base_out.y));
+    let out_z = fma(vec4f(unpack4xU8(far.z)), vec4f(scale.z), vec4f(base_out.z));
+    let enter = max(max(in_x, in_y), max(in_z, vec4f(0.0)));
+    let leave = min(min(out_x, out_y), min(out_z, vec4f(limit)));
+    // Nodes carry 24 to 31 in their low five bits, and only there are both upper ones of these set. Their place is
+    // turned by the octant, which makes the highest bit the nearest child.
+    let inner = (about & (about << 1u)) & 0x10101010u;
+    let place = unpack4xU8((about ^ (octants & ((inner >> 4u) * 0xffu))) & 0x1f1f1f1fu);
+    let count = unpack4xU8((about >> 5u) & 0x07070707u);
+    let hits = select(vec4u(0u), count << place, enter <= leave);
+    return hits.x | hits.y | hits.z | hits.w;
+}
+
+fn node_hits(index: u32, ray: Ray, limit: f32) -> NodeHits {
+    let first = index * 5u;
+    let head = nodes[first];
+    let links = nodes[first + 1u];
+    let x = nodes[first + 2u];
+    let y = nodes[first + 3u];
+    let z = nodes[first + 4u];
+
+    let corner = bitcast<vec3f>(head.xyz) - ray.origin;
+    let spacing = bitcast<vec3f>((vec3u(head.w, head.w >> 8u, head.w >> 16u) & vec3u(0xffu)) << vec3u(23u));
+    let scale = spacing * ray.inverse;
+    let base = corner * ray.inverse;
+    let slack = (abs(corner) + 255.0 * spacing) * abs(ray.inverse) * SLACK;
+
+    let back = ray.direction < vec3f(0.0);
+    let near_x = select(x.xy, x.zw, back.x);
+    let near_y = select(y.xy, y.zw, back.y);
+    let near_z = select(z.xy, z.zw, back.z);
+    let far_x = select(x.zw, x.xy, back.x);
+    let far_y = select(y.zw, y.xy, back.y);
+    let far_z = select(z.zw, z.xy, back.z);
+
+    let octants = ray.octant * 0x01010101u;
+    let low = quad_hits(vec3u(near_x.x, near_y.x, near_z.x), vec3u(far_x.x, far_y.x, far_z.x), scale, base - slack,
+        base + slack, limit, links.z, octants);
+    let high = quad_hits(vec3u(near_x.y, near_y.y, near_z.y), vec3u(far_x.y, far_y.y, far_z.y), scale, base - slack,
+        base + slack, limit, links.w, octants);
+    return NodeHits(links.x, links.y, low | high, head.w >> 24u);
+}
+
+// Where a traversal stands: a group of sibling nodes that the ray meets. `x` is the index of the first sibling; of `y`
+// bits 31 to 24 are siblings to visit and bits 7 to 0 say which places of their parent hold nodes.
+const ROOT_GROUP: vec2u = vec2u(0u, 0x80000000u);
+const GROUP_NODES: u32 = 0xff000000u;
+
+// The index of the group's node at bit `bit`.
+fn group_node(group: vec2u, bit: u32, octant: u32) -> u32 {
+    let place = (bit - 24u) ^ octant;
+    return group.x + countOneBits(group.y & ~(0xffffffffu << place));
+}

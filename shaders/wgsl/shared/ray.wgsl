@@ -1,0 +1,96 @@
+// Rays, and where they meet triangles: watertight along shared edges (Woop, Benthin, Wald, "Watertight Ray/Triangle
+// Intersection", JCGT 2013).
+
+struct Ray {
+    origin: vec3f,
+    // Not normalised: distances are in units of its length.
+    direction: vec3f,
+    // One over the direction, with its zeros replaced by something tiny.
+    inverse: vec3f,
+    // Octant of the direction in obvhs' form: bits 2, 1, 0 are set where x, y, z are not negative.
+    octant: u32,
+    // Rows of the map from points relative to the origin to the space in which the ray runs along +z.
+    shear_x: vec3f,
+    shear_y: vec3f,
+    shear_z: vec3f,
+}
+
+// The largest f32: how far rays to directional lights go.
+const FARTHEST: f32 = 3.4028235e38;
+
+fn make_ray(origin: vec3f, direction: vec3f) -> Ray {
+    var ray: Ray;
+    ray.origin = origin;
+    ray.direction = direction;
+    // A zero would make 0 · ∞ of a plane that contains the origin.
+    let negative = direction < vec3f(0.0);
+    let tiny = select(vec3f(1e-18), vec3f(-1e-18), negative);
+    ray.inverse = 1.0 / select(direction, tiny, abs(direction) < vec3f(1e-18));
+    let positive = select(vec3u(4u, 2u, 1u), vec3u(0u), negative);
+    ray.octant = positive.x | positive.y | positive.z;
+
+    let size = abs(direction);
+    var x = vec3f(1.0, 0.0, 0.0);
+    var y = vec3f(0.0, 1.0, 0.0);
+    var z = vec3f(0.0, 0.0, 1.0);
+    if size.x >= size.y && size.x >= size.z {
+        x = vec3f(0.0, 1.0, 0.0);
+        y = vec3f(0.0, 0.0, 1.0);
+        z = vec3f(1.0, 0.0, 0.0);
+    } else if size.y >= size.z {
+        x = vec3f(0.0, 0.0, 1.0);
+        y = vec3f(1.0, 0.0, 0.0);
+        z = vec3f(0.0, 1.0, 0.0);
+    }
+    let along = dot(direction, z);
+    // A mirrored space would swap front and back faces.
+    let swapped = along < 0.0;
+    let right = select(x, y, swapped);
+    let up = select(y, x, swapped);
+    ray.shear_x = right - z * (dot(direction, right) / along);
+    ray.shear_y = up - z * (dot(direction, up) / along);
+    ray.shear_z = z / along;
+    return ray;
+}
+
+struct Meeting {
+    // Distance along the ray, in lengths of its direction; negative when there is no meeting.
+    distance: f32,
+    // Barycentric weights of the three corners.
+    weights: vec3f,
+    // Whether the front was met.
+    front: bool,
+}
+
+// Explicit fma: the same corner and ray must give the same number in every triangle that shares the corner, so it is not
+// left to the compiler what it contracts.
+fn along_row(row: vec3f, point: vec3f) -> f32 {
+    return fma(row.x, point.x, fma(row.y, point.y, row.z * point.z));
+}
+
+// a.x · b.y − a.y · b.x with the sign that it has in exact arithmetic (Kahan's algorithm), whichever of two triangles
+// asks about their common edge. A plain difference, half of it contracted to an fma, would not have the same sign from
+// both sides, and rays would leak through edges.
+fn edge(a: vec2f, b: vec2f) -> f32 {
+    let product = a.y * b.x;
+    let error = fma(-a.y, b.x, product);
+    return fma(a.x, b.y, -product) + error;
+}
+
+fn meet_triangle(ray: Ray, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Meeting {
+    let to_a = corner_a - ray.origin;
+    let to_b = corner_b - ray.origin;
+    let to_c = corner_c - ray.origin;
+    let a = vec2f(along_row(ray.shear_x, to_a), along_row(ray.shear_y, to_a));
+    let b = vec2f(along_row(ray.shear_x, to_b), along_row(ray.shear_y, to_b));
+    let c = vec2f(along_row(ray.shear_x, to_c), along_row(ray.shear_y, to_c));
+    let areas = vec3f(edge(c, b), edge(a, c), edge(b, a));
+    let area = areas.x + areas.y + areas.z;
+    // Points on an edge belong to both of its triangles.
+    if (any(areas < vec3f(0.0)) && any(areas > vec3f(0.0))) || area == 0.0 {
+        return Meeting(-1.0, vec3f(0.0), false);
+    }
+    let depths = vec3f(along_row(ray.shear_z, to_a), along_row(ray.shear_z, to_b), along_row(ray.shear_z, to_c));
+    let weights = areas / area;
+    return Meeting(dot(weights, depths), weights, area > 0.0);
+}

@@ -1,0 +1,75 @@
+// The scene as the tracing kernels read it. Twins: `host::TracedView`, `host::TracedLight`, `host::AlphaMaterial`.
+
+// One frame's camera: `gnomon_shaders::camera::RayBasis`, and the picture's size.
+struct TracedView {
+    // The camera's position in local space, in metres.
+    origin: vec3f,
+    // Width of the picture, in pixels.
+    width: u32,
+    // Unit vector along the view.
+    forward: vec3f,
+    // Height of the picture, in pixels.
+    height: u32,
+    // Half the picture's width on the plane at distance 1.
+    right: vec3f,
+    // Lights, and so planes of the mask.
+    lights: u32,
+    // Half the picture's height on the plane at distance 1.
+    up: vec3f,
+    // Nodes of the bounding volume hierarchy; 0 when nothing stops a ray.
+    nodes: u32,
+}
+
+// What decides about a light's relevance, and where its shadow rays end.
+struct TracedLight {
+    // Position in local space, in metres; for directional lights not used.
+    position: vec3f,
+    // LIGHT_DIRECTIONAL, LIGHT_POINT or LIGHT_SPOT.
+    kind: u32,
+    // Unit vector in which the light travels; for point lights not used.
+    direction: vec3f,
+    // Cosine of the outer cone's angle.
+    cos_outer: f32,
+    // Square of the range, in square metres; the largest f32 when there is none.
+    range_squared: f32,
+    unused_0: f32,
+    unused_1: f32,
+    unused_2: f32,
+}
+
+const LIGHT_DIRECTIONAL: u32 = 0u;
+const LIGHT_POINT: u32 = 1u;
+const LIGHT_SPOT: u32 = 2u;
+
+// A MASK material whose alpha differs from place to place.
+struct AlphaMaterial {
+    // Index of the first texel in `alpha_texels`, four of which share a word.
+    first_texel: u32,
+    // Size of the picture, in texels.
+    width: u32,
+    height: u32,
+    // What happens outside 0 to 1: u in the low half, v in the high half; see `wrapped` in shared/alpha.wgsl.
+    wraps: u32,
+    // A point is there when texel · factor is at least the cutoff.
+    cutoff: f32,
+    factor: f32,
+    unused_0: u32,
+    unused_1: u32,
+}
+
+// Triangles are in the order of the hierarchy's leaves, three words of four each: a corner's position, and in the first
+// corner's w the kind of its material, in the second's w its first entry in `alpha_uvs`.
+const TRIANGLE_SINGLE_SIDED: u32 = 0x80000000u;
+// One more than the index of the alpha material, or 0 for a triangle without holes.
+const TRIANGLE_ALPHA: u32 = 0x7fffffffu;
+
+// obvhs' CWBVH nodes, five a node; see shared/cwbvh.wgsl.
+@group(0) @binding(0) var<storage, read> nodes: array<vec4u>;
+@group(0) @binding(1) var<storage, read> triangles: array<vec4u>;
+@group(0) @binding(2) var<storage, read> lights: array<TracedLight>;
+@group(0) @binding(3) var<storage, read> alpha_materials: array<AlphaMaterial>;
+@group(0) @binding(4) var<storage, read> alpha_texels: array<u32>;
+// Texture coordinates of triangles with holes, three each.
+@group(0) @binding(5) var<storage, read> alpha_uvs: array<vec2f>;
+// Shading normals of the triangles' corners, nine numbers a triangle.
+@group(0) @binding(6) var<storage, read> normals: array<f32>;

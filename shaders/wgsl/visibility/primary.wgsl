@@ -1,0 +1,142 @@
+// What each pixel sees, and which lights want a shadow ray from there: rules 1 to 4 of server/src/visibility/mod.rs.
+//
+// The result is 16 bytes a pixel: where shadow rays start, and one bit for each light that matters and is not behind the
+// surface. Relevance needs the point, both normals and all lights; deciding it here keeps normals out of memory, in full
+// precision, and leaves the shadow kernel nothing to do but trace.
+
+#import "shared/mask.wgsl"
+#import "shared/traced_scene.wgsl"
+#import "shared/ray.wgsl"
+#import "shared/cwbvh.wgsl"
+#import "shared/alpha.wgsl"
+
+var<immediate> view: TracedView;
+
+// Tile after tile, 64 pixels each: xyz is where shadow rays start (bits of f32), w the lights that want one.
+@group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
+// Counts shadow rays.
+@group(1) @binding(2) var<storage, read_write> work: array<atomic<u32>>;
+
+var<workgroup> tile_rays: atomic<u32>;
+
+struct Nearest {
+    // The triangle, or NOTHING.
+    triangle: u32,
+    weights: vec3f,
+    front: bool,
+}
+
+const NOTHING: u32 = 0xffffffffu;
+
+fn nearest(ray: Ray) -> Nearest {
+    var found = Nearest(NOTHING, vec3f(0.0), false);
+    var limit = FARTHEST;
+    var stack: array<vec2u, TRAVERSAL_STACK>;
+    var depth = 0u;
+    var group = select(vec2u(0u), ROOT_GROUP, view.nodes > 0u);
+    loop {
+        if (group.y & GROUP_NODES) == 0u {
+            if depth == 0u {
+                break;
+            }
+            depth -= 1u;
+            group = stack[depth];
+        }
+        let bit = firstLeadingBit(group.y);
+        let node = group_node(group, bit, ray.octant);
+        group.y &= ~(1u << bit);
+        if (group.y & GROUP_NODES) != 0u && depth < TRAVERSAL_STACK {
+            stack[depth] = group;
+            depth += 1u;
+        }
+        let hits = node_hits(node, ray, limit);
+        group = vec2u(hits.child_base, (hits.bits & GROUP_NODES) | hits.inner);
+        var candidates = hits.bits & ~GROUP_NODES;
+        while candidates != 0u {
+            let candidate = firstTrailingBit(candidates);
+            candidates &= candidates - 1u;
+            let triangle = hits.triangle_base + candidate;
+            let a = triangles[triangle * 3u];
+            let b = triangles[triangle * 3u + 1u];
+            let c = triangles[triangle * 3u + 2u];
+            let met = meet_triangle(ray, bitcast<vec3f>(a.xyz), bitcast<vec3f>(b.xyz), bitcast<vec3f>(c.xyz));
+            if met.distance > 0.0 && met.distance < limit && (met.front || (a.w & TRIANGLE_SINGLE_SIDED) == 0u)
+                && triangle_is_there(triangle, a.w, met.weights) {
+                limit = met.distance;
+                found = Nearest(triangle, met.weights, met.front);
+            }
+        }
+    }
+    return found;
+}
+
+// Whether light `light` matters at `point`, and the surface does not hide it from itself.
+fn wants_ray(light: TracedLight, point: vec3f, geometric: vec3f, shading: vec3f) -> bool {
+    if light.kind == LIGHT_DIRECTIONAL {
+        return dot(shading, light.direction) < 0.0 && dot(geometric, light.direction) < 0.0;
+    }
+    let toward = light.position - point;
+    let squared = dot(toward, toward);
+    if light.kind == LIGHT_SPOT && -dot(toward, light.direction) < light.cos_outer * sqrt(squared) {
+        return false;
+    }
+    return squared <= light.range_squared && dot(shading, toward) > 0.0 && dot(geometric, toward) > 0.0;
+}
+
+fn shading_corner(triangle: u32, corner: u32) -> vec3f {
+    let first = triangle * 9u + corner * 3u;
+    return vec3f(normals[first], normals[first + 1u], normals[first + 2u]);
+}
+
+// How far shadow rays start from the surface, as a part of the summed magnitudes: 256 times the rounding unit, as in
+// Wächter and Binder, "A Fast and Robust Method for Avoiding Self-Intersection" (Ray Tracing Gems, ch. 6), and at
+// least that part of a metre. It is taken of the terms that were summed rather than of the sum, since a point near
+// the origin of a large triangle carries the large triangle's error.
+const OFFSET: f32 = 1.52587890625e-5;
+
+fn surface(found: Nearest) -> vec4u {
+    let at = found.triangle * 3u;
+    let a = bitcast<vec3f>(triangles[at].xyz);
+    let b = bitcast<vec3f>(triangles[at + 1u].xyz);
+    let c = bitcast<vec3f>(triangles[at + 2u].xyz);
+    let turn = select(-1.0, 1.0, found.front);
+    let point = a * found.weights.x + b * found.weights.y + c * found.weights.z;
+    let geometric = turn * normalize(cross(b - a, c - a));
+    let shading = turn * (shading_corner(found.triangle, 0u) * found.weights.x
+        + shading_corner(found.triangle, 1u) * found.weights.y + shading_corner(found.triangle, 2u) * found.weights.z);
+
+    var wanted = 0u;
+    for (var light = 0u; light < view.lights; light++) {
+        wanted |= select(0u, 1u << light, wants_ray(lights[light], point, geometric, shading));
+    }
+    let summed = abs(a) * found.weights.x + abs(b) * found.weights.y + abs(c) * found.weights.z;
+    let start = point + geometric * (OFFSET * max(1.0, dot(abs(geometric), summed)));
+    return vec4u(bitcast<vec3u>(start), wanted);
+}
+
+@compute @workgroup_size(8, 8)
+fn primary(
+    @builtin(workgroup_id) place: vec3u,
+    @builtin(num_workgroups) tiles: vec3u,
+    @builtin(local_invocation_id) local: vec3u,
+) {
+    let pixel = place.xy * TILE_PX + local.xy;
+    let bit = mask_bit(local.xy);
+    var seen = vec4u(0u);
+    if pixel.x < view.width && pixel.y < view.height {
+        let x = 2.0 * (f32(pixel.x) + 0.5) / f32(view.width) - 1.0;
+        let y = 1.0 - 2.0 * (f32(pixel.y) + 0.5) / f32(view.height);
+        let found = nearest(make_ray(view.origin, view.forward + x * view.right + y * view.up));
+        if found.triangle != NOTHING {
+            seen = surface(found);
+        }
+    }
+    let tile = place.y * tiles.x + place.x;
+    surfaces[tile * 64u + bit] = seen;
+
+    atomicAdd(&tile_rays, countOneBits(seen.w));
+    workgroupBarrier();
+    if bit == 0u {
+        atomicAdd(&work[0], atomicLoad(&tile_rays));
+    }
+}
