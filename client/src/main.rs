@@ -1,1 +1,3 @@
+//! The thin client's program.
+
 fn main() {}

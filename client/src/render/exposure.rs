@@ -1,0 +1,173 @@
+//! How bright the picture is: from the scene and its lights alone, so that every run shows the same picture.
+//!
+//! A few hundred points, spread over the scene's surfaces by area, are lit by every light that the largest triangles
+//! ([`Occluders`]) do not hide. The exposure puts a high percentile of what they receive at a fixed place of the tone curve.
+
+use glam::Vec3;
+use gnomon_shaders::{
+    scene::{Light as SceneLight, Scene},
+    shading::{Light, Lighting, MAX_LIGHTS, Tone},
+};
+
+use crate::occluders::Occluders;
+
+/// Points that are lit.
+const SAMPLES: u16 = 768;
+
+/// Share of the lit points that receive less than the reference.
+const PERCENTILE: f64 = 0.70;
+
+/// Exposed irradiance at the reference: white paint there comes out a little below white.
+const REFERENCE: f32 = 0.62;
+
+/// Ambient irradiance from above and below, as a share of the reference: shadows stay dark, but can be read.
+const AMBIENT_ABOVE: Vec3 = Vec3::new(0.125, 0.135, 0.155);
+const AMBIENT_BELOW: Vec3 = Vec3::new(0.070, 0.064, 0.058);
+
+/// Exposed radiance of the sky, where nothing is.
+const ZENITH: Vec3 = Vec3::new(0.20, 0.37, 0.72);
+const HORIZON: Vec3 = Vec3::new(0.78, 0.86, 0.95);
+
+/// What an emissive factor of 1 comes out as. Files use it as paint, not as the cd/m² that it is by the book: beside
+/// lights of some thousand lux it would be black.
+pub const EMISSIVE: f32 = 1.6;
+
+/// The scene's exposure.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Exposure {
+    /// Factor from lux to exposed irradiance.
+    pub scale: f32,
+    /// Irradiance at the reference, in lux.
+    pub reference_lux: f32,
+}
+
+impl Exposure {
+    /// The exposure that fits `scene`.
+    #[must_use]
+    pub fn of_scene(scene: &Scene, occluders: &Occluders) -> Self {
+        let lights: Vec<Light> = scene.lights.iter().map(|light| Light::new(light, 1.0)).collect();
+        let reach = (scene.bounds.max - scene.bounds.min).length().max(1e-3);
+        let mut received: Vec<f32> = sample_points(scene)
+            .into_iter()
+            .map(|(point, normal)| {
+                lights.iter().map(|light| unhidden_lux(light, point, normal, reach, occluders)).sum::<f32>()
+            })
+            .filter(|lux| *lux > 0.0 && lux.is_finite())
+            .collect();
+        received.sort_unstable_by(f32::total_cmp);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index below the length")]
+        let place = (received.len() as f64 * PERCENTILE) as usize;
+        // Nothing lit: any exposure is as good as another, and the ambient light still shows the scene.
+        let reference_lux = received.get(place).copied().unwrap_or(1.0);
+        Self { scale: REFERENCE / reference_lux, reference_lux }
+    }
+
+    /// The same scene shown at another exposure: 1 lux is shown as 2^−EV.
+    #[must_use]
+    pub fn at_ev(self, ev: f32) -> Self {
+        Self { scale: (-ev).exp2(), ..self }
+    }
+
+    /// The exposure as an EV: what [`Self::at_ev`] takes.
+    #[must_use]
+    pub fn ev(self) -> f32 {
+        -self.scale.log2()
+    }
+
+    /// The lights as the shaders want them.
+    #[must_use]
+    pub fn lighting(self, lights: &[SceneLight]) -> Lighting {
+        let ambient = self.reference_lux * self.scale;
+        let mut lighting = Lighting {
+            ambient_above: AMBIENT_ABOVE * ambient,
+            ambient_below: AMBIENT_BELOW * ambient,
+            zenith: ZENITH,
+            horizon: HORIZON,
+            ..bytemuck::Zeroable::zeroed()
+        };
+        for (place, light) in lighting.lights.iter_mut().zip(lights) {
+            *place = Light::new(light, self.scale);
+            lighting.count += 1;
+        }
+        debug_assert!(lights.len() <= MAX_LIGHTS);
+        lighting
+    }
+}
+
+/// The tone curve that the picture is shown with.
+#[must_use]
+pub fn tone() -> Tone {
+    Tone::new(1.25, 0.97, 9.0, 0.18, 0.19)
+}
+
+fn unhidden_lux(light: &Light, point: Vec3, normal: Vec3, reach: f32, occluders: &Occluders) -> f32 {
+    let (irradiance, toward) = light.arrival(point);
+    let lux = irradiance.max_element() * normal.dot(toward);
+    if lux.is_nan() || lux <= 0.0 {
+        return 0.0;
+    }
+    let distance = if light.kind == 0 { reach } else { light.position.distance(point) };
+    if occluders.blocks(point, toward, reach * 1e-4, distance * 0.999) { 0.0 } else { lux }
+}
+
+/// Points and normals, evenly spread by area.
+fn sample_points(scene: &Scene) -> Vec<(Vec3, Vec3)> {
+    let triangles = scene.tracing_triangles();
+    let mut total = 0.0;
+    let cumulative: Vec<f64> = triangles
+        .iter()
+        .map(|corners| {
+            let [a, b, c] = corners.map(|index| scene.positions[index as usize]);
+            total += f64::from((b - a).cross(c - a).length());
+            total
+        })
+        .collect();
+    (0..SAMPLES)
+        .filter_map(|sample| {
+            let wanted = (f64::from(sample) + 0.5) / f64::from(SAMPLES) * total;
+            let corners = triangles.get(cumulative.partition_point(|area| *area < wanted))?;
+            let [a, b, c] = corners.map(|index| scene.positions[index as usize]);
+            let normals = corners.map(|index| scene.normals[index as usize]);
+            // The R2 sequence (Roberts, 2018), folded into the triangle.
+            let step = f64::from(sample);
+            #[expect(clippy::cast_possible_truncation, reason = "rounding is what is wanted")]
+            let (u, v) = ((step * 0.754_877_666_246_693).fract() as f32, (step * 0.569_840_290_998_053).fract() as f32);
+            let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+            let normal = (normals[0] * (1.0 - u - v) + normals[1] * u + normals[2] * v).normalize_or_zero();
+            Some((a + (b - a) * u + (c - a) * v, normal))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::testing::floor_and_lights;
+
+    #[test]
+    fn the_exposure_follows_the_lights_and_nothing_else() {
+        let scene = floor_and_lights();
+        let occluders = Occluders::largest_of(&scene);
+        let first = Exposure::of_scene(&scene, &occluders);
+        assert_eq!(first, Exposure::of_scene(&scene, &occluders));
+        let mut brighter = scene.clone();
+        brighter.lights.iter_mut().for_each(|light| light.intensity *= 16.0);
+        let second = Exposure::of_scene(&brighter, &occluders);
+        assert!((second.ev() - first.ev() - 4.0).abs() < 1e-3, "{first:?} {second:?}");
+        assert!((first.at_ev(first.ev()).scale / first.scale - 1.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn light_that_a_wall_hides_does_not_count() {
+        let scene = floor_and_lights();
+        let mut hidden = scene.clone();
+        // A lamp far below the floor, which a one-sided normal would see if the floor did not hide it.
+        hidden.lights.push(SceneLight {
+            position: Vec3::new(0.0, -5.0, 0.0),
+            intensity: 1e9,
+            ..scene.lights[1].clone()
+        });
+        let occluders = Occluders::largest_of(&scene);
+        assert_eq!(Exposure::of_scene(&scene, &occluders), Exposure::of_scene(&hidden, &occluders));
+    }
+}

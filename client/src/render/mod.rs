@@ -1,0 +1,283 @@
+//! The frame renderer: G-buffer → shading with the visibility mask → blended surfaces → tone mapping.
+//!
+//! It draws into whatever view it is given and knows nothing of files, windows or the network.
+
+mod blend;
+pub mod exposure;
+mod gbuffer;
+mod mask_upload;
+pub mod readback;
+mod scene_upload;
+mod shade;
+mod targets;
+#[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
+mod tests;
+mod texture;
+mod tone;
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_shaders::{
+    camera::Camera,
+    gpu::Gpu,
+    scene::Scene,
+    shading::View,
+    splice::{SpliceError, splice},
+};
+use thiserror::Error;
+use wgpu::util::DeviceExt as _;
+
+use self::{
+    blend::BlendPass, exposure::Exposure, gbuffer::GbufferPass, mask_upload::MaskUpload, scene_upload::SceneUpload,
+    shade::ShadePass, targets::Targets, tone::TonePass,
+};
+
+/// What a picture is made of, unless a window wants it otherwise: sRGB-encoded bytes.
+pub const PICTURE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
+
+/// Why a frame cannot be drawn.
+#[derive(Debug, Error)]
+pub enum RenderError {
+    /// The scene or the picture exceeds what the adapter takes.
+    #[error("the graphics adapter takes {limit} for {what}, and {needed} are needed")]
+    TooLarge {
+        /// What is too large.
+        what: &'static str,
+        /// How large it is, in bytes or pixels.
+        needed: u64,
+        /// The largest that the adapter takes.
+        limit: u64,
+    },
+    /// The adapter or its driver failed.
+    #[error("the graphics adapter failed: {0}")]
+    Device(String),
+    /// A shader is missing from the program.
+    #[error(transparent)]
+    Shader(#[from] SpliceError),
+}
+
+/// Draws frames of one scene at one size.
+#[derive(Debug)]
+pub struct FrameRenderer {
+    gpu: Gpu,
+    origin_m: glam::DVec3,
+    exposure: Exposure,
+    view: wgpu::Buffer,
+    scene: SceneUpload,
+    targets: Targets,
+    mask: MaskUpload,
+    gbuffer: GbufferPass,
+    shade: ShadePass,
+    blend: BlendPass,
+    tone: TonePass,
+    failure: Arc<Mutex<Option<String>>>,
+}
+
+impl FrameRenderer {
+    /// Uploads `scene` and makes the passes for masks, and so pictures, of `shape`. Pictures are drawn into views of
+    /// `format`, which must not be an sRGB format: the tone pass encodes.
+    ///
+    /// # Errors
+    /// When the scene or the picture is too large for the adapter, or it fails.
+    pub fn new(
+        gpu: &Gpu,
+        scene: &Scene,
+        shape: MaskShape,
+        exposure: Exposure,
+        format: wgpu::TextureFormat,
+    ) -> Result<Self, RenderError> {
+        let device = &gpu.device;
+        let failure = watch(device);
+        let limits = device.limits();
+        let side = shape.width().max(shape.height());
+        if side > limits.max_texture_dimension_2d {
+            let limit = limits.max_texture_dimension_2d.into();
+            return Err(RenderError::TooLarge { what: "picture side", needed: side.into(), limit });
+        }
+        let (needed, limit) = (MaskUpload::bytes(shape), limits.max_storage_buffer_binding_size);
+        if needed > limit {
+            return Err(RenderError::TooLarge { what: "visibility mask", needed, limit });
+        }
+        // Anisotropic filtering is nearly free on a GPU and costs several times the rest of the frame in software.
+        let scene_upload = SceneUpload::new(device, &gpu.queue, scene, if gpu.is_software() { 1 } else { 8 })?;
+        let targets = Targets::new(device, shape.width(), shape.height());
+        let mask = MaskUpload::new(device, shape);
+        let view = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("view"),
+            size: size_of::<View>() as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let gbuffer = GbufferPass::new(device, &view, &scene_upload.material_layout)?;
+        let shade = ShadePass::new(device, &view, &mask, &targets, scene, exposure)?;
+        let blend = BlendPass::new(device, shade.layout(), &scene_upload)?;
+        let tone = TonePass::new(device, &targets, format)?;
+        let renderer = Self {
+            gpu: gpu.clone(),
+            origin_m: scene.origin_m,
+            exposure,
+            view,
+            scene: scene_upload,
+            targets,
+            mask,
+            gbuffer,
+            shade,
+            blend,
+            tone,
+            failure,
+        };
+        renderer.check()?;
+        Ok(renderer)
+    }
+
+    /// The exposure that pictures are shown with.
+    #[must_use]
+    pub fn exposure(&self) -> Exposure {
+        self.exposure
+    }
+
+    /// Draws the surfaces that `camera` sees, at the renderer's size. Returns as soon as the work is handed over, so
+    /// that it goes on while the frame's mask is waited for.
+    ///
+    /// # Errors
+    /// When the adapter failed.
+    pub fn draw_surfaces(&mut self, camera: &Camera) -> Result<(), RenderError> {
+        self.write_view(camera, 0);
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.gbuffer.encode(&mut encoder, &self.targets, &self.scene);
+        self.gpu.queue.submit([encoder.finish()]);
+        self.check()
+    }
+
+    /// Takes the mask that the next pictures are shaded with, until another one comes; `None`, or one of another shape
+    /// than the picture's, means that every light reaches everything. Whether the mask is used is the answer.
+    pub fn set_mask(&mut self, mask: Option<&Mask>) -> bool {
+        self.mask.write(&self.gpu.queue, mask)
+    }
+
+    /// Shades the surfaces that [`Self::draw_surfaces`] drew for the same `camera`, into `target`, and hands the work
+    /// over together with whatever `more` adds to it (a copy to the host, say).
+    ///
+    /// # Errors
+    /// When the adapter failed.
+    pub fn shade(
+        &mut self,
+        camera: &Camera,
+        target: &wgpu::TextureView,
+        more: impl FnOnce(&mut wgpu::CommandEncoder),
+    ) -> Result<wgpu::SubmissionIndex, RenderError> {
+        self.write_view(camera, self.mask.lights());
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.shade.encode(&mut encoder, &self.targets);
+        let eye = (camera.position_m - self.origin_m).as_vec3();
+        self.blend.encode(&mut encoder, &self.targets, &self.scene, self.shade.group(), eye);
+        self.tone.encode(&mut encoder, target);
+        more(&mut encoder);
+        let submission = self.gpu.queue.submit([encoder.finish()]);
+        self.check().map(|()| submission)
+    }
+
+    fn write_view(&self, camera: &Camera, mask_lights: u32) {
+        let camera = Camera { width: self.targets.width, height: self.targets.height, ..*camera };
+        let view = View::new(&camera, self.origin_m, mask_lights);
+        self.gpu.queue.write_buffer(&self.view, 0, bytemuck::bytes_of(&view));
+    }
+
+    fn check(&self) -> Result<(), RenderError> {
+        let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        failure.map_or(Ok(()), |reason| Err(RenderError::Device(reason)))
+    }
+}
+
+/// Keeps the device's first failure, which wgpu would otherwise panic about.
+fn watch(device: &wgpu::Device) -> Arc<Mutex<Option<String>>> {
+    let failure = Arc::new(Mutex::new(None));
+    let keep = |place: Arc<Mutex<Option<String>>>| {
+        move |reason: String| {
+            place.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+        }
+    };
+    let (on_error, on_loss) = (keep(Arc::clone(&failure)), keep(Arc::clone(&failure)));
+    device.on_uncaptured_error(Arc::new(move |error| on_error(error.to_string())));
+    device.set_device_lost_callback(move |reason, text| {
+        // Dropping a device counts as losing it.
+        if reason != wgpu::DeviceLostReason::Destroyed {
+            on_loss(format!("device lost: {text}"));
+        }
+    });
+    failure
+}
+
+/// A uniform buffer's binding, of exactly one `T`.
+fn uniform<T>() -> wgpu::BindingType {
+    wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: false,
+        min_binding_size: wgpu::BufferSize::new(size_of::<T>() as u64),
+    }
+}
+
+/// A uniform buffer that never changes.
+fn constant<T: bytemuck::NoUninit>(device: &wgpu::Device, label: &'static str, value: &T) -> wgpu::Buffer {
+    device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+        label: Some(label),
+        contents: bytemuck::bytes_of(value),
+        usage: wgpu::BufferUsages::UNIFORM,
+    })
+}
+
+/// The shader module of `wgsl/{path}`.
+fn shader(device: &wgpu::Device, path: &'static str) -> Result<wgpu::ShaderModule, RenderError> {
+    let text = splice(path)?;
+    let source = wgpu::ShaderSource::Wgsl(text.into());
+    Ok(device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(path), source }))
+}
+
+/// A pass over the whole picture: one triangle, one target.
+fn covering_pipeline(
+    device: &wgpu::Device,
+    module: &wgpu::ShaderModule,
+    layout: &wgpu::BindGroupLayout,
+    fragment: &'static str,
+    format: wgpu::TextureFormat,
+) -> wgpu::RenderPipeline {
+    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(fragment),
+        bind_group_layouts: &[Some(layout)],
+        immediate_size: 0,
+    });
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some(fragment),
+        layout: Some(&layout),
+        vertex: wgpu::VertexState {
+            module,
+            entry_point: Some("cover"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: None,
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module,
+            entry_point: Some(fragment),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &[Some(format.into())],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+/// A colour attachment that starts from black or zero.
+fn cleared(view: &wgpu::TextureView) -> Option<wgpu::RenderPassColorAttachment<'_>> {
+    Some(wgpu::RenderPassColorAttachment {
+        view,
+        depth_slice: None,
+        resolve_target: None,
+        ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store: wgpu::StoreOp::Store },
+    })
+}

@@ -1,0 +1,132 @@
+//! Pictures back to the host: a ring of buffers, so that one picture travels while the next one is drawn.
+
+use std::collections::VecDeque;
+
+use gnomon_shaders::gpu::Gpu;
+
+use super::{PICTURE_FORMAT, RenderError, targets};
+
+/// Bytes of a texel of [`PICTURE_FORMAT`].
+const TEXEL_BYTES: u32 = 4;
+
+/// Where pictures are drawn, and how they come back.
+#[derive(Debug)]
+pub struct PictureReader {
+    gpu: Gpu,
+    width: u32,
+    height: u32,
+    /// One texture and one buffer a picture under way.
+    slots: Vec<Slot>,
+    next: usize,
+    under_way: VecDeque<(u64, usize, wgpu::SubmissionIndex)>,
+}
+
+#[derive(Debug)]
+struct Slot {
+    texture: wgpu::Texture,
+    view: wgpu::TextureView,
+    buffer: wgpu::Buffer,
+}
+
+/// A picture on the host.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Picture {
+    /// Number that [`PictureReader::submitted`] gave it.
+    pub frame: u64,
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// sRGB-encoded RGBA, 8 bits a channel, row by row from the top.
+    pub rgba: Vec<u8>,
+}
+
+impl PictureReader {
+    /// A reader of pictures of this size, of which `ahead` may be under way at once.
+    #[must_use]
+    pub fn new(gpu: &Gpu, width: u32, height: u32, ahead: usize) -> Self {
+        let slot = || {
+            let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
+            let texture = targets::texture(&gpu.device, "picture", (width, height), PICTURE_FORMAT, usage);
+            let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("picture"),
+                size: u64::from(row_bytes(width)) * u64::from(height),
+                usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                mapped_at_creation: false,
+            });
+            Slot { view: texture.create_view(&wgpu::TextureViewDescriptor::default()), texture, buffer }
+        };
+        let slots = (0..ahead.max(1)).map(|_| slot()).collect();
+        Self { gpu: gpu.clone(), width, height, slots, next: 0, under_way: VecDeque::new() }
+    }
+
+    /// Where the next picture is to be drawn. There is room once [`Self::is_full`] is false.
+    #[must_use]
+    pub fn target(&self) -> wgpu::TextureView {
+        self.slots[self.next].view.clone()
+    }
+
+    /// Whether every slot holds a picture that has not been taken.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        self.under_way.len() == self.slots.len()
+    }
+
+    /// Adds the copy of the picture in [`Self::target`] to the commands that draw it.
+    pub fn copy(&self, encoder: &mut wgpu::CommandEncoder) {
+        let slot = &self.slots[self.next];
+        encoder.copy_texture_to_buffer(
+            slot.texture.as_image_copy(),
+            wgpu::TexelCopyBufferInfo {
+                buffer: &slot.buffer,
+                layout: wgpu::TexelCopyBufferLayout {
+                    offset: 0,
+                    bytes_per_row: Some(row_bytes(self.width)),
+                    rows_per_image: None,
+                },
+            },
+            slot.texture.size(),
+        );
+    }
+
+    /// Notes that the picture in [`Self::target`] is picture `frame`, and on its way; `copied` says whether it comes to
+    /// the host, or is only waited for.
+    pub fn submitted(&mut self, frame: u64, submission: wgpu::SubmissionIndex, copied: bool) {
+        if copied {
+            // The result is asked for when the range is read, which fails if the mapping did.
+            self.slots[self.next].buffer.map_async(wgpu::MapMode::Read, .., |_| ());
+        }
+        self.under_way.push_back((frame, if copied { self.next } else { usize::MAX }, submission));
+        self.next = (self.next + 1) % self.slots.len();
+    }
+
+    /// Waits for the oldest picture under way. `None` inside when it does not come to the host, outside when there is
+    /// none under way.
+    ///
+    /// # Errors
+    /// When the adapter failed.
+    pub fn take_oldest(&mut self) -> Result<Option<Option<Picture>>, RenderError> {
+        let Some((frame, slot, submission)) = self.under_way.pop_front() else { return Ok(None) };
+        let failed = |reason: &dyn std::fmt::Display| RenderError::Device(reason.to_string());
+        self.gpu
+            .device
+            .poll(wgpu::PollType::Wait { submission_index: Some(submission), timeout: None })
+            .map_err(|error| failed(&error))?;
+        let Some(slot) = self.slots.get(slot) else { return Ok(Some(None)) };
+        let row = (self.width * TEXEL_BYTES) as usize;
+        let mut rgba = Vec::with_capacity(row * self.height as usize);
+        {
+            let mapped = slot.buffer.get_mapped_range(..).map_err(|error| failed(&error))?;
+            for line in mapped.chunks_exact(row_bytes(self.width) as usize) {
+                rgba.extend_from_slice(&line[..row]);
+            }
+        }
+        slot.buffer.unmap();
+        Ok(Some(Some(Picture { frame, width: self.width, height: self.height, rgba })))
+    }
+}
+
+/// Bytes from one row of a copied picture to the next.
+fn row_bytes(width: u32) -> u32 {
+    (width * TEXEL_BYTES).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT)
+}

@@ -1,0 +1,119 @@
+//! The shading pass: every light with its bit, on every pixel's surface; the sky where there is none.
+
+use glam::Vec4;
+use gnomon_shaders::{
+    scene::Scene,
+    shading::{Lighting, View},
+};
+use wgpu::util::DeviceExt as _;
+
+use super::{
+    RenderError, cleared, constant, covering_pipeline,
+    exposure::{EMISSIVE, Exposure},
+    mask_upload::MaskUpload,
+    shader,
+    targets::{LIGHT, Targets},
+    uniform,
+};
+
+/// The pass, and the bindings that the blending pass shares with it.
+#[derive(Debug)]
+pub(crate) struct ShadePass {
+    layout: wgpu::BindGroupLayout,
+    group: wgpu::BindGroup,
+    pipeline: wgpu::RenderPipeline,
+}
+
+impl ShadePass {
+    pub(crate) fn new(
+        device: &wgpu::Device,
+        view: &wgpu::Buffer,
+        mask: &MaskUpload,
+        targets: &Targets,
+        scene: &Scene,
+        exposure: Exposure,
+    ) -> Result<Self, RenderError> {
+        let lighting = constant(device, "lighting", &exposure.lighting(&scene.lights));
+        let mut emitted: Vec<Vec4> =
+            scene.materials.iter().map(|material| (material.emissive * EMISSIVE).extend(0.0)).collect();
+        // A binding cannot be empty.
+        emitted.push(Vec4::ZERO);
+        let emitted = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("emitted light"),
+            contents: bytemuck::cast_slice(&emitted),
+            usage: wgpu::BufferUsages::STORAGE,
+        });
+        let layout = layout(device);
+        let picture = wgpu::BindingResource::TextureView;
+        let resources = [
+            view.as_entire_binding(),
+            lighting.as_entire_binding(),
+            mask.binding(),
+            emitted.as_entire_binding(),
+            picture(&targets.depth),
+            picture(&targets.color),
+            picture(&targets.normal_material),
+        ];
+        let entries: Vec<_> =
+            (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("shading"),
+            layout: &layout,
+            entries: &entries,
+        });
+        let module = shader(device, "shading/shade.wgsl")?;
+        let pipeline = covering_pipeline(device, &module, &layout, "shade", LIGHT);
+        Ok(Self { layout, group, pipeline })
+    }
+
+    pub(crate) fn layout(&self) -> &wgpu::BindGroupLayout {
+        &self.layout
+    }
+
+    pub(crate) fn group(&self) -> &wgpu::BindGroup {
+        &self.group
+    }
+
+    pub(crate) fn encode(&self, encoder: &mut wgpu::CommandEncoder, targets: &Targets) {
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("shading"),
+            color_attachments: &[cleared(&targets.light)],
+            ..wgpu::RenderPassDescriptor::default()
+        });
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, &self.group, &[]);
+        pass.draw(0..3, 0..1);
+    }
+}
+
+fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let storage = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Storage { read_only: true },
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    let picture = |sample_type| wgpu::BindingType::Texture {
+        sample_type,
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
+    let bindings = [
+        uniform::<View>(),
+        uniform::<Lighting>(),
+        storage,
+        storage,
+        picture(wgpu::TextureSampleType::Depth),
+        picture(wgpu::TextureSampleType::Float { filterable: false }),
+        picture(wgpu::TextureSampleType::Uint),
+    ];
+    let entries: Vec<_> = (0..)
+        .zip(bindings)
+        .map(|(binding, ty)| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
+            ty,
+            count: None,
+        })
+        .collect();
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("shading"), entries: &entries })
+}

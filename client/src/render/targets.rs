@@ -1,0 +1,59 @@
+//! The pictures that the passes write and read: all of one size, made once.
+
+/// What the G-buffer's first colour target holds: base colour.
+pub(crate) const COLOR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
+/// What its second one holds: packed normal, and material + 1.
+pub(crate) const NORMAL_MATERIAL: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
+/// Reversed-Z depth.
+pub(crate) const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// Shaded light, before tone mapping.
+pub(crate) const LIGHT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
+
+/// The pictures between the passes.
+#[derive(Debug)]
+pub(crate) struct Targets {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    pub(crate) depth: wgpu::TextureView,
+    pub(crate) color: wgpu::TextureView,
+    pub(crate) normal_material: wgpu::TextureView,
+    pub(crate) light: wgpu::TextureView,
+}
+
+impl Targets {
+    pub(crate) fn new(device: &wgpu::Device, width: u32, height: u32) -> Self {
+        let picture = |label, format| {
+            let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
+            let usage = if format == LIGHT { usage } else { usage | wgpu::TextureUsages::COPY_SRC };
+            texture(device, label, (width, height), format, usage).create_view(&wgpu::TextureViewDescriptor::default())
+        };
+        Self {
+            width,
+            height,
+            depth: picture("depth", DEPTH),
+            color: picture("base colour", COLOR),
+            normal_material: picture("normal and material", NORMAL_MATERIAL),
+            light: picture("light", LIGHT),
+        }
+    }
+}
+
+/// A texture of one level.
+pub(crate) fn texture(
+    device: &wgpu::Device,
+    label: &'static str,
+    (width, height): (u32, u32),
+    format: wgpu::TextureFormat,
+    usage: wgpu::TextureUsages,
+) -> wgpu::Texture {
+    device.create_texture(&wgpu::TextureDescriptor {
+        label: Some(label),
+        size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format,
+        usage,
+        view_formats: &[],
+    })
+}

@@ -1,0 +1,234 @@
+//! The passes against what the CPU expects of them.
+
+use glam::{DVec3, Vec3, Vec4};
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_shaders::{
+    camera::{Camera, NEAR_M},
+    gpu::Gpu,
+    scene::{AlphaMode, Draw, Image, Material, Scene, Texture, Wrap},
+};
+
+use super::{
+    FrameRenderer, PICTURE_FORMAT,
+    exposure::Exposure,
+    testing::{camera, draw, floor_and_lights, gpu, renderer},
+};
+use crate::occluders::Occluders;
+
+/// A texture's rows, without their padding.
+fn read(gpu: &Gpu, view: &wgpu::TextureView, texel_bytes: u32, aspect: wgpu::TextureAspect) -> Vec<u8> {
+    let texture = view.texture();
+    let row = texture.width() * texel_bytes;
+    let padded = row.next_multiple_of(256);
+    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: None,
+        size: u64::from(padded) * u64::from(texture.height()),
+        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+        mapped_at_creation: false,
+    });
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    encoder.copy_texture_to_buffer(
+        wgpu::TexelCopyTextureInfo { texture, mip_level: 0, origin: wgpu::Origin3d::ZERO, aspect },
+        wgpu::TexelCopyBufferInfo {
+            buffer: &buffer,
+            layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(padded), rows_per_image: None },
+        },
+        texture.size(),
+    );
+    gpu.queue.submit([encoder.finish()]);
+    buffer.map_async(wgpu::MapMode::Read, .., |_| ());
+    gpu.device.poll(wgpu::PollType::wait_indefinitely()).unwrap();
+    let mapped = buffer.get_mapped_range(..).unwrap();
+    mapped.chunks_exact(padded as usize).flat_map(|line| line[..row as usize].to_vec()).collect()
+}
+
+/// Material and depth of the nearest surface on a pixel's ray, and how near the ray comes to one of its edges.
+fn nearest(scene: &Scene, camera: &Camera, x: u32, y: u32) -> (u32, f64, f64) {
+    let (origin, direction) = camera.ray(x, y);
+    let origin = origin - scene.origin_m;
+    let mut found = (0, f64::INFINITY, f64::INFINITY);
+    for draw in &scene.draws {
+        let first = draw.first_triangle as usize;
+        for corners in &scene.triangles[first..first + draw.triangles as usize] {
+            let [a, b, c] = corners.map(|index| scene.positions[index as usize].as_dvec3());
+            let normal = (b - a).cross(c - a);
+            if !scene.materials[draw.material as usize].double_sided && normal.dot(direction) >= 0.0 {
+                continue;
+            }
+            let depth = normal.dot(a - origin) / normal.dot(direction);
+            let point = origin + direction * depth;
+            let inside = [(a, b), (b, c), (c, a)]
+                .map(|(from, to)| (to - from).cross(point - from).dot(normal) / normal.length() / (to - from).length());
+            let margin = inside.into_iter().fold(f64::INFINITY, f64::min) / depth;
+            if depth > NEAR_M && margin.abs() < found.2 && margin < 0.0 {
+                found.2 = margin.abs();
+            }
+            if depth > NEAR_M && margin >= 0.0 && depth < found.1 {
+                found = (draw.material + 1, depth, found.2.min(margin));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn the_g_buffer_holds_the_surface_that_each_pixels_centre_sees() {
+    let (gpu, scene) = (gpu(), floor_and_lights());
+    let shape = MaskShape::new(150, 83, 2).unwrap();
+    let camera = camera(150, 83);
+    let mut renderer = renderer(&gpu, &scene, shape);
+    renderer.draw_surfaces(&camera).unwrap();
+    let surfaces = read(&gpu, &renderer.targets.normal_material, 8, wgpu::TextureAspect::All);
+    let surfaces: &[[u32; 2]] = bytemuck::cast_slice(&surfaces);
+    let depths = read(&gpu, &renderer.targets.depth, 4, wgpu::TextureAspect::DepthOnly);
+    let depths: &[f32] = bytemuck::cast_slice(&depths);
+    let colors = read(&gpu, &renderer.targets.color, 4, wgpu::TextureAspect::All);
+    let mut seen = [0; 3];
+    for y in 0..83 {
+        for x in 0..150 {
+            let place = (y * 150 + x) as usize;
+            let (material, depth, margin) = nearest(&scene, &camera, x, y);
+            // A hundredth of a pixel: fixed-point rasterisation cannot be closer to an edge than that.
+            if margin < 1e-4 {
+                continue;
+            }
+            assert_eq!(surfaces[place][1], material, "({x}, {y})");
+            seen[material as usize] += 1;
+            if material == 0 {
+                assert_eq!(depths[place], 0.0);
+                continue;
+            }
+            let found = NEAR_M / f64::from(depths[place]);
+            assert!((found / depth - 1.0).abs() < 1e-4, "({x}, {y}): depth {found}, expected {depth}");
+            let [nx, ny] = [0, 16].map(|shift| f64::from((surfaces[place][0] >> shift) as i16) / 32767.0);
+            let expected = if material == 1 { (0.0, 1.0) } else { (0.0, 0.0) };
+            assert!((nx - expected.0).abs() < 1e-3 && (ny - expected.1).abs() < 1e-3, "({x}, {y}): {nx} {ny}");
+            // Adapters may be off by 0.6 when they encode sRGB (Vulkan's and Direct3D's rule).
+            let expected: [u8; 3] = if material == 1 { [188, 188, 188] } else { [231, 89, 89] };
+            let found = &colors[place * 4..place * 4 + 3];
+            assert!(expected.iter().zip(found).all(|(e, f)| e.abs_diff(*f) <= 1), "({x}, {y}): {found:?}");
+        }
+    }
+    assert!(seen.iter().all(|count| *count > 200), "{seen:?}");
+}
+
+#[test]
+fn a_bit_of_0_removes_exactly_its_light() {
+    let (gpu, scene) = (gpu(), floor_and_lights());
+    let (width, height) = (96, 54);
+    let shape = MaskShape::new(width, height, 2).unwrap();
+    let camera = camera(width, height);
+    let exposure = Exposure::of_scene(&scene, &Occluders::largest_of(&scene));
+    // What it looks like with any subset of the lights, without a mask.
+    let subsets: Vec<Vec<u8>> = (0..4_u32)
+        .map(|bits| {
+            let mut part = scene.clone();
+            for (k, light) in part.lights.iter_mut().enumerate() {
+                light.intensity *= if bits >> k & 1 == 1 { 1.0 } else { 0.0 };
+            }
+            let mut renderer = FrameRenderer::new(&gpu, &part, shape, exposure, PICTURE_FORMAT).unwrap();
+            draw(&gpu, &mut renderer, &camera, None).rgba
+        })
+        .collect();
+    assert!(subsets[3] != subsets[2] && subsets[3] != subsets[1] && subsets[1] != subsets[0]);
+    // Every pixel gets a subset of its own.
+    let subset_of = |x: u32, y: u32| (x / 3 + y * 7) % 4;
+    let mut mask = Mask::new(shape);
+    for y in 0..height {
+        for x in 0..width {
+            for k in 0..2 {
+                mask.set(k, x, y, subset_of(x, y) >> k & 1 == 1);
+            }
+        }
+    }
+    let mut renderer = renderer(&gpu, &scene, shape);
+    let shaded = draw(&gpu, &mut renderer, &camera, Some(&mask)).rgba;
+    for y in 0..height {
+        for x in 0..width {
+            let place = ((y * width + x) * 4) as usize;
+            let expected = &subsets[subset_of(x, y) as usize][place..place + 4];
+            assert_eq!(&shaded[place..place + 4], expected, "({x}, {y})");
+        }
+    }
+}
+
+#[test]
+fn no_mask_or_one_of_another_size_leaves_every_light_on() {
+    let (gpu, scene) = (gpu(), floor_and_lights());
+    let shape = MaskShape::new(64, 40, 2).unwrap();
+    let camera = camera(64, 40);
+    let mut renderer = renderer(&gpu, &scene, shape);
+    let plain = draw(&gpu, &mut renderer, &camera, None);
+    let dark = draw(&gpu, &mut renderer, &camera, Some(&Mask::new(shape)));
+    assert_ne!(plain, dark);
+    let other = Mask::new(MaskShape::new(64, 41, 2).unwrap());
+    assert_eq!(draw(&gpu, &mut renderer, &camera, Some(&other)), plain);
+    let mut lit = Mask::new(shape);
+    lit.words_mut().fill(u64::MAX);
+    assert_eq!(draw(&gpu, &mut renderer, &camera, Some(&lit)), plain);
+}
+
+#[test]
+fn a_masked_surface_has_holes_where_its_full_size_alpha_says_so() {
+    let (gpu, mut scene) = (gpu(), floor_and_lights());
+    // The wall gets a picture of 4 × 4 texels, of which those of the left half are cut away.
+    let rgba: Vec<u8> = (0..16_u8).flat_map(|i| [255, 255, 255, if i % 4 < 2 { 0 } else { 255 }]).collect();
+    scene.images.push(Image { encoded: Vec::new(), width: 4, height: 4, rgba });
+    scene.materials[1].base_color_texture =
+        Some(Texture { image: 0, wrap_u: Wrap::ClampToEdge, wrap_v: Wrap::ClampToEdge });
+    scene.materials[1].alpha = AlphaMode::Mask { cutoff: 0.5 };
+    for (corner, (u, v)) in [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)].into_iter().enumerate() {
+        scene.uvs[4 + corner] = glam::Vec2::new(u, v);
+    }
+    let shape = MaskShape::new(160, 90, 2).unwrap();
+    let camera = camera(160, 90);
+    let mut renderer = renderer(&gpu, &scene, shape);
+    renderer.draw_surfaces(&camera).unwrap();
+    let surfaces = read(&gpu, &renderer.targets.normal_material, 8, wgpu::TextureAspect::All);
+    let surfaces: &[[u32; 2]] = bytemuck::cast_slice(&surfaces);
+    let (mut holes, mut leaves) = (0, 0);
+    for (place, surface) in (0_u32..).zip(surfaces) {
+        let (x, y) = (place % 160, place / 160);
+        let (origin, direction) = camera.ray(x, y);
+        let depth = (-1.0 - (origin - scene.origin_m).z) / direction.z;
+        let point: DVec3 = origin - scene.origin_m + direction * depth;
+        let inside = point.x.abs() < 0.49 && (0.01..0.99).contains(&point.y);
+        // Halfway between the second and the third column of texels, the bilinear alpha is a half.
+        if inside && point.x.abs() > 0.005 {
+            assert_eq!(surface[1] == 2, point.x > 0.0, "({x}, {y}) sees the wall at {point}");
+            *(if point.x > 0.0 { &mut leaves } else { &mut holes }) += 1;
+        }
+    }
+    assert!(holes > 100 && leaves > 100, "{holes} {leaves}");
+}
+
+#[test]
+fn blended_surfaces_let_through_what_their_alpha_leaves() {
+    let (gpu, plain) = (gpu(), floor_and_lights());
+    let mut scene = plain.clone();
+    // A pane of black glass before the left half of the wall.
+    let corners = [(-0.5, 0.1), (0.0, 0.1), (0.0, 0.9), (-0.5, 0.9)].map(|(x, y)| Vec3::new(x, y, -0.9));
+    scene.positions.extend(corners);
+    scene.normals.extend([Vec3::Z; 4]);
+    scene.uvs.extend([glam::Vec2::ZERO; 4]);
+    scene.triangles.extend([[8, 9, 10], [8, 10, 11]]);
+    scene.draws.push(Draw { first_triangle: 4, triangles: 2, material: 2 });
+    let glass =
+        Material { base_color: Vec4::new(0.0, 0.0, 0.0, 0.5), alpha: AlphaMode::Blend, ..scene.materials[1].clone() };
+    scene.materials.push(glass);
+    let shape = MaskShape::new(96, 54, 2).unwrap();
+    let camera = camera(96, 54);
+    let exposure = Exposure::of_scene(&plain, &Occluders::largest_of(&plain));
+    let picture = |scene: &Scene| {
+        let mut renderer = FrameRenderer::new(&gpu, scene, shape, exposure, PICTURE_FORMAT).unwrap();
+        draw(&gpu, &mut renderer, &camera, None).rgba
+    };
+    let (without, with) = (picture(&plain), picture(&scene));
+    let changed: Vec<usize> = (0..96 * 54).filter(|p| without[p * 4..p * 4 + 4] != with[p * 4..p * 4 + 4]).collect();
+    assert!((50..400).contains(&changed.len()), "{}", changed.len());
+    for place in changed {
+        assert!(place % 96 <= 48, "the pane covers the left half only");
+        let (before, after) = (without[place * 4], with[place * 4]);
+        assert!(after < before && after > before / 3, "{before} → {after}");
+    }
+}

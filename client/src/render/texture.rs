@@ -1,0 +1,144 @@
+//! Base colour textures: sRGB pictures with mips made on the CPU, so that every adapter shows the same ones.
+
+use wgpu::util::DeviceExt as _;
+
+/// A white texel, for materials without a picture.
+pub(crate) const WHITE: [u8; 4] = [255; 4];
+
+/// sRGB to linear light in 16 bits, and back.
+pub(crate) struct Srgb {
+    linear: [u16; 256],
+    encoded: Vec<u8>,
+}
+
+impl Srgb {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "values lie within the types' ranges")]
+    pub(crate) fn new() -> Self {
+        let decode = |byte: u8| {
+            let value = f64::from(byte) / 255.0;
+            if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+        };
+        let encode = |light: f64| {
+            if light <= 0.003_130_8 { light * 12.92 } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
+        };
+        Self {
+            linear: std::array::from_fn(|byte| (decode(byte as u8) * 65535.0).round() as u16),
+            encoded: (0..=u16::MAX).map(|light| (encode(f64::from(light) / 65535.0) * 255.0).round() as u8).collect(),
+        }
+    }
+
+    /// All mips of a picture after the first, one after the other, down to one texel. `weigh` lets texels count by
+    /// their alpha, so that what is cut away does not bleed into what is left.
+    pub(crate) fn mips(&self, rgba: &[u8], width: u32, height: u32, weigh: bool) -> Vec<u8> {
+        let (mut width, mut height) = (width as usize, height as usize);
+        let mut level: Vec<[u16; 4]> = rgba
+            .chunks_exact(4)
+            .map(|t| {
+                let linear = |channel: u8| self.linear[usize::from(channel)];
+                [linear(t[0]), linear(t[1]), linear(t[2]), u16::from(t[3]) * 257]
+            })
+            .collect();
+        let mut bytes = Vec::with_capacity(rgba.len() / 3 + 64);
+        while width > 1 || height > 1 {
+            let (next_width, next_height) = ((width / 2).max(1), (height / 2).max(1));
+            let mut next = Vec::with_capacity(next_width * next_height);
+            for y in 0..next_height {
+                let rows = [2 * y * width, (2 * y + 1).min(height - 1) * width];
+                for x in 0..next_width {
+                    let columns = [2 * x, (2 * x + 1).min(width - 1)];
+                    let four = [
+                        level[rows[0] + columns[0]],
+                        level[rows[0] + columns[1]],
+                        level[rows[1] + columns[0]],
+                        level[rows[1] + columns[1]],
+                    ];
+                    next.push(average(&four, weigh));
+                }
+            }
+            bytes.extend(next.iter().flat_map(|texel| {
+                let encoded = |light: u16| self.encoded[usize::from(light)];
+                #[expect(clippy::cast_possible_truncation, reason = "16 bits to 8")]
+                let alpha = ((u32::from(texel[3]) + 128) / 257) as u8;
+                [encoded(texel[0]), encoded(texel[1]), encoded(texel[2]), alpha]
+            }));
+            (level, width, height) = (next, next_width, next_height);
+        }
+        bytes
+    }
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "a mean of 16-bit values has 16 bits")]
+fn average(four: &[[u16; 4]; 4], weigh: bool) -> [u16; 4] {
+    let alpha: u64 = four.iter().map(|texel| u64::from(texel[3])).sum();
+    let mut mean = [0, 0, 0, ((alpha + 2) / 4) as u16];
+    for (channel, value) in mean.iter_mut().enumerate().take(3) {
+        *value = if weigh && alpha > 0 {
+            let sum: u64 = four.iter().map(|texel| u64::from(texel[channel]) * u64::from(texel[3])).sum();
+            ((sum + alpha / 2) / alpha) as u16
+        } else {
+            let sum: u64 = four.iter().map(|texel| u64::from(texel[channel])).sum();
+            ((sum + 2) / 4) as u16
+        };
+    }
+    mean
+}
+
+/// A texture with all of its mips, from the picture and what [`Srgb::mips`] made of it.
+pub(crate) fn upload(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    (width, height): (u32, u32),
+    mut texels: Vec<u8>,
+    mips: &[u8],
+) -> wgpu::TextureView {
+    texels.extend_from_slice(mips);
+    let texture = device.create_texture_with_data(
+        queue,
+        &wgpu::TextureDescriptor {
+            label: Some("base colour"),
+            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+            mip_level_count: width.max(height).ilog2() + 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Rgba8UnormSrgb,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        },
+        wgpu::util::TextureDataOrder::LayerMajor,
+        &texels,
+    );
+    texture.create_view(&wgpu::TextureViewDescriptor::default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mip_averages_light_not_bytes() {
+        let srgb = Srgb::new();
+        let (black, white) = ([0, 0, 0, 255], [255, 255, 255, 255]);
+        let mips = srgb.mips(&[black, white, white, black].concat(), 2, 2, false);
+        // Half the light of white is 188 in sRGB (IEC 61966-2-1).
+        assert_eq!(mips, [188, 188, 188, 255]);
+    }
+
+    #[test]
+    fn cut_away_texels_do_not_bleed() {
+        let srgb = Srgb::new();
+        let (leaf, hole) = ([40, 120, 30, 255], [255, 0, 255, 0]);
+        let picture = [leaf, hole, hole, hole].concat();
+        assert_eq!(srgb.mips(&picture, 2, 2, true), [40, 120, 30, 64]);
+        assert_ne!(srgb.mips(&picture, 2, 2, false)[..3], [40, 120, 30]);
+    }
+
+    #[test]
+    fn mips_go_down_to_one_texel_whatever_the_shape() {
+        let srgb = Srgb::new();
+        for (width, height, texels) in [(1, 1, 0), (5, 3, 2 + 1), (8, 1, 4 + 2 + 1), (3, 7, 3 + 1)] {
+            let picture = vec![9; width as usize * height as usize * 4];
+            let mips = srgb.mips(&picture, width, height, true);
+            assert_eq!(mips, vec![9; texels * 4], "{width}×{height}");
+        }
+    }
+}

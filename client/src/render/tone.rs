@@ -1,0 +1,64 @@
+//! The tone pass: from light to what a screen shows.
+
+use gnomon_shaders::shading::Tone;
+
+use super::{RenderError, cleared, constant, covering_pipeline, exposure, shader, targets::Targets, uniform};
+
+/// The pass.
+#[derive(Debug)]
+pub(crate) struct TonePass {
+    group: wgpu::BindGroup,
+    pipeline: wgpu::RenderPipeline,
+}
+
+impl TonePass {
+    pub(crate) fn new(
+        device: &wgpu::Device,
+        targets: &Targets,
+        format: wgpu::TextureFormat,
+    ) -> Result<Self, RenderError> {
+        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::FRAGMENT,
+            ty,
+            count: None,
+        };
+        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("tone"),
+            entries: &[
+                entry(0, uniform::<Tone>()),
+                entry(
+                    1,
+                    wgpu::BindingType::Texture {
+                        sample_type: wgpu::TextureSampleType::Float { filterable: false },
+                        view_dimension: wgpu::TextureViewDimension::D2,
+                        multisampled: false,
+                    },
+                ),
+            ],
+        });
+        let tone = constant(device, "tone", &exposure::tone());
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("tone"),
+            layout: &layout,
+            entries: &[
+                wgpu::BindGroupEntry { binding: 0, resource: tone.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&targets.light) },
+            ],
+        });
+        let module = shader(device, "shading/tone.wgsl")?;
+        let pipeline = covering_pipeline(device, &module, &layout, "show", format);
+        Ok(Self { group, pipeline })
+    }
+
+    pub(crate) fn encode(&self, encoder: &mut wgpu::CommandEncoder, target: &wgpu::TextureView) {
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("tone"),
+            color_attachments: &[cleared(target)],
+            ..wgpu::RenderPassDescriptor::default()
+        });
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, &self.group, &[]);
+        pass.draw(0..3, 0..1);
+    }
+}
