@@ -187,8 +187,30 @@ fn single_sided_backs_are_passed_through_but_stop_light() {
         .quad(Vec3::new(-2.0, 3.0, -2.0), Vec3::X * 4.0, Vec3::Z * 4.0)
         .sun(DOWN)
         .build();
-    let camera = above(DVec3::ZERO, 40.0, 5.0, 200);
-    assert_floor(&scene, &camera, |p| p.x.abs() > 2.0 || p.z.abs() > 2.0);
+    let lit = |p: DVec3| p.x.abs() > 2.0 || p.z.abs() > 2.0;
+    assert_floor(&scene, &above(DVec3::ZERO, 40.0, 5.0, 200), lit);
+    // One whose front faces up, seen from between: the light meets its front, the rays towards it its back.
+    let scene = floor(Vec3::ZERO, 30.0)
+        .material(AlphaMode::Opaque, false)
+        .quad(Vec3::new(-2.0, 3.0, -2.0), Vec3::Z * 4.0, Vec3::X * 4.0)
+        .sun(DOWN)
+        .build();
+    assert_floor(&scene, &above(DVec3::ZERO, 2.9, 2.7, 200), lit);
+}
+
+#[test]
+fn relevance_follows_the_shading_normal_and_facing_the_plane() {
+    // A floor whose normals lean by 30° to +x, under suns that rise by 10° on either side, above and below the horizon.
+    let sun = |angle_deg: f32| -Vec3::new(angle_deg.to_radians().cos(), angle_deg.to_radians().sin(), 0.0);
+    let mut scene = floor(Vec3::ZERO, 5.0).sun(sun(10.0)).sun(sun(-10.0)).sun(sun(170.0)).sun(sun(-170.0)).build();
+    scene.normals.fill(Vec3::new(0.5, 0.75_f32.sqrt(), 0.0));
+    // From above: what faces the lean is relevant, and of this only what stands above the horizon is lit.
+    let seen = trace(&scene, &above(DVec3::X * 0.3, 2.0, 1.0, 8));
+    assert!(seen.pixels.iter().all(|v| (v.relevant, v.lit) == (0b0011, 0b0001)), "{:?}", seen.pixels[0]);
+    // From below both normals turn round.
+    let eye = DVec3::new(0.3, -2.0, 0.2);
+    let seen = trace(&scene, &Camera::looking_at(eye, eye + DVec3::Y, 1.0, 8, 8));
+    assert!(seen.pixels.iter().all(|v| (v.relevant, v.lit) == (0b1100, 0b1000)), "{:?}", seen.pixels[0]);
 }
 
 #[test]
