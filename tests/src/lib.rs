@@ -2,4 +2,5 @@
 
 pub mod metrics;
 pub mod reference;
+pub mod rig;
 pub mod scenes;

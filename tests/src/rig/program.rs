@@ -1,0 +1,248 @@
+//! Runs the project's own programs as child processes: finds them, collects what they say, ends them when dropped.
+
+use std::{
+    env,
+    ffi::OsStr,
+    fs::{self, File},
+    path::{Path, PathBuf},
+    process::{Child, Command, ExitStatus, Stdio},
+    time::{Duration, Instant, SystemTime},
+};
+
+use anyhow::{Context, Result, bail, ensure};
+use tempfile::TempDir;
+
+/// How often a running program is looked at.
+const POLL: Duration = Duration::from_millis(5);
+
+/// The built program `name`, which lies in the folder of the running one, or above it for tests.
+///
+/// # Errors
+/// When it is not there, or older than the sources that it is made of: a test of yesterday's program proves nothing.
+pub fn find(name: &str) -> Result<PathBuf> {
+    let own = env::current_exe().context("the running program has no path")?;
+    let folders = own.ancestors().skip(1).take(2);
+    let found =
+        folders.map(|folder| folder.join(name).with_extension(env::consts::EXE_EXTENSION)).find(|p| p.is_file());
+    let Some(path) = found else {
+        bail!(
+            "{name} is not built beside {}: run `cargo build --workspace` (with --release for a release)",
+            own.display()
+        );
+    };
+    let built = fs::metadata(&path)?.modified()?;
+    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().context("the workspace has a folder")?;
+    for sources in ["protocol/src", "shaders/src", "shaders/wgsl", "server/src", "client/src"] {
+        let other = if name == "gnomon-server" { "client/src" } else { "server/src" };
+        let folder = workspace.join(sources);
+        if sources != other
+            && folder.is_dir()
+            && let Some(newer) = newer_than(built, &folder)?
+        {
+            bail!("{name} is older than {}: run `cargo build --workspace`", newer.display());
+        }
+    }
+    Ok(path)
+}
+
+fn newer_than(time: SystemTime, folder: &Path) -> Result<Option<PathBuf>> {
+    for entry in fs::read_dir(folder).with_context(|| format!("listing {}", folder.display()))? {
+        let entry = entry?;
+        let newer = if entry.file_type()?.is_dir() {
+            newer_than(time, &entry.path())?
+        } else {
+            (entry.metadata()?.modified()? > time).then(|| entry.path())
+        };
+        if newer.is_some() {
+            return Ok(newer);
+        }
+    }
+    Ok(None)
+}
+
+/// A running program. Dropping it kills it, by its own process id, and waits until it is gone.
+#[derive(Debug)]
+pub struct Program {
+    name: String,
+    child: Child,
+    /// Its standard output and error are files here: a pipe that nobody empties would stop it.
+    folder: TempDir,
+}
+
+/// What became of a program.
+#[derive(Debug)]
+pub struct Outcome {
+    /// How it ended.
+    pub status: ExitStatus,
+    /// All that it wrote to standard output.
+    pub stdout: String,
+    /// All that it wrote to standard error.
+    pub stderr: String,
+}
+
+impl Program {
+    /// Starts a program with no input, outside any `GNOMON_*` settings but those given.
+    ///
+    /// # Errors
+    /// When it cannot be started.
+    pub fn start<A: AsRef<OsStr>>(path: &Path, arguments: &[A], environment: &[(&str, &str)]) -> Result<Self> {
+        let folder = tempfile::tempdir().context("making a temporary folder")?;
+        let name = path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into());
+        let output = |which: &str| File::create(folder.path().join(which)).with_context(|| format!("creating {which}"));
+        let mut command = Command::new(path);
+        for (key, _) in env::vars_os().filter(|(key, _)| key.to_string_lossy().starts_with("GNOMON_")) {
+            command.env_remove(key);
+        }
+        let child = command
+            .args(arguments)
+            // State and cache of a test stay with the test.
+            .env("HOME", folder.path())
+            .env("XDG_CACHE_HOME", folder.path().join("cache"))
+            .env("XDG_STATE_HOME", folder.path().join("state"))
+            .envs(environment.iter().copied())
+            .stdin(Stdio::null())
+            .stdout(output("stdout")?)
+            .stderr(output("stderr")?)
+            .spawn()
+            .with_context(|| format!("starting {}", path.display()))?;
+        Ok(Self { name, child, folder })
+    }
+
+    /// Its process id.
+    #[must_use]
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// All that it has written so far: standard output, then standard error.
+    ///
+    /// # Errors
+    /// When the files cannot be read.
+    pub fn said(&self) -> Result<[String; 2]> {
+        let read = |which: &str| {
+            let bytes = fs::read(self.folder.path().join(which)).with_context(|| format!("reading {which}"))?;
+            Ok::<_, anyhow::Error>(String::from_utf8_lossy(&bytes).into_owned())
+        };
+        Ok([read("stdout")?, read("stderr")?])
+    }
+
+    /// Whether it still runs.
+    ///
+    /// # Errors
+    /// When the operating system does not say.
+    pub fn is_running(&mut self) -> Result<bool> {
+        Ok(self.child.try_wait().context("asking for a child's status")?.is_none())
+    }
+
+    /// Waits until `found` makes something of what it has said.
+    ///
+    /// # Errors
+    /// When it ends first, or has not said so within `patience`; its last words are in the message.
+    pub fn wait_for<T>(&mut self, patience: Duration, found: impl Fn(&str) -> Option<T>) -> Result<T> {
+        let start = Instant::now();
+        loop {
+            let running = self.is_running()?;
+            let [stdout, stderr] = self.said()?;
+            if let Some(thing) = found(&stdout).or_else(|| found(&stderr)) {
+                return Ok(thing);
+            }
+            ensure!(running, "{} ended too early:\n{stdout}{stderr}", self.name);
+            ensure!(start.elapsed() < patience, "{} keeps us waiting for {patience:?}:\n{stdout}{stderr}", self.name);
+            std::thread::sleep(POLL);
+        }
+    }
+
+    /// Waits for its end.
+    ///
+    /// # Errors
+    /// When it has not ended within `patience`: then it is killed, and its last words are in the message.
+    pub fn finish(mut self, patience: Duration) -> Result<Outcome> {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().context("asking for a child's status")? {
+                let [stdout, stderr] = self.said()?;
+                return Ok(Outcome { status, stdout, stderr });
+            }
+            if start.elapsed() > patience {
+                let [stdout, stderr] = self.said()?;
+                bail!("{} still runs after {patience:?}:\n{stdout}{stderr}", self.name);
+            }
+            std::thread::sleep(POLL);
+        }
+    }
+
+    /// Kills it at once (SIGKILL): it gets no chance to say goodbye to anybody.
+    ///
+    /// # Errors
+    /// When the operating system refuses.
+    pub fn kill(mut self) -> Result<()> {
+        self.child.kill().with_context(|| format!("killing {}", self.name))?;
+        self.child.wait().with_context(|| format!("waiting for {}", self.name)).map(drop)
+    }
+
+    /// Asks it to stop (SIGTERM).
+    ///
+    /// # Errors
+    /// When `kill` cannot be run or refuses.
+    pub fn terminate(&self) -> Result<()> {
+        let status = Command::new("kill").args(["-TERM", &self.id().to_string()]).status().context("running kill")?;
+        ensure!(status.success(), "kill -TERM {} failed", self.id());
+        Ok(())
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // Already ended is as good; there is nobody to tell otherwise.
+        if self.child.kill().is_ok() {
+            drop(self.child.wait());
+        }
+    }
+}
+
+impl Outcome {
+    /// Demands success.
+    ///
+    /// # Errors
+    /// When it ended in any other way; its last words are in the message.
+    pub fn success(self) -> Result<Self> {
+        ensure!(self.status.success(), "a child ended with {}:\n{}{}", self.status, self.stdout, self.stderr);
+        Ok(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shell(script: &str) -> Program {
+        Program::start(Path::new("/bin/sh"), &["-c", script], &[("GIVEN", "yes")]).unwrap()
+    }
+
+    #[test]
+    fn a_program_is_heard_out_and_its_status_kept() {
+        let mut program = shell("echo out $GIVEN; echo err >&2; sleep 0.05; echo later; exit 7");
+        assert_eq!(program.wait_for(Duration::from_secs(60), |s| s.find("later")).unwrap(), 8);
+        let outcome = program.finish(Duration::from_secs(60)).unwrap();
+        assert_eq!((outcome.status.code(), outcome.stdout.as_str()), (Some(7), "out yes\nlater\n"));
+        assert_eq!(outcome.stderr, "err\n");
+        assert!(outcome.success().unwrap_err().to_string().contains("out yes"));
+        let error = shell("echo last words").wait_for(Duration::from_secs(60), |_| None::<()>).unwrap_err();
+        assert!(error.to_string().contains("too early:\nlast words"), "{error}");
+    }
+
+    #[test]
+    fn an_endless_program_is_given_up_and_killed() {
+        let program = shell("echo busy; exec sleep 1000");
+        let id = program.id();
+        let error = program.finish(Duration::from_millis(200)).unwrap_err();
+        assert!(error.to_string().contains("still runs after 200ms:\nbusy"), "{error}");
+        assert!(!Path::new(&format!("/proc/{id}")).exists());
+    }
+
+    #[test]
+    fn a_missing_program_is_named_with_the_remedy() {
+        let error = find("gnomon-nosuch").unwrap_err().to_string();
+        assert!(error.contains("gnomon-nosuch is not built") && error.contains("cargo build"), "{error}");
+    }
+}
