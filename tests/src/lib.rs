@@ -2,5 +2,6 @@
 
 pub mod metrics;
 pub mod reference;
+pub mod report;
 pub mod rig;
 pub mod scenes;

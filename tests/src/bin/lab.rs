@@ -1,2 +1,78 @@
-//! placeholder
-fn main() {}
+//! `lab`: makes scenes and measures the programs. Every figure in our documents comes from one of its subcommands.
+
+use std::{ffi::OsString, path::PathBuf, process::ExitCode};
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+use gnomon_tests::report::pipeline::{self, PipelineOptions};
+
+#[derive(Debug, Parser)]
+#[command(version, about = "Makes Gnomon's own scene and measures its programs.")]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Rebuilds the dissertation's Table 1 with the real programs on loopback: writes pipeline.csv, prints Markdown.
+    Pipeline {
+        /// The scene, `.gltf` or `.glb`.
+        #[arg(long)]
+        scene: PathBuf,
+        /// JSON file with lights, for a scene that has none.
+        #[arg(long)]
+        lights_from: Option<PathBuf>,
+        /// Keeps the first lights only.
+        #[arg(long)]
+        lights: Option<u32>,
+        /// Camera path, FILE or FILE#NAME; without it, the only one in lights_camera.json beside the scene.
+        #[arg(long)]
+        path: Option<OsString>,
+        /// Size of the picture, WIDTHxHEIGHT.
+        #[arg(long, value_parser = size, default_value = "640x360")]
+        size: (u32, u32),
+        /// Frames a run.
+        #[arg(long, default_value_t = 200)]
+        frames: u32,
+        /// Runs a row; figures are their medians.
+        #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+        runs: u32,
+        /// The server's back end: auto, compute or cpu.
+        #[arg(long, default_value = "auto")]
+        backend: String,
+        /// Lets both programs use a software adapter.
+        #[arg(long)]
+        allow_software: bool,
+        /// Folder for pipeline.csv.
+        #[arg(long, default_value = "target/lab")]
+        out: PathBuf,
+    },
+}
+
+fn size(text: &str) -> Result<(u32, u32), String> {
+    let parsed = text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    parsed.ok_or_else(|| format!("{text:?} is no size: write it as 640x360"))
+}
+
+fn run(arguments: Arguments) -> Result<()> {
+    match arguments.command {
+        Command::Pipeline { scene, lights_from, lights, path, size, frames, runs, backend, allow_software, out } => {
+            let path = path.unwrap_or_else(|| scene.with_file_name("lights_camera.json").into());
+            let options =
+                PipelineOptions { scene, lights_from, lights, path, size, frames, runs, backend, allow_software, out };
+            print!("{}", pipeline::measure(&options, |line| eprintln!("{line}"))?.markdown());
+        }
+    }
+    Ok(())
+}
+
+fn main() -> ExitCode {
+    match run(Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("lab: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

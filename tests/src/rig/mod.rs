@@ -1,8 +1,13 @@
 //! Boots a real server and real clients on this machine, as processes, and cleans up behind them.
 
+pub mod masks;
 pub mod program;
 
-use std::{ffi::OsString, path::Path, time::Duration};
+use std::{
+    ffi::{OsStr, OsString},
+    path::Path,
+    time::Duration,
+};
 
 use anyhow::{Context, Result};
 use serde_json::Value;
@@ -26,11 +31,11 @@ impl ServerProcess {
     ///
     /// # Errors
     /// When it is not built, ends, or does not get ready.
-    pub fn start(scene: &Path, arguments: &[&str]) -> Result<Self> {
+    pub fn start<A: AsRef<OsStr>>(scene: &Path, arguments: &[A]) -> Result<Self> {
         let certificate = tempfile::tempdir().context("making a temporary folder")?;
         let mut all: Vec<OsString> = vec!["--scene".into(), scene.into(), "--listen".into(), "127.0.0.1:0".into()];
         all.extend(["--cert-dir".into(), certificate.path().into()]);
-        all.extend(arguments.iter().map(OsString::from));
+        all.extend(arguments.iter().map(|argument| argument.as_ref().to_owned()));
         let mut program = Program::start(&program::find("gnomon-server")?, &all, &[])?;
         let url = program.wait_for(PATIENCE, url_in)?;
         Ok(Self { program, url, _certificate: certificate })

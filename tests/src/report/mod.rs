@@ -1,0 +1,4 @@
+//! Reports of the `lab`: tables that are measured by running the real programs.
+
+pub mod pipeline;
+pub mod table;
