@@ -172,3 +172,75 @@ impl<'a> Frame<'a> {
 fn lengths(table: &[u8]) -> impl Iterator<Item = u32> + use<'_> {
     table.as_chunks::<4>().0.iter().map(|length| u32::from_le_bytes(*length))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A planes frame of 10×20 pixels and 2 lights whose slices have these lengths.
+    fn body(lengths: &[u32]) -> Vec<u8> {
+        let head = FrameHead { codec: CodecId::PlanesLz4, shape: MaskShape::new(10, 20, 2).unwrap() };
+        let mut body = Vec::new();
+        head.begin(u16::try_from(lengths.len()).unwrap(), &mut body);
+        for (index, length) in lengths.iter().enumerate() {
+            set_slice_length(&mut body, index, *length);
+        }
+        body.extend((0..lengths.iter().sum()).map(|byte: u32| byte.to_le_bytes()[0]));
+        body
+    }
+
+    #[test]
+    fn slices_come_out_as_they_went_in() {
+        let body = body(&[3, 0, 2]);
+        let frame = Frame::parse(&body).unwrap();
+        assert_eq!(frame.head.codec, CodecId::PlanesLz4);
+        assert_eq!(frame.head.shape, MaskShape::new(10, 20, 2).unwrap());
+        let slices: Vec<_> = frame.slices().collect();
+        assert_eq!(slices, [(0..1, &[0, 1, 2][..]), (1..2, &[]), (2..3, &[3, 4])]);
+    }
+
+    #[test]
+    fn slices_cover_every_row_of_tiles_once() {
+        let shape = MaskShape::new(8, 1080, 1).unwrap();
+        for count in 1..=135 {
+            let mut next = 0;
+            for index in 0..count {
+                let rows = slice_tile_rows(shape, index, count);
+                assert_eq!(rows.start, next);
+                assert!(!rows.is_empty());
+                next = rows.end;
+            }
+            assert_eq!(next, 135);
+        }
+    }
+
+    #[test]
+    fn what_is_no_frame_is_refused_with_the_numbers() {
+        let good = body(&[3, 2]);
+        assert!(Frame::parse(&good).is_ok());
+        let with = |place: usize, byte: u8| {
+            let mut bad = good.clone();
+            bad[place] = byte;
+            Frame::parse(&bad).unwrap_err()
+        };
+        assert_eq!(with(0, 3), FrameError::Codec(3));
+        assert_eq!(with(1, 0), FrameError::Shape(ShapeError::Size { width: 0, height: 20 }));
+        assert_eq!(with(4, 0xFF), FrameError::Shape(ShapeError::Size { width: 10, height: 0xFF14 }));
+        assert_eq!(with(5, 33), FrameError::Shape(ShapeError::Lights(33)));
+        assert_eq!(with(6, 0), FrameError::Slices { found: 0, most: 3 });
+        assert_eq!(with(6, 4), FrameError::Slices { found: 4, most: 3 });
+        assert_eq!(with(8, 4), FrameError::Length { stated: 6, found: 5 });
+        assert_eq!(with(15, 0xFF), FrameError::Length { stated: 0xFF00_0005, found: 5 });
+        for length in 0..8 {
+            assert_eq!(Frame::parse(&good[..length]), Err(FrameError::TooShort { needed: 8, found: length }));
+        }
+        for length in 8..16 {
+            assert_eq!(Frame::parse(&good[..length]), Err(FrameError::TooShort { needed: 16, found: length }));
+        }
+        assert_eq!(Frame::parse(&good[..20]), Err(FrameError::Length { stated: 5, found: 4 }));
+        let long = [&good[..], &[0]].concat();
+        assert_eq!(Frame::parse(&long), Err(FrameError::Length { stated: 5, found: 6 }));
+        let huge = vec![0; MAX_FRAME_BYTES + 1];
+        assert_eq!(Frame::parse(&huge), Err(FrameError::TooLong(MAX_FRAME_BYTES + 1)));
+    }
+}

@@ -104,3 +104,48 @@ impl PacketHeader {
 fn unless_placeholder(value: u32) -> Option<u32> {
     (value != u32::MAX).then_some(value)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_datagram_is_exactly_header_and_data() {
+        for length in 0..HEADER_BYTES {
+            assert_eq!(PacketHeader::decode(&vec![0; length]), Err(HeaderError::TooShort(length)));
+        }
+        let mut datagram = [0; HEADER_BYTES + 5];
+        datagram[8] = 5;
+        datagram[16..].copy_from_slice(b"shade");
+        assert_eq!(PacketHeader::decode(&datagram).unwrap().1, b"shade");
+        assert_eq!(PacketHeader::decode(&datagram[..20]), Err(HeaderError::DataSize { stated: 5, found: 4 }));
+        datagram[8] = 4;
+        assert_eq!(PacketHeader::decode(&datagram), Err(HeaderError::DataSize { stated: 4, found: 5 }));
+    }
+
+    #[test]
+    fn placeholders_are_all_ones_or_no_packets() {
+        let datagram = [[0; 4], [0xFF; 4], [0, 0, 1, 0], [0xFF; 4]].concat();
+        let (header, data) = PacketHeader::decode(&datagram).unwrap();
+        assert_eq!((header.frame, header.frame_packets, header.timestamp_ms), (None, None, None));
+        assert!(header.first && data.is_empty());
+        assert_eq!(header.encode(), *datagram);
+    }
+
+    #[test]
+    fn a_count_that_does_not_fit_leaves_the_flag_alone() {
+        for first in [false, true] {
+            let header = PacketHeader {
+                sequence: 0,
+                frame: None,
+                data_bytes: 0,
+                frame_packets: Some(NonZeroU16::MAX),
+                first,
+                timestamp_ms: None,
+            };
+            let (decoded, _) = PacketHeader::decode(&header.encode()).unwrap();
+            assert_eq!(decoded.frame_packets, NonZeroU16::new(32_767));
+            assert_eq!(decoded.first, first);
+        }
+    }
+}

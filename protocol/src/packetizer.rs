@@ -117,3 +117,87 @@ impl Packetizer {
         }))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn packets(packetizer: &mut Packetizer, frame: u32, body: &[u8]) -> Vec<Bytes> {
+        packetizer.packets(FrameNumber(frame), 9, body).unwrap().collect()
+    }
+
+    #[test]
+    fn packets_are_full_but_the_last_and_say_the_same_of_their_frame() {
+        let body: Vec<u8> = (0..=255).cycle().take(3000).collect();
+        let mut packetizer = Packetizer::new(1161);
+        for (frame, sequence) in [(4, 0), (7, 3)] {
+            let packets = packets(&mut packetizer, frame, &body);
+            let lengths: Vec<_> = packets.iter().map(Bytes::len).collect();
+            assert_eq!(lengths, [1161, 1161, 16 + 3000 - 2 * 1145]);
+            assert_eq!(packetizer.packet_count(body.len()), 3);
+            assert_eq!(packetizer.wire_bytes(body.len()), 3048);
+            let mut data = Vec::new();
+            for (index, packet) in (0u32..).zip(&packets) {
+                let (header, payload) = PacketHeader::decode(packet).unwrap();
+                assert_eq!(header.sequence, sequence + index);
+                assert_eq!(header.frame, Some(FrameNumber(frame)));
+                assert_eq!(header.frame_packets, NonZeroU16::new(3));
+                assert_eq!(header.first, index == 0);
+                assert_eq!(header.timestamp_ms, Some(9));
+                data.extend_from_slice(payload);
+            }
+            assert_eq!(data, body);
+        }
+        assert_eq!(packetizer.next_sequence(), 6);
+    }
+
+    /// §3.1 counts 127 packets for the uncompressed words of 1920×1080 pixels.
+    #[test]
+    fn the_dissertations_frame_takes_127_lab_packets() {
+        assert_eq!(Packetizer::new(MAX_LAB_PACKET_BYTES).packet_count(1920 * 1080 * 4), 127);
+    }
+
+    #[test]
+    fn any_allowed_frame_fits_the_count_at_the_datagram_size() {
+        let packetizer = Packetizer::new(crate::limits::MAX_PACKET_BYTES);
+        assert!(packetizer.packet_count(MAX_FRAME_BYTES) <= MAX_FRAME_PACKETS);
+    }
+
+    #[test]
+    fn sequence_numbers_wrap() {
+        let mut packetizer = Packetizer::new(17);
+        packetizer.next_sequence = u32::MAX;
+        let sequences: Vec<_> = packets(&mut packetizer, 0, &[1, 2])
+            .iter()
+            .map(|packet| PacketHeader::decode(packet).unwrap().0.sequence)
+            .collect();
+        assert_eq!(sequences, [u32::MAX, 0]);
+    }
+
+    #[test]
+    fn the_placeholder_timestamp_is_not_sent() {
+        let mut packetizer = Packetizer::new(100);
+        let packet = packetizer.packets(FrameNumber(0), u32::MAX, &[1]).unwrap().next().unwrap();
+        assert_eq!(PacketHeader::decode(&packet).unwrap().0.timestamp_ms, Some(u32::MAX - 1));
+    }
+
+    #[test]
+    fn what_cannot_be_sent_is_refused_and_takes_no_sequence_number() {
+        // Sizes outside the range are brought to its ends: 1 byte of data a packet, and 65,507 bytes in all.
+        let mut small = Packetizer::new(0);
+        let frame = FrameNumber(3);
+        let error = |packetizer: &mut Packetizer, frame, body: &[u8]| packetizer.packets(frame, 0, body).err().unwrap();
+        assert_eq!(error(&mut small, frame, &[]), PacketizeError::Empty(frame));
+        let packets = 32_768;
+        assert_eq!(error(&mut small, frame, &vec![0; packets]), PacketizeError::TooManyPackets { frame, packets });
+        assert_eq!(small.packets(frame, 0, &vec![0; packets - 1]).unwrap().count(), packets - 1);
+        let placeholder = FrameNumber(u32::MAX);
+        assert_eq!(error(&mut small, placeholder, &[1]), PacketizeError::FrameNumber(placeholder));
+        assert_eq!(small.next_sequence(), 32_767);
+        let bytes = MAX_FRAME_BYTES + 1;
+        let mut large = Packetizer::new(usize::MAX);
+        assert_eq!(error(&mut large, frame, &vec![0; bytes]), PacketizeError::TooLong { frame, bytes });
+        assert_eq!(large.packet_count(65_491), 1);
+        assert_eq!(large.packet_count(65_492), 2);
+    }
+}

@@ -150,3 +150,73 @@ pub fn decode_pose_packet(datagram: &[u8]) -> Result<(u32, FrameNumber, Pose), P
     let frame = header.frame.ok_or(PosePacketError::NoFrame(header.sequence))?;
     Ok((header.sequence, frame, Pose::decode(data)?))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const POSE: Pose = Pose {
+        position_m: [1.0, -2.5, 1e6],
+        orientation: [0.0, 0.6, 0.0, 0.8],
+        yfov_rad: 1.0,
+        scene_time_s: -3.25,
+        client_time_ms: 77,
+    };
+
+    #[test]
+    fn a_pose_packet_comes_back() {
+        let packet = encode_pose_packet(5, FrameNumber(9), &POSE);
+        assert_eq!(decode_pose_packet(&packet), Ok((5, FrameNumber(9), POSE)));
+    }
+
+    #[test]
+    fn the_range_of_fields_of_view_is_1_to_170_degrees() {
+        assert_eq!(YFOV_RANGE_RAD, 1f64.to_radians()..=170f64.to_radians());
+    }
+
+    #[test]
+    fn poses_outside_the_limits_are_refused() {
+        let refused = |change: fn(&mut Pose)| {
+            let mut pose = POSE;
+            change(&mut pose);
+            Pose::decode(&pose.encode()).unwrap_err()
+        };
+        for change in [
+            (|pose| pose.position_m[0] = f64::NAN) as fn(&mut Pose),
+            |pose| pose.position_m[1] = f64::NEG_INFINITY,
+            |pose| pose.position_m[2] = 1.000_000_1e9,
+        ] {
+            assert_eq!(refused(change), PoseError::Range("position_m"));
+        }
+        for change in [
+            (|pose| pose.yfov_rad = f64::NAN) as fn(&mut Pose),
+            |pose| pose.yfov_rad = 0.0,
+            |pose| pose.yfov_rad = 2.97,
+        ] {
+            assert_eq!(refused(change), PoseError::Range("yfov_rad"));
+        }
+        assert_eq!(refused(|pose| pose.scene_time_s = f64::INFINITY), PoseError::Range("scene_time_s"));
+        assert!(matches!(refused(|pose| pose.orientation[0] = f64::NAN), PoseError::NotUnit(_)));
+        assert!(matches!(refused(|pose| pose.orientation = [0.0; 4]), PoseError::NotUnit(_)));
+        assert!(matches!(refused(|pose| pose.orientation[3] = 0.9), PoseError::NotUnit(_)));
+    }
+
+    #[test]
+    fn only_pose_packets_are_pose_packets() {
+        let good = encode_pose_packet(5, FrameNumber(9), &POSE);
+        let with = |place: usize, bytes: &[u8]| {
+            let mut bad = good;
+            bad[place..place + bytes.len()].copy_from_slice(bytes);
+            decode_pose_packet(&bad).unwrap_err()
+        };
+        assert_eq!(with(4, &[0xFF; 4]), PosePacketError::NoFrame(5));
+        assert_eq!(with(10, &[2]), PosePacketError::Visibility(5));
+        assert_eq!(with(10, &[1]), PosePacketError::Visibility(5));
+        assert_eq!(with(12, &[0]), PosePacketError::Visibility(5));
+        let short = HeaderError::DataSize { stated: 76, found: 75 };
+        assert_eq!(decode_pose_packet(&good[..91]), Err(PosePacketError::Header(short)));
+        let mut other = good[..91].to_vec();
+        other[8] = 75;
+        assert_eq!(decode_pose_packet(&other), Err(PosePacketError::Pose(PoseError::Length(75))));
+    }
+}
