@@ -7,6 +7,8 @@
 pub mod codec;
 pub mod congestion;
 pub mod frame;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod header;
 pub mod ids;
 pub mod limits;

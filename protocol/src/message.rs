@@ -20,7 +20,7 @@ use thiserror::Error;
 use crate::{
     codec::CodecId,
     ids::{SceneDigest, SessionId},
-    limits::{MAX_MESSAGE_BYTES, MAX_TEXT_BYTES, MAX_TOKEN_BYTES},
+    limits::{MAX_MESSAGE_BYTES, MAX_TEXT_BYTES, MAX_TOKEN_BYTES, SCENE_CHUNK_BYTES},
 };
 
 /// What a client says.
@@ -143,7 +143,7 @@ pub enum MessageError {
     /// The length prefix exceeds the limit.
     #[error("a message of {0} bytes: at most {MAX_MESSAGE_BYTES} are allowed")]
     TooLong(u64),
-    /// A text inside exceeds its limit.
+    /// A text or a chunk inside exceeds its limit.
     #[error("{field} has {bytes} bytes, at most {limit} are allowed")]
     Text {
         /// Name of the field.
@@ -183,8 +183,11 @@ pub fn decode_length(prefix: [u8; 4]) -> Result<usize, MessageError> {
 /// A message from the bytes after its prefix, all of them.
 ///
 /// # Errors
-/// When they are no message, or a text in it is too long.
+/// When they are too many, are no message, or a text or a chunk in it is too long.
 pub fn decode<M: DeserializeOwned + CheckText>(bytes: &[u8]) -> Result<M, MessageError> {
+    if bytes.len() > MAX_MESSAGE_BYTES {
+        return Err(MessageError::TooLong(bytes.len() as u64));
+    }
     match postcard::take_from_bytes::<M>(bytes) {
         Ok((message, [])) => message.check_text().map(|()| message),
         Ok((_, rest)) => Err(MessageError::Malformed(format!("{} bytes left over", rest.len()))),
@@ -192,15 +195,16 @@ pub fn decode<M: DeserializeOwned + CheckText>(bytes: &[u8]) -> Result<M, Messag
     }
 }
 
-/// Bounds on the texts inside a message.
+/// Bounds on the texts and chunks inside a message.
 pub trait CheckText {
     /// # Errors
-    /// When a text is too long.
+    /// When a text or a chunk is too long.
     fn check_text(&self) -> Result<(), MessageError>;
 }
 
-fn check(field: &'static str, text: &str, limit: usize) -> Result<(), MessageError> {
-    if text.len() > limit { Err(MessageError::Text { field, bytes: text.len(), limit }) } else { Ok(()) }
+fn check(field: &'static str, text: impl AsRef<[u8]>, limit: usize) -> Result<(), MessageError> {
+    let bytes = text.as_ref().len();
+    if bytes > limit { Err(MessageError::Text { field, bytes, limit }) } else { Ok(()) }
 }
 
 impl CheckText for ClientMessage {
@@ -225,7 +229,82 @@ impl CheckText for ServerMessage {
                 check("alternative", alternative.as_deref().unwrap_or_default(), MAX_TEXT_BYTES)
             }
             Self::Closing { reason } => check("reason", reason, MAX_TEXT_BYTES),
-            Self::Refused(_) | Self::SceneChunk { .. } | Self::Pong(_) => Ok(()),
+            Self::SceneChunk { bytes, .. } => check("scene chunk", bytes, SCENE_CHUNK_BYTES),
+            Self::Refused(_) | Self::Pong(_) => Ok(()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hello() -> Hello {
+        let client = "gnomon-client 0.1.0".to_owned();
+        Hello { version: 1, token: None, client, width: 8, height: 8, codec: CodecId::PlanesLz4 }
+    }
+
+    fn decoded<M: Serialize + DeserializeOwned + CheckText>(message: &M) -> Result<M, MessageError> {
+        decode(&encode(message).unwrap()[4..])
+    }
+
+    #[test]
+    fn the_prefix_is_the_length_of_what_follows() {
+        let bytes = encode(&ClientMessage::Hello(hello())).unwrap();
+        let (prefix, rest) = bytes.split_first_chunk().unwrap();
+        assert_eq!(decode_length(*prefix), Ok(rest.len()));
+        assert_eq!(decode(rest), Ok(ClientMessage::Hello(hello())));
+    }
+
+    #[test]
+    fn lengths_are_bounded_before_anything_is_read() {
+        let limit = u32::try_from(MAX_MESSAGE_BYTES).unwrap();
+        assert_eq!(decode_length(limit.to_le_bytes()), Ok(MAX_MESSAGE_BYTES));
+        assert_eq!(decode_length((limit + 1).to_le_bytes()), Err(MessageError::TooLong(u64::from(limit) + 1)));
+        assert_eq!(decode_length([0xFF; 4]), Err(MessageError::TooLong(0xFFFF_FFFF)));
+        let long = vec![0; MAX_MESSAGE_BYTES + 1];
+        assert_eq!(decode::<ClientMessage>(&long), Err(MessageError::TooLong(long.len() as u64)));
+        let chunk = ServerMessage::SceneChunk { offset: 0, bytes: long };
+        assert!(matches!(encode(&chunk), Err(MessageError::TooLong(_))));
+    }
+
+    #[test]
+    fn texts_and_chunks_are_bounded() {
+        let text = |bytes| "x".repeat(bytes);
+        let client = |bytes| ClientMessage::Hello(Hello { client: text(bytes), ..hello() });
+        let token = |bytes| ClientMessage::Hello(Hello { token: Some(text(bytes)), ..hello() });
+        assert_eq!(decoded(&client(1024)), Ok(client(1024)));
+        assert_eq!(decoded(&client(1025)), Err(MessageError::Text { field: "client", bytes: 1025, limit: 1024 }));
+        assert_eq!(decoded(&token(512)), Ok(token(512)));
+        assert_eq!(decoded(&token(513)), Err(MessageError::Text { field: "token", bytes: 513, limit: 512 }));
+        let draining = |reason, alternative| ServerMessage::Draining {
+            reason: text(reason),
+            deadline_ms: 0,
+            alternative: Some(text(alternative)),
+        };
+        let chunk = |bytes| ServerMessage::SceneChunk { offset: 0, bytes: vec![0; bytes] };
+        let closing = |bytes| ServerMessage::Closing { reason: text(bytes) };
+        let unsupported = |bytes| ServerMessage::Refused(Refusal::Unsupported(text(bytes)));
+        for (good, bad, field, limit) in [
+            (closing(1024), closing(1025), "reason", 1024),
+            (unsupported(1024), unsupported(1025), "refusal", 1024),
+            (draining(1024, 0), draining(1025, 0), "reason", 1024),
+            (draining(0, 1024), draining(0, 1025), "alternative", 1024),
+            (chunk(SCENE_CHUNK_BYTES), chunk(SCENE_CHUNK_BYTES + 1), "scene chunk", SCENE_CHUNK_BYTES),
+        ] {
+            assert_eq!(decoded(&good), Ok(good));
+            assert_eq!(decoded(&bad), Err(MessageError::Text { field, bytes: limit + 1, limit }));
+        }
+    }
+
+    #[test]
+    fn a_message_is_all_of_its_bytes() {
+        let bytes = encode(&ClientMessage::Hello(hello())).unwrap();
+        for length in 4..bytes.len() {
+            let error = decode::<ClientMessage>(&bytes[4..length]).unwrap_err();
+            assert!(matches!(error, MessageError::Malformed(_)), "{error}");
+        }
+        let long = [&bytes[4..], &[0]].concat();
+        assert_eq!(decode::<ClientMessage>(&long), Err(MessageError::Malformed("1 bytes left over".to_owned())));
     }
 }

@@ -1,5 +1,7 @@
 //! Whatever a mask holds, each codec gives it back bit by bit, in any number of slices.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
+
 mod common;
 
 use std::num::NonZeroU16;

@@ -1,5 +1,7 @@
 //! The receiving algorithm, case by case: dissertation §3.2, Figures 2 and 3.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
+
 use std::num::NonZeroU16;
 
 use gnomon_protocol::{
@@ -284,6 +286,9 @@ fn malformed_packets_are_counted_and_change_nothing_else() {
     assert_eq!(reassembler.stats().malformed, 6);
     assert_eq!(reassembler.push(&datagram(&good, b"def")), Ok(Complete));
     assert_eq!(reassembler.frame().unwrap().body, b"abcdef");
+    // A frame stays until the next packet, whatever that is.
+    assert!(reassembler.push(b"").is_err());
+    assert_eq!(reassembler.frame(), None);
 }
 
 #[test]

@@ -123,6 +123,7 @@ impl Reassembler {
     pub fn push(&mut self, datagram: &[u8]) -> Result<Progress, PacketError> {
         self.stats.packets += 1;
         self.stats.bytes += datagram.len() as u64;
+        self.state.leave_complete();
         let progress = self.take(datagram);
         match progress {
             Ok(Progress::Stored | Progress::Complete) => self.stats.stored += 1,

@@ -97,16 +97,18 @@ impl WholeFrame {
         Self { max_frame_bytes, current: None, settled: None, headless: None, frames_complete: 0, frames_incomplete: 0 }
     }
 
-    /// The frame that the last packet completed. It stays until [`Self::packet`] is called again.
+    /// Makes room for what follows: a frame that is complete is at hand no more.
+    pub(super) fn leave_complete(&mut self) {
+        self.current = self.current.filter(|current| !current.is_complete());
+    }
+
+    /// The frame that the last packet completed. To be left before the next packet.
     pub(super) fn complete(&self) -> Option<Current> {
         self.current.filter(Current::is_complete)
     }
 
     /// Decides about a packet.
     pub(super) fn packet(&mut self, packet: &FramePacket) -> Verdict {
-        if self.complete().is_some() {
-            self.current = None;
-        }
         let Some(current) = &mut self.current else {
             return self.waiting(packet);
         };

@@ -1,5 +1,7 @@
 //! A small seeded generator, so that tests replay exactly.
 
+#![allow(dead_code, reason = "each test binary uses a part of it")]
+
 /// `SplitMix64` (Steele, Lea and Flood, 2014).
 pub(crate) struct Random(pub(crate) u64);
 
@@ -15,5 +17,20 @@ impl Random {
     /// A number below `limit`, which is above 0.
     pub(crate) fn below(&mut self, limit: u64) -> u64 {
         self.next() % limit
+    }
+
+    #[allow(clippy::cast_possible_truncation, reason = "below a usize")]
+    /// A place in a list of `length` things.
+    pub(crate) fn index(&mut self, length: usize) -> usize {
+        (self.next() % length as u64) as usize
+    }
+
+    pub(crate) fn byte(&mut self) -> u8 {
+        self.next().to_le_bytes()[0]
+    }
+
+    /// True once in `n` times.
+    pub(crate) fn one_in(&mut self, n: u64) -> bool {
+        self.below(n) == 0
     }
 }

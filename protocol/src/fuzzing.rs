@@ -1,0 +1,164 @@
+//! Properties that hold for any bytes. The fuzz targets (`protocol/fuzz`) and the stable smoke test
+//! (`tests/fuzz_smoke.rs`) call these; nothing else should. Each panics when its property does not hold.
+
+use std::num::NonZeroU16;
+
+use serde::{Serialize, de::DeserializeOwned};
+
+use crate::{
+    codec::{CodecId, Decoder, Encoder},
+    frame::Frame,
+    header::{HEADER_BYTES, PacketHeader},
+    ids::FrameNumber,
+    limits::{MAX_LIGHTS, MAX_MESSAGE_BYTES, MAX_PIXELS},
+    mask::{Mask, MaskShape},
+    message::{self, CheckText, ClientMessage, ServerMessage},
+    pose::{Pose, decode_pose_packet, encode_pose_packet},
+    reassembler::{Policy, Progress, Reassembler},
+};
+
+/// A header that decodes encodes to the same bytes, and its payload is all that follows it.
+pub fn header(bytes: &[u8]) {
+    if let Ok((header, payload)) = PacketHeader::decode(bytes) {
+        assert_eq!(header.encode(), bytes[..HEADER_BYTES]);
+        assert_eq!(payload, &bytes[HEADER_BYTES..]);
+        assert_eq!(payload.len(), usize::from(header.data_bytes));
+    }
+}
+
+/// A pose, or a pose packet, that decodes is valid and encodes to the same bytes.
+pub fn pose(bytes: &[u8]) {
+    if let Ok(pose) = Pose::decode(bytes) {
+        assert_eq!(pose.validate(), Ok(()));
+        assert_eq!(pose.encode(), bytes);
+    }
+    if let Ok((sequence, frame, pose)) = decode_pose_packet(bytes) {
+        assert_eq!(pose.validate(), Ok(()));
+        assert_eq!(encode_pose_packet(sequence, frame, &pose), bytes);
+    }
+}
+
+/// A message that decodes, from either side, encodes to no more bytes than it came from, and these decode to it.
+/// (Not to the same bytes: postcard reads numbers with leading zero groups.)
+pub fn message(bytes: &[u8]) {
+    one_message::<ClientMessage>(bytes);
+    one_message::<ServerMessage>(bytes);
+    if let Some((prefix, _)) = bytes.split_first_chunk() {
+        let stated = u32::from_le_bytes(*prefix) as usize;
+        assert_eq!(message::decode_length(*prefix).ok(), (stated <= MAX_MESSAGE_BYTES).then_some(stated));
+    }
+}
+
+fn one_message<M: Serialize + DeserializeOwned + CheckText + PartialEq + std::fmt::Debug>(bytes: &[u8]) {
+    if let Ok(message) = message::decode::<M>(bytes) {
+        assert!(bytes.len() <= MAX_MESSAGE_BYTES);
+        let encoded = message::encode(&message);
+        assert!(encoded.as_ref().is_ok_and(|encoded| encoded.len() - 4 <= bytes.len()), "{encoded:?}");
+        let again = encoded.and_then(|encoded| message::decode::<M>(&encoded[4..]));
+        assert_eq!(again.as_ref(), Ok(&message));
+    }
+}
+
+/// A frame that decodes has the shape that its head says, within the limits, and every codec gives the mask back bit
+/// by bit: so nothing is set outside the picture. A decoder that has failed decodes the next frame as a new one does.
+pub fn codec(bytes: &[u8]) {
+    let tiny = Mask::new(tiny_shape());
+    let (mut decoder, mut mask) = (Decoder::new(), tiny.clone());
+    let result = decoder.decode(bytes, &mut mask);
+    assert_eq!(mask.words().len(), mask.shape().words());
+    if let Ok(codec) = result {
+        let frame = Frame::parse(bytes);
+        assert!(frame.is_ok_and(|frame| frame.head.shape == mask.shape() && frame.head.codec == codec));
+        assert!(mask.shape().pixels() <= MAX_PIXELS as usize && mask.shape().lights() <= MAX_LIGHTS);
+        for codec in CodecId::ALL {
+            gives_back(codec, &mask, &mut decoder);
+        }
+    }
+    gives_back(CodecId::PlanesLz4, &tiny, &mut decoder);
+}
+
+fn gives_back(codec: CodecId, mask: &Mask, decoder: &mut Decoder) {
+    let (mut body, mut again) = (Vec::new(), Mask::new(tiny_shape()));
+    // Noise in 32 lights near the largest size is all that cannot be encoded, and no input here is as long.
+    assert_eq!(Encoder::new(codec).encode(mask, &mut body), Ok(()));
+    assert!(decoder.decode(&body, &mut again).is_ok_and(|found| found == codec));
+    assert!(again == *mask, "{codec} changes the mask");
+}
+
+/// The smallest shape. Within the limits, as the smallest always is.
+fn tiny_shape() -> MaskShape {
+    let Ok(shape) = MaskShape::new(1, 1, 1) else { unreachable!("1×1×1 is a shape") };
+    shape
+}
+
+/// The longest frame that [`reassembler`] allows.
+const MAX_BODY_BYTES: usize = 64;
+
+/// Whatever packets come, frames come out in increasing order and within their limit, memory stays within it, and the
+/// counts add up. As long as only honest packets came, in whatever order, every frame that comes out is byte-exact.
+///
+/// The bytes are a list of packets. One that begins with a byte below 0x80 is that many bytes as they are. Otherwise
+/// the next byte names frame (upper four bits) and packet (lower four, modulo) of an honest packet, whose number of packets
+/// and first-packet flag the first byte's low six bits change when its bit 6 is set.
+pub fn reassembler(bytes: &[u8]) {
+    let mut reassembler = Reassembler::with_max_frame_bytes(Policy::WholeFrame, MAX_BODY_BYTES);
+    let (mut newest, mut honest, mut packets, mut complete, mut rest) = (None, true, 0, 0, bytes);
+    while let [control, name, after @ ..] = rest {
+        let progress = if control & 0x80 == 0 {
+            honest = false;
+            let (datagram, after) = rest[1..].split_at(usize::from(*control).min(rest.len() - 1));
+            rest = after;
+            reassembler.push(datagram)
+        } else {
+            rest = after;
+            let frame = name >> 4;
+            let index = (name & 15) % honest_count(frame);
+            let change = if control & 0x40 == 0 { 0 } else { control & 0x3F };
+            honest &= change == 0;
+            reassembler.push(&honest_packet(frame, index, change))
+        };
+        packets += 1;
+        let frame = reassembler.frame();
+        assert_eq!(frame.is_some(), progress == Ok(Progress::Complete));
+        if let Some(frame) = frame {
+            complete += 1;
+            assert!(newest < Some(frame.frame), "{newest:?}, then {frame:?}");
+            newest = Some(frame.frame);
+            assert!((1..=MAX_BODY_BYTES).contains(&frame.body.len()));
+            assert!(frame.body.len() >= usize::from(frame.packets));
+            if honest {
+                let number = frame.frame.0.to_le_bytes()[0];
+                let whole: Vec<u8> = (0..honest_count(number)).flat_map(|index| honest_data(number, index)).collect();
+                assert_eq!(frame.body, whole);
+            }
+        }
+        assert!(reassembler.buffer_bytes() <= MAX_BODY_BYTES);
+    }
+    let stats = reassembler.stats();
+    assert_eq!((stats.packets, stats.frames_complete), (packets, complete));
+    assert_eq!(stats.stored + stats.ignored() + stats.malformed, packets);
+}
+
+/// Packets of an honest frame: 1 to 7.
+fn honest_count(frame: u8) -> u8 {
+    1 + frame * 5 % 7
+}
+
+/// Data of one packet of an honest frame: 1 to 4 bytes.
+fn honest_data(frame: u8, index: u8) -> impl Iterator<Item = u8> {
+    (0..1 + (frame + index) % 4).map(move |byte| frame << 4 ^ index ^ byte << 6)
+}
+
+fn honest_packet(frame: u8, index: u8, change: u8) -> Vec<u8> {
+    let data: Vec<u8> = honest_data(frame, index).collect();
+    let header = PacketHeader {
+        // The last frames' numbers lie beyond the wrap.
+        sequence: (u32::MAX - 60).wrapping_add(u32::from(frame) * 8 + u32::from(index)),
+        frame: Some(FrameNumber(u32::from(frame))),
+        data_bytes: u16::from(data.len().to_le_bytes()[0]),
+        frame_packets: NonZeroU16::new(u16::from(honest_count(frame) ^ change >> 2)),
+        first: (index == 0) != (change & 1 == 1),
+        timestamp_ms: Some(u32::from(frame ^ change & 2)),
+    };
+    [&header.encode()[..], &data].concat()
+}

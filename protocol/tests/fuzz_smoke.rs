@@ -1,0 +1,161 @@
+//! The fuzz targets' entry points on the stable toolchain: noise, valid inputs, and valid inputs that were damaged.
+//! Seeded, so that a failure comes again. The targets themselves run under `cargo fuzz` (see `protocol/fuzz`).
+
+mod common;
+
+use std::num::NonZeroU16;
+
+use gnomon_protocol::{
+    codec::{CodecId, Encoder},
+    fuzzing,
+    header::PacketHeader,
+    ids::{FrameNumber, SceneDigest, SessionId},
+    mask::{Mask, MaskShape},
+    message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
+    pose::{Pose, encode_pose_packet},
+};
+
+use crate::common::Random;
+
+/// Noise, the seeds, and damaged seeds, `rounds` of each.
+fn drive(entry: fn(&[u8]), seeds: &[Vec<u8>], rounds: u32) {
+    let mut random = Random(1);
+    for seed in seeds {
+        entry(seed);
+        // Every prefix, where there are not too many.
+        (0..seed.len().min(300)).for_each(|length| entry(&seed[..length]));
+    }
+    for _ in 0..rounds {
+        let length = random.index(200);
+        let noise: Vec<u8> = (0..length).map(|_| random.byte()).collect();
+        entry(&noise);
+        entry(&damaged(seeds, &mut random));
+    }
+}
+
+/// A seed with one to four changes: bits, bytes, lengths, or a part of another seed.
+fn damaged(seeds: &[Vec<u8>], random: &mut Random) -> Vec<u8> {
+    let pick = |random: &mut Random| &seeds[random.index(seeds.len())];
+    let mut bytes = pick(random).clone();
+    for _ in 0..=random.below(3) {
+        let place = random.index(bytes.len() + 1);
+        match random.below(6) {
+            0 => bytes.truncate(place),
+            1 => bytes.insert(place, random.byte()),
+            2 => bytes.extend((0..random.below(9)).map(|_| 0xFF)),
+            3 => {
+                let other = pick(random);
+                bytes.truncate(place);
+                bytes.extend_from_slice(&other[random.index(other.len() + 1)..]);
+            }
+            kind => {
+                if let Some(byte) = bytes.get_mut(place) {
+                    *byte = if kind == 4 { *byte ^ (1 << random.below(8)) } else { random.byte() };
+                }
+            }
+        }
+    }
+    bytes
+}
+
+#[test]
+fn header() {
+    let full = PacketHeader {
+        sequence: 7,
+        frame: Some(FrameNumber(3)),
+        data_bytes: 4,
+        frame_packets: NonZeroU16::new(2),
+        first: true,
+        timestamp_ms: Some(99),
+    };
+    let empty = PacketHeader { frame: None, data_bytes: 0, frame_packets: None, timestamp_ms: None, ..full };
+    let seeds = [[&full.encode()[..], b"data"].concat(), empty.encode().to_vec()];
+    drive(fuzzing::header, &seeds, 20_000);
+}
+
+#[test]
+fn pose() {
+    let pose = Pose {
+        position_m: [1.0, 2.0, -3.0],
+        orientation: [0.0, 0.0, 0.0, 1.0],
+        yfov_rad: 1.0,
+        scene_time_s: 0.0,
+        client_time_ms: 5,
+    };
+    let seeds = [pose.encode().to_vec(), encode_pose_packet(1, FrameNumber(2), &pose).to_vec()];
+    drive(fuzzing::pose, &seeds, 20_000);
+}
+
+#[test]
+fn message() {
+    let text = || "a reason".to_owned();
+    let hello =
+        Hello { version: 1, token: Some(text()), client: text(), width: 1920, height: 1080, codec: CodecId::PlanesLz4 };
+    let welcome = Welcome {
+        session: SessionId(u64::MAX),
+        scene_digest: SceneDigest([7; 32]),
+        scene_bytes: 1 << 29,
+        lights: 4,
+        backend: text(),
+        data_port: Some(4433),
+    };
+    let client = [
+        ClientMessage::Hello(hello),
+        ClientMessage::FetchScene { offset: 1 << 40 },
+        ClientMessage::Start,
+        ClientMessage::Ping(300),
+        ClientMessage::Bye,
+    ];
+    let server = [
+        ServerMessage::Welcome(welcome),
+        ServerMessage::Refused(Refusal::Version { server: 1, client: 2 }),
+        ServerMessage::Refused(Refusal::Full { sessions: 8, retry_after_ms: 1000 }),
+        ServerMessage::Refused(Refusal::Unsupported(text())),
+        ServerMessage::SceneChunk { offset: 65_536, bytes: vec![1; 100] },
+        ServerMessage::Pong(300),
+        ServerMessage::Draining { reason: text(), deadline_ms: 5000, alternative: Some(text()) },
+        ServerMessage::Closing { reason: text() },
+    ];
+    let encoded = client.iter().map(message::encode).chain(server.iter().map(message::encode));
+    let seeds: Vec<_> = encoded.map(|bytes| bytes.unwrap()[4..].to_vec()).collect();
+    drive(fuzzing::message, &seeds, 20_000);
+}
+
+#[test]
+fn codec() {
+    let mut seeds = Vec::new();
+    for (width, height, lights) in [(1, 1, 1), (8, 8, 3), (37, 21, 2), (64, 40, 9)] {
+        let mut mask = Mask::new(MaskShape::new(width, height, lights).unwrap());
+        for light in 0..lights {
+            for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                mask.set(light, x, y, x * 3 > y * (light + 1));
+            }
+        }
+        for codec in CodecId::ALL {
+            for slices in [1, 3] {
+                let mut body = Vec::new();
+                Encoder::with_slices(codec, NonZeroU16::new(slices).unwrap()).encode(&mask, &mut body).unwrap();
+                seeds.push(body);
+            }
+        }
+    }
+    drive(fuzzing::codec, &seeds, 4_000);
+}
+
+#[test]
+fn reassembler() {
+    let mut random = Random(2);
+    let in_order = || (0..16u8).flat_map(|frame| (0..7).map(move |packet| frame << 4 | packet));
+    // All packets; nine in ten; all with some exchanged; all with some damaged.
+    let all: Vec<u8> = in_order().flat_map(|name| [0x80, name]).collect();
+    let some: Vec<u8> = in_order().filter(|_| random.below(10) > 0).flat_map(|name| [0x80, name]).collect();
+    let mut mixed: Vec<u8> = in_order().collect();
+    for _ in 0..8 {
+        let place = random.index(mixed.len() - 1);
+        mixed.swap(place, place + 1);
+    }
+    let mixed = mixed.into_iter().flat_map(|name| [0x80, name]).collect();
+    let bent = in_order().flat_map(|name| [if random.below(9) > 0 { 0x80 } else { random.byte() | 0x80 }, name]);
+    let bent: Vec<u8> = bent.collect();
+    drive(fuzzing::reassembler, &[all, some, mixed, bent], 10_000);
+}
