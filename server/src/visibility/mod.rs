@@ -17,6 +17,7 @@
 //!    triangle whose alpha is there, stops it. Bit 1 when nothing does.
 
 pub mod backend;
+pub mod bvh;
 
 use std::time::Instant;
 

@@ -4,6 +4,8 @@ use thiserror::Error;
 
 use gnomon_shaders::gpu::GpuError;
 
+pub mod cpu;
+
 /// Why a back end cannot be had for a scene.
 #[derive(Debug, Error)]
 pub enum BackendError {
@@ -51,5 +53,19 @@ pub enum BackendError {
         threads: usize,
         /// The system's reason.
         reason: String,
+    },
+    /// More triangles than an index can name.
+    #[error("{found} triangles stop rays: the cpu back end traces at most {limit}")]
+    Triangles {
+        /// Triangles that stop rays.
+        found: usize,
+        /// The most that fit.
+        limit: usize,
+    },
+    /// A MASK material's picture is not decoded.
+    #[error("material {material} tests alpha, but its picture is not decoded")]
+    Alpha {
+        /// Index of the material.
+        material: u32,
     },
 }

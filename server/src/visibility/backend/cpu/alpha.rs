@@ -1,0 +1,180 @@
+//! Whether a point of a MASK triangle is there.
+
+use gnomon_shaders::scene::{AlphaMode, Scene, Wrap};
+
+use crate::visibility::backend::BackendError;
+
+/// The MASK triangles' texture coordinates and their materials' alpha.
+#[derive(Debug)]
+pub(super) struct Alpha {
+    /// Index of the first MASK triangle: the OPAQUE ones come first.
+    first: u32,
+    triangles: Vec<MaskTriangle>,
+    materials: Vec<MaskMaterial>,
+}
+
+/// A full-size alpha channel, row by row.
+#[derive(Debug)]
+struct AlphaPicture {
+    width: u32,
+    height: u32,
+    alpha: Vec<u8>,
+}
+
+/// The alpha of `material`'s picture, if it has one and it is decoded.
+fn alpha_picture(scene: &Scene, material: u32) -> Option<AlphaPicture> {
+    let image = &scene.images[scene.materials[material as usize].base_color_texture?.image as usize];
+    let alpha: Vec<u8> = image.rgba.chunks_exact(4).map(|pixel| pixel[3]).collect();
+    (alpha.len() == image.width as usize * image.height as usize && !alpha.is_empty()).then_some(AlphaPicture {
+        width: image.width,
+        height: image.height,
+        alpha,
+    })
+}
+
+#[derive(Debug)]
+struct MaskTriangle {
+    uvs: [[f32; 2]; 3],
+    material: u32,
+}
+
+#[derive(Debug)]
+struct MaskMaterial {
+    cutoff: f32,
+    factor: f32,
+    picture: Option<(AlphaPicture, [Wrap; 2])>,
+}
+
+impl Alpha {
+    /// What the MASK triangles of `scene` need.
+    ///
+    /// # Errors
+    /// When a MASK material's picture is not decoded.
+    pub(super) fn new(scene: &Scene) -> Result<Self, BackendError> {
+        let mut alpha = Self { first: 0, triangles: Vec::new(), materials: Vec::new() };
+        let mut places = vec![None; scene.materials.len()];
+        for draw in &scene.draws {
+            let material = &scene.materials[draw.material as usize];
+            let AlphaMode::Mask { cutoff } = material.alpha else { continue };
+            if alpha.triangles.is_empty() {
+                alpha.first = draw.first_triangle;
+            }
+            let place = match places[draw.material as usize] {
+                Some(place) => place,
+                None => {
+                    let picture = match material.base_color_texture {
+                        None => None,
+                        Some(texture) => Some((
+                            alpha_picture(scene, draw.material)
+                                .ok_or(BackendError::Alpha { material: draw.material })?,
+                            [texture.wrap_u, texture.wrap_v],
+                        )),
+                    };
+                    alpha.materials.push(MaskMaterial { cutoff, factor: material.base_color.w, picture });
+                    *places[draw.material as usize].insert(alpha.materials.len() - 1)
+                }
+            };
+            let place = u32::try_from(place).map_err(|_| BackendError::Alpha { material: draw.material })?;
+            let first = draw.first_triangle as usize;
+            for triangle in &scene.triangles[first..first + draw.triangles as usize] {
+                let uvs = triangle.map(|i| scene.uvs[i as usize].to_array());
+                alpha.triangles.push(MaskTriangle { uvs, material: place });
+            }
+        }
+        Ok(alpha)
+    }
+
+    /// Whether the point of MASK triangle `triangle` with these weights of its corners is there. The weights need not sum
+    /// to 1.
+    pub(super) fn is_there(&self, triangle: u32, weights: [f32; 3]) -> bool {
+        let triangle = &self.triangles[(triangle - self.first) as usize];
+        let material = &self.materials[triangle.material as usize];
+        let Some((picture, wraps)) = &material.picture else { return material.factor >= material.cutoff };
+        let sum = weights[0] + weights[1] + weights[2];
+        let [u, v] = [0, 1].map(|i| {
+            (triangle.uvs[0][i] * weights[0] + triangle.uvs[1][i] * weights[1] + triangle.uvs[2][i] * weights[2]) / sum
+        });
+        sample(picture, *wraps, u, v) / 255.0 * material.factor >= material.cutoff
+    }
+
+    /// Bytes of memory that pictures and coordinates take.
+    pub(super) fn memory_bytes(&self) -> usize {
+        let pictures: usize =
+            self.materials.iter().filter_map(|material| Some(material.picture.as_ref()?.0.alpha.len())).sum();
+        pictures + size_of_val(&*self.triangles)
+    }
+}
+
+/// The bilinear sample of `picture` at (u, v), 0 to 255.
+fn sample(picture: &AlphaPicture, [wrap_u, wrap_v]: [Wrap; 2], u: f32, v: f32) -> f32 {
+    #[expect(clippy::cast_precision_loss, reason = "pictures are smaller than 2^24 pixels a side")]
+    let (x, y) = (u * picture.width as f32 - 0.5, v * picture.height as f32 - 0.5);
+    let (x0, y0) = (x.floor(), y.floor());
+    let columns = texels(x0, picture.width, wrap_u);
+    let rows = texels(y0, picture.height, wrap_v);
+    let at = |x: u32, y: u32| f32::from(picture.alpha[y as usize * picture.width as usize + x as usize]);
+    let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
+    let row = |y: u32| mix(at(columns[0], y), at(columns[1], y), x - x0);
+    mix(row(rows[0]), row(rows[1]), y - y0)
+}
+
+/// The texels `at` and `at + 1` of a side of `size` texels, wrapped.
+fn texels(at: f32, size: u32, wrap: Wrap) -> [u32; 2] {
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "the cast saturates, and any texel of the picture will do there"
+    )]
+    let first = at as i32;
+    let size = i64::from(size);
+    [i64::from(first), i64::from(first) + 1].map(|i| {
+        let wrapped = match wrap {
+            Wrap::Repeat => i.rem_euclid(size),
+            Wrap::MirroredRepeat => {
+                let i = i.rem_euclid(2 * size);
+                i.min(2 * size - 1 - i)
+            }
+            Wrap::ClampToEdge => i.clamp(0, size - 1),
+        };
+        u32::try_from(wrapped).unwrap_or(0)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture() -> AlphaPicture {
+        AlphaPicture { width: 4, height: 2, alpha: vec![0, 40, 80, 120, 200, 200, 200, 200] }
+    }
+
+    #[test]
+    fn a_texels_centre_is_its_own_value_and_between_two_it_is_mixed() {
+        let wraps = [Wrap::ClampToEdge; 2];
+        assert_eq!(sample(&picture(), wraps, 0.375, 0.25), 40.0);
+        assert_eq!(sample(&picture(), wraps, 0.5, 0.25), 60.0);
+        assert_eq!(sample(&picture(), wraps, 0.375, 0.5), 120.0);
+    }
+
+    #[test]
+    fn sides_wrap_as_they_are_told() {
+        for (wrap, left, right) in
+            [(Wrap::ClampToEdge, 0.0, 120.0), (Wrap::Repeat, 60.0, 60.0), (Wrap::MirroredRepeat, 0.0, 120.0)]
+        {
+            assert_eq!(sample(&picture(), [wrap, Wrap::ClampToEdge], 0.0, 0.25), left, "{wrap:?}");
+            assert_eq!(sample(&picture(), [wrap, Wrap::ClampToEdge], 1.0, 0.25), right, "{wrap:?}");
+        }
+        assert_eq!(sample(&picture(), [Wrap::Repeat; 2], 5.375, -2.75), 40.0);
+        assert_eq!(sample(&picture(), [Wrap::MirroredRepeat; 2], 1.875, 0.25), 0.0);
+        assert_eq!(sample(&picture(), [Wrap::MirroredRepeat; 2], 2.375, 0.25), 40.0);
+    }
+
+    #[test]
+    fn coordinates_out_of_all_range_are_no_panic() {
+        for u in [f32::MAX, f32::MIN, f32::INFINITY, f32::NAN, 1e20, -1e20] {
+            for wrap in [Wrap::Repeat, Wrap::MirroredRepeat, Wrap::ClampToEdge] {
+                let value = sample(&picture(), [wrap; 2], u, u);
+                assert!(value.is_nan() || (0.0..=255.0).contains(&value), "{u} gives {value}");
+            }
+        }
+    }
+}

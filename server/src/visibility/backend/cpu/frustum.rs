@@ -1,0 +1,79 @@
+//! The space that a group's rays sweep, against the eight boxes of a node at once.
+//!
+//! In the group's frame the rays lie between two planes x = b + a·z on either side, and two more for y. A box is out when it
+//! is beyond one of the four, behind the origin, or farther than `z_far`. All 64 rays cost what one would.
+
+use super::{
+    group::Group,
+    simd::{F8, Simd},
+};
+use crate::visibility::bvh::Node;
+
+/// Widening of the planes, as slope for rays from an apex and relative to the scene's size for parallel ones. An edge
+/// function is off by a few roundings (2⁻²⁴ each) of its corners' distance from the origin, so a ray can be counted to a
+/// triangle that it misses by that much, and must be let into its box.
+const SLACK: f32 = 1.0 / (1 << 20) as f32;
+
+/// The planes, one number in all lanes.
+pub(super) struct Frustum<S: Simd> {
+    axes: [usize; 3],
+    w_negative: bool,
+    origin: [S::F; 2],
+    w_sign: S::F,
+    w_offset: S::F,
+    /// Slopes: lowest x, highest x, lowest y, highest y.
+    slope: [S::F; 4],
+    /// Where the planes are at z = 0.
+    base: [S::F; 4],
+    z_near: S::F,
+}
+
+impl<S: Simd> Frustum<S> {
+    /// The space swept by `group`. `scene_size_m` is a bound on the scene's coordinates relative to the origin of
+    /// parallel rays.
+    #[inline(always)]
+    pub(super) fn new<const PARALLEL: bool>(s: S, group: &Group, scene_size_m: f32) -> Self {
+        let projection = &group.projection;
+        let [u, v, w] = projection.origin;
+        let bounds = [group.group_x[0], group.group_x[1], group.group_y[0], group.group_y[1]];
+        let widen = |slack: f32| {
+            [bounds[0] - slack, bounds[1] + slack, bounds[2] - slack, bounds[3] + slack].map(|bound| s.splat(bound))
+        };
+        let [shear_x, shear_y] = projection.shear;
+        let (slope, base, z_near) = if PARALLEL {
+            ([shear_x, shear_x, shear_y, shear_y].map(|a| s.splat(a)), widen(SLACK * scene_size_m), f32::NEG_INFINITY)
+        } else {
+            (widen(SLACK), [s.splat(0.0); 4], 0.0)
+        };
+        Self {
+            axes: projection.axes,
+            w_negative: projection.w_sign < 0.0,
+            origin: [s.splat(u), s.splat(v)],
+            w_sign: s.splat(projection.w_sign),
+            w_offset: s.splat(w * projection.w_sign),
+            slope,
+            base,
+            z_near: s.splat(z_near),
+        }
+    }
+
+    /// Which children of `node` the rays can meet before `z_far`, and where each box begins along z.
+    #[inline(always)]
+    pub(super) fn meet(&self, s: S, node: &Node, z_far: S::F) -> (u8, S::F) {
+        let [u, v, w] = self.axes;
+        let (near, far): (&F8, &F8) =
+            if self.w_negative { (&node.max[w], &node.min[w]) } else { (&node.min[w], &node.max[w]) };
+        let z0 = s.max(s.fms(s.load(near), self.w_sign, self.w_offset), self.z_near);
+        let z1 = s.min(s.fms(s.load(far), self.w_sign, self.w_offset), z_far);
+        let low_x = s.load(&node.min[u]) - self.origin[0];
+        let high_x = s.load(&node.max[u]) - self.origin[0];
+        let low_y = s.load(&node.min[v]) - self.origin[1];
+        let high_y = s.load(&node.max[v]) - self.origin[1];
+        // The lower planes are lowest, the upper ones highest, at one end of the box or the other.
+        let lower = |i: usize| s.fma(self.slope[i], s.select_negative(self.slope[i], z1, z0), self.base[i]);
+        let upper = |i: usize| s.fma(self.slope[i], s.select_negative(self.slope[i], z0, z1), self.base[i]);
+        let in_x = s.and(s.ge(high_x, lower(0)), s.ge(upper(1), low_x));
+        let in_y = s.and(s.ge(high_y, lower(2)), s.ge(upper(3), low_y));
+        (s.bits(s.and(s.and(in_x, in_y), s.ge(z1, z0))), z0)
+    }
+}

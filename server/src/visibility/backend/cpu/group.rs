@@ -1,0 +1,146 @@
+//! A group of up to 64 rays that meet in one point or run in parallel, and so make a picture of the scene.
+//!
+//! Camera rays start at the camera; shadow rays, read backwards, all start at the light, or run along the sun's
+//! direction. Seen from there a group's rays are points (x, y) of a projection plane, a triangle is a triangle of that plane,
+//! and whether a ray meets it is the sign of three edge functions, as in a rasteriser (Olano and Greer, "Triangle Scan
+//! Conversion using 2D Homogeneous Coordinates", 1997). Two triangles compute a shared edge's function from the same numbers
+//! with opposite signs, bit for bit, so no ray slips between them.
+//!
+//! The plane is a face of a cube around the origin: each ray belongs to the face that its direction points to, so that
+//! |x|, |y| ≤ 1. A tile whose rays point to several faces is several groups.
+
+use glam::Vec3;
+
+use super::simd::{F8, Simd};
+
+/// Packets in a group; a packet is eight rays.
+pub(super) const PACKETS: usize = 8;
+
+/// A cube face: 2·axis, plus 1 for the negative side.
+pub(super) type Face = u8;
+
+/// The face that `direction` points to.
+pub(super) fn face_of(direction: Vec3) -> Face {
+    let a = direction.abs();
+    let (axis, face) = if a.x >= a.y && a.x >= a.z {
+        (0, 0)
+    } else if a.y >= a.z {
+        (1, 2)
+    } else {
+        (2, 4)
+    };
+    face + u8::from(direction[axis] < 0.0)
+}
+
+/// How scene points become points of the plane. Coordinates (u, v, w) are the scene's, permuted, w mirrored on negative
+/// faces; the frame stays right-handed, so that normals keep their sense.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Projection {
+    /// The scene axes that u, v and w are.
+    pub(super) axes: [usize; 3],
+    /// −1 on negative faces.
+    pub(super) w_sign: f32,
+    /// The apex, or a reference point in the scene for parallel rays; in scene axes (u, v, w), w not mirrored.
+    pub(super) origin: [f32; 3],
+    /// For parallel rays, the change of u and v along w; else 0.
+    pub(super) shear: [f32; 2],
+}
+
+impl Projection {
+    /// Rays that start at `apex` and point to `face`.
+    pub(super) fn from_apex(apex: Vec3, face: Face) -> Self {
+        let w = usize::from(face / 2);
+        let negative = face % 2 == 1;
+        let (u, v) = if negative { ((w + 2) % 3, (w + 1) % 3) } else { ((w + 1) % 3, (w + 2) % 3) };
+        let w_sign = if negative { -1.0 } else { 1.0 };
+        Self { axes: [u, v, w], w_sign, origin: [apex[u], apex[v], apex[w]], shear: [0.0; 2] }
+    }
+
+    /// Rays that run along `direction`.
+    pub(super) fn along(direction: Vec3, reference: Vec3) -> Self {
+        let this = Self::from_apex(reference, face_of(direction));
+        let [u, v, w] = this.axes;
+        let depth = direction[w].abs();
+        Self { shear: [direction[u] / depth, direction[v] / depth], ..this }
+    }
+
+    /// Three numbers by scene axis as (u, v, w).
+    #[inline(always)]
+    pub(super) fn permute<S: Simd>(&self, s: S, by_axis: [S::F; 3]) -> [S::F; 3] {
+        let [u, v, w] = self.axes;
+        [by_axis[u], by_axis[v], by_axis[w] * s.splat(self.w_sign)]
+    }
+}
+
+/// The rays, as points of the plane.
+#[derive(Debug, Clone)]
+pub(super) struct Group {
+    pub(super) projection: Projection,
+    /// x and y of each packet's rays.
+    pub(super) x: [F8; PACKETS],
+    pub(super) y: [F8; PACKETS],
+    /// Bit i of `lanes[p]`: ray i of packet p is in the group.
+    pub(super) lanes: [u8; PACKETS],
+    /// Bit p: packet p has rays.
+    pub(super) packets: u8,
+    /// Each packet's bounds, packets side by side: lowest and highest x, then y.
+    pub(super) packet_x: [F8; 2],
+    pub(super) packet_y: [F8; 2],
+    /// The group's bounds: lowest and highest.
+    pub(super) group_x: [f32; 2],
+    pub(super) group_y: [f32; 2],
+}
+
+impl Group {
+    /// A group without rays.
+    pub(super) fn empty(projection: Projection) -> Self {
+        let nothing = [F8([f32::INFINITY; 8]), F8([f32::NEG_INFINITY; 8])];
+        Self {
+            projection,
+            x: [F8::default(); PACKETS],
+            y: [F8::default(); PACKETS],
+            lanes: [0; PACKETS],
+            packets: 0,
+            packet_x: nothing,
+            packet_y: nothing,
+            group_x: [f32::INFINITY, f32::NEG_INFINITY],
+            group_y: [f32::INFINITY, f32::NEG_INFINITY],
+        }
+    }
+
+    /// Fills packet `p`, which must be empty. The rays are those in `lanes`, at least one.
+    #[inline(always)]
+    pub(super) fn set_packet<S: Simd>(&mut self, s: S, p: usize, x: S::F, y: S::F, lanes: u8) {
+        let active = s.mask(lanes);
+        let (low, high) = (s.splat(f32::INFINITY), s.splat(f32::NEG_INFINITY));
+        s.store(x, &mut self.x[p]);
+        s.store(y, &mut self.y[p]);
+        self.lanes[p] = lanes;
+        self.packets |= 1 << p;
+        for (v, packet, group) in
+            [(x, &mut self.packet_x, &mut self.group_x), (y, &mut self.packet_y, &mut self.group_y)]
+        {
+            let bounds = [s.lowest(s.select(active, v, low)), s.highest(s.select(active, v, high))];
+            packet[0].0[p] = bounds[0];
+            packet[1].0[p] = bounds[1];
+            *group = [group[0].min(bounds[0]), group[1].max(bounds[1])];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_face_is_seen_in_a_right_handed_frame() {
+        for face in 0..6 {
+            let projection = Projection::from_apex(Vec3::ZERO, face);
+            let [u, v, w] = projection.axes.map(|axis| Vec3::AXES[axis]);
+            let towards = w * projection.w_sign;
+            assert_eq!(u.cross(v), towards);
+            assert_eq!(face_of(towards), face);
+            assert_eq!(face_of(towards + (u - v) * 0.9), face);
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! One tile of 8×8 pixels: camera rays, surface points, then shadow rays light by light.
+
+use std::time::{Duration, Instant};
+
+use glam::Vec3;
+use gnomon_protocol::mask::TILE_PX;
+use gnomon_shaders::camera::RayBasis;
+
+use super::{
+    alpha::Alpha,
+    count::Counter,
+    group::{Group, PACKETS, Projection},
+    light::{PreparedLight, lanes_by_face},
+    simd::{F8, Simd},
+    surface::{Corners, Surface},
+    traverse::{Hits, Scratch, closest, occlude},
+};
+use crate::visibility::bvh::WideBvh;
+
+/// Everything that tracing reads.
+pub(super) struct World {
+    pub(super) bvh: WideBvh,
+    pub(super) corners: Vec<Corners>,
+    pub(super) alpha: Alpha,
+    pub(super) lights: Vec<PreparedLight>,
+    /// Middle of the scene: where parallel rays are measured from.
+    pub(super) middle: Vec3,
+    /// No coordinate of the scene is farther than this from its middle, even sheared.
+    pub(super) size_m: f32,
+}
+
+/// The picture that a tile is a part of.
+#[derive(Clone, Copy)]
+pub(super) struct Picture {
+    pub(super) basis: RayBasis,
+    pub(super) width: u32,
+    pub(super) height: u32,
+}
+
+/// What a tile cost.
+#[derive(Debug, Default)]
+pub(super) struct TileCost<C> {
+    pub(super) primary: Duration,
+    pub(super) shadow: Duration,
+    pub(super) shadow_rays: u64,
+    /// What the camera rays' traversal did.
+    pub(super) primary_work: C,
+    /// What the shadow rays' traversal did.
+    pub(super) shadow_work: C,
+}
+
+/// Memory that a thread uses for one tile after another.
+pub(super) struct TileScratch {
+    directions: [[F8; PACKETS]; 3],
+    hits: Hits,
+    surface: Surface,
+    traversal: Scratch,
+}
+
+impl Default for TileScratch {
+    fn default() -> Self {
+        Self {
+            directions: [[F8::default(); PACKETS]; 3],
+            hits: Hits::default(),
+            surface: Surface::default(),
+            traversal: Scratch::default(),
+        }
+    }
+}
+
+/// Packets are 4×2 pixels: lane i of packet p is the pixel (4·(p mod 2) + i mod 4, 2·⌊p/2⌋ + ⌊i/4⌋) of the tile.
+const PACKET_CORNERS: [(u32, u32); PACKETS] = [(0, 0), (4, 0), (0, 2), (4, 2), (0, 4), (4, 4), (0, 6), (4, 6)];
+
+/// A packet's lanes as bits of the tile's word.
+fn word_bits(p: usize, lanes: u8) -> u64 {
+    let (x, y) = PACKET_CORNERS[p];
+    let row = 8 * y + x;
+    u64::from(lanes & 15) << row | u64::from(lanes >> 4) << (row + 8)
+}
+
+/// Traces tile (`tile_x`, `tile_y`); `write` is told each light's word.
+#[inline(always)]
+pub(super) fn trace_tile<S: Simd, C: Counter>(
+    s: S,
+    world: &World,
+    picture: &Picture,
+    (tile_x, tile_y): (u32, u32),
+    scratch: &mut TileScratch,
+    cost: &mut TileCost<C>,
+    mut write: impl FnMut(usize, u64),
+) {
+    let start = Instant::now();
+    let TileScratch { directions, hits, surface, traversal } = scratch;
+    let present = aim(s, picture, tile_x, tile_y, directions);
+    let way = |directions: &[[F8; PACKETS]; 3], p: usize| [0, 1, 2].map(|axis| s.load(&directions[axis][p]));
+
+    let mut faces = [[0; PACKETS]; 6];
+    for (p, &present) in present.iter().enumerate() {
+        let sorted = lanes_by_face(s, way(directions, p));
+        for (face, lanes) in faces.iter_mut().zip(sorted) {
+            face[p] = lanes & present;
+        }
+    }
+    hits.inverse_depth = [F8::default(); PACKETS];
+    for (face, lanes) in (0..).zip(&faces) {
+        if *lanes == [0; PACKETS] {
+            continue;
+        }
+        let projection = Projection::from_apex(picture.basis.origin, face);
+        let mut group = Group::empty(projection);
+        for p in (0..PACKETS).filter(|&p| lanes[p] != 0) {
+            let [x, y, z] = projection.permute(s, way(directions, p));
+            let inverse = s.div(s.splat(1.0), z);
+            group.set_packet(s, p, x * inverse, y * inverse, lanes[p]);
+        }
+        closest(s, world, &group, hits, traversal, &mut cost.primary_work);
+    }
+    for (p, &present) in present.iter().enumerate() {
+        let hit = s.bits(s.gt(s.load(&hits.inverse_depth[p]), s.splat(0.0))) & present;
+        let direction = way(directions, p);
+        surface.set_packet(s, p, hit, &world.corners, &hits.triangle[p], (picture.basis.origin, direction));
+    }
+    let traced = Instant::now();
+    cost.primary += traced - start;
+
+    for (plane, light) in world.lights.iter().enumerate() {
+        let mut rays = [0; PACKETS];
+        for p in (0..PACKETS).filter(|&p| surface.lanes[p] != 0) {
+            rays[p] = light.rays(s, surface, p);
+            cost.shadow_rays += u64::from(rays[p].count_ones());
+        }
+        write(plane, light_tile(s, world, light, &rays, surface, traversal, &mut cost.shadow_work));
+    }
+    cost.shadow += traced.elapsed();
+}
+
+/// The directions of a tile's camera rays, and which of them lie in the picture.
+#[inline(always)]
+fn aim<S: Simd>(
+    s: S,
+    picture: &Picture,
+    tile_x: u32,
+    tile_y: u32,
+    directions: &mut [[F8; PACKETS]; 3],
+) -> [u8; PACKETS] {
+    // Sides are at most 4096 pixels, so every centre is exact.
+    #[expect(clippy::cast_precision_loss, reason = "pixel coordinates are below 2^24")]
+    let float = |x: u32| x as f32;
+    let RayBasis { forward, right, up, .. } = picture.basis;
+    let lane_x = s.load(&F8([0.5, 1.5, 2.5, 3.5, 0.5, 1.5, 2.5, 3.5]));
+    let lane_y = s.load(&F8([0.5, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.5]));
+    let (width, height) = (s.splat(float(picture.width)), s.splat(float(picture.height)));
+    let (one, two) = (s.splat(1.0), s.splat(2.0));
+    let mut present = [0; PACKETS];
+    for (p, present) in present.iter_mut().enumerate() {
+        let (left, top) = PACKET_CORNERS[p];
+        let x = lane_x + s.splat(float(tile_x * TILE_PX + left));
+        let y = lane_y + s.splat(float(tile_y * TILE_PX + top));
+        *present = s.bits(s.and(s.gt(width, x), s.gt(height, y)));
+        let ndc_x = s.div(x * two, width) - one;
+        let ndc_y = one - s.div(y * two, height);
+        for axis in 0..3 {
+            let along = s.fma(s.splat(right[axis]), ndc_x, s.splat(forward[axis]));
+            s.store(s.fma(s.splat(up[axis]), ndc_y, along), &mut directions[axis][p]);
+        }
+    }
+    present
+}
+
+/// The word of the tile's pixels that `light` reaches, out of those in `rays`.
+#[inline(always)]
+fn light_tile<S: Simd, C: Counter>(
+    s: S,
+    world: &World,
+    light: &PreparedLight,
+    rays: &[u8; PACKETS],
+    surface: &Surface,
+    scratch: &mut Scratch,
+    count: &mut C,
+) -> u64 {
+    if *rays == [0; PACKETS] {
+        return 0;
+    }
+    let points = &surface.pushed;
+    let mut word = 0;
+    let mut collect = |group: &Group| {
+        for (p, &lanes) in group.lanes.iter().enumerate() {
+            word |= word_bits(p, lanes);
+        }
+    };
+    if light.directional {
+        let projection = Projection::along(light.direction, world.middle);
+        let mut group = Group::empty(projection);
+        let [u, v, w] = projection.axes;
+        for p in (0..PACKETS).filter(|&p| rays[p] != 0) {
+            let from_middle = |i: usize, axis: usize| s.load(&points[axis][p]) - s.splat(projection.origin[i]);
+            let z = from_middle(2, w) * s.splat(projection.w_sign);
+            let x = s.fnma(s.splat(projection.shear[0]), z, from_middle(0, u));
+            let y = s.fnma(s.splat(projection.shear[1]), z, from_middle(1, v));
+            group.set_packet(s, p, x, y, rays[p]);
+        }
+        occlude::<S, C, true>(s, world, &mut group, points, scratch, count);
+        collect(&group);
+        return word;
+    }
+    for (face, lanes) in (0..).zip(&light.faces(s, surface, rays)) {
+        if *lanes == [0; PACKETS] {
+            continue;
+        }
+        let projection = Projection::from_apex(light.position, face);
+        let mut group = Group::empty(projection);
+        let [u, v, w] = projection.axes;
+        for p in (0..PACKETS).filter(|&p| lanes[p] != 0) {
+            let from_light = |i: usize, axis: usize| s.load(&points[axis][p]) - s.splat(projection.origin[i]);
+            let inverse = s.div(s.splat(projection.w_sign), from_light(2, w));
+            group.set_packet(s, p, from_light(0, u) * inverse, from_light(1, v) * inverse, lanes[p]);
+        }
+        occlude::<S, C, false>(s, world, &mut group, points, scratch, count);
+        collect(&group);
+    }
+    word
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_lane_has_its_own_bit_of_the_word() {
+        let mut seen = 0;
+        for (p, (x, y)) in PACKET_CORNERS.into_iter().enumerate() {
+            for lane in 0..8 {
+                let bits = word_bits(p, 1 << lane);
+                assert_eq!(bits, 1 << (8 * (y + lane / 4) + x + lane % 4));
+                assert_eq!(seen & bits, 0);
+                seen |= bits;
+            }
+        }
+        assert_eq!(seen, u64::MAX);
+    }
+}

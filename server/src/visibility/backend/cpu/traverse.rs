@@ -1,0 +1,268 @@
+//! The way of a group of rays through the tree: nearest triangles, or whether anything is in the way.
+
+use super::{
+    alpha::Alpha,
+    count::Counter,
+    frustum::Frustum,
+    group::{Group, PACKETS, Projection},
+    leaf::{Prepared, prepare},
+    simd::{F8, Simd},
+    tile::World,
+};
+use crate::visibility::bvh::{Child, Leaf, Node};
+
+/// Memory that a thread uses again and again.
+#[derive(Default)]
+pub(super) struct Scratch {
+    /// What is still to be visited, and where its box begins along z.
+    stack: Vec<(Child, f32)>,
+    prepared: Prepared,
+}
+
+/// Nearest triangles.
+pub(super) struct Hits {
+    /// 1/z of the nearest hit, by packet; 0 without one.
+    pub(super) inverse_depth: [F8; PACKETS],
+    /// Index of the triangle hit.
+    pub(super) triangle: [[u32; 8]; PACKETS],
+}
+
+impl Default for Hits {
+    fn default() -> Self {
+        Self { inverse_depth: [F8::default(); PACKETS], triangle: [[0; 8]; PACKETS] }
+    }
+}
+
+/// Relative error of 1/z that a box may be culled with.
+const DEPTH_SLACK: f32 = 1.0 + 1.0 / (1 << 20) as f32;
+
+/// Finds the nearest triangle of every ray in `group`, which starts at an apex. `hits` may hold hits of other groups'
+/// rays; this group's must be empty.
+#[inline(always)]
+pub(super) fn closest<S: Simd, C: Counter>(
+    s: S,
+    world: &World,
+    group: &Group,
+    hits: &mut Hits,
+    scratch: &mut Scratch,
+    count: &mut C,
+) {
+    let frustum = Frustum::new::<false>(s, group, 0.0);
+    // The least 1/z that still matters, by packet and over all: what every ray of it has found already.
+    let mut packet_far = F8([f32::INFINITY; PACKETS]);
+    for p in 0..PACKETS {
+        if group.packets >> p & 1 == 1 {
+            packet_far.0[p] = 0.0;
+        }
+    }
+    let mut inverse_far = 0.0;
+    let mut z_far = f32::INFINITY;
+    let Scratch { stack, prepared } = scratch;
+    stack.clear();
+    stack.push((Child::Node(0), 0.0));
+    count.group();
+    while let Some((child, z)) = stack.pop() {
+        if z > z_far {
+            continue;
+        }
+        let leaf = match child {
+            Child::None => continue,
+            Child::Node(n) => {
+                count.node();
+                push_nearest_last(s, &frustum, &world.bvh.nodes[n as usize], z_far, stack);
+                continue;
+            }
+            Child::Leaf(l) => &world.bvh.leaves[l as usize],
+        };
+        count.leaf(leaf.used.count_ones());
+        let mut alive = prepare::<S, false, true>(s, leaf, group, inverse_far, prepared);
+        let mut found = false;
+        while alive != 0 {
+            let slot = alive.trailing_zeros() as usize;
+            alive &= alive - 1;
+            let mut packets = prepared.packets(s, slot, group);
+            count.packets(packets.count_ones());
+            while packets != 0 {
+                let p = packets.trailing_zeros() as usize;
+                packets &= packets - 1;
+                let (x, y) = (s.load(&group.x[p]), s.load(&group.y[p]));
+                let edges = prepared.edges_at(s, slot, x, y);
+                let inverse = prepared.inverse_depth_at(s, slot, x, y);
+                let best = s.load(&hits.inverse_depth[p]);
+                let inside = s.ge(s.min(s.min(edges[0], edges[1]), edges[2]), s.splat(0.0));
+                let mut lanes = s.bits(s.and(inside, s.gt(inverse, best))) & group.lanes[p];
+                if lanes == 0 {
+                    continue;
+                }
+                count.candidate();
+                if leaf.masked >> slot & 1 == 1 {
+                    lanes = there(s, &world.alpha, leaf.triangles[slot], edges, lanes);
+                    if lanes == 0 {
+                        continue;
+                    }
+                }
+                let best = s.select(s.mask(lanes), inverse, best);
+                s.store(best, &mut hits.inverse_depth[p]);
+                for (lane, triangle) in hits.triangle[p].iter_mut().enumerate() {
+                    if lanes >> lane & 1 == 1 {
+                        *triangle = leaf.triangles[slot];
+                    }
+                }
+                let nothing = s.splat(f32::INFINITY);
+                packet_far.0[p] = s.lowest(s.select(s.mask(group.lanes[p]), best, nothing));
+                found = true;
+            }
+        }
+        if found {
+            inverse_far = s.lowest(s.load(&packet_far));
+            z_far = if inverse_far > 0.0 { DEPTH_SLACK / inverse_far } else { f32::INFINITY };
+        }
+    }
+}
+
+/// Takes from `group` every ray that something stops before it ends at its point in `points` (scene axes, by packet).
+/// What stays reaches its point.
+#[inline(always)]
+pub(super) fn occlude<S: Simd, C: Counter, const PARALLEL: bool>(
+    s: S,
+    world: &World,
+    group: &mut Group,
+    points: &[[F8; PACKETS]; 3],
+    scratch: &mut Scratch,
+    count: &mut C,
+) {
+    let frustum = Frustum::new::<PARALLEL>(s, group, world.size_m);
+    let z_far = s.splat(farthest(s, group, points));
+    let Scratch { stack, prepared } = scratch;
+    stack.clear();
+    stack.push((Child::Node(0), 0.0));
+    count.group();
+    while let Some((child, _)) = stack.pop() {
+        let leaf = match child {
+            Child::None => continue,
+            Child::Node(n) => {
+                count.node();
+                let node = &world.bvh.nodes[n as usize];
+                let (mut met, _) = frustum.meet(s, node, z_far);
+                while met != 0 {
+                    let slot = met.trailing_zeros() as usize;
+                    met &= met - 1;
+                    stack.push((node.child(slot), 0.0));
+                }
+                continue;
+            }
+            Child::Leaf(l) => &world.bvh.leaves[l as usize],
+        };
+        count.leaf(leaf.used.count_ones());
+        let mut alive = prepare::<S, PARALLEL, false>(s, leaf, group, 0.0, prepared);
+        while alive != 0 {
+            let slot = alive.trailing_zeros() as usize;
+            alive &= alive - 1;
+            let mut packets = prepared.packets(s, slot, group);
+            count.packets(packets.count_ones());
+            while packets != 0 {
+                let p = packets.trailing_zeros() as usize;
+                packets &= packets - 1;
+                let edges = prepared.edges_at(s, slot, s.load(&group.x[p]), s.load(&group.y[p]));
+                let inside = s.ge(s.min(s.min(edges[0], edges[1]), edges[2]), s.splat(0.0));
+                let mut lanes = s.bits(inside) & group.lanes[p];
+                if lanes == 0 {
+                    continue;
+                }
+                count.candidate();
+                let back = prepared.back >> slot & 1 == 1;
+                let point = group.projection.permute(s, [0, 1, 2].map(|axis| s.load(&points[axis][p])));
+                lanes &= s.bits(beyond(s, &group.projection, leaf, slot, back, point));
+                if lanes != 0 && leaf.masked >> slot & 1 == 1 {
+                    lanes = there(s, &world.alpha, leaf.triangles[slot], edges, lanes);
+                }
+                group.lanes[p] &= !lanes;
+                if group.lanes[p] == 0 {
+                    group.packets &= !(1 << p);
+                    if group.packets == 0 {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Puts the children that the group can meet on the stack, the nearest on top.
+#[inline(always)]
+fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: f32, stack: &mut Vec<(Child, f32)>) {
+    let (mut met, z) = frustum.meet(s, node, s.splat(z_far));
+    if met == 0 {
+        return;
+    }
+    let mut near = F8::default();
+    s.store(z, &mut near);
+    let first = stack.len();
+    while met != 0 {
+        let slot = met.trailing_zeros() as usize;
+        met &= met - 1;
+        let entry = (node.child(slot), near.0[slot]);
+        stack.push(entry);
+        let mut place = stack.len() - 1;
+        while place > first && stack[place - 1].1 < entry.1 {
+            stack[place] = stack[place - 1];
+            place -= 1;
+        }
+        stack[place] = entry;
+    }
+}
+
+/// How far along z the farthest of the group's points is, rounded up.
+#[inline(always)]
+fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
+    let projection = &group.projection;
+    let origin = s.splat(projection.origin[2]);
+    let sign = s.splat(projection.w_sign);
+    let mut far = s.splat(f32::NEG_INFINITY);
+    for (point, &lanes) in points[projection.axes[2]].iter().zip(&group.lanes) {
+        let z = (s.load(point) - origin) * sign;
+        far = s.select(s.mask(lanes), s.max(far, z), far);
+    }
+    let far = s.highest(far);
+    far + far.abs() * (DEPTH_SLACK - 1.0)
+}
+
+/// Which points lie beyond the plane of triangle `slot`, seen along the rays, by more than rounding can account for.
+///
+/// With corners a, b, c the distance is n·(p − a)/|n|, n = (b − a) × (c − a), and all of it is computed near the triangle,
+/// not near the light. Each product of n is off by up to 3 roundings (ε = 2⁻²⁴), its sum by another, p − a by one and p,
+/// interpolated, by about 4 of |p|: 8ε of the absolute terms covers it.
+#[inline(always)]
+fn beyond<S: Simd>(s: S, projection: &Projection, leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
+    const ROUNDING: f32 = 8.0 / (1 << 24) as f32;
+    let [u, v, w] = projection.axes;
+    let [a, b, c] = leaf.corners.each_ref().map(|k| [k[u].0[slot], k[v].0[slot], k[w].0[slot] * projection.w_sign]);
+    let ab = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
+    let ac = [c[0] - a[0], c[1] - a[1], c[2] - a[2]];
+    let mut distance = s.splat(0.0);
+    let mut error = s.splat(0.0);
+    for (i, j, k) in [(0, 1, 2), (1, 2, 0), (2, 0, 1)] {
+        let (plus, minus) = (ab[j] * ac[k], ab[k] * ac[j]);
+        let normal = if back { plus - minus } else { minus - plus };
+        let way = point[i] - s.splat(a[i]);
+        distance = s.fma(s.splat(normal), way, distance);
+        error = s.fma(s.splat((plus.abs() + minus.abs()) * ROUNDING), s.abs(way), error);
+        error = s.fma(s.splat(normal.abs() * ROUNDING), s.abs(point[i]), error);
+    }
+    s.gt(distance, error)
+}
+
+/// The lanes whose point of a MASK triangle is there.
+#[inline(always)]
+fn there<S: Simd>(s: S, alpha: &Alpha, triangle: u32, edges: [S::F; 3], lanes: u8) -> u8 {
+    let mut weights = [F8::default(); 3];
+    for (edge, place) in edges.into_iter().zip(&mut weights) {
+        s.store(edge, place);
+    }
+    let mut kept = 0;
+    for lane in (0..8).filter(|lane| lanes >> lane & 1 == 1) {
+        let present = alpha.is_there(triangle, weights.each_ref().map(|weight| weight.0[lane]));
+        kept |= u8::from(present) << lane;
+    }
+    kept
+}
