@@ -3,6 +3,27 @@
 //! Positions are f32, relative to [`Scene::origin_m`], which is f64. Everything that does not move is flattened: node
 //! transforms are applied, shared meshes are repeated, strips and fans are lists, mirrored nodes keep their front faces.
 
+mod alpha;
+mod check;
+mod error;
+mod gltf;
+mod light;
+mod lights_file;
+pub mod limits;
+mod load;
+mod normals;
+mod pack;
+mod picture;
+mod summary;
+
+pub use alpha::AlphaPicture;
+pub use check::CheckError;
+pub use error::SceneError;
+pub use load::{LoadOptions, LoadReport};
+pub use normals::triangle_normal;
+pub use pack::PackError;
+pub use summary::Summary;
+
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 

@@ -1,0 +1,109 @@
+//! What a scene holds, in a few lines for people.
+
+use std::fmt;
+
+use glam::DVec3;
+
+use super::{AlphaMode, Image, LightKind, Scene};
+
+/// What a scene holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// Triangles of OPAQUE, MASK and BLEND materials.
+    pub triangles: [u64; 3],
+    /// Vertices.
+    pub vertices: u64,
+    /// Mesh instances that were flattened.
+    pub instances: u32,
+    /// OPAQUE, MASK and BLEND materials.
+    pub materials: [usize; 3],
+    /// Base colour pictures.
+    pub images: usize,
+    /// Directional, point and spot lights.
+    pub lights: [usize; 3],
+    /// Lowest corner in world space, in metres.
+    pub min_m: DVec3,
+    /// Highest corner in world space, in metres.
+    pub max_m: DVec3,
+    /// World position of the local origin, in metres.
+    pub origin_m: DVec3,
+    /// Memory that the scene takes, in bytes.
+    pub memory_bytes: u64,
+}
+
+fn class(alpha: AlphaMode) -> usize {
+    match alpha {
+        AlphaMode::Opaque => 0,
+        AlphaMode::Mask { .. } => 1,
+        AlphaMode::Blend => 2,
+    }
+}
+
+impl Scene {
+    /// Counts what is there.
+    #[must_use]
+    pub fn summary(&self) -> Summary {
+        let (mut triangles, mut materials, mut lights) = ([0; 3], [0; 3], [0; 3]);
+        for draw in &self.draws {
+            if let Some(material) = self.materials.get(draw.material as usize) {
+                triangles[class(material.alpha)] += u64::from(draw.triangles);
+            }
+        }
+        for material in &self.materials {
+            materials[class(material.alpha)] += 1;
+        }
+        for light in &self.lights {
+            lights[match light.kind {
+                LightKind::Directional => 0,
+                LightKind::Point => 1,
+                LightKind::Spot { .. } => 2,
+            }] += 1;
+        }
+        Summary {
+            triangles,
+            vertices: self.positions.len() as u64,
+            instances: self.instances,
+            materials,
+            images: self.images.len(),
+            lights,
+            min_m: self.origin_m + self.bounds.min.as_dvec3(),
+            max_m: self.origin_m + self.bounds.max.as_dvec3(),
+            origin_m: self.origin_m,
+            memory_bytes: self.memory_bytes(),
+        }
+    }
+
+    /// Memory that the scene's arrays take, in bytes.
+    #[must_use]
+    pub fn memory_bytes(&self) -> u64 {
+        let image = |image: &Image| size_of_val(image) + image.encoded.len() + image.rgba.len();
+        let bytes = size_of_val(self)
+            + size_of_val(&*self.positions)
+            + size_of_val(&*self.normals)
+            + size_of_val(&*self.uvs)
+            + size_of_val(&*self.triangles)
+            + size_of_val(&*self.draws)
+            + size_of_val(&*self.materials)
+            + size_of_val(&*self.lights)
+            + self.images.iter().map(image).sum::<usize>();
+        bytes as u64
+    }
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [opaque, mask, blend] = self.triangles;
+        writeln!(f, "triangles   {} (OPAQUE {opaque}, MASK {mask}, BLEND {blend})", opaque + mask + blend)?;
+        writeln!(f, "vertices    {}", self.vertices)?;
+        writeln!(f, "instances   {}", self.instances)?;
+        let [opaque, mask, blend] = self.materials;
+        writeln!(f, "materials   {} (OPAQUE {opaque}, MASK {mask}, BLEND {blend})", opaque + mask + blend)?;
+        writeln!(f, "pictures    {}", self.images)?;
+        let [directional, point, spot] = self.lights;
+        let lights = directional + point + spot;
+        writeln!(f, "lights      {lights} (directional {directional}, point {point}, spot {spot})")?;
+        writeln!(f, "bounds      {:.3} to {:.3} m", self.min_m, self.max_m)?;
+        writeln!(f, "origin      {} m", self.origin_m)?;
+        write!(f, "memory      {:.1} MiB", self.memory_bytes as f64 / f64::from(1 << 20))
+    }
+}
