@@ -6,8 +6,10 @@
 //!
 //! 1. *Base.* The path's own round trip is the smallest one seen in the last 5 to 10 s (two periods of 5 s, the older
 //!    one forgotten), so that a longer route is learnt within 10 s.
-//! 2. *Delay.* Queueing delay is the round trip above the base. Above [`TARGET_DELAY`] (25 ms) the window shrinks to
-//!    0.85 of itself, at most once a round trip.
+//! 2. *Delay.* Queueing delay is the *standing* round trip above the base, and standing is the smallest one of the last
+//!    20 to 40 ms, or of half to one base round trip if that is longer. The smallest, because jitter, late
+//!    acknowledgements and a frame's own burst come and go in that time, and a queue that is too long does not. Above
+//!    [`TARGET_DELAY`] (25 ms) the window shrinks to 0.85 of itself, at most once a round trip.
 //! 3. *Loss.* Loss is judged in rounds of at least 200 datagrams and one round trip. A round that lost more than
 //!    [`MAX_LOSS_PERCENT`] (10 %) shrinks the window to 0.85; less loss changes nothing.
 //! 4. *Marks.* A congestion mark (ECN, reported as a loss of 0 bytes) counts as too much delay.
@@ -15,8 +17,9 @@
 //!    open the window: byte for byte until it first shrinks or the delay passes half the target, after that by up to 8
 //!    datagrams a round trip, less the nearer the delay is to the target.
 //! 6. *Drain.* A full window keeps a queue below the target standing, which rule 1 would in time take for the path
-//!    itself. So a period in which no round trip came within 3 ms of the base ends with half the window for two round
-//!    trips (at least 50 ms); the window then takes its former size.
+//!    itself. So after a period in which no round trip came within 3 ms of the base, the window is three quarters of
+//!    what fills the path without a queue (window × base / standing), for two round trips and at least 50 ms; then it
+//!    takes its former size.
 //! 7. *Outage.* When all packets were lost for longer than quinn's persistent-congestion period, the window falls to
 //!    the floor and grows as at the start.
 //!
@@ -40,6 +43,8 @@ pub const MAX_WINDOW_BYTES: u64 = 64 << 20;
 
 const BASE_PERIOD: Duration = Duration::from_secs(5);
 const NEAR_BASE: Duration = Duration::from_millis(3);
+/// More than a frame takes at 60 Hz.
+const MIN_STANDING: Duration = Duration::from_millis(20);
 const MIN_DRAIN: Duration = Duration::from_millis(50);
 const LOSS_ROUND_DATAGRAMS: u64 = 200;
 const GROWTH_DATAGRAMS: u64 = 8;
@@ -52,18 +57,25 @@ pub struct DelayController {
     datagram_bytes: u64,
     /// Whether the window has not shrunk yet.
     starting: bool,
-    base: BaseRtt,
-    latest_rtt: Duration,
+    base: Lowest,
+    standing: Lowest,
     shrunk_at: Option<Instant>,
-    drain_until: Option<Instant>,
+    drain: Option<Drain>,
     round: LossRound,
     /// Growth that is no whole byte yet, in bytes × window bytes.
     growth_credit: u64,
 }
 
+/// A while with a smaller window, in which the queue runs empty.
+#[derive(Debug, Clone, Copy)]
+struct Drain {
+    until: Instant,
+    window_bytes: u64,
+}
+
 /// The smallest round trip of this period and of the one before.
 #[derive(Debug, Clone, Copy, Default)]
-struct BaseRtt {
+struct Lowest {
     period_start: Option<Instant>,
     this: Option<Duration>,
     last: Option<Duration>,
@@ -88,10 +100,10 @@ impl DelayController {
             window_bytes,
             datagram_bytes,
             starting: true,
-            base: BaseRtt::default(),
-            latest_rtt: Duration::ZERO,
+            base: Lowest::default(),
+            standing: Lowest::default(),
             shrunk_at: None,
-            drain_until: None,
+            drain: None,
             round: LossRound::default(),
             growth_credit: 0,
         }
@@ -100,7 +112,7 @@ impl DelayController {
     /// Bytes that may be in flight now.
     #[must_use]
     pub fn window_bytes(&self) -> u64 {
-        if self.drain_until.is_some() { self.floor().max(self.window_bytes / 2) } else { self.window_bytes }
+        self.drain.map_or(self.window_bytes, |drain| drain.window_bytes.min(self.window_bytes))
     }
 
     /// The window that the controller began with.
@@ -109,28 +121,44 @@ impl DelayController {
         self.initial_window_bytes
     }
 
-    /// The latest round trip above the base: what queues add.
+    /// The standing round trip above the base: what queues add.
     #[must_use]
     pub fn queueing_delay(&self) -> Duration {
-        self.base.min().map_or(Duration::ZERO, |base| self.latest_rtt.saturating_sub(base))
+        self.base.min().map_or(Duration::ZERO, |base| self.round_trip().saturating_sub(base))
     }
 
-    /// `bytes` were acknowledged. `app_limited` says that the sender had nothing more to send; `rtt` is the smoothed
-    /// round trip, the peer's acknowledgement delay taken off.
+    /// `bytes` were acknowledged. `app_limited` says that the sender had nothing more to send; `rtt` is the time since
+    /// these bytes were sent, not smoothed.
     pub fn on_ack(&mut self, now: Instant, bytes: u64, app_limited: bool, rtt: Duration) {
-        self.latest_rtt = rtt;
-        if self.base.sample(now, rtt) == Standing::Queue {
-            self.drain_until = Some(now + MIN_DRAIN.max(rtt * 2));
+        let base_before = self.base.last;
+        let ended = self.base.sample(now, rtt, BASE_PERIOD);
+        let base = self.base.min().unwrap_or(rtt);
+        self.standing.sample(now, rtt, MIN_STANDING.max(base / 2));
+        self.drain = self.drain.filter(|drain| now < drain.until);
+        if let (Some(ended), Some(before)) = (ended, base_before)
+            && ended > before + NEAR_BASE
+        {
+            self.drain = Some(self.drain_to(now, before));
         }
-        self.drain_until = self.drain_until.filter(|until| now < *until);
         self.round.acked_bytes += bytes;
         self.judge_loss(now);
         let delay = self.queueing_delay();
         if delay > TARGET_DELAY {
             self.shrink(now);
-        } else if !app_limited && self.drain_until.is_none() {
+        } else if !app_limited && self.drain.is_none() {
             self.grow(bytes, delay);
         }
+    }
+
+    fn drain_to(&self, now: Instant, base: Duration) -> Drain {
+        let round_trip = self.round_trip();
+        let (base_us, standing_us) = (micros(base), micros(round_trip).max(1));
+        let window_bytes = (self.window_bytes.saturating_mul(base_us) / standing_us * 3 / 4).max(self.floor());
+        Drain { until: now + MIN_DRAIN.max(round_trip * 2), window_bytes }
+    }
+
+    fn round_trip(&self) -> Duration {
+        self.standing.min().unwrap_or(Duration::ZERO)
     }
 
     /// `lost_bytes` were found lost; 0 stands for a congestion mark. `persistent` says that everything was lost for a
@@ -140,7 +168,7 @@ impl DelayController {
             self.window_bytes = self.floor();
             self.starting = true;
             self.round = LossRound::default();
-            self.drain_until = None;
+            self.drain = None;
         } else if lost_bytes == 0 {
             self.shrink(now);
         } else {
@@ -160,10 +188,11 @@ impl DelayController {
     }
 
     fn judge_loss(&mut self, now: Instant) {
+        let round_trip = self.round_trip();
         let round = &mut self.round;
         let start = *round.start.get_or_insert(now);
         let total = round.acked_bytes + round.lost_bytes;
-        if total < LOSS_ROUND_DATAGRAMS * self.datagram_bytes || now.duration_since(start) < self.latest_rtt {
+        if total < LOSS_ROUND_DATAGRAMS * self.datagram_bytes || now.duration_since(start) < round_trip {
             return;
         }
         let too_much = round.lost_bytes.saturating_mul(100) > total.saturating_mul(MAX_LOSS_PERCENT);
@@ -175,7 +204,7 @@ impl DelayController {
 
     fn shrink(&mut self, now: Instant) {
         self.starting = false;
-        if self.shrunk_at.is_some_and(|at| now.duration_since(at) < self.latest_rtt) {
+        if self.shrunk_at.is_some_and(|at| now.duration_since(at) < self.round_trip()) {
             return;
         }
         self.shrunk_at = Some(now);
@@ -205,30 +234,199 @@ fn micros(duration: Duration) -> u64 {
     u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
 }
 
-/// Whether a period that has just ended came near its base.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Standing {
-    No,
-    Queue,
-}
-
-impl BaseRtt {
+impl Lowest {
     fn min(&self) -> Option<Duration> {
         self.this.into_iter().chain(self.last).min()
     }
 
-    fn sample(&mut self, now: Instant, rtt: Duration) -> Standing {
+    /// Takes a sample; returns the lowest of the period that it ends, if it does.
+    fn sample(&mut self, now: Instant, rtt: Duration, period: Duration) -> Option<Duration> {
         let start = *self.period_start.get_or_insert(now);
-        let mut standing = Standing::No;
-        if now.duration_since(start) >= BASE_PERIOD {
-            if let (Some(this), Some(last)) = (self.this, self.last)
-                && this > last + NEAR_BASE
-            {
-                standing = Standing::Queue;
-            }
+        let mut ended = None;
+        if now.duration_since(start) >= period {
+            ended = self.this;
             (self.period_start, self.last, self.this) = (Some(now), self.this, None);
         }
         self.this = Some(self.this.map_or(rtt, |least| least.min(rtt)));
-        standing
+        ended
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WINDOW: u64 = 400_000;
+    const BASE_MS: u64 = 40;
+
+    /// A controller, a clock, and a base round trip of 40 ms that it knows.
+    struct Bench {
+        controller: DelayController,
+        now: Instant,
+    }
+
+    impl Bench {
+        fn new() -> Self {
+            let mut bench = Self { controller: DelayController::new(WINDOW, 1200), now: Instant::now() };
+            bench.acks(10, BASE_MS, true);
+            assert_eq!(bench.window(), WINDOW);
+            bench
+        }
+
+        /// One datagram acknowledged per ms.
+        fn acks(&mut self, count: u64, rtt_ms: u64, app_limited: bool) {
+            for _ in 0..count {
+                self.now += Duration::from_millis(1);
+                self.controller.on_ack(self.now, 1200, app_limited, Duration::from_millis(rtt_ms));
+            }
+        }
+
+        /// One datagram per ms, each `every`th lost.
+        fn loses(&mut self, count: u64, every: u64) {
+            for place in 1..=count {
+                self.now += Duration::from_millis(1);
+                if place % every == 0 {
+                    self.controller.on_loss(self.now, 1200, false);
+                } else {
+                    self.controller.on_ack(self.now, 1200, true, Duration::from_millis(BASE_MS));
+                }
+            }
+        }
+
+        fn window(&self) -> u64 {
+            self.controller.window_bytes()
+        }
+    }
+
+    #[test]
+    fn the_window_starts_as_told_within_its_bounds() {
+        for (told, window) in [(0, 12_000), (WINDOW, WINDOW), (u64::MAX, MAX_WINDOW_BYTES)] {
+            let controller = DelayController::new(told, 1200);
+            assert_eq!((controller.window_bytes(), controller.initial_window_bytes()), (window, window));
+        }
+    }
+
+    #[test]
+    fn delay_above_the_target_shrinks_once_a_round_trip() {
+        let mut bench = Bench::new();
+        // Short of the target, for as long as it takes to stand.
+        bench.acks(100, BASE_MS + 25, true);
+        assert_eq!(bench.controller.queueing_delay(), TARGET_DELAY);
+        assert_eq!(bench.window(), WINDOW);
+        bench.acks(40, BASE_MS + 26, true);
+        assert_eq!(bench.window(), WINDOW / 20 * 17);
+        // The next one 66 ms after the first; that came when the last lower round trip had been forgotten.
+        bench.acks(66, BASE_MS + 26, true);
+        assert_eq!(bench.window(), WINDOW / 20 * 17 / 20 * 17);
+    }
+
+    #[test]
+    fn delay_that_does_not_stand_is_none() {
+        let mut bench = Bench::new();
+        for _ in 0..50 {
+            bench.acks(15, BASE_MS + 200, true);
+            bench.acks(1, BASE_MS, true);
+        }
+        assert_eq!(bench.window(), WINDOW);
+    }
+
+    #[test]
+    fn the_window_stays_above_its_floor() {
+        let mut bench = Bench::new();
+        bench.acks(9000, BASE_MS + 300, true);
+        assert_eq!(bench.window(), FLOOR_DATAGRAMS * 1200);
+    }
+
+    #[test]
+    fn loss_shrinks_above_a_tenth_only() {
+        for (every, shrinks) in [(100, false), (20, false), (11, false), (10, false), (9, true), (2, true)] {
+            let mut bench = Bench::new();
+            bench.loses(1000, every);
+            assert_eq!(bench.window() < WINDOW, shrinks, "one in {every}");
+        }
+    }
+
+    #[test]
+    fn a_burst_of_loss_in_a_long_round_is_little_loss() {
+        let mut bench = Bench::new();
+        bench.controller.on_loss(bench.now, 19 * 1200, false);
+        bench.loses(180, u64::MAX);
+        assert_eq!(bench.window(), WINDOW);
+    }
+
+    #[test]
+    fn a_congestion_mark_shrinks_once_a_round_trip() {
+        let mut bench = Bench::new();
+        bench.controller.on_loss(bench.now, 0, false);
+        bench.controller.on_loss(bench.now + Duration::from_millis(39), 0, false);
+        assert_eq!(bench.window(), WINDOW / 20 * 17);
+        bench.controller.on_loss(bench.now + Duration::from_millis(40), 0, false);
+        assert_eq!(bench.window(), WINDOW / 20 * 17 / 20 * 17);
+    }
+
+    #[test]
+    fn growth_is_by_bytes_at_first_and_by_datagrams_later() {
+        let mut bench = Bench::new();
+        bench.acks(100, BASE_MS, false);
+        assert_eq!(bench.window(), WINDOW + 100 * 1200);
+        bench.controller.on_loss(bench.now, 0, false);
+        let shrunk = bench.window();
+        // A window's worth of acknowledgements is a round trip's.
+        bench.acks(shrunk / 1200, BASE_MS, false);
+        let grown = bench.window() - shrunk;
+        assert!((7 * 1200..=8 * 1200).contains(&grown), "{grown}");
+    }
+
+    #[test]
+    fn growth_ends_at_the_target() {
+        let mut bench = Bench::new();
+        bench.acks(200, BASE_MS + 13, false);
+        let window = bench.window();
+        assert!(!bench.controller.starting);
+        bench.acks(200, BASE_MS + 25, false);
+        // The first of these still stood at 13 ms.
+        assert!(bench.window() - window < 1200, "{}", bench.window() - window);
+    }
+
+    #[test]
+    fn who_has_nothing_to_send_does_not_grow() {
+        let mut bench = Bench::new();
+        bench.acks(1000, BASE_MS, true);
+        assert_eq!(bench.window(), WINDOW);
+    }
+
+    #[test]
+    fn an_outage_starts_anew_from_the_floor() {
+        let mut bench = Bench::new();
+        bench.controller.on_loss(bench.now, 0, false);
+        bench.controller.on_loss(bench.now, 5000, true);
+        assert_eq!(bench.window(), 12_000);
+        bench.acks(10, BASE_MS, false);
+        assert_eq!(bench.window(), 24_000);
+    }
+
+    #[test]
+    fn a_period_without_the_base_ends_in_a_drain() {
+        let mut bench = Bench::new();
+        bench.acks(10_000, BASE_MS + 20, true);
+        // Two periods have passed: the base has become 60 ms, and the drain tries 3/4 · 40/60 of the window.
+        let drained = bench.window();
+        assert!((WINDOW / 2 - 2..=WINDOW / 2).contains(&drained), "{drained}");
+        bench.acks(200, BASE_MS, true);
+        assert_eq!(bench.window(), WINDOW);
+        assert_eq!(bench.controller.queueing_delay(), Duration::ZERO);
+        // Where the base was there all the time, there is no drain.
+        let mut quiet = Bench::new();
+        for _ in 0..12_000 {
+            quiet.acks(1, BASE_MS + 3, true);
+            assert_eq!(quiet.window(), WINDOW);
+        }
+    }
+
+    #[test]
+    fn larger_datagrams_raise_the_floor() {
+        let mut controller = DelayController::new(12_000, 1200);
+        controller.on_datagram_bytes(1452);
+        assert_eq!(controller.window_bytes(), 14_520);
     }
 }
