@@ -36,6 +36,9 @@ pub struct TracedView {
 }
 
 impl TracedView {
+    /// Its size in bytes, which every device offers as immediate data.
+    pub const BYTES: u32 = 64;
+
     /// The view of a camera with this basis, whose picture has `width`×`height` pixels.
     #[must_use]
     pub fn new(basis: &RayBasis, width: u32, height: u32, lights: u32, nodes: u32) -> Self {
@@ -182,6 +185,7 @@ mod tests {
     fn host_types_lie_as_wgsl_lays_them() {
         let primary = module("visibility/primary.wgsl");
         assert_layout!(&primary, TracedView, [origin, width, forward, height, right, lights, up, nodes]);
+        assert_eq!(size_of::<TracedView>(), TracedView::BYTES as usize);
         assert_layout!(
             &primary,
             TracedLight,

@@ -18,6 +18,14 @@
 
 pub mod backend;
 pub mod bvh;
+pub mod engine;
+#[cfg(test)]
+mod engine_tests;
+pub mod port;
+pub mod scheduler;
+#[cfg(test)]
+mod test_scenes;
+mod worker;
 
 use std::time::Instant;
 

@@ -4,6 +4,7 @@ use thiserror::Error;
 
 use gnomon_shaders::gpu::GpuError;
 
+pub mod compute;
 pub mod cpu;
 
 /// Why a back end cannot be had for a scene.
@@ -26,6 +27,24 @@ pub enum BackendError {
         /// The part.
         what: &'static str,
         /// Its size.
+        bytes: u64,
+        /// The most that fits.
+        limit: u64,
+        /// The adapter's name.
+        adapter: String,
+    },
+    /// A mask is larger than what the back end can address.
+    #[error(
+        "{width}×{height} pixels with {lights} lights take {bytes} bytes, and {limit} is what {adapter:?} can bind"
+    )]
+    PictureTooLarge {
+        /// Width in pixels.
+        width: u32,
+        /// Height in pixels.
+        height: u32,
+        /// Number of lights.
+        lights: u32,
+        /// Size of the largest buffer needed.
         bytes: u64,
         /// The most that fits.
         limit: u64,

@@ -1,0 +1,130 @@
+//! The two kernels as pipelines, and the layouts of what they read and write.
+
+use gnomon_shaders::{gpu::Gpu, host::TracedView, splice::splice};
+
+use crate::visibility::backend::BackendError;
+
+/// Device features without which the kernels cannot run: the camera travels inside the command buffer, so that a frame
+/// creates no resource.
+pub(super) const NEEDED: wgpu::Features = wgpu::Features::IMMEDIATES;
+
+/// Device features that tell what a frame costs.
+pub(super) const TIMING: wgpu::Features =
+    wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS);
+
+/// Storage buffers that hold the scene.
+pub(super) const SCENE_BUFFERS: usize = 7;
+/// Storage buffers that hold a frame.
+const FRAME_BUFFERS: usize = 3;
+/// All of them.
+const BUFFERS: u32 = 10;
+
+/// Pipelines of both kernels.
+#[derive(Debug)]
+pub(super) struct Kernels {
+    /// `visibility/primary.wgsl`.
+    pub(super) primary: wgpu::ComputePipeline,
+    /// `visibility/shadow.wgsl`.
+    pub(super) shadow: wgpu::ComputePipeline,
+    scene: wgpu::BindGroupLayout,
+    frame: wgpu::BindGroupLayout,
+}
+
+/// One frame's buffers.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FrameBuffers<'a> {
+    /// 16 bytes a pixel between the kernels.
+    pub(super) surfaces: &'a wgpu::Buffer,
+    /// The mask's words.
+    pub(super) mask: &'a wgpu::Buffer,
+    /// The number of shadow rays.
+    pub(super) work: &'a wgpu::Buffer,
+}
+
+impl Kernels {
+    /// Compiles the kernels.
+    ///
+    /// # Errors
+    /// When the device lacks a feature or a limit that they need. What the device itself refuses, its error handler gets.
+    pub(super) fn new(gpu: &Gpu) -> Result<Self, BackendError> {
+        let lacking = |missing: String| BackendError::Feature { adapter: gpu.info.name.clone(), missing };
+        if !gpu.device.features().contains(NEEDED) {
+            return Err(lacking("immediate data (push constants)".to_owned()));
+        }
+        let limits = gpu.device.limits();
+        if limits.max_storage_buffers_per_shader_stage < BUFFERS {
+            let there = limits.max_storage_buffers_per_shader_stage;
+            return Err(lacking(format!("storage buffers: it has {there} where {BUFFERS} are needed")));
+        }
+        if limits.max_immediate_size < TracedView::BYTES {
+            let (there, needed) = (limits.max_immediate_size, TracedView::BYTES);
+            return Err(lacking(format!("immediate data: it has {there} bytes where {needed} are needed")));
+        }
+        let scene = layout(&gpu.device, "scene", [true; SCENE_BUFFERS]);
+        let frame = layout(&gpu.device, "frame", [false; FRAME_BUFFERS]);
+        let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("tracing"),
+            bind_group_layouts: &[Some(&scene), Some(&frame)],
+            immediate_size: TracedView::BYTES,
+        });
+        let pipeline = |name: &str| -> Result<wgpu::ComputePipeline, BackendError> {
+            let text = splice(&format!("visibility/{name}.wgsl"))
+                .map_err(|error| BackendError::Setup(format!("kernel {name}: {error}")))?;
+            let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some(name),
+                source: wgpu::ShaderSource::Wgsl(text.into()),
+            });
+            Ok(gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(name),
+                layout: Some(&pipeline_layout),
+                module: &module,
+                entry_point: Some(name),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                cache: None,
+            }))
+        };
+        Ok(Self { primary: pipeline("primary")?, shadow: pipeline("shadow")?, scene, frame })
+    }
+
+    /// The scene's bind group. Buffers are in the order of `wgsl/shared/traced_scene.wgsl`.
+    pub(super) fn bind_scene(&self, device: &wgpu::Device, buffers: &[wgpu::Buffer; SCENE_BUFFERS]) -> wgpu::BindGroup {
+        bind(device, "scene", &self.scene, buffers.each_ref())
+    }
+
+    /// A frame's bind group.
+    pub(super) fn bind_frame(&self, device: &wgpu::Device, buffers: FrameBuffers<'_>) -> wgpu::BindGroup {
+        bind(device, "frame", &self.frame, [buffers.surfaces, buffers.mask, buffers.work])
+    }
+}
+
+fn layout<const N: usize>(device: &wgpu::Device, label: &str, read_only: [bool; N]) -> wgpu::BindGroupLayout {
+    let mut binding = 0;
+    let entries = read_only.map(|read_only| {
+        binding += 1;
+        wgpu::BindGroupLayoutEntry {
+            binding: binding - 1,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Storage { read_only },
+                has_dynamic_offset: false,
+                min_binding_size: None,
+            },
+            count: None,
+        }
+    });
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
+}
+
+fn bind<const N: usize>(
+    device: &wgpu::Device,
+    label: &str,
+    layout: &wgpu::BindGroupLayout,
+    buffers: [&wgpu::Buffer; N],
+) -> wgpu::BindGroup {
+    let mut binding = 0;
+    let entries = buffers.map(|buffer| {
+        binding += 1;
+        wgpu::BindGroupEntry { binding: binding - 1, resource: buffer.as_entire_binding() }
+    });
+    device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
+}

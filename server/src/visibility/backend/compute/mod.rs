@@ -1,0 +1,354 @@
+//! Tracing on a graphics adapter, with kernels in WGSL: runs on every adapter that has compute shaders.
+
+mod geometry;
+mod kernels;
+mod ring;
+#[cfg(test)]
+mod tests;
+mod timing;
+
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+use glam::DVec3;
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_shaders::{
+    camera::Camera,
+    gpu::{Gpu, GpuOptions},
+    host::{TracedLight, TracedView},
+    scene::Scene,
+};
+use wgpu::util::DeviceExt as _;
+
+pub use self::ring::RING_FRAMES;
+use self::{
+    geometry::Geometry,
+    kernels::{Kernels, SCENE_BUFFERS},
+    ring::{Capacity, Ring},
+    timing::{QUERIES, Stages, Timing},
+};
+use super::BackendError;
+use crate::visibility::TraceCost;
+
+/// Traces masks on one device. Frames are submitted and collected in the same order, up to [`RING_FRAMES`] at a time.
+#[derive(Debug)]
+pub struct ComputeBackend {
+    gpu: Gpu,
+    kernels: Kernels,
+    scene: wgpu::BindGroup,
+    timing: Option<Timing>,
+    origin_m: DVec3,
+    lights: u32,
+    nodes: u32,
+    ring: Option<Ring>,
+    in_flight: VecDeque<InFlight>,
+    next_slot: usize,
+    failure: Failure,
+}
+
+#[derive(Debug)]
+struct InFlight {
+    slot: usize,
+    shape: MaskShape,
+    submission: wgpu::SubmissionIndex,
+    submitted_at: Instant,
+}
+
+/// The first thing that the device complained about and nobody has asked about yet.
+#[derive(Debug, Clone, Default)]
+struct Failure(Arc<Mutex<Option<String>>>);
+
+impl Failure {
+    fn note(&self, reason: String) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+    }
+
+    fn take(&self) -> Option<String> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+/// The largest buffer of a device, known without asking the device.
+#[derive(Debug, Clone)]
+pub struct PictureLimit {
+    bytes: u64,
+    adapter: String,
+}
+
+impl PictureLimit {
+    /// Whether masks of this shape can be traced.
+    ///
+    /// # Errors
+    /// When they cannot, with the numbers.
+    pub fn check(&self, shape: MaskShape) -> Result<(), BackendError> {
+        let bytes = Capacity::of([shape]).largest_bytes();
+        if bytes <= self.bytes {
+            return Ok(());
+        }
+        let (width, height, lights) = shape.into();
+        Err(BackendError::PictureTooLarge {
+            width,
+            height,
+            lights,
+            bytes,
+            limit: self.bytes,
+            adapter: self.adapter.clone(),
+        })
+    }
+}
+
+impl ComputeBackend {
+    /// Opens an adapter, and brings the scene to it. Takes as long as building the hierarchy and compiling the kernels.
+    ///
+    /// # Errors
+    /// When there is no such adapter, it lacks what the kernels need, or the scene does not fit it.
+    pub fn open(scene: &Scene, adapter: Option<String>, allow_software: bool) -> Result<Self, BackendError> {
+        let wanted = kernels::NEEDED | kernels::TIMING;
+        let gpu = pollster::block_on(Gpu::open(&GpuOptions { adapter, wanted, allow_software }))?;
+        Self::new(scene, gpu)
+    }
+
+    /// As [`Self::open`], on a device that is already there.
+    ///
+    /// # Errors
+    /// When the device lacks what the kernels need, or the scene does not fit it.
+    pub fn new(scene: &Scene, gpu: Gpu) -> Result<Self, BackendError> {
+        let failure = Failure::default();
+        let (on_error, on_loss) = (failure.clone(), failure.clone());
+        gpu.device.on_uncaptured_error(Arc::new(move |error| on_error.note(error.to_string())));
+        gpu.device.set_device_lost_callback(move |reason, text| {
+            // Dropping the device is reported too.
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                on_loss.note(format!("the device is lost: {text}"));
+            }
+        });
+        let kernels = Kernels::new(&gpu)?;
+        let geometry = Geometry::build(scene)?;
+        let nodes = u32::try_from(geometry.nodes.len())
+            .map_err(|_| BackendError::Setup(format!("the hierarchy has {} nodes", geometry.nodes.len())))?;
+        let buffers = upload(&gpu, scene, geometry)?;
+        let scene_group = kernels.bind_scene(&gpu.device, &buffers);
+        let timing = Timing::new(&gpu.device, &gpu.queue, u32::try_from(RING_FRAMES).unwrap_or(u32::MAX));
+        if let Some(reason) = failure.take() {
+            return Err(BackendError::Setup(reason));
+        }
+        Ok(Self {
+            kernels,
+            scene: scene_group,
+            timing,
+            origin_m: scene.origin_m,
+            lights: u32::try_from(scene.lights.len()).unwrap_or(u32::MAX),
+            nodes,
+            ring: None,
+            in_flight: VecDeque::with_capacity(RING_FRAMES),
+            next_slot: 0,
+            failure,
+            gpu,
+        })
+    }
+
+    /// `compute on ADAPTER (DRIVER)`.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        let info = &self.gpu.info;
+        format!("compute on {} ({} {}, {})", info.name, info.driver, info.driver_info, info.backend)
+    }
+
+    /// What masks must fit into.
+    #[must_use]
+    pub fn picture_limit(&self) -> PictureLimit {
+        PictureLimit { bytes: binding_limit(&self.gpu), adapter: self.gpu.info.name.clone() }
+    }
+
+    /// Whether there are buffers for masks of this shape.
+    #[must_use]
+    pub fn fits(&self, shape: MaskShape) -> bool {
+        self.ring.as_ref().is_some_and(|ring| ring.capacity.holds(shape))
+    }
+
+    /// Makes buffers in which masks of all these shapes fit, unless they are there already, and gives back memory when
+    /// nothing is left that needs it. Frames in flight are lost, so collect them first.
+    ///
+    /// # Errors
+    /// When the device has not enough memory: then there are no buffers at all, and nothing can be submitted.
+    pub fn fit(&mut self, shapes: impl IntoIterator<Item = MaskShape>) -> Result<(), BackendError> {
+        let needed = Capacity::of(shapes);
+        if self.ring.as_ref().map(|ring| ring.capacity).unwrap_or_default() == needed {
+            return Ok(());
+        }
+        self.in_flight.clear();
+        self.next_slot = 0;
+        self.ring = None;
+        if needed != Capacity::default() {
+            let ring = Ring::new(&self.gpu.device, &self.kernels, needed);
+            if let Some(reason) = self.failure.take() {
+                return Err(BackendError::Setup(reason));
+            }
+            self.ring = Some(ring);
+        }
+        Ok(())
+    }
+
+    /// Frames submitted and not collected.
+    #[must_use]
+    pub fn in_flight(&self) -> usize {
+        self.in_flight.len()
+    }
+
+    /// Starts to trace a frame: returns at once. There must be fewer than [`RING_FRAMES`] in flight, and [`Self::fit`]
+    /// must have been told of the shape.
+    ///
+    /// # Errors
+    /// When one of these is not so, or the device has failed.
+    pub fn submit(&mut self, camera: &Camera, shape: MaskShape) -> Result<(), BackendError> {
+        if self.in_flight.len() >= RING_FRAMES {
+            return Err(BackendError::Device(format!("{RING_FRAMES} frames are in flight already")));
+        }
+        if (camera.width, camera.height, self.lights) != (shape.width(), shape.height(), shape.lights()) {
+            return Err(BackendError::Device(format!(
+                "a camera of {}×{} pixels and {} lights for {shape:?}",
+                camera.width, camera.height, self.lights
+            )));
+        }
+        let Some(ring) = self.ring.as_ref().filter(|ring| ring.capacity.holds(shape)) else {
+            return Err(BackendError::Device(format!("no buffers for {shape:?}")));
+        };
+        let slot = &ring.slots[self.next_slot];
+        let first_query = QUERIES * u32::try_from(self.next_slot).unwrap_or_default();
+        let basis = camera.ray_basis(self.origin_m);
+        let view = TracedView::new(&basis, shape.width(), shape.height(), shape.lights(), self.nodes);
+
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        slot.clear(&mut encoder);
+        for (stage, (kernel, planes)) in (0..).zip([(&self.kernels.primary, 1), (&self.kernels.shadow, shape.lights())])
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: None,
+                timestamp_writes: self.timing.as_ref().map(|timing| timing.writes(first_query, stage)),
+            });
+            pass.set_pipeline(kernel);
+            pass.set_bind_group(0, &self.scene, &[]);
+            pass.set_bind_group(1, &slot.group, &[]);
+            pass.set_immediates(0, bytemuck::bytes_of(&view));
+            pass.dispatch_workgroups(shape.tiles_x(), shape.tiles_y(), planes);
+        }
+        slot.copy_mask(&mut encoder, shape);
+        if let Some(timing) = &self.timing {
+            timing.note_end(&mut encoder, first_query);
+            slot.copy_timestamps(&mut encoder, &timing.queries, first_query);
+        }
+        let submission = self.gpu.queue.submit([encoder.finish()]);
+        slot.map(shape);
+        if let Some(reason) = self.failure.take() {
+            return Err(BackendError::Device(reason));
+        }
+        self.in_flight.push_back(InFlight { slot: self.next_slot, shape, submission, submitted_at: Instant::now() });
+        self.next_slot = (self.next_slot + 1) % RING_FRAMES;
+        Ok(())
+    }
+
+    /// Collects the oldest frame in flight, waiting for it up to `patience`. `None` when there is none, or not in time.
+    /// `mask` takes the frame's shape, and every word of it is written.
+    ///
+    /// # Errors
+    /// When the device has failed: it cannot be used any more.
+    pub fn collect(&mut self, patience: Duration, mask: &mut Mask) -> Result<Option<TraceCost>, BackendError> {
+        let (Some(ring), Some(oldest)) = (&self.ring, self.in_flight.front()) else { return Ok(None) };
+        let slot = &ring.slots[oldest.slot];
+        let waiting = if patience.is_zero() {
+            wgpu::PollType::Poll
+        } else {
+            let submission_index = Some(oldest.submission.clone());
+            wgpu::PollType::Wait { submission_index, timeout: Some(patience) }
+        };
+        match self.gpu.device.poll(waiting) {
+            Ok(_) | Err(wgpu::PollError::Timeout) => {}
+            Err(error) => return Err(BackendError::Device(error.to_string())),
+        }
+        if let Some(reason) = self.failure.take() {
+            return Err(BackendError::Device(reason));
+        }
+        if !slot.is_ready().map_err(BackendError::Device)? {
+            return Ok(None);
+        }
+        let seen_at = Instant::now();
+        if mask.shape() != oldest.shape {
+            mask.reset(oldest.shape);
+        }
+        let (ticks, shadow_rays) = slot.read(mask).map_err(BackendError::Device)?;
+        let stages = match &self.timing {
+            Some(timing) => timing.stages(ticks),
+            // Without a clock on the device, all of it counts as tracing.
+            None => Stages { shadow_ms: (seen_at - oldest.submitted_at).as_secs_f64() * 1e3, ..Stages::default() },
+        };
+        let cost = TraceCost {
+            primary_ms: stages.primary_ms,
+            shadow_ms: stages.shadow_ms,
+            readback_ms: stages.copy_ms + seen_at.elapsed().as_secs_f64() * 1e3,
+            primary_rays: oldest.shape.pixels() as u64,
+            shadow_rays,
+        };
+        self.in_flight.pop_front();
+        Ok(Some(cost))
+    }
+
+    /// Traces one mask and waits for it; for tests and measurements. `mask` must have the camera's size and a plane for
+    /// each light of the scene.
+    ///
+    /// # Errors
+    /// When the shape does not fit, frames are in flight, or the device has failed.
+    pub fn trace(&mut self, camera: &Camera, mask: &mut Mask) -> Result<TraceCost, BackendError> {
+        if !self.in_flight.is_empty() {
+            return Err(BackendError::Device(format!("{} frames are in flight", self.in_flight.len())));
+        }
+        let shape = mask.shape();
+        if !self.fits(shape) {
+            self.picture_limit().check(shape)?;
+            self.fit([shape])?;
+        }
+        self.submit(camera, shape)?;
+        loop {
+            if let Some(cost) = self.collect(Duration::from_secs(1), mask)? {
+                return Ok(cost);
+            }
+        }
+    }
+}
+
+fn binding_limit(gpu: &Gpu) -> u64 {
+    let limits = gpu.device.limits();
+    limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
+}
+
+/// The scene's buffers, in the order of `wgsl/shared/traced_scene.wgsl`.
+fn upload(gpu: &Gpu, scene: &Scene, geometry: Geometry) -> Result<[wgpu::Buffer; SCENE_BUFFERS], BackendError> {
+    let lights: Vec<TracedLight> = scene.lights.iter().map(TracedLight::new).collect();
+    let mut texels = geometry.alpha_texels;
+    // The kernels read them four at a time.
+    texels.resize(texels.len().next_multiple_of(4), 0);
+    let buffer = |what: &'static str, contents: &[u8]| {
+        let (bytes, limit) = (contents.len() as u64, binding_limit(gpu));
+        if bytes > limit {
+            return Err(BackendError::SceneTooLarge { what, bytes, limit, adapter: gpu.info.name.clone() });
+        }
+        // A binding may not be empty; nothing reads what fills it.
+        let contents = if contents.is_empty() { &[0; 64] } else { contents };
+        Ok(gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some(what),
+            contents,
+            usage: wgpu::BufferUsages::STORAGE,
+        }))
+    };
+    Ok([
+        buffer("bounding volume hierarchy", bytemuck::cast_slice(&geometry.nodes))?,
+        buffer("list of triangles", bytemuck::cast_slice(&geometry.triangles))?,
+        buffer("list of lights", bytemuck::cast_slice(&lights))?,
+        buffer("list of alpha materials", bytemuck::cast_slice(&geometry.alpha_materials))?,
+        buffer("set of alpha pictures", &texels)?,
+        buffer("list of texture coordinates", bytemuck::cast_slice(&geometry.alpha_uvs))?,
+        buffer("list of normals", bytemuck::cast_slice(&geometry.normals))?,
+    ])
+}

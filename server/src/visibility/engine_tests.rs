@@ -1,0 +1,206 @@
+//! The engine with real sessions, on both back ends.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use glam::DVec3;
+use gnomon_protocol::{
+    ids::FrameNumber,
+    mask::{Mask, MaskShape},
+};
+use gnomon_shaders::{camera::Camera, scene::Scene};
+
+use super::{
+    TraceRequest,
+    backend::{BackendError, cpu::CpuBackend},
+    engine::{BackendChoice, Engine, EngineError, EngineOptions, OpenError},
+    port::{OUTSTANDING_MASKS, SessionPort},
+    test_scenes::room,
+};
+
+const BACKENDS: [BackendChoice; 2] = [BackendChoice::Cpu, BackendChoice::Compute];
+
+fn options(backend: BackendChoice) -> EngineOptions {
+    EngineOptions { backend, adapter: None, allow_software: true, threads: None, max_sessions: 20 }
+}
+
+fn engine(backend: BackendChoice) -> (Engine, Arc<Scene>) {
+    let scene = Arc::new(room());
+    (Engine::start(Arc::clone(&scene), &options(backend)).unwrap(), scene)
+}
+
+fn camera(step: u32, width: u32, height: u32) -> Camera {
+    let angle = f64::from(step) * 0.7;
+    let to = DVec3::new(angle.sin(), -0.2, angle.cos());
+    let from = DVec3::new(-0.5, 1.6, 0.3);
+    Camera::looking_at(from, from + to, 1.0, width, height)
+}
+
+fn request(frame: u32, width: u32, height: u32) -> TraceRequest {
+    TraceRequest { frame: FrameNumber(frame), camera: camera(frame, width, height), received_at: Instant::now() }
+}
+
+fn shape(width: u32, height: u32) -> MaskShape {
+    MaskShape::new(width, height, 5).unwrap()
+}
+
+/// Waits, but not for ever, until `condition` holds.
+fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
+    let begin = Instant::now();
+    while !condition() {
+        assert!(begin.elapsed() < Duration::from_secs(60), "{what} did not happen");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+fn next_mask(port: &mut SessionPort) -> super::TracedMask {
+    let mut mask = None;
+    eventually("a mask", || {
+        mask = port.masks.try_recv().ok();
+        mask.is_some()
+    });
+    mask.unwrap()
+}
+
+#[test]
+fn twenty_sessions_of_different_sizes_each_get_their_own_frames() {
+    for backend in BACKENDS {
+        let (engine, scene) = engine(backend);
+        let cpu = CpuBackend::new(&scene, None).unwrap();
+        let sizes: Vec<(u32, u32)> = (0..20).map(|index| (24 + 4 * index, 40 - index)).collect();
+        let mut ports: Vec<SessionPort> =
+            sizes.iter().map(|&(width, height)| engine.open_session(shape(width, height)).unwrap()).collect();
+        assert_eq!(engine.sessions(), 20);
+        assert!(matches!(engine.open_session(shape(8, 8)), Err(OpenError::Full(20))));
+        for frame in [3, 8] {
+            for (port, &(width, height)) in ports.iter().zip(&sizes) {
+                port.request(request(frame + width, width, height));
+            }
+            for (port, &(width, height)) in ports.iter_mut().zip(&sizes) {
+                let traced = next_mask(port);
+                assert_eq!(traced.frame, FrameNumber(frame + width));
+                let mut expected = Mask::new(shape(width, height));
+                cpu.trace(&camera(frame + width, width, height), &mut expected);
+                let wrong: u32 =
+                    traced.mask.words().iter().zip(expected.words()).map(|(a, b)| (a ^ b).count_ones()).sum();
+                assert!(wrong <= 8, "{wrong} bits of {width}×{height} differ");
+                assert!(traced.cost.shadow_rays > 100);
+                port.recycle(traced.mask);
+            }
+        }
+        drop(ports);
+        eventually("the end of all sessions", || engine.sessions() == 0);
+        drop(engine.open_session(shape(8, 8)).unwrap());
+        engine.shutdown();
+        assert!(matches!(engine.open_session(shape(8, 8)), Err(OpenError::Stopped(_))));
+    }
+}
+
+#[test]
+fn the_newest_pose_wins_and_who_never_reads_holds_up_nobody() {
+    for backend in BACKENDS {
+        let (engine, _) = engine(backend);
+        let mut sleeper = engine.open_session(shape(64, 48)).unwrap();
+        let mut reader = engine.open_session(shape(40, 40)).unwrap();
+        // The sleeper's channel fills, and its poses go on coming.
+        for frame in 0..200 {
+            sleeper.request(request(frame, 64, 48));
+            if frame % 40 == 0 {
+                reader.request(request(frame, 40, 40));
+                assert_eq!(next_mask(&mut reader).frame, FrameNumber(frame));
+            }
+        }
+        eventually("two masks for the sleeper", || sleeper.masks.waiting() == OUTSTANDING_MASKS);
+        let older = [next_mask(&mut sleeper).frame, next_mask(&mut sleeper).frame];
+        // Reading made room, and the pose that had waited is the last one.
+        assert_eq!(next_mask(&mut sleeper).frame, FrameNumber(199));
+        assert!(older[0] < older[1] && older[1] < FrameNumber(199), "{older:?}");
+        assert!(sleeper.masks.try_recv().is_err());
+    }
+}
+
+#[test]
+fn a_session_that_closes_in_mid_frame_disturbs_nobody() {
+    for backend in BACKENDS {
+        let (engine, _) = engine(backend);
+        let mut reader = engine.open_session(shape(40, 40)).unwrap();
+        for round in 0..6 {
+            let leaver = engine.open_session(shape(80 + 8 * round, 60)).unwrap();
+            leaver.request(request(round, 80 + 8 * round, 60));
+            reader.request(request(round, 40, 40));
+            // Either end's drop closes the session.
+            let SessionPort { requests, masks } = leaver;
+            if round % 2 == 0 {
+                drop(requests);
+            } else {
+                drop(masks);
+            }
+            assert_eq!(next_mask(&mut reader).frame, FrameNumber(round));
+            eventually("the leaver's end", || engine.sessions() == 1);
+        }
+    }
+}
+
+#[test]
+fn shutdown_closes_ports_even_with_frames_in_flight() {
+    for backend in BACKENDS {
+        let (engine, _) = engine(backend);
+        let mut ports: Vec<SessionPort> = (0..4).map(|_| engine.open_session(shape(160, 90)).unwrap()).collect();
+        for port in &ports {
+            port.request(request(1, 160, 90));
+        }
+        engine.shutdown();
+        assert_eq!(engine.sessions(), 0);
+        for port in &mut ports {
+            while port.masks.blocking_recv().is_some() {}
+        }
+    }
+}
+
+#[test]
+fn an_async_session_is_woken_by_its_masks() {
+    let (engine, _) = engine(BackendChoice::Cpu);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+    runtime.block_on(async {
+        let mut port = engine.open_session(shape(32, 32)).unwrap();
+        for frame in 0..5 {
+            port.request(request(frame, 32, 32));
+            let mask = tokio::time::timeout(Duration::from_secs(60), port.masks.recv()).await.unwrap().unwrap();
+            assert_eq!(mask.frame, FrameNumber(frame));
+        }
+    });
+}
+
+#[test]
+fn poses_of_another_size_are_dropped() {
+    let (engine, _) = engine(BackendChoice::Cpu);
+    let mut port = engine.open_session(shape(32, 32)).unwrap();
+    port.request(request(1, 64, 32));
+    std::thread::sleep(Duration::from_millis(50));
+    port.request(request(2, 32, 32));
+    assert_eq!(next_mask(&mut port).frame, FrameNumber(2));
+}
+
+#[test]
+fn wrong_openings_are_refused_with_their_reasons() {
+    let (engine, scene) = engine(BackendChoice::Cpu);
+    let error = engine.open_session(MaskShape::new(8, 8, 3).unwrap()).unwrap_err();
+    assert!(matches!(error, OpenError::Lights { expected: 5, found: 3 }), "{error}");
+    let missing = EngineOptions { adapter: Some("no such adapter".into()), ..options(BackendChoice::Compute) };
+    for backend in [BackendChoice::Compute, BackendChoice::Auto] {
+        let error = Engine::start(Arc::clone(&scene), &EngineOptions { backend, ..missing.clone() }).unwrap_err();
+        assert!(matches!(error, EngineError::Backend(BackendError::Gpu(_))), "{error}");
+        assert!(error.to_string().contains("no such adapter"), "{error}");
+    }
+    assert_eq!("cpu".parse(), Ok(BackendChoice::Cpu));
+    assert!("gpu".parse::<BackendChoice>().is_err());
+}
+
+#[test]
+fn auto_takes_the_processor_where_only_software_is_an_adapter() {
+    // On a machine with a GPU it takes that.
+    let engine = Engine::start(Arc::new(room()), &options(BackendChoice::Auto)).unwrap();
+    assert!(engine.description().starts_with("cpu") || !engine.description().contains("llvmpipe"));
+}
