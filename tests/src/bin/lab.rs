@@ -4,7 +4,10 @@ use std::{ffi::OsString, path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use gnomon_tests::report::pipeline::{self, PipelineOptions};
+use gnomon_tests::{
+    cloister,
+    report::pipeline::{self, PipelineOptions},
+};
 
 #[derive(Debug, Parser)]
 #[command(version, about = "Makes Gnomon's own scene and measures its programs.")]
@@ -15,6 +18,12 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Writes Gnomon's own scene: cloister.glb and its camera paths, cloister.json.
+    MakeScene {
+        /// Folder to write into.
+        #[arg(long, default_value = "tests/assets")]
+        out: PathBuf,
+    },
     /// Rebuilds the dissertation's Table 1 with the real programs on loopback: writes pipeline.csv, prints Markdown.
     Pipeline {
         /// The scene, `.gltf` or `.glb`.
@@ -57,6 +66,19 @@ fn size(text: &str) -> Result<(u32, u32), String> {
 
 fn run(arguments: Arguments) -> Result<()> {
     match arguments.command {
+        Command::MakeScene { out } => {
+            let made = cloister::generate(&out)?;
+            println!(
+                "{}: {} bytes ({} of pictures), {} meshes, {} instances, {} triangles ({} stored)",
+                out.join(cloister::SCENE_FILE).display(),
+                made.bytes,
+                made.picture_bytes,
+                made.meshes,
+                made.instances,
+                made.triangles,
+                made.stored_triangles
+            );
+        }
         Command::Pipeline { scene, lights_from, lights, path, size, frames, runs, backend, allow_software, out } => {
             let path = path.unwrap_or_else(|| scene.with_file_name("lights_camera.json").into());
             let options =

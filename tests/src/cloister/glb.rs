@@ -1,0 +1,262 @@
+//! Writes a binary glTF 2.0 file (glTF 2.0, §4.4): meshes, materials, pictures, lights, nodes and rigid animations.
+
+use glam::{DQuat, DVec3, Vec3};
+use serde_json::{Value, json};
+
+use super::mesh::Mesh;
+
+/// A mesh, material, picture, node or light of a [`Glb`], by its index.
+pub(crate) type Id = usize;
+
+/// What can go wrong while a file is put together.
+#[derive(Debug, thiserror::Error)]
+pub enum GlbError {
+    /// The JSON part cannot be written.
+    #[error("the file's JSON cannot be written: {0}")]
+    Json(#[from] serde_json::Error),
+    /// A part is longer than the format's 32-bit lengths.
+    #[error("{bytes} bytes do not fit a binary glTF file")]
+    TooLong {
+        /// Its length.
+        bytes: usize,
+    },
+}
+
+/// The parts of a file, in the order in which they were added.
+#[derive(Debug, Default)]
+pub(crate) struct Glb {
+    binary: Vec<u8>,
+    views: Vec<Value>,
+    accessors: Vec<Value>,
+    images: Vec<Value>,
+    materials: Vec<Value>,
+    meshes: Vec<Value>,
+    lights: Vec<Value>,
+    nodes: Vec<Value>,
+    roots: Vec<Id>,
+    animations: Vec<Value>,
+    /// Triangles of each mesh.
+    triangles: Vec<usize>,
+}
+
+/// How much a file holds.
+pub(crate) struct Counts {
+    pub(crate) meshes: usize,
+    pub(crate) instances: usize,
+    pub(crate) stored_triangles: usize,
+    pub(crate) triangles: usize,
+}
+
+impl Glb {
+    /// Adds a picture (`mime` is `image/png` or `image/jpeg`) and a texture of the same index that repeats.
+    pub(crate) fn image(&mut self, name: &str, mime: &str, bytes: &[u8]) -> Id {
+        let view = self.view(bytes, None);
+        self.images.push(json!({ "name": name, "mimeType": mime, "bufferView": view }));
+        self.images.len() - 1
+    }
+
+    /// Adds a material, a glTF material object.
+    pub(crate) fn material(&mut self, material: Value) -> Id {
+        self.materials.push(material);
+        self.materials.len() - 1
+    }
+
+    /// Adds a mesh: one primitive a part.
+    pub(crate) fn mesh(&mut self, name: &str, parts: &[(Id, Mesh)]) -> Id {
+        let primitives: Vec<Value> = parts
+            .iter()
+            .filter(|(_, mesh)| !mesh.indices.is_empty())
+            .map(|(material, mesh)| self.primitive(*material, mesh))
+            .collect();
+        self.meshes.push(json!({ "name": name, "primitives": primitives }));
+        self.triangles.push(parts.iter().map(|(_, mesh)| mesh.triangle_count()).sum());
+        self.meshes.len() - 1
+    }
+
+    /// Adds a light, a KHR_lights_punctual light object.
+    pub(crate) fn light(&mut self, light: Value) -> Id {
+        self.lights.push(light);
+        self.lights.len() - 1
+    }
+
+    /// Adds a node, a glTF node object without children, below `parent` or as a root.
+    pub(crate) fn node(&mut self, parent: Option<Id>, node: Value) -> Id {
+        self.nodes.push(node);
+        let id = self.nodes.len() - 1;
+        match parent.and_then(|parent| self.nodes.get_mut(parent)) {
+            Some(parent) => match parent.get_mut("children").and_then(Value::as_array_mut) {
+                Some(children) => children.push(json!(id)),
+                None => parent["children"] = json!([id]),
+            },
+            None => self.roots.push(id),
+        }
+        id
+    }
+
+    /// Adds an animation of one node's rotation: key times in seconds, linear in between.
+    pub(crate) fn rotation_animation(&mut self, name: &str, node: Id, keys: &[(f64, DQuat)]) {
+        #[expect(clippy::cast_possible_truncation, reason = "rounded to the file's precision")]
+        let times: Vec<f32> = keys.iter().map(|key| key.0 as f32).collect();
+        let turns: Vec<[f32; 4]> = keys.iter().map(|key| key.1.as_quat().to_array()).collect();
+        let view = self.view(bytemuck::cast_slice(&times), None);
+        let input = self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": "SCALAR",
+            "count": times.len(), "min": [times.first()], "max": [times.last()] }));
+        let view = self.view(bytemuck::cast_slice(&turns), None);
+        let output =
+            self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": "VEC4", "count": turns.len() }));
+        self.animations.push(json!({ "name": name,
+            "samplers": [{ "input": input, "output": output, "interpolation": "LINEAR" }],
+            "channels": [{ "sampler": 0, "target": { "node": node, "path": "rotation" } }] }));
+    }
+
+    /// The file's bytes.
+    ///
+    /// # Errors
+    /// When a part is longer than 4 GiB.
+    pub(crate) fn finish(mut self, generator: &str) -> Result<Vec<u8>, GlbError> {
+        let textures: Vec<Value> = (0..self.images.len()).map(|i| json!({ "source": i, "sampler": 0 })).collect();
+        pad(&mut self.binary, 0);
+        let mut json = serde_json::to_vec(&json!({
+            "asset": { "version": "2.0", "generator": generator },
+            "extensionsUsed": ["KHR_lights_punctual"],
+            "extensions": { "KHR_lights_punctual": { "lights": self.lights } },
+            "scene": 0,
+            "scenes": [{ "nodes": self.roots }],
+            "nodes": self.nodes,
+            "meshes": self.meshes,
+            "materials": self.materials,
+            "samplers": [{ "magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497 }],
+            "textures": textures,
+            "images": self.images,
+            "animations": self.animations,
+            "accessors": self.accessors,
+            "bufferViews": self.views,
+            "buffers": [{ "byteLength": self.binary.len() }],
+        }))?;
+        pad(&mut json, b' ');
+        let length = |bytes: usize| u32::try_from(bytes).map_err(|_| GlbError::TooLong { bytes });
+        let total = length(12 + 8 + json.len() + 8 + self.binary.len())?;
+        let mut file = b"glTF".to_vec();
+        file.extend(2u32.to_le_bytes());
+        file.extend(total.to_le_bytes());
+        for (kind, chunk) in [(b"JSON", &json), (b"BIN\0", &self.binary)] {
+            file.extend(length(chunk.len())?.to_le_bytes());
+            file.extend(kind);
+            file.extend(chunk);
+        }
+        Ok(file)
+    }
+
+    /// Length of the binary part so far, in bytes.
+    pub(crate) fn binary_bytes(&self) -> usize {
+        self.binary.len()
+    }
+
+    /// What the file holds so far.
+    pub(crate) fn counts(&self) -> Counts {
+        let shown =
+            self.nodes.iter().filter_map(|node| node.get("mesh")?.as_u64()).filter_map(|id| usize::try_from(id).ok());
+        let shown: Vec<usize> = shown.filter_map(|id| self.triangles.get(id).copied()).collect();
+        Counts {
+            meshes: self.meshes.len(),
+            instances: shown.len(),
+            stored_triangles: self.triangles.iter().sum(),
+            triangles: shown.iter().sum(),
+        }
+    }
+
+    fn primitive(&mut self, material: Id, mesh: &Mesh) -> Value {
+        let count = mesh.positions.len();
+        let low = mesh.positions.iter().fold(Vec3::MAX, |low, p| low.min(*p)).to_array();
+        let high = mesh.positions.iter().fold(Vec3::MIN, |high, p| high.max(*p)).to_array();
+        let view = self.view(bytemuck::cast_slice(&mesh.positions), Some(34962));
+        let position = self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": "VEC3",
+            "count": count, "min": low, "max": high }));
+        let view = self.view(bytemuck::cast_slice(&mesh.normals), Some(34962));
+        let normal =
+            self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": "VEC3", "count": count }));
+        let view = self.view(bytemuck::cast_slice(&mesh.uvs), Some(34962));
+        let uv = self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": "VEC2", "count": count }));
+        // 65,535 is not an index: it restarts primitives on some hardware (glTF 2.0, §3.7.2.1).
+        let short: Option<Vec<u16>> =
+            mesh.indices.iter().map(|&i| u16::try_from(i).ok().filter(|&i| i < u16::MAX)).collect();
+        let (view, kind) = match short {
+            Some(short) => (self.view(bytemuck::cast_slice(&short), Some(34963)), 5123),
+            None => (self.view(bytemuck::cast_slice(&mesh.indices), Some(34963)), 5125),
+        };
+        let indices = self.accessor(
+            json!({ "bufferView": view, "componentType": kind, "type": "SCALAR", "count": mesh.indices.len() }),
+        );
+        json!({ "material": material, "indices": indices,
+            "attributes": { "POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv } })
+    }
+
+    fn accessor(&mut self, accessor: Value) -> Id {
+        self.accessors.push(accessor);
+        self.accessors.len() - 1
+    }
+
+    fn view(&mut self, bytes: &[u8], target: Option<u32>) -> Id {
+        pad(&mut self.binary, 0);
+        let mut view = json!({ "buffer": 0, "byteOffset": self.binary.len(), "byteLength": bytes.len() });
+        if let Some(target) = target {
+            view["target"] = json!(target);
+        }
+        self.binary.extend_from_slice(bytes);
+        self.views.push(view);
+        self.views.len() - 1
+    }
+}
+
+/// A node that shows a mesh where its parent stands.
+pub(crate) fn mesh_node(name: &str, mesh: Id) -> Value {
+    json!({ "name": name, "mesh": mesh })
+}
+
+/// The same node, moved.
+pub(crate) fn at(mut node: Value, translation: DVec3) -> Value {
+    node["translation"] = json!(translation.as_vec3().to_array());
+    node
+}
+
+/// The same node, turned about the vertical.
+pub(crate) fn turned(mut node: Value, turn_rad: f64) -> Value {
+    node["rotation"] = json!(DQuat::from_rotation_y(turn_rad).as_quat().to_array());
+    node
+}
+
+/// The same node, scaled; negative factors mirror.
+pub(crate) fn scaled(mut node: Value, scale: DVec3) -> Value {
+    node["scale"] = json!(scale.as_vec3().to_array());
+    node
+}
+
+/// Chunks and views start at multiples of four bytes (glTF 2.0, §4.4.3.1).
+fn pad(bytes: &mut Vec<u8>, with: u8) {
+    while !bytes.len().is_multiple_of(4) {
+        bytes.push(with);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_container_is_laid_out_as_the_specification_says() {
+        let mut glb = Glb::default();
+        let parent = glb.node(None, json!({ "name": "parent" }));
+        let child = glb.node(Some(parent), json!({ "name": "child" }));
+        glb.rotation_animation("turn", child, &[(0.0, DQuat::IDENTITY), (1.0, DQuat::from_rotation_y(1.0))]);
+        let file = glb.finish("test").unwrap();
+        assert_eq!(&file[..4], b"glTF");
+        let word = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize;
+        assert_eq!((word(4), word(8)), (2, file.len()));
+        let json: Value = serde_json::from_slice(&file[20..20 + word(12)]).unwrap();
+        assert_eq!(json["nodes"][0]["children"], json!([1]));
+        assert_eq!(json["scenes"][0]["nodes"], json!([0]));
+        let binary = 20 + word(12);
+        assert_eq!((&file[binary + 4..binary + 8], word(binary)), (&b"BIN\0"[..], 2 * 4 + 2 * 16));
+        assert_eq!(json["buffers"][0]["byteLength"], json!(40));
+    }
+}

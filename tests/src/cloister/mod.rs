@@ -1,0 +1,138 @@
+//! Gnomon's own scene, modelled in code: the courtyard of a cloister with its arcades, and camera paths through it.
+//!
+//! [`generate`] writes the same bytes on every run. Each file here models one thing; `layout` says where things stand.
+
+use std::path::{Path, PathBuf};
+
+mod arcade;
+mod armillary;
+mod fountain;
+mod furnishing;
+mod glb;
+mod hangings;
+mod house;
+mod lantern;
+mod layout;
+mod lights;
+mod materials;
+mod mesh;
+mod moving;
+mod paths;
+mod paving;
+mod plants;
+mod rng;
+mod roof;
+mod shapes;
+mod sundial;
+mod sweep;
+mod textures;
+mod tree;
+mod vault;
+mod walls;
+mod well;
+
+pub use glb::GlbError;
+
+/// Name of the scene's file.
+pub const SCENE_FILE: &str = "cloister.glb";
+/// Name of the camera paths' file.
+pub const PATHS_FILE: &str = "cloister.json";
+
+/// What can go wrong while the scene is made.
+#[derive(Debug, thiserror::Error)]
+pub enum GenerateError {
+    /// A picture cannot be encoded.
+    #[error("a picture of the cloister cannot be encoded: {0}")]
+    Picture(#[from] image::ImageError),
+    /// The file cannot be put together.
+    #[error(transparent)]
+    Glb(#[from] GlbError),
+    /// A file cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+}
+
+/// What was made.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Report {
+    /// Size of the scene's file, in bytes.
+    pub bytes: usize,
+    /// Bytes of it that are pictures.
+    pub picture_bytes: usize,
+    /// Meshes, each stored once.
+    pub meshes: usize,
+    /// Nodes that show a mesh.
+    pub instances: usize,
+    /// Triangles that are stored.
+    pub stored_triangles: usize,
+    /// Triangles once every instance is counted.
+    pub triangles: usize,
+}
+
+/// Writes `cloister.glb` and `cloister.json` into the folder `out`.
+///
+/// # Errors
+/// When a picture cannot be encoded or a file cannot be written.
+pub fn generate(out: &Path) -> Result<Report, GenerateError> {
+    let (scene, report) = scene()?;
+    let mut paths = serde_json::to_vec_pretty(&paths::document()).map_err(GlbError::from)?;
+    paths.push(b'\n');
+    for (name, bytes) in [(SCENE_FILE, scene), (PATHS_FILE, paths)] {
+        let path = out.join(name);
+        std::fs::write(&path, bytes).map_err(|source| GenerateError::Write { path, source })?;
+    }
+    Ok(report)
+}
+
+/// The scene's file, as bytes.
+fn scene() -> Result<(Vec<u8>, Report), GenerateError> {
+    let mut glb = glb::Glb::default();
+    let palette = materials::add(&mut glb)?;
+    let picture_bytes = glb.binary_bytes();
+    // The order is the drawing's order, and lights come in the order of the mask's planes: the sun first.
+    let sides = house::sides(&mut glb);
+    house::add(&mut glb, &palette, sides);
+    furnishing::add(&mut glb, &palette, sides);
+    moving::add(&mut glb, &palette);
+    lights::add(&mut glb, &palette, sides);
+    let counts = glb.counts();
+    let bytes = glb.finish(concat!("Gnomon make-scene ", env!("CARGO_PKG_VERSION")))?;
+    let report = Report {
+        bytes: bytes.len(),
+        picture_bytes,
+        meshes: counts.meshes,
+        instances: counts.instances,
+        stored_triangles: counts.stored_triangles,
+        triangles: counts.triangles,
+    };
+    Ok((bytes, report))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn committed(name: &str) -> Vec<u8> {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name);
+        std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    }
+
+    #[test]
+    fn the_committed_files_are_what_the_generator_writes() {
+        let out = tempfile::tempdir().unwrap();
+        let report = generate(out.path()).unwrap();
+        for name in [SCENE_FILE, PATHS_FILE] {
+            let made = std::fs::read(out.path().join(name)).unwrap();
+            let same = made == committed(name);
+            assert!(same, "{name} is not what the generator writes: run `lab make-scene` and commit it");
+        }
+        assert!(report.bytes <= 4 << 20, "{} bytes", report.bytes);
+        assert!(report.triangles <= 250_000, "{} triangles are too many for software Vulkan", report.triangles);
+        assert!(report.stored_triangles * 3 < report.triangles, "instances do not pay: {report:?}");
+    }
+}
