@@ -1,0 +1,232 @@
+//! How fast the `compute` back end traces a scene, stage by stage, and whether its masks are those of the `cpu` back end.
+//!
+//! `cargo run --release -p gnomon-server --example gpu_times -- SCENE [--lights-from FILE] [--lights 1,4,8] [--size WxH]
+//! [--from X,Y,Z --to X,Y,Z] [--frames N] [--adapter NAME] [--allow-software] [--json FILE]`
+//!
+//! For every number of lights: times of the kernels by the device's own clock, of the read-back, and of whole frames one
+//! at a time; then frames per second with the ring full; and the part of the relevant bits in which the two back ends
+//! differ. Ends with an error when that part exceeds `--tolerance`.
+
+use std::{
+    path::PathBuf,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context, Result, ensure};
+use clap::Parser;
+use glam::DVec3;
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_server::visibility::{
+    TraceCost,
+    backend::{
+        compute::{ComputeBackend, RING_FRAMES},
+        cpu::CpuBackend,
+    },
+};
+use gnomon_shaders::{
+    camera::Camera,
+    scene::{LoadOptions, Scene},
+};
+use serde::Serialize;
+
+/// Traces a scene on a graphics adapter over and over and says how fast that was.
+#[derive(Debug, Parser)]
+struct Arguments {
+    /// The scene: .gltf or .glb.
+    scene: PathBuf,
+    /// Lights for a scene that has none.
+    #[arg(long)]
+    lights_from: Option<PathBuf>,
+    /// Numbers of lights: the first so many of the scene's.
+    #[arg(long, value_delimiter = ',', default_values_t = [1, 4, 8])]
+    lights: Vec<usize>,
+    /// Size of the mask.
+    #[arg(long, default_value = "1920x1080", value_parser = pair)]
+    size: (u32, u32),
+    /// Where the camera is, in metres.
+    #[arg(long, default_value = "-8.5,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
+    from: DVec3,
+    /// A point that it looks at.
+    #[arg(long, default_value = "0,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
+    to: DVec3,
+    /// Full vertical field of view, in degrees.
+    #[arg(long, default_value_t = 60.0)]
+    yfov: f64,
+    /// Frames to time.
+    #[arg(long, default_value_t = 50)]
+    frames: usize,
+    /// Part of the adapter's name.
+    #[arg(long)]
+    adapter: Option<String>,
+    /// Take a software adapter if there is no other.
+    #[arg(long)]
+    allow_software: bool,
+    /// The largest part of the relevant bits in which the back ends may differ.
+    #[arg(long, default_value_t = 0.001)]
+    tolerance: f64,
+    /// Also writes the figures here.
+    #[arg(long)]
+    json: Option<PathBuf>,
+}
+
+/// Median and 99th percentile.
+#[derive(Debug, Clone, Copy, Serialize)]
+struct Spread {
+    median: f64,
+    p99: f64,
+}
+
+/// What was measured with one number of lights.
+#[derive(Debug, Serialize)]
+struct Row {
+    lights: usize,
+    width: u32,
+    height: u32,
+    frames: usize,
+    primary_ms: Spread,
+    shadow_ms: Spread,
+    readback_ms: Spread,
+    frame_ms: Spread,
+    full_ring_frames_per_s: f64,
+    primary_mrays_per_s: f64,
+    shadow_mrays_per_s: f64,
+    shadow_rays: u64,
+    differing_bits: u64,
+    differing_part: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    scene: String,
+    triangles: usize,
+    backend: String,
+    cpu_backend: String,
+    setup_s: f64,
+    rows: Vec<Row>,
+}
+
+fn pair(text: &str) -> Result<(u32, u32)> {
+    let (width, height) = text.split_once('x').context("a size is WIDTHxHEIGHT")?;
+    Ok((width.parse()?, height.parse()?))
+}
+
+fn point(text: &str) -> Result<DVec3> {
+    let numbers: Vec<f64> = text.split(',').map(str::parse).collect::<Result<_, _>>()?;
+    let numbers: [f64; 3] = numbers.try_into().ok().context("a point is X,Y,Z")?;
+    Ok(DVec3::from_array(numbers))
+}
+
+fn spread(costs: &[(TraceCost, f64)], of: impl Fn(&(TraceCost, f64)) -> f64) -> Spread {
+    let mut values: Vec<f64> = costs.iter().map(of).collect();
+    values.sort_by(f64::total_cmp);
+    let last = values.len() - 1;
+    Spread { median: values[last / 2], p99: values[last - values.len() / 100] }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counts far below 2^53")]
+fn measure(scene: &Scene, compute: &mut ComputeBackend, camera: &Camera, frames: usize) -> Result<Row> {
+    let lights = scene.lights.len();
+    let shape = MaskShape::new(camera.width, camera.height, u32::try_from(lights)?)?;
+    let mut mask = Mask::new(shape);
+    // The first frames bring clocks up and memory in.
+    for _ in 0..5 {
+        compute.trace(camera, &mut mask)?;
+    }
+    let mut costs = Vec::with_capacity(frames);
+    for _ in 0..frames {
+        let begin = Instant::now();
+        let cost = compute.trace(camera, &mut mask)?;
+        costs.push((cost, begin.elapsed().as_secs_f64() * 1e3));
+    }
+
+    let begin = Instant::now();
+    let mut scratch = Mask::new(shape);
+    for frame in 0..frames + RING_FRAMES {
+        if frame >= RING_FRAMES {
+            while compute.collect(Duration::from_secs(1), &mut scratch)?.is_none() {}
+        }
+        if frame < frames {
+            compute.submit(camera, shape)?;
+        }
+    }
+    let full_ring_frames_per_s = frames as f64 / begin.elapsed().as_secs_f64();
+
+    let mut expected = Mask::new(shape);
+    let on_cpu = CpuBackend::new(scene, None)?.trace(camera, &mut expected);
+    let differing_bits = mask.words().iter().zip(expected.words()).map(|(a, b)| u64::from((a ^ b).count_ones())).sum();
+
+    let (primary_ms, shadow_ms) = (spread(&costs, |c| c.0.primary_ms), spread(&costs, |c| c.0.shadow_ms));
+    let (rays, shadow_rays) = (costs[0].0.primary_rays, costs[0].0.shadow_rays);
+    Ok(Row {
+        lights,
+        width: camera.width,
+        height: camera.height,
+        frames,
+        primary_ms,
+        shadow_ms,
+        readback_ms: spread(&costs, |c| c.0.readback_ms),
+        frame_ms: spread(&costs, |c| c.1),
+        full_ring_frames_per_s,
+        primary_mrays_per_s: rays as f64 / primary_ms.median / 1e3,
+        shadow_mrays_per_s: shadow_rays as f64 / shadow_ms.median / 1e3,
+        shadow_rays,
+        differing_bits,
+        differing_part: differing_bits as f64 / on_cpu.shadow_rays.max(1) as f64,
+    })
+}
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    ensure!(arguments.frames > 0, "nothing to time in 0 frames");
+    let options = LoadOptions { lights_from: arguments.lights_from.clone(), max_lights: None };
+    let whole = Scene::load(&arguments.scene, &options)?;
+    let (width, height) = arguments.size;
+    let camera = Camera::looking_at(arguments.from, arguments.to, arguments.yfov.to_radians(), width, height);
+    let mut report = Report {
+        scene: arguments.scene.display().to_string(),
+        triangles: whole.tracing_triangles().len(),
+        backend: String::new(),
+        cpu_backend: CpuBackend::new(&whole, None)?.describe(),
+        setup_s: 0.0,
+        rows: Vec::new(),
+    };
+    println!(
+        "| lights | primary ms (p99) | shadow ms (p99) | read-back ms (p99) | frame ms (p99) | frames/s, full ring | \
+         primary Mray/s | shadow Mray/s | differing |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
+    for &lights in &arguments.lights {
+        let there = whole.lights.len();
+        ensure!((1..=there).contains(&lights), "{lights} lights of a scene that has {there}");
+        let mut scene = whole.clone();
+        scene.lights.truncate(lights);
+        let begin = Instant::now();
+        let mut compute = ComputeBackend::open(&scene, arguments.adapter.clone(), arguments.allow_software)?;
+        report.setup_s = begin.elapsed().as_secs_f64();
+        report.backend = compute.describe();
+        let row = measure(&scene, &mut compute, &camera, arguments.frames)?;
+        let both = |spread: Spread| format!("{:.3} ({:.3})", spread.median, spread.p99);
+        println!(
+            "| {lights} | {} | {} | {} | {} | {:.0} | {:.0} | {:.0} | {} of {} ({:.4} %) |",
+            both(row.primary_ms),
+            both(row.shadow_ms),
+            both(row.readback_ms),
+            both(row.frame_ms),
+            row.full_ring_frames_per_s,
+            row.primary_mrays_per_s,
+            row.shadow_mrays_per_s,
+            row.differing_bits,
+            row.shadow_rays,
+            row.differing_part * 100.0
+        );
+        report.rows.push(row);
+    }
+    let json = serde_json::to_string_pretty(&report)?;
+    println!("\n{json}");
+    if let Some(path) = &arguments.json {
+        std::fs::write(path, &json).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    let worst = report.rows.iter().map(|row| row.differing_part).fold(0.0, f64::max);
+    ensure!(worst <= arguments.tolerance, "{worst} of the bits differ, more than {}", arguments.tolerance);
+    Ok(())
+}
