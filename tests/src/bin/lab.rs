@@ -6,7 +6,10 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 use gnomon_tests::{
     cloister,
-    report::pipeline::{self, PipelineOptions},
+    report::{
+        pipeline::{self, PipelineOptions},
+        trace_error::{self, TraceErrorOptions},
+    },
 };
 
 #[derive(Debug, Parser)]
@@ -57,6 +60,39 @@ enum Command {
         #[arg(long, default_value = "target/lab")]
         out: PathBuf,
     },
+    /// Compares the back ends' masks with the f64 referee's, directly.
+    TraceError {
+        /// The scene, `.gltf` or `.glb`.
+        #[arg(long)]
+        scene: PathBuf,
+        /// JSON file with lights, for a scene that has none.
+        #[arg(long)]
+        lights_from: Option<PathBuf>,
+        /// Keeps the first lights only.
+        #[arg(long)]
+        lights: Option<u32>,
+        /// JSON file with camera paths; without it, lights_camera.json beside the scene.
+        #[arg(long)]
+        path: Option<PathBuf>,
+        /// Name of the path, where the file has several.
+        #[arg(long)]
+        path_name: Option<String>,
+        /// Times on the path, in seconds.
+        #[arg(long, value_delimiter = ',', default_value = "0")]
+        times: Vec<f64>,
+        /// Size of the picture, WIDTHxHEIGHT.
+        #[arg(long, value_parser = size, default_value = "640x360")]
+        size: (u32, u32),
+        /// Back ends: cpu, compute.
+        #[arg(long, value_delimiter = ',', default_value = "cpu,compute")]
+        backends: Vec<String>,
+        /// Lets compute run on a software adapter.
+        #[arg(long)]
+        allow_software: bool,
+        /// Folder for a picture of each comparison.
+        #[arg(long)]
+        pictures: Option<PathBuf>,
+    },
 }
 
 fn size(text: &str) -> Result<(u32, u32), String> {
@@ -84,6 +120,33 @@ fn run(arguments: Arguments) -> Result<()> {
             let options =
                 PipelineOptions { scene, lights_from, lights, path, size, frames, runs, backend, allow_software, out };
             print!("{}", pipeline::measure(&options, |line| eprintln!("{line}"))?.markdown());
+        }
+        Command::TraceError {
+            scene,
+            lights_from,
+            lights,
+            path,
+            path_name,
+            times,
+            size,
+            backends,
+            allow_software,
+            pictures,
+        } => {
+            let path = path.unwrap_or_else(|| scene.with_file_name("lights_camera.json"));
+            let options = TraceErrorOptions {
+                scene,
+                lights_from,
+                lights,
+                path,
+                path_name,
+                times_s: times,
+                size,
+                backends,
+                allow_software,
+                pictures,
+            };
+            trace_error::compare(&options, |line| println!("{line}"))?;
         }
     }
     Ok(())

@@ -2,3 +2,4 @@
 
 pub mod pipeline;
 pub mod table;
+pub mod trace_error;
