@@ -1,5 +1,7 @@
 //! Properties that hold for any bytes. The fuzz targets (`protocol/fuzz`) and the stable smoke test
 //! (`tests/fuzz_smoke.rs`) call these; nothing else should. Each panics when its property does not hold.
+//!
+//! One target, for a minute, in `protocol/`: `cargo +nightly fuzz run reassembler -- -max_total_time=60`.
 
 use std::num::NonZeroU16;
 

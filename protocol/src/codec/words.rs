@@ -131,3 +131,36 @@ const fn transpose_bytes(mut rows: [u64; 8]) -> [u64; 8] {
     }
     rows
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_bit_of_a_tile_has_its_place_in_a_word() {
+        for light in 0..32 {
+            for place in 0..64 {
+                let mut planes = [0; 32];
+                planes[light] = 1 << place;
+                let words = words_of(&planes, light + 1);
+                let mut expected: TileWords = [[0; SIDE]; SIDE];
+                expected[place / 8][place % 8] = 1 << light;
+                assert_eq!(words, expected, "light {light}, place {place}");
+                assert_eq!(planes_of(&words, light + 1), planes);
+            }
+        }
+    }
+
+    #[test]
+    fn transposing_twice_changes_nothing() {
+        let rows = [1, 0x0203, 0xFF00_0000_0000_0000, 4, 0x0123_4567_89AB_CDEF, 6, 7, u64::MAX];
+        let transposed = transpose_bytes(rows);
+        assert_eq!(transposed[7].to_le_bytes(), [0, 0, 0xFF, 0, 0x01, 0, 0, 0xFF]);
+        assert_eq!(transpose_bytes(transposed), rows);
+        assert_eq!(transpose_bits(1 << 9), 1 << 9);
+        assert_eq!(transpose_bits(1 << 7), 1 << 56);
+        for row in rows {
+            assert_eq!(transpose_bits(transpose_bits(row)), row);
+        }
+    }
+}
