@@ -1,5 +1,19 @@
 //! Gnomon's edge server: ray-traces visibility for many thin clients and streams it to them.
 //!
-//! A pose's way: `net` receives it → `session` keeps the newest → `visibility` traces it → `session` encodes and sends.
+//! A pose's way: `net` receives it → `session` keeps the newest → [`visibility`] traces it → `session` encodes
+//! and sends. [`Server::start`] boots the daemon inside any tokio runtime; the binary adds flags, logs and signals.
 
+pub mod cli;
+pub mod config;
+pub mod error;
+mod files;
+pub mod limits;
+mod net;
+mod server;
+mod session;
+pub mod shutdown;
+pub mod telemetry;
+mod tokens;
 pub mod visibility;
+
+pub use server::{RunningServer, Server};

@@ -1,0 +1,53 @@
+//! Why a server does not start.
+
+use std::path::PathBuf;
+
+use gnomon_shaders::scene::SceneError;
+use thiserror::Error;
+
+use crate::visibility::engine::EngineError;
+pub use crate::{
+    config::ConfigError, net::certificate::CertificateError, net::endpoint::ListenError, tokens::TokenError,
+};
+
+/// Why a server does not start.
+#[derive(Debug, Error)]
+pub enum StartError {
+    /// A value of the configuration is wrong.
+    #[error("configuration: {0}")]
+    Config(#[from] ConfigError),
+    /// No scene was named.
+    #[error("no scene: pass --scene FILE (.gltf or .glb)")]
+    NoScene,
+    /// The scene cannot be loaded.
+    #[error("scene {path}: {reason}")]
+    Scene {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: Box<SceneError>,
+    },
+    /// The scene cannot be packed for its journey.
+    #[error("scene {path} cannot be packed: {reason}")]
+    Pack {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// The token file is of no use.
+    #[error(transparent)]
+    Tokens(#[from] TokenError),
+    /// There is no certificate.
+    #[error(transparent)]
+    Certificate(#[from] CertificateError),
+    /// The address cannot be listened on.
+    #[error(transparent)]
+    Listen(#[from] ListenError),
+    /// Nothing can trace.
+    #[error("tracing: {0}")]
+    Engine(Box<EngineError>),
+    /// A part of the start broke off.
+    #[error("the start broke off: {0}")]
+    Broken(String),
+}

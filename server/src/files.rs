@@ -1,0 +1,65 @@
+//! Reading files that have a bound, and writing files that must be whole or absent.
+
+use std::{
+    fs::{self, File, OpenOptions},
+    io::{self, Read as _, Write as _},
+    path::Path,
+    sync::atomic::{AtomicU64, Ordering},
+};
+
+/// The bytes of a file of at most `limit_bytes`.
+///
+/// # Errors
+/// When the file cannot be read or is longer.
+pub(crate) fn read_small(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(limit_bytes + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > limit_bytes {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, format!("longer than {limit_bytes} bytes")));
+    }
+    Ok(bytes)
+}
+
+/// Makes a file that only its owner may read, unless there is one already; says whether it made it. The file appears
+/// whole or not at all: a crash leaves no half a key, and of two servers that start at once both keep the same one.
+///
+/// # Errors
+/// When the folder cannot be written.
+pub(crate) fn create_private(path: &Path, bytes: &[u8]) -> io::Result<bool> {
+    static SCRATCH: AtomicU64 = AtomicU64::new(0);
+    let unique = SCRATCH.fetch_add(1, Ordering::Relaxed);
+    let scratch = path.with_extension(format!("{}-{unique}.tmp", std::process::id()));
+    let mut options = OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let made = options.open(&scratch).and_then(|mut file| {
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        match fs::hard_link(&scratch, path) {
+            Ok(()) => Ok(true),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
+            // A file system without links: renaming is as whole, only the race is lost.
+            Err(_) => fs::rename(&scratch, path).map(|()| true),
+        }
+    });
+    // A leftover scratch file does no harm, and after a rename there is none.
+    let _ = fs::remove_file(&scratch);
+    made
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_bound_holds() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        assert!(create_private(&path, b"12345").unwrap());
+        assert!(!create_private(&path, b"67890").unwrap(), "the first file stays");
+        assert_eq!(read_small(&path, 5).unwrap(), b"12345");
+        assert_eq!(read_small(&path, 4).unwrap_err().kind(), io::ErrorKind::InvalidData);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no scratch file stays");
+    }
+}

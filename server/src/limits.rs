@@ -1,0 +1,75 @@
+//! Every bound of the daemon that is not configured, in one place. What a peer may send is in `gnomon_protocol::limits`.
+
+use std::time::Duration;
+
+/// Longest message that a client may send: a token, a name and a few numbers. It bounds memory before admission.
+pub const MAX_CLIENT_MESSAGE_BYTES: usize = 4096;
+
+/// Connections that may be between their first packet and their admission. More are refused at once.
+pub const MAX_HANDSHAKES: usize = 128;
+
+/// Bytes that quinn buffers for one connection, and for all, before it is accepted (defaults: 10 and 100 MiB).
+pub const INCOMING_BUFFER_BYTES: u64 = 16 * 1024;
+
+/// See [`INCOMING_BUFFER_BYTES`].
+pub const INCOMING_BUFFER_TOTAL_BYTES: u64 = 2 * 1024 * 1024;
+
+/// Received datagrams that wait for a session: some 200 poses. Older ones are dropped.
+pub const DATAGRAM_RECEIVE_BUFFER_BYTES: usize = 32 * 1024;
+
+/// What a client may send on its streams before the session has read it.
+pub const STREAM_RECEIVE_WINDOW_BYTES: u32 = 64 * 1024;
+
+/// Scene bytes in flight to one client.
+pub const SEND_WINDOW_BYTES: u64 = 4 * 1024 * 1024;
+
+/// Streams that a client may open: the control stream, and HTTP/3's own.
+pub const MAX_BIDI_STREAMS: u32 = 4;
+
+/// See [`MAX_BIDI_STREAMS`].
+pub const MAX_UNI_STREAMS: u32 = 8;
+
+/// Control messages, scene chunks among them, that wait for a session's control stream.
+pub const CONTROL_QUEUE: usize = 4;
+
+/// How often a client may ask for the scene in one session; resuming is for new sessions.
+pub const MAX_SCENE_FETCHES: u32 = 4;
+
+/// Control messages, over twice the frame rate, that a session answers in a second.
+pub const MAX_MESSAGES_PER_SECOND: u64 = 1000;
+
+/// Datagrams that may wait to be sent, in frames: beyond this a new frame is skipped.
+pub const SEND_BACKLOG_FRAMES: f64 = 1.6;
+
+/// Bytes that may always wait to be sent, so that tiny frames do not skip each other.
+pub const SEND_BACKLOG_FLOOR_BYTES: usize = 16 * 1024;
+
+/// Longest time that one write to a control stream may take.
+pub const WRITE_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// Longest time between admission and Start: the client fetches the scene and builds its pipelines.
+pub const SETUP_TIMEOUT: Duration = Duration::from_secs(600);
+
+/// Longest silence (no pose, no message) of a client that answers nothing but the transport's keep-alives.
+pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Time that a peer gets to read a last message before its connection is closed.
+pub const LINGER: Duration = Duration::from_millis(500);
+
+/// Time that a frame in flight gets to finish when the session stops.
+pub const FINISH_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Time after which asking a full server again makes sense.
+pub const RETRY_AFTER: Duration = Duration::from_secs(5);
+
+/// Largest token file.
+pub const MAX_TOKEN_FILE_BYTES: u64 = 1024 * 1024;
+
+/// Largest configuration, certificate or key file.
+pub const MAX_SMALL_FILE_BYTES: u64 = 256 * 1024;
+
+/// Sessions that the engine has room for beyond the admitted ones: they have ended, and it has not looked yet.
+pub const SPARE_SEATS: usize = 16;
+
+/// Most sessions that may be configured.
+pub const MAX_SESSIONS: usize = 4096;

@@ -1,0 +1,309 @@
+//! Where peers arrive: one QUIC endpoint for native clients and browsers, or a loopback listener for the lab.
+
+use std::{
+    io,
+    net::{SocketAddr, UdpSocket},
+    sync::Arc,
+};
+
+use gnomon_protocol::limits::MAX_FRAME_BYTES;
+use quinn::crypto::rustls::{HandshakeData, QuicServerConfig};
+use rustls::crypto::CryptoProvider;
+use socket2::{Domain, Protocol, Socket, Type};
+use thiserror::Error;
+use tokio::net::TcpListener;
+use web_transport_quinn::Session;
+
+use super::{
+    certificate::{ALPN_NATIVE, ALPN_WEB, Certificates},
+    congestion::DelayControllerConfig,
+    control::{ControlReader, ControlWriter},
+    link::{DataLink, LabTcpData, LabUdpData, Link, QuicData},
+};
+use crate::{
+    config::{ServerConfig, Transport},
+    limits,
+};
+
+/// What quinn may hold of datagrams that wait. It never fills: the frame gate stops at 1.6 frames, whatever their size.
+const DATAGRAM_SEND_BUFFER_BYTES: usize = 2 * MAX_FRAME_BYTES;
+
+/// Kernel buffers of the QUIC socket, which all sessions share.
+const SOCKET_BUFFER_BYTES: usize = 8 * 1024 * 1024;
+
+/// Why the server cannot listen.
+#[derive(Debug, Error)]
+pub enum ListenError {
+    /// Another program has the port.
+    #[error("{0} is taken: stop the other program, or pass another --listen ADDR:PORT")]
+    Taken(SocketAddr),
+    /// The address cannot be used.
+    #[error("cannot listen on {address}: {reason}")]
+    Socket {
+        /// The address.
+        address: SocketAddr,
+        /// Why.
+        reason: io::Error,
+    },
+    /// The TLS configuration is refused.
+    #[error("cannot set up TLS: {0}")]
+    Tls(String),
+}
+
+/// A bound socket on which nothing is accepted yet: binding comes before the scene is loaded, so that a taken port is
+/// known at once.
+pub(crate) enum Bound {
+    Quic(UdpSocket),
+    Lab(std::net::TcpListener),
+}
+
+/// Where peers arrive.
+pub(crate) enum Endpoint {
+    Quic(quinn::Endpoint),
+    Lab { listener: TcpListener, transport: Transport },
+}
+
+/// Binds the configured address.
+///
+/// # Errors
+/// When the address is taken or cannot be used.
+pub(crate) fn bind(config: &ServerConfig) -> Result<Bound, ListenError> {
+    let address = config.listen;
+    let attempt = || {
+        let (kind, protocol) = match config.transport {
+            Transport::Quic => (Type::DGRAM, Protocol::UDP),
+            Transport::LabUdp | Transport::LabTcp => (Type::STREAM, Protocol::TCP),
+        };
+        let socket = Socket::new(Domain::for_address(address), kind, Some(protocol))?;
+        if address.is_ipv6() {
+            // `[::]` serves IPv4 as well, on every system.
+            socket.set_only_v6(false)?;
+        }
+        socket.set_nonblocking(true)?;
+        if config.transport == Transport::Quic {
+            // The kernel clamps these to what it allows; less costs datagrams under load, which quinn reports as lost.
+            let _ = socket.set_recv_buffer_size(SOCKET_BUFFER_BYTES);
+            let _ = socket.set_send_buffer_size(SOCKET_BUFFER_BYTES);
+            socket.bind(&address.into())?;
+            return Ok(Bound::Quic(socket.into()));
+        }
+        // A lab server that is started again must not wait for the last one's connections to be forgotten.
+        #[cfg(unix)]
+        socket.set_reuse_address(true)?;
+        socket.bind(&address.into())?;
+        socket.listen(128)?;
+        Ok(Bound::Lab(socket.into()))
+    };
+    attempt().map_err(|reason: io::Error| match reason.kind() {
+        io::ErrorKind::AddrInUse => ListenError::Taken(address),
+        _ => ListenError::Socket { address, reason },
+    })
+}
+
+impl Bound {
+    /// The address, with the port that was free.
+    ///
+    /// # Errors
+    /// When the system does not tell.
+    pub(crate) fn local_addr(&self) -> io::Result<SocketAddr> {
+        match self {
+            Self::Quic(socket) => socket.local_addr(),
+            Self::Lab(listener) => listener.local_addr(),
+        }
+    }
+
+    /// Starts to take in packets.
+    ///
+    /// # Errors
+    /// When TLS or the runtime refuses.
+    pub(crate) fn open(
+        self,
+        config: &ServerConfig,
+        certificates: Option<Arc<Certificates>>,
+        provider: &Arc<CryptoProvider>,
+    ) -> Result<Endpoint, ListenError> {
+        let socket_error = |reason| ListenError::Socket { address: config.listen, reason };
+        match (self, certificates) {
+            (Self::Lab(listener), _) => {
+                let listener = TcpListener::from_std(listener).map_err(socket_error)?;
+                Ok(Endpoint::Lab { listener, transport: config.transport })
+            }
+            (Self::Quic(_), None) => Err(ListenError::Tls("no certificate".to_owned())),
+            (Self::Quic(socket), Some(certificates)) => {
+                let server = quic_config(config, certificates, provider)?;
+                quinn::Endpoint::new(
+                    quinn::EndpointConfig::default(),
+                    Some(server),
+                    socket,
+                    Arc::new(quinn::TokioRuntime),
+                )
+                .map(Endpoint::Quic)
+                .map_err(socket_error)
+            }
+        }
+    }
+}
+
+fn quic_config(
+    config: &ServerConfig,
+    certificates: Arc<Certificates>,
+    provider: &Arc<CryptoProvider>,
+) -> Result<quinn::ServerConfig, ListenError> {
+    let tls_error = |error: &dyn std::fmt::Display| ListenError::Tls(error.to_string());
+    let mut tls = rustls::ServerConfig::builder_with_provider(Arc::clone(provider))
+        .with_protocol_versions(&[&rustls::version::TLS13])
+        .map_err(|error| tls_error(&error))?
+        .with_no_client_auth()
+        .with_cert_resolver(certificates);
+    tls.alpn_protocols = vec![ALPN_NATIVE.to_vec(), ALPN_WEB.to_vec()];
+    let crypto = QuicServerConfig::try_from(tls).map_err(|error| tls_error(&error))?;
+    let mut server = quinn::ServerConfig::with_crypto(Arc::new(crypto));
+    server
+        .max_incoming(limits::MAX_HANDSHAKES)
+        .incoming_buffer_size(limits::INCOMING_BUFFER_BYTES)
+        .incoming_buffer_size_total(limits::INCOMING_BUFFER_TOTAL_BYTES)
+        .transport_config(Arc::new(transport_config(config).map_err(|error| tls_error(&error))?));
+    Ok(server)
+}
+
+fn transport_config(config: &ServerConfig) -> Result<quinn::TransportConfig, quinn::VarIntBoundsExceeded> {
+    let mut transport = quinn::TransportConfig::default();
+    transport
+        .max_idle_timeout(Some(config.idle_timeout().try_into()?))
+        // A client whose picture stands still stays; a client that is gone answers nothing.
+        .keep_alive_interval(Some(config.idle_timeout() / 3))
+        // Under loss its black-hole detector falls back and drops queued datagrams. Packets fit every path anyway.
+        .mtu_discovery_config(None)
+        .datagram_receive_buffer_size(Some(limits::DATAGRAM_RECEIVE_BUFFER_BYTES))
+        .datagram_send_buffer_size(DATAGRAM_SEND_BUFFER_BYTES)
+        .stream_receive_window(limits::STREAM_RECEIVE_WINDOW_BYTES.into())
+        .receive_window((limits::STREAM_RECEIVE_WINDOW_BYTES * 4).into())
+        .send_window(limits::SEND_WINDOW_BYTES)
+        .max_concurrent_bidi_streams(limits::MAX_BIDI_STREAMS.into())
+        .max_concurrent_uni_streams(limits::MAX_UNI_STREAMS.into())
+        .congestion_controller_factory(Arc::new(DelayControllerConfig {
+            initial_window_bytes: config.initial_window_bytes,
+        }));
+    Ok(transport)
+}
+
+/// A peer whose first packet has arrived.
+pub(crate) enum Arrival {
+    Quic(Box<quinn::Incoming>),
+    Lab { stream: tokio::net::TcpStream, peer: SocketAddr, transport: Transport },
+}
+
+/// Why a peer did not become a link.
+#[derive(Debug, Error)]
+pub(crate) enum ArrivalError {
+    #[error("QUIC handshake: {0}")]
+    Quic(#[from] quinn::ConnectionError),
+    #[error("WebTransport handshake: {0}")]
+    WebTransport(#[from] web_transport_quinn::ServerError),
+    #[error("control stream: {0}")]
+    Stream(#[from] web_transport_quinn::SessionError),
+    #[error("socket: {0}")]
+    Socket(#[from] io::Error),
+    #[error("the peer takes no datagrams")]
+    NoDatagrams,
+}
+
+impl Endpoint {
+    /// The next peer; `None` when the endpoint is closed.
+    pub(crate) async fn accept(&self) -> Option<Arrival> {
+        loop {
+            match self {
+                Self::Quic(endpoint) => {
+                    let incoming = endpoint.accept().await?;
+                    if incoming.remote_address_validated() {
+                        return Some(Arrival::Quic(Box::new(incoming)));
+                    }
+                    // Always: a spoofed first packet of 1200 bytes would draw 3738 bytes of certificate onto somebody
+                    // else, a Retry is 108. It costs an honest client one round trip.
+                    if let Err(error) = incoming.retry() {
+                        error.into_incoming().ignore();
+                    }
+                }
+                Self::Lab { listener, transport } => match listener.accept().await {
+                    Ok((stream, peer)) => return Some(Arrival::Lab { stream, peer, transport: *transport }),
+                    Err(error) => {
+                        // Mostly: out of file descriptors. Sessions that end free some.
+                        tracing::warn!(%error, "cannot accept a connection");
+                        tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+                    }
+                },
+            }
+        }
+    }
+
+    /// Ends every connection, and waits until the peers have been told, for a moment.
+    pub(crate) async fn close(&self) {
+        if let Self::Quic(endpoint) = self {
+            endpoint.close(0u32.into(), b"the server stops");
+            // Peers that are gone do not acknowledge; they find out by their idle timeout.
+            let _ = tokio::time::timeout(limits::LINGER, endpoint.wait_idle()).await;
+        }
+    }
+}
+
+impl Arrival {
+    /// Where the peer says it is.
+    pub(crate) fn peer(&self) -> SocketAddr {
+        match self {
+            Self::Quic(incoming) => incoming.remote_address(),
+            Self::Lab { peer, .. } => *peer,
+        }
+    }
+
+    /// Sends the peer away without a handshake.
+    pub(crate) fn refuse(self) {
+        match self {
+            Self::Quic(incoming) => incoming.refuse(),
+            Self::Lab { stream, .. } => drop(stream),
+        }
+    }
+
+    /// Completes the handshake and waits for the client to open its control stream.
+    ///
+    /// # Errors
+    /// When the peer breaks off or speaks something else.
+    pub(crate) async fn into_link(self) -> Result<Link, ArrivalError> {
+        match self {
+            Self::Quic(incoming) => {
+                let connection = incoming.accept()?.await?;
+                let (session, carrier) = if alpn(&connection).as_deref() == Some(ALPN_WEB) {
+                    (web_transport_quinn::Request::accept(connection).await?.ok().await?, "webtransport")
+                } else {
+                    (Session::raw(connection), "quic")
+                };
+                if session.max_datagram_size() < gnomon_protocol::header::HEADER_BYTES * 2 {
+                    return Err(ArrivalError::NoDatagrams);
+                }
+                let (send, receive) = session.accept_bi().await?;
+                Ok(Link {
+                    carrier,
+                    reader: ControlReader::new(Box::new(receive)),
+                    writer: ControlWriter::new(Box::new(send)),
+                    data: DataLink::Quic(QuicData::new(session, DATAGRAM_SEND_BUFFER_BYTES)),
+                })
+            }
+            Self::Lab { stream, transport, .. } => {
+                stream.set_nodelay(true)?;
+                let ip = stream.local_addr()?.ip();
+                let data = if transport == Transport::LabTcp {
+                    DataLink::LabTcp(LabTcpData::bind(ip).await?)
+                } else {
+                    DataLink::LabUdp(LabUdpData::bind(ip)?)
+                };
+                let (receive, send) = stream.into_split();
+                let (reader, writer) = (ControlReader::new(Box::new(receive)), ControlWriter::new(Box::new(send)));
+                let carrier = if transport == Transport::LabTcp { "lab-tcp" } else { "lab-udp" };
+                Ok(Link { carrier, reader, writer, data })
+            }
+        }
+    }
+}
+
+fn alpn(connection: &quinn::Connection) -> Option<Vec<u8>> {
+    connection.handshake_data()?.downcast::<HandshakeData>().ok()?.protocol
+}

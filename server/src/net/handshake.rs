@@ -1,0 +1,161 @@
+//! The first exchange: Hello in, Welcome or a refusal out. Nothing of the scene leaves before it is done.
+
+use gnomon_protocol::{
+    PROTOCOL_VERSION,
+    codec::CodecId,
+    limits::MAX_TEXT_BYTES,
+    mask::MaskShape,
+    message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
+};
+use thiserror::Error;
+use tokio::time::timeout;
+
+use super::{
+    control::{ControlError, ControlReader},
+    link::{CloseCode, Link},
+};
+use crate::{
+    limits::LINGER,
+    session::{Services, admission::Slot},
+    visibility::{engine::OpenError, port::SessionPort},
+};
+
+/// What was agreed on with an admitted client.
+pub(crate) struct Admitted {
+    /// The place that the session takes.
+    pub(crate) slot: Slot,
+    /// The session's end of the engine.
+    pub(crate) port: SessionPort,
+    /// Size of its masks.
+    pub(crate) shape: MaskShape,
+    /// Codec of its frames.
+    pub(crate) codec: CodecId,
+    /// Name of the client program.
+    pub(crate) client: String,
+}
+
+/// Why a peer was not admitted.
+#[derive(Debug, Error)]
+pub(crate) enum HandshakeError {
+    #[error("refused: {0}")]
+    Refused(Refusal),
+    #[error(transparent)]
+    Control(#[from] ControlError),
+    #[error("it left without a word")]
+    Left,
+    #[error("it opened with another message than Hello")]
+    NoHello,
+}
+
+/// Reads the Hello, and answers it. The caller bounds the time.
+///
+/// # Errors
+/// When the client is refused, which it has then been told, or breaks off.
+pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitted, HandshakeError> {
+    let admitted = match read_hello(&mut link.reader).await? {
+        Ok(hello) => admit(hello, services),
+        Err(refusal) => Err(refusal),
+    };
+    match admitted {
+        Ok(admitted) => {
+            let welcome = Welcome {
+                session: admitted.slot.id,
+                scene_digest: services.scene.digest,
+                scene_bytes: services.scene.packed.len() as u64,
+                lights: services.scene.lights,
+                backend: shortened(services.engine.description()),
+                data_port: link.data.port(),
+            };
+            link.writer.write(&ServerMessage::Welcome(welcome)).await?;
+            Ok(admitted)
+        }
+        Err(refusal) => {
+            link.writer.write(&ServerMessage::Refused(refusal.clone())).await?;
+            link.writer.finish().await;
+            // Closing at once would overtake the refusal: the client leaves when it has read it.
+            let _ = timeout(LINGER, link.reader.drain()).await;
+            link.data.closer().close(CloseCode::Refused, "refused");
+            Err(HandshakeError::Refused(refusal))
+        }
+    }
+}
+
+/// The client's Hello, or a refusal when another version wrote it.
+async fn read_hello(reader: &mut ControlReader) -> Result<Result<Hello, Refusal>, HandshakeError> {
+    let bytes = reader.next_bytes().await?.ok_or(HandshakeError::Left)?;
+    match peek_version(&bytes) {
+        Some(PROTOCOL_VERSION) => {}
+        Some(client) => return Ok(Err(Refusal::Version { server: PROTOCOL_VERSION, client })),
+        None => return Err(HandshakeError::NoHello),
+    }
+    match message::decode(&bytes).map_err(ControlError::from)? {
+        ClientMessage::Hello(hello) => Ok(Ok(hello)),
+        _ => Err(HandshakeError::NoHello),
+    }
+}
+
+/// The version in a Hello of any version: the message's number is 0, and the version follows it as a varint.
+fn peek_version(bytes: &[u8]) -> Option<u16> {
+    let (&0, varint) = bytes.split_first()? else { return None };
+    let mut version = 0u32;
+    for (index, byte) in varint.iter().take(3).enumerate() {
+        version |= u32::from(byte & 0x7f) << (7 * index);
+        if byte & 0x80 == 0 {
+            return u16::try_from(version).ok();
+        }
+    }
+    None
+}
+
+fn admit(hello: Hello, services: &Services) -> Result<Admitted, Refusal> {
+    if services.tokens.as_ref().is_some_and(|tokens| !tokens.admits(hello.token.as_deref())) {
+        return Err(Refusal::Token);
+    }
+    let shape = MaskShape::new(hello.width, hello.height, services.scene.lights)
+        .map_err(|error| Refusal::Unsupported(error.to_string()))?;
+    let slot = services.admission.admit()?;
+    let port = services.engine.open_session(shape).map_err(|error| match error {
+        OpenError::Full(_) | OpenError::Busy => services.admission.full(),
+        _ => Refusal::Unsupported(shortened(&error.to_string())),
+    })?;
+    Ok(Admitted { slot, port, shape, codec: hello.codec, client: hello.client })
+}
+
+/// At most as much of a text as a message may carry.
+pub(crate) fn shortened(text: &str) -> String {
+    let end = (0..=MAX_TEXT_BYTES.min(text.len())).rev().find(|end| text.is_char_boundary(*end)).unwrap_or(0);
+    text[..end].to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_version_of_any_hello_can_be_read() {
+        for version in [0, 1, 127, 128, 16_383, 16_384, u16::MAX] {
+            let hello = Hello {
+                version,
+                token: Some("t".into()),
+                client: "test".into(),
+                width: 1,
+                height: 1,
+                codec: CodecId::PlanesLz4,
+            };
+            let bytes = message::encode(&ClientMessage::Hello(hello)).unwrap();
+            assert_eq!(peek_version(&bytes[4..]), Some(version));
+        }
+        let start = message::encode(&ClientMessage::Start).unwrap();
+        for bytes in [&[][..], &[0], &[0, 0x80], &[0, 0xff, 0xff, 0xff, 0], &start[4..]] {
+            assert_eq!(peek_version(bytes), None, "{bytes:?}");
+        }
+    }
+
+    #[test]
+    fn texts_are_cut_between_characters() {
+        let text = "é".repeat(MAX_TEXT_BYTES);
+        assert_eq!(shortened(&text).len(), MAX_TEXT_BYTES);
+        assert_eq!(shortened(&format!("a{text}")).len(), MAX_TEXT_BYTES - 1);
+        assert_eq!(shortened("short"), "short");
+    }
+}

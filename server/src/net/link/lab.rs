@@ -1,0 +1,181 @@
+//! The dissertation's transports (§3.1), for measurements on loopback: a control connection over TCP, and beside it a
+//! data socket for each session, over UDP or TCP. Nothing is encrypted or paced, and nobody is who they say they are.
+
+use std::{
+    io,
+    net::{IpAddr, SocketAddr},
+    sync::Arc,
+    time::Duration,
+};
+
+use bytes::{Bytes, BytesMut};
+use gnomon_protocol::{limits::MAX_LAB_PACKET_BYTES, pose};
+use tokio::{
+    io::{AsyncReadExt as _, AsyncWriteExt as _, BufWriter},
+    net::{
+        TcpListener, UdpSocket,
+        tcp::{OwnedReadHalf, OwnedWriteHalf},
+    },
+    time::timeout,
+};
+
+/// Kernel buffer for packets on their way: a frame of words at 1920×1080 has 8 MB.
+const SOCKET_BUFFER_BYTES: usize = 16 * 1024 * 1024;
+
+/// A client's packets to the server are poses: nothing longer is read.
+const MAX_RECEIVED_BYTES: usize = 2048;
+
+/// A session's UDP socket.
+pub(crate) struct LabUdpData {
+    socket: UdpSocket,
+    port: u16,
+}
+
+impl LabUdpData {
+    /// A socket on a free port of `ip`.
+    ///
+    /// # Errors
+    /// When there is no port left.
+    pub(crate) fn bind(ip: IpAddr) -> io::Result<Self> {
+        let address = SocketAddr::new(ip, 0);
+        let socket = socket2::Socket::new(socket2::Domain::for_address(address), socket2::Type::DGRAM, None)?;
+        // The kernel clamps it to what it allows; the rest is the sender's patience.
+        let _ = socket.set_send_buffer_size(SOCKET_BUFFER_BYTES);
+        socket.set_nonblocking(true)?;
+        socket.bind(&address.into())?;
+        let socket = UdpSocket::from_std(socket.into())?;
+        let port = socket.local_addr()?.port();
+        Ok(Self { socket, port })
+    }
+
+    pub(super) const fn port(&self) -> u16 {
+        self.port
+    }
+
+    pub(super) fn split(self) -> (LabUdpReceiver, LabUdpSender) {
+        let socket = Arc::new(self.socket);
+        (LabUdpReceiver { socket: Arc::clone(&socket), connected: false }, LabUdpSender { socket })
+    }
+}
+
+/// Poses over UDP.
+pub(crate) struct LabUdpReceiver {
+    socket: Arc<UdpSocket>,
+    connected: bool,
+}
+
+impl LabUdpReceiver {
+    /// The client is who sends the first valid pose; from then on the kernel drops everybody else's packets.
+    pub(super) async fn receive(&mut self) -> io::Result<Bytes> {
+        let mut buffer = [0; MAX_RECEIVED_BYTES];
+        loop {
+            let received = self.socket.recv_from(&mut buffer).await;
+            let (length, from) = match received {
+                Ok(received) => received,
+                // The client's port is closed for now; whether it is gone, the control connection knows.
+                Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => continue,
+                Err(error) => return Err(error),
+            };
+            let packet = &buffer[..length];
+            if !self.connected && pose::decode_pose_packet(packet).is_ok() {
+                self.socket.connect(from).await?;
+                self.connected = true;
+            }
+            return Ok(Bytes::copy_from_slice(packet));
+        }
+    }
+}
+
+/// Packets over UDP.
+pub(crate) struct LabUdpSender {
+    socket: Arc<UdpSocket>,
+}
+
+impl LabUdpSender {
+    pub(super) async fn send(&mut self, packet: &[u8]) -> io::Result<()> {
+        match self.socket.send(packet).await {
+            // A frame is only traced after a pose has named its address, so the client has closed its port: a loss
+            // like any other on UDP.
+            Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => Ok(()),
+            sent => sent.map(drop),
+        }
+    }
+}
+
+/// A session's TCP listener.
+pub(crate) struct LabTcpData {
+    listener: TcpListener,
+    port: u16,
+}
+
+impl LabTcpData {
+    /// A listener on a free port of `ip`.
+    ///
+    /// # Errors
+    /// When there is no port left.
+    pub(crate) async fn bind(ip: IpAddr) -> io::Result<Self> {
+        let listener = TcpListener::bind(SocketAddr::new(ip, 0)).await?;
+        let port = listener.local_addr()?.port();
+        Ok(Self { listener, port })
+    }
+
+    pub(super) const fn port(&self) -> u16 {
+        self.port
+    }
+
+    pub(super) async fn accept(self, patience: Duration) -> io::Result<(LabTcpReceiver, LabTcpSender)> {
+        let (stream, _) = timeout(patience, self.listener.accept()).await.map_err(|_| {
+            io::Error::new(io::ErrorKind::TimedOut, format!("nobody connected to data port {}", self.port))
+        })??;
+        stream.set_nodelay(true)?;
+        let (read, write) = stream.into_split();
+        Ok((LabTcpReceiver { stream: read, buffer: BytesMut::new() }, LabTcpSender { stream: BufWriter::new(write) }))
+    }
+}
+
+/// Poses over TCP, each after its length (u32, little-endian).
+pub(crate) struct LabTcpReceiver {
+    stream: OwnedReadHalf,
+    buffer: BytesMut,
+}
+
+impl LabTcpReceiver {
+    pub(super) async fn receive(&mut self) -> io::Result<Bytes> {
+        loop {
+            if let Some(prefix) = self.buffer.first_chunk::<4>() {
+                let length = u32::from_le_bytes(*prefix) as usize;
+                if length > MAX_RECEIVED_BYTES {
+                    let reason = format!("a packet of {length} bytes: a client's have at most {MAX_RECEIVED_BYTES}");
+                    return Err(io::Error::new(io::ErrorKind::InvalidData, reason));
+                }
+                if self.buffer.len() >= 4 + length {
+                    return Ok(self.buffer.split_to(4 + length).freeze().slice(4..));
+                }
+            }
+            self.buffer.reserve(4 + MAX_RECEIVED_BYTES);
+            if self.stream.read_buf(&mut self.buffer).await? == 0 {
+                return Err(io::ErrorKind::UnexpectedEof.into());
+            }
+        }
+    }
+}
+
+/// Packets over TCP, each after its length (u32, little-endian).
+pub(crate) struct LabTcpSender {
+    stream: BufWriter<OwnedWriteHalf>,
+}
+
+impl LabTcpSender {
+    pub(super) async fn send(&mut self, packet: &[u8]) -> io::Result<()> {
+        let length =
+            u32::try_from(packet.len()).ok().filter(|_| packet.len() <= MAX_LAB_PACKET_BYTES).ok_or_else(|| {
+                io::Error::new(io::ErrorKind::InvalidInput, format!("a packet of {} bytes", packet.len()))
+            })?;
+        self.stream.write_all(&length.to_le_bytes()).await?;
+        self.stream.write_all(packet).await
+    }
+
+    pub(super) async fn flush(&mut self) -> io::Result<()> {
+        self.stream.flush().await
+    }
+}

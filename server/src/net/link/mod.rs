@@ -1,0 +1,167 @@
+//! What carries one session: a control stream, and a way for poses in and packets out.
+
+mod lab;
+mod quic;
+
+use std::{io, time::Duration};
+
+use bytes::Bytes;
+pub(crate) use lab::{LabTcpData, LabUdpData};
+pub(crate) use quic::QuicData;
+
+use super::control::{ControlReader, ControlWriter};
+
+/// A peer that is connected but not yet admitted.
+pub(crate) struct Link {
+    /// What carries it, for the logs.
+    pub(crate) carrier: &'static str,
+    /// What the client says.
+    pub(crate) reader: ControlReader,
+    /// What the server says.
+    pub(crate) writer: ControlWriter,
+    /// Poses and packets.
+    pub(crate) data: DataLink,
+}
+
+/// Poses and packets, before they flow.
+pub(crate) enum DataLink {
+    /// QUIC datagrams beside the control stream.
+    Quic(QuicData),
+    /// A UDP socket of its own.
+    LabUdp(LabUdpData),
+    /// A TCP connection of its own.
+    LabTcp(LabTcpData),
+}
+
+impl DataLink {
+    /// The session's own data port, on lab links.
+    pub(crate) const fn port(&self) -> Option<u16> {
+        match self {
+            Self::Quic(_) => None,
+            Self::LabUdp(data) => Some(data.port()),
+            Self::LabTcp(data) => Some(data.port()),
+        }
+    }
+
+    /// Opens both directions; on `lab-tcp` it waits for the client to connect.
+    ///
+    /// # Errors
+    /// When the client does not connect in time.
+    pub(crate) async fn open(self, patience: Duration) -> io::Result<(DataReceiver, DataSender)> {
+        match self {
+            Self::Quic(data) => Ok((DataReceiver::Quic(data.clone()), DataSender::Quic(data))),
+            Self::LabUdp(data) => {
+                let (receiver, sender) = data.split();
+                Ok((DataReceiver::LabUdp(receiver), DataSender::LabUdp(sender)))
+            }
+            Self::LabTcp(data) => {
+                let (receiver, sender) = data.accept(patience).await?;
+                Ok((DataReceiver::LabTcp(receiver), DataSender::LabTcp(sender)))
+            }
+        }
+    }
+
+    /// A handle that ends the connection.
+    pub(crate) fn closer(&self) -> Closer {
+        match self {
+            Self::Quic(data) => Closer(Some(data.clone())),
+            Self::LabUdp(_) | Self::LabTcp(_) => Closer(None),
+        }
+    }
+}
+
+/// Ends a link's connection. Lab links end when their sockets are dropped.
+pub(crate) struct Closer(Option<QuicData>);
+
+impl Closer {
+    /// Ends the connection now. What was written but not yet received is lost.
+    pub(crate) fn close(&self, code: CloseCode, reason: &str) {
+        if let Some(data) = &self.0 {
+            data.close(code, reason);
+        }
+    }
+}
+
+/// Application error codes of closed connections.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u32)]
+pub(crate) enum CloseCode {
+    /// The session ended as it should.
+    Done = 0,
+    /// The client was not admitted.
+    Refused = 1,
+    /// The client broke the protocol.
+    Violation = 2,
+    /// The server failed.
+    Internal = 3,
+}
+
+/// Where poses come from.
+pub(crate) enum DataReceiver {
+    Quic(QuicData),
+    LabUdp(lab::LabUdpReceiver),
+    LabTcp(lab::LabTcpReceiver),
+}
+
+impl DataReceiver {
+    /// The next packet.
+    ///
+    /// # Errors
+    /// When the link is gone.
+    pub(crate) async fn receive(&mut self) -> io::Result<Bytes> {
+        match self {
+            Self::Quic(data) => data.receive().await,
+            Self::LabUdp(receiver) => receiver.receive().await,
+            Self::LabTcp(receiver) => receiver.receive().await,
+        }
+    }
+}
+
+/// Where packets go.
+pub(crate) enum DataSender {
+    Quic(QuicData),
+    LabUdp(lab::LabUdpSender),
+    LabTcp(lab::LabTcpSender),
+}
+
+impl DataSender {
+    /// The largest packet, header included.
+    pub(crate) fn max_packet_bytes(&self) -> usize {
+        match self {
+            Self::Quic(data) => data.max_packet_bytes(),
+            Self::LabUdp(_) | Self::LabTcp(_) => gnomon_protocol::limits::MAX_LAB_PACKET_BYTES,
+        }
+    }
+
+    /// The frame gate: whether a frame may be sent now, or would queue up behind an earlier one.
+    pub(crate) fn has_room(&self, packets: usize, bytes: usize) -> bool {
+        match self {
+            Self::Quic(data) => data.has_room(packets, bytes),
+            // These wait in `send` until the last byte is with the kernel, so nothing queues up behind them.
+            Self::LabUdp(_) | Self::LabTcp(_) => true,
+        }
+    }
+
+    /// Sends one packet.
+    ///
+    /// # Errors
+    /// When the link is gone.
+    pub(crate) async fn send(&mut self, packet: Bytes) -> io::Result<()> {
+        match self {
+            Self::Quic(data) => data.send(packet),
+            Self::LabUdp(sender) => sender.send(&packet).await,
+            Self::LabTcp(sender) => sender.send(&packet).await,
+        }
+    }
+
+    /// Sends what `send` has gathered.
+    ///
+    /// # Errors
+    /// When the link is gone.
+    pub(crate) async fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::Quic(_) | Self::LabUdp(_) => Ok(()),
+            Self::LabTcp(sender) => sender.flush().await,
+        }
+    }
+}

@@ -1,0 +1,83 @@
+//! A session over QUIC: native, or through WebTransport.
+
+use std::{io, mem::size_of, sync::Arc};
+
+use bytes::Bytes;
+use gnomon_protocol::limits::MAX_PACKET_BYTES;
+use web_transport_quinn::Session;
+
+use super::CloseCode;
+use crate::limits::{SEND_BACKLOG_FLOOR_BYTES, SEND_BACKLOG_FRAMES};
+
+/// The datagrams of a connection.
+#[derive(Clone)]
+pub(crate) struct QuicData {
+    session: Arc<Session>,
+    buffer_bytes: usize,
+}
+
+/// What quinn counts for a queued datagram beside its bytes.
+const QUEUED_OVERHEAD_BYTES: usize = size_of::<Bytes>();
+
+impl QuicData {
+    /// Of a session whose datagram send buffer has `buffer_bytes`.
+    pub(crate) fn new(session: Session, buffer_bytes: usize) -> Self {
+        Self { session: Arc::new(session), buffer_bytes }
+    }
+
+    pub(super) async fn receive(&self) -> io::Result<Bytes> {
+        self.session.read_datagram().await.map_err(io::Error::other)
+    }
+
+    pub(super) fn send(&self, packet: Bytes) -> io::Result<()> {
+        self.session.send_datagram(packet).map_err(io::Error::other)
+    }
+
+    /// WebTransport puts a few bytes before each datagram, so its packets are smaller.
+    pub(super) fn max_packet_bytes(&self) -> usize {
+        self.session.max_datagram_size().min(MAX_PACKET_BYTES)
+    }
+
+    /// quinn drops the oldest datagrams, silently, when its buffer overflows: that would cut the front off a frame.
+    /// So a frame is sent only when all of it fits, beside less than a frame that still waits.
+    pub(super) fn has_room(&self, packets: usize, bytes: usize) -> bool {
+        let space = self.session.datagram_send_buffer_space();
+        let frame = bytes.saturating_add(packets.saturating_mul(QUEUED_OVERHEAD_BYTES));
+        frame_fits(self.buffer_bytes.saturating_sub(space), frame, space)
+    }
+
+    pub(super) fn close(&self, code: CloseCode, reason: &str) {
+        self.session.close(code as u32, reason.as_bytes());
+    }
+}
+
+/// Whether a frame of `frame` bytes fits into `space`, and behind `waiting` bytes.
+fn frame_fits(waiting: usize, frame: usize, space: usize) -> bool {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        clippy::cast_precision_loss,
+        reason = "a share of a frame, which has at most 40 MB"
+    )]
+    let backlog = (frame as f64 * (SEND_BACKLOG_FRAMES - 1.0)) as usize;
+    frame <= space && waiting <= backlog.max(SEND_BACKLOG_FLOOR_BYTES)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gate_opens_for_whole_frames_behind_less_than_one() {
+        for (waiting, frame, space, fits) in [
+            (0, 100_000, 200_000, true),
+            (60_000, 100_000, 200_000, true),
+            (60_001, 100_000, 200_000, false),
+            (0, 100_000, 99_999, false),
+            (16 * 1024, 500, 200_000, true),
+            (16 * 1024 + 1, 500, 200_000, false),
+        ] {
+            assert_eq!(frame_fits(waiting, frame, space), fits, "{waiting} {frame} {space}");
+        }
+    }
+}

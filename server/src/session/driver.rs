@@ -1,0 +1,177 @@
+//! Masks out: take the newest, encode it, cut it into packets, and send it whole or not at all. The engine traces the
+//! next mask in the meantime, because its channel has room for it.
+
+use std::{io, sync::Arc, time::Instant};
+
+use gnomon_protocol::{
+    codec::{CodecId, EncodeError, Encoder},
+    header::HEADER_BYTES,
+    ids::FrameNumber,
+    mask::Mask,
+    packetizer::Packetizer,
+};
+use thiserror::Error;
+use tokio::sync::{Semaphore, watch};
+use tracing::Instrument as _;
+
+use super::{Phase, ledger::Ledger};
+use crate::{
+    net::link::DataSender,
+    visibility::{
+        TracedMask,
+        port::{MaskReceiver, RequestSender},
+    },
+};
+
+/// Why frames stopped.
+#[derive(Debug, Error)]
+pub(super) enum DriveError {
+    #[error("the tracing engine has stopped")]
+    EngineStopped,
+    #[error("encoding broke off: {0}")]
+    Encoding(String),
+    #[error("link: {0}")]
+    Link(#[from] io::Error),
+}
+
+/// Sends frames until the session stops, and then those that are on their way.
+///
+/// # Errors
+/// When the engine or the link is gone.
+pub(super) async fn drive(
+    mut masks: MaskReceiver,
+    requests: &RequestSender,
+    mut frames: FrameSender,
+    ledger: &Ledger,
+    mut phase: watch::Receiver<Phase>,
+) -> Result<(), DriveError> {
+    let mut last_traced = None;
+    loop {
+        let stopping = *phase.borrow_and_update() == Phase::Stopping;
+        if stopping && last_traced == ledger.newest_requested() {
+            return Ok(());
+        }
+        let mut traced = tokio::select! {
+            traced = masks.recv() => traced.ok_or(DriveError::EngineStopped)?,
+            changed = phase.changed(), if !stopping => match changed {
+                Ok(()) => continue,
+                // The server is gone, and with it everybody who could say when to stop.
+                Err(_) => return Ok(()),
+            },
+        };
+        ledger.frames_traced.one();
+        while let Ok(newer) = masks.try_recv() {
+            ledger.frames_traced.one();
+            ledger.frames_superseded.one();
+            requests.recycle(std::mem::replace(&mut traced, newer).mask);
+        }
+        last_traced = Some(traced.frame);
+        let span = tracing::debug_span!("frame", number = traced.frame.0);
+        let mask = frames.send(traced, ledger).instrument(span).await?;
+        requests.recycle(mask);
+    }
+}
+
+/// Turns masks into packets. Its memory serves every frame of the session.
+pub(super) struct FrameSender {
+    sender: DataSender,
+    packetizer: Packetizer,
+    workspace: Option<Workspace>,
+    encoders: Arc<Semaphore>,
+    first_frame_at: Option<Instant>,
+}
+
+struct Workspace {
+    encoder: Encoder,
+    body: Vec<u8>,
+}
+
+impl FrameSender {
+    /// Of frames in `codec`; `encoders` bounds how many sessions encode at once.
+    pub(super) fn new(sender: DataSender, codec: CodecId, encoders: Arc<Semaphore>) -> Self {
+        Self {
+            packetizer: Packetizer::new(sender.max_packet_bytes()),
+            sender,
+            workspace: Some(Workspace { encoder: Encoder::new(codec), body: Vec::new() }),
+            encoders,
+            first_frame_at: None,
+        }
+    }
+
+    async fn send(&mut self, traced: TracedMask, ledger: &Ledger) -> Result<Mask, DriveError> {
+        let TracedMask { frame, mask, received_at, cost } = traced;
+        let started = Instant::now();
+        let (mask, encoded) = self.encode(mask).await?;
+        let encoding = started.elapsed();
+        ledger.encode_us.add_us(encoding);
+        let body = match (encoded, &self.workspace) {
+            (Ok(()), Some(workspace)) => &workspace.body,
+            (Err(error), _) => {
+                ledger.frames_unsendable.one();
+                tracing::warn!(%error, "a mask cannot be encoded");
+                return Ok(mask);
+            }
+            (Ok(()), None) => return Err(DriveError::Encoding("its memory is gone".to_owned())),
+        };
+        let packets = self.packetizer.packet_count(body.len());
+        let bytes = body.len() + packets * HEADER_BYTES;
+        if !self.sender.has_room(packets, bytes) {
+            ledger.frames_gated.one();
+            tracing::debug!(bytes, packets, "skipped: earlier frames still wait");
+            return Ok(mask);
+        }
+        let since_first = self.first_frame_at.get_or_insert(started).elapsed();
+        // It wraps after 49 days, as the header says.
+        #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³²")]
+        let timestamp_ms = since_first.as_millis() as u32;
+        match self.packetizer.packets(frame, timestamp_ms, body) {
+            Ok(cut) => {
+                for packet in cut {
+                    self.sender.send(packet).await?;
+                }
+            }
+            Err(error) => {
+                ledger.frames_unsendable.one();
+                tracing::warn!(%error, "a frame cannot be cut into packets");
+                return Ok(mask);
+            }
+        }
+        self.sender.flush().await?;
+        ledger.frames_sent.one();
+        ledger.packets.add(packets as u64);
+        ledger.bytes.add(bytes as u64);
+        ledger.latency_us.add_us(received_at.elapsed());
+        log_frame(frame, bytes, packets, encoding.as_secs_f64() * 1e3, &cost);
+        Ok(mask)
+    }
+
+    /// Encodes on a thread where it disturbs no other session's packets.
+    async fn encode(&mut self, mask: Mask) -> Result<(Mask, Result<(), EncodeError>), DriveError> {
+        let broken = |reason: &str| DriveError::Encoding(reason.to_owned());
+        let mut workspace = self.workspace.take().ok_or_else(|| broken("its memory is gone"))?;
+        let permit = Arc::clone(&self.encoders).acquire_owned().await.map_err(|_| broken("the server has stopped"))?;
+        let job = tokio::task::spawn_blocking(move || {
+            let _permit = permit;
+            let result = workspace.encoder.encode(&mask, &mut workspace.body);
+            (workspace, mask, result)
+        });
+        let (workspace, mask, result) = job.await.map_err(|error| broken(&error.to_string()))?;
+        self.workspace = Some(workspace);
+        Ok((mask, result))
+    }
+}
+
+fn log_frame(frame: FrameNumber, bytes: usize, packets: usize, encode_ms: f64, cost: &crate::visibility::TraceCost) {
+    tracing::debug!(
+        %frame,
+        bytes,
+        packets,
+        encode_ms,
+        primary_ms = cost.primary_ms,
+        shadow_ms = cost.shadow_ms,
+        readback_ms = cost.readback_ms,
+        primary_rays = cost.primary_rays,
+        shadow_rays = cost.shadow_rays,
+        "sent"
+    );
+}

@@ -1,0 +1,328 @@
+//! One admitted client, from Welcome to its end: the control conversation, and beside it poses in and frames out.
+
+pub(crate) mod admission;
+mod driver;
+mod ledger;
+mod outbox;
+mod poses;
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use bytes::Bytes;
+use gnomon_protocol::{
+    codec::CodecId,
+    ids::SceneDigest,
+    mask::MaskShape,
+    message::{ClientMessage, ServerMessage},
+};
+use tokio::{
+    sync::{Semaphore, watch},
+    task::JoinSet,
+    time::{MissedTickBehavior, timeout},
+};
+
+use self::{
+    admission::Admission,
+    driver::{DriveError, FrameSender},
+    ledger::Ledger,
+    outbox::Outbox,
+};
+use crate::{
+    limits,
+    net::{
+        control::ControlReader,
+        handshake::Admitted,
+        link::{CloseCode, DataLink, Link},
+    },
+    tokens::Tokens,
+    visibility::{engine::Engine, port::SessionPort},
+};
+
+/// How far the server's end has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Phase {
+    /// Everybody is served.
+    Running,
+    /// Nobody new is admitted; clients look for another server.
+    Draining,
+    /// Sessions finish what is on its way, and end.
+    Stopping,
+}
+
+/// Waits until sessions have to end.
+pub(crate) async fn stopping(phase: &mut watch::Receiver<Phase>) {
+    // An error says that the server is gone: that is an end as well.
+    drop(phase.wait_for(|phase| *phase == Phase::Stopping).await);
+}
+
+/// The scene as it travels.
+#[derive(Debug)]
+pub(crate) struct SceneAsset {
+    /// Its packed bytes.
+    pub(crate) packed: Bytes,
+    /// Their name.
+    pub(crate) digest: SceneDigest,
+    /// Planes of a mask of it.
+    pub(crate) lights: u32,
+}
+
+/// What all sessions share.
+pub(crate) struct Services {
+    pub(crate) scene: SceneAsset,
+    pub(crate) engine: Engine,
+    pub(crate) tokens: Option<Tokens>,
+    pub(crate) admission: Admission,
+    pub(crate) phase: watch::Receiver<Phase>,
+    pub(crate) encoders: Arc<Semaphore>,
+    pub(crate) handshake_timeout: Duration,
+    pub(crate) drain_ms: u32,
+    pub(crate) alternative: Option<String>,
+}
+
+/// How a session ended.
+#[derive(Debug)]
+enum End {
+    /// The client said so, or ended its stream.
+    Left,
+    /// The server stops.
+    Stopping,
+    /// The link is gone.
+    Lost(String),
+    /// The client broke the protocol.
+    Violation(String),
+    /// The server failed.
+    Failed(String),
+}
+
+impl End {
+    const fn code(&self) -> CloseCode {
+        match self {
+            Self::Left | Self::Stopping | Self::Lost(_) => CloseCode::Done,
+            Self::Violation(_) => CloseCode::Violation,
+            Self::Failed(_) => CloseCode::Internal,
+        }
+    }
+
+    fn reason(&self) -> &str {
+        match self {
+            Self::Left => "the client left",
+            Self::Stopping => "the server stops",
+            Self::Lost(reason) | Self::Violation(reason) | Self::Failed(reason) => reason,
+        }
+    }
+}
+
+/// Serves an admitted client until it leaves, is lost, or the server stops. Its slot is free afterwards.
+pub(crate) async fn run(link: Link, admitted: Admitted, services: Arc<Services>) {
+    let started_at = Instant::now();
+    let Admitted { slot, port, shape, codec, client } = admitted;
+    tracing::info!(client, width = shape.width(), height = shape.height(), %codec, "session started");
+    let closer = link.data.closer();
+    let ledger = Arc::new(Ledger::default());
+    let mut session = Session {
+        reader: link.reader,
+        outbox: Outbox::start(link.writer),
+        frames: JoinSet::new(),
+        waiting: Some(Waiting { data: link.data, port, shape, codec }),
+        fetches: 0,
+        ledger: Arc::clone(&ledger),
+        services,
+    };
+    let end = session.converse().await;
+    if matches!(end, End::Stopping) {
+        session.finish_frames().await;
+    }
+    session.frames.abort_all();
+    if !matches!(end, End::Left | End::Lost(_)) {
+        session.outbox.notify(ServerMessage::Closing { reason: end.reason().to_owned() });
+        // Closing at once would overtake the message: the client leaves when it has read it.
+        session.outbox.finish(limits::LINGER).await;
+        let _ = timeout(limits::LINGER, session.reader.drain()).await;
+    }
+    closer.close(end.code(), end.reason());
+    drop(slot);
+    ledger.totals().log_end(&client, started_at.elapsed(), end.reason());
+}
+
+/// What frames need, until the client says Start.
+struct Waiting {
+    data: DataLink,
+    port: SessionPort,
+    shape: MaskShape,
+    codec: CodecId,
+}
+
+struct Session {
+    reader: ControlReader,
+    outbox: Outbox,
+    frames: JoinSet<Result<(), DriveError>>,
+    waiting: Option<Waiting>,
+    fetches: u32,
+    ledger: Arc<Ledger>,
+    services: Arc<Services>,
+}
+
+impl Session {
+    /// The control conversation, until something ends the session.
+    async fn converse(&mut self) -> End {
+        let mut phase = self.services.phase.clone();
+        let mut told = Phase::Running;
+        let mut books = Books::open(&self.ledger);
+        let mut tick = tokio::time::interval(Duration::from_secs(1));
+        tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        tick.tick().await;
+        loop {
+            let now = *phase.borrow_and_update();
+            if now != told {
+                told = now;
+                match now {
+                    Phase::Running => {}
+                    Phase::Draining => self.tell_draining(),
+                    Phase::Stopping => return End::Stopping,
+                }
+            }
+            tokio::select! {
+                message = self.reader.next() => match message {
+                    Ok(Some(message)) => if let Err(end) = self.answer(&message) {
+                        return end;
+                    },
+                    Ok(None) => return End::Left,
+                    Err(error @ crate::net::control::ControlError::Stream(_)) => return End::Lost(error.to_string()),
+                    Err(error) => return End::Violation(error.to_string()),
+                },
+                sent = self.outbox.pump(&self.services.scene.packed) => if let Err(error) = sent {
+                    return End::Lost(error.to_string());
+                },
+                Some(ended) = self.frames.join_next() => return match ended {
+                    // Only `Phase::Stopping` ends frames in peace.
+                    Ok(Ok(())) => End::Stopping,
+                    Ok(Err(DriveError::Link(error))) => End::Lost(error.to_string()),
+                    Ok(Err(error)) => End::Failed(error.to_string()),
+                    Err(error) => End::Failed(format!("a task of the session broke off: {error}")),
+                },
+                _ = tick.tick() => if let Err(end) = books.second(&self.ledger, self.waiting.is_none()) {
+                    return end;
+                },
+                // Without a server nobody needs this session.
+                changed = phase.changed() => if changed.is_err() {
+                    return End::Stopping;
+                },
+            }
+        }
+    }
+
+    fn answer(&mut self, message: &ClientMessage) -> Result<(), End> {
+        self.ledger.messages.one();
+        let violation = |reason: &str| Err(End::Violation(reason.to_owned()));
+        match *message {
+            ClientMessage::Ping(number) => {
+                // A client that does not read its answers gets fewer.
+                self.outbox.answer(ServerMessage::Pong(number));
+                Ok(())
+            }
+            ClientMessage::Bye => Err(End::Left),
+            ClientMessage::Hello(_) => violation("a second Hello"),
+            ClientMessage::FetchScene { offset } => {
+                let length = self.services.scene.packed.len();
+                self.fetches += 1;
+                if self.waiting.is_none() || self.fetches > limits::MAX_SCENE_FETCHES {
+                    return violation("the scene is sent before Start, and not over and over");
+                }
+                match usize::try_from(offset).ok().filter(|offset| *offset <= length) {
+                    Some(offset) => self.outbox.send_scene_from(offset),
+                    None => return Err(End::Violation(format!("scene byte {offset} of {length} does not exist"))),
+                }
+                Ok(())
+            }
+            ClientMessage::Start => {
+                let Some(waiting) = self.waiting.take() else { return violation("a second Start") };
+                self.outbox.stop_scene();
+                self.start(waiting);
+                Ok(())
+            }
+        }
+    }
+
+    /// Lets poses and frames flow, in a task of their own: its panic would end this session only.
+    fn start(&mut self, waiting: Waiting) {
+        let Waiting { data, port, shape, codec } = waiting;
+        let (services, ledger) = (Arc::clone(&self.services), Arc::clone(&self.ledger));
+        let work = async move {
+            let (receiver, sender) = data.open(services.handshake_timeout).await?;
+            let SessionPort { requests, masks } = port;
+            let sender = FrameSender::new(sender, codec, Arc::clone(&services.encoders));
+            let mut phase = services.phase.clone();
+            let poses = async {
+                tokio::select! {
+                    lost = poses::receive(receiver, &requests, shape, &ledger) => lost.map(|never| match never {}),
+                    // Stopping takes no more poses, but frames on their way need their session.
+                    () = stopping(&mut phase) => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                lost = poses => lost.map_err(DriveError::from),
+                ended = driver::drive(masks, &requests, sender, &ledger, services.phase.clone()) => ended,
+            }
+        };
+        self.frames.spawn(tracing::Instrument::in_current_span(work));
+    }
+
+    fn tell_draining(&mut self) {
+        self.outbox.notify(ServerMessage::Draining {
+            reason: "the server stops".to_owned(),
+            deadline_ms: self.services.drain_ms,
+            alternative: self.services.alternative.clone(),
+        });
+    }
+
+    /// Waits for frames that are on their way.
+    async fn finish_frames(&mut self) {
+        let finished =
+            timeout(limits::FINISH_TIMEOUT, async { while self.frames.join_next().await.is_some() {} }).await;
+        if finished.is_err() {
+            tracing::warn!("a frame on its way did not finish in {:?}", limits::FINISH_TIMEOUT);
+        }
+    }
+}
+
+/// What is looked at once a second.
+struct Books {
+    opened_at: Instant,
+    heard_at: Instant,
+    at: Instant,
+    totals: ledger::Totals,
+}
+
+impl Books {
+    fn open(ledger: &Ledger) -> Self {
+        let now = Instant::now();
+        Self { opened_at: now, heard_at: now, at: now, totals: ledger.totals() }
+    }
+
+    /// Writes the line of the last second, and ends a session whose client has been silent or noisy for too long.
+    fn second(&mut self, ledger: &Ledger, started: bool) -> Result<(), End> {
+        let (now, totals) = (Instant::now(), ledger.totals());
+        let seconds = now.duration_since(self.at).as_secs_f64();
+        let latest = totals.since(&self.totals);
+        (self.at, self.totals) = (now, totals);
+        if started {
+            latest.log_rates(seconds);
+        } else if now.duration_since(self.opened_at) > limits::SETUP_TIMEOUT {
+            return Err(End::Violation(format!("no Start in {} s", limits::SETUP_TIMEOUT.as_secs())));
+        }
+        if latest.messages + latest.poses > 0 {
+            self.heard_at = now;
+        } else if started && now.duration_since(self.heard_at) > limits::SILENCE_TIMEOUT {
+            return Err(End::Lost(format!("no pose and no message in {} s", limits::SILENCE_TIMEOUT.as_secs())));
+        }
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few seconds")]
+        let allowed = limits::MAX_MESSAGES_PER_SECOND * seconds.ceil() as u64;
+        if latest.messages > allowed {
+            return Err(End::Violation(format!("{} control messages in {seconds:.1} s", latest.messages)));
+        }
+        Ok(())
+    }
+}

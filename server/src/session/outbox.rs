@@ -1,0 +1,190 @@
+//! What a session says on its control stream, in order, and never faster than the client reads.
+
+use std::{collections::VecDeque, time::Duration};
+
+use gnomon_protocol::{limits::SCENE_CHUNK_BYTES, message::ServerMessage};
+use tokio::{sync::mpsc, task::JoinHandle, time::timeout};
+
+use crate::{
+    limits::CONTROL_QUEUE,
+    net::control::{ControlError, ControlWriter},
+};
+
+/// Answers that wait while the client does not read; more are not given.
+const MAX_WAITING_ANSWERS: usize = 16;
+
+/// The session's half of the conversation: a queue, and a task that writes it.
+pub(super) struct Outbox {
+    queue: Option<mpsc::Sender<ServerMessage>>,
+    notices: VecDeque<ServerMessage>,
+    /// First scene byte that has not been queued.
+    scene_next: Option<usize>,
+    writing: JoinHandle<Result<(), ControlError>>,
+}
+
+impl Outbox {
+    /// Starts the task that writes.
+    pub(super) fn start(mut writer: ControlWriter) -> Self {
+        let (queue, mut messages) = mpsc::channel(CONTROL_QUEUE);
+        let writing = tokio::spawn(async move {
+            while let Some(message) = messages.recv().await {
+                writer.write(&message).await?;
+            }
+            writer.finish().await;
+            Ok(())
+        });
+        Self { queue: Some(queue), notices: VecDeque::new(), scene_next: None, writing }
+    }
+
+    /// Says something that the client must hear, before more of the scene.
+    pub(super) fn notify(&mut self, message: ServerMessage) {
+        self.notices.push_back(message);
+    }
+
+    /// Says something that may be left unsaid to a client that does not read.
+    pub(super) fn answer(&mut self, message: ServerMessage) {
+        if self.notices.len() < MAX_WAITING_ANSWERS {
+            self.notices.push_back(message);
+        }
+    }
+
+    /// Sends the scene from that byte on.
+    pub(super) fn send_scene_from(&mut self, offset: usize) {
+        self.scene_next = Some(offset);
+    }
+
+    /// Sends no more of the scene.
+    pub(super) fn stop_scene(&mut self) {
+        self.scene_next = None;
+    }
+
+    /// Moves one message to the writer as soon as it has room; waits for ever when there is nothing to say. Cancelling
+    /// it loses nothing.
+    ///
+    /// # Errors
+    /// When the stream is broken, or the client has not read for too long.
+    pub(super) async fn pump(&mut self, scene: &[u8]) -> Result<(), ControlError> {
+        let Some(queue) = self.queue.clone() else { return std::future::pending().await };
+        let permit = tokio::select! {
+            ended = &mut self.writing => return self.writer_ended(ended),
+            permit = queue.reserve_owned(), if !self.notices.is_empty() || self.scene_next.is_some() => permit,
+        };
+        let Ok(permit) = permit else {
+            let ended = (&mut self.writing).await;
+            return self.writer_ended(ended);
+        };
+        if let Some(message) = self.notices.pop_front() {
+            permit.send(message);
+        } else if let Some(first) = self.scene_next {
+            let end = scene.len().min(first + SCENE_CHUNK_BYTES);
+            permit.send(ServerMessage::SceneChunk { offset: first as u64, bytes: scene[first..end].to_vec() });
+            self.scene_next = (end < scene.len()).then_some(end);
+        }
+        Ok(())
+    }
+
+    fn writer_ended(
+        &mut self,
+        ended: Result<Result<(), ControlError>, tokio::task::JoinError>,
+    ) -> Result<(), ControlError> {
+        self.queue = None;
+        match ended {
+            Ok(result) => result,
+            Err(error) => Err(ControlError::Stream(std::io::Error::other(error))),
+        }
+    }
+
+    /// Writes the notices that are left, and ends the stream; gives up after `patience`.
+    pub(super) async fn finish(&mut self, patience: Duration) {
+        self.scene_next = None;
+        let finish = async {
+            while !self.notices.is_empty() && self.queue.is_some() {
+                if self.pump(&[]).await.is_err() {
+                    return;
+                }
+            }
+            if self.queue.take().is_some() {
+                // What it could not write is not to be told to a client that does not read.
+                let _ = (&mut self.writing).await;
+            }
+        };
+        let _ = timeout(patience, finish).await;
+    }
+}
+
+impl Drop for Outbox {
+    fn drop(&mut self) {
+        self.writing.abort();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use gnomon_protocol::message;
+    use tokio::io::AsyncReadExt as _;
+
+    use super::*;
+
+    async fn read(stream: &mut tokio::io::DuplexStream) -> Option<ServerMessage> {
+        let mut prefix = [0; 4];
+        stream.read_exact(&mut prefix).await.ok()?;
+        let mut bytes = vec![0; message::decode_length(prefix).unwrap()];
+        stream.read_exact(&mut bytes).await.unwrap();
+        Some(message::decode(&bytes).unwrap())
+    }
+
+    #[tokio::test]
+    async fn the_scene_obeys_back_pressure_and_notices_overtake_it() {
+        let scene: Vec<u8> = (0..=250).cycle().take(20 * SCENE_CHUNK_BYTES + 5).collect();
+        let (ours, mut theirs) = tokio::io::duplex(1000);
+        let mut outbox = Outbox::start(ControlWriter::new(Box::new(ours)));
+        outbox.send_scene_from(7);
+        let unread = timeout(Duration::from_millis(50), async {
+            loop {
+                outbox.pump(&scene).await.unwrap();
+            }
+        });
+        assert!(unread.await.is_err());
+        let queued = outbox.scene_next.unwrap();
+        assert!(
+            queued <= 7 + (CONTROL_QUEUE + 1) * SCENE_CHUNK_BYTES,
+            "{queued} bytes queued for a client that reads none"
+        );
+        outbox.notify(ServerMessage::Closing { reason: "test".into() });
+
+        let whole = scene.clone();
+        let pumping = tokio::spawn(async move {
+            while outbox.scene_next.is_some() {
+                outbox.pump(&whole).await.unwrap();
+            }
+            outbox.finish(Duration::from_secs(5)).await;
+        });
+        let (mut received, mut closing_at) = (scene[..7].to_vec(), None);
+        while let Some(message) = read(&mut theirs).await {
+            match message {
+                ServerMessage::SceneChunk { offset, bytes } => {
+                    assert_eq!(offset, received.len() as u64);
+                    received.extend_from_slice(&bytes);
+                }
+                ServerMessage::Closing { .. } => closing_at = Some(received.len()),
+                other => panic!("{other:?}"),
+            }
+        }
+        pumping.await.unwrap();
+        assert_eq!(received, scene);
+        assert!(closing_at.unwrap() < scene.len(), "a notice waits for no scene");
+    }
+
+    #[tokio::test]
+    async fn a_broken_stream_is_reported() {
+        let (ours, theirs) = tokio::io::duplex(64);
+        drop(theirs);
+        let mut outbox = Outbox::start(ControlWriter::new(Box::new(ours)));
+        for number in 0..100 {
+            outbox.answer(ServerMessage::Pong(number));
+        }
+        assert_eq!(outbox.notices.len(), MAX_WAITING_ANSWERS);
+        let broken = async { while outbox.pump(&[]).await.is_ok() {} };
+        timeout(Duration::from_secs(5), broken).await.unwrap();
+    }
+}

@@ -1,0 +1,140 @@
+//! Who is refused, and that nothing of the scene leaves before.
+
+use gnomon_protocol::{
+    PROTOCOL_VERSION,
+    message::{self, ClientMessage, Hello, Refusal, ServerMessage},
+};
+use gnomon_server::{Server, config::Transport, error::StartError};
+
+use super::{
+    Rig,
+    client::{Control, Frames, Native, certificate, client_config, hello},
+    config, soon,
+};
+
+async fn refusal(control: &mut Control, hello: Hello) -> Refusal {
+    control.say(&ClientMessage::Hello(hello)).await;
+    let refusal = match control.hear().await {
+        Some(ServerMessage::Refused(refusal)) => refusal,
+        other => panic!("not refused: {other:?}"),
+    };
+    assert_eq!(control.hear().await, None, "a refusal is the last word");
+    assert!(control.received_bytes < 200, "{} bytes for a stranger", control.received_bytes);
+    refusal
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn strangers_get_no_byte_of_the_scene() {
+    let rig = Rig::start(|config, folder| {
+        let tokens = folder.join("tokens");
+        std::fs::write(&tokens, "# ours\nopen-sesame\n").unwrap();
+        config.token_file = Some(tokens);
+    })
+    .await;
+    for token in [None, Some("open-sesam".to_owned()), Some(String::new()), Some("# ours".to_owned())] {
+        let mut client = Native::connect(rig.address(), rig.folder.path()).await;
+        // Asking for the scene in the same breath does not help.
+        let mut eager = message::encode(&ClientMessage::Hello(Hello { token, ..hello() })).unwrap();
+        eager.extend(message::encode(&ClientMessage::FetchScene { offset: 0 }).unwrap());
+        client.control.say_bytes(&eager).await;
+        assert_eq!(client.control.hear().await, Some(ServerMessage::Refused(Refusal::Token)));
+        assert_eq!(client.control.hear().await, None);
+        assert!(client.control.received_bytes < 100);
+    }
+    let mut client = Native::connect(rig.address(), rig.folder.path()).await;
+    client.control.welcome(Hello { token: Some("open-sesame".to_owned()), ..hello() }).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn other_versions_and_impossible_sizes_are_refused_with_the_reason() {
+    let rig = Rig::start(|_, _| {}).await;
+    let client = PROTOCOL_VERSION + 1;
+    let mut native = Native::connect(rig.address(), rig.folder.path()).await;
+    let expected = Refusal::Version { server: PROTOCOL_VERSION, client };
+    assert_eq!(refusal(&mut native.control, Hello { version: client, ..hello() }).await, expected);
+    for (width, height) in [(0, 0), (0, 64), (100_000, 1), (4096, 4096)] {
+        let mut native = Native::connect(rig.address(), rig.folder.path()).await;
+        match refusal(&mut native.control, Hello { width, height, ..hello() }).await {
+            Refusal::Unsupported(reason) => assert!(reason.contains(&format!("{width}×{height}")), "{reason}"),
+            other => panic!("{other:?}"),
+        }
+    }
+    assert_eq!(rig.server.sessions(), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_full_server_says_so_and_a_leaver_makes_room() {
+    let rig = Rig::start(|config, _| config.max_sessions = 1).await;
+    let first = Native::started(rig.address(), rig.folder.path()).await;
+    let mut second = Native::connect(rig.address(), rig.folder.path()).await;
+    assert!(matches!(refusal(&mut second.control, hello()).await, Refusal::Full { sessions: 1, .. }));
+    first.connection.close(0u32.into(), b"");
+    rig.sessions(0).await;
+    let third = Native::started(rig.address(), rig.folder.path()).await;
+    third.frame(&mut Frames::new(), 0).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_speaks_out_of_turn_is_closed_alone() {
+    let rig = Rig::start(|_, _| {}).await;
+    let good = Native::started(rig.address(), rig.folder.path()).await;
+    let mut frames = Frames::new();
+    good.frame(&mut frames, 0).await;
+    let start = message::encode(&ClientMessage::Start).unwrap();
+    for opening in [start, vec![0xff; 64], vec![1, 0, 0, 0, 77], b"GET / HTTP/1.1\r\n\r\n".to_vec()] {
+        let mut bad = Native::connect(rig.address(), rig.folder.path()).await;
+        bad.control.say_bytes(&opening).await;
+        assert_eq!(bad.control.hear().await, None, "{opening:?}");
+    }
+    for message in [ClientMessage::Hello(hello()), ClientMessage::FetchScene { offset: u64::MAX }] {
+        let mut bad = Native::connect(rig.address(), rig.folder.path()).await;
+        bad.control.welcome(hello()).await;
+        bad.control.say(&message).await;
+        assert!(matches!(bad.control.hear().await, Some(ServerMessage::Closing { .. })), "{message:?}");
+        assert_eq!(bad.control.hear().await, None);
+    }
+    good.frame(&mut frames, 1).await;
+    rig.sessions(1).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_peer_that_says_nothing_is_cut_off() {
+    let rig = Rig::start(|config, _| config.handshake_timeout_ms = 200).await;
+    let silent = Native::connect(rig.address(), rig.folder.path()).await;
+    soon(silent.connection.closed()).await;
+    let foreign = quinn::Endpoint::client("127.0.0.1:0".parse().unwrap()).unwrap();
+    let config = client_config(&certificate(rig.folder.path()), b"gnomon/0");
+    assert!(soon(foreign.connect_with(config, rig.address(), "localhost").unwrap()).await.is_err());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_cannot_start_says_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let base = || config(folder.path());
+    let running = Server::start(base()).await.unwrap();
+    let taken = gnomon_server::config::ServerConfig { listen: running.local_addr(), ..base() };
+    let mut cases = vec![(taken, "is taken")];
+    let mut case = |change: &dyn Fn(&mut gnomon_server::config::ServerConfig), part| {
+        let mut config = base();
+        change(&mut config);
+        cases.push((config, part));
+    };
+    case(&|c| c.scene = None, "no scene: pass --scene FILE");
+    case(&|c| c.scene = Some("/nowhere/scene.glb".into()), "/nowhere/scene.glb");
+    case(&|c| c.token_file = Some("/nowhere/tokens".into()), "/nowhere/tokens");
+    case(&|c| c.cert_dir = Some("/proc/nowhere".into()), "--cert-dir");
+    case(&|c| c.listen = "192.0.2.1:0".parse().unwrap(), "192.0.2.1");
+    for transport in [Transport::LabUdp, Transport::LabTcp] {
+        case(
+            &move |c| {
+                c.transport = transport;
+                c.listen = "0.0.0.0:0".parse().unwrap();
+            },
+            "loopback only",
+        );
+    }
+    for (config, part) in cases {
+        let error: StartError = Server::start(config).await.map(|server| server.url()).unwrap_err();
+        assert!(error.to_string().contains(part), "{error}");
+    }
+}

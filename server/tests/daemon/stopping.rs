@@ -1,0 +1,81 @@
+//! How sessions and servers end.
+
+use std::time::Duration;
+
+use gnomon_protocol::message::{ClientMessage, Refusal, ServerMessage};
+
+use super::{
+    Rig,
+    client::{Frames, Native, hello},
+    soon,
+};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_draining_server_tells_serves_and_then_closes() {
+    let rig = Rig::start(|config, _| {
+        config.drain_ms = 3_000;
+        config.alternative = Some("gnomon://elsewhere:1/".to_owned());
+    })
+    .await;
+    let mut client = Native::started(rig.address(), rig.folder.path()).await;
+    let mut frames = Frames::new();
+    client.frame(&mut frames, 0).await;
+    let mut late = Native::connect(rig.address(), rig.folder.path()).await;
+    let Rig { server, folder } = rig;
+    let stopping = tokio::spawn(server.shutdown());
+    match client.control.hear().await {
+        Some(ServerMessage::Draining { deadline_ms, alternative, .. }) => {
+            assert_eq!((deadline_ms, alternative.as_deref()), (3_000, Some("gnomon://elsewhere:1/")));
+        }
+        other => panic!("{other:?}"),
+    }
+    late.control.say(&ClientMessage::Hello(hello())).await;
+    assert_eq!(late.control.hear().await, Some(ServerMessage::Refused(Refusal::Draining)));
+    client.frame(&mut frames, 1).await;
+    assert!(matches!(client.control.hear().await, Some(ServerMessage::Closing { .. })));
+    assert_eq!(client.control.hear().await, None);
+    client.connection.close(0u32.into(), b"");
+    soon(stopping).await.unwrap();
+    drop(folder);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_drained_server_does_not_wait_for_its_deadline() {
+    let rig = Rig::start(|config, _| config.drain_ms = 3_600_000).await;
+    let mut client = Native::started(rig.address(), rig.folder.path()).await;
+    client.frame(&mut Frames::new(), 0).await;
+    let Rig { server, folder } = rig;
+    let stopping = tokio::spawn(server.shutdown());
+    assert!(matches!(client.control.hear().await, Some(ServerMessage::Draining { .. })));
+    client.control.say(&ClientMessage::Bye).await;
+    soon(stopping).await.unwrap();
+    drop(folder);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_vanished_client_is_gone_within_the_idle_timeout() {
+    let rig = Rig::start(|config, _| config.idle_timeout_ms = 500).await;
+    let stays = Native::started(rig.address(), rig.folder.path()).await;
+    let mut frames = Frames::new();
+    stays.frame(&mut frames, 0).await;
+    let (address, folder) = (rig.address(), rig.folder.path().to_owned());
+    let (its_runtime, vanished) = tokio::task::spawn_blocking(move || {
+        let runtime = tokio::runtime::Runtime::new().unwrap();
+        let client = runtime.block_on(async {
+            let client = Native::started(address, &folder).await;
+            client.frame(&mut Frames::new(), 0).await;
+            client
+        });
+        (runtime, client)
+    })
+    .await
+    .unwrap();
+    rig.sessions(2).await;
+    // Its packets stop without a farewell, as after SIGKILL: the client itself is kept, so that nothing closes it.
+    its_runtime.shutdown_background();
+    rig.sessions(1).await;
+    // The other is silent but alive: keep-alives hold its session for several timeouts.
+    tokio::time::sleep(Duration::from_millis(1_500)).await;
+    stays.frame(&mut frames, 1).await;
+    drop(vanished);
+}
