@@ -1,4 +1,25 @@
 //! Gnomon's thin client: rasterises its own frames and shades them with visibility that is traced at the edge.
+//!
+//! One frame's way: [`camera_path`] → pose out (`net/send.rs`) → G-buffer ([`render`]) → mask in (`net/receive.rs`) →
+//! [`mask_buffer`] → shading → picture ([`pictures`]) and statistics ([`stats`]). `frame_loop.rs` is where they meet.
 
+pub mod camera_path;
+pub mod cli;
+pub mod config;
+pub mod default_path;
+pub mod error;
+mod frame_loop;
+pub mod headless;
+pub mod mask_buffer;
+pub mod net;
 pub mod occluders;
+pub mod pictures;
+pub mod pose_history;
+mod progress;
 pub mod render;
+pub mod scene_cache;
+pub mod stats;
+
+pub use error::ClientError;
+pub use headless::{HeadlessOptions, Source, run_headless};
+pub use stats::Summary;

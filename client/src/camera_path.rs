@@ -1,0 +1,327 @@
+//! Camera paths: keyframes from a file, and where the camera is at a time.
+//!
+//! Between two keyframes the position moves in a straight line at constant speed, and the direction of view turns at a
+//! constant rate along the great circle from the one keyframe's direction to the next one's. Time before the first
+//! keyframe counts as its time; beyond the last one the camera runs back to the first, and on to and fro.
+
+use std::{collections::BTreeMap, fmt, io::Read as _, path::PathBuf, str::FromStr};
+
+use glam::{DQuat, DVec3};
+use gnomon_protocol::limits::{MAX_POSITION_M, YFOV_RANGE_RAD};
+use gnomon_shaders::camera::Camera;
+use serde::Deserialize;
+use thiserror::Error;
+
+/// Largest path file that is read, in bytes.
+const MAX_FILE_BYTES: u64 = 16 << 20;
+
+/// Most keyframes of a path.
+const MAX_KEYFRAMES: usize = 100_000;
+
+/// Vertical field of view where the file gives none, in degrees.
+const DEFAULT_YFOV_DEG: f64 = 60.0;
+
+/// A camera at a time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Keyframe {
+    /// Time, in seconds.
+    pub time_s: f64,
+    /// Position in world space, in metres.
+    pub position_m: DVec3,
+    /// Point that the camera looks at, in world space.
+    pub target_m: DVec3,
+}
+
+/// Keyframes in order of time, at least one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraPath {
+    name: String,
+    keyframes: Vec<Keyframe>,
+    yfov_rad: f64,
+}
+
+/// A path's place on a command line: `FILE` or `FILE#NAME`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PathSpec {
+    /// The file.
+    pub file: PathBuf,
+    /// The path's name in it.
+    pub name: Option<String>,
+}
+
+/// Why there is no path.
+#[derive(Debug, Error)]
+pub enum PathError {
+    /// The file cannot be read.
+    #[error("cannot read camera path {}: {source}", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// The reason.
+        source: std::io::Error,
+    },
+    /// The file is too large.
+    #[error("camera path {} has more than {MAX_FILE_BYTES} bytes", .0.display())]
+    TooLarge(PathBuf),
+    /// The file is not of the expected form.
+    #[error("camera path {}: {reason}", file.display())]
+    Malformed {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The file has no path of that name.
+    #[error("{} has no camera path {wanted:?}: it has {}", file.display(), found.join(", "))]
+    NoSuchPath {
+        /// The file.
+        file: PathBuf,
+        /// The name asked for.
+        wanted: String,
+        /// The names that there are.
+        found: Vec<String>,
+    },
+}
+
+#[derive(Debug, Deserialize)]
+struct PathFile {
+    yfov_deg: Option<f64>,
+    camera_path: Option<PathEntry>,
+    #[serde(default)]
+    camera_paths: BTreeMap<String, PathEntry>,
+}
+
+#[derive(Debug, Deserialize)]
+struct PathEntry {
+    yfov_deg: Option<f64>,
+    keyframes: Vec<KeyframeEntry>,
+}
+
+#[derive(Debug, Deserialize)]
+struct KeyframeEntry {
+    t: f64,
+    pos: [f64; 3],
+    target: [f64; 3],
+}
+
+impl FromStr for PathSpec {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Ok(match text.rsplit_once('#') {
+            Some((file, name)) if !name.is_empty() => Self { file: file.into(), name: Some(name.to_owned()) },
+            _ => Self { file: text.trim_end_matches('#').into(), name: None },
+        })
+    }
+}
+
+impl fmt::Display for PathSpec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.file.display())?;
+        self.name.as_ref().map_or(Ok(()), |name| write!(f, "#{name}"))
+    }
+}
+
+impl CameraPath {
+    /// A path through these keyframes.
+    ///
+    /// # Errors
+    /// With what is wrong: none or too many keyframes, times that do not grow, values that are not finite, too large or
+    /// too far out, or a target at the camera's own place.
+    pub fn new(name: &str, keyframes: Vec<Keyframe>, yfov_rad: f64) -> Result<Self, String> {
+        if keyframes.is_empty() || keyframes.len() > MAX_KEYFRAMES {
+            return Err(format!("{} keyframes: a path has 1 to {MAX_KEYFRAMES}", keyframes.len()));
+        }
+        if !YFOV_RANGE_RAD.contains(&yfov_rad) {
+            return Err(format!("a field of view of {}°: it must be 1° to 170°", yfov_rad.to_degrees()));
+        }
+        for (index, keyframe) in keyframes.iter().enumerate() {
+            let Keyframe { time_s, position_m, target_m } = keyframe;
+            let inside = |point: &DVec3| point.abs().max_element() <= MAX_POSITION_M && point.is_finite();
+            if !time_s.is_finite() || !inside(position_m) || !inside(target_m) {
+                return Err(format!("keyframe {index} has a value that is not finite or beyond {MAX_POSITION_M:e} m"));
+            }
+            if (*target_m - *position_m).try_normalize().is_none() {
+                return Err(format!("keyframe {index} looks at its own position"));
+            }
+            if index > 0 && *time_s <= keyframes[index - 1].time_s {
+                return Err(format!("keyframe {index} is not later than the one before it ({time_s} s)"));
+            }
+        }
+        Ok(Self { name: name.to_owned(), keyframes, yfov_rad })
+    }
+
+    /// A path that stays at one keyframe, which must be good.
+    pub(crate) fn standing(name: &str, keyframe: Keyframe, yfov_rad: f64) -> Self {
+        Self { name: name.to_owned(), keyframes: vec![keyframe], yfov_rad }
+    }
+
+    /// Reads a path from a `lights_camera.json` file: the one that `spec` names, or else `camera_path`, or else the
+    /// first of `camera_paths` by name.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is malformed, or has no such path.
+    pub fn load(spec: &PathSpec) -> Result<Self, PathError> {
+        let file = || spec.file.clone();
+        let read = |source| PathError::Read { file: file(), source };
+        let mut text = String::new();
+        let opened = std::fs::File::open(&spec.file).map_err(read)?;
+        let bytes = opened.take(MAX_FILE_BYTES + 1).read_to_string(&mut text).map_err(read)?;
+        if bytes as u64 > MAX_FILE_BYTES {
+            return Err(PathError::TooLarge(file()));
+        }
+        let malformed = |reason: String| PathError::Malformed { file: file(), reason };
+        let parsed: PathFile = serde_json::from_str(&text).map_err(|error| malformed(error.to_string()))?;
+        let mut paths = parsed.camera_paths;
+        if let Some(path) = parsed.camera_path {
+            paths.insert("camera_path".to_owned(), path);
+        }
+        let name = match &spec.name {
+            Some(name) => name.clone(),
+            None if paths.contains_key("camera_path") => "camera_path".to_owned(),
+            None => paths.keys().next().cloned().ok_or_else(|| malformed("it has no camera path".to_owned()))?,
+        };
+        let Some(entry) = paths.get(&name) else {
+            let found = paths.into_keys().collect();
+            return Err(PathError::NoSuchPath { file: file(), wanted: name, found });
+        };
+        let keyframes = (entry.keyframes.iter())
+            .map(|keyframe| Keyframe {
+                time_s: keyframe.t,
+                position_m: keyframe.pos.into(),
+                target_m: keyframe.target.into(),
+            })
+            .collect();
+        let yfov_deg = entry.yfov_deg.or(parsed.yfov_deg).unwrap_or(DEFAULT_YFOV_DEG);
+        Self::new(&name, keyframes, yfov_deg.to_radians()).map_err(|reason| malformed(format!("{name}: {reason}")))
+    }
+
+    /// The path's name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Time from the first to the last keyframe, in seconds.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.keyframes[self.keyframes.len() - 1].time_s - self.keyframes[0].time_s
+    }
+
+    /// The camera `time_s` seconds after the first keyframe, for a picture of this size.
+    #[must_use]
+    pub fn camera(&self, time_s: f64, width: u32, height: u32) -> Camera {
+        let duration = self.duration_s();
+        let lap = if duration > 0.0 { time_s.max(0.0) % (2.0 * duration) } else { 0.0 };
+        let time = self.keyframes[0].time_s + if lap > duration { 2.0 * duration - lap } else { lap };
+        let after = self.keyframes.partition_point(|keyframe| keyframe.time_s <= time);
+        let from = &self.keyframes[after.saturating_sub(1)];
+        let (position, direction) = match self.keyframes.get(after) {
+            Some(to) if after > 0 => {
+                let share = (time - from.time_s) / (to.time_s - from.time_s);
+                let turn = DQuat::from_rotation_arc(from.direction(), to.direction());
+                (from.position_m.lerp(to.position_m, share), DQuat::IDENTITY.slerp(turn, share) * from.direction())
+            }
+            _ => (from.position_m, from.direction()),
+        };
+        Camera::looking_at(position, position + direction, self.yfov_rad, width, height)
+    }
+}
+
+impl Keyframe {
+    fn direction(&self) -> DVec3 {
+        (self.target_m - self.position_m).normalize()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_1_SQRT_2;
+
+    use super::*;
+
+    fn key(time_s: f64, position: [f64; 3], direction: [f64; 3]) -> Keyframe {
+        let position_m = DVec3::from(position);
+        Keyframe { time_s, position_m, target_m: position_m + DVec3::from(direction) }
+    }
+
+    fn look(path: &CameraPath, time_s: f64) -> (DVec3, DVec3) {
+        let camera = path.camera(time_s, 16, 9);
+        (camera.position_m, camera.orientation * DVec3::NEG_Z)
+    }
+
+    #[test]
+    fn position_is_linear_and_the_direction_turns_evenly() {
+        let keys = vec![key(2.0, [0.0; 3], [0.0, 0.0, -9.0]), key(6.0, [8.0, 4.0, 0.0], [3.0, 0.0, 0.0])];
+        let path = CameraPath::new("test", keys, 1.0).unwrap();
+        assert_eq!(path.duration_s(), 4.0);
+        for (time, position, direction) in [
+            (-1.0, [0.0, 0.0, 0.0], [0.0, 0.0, -1.0]),
+            (0.0, [0.0, 0.0, 0.0], [0.0, 0.0, -1.0]),
+            (2.0, [4.0, 2.0, 0.0], [FRAC_1_SQRT_2, 0.0, -FRAC_1_SQRT_2]),
+            (4.0, [8.0, 4.0, 0.0], [1.0, 0.0, 0.0]),
+            (6.0, [4.0, 2.0, 0.0], [FRAC_1_SQRT_2, 0.0, -FRAC_1_SQRT_2]),
+            (8.0, [0.0, 0.0, 0.0], [0.0, 0.0, -1.0]),
+            (9.0, [2.0, 1.0, 0.0], [0.382_683_432, 0.0, -0.923_879_533]),
+        ] {
+            let (found_position, found_direction) = look(&path, time);
+            assert!((found_position - DVec3::from(position)).length() < 1e-9, "{time} s: {found_position}");
+            assert!((found_direction - DVec3::from(direction)).length() < 1e-8, "{time} s: {found_direction}");
+        }
+    }
+
+    #[test]
+    fn opposite_directions_turn_through_a_side() {
+        let keys = vec![key(0.0, [0.0; 3], [0.0, 0.0, -1.0]), key(1.0, [0.0; 3], [0.0, 0.0, 1.0])];
+        let (_, direction) = look(&CameraPath::new("test", keys, 1.0).unwrap(), 0.5);
+        assert!(direction.is_normalized() && direction.z.abs() < 1e-6);
+    }
+
+    #[test]
+    fn one_keyframe_stands_still() {
+        let path = CameraPath::new("test", vec![key(5.0, [1.0, 2.0, 3.0], [1.0, 0.0, 0.0])], 1.0).unwrap();
+        assert_eq!(look(&path, 0.0), look(&path, 77.0));
+    }
+
+    #[test]
+    fn bad_keyframes_say_what_is_wrong() {
+        let good = key(0.0, [0.0; 3], [1.0, 0.0, 0.0]);
+        for (keys, yfov, reason) in [
+            (vec![], 1.0, "0 keyframes"),
+            (vec![good, good], 1.0, "not later"),
+            (vec![key(0.0, [1.0; 3], [0.0; 3])], 1.0, "own position"),
+            (vec![key(f64::NAN, [1.0; 3], [1.0; 3])], 1.0, "not finite"),
+            (vec![key(0.0, [2e9, 0.0, 0.0], [1.0; 3])], 1.0, "beyond"),
+            (vec![good], 0.0, "field of view"),
+        ] {
+            let found = CameraPath::new("test", keys, yfov).unwrap_err();
+            assert!(found.contains(reason), "{found}");
+        }
+    }
+
+    #[test]
+    fn files_are_read_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("paths.json");
+        let keys = |x: f64| format!(r#"[{{"t": 0, "pos": [{x}, 0, 0], "target": [{x}, 0, -1]}}]"#);
+        let text = format!(
+            r#"{{"units": "m", "yfov_deg": 40, "camera_paths": {{
+                "b": {{"keyframes": {}, "note": "x"}}, "a": {{"yfov_deg": 50, "keyframes": {}}}}}}}"#,
+            keys(2.0),
+            keys(1.0)
+        );
+        std::fs::write(&file, text).unwrap();
+        let load = |name: &str| CameraPath::load(&format!("{}{name}", file.display()).parse().unwrap());
+        assert_eq!(load("").unwrap().name(), "a");
+        let (a, b) = (load("#a").unwrap(), load("#b").unwrap());
+        assert_eq!((look(&a, 0.0).0.x, look(&b, 0.0).0.x), (1.0, 2.0));
+        assert!((a.yfov_rad.to_degrees() - 50.0).abs() < 1e-9 && (b.yfov_rad.to_degrees() - 40.0).abs() < 1e-9);
+        assert!(load("#c").unwrap_err().to_string().ends_with("it has a, b"));
+        std::fs::write(&file, "{}").unwrap();
+        assert!(load("").unwrap_err().to_string().contains("no camera path"));
+        std::fs::write(&file, "{\"camera_path\": 7}").unwrap();
+        assert!(matches!(load(""), Err(PathError::Malformed { .. })));
+        std::fs::remove_file(&file).unwrap();
+        assert!(matches!(load(""), Err(PathError::Read { .. })));
+    }
+}

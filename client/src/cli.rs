@@ -1,0 +1,132 @@
+//! The command line and its environment variables. What is not said here may be said in the configuration file.
+
+use std::{path::PathBuf, str::FromStr};
+
+use clap::Parser;
+use gnomon_protocol::codec::CodecId;
+
+use crate::{camera_path::PathSpec, net::url::ServerUrl};
+
+/// A thin client of a Gnomon server: rasterises a scene, and shades it with visibility that the server traces.
+#[derive(Debug, Clone, Parser)]
+#[command(name = "gnomon-client", version, about, max_term_width = 120)]
+pub struct Arguments {
+    /// The line that the server printed: gnomon://HOST:PORT/?cert=SHA256
+    #[arg(env = "GNOMON_URL", value_name = "URL")]
+    pub url: Option<ServerUrl>,
+    /// Draw into files instead of a window
+    #[arg(long)]
+    pub headless: bool,
+    /// Draw this glTF scene without a server: every light reaches everything
+    #[arg(long, value_name = "SCENE")]
+    pub offline: Option<PathBuf>,
+    /// With --offline: lights for a scene without any (a lights_camera.json file)
+    #[arg(long, value_name = "FILE", requires = "offline")]
+    pub lights_from: Option<PathBuf>,
+    /// With --offline: keep the first N lights
+    #[arg(long, value_name = "N", requires = "offline")]
+    pub lights: Option<u32>,
+    /// Camera path: a lights_camera.json file, and the path's name if it has several [default: one that suits the scene]
+    #[arg(long, value_name = "FILE[#NAME]")]
+    pub path: Option<PathSpec>,
+    /// Frames to draw [default: once along the path]
+    #[arg(long, value_name = "N")]
+    pub frames: Option<u32>,
+    /// Frames a second, in real time [default: as fast as possible, with the frames spread evenly over the path]
+    #[arg(long, value_name = "F")]
+    pub fps: Option<f64>,
+    /// Where on the path to begin, in seconds
+    #[arg(long, value_name = "S")]
+    pub start_time: Option<f64>,
+    /// Size of the pictures, in pixels [default: 1280x720]
+    #[arg(long, env = "GNOMON_SIZE", value_name = "WxH")]
+    pub size: Option<Size>,
+    /// Folder for a PNG a frame
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// File for a JSON line a frame
+    #[arg(long, value_name = "FILE")]
+    pub stats: Option<PathBuf>,
+    /// File for the summary, which is printed as well
+    #[arg(long, value_name = "FILE")]
+    pub summary: Option<PathBuf>,
+    /// Folder for the encoded masks, a file a frame
+    #[arg(long, value_name = "DIR")]
+    pub save_masks: Option<PathBuf>,
+    /// Token, for a server that wants one
+    #[arg(long, env = "GNOMON_TOKEN", hide_env_values = true, value_name = "TOKEN")]
+    pub token: Option<String>,
+    /// Codec of the masks: words, words-lz4 or planes-lz4 [default: planes-lz4]
+    #[arg(long, env = "GNOMON_CODEC", value_name = "CODEC")]
+    pub codec: Option<CodecId>,
+    /// Part of the graphics adapter's name [default: the first real GPU, or else software]
+    #[arg(long, env = "GNOMON_ADAPTER", value_name = "NAME")]
+    pub adapter: Option<String>,
+    /// Whether a software adapter will do [default: true]
+    #[arg(long, env = "GNOMON_ALLOW_SOFTWARE", value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub allow_software: Option<bool>,
+    /// Shade each frame with exactly its own mask, and wait for it
+    #[arg(long)]
+    pub wait: bool,
+    /// Exposure: 1 lux is shown as 2^-EV; the summary says what was used [default: what suits the scene and its lights]
+    #[arg(long, value_name = "EV", allow_negative_numbers = true)]
+    pub exposure: Option<f32>,
+    /// Folder for cached scenes [default: the platform's cache folder]
+    #[arg(long, env = "GNOMON_CACHE_DIR", value_name = "DIR")]
+    pub cache_dir: Option<PathBuf>,
+    /// How long the server may take to answer at first, in seconds [default: 5]
+    #[arg(long, env = "GNOMON_CONNECT_TIMEOUT", value_name = "S")]
+    pub connect_timeout: Option<f64>,
+    /// Configuration file (TOML); flags and environment variables go before it
+    #[arg(long, env = "GNOMON_CLIENT_CONFIG", value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Read the configuration, say what is wrong with it, and leave
+    #[arg(long)]
+    pub check_config: bool,
+    /// What to log to standard error, as tracing's filters say it
+    #[arg(long, env = "GNOMON_LOG", value_name = "FILTER", default_value = "warn")]
+    pub log: String,
+}
+
+/// Width and height, in pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Size {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+}
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parse = || {
+            let (width, height) = text.split_once(['x', '×'])?;
+            Some(Self { width: width.parse().ok()?, height: height.parse().ok()? })
+        };
+        parse().ok_or_else(|| format!("{text:?} is no size: WIDTHxHEIGHT in pixels is expected, 1280x720 for instance"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Arguments::command().debug_assert();
+        let parse = |line: &str| Arguments::try_parse_from(line.split(' '));
+        let parsed = parse("gnomon-client gnomon+lab-udp://127.0.0.1:5 --headless --size 640x360 --wait").unwrap();
+        assert_eq!(parsed.size, Some(Size { width: 640, height: 360 }));
+        assert!(parsed.wait && parsed.headless && parsed.allow_software.is_none());
+        let parsed = parse("gnomon-client --allow-software --offline a.gltf --exposure -3.5").unwrap();
+        assert_eq!((parsed.allow_software, parsed.exposure), (Some(true), Some(-3.5)));
+        assert_eq!(parse("gnomon-client --allow-software=false").unwrap().allow_software, Some(false));
+        for wrong in ["--size 640", "--size -1x3", "--codec zip", "--lights 3", "http://x:1", "--colour"] {
+            assert!(parse(&format!("gnomon-client {wrong}")).is_err(), "{wrong}");
+        }
+    }
+}

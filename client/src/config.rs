@@ -1,0 +1,196 @@
+//! What a run is told, from all sides: defaults < TOML file < environment < flags.
+
+use std::{
+    io::Read as _,
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use gnomon_protocol::codec::CodecId;
+use serde::Deserialize;
+use thiserror::Error;
+
+use crate::{
+    camera_path::PathSpec,
+    cli::{Arguments, Size},
+    headless::{HeadlessOptions, Source},
+    net::url::ServerUrl,
+};
+
+/// Largest configuration file that is read, in bytes.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// The configuration file. Its keys are the flags' names, with `_` for `-`.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FileConfig {
+    url: Option<ServerUrl>,
+    #[serde(default, deserialize_with = "parsed")]
+    path: Option<PathSpec>,
+    frames: Option<u32>,
+    fps: Option<f64>,
+    start_time: Option<f64>,
+    #[serde(default, deserialize_with = "parsed")]
+    size: Option<Size>,
+    out: Option<PathBuf>,
+    stats: Option<PathBuf>,
+    summary: Option<PathBuf>,
+    save_masks: Option<PathBuf>,
+    token: Option<String>,
+    #[serde(default, deserialize_with = "parsed")]
+    codec: Option<CodecId>,
+    adapter: Option<String>,
+    allow_software: Option<bool>,
+    wait: Option<bool>,
+    exposure: Option<f32>,
+    cache_dir: Option<PathBuf>,
+    connect_timeout: Option<f64>,
+}
+
+/// Why there is nothing to run.
+#[derive(Debug, Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read configuration {}: {source}", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// The file is not what is expected.
+    #[error("configuration {}: {reason}", file.display())]
+    Malformed {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// Neither a server nor a scene.
+    #[error("which server? Pass the URL that gnomon-server printed, or --offline SCENE to draw without one")]
+    NoSource,
+    /// Both a server and a scene.
+    #[error("a URL and --offline: choose one")]
+    TwoSources,
+    /// Without `--headless`.
+    #[error("this version has no window yet: pass --headless")]
+    NoWindow,
+    /// A timeout that is none.
+    #[error("--connect-timeout: {0} s: 0.001 to 3600 are possible")]
+    Timeout(f64),
+}
+
+/// A value that is written as text.
+fn parsed<'de, D: serde::Deserializer<'de>, T: std::str::FromStr<Err: std::fmt::Display>>(
+    deserializer: D,
+) -> Result<Option<T>, D::Error> {
+    String::deserialize(deserializer)?.parse().map(Some).map_err(serde::de::Error::custom)
+}
+
+impl FileConfig {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// When it cannot be read, or has a key or value that is not known.
+    pub fn load(file: &Path) -> Result<Self, ConfigError> {
+        let read = |source| ConfigError::Read { file: file.into(), source };
+        let mut text = String::new();
+        let opened = std::fs::File::open(file).map_err(read)?;
+        let bytes = opened.take(MAX_FILE_BYTES + 1).read_to_string(&mut text).map_err(read)?;
+        let malformed = |reason| ConfigError::Malformed { file: file.into(), reason };
+        if bytes as u64 > MAX_FILE_BYTES {
+            return Err(malformed(format!("more than {MAX_FILE_BYTES} bytes")));
+        }
+        toml::from_str(&text).map_err(|error| malformed(error.to_string().trim_end().replace('\n', " ")))
+    }
+}
+
+/// Puts everything together.
+///
+/// # Errors
+/// When the configuration file is wrong, or it is not clear what to draw.
+pub fn resolve(arguments: Arguments) -> Result<HeadlessOptions, ConfigError> {
+    let file = arguments.config.as_deref().map(FileConfig::load).transpose()?.unwrap_or_default();
+    if !arguments.headless && !arguments.check_config {
+        return Err(ConfigError::NoWindow);
+    }
+    let source = match (arguments.offline, arguments.url.or(file.url)) {
+        (Some(scene), None) => Source::Offline { scene, lights_from: arguments.lights_from, lights: arguments.lights },
+        (None, Some(url)) => Source::Server(url),
+        (None, None) => return Err(ConfigError::NoSource),
+        (Some(_), Some(_)) => return Err(ConfigError::TwoSources),
+    };
+    let default = HeadlessOptions::new(source);
+    let size = arguments.size.or(file.size).unwrap_or(Size { width: default.width, height: default.height });
+    let connect_timeout = match arguments.connect_timeout.or(file.connect_timeout) {
+        None => default.connect_timeout,
+        Some(seconds) if (0.001..=3600.0).contains(&seconds) => Duration::from_secs_f64(seconds),
+        Some(seconds) => return Err(ConfigError::Timeout(seconds)),
+    };
+    Ok(HeadlessOptions {
+        path: arguments.path.or(file.path),
+        frames: arguments.frames.or(file.frames),
+        fps: arguments.fps.or(file.fps),
+        start_time_s: arguments.start_time.or(file.start_time).unwrap_or(default.start_time_s),
+        width: size.width,
+        height: size.height,
+        out: arguments.out.or(file.out),
+        stats: arguments.stats.or(file.stats),
+        summary: arguments.summary.or(file.summary),
+        save_masks: arguments.save_masks.or(file.save_masks),
+        token: arguments.token.or(file.token),
+        codec: arguments.codec.or(file.codec).unwrap_or(default.codec),
+        adapter: arguments.adapter.or(file.adapter),
+        allow_software: arguments.allow_software.or(file.allow_software).unwrap_or(default.allow_software),
+        wait: arguments.wait || file.wait.unwrap_or(default.wait),
+        exposure_ev: arguments.exposure.or(file.exposure),
+        cache_dir: arguments.cache_dir.or(file.cache_dir),
+        connect_timeout,
+        progress: true,
+        ..default
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+
+    fn resolve_with(file: &str, line: &str) -> Result<HeadlessOptions, ConfigError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("client.toml");
+        std::fs::write(&path, file).unwrap();
+        let mut arguments = Arguments::parse_from(format!("gnomon-client {line}").trim().split(' '));
+        arguments.config = Some(path);
+        resolve(arguments)
+    }
+
+    const URL: &str = "gnomon+lab-udp://127.0.0.1:5";
+
+    #[test]
+    fn flags_go_before_the_file_and_the_file_before_defaults() {
+        let file = format!("url = \"{URL}\"\nsize = \"64x36\"\ncodec = \"words\"\nwait = true\nframes = 7\n");
+        let options = resolve_with(&file, "--headless --frames 9").unwrap();
+        assert_eq!((options.width, options.height, options.codec), (64, 36, CodecId::Words));
+        assert_eq!((options.frames, options.wait), (Some(9), true));
+        assert!(matches!(options.source, Source::Server(url) if url.port == 5));
+        assert_eq!(resolve_with("", &format!("{URL} --headless")).unwrap().width, 1280);
+    }
+
+    #[test]
+    fn mistakes_say_what_to_do() {
+        for (file, line, expected) in [
+            ("", "--headless", "which server?"),
+            ("", "gnomon+lab-udp://127.0.0.1:5", "--headless"),
+            ("", "gnomon+lab-udp://127.0.0.1:5 --headless --offline a.gltf", "choose one"),
+            ("colour = 1", "--headless", "colour"),
+            ("size = \"big\"", "--headless", "WIDTHxHEIGHT"),
+            ("url = \"gnomon://a:1\"", "--headless", "cert"),
+            ("connect_timeout = 0", "--headless --offline a.gltf", "connect-timeout"),
+        ] {
+            let error = resolve_with(file, line).unwrap_err().to_string();
+            assert!(error.contains(expected) && !error.contains('\n'), "{error}");
+        }
+    }
+}

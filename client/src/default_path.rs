@@ -1,0 +1,157 @@
+//! A camera path for who names none: around an object, or through a room.
+//!
+//! Rays against the scene's largest triangles tell which it is. From a place that walls surround, the camera moves
+//! along the longest free line; otherwise it goes half around the scene, looking at its middle.
+
+use std::f32::consts::{FRAC_PI_4, TAU};
+
+use glam::{DVec3, Vec3};
+use gnomon_shaders::scene::Scene;
+
+use crate::{
+    camera_path::{CameraPath, Keyframe},
+    occluders::Occluders,
+};
+
+/// Directions that are tried around a place.
+const DIRECTIONS: u8 = 16;
+
+/// Share of the directions that a wall must end for a place to be inside.
+const INSIDE: f32 = 0.7;
+
+/// Field of view, in radians.
+const YFOV_RAD: f64 = 1.0;
+
+/// Time that the path takes, in seconds.
+const DURATION_S: f64 = 8.0;
+
+/// A path that shows `scene`.
+#[must_use]
+pub fn default_path(scene: &Scene, occluders: &Occluders) -> CameraPath {
+    let local = walk_inside(scene, occluders).unwrap_or_else(|| orbit(scene));
+    let last = local.len().saturating_sub(1).max(1);
+    let keyframes = (local.into_iter().enumerate())
+        .map(|(index, (position, target))| Keyframe {
+            time_s: DURATION_S * index as f64 / last as f64,
+            position_m: scene.origin_m + position.as_dvec3(),
+            target_m: scene.origin_m + target.as_dvec3(),
+        })
+        .collect();
+    let origin = Keyframe { time_s: 0.0, position_m: DVec3::ZERO, target_m: DVec3::NEG_Z };
+    CameraPath::new("default", keyframes, YFOV_RAD)
+        // A scene whose bounds are no box (nothing in it, or nothing but a point) has nothing to show.
+        .unwrap_or_else(|_| CameraPath::standing("default", origin, YFOV_RAD))
+}
+
+/// Half a turn around the scene, a little from above.
+fn orbit(scene: &Scene) -> Vec<(Vec3, Vec3)> {
+    let middle = (scene.bounds.min + scene.bounds.max) * 0.5;
+    let radius = ((scene.bounds.max - scene.bounds.min).length() * 0.5).max(0.05);
+    (0..=16_u8)
+        .map(|step| {
+            let angle = FRAC_PI_4 + TAU * 0.5 * f32::from(step) / 16.0;
+            let away = Vec3::new(angle.cos(), 0.45, angle.sin()).normalize();
+            (middle + away * radius * 2.1, middle)
+        })
+        .collect()
+}
+
+/// A place inside the scene and how far one sees from it.
+struct Place {
+    position: Vec3,
+    /// Least free distance around, in metres.
+    clearance: f32,
+    /// Longest free line along the floor.
+    forward: Vec3,
+    free: f32,
+}
+
+fn walk_inside(scene: &Scene, occluders: &Occluders) -> Option<Vec<(Vec3, Vec3)>> {
+    let (low, size) = (scene.bounds.min, scene.bounds.max - scene.bounds.min);
+    let shares = [0.3, 0.5, 0.7];
+    let mut best: Option<Place> = None;
+    for (x, z) in shares.iter().flat_map(|x| shares.iter().map(move |z| (*x, *z))) {
+        let above = low + size * Vec3::new(x, 0.5, z);
+        // Eye level over the floor there, but no higher than the middle of the scene.
+        let Some(height) = occluders.nearest(above, Vec3::NEG_Y, 0.0, size.y) else { continue };
+        let position = above - Vec3::Y * (height - 1.6_f32.min(height * 0.9)).max(0.0);
+        if let Some(place) = look_around(position, size.length(), occluders)
+            && best.as_ref().is_none_or(|best| place.clearance > best.clearance)
+        {
+            best = Some(place);
+        }
+    }
+    let Place { position, clearance, forward, free } = best?;
+    if clearance < size.length() * 1e-3 {
+        return None;
+    }
+    // Most of the free line, and the walls at its ends keep their distance.
+    let back = occluders.nearest(position, -forward, 0.0, size.length()).unwrap_or(0.0);
+    let (from, to) = (position - forward * back * 0.7, position + forward * free * 0.5);
+    let ahead = forward * free.max(1.0) - Vec3::Y * clearance.min(0.2);
+    Some(vec![(from, from + ahead), (to, to + ahead)])
+}
+
+fn look_around(position: Vec3, reach: f32, occluders: &Occluders) -> Option<Place> {
+    let mut place = Place { position, clearance: f32::INFINITY, forward: Vec3::X, free: 0.0 };
+    let mut ended = 0_u8;
+    for index in 0..DIRECTIONS {
+        let angle = TAU * f32::from(index) / f32::from(DIRECTIONS);
+        let direction = Vec3::new(angle.cos(), 0.0, angle.sin());
+        if let Some(distance) = occluders.nearest(position, direction, 0.0, reach) {
+            ended += 1;
+            place.clearance = place.clearance.min(distance);
+            if distance > place.free {
+                (place.forward, place.free) = (direction, distance);
+            }
+        }
+    }
+    (f32::from(ended) >= INSIDE * f32::from(DIRECTIONS)).then_some(place)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::testing::floor_and_lights;
+
+    #[test]
+    fn an_open_scene_is_gone_around() {
+        let scene = floor_and_lights();
+        let path = default_path(&scene, &Occluders::largest_of(&scene));
+        let middle = scene.origin_m + DVec3::new(0.0, 0.5, 0.0);
+        let radius = 2.1 * f64::from((scene.bounds.max - scene.bounds.min).length()) / 2.0;
+        for time in 0..8 {
+            let camera = path.camera(f64::from(time), 16, 9);
+            assert!((camera.position_m.distance(middle) / radius - 1.0).abs() < 0.02, "{time} s");
+        }
+        let (first, last) = (path.camera(0.0, 1, 1).position_m, path.camera(8.0, 1, 1).position_m);
+        assert!(first.distance(last) > radius);
+    }
+
+    #[test]
+    fn a_room_is_walked_through_without_meeting_a_wall() {
+        // A closed room of 10 × 3 × 4 m.
+        let mut scene = floor_and_lights();
+        let (low, high) = (Vec3::new(-5.0, 0.0, -2.0), Vec3::new(5.0, 3.0, 2.0));
+        scene.positions = (0..8_u8)
+            .map(|corner| {
+                let pick = |bit: u8, low, high| if corner >> bit & 1 == 1 { high } else { low };
+                Vec3::new(pick(0, low.x, high.x), pick(1, low.y, high.y), pick(2, low.z, high.z))
+            })
+            .collect();
+        scene.triangles = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
+            .into_iter()
+            .flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]])
+            .collect();
+        scene.draws.truncate(1);
+        scene.draws[0].triangles = 12;
+        (scene.bounds.min, scene.bounds.max) = (low, high);
+        let path = default_path(&scene, &Occluders::largest_of(&scene));
+        for step in 0..80 {
+            let position = (path.camera(f64::from(step) * 0.1, 16, 9).position_m - scene.origin_m).as_vec3();
+            assert!(position.cmpgt(low + 0.2).all() && position.cmplt(high - 0.2).all(), "{position}");
+        }
+        let (first, last) = (path.camera(0.0, 1, 1).position_m, path.camera(8.0, 1, 1).position_m);
+        assert!(first.distance(last) > 4.0, "{first} {last}");
+    }
+}

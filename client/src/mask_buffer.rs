@@ -1,0 +1,261 @@
+//! The double buffer between the receive task and the renderer.
+//!
+//! The receive task decodes into its back buffer, and the renderer reads its front buffer; neither is shared. When a
+//! mask is whole, the back buffer changes places with the one in the middle, and the renderer changes its front buffer
+//! for that one when it wants a newer mask. These two swaps, of pointers, are all that is ever done under the lock: the
+//! dissertation's client holds its mutex while it copies to the GPU (§3.3), so its receiver waits for the renderer.
+
+use std::{
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    time::Instant,
+};
+
+use gnomon_protocol::{
+    ids::FrameNumber,
+    mask::{Mask, MaskShape},
+};
+
+/// A mask and where it came from.
+#[derive(Debug, Clone)]
+pub struct ReceivedMask {
+    /// The frame whose pose it was traced for.
+    pub frame: FrameNumber,
+    /// The mask.
+    pub mask: Mask,
+    /// Bytes that the encoded frame had, packet headers not counted.
+    pub payload_bytes: usize,
+    /// Packets that it came in.
+    pub packets: u16,
+    /// When its last packet had come.
+    pub received_at: Instant,
+}
+
+#[derive(Debug)]
+struct Middle {
+    buffer: ReceivedMask,
+    /// Whether the buffer holds a mask that the renderer has not seen.
+    fresh: bool,
+    /// Why no more masks will come.
+    ended: Option<String>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    middle: Mutex<Middle>,
+    changed: Condvar,
+}
+
+impl Shared {
+    /// A panic while pointers are swapped cannot leave them half swapped.
+    fn lock(&self) -> MutexGuard<'_, Middle> {
+        self.middle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The receive task's end.
+#[derive(Debug)]
+pub struct MaskWriter {
+    shared: Arc<Shared>,
+    back: ReceivedMask,
+}
+
+/// The renderer's end.
+#[derive(Debug)]
+pub struct MaskReader {
+    shared: Arc<Shared>,
+    front: ReceivedMask,
+    /// Whether the front buffer holds a mask at all.
+    filled: bool,
+}
+
+/// How waiting for a mask ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Waited {
+    /// The mask is in the front buffer.
+    Arrived,
+    /// It did not come in time.
+    TimedOut,
+    /// No more masks will come, and why.
+    Ended(String),
+}
+
+/// A buffer for masks of `shape`.
+#[must_use]
+pub fn mask_buffer(shape: MaskShape) -> (MaskWriter, MaskReader) {
+    let buffer = || ReceivedMask {
+        frame: FrameNumber(0),
+        mask: Mask::new(shape),
+        payload_bytes: 0,
+        packets: 0,
+        received_at: Instant::now(),
+    };
+    let middle = Mutex::new(Middle { buffer: buffer(), fresh: false, ended: None });
+    let shared = Arc::new(Shared { middle, changed: Condvar::new() });
+    (MaskWriter { shared: Arc::clone(&shared), back: buffer() }, MaskReader { shared, front: buffer(), filled: false })
+}
+
+impl MaskWriter {
+    /// The back buffer, to fill.
+    pub fn back(&mut self) -> &mut ReceivedMask {
+        &mut self.back
+    }
+
+    /// Hands the back buffer over. A mask that the renderer has not taken yet is replaced.
+    pub fn publish(&mut self) {
+        let mut middle = self.shared.lock();
+        std::mem::swap(&mut middle.buffer, &mut self.back);
+        middle.fresh = true;
+        drop(middle);
+        self.shared.changed.notify_all();
+    }
+
+    /// Says that no more masks will come. The first reason counts.
+    pub fn end(&self, reason: String) {
+        self.ender().end(reason);
+    }
+
+    /// Somebody else who may say so.
+    #[must_use]
+    pub fn ender(&self) -> MaskEnder {
+        MaskEnder { shared: Arc::clone(&self.shared) }
+    }
+}
+
+/// Tells the renderer that no more masks will come.
+#[derive(Debug, Clone)]
+pub struct MaskEnder {
+    shared: Arc<Shared>,
+}
+
+impl MaskEnder {
+    /// Says so. The first reason counts.
+    pub fn end(&self, reason: String) {
+        self.shared.lock().ended.get_or_insert(reason);
+        self.shared.changed.notify_all();
+    }
+}
+
+impl Drop for MaskWriter {
+    fn drop(&mut self) {
+        self.end("the receive task has stopped".to_owned());
+    }
+}
+
+impl MaskReader {
+    /// The newest mask there is, and whether it is another one than last time.
+    pub fn newest(&mut self) -> Option<(&ReceivedMask, bool)> {
+        let shared = Arc::clone(&self.shared);
+        let changed = self.take(&mut shared.lock());
+        self.filled.then_some((&self.front, changed))
+    }
+
+    /// The mask in the front buffer.
+    #[must_use]
+    pub fn front(&self) -> Option<&ReceivedMask> {
+        self.filled.then_some(&self.front)
+    }
+
+    /// Waits for the mask of exactly this frame, but not beyond `deadline`. Others that come are passed over.
+    pub fn wait_for(&mut self, frame: FrameNumber, deadline: Instant) -> Waited {
+        let shared = Arc::clone(&self.shared);
+        let mut middle = shared.lock();
+        loop {
+            self.take(&mut middle);
+            if self.filled && self.front.frame == frame {
+                return Waited::Arrived;
+            }
+            if let Some(reason) = &middle.ended {
+                return Waited::Ended(reason.clone());
+            }
+            let now = Instant::now();
+            if now >= deadline {
+                return Waited::TimedOut;
+            }
+            (middle, _) = shared.changed.wait_timeout(middle, deadline - now).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Why no more masks will come, if that is so.
+    #[must_use]
+    pub fn ended(&self) -> Option<String> {
+        self.shared.lock().ended.clone()
+    }
+
+    fn take(&mut self, middle: &mut Middle) -> bool {
+        let fresh = std::mem::take(&mut middle.fresh);
+        if fresh {
+            std::mem::swap(&mut middle.buffer, &mut self.front);
+            self.filled = true;
+        }
+        fresh
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    fn shape() -> MaskShape {
+        MaskShape::new(16, 16, 1).unwrap()
+    }
+
+    fn fill(writer: &mut MaskWriter, frame: u32) {
+        let back = writer.back();
+        back.frame = FrameNumber(frame);
+        back.mask.words_mut().fill(u64::from(frame));
+        writer.publish();
+    }
+
+    #[test]
+    fn the_renderer_sees_the_newest_whole_mask() {
+        let (mut writer, mut reader) = mask_buffer(shape());
+        assert!(reader.newest().is_none() && reader.front().is_none());
+        fill(&mut writer, 1);
+        fill(&mut writer, 2);
+        // A mask in the making is not seen.
+        writer.back().mask.words_mut().fill(99);
+        let (seen, changed) = reader.newest().unwrap();
+        assert_eq!((seen.frame, seen.mask.words()[0], changed), (FrameNumber(2), 2, true));
+        assert!(!reader.newest().unwrap().1);
+        fill(&mut writer, 3);
+        assert_eq!(reader.newest().unwrap().0.mask.words(), [3; 4]);
+    }
+
+    #[test]
+    fn waiting_passes_over_other_frames_and_ends_with_the_link() {
+        let (mut writer, mut reader) = mask_buffer(shape());
+        let soon = || Instant::now() + Duration::from_millis(20);
+        fill(&mut writer, 4);
+        assert_eq!(reader.wait_for(FrameNumber(5), soon()), Waited::TimedOut);
+        let waiting = std::thread::spawn(move || {
+            let waited = reader.wait_for(FrameNumber(5), Instant::now() + Duration::from_secs(60));
+            (waited, reader)
+        });
+        fill(&mut writer, 5);
+        let (waited, mut reader) = waiting.join().unwrap();
+        assert_eq!((waited, reader.front().unwrap().frame), (Waited::Arrived, FrameNumber(5)));
+        writer.end("server went away".into());
+        drop(writer);
+        let late = Instant::now() + Duration::from_secs(60);
+        assert_eq!(reader.wait_for(FrameNumber(6), late), Waited::Ended("server went away".into()));
+        assert_eq!(reader.ended().as_deref(), Some("server went away"));
+    }
+
+    #[test]
+    fn no_mask_is_ever_torn() {
+        let (mut writer, mut reader) = mask_buffer(MaskShape::new(64, 64, 4).unwrap());
+        let writing = std::thread::spawn(move || (1..2000).for_each(|frame| fill(&mut writer, frame)));
+        let mut last = 0;
+        while !writing.is_finished() {
+            if let Some((seen, _)) = reader.newest() {
+                assert!(seen.mask.words().iter().all(|word| *word == u64::from(seen.frame.0)));
+                assert!(seen.frame.0 >= last);
+                last = seen.frame.0;
+            }
+        }
+        writing.join().unwrap();
+        assert_eq!(reader.newest().unwrap().0.frame, FrameNumber(1999));
+    }
+}

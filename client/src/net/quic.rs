@@ -1,0 +1,167 @@
+//! The QUIC connection: whose certificate is accepted, and how quinn is set up.
+
+use std::{
+    net::{Ipv4Addr, Ipv6Addr, SocketAddr},
+    sync::Arc,
+    time::Duration,
+};
+
+use quinn::crypto::rustls::QuicClientConfig;
+use rustls::{
+    CertificateError, DigitallySignedStruct, Error as TlsError, SignatureScheme,
+    client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier},
+    crypto::{CryptoProvider, verify_tls12_signature, verify_tls13_signature},
+    pki_types::{CertificateDer, ServerName, UnixTime},
+};
+
+use super::congestion::DelayControllerFactory;
+
+/// The protocol's name in the TLS handshake.
+const ALPN: &[u8] = b"gnomon/1";
+
+/// A server that says nothing for so long is gone.
+pub(crate) const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// How often an idle connection says that it is alive.
+const KEEP_ALIVE: Duration = Duration::from_secs(2);
+
+/// Packets of some frames of words at 1920×1080, 8 MB each: the receive task may be busy decoding.
+const DATAGRAM_RECEIVE_BYTES: usize = 32 << 20;
+
+/// Poses that may wait: quinn drops the oldest when there are more.
+const DATAGRAM_SEND_BYTES: usize = 1024;
+
+/// Accepts exactly one certificate: the one with the digest that the URL has. Its names and dates do not matter, since
+/// whoever holds its key is the server that printed the URL.
+#[derive(Debug)]
+struct Pinned {
+    digest: [u8; 32],
+    provider: Arc<CryptoProvider>,
+}
+
+impl ServerCertVerifier for Pinned {
+    fn verify_server_cert(
+        &self,
+        end_entity: &CertificateDer<'_>,
+        _intermediates: &[CertificateDer<'_>],
+        _server_name: &ServerName<'_>,
+        _ocsp_response: &[u8],
+        _now: UnixTime,
+    ) -> Result<ServerCertVerified, TlsError> {
+        if sha256(end_entity) == Some(self.digest) {
+            Ok(ServerCertVerified::assertion())
+        } else {
+            Err(TlsError::InvalidCertificate(CertificateError::ApplicationVerificationFailure))
+        }
+    }
+
+    fn verify_tls12_signature(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signature: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, TlsError> {
+        verify_tls12_signature(message, certificate, signature, &self.provider.signature_verification_algorithms)
+    }
+
+    fn verify_tls13_signature(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signature: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, TlsError> {
+        verify_tls13_signature(message, certificate, signature, &self.provider.signature_verification_algorithms)
+    }
+
+    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
+        self.provider.signature_verification_algorithms.supported_schemes()
+    }
+}
+
+/// Why a QUIC connection was not made.
+#[derive(Debug)]
+pub(crate) enum QuicError {
+    /// The server has another certificate.
+    Certificate,
+    /// The server does not answer.
+    TimedOut,
+    /// Anything else.
+    Other(String),
+}
+
+/// Connects to the server at `address`, whose certificate has this SHA-256.
+pub(crate) async fn connect(
+    address: SocketAddr,
+    digest: [u8; 32],
+) -> Result<(quinn::Endpoint, quinn::Connection), QuicError> {
+    let other = |error: &dyn std::fmt::Display| QuicError::Other(error.to_string());
+    let local: SocketAddr =
+        if address.is_ipv4() { (Ipv4Addr::UNSPECIFIED, 0).into() } else { (Ipv6Addr::UNSPECIFIED, 0).into() };
+    let mut endpoint = quinn::Endpoint::client(local).map_err(|error| other(&error))?;
+    endpoint.set_default_client_config(config(digest).map_err(|error| other(&error))?);
+    // The name is not looked at: the certificate is known by its digest.
+    let connecting = endpoint.connect(address, "gnomon").map_err(|error| other(&error))?;
+    let connection = connecting.await.map_err(|error| match error {
+        quinn::ConnectionError::TimedOut => QuicError::TimedOut,
+        quinn::ConnectionError::TransportError(transport) => {
+            // 0x100 + alert: quinn reports our own refusal of the certificate as a TLS alert.
+            let bad_certificate = (0x12a..=0x12e).contains(&u64::from(transport.code));
+            if bad_certificate { QuicError::Certificate } else { other(&transport) }
+        }
+        error => other(&error),
+    })?;
+    Ok((endpoint, connection))
+}
+
+fn config(digest: [u8; 32]) -> Result<quinn::ClientConfig, Box<dyn std::error::Error + Send + Sync>> {
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let mut tls = rustls::ClientConfig::builder_with_provider(Arc::clone(&provider))
+        .with_protocol_versions(&[&rustls::version::TLS13])?
+        .dangerous()
+        .with_custom_certificate_verifier(Arc::new(Pinned { digest, provider }))
+        .with_no_client_auth();
+    tls.alpn_protocols = vec![ALPN.to_vec()];
+    let mut config = quinn::ClientConfig::new(Arc::new(QuicClientConfig::try_from(tls)?));
+    let mut transport = quinn::TransportConfig::default();
+    transport
+        .max_idle_timeout(Some(IDLE_TIMEOUT.try_into()?))
+        .keep_alive_interval(Some(KEEP_ALIVE))
+        // Under loss the black-hole detector falls back and drops queued datagrams.
+        .mtu_discovery_config(None)
+        .datagram_receive_buffer_size(Some(DATAGRAM_RECEIVE_BYTES))
+        .datagram_send_buffer_size(DATAGRAM_SEND_BYTES)
+        .max_concurrent_bidi_streams(0_u32.into())
+        .max_concurrent_uni_streams(0_u32.into())
+        .congestion_controller_factory(Arc::new(DelayControllerFactory));
+    config.transport_config(Arc::new(transport));
+    Ok(config)
+}
+
+/// SHA-256, by the library that makes the handshake's own digests; `None` only if it has another name for it one day.
+fn sha256(bytes: &[u8]) -> Option<[u8; 32]> {
+    let suite = rustls::crypto::ring::cipher_suite::TLS13_AES_128_GCM_SHA256.tls13()?;
+    suite.common.hash_provider.hash(bytes).as_ref().try_into().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn digests_are_those_of_fips_180() {
+        let digest: String = sha256(b"abc").unwrap().iter().map(|byte| format!("{byte:02x}")).collect();
+        assert_eq!(digest, "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+    }
+
+    #[test]
+    fn only_the_pinned_certificate_is_accepted() {
+        let pinned = |digest| Pinned { digest, provider: Arc::new(rustls::crypto::ring::default_provider()) };
+        let verify = |pinned: Pinned| {
+            let (leaf, name) = (CertificateDer::from(b"abc".to_vec()), ServerName::try_from("gnomon").unwrap());
+            pinned.verify_server_cert(&leaf, &[], &name, &[], UnixTime::since_unix_epoch(Duration::ZERO)).is_ok()
+        };
+        let digest = sha256(b"abc").unwrap();
+        assert!(verify(pinned(digest)));
+        assert!(!verify(pinned(digest.map(|byte| byte ^ 1))));
+    }
+}

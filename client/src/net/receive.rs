@@ -1,0 +1,159 @@
+//! The receive task: packets → reassembler → decoder → back buffer → swap.
+
+use std::{
+    convert::Infallible,
+    path::PathBuf,
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Instant,
+};
+
+use gnomon_protocol::{
+    codec::Decoder,
+    frame::Frame,
+    header::PacketHeader,
+    ids::FrameNumber,
+    limits::MAX_FRAME_BYTES,
+    mask::MaskShape,
+    reassembler::{Policy, Progress, Reassembler},
+};
+
+use super::link::DataReceiver;
+use crate::mask_buffer::MaskWriter;
+
+/// What has come in so far.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Received {
+    /// Whole frames that decoded.
+    pub(crate) frames: u64,
+    /// Frames of which something came, but not all.
+    pub(crate) incomplete: u64,
+    /// Whole frames that did not decode, or have another shape than was agreed on.
+    pub(crate) bad: u64,
+    /// Bytes of the whole frames, packet headers not counted.
+    pub(crate) payload_bytes: u64,
+    /// Packets of the whole frames.
+    pub(crate) packets: u64,
+}
+
+/// Counters that the receive task writes and anybody reads.
+pub(crate) type Counters = Arc<Mutex<Received>>;
+
+/// Frames that are asked for a second time, because they did not come.
+///
+/// The reassembler lets frames out in growing order only and ignores what it has given up. A frame that is sent anew
+/// therefore needs a fresh one, as soon as the first packet of the second attempt is there.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Again(Arc<AtomicU64>);
+
+impl Again {
+    /// Says that `frame` has been asked for again.
+    pub(crate) fn ask(&self, frame: FrameNumber) {
+        self.0.store(u64::from(frame.0) + 1, Ordering::Release);
+    }
+
+    /// Whether this packet begins a frame that was asked for again.
+    fn begins_with(&self, packet: &[u8]) -> bool {
+        let asked = self.0.load(Ordering::Acquire);
+        asked != 0
+            && PacketHeader::decode(packet).is_ok_and(|(header, _)| {
+                header.first && header.frame.is_some_and(|frame| u64::from(frame.0) + 1 == asked)
+            })
+    }
+}
+
+/// What the task works with.
+pub(crate) struct ReceiveTask {
+    pub(crate) receiver: DataReceiver,
+    pub(crate) writer: MaskWriter,
+    /// Shape that every mask must have.
+    pub(crate) shape: MaskShape,
+    pub(crate) counters: Counters,
+    pub(crate) again: Again,
+    /// Folder that every frame's body is written to.
+    pub(crate) save_masks: Option<PathBuf>,
+}
+
+impl ReceiveTask {
+    /// Receives until the link is gone, which the renderer is told. Gives the reason back.
+    pub(crate) async fn run(mut self) -> String {
+        let reason = match self.receive().await {
+            Ok(never) => match never {},
+            Err(reason) => reason,
+        };
+        self.writer.end(reason.clone());
+        reason
+    }
+
+    async fn receive(&mut self) -> Result<Infallible, String> {
+        let limit = max_frame_bytes(self.shape);
+        let fresh = || Reassembler::with_max_frame_bytes(Policy::WholeFrame, limit);
+        let mut reassembler = fresh();
+        let mut decoder = Decoder::new();
+        // Of the reassemblers before this one.
+        let mut incomplete_before = 0;
+        loop {
+            let packet = self.receiver.receive().await.map_err(|error| format!("connection lost: {error}"))?;
+            if self.again.begins_with(packet) {
+                incomplete_before += reassembler.stats().frames_incomplete;
+                reassembler = fresh();
+            }
+            let progress = reassembler.push(packet);
+            let incomplete = incomplete_before + reassembler.stats().frames_incomplete;
+            match progress {
+                Ok(Progress::Complete) => self.take_frame(&reassembler, &mut decoder, incomplete)?,
+                Ok(Progress::Ignored(cause)) => {
+                    tracing::trace!(?cause, "packet ignored");
+                    self.counters.lock().unwrap_or_else(PoisonError::into_inner).incomplete = incomplete;
+                }
+                Ok(Progress::Stored) => {}
+                Err(error) => tracing::debug!(%error, "bad packet"),
+            }
+        }
+    }
+
+    fn take_frame(&mut self, reassembler: &Reassembler, decoder: &mut Decoder, incomplete: u64) -> Result<(), String> {
+        let Some(complete) = reassembler.frame() else { return Ok(()) };
+        let received_at = Instant::now();
+        let back = self.writer.back();
+        // The shape is looked at before memory for it is taken.
+        let decoded = match Frame::parse(complete.body).map(|frame| frame.head.shape) {
+            Ok(shape) if shape == self.shape => {
+                decoder.decode(complete.body, &mut back.mask).map(drop).map_err(|error| error.to_string())
+            }
+            Ok(shape) => Err(format!("its shape is {shape:?}, not {:?}", self.shape)),
+            Err(error) => Err(error.to_string()),
+        };
+        let mut counters = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
+        counters.incomplete = incomplete;
+        if let Err(reason) = decoded {
+            counters.bad += 1;
+            tracing::warn!(frame = complete.frame.0, %reason, "a frame is no mask");
+            return Ok(());
+        }
+        counters.frames += 1;
+        counters.payload_bytes += complete.body.len() as u64;
+        counters.packets += u64::from(complete.packets);
+        drop(counters);
+        if let Some(folder) = &self.save_masks {
+            let file = folder.join(format!("frame_{:06}.body", complete.frame.0));
+            std::fs::write(&file, complete.body)
+                .map_err(|error| format!("cannot write {}: {error}", file.display()))?;
+        }
+        back.frame = complete.frame;
+        back.payload_bytes = complete.body.len();
+        back.packets = complete.packets;
+        back.received_at = received_at;
+        self.writer.publish();
+        Ok(())
+    }
+}
+
+/// The longest that a frame of this shape can be: its words uncompressed, what LZ4 adds to noise (one byte in 255),
+/// and the head with its table of slices.
+fn max_frame_bytes(shape: MaskShape) -> usize {
+    let words = shape.pixels() * 4;
+    (words + words / 255 + 64 * 1024).min(MAX_FRAME_BYTES)
+}

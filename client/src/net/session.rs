@@ -1,0 +1,294 @@
+//! A session: introduced, given the scene, started; then three tasks until either side leaves.
+
+use std::{
+    path::PathBuf,
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+use gnomon_protocol::{
+    PROTOCOL_VERSION,
+    codec::CodecId,
+    ids::FrameNumber,
+    mask::MaskShape,
+    message::{ClientMessage, Hello, ServerMessage, Welcome},
+    pose::Pose,
+};
+use tokio::{
+    sync::{oneshot, watch},
+    task::JoinHandle,
+};
+
+use super::{
+    control::{ControlError, ControlReader, ControlWriter},
+    link::{Closer, Link},
+    receive::{Again, Counters, ReceiveTask, Received},
+    send::{Outgoing, send_poses},
+    url::ServerUrl,
+};
+use crate::{
+    error::ClientError,
+    mask_buffer::{MaskReader, mask_buffer},
+    scene_cache::{SceneCache, SceneFetch},
+};
+
+/// How often the round trip is measured.
+const PING_INTERVAL: Duration = Duration::from_secs(1);
+
+/// How long the server may take for an answer before the session runs.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// Who this client is, and what it wants.
+#[derive(Debug, Clone)]
+pub(crate) struct Introduction {
+    pub(crate) token: Option<String>,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    pub(crate) codec: CodecId,
+    pub(crate) connect_timeout: Duration,
+}
+
+/// An admitted client.
+pub(crate) struct Admitted {
+    url: ServerUrl,
+    link: Link,
+    pub(crate) welcome: Welcome,
+}
+
+/// Connects and introduces the client.
+pub(crate) async fn admit(url: &ServerUrl, introduction: &Introduction) -> Result<Admitted, ClientError> {
+    let mut link = Link::connect(url, introduction.connect_timeout).await?;
+    let hello = ClientMessage::Hello(Hello {
+        version: PROTOCOL_VERSION,
+        token: introduction.token.clone(),
+        client: concat!("gnomon-client ", env!("CARGO_PKG_VERSION")).to_owned(),
+        width: introduction.width,
+        height: introduction.height,
+        codec: introduction.codec,
+    });
+    let url = url.clone();
+    let said = async {
+        link.writer.write(&hello).await?;
+        link.reader.next_within(ANSWER_TIMEOUT).await
+    };
+    match said.await {
+        Ok(ServerMessage::Welcome(welcome)) => Ok(Admitted { url, link, welcome }),
+        Ok(ServerMessage::Refused(refusal)) => Err(ClientError::Refused(refusal)),
+        Ok(ServerMessage::Closing { reason } | ServerMessage::Draining { reason, .. }) => {
+            Err(ClientError::Connect { url: Box::new(url), reason })
+        }
+        Ok(message) => Err(unexpected(url, &message)),
+        Err(source) => Err(broken(url, &link, source)),
+    }
+}
+
+fn unexpected(url: ServerUrl, message: &ServerMessage) -> ClientError {
+    let name = match message {
+        ServerMessage::Welcome(_) => "Welcome",
+        ServerMessage::Refused(_) => "Refused",
+        ServerMessage::SceneChunk { .. } => "SceneChunk",
+        ServerMessage::Pong(_) => "Pong",
+        ServerMessage::Draining { .. } => "Draining",
+        ServerMessage::Closing { .. } => "Closing",
+    };
+    ClientError::Protocol { url: Box::new(url), reason: format!("{name} came when it should not") }
+}
+
+fn broken(url: ServerUrl, link: &Link, source: ControlError) -> ClientError {
+    match (link.close_reason(), &source) {
+        (Some(reason), ControlError::Stream(_) | ControlError::Closed) => {
+            ClientError::Connect { url: Box::new(url), reason }
+        }
+        _ => ClientError::Conversation { url: Box::new(url), source },
+    }
+}
+
+impl Admitted {
+    /// The packed scene: from the cache, or else from the server. `progress` hears how many bytes are there, of how many.
+    pub(crate) async fn scene(
+        &mut self,
+        cache: &SceneCache,
+        mut progress: impl FnMut(u64, u64),
+    ) -> Result<Vec<u8>, ClientError> {
+        let (digest, length) = (self.welcome.scene_digest, self.welcome.scene_bytes);
+        let mut fetch = match cache.look_up(digest, length)? {
+            SceneFetch::Whole(bytes) => return Ok(bytes),
+            SceneFetch::Missing(fetch) => fetch,
+        };
+        loop {
+            let offset = fetch.have();
+            let asked = self.link.writer.write(&ClientMessage::FetchScene { offset }).await;
+            asked.map_err(|source| broken(self.url.clone(), &self.link, source))?;
+            while fetch.have() < length {
+                match self.link.reader.next_within(ANSWER_TIMEOUT).await {
+                    Ok(ServerMessage::SceneChunk { offset, bytes }) => {
+                        fetch.append(offset, &bytes)?;
+                        progress(fetch.have(), length);
+                    }
+                    Ok(ServerMessage::Pong(_)) => {}
+                    Ok(ServerMessage::Closing { reason } | ServerMessage::Draining { reason, .. }) => {
+                        return Err(ClientError::Connect { url: Box::new(self.url.clone()), reason });
+                    }
+                    Ok(message) => return Err(unexpected(self.url.clone(), &message)),
+                    Err(source) => return Err(broken(self.url.clone(), &self.link, source)),
+                }
+            }
+            if let Some(bytes) = fetch.finish()? {
+                return Ok(bytes);
+            }
+        }
+    }
+
+    /// Tells the server that frames may begin, and starts the tasks.
+    pub(crate) async fn start(
+        mut self,
+        shape: MaskShape,
+        save_masks: Option<PathBuf>,
+    ) -> Result<(Session, MaskReader), ClientError> {
+        let started = self.link.writer.write(&ClientMessage::Start).await;
+        started.map_err(|source| broken(self.url.clone(), &self.link, source))?;
+        let url = Box::new(self.url);
+        let (reader, writer, sender, receiver, closer) = (self.link.open_data(&self.welcome).await)
+            .map_err(|error| ClientError::Connect { url, reason: format!("data: {error}") })?;
+        let (mask_writer, mask_reader) = mask_buffer(shape);
+        let (poses, outgoing) = watch::channel(None);
+        let (counters, again) = (Counters::default(), Again::default());
+        let task = ReceiveTask {
+            receiver,
+            writer: mask_writer,
+            shape,
+            counters: Arc::clone(&counters),
+            again: again.clone(),
+            save_masks,
+        };
+        let round_trip = Arc::new(Mutex::new(None));
+        let (leave, left) = oneshot::channel();
+        let tasks =
+            tokio::spawn(tasks(reader, writer, task, send_poses(sender, outgoing), Arc::clone(&round_trip), left));
+        let session = Session { poses, counters, again, round_trip, closer, leave, tasks };
+        Ok((session, mask_reader))
+    }
+}
+
+/// A session that runs.
+pub(crate) struct Session {
+    poses: watch::Sender<Outgoing>,
+    counters: Counters,
+    again: Again,
+    round_trip: Arc<Mutex<Option<Duration>>>,
+    closer: Closer,
+    leave: oneshot::Sender<()>,
+    tasks: JoinHandle<()>,
+}
+
+impl Session {
+    /// Hands a frame's pose to the send task, in place of one that it has not sent yet.
+    pub(crate) fn send_pose(&self, frame: FrameNumber, pose: Pose) {
+        self.poses.send_replace(Some((frame, pose)));
+    }
+
+    /// Asks once more for a frame that did not come.
+    pub(crate) fn send_pose_again(&self, frame: FrameNumber, pose: Pose) {
+        self.again.ask(frame);
+        self.send_pose(frame, pose);
+    }
+
+    pub(crate) fn received(&self) -> Received {
+        *self.counters.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The smoothed round trip of pings, or what the transport measured before the first one was answered.
+    pub(crate) fn round_trip(&self) -> Option<Duration> {
+        self.round_trip.lock().unwrap_or_else(PoisonError::into_inner).or_else(|| self.closer.rtt())
+    }
+
+    /// Leaves the server in peace.
+    pub(crate) async fn leave(self) {
+        // A session that has ended already needs no farewell.
+        let _ = self.leave.send(());
+        let _ = self.tasks.await;
+        self.closer.close().await;
+    }
+}
+
+/// Runs the session's tasks until the client leaves or any of them ends.
+async fn tasks(
+    reader: ControlReader,
+    mut writer: ControlWriter,
+    receive: ReceiveTask,
+    send: impl Future<Output = std::io::Result<std::convert::Infallible>> + Send + 'static,
+    round_trip: Arc<Mutex<Option<Duration>>>,
+    left: oneshot::Receiver<()>,
+) {
+    // The receive task decodes: it gets a thread of its own turn, and does not hold up pings and poses.
+    let mask_end = receive.writer.ender();
+    let mut receiving = tokio::spawn(receive.run());
+    let mut sending = tokio::spawn(send);
+    let reason = tokio::select! {
+        _ = left => None,
+        reason = converse(reader, &mut writer, &round_trip) => Some(reason),
+        ended = &mut receiving => Some(ended.unwrap_or_else(|error| error.to_string())),
+        ended = &mut sending => Some(match ended {
+            Ok(Ok(never)) => match never {},
+            Ok(Err(error)) => format!("connection lost: {error}"),
+            Err(error) => error.to_string(),
+        }),
+    };
+    match reason {
+        Some(reason) => mask_end.end(reason),
+        None => {
+            let _ = writer.write(&ClientMessage::Bye).await;
+            writer.finish().await;
+        }
+    }
+    receiving.abort();
+    sending.abort();
+}
+
+/// Pings, and listens for what ends the session, which is given back.
+async fn converse(
+    mut reader: ControlReader,
+    writer: &mut ControlWriter,
+    round_trip: &Mutex<Option<Duration>>,
+) -> String {
+    let mut interval = tokio::time::interval(PING_INTERVAL);
+    interval.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut next = 0_u64;
+    let mut waiting: Option<(u64, Instant)> = None;
+    loop {
+        tokio::select! {
+            _ = interval.tick() => {
+                // One at a time: a late answer is a long round trip, not a reason for more questions.
+                if waiting.is_none() {
+                    waiting = Some((next, Instant::now()));
+                    if let Err(error) = writer.write(&ClientMessage::Ping(next)).await {
+                        return format!("connection lost: {error}");
+                    }
+                    next += 1;
+                }
+            }
+            message = reader.next() => match message {
+                Ok(ServerMessage::Pong(number)) => {
+                    if let Some((_, sent)) = waiting.take_if(|(waited, _)| *waited == number) {
+                        let mut place = round_trip.lock().unwrap_or_else(PoisonError::into_inner);
+                        *place = Some(smoothed(*place, sent.elapsed()));
+                    }
+                }
+                Ok(ServerMessage::Draining { reason, deadline_ms, alternative }) => {
+                    let elsewhere = alternative.map(|url| format!("; go on at {url}")).unwrap_or_default();
+                    tracing::warn!("the server stops in {deadline_ms} ms: {reason}{elsewhere}");
+                }
+                Ok(ServerMessage::Closing { reason }) => return format!("the server closed it: {reason}"),
+                Ok(message @ (ServerMessage::Welcome(_) | ServerMessage::Refused(_) | ServerMessage::SceneChunk { .. })) => {
+                    return format!("the server does not keep to the protocol: {message:?}").chars().take(200).collect();
+                }
+                Err(error) => return format!("connection lost: {error}"),
+            },
+        }
+    }
+}
+
+/// A new sample counts for an eighth, as in TCP (RFC 6298).
+fn smoothed(before: Option<Duration>, sample: Duration) -> Duration {
+    before.map_or(sample, |before| (before * 7 + sample) / 8)
+}

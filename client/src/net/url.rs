@@ -1,0 +1,192 @@
+//! Server URLs: where, over what, and whose certificate is expected there.
+
+use std::{fmt, str::FromStr};
+
+use serde::Deserialize;
+use thiserror::Error;
+use url::{Host, Url};
+
+/// What carries poses and frame packets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Transport {
+    /// QUIC datagrams.
+    Quic,
+    /// Plain UDP, on loopback only, to measure against.
+    LabUdp,
+    /// Plain TCP, on loopback only, to measure against.
+    LabTcp,
+}
+
+impl Transport {
+    /// Name on command lines and in summaries.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Quic => "quic",
+            Self::LabUdp => "lab-udp",
+            Self::LabTcp => "lab-tcp",
+        }
+    }
+
+    const fn scheme(self) -> &'static str {
+        match self {
+            Self::Quic => "gnomon",
+            Self::LabUdp => "gnomon+lab-udp",
+            Self::LabTcp => "gnomon+lab-tcp",
+        }
+    }
+}
+
+/// A server.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "String")]
+pub struct ServerUrl {
+    /// What carries the data.
+    pub transport: Transport,
+    /// Host name or address; IPv6 addresses stand without brackets.
+    pub host: String,
+    /// UDP port (QUIC), or TCP port of the control conversation (lab transports).
+    pub port: u16,
+    /// SHA-256 of the certificate that the server has to show; always there for QUIC.
+    pub certificate: Option<[u8; 32]>,
+}
+
+/// Why a text is no server URL.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum UrlError {
+    /// No URL at all.
+    #[error("{0:?} is no URL: use the line that the server printed, gnomon://HOST:PORT/?cert=SHA256")]
+    Malformed(String),
+    /// Another scheme.
+    #[error("{0}:// is no scheme of Gnomon: there are gnomon://, gnomon+lab-udp:// and gnomon+lab-tcp://")]
+    Scheme(String),
+    /// No host.
+    #[error("the URL names no host")]
+    Host,
+    /// No port.
+    #[error("the URL names no port: use the line that the server printed, gnomon://HOST:PORT/?cert=SHA256")]
+    Port,
+    /// No certificate.
+    #[error("the URL lacks ?cert=SHA256, by which the client knows the server: use the line that the server printed")]
+    NoCertificate,
+    /// A certificate that is no SHA-256.
+    #[error("cert={0:?} is no SHA-256: 64 hexadecimal digits are expected")]
+    Certificate(String),
+    /// Something that no server URL has.
+    #[error("the URL has {0:?}, which means nothing here")]
+    Surplus(String),
+    /// A lab transport to another machine.
+    #[error("{0} is not this machine: the lab transports are neither encrypted nor paced, and for loopback only")]
+    NotLoopback(String),
+}
+
+impl FromStr for ServerUrl {
+    type Err = UrlError;
+
+    fn from_str(text: &str) -> Result<Self, UrlError> {
+        let url = Url::parse(text).map_err(|_| UrlError::Malformed(text.to_owned()))?;
+        let transport = [Transport::Quic, Transport::LabUdp, Transport::LabTcp]
+            .into_iter()
+            .find(|transport| transport.scheme() == url.scheme())
+            .ok_or_else(|| UrlError::Scheme(url.scheme().to_owned()))?;
+        let host = match url.host().ok_or(UrlError::Host)? {
+            Host::Domain("") => return Err(UrlError::Host),
+            Host::Domain(name) => name.to_owned(),
+            Host::Ipv4(address) => address.to_string(),
+            Host::Ipv6(address) => address.to_string(),
+        };
+        let port = url.port().ok_or(UrlError::Port)?;
+        if !matches!(url.path(), "" | "/") {
+            return Err(UrlError::Surplus(url.path().to_owned()));
+        }
+        if !url.username().is_empty() || url.fragment().is_some() {
+            return Err(UrlError::Surplus(url.fragment().unwrap_or(url.username()).to_owned()));
+        }
+        let mut certificate = None;
+        for (key, value) in url.query_pairs() {
+            match key.as_ref() {
+                "cert" => certificate = Some(digest(&value)?),
+                _ => return Err(UrlError::Surplus(format!("{key}={value}"))),
+            }
+        }
+        match transport {
+            Transport::Quic if certificate.is_none() => return Err(UrlError::NoCertificate),
+            Transport::LabUdp | Transport::LabTcp if !is_loopback(&host) => return Err(UrlError::NotLoopback(host)),
+            Transport::Quic | Transport::LabUdp | Transport::LabTcp => {}
+        }
+        Ok(Self { transport, host, port, certificate })
+    }
+}
+
+impl TryFrom<String> for ServerUrl {
+    type Error = UrlError;
+
+    fn try_from(text: String) -> Result<Self, UrlError> {
+        text.parse()
+    }
+}
+
+impl fmt::Display for ServerUrl {
+    /// Without the certificate, which would make every message unreadable.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (open, close) = if self.host.contains(':') { ("[", "]") } else { ("", "") };
+        write!(f, "{}://{open}{}{close}:{}", self.transport.scheme(), self.host, self.port)
+    }
+}
+
+fn digest(text: &str) -> Result<[u8; 32], UrlError> {
+    let wrong = || UrlError::Certificate(text.to_owned());
+    if text.len() != 64 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+        return Err(wrong());
+    }
+    let mut digest = [0; 32];
+    for (index, byte) in digest.iter_mut().enumerate() {
+        *byte = u8::from_str_radix(&text[2 * index..2 * index + 2], 16).map_err(|_| wrong())?;
+    }
+    Ok(digest)
+}
+
+fn is_loopback(host: &str) -> bool {
+    host == "localhost" || host.parse().is_ok_and(|address: std::net::IpAddr| address.is_loopback())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn good_urls_are_taken_apart() {
+        let cert = "00ff".repeat(16);
+        let url: ServerUrl = format!("gnomon://edge.example:4433/?cert={cert}").parse().unwrap();
+        assert_eq!((url.transport, url.host.as_str(), url.port), (Transport::Quic, "edge.example", 4433));
+        assert_eq!(url.certificate.unwrap()[..4], [0, 255, 0, 255]);
+        assert_eq!(url.to_string(), "gnomon://edge.example:4433");
+        let url: ServerUrl = format!("gnomon://[::1]:5?cert={}", cert.to_uppercase()).parse().unwrap();
+        assert_eq!((url.host.as_str(), url.to_string().as_str()), ("::1", "gnomon://[::1]:5"));
+        let url: ServerUrl = "gnomon+lab-udp://127.0.0.1:7".parse().unwrap();
+        assert_eq!((url.transport, url.certificate), (Transport::LabUdp, None));
+        let url: ServerUrl = "gnomon+lab-tcp://localhost:8/".parse().unwrap();
+        assert_eq!(url.transport, Transport::LabTcp);
+    }
+
+    #[test]
+    fn bad_urls_say_what_to_do() {
+        for (text, error) in [
+            ("edge:4433", "scheme"),
+            ("edge", "is no URL"),
+            ("https://edge:1", "is no scheme"),
+            ("gnomon://edge/?cert=00", "no port"),
+            ("gnomon://:5/", "is no URL"),
+            ("gnomon://edge:4433", "lacks ?cert"),
+            ("gnomon://edge:4433/?cert=00ff", "64 hexadecimal digits"),
+            ("gnomon://edge:4433/?cert=zz", "64 hexadecimal digits"),
+            ("gnomon://edge:4433/scene", "means nothing"),
+            ("gnomon://edge:4433/?token=7", "means nothing"),
+            ("gnomon+lab-udp://10.0.0.1:5", "not this machine"),
+            ("gnomon+lab-tcp://edge:5", "not this machine"),
+        ] {
+            let found = text.parse::<ServerUrl>().unwrap_err().to_string();
+            assert!(found.contains(error), "{text}: {found}");
+        }
+    }
+}

@@ -1,0 +1,282 @@
+//! What a run measures: a line a frame, and a summary at its end.
+
+use std::{
+    fs::File,
+    io::{BufWriter, Write as _},
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use serde::Serialize;
+
+use crate::error::ClientError;
+
+/// One frame, as a JSON line. Times are in milliseconds of the renderer's thread.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FrameStats {
+    /// The frame's number.
+    pub frame: u32,
+    /// When its pose was taken, since the first frame's.
+    pub t_ms: f64,
+    /// The frame whose mask it was shaded with; none while there was no mask that fits.
+    pub mask_frame: Option<u32>,
+    /// Frames that the mask is older than the picture.
+    pub lag: Option<u32>,
+    /// From the pose's departure until the mask for it was whole, where this frame was shaded with its own mask.
+    pub response_ms: Option<f64>,
+    /// Handing over the G-buffer pass.
+    pub surfaces_ms: f64,
+    /// Waiting for the frame's own mask (`--wait`).
+    pub wait_ms: f64,
+    /// Sending the mask to the adapter.
+    pub upload_ms: f64,
+    /// Handing over the other passes.
+    pub shade_ms: f64,
+    /// Waiting for an earlier picture, reading it back, and handing it to the writers.
+    pub readback_ms: f64,
+    /// Bytes that the mask's frame had on the wire, headers not counted.
+    pub bytes: Option<usize>,
+    /// Packets that it came in.
+    pub packets: Option<u16>,
+}
+
+/// A whole run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// Pictures drawn.
+    pub frames_rendered: u32,
+    /// Of these, pictures that were shaded with a mask.
+    pub frames_with_mask: u32,
+    /// Masks that came whole.
+    pub frames_received: u64,
+    /// Masks of which something came, but not all.
+    pub frames_incomplete: u64,
+    /// Whole frames that were no mask of the agreed shape.
+    pub frames_bad: u64,
+    /// Poses that were sent a second time because their mask did not come (`--wait`).
+    pub poses_repeated: u32,
+    /// Mean of the frames that masks were older than their pictures.
+    pub lag_frames_mean: Option<f64>,
+    /// Their 99th percentile.
+    pub lag_frames_p99: Option<f64>,
+    /// Mean time from a pose's departure to its mask, of the frames that were shaded with their own.
+    pub response_ms_mean: Option<f64>,
+    /// Its 99th percentile.
+    pub response_ms_p99: Option<f64>,
+    /// Pictures a second, from the first pose until the last picture was done.
+    pub client_fps: f64,
+    /// Masks a second, over the same time.
+    pub visibility_fps: Option<f64>,
+    /// Mean bytes of a mask on the wire, headers not counted.
+    pub payload_bytes_mean: Option<f64>,
+    /// Mean packets of a mask.
+    pub packets_mean: Option<f64>,
+    /// Smoothed round trip of pings.
+    pub rtt_ms: Option<f64>,
+    /// Time that the run took, from the first pose on, in seconds.
+    pub duration_s: f64,
+    /// `WIDTHxHEIGHT` in pixels.
+    pub size: String,
+    /// Lights of the scene.
+    pub lights: u32,
+    /// BLAKE3 digest of the packed scene; none offline.
+    pub scene_digest: Option<String>,
+    /// The graphics adapter.
+    pub adapter: String,
+    /// What the server traces on.
+    pub backend: Option<String>,
+    /// The codec of the masks.
+    pub codec: Option<String>,
+    /// `quic`, `lab-udp`, `lab-tcp`, or `offline`.
+    pub transport: String,
+    /// Whether each frame waited for its own mask.
+    pub wait: bool,
+    /// The exposure, as `--exposure` takes it.
+    pub exposure_ev: f32,
+    /// The camera path's name.
+    pub path: String,
+}
+
+/// The mean, if there is any value.
+#[must_use]
+pub fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// The smallest value that at least `share` of the values do not exceed (nearest rank), if there is any value.
+#[must_use]
+pub fn percentile(values: &[f64], share: f64) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a rank within the length")]
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.saturating_sub(1).min(sorted.len().saturating_sub(1))).copied()
+}
+
+/// Milliseconds, with microseconds behind the point.
+#[must_use]
+pub fn millis(duration: Duration) -> f64 {
+    (duration.as_secs_f64() * 1e6).round() / 1e3
+}
+
+/// Writes [`FrameStats`], a line each.
+#[derive(Debug)]
+pub struct StatsFile {
+    path: PathBuf,
+    file: BufWriter<File>,
+}
+
+impl StatsFile {
+    /// Makes the file anew.
+    ///
+    /// # Errors
+    /// When it cannot be made.
+    pub fn create(path: &Path) -> Result<Self, ClientError> {
+        let file = File::create(path).map_err(|source| ClientError::Write { path: path.into(), source })?;
+        Ok(Self { path: path.into(), file: BufWriter::new(file) })
+    }
+
+    /// Adds a line.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write(&mut self, stats: &FrameStats) -> Result<(), ClientError> {
+        let written = serde_json::to_writer(&mut self.file, stats).map_err(Into::into);
+        written
+            .and_then(|()| self.file.write_all(b"\n"))
+            .map_err(|source| ClientError::Write { path: self.path.clone(), source })
+    }
+
+    /// Writes what is still in memory.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn finish(mut self) -> Result<(), ClientError> {
+        self.file.flush().map_err(|source| ClientError::Write { path: self.path, source })
+    }
+}
+
+impl Summary {
+    /// The summary as one JSON object.
+    #[must_use]
+    pub fn to_json(&self) -> String {
+        // Nothing in it can fail to be JSON: no maps, no bytes.
+        serde_json::to_string_pretty(self).unwrap_or_default()
+    }
+
+    /// Writes the JSON object to a file.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), ClientError> {
+        std::fs::write(path, self.to_json() + "\n").map_err(|source| ClientError::Write { path: path.into(), source })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_of_the_nearest_rank() {
+        let values: Vec<f64> = (1..=200).rev().map(f64::from).collect();
+        assert_eq!(percentile(&values, 0.99), Some(198.0));
+        assert_eq!(percentile(&values, 0.5), Some(100.0));
+        assert_eq!(percentile(&values, 1.0), Some(200.0));
+        assert_eq!(percentile(&values, 0.0), Some(1.0));
+        assert_eq!(percentile(&[7.0], 0.99), Some(7.0));
+        assert_eq!(percentile(&[], 0.99), None);
+        assert_eq!((mean(&[1.0, 2.0, 6.0]), mean(&[])), (Some(3.0), None));
+    }
+
+    fn summary() -> Summary {
+        Summary {
+            frames_rendered: 3,
+            frames_with_mask: 2,
+            frames_received: 2,
+            frames_incomplete: 1,
+            frames_bad: 0,
+            poses_repeated: 0,
+            lag_frames_mean: Some(0.5),
+            lag_frames_p99: Some(1.0),
+            response_ms_mean: None,
+            response_ms_p99: None,
+            client_fps: 30.0,
+            visibility_fps: Some(20.0),
+            payload_bytes_mean: Some(1000.0),
+            packets_mean: Some(1.0),
+            rtt_ms: None,
+            duration_s: 0.1,
+            size: "640x360".into(),
+            lights: 8,
+            scene_digest: None,
+            adapter: "test".into(),
+            backend: None,
+            codec: None,
+            transport: "offline".into(),
+            wait: false,
+            exposure_ev: 3.5,
+            path: "default".into(),
+        }
+    }
+
+    #[test]
+    fn the_summary_has_what_scripts_look_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("summary.json");
+        summary().write(&file).unwrap();
+        let value: serde_json::Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+        for name in [
+            "frames_rendered",
+            "frames_received",
+            "frames_incomplete",
+            "lag_frames_mean",
+            "lag_frames_p99",
+            "client_fps",
+            "visibility_fps",
+            "payload_bytes_mean",
+            "packets_mean",
+            "rtt_ms",
+            "size",
+            "lights",
+            "scene_digest",
+            "adapter",
+            "codec",
+            "transport",
+        ] {
+            assert!(value.get(name).is_some(), "{name}");
+        }
+        assert_eq!((&value["size"], &value["client_fps"]), (&"640x360".into(), &30.0.into()));
+        let nowhere = summary().write(&folder.path().join("no/such/folder.json")).unwrap_err();
+        assert!(nowhere.to_string().starts_with("cannot write"), "{nowhere}");
+    }
+
+    #[test]
+    fn a_frame_is_a_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("stats.jsonl");
+        let mut file = StatsFile::create(&path).unwrap();
+        for frame in 0..3 {
+            let stats = FrameStats {
+                frame,
+                t_ms: 1.5,
+                mask_frame: None,
+                lag: None,
+                response_ms: None,
+                surfaces_ms: 0.0,
+                wait_ms: 0.0,
+                upload_ms: 0.0,
+                shade_ms: 0.0,
+                readback_ms: 0.0,
+                bytes: Some(12),
+                packets: Some(1),
+            };
+            file.write(&stats).unwrap();
+        }
+        file.finish().unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        assert_eq!(lines.iter().map(|line| line["frame"].as_u64().unwrap()).collect::<Vec<_>>(), [0, 1, 2]);
+        assert_eq!((&lines[0]["mask_frame"], &lines[0]["bytes"]), (&serde_json::Value::Null, &12.into()));
+    }
+}
