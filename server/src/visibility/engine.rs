@@ -139,7 +139,7 @@ impl Shared {
         self.ended.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
     }
 
-    fn end_reason(&self) -> Option<String> {
+    pub(super) fn end_reason(&self) -> Option<String> {
         self.ended.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
@@ -147,6 +147,15 @@ impl Shared {
 /// A place among the sessions, free again when it is dropped.
 #[derive(Debug)]
 pub(super) struct Seat(Arc<Shared>);
+
+impl Seat {
+    /// One of `seats`, if there is one left.
+    pub(super) fn take(shared: &Arc<Shared>, seats: usize) -> Option<Self> {
+        let take = |taken: usize| (taken < seats).then_some(taken + 1);
+        shared.sessions.fetch_update(Ordering::AcqRel, Ordering::Acquire, take).ok()?;
+        Some(Self(Arc::clone(shared)))
+    }
+}
 
 impl Drop for Seat {
     fn drop(&mut self) {
@@ -239,11 +248,7 @@ impl Engine {
         if let Some(reason) = self.shared.end_reason() {
             return Err(OpenError::Stopped(reason));
         }
-        let take = |sessions: usize| (sessions < self.max_sessions).then_some(sessions + 1);
-        if self.shared.sessions.fetch_update(Ordering::AcqRel, Ordering::Acquire, take).is_err() {
-            return Err(OpenError::Full(self.max_sessions));
-        }
-        let seat = Seat(Arc::clone(&self.shared));
+        let seat = Seat::take(&self.shared, self.max_sessions).ok_or(OpenError::Full(self.max_sessions))?;
         let (port, engine_port) = session_port(self.waker.clone());
         self.openings.try_send(Opening { shape, port: engine_port, seat }).map_err(|error| match error {
             TrySendError::Full(_) => OpenError::Busy,

@@ -10,14 +10,19 @@ use gnomon_protocol::{
     ids::FrameNumber,
     mask::{Mask, MaskShape},
 };
-use gnomon_shaders::{camera::Camera, scene::Scene};
+use gnomon_shaders::{
+    camera::Camera,
+    gpu::{Gpu, GpuOptions},
+    scene::Scene,
+};
 
 use super::{
     TraceRequest,
-    backend::{BackendError, cpu::CpuBackend},
-    engine::{BackendChoice, Engine, EngineError, EngineOptions, OpenError},
-    port::{OUTSTANDING_MASKS, SessionPort},
+    backend::{BackendError, compute::ComputeBackend, cpu::CpuBackend},
+    engine::{BackendChoice, Engine, EngineError, EngineOptions, OpenError, Seat, Shared},
+    port::{EngineWaker, OUTSTANDING_MASKS, SessionPort, session_port},
     test_scenes::room,
+    worker::{Backend, Opening, Worker},
 };
 
 const BACKENDS: [BackendChoice; 2] = [BackendChoice::Cpu, BackendChoice::Compute];
@@ -203,4 +208,28 @@ fn auto_takes_the_processor_where_only_software_is_an_adapter() {
     // On a machine with a GPU it takes that.
     let engine = Engine::start(Arc::new(room()), &options(BackendChoice::Auto)).unwrap();
     assert!(engine.description().starts_with("cpu") || !engine.description().contains("llvmpipe"));
+}
+
+#[test]
+fn a_lost_device_closes_all_ports_and_leaves_its_reason() {
+    let scene = room();
+    let wanted = wgpu::Features::IMMEDIATES;
+    let options = GpuOptions { adapter: None, wanted, allow_software: true };
+    let gpu = pollster::block_on(Gpu::open(&options)).unwrap();
+    let backend = Backend::Compute(Box::new(ComputeBackend::new(&scene, gpu.clone()).unwrap()));
+    let (openings, openings_end) = std::sync::mpsc::sync_channel(4);
+    let shared = Arc::new(Shared::default());
+    let thread = std::thread::spawn({
+        let shared = Arc::clone(&shared);
+        move || Worker::new(backend, openings_end, shared).run()
+    });
+    let (mut port, engine_port) = session_port(EngineWaker(thread.thread().clone()));
+    openings.send(Opening { shape: shape(64, 64), port: engine_port, seat: Seat::take(&shared, 1).unwrap() }).unwrap();
+    port.request(request(1, 64, 64));
+    assert_eq!(next_mask(&mut port).frame, FrameNumber(1));
+    gpu.device.destroy();
+    port.request(request(2, 64, 64));
+    assert!(port.masks.blocking_recv().is_none(), "a mask from a destroyed device");
+    thread.join().unwrap();
+    assert!(shared.end_reason().is_some_and(|reason| reason.contains("device failed")));
 }

@@ -4,6 +4,7 @@ use glam::{DVec3, Vec3, Vec3A};
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_shaders::{
     camera::Camera,
+    gpu::Gpu,
     scene::{LightKind, Scene},
 };
 use obvhs::ray::{Ray, RayHit};
@@ -11,7 +12,7 @@ use obvhs::ray::{Ray, RayHit};
 use super::{ComputeBackend, RING_FRAMES, geometry};
 use crate::visibility::{
     TraceCost,
-    backend::cpu::CpuBackend,
+    backend::{BackendError, cpu::CpuBackend},
     test_scenes::{DOUBLE_SIDED, LEAF, SINGLE_SIDED, TestScene, room},
 };
 
@@ -277,4 +278,58 @@ fn what_does_not_fit_is_refused_with_its_numbers() {
     let limit = super::PictureLimit { bytes: 1000, adapter: "Toy".into() };
     let error = limit.check(MaskShape::new(100, 100, 3).unwrap()).unwrap_err().to_string();
     assert!(error.contains("100×100") && error.contains("173056") && error.contains("1000"), "{error}");
+}
+
+/// A device with other features and limits than the server asks for.
+fn device(features: wgpu::Features, limit: impl Fn(&mut wgpu::Limits)) -> Gpu {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
+    let adapter = adapters.into_iter().next().expect("these tests need a Vulkan adapter");
+    let mut limits = adapter.limits();
+    limit(&mut limits);
+    let descriptor = wgpu::DeviceDescriptor {
+        required_features: features,
+        required_limits: limits,
+        ..wgpu::DeviceDescriptor::default()
+    };
+    let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).unwrap();
+    Gpu { info: adapter.get_info(), device, queue }
+}
+
+#[test]
+fn a_device_that_cannot_is_told_from_one_that_can() {
+    let scene = room();
+    let needed = super::kernels::NEEDED;
+    let refusal = |gpu: Gpu| ComputeBackend::new(&scene, gpu).unwrap_err().to_string();
+
+    let error = refusal(device(wgpu::Features::empty(), |limits| limits.max_immediate_size = 0));
+    assert!(error.contains("lacks immediate data"), "{error}");
+    let error = refusal(device(needed, |limits| limits.max_storage_buffers_per_shader_stage = 8));
+    assert!(error.contains("it has 8 where 10 are needed"), "{error}");
+    let error = refusal(device(needed, |limits| {
+        limits.max_storage_buffer_binding_size = 10_000;
+        limits.max_buffer_size = 1 << 20;
+    }));
+    assert!(error.contains("too large") && error.contains("10000"), "{error}");
+
+    // Without a clock masks are traced all the same.
+    let mut compute = ComputeBackend::new(&scene, device(needed, |_| {})).unwrap();
+    let camera = cameras()[0];
+    let mut mask = mask_for(&scene, &camera);
+    let cost = compute.trace(&camera, &mut mask).unwrap();
+    assert_eq!(mask, trace(&scene, &camera).0);
+    assert!(cost.primary_ms == 0.0 && cost.shadow_ms > 0.0, "{cost:?}");
+}
+
+#[test]
+fn a_device_that_is_gone_is_an_error() {
+    let scene = room();
+    let gpu = device(super::kernels::NEEDED, |_| {});
+    let mut compute = ComputeBackend::new(&scene, gpu.clone()).unwrap();
+    let camera = cameras()[0];
+    let mut mask = mask_for(&scene, &camera);
+    compute.trace(&camera, &mut mask).unwrap();
+    gpu.device.destroy();
+    let error = compute.trace(&camera, &mut mask).unwrap_err();
+    assert!(matches!(error, BackendError::Device(_)), "{error}");
 }
