@@ -1,6 +1,6 @@
 //! The alpha of MASK materials, as both back ends' tracers and the rasteriser's alpha test read it.
 
-use super::{AlphaMode, Scene, Wrap};
+use super::{AlphaMode, Scene};
 
 /// A picture's alpha channel at full size.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -28,25 +28,19 @@ impl Scene {
     }
 }
 
-impl Wrap {
-    /// The texel that stands for texel `index` of a side of `size` texels.
-    ///
-    /// `size` must not be 0, nor above [`super::limits::MAX_IMAGE_SIDE_PX`].
-    #[must_use]
-    #[expect(
-        clippy::cast_possible_wrap,
-        clippy::cast_sign_loss,
-        reason = "sizes are small, and remainders not negative"
-    )]
-    pub fn texel(self, index: i32, size: u32) -> u32 {
-        let size = size as i32;
-        (match self {
-            Self::Repeat => index.rem_euclid(size),
-            Self::MirroredRepeat => {
-                let at = index.rem_euclid(2 * size);
-                at.min(2 * size - 1 - at)
-            }
-            Self::ClampToEdge => index.clamp(0, size - 1),
-        }) as u32
+#[cfg(test)]
+mod tests {
+    use crate::scene::check::tests::scene;
+
+    #[test]
+    fn only_masked_materials_with_a_picture_have_one() {
+        let mut scene = scene();
+        let picture = scene.alpha_picture(1).unwrap();
+        assert_eq!((picture.width, picture.height), (2, 1));
+        assert_eq!(picture.alpha, [0, 255]);
+        assert_eq!(scene.alpha_picture(0), None);
+        assert_eq!(scene.alpha_picture(9), None);
+        scene.materials[1].base_color_texture = None;
+        assert_eq!(scene.alpha_picture(1), None);
     }
 }

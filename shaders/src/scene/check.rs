@@ -159,3 +159,110 @@ impl Aabb {
         Self { min, max }
     }
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use glam::{DVec3, Vec2, Vec4};
+
+    use super::*;
+    use crate::scene::{Draw, Texture, Wrap};
+
+    /// Two triangles: one OPAQUE, one MASK with a picture of 2 × 1 pixels; a point and a spot light.
+    pub(in crate::scene) fn scene() -> Scene {
+        let mut encoded = Vec::new();
+        let rgba = vec![255, 0, 0, 0, 0, 255, 0, 255];
+        let picture = image::RgbaImage::from_raw(2, 1, rgba.clone()).unwrap();
+        picture.write_to(&mut std::io::Cursor::new(&mut encoded), image::ImageFormat::Png).unwrap();
+        let material = |texture, alpha| Material {
+            name: "matter".to_owned(),
+            base_color: Vec4::ONE,
+            base_color_texture: texture,
+            emissive: Vec3::ZERO,
+            alpha,
+            double_sided: false,
+        };
+        let texture = Texture { image: 0, wrap_u: Wrap::Repeat, wrap_v: Wrap::ClampToEdge };
+        let light = |kind| Light {
+            name: "lamp".to_owned(),
+            kind,
+            position: Vec3::Y,
+            direction: Vec3::NEG_Y,
+            color: Vec3::ONE,
+            intensity: 5.0,
+            range_m: f32::INFINITY,
+        };
+        Scene {
+            origin_m: DVec3::new(1e6, 0.0, -0.5),
+            bounds: Aabb { min: Vec3::ZERO, max: Vec3::new(1.0, 1.0, 0.0) },
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::new(1.0, 1.0, 0.0)],
+            normals: vec![Vec3::Z; 4],
+            uvs: vec![Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::ONE],
+            triangles: vec![[0, 1, 2], [1, 3, 2]],
+            draws: vec![
+                Draw { first_triangle: 0, triangles: 1, material: 0 },
+                Draw { first_triangle: 1, triangles: 1, material: 1 },
+            ],
+            materials: vec![
+                material(None, AlphaMode::Opaque),
+                material(Some(texture), AlphaMode::Mask { cutoff: 0.5 }),
+            ],
+            images: vec![Image { encoded, width: 2, height: 1, rgba }],
+            lights: vec![
+                light(LightKind::Point),
+                light(LightKind::Spot { inner_cone_rad: 0.0, outer_cone_rad: FRAC_PI_2 }),
+            ],
+            instances: 2,
+        }
+    }
+
+    /// A change that breaks one guarantee, and a part of what the error says.
+    type Break = (&'static str, fn(&mut Scene));
+
+    const BREAKS: [Break; 34] = [
+        ("normals", |s| s.normals.truncate(3)),
+        ("UVs", |s| s.uvs.push(Vec2::ZERO)),
+        ("position 1", |s| s.positions[1].x = f32::NAN),
+        ("position 1", |s| s.positions[1].y = f32::INFINITY),
+        ("position 2", |s| s.positions[2].y = 3e9),
+        ("normal 3", |s| s.normals[3] = Vec3::ZERO),
+        ("normal 3", |s| s.normals[3].z = f32::NAN),
+        ("UV 0", |s| s.uvs[0].y = f32::NAN),
+        ("UV 0", |s| s.uvs[0].y = 1e6),
+        ("origin", |s| s.origin_m.x = f64::NAN),
+        ("triangle 1", |s| s.triangles[1][2] = 4),
+        ("triangle 1", |s| s.triangles[1][2] = 3),
+        ("no triangles", |s| s.triangles.clear()),
+        ("bounds", |s| s.bounds.max.x = 2.0),
+        ("bounds", |s| s.bounds.min.x = f32::NAN),
+        ("no instances", |s| s.instances = 0),
+        ("draws cover 1", |s| s.draws.truncate(1)),
+        ("draw 1", |s| s.draws[1].first_triangle = 0),
+        ("draw 1", |s| s.draws[1].triangles = 0),
+        ("draw 1 names material 2", |s| s.draws[1].material = 2),
+        ("draw 1", |s| s.materials.swap(0, 1)),
+        ("material 1", |s| s.images.clear()),
+        ("material 0", |s| s.materials[0].base_color.w = 1.5),
+        ("material 0", |s| s.materials[0].emissive.x = f32::INFINITY),
+        ("material 1", |s| s.materials[1].alpha = AlphaMode::Mask { cutoff: f32::NAN }),
+        ("material 0", |s| s.materials[0].name = "n".repeat(257)),
+        ("image 0", |s| s.images[0].rgba.truncate(7)),
+        ("image 0", |s| s.images[0].width = 0),
+        ("0 lights", |s| s.lights.clear()),
+        ("33 lights", |s| s.lights = vec![s.lights[0].clone(); 33]),
+        ("light 0", |s| s.lights[0].direction = Vec3::ZERO),
+        ("light 0", |s| s.lights[0].position.z = f32::NAN),
+        ("light 1", |s| s.lights[1].kind = LightKind::Spot { inner_cone_rad: 1.0, outer_cone_rad: 0.5 }),
+        ("light 0", |s| s.lights[0].range_m = f32::NAN),
+    ];
+
+    #[test]
+    fn every_broken_guarantee_is_found() {
+        assert_eq!(scene().check(), Ok(()));
+        for (index, (says, break_it)) in BREAKS.iter().enumerate() {
+            let mut scene = scene();
+            break_it(&mut scene);
+            let fault = scene.check().expect_err(&format!("break {index} ({says}) went unseen")).to_string();
+            assert!(fault.contains(says), "break {index}: {fault:?} does not say {says:?}");
+        }
+    }
+}

@@ -250,3 +250,93 @@ impl<'a> Rest<'a> {
         Ok(out)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::scene::check::tests::scene;
+
+    #[test]
+    fn scenes_survive_and_pack_to_the_same_bytes() {
+        let scene = scene();
+        let packed = scene.pack().unwrap();
+        assert_eq!(Scene::unpack(&packed).unwrap(), scene);
+        assert_eq!(scene.clone().pack().unwrap(), packed);
+    }
+
+    #[test]
+    fn illegal_scenes_are_not_packed() {
+        let mut scene = scene();
+        scene.lights.clear();
+        assert!(matches!(scene.pack(), Err(PackError::Check(_))));
+    }
+
+    #[test]
+    fn planes_hold_any_words() {
+        let elements: Vec<[u32; 3]> =
+            vec![[0, u32::MAX, 1 << 31], [u32::MAX, 0, 1], [7, 7, 0x7fff_ffff], [7, 7, 0x8000_0001]];
+        let mut bytes = Vec::new();
+        write_planes(&mut bytes, &elements, |words| *words);
+        let mut rest = Rest(&bytes);
+        assert_eq!(rest.planes(4, |words: [u32; 3]| words).unwrap(), elements);
+        assert!(rest.0.is_empty());
+        assert!(Rest(&bytes).planes(5, |words: [u32; 3]| words).is_err());
+    }
+
+    #[test]
+    fn other_bytes_are_told_apart() {
+        let packed = scene().pack().unwrap();
+        assert!(matches!(Scene::unpack(b""), Err(PackError::Magic(0))));
+        assert!(matches!(Scene::unpack(&[0; 64]), Err(PackError::Magic(64))));
+        let mut newer = packed.clone();
+        newer[8] = 2;
+        assert!(matches!(Scene::unpack(&newer), Err(PackError::Version(2))));
+        // A length that the bytes cannot grow to is refused before it is allocated.
+        let mut large = packed.clone();
+        large[12..20].copy_from_slice(&u64::MAX.to_le_bytes());
+        assert!(matches!(Scene::unpack(&large), Err(PackError::Size { bytes: u64::MAX, .. })));
+        let mut longer = packed;
+        longer[12] = longer[12].wrapping_add(1);
+        assert!(matches!(Scene::unpack(&longer), Err(PackError::Broken(_))));
+    }
+
+    /// Packs bytes as they are, whatever they say.
+    fn wrap(raw: &[u8]) -> Vec<u8> {
+        let mut packed = MAGIC.to_vec();
+        packed.extend(VERSION.to_le_bytes());
+        packed.extend((raw.len() as u64).to_le_bytes());
+        packed.extend(block::compress(raw));
+        packed
+    }
+
+    #[test]
+    fn every_cut_and_every_rest_is_an_error() {
+        let raw = decompress(&scene().pack().unwrap()).unwrap();
+        assert!(Scene::unpack(&wrap(&raw)).is_ok());
+        for end in 0..raw.len() {
+            assert!(Scene::unpack(&wrap(&raw[..end])).is_err(), "cut at {end} of {}", raw.len());
+        }
+        assert!(Scene::unpack(&wrap(&[&raw[..], &[0]].concat())).is_err());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 4000, failure_persistence: None, ..ProptestConfig::default() })]
+
+        /// Changed before compression, where each byte means something.
+        #[test]
+        fn changed_bytes_give_an_error_or_a_legal_scene(
+            changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        ) {
+            let mut raw = decompress(&scene().pack().unwrap()).unwrap();
+            for (at, value) in changes {
+                let at = at.index(raw.len());
+                raw[at] = value;
+            }
+            if let Ok(scene) = Scene::unpack(&wrap(&raw)) {
+                prop_assert_eq!(scene.check(), Ok(()));
+            }
+        }
+    }
+}

@@ -3,16 +3,12 @@
 //! Own types, because transforms must be read as f64 (a scene may lie kilometres from its origin), because every list is
 //! bounded while it is parsed, and because indices must not be truncated. Unknown properties are ignored, as §3.12 asks.
 
-use std::{borrow::Cow, fmt, marker::PhantomData};
+use serde::{Deserialize, de::IgnoredAny};
 
-use serde::{
-    Deserialize, Deserializer,
-    de::{DeserializeSeed, Error, IgnoredAny, MapAccess, SeqAccess, Visitor, value::MapAccessDeserializer},
-};
-
+use super::json::{Text, count, list, object, optional, strings};
 use crate::scene::limits::{
-    MAX_ACCESSORS, MAX_BUFFER_VIEWS, MAX_BUFFERS, MAX_EXTENSIONS, MAX_IMAGES, MAX_LIGHT_DEFINITIONS, MAX_MATERIALS,
-    MAX_MESHES, MAX_NODES, MAX_SCENES, MAX_TEXTURES,
+    MAX_ACCESSORS, MAX_BUFFER_VIEWS, MAX_BUFFERS, MAX_IMAGES, MAX_LIGHT_DEFINITIONS, MAX_MATERIALS, MAX_MESHES,
+    MAX_NODES, MAX_SCENES, MAX_TEXTURES,
 };
 
 /// The root (§5.17).
@@ -54,25 +50,6 @@ pub(super) struct Document<'a> {
 pub(super) struct Asset {
     pub(super) version: String,
     pub(super) min_version: Option<String>,
-}
-
-/// Parses a file's JSON.
-///
-/// # Errors
-/// A sentence: no such JSON, a list that is too long, or another version of glTF.
-pub(super) fn parse(json: &[u8]) -> Result<Document<'_>, String> {
-    let mut deserializer = serde_json::Deserializer::from_slice(json);
-    let document: Document<'_> = object(&mut deserializer).map_err(|error| error.to_string())?;
-    deserializer.end().map_err(|error| error.to_string())?;
-    let asset = &document.asset;
-    // Minor versions are compatible, unless the file asks for a least one (§2.5).
-    if asset.version.split_once('.').map(|(major, _)| major) != Some("2") {
-        return Err(format!("its asset version is {:.32?}, not 2.0", asset.version));
-    }
-    if let Some(least) = asset.min_version.as_deref().filter(|least| *least != "2.0") {
-        return Err(format!("it asks for a reader of version {least:.32?}; this one reads 2.0"));
-    }
-    Ok(document)
 }
 
 /// Extensions of the root.
@@ -406,106 +383,21 @@ pub(super) struct Image<'a> {
     pub(super) buffer_view: Option<u32>,
 }
 
-/// A string that is borrowed from the JSON where it has no escapes: a data URI is not copied. (serde's own `Cow` inside
-/// an `Option` always copies.)
-pub(super) struct Text<'a>(pub(super) Cow<'a, str>);
-
-impl<'de: 'a, 'a> Deserialize<'de> for Text<'a> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct TextVisitor;
-        impl<'de> Visitor<'de> for TextVisitor {
-            type Value = Text<'de>;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a string")
-            }
-            fn visit_borrowed_str<E: Error>(self, text: &'de str) -> Result<Self::Value, E> {
-                Ok(Text(Cow::Borrowed(text)))
-            }
-            fn visit_str<E: Error>(self, text: &str) -> Result<Self::Value, E> {
-                Ok(Text(Cow::Owned(text.to_owned())))
-            }
-        }
-        deserializer.deserialize_str(TextVisitor)
+/// Parses a file's JSON.
+///
+/// # Errors
+/// A sentence: no such JSON, a list that is too long, or another version of glTF.
+pub(super) fn parse(json: &[u8]) -> Result<Document<'_>, String> {
+    let mut deserializer = serde_json::Deserializer::from_slice(json);
+    let document: Document<'_> = object(&mut deserializer).map_err(|error| error.to_string())?;
+    deserializer.end().map_err(|error| error.to_string())?;
+    let asset = &document.asset;
+    // Minor versions are compatible, unless the file asks for a least one (§2.5).
+    if asset.version.split_once('.').map(|(major, _)| major) != Some("2") {
+        return Err(format!("its asset version is {:.32?}, not 2.0", asset.version));
     }
-}
-
-/// A JSON object as `T`. serde's derived structs take arrays too; glTF does not.
-struct Object<T>(PhantomData<T>);
-
-impl<'de, T: Deserialize<'de>> DeserializeSeed<'de> for Object<T> {
-    type Value = T;
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<T, D::Error> {
-        deserializer.deserialize_map(self)
+    if let Some(least) = asset.min_version.as_deref().filter(|least| *least != "2.0") {
+        return Err(format!("it asks for a reader of version {least:.32?}; this one reads 2.0"));
     }
+    Ok(document)
 }
-
-impl<'de, T: Deserialize<'de>> Visitor<'de> for Object<T> {
-    type Value = T;
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("an object")
-    }
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<T, A::Error> {
-        T::deserialize(MapAccessDeserializer::new(map))
-    }
-}
-
-pub(super) fn object<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<T, D::Error> {
-    Object(PhantomData).deserialize(deserializer)
-}
-
-fn optional<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Option<T>, D::Error> {
-    object(deserializer).map(Some)
-}
-
-/// A list of at most `MAX` objects: a longer one is an error while it is parsed, before it takes memory.
-fn list<'de, D: Deserializer<'de>, T: Deserialize<'de>, const MAX: usize>(deserializer: D) -> Result<Vec<T>, D::Error> {
-    struct ListVisitor<T, const MAX: usize>(PhantomData<T>);
-    impl<'de, T: Deserialize<'de>, const MAX: usize> Visitor<'de> for ListVisitor<T, MAX> {
-        type Value = Vec<T>;
-        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-            write!(f, "an array of at most {MAX} objects")
-        }
-        fn visit_seq<A: SeqAccess<'de>>(self, mut elements: A) -> Result<Vec<T>, A::Error> {
-            let mut out = Vec::new();
-            while let Some(element) = elements.next_element_seed(Object(PhantomData))? {
-                if out.len() == MAX {
-                    return Err(A::Error::custom(format_args!("more than {MAX} elements")));
-                }
-                out.push(element);
-            }
-            Ok(out)
-        }
-    }
-    deserializer.deserialize_seq(ListVisitor::<T, MAX>(PhantomData))
-}
-
-fn strings<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<String>, D::Error> {
-    let strings = Vec::<String>::deserialize(deserializer)?;
-    if strings.len() > MAX_EXTENSIONS {
-        return Err(D::Error::custom(format_args!("{} extensions, more than {MAX_EXTENSIONS}", strings.len())));
-    }
-    Ok(strings)
-}
-
-/// How many objects a list has, none of which is kept.
-fn count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
-    struct CountVisitor;
-    impl<'de> Visitor<'de> for CountVisitor {
-        type Value = usize;
-        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-            f.write_str("an array of objects")
-        }
-        fn visit_seq<A: SeqAccess<'de>>(self, mut elements: A) -> Result<usize, A::Error> {
-            let mut count = 0;
-            while elements.next_element_seed(Object::<IgnoredObject>(PhantomData))?.is_some() {
-                count += 1;
-            }
-            Ok(count)
-        }
-    }
-    deserializer.deserialize_seq(CountVisitor)
-}
-
-/// An object of which nothing is read.
-#[derive(Deserialize)]
-struct IgnoredObject {}

@@ -92,3 +92,42 @@ fn check_primitive(primitive: &Primitive, here: impl Fn() -> String) -> Result<(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use super::*;
+    use crate::scene::gltf::document::parse;
+
+    fn fault(properties: Value) -> Option<String> {
+        let mut json = properties;
+        json["asset"] = json!({"version": "2.0"});
+        check(&parse(json.to_string().as_bytes()).unwrap()).err().map(|error| error.to_string())
+    }
+
+    #[test]
+    fn required_extensions_must_be_known_and_optional_ones_need_not() {
+        assert_eq!(fault(json!({"extensionsUsed": ["NEW_thing"], "extensions": {"NEW_thing": {}}})), None);
+        assert!(fault(json!({"extensionsRequired": ["NEW_thing"]})).unwrap().contains("NEW_thing"));
+        for name in KNOWN {
+            assert_eq!(fault(json!({"extensionsRequired": [name]})), None);
+        }
+    }
+
+    #[test]
+    fn morph_targets_matter_only_where_they_have_weight() {
+        let mesh = |weights: Value| json!({"primitives": [{"attributes": {}, "targets": [{}]}], "weights": weights});
+        let with = |mesh: Value, node: Value| fault(json!({"meshes": [mesh], "nodes": [node]}));
+        assert_eq!(with(mesh(json!([0])), json!({"mesh": 0})), None);
+        assert!(with(mesh(json!([0.5])), json!({"mesh": 0})).unwrap().contains("mesh 0, primitive 0 uses morph"));
+        assert!(with(mesh(json!([0])), json!({"mesh": 0, "weights": [1]})).unwrap().contains("node 0 uses morph"));
+    }
+
+    #[test]
+    fn skins_matter_only_where_they_move_a_mesh() {
+        assert_eq!(fault(json!({"skins": [{}], "nodes": [{"skin": 0}]})), None);
+        let both = json!({"nodes": [{"mesh": 0, "skin": 0, "name": "fox"}]});
+        assert_eq!(fault(both).unwrap(), "node 0 \"fox\" uses a skin, which is not supported");
+    }
+}

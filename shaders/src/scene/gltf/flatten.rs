@@ -123,9 +123,9 @@ fn read(document: &Document<'_>, buffers: &Buffers<'_>, part: &Part<'_>) -> Resu
     primitive::read(document, buffers, part.primitive, part.mode, texture, &part.place)
 }
 
-/// The scene's origin: the centre of its bounds, rounded to a multiple of the largest power of two that is not larger
-/// than the bounds' longest side. So a scene around the world's origin keeps its coordinates bit for bit, and one far
-/// away loses at most one bit against the exact centre.
+/// The scene's origin: the centre of its bounds, rounded to a multiple of the smallest power of two that is larger than
+/// the bounds' longest side. So a scene that holds the world's origin, or has it in a corner, keeps its coordinates bit
+/// for bit, and one far away has local coordinates of at most one and a half times its size.
 fn origin(document: &Document<'_>, buffers: &Buffers<'_>, parts: &[Part<'_>]) -> Result<DVec3, SceneError> {
     let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for part in parts {
@@ -147,7 +147,7 @@ fn origin(document: &Document<'_>, buffers: &Buffers<'_>, parts: &[Part<'_>]) ->
     if !(extent > 0.0 && extent.is_finite()) {
         return Ok(if min.is_finite() { min.round() + DVec3::ZERO } else { DVec3::ZERO });
     }
-    let step = extent.log2().floor().exp2();
+    let step = (extent.log2().floor() + 1.0).exp2();
     // Adding zero turns -0 into 0, which reads better.
     Ok(((min + max) / 2.0 / step).round() * step + DVec3::ZERO)
 }

@@ -19,6 +19,12 @@ use crate::scene::{
 pub(super) fn read(document: &Document<'_>, placed: &[Placed], origin_m: DVec3) -> Result<Vec<Light>, SceneError> {
     let definitions = document.extensions.lights.as_ref().map_or(&[][..], |lights| &lights.lights);
     for (index, definition) in definitions.iter().enumerate() {
+        if definition.kind == "spot" && definition.spot.is_none() {
+            return Err(SceneError::invalid(
+                place("light", index, definition.name.as_deref()),
+                "it is a spot without a \"spot\" object",
+            ));
+        }
         source(definition, None, DVec3::ZERO, DVec3::NEG_Z)
             .light(DVec3::ZERO)
             .map_err(|fault| SceneError::invalid(place("light", index, definition.name.as_deref()), fault))?;

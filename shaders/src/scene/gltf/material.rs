@@ -88,6 +88,17 @@ impl Materials {
     }
 }
 
+/// Checks every material of the file, used or not.
+///
+/// # Errors
+/// When one is malformed.
+pub(super) fn check(document: &Document<'_>) -> Result<(), SceneError> {
+    for (index, material) in document.materials.iter().enumerate() {
+        read(material, None, &place("material", index, material.name.as_deref()))?;
+    }
+    Ok(())
+}
+
 fn read(source: &document::Material, texture: Option<Texture>, here: &str) -> Result<Material, SceneError> {
     let invalid = |fault: String| SceneError::invalid(here, fault);
     let color = source.pbr_metallic_roughness.base_color_factor.unwrap_or([1.0; 4]);

@@ -1,6 +1,6 @@
 //! Reads glTF 2.0, `.gltf` and `.glb`, into a [`Scene`] without trusting a byte of it.
 //!
-//! The way of a file: `container` splits it, `document` parses its JSON into bounded lists, `features` refuses what is
+//! The way of a file: `container` splits it, `json` and `document` parse its JSON into bounded lists, `features` refuses what is
 //! not read, `references` and `layout` check every index and offset, `nodes` checks and walks the tree, `buffers` loads
 //! bytes, `flatten` makes triangles of `primitive`s and `material`s, `image` decodes pictures, `light` reads lights.
 
@@ -11,6 +11,7 @@ mod document;
 mod features;
 mod flatten;
 mod image;
+mod json;
 mod layout;
 mod light;
 mod material;
@@ -40,6 +41,7 @@ pub(super) fn load(path: &Path) -> Result<(Scene, LoadReport), SceneError> {
     features::check(&document)?;
     references::check(&document)?;
     layout::check(&document)?;
+    material::check(&document)?;
     let placed = nodes::walk(&document)?;
 
     let folder = path.parent().unwrap_or_else(|| Path::new(""));

@@ -31,7 +31,7 @@ pub(super) fn follow(uri: &str, folder: &Path) -> Result<Target, String> {
     if let Some(data) = uri.strip_prefix("data:") {
         let (head, body) = data.split_once(',').ok_or("its data URI has no comma")?;
         if !head.ends_with(";base64") {
-            return Err("its data URI is not base64".to_owned());
+            return Ok(Target::Data(percent_decode_str(body).collect()));
         }
         return BASE64.decode(body).map(Target::Data).map_err(|error| format!("its data URI is broken: {error}"));
     }
@@ -90,7 +90,8 @@ mod tests {
         assert_eq!(data("data:application/octet-stream;base64,AQID"), Ok(Target::Data(vec![1, 2, 3])));
         assert_eq!(data("data:;base64,AQ=="), Ok(Target::Data(vec![1])));
         assert_eq!(data("data:;base64,AQ"), Ok(Target::Data(vec![1])));
-        for broken in ["data:", "data:,AQID", "data:text/plain,hello", "data:;base64,A`", "data:;base64"] {
+        assert_eq!(data("data:text/plain,a%00b"), Ok(Target::Data(b"a\0b".to_vec())));
+        for broken in ["data:", "data:;base64,A`", "data:;base64"] {
             assert!(data(broken).is_err(), "{broken}");
         }
     }
