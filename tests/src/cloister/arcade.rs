@@ -110,7 +110,7 @@ pub(crate) fn tracery() -> Soup {
             .map(move |a| DVec3::new(x + radius * a.cos(), SPRINGING + y + radius * a.sin(), 0.0))
     };
     // The side foils and the top foil are circles; they meet in cusps, at the outer one of their two crossings.
-    let (side, top, radius) = (DVec2::new(0.42, 0.14), DVec2::new(0.0, 0.61), 0.385);
+    let (side, top, radius) = (DVec2::new(0.445, 0.16), DVec2::new(0.0, 0.60), 0.345);
     let between = top - side;
     let cusp =
         side + between * 0.5 - between.perp().normalize() * (radius * radius - between.length_squared() * 0.25).sqrt();
@@ -121,8 +121,7 @@ pub(crate) fn tracery() -> Soup {
     path.extend(crown.iter().skip(1).take(crown.len() - 2));
     let mirrored: Vec<DVec3> = path[..9].iter().rev().map(|p| DVec3::new(-p.x, p.y, 0.0)).collect();
     path.extend(mirrored);
-    let section =
-        profile(&[(0.034, -0.05), (0.034, 0.05), (0.0, 0.085), (-0.034, 0.05), (-0.034, -0.05), (0.0, -0.085)]);
+    let section = profile(&[(0.04, -0.055), (0.04, 0.055), (0.0, 0.09), (-0.04, 0.055), (-0.04, -0.055), (0.0, -0.09)]);
     moulding(&path, DVec3::Z, &section, true, Ends::Open, STONE)
 }
 

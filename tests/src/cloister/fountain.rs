@@ -6,7 +6,8 @@ use glam::{DAffine3, DVec2, DVec3};
 
 use super::mesh::Soup;
 use super::paving::PLAZA_Y;
-use super::shapes::{lathe, part, profile, shaped_lathe, smooth_profile};
+use super::shapes::{bevelled, lathe, part, profile, shaped_lathe, smooth_profile};
+use super::sweep::{Ends, circle, tube};
 
 /// Where the armillary sphere's foot stands, above the garth's centre.
 pub(crate) const STEM_TOP: f64 = 1.86;
@@ -32,7 +33,17 @@ pub(crate) fn basin() -> Soup {
         (1.67, y + 0.05),
         (0.0, y + 0.05),
     ];
-    lathe(&profile(&outline), 8, 1.0).placed(eighth())
+    let mut soup = lathe(&profile(&outline), 8, 1.0).placed(eighth());
+    // A raised panel with a ring on each side.
+    for k in 0..8u8 {
+        let face = 1.88 * (PI / 8.0).cos();
+        let mut panel =
+            bevelled(DVec3::new(-0.50, y + 0.325, face - 0.05), DVec3::new(0.50, y + 0.475, face + 0.025), 0.015);
+        let ring = circle(DVec3::new(0.0, y + 0.40, face + 0.025), DVec3::X * 0.05, DVec3::Y * 0.05, 16);
+        panel.append(tube(&ring, 6, Ends::Loop, |_| 0.012));
+        soup.append(panel.box_mapped(1.0).placed(DAffine3::from_rotation_y(TAU * part(usize::from(k), 8))));
+    }
+    soup
 }
 
 fn eighth() -> DAffine3 {

@@ -16,7 +16,9 @@ pub(crate) const WELL: DVec3 = DVec3::new(3.9, 0.0, 3.9);
 /// Where the sundial stands.
 pub(crate) const SUNDIAL: DVec3 = DVec3::new(3.9, 0.0, -3.7);
 /// Where the tree stands.
-pub(crate) const TREE: DVec3 = DVec3::new(-3.7, 0.0, -3.3);
+pub(crate) const TREE: DVec3 = DVec3::new(-4.5, 0.0, -4.2);
+/// Where the urn stands.
+pub(crate) const URN: DVec3 = DVec3::new(-3.9, GARTH, 3.9);
 /// Foot of the armillary sphere.
 pub(crate) const ARMILLARY: DVec3 = DVec3::new(0.0, fountain::STEM_TOP, 0.0);
 
@@ -40,7 +42,11 @@ fn add_middle(glb: &mut Glb, palette: &Palette) {
     glb.node(None, mesh_node("fountain", mesh));
     let mesh = glb.mesh(
         "sundial",
-        &[(palette.stone, sundial::pedestal().weld(CREASE_DEG)), (palette.bronze, sundial::dial().weld(CREASE_DEG))],
+        &[
+            (palette.stone, sundial::pedestal().weld(CREASE_DEG)),
+            (palette.bronze, sundial::dial().weld(CREASE_DEG)),
+            (palette.iron, sundial::lines().weld(CREASE_DEG)),
+        ],
     );
     glb.node(None, at(mesh_node("sundial", mesh), SUNDIAL));
     let mesh = glb.mesh(
@@ -116,11 +122,26 @@ fn add_plants(glb: &mut Glb, palette: &Palette, sides: [Id; 4]) {
         let (x, z) = (rng.between(1.7, 6.0), rng.between(1.7, 6.0));
         let (x, z) = (if quarter & 1 == 0 { x } else { -x }, if quarter & 2 == 0 { z } else { -z });
         let place = DVec3::new(x, lawn_y(x.abs(), z.abs()), z);
-        let clear = [WELL, SUNDIAL].iter().all(|p| p.distance(DVec3::new(x, 0.0, z)) > 2.0) && x.hypot(z) > 4.1;
+        let clear = [WELL, SUNDIAL, URN].iter().all(|p| p.distance(DVec3::new(x, 0.0, z)) > 2.0) && x.hypot(z) > 4.1;
         let (turn, size) = (rng.between(0.0, 6.0), rng.between(0.5, 0.8));
         if clear {
             glb.node(None, scaled(turned(at(mesh_node("tuft", tuft), place), turn), DVec3::splat(size)));
         }
+    }
+    let urn = glb.mesh(
+        "urn",
+        &[
+            (palette.stone, plants::urn().weld(CREASE_DEG)),
+            (palette.soil, plants::pot_soil().placed(plants::in_urn()).weld(30.0)),
+            (palette.leaf, plants::fern(&mut Rng::new(0xfe2), 1.72).weld(60.0)),
+        ],
+    );
+    glb.node(None, at(mesh_node("urn", urn), URN));
+    for k in 0..8u8 {
+        let (s, c) = (std::f64::consts::FRAC_PI_4 * f64::from(k)).sin_cos();
+        let (x, z) = (URN.x + 1.05 * s, URN.z + 1.05 * c);
+        let node = turned(at(mesh_node("tuft", tuft), DVec3::new(x, lawn_y(x, z), z)), f64::from(k));
+        glb.node(None, scaled(node, DVec3::splat(0.8)));
     }
     let bench = glb.mesh("bench", &[(palette.stone, hangings::bench().weld(20.0))]);
     for (side, x) in [(0, bay_x(1)), (2, bay_x(1)), (2, bay_x(5)), (1, bay_x(2)), (3, bay_x(1))] {

@@ -175,8 +175,6 @@ impl Glb {
         let view = self.view(bytemuck::cast_slice(&mesh.normals), Some(34962));
         let normal =
             self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": "VEC3", "count": count }));
-        let view = self.view(bytemuck::cast_slice(&mesh.uvs), Some(34962));
-        let uv = self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": "VEC2", "count": count }));
         // 65,535 is not an index: it restarts primitives on some hardware (glTF 2.0, §3.7.2.1).
         let short: Option<Vec<u16>> =
             mesh.indices.iter().map(|&i| u16::try_from(i).ok().filter(|&i| i < u16::MAX)).collect();
@@ -187,8 +185,15 @@ impl Glb {
         let indices = self.accessor(
             json!({ "bufferView": view, "componentType": kind, "type": "SCALAR", "count": mesh.indices.len() }),
         );
-        json!({ "material": material, "indices": indices,
-            "attributes": { "POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv } })
+        let mut attributes = json!({ "POSITION": position, "NORMAL": normal });
+        // A plain colour needs no texture coordinates.
+        if self.materials.get(material).is_some_and(|m| m["pbrMetallicRoughness"].get("baseColorTexture").is_some()) {
+            let view = self.view(bytemuck::cast_slice(&mesh.uvs), Some(34962));
+            attributes["TEXCOORD_0"] = json!(
+                self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": "VEC2", "count": count }))
+            );
+        }
+        json!({ "material": material, "indices": indices, "attributes": attributes })
     }
 
     fn accessor(&mut self, accessor: Value) -> Id {

@@ -22,11 +22,11 @@ pub(crate) fn sides(glb: &mut Glb) -> [Id; 4] {
     // Quarter turns as matrices, whose entries are exact, so that bays meet without a gap.
     let turns = [("south", 0.0, 1.0), ("east", 1.0, 0.0), ("north", 0.0, -1.0), ("west", -1.0, 0.0)];
     turns.map(|(name, s, c)| {
-        glb.node(
-            None,
-            json!({ "name": name,
-                "matrix": [c, 0.0, -s, 0.0, 0.0, 1.0, 0.0, 0.0, s, 0.0, c, 0.0, 0.0, 0.0, 0.0, 1.0] }),
-        )
+        let mut node = json!({ "name": name });
+        if c < 1.0 {
+            node["matrix"] = json!([c, 0.0, -s, 0.0, 0.0, 1.0, 0.0, 0.0, s, 0.0, c, 0.0, 0.0, 0.0, 0.0, 1.0]);
+        }
+        glb.node(None, node)
     })
 }
 

@@ -37,11 +37,14 @@ pub(crate) fn sun_direction() -> DVec3 {
     DVec3::new(azimuth.sin() * elevation.cos(), -elevation.sin(), -azimuth.cos() * elevation.cos())
 }
 
-/// Adds lights and lanterns.
-pub(crate) fn add(glb: &mut Glb, palette: &Palette, sides: [Id; 4]) {
+/// Adds the sun. Its node comes before all others, so that it is light 0.
+pub(crate) fn add_sun(glb: &mut Glb) {
     let sun = glb.light(json!({ "name": "sun", "type": "directional", "color": [1.0, 0.91, 0.76], "intensity": 12.0 }));
     glb.node(None, at(aimed(light_node("sun", sun), sun_direction()), DVec3::new(-9.0, 14.0, 12.0)));
+}
 
+/// Adds the lanterns and the spot light.
+pub(crate) fn add_lamps(glb: &mut Glb, palette: &Palette, sides: [Id; 4]) {
     let body = glb.mesh(
         "lantern",
         &[
@@ -60,7 +63,7 @@ pub(crate) fn add(glb: &mut Glb, palette: &Palette, sides: [Id; 4]) {
     }
 
     let spot = glb.light(json!({ "name": "spot on the well", "type": "spot", "color": [0.80, 0.90, 1.0],
-        "intensity": 110.0, "range": 18.0, "spot": { "innerConeAngle": 0.28, "outerConeAngle": 0.46 } }));
+        "intensity": 150.0, "range": 18.0, "spot": { "innerConeAngle": 0.28, "outerConeAngle": 0.48 } }));
     let housing = glb.mesh("spot housing", &[(palette.iron, lantern::spot_housing().weld(CREASE_DEG))]);
     let aim = WELL + DVec3::Y * (GARTH + 1.3) - SPOT;
     let node = glb.node(None, at(aimed(mesh_node("spot housing", housing), aim), SPOT));

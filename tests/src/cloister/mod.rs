@@ -95,11 +95,12 @@ fn scene() -> Result<(Vec<u8>, Report), GenerateError> {
     let palette = materials::add(&mut glb)?;
     let picture_bytes = glb.binary_bytes();
     // The order is the drawing's order, and lights come in the order of the mask's planes: the sun first.
+    lights::add_sun(&mut glb);
     let sides = house::sides(&mut glb);
     house::add(&mut glb, &palette, sides);
     furnishing::add(&mut glb, &palette, sides);
     moving::add(&mut glb, &palette);
-    lights::add(&mut glb, &palette, sides);
+    lights::add_lamps(&mut glb, &palette, sides);
     let counts = glb.counts();
     let bytes = glb.finish(concat!("Gnomon make-scene ", env!("CARGO_PKG_VERSION")))?;
     let report = Report {

@@ -13,8 +13,8 @@ use super::{armillary, well};
 
 /// Seconds for one turn of the armillary sphere.
 const TURN_S: f64 = 24.0;
-/// Period and amplitude of the bucket's swing: a pendulum of 0.9 m takes 1.9 s.
-const SWING: (f64, f64) = (1.9, 0.22);
+/// Period and amplitude of the bucket's swing: a pendulum of 1.2 m takes 2.2 s.
+const SWING: (f64, f64) = (2.2, 0.16);
 
 /// Adds both objects with their animations.
 pub(crate) fn add(glb: &mut Glb, palette: &Palette) {

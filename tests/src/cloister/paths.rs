@@ -6,16 +6,17 @@ use serde_json::{Map, Value, json};
 type Key = (f64, [f64; 3], [f64; 3]);
 
 /// From the south walk through its lanterns' light, out into the garth, past well and fountain to the sundial.
-const WALK: [Key; 9] = [
+const WALK: [Key; 10] = [
     (0.0, [-9.3, 1.65, 9.7], [-2.0, 1.7, 9.4]),
     (3.0, [-4.6, 1.65, 9.7], [1.5, 1.6, 8.6]),
     (5.0, [-1.2, 1.65, 9.2], [1.6, 1.4, 3.0]),
     (6.5, [0.0, 1.62, 7.6], [1.6, 1.4, 0.0]),
     (8.0, [0.2, 1.55, 5.4], [3.4, 1.3, 3.4]),
     (10.0, [1.9, 1.55, 3.2], [2.2, 1.5, -2.0]),
-    (12.0, [2.75, 1.6, 0.6], [2.6, 1.1, -4.6]),
-    (14.0, [2.4, 1.6, -2.3], [4.2, 0.9, -4.2]),
-    (16.0, [0.4, 1.7, -4.0], [-2.0, 2.0, -9.0]),
+    (12.0, [3.3, 1.62, 0.4], [3.7, 1.1, -3.6]),
+    (14.0, [5.1, 1.72, -2.2], [3.9, 0.9, -3.8]),
+    (16.5, [3.4, 1.7, -1.7], [-1.0, 1.5, -7.5]),
+    (19.0, [0.3, 1.7, -4.6], [-3.2, 1.7, -7.6]),
 ];
 
 /// Once around the fountain, above head height.
@@ -25,8 +26,8 @@ fn orbit() -> Vec<Key> {
         .map(|t| {
             let angle = t * std::f64::consts::TAU + 0.6;
             let round = |v: f64| (v * 1000.0).round() / 1000.0;
-            let position = [round(5.6 * angle.sin()), 3.0, round(5.6 * angle.cos())];
-            (t * 20.0, position, [0.0, 1.5, 0.0])
+            let position = [round(3.6 * angle.sin()), 2.6, round(3.6 * angle.cos())];
+            (t * 20.0, position, [0.0, 1.7, 0.0])
         })
         .collect()
 }

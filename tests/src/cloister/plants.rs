@@ -2,11 +2,11 @@
 
 use std::f64::consts::TAU;
 
-use glam::{DVec2, DVec3};
+use glam::{DAffine3, DVec2, DVec3};
 
 use super::mesh::Soup;
 use super::rng::Rng;
-use super::shapes::{bevelled, part, profile, shaped_lathe};
+use super::shapes::{bevelled, part, profile, shaped_lathe, smooth_profile};
 use super::textures::atlas_cell;
 use super::textures::leaves::{BROAD, FROND, TUFT};
 
@@ -143,6 +143,38 @@ pub(crate) fn pot() -> Soup {
 /// The soil in that pot.
 pub(crate) fn pot_soil() -> Soup {
     shaped_lathe(&profile(&[(0.46, 0.90), (0.0, 0.915)]), 16, 1.0, |_, _| 1.0)
+}
+
+/// A stone urn on a pedestal, standing on y = 0.
+pub(crate) fn urn() -> Soup {
+    let mut soup = bevelled(DVec3::new(-0.42, -0.1, -0.42), DVec3::new(0.42, 0.18, 0.42), 0.03);
+    soup.append(bevelled(DVec3::new(-0.30, 0.17, -0.30), DVec3::new(0.30, 0.82, 0.30), 0.03));
+    soup.append(bevelled(DVec3::new(-0.36, 0.81, -0.36), DVec3::new(0.36, 0.92, 0.36), 0.03));
+    let mut soup = soup.box_mapped(1.0);
+    let mut outline = profile(&[(0.24, 0.91), (0.25, 0.96)]);
+    outline.extend(smooth_profile(
+        &[
+            (0.20, 0.98),
+            (0.09, 1.04),
+            (0.09, 1.10),
+            (0.22, 1.16),
+            (0.36, 1.30),
+            (0.40, 1.48),
+            (0.33, 1.62),
+            (0.36, 1.68),
+        ],
+        3,
+    ));
+    outline.extend(profile(&[(0.45, 1.72), (0.46, 1.75), (0.42, 1.77), (0.36, 1.74), (0.32, 1.66), (0.0, 1.66)]));
+    let fluted =
+        |row: usize, angle: f64| if (12..20).contains(&row) { 1.0 + 0.035 * (12.0 * angle).cos() } else { 1.0 };
+    soup.append(shaped_lathe(&outline, 48, 1.0, fluted));
+    soup
+}
+
+/// Puts [`pot_soil`] into the urn.
+pub(crate) fn in_urn() -> DAffine3 {
+    DAffine3::from_translation(DVec3::Y * 1.07) * DAffine3::from_scale(DVec3::new(0.75, 0.7, 0.75))
 }
 
 /// A stone trough 1.5 m long along x, standing on y = 0.

@@ -11,8 +11,8 @@ use super::shapes::{bevelled, part, prism};
 use super::sweep::{Ends, moulding};
 use super::textures::atlas_cell;
 
-const TILE_ROWS: usize = 11;
-const TILE_PITCH: f64 = 0.30;
+const TILE_ROWS: usize = 10;
+const TILE_PITCH: f64 = 0.315;
 const SLAB: f64 = 0.1;
 
 /// Rise of the roof per metre towards the wall.
@@ -50,8 +50,8 @@ pub(crate) fn tiles(rng: &mut Rng) -> Soup {
     let pitch = length / TILE_ROWS as f64;
     let frame = DMat3::from_cols(DVec3::NEG_X, along.cross(DVec3::X), -along);
     let mut soup = Soup::default();
-    for column in 0..76u8 {
-        let x = (f64::from(column) - 37.5) * TILE_PITCH;
+    for column in 0..72u8 {
+        let x = (f64::from(column) - 35.5) * TILE_PITCH;
         for row in 0..TILE_ROWS {
             let start = pitch * row as f64 - 0.06;
             let foot = DVec3::new(x, EAVE.1, EAVE.0) + along * start;
@@ -78,12 +78,12 @@ fn tile(length: f64) -> Soup {
     };
     let mut soup = Soup::default();
     soup.grid(1, steps, |column, row| {
-        let p = if column == 0 { ring(row, 0.0, 0.115, 0.03) } else { ring(row, -length, 0.09, -0.01) };
+        let p = if column == 0 { ring(row, 0.0, 0.12, 0.03) } else { ring(row, -length, 0.09, -0.01) };
         (p, DVec2::new(part(column, 1), part(row, steps)))
     });
     // Wound for a grid whose columns go away from the eye: the outside is up.
     for i in 1..steps {
-        let at = |i: usize| (ring(i, 0.0, 0.115, 0.03), DVec2::new(0.1, part(i, steps)));
+        let at = |i: usize| (ring(i, 0.0, 0.12, 0.03), DVec2::new(0.1, part(i, steps)));
         soup.triangle(at(0), at(i), at(i + 1));
     }
     soup

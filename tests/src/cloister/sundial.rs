@@ -44,7 +44,7 @@ pub(crate) fn pedestal() -> Soup {
     soup
 }
 
-/// The plate, its raised hour lines, and the gnomon: a pierced triangle whose upper edge points at the pole (−z is north).
+/// The plate and the gnomon: a pierced triangle whose upper edge points at the pole (−z is north).
 pub(crate) fn dial() -> Soup {
     let y = GARTH + PLATE;
     let mut soup = lathe(
@@ -52,6 +52,14 @@ pub(crate) fn dial() -> Soup {
         40,
         1.0,
     );
+    soup.append(gnomon().moved(DVec3::new(0.0, y + 0.015, 0.14)));
+    soup
+}
+
+/// The plate's raised hour lines, which spread from the gnomon's foot, and two rings around them.
+pub(crate) fn lines() -> Soup {
+    let y = GARTH + PLATE;
+    let mut soup = Soup::default();
     let latitude = LATITUDE_DEG.to_radians();
     for hour in -6..=6i32 {
         // The hour line's angle from the noon line: tan = sin(latitude) · tan(hour angle).
@@ -69,7 +77,6 @@ pub(crate) fn dial() -> Soup {
         let ring = super::sweep::circle(DVec3::Y * (y + 0.02), DVec3::X * radius, DVec3::Z * radius, 40);
         soup.append(tube(&ring, 4, Ends::Loop, |_| 0.004));
     }
-    soup.append(gnomon().moved(DVec3::new(0.0, y + 0.015, 0.14)));
     soup
 }
 

@@ -31,11 +31,13 @@ pub(crate) fn grow(rng: &mut Rng) -> Tree {
     let trunk = Branch {
         from: DVec3::new(0.0, -0.15, 0.0),
         direction: DVec3::new(0.10, 1.0, -0.06).normalize(),
-        length: 1.9,
+        length: 1.75,
         radius: 0.17,
         level: 0,
     };
     add(&mut tree, rng, &trunk);
+    // Bars run along u, the wood's grain along v.
+    tree.wood = tree.wood.with_uv(|uv| DVec2::new(uv.y, uv.x));
     tree
 }
 
@@ -72,7 +74,7 @@ fn add(tree: &mut Tree, rng: &mut Rng, branch: &Branch) {
         let from = points[base].lerp(points[base + 1], rest);
         let around = DQuat::from_axis_angle(direction, turn + TAU * (part(child, children) + rng.between(-0.06, 0.06)));
         let out = around * direction.any_orthonormal_vector();
-        let spread = [0.95, 0.85, 0.8][branch.level] * rng.between(0.8, 1.2);
+        let spread = [0.78, 0.85, 0.85][branch.level] * rng.between(0.8, 1.2);
         let grown = (direction + out * spread + DVec3::Y * 0.10).normalize();
         let child = Branch {
             from,
@@ -86,7 +88,7 @@ fn add(tree: &mut Tree, rng: &mut Rng, branch: &Branch) {
 }
 
 fn leaf_twigs(tree: &mut Tree, rng: &mut Rng, points: &[DVec3], level: usize) {
-    let count = if level == 3 { 11 } else { 5 };
+    let count = if level == 3 { 17 } else { 9 };
     for _ in 0..count {
         let segment = rng.below(points.len() - 1);
         let foot = points[segment].lerp(points[segment + 1], rng.unit());
@@ -95,7 +97,7 @@ fn leaf_twigs(tree: &mut Tree, rng: &mut Rng, points: &[DVec3], level: usize) {
             DVec3::new(rng.between(-1.0, 1.0), rng.between(-0.5, 0.9), rng.between(-1.0, 1.0)).normalize_or_zero();
         let direction = (along * 0.5 + out).normalize();
         let side = direction.cross(DVec3::new(rng.between(-0.5, 0.5), 1.0, rng.between(-0.5, 0.5))).normalize_or_zero();
-        let size = rng.between(0.22, 0.34);
+        let size = rng.between(0.19, 0.29);
         tree.leaves.append(card(TWIG, foot, direction * size, side * size * 0.45, DVec2::new(0.0, 0.0)));
     }
 }

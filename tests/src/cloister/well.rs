@@ -154,7 +154,7 @@ pub(crate) fn lattice() -> Soup {
 }
 
 /// Length of the rope from the pulley's axle to the bucket's handle.
-const ROPE: f64 = 0.62;
+const ROPE: f64 = 0.93;
 
 /// The bucket's rope and irons; the origin is the pulley's axle, so that the whole swings about it.
 pub(crate) fn bucket_iron() -> Soup {
