@@ -251,8 +251,19 @@ fn no_light_leaks_through_a_closed_sphere() {
         let camera = camera(&scene, v(0.0, 1.0, 0.0), centre, 512, 512);
         let (mask, cost) = trace(&backend(&scene), &scene, &camera);
         assert!(cost.shadow_rays > 5 * 512 * 512);
-        let lit = mask.words().iter().map(|word| word.count_ones()).sum::<u32>();
-        assert_eq!(lit, 0, "{rings} rings");
+        let lit = |mask: &Mask| mask.words().iter().map(|word| word.count_ones()).sum::<u32>();
+        assert_eq!(lit(&mask), 0, "{rings} rings");
+
+        // The smallest hole is seen: one triangle at the pole less, below the light straight overhead.
+        let mut holed = scene.clone();
+        let hole = holed.triangles[0];
+        for corner in hole {
+            holed.positions[corner as usize] = scene.positions[hole[0] as usize] * 0.999 + centre * 0.001;
+        }
+        holed.positions[hole[1] as usize].x += 1e-4;
+        holed.positions[hole[2] as usize].z += 1e-4;
+        let (mask, _) = trace(&backend(&holed), &holed, &camera);
+        assert!(lit(&mask) > 0, "{rings} rings and a hole");
     }
 }
 
