@@ -36,14 +36,18 @@ impl<S: Simd> Frustum<S> {
         let projection = &group.projection;
         let [u, v, w] = projection.origin;
         let bounds = [group.group_x[0], group.group_x[1], group.group_y[0], group.group_y[1]];
-        let widen = |slack: f32| {
-            [bounds[0] - slack, bounds[1] + slack, bounds[2] - slack, bounds[3] + slack].map(|bound| s.splat(bound))
-        };
-        let [shear_x, shear_y] = projection.shear;
+        let slack = if PARALLEL { SLACK * scene_size_m } else { SLACK };
+        let bounds = [
+            s.splat(bounds[0] - slack),
+            s.splat(bounds[1] + slack),
+            s.splat(bounds[2] - slack),
+            s.splat(bounds[3] + slack),
+        ];
+        let [shear_x, shear_y] = [s.splat(projection.shear[0]), s.splat(projection.shear[1])];
         let (slope, base, z_near) = if PARALLEL {
-            ([shear_x, shear_x, shear_y, shear_y].map(|a| s.splat(a)), widen(SLACK * scene_size_m), f32::NEG_INFINITY)
+            ([shear_x, shear_x, shear_y, shear_y], bounds, f32::NEG_INFINITY)
         } else {
-            (widen(SLACK), [s.splat(0.0); 4], 0.0)
+            (bounds, [s.splat(0.0); 4], 0.0)
         };
         Self {
             axes: projection.axes,
@@ -70,10 +74,14 @@ impl<S: Simd> Frustum<S> {
         let low_y = s.load(&node.min[v]) - self.origin[1];
         let high_y = s.load(&node.max[v]) - self.origin[1];
         // The lower planes are lowest, the upper ones highest, at one end of the box or the other.
-        let lower = |i: usize| s.fma(self.slope[i], s.select_negative(self.slope[i], z1, z0), self.base[i]);
-        let upper = |i: usize| s.fma(self.slope[i], s.select_negative(self.slope[i], z0, z1), self.base[i]);
-        let in_x = s.and(s.ge(high_x, lower(0)), s.ge(upper(1), low_x));
-        let in_y = s.and(s.ge(high_y, lower(2)), s.ge(upper(3), low_y));
+        let in_x = s.and(s.ge(high_x, self.plane(s, 0, z0, z1)), s.ge(self.plane(s, 1, z1, z0), low_x));
+        let in_y = s.and(s.ge(high_y, self.plane(s, 2, z0, z1)), s.ge(self.plane(s, 3, z1, z0), low_y));
         (s.bits(s.and(s.and(in_x, in_y), s.ge(z1, z0))), z0)
+    }
+
+    /// Where plane `i` is at `rising` if it rises with z, else at `falling`.
+    #[inline(always)]
+    fn plane(&self, s: S, i: usize, rising: S::F, falling: S::F) -> S::F {
+        s.fma(self.slope[i], s.select_negative(self.slope[i], falling, rising), self.base[i])
     }
 }

@@ -117,14 +117,12 @@ impl Group {
         s.store(y, &mut self.y[p]);
         self.lanes[p] = lanes;
         self.packets |= 1 << p;
-        for (v, packet, group) in
-            [(x, &mut self.packet_x, &mut self.group_x), (y, &mut self.packet_y, &mut self.group_y)]
-        {
-            let bounds = [s.lowest(s.select(active, v, low)), s.highest(s.select(active, v, high))];
-            packet[0].0[p] = bounds[0];
-            packet[1].0[p] = bounds[1];
-            *group = [group[0].min(bounds[0]), group[1].max(bounds[1])];
-        }
+        let lowest = [s.lowest(s.select(active, x, low)), s.lowest(s.select(active, y, low))];
+        let highest = [s.highest(s.select(active, x, high)), s.highest(s.select(active, y, high))];
+        (self.packet_x[0].0[p], self.packet_x[1].0[p]) = (lowest[0], highest[0]);
+        (self.packet_y[0].0[p], self.packet_y[1].0[p]) = (lowest[1], highest[1]);
+        self.group_x = [self.group_x[0].min(lowest[0]), self.group_x[1].max(highest[0])];
+        self.group_y = [self.group_y[0].min(lowest[1]), self.group_y[1].max(highest[1])];
     }
 }
 

@@ -8,11 +8,9 @@
 use super::{
     group::{Group, Projection},
     simd::{F8, Simd},
+    vector::{self, V3},
 };
 use crate::visibility::bvh::Leaf;
-
-/// Three numbers for each of eight triangles.
-type Triple<S> = [<S as Simd>::F; 3];
 
 /// What packets are tested against, eight triangles side by side.
 #[derive(Default)]
@@ -25,29 +23,17 @@ pub(super) struct Prepared {
     pub(super) back: u8,
 }
 
-#[inline(always)]
-fn cross_of_edge<S: Simd>(s: S, a: Triple<S>, b: Triple<S>) -> Triple<S> {
-    let sum = [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
-    let way = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
-    cross(s, sum, way)
-}
-
-#[inline(always)]
-fn cross<S: Simd>(s: S, a: Triple<S>, b: Triple<S>) -> Triple<S> {
-    [s.fms(a[1], b[2], a[2] * b[1]), s.fms(a[2], b[0], a[0] * b[2]), s.fms(a[0], b[1], a[1] * b[0])]
-}
-
 /// The greatest value of k·(x, y, 1) over a rectangle. Rounded like the value at each of its points, and rounding is
 /// monotone, so this is never below any of those.
 #[inline(always)]
-fn highest_over<S: Simd>(s: S, k: Triple<S>, x: &[f32; 2], y: &[f32; 2]) -> S::F {
+fn highest_over<S: Simd>(s: S, k: V3<S>, x: &[f32; 2], y: &[f32; 2]) -> S::F {
     let best_x = s.select_negative(k[0], s.splat(x[0]), s.splat(x[1]));
     let best_y = s.select_negative(k[1], s.splat(y[0]), s.splat(y[1]));
-    s.fma(k[0], best_x, s.fma(k[1], best_y, k[2]))
+    vector::at(s, k, best_x, best_y)
 }
 
 #[inline(always)]
-fn corner<S: Simd, const PARALLEL: bool>(s: S, projection: &Projection, corner: &[F8; 3]) -> Triple<S> {
+fn corner<S: Simd, const PARALLEL: bool>(s: S, projection: &Projection, corner: &[F8; 3]) -> V3<S> {
     let [u, v, w] = projection.axes;
     let x = s.load(&corner[u]) - s.splat(projection.origin[0]);
     let y = s.load(&corner[v]) - s.splat(projection.origin[1]);
@@ -71,61 +57,77 @@ pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
     prepared: &mut Prepared,
 ) -> u8 {
     let zero = s.splat(0.0);
-    let [a, b, c] = [0, 1, 2].map(|i| corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[i]));
-    let ab = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
-    let ac = [c[0] - a[0], c[1] - a[1], c[2] - a[2]];
-    let normal = cross(s, ab, ac);
+    let a = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[0]);
+    let b = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[1]);
+    let c = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[2]);
+    let normal = vector::cross(s, vector::sub::<S>(b, a), vector::sub::<S>(c, a));
     // Positive when the normal points along the rays. Zero: edge-on, nothing to be met.
-    let distance = s.fma(normal[0], a[0], s.fma(normal[1], a[1], normal[2] * a[2]));
+    let distance = vector::dot(s, normal, a);
     let back = s.bits(s.gt(distance, zero));
     let mut alive = leaf.used & (back | s.bits(s.gt(zero, distance)));
     if CLOSEST {
         alive &= !(back & leaf.single_sided);
     }
     for (i, (from, to)) in [(b, c), (c, a), (a, b)].into_iter().enumerate() {
-        let edge = cross_of_edge(s, from, to).map(|k| s.xor_sign(k, distance));
+        let edge = vector::xor_sign(s, vector::cross_of_edge(s, from, to), distance);
         alive &= s.bits(s.ge(highest_over(s, edge, &group.group_x, &group.group_y), zero));
-        for (k, place) in edge.into_iter().zip(&mut prepared.edges[i]) {
-            s.store(k, place);
-        }
+        store(s, edge, &mut prepared.edges[i]);
     }
     if CLOSEST {
-        let inverse = s.div(s.splat(1.0), distance);
-        let plane = normal.map(|n| n * inverse);
+        let plane = vector::scale::<S>(normal, s.div(s.splat(1.0), distance));
         alive &= s.bits(s.gt(highest_over(s, plane, &group.group_x, &group.group_y), s.splat(inverse_far)));
-        for (k, place) in plane.into_iter().zip(&mut prepared.inverse_depth) {
-            s.store(k, place);
-        }
+        store(s, plane, &mut prepared.inverse_depth);
     }
     prepared.back = back;
     alive
 }
 
+#[inline(always)]
+fn store<S: Simd>(s: S, k: V3<S>, to: &mut [F8; 3]) {
+    s.store(k[0], &mut to[0]);
+    s.store(k[1], &mut to[1]);
+    s.store(k[2], &mut to[2]);
+}
+
+/// The coefficients of triangle `slot`, in all lanes.
+#[inline(always)]
+fn of_slot<S: Simd>(s: S, k: &[F8; 3], slot: usize) -> V3<S> {
+    [s.splat(k[0].0[slot]), s.splat(k[1].0[slot]), s.splat(k[2].0[slot])]
+}
+
 impl Prepared {
     /// The values of triangle `slot`'s edge functions at eight points.
     #[inline(always)]
-    pub(super) fn edges_at<S: Simd>(&self, s: S, slot: usize, x: S::F, y: S::F) -> Triple<S> {
-        self.edges
-            .each_ref()
-            .map(|[kx, ky, k1]| s.fma(s.splat(kx.0[slot]), x, s.fma(s.splat(ky.0[slot]), y, s.splat(k1.0[slot]))))
+    pub(super) fn edges_at<S: Simd>(&self, s: S, slot: usize, x: S::F, y: S::F) -> V3<S> {
+        [
+            vector::at(s, of_slot(s, &self.edges[0], slot), x, y),
+            vector::at(s, of_slot(s, &self.edges[1], slot), x, y),
+            vector::at(s, of_slot(s, &self.edges[2], slot), x, y),
+        ]
     }
 
     /// 1/z of triangle `slot`'s plane at eight points.
     #[inline(always)]
     pub(super) fn inverse_depth_at<S: Simd>(&self, s: S, slot: usize, x: S::F, y: S::F) -> S::F {
-        let [kx, ky, k1] = &self.inverse_depth;
-        s.fma(s.splat(kx.0[slot]), x, s.fma(s.splat(ky.0[slot]), y, s.splat(k1.0[slot])))
+        vector::at(s, of_slot(s, &self.inverse_depth, slot), x, y)
     }
 
     /// Bit p: packet p of `group` may meet triangle `slot`; packets are tested side by side, each by its bounds.
     #[inline(always)]
     pub(super) fn packets<S: Simd>(&self, s: S, slot: usize, group: &Group) -> u8 {
-        let inside = self.edges.each_ref().map(|k| {
-            let [kx, ky, k1] = [k[0].0[slot], k[1].0[slot], k[2].0[slot]];
-            let x = &group.packet_x[usize::from(kx.is_sign_positive())];
-            let y = &group.packet_y[usize::from(ky.is_sign_positive())];
-            s.fma(s.splat(kx), s.load(x), s.fma(s.splat(ky), s.load(y), s.splat(k1)))
-        });
-        s.bits(s.ge(s.min(s.min(inside[0], inside[1]), inside[2]), s.splat(0.0))) & group.packets
+        let inside = [
+            highest_by_packet(s, &self.edges[0], slot, group),
+            highest_by_packet(s, &self.edges[1], slot, group),
+            highest_by_packet(s, &self.edges[2], slot, group),
+        ];
+        s.bits(s.ge(vector::least(s, inside), s.splat(0.0))) & group.packets
     }
+}
+
+/// The greatest value of an edge function over each packet's bounds.
+#[inline(always)]
+fn highest_by_packet<S: Simd>(s: S, k: &[F8; 3], slot: usize, group: &Group) -> S::F {
+    let x = &group.packet_x[usize::from(k[0].0[slot].is_sign_positive())];
+    let y = &group.packet_y[usize::from(k[1].0[slot].is_sign_positive())];
+    vector::at(s, of_slot(s, k, slot), s.load(x), s.load(y))
 }

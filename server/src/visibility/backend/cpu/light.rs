@@ -3,7 +3,7 @@
 use glam::Vec3;
 use gnomon_shaders::scene::{Light, LightKind};
 
-use super::{group::PACKETS, simd::Simd, surface::Surface};
+use super::{group::PACKETS, simd::Simd, surface::Surface, vector};
 
 /// A light, ready for testing points against it.
 #[derive(Debug, Clone, Copy)]
@@ -39,25 +39,22 @@ impl PreparedLight {
     /// it. With them, the way from the light to each point (of no fixed length for directional lights).
     #[inline(always)]
     pub(super) fn rays<S: Simd>(&self, s: S, surface: &Surface, p: usize) -> u8 {
-        let dot = |a: [S::F; 3], b: [S::F; 3]| s.fma(a[0], b[0], s.fma(a[1], b[1], a[2] * b[2]));
-        let at = |of: &super::surface::Coordinates| [0, 1, 2].map(|axis| s.load(&of[axis][p]));
         let zero = s.splat(0.0);
-        let direction = self.direction.to_array().map(|k| s.splat(k));
+        let direction = vector::splat(s, self.direction.to_array());
         let to_light = if self.directional {
-            direction.map(|d| zero - d)
+            vector::sub::<S>([zero; 3], direction)
         } else {
-            let position = self.position.to_array();
-            let point = at(&surface.point);
-            [0, 1, 2].map(|axis| s.splat(position[axis]) - point[axis])
+            vector::sub::<S>(vector::splat(s, self.position.to_array()), vector::load_packet(s, &surface.point, p))
         };
-        let faces =
-            s.and(s.gt(dot(at(&surface.shading), to_light), zero), s.gt(dot(at(&surface.geometric), to_light), zero));
+        let shading = vector::dot(s, vector::load_packet(s, &surface.shading, p), to_light);
+        let geometric = vector::dot(s, vector::load_packet(s, &surface.geometric, p), to_light);
+        let faces = s.and(s.gt(shading, zero), s.gt(geometric, zero));
         let mut lanes = surface.lanes[p] & s.bits(faces);
         if !self.directional {
-            let squared = dot(to_light, to_light);
+            let squared = vector::dot(s, to_light, to_light);
             lanes &= s.bits(s.ge(s.splat(self.range_squared), squared));
             if let Some(cos_outer) = self.cos_outer {
-                let along = zero - dot(to_light, direction);
+                let along = zero - vector::dot(s, to_light, direction);
                 lanes &= s.bits(s.ge(along, s.sqrt(squared) * s.splat(cos_outer)));
             }
         }
@@ -68,13 +65,12 @@ impl PreparedLight {
     #[inline(always)]
     pub(super) fn faces<S: Simd>(&self, s: S, surface: &Surface, rays: &[u8; PACKETS]) -> [[u8; PACKETS]; 6] {
         let mut faces = [[0; PACKETS]; 6];
-        let position = self.position.to_array();
+        let position = vector::splat(s, self.position.to_array());
         for p in 0..PACKETS {
             if rays[p] == 0 {
                 continue;
             }
-            let way = [0, 1, 2].map(|axis| s.load(&surface.pushed[axis][p]) - s.splat(position[axis]));
-            let sorted = lanes_by_face(s, way);
+            let sorted = lanes_by_face(s, vector::sub::<S>(vector::load_packet(s, &surface.pushed, p), position));
             for (face, lanes) in faces.iter_mut().zip(sorted) {
                 face[p] = rays[p] & lanes;
             }
@@ -86,11 +82,14 @@ impl PreparedLight {
 /// Which lanes' directions point to which face, as [`super::group::face_of`] has it.
 #[inline(always)]
 pub(super) fn lanes_by_face<S: Simd>(s: S, direction: [S::F; 3]) -> [u8; 6] {
-    let [x, y, z] = direction.map(|k| s.abs(k));
+    let [x, y, z] = [s.abs(direction[0]), s.abs(direction[1]), s.abs(direction[2])];
     let along_x = s.bits(s.and(s.ge(x, y), s.ge(x, z)));
     let along_y = s.bits(s.ge(y, z)) & !along_x;
     let along_z = !(along_x | along_y);
-    let [negative_x, negative_y, negative_z] = direction.map(|k| s.bits(s.gt(s.splat(0.0), k)));
+    let zero = s.splat(0.0);
+    let negative_x = s.bits(s.gt(zero, direction[0]));
+    let negative_y = s.bits(s.gt(zero, direction[1]));
+    let negative_z = s.bits(s.gt(zero, direction[2]));
     [
         along_x & !negative_x,
         along_x & negative_x,

@@ -46,6 +46,7 @@ mod surface;
 mod tests;
 mod tile;
 mod traverse;
+mod vector;
 
 pub use count::Work;
 

@@ -6,6 +6,7 @@ use gnomon_shaders::scene::Scene;
 use super::{
     group::PACKETS,
     simd::{F8, Simd},
+    vector,
 };
 
 /// A triangle's corners and shading normals.
@@ -54,21 +55,6 @@ impl Default for Surface {
     }
 }
 
-#[inline(always)]
-fn dot<S: Simd>(s: S, a: [S::F; 3], b: [S::F; 3]) -> S::F {
-    s.fma(a[0], b[0], s.fma(a[1], b[1], a[2] * b[2]))
-}
-
-#[inline(always)]
-fn cross<S: Simd>(s: S, a: [S::F; 3], b: [S::F; 3]) -> [S::F; 3] {
-    [s.fms(a[1], b[2], a[2] * b[1]), s.fms(a[2], b[0], a[0] * b[2]), s.fms(a[0], b[1], a[1] * b[0])]
-}
-
-#[inline(always)]
-fn minus<S: Simd>(a: [S::F; 3], b: [S::F; 3]) -> [S::F; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
 impl Surface {
     /// Fills in packet `p`, whose rays leave `apex` along `direction` and met `triangles` (in `lanes`; any triangle elsewhere).
     #[inline(always)]
@@ -96,38 +82,35 @@ impl Surface {
                 }
             }
         }
-        let [a, b, c] = positions.each_ref().map(|corner| corner.each_ref().map(|place| s.load(place)));
-        let apex = apex.to_array().map(|k| s.splat(k));
-        let [from_a, from_b, from_c] = [a, b, c].map(|corner| minus::<S>(corner, apex));
-        // Twice each weight times a common factor: the edge functions, as in `leaf`.
-        let weight = |from: [S::F; 3], to: [S::F; 3]| {
-            let sum = [from[0] + to[0], from[1] + to[1], from[2] + to[2]];
-            dot(s, direction, cross(s, sum, minus::<S>(to, from)))
-        };
-        let weights = [weight(from_b, from_c), weight(from_c, from_a), weight(from_a, from_b)];
-        let inverse_sum = s.div(s.splat(1.0), weights[0] + weights[1] + weights[2]);
-        let weights = weights.map(|weight| weight * inverse_sum);
-        let mix = |by_corner: [[S::F; 3]; 3]| {
-            [0, 1, 2].map(|axis| {
-                let [a, b, c] = by_corner.map(|corner| corner[axis]);
-                s.fma(weights[0], a, s.fma(weights[1], b, weights[2] * c))
-            })
-        };
-        let point = mix([a, b, c]);
-        let shading = mix(normals.each_ref().map(|corner| corner.each_ref().map(|place| s.load(place))));
+        let a = vector::load(s, &positions[0]);
+        let b = vector::load(s, &positions[1]);
+        let c = vector::load(s, &positions[2]);
+        let apex = vector::splat(s, apex.to_array());
+        let from_a = vector::sub::<S>(a, apex);
+        let from_b = vector::sub::<S>(b, apex);
+        let from_c = vector::sub::<S>(c, apex);
+        // The edge functions, as in `leaf`: the corners' weights, but for a common factor.
+        let weights = [
+            vector::dot(s, direction, vector::cross_of_edge(s, from_b, from_c)),
+            vector::dot(s, direction, vector::cross_of_edge(s, from_c, from_a)),
+            vector::dot(s, direction, vector::cross_of_edge(s, from_a, from_b)),
+        ];
+        let sum = weights[0] + weights[1] + weights[2];
+        let weights = vector::scale::<S>(weights, s.div(s.splat(1.0), sum));
 
-        let normal = cross(s, minus::<S>(b, a), minus::<S>(c, a));
-        // Positive where the normal points away from the camera, so that the back was met.
-        let away = dot(s, normal, from_a);
-        let facing = s.splat(0.0) - away;
-        let length = s.sqrt(dot(s, normal, normal));
-        let per_length = s.xor_sign(s.div(s.splat(1.0), length), facing);
-        let geometric = normal.map(|n| n * per_length);
+        let normal = vector::cross(s, vector::sub::<S>(b, a), vector::sub::<S>(c, a));
+        // Negative where the normal points away from the camera, so that the back was met.
+        let facing = s.splat(0.0) - vector::dot(s, normal, from_a);
+        let length = s.sqrt(vector::dot(s, normal, normal));
+        let geometric = vector::scale::<S>(normal, s.xor_sign(s.div(s.splat(1.0), length), facing));
         for axis in 0..3 {
-            s.store(point[axis], &mut self.point[axis][p]);
+            let point = vector::dot(s, weights, [a[axis], b[axis], c[axis]]);
+            let normals = [s.load(&normals[0][axis]), s.load(&normals[1][axis]), s.load(&normals[2][axis])];
+            let shading = vector::dot(s, weights, normals);
+            s.store(point, &mut self.point[axis][p]);
             s.store(geometric[axis], &mut self.geometric[axis][p]);
-            s.store(s.xor_sign(shading[axis], facing), &mut self.shading[axis][p]);
-            s.store(push(s, point[axis], geometric[axis]), &mut self.pushed[axis][p]);
+            s.store(s.xor_sign(shading, facing), &mut self.shading[axis][p]);
+            s.store(push(s, point, geometric[axis]), &mut self.pushed[axis][p]);
         }
     }
 }

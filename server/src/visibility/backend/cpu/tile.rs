@@ -12,8 +12,9 @@ use super::{
     group::{Group, PACKETS, Projection},
     light::{PreparedLight, lanes_by_face},
     simd::{F8, Simd},
-    surface::{Corners, Surface},
+    surface::{Coordinates, Corners, Surface},
     traverse::{Hits, Scratch, closest, occlude},
+    vector,
 };
 use crate::visibility::bvh::WideBvh;
 
@@ -92,11 +93,10 @@ pub(super) fn trace_tile<S: Simd, C: Counter>(
     let start = Instant::now();
     let TileScratch { directions, hits, surface, traversal } = scratch;
     let present = aim(s, picture, tile_x, tile_y, directions);
-    let way = |directions: &[[F8; PACKETS]; 3], p: usize| [0, 1, 2].map(|axis| s.load(&directions[axis][p]));
 
     let mut faces = [[0; PACKETS]; 6];
     for (p, &present) in present.iter().enumerate() {
-        let sorted = lanes_by_face(s, way(directions, p));
+        let sorted = lanes_by_face(s, vector::load_packet(s, directions, p));
         for (face, lanes) in faces.iter_mut().zip(sorted) {
             face[p] = lanes & present;
         }
@@ -109,7 +109,7 @@ pub(super) fn trace_tile<S: Simd, C: Counter>(
         let projection = Projection::from_apex(picture.basis.origin, face);
         let mut group = Group::empty(projection);
         for p in (0..PACKETS).filter(|&p| lanes[p] != 0) {
-            let [x, y, z] = projection.permute(s, way(directions, p));
+            let [x, y, z] = projection.permute(s, vector::load_packet(s, directions, p));
             let inverse = s.div(s.splat(1.0), z);
             group.set_packet(s, p, x * inverse, y * inverse, lanes[p]);
         }
@@ -117,7 +117,7 @@ pub(super) fn trace_tile<S: Simd, C: Counter>(
     }
     for (p, &present) in present.iter().enumerate() {
         let hit = s.bits(s.gt(s.load(&hits.inverse_depth[p]), s.splat(0.0))) & present;
-        let direction = way(directions, p);
+        let direction = vector::load_packet(s, directions, p);
         surface.set_packet(s, p, hit, &world.corners, &hits.triangle[p], (picture.basis.origin, direction));
     }
     let traced = Instant::now();
@@ -191,12 +191,10 @@ fn light_tile<S: Simd, C: Counter>(
     if light.directional {
         let projection = Projection::along(light.direction, world.middle);
         let mut group = Group::empty(projection);
-        let [u, v, w] = projection.axes;
         for p in (0..PACKETS).filter(|&p| rays[p] != 0) {
-            let from_middle = |i: usize, axis: usize| s.load(&points[axis][p]) - s.splat(projection.origin[i]);
-            let z = from_middle(2, w) * s.splat(projection.w_sign);
-            let x = s.fnma(s.splat(projection.shear[0]), z, from_middle(0, u));
-            let y = s.fnma(s.splat(projection.shear[1]), z, from_middle(1, v));
+            let from_middle = from_origin(s, points, &projection, p);
+            let x = s.fnma(s.splat(projection.shear[0]), from_middle[2], from_middle[0]);
+            let y = s.fnma(s.splat(projection.shear[1]), from_middle[2], from_middle[1]);
             group.set_packet(s, p, x, y, rays[p]);
         }
         occlude::<S, C, true>(s, world, &mut group, points, scratch, count);
@@ -209,16 +207,26 @@ fn light_tile<S: Simd, C: Counter>(
         }
         let projection = Projection::from_apex(light.position, face);
         let mut group = Group::empty(projection);
-        let [u, v, w] = projection.axes;
         for p in (0..PACKETS).filter(|&p| lanes[p] != 0) {
-            let from_light = |i: usize, axis: usize| s.load(&points[axis][p]) - s.splat(projection.origin[i]);
-            let inverse = s.div(s.splat(projection.w_sign), from_light(2, w));
-            group.set_packet(s, p, from_light(0, u) * inverse, from_light(1, v) * inverse, lanes[p]);
+            let [x, y, z] = from_origin(s, points, &projection, p);
+            let inverse = s.div(s.splat(1.0), z);
+            group.set_packet(s, p, x * inverse, y * inverse, lanes[p]);
         }
         occlude::<S, C, false>(s, world, &mut group, points, scratch, count);
         collect(&group);
     }
     word
+}
+
+/// Packet `p` of `points` in the projection's frame, relative to its origin.
+#[inline(always)]
+fn from_origin<S: Simd>(s: S, points: &Coordinates, projection: &Projection, p: usize) -> [S::F; 3] {
+    let [u, v, w] = projection.axes;
+    [
+        s.load(&points[u][p]) - s.splat(projection.origin[0]),
+        s.load(&points[v][p]) - s.splat(projection.origin[1]),
+        (s.load(&points[w][p]) - s.splat(projection.origin[2])) * s.splat(projection.w_sign),
+    ]
 }
 
 #[cfg(test)]

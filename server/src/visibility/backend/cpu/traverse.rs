@@ -8,6 +8,7 @@ use super::{
     leaf::{Prepared, prepare},
     simd::{F8, Simd},
     tile::World,
+    vector,
 };
 use crate::visibility::bvh::{Child, Leaf, Node};
 
@@ -89,7 +90,7 @@ pub(super) fn closest<S: Simd, C: Counter>(
                 let edges = prepared.edges_at(s, slot, x, y);
                 let inverse = prepared.inverse_depth_at(s, slot, x, y);
                 let best = s.load(&hits.inverse_depth[p]);
-                let inside = s.ge(s.min(s.min(edges[0], edges[1]), edges[2]), s.splat(0.0));
+                let inside = s.ge(vector::least(s, edges), s.splat(0.0));
                 let mut lanes = s.bits(s.and(inside, s.gt(inverse, best))) & group.lanes[p];
                 if lanes == 0 {
                     continue;
@@ -164,14 +165,14 @@ pub(super) fn occlude<S: Simd, C: Counter, const PARALLEL: bool>(
                 let p = packets.trailing_zeros() as usize;
                 packets &= packets - 1;
                 let edges = prepared.edges_at(s, slot, s.load(&group.x[p]), s.load(&group.y[p]));
-                let inside = s.ge(s.min(s.min(edges[0], edges[1]), edges[2]), s.splat(0.0));
+                let inside = s.ge(vector::least(s, edges), s.splat(0.0));
                 let mut lanes = s.bits(inside) & group.lanes[p];
                 if lanes == 0 {
                     continue;
                 }
                 count.candidate();
                 let back = prepared.back >> slot & 1 == 1;
-                let point = group.projection.permute(s, [0, 1, 2].map(|axis| s.load(&points[axis][p])));
+                let point = group.projection.permute(s, vector::load_packet(s, points, p));
                 lanes &= s.bits(beyond(s, &group.projection, leaf, slot, back, point));
                 if lanes != 0 && leaf.masked >> slot & 1 == 1 {
                     lanes = there(s, &world.alpha, leaf.triangles[slot], edges, lanes);
@@ -256,9 +257,9 @@ fn beyond<S: Simd>(s: S, projection: &Projection, leaf: &Leaf, slot: usize, back
 #[inline(always)]
 fn there<S: Simd>(s: S, alpha: &Alpha, triangle: u32, edges: [S::F; 3], lanes: u8) -> u8 {
     let mut weights = [F8::default(); 3];
-    for (edge, place) in edges.into_iter().zip(&mut weights) {
-        s.store(edge, place);
-    }
+    s.store(edges[0], &mut weights[0]);
+    s.store(edges[1], &mut weights[1]);
+    s.store(edges[2], &mut weights[2]);
     let mut kept = 0;
     for lane in (0..8).filter(|lane| lanes >> lane & 1 == 1) {
         let present = alpha.is_there(triangle, weights.each_ref().map(|weight| weight.0[lane]));
