@@ -1,6 +1,6 @@
 //! Whether a point of a MASK triangle is there.
 
-use gnomon_shaders::scene::{AlphaMode, Scene, Wrap};
+use gnomon_shaders::scene::{AlphaMode, AlphaPicture, Scene, Wrap};
 
 use crate::visibility::backend::BackendError;
 
@@ -11,25 +11,6 @@ pub(super) struct Alpha {
     first: u32,
     triangles: Vec<MaskTriangle>,
     materials: Vec<MaskMaterial>,
-}
-
-/// A full-size alpha channel, row by row.
-#[derive(Debug)]
-struct AlphaPicture {
-    width: u32,
-    height: u32,
-    alpha: Vec<u8>,
-}
-
-/// The alpha of `material`'s picture, if it has one and it is decoded.
-fn alpha_picture(scene: &Scene, material: u32) -> Option<AlphaPicture> {
-    let image = &scene.images[scene.materials[material as usize].base_color_texture?.image as usize];
-    let alpha: Vec<u8> = image.rgba.chunks_exact(4).map(|pixel| pixel[3]).collect();
-    (alpha.len() == image.width as usize * image.height as usize && !alpha.is_empty()).then_some(AlphaPicture {
-        width: image.width,
-        height: image.height,
-        alpha,
-    })
 }
 
 #[derive(Debug)]
@@ -62,13 +43,12 @@ impl Alpha {
             let place = match places[draw.material as usize] {
                 Some(place) => place,
                 None => {
-                    let picture = match material.base_color_texture {
-                        None => None,
-                        Some(texture) => Some((
-                            alpha_picture(scene, draw.material)
-                                .ok_or(BackendError::Alpha { material: draw.material })?,
-                            [texture.wrap_u, texture.wrap_v],
-                        )),
+                    let picture = match (scene.alpha_picture(draw.material), material.base_color_texture) {
+                        (Some(picture), Some(texture)) if is_whole(&picture) => {
+                            Some((picture, [texture.wrap_u, texture.wrap_v]))
+                        }
+                        (None, None) => None,
+                        _ => return Err(BackendError::Alpha { material: draw.material }),
                     };
                     alpha.materials.push(MaskMaterial { cutoff, factor: material.base_color.w, picture });
                     *places[draw.material as usize].insert(alpha.materials.len() - 1)
@@ -118,6 +98,11 @@ fn sample(picture: &AlphaPicture, [wrap_u, wrap_v]: [Wrap; 2], u: f32, v: f32) -
     mix(row(rows[0]), row(rows[1]), y - y0)
 }
 
+/// Whether every texel is there; without decoded pictures none is.
+fn is_whole(picture: &AlphaPicture) -> bool {
+    !picture.alpha.is_empty() && picture.alpha.len() == picture.width as usize * picture.height as usize
+}
+
 /// The texels `at` and `at + 1` of a side of `size` texels, wrapped.
 fn texels(at: f32, size: u32, wrap: Wrap) -> [u32; 2] {
     #[expect(
@@ -125,18 +110,7 @@ fn texels(at: f32, size: u32, wrap: Wrap) -> [u32; 2] {
         reason = "the cast saturates, and any texel of the picture will do there"
     )]
     let first = at as i32;
-    let size = i64::from(size);
-    [i64::from(first), i64::from(first) + 1].map(|i| {
-        let wrapped = match wrap {
-            Wrap::Repeat => i.rem_euclid(size),
-            Wrap::MirroredRepeat => {
-                let i = i.rem_euclid(2 * size);
-                i.min(2 * size - 1 - i)
-            }
-            Wrap::ClampToEdge => i.clamp(0, size - 1),
-        };
-        u32::try_from(wrapped).unwrap_or(0)
-    })
+    [wrap.texel(first, size), wrap.texel(first.saturating_add(1), size)]
 }
 
 #[cfg(test)]

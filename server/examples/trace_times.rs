@@ -1,0 +1,152 @@
+//! How fast the `cpu` back end traces a scene: million rays per second and core, and what its traversal does.
+//!
+//! `cargo run --release -p gnomon-server --example trace_times -- SCENE [--lights-from FILE] [--lights N] [--size WxH]
+//! [--from X,Y,Z --to X,Y,Z] [--frames N] [--threads 1,2] [--picture FILE.pgm]`
+//!
+//! Frames are timed by a clock that does not stop when another program has the core. On a busy machine believe the line by
+//! processor time.
+
+use std::{num::NonZeroUsize, path::PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use clap::Parser;
+use glam::DVec3;
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_server::visibility::backend::cpu::{CpuBackend, Work};
+use gnomon_shaders::{
+    camera::Camera,
+    scene::{LoadOptions, Scene},
+};
+
+/// Traces a scene over and over and says how fast that was.
+#[derive(Debug, Parser)]
+struct Arguments {
+    /// The scene: .gltf or .glb.
+    scene: PathBuf,
+    /// Lights for a scene that has none.
+    #[arg(long)]
+    lights_from: Option<PathBuf>,
+    /// Keep the first N lights.
+    #[arg(long)]
+    lights: Option<u32>,
+    /// Size of the mask.
+    #[arg(long, default_value = "640x360", value_parser = pair)]
+    size: (u32, u32),
+    /// Where the camera is, in metres.
+    #[arg(long, default_value = "-8.5,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
+    from: DVec3,
+    /// A point that it looks at.
+    #[arg(long, default_value = "0,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
+    to: DVec3,
+    /// Full vertical field of view, in degrees.
+    #[arg(long, default_value_t = 60.0)]
+    yfov: f64,
+    /// Frames to time.
+    #[arg(long, default_value_t = 25)]
+    frames: usize,
+    /// Numbers of threads to time.
+    #[arg(long, value_delimiter = ',', default_values_t = [1, 2])]
+    threads: Vec<usize>,
+    /// Writes a picture of how many lights reach each pixel.
+    #[arg(long)]
+    picture: Option<PathBuf>,
+}
+
+fn pair(text: &str) -> Result<(u32, u32)> {
+    let (width, height) = text.split_once('x').context("a size is WIDTHxHEIGHT")?;
+    Ok((width.parse()?, height.parse()?))
+}
+
+fn point(text: &str) -> Result<DVec3> {
+    let numbers: Vec<f64> = text.split(',').map(str::parse).collect::<Result<_, _>>()?;
+    let numbers: [f64; 3] = numbers.try_into().ok().context("a point is X,Y,Z")?;
+    Ok(DVec3::from_array(numbers))
+}
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    ensure!(arguments.frames > 0, "nothing to time in 0 frames");
+    let options = LoadOptions { lights_from: arguments.lights_from.clone(), max_lights: arguments.lights };
+    let scene = Scene::load(&arguments.scene, &options)?;
+    let (width, height) = arguments.size;
+    let camera = Camera::looking_at(arguments.from, arguments.to, arguments.yfov.to_radians(), width, height);
+    let mut mask = Mask::new(MaskShape::new(width, height, u32::try_from(scene.lights.len())?)?);
+
+    for (nth, &threads) in arguments.threads.iter().enumerate() {
+        let threads = NonZeroUsize::new(threads).context("0 threads")?;
+        let backend = CpuBackend::new(&scene, Some(threads))?;
+        println!("{}", backend.describe());
+        if nth == 0 {
+            let (cost, [primary, shadow]) = backend.trace_counted(&camera, &mut mask);
+            println!("primary: {}", describe(&primary, cost.primary_rays));
+            println!("shadow:  {}", describe(&shadow, cost.shadow_rays));
+        }
+        let before_s = processor_s();
+        let costs: Vec<_> = (0..arguments.frames).map(|_| backend.trace(&camera, &mut mask)).collect();
+        let processor_s = processor_s() - before_s;
+        let rate = |rays: u64, ms: f64| rays as f64 / (ms * 1e3 * threads.get() as f64);
+        let mut primary: Vec<f64> = costs.iter().map(|cost| rate(cost.primary_rays, cost.primary_ms)).collect();
+        let mut shadow: Vec<f64> = costs.iter().map(|cost| rate(cost.shadow_rays, cost.shadow_ms)).collect();
+        for (stage, rates, rays) in
+            [("primary", &mut primary, costs[0].primary_rays), ("shadow", &mut shadow, costs[0].shadow_rays)]
+        {
+            rates.sort_by(f64::total_cmp);
+            println!(
+                "{threads} threads, {stage}: {rays} rays, Mray/s and core: best {:.2}, median {:.2}, worst {:.2}",
+                rates[rates.len() - 1],
+                rates[rates.len() / 2],
+                rates[0],
+            );
+        }
+        if processor_s > 0.0 {
+            // The clock splits the processor's time: another program is as likely to interrupt one stage as the other.
+            let [primary_ms, shadow_ms] =
+                [costs.iter().map(|cost| cost.primary_ms).sum::<f64>(), costs.iter().map(|cost| cost.shadow_ms).sum()];
+            let frames = arguments.frames as f64;
+            let rate = |rays: u64, part_ms: f64| {
+                rays as f64 * frames / (processor_s * 1e6 * part_ms / (primary_ms + shadow_ms))
+            };
+            println!(
+                "{threads} threads, by processor time: primary {:.2}, shadow {:.2} Mray/s and core",
+                rate(costs[0].primary_rays, primary_ms),
+                rate(costs[0].shadow_rays, shadow_ms),
+            );
+        }
+    }
+    if let Some(path) = &arguments.picture {
+        let mut bytes = format!("P5 {width} {height} 255\n").into_bytes();
+        let lights = mask.shape().lights();
+        for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+            let reached = (0..lights).filter(|&light| mask.get(light, x, y)).count();
+            bytes.push(u8::try_from(reached * 255 / lights as usize)?);
+        }
+        std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(())
+}
+
+/// Seconds that this process has had a processor for, where the system says (Linux).
+fn processor_s() -> f64 {
+    let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
+    let nanoseconds = |task: std::io::Result<std::fs::DirEntry>| -> Option<f64> {
+        let text = std::fs::read_to_string(task.ok()?.path().join("schedstat")).ok()?;
+        text.split_whitespace().next()?.parse().ok()
+    };
+    tasks.filter_map(nanoseconds).sum::<f64>() / 1e9
+}
+
+fn describe(work: &Work, rays: u64) -> String {
+    let rays = rays.max(1) as f64;
+    let per_group = |count: u64| count as f64 / work.groups.max(1) as f64;
+    format!(
+        "{:.1} rays a group; a group visits {:.1} nodes and {:.1} leaves of {:.1} triangles, of which it tests {:.1}; \
+         a ray: {:.2} packet tests, {:.2} of them inside",
+        rays / work.groups.max(1) as f64,
+        per_group(work.nodes),
+        per_group(work.leaves),
+        work.triangles as f64 / work.leaves.max(1) as f64,
+        per_group(work.tested_triangles),
+        work.packet_tests as f64 * 8.0 / rays,
+        work.candidates as f64 * 8.0 / rays,
+    )
+}
