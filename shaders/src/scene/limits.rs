@@ -1,6 +1,6 @@
 //! Every bound on what a scene may hold. All are checked before the memory is taken.
 //!
-//! A scene at all of these bounds takes about 2.5 GiB while it loads; a file that breaks one takes far less, because
+//! A scene at all of these bounds takes about 3.5 GiB while it loads; a file that breaks one takes far less, because
 //! counts are summed from the JSON before a single vertex is read.
 
 use glam::{DVec3, Vec2};

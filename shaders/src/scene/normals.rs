@@ -74,11 +74,16 @@ mod tests {
     fn zero_normals_become_the_mean_of_their_faces_and_others_stay() {
         let positions = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z];
         let mut normals = [Vec3::ZERO, Vec3::Z, Vec3::ZERO, Vec3::ZERO];
-        // Two faces of a corner meet at vertex 0 with the same angle; vertex 3 has no face.
-        let triangles = [[7, 8, 9], [7, 9, 8].map(|i| if i == 8 { 10 } else { i })];
+        // Two faces at right angles share the edge of vertices 0 and 2, with equal angles at both ends.
+        let triangles = [[7, 8, 9], [7, 9, 10]];
         assert_eq!(repair(&positions, &mut normals, &triangles, 7), 3);
-        assert!((normals[0] - Vec3::new(1.0, 0.0, 1.0).normalize()).length() < 1e-6 || normals[0].x.abs() > 0.7);
+        let between = Vec3::new(1.0, 0.0, 1.0).normalize();
+        assert!((normals[0] - between).length() < 1e-6 && (normals[2] - between).length() < 1e-6, "{normals:?}");
+        assert!((normals[3] - Vec3::X).length() < 1e-6, "{normals:?}");
         assert_eq!(normals[1], Vec3::Z);
+        let mut lonely = [Vec3::ZERO; 4];
+        assert_eq!(repair(&positions, &mut lonely, &triangles[..1], 7), 4);
+        assert_eq!(lonely[3], Vec3::Y);
         let mut fine = [Vec3::X; 4];
         assert_eq!(repair(&positions, &mut fine, &triangles, 7), 0);
     }
