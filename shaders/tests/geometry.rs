@@ -318,6 +318,9 @@ fn texture_transforms_are_baked() {
     let quarter = std::f64::consts::FRAC_PI_2;
     near(uvs(transform(json!({"rotation": quarter}))), [[0.0, 0.0], [0.0, -1.0], [1.0, 0.0]]);
     near(uvs(transform(json!({"rotation": quarter, "scale": [2, 1]}))), [[0.0, 0.0], [0.0, -2.0], [1.0, 0.0]]);
+    // The extension's own example: the lower left quadrant of the picture.
+    let quadrant = transform(json!({"offset": [0, 1], "rotation": quarter, "scale": [0.5, 0.5]}));
+    near(uvs(quadrant), [[0.0, 1.0], [0.0, 0.5], [0.5, 1.0]]);
     let error = load(&textured(&png(), json!({"texCoord": 1}))).unwrap_err().to_string();
     assert!(error.contains("TEXCOORD_1"), "{error}");
     let error = load(&textured(&png(), transform(json!({"scale": [1e9, 1]})))).unwrap_err().to_string();
