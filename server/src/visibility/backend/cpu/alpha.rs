@@ -109,8 +109,19 @@ fn texels(at: f32, size: u32, wrap: Wrap) -> [u32; 2] {
         clippy::cast_possible_truncation,
         reason = "the cast saturates, and any texel of the picture will do there"
     )]
-    let first = at as i32;
-    [wrap.texel(first, size), wrap.texel(first.saturating_add(1), size)]
+    let first = i64::from(at as i32);
+    let size = i64::from(size);
+    [first, first + 1].map(|i| {
+        let wrapped = match wrap {
+            Wrap::Repeat => i.rem_euclid(size),
+            Wrap::MirroredRepeat => {
+                let i = i.rem_euclid(2 * size);
+                i.min(2 * size - 1 - i)
+            }
+            Wrap::ClampToEdge => i.clamp(0, size - 1),
+        };
+        u32::try_from(wrapped).unwrap_or(0)
+    })
 }
 
 #[cfg(test)]
