@@ -8,14 +8,36 @@ use gnomon_client::{cli::Arguments, config::resolve, headless::run_headless};
 use tracing_subscriber::EnvFilter;
 
 fn main() -> ExitCode {
-    match run(Arguments::parse()) {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        // Help and version are no errors, and go to standard output.
+        Err(answer) if !answer.use_stderr() => answer.exit(),
+        Err(error) => {
+            let text = error.to_string();
+            let line = text.lines().next().unwrap_or_default();
+            eprintln!("gnomon-client: {} (see --help)", line.trim_start_matches("error: "));
+            return ExitCode::from(2);
+        }
+    };
+    match run(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // One line, with everything that led to it.
-            eprintln!("gnomon-client: {error:#}");
+            eprintln!("gnomon-client: {}", one_line(&error));
             ExitCode::FAILURE
         }
     }
+}
+
+/// The error with what led to it, in one line. Most messages name their cause themselves; it is not said twice.
+fn one_line(error: &anyhow::Error) -> String {
+    error.chain().fold(String::new(), |line, cause| {
+        let cause = cause.to_string().replace('\n', " ");
+        match line.as_str() {
+            "" => cause,
+            said if said.contains(&cause) => line,
+            said => format!("{said}: {cause}"),
+        }
+    })
 }
 
 fn run(arguments: Arguments) -> anyhow::Result<()> {

@@ -107,7 +107,10 @@ impl Link {
             Transport::LabUdp => LinkKind::LabUdp,
             Transport::LabTcp => LinkKind::LabTcp,
         };
-        let stream = TcpStream::connect(server).await.map_err(|error| failed(error.to_string()))?;
+        let stream = TcpStream::connect(server).await.map_err(|error| {
+            let transport = url.transport.name();
+            failed(format!("{error}; is gnomon-server running there with --transport {transport}?"))
+        })?;
         stream.set_nodelay(true).map_err(|error| failed(error.to_string()))?;
         let (reader, writer) = stream.into_split();
         Ok(Self { reader: ControlReader::new(reader), writer: ControlWriter::new(writer), kind, server })

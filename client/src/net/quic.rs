@@ -2,7 +2,10 @@
 
 use std::{
     net::{Ipv4Addr, Ipv6Addr, SocketAddr},
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
     time::Duration,
 };
 
@@ -37,6 +40,8 @@ const DATAGRAM_SEND_BYTES: usize = 1024;
 struct Pinned {
     digest: [u8; 32],
     provider: Arc<CryptoProvider>,
+    /// Whether another certificate was shown.
+    refused: Arc<AtomicBool>,
 }
 
 impl ServerCertVerifier for Pinned {
@@ -51,6 +56,7 @@ impl ServerCertVerifier for Pinned {
         if sha256(end_entity) == Some(self.digest) {
             Ok(ServerCertVerified::assertion())
         } else {
+            self.refused.store(true, Ordering::Relaxed);
             Err(TlsError::InvalidCertificate(CertificateError::ApplicationVerificationFailure))
         }
     }
@@ -98,27 +104,27 @@ pub(crate) async fn connect(
     let local: SocketAddr =
         if address.is_ipv4() { (Ipv4Addr::UNSPECIFIED, 0).into() } else { (Ipv6Addr::UNSPECIFIED, 0).into() };
     let mut endpoint = quinn::Endpoint::client(local).map_err(|error| other(&error))?;
-    endpoint.set_default_client_config(config(digest).map_err(|error| other(&error))?);
+    let refused = Arc::new(AtomicBool::new(false));
+    endpoint.set_default_client_config(config(digest, Arc::clone(&refused)).map_err(|error| other(&error))?);
     // The name is not looked at: the certificate is known by its digest.
     let connecting = endpoint.connect(address, "gnomon").map_err(|error| other(&error))?;
     let connection = connecting.await.map_err(|error| match error {
         quinn::ConnectionError::TimedOut => QuicError::TimedOut,
-        quinn::ConnectionError::TransportError(transport) => {
-            // 0x100 + alert: quinn reports our own refusal of the certificate as a TLS alert.
-            let bad_certificate = (0x12a..=0x12e).contains(&u64::from(transport.code));
-            if bad_certificate { QuicError::Certificate } else { other(&transport) }
-        }
+        _ if refused.load(Ordering::Relaxed) => QuicError::Certificate,
         error => other(&error),
     })?;
     Ok((endpoint, connection))
 }
 
-fn config(digest: [u8; 32]) -> Result<quinn::ClientConfig, Box<dyn std::error::Error + Send + Sync>> {
+fn config(
+    digest: [u8; 32],
+    refused: Arc<AtomicBool>,
+) -> Result<quinn::ClientConfig, Box<dyn std::error::Error + Send + Sync>> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let mut tls = rustls::ClientConfig::builder_with_provider(Arc::clone(&provider))
         .with_protocol_versions(&[&rustls::version::TLS13])?
         .dangerous()
-        .with_custom_certificate_verifier(Arc::new(Pinned { digest, provider }))
+        .with_custom_certificate_verifier(Arc::new(Pinned { digest, provider, refused }))
         .with_no_client_auth();
     tls.alpn_protocols = vec![ALPN.to_vec()];
     let mut config = quinn::ClientConfig::new(Arc::new(QuicClientConfig::try_from(tls)?));
@@ -155,13 +161,17 @@ mod tests {
 
     #[test]
     fn only_the_pinned_certificate_is_accepted() {
-        let pinned = |digest| Pinned { digest, provider: Arc::new(rustls::crypto::ring::default_provider()) };
-        let verify = |pinned: Pinned| {
+        let verify = |digest| {
+            let provider = Arc::new(rustls::crypto::ring::default_provider());
+            let pinned = Pinned { digest, provider, refused: Arc::default() };
             let (leaf, name) = (CertificateDer::from(b"abc".to_vec()), ServerName::try_from("gnomon").unwrap());
-            pinned.verify_server_cert(&leaf, &[], &name, &[], UnixTime::since_unix_epoch(Duration::ZERO)).is_ok()
+            let time = UnixTime::since_unix_epoch(Duration::ZERO);
+            let accepted = pinned.verify_server_cert(&leaf, &[], &name, &[], time).is_ok();
+            assert_eq!(pinned.refused.load(Ordering::Relaxed), !accepted);
+            accepted
         };
         let digest = sha256(b"abc").unwrap();
-        assert!(verify(pinned(digest)));
-        assert!(!verify(pinned(digest.map(|byte| byte ^ 1))));
+        assert!(verify(digest));
+        assert!(!verify(digest.map(|byte| byte ^ 1)));
     }
 }

@@ -17,7 +17,7 @@ use gnomon_protocol::{
     ids::FrameNumber,
     limits::MAX_FRAME_BYTES,
     mask::MaskShape,
-    reassembler::{Policy, Progress, Reassembler},
+    reassembler::{IgnoredCause, PacketError, Policy, Progress, Reassembler},
 };
 
 use super::link::DataReceiver;
@@ -77,14 +77,12 @@ pub(crate) struct ReceiveTask {
 }
 
 impl ReceiveTask {
-    /// Receives until the link is gone, which the renderer is told. Gives the reason back.
-    pub(crate) async fn run(mut self) -> String {
-        let reason = match self.receive().await {
+    /// Receives until the link is gone. Gives the reason back, and the renderer's end open: there may be a better reason.
+    pub(crate) async fn run(mut self) -> (String, MaskWriter) {
+        match self.receive().await {
             Ok(never) => match never {},
-            Err(reason) => reason,
-        };
-        self.writer.end(reason.clone());
-        reason
+            Err(reason) => (reason, self.writer),
+        }
     }
 
     async fn receive(&mut self) -> Result<Infallible, String> {
@@ -94,22 +92,31 @@ impl ReceiveTask {
         let mut decoder = Decoder::new();
         // Of the reassemblers before this one.
         let mut incomplete_before = 0;
+        // Whether a frame is begun, which the reassembler counts as incomplete only when it gives it up.
+        let mut begun = false;
         loop {
             let packet = self.receiver.receive().await.map_err(|error| format!("connection lost: {error}"))?;
             if self.again.begins_with(packet) {
-                incomplete_before += reassembler.stats().frames_incomplete;
+                incomplete_before += reassembler.stats().frames_incomplete + u64::from(begun);
                 reassembler = fresh();
             }
             let progress = reassembler.push(packet);
             let incomplete = incomplete_before + reassembler.stats().frames_incomplete;
             match progress {
-                Ok(Progress::Complete) => self.take_frame(&reassembler, &mut decoder, incomplete)?,
+                Ok(Progress::Complete) => {
+                    begun = false;
+                    self.take_frame(&reassembler, &mut decoder, incomplete)?;
+                }
+                Ok(Progress::Stored) => begun = true,
                 Ok(Progress::Ignored(cause)) => {
+                    begun &= !matches!(cause, IgnoredCause::OutOfOrder | IgnoredCause::Newer);
                     tracing::trace!(?cause, "packet ignored");
                     self.counters.lock().unwrap_or_else(PoisonError::into_inner).incomplete = incomplete;
                 }
-                Ok(Progress::Stored) => {}
-                Err(error) => tracing::debug!(%error, "bad packet"),
+                Err(error) => {
+                    begun &= !matches!(error, PacketError::Contradiction { .. } | PacketError::TooLong { .. });
+                    tracing::debug!(%error, "bad packet");
+                }
             }
         }
     }

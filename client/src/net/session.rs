@@ -35,6 +35,9 @@ use crate::{
 /// How often the round trip is measured.
 const PING_INTERVAL: Duration = Duration::from_secs(1);
 
+/// How long a server whose data has ended may take to say why.
+const LAST_WORDS: Duration = Duration::from_millis(300);
+
 /// How long the server may take for an answer before the session runs.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 
@@ -220,22 +223,34 @@ async fn tasks(
     round_trip: Arc<Mutex<Option<Duration>>>,
     left: oneshot::Receiver<()>,
 ) {
-    // The receive task decodes: it gets a thread of its own turn, and does not hold up pings and poses.
-    let mask_end = receive.writer.ender();
+    let renderer = receive.writer.ender();
+    // Decoding takes long: in tasks of their own, packets hold up neither pings nor poses.
     let mut receiving = tokio::spawn(receive.run());
     let mut sending = tokio::spawn(send);
-    let reason = tokio::select! {
-        _ = left => None,
-        reason = converse(reader, &mut writer, &round_trip) => Some(reason),
-        ended = &mut receiving => Some(ended.unwrap_or_else(|error| error.to_string())),
-        ended = &mut sending => Some(match ended {
-            Ok(Ok(never)) => match never {},
-            Ok(Err(error)) => format!("connection lost: {error}"),
-            Err(error) => error.to_string(),
-        }),
+    let reason = {
+        let mut conversation = std::pin::pin!(converse(reader, &mut writer, &round_trip));
+        let data = async {
+            tokio::select! {
+                ended = &mut receiving => match ended {
+                    Ok((reason, masks)) => (reason, Some(masks)),
+                    Err(error) => (error.to_string(), None),
+                },
+                ended = &mut sending => match ended {
+                    Ok(Ok(never)) => match never {},
+                    Ok(Err(error)) => (format!("connection lost: {error}"), None),
+                    Err(error) => (error.to_string(), None),
+                },
+            }
+        };
+        tokio::select! {
+            _ = left => None,
+            reason = &mut conversation => Some(reason),
+            // Data and control end together, and the control stream says why.
+            (reason, _masks) = data => Some(tokio::time::timeout(LAST_WORDS, conversation).await.unwrap_or(reason)),
+        }
     };
     match reason {
-        Some(reason) => mask_end.end(reason),
+        Some(reason) => renderer.end(reason),
         None => {
             let _ = writer.write(&ClientMessage::Bye).await;
             writer.finish().await;

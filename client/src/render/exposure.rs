@@ -21,8 +21,8 @@ const PERCENTILE: f64 = 0.70;
 const REFERENCE: f32 = 0.62;
 
 /// Ambient irradiance from above and below, as a share of the reference: shadows stay dark, but can be read.
-const AMBIENT_ABOVE: Vec3 = Vec3::new(0.125, 0.135, 0.155);
-const AMBIENT_BELOW: Vec3 = Vec3::new(0.070, 0.064, 0.058);
+const AMBIENT_ABOVE: Vec3 = Vec3::new(0.165, 0.178, 0.205);
+const AMBIENT_BELOW: Vec3 = Vec3::new(0.095, 0.087, 0.078);
 
 /// Exposed radiance of the sky, where nothing is.
 const ZENITH: Vec3 = Vec3::new(0.20, 0.37, 0.72);

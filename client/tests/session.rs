@@ -1,0 +1,162 @@
+//! Whole runs against a server of a few lines, which says and drops exactly what each test wants.
+
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "clippy knows tests by their functions, and the stage has others"
+)]
+
+mod stage;
+
+use std::collections::BTreeMap;
+
+use gnomon_client::{ClientError, run_headless};
+use gnomon_protocol::{
+    codec::{CodecId, Decoder},
+    mask::Mask,
+    message::{Refusal, ServerMessage},
+};
+use stage::{Script, Stage, mask_for};
+
+fn saved_masks(folder: &std::path::Path) -> BTreeMap<u32, Mask> {
+    let read = |entry: std::io::Result<std::fs::DirEntry>| {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
+        let mut mask = Mask::new(stage::shape());
+        Decoder::new().decode(&std::fs::read(path).unwrap(), &mut mask).unwrap();
+        (name.strip_prefix("frame_").unwrap().parse().unwrap(), mask)
+    };
+    std::fs::read_dir(folder).unwrap().map(read).collect()
+}
+
+#[test]
+fn a_waiting_run_shades_every_frame_with_its_own_mask() {
+    for transport in ["lab-udp", "lab-tcp"] {
+        let stage = Stage::start(transport, Script::default());
+        let folder = tempfile::tempdir().unwrap();
+        let mut options = stage.options(folder.path());
+        options.wait = true;
+        options.codec = CodecId::WordsLz4;
+        options.save_masks = Some(folder.path().join("masks"));
+        options.out = Some(folder.path().join("pictures"));
+        options.stats = Some(folder.path().join("stats.jsonl"));
+        let summary = run_headless(&options).unwrap();
+        assert_eq!((summary.frames_rendered, summary.frames_with_mask, summary.frames_received), (4, 4, 4));
+        assert_eq!((summary.lag_frames_mean, summary.frames_incomplete), (Some(0.0), 0));
+        assert_eq!((summary.transport.as_str(), summary.codec.as_deref()), (transport, Some("words-lz4")));
+        assert_eq!(summary.scene_digest, Some(stage.digest().to_string()));
+        assert!(summary.rtt_ms.is_some() && summary.payload_bytes_mean.unwrap() > 0.0);
+        let expected: BTreeMap<u32, Mask> = (0..4).map(|frame| (frame, mask_for(frame))).collect();
+        assert_eq!(saved_masks(&folder.path().join("masks")), expected);
+        let stats = std::fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
+        for (frame, line) in stats.lines().enumerate() {
+            let line: serde_json::Value = serde_json::from_str(line).unwrap();
+            assert_eq!((&line["frame"], &line["mask_frame"]), (&frame.into(), &frame.into()));
+        }
+        for frame in 0..4 {
+            let picture = image::open(folder.path().join(format!("pictures/frame_{frame:06}.png"))).unwrap();
+            assert_eq!((picture.width(), picture.height()), (64, 36));
+        }
+        assert!(stage.heard_bye());
+    }
+}
+
+#[test]
+fn the_scene_comes_once_and_then_from_the_cache() {
+    let stage = Stage::start("lab-tcp", Script::default());
+    let folder = tempfile::tempdir().unwrap();
+    let options = stage.options(folder.path());
+    run_headless(&options).unwrap();
+    run_headless(&options).unwrap();
+    assert_eq!(stage.scene_fetches(), [0]);
+    // A damaged scene in the cache is fetched again, and mended.
+    let cached = folder.path().join(format!("cache/{}.scene", stage.digest()));
+    let mut bytes = std::fs::read(&cached).unwrap();
+    bytes[40] ^= 0x20;
+    std::fs::write(&cached, &bytes).unwrap();
+    run_headless(&options).unwrap();
+    assert_eq!(stage.scene_fetches(), [0, 0]);
+    bytes[40] ^= 0x20;
+    assert_eq!(std::fs::read(&cached).unwrap(), bytes);
+    // Half of a scene that an earlier run left is not fetched again.
+    std::fs::write(cached.with_extension("part"), &bytes[..100]).unwrap();
+    std::fs::remove_file(&cached).unwrap();
+    run_headless(&options).unwrap();
+    assert_eq!(stage.scene_fetches(), [0, 0, 100]);
+}
+
+#[test]
+fn a_lost_mask_is_asked_for_again_and_nothing_hangs() {
+    // Of frame 1 the second packet is lost; of frame 2 everything, twice.
+    let script = Script { lose: vec![(1, Some(1)), (2, None), (2, None)], ..Script::default() };
+    let stage = Stage::start("lab-udp", script);
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = stage.options(folder.path());
+    options.wait = true;
+    options.save_masks = Some(folder.path().join("masks"));
+    let summary = run_headless(&options).unwrap();
+    assert_eq!((summary.frames_rendered, summary.frames_with_mask, summary.frames_received), (4, 4, 4));
+    assert_eq!((summary.frames_incomplete, summary.lag_frames_p99), (1, Some(0.0)));
+    assert!(summary.poses_repeated >= 3, "{}", summary.poses_repeated);
+    let expected: BTreeMap<u32, Mask> = (0..4).map(|frame| (frame, mask_for(frame))).collect();
+    assert_eq!(saved_masks(&folder.path().join("masks")), expected);
+}
+
+#[test]
+fn a_run_that_does_not_wait_goes_on_without_masks() {
+    let lose = (0..200).map(|frame| (frame, None)).collect();
+    let stage = Stage::start("lab-udp", Script { lose, ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let summary = run_headless(&stage.options(folder.path())).unwrap();
+    assert_eq!((summary.frames_rendered, summary.frames_with_mask, summary.frames_received), (4, 0, 0));
+    assert_eq!((summary.lag_frames_mean, summary.payload_bytes_mean), (None, None));
+}
+
+#[test]
+fn frames_that_are_no_masks_of_this_session_are_counted_and_passed_over() {
+    let stage = Stage::start("lab-udp", Script { wrong_shape: vec![1], ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = stage.options(folder.path());
+    options.wait = true;
+    let summary = run_headless(&options).unwrap();
+    assert_eq!((summary.frames_rendered, summary.frames_with_mask, summary.frames_bad), (4, 4, 1));
+}
+
+#[test]
+fn a_server_that_leaves_ends_the_run_with_its_reason() {
+    let stage = Stage::start("lab-tcp", Script { close_at: Some(2), ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = stage.options(folder.path());
+    options.wait = true;
+    let error = run_headless(&options).unwrap_err();
+    assert!(matches!(error, ClientError::Ended { rendered: 2, wanted: 4, .. }), "{error:?}");
+    assert!(error.to_string().contains("curtain"), "{error}");
+}
+
+#[test]
+fn a_refusal_is_said_in_the_servers_words() {
+    let refusals = [
+        (Refusal::Token, "--token"),
+        (Refusal::Version { server: 9, client: 1 }, "install matching versions"),
+        (Refusal::Full { sessions: 3, retry_after_ms: 500 }, "3 sessions"),
+        (Refusal::Draining, "draining"),
+    ];
+    for (refusal, text) in refusals {
+        let answer = Some(ServerMessage::Refused(refusal));
+        let stage = Stage::start("lab-tcp", Script { answer, ..Script::default() });
+        let folder = tempfile::tempdir().unwrap();
+        let error = run_headless(&stage.options(folder.path())).unwrap_err();
+        assert!(matches!(error, ClientError::Refused(_)) && error.to_string().contains(text), "{error}");
+        assert!(stage.scene_fetches().is_empty());
+    }
+}
+
+#[test]
+fn a_server_that_sends_another_scene_is_found_out() {
+    let stage = Stage::start("lab-tcp", Script { spoil_scene: true, ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let error = run_headless(&stage.options(folder.path())).unwrap_err();
+    assert!(matches!(error, ClientError::Fetch(_)), "{error}");
+    let left: Vec<_> = std::fs::read_dir(folder.path().join("cache")).unwrap().collect();
+    assert!(left.is_empty(), "{left:?}");
+}

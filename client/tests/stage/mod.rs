@@ -1,0 +1,297 @@
+//! A server for tests: one scene, masks that anybody can compute, and a script of what goes wrong.
+
+use std::{
+    io::{Read as _, Write as _},
+    net::{SocketAddr, TcpListener, TcpStream, UdpSocket},
+    path::Path,
+    sync::{Arc, Mutex},
+};
+
+use glam::{DVec3, Vec2, Vec3, Vec4};
+use gnomon_client::{HeadlessOptions, Source};
+use gnomon_protocol::{
+    codec::{CodecId, Encoder},
+    ids::{FrameNumber, SceneDigest, SessionId},
+    limits::{MAX_PACKET_BYTES, SCENE_CHUNK_BYTES},
+    mask::{Mask, MaskShape},
+    message::{self, ClientMessage, ServerMessage, Welcome},
+    packetizer::Packetizer,
+    pose::decode_pose_packet,
+};
+use gnomon_shaders::scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene};
+
+/// What goes wrong.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Script {
+    /// Frames that lose this packet, or all of them; each entry once.
+    pub(crate) lose: Vec<(u32, Option<usize>)>,
+    /// Frames whose mask first comes in another shape.
+    pub(crate) wrong_shape: Vec<u32>,
+    /// Closes the session in place of this frame.
+    pub(crate) close_at: Option<u32>,
+    /// Said in place of Welcome.
+    pub(crate) answer: Option<ServerMessage>,
+    /// Whether the scene that is sent is another one.
+    pub(crate) spoil_scene: bool,
+}
+
+#[derive(Debug, Default)]
+struct Heard {
+    fetches: Vec<u64>,
+    bye: bool,
+}
+
+/// A running server.
+pub(crate) struct Stage {
+    transport: &'static str,
+    address: SocketAddr,
+    packed: Arc<Vec<u8>>,
+    heard: Arc<Mutex<Heard>>,
+}
+
+/// Shape of every mask.
+pub(crate) fn shape() -> MaskShape {
+    MaskShape::new(64, 36, 1).unwrap()
+}
+
+/// The mask of a frame: noise, so that it takes several packets.
+pub(crate) fn mask_for(frame: u32) -> Mask {
+    let mut mask = Mask::new(shape());
+    let mut state = frame.wrapping_mul(2_654_435_761) | 1;
+    for y in 0..36 {
+        for x in 0..64 {
+            state ^= state << 13;
+            state ^= state >> 17;
+            state ^= state << 5;
+            mask.set(0, x, y, state & 64 != 0);
+        }
+    }
+    mask
+}
+
+fn scene() -> Scene {
+    Scene {
+        origin_m: DVec3::ZERO,
+        bounds: Aabb { min: Vec3::new(-2.0, 0.0, -2.0), max: Vec3::new(2.0, 0.0, 2.0) },
+        positions: vec![Vec3::new(-2.0, 0.0, 2.0), Vec3::new(2.0, 0.0, 2.0), Vec3::new(0.0, 0.0, -2.0)],
+        normals: vec![Vec3::Y; 3],
+        uvs: vec![Vec2::ZERO; 3],
+        triangles: vec![[0, 1, 2]],
+        draws: vec![Draw { first_triangle: 0, triangles: 1, material: 0 }],
+        materials: vec![Material {
+            name: "floor".into(),
+            base_color: Vec4::ONE,
+            base_color_texture: None,
+            emissive: Vec3::ZERO,
+            alpha: AlphaMode::Opaque,
+            double_sided: true,
+        }],
+        images: Vec::new(),
+        lights: vec![Light {
+            name: "lamp".into(),
+            kind: LightKind::Point,
+            position: Vec3::new(0.0, 2.0, 0.0),
+            direction: Vec3::NEG_Y,
+            color: Vec3::ONE,
+            intensity: 20.0,
+            range_m: f32::INFINITY,
+        }],
+        instances: 1,
+    }
+}
+
+impl Stage {
+    /// Starts a server over `lab-udp` or `lab-tcp`. Its thread ends with the program.
+    pub(crate) fn start(transport: &'static str, script: Script) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        let packed = Arc::new(scene().pack().unwrap());
+        let heard = Arc::new(Mutex::new(Heard::default()));
+        let (for_thread, said) = (Arc::clone(&packed), Arc::clone(&heard));
+        std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                let session = Session { stream: stream.unwrap(), packed: &for_thread, heard: &said };
+                session.serve(transport, script.clone());
+            }
+        });
+        Self { transport, address, packed, heard }
+    }
+
+    /// Options of a run against this server: four frames of 64×36, with a cache of its own.
+    pub(crate) fn options(&self, folder: &Path) -> HeadlessOptions {
+        let url = format!("gnomon+{}://{}", self.transport, self.address).parse().unwrap();
+        let mut options = HeadlessOptions::new(Source::Server(url));
+        (options.width, options.height, options.frames) = (64, 36, Some(4));
+        options.cache_dir = Some(folder.join("cache"));
+        options
+    }
+
+    pub(crate) fn digest(&self) -> SceneDigest {
+        SceneDigest(*blake3::hash(&self.packed).as_bytes())
+    }
+
+    /// Offsets from which the scene was fetched.
+    pub(crate) fn scene_fetches(&self) -> Vec<u64> {
+        self.heard.lock().unwrap().fetches.clone()
+    }
+
+    pub(crate) fn heard_bye(&self) -> bool {
+        // The client has left before the server's thread has read its farewell.
+        (0..500).any(|_| {
+            std::thread::sleep(std::time::Duration::from_millis(10));
+            self.heard.lock().unwrap().bye
+        })
+    }
+}
+
+enum Data {
+    Udp(UdpSocket),
+    Tcp(TcpListener),
+}
+
+struct Session<'a> {
+    stream: TcpStream,
+    packed: &'a [u8],
+    heard: &'a Mutex<Heard>,
+}
+
+impl Session<'_> {
+    fn serve(mut self, transport: &str, script: Script) {
+        let Some(ClientMessage::Hello(hello)) = self.next() else { panic!("no Hello") };
+        assert_eq!((hello.width, hello.height), (64, 36));
+        if let Some(answer) = script.answer {
+            return self.say(&answer);
+        }
+        let data = match transport {
+            "lab-udp" => Data::Udp(UdpSocket::bind("127.0.0.1:0").unwrap()),
+            _ => Data::Tcp(TcpListener::bind("127.0.0.1:0").unwrap()),
+        };
+        let port = match &data {
+            Data::Udp(socket) => socket.local_addr().unwrap().port(),
+            Data::Tcp(listener) => listener.local_addr().unwrap().port(),
+        };
+        self.say(&ServerMessage::Welcome(Welcome {
+            session: SessionId(7),
+            scene_digest: SceneDigest(*blake3::hash(self.packed).as_bytes()),
+            scene_bytes: self.packed.len() as u64,
+            lights: 1,
+            backend: "stage".into(),
+            data_port: Some(port),
+        }));
+        let mut started = false;
+        let mut data = Some(data);
+        while let Some(message) = self.next() {
+            match message {
+                ClientMessage::FetchScene { offset } => self.send_scene(offset, script.spoil_scene),
+                ClientMessage::Start if !started => {
+                    started = true;
+                    let (control, script) = (self.stream.try_clone().unwrap(), script.clone());
+                    let data = data.take().unwrap();
+                    std::thread::spawn(move || send_frames(data, control, script, hello.codec));
+                }
+                ClientMessage::Ping(number) => self.say(&ServerMessage::Pong(number)),
+                ClientMessage::Bye => self.heard.lock().unwrap().bye = true,
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    fn send_scene(&mut self, offset: u64, spoil: bool) {
+        self.heard.lock().unwrap().fetches.push(offset);
+        let mut bytes = self.packed.to_vec();
+        if spoil {
+            bytes[30] ^= 1;
+        }
+        let first = usize::try_from(offset).unwrap();
+        for (index, chunk) in bytes[first..].chunks(SCENE_CHUNK_BYTES).enumerate() {
+            let offset = (first + index * SCENE_CHUNK_BYTES) as u64;
+            self.say(&ServerMessage::SceneChunk { offset, bytes: chunk.to_vec() });
+        }
+    }
+
+    fn next(&mut self) -> Option<ClientMessage> {
+        let mut prefix = [0; 4];
+        self.stream.read_exact(&mut prefix).ok()?;
+        let mut bytes = vec![0; message::decode_length(prefix).unwrap()];
+        self.stream.read_exact(&mut bytes).ok()?;
+        Some(message::decode(&bytes).unwrap())
+    }
+
+    fn say(&mut self, message: &ServerMessage) {
+        // A client that is gone does not listen.
+        let _ = self.stream.write_all(&message::encode(message).unwrap());
+    }
+}
+
+/// Answers every pose with its mask, in the packets that the network would carry.
+fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: CodecId) {
+    let mut link = Link::open(data);
+    let (mut encoder, mut packetizer, mut body) =
+        (Encoder::new(codec), Packetizer::new(MAX_PACKET_BYTES / 4), Vec::new());
+    let mut latest = None;
+    while let Some(packet) = link.receive() {
+        let (sequence, FrameNumber(frame), _) = decode_pose_packet(&packet).unwrap();
+        assert!(latest.is_none_or(|latest| latest < (frame, sequence)), "poses grow");
+        latest = Some((frame, sequence));
+        if script.close_at == Some(frame) {
+            let closing = ServerMessage::Closing { reason: "the curtain falls".into() };
+            let _ = control.write_all(&message::encode(&closing).unwrap());
+            return;
+        }
+        let wrong = script.wrong_shape.iter().position(|wanted| *wanted == frame);
+        let mask = match wrong.map(|place| script.wrong_shape.remove(place)) {
+            Some(_) => Mask::new(MaskShape::new(64, 40, 1).unwrap()),
+            None => mask_for(frame),
+        };
+        encoder.encode(&mask, &mut body).unwrap();
+        let lost = script.lose.iter().position(|(wanted, _)| *wanted == frame).map(|place| script.lose.remove(place).1);
+        for (index, packet) in packetizer.packets(FrameNumber(frame), 0, &body).unwrap().enumerate() {
+            if lost.is_none_or(|lost| lost.is_some_and(|lost| lost != index)) {
+                link.send(&packet);
+            }
+        }
+    }
+}
+
+enum Link {
+    Udp(UdpSocket, Option<SocketAddr>),
+    Tcp(TcpStream),
+}
+
+impl Link {
+    fn open(data: Data) -> Self {
+        match data {
+            Data::Udp(socket) => Self::Udp(socket, None),
+            Data::Tcp(listener) => Self::Tcp(listener.accept().unwrap().0),
+        }
+    }
+
+    fn receive(&mut self) -> Option<Vec<u8>> {
+        match self {
+            Self::Udp(socket, client) => {
+                let mut buffer = [0; 2048];
+                let (length, from) = socket.recv_from(&mut buffer).ok()?;
+                *client = Some(from);
+                Some(buffer[..length].to_vec())
+            }
+            Self::Tcp(stream) => {
+                let mut prefix = [0; 4];
+                stream.read_exact(&mut prefix).ok()?;
+                let mut bytes = vec![0; u32::from_le_bytes(prefix) as usize];
+                stream.read_exact(&mut bytes).ok()?;
+                Some(bytes)
+            }
+        }
+    }
+
+    fn send(&mut self, packet: &[u8]) {
+        // A client that is gone misses nothing.
+        let _ = match self {
+            Self::Udp(socket, client) => socket.send_to(packet, client.unwrap()).map(drop),
+            Self::Tcp(stream) => {
+                let length = u32::try_from(packet.len()).unwrap().to_le_bytes();
+                stream.write_all(&[&length, packet].concat())
+            }
+        };
+    }
+}
