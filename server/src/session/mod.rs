@@ -20,7 +20,7 @@ use gnomon_protocol::{
 };
 use tokio::{
     sync::{Semaphore, watch},
-    task::JoinSet,
+    task::{JoinError, JoinSet},
     time::{MissedTickBehavior, timeout},
 };
 
@@ -98,6 +98,19 @@ enum End {
 }
 
 impl End {
+    fn of_frames(ended: Result<Result<(), DriveError>, JoinError>) -> Self {
+        match ended {
+            // Only `Phase::Stopping` ends frames in peace.
+            Ok(Ok(())) => Self::Stopping,
+            Ok(Err(DriveError::Link(error))) => Self::Lost(error.to_string()),
+            Ok(Err(error)) => Self::Failed(error.to_string()),
+            Err(panic) => {
+                tracing::error!(%panic, "a task of the session broke off");
+                Self::Failed("the server failed in this session".to_owned())
+            }
+        }
+    }
+
     const fn code(&self) -> CloseCode {
         match self {
             Self::Left | Self::Stopping | Self::Lost(_) => CloseCode::Done,
@@ -196,13 +209,7 @@ impl Session {
                 sent = self.outbox.pump(&self.services.scene.packed) => if let Err(error) = sent {
                     return End::Lost(error.to_string());
                 },
-                Some(ended) = self.frames.join_next() => return match ended {
-                    // Only `Phase::Stopping` ends frames in peace.
-                    Ok(Ok(())) => End::Stopping,
-                    Ok(Err(DriveError::Link(error))) => End::Lost(error.to_string()),
-                    Ok(Err(error)) => End::Failed(error.to_string()),
-                    Err(error) => End::Failed(format!("a task of the session broke off: {error}")),
-                },
+                Some(ended) = self.frames.join_next() => return End::of_frames(ended),
                 _ = tick.tick() => if let Err(end) = books.second(&self.ledger, self.waiting.is_none()) {
                     return end;
                 },
@@ -324,5 +331,36 @@ impl Books {
             return Err(End::Violation(format!("{} control messages in {seconds:.1} s", latest.messages)));
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_panic_ends_its_session_and_is_not_told_to_the_client() {
+        let mut frames: JoinSet<Result<(), DriveError>> = JoinSet::new();
+        frames.spawn(async { panic!("inner secrets") });
+        let end = End::of_frames(frames.join_next().await.unwrap());
+        assert_eq!(end.code(), CloseCode::Internal);
+        assert!(matches!(&end, End::Failed(reason) if !reason.contains("secrets")), "{end:?}");
+    }
+
+    #[test]
+    fn silence_noise_and_endless_setups_end_a_session() {
+        let ledger = Ledger::default();
+        let ago = |time: Duration| Instant::now().checked_sub(time).unwrap();
+        let books = |silent: Duration| Books { heard_at: ago(silent), ..Books::open(&ledger) };
+        assert!(books(limits::SILENCE_TIMEOUT / 2).second(&ledger, true).is_ok());
+        let silent = books(limits::SILENCE_TIMEOUT + Duration::from_secs(1)).second(&ledger, true);
+        assert!(matches!(silent, Err(End::Lost(_))));
+        let mut late = Books::open(&ledger);
+        late.opened_at = ago(limits::SETUP_TIMEOUT + Duration::from_secs(1));
+        assert!(late.second(&ledger, true).is_ok());
+        assert!(matches!(late.second(&ledger, false), Err(End::Violation(_))));
+        let mut noisy = Books::open(&ledger);
+        ledger.messages.add(limits::MAX_MESSAGES_PER_SECOND + 1);
+        assert!(matches!(noisy.second(&ledger, true), Err(End::Violation(_))));
     }
 }

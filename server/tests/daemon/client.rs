@@ -120,7 +120,11 @@ pub(crate) struct Native {
 
 impl Native {
     pub(crate) async fn connect(address: SocketAddr, folder: &Path) -> Self {
-        let endpoint = quinn::Endpoint::client("127.0.0.1:0".parse().unwrap()).unwrap();
+        let socket = socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::DGRAM, None).unwrap();
+        socket.set_recv_buffer_size(4 << 20).unwrap();
+        socket.bind(&SocketAddr::from(([127, 0, 0, 1], 0)).into()).unwrap();
+        let runtime = Arc::new(quinn::TokioRuntime);
+        let endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), None, socket.into(), runtime).unwrap();
         let config = client_config(&certificate(folder), b"gnomon/1");
         let connecting = endpoint.connect_with(config, address, "localhost").unwrap();
         let connection = soon(connecting).await.unwrap();
