@@ -111,8 +111,14 @@ fn add_walls(glb: &mut Glb, palette: &Palette, sides: [Id; 4]) {
     for side in sides {
         glb.node(Some(side), mesh_node("outer wall", wall));
     }
-    let trim = glb
-        .mesh("wall trim", &[(palette.ashlar, walls::dado().weld(25.0)), (palette.stone, walls::coping().weld(20.0))]);
+    let trim = glb.mesh(
+        "wall trim",
+        &[
+            (palette.ashlar, walls::dado().weld(25.0)),
+            (palette.stone, walls::string_course().weld(25.0)),
+            (palette.stone, walls::coping().weld(20.0)),
+        ],
+    );
     glb.node(None, mesh_node("wall trim", trim));
     let door = glb.mesh(
         "door",

@@ -76,7 +76,7 @@ pub(crate) fn walk(rng: &mut Rng) -> Soup {
 /// What lies below the walk's stones on one side, and the step at the opening to the garth. Not to be overlaid.
 pub(crate) fn bed() -> Soup {
     let top = -0.018;
-    let mut soup = block(DVec3::new(-ARCADE, GROUND, ARCADE), DVec3::new(WALK_OUT + 0.25, top, WALK_OUT + 0.25));
+    let mut soup = block(DVec3::new(-ARCADE, GROUND - 0.05, ARCADE), DVec3::new(WALK_OUT + 0.25, top, WALK_OUT + 0.25));
     soup.append(bevelled(DVec3::new(-0.76, GROUND, 7.46), DVec3::new(0.76, 0.0, WALK_IN - 0.05), 0.015));
     soup.append(bevelled(DVec3::new(-0.98, GROUND, 7.1), DVec3::new(0.98, -0.075, 7.47), 0.015));
     soup.box_mapped(1.0)

@@ -44,7 +44,7 @@ pub(crate) fn pedestal() -> Soup {
     soup
 }
 
-/// The plate and the gnomon: a pierced triangle whose upper edge points at the pole (−z is north).
+/// The plate and the gnomon: a triangle whose upper edge points at the pole (−z is north).
 pub(crate) fn dial() -> Soup {
     let y = GARTH + PLATE;
     let mut soup = lathe(
@@ -71,7 +71,7 @@ pub(crate) fn lines() -> Soup {
             let (b, c) = (from.z * direction.z, from.z * from.z - r * r);
             -b + (b * b - c).sqrt()
         };
-        soup.append(tube(&[from + direction * 0.10, from + direction * reach(0.33)], 4, Ends::Capped, |_| 0.004));
+        soup.append(tube(&[from + direction * 0.10, from + direction * reach(0.33)], 4, Ends::Capped, |_| 0.003));
     }
     for radius in [0.34, 0.365] {
         let ring = super::sweep::circle(DVec3::Y * (y + 0.02), DVec3::X * radius, DVec3::Z * radius, 40);
@@ -80,27 +80,16 @@ pub(crate) fn lines() -> Soup {
     soup
 }
 
-/// The triangle from its foot at the origin towards −z, with a scroll in its opening.
+/// The triangle from its foot at the origin towards −z, and a scroll that props its high end.
 fn gnomon() -> Soup {
-    let latitude = LATITUDE_DEG.to_radians();
-    let length = 0.36;
-    let mut soup = plate(&[
-        DVec2::ZERO,
-        DVec2::new(length, length * latitude.tan()),
-        DVec2::new(length, length * latitude.tan() - 0.09),
-        DVec2::new(0.075, 0.0),
-    ]);
-    soup.append(plate(&[
-        DVec2::new(length - 0.035, length * latitude.tan() - 0.12),
-        DVec2::new(length, length * latitude.tan() - 0.085),
-        DVec2::new(length - 0.01, 0.0),
-        DVec2::new(length - 0.055, 0.0),
-    ]));
+    let (length, height) = (0.36, 0.36 * LATITUDE_DEG.to_radians().tan());
+    let mut soup =
+        plate(&[(0.0, 0.0), (0.26, 0.0), (length, height - 0.07), (length, height)].map(|(x, y)| DVec2::new(x, y)));
     let scroll: Vec<DVec3> = (0..=30u8)
         .map(|i| f64::from(i) / 30.0)
         .map(|t| {
-            let (radius, angle) = (0.075 * (1.0 - 0.8 * t), 10.0 * t - 0.6);
-            DVec3::new(0.0, 0.10 + radius * angle.sin(), -(length - 0.13) + radius * angle.cos())
+            let (radius, angle) = (0.055 * (1.0 - 0.8 * t), 10.0 * t - 2.2);
+            DVec3::new(0.0, 0.055 + radius * angle.sin(), -0.335 - radius * angle.cos())
         })
         .collect();
     soup.append(tube(&scroll, 6, Ends::Capped, |t| 0.012 - 0.005 * t));

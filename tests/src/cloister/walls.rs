@@ -17,7 +17,7 @@ pub(crate) fn wall() -> Soup {
         .box_mapped(ASHLAR * 1.5)
 }
 
-/// The stone dado along the walk, and the moulding from which the vaults spring.
+/// The stone dado along the walk.
 pub(crate) fn dado() -> Soup {
     let base = profile(&[
         (-0.05, -0.1),
@@ -28,10 +28,13 @@ pub(crate) fn dado() -> Soup {
         (0.025, 0.92),
         (-0.05, 0.92),
     ]);
-    let mut soup = inward_band(WALK_OUT, 0.0, &base, ASHLAR);
+    inward_band(WALK_OUT, 0.0, &base, ASHLAR)
+}
+
+/// The moulding from which the vaults spring.
+pub(crate) fn string_course() -> Soup {
     let string = profile(&[(-0.05, -0.12), (0.02, -0.12), (0.035, -0.08), (0.085, -0.05), (0.085, 0.0), (-0.05, 0.0)]);
-    soup.append(inward_band(WALK_OUT, SPRINGING, &string, STONE));
-    soup
+    inward_band(WALK_OUT, SPRINGING, &string, STONE)
 }
 
 /// The coping on top of the outer wall.
@@ -117,7 +120,7 @@ pub(crate) fn gable() -> Soup {
     let cap = profile(&[(-0.02, -0.33), (0.1, -0.33), (0.1, 0.33), (-0.02, 0.33)]);
     let rake = [(1.72, 2.52), (1.25, 2.8), (0.0, 3.7), (-1.25, 2.8), (-1.72, 2.52)].map(|(x, y)| DVec3::new(x, y, 0.0));
     soup.append(moulding(&rake, DVec3::Z, &cap, true, Ends::Capped, STONE));
-    soup.append(bevelled(DVec3::new(-1.6, 0.78, -0.33), DVec3::new(1.6, 0.9, 0.33), 0.03).box_mapped(STONE));
+    soup.append(bevelled(DVec3::new(-1.6, 0.78, -0.33), DVec3::new(1.6, 0.92, 0.33), 0.03).box_mapped(STONE));
     soup
 }
 

@@ -43,8 +43,7 @@ pub(crate) fn plaster() -> Picture {
         let patches = step(-0.1, 0.45, clouds(uv, 2, 5, 31));
         let base = rgb(0.885, 0.79, 0.635).lerp(rgb(0.83, 0.70, 0.53), patches);
         let worn = step(0.38, 0.6, clouds(uv, 5, 6, 32));
-        let crack = step(0.965, 1.0, 1.0 - clouds(uv, 3, 6, 33).abs()) * step(0.1, 0.4, clouds(uv, 2, 2, 34));
-        let base = base.lerp(rgb(0.80, 0.745, 0.66), 0.55 * worn) - 0.06 * crack;
+        let base = base.lerp(rgb(0.80, 0.745, 0.66), 0.55 * worn);
         solid(base * (1.0 + 0.035 * clouds(uv, 24, 4, 35)))
     })
 }
