@@ -157,6 +157,18 @@ impl Link {
     }
 }
 
+/// What an error comes down to: quinn's say "connection lost", and why only in their source.
+pub(crate) fn root_cause(error: &(dyn std::error::Error + 'static)) -> String {
+    let mut cause = error;
+    loop {
+        let inner = cause.downcast_ref::<io::Error>().and_then(|error| error.get_ref());
+        match inner.map(|inner| inner as &(dyn std::error::Error + 'static)).or_else(|| cause.source()) {
+            Some(deeper) => cause = deeper,
+            None => return cause.to_string(),
+        }
+    }
+}
+
 impl DataSender {
     /// Sends one packet. A datagram that does not get through is the next one's business.
     pub(crate) async fn send(&mut self, packet: &[u8]) -> io::Result<()> {
@@ -203,5 +215,19 @@ impl Closer {
             connection.close(0_u32.into(), b"done");
             let _ = tokio::time::timeout(FAREWELL, endpoint.wait_idle()).await;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_come_down_to_their_cause() {
+        let lost = io::Error::other(quinn::ReadError::ConnectionLost(quinn::ConnectionError::TimedOut));
+        assert_eq!(root_cause(&lost), "timed out");
+        assert_eq!(root_cause(&io::Error::from(io::ErrorKind::ConnectionReset)), "connection reset");
+        let control = crate::net::control::ControlError::Stream(lost);
+        assert_eq!(root_cause(&control), "timed out");
     }
 }

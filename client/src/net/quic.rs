@@ -31,6 +31,9 @@ const KEEP_ALIVE: Duration = Duration::from_secs(2);
 /// Packets of some frames of words at 1920×1080, 8 MB each: the receive task may be busy decoding.
 const DATAGRAM_RECEIVE_BYTES: usize = 32 << 20;
 
+/// Kernel buffer for packets on their way: a frame of words at 1920×1080.
+const SOCKET_RECEIVE_BYTES: usize = 8 << 20;
+
 /// Poses that may wait: quinn drops the oldest when there are more.
 const DATAGRAM_SEND_BYTES: usize = 1024;
 
@@ -103,7 +106,10 @@ pub(crate) async fn connect(
     let other = |error: &dyn std::fmt::Display| QuicError::Other(error.to_string());
     let local: SocketAddr =
         if address.is_ipv4() { (Ipv4Addr::UNSPECIFIED, 0).into() } else { (Ipv6Addr::UNSPECIFIED, 0).into() };
-    let mut endpoint = quinn::Endpoint::client(local).map_err(|error| other(&error))?;
+    let socket = socket(local).map_err(|error| other(&error))?;
+    let runtime = Arc::new(quinn::TokioRuntime);
+    let mut endpoint =
+        quinn::Endpoint::new(quinn::EndpointConfig::default(), None, socket, runtime).map_err(|error| other(&error))?;
     let refused = Arc::new(AtomicBool::new(false));
     endpoint.set_default_client_config(config(digest, Arc::clone(&refused)).map_err(|error| other(&error))?);
     // The name is not looked at: the certificate is known by its digest.
@@ -114,6 +120,15 @@ pub(crate) async fn connect(
         error => other(&error),
     })?;
     Ok((endpoint, connection))
+}
+
+/// A socket whose kernel buffer takes a burst of packets.
+fn socket(local: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
+    let socket = socket2::Socket::new(socket2::Domain::for_address(local), socket2::Type::DGRAM, None)?;
+    // The kernel clamps it to what it allows.
+    let _ = socket.set_recv_buffer_size(SOCKET_RECEIVE_BYTES);
+    socket.bind(&local.into())?;
+    Ok(socket.into())
 }
 
 fn config(

@@ -20,7 +20,7 @@ use gnomon_protocol::{
     reassembler::{IgnoredCause, PacketError, Policy, Progress, Reassembler},
 };
 
-use super::link::DataReceiver;
+use super::link::{DataReceiver, root_cause};
 use crate::mask_buffer::MaskWriter;
 
 /// What has come in so far.
@@ -95,7 +95,8 @@ impl ReceiveTask {
         // Whether a frame is begun, which the reassembler counts as incomplete only when it gives it up.
         let mut begun = false;
         loop {
-            let packet = self.receiver.receive().await.map_err(|error| format!("connection lost: {error}"))?;
+            let packet =
+                self.receiver.receive().await.map_err(|error| format!("connection lost: {}", root_cause(&error)))?;
             if self.again.begins_with(packet) {
                 incomplete_before += reassembler.stats().frames_incomplete + u64::from(begun);
                 reassembler = fresh();

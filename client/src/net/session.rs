@@ -21,7 +21,7 @@ use tokio::{
 
 use super::{
     control::{ControlError, ControlReader, ControlWriter},
-    link::{Closer, Link},
+    link::{Closer, Link, root_cause},
     receive::{Again, Counters, ReceiveTask, Received},
     send::{Outgoing, send_poses},
     url::ServerUrl,
@@ -237,7 +237,7 @@ async fn tasks(
                 },
                 ended = &mut sending => match ended {
                     Ok(Ok(never)) => match never {},
-                    Ok(Err(error)) => (format!("connection lost: {error}"), None),
+                    Ok(Err(error)) => (format!("connection lost: {}", root_cause(&error)), None),
                     Err(error) => (error.to_string(), None),
                 },
             }
@@ -277,7 +277,7 @@ async fn converse(
                 if waiting.is_none() {
                     waiting = Some((next, Instant::now()));
                     if let Err(error) = writer.write(&ClientMessage::Ping(next)).await {
-                        return format!("connection lost: {error}");
+                        return format!("connection lost: {}", root_cause(&error));
                     }
                     next += 1;
                 }
@@ -297,7 +297,7 @@ async fn converse(
                 Ok(message @ (ServerMessage::Welcome(_) | ServerMessage::Refused(_) | ServerMessage::SceneChunk { .. })) => {
                     return format!("the server does not keep to the protocol: {message:?}").chars().take(200).collect();
                 }
-                Err(error) => return format!("connection lost: {error}"),
+                Err(error) => return format!("connection lost: {}", root_cause(&error)),
             },
         }
     }
