@@ -157,11 +157,20 @@ impl MaskReader {
 
     /// Waits for the mask of exactly this frame, but not beyond `deadline`. Others that come are passed over.
     pub fn wait_for(&mut self, frame: FrameNumber, deadline: Instant) -> Waited {
+        self.wait_until(deadline, |front, _| front.frame == frame)
+    }
+
+    /// Waits for a mask that has not been in the front buffer yet, but not beyond `deadline`.
+    pub fn wait_for_any(&mut self, deadline: Instant) -> Waited {
+        self.wait_until(deadline, |_, fresh| fresh)
+    }
+
+    fn wait_until(&mut self, deadline: Instant, is_it: impl Fn(&ReceivedMask, bool) -> bool) -> Waited {
         let shared = Arc::clone(&self.shared);
         let mut middle = shared.lock();
         loop {
-            self.take(&mut middle);
-            if self.filled && self.front.frame == frame {
+            let fresh = self.take(&mut middle);
+            if self.filled && is_it(&self.front, fresh) {
                 return Waited::Arrived;
             }
             if let Some(reason) = &middle.ended {

@@ -10,6 +10,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use etcetera::BaseStrategy as _;
 use gnomon_protocol::{ids::SceneDigest, limits::MAX_SCENE_BYTES};
 use thiserror::Error;
 
@@ -73,9 +74,9 @@ impl SceneCache {
     #[must_use]
     pub fn new(folder: Option<PathBuf>) -> Self {
         let platform = || {
-            directories::ProjectDirs::from("", "", "gnomon").map_or_else(
-                || std::env::temp_dir().join("gnomon-scenes"),
-                |directories| directories.cache_dir().join("scenes"),
+            etcetera::choose_base_strategy().map_or_else(
+                |_| std::env::temp_dir().join("gnomon-scenes"),
+                |folders| folders.cache_dir().join("gnomon/scenes"),
             )
         };
         Self { folder: folder.unwrap_or_else(platform) }

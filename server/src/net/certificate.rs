@@ -13,6 +13,7 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
+use etcetera::BaseStrategy as _;
 use rcgen::{CertificateParams, DistinguishedName, DnType, KeyPair, date_time_ymd};
 use rustls::{
     crypto::CryptoProvider,
@@ -191,8 +192,8 @@ fn read(path: &Path, provider: &CryptoProvider) -> Result<CertifiedKey, Certific
 
 /// `$XDG_STATE_HOME/gnomon-server`, or what the system has in its place.
 fn default_folder() -> Option<PathBuf> {
-    let folders = directories::ProjectDirs::from("", "", "gnomon-server")?;
-    Some(folders.state_dir().unwrap_or_else(|| folders.data_local_dir()).to_owned())
+    let folders = etcetera::choose_base_strategy().ok()?;
+    Some(folders.state_dir().unwrap_or_else(|| folders.data_dir()).join("gnomon-server"))
 }
 
 #[cfg(test)]

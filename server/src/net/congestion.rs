@@ -23,8 +23,9 @@ impl ControllerFactory for DelayControllerConfig {
 }
 
 impl Controller for Adapter {
-    fn on_ack(&mut self, now: Instant, _sent: Instant, bytes: u64, app_limited: bool, rtt: &RttEstimator) {
-        self.0.on_ack(now, bytes, app_limited, rtt.get());
+    fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, app_limited: bool, _rtt: &RttEstimator) {
+        // The packet's own round trip: the smoothed one takes jitter for a standing queue.
+        self.0.on_ack(now, bytes, app_limited, now.saturating_duration_since(sent));
     }
 
     fn on_congestion_event(&mut self, now: Instant, _sent: Instant, is_persistent_congestion: bool, lost_bytes: u64) {

@@ -4,9 +4,11 @@ use std::{ffi::OsString, path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+use gnomon_client::{camera_path::PathSpec, net::url::ServerUrl};
 use gnomon_tests::{
     cloister,
     report::{
+        load::{self, LoadOptions},
         pipeline::{self, PipelineOptions},
         trace_error::{self, TraceErrorOptions},
     },
@@ -59,6 +61,32 @@ enum Command {
         /// Folder for pipeline.csv.
         #[arg(long, default_value = "target/lab")]
         out: PathBuf,
+    },
+    /// Puts many clients that draw nothing on a running server, and says what each of them gets.
+    Load {
+        /// The line that the server printed.
+        url: ServerUrl,
+        /// Token, for a server that wants one.
+        #[arg(long, env = "GNOMON_TOKEN", hide_env_values = true)]
+        token: Option<String>,
+        /// Clients at once.
+        #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1024))]
+        clients: u32,
+        /// Camera path, FILE or FILE#NAME; each client starts at another place of it.
+        #[arg(long)]
+        path: PathSpec,
+        /// Size of the masks, WIDTHxHEIGHT.
+        #[arg(long, value_parser = size, default_value = "640x360")]
+        size: (u32, u32),
+        /// Poses of each client.
+        #[arg(long, default_value_t = 600)]
+        frames: u32,
+        /// Poses a second of each client; without it, each sends a pose when the mask of the one before has come.
+        #[arg(long)]
+        fps: Option<f64>,
+        /// File for the figures, as JSON; they are printed as well.
+        #[arg(long)]
+        out: Option<PathBuf>,
     },
     /// Compares the back ends' masks with the f64 referee's, directly.
     TraceError {
@@ -120,6 +148,10 @@ fn run(arguments: Arguments) -> Result<()> {
             let options =
                 PipelineOptions { scene, lights_from, lights, path, size, frames, runs, backend, allow_software, out };
             print!("{}", pipeline::measure(&options, |line| eprintln!("{line}"))?.markdown());
+        }
+        Command::Load { url, token, clients, path, size, frames, fps, out } => {
+            let report = load::run(&LoadOptions { url, token, clients, path, size, frames, fps, out })?;
+            println!("{}", serde_json::to_string_pretty(&report)?);
         }
         Command::TraceError {
             scene,

@@ -1,0 +1,165 @@
+//! A client that draws nothing: poses out, masks in, and how long each took. For measuring servers.
+
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
+
+use gnomon_protocol::{codec::CodecId, ids::FrameNumber, mask::MaskShape, pose::Pose};
+use tokio::runtime::Handle;
+
+use crate::{
+    camera_path::CameraPath,
+    error::ClientError,
+    mask_buffer::{MaskReader, Waited},
+    net::{
+        session::{Introduction, Session, admit},
+        url::ServerUrl,
+    },
+    stats::millis,
+};
+
+/// How long a mask may take before the probe asks for the next frame instead.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// What a probe asks for.
+#[derive(Debug, Clone)]
+pub struct ProbeOptions {
+    /// The server.
+    pub url: ServerUrl,
+    /// Token, for a server that wants one.
+    pub token: Option<String>,
+    /// Width of the masks, in pixels.
+    pub width: u32,
+    /// Height of the masks, in pixels.
+    pub height: u32,
+    /// Codec of the masks.
+    pub codec: CodecId,
+    /// Poses to send.
+    pub frames: u32,
+    /// Poses a second; without, each pose follows the mask of the one before.
+    pub fps: Option<f64>,
+    /// Where on the path the first pose is, in seconds.
+    pub start_time_s: f64,
+}
+
+/// What a probe saw.
+#[derive(Debug, Clone)]
+pub struct ProbeReport {
+    /// What the server says traces.
+    pub backend: String,
+    /// Poses sent.
+    pub poses: u32,
+    /// Masks received whole.
+    pub masks: u64,
+    /// Frames of which something came, but not all.
+    pub incomplete: u64,
+    /// From the first pose to the last mask.
+    pub duration: Duration,
+    /// From a pose's departure until its mask was decoded, in milliseconds, for each mask seen.
+    pub responses_ms: Vec<f64>,
+    /// Bytes of all masks, packet headers not counted.
+    pub payload_bytes: u64,
+    /// Packets of all masks.
+    pub packets: u64,
+}
+
+/// Runs one probe to its end. Blocks the calling thread; the network runs on `runtime`.
+///
+/// # Errors
+/// When the server cannot be reached, refuses, or ends the session.
+pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) -> Result<ProbeReport, ClientError> {
+    let introduction = Introduction {
+        token: options.token.clone(),
+        width: options.width,
+        height: options.height,
+        codec: options.codec,
+        connect_timeout: PATIENCE,
+    };
+    let admitted = runtime.block_on(admit(&options.url, &introduction))?;
+    let backend = admitted.welcome.backend.clone();
+    let shape = MaskShape::new(options.width, options.height, admitted.welcome.lights)?;
+    let (session, masks) = runtime.block_on(admitted.start(shape, None))?;
+    let mut probe = Probe { session, masks, awaited: VecDeque::new(), responses_ms: Vec::new() };
+    let begun = Instant::now();
+    let ran = probe.run(options, path, begun);
+    let duration = begun.elapsed();
+    let received = probe.session.received();
+    runtime.block_on(probe.session.leave());
+    ran?;
+    Ok(ProbeReport {
+        backend,
+        poses: options.frames,
+        masks: received.frames,
+        incomplete: received.incomplete,
+        duration,
+        responses_ms: probe.responses_ms,
+        payload_bytes: received.payload_bytes,
+        packets: received.packets,
+    })
+}
+
+struct Probe {
+    session: Session,
+    masks: MaskReader,
+    /// Frames whose masks have not come, and when their poses left.
+    awaited: VecDeque<(FrameNumber, Instant)>,
+    responses_ms: Vec<f64>,
+}
+
+impl Probe {
+    fn run(&mut self, options: &ProbeOptions, path: &CameraPath, begun: Instant) -> Result<(), ClientError> {
+        let step_s = options.fps.map_or(1.0 / 60.0, f64::recip);
+        for frame in 0..options.frames {
+            let now = Instant::now();
+            let pose = pose(path, options.start_time_s + f64::from(frame) * step_s, now - begun);
+            self.session.send_pose(FrameNumber(frame), pose);
+            self.awaited.push_back((FrameNumber(frame), now));
+            if options.fps.is_some() {
+                let next = begun + Duration::from_secs_f64(f64::from(frame + 1) * step_s);
+                while self.take_one(next)? {}
+            } else if !self.take_one(now + PATIENCE)? {
+                self.awaited.clear();
+            }
+        }
+        // What is still under way counts, as long as it comes without a pause.
+        while !self.awaited.is_empty() && self.take_one(Instant::now() + Duration::from_millis(500))? {}
+        Ok(())
+    }
+
+    /// Waits for a mask until `deadline`; whether one came is the answer. Frames before it will not come any more.
+    fn take_one(&mut self, deadline: Instant) -> Result<bool, ClientError> {
+        match self.masks.wait_for_any(deadline) {
+            Waited::Arrived => {}
+            Waited::TimedOut => return Ok(false),
+            Waited::Ended(reason) => {
+                let rendered = u32::try_from(self.responses_ms.len()).unwrap_or(u32::MAX);
+                return Err(ClientError::Ended { rendered, wanted: rendered.saturating_add(1), reason });
+            }
+        }
+        if let Some(mask) = self.masks.front() {
+            while let Some((frame, sent)) = self.awaited.pop_front_if(|(frame, _)| *frame <= mask.frame) {
+                if frame == mask.frame {
+                    self.responses_ms.push(millis(mask.received_at.saturating_duration_since(sent)));
+                }
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// The pose at a time on the path, which starts again when it ends.
+fn pose(path: &CameraPath, time_s: f64, since_first: Duration) -> Pose {
+    let duration_s = path.duration_s();
+    let on_path_s = if duration_s > 0.0 { time_s % duration_s } else { 0.0 };
+    let camera = path.camera(on_path_s, 1, 1);
+    #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³², as the pose says")]
+    let client_time_ms = since_first.as_millis() as u32;
+    Pose {
+        position_m: camera.position_m.to_array(),
+        orientation: camera.orientation.to_array(),
+        yfov_rad: camera.yfov_rad,
+        scene_time_s: time_s,
+        client_time_ms,
+    }
+}
