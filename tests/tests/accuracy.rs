@@ -1,5 +1,6 @@
 //! Promise: what a client receives is right. On real scenes, through a real server and a real client, at most 0.1 % of
 //! the relevant bits differ from the f64 referee's, on the `cpu` back end and on `compute`.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::path::Path;
 

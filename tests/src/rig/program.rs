@@ -6,7 +6,7 @@ use std::{
     fs::{self, File},
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
-    time::{Duration, Instant, SystemTime},
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context, Result, bail, ensure};
@@ -30,34 +30,25 @@ pub fn find(name: &str) -> Result<PathBuf> {
             own.display()
         );
     };
-    let built = fs::metadata(&path)?.modified()?;
-    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().context("the workspace has a folder")?;
-    for sources in ["protocol/src", "shaders/src", "shaders/wgsl", "server/src", "client/src"] {
-        let other = if name == "gnomon-server" { "client/src" } else { "server/src" };
-        let folder = workspace.join(sources);
-        if sources != other
-            && folder.is_dir()
-            && let Some(newer) = newer_than(built, &folder)?
-        {
-            bail!("{name} is older than {}: run `cargo build --workspace`", newer.display());
-        }
+    if let Some(newer) = newer_source(&path)? {
+        bail!("{name} is older than {newer}: run `cargo build --workspace`");
     }
     Ok(path)
 }
 
-fn newer_than(time: SystemTime, folder: &Path) -> Result<Option<PathBuf>> {
-    for entry in fs::read_dir(folder).with_context(|| format!("listing {}", folder.display()))? {
-        let entry = entry?;
-        let newer = if entry.file_type()?.is_dir() {
-            newer_than(time, &entry.path())?
-        } else {
-            (entry.metadata()?.modified()? > time).then(|| entry.path())
-        };
-        if newer.is_some() {
-            return Ok(newer);
-        }
-    }
-    Ok(None)
+/// A source of the program, as cargo lists them in the `.d` file beside it, that is newer than it, or gone.
+fn newer_source(program: &Path) -> Result<Option<String>> {
+    let list = program.with_extension("d");
+    let text = fs::read_to_string(&list).with_context(|| format!("reading {}", list.display()))?;
+    let (_, sources) = text.split_once(": ").with_context(|| format!("{} lists no sources", list.display()))?;
+    let built = fs::metadata(program)?.modified()?;
+    // Spaces inside a path are escaped with a backslash.
+    let sources = sources.trim().replace("\\ ", "\0");
+    let newer = sources.split(' ').map(|source| source.replace('\0', " ")).find(|source| {
+        let changed = fs::metadata(source).and_then(|source| source.modified());
+        changed.map_or(true, |changed| changed > built)
+    });
+    Ok(newer)
 }
 
 /// A running program. Dropping it kills it, by its own process id, and waits until it is gone.
@@ -99,6 +90,8 @@ impl Program {
             .env("HOME", folder.path())
             .env("XDG_CACHE_HOME", folder.path().join("cache"))
             .env("XDG_STATE_HOME", folder.path().join("state"))
+            // Without it, libwayland, which Mesa's software Vulkan asks for screens, complains on standard error.
+            .env("XDG_RUNTIME_DIR", folder.path())
             .envs(environment.iter().copied())
             .stdin(Stdio::null())
             .stdout(output("stdout")?)
@@ -213,6 +206,8 @@ impl Outcome {
 
 #[cfg(test)]
 mod tests {
+    use std::time::SystemTime;
+
     use super::*;
 
     fn shell(script: &str) -> Program {
@@ -238,6 +233,32 @@ mod tests {
         let error = program.finish(Duration::from_millis(200)).unwrap_err();
         assert!(error.to_string().contains("still runs after 200ms:\nbusy"), "{error}");
         assert!(!Path::new(&format!("/proc/{id}")).exists());
+    }
+
+    #[test]
+    fn a_program_older_than_a_source_is_found_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| folder.path().join(name);
+        for name in ["a b.rs", "c.rs", "program"] {
+            fs::write(place(name), "").unwrap();
+        }
+        let listed = |names: [&str; 2]| names.map(|name| place(name).display().to_string());
+        let [spaced, plain] = listed(["a b.rs", "c.rs"]);
+        let list = format!("{}: {} {plain}\n", place("program").display(), spaced.replace(' ', "\\ "));
+        fs::write(place("program.d"), list).unwrap();
+        let at = |name: &str, age_s: u64| {
+            let time = SystemTime::now() - Duration::from_secs(age_s);
+            File::options().write(true).open(place(name)).unwrap().set_modified(time).unwrap();
+        };
+        at("program", 50);
+        at("a b.rs", 60);
+        at("c.rs", 60);
+        assert_eq!(newer_source(&place("program")).unwrap(), None);
+        at("a b.rs", 40);
+        assert_eq!(newer_source(&place("program")).unwrap(), Some(spaced));
+        at("a b.rs", 60);
+        fs::remove_file(place("c.rs")).unwrap();
+        assert_eq!(newer_source(&place("program")).unwrap(), Some(plain));
     }
 
     #[test]
