@@ -1,0 +1,190 @@
+//! Promise: eight clients at once each get their own correct frames; killing three of them disturbs nobody, and their
+//! sessions are gone within the idle timeout.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use std::{
+    fs,
+    path::Path,
+    time::{Duration, Instant},
+};
+
+use glam::DVec3;
+use gnomon_client::camera_path::{CameraPath, PathSpec};
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_server::{
+    RunningServer, Server,
+    config::{Backend, ServerConfig},
+    visibility::backend::cpu::CpuBackend,
+};
+use gnomon_shaders::{
+    camera::Camera,
+    scene::{LoadOptions, Scene},
+};
+use gnomon_tests::{
+    rig::{ClientJob, PATIENCE, masks, program::Program},
+    scenes::real::{JUDGED, stop},
+};
+use serde_json::json;
+use tempfile::TempDir;
+
+const CLIENTS: usize = 8;
+const KILLED: usize = 3;
+/// Small pictures and many frames: this is about sessions, not about speed.
+const SIZE: (u32, u32) = (96, 54);
+const FRAMES: u32 = 50;
+/// So that the survivors are still at it when the sessions of the killed expire.
+const FPS: u32 = 20;
+const IDLE: Duration = Duration::from_secs(1);
+/// Scheduling delays of a machine on which eight clients share two cores; the idle timeout itself is the promise.
+const SLACK: Duration = Duration::from_secs(20);
+
+/// A path of its own: along the scene's, but aside, and looking elsewhere.
+fn write_path(json: &Path, client: usize, file: &Path) {
+    let aside = client as f64 * 0.02;
+    let keyframe = |t: f64, at: f64| {
+        let stop = stop(json, None, at).unwrap();
+        let target = stop.target_m + DVec3::new(0.0, aside * 5.0, 0.0);
+        let position = stop.position_m + DVec3::new(0.0, aside, 0.0);
+        json!({ "t": t, "pos": position.to_array(), "target": target.to_array() })
+    };
+    let keyframes = json!([keyframe(0.0, aside * 10.0), keyframe(2.5, 2.0 + aside * 10.0)]);
+    let path = json!({ "yfov_deg": 60.0, "camera_path": { "keyframes": keyframes } });
+    fs::write(file, path.to_string()).unwrap();
+}
+
+struct Client {
+    folder: TempDir,
+    program: Program,
+}
+
+impl Client {
+    fn start(url: &str, json: &Path, number: usize) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("path.json");
+        write_path(json, number, &path);
+        let program = Self::job(folder.path(), Some(url)).start().unwrap();
+        Self { folder, program }
+    }
+
+    fn job<'a>(folder: &'a Path, url: Option<&'a str>) -> ClientJob<'a> {
+        ClientJob {
+            url,
+            path: folder.join("path.json").into(),
+            frames: FRAMES,
+            size: SIZE,
+            folder,
+            wait: true,
+            save_masks: true,
+            arguments: vec!["--fps".into(), FPS.to_string().into()],
+        }
+    }
+
+    /// Masks that it has received so far.
+    fn received(&self) -> usize {
+        fs::read_dir(self.folder.path().join("masks")).map_or(0, Iterator::count)
+    }
+
+    /// Its masks, and the cameras of its frames, after its end.
+    fn results(self) -> Vec<(Camera, Mask)> {
+        self.program.finish(PATIENCE).unwrap().success().unwrap();
+        let job = Self::job(self.folder.path(), None);
+        let summary = job.summary().unwrap();
+        assert_eq!(summary["frames_rendered"], FRAMES, "{summary}");
+        assert_eq!(summary["frames_incomplete"], 0, "{summary}");
+        let mut masks = masks::read(&self.folder.path().join("masks")).unwrap();
+        assert_eq!(masks.len(), FRAMES as usize);
+        let stats = job.stats().unwrap();
+        assert_eq!(stats.len(), FRAMES as usize);
+        let spec: PathSpec = self.folder.path().join("path.json").to_str().unwrap().parse().unwrap();
+        let path = CameraPath::load(&spec).unwrap();
+        let frames = (0..FRAMES).zip(&stats).map(|(frame, line)| {
+            assert_eq!(
+                (&line["frame"], &line["mask_frame"]),
+                (&json!(frame), &json!(frame)),
+                "not its own mask: {line}"
+            );
+            (camera_of(&path, frame), masks.remove(&frame).unwrap())
+        });
+        frames.collect()
+    }
+}
+
+/// The camera that the server traces for a frame: the client's own path at the frame's time.
+fn camera_of(path: &CameraPath, frame: u32) -> Camera {
+    let mut camera = path.camera(f64::from(frame) * (1.0 / f64::from(FPS)), SIZE.0, SIZE.1);
+    // As the server does with what it receives.
+    camera.orientation = camera.orientation.normalize();
+    camera
+}
+
+/// Waits until `done`, looking often.
+fn wait_until(what: &str, patience: Duration, mut done: impl FnMut() -> bool) -> Duration {
+    let start = Instant::now();
+    while !done() {
+        assert!(start.elapsed() < patience, "still not after {patience:?}: {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    start.elapsed()
+}
+
+#[test]
+fn eight_clients_are_served_and_three_deaths_disturb_nobody() {
+    let scene = JUDGED.iter().find(|scene| scene.name == "modern-hall").unwrap();
+    let (path, json) = (scene.path().unwrap(), scene.json().unwrap());
+    let certificate = tempfile::tempdir().unwrap();
+    let config = ServerConfig {
+        scene: Some(path.clone()),
+        listen: "127.0.0.1:0".parse().unwrap(),
+        backend: Backend::Cpu,
+        cert_dir: Some(certificate.path().into()),
+        idle_timeout_ms: u64::try_from(IDLE.as_millis()).unwrap(),
+        ..ServerConfig::default()
+    };
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let server: RunningServer = runtime.block_on(Server::start(config)).unwrap();
+    let url = server.url();
+
+    let mut clients: Vec<_> = (0..CLIENTS).map(|number| Client::start(&url, &json, number)).collect();
+    wait_until("eight sessions with frames", PATIENCE, || {
+        clients.iter_mut().for_each(|client| assert!(client.program.is_running().unwrap(), "a client ended too early"));
+        clients.iter().all(|client| client.received() >= 3)
+    });
+    assert_eq!(server.sessions(), CLIENTS);
+
+    let survivors = clients.split_off(KILLED);
+    for client in clients {
+        let received = client.received();
+        assert!(received < FRAMES as usize, "killed after its end, which proves nothing");
+        client.program.kill().unwrap();
+    }
+    let mut survivors = survivors;
+    survivors.iter_mut().for_each(|client| assert!(client.program.is_running().unwrap(), "over before the killing"));
+    let gone = wait_until("three sessions gone", IDLE + SLACK, || {
+        // A survivor that has finished has said goodbye, so only those that run may have a session.
+        let running =
+            survivors.iter_mut().map(|client| usize::from(client.program.is_running().unwrap())).sum::<usize>();
+        server.sessions() <= running
+    });
+    println!("the sessions of the killed were gone after {gone:?}; the idle timeout is {IDLE:?}");
+
+    let backend = CpuBackend::new(&Scene::load(&path, &LoadOptions::default()).unwrap(), None).unwrap();
+    let mut all_frames = Vec::new();
+    for (number, client) in survivors.into_iter().enumerate() {
+        let frames = client.results();
+        for (frame, (camera, mask)) in frames.iter().enumerate() {
+            let mut expected = Mask::new(MaskShape::new(SIZE.0, SIZE.1, mask.shape().lights()).unwrap());
+            let _cost = backend.trace(camera, &mut expected);
+            assert_eq!(expected.words(), mask.words(), "survivor {number}, frame {frame}");
+        }
+        all_frames.push(frames.into_iter().map(|(_, mask)| mask).collect::<Vec<_>>());
+    }
+    // Had everybody been sent the same frames, or one frame again and again, the paths would not differ.
+    for (number, frames) in all_frames.iter().enumerate() {
+        assert_ne!(frames.first(), frames.last(), "survivor {number} stood still");
+        for other in &all_frames[..number] {
+            assert_ne!(frames[0], other[0], "two paths begin alike");
+        }
+    }
+    wait_until("no session left", IDLE + SLACK, || server.sessions() == 0);
+    runtime.block_on(server.shutdown());
+}
