@@ -1,7 +1,7 @@
 //! A camera path for who names none: around an object, or through a room.
 //!
 //! Rays against the scene's largest triangles tell which it is. From a place that walls surround, the camera moves
-//! along the longest free line; otherwise it goes half around the scene, looking at its middle.
+//! along a long free line with a free view; otherwise it goes half around the scene, looking at its middle.
 
 use std::f32::consts::{FRAC_PI_4, TAU};
 
@@ -18,6 +18,9 @@ const DIRECTIONS: u8 = 16;
 
 /// Share of the directions that a wall must end for a place to be inside.
 const INSIDE: f32 = 0.7;
+
+/// Ways that are looked at closely.
+const PROMISING: usize = 24;
 
 /// Field of view, in radians.
 const YFOV_RAD: f64 = 1.0;
@@ -56,57 +59,67 @@ fn orbit(scene: &Scene) -> Vec<(Vec3, Vec3)> {
         .collect()
 }
 
-/// A place inside the scene and how far one sees from it.
-struct Place {
-    position: Vec3,
-    /// Least free distance around, in metres.
-    clearance: f32,
-    /// Longest free line along the floor.
+/// A way to go, from the largest triangles alone.
+struct Way {
+    start: Vec3,
     forward: Vec3,
+    /// Free line ahead of the start.
     free: f32,
 }
 
 fn walk_inside(scene: &Scene, occluders: &Occluders) -> Option<Vec<(Vec3, Vec3)>> {
     let (low, size) = (scene.bounds.min, scene.bounds.max - scene.bounds.min);
-    let shares = [0.3, 0.5, 0.7];
-    let mut best: Option<Place> = None;
+    let reach = size.length();
+    let shares = [0.25, 0.5, 0.75];
+    let mut ways = Vec::new();
     for (x, z) in shares.iter().flat_map(|x| shares.iter().map(move |z| (*x, *z))) {
         let above = low + size * Vec3::new(x, 0.5, z);
         // Eye level over the floor there, but no higher than the middle of the scene.
-        let Some(height) = occluders.nearest(above, Vec3::NEG_Y, 0.0, size.y) else { continue };
+        let Some(floor) = occluders.nearest(above, Vec3::NEG_Y, size.y).filter(|floor| floor.visible) else { continue };
+        let height = floor.distance;
         let position = above - Vec3::Y * (height - 1.6_f32.min(height * 0.9)).max(0.0);
-        if let Some(place) = look_around(position, size.length(), occluders)
-            && best.as_ref().is_none_or(|best| place.clearance > best.clearance)
-        {
-            best = Some(place);
-        }
+        ways.extend(ways_from(position, reach, occluders));
     }
-    let Place { position, clearance, forward, free } = best?;
-    if clearance < size.length() * 1e-3 {
-        return None;
-    }
-    // Most of the free line, and the walls at its ends keep their distance.
-    let back = occluders.nearest(position, -forward, 0.0, size.length()).unwrap_or(0.0);
-    let (from, to) = (position - forward * back * 0.7, position + forward * free * 0.5);
-    let ahead = forward * free.max(1.0) - Vec3::Y * clearance.min(0.2);
-    Some(vec![(from, from + ahead), (to, to + ahead)])
+    ways.sort_by(|one, other| other.free.total_cmp(&one.free));
+    ways.truncate(PROMISING);
+    // The small things count too, from here on: nobody wants to start behind a column.
+    let all = Occluders::all_of(scene);
+    let (view, way) = (ways.into_iter().map(|way| (free_view(&way, reach, &all), way)))
+        .max_by(|(one, _), (other, _)| one.total_cmp(other))?;
+    let target = way.forward * view.max(reach * 1e-3) - Vec3::Y * (view * 0.02);
+    let end = way.start + way.forward * view * 0.5;
+    (view > reach * 1e-2).then(|| vec![(way.start, way.start + target), (end, end + target)])
 }
 
-fn look_around(position: Vec3, reach: f32, occluders: &Occluders) -> Option<Place> {
-    let mut place = Place { position, clearance: f32::INFINITY, forward: Vec3::X, free: 0.0 };
-    let mut ended = 0_u8;
-    for index in 0..DIRECTIONS {
+/// Ways along the floor from a place that walls surround: their visible sides, or the place is inside of an object.
+fn ways_from(position: Vec3, reach: f32, occluders: &Occluders) -> Vec<Way> {
+    let directions = (0..DIRECTIONS).map(|index| {
         let angle = TAU * f32::from(index) / f32::from(DIRECTIONS);
-        let direction = Vec3::new(angle.cos(), 0.0, angle.sin());
-        if let Some(distance) = occluders.nearest(position, direction, 0.0, reach) {
-            ended += 1;
-            place.clearance = place.clearance.min(distance);
-            if distance > place.free {
-                (place.forward, place.free) = (direction, distance);
-            }
-        }
+        Vec3::new(angle.cos(), 0.0, angle.sin())
+    });
+    let met: Vec<_> = directions.map(|direction| (direction, occluders.nearest(position, direction, reach))).collect();
+    let walls = met.iter().filter(|(_, met)| met.is_some_and(|met| met.visible)).count();
+    if (walls as f32) < INSIDE * f32::from(DIRECTIONS) {
+        return Vec::new();
     }
-    (f32::from(ended) >= INSIDE * f32::from(DIRECTIONS)).then_some(place)
+    (met.iter().zip(met.iter().cycle().skip(met.len() / 2)))
+        .filter_map(|((forward, ahead), (_, behind))| {
+            let back = behind.map_or(0.0, |met| met.distance) * 0.6;
+            Some(Way { start: position - *forward * back, forward: *forward, free: ahead.as_ref()?.distance + back })
+        })
+        .collect()
+}
+
+/// Distance to the nearest thing in the middle of the view.
+fn free_view(way: &Way, reach: f32, all: &Occluders) -> f32 {
+    let side = way.forward.cross(Vec3::Y);
+    [(0.0, 0.0), (0.12, 0.0), (-0.12, 0.0), (0.25, 0.05), (-0.25, 0.05), (0.0, -0.05)]
+        .into_iter()
+        .map(|(across, up)| {
+            let direction = (way.forward + side * across + Vec3::Y * up).normalize();
+            all.nearest(way.start, direction, reach).map_or(reach, |met| met.distance)
+        })
+        .fold(reach, f32::min)
 }
 
 #[cfg(test)]
@@ -145,6 +158,7 @@ mod tests {
             .collect();
         scene.draws.truncate(1);
         scene.draws[0].triangles = 12;
+        scene.materials[0].double_sided = true;
         (scene.bounds.min, scene.bounds.max) = (low, high);
         let path = default_path(&scene, &Occluders::largest_of(&scene));
         for step in 0..80 {
@@ -152,6 +166,16 @@ mod tests {
             assert!(position.cmpgt(low + 0.2).all() && position.cmplt(high - 0.2).all(), "{position}");
         }
         let (first, last) = (path.camera(0.0, 1, 1).position_m, path.camera(8.0, 1, 1).position_m);
-        assert!(first.distance(last) > 4.0, "{first} {last}");
+        assert!(first.distance(last) > 3.0, "{first} {last}");
+        // The same box, of which only the outside is drawn, is an object.
+        scene.materials[0].double_sided = false;
+        scene.triangles.iter_mut().for_each(|corners| {
+            let [a, b, c] = corners.map(|index| scene.positions[index as usize]);
+            if (b - a).cross(c - a).dot(a + b + c - (low + high) * 1.5) < 0.0 {
+                corners.swap(0, 1);
+            }
+        });
+        let around = default_path(&scene, &Occluders::largest_of(&scene)).camera(0.0, 16, 9).position_m;
+        assert!((around - scene.origin_m).length() > f64::from((high - low).length()));
     }
 }

@@ -10,43 +10,72 @@ use gnomon_shaders::scene::Scene;
 /// Triangles that are kept.
 pub const MAX_OCCLUDERS: usize = 4096;
 
-/// Triangles as a corner and two edges.
+/// Triangles.
 #[derive(Debug, Clone, Default)]
 pub struct Occluders {
-    triangles: Vec<[Vec3; 3]>,
+    triangles: Vec<Triangle>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Triangle {
+    /// A corner, and the edges from it to the other two.
+    shape: [Vec3; 3],
+    double_sided: bool,
+}
+
+/// What a ray meets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Met {
+    /// Distance, in lengths of the ray's direction.
+    pub distance: f32,
+    /// Whether it is a side that is drawn.
+    pub visible: bool,
 }
 
 impl Occluders {
     /// The largest triangles of `scene` that stop rays.
     #[must_use]
     pub fn largest_of(scene: &Scene) -> Self {
-        let mut triangles: Vec<(f32, [Vec3; 3])> = scene
-            .tracing_triangles()
-            .iter()
-            .map(|corners| {
-                let [a, b, c] = corners.map(|index| scene.positions[index as usize]);
-                ((b - a).cross(c - a).length_squared(), [a, b - a, c - a])
-            })
-            .collect();
-        if triangles.len() > MAX_OCCLUDERS {
-            triangles.select_nth_unstable_by(MAX_OCCLUDERS, |one, other| other.0.total_cmp(&one.0));
-            triangles.truncate(MAX_OCCLUDERS);
+        let mut all = Self::all_of(scene);
+        if all.triangles.len() > MAX_OCCLUDERS {
+            let area = |triangle: &Triangle| triangle.shape[1].cross(triangle.shape[2]).length_squared();
+            all.triangles.select_nth_unstable_by(MAX_OCCLUDERS, |one, other| area(other).total_cmp(&area(one)));
+            all.triangles.truncate(MAX_OCCLUDERS);
+            all.triangles.shrink_to_fit();
         }
-        Self { triangles: triangles.into_iter().map(|(_, triangle)| triangle).collect() }
+        all
     }
 
-    /// Distance along `direction` (in its lengths) to the nearest triangle between `from` and `to`, if there is one.
+    /// All triangles of `scene` that stop rays: for a handful of rays.
     #[must_use]
-    pub fn nearest(&self, origin: Vec3, direction: Vec3, from: f32, to: f32) -> Option<f32> {
+    pub fn all_of(scene: &Scene) -> Self {
+        let tracing = scene.tracing_triangles();
+        let mut triangles = Vec::with_capacity(tracing.len());
+        for draw in &scene.draws {
+            let first = draw.first_triangle as usize;
+            let Some(drawn) = tracing.get(first..first + draw.triangles as usize) else { break };
+            let double_sided = scene.materials[draw.material as usize].double_sided;
+            triangles.extend(drawn.iter().map(|corners| {
+                let [a, b, c] = corners.map(|index| scene.positions[index as usize]);
+                Triangle { shape: [a, b - a, c - a], double_sided }
+            }));
+        }
+        Self { triangles }
+    }
+
+    /// The nearest triangle along `direction`, up to `to` of its lengths.
+    #[must_use]
+    pub fn nearest(&self, origin: Vec3, direction: Vec3, to: f32) -> Option<Met> {
         let mut nearest = None;
         let mut limit = to;
         for triangle in &self.triangles {
-            if let Some(distance) = meet(triangle, origin, direction)
-                && distance > from
+            if let Some(distance) = meet(&triangle.shape, origin, direction)
+                && distance > 0.0
                 && distance < limit
             {
                 limit = distance;
-                nearest = Some(distance);
+                let front = triangle.shape[1].cross(triangle.shape[2]).dot(direction) < 0.0;
+                nearest = Some(Met { distance, visible: front || triangle.double_sided });
             }
         }
         nearest
@@ -55,9 +84,9 @@ impl Occluders {
     /// Whether any triangle stands between `from` and `to` along `direction`.
     #[must_use]
     pub fn blocks(&self, origin: Vec3, direction: Vec3, from: f32, to: f32) -> bool {
-        self.triangles
-            .iter()
-            .any(|triangle| meet(triangle, origin, direction).is_some_and(|distance| distance > from && distance < to))
+        self.triangles.iter().any(|triangle| {
+            meet(&triangle.shape, origin, direction).is_some_and(|distance| distance > from && distance < to)
+        })
     }
 }
 
@@ -86,14 +115,18 @@ mod tests {
     fn square_at(x: f32) -> Occluders {
         let corner = |y: f32, z: f32| Vec3::new(x, y, z);
         let (a, b, c, d) = (corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0));
-        Occluders { triangles: vec![[a, b - a, c - a], [a, c - a, d - a]] }
+        let one_sided = |shape| Triangle { shape, double_sided: false };
+        Occluders { triangles: vec![one_sided([a, b - a, c - a]), one_sided([a, c - a, d - a])] }
     }
 
     #[test]
     fn a_wall_stops_what_runs_into_it_and_nothing_else() {
         let wall = square_at(3.0);
-        assert!((wall.nearest(Vec3::new(0.0, 0.3, 0.2), Vec3::X, 0.0, 10.0).unwrap() - 3.0).abs() < 1e-6);
-        assert_eq!(wall.nearest(Vec3::new(0.0, 1.3, 0.2), Vec3::X, 0.0, 10.0), None);
+        let met = wall.nearest(Vec3::new(0.0, 0.3, 0.2), Vec3::X, 10.0).unwrap();
+        assert!((met.distance - 3.0).abs() < 1e-6 && !met.visible, "{met:?}");
+        assert!(wall.nearest(Vec3::new(5.0, 0.3, 0.2), Vec3::NEG_X, 10.0).unwrap().visible);
+        assert_eq!(wall.nearest(Vec3::new(0.0, 1.3, 0.2), Vec3::X, 10.0), None);
+        assert_eq!(wall.nearest(Vec3::new(0.0, 0.3, 0.2), Vec3::X, 2.9), None);
         assert!(wall.blocks(Vec3::ZERO, Vec3::X, 0.0, 3.5));
         assert!(!wall.blocks(Vec3::ZERO, Vec3::X, 0.0, 2.9));
         assert!(!wall.blocks(Vec3::ZERO, Vec3::X, 3.1, 9.0));
