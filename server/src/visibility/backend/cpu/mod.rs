@@ -40,6 +40,7 @@ mod frustum;
 mod group;
 mod leaf;
 mod light;
+mod regroup;
 mod simd;
 mod surface;
 #[cfg(test)]

@@ -11,6 +11,7 @@ use super::{
     count::Counter,
     group::{Group, PACKETS, Projection},
     light::{PreparedLight, lanes_by_face},
+    regroup::Regrouping,
     simd::{F8, Simd},
     surface::{Coordinates, Corners, Surface},
     traverse::{Hits, Scratch, closest, occlude},
@@ -182,12 +183,6 @@ fn light_tile<S: Simd, C: Counter>(
         return 0;
     }
     let points = &surface.pushed;
-    let mut word = 0;
-    let mut collect = |group: &Group| {
-        for (p, &lanes) in group.lanes.iter().enumerate() {
-            word |= word_bits(p, lanes);
-        }
-    };
     if light.directional {
         let projection = Projection::along(light.direction, world.middle);
         let mut group = Group::empty(projection);
@@ -197,10 +192,9 @@ fn light_tile<S: Simd, C: Counter>(
             let y = s.fnma(s.splat(projection.shear[1]), from_middle[2], from_middle[1]);
             group.set_packet(s, p, x, y, rays[p]);
         }
-        occlude::<S, C, true>(s, world, &mut group, points, scratch, count);
-        collect(&group);
-        return word;
+        return trace_group::<S, C, true>(s, world, group, points, scratch, count);
     }
+    let mut word = 0;
     for (face, lanes) in (0..).zip(&light.faces(s, surface, rays)) {
         if *lanes == [0; PACKETS] {
             continue;
@@ -212,10 +206,41 @@ fn light_tile<S: Simd, C: Counter>(
             let inverse = s.div(s.splat(1.0), z);
             group.set_packet(s, p, x * inverse, y * inverse, lanes[p]);
         }
-        occlude::<S, C, false>(s, world, &mut group, points, scratch, count);
-        collect(&group);
+        word |= trace_group::<S, C, false>(s, world, group, points, scratch, count);
     }
     word
+}
+
+/// Sides of a group, on the plane, from which on its rays are sorted: as an angle's tangent for rays from an apex, and
+/// relative to the scene's size for parallel ones.
+const WIDE: f32 = 0.03;
+const WIDE_PARALLEL: f32 = 0.005;
+
+/// The word of the pixels whose rays in `group` reach their points.
+#[inline(always)]
+fn trace_group<S: Simd, C: Counter, const PARALLEL: bool>(
+    s: S,
+    world: &World,
+    mut group: Group,
+    points: &Coordinates,
+    scratch: &mut Scratch,
+    count: &mut C,
+) -> u64 {
+    let wide = if PARALLEL { WIDE_PARALLEL * world.size_m } else { WIDE };
+    let side = (group.group_x[1] - group.group_x[0]).max(group.group_y[1] - group.group_y[0]);
+    if side > wide {
+        let mut regrouping = Regrouping::of(&group, wide * 0.3);
+        let mut left = [0; PACKETS];
+        for range in regrouping.sort() {
+            let mut part = regrouping.part(s, range, group.projection, points);
+            occlude::<S, C, PARALLEL>(s, world, &mut part.group, &part.points, scratch, count);
+            part.left(&mut left);
+        }
+        group.lanes = left;
+    } else {
+        occlude::<S, C, PARALLEL>(s, world, &mut group, points, scratch, count);
+    }
+    group.lanes.iter().enumerate().fold(0, |word, (p, &lanes)| word | word_bits(p, lanes))
 }
 
 /// Packet `p` of `points` in the projection's frame, relative to its origin.

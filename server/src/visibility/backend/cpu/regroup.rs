@@ -1,0 +1,192 @@
+//! Shadow rays that end far apart, sorted into groups and packets whose rays run close together.
+//!
+//! Neighbouring pixels see neighbouring points, except where one object ends before another: there a tile's shadow rays fan
+//! out from the light into two bundles or more, and a group that sweeps the space between them tests most of what it
+//! meets in vain. Seen from the light the rays are points of a plane, and a group's cost is the area that they spread
+//! over; so the points are cut in two wherever that saves area, and each part is sorted into packets of eight neighbours.
+
+use super::{
+    group::{Group, PACKETS, Projection},
+    simd::{F8, Simd},
+    surface::Coordinates,
+};
+
+/// Rays in a full group.
+const RAYS: usize = 8 * PACKETS;
+
+/// A part is cut in two when that leaves less than this share of its area.
+const WORTH: f32 = 0.6;
+
+/// A group's rays, one after another: where they are on the plane, and which ray of the group each is.
+pub(super) struct Regrouping {
+    rays: [(f32, f32, u8); RAYS],
+    count: usize,
+    /// Added to the sides of a part before they are multiplied: triangles have a size, too.
+    padding: f32,
+}
+
+/// One of the new groups.
+pub(super) struct Part {
+    pub(super) group: Group,
+    /// The rays' points, packed as the group is.
+    pub(super) points: Coordinates,
+    /// Which ray of the old group lane i of packet p is: 8 times its packet, plus its lane.
+    places: [[u8; 8]; PACKETS],
+}
+
+impl Regrouping {
+    /// All rays of `group`.
+    #[inline(always)]
+    pub(super) fn of(group: &Group, padding: f32) -> Self {
+        let mut this = Self { rays: [(0.0, 0.0, 0); RAYS], count: 0, padding };
+        for (p, &lanes) in group.lanes.iter().enumerate() {
+            for lane in 0..8 {
+                if lanes >> lane & 1 == 1 {
+                    this.rays[this.count] = (group.x[p].0[lane], group.y[p].0[lane], PLACES[p][lane]);
+                    this.count += 1;
+                }
+            }
+        }
+        this
+    }
+
+    /// Sorts the rays; the result's ranges of `rays` are the new groups, each already in the order of its packets.
+    pub(super) fn sort(&mut self) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let mut parts = [(0, 0); RAYS];
+        let mut found = 0;
+        let mut open = [(0, 0); RAYS];
+        open[0] = (0, self.count);
+        let mut left = 1;
+        while left > 0 {
+            left -= 1;
+            let (from, to) = open[left];
+            if let Some(middle) = self.cut(from, to) {
+                open[left] = (from, middle);
+                open[left + 1] = (middle, to);
+                left += 2;
+            } else {
+                self.pack(from, to);
+                parts[found] = (from, to);
+                found += 1;
+            }
+        }
+        parts.into_iter().take(found)
+    }
+
+    /// Cuts `from..to` in the middle of its longer side, if that is worth it: the place of the cut.
+    fn cut(&mut self, from: usize, to: usize) -> Option<usize> {
+        let rays = &mut self.rays[from..to];
+        if rays.len() < 2 {
+            return None;
+        }
+        let whole = Rectangle::around(rays);
+        let (along_x, middle) = whole.longer_side();
+        let mut low = 0;
+        for i in 0..rays.len() {
+            if (if along_x { rays[i].0 } else { rays[i].1 }) < middle {
+                rays.swap(i, low);
+                low += 1;
+            }
+        }
+        if low == 0 || low == rays.len() {
+            return None;
+        }
+        let parts =
+            Rectangle::around(&rays[..low]).area(self.padding) + Rectangle::around(&rays[low..]).area(self.padding);
+        (parts < whole.area(self.padding) * WORTH).then_some(from + low)
+    }
+
+    /// Sorts `from..to` so that each eight rays are neighbours: halves it across its longer side, at a multiple of eight.
+    fn pack(&mut self, from: usize, to: usize) {
+        let rays = &mut self.rays[from..to];
+        if rays.len() <= 8 {
+            return;
+        }
+        let (along_x, _) = Rectangle::around(rays).longer_side();
+        let middle = rays.len().div_ceil(8) / 2 * 8;
+        if along_x {
+            rays.select_nth_unstable_by(middle, |a, b| a.0.total_cmp(&b.0));
+        } else {
+            rays.select_nth_unstable_by(middle, |a, b| a.1.total_cmp(&b.1));
+        }
+        self.pack(from, from + middle);
+        self.pack(from + middle, to);
+    }
+
+    /// The new group of the rays `from..to`, with their points out of the old group's.
+    #[inline(always)]
+    pub(super) fn part<S: Simd>(
+        &self,
+        s: S,
+        (from, to): (usize, usize),
+        projection: Projection,
+        points: &Coordinates,
+    ) -> Part {
+        let mut part =
+            Part { group: Group::empty(projection), points: [[F8::default(); PACKETS]; 3], places: [[0; 8]; PACKETS] };
+        for (p, rays) in self.rays[from..to].chunks(8).enumerate() {
+            let (mut x, mut y, mut lanes) = (F8::default(), F8::default(), 0);
+            for (lane, ray) in rays.iter().enumerate() {
+                (x.0[lane], y.0[lane]) = (ray.0, ray.1);
+                let (old_packet, old_lane) = (usize::from(ray.2 / 8), usize::from(ray.2 % 8));
+                for axis in 0..3 {
+                    part.points[axis][p].0[lane] = points[axis][old_packet].0[old_lane];
+                }
+                part.places[p][lane] = ray.2;
+                lanes |= 1 << lane;
+            }
+            part.group.set_packet(s, p, s.load(&x), s.load(&y), lanes);
+        }
+        part
+    }
+}
+
+impl Part {
+    /// The rays that are left in the new group, as lanes of the old one.
+    pub(super) fn left(&self, old_lanes: &mut [u8; PACKETS]) {
+        for (lanes, places) in self.group.lanes.iter().zip(&self.places) {
+            for (lane, place) in places.iter().enumerate() {
+                old_lanes[usize::from(place / 8)] |= (lanes >> lane & 1) << (place % 8);
+            }
+        }
+    }
+}
+
+/// 8·p + i at `[p][i]`.
+const PLACES: [[u8; 8]; PACKETS] = {
+    let mut places = [[0; 8]; PACKETS];
+    let mut place = 0;
+    while place < 64 {
+        places[(place / 8) as usize][(place % 8) as usize] = place;
+        place += 1;
+    }
+    places
+};
+
+#[derive(Clone, Copy)]
+struct Rectangle {
+    min: (f32, f32),
+    max: (f32, f32),
+}
+
+impl Rectangle {
+    fn around(rays: &[(f32, f32, u8)]) -> Self {
+        let mut min = (f32::INFINITY, f32::INFINITY);
+        let mut max = (f32::NEG_INFINITY, f32::NEG_INFINITY);
+        for &(x, y, _) in rays {
+            min = (min.0.min(x), min.1.min(y));
+            max = (max.0.max(x), max.1.max(y));
+        }
+        Self { min, max }
+    }
+
+    /// Whether x is the longer side, and the middle of that side.
+    fn longer_side(self) -> (bool, f32) {
+        let along_x = self.max.0 - self.min.0 >= self.max.1 - self.min.1;
+        (along_x, if along_x { (self.min.0 + self.max.0) * 0.5 } else { (self.min.1 + self.max.1) * 0.5 })
+    }
+
+    fn area(self, padding: f32) -> f32 {
+        (self.max.0 - self.min.0 + padding) * (self.max.1 - self.min.1 + padding)
+    }
+}
