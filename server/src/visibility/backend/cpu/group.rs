@@ -124,6 +124,21 @@ impl Group {
         self.group_x = [self.group_x[0].min(lowest[0]), self.group_x[1].max(highest[0])];
         self.group_y = [self.group_y[0].min(lowest[1]), self.group_y[1].max(highest[1])];
     }
+
+    /// Draws the group's bounds in around the packets that are left.
+    #[inline(always)]
+    pub(super) fn shrink<S: Simd>(&mut self, s: S) {
+        let left = s.mask(self.packets);
+        let (low, high) = (s.splat(f32::INFINITY), s.splat(f32::NEG_INFINITY));
+        self.group_x = [
+            s.lowest(s.select(left, s.load(&self.packet_x[0]), low)),
+            s.highest(s.select(left, s.load(&self.packet_x[1]), high)),
+        ];
+        self.group_y = [
+            s.lowest(s.select(left, s.load(&self.packet_y[0]), low)),
+            s.highest(s.select(left, s.load(&self.packet_y[1]), high)),
+        ];
+    }
 }
 
 #[cfg(test)]

@@ -95,15 +95,23 @@ fn of_slot<S: Simd>(s: S, k: &[F8; 3], slot: usize) -> V3<S> {
     [s.splat(k[0].0[slot]), s.splat(k[1].0[slot]), s.splat(k[2].0[slot])]
 }
 
+/// One triangle's edge functions, in all lanes.
+#[derive(Clone, Copy)]
+pub(super) struct Edges<S: Simd> {
+    edges: [V3<S>; 3],
+    /// Whether each rises with x, and with y: where over a rectangle it is highest.
+    rising: [[bool; 2]; 3],
+}
+
 impl Prepared {
-    /// The values of triangle `slot`'s edge functions at eight points.
+    /// The edge functions of triangle `slot`.
     #[inline(always)]
-    pub(super) fn edges_at<S: Simd>(&self, s: S, slot: usize, x: S::F, y: S::F) -> V3<S> {
-        [
-            vector::at(s, of_slot(s, &self.edges[0], slot), x, y),
-            vector::at(s, of_slot(s, &self.edges[1], slot), x, y),
-            vector::at(s, of_slot(s, &self.edges[2], slot), x, y),
-        ]
+    pub(super) fn edges_of<S: Simd>(&self, s: S, slot: usize) -> Edges<S> {
+        let [e0, e1, e2] = &self.edges;
+        Edges {
+            edges: [of_slot(s, e0, slot), of_slot(s, e1, slot), of_slot(s, e2, slot)],
+            rising: [rising(e0, slot), rising(e1, slot), rising(e2, slot)],
+        }
     }
 
     /// 1/z of triangle `slot`'s plane at eight points.
@@ -111,23 +119,33 @@ impl Prepared {
     pub(super) fn inverse_depth_at<S: Simd>(&self, s: S, slot: usize, x: S::F, y: S::F) -> S::F {
         vector::at(s, of_slot(s, &self.inverse_depth, slot), x, y)
     }
-
-    /// Bit p: packet p of `group` may meet triangle `slot`; packets are tested side by side, each by its bounds.
-    #[inline(always)]
-    pub(super) fn packets<S: Simd>(&self, s: S, slot: usize, group: &Group) -> u8 {
-        let inside = [
-            highest_by_packet(s, &self.edges[0], slot, group),
-            highest_by_packet(s, &self.edges[1], slot, group),
-            highest_by_packet(s, &self.edges[2], slot, group),
-        ];
-        s.bits(s.ge(vector::least(s, inside), s.splat(0.0))) & group.packets
-    }
 }
 
-/// The greatest value of an edge function over each packet's bounds.
+/// Whether triangle `slot`'s function of an edge rises with x, and with y.
 #[inline(always)]
-fn highest_by_packet<S: Simd>(s: S, k: &[F8; 3], slot: usize, group: &Group) -> S::F {
-    let x = &group.packet_x[usize::from(k[0].0[slot].is_sign_positive())];
-    let y = &group.packet_y[usize::from(k[1].0[slot].is_sign_positive())];
-    vector::at(s, of_slot(s, k, slot), s.load(x), s.load(y))
+fn rising(k: &[F8; 3], slot: usize) -> [bool; 2] {
+    [k[0].0[slot].is_sign_positive(), k[1].0[slot].is_sign_positive()]
+}
+
+impl<S: Simd> Edges<S> {
+    /// The values at eight points.
+    #[inline(always)]
+    pub(super) fn at(&self, s: S, x: S::F, y: S::F) -> V3<S> {
+        [vector::at(s, self.edges[0], x, y), vector::at(s, self.edges[1], x, y), vector::at(s, self.edges[2], x, y)]
+    }
+
+    /// Bit p: packet p of `group` may meet the triangle; packets are tested side by side, each by its bounds.
+    #[inline(always)]
+    pub(super) fn packets(&self, s: S, group: &Group) -> u8 {
+        let inside = [self.highest(s, 0, group), self.highest(s, 1, group), self.highest(s, 2, group)];
+        s.bits(s.ge(vector::least(s, inside), s.splat(0.0))) & group.packets
+    }
+
+    /// The greatest value of edge function `i` over each packet's bounds.
+    #[inline(always)]
+    fn highest(&self, s: S, i: usize, group: &Group) -> S::F {
+        let x = &group.packet_x[usize::from(self.rising[i][0])];
+        let y = &group.packet_y[usize::from(self.rising[i][1])];
+        vector::at(s, self.edges[i], s.load(x), s.load(y))
+    }
 }

@@ -15,7 +15,7 @@ use super::{
 const RAYS: usize = 8 * PACKETS;
 
 /// A part is cut in two when that leaves less than this share of its area.
-const WORTH: f32 = 0.6;
+const WORTH: f32 = 0.8;
 
 /// A group's rays, one after another: where they are on the plane, and which ray of the group each is.
 pub(super) struct Regrouping {
@@ -40,9 +40,9 @@ impl Regrouping {
     pub(super) fn of(group: &Group, padding: f32) -> Self {
         let mut this = Self { rays: [(0.0, 0.0, 0); RAYS], count: 0, padding };
         for (p, &lanes) in group.lanes.iter().enumerate() {
-            for lane in 0..8 {
+            for (lane, &place) in PLACES[p].iter().enumerate() {
                 if lanes >> lane & 1 == 1 {
-                    this.rays[this.count] = (group.x[p].0[lane], group.y[p].0[lane], PLACES[p][lane]);
+                    this.rays[this.count] = (group.x[p].0[lane], group.y[p].0[lane], place);
                     this.count += 1;
                 }
             }
@@ -129,8 +129,8 @@ impl Regrouping {
             for (lane, ray) in rays.iter().enumerate() {
                 (x.0[lane], y.0[lane]) = (ray.0, ray.1);
                 let (old_packet, old_lane) = (usize::from(ray.2 / 8), usize::from(ray.2 % 8));
-                for axis in 0..3 {
-                    part.points[axis][p].0[lane] = points[axis][old_packet].0[old_lane];
+                for (to, from) in part.points.iter_mut().zip(points) {
+                    to[p].0[lane] = from[old_packet].0[old_lane];
                 }
                 part.places[p][lane] = ray.2;
                 lanes |= 1 << lane;
@@ -174,8 +174,9 @@ impl Rectangle {
         let mut min = (f32::INFINITY, f32::INFINITY);
         let mut max = (f32::NEG_INFINITY, f32::NEG_INFINITY);
         for &(x, y, _) in rays {
-            min = (min.0.min(x), min.1.min(y));
-            max = (max.0.max(x), max.1.max(y));
+            // Written out, because `f32::min` also has NaN to think of.
+            min = (if x < min.0 { x } else { min.0 }, if y < min.1 { y } else { min.1 });
+            max = (if x > max.0 { x } else { max.0 }, if y > max.1 { y } else { max.1 });
         }
         Self { min, max }
     }
@@ -188,5 +189,109 @@ impl Rectangle {
 
     fn area(self, padding: f32) -> f32 {
         (self.max.0 - self.min.0 + padding) * (self.max.1 - self.min.1 + padding)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::visibility::backend::cpu::simd::{Level, Work};
+
+    /// Regroups rays at `at`, ray i in place i where `at[i]` is any: the parts' places and points.
+    struct Regroup<'a>(&'a [Option<(f32, f32)>; RAYS]);
+
+    impl Work for Regroup<'_> {
+        type Output = Vec<Vec<Vec<(u8, [f32; 3])>>>;
+        #[inline(always)]
+        fn run<S: Simd>(self, s: S) -> Self::Output {
+            let mut group = Group::empty(Projection::from_apex(Vec3::ZERO, 0));
+            let mut points = [[F8::default(); PACKETS]; 3];
+            for p in 0..PACKETS {
+                let (mut x, mut y, mut lanes) = (F8::default(), F8::default(), 0);
+                for (lane, &place) in PLACES[p].iter().enumerate() {
+                    points[0][p].0[lane] = f32::from(place);
+                    if let Some(at) = self.0[8 * p + lane] {
+                        (x.0[lane], y.0[lane]) = at;
+                        (points[1][p].0[lane], points[2][p].0[lane]) = at;
+                        lanes |= 1 << lane;
+                    }
+                }
+                if lanes != 0 {
+                    group.set_packet(s, p, s.load(&x), s.load(&y), lanes);
+                }
+            }
+            let mut regrouping = Regrouping::of(&group, 0.01);
+            let mut parts = Vec::new();
+            let mut left = [0; PACKETS];
+            for range in regrouping.sort() {
+                let part = regrouping.part(s, range, group.projection, &points);
+                part.left(&mut left);
+                let packets = (0..PACKETS).filter(|&p| part.group.lanes[p] != 0).map(|p| {
+                    let lanes = (0..8).filter(|lane| part.group.lanes[p] >> lane & 1 == 1);
+                    lanes
+                        .map(|lane| (part.places[p][lane], [0, 1, 2].map(|axis| part.points[axis][p].0[lane])))
+                        .collect()
+                });
+                parts.push(packets.collect());
+            }
+            assert_eq!(left, group.lanes);
+            parts
+        }
+    }
+
+    fn spread(i: usize) -> (f32, f32) {
+        let i = u16::try_from(i).unwrap();
+        (f32::from(i * 37 % 64) / 640.0, f32::from(i * 23 % 61) / 610.0)
+    }
+
+    #[test]
+    fn every_ray_keeps_its_place_and_its_point_in_full_packets() {
+        for every in [1, 2, 5, 40] {
+            let at = std::array::from_fn(|i| (i % every == 0).then(|| spread(i)));
+            let parts = Level::detect().dispatch(Regroup(&at));
+            let mut seen = [false; RAYS];
+            for packets in &parts {
+                // All but the last part of a packet are full.
+                assert!(packets.iter().rev().skip(1).all(|packet| packet.len() == 8));
+                for &(place, point) in packets.iter().flatten() {
+                    let (x, y) = at[usize::from(place)].unwrap();
+                    assert_eq!(point, [f32::from(place), x, y]);
+                    assert!(!std::mem::replace(&mut seen[usize::from(place)], true));
+                }
+            }
+            assert_eq!(seen.map(usize::from).iter().sum::<usize>(), at.iter().flatten().count());
+        }
+    }
+
+    #[test]
+    fn two_bundles_become_two_groups_and_one_stays_one() {
+        let one = std::array::from_fn(|i| Some(spread(i)));
+        assert_eq!(Level::detect().dispatch(Regroup(&one)).len(), 1);
+        let two = std::array::from_fn(|i| {
+            let (x, y) = spread(i);
+            Some(if i % 3 == 0 { (x, y) } else { (x + 0.8, y) })
+        });
+        let parts = Level::detect().dispatch(Regroup(&two));
+        assert_eq!(parts.len(), 2);
+        for packets in parts {
+            let far: Vec<bool> = packets.iter().flatten().map(|(_, point)| point[1] > 0.5).collect();
+            assert!(far.iter().all(|&it| it == far[0]));
+        }
+    }
+
+    #[test]
+    fn a_packets_rays_are_neighbours() {
+        // An 8×8 grid in scrambled order: packed well, no packet is larger than 4×2 of it.
+        let at = std::array::from_fn(|i| {
+            let i = u16::try_from(i * 29 % 64).unwrap();
+            Some((f32::from(i % 8), f32::from(i / 8)))
+        });
+        for packet in Level::detect().dispatch(Regroup(&at)).iter().flatten() {
+            let rays: Vec<_> = packet.iter().map(|(_, point)| (point[1], point[2], 0)).collect();
+            let Rectangle { min, max } = Rectangle::around(&rays);
+            assert!((max.0 - min.0) * (max.1 - min.1) <= 3.0, "{packet:?}");
+        }
     }
 }

@@ -17,7 +17,7 @@ use super::{
     traverse::{Hits, Scratch, closest, occlude},
     vector,
 };
-use crate::visibility::bvh::WideBvh;
+use crate::visibility::bvh::{Child, WideBvh};
 
 /// Everything that tracing reads.
 pub(super) struct World {
@@ -57,6 +57,8 @@ pub(super) struct TileScratch {
     hits: Hits,
     surface: Surface,
     traversal: Scratch,
+    /// What last stopped a shadow ray, by light.
+    blockers: [Child; 32],
 }
 
 impl Default for TileScratch {
@@ -66,6 +68,7 @@ impl Default for TileScratch {
             hits: Hits::default(),
             surface: Surface::default(),
             traversal: Scratch::default(),
+            blockers: [Child::None; 32],
         }
     }
 }
@@ -92,7 +95,7 @@ pub(super) fn trace_tile<S: Simd, C: Counter>(
     mut write: impl FnMut(usize, u64),
 ) {
     let start = Instant::now();
-    let TileScratch { directions, hits, surface, traversal } = scratch;
+    let TileScratch { directions, hits, surface, traversal, blockers } = scratch;
     let present = aim(s, picture, tile_x, tile_y, directions);
 
     let mut faces = [[0; PACKETS]; 6];
@@ -130,7 +133,9 @@ pub(super) fn trace_tile<S: Simd, C: Counter>(
             rays[p] = light.rays(s, surface, p);
             cost.shadow_rays += u64::from(rays[p].count_ones());
         }
+        traversal.blocker = blockers[plane];
         write(plane, light_tile(s, world, light, &rays, surface, traversal, &mut cost.shadow_work));
+        blockers[plane] = traversal.blocker;
     }
     cost.shadow += traced.elapsed();
 }
@@ -214,7 +219,9 @@ fn light_tile<S: Simd, C: Counter>(
 /// Sides of a group, on the plane, from which on its rays are sorted: as an angle's tangent for rays from an apex, and
 /// relative to the scene's size for parallel ones.
 const WIDE: f32 = 0.03;
-const WIDE_PARALLEL: f32 = 0.005;
+const WIDE_PARALLEL: f32 = 0.003;
+/// Padding of their parts' sides, relative to those.
+const PADDING: f32 = 0.3;
 
 /// The word of the pixels whose rays in `group` reach their points.
 #[inline(always)]
@@ -229,7 +236,7 @@ fn trace_group<S: Simd, C: Counter, const PARALLEL: bool>(
     let wide = if PARALLEL { WIDE_PARALLEL * world.size_m } else { WIDE };
     let side = (group.group_x[1] - group.group_x[0]).max(group.group_y[1] - group.group_y[0]);
     if side > wide {
-        let mut regrouping = Regrouping::of(&group, wide * 0.3);
+        let mut regrouping = Regrouping::of(&group, wide * PADDING);
         let mut left = [0; PACKETS];
         for range in regrouping.sort() {
             let mut part = regrouping.part(s, range, group.projection, points);

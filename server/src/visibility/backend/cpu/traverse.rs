@@ -13,11 +13,18 @@ use super::{
 use crate::visibility::bvh::{Child, Leaf, Node};
 
 /// Memory that a thread uses again and again.
-#[derive(Default)]
 pub(super) struct Scratch {
     /// What is still to be visited, and where its box begins along z.
     stack: Vec<(Child, f32)>,
     prepared: Prepared,
+    /// What last stopped a shadow ray to the light that is being traced: the first thing to try.
+    pub(super) blocker: Child,
+}
+
+impl Default for Scratch {
+    fn default() -> Self {
+        Self { stack: Vec::new(), prepared: Prepared::default(), blocker: Child::None }
+    }
 }
 
 /// Nearest triangles.
@@ -58,7 +65,7 @@ pub(super) fn closest<S: Simd, C: Counter>(
     }
     let mut inverse_far = 0.0;
     let mut z_far = f32::INFINITY;
-    let Scratch { stack, prepared } = scratch;
+    let Scratch { stack, prepared, .. } = scratch;
     stack.clear();
     stack.push((Child::Node(0), 0.0));
     count.group();
@@ -70,7 +77,7 @@ pub(super) fn closest<S: Simd, C: Counter>(
             Child::None => continue,
             Child::Node(n) => {
                 count.node();
-                push_nearest_last(s, &frustum, &world.bvh.nodes[n as usize], z_far, stack);
+                push_nearest_last(s, &frustum, &world.bvh.nodes[n as usize], s.splat(z_far), stack);
                 continue;
             }
             Child::Leaf(l) => &world.bvh.leaves[l as usize],
@@ -79,15 +86,16 @@ pub(super) fn closest<S: Simd, C: Counter>(
         let mut alive = prepare::<S, false, true>(s, leaf, group, inverse_far, prepared);
         let mut found = false;
         while alive != 0 {
-            let slot = alive.trailing_zeros() as usize;
+            let slot = alive.trailing_zeros() as usize % 8;
             alive &= alive - 1;
-            let mut packets = prepared.packets(s, slot, group);
+            let edges_of_slot = prepared.edges_of(s, slot);
+            let mut packets = edges_of_slot.packets(s, group);
             count.packets(packets.count_ones());
             while packets != 0 {
-                let p = packets.trailing_zeros() as usize;
+                let p = packets.trailing_zeros() as usize % 8;
                 packets &= packets - 1;
                 let (x, y) = (s.load(&group.x[p]), s.load(&group.y[p]));
-                let edges = prepared.edges_at(s, slot, x, y);
+                let edges = edges_of_slot.at(s, x, y);
                 let inverse = prepared.inverse_depth_at(s, slot, x, y);
                 let best = s.load(&hits.inverse_depth[p]);
                 let inside = s.ge(vector::least(s, edges), s.splat(0.0));
@@ -132,24 +140,25 @@ pub(super) fn occlude<S: Simd, C: Counter, const PARALLEL: bool>(
     scratch: &mut Scratch,
     count: &mut C,
 ) {
-    let frustum = Frustum::new::<PARALLEL>(s, group, world.size_m);
+    let mut frustum = Frustum::new::<PARALLEL>(s, group, world.size_m);
+    let mut swept = group.packets;
     let z_far = s.splat(farthest(s, group, points));
-    let Scratch { stack, prepared } = scratch;
+    let Scratch { stack, prepared, blocker } = scratch;
     stack.clear();
     stack.push((Child::Node(0), 0.0));
+    stack.push((*blocker, 0.0));
     count.group();
     while let Some((child, _)) = stack.pop() {
+        if group.packets != swept {
+            swept = group.packets;
+            group.shrink(s);
+            frustum = Frustum::new::<PARALLEL>(s, group, world.size_m);
+        }
         let leaf = match child {
             Child::None => continue,
             Child::Node(n) => {
                 count.node();
-                let node = &world.bvh.nodes[n as usize];
-                let (mut met, _) = frustum.meet(s, node, z_far);
-                while met != 0 {
-                    let slot = met.trailing_zeros() as usize;
-                    met &= met - 1;
-                    stack.push((node.child(slot), 0.0));
-                }
+                push_nearest_last(s, &frustum, &world.bvh.nodes[n as usize], z_far, stack);
                 continue;
             }
             Child::Leaf(l) => &world.bvh.leaves[l as usize],
@@ -157,14 +166,15 @@ pub(super) fn occlude<S: Simd, C: Counter, const PARALLEL: bool>(
         count.leaf(leaf.used.count_ones());
         let mut alive = prepare::<S, PARALLEL, false>(s, leaf, group, 0.0, prepared);
         while alive != 0 {
-            let slot = alive.trailing_zeros() as usize;
+            let slot = alive.trailing_zeros() as usize % 8;
             alive &= alive - 1;
-            let mut packets = prepared.packets(s, slot, group);
+            let edges_of_slot = prepared.edges_of(s, slot);
+            let mut packets = edges_of_slot.packets(s, group);
             count.packets(packets.count_ones());
             while packets != 0 {
-                let p = packets.trailing_zeros() as usize;
+                let p = packets.trailing_zeros() as usize % 8;
                 packets &= packets - 1;
-                let edges = prepared.edges_at(s, slot, s.load(&group.x[p]), s.load(&group.y[p]));
+                let edges = edges_of_slot.at(s, s.load(&group.x[p]), s.load(&group.y[p]));
                 let inside = s.ge(vector::least(s, edges), s.splat(0.0));
                 let mut lanes = s.bits(inside) & group.lanes[p];
                 if lanes == 0 {
@@ -177,6 +187,10 @@ pub(super) fn occlude<S: Simd, C: Counter, const PARALLEL: bool>(
                 if lanes != 0 && leaf.masked >> slot & 1 == 1 {
                     lanes = there(s, &world.alpha, leaf.triangles[slot], edges, lanes);
                 }
+                if lanes == 0 {
+                    continue;
+                }
+                *blocker = child;
                 group.lanes[p] &= !lanes;
                 if group.lanes[p] == 0 {
                     group.packets &= !(1 << p);
@@ -191,8 +205,8 @@ pub(super) fn occlude<S: Simd, C: Counter, const PARALLEL: bool>(
 
 /// Puts the children that the group can meet on the stack, the nearest on top.
 #[inline(always)]
-fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: f32, stack: &mut Vec<(Child, f32)>) {
-    let (mut met, z) = frustum.meet(s, node, s.splat(z_far));
+fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: S::F, stack: &mut Vec<(Child, f32)>) {
+    let (mut met, z) = frustum.meet(s, node, z_far);
     if met == 0 {
         return;
     }
@@ -200,7 +214,7 @@ fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: f3
     s.store(z, &mut near);
     let first = stack.len();
     while met != 0 {
-        let slot = met.trailing_zeros() as usize;
+        let slot = met.trailing_zeros() as usize % 8;
         met &= met - 1;
         let entry = (node.child(slot), near.0[slot]);
         stack.push(entry);
