@@ -84,7 +84,7 @@ pub struct Arguments {
     #[arg(long)]
     pub check_config: bool,
     /// What to log to standard error, as tracing's filters say it
-    #[arg(long, env = "GNOMON_LOG", value_name = "FILTER", default_value = "warn")]
+    #[arg(long, env = "RUST_LOG", value_name = "FILTER", default_value = "warn")]
     pub log: String,
 }
 
