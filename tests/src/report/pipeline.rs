@@ -172,7 +172,9 @@ fn cells(row: &Row, runs: &[Run], (width, height): (u32, u32)) -> Vec<String> {
     };
     let words_bytes = 4.0 * f64::from(width) * f64::from(height);
     let payloads: Vec<_> = runs.iter().map(|run| run.payload_bytes).filter(|bytes| bytes.is_finite()).collect();
-    let saving = row.transport.and(median(&payloads)).map(|bytes| (1.0 - bytes / words_bytes) * 100.0);
+    // Uncompressed words save nothing: their frame's head makes them a few bytes longer.
+    let compressed = row.transport.filter(|_| row.codec != CodecId::Words);
+    let saving = compressed.and(median(&payloads)).map(|bytes| (1.0 - bytes / words_bytes) * 100.0);
     let configuration = match row.transport {
         Some(transport) => {
             format!("{} over {transport}, {}", row.codec, if row.wait { "waiting" } else { "not waiting" })
@@ -210,6 +212,7 @@ mod tests {
         let expected =
             ["c", "words-lz4 over lab-udp, waiting", "20.0", "20.0", "0.00", "27648", "1.0", "97.0 %", "0", "35.5"];
         assert_eq!(cells, expected);
+        assert_eq!(super::cells(&ROWS[0], &runs, (640, 360))[7], "–");
         let lacking = Run::read(&serde_json::json!({ "client_fps": 1.0 })).unwrap_err();
         assert!(lacking.to_string().contains("visibility_fps"));
     }
