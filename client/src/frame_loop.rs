@@ -86,8 +86,10 @@ struct Memory {
     history: PoseHistory,
     /// When each frame's pose left, in the history's places.
     sent: Vec<Option<(FrameNumber, Instant)>>,
-    /// Longest response of late: a maximum that fades.
+    /// Longest response of late, to poses that were sent once: a maximum that fades.
     slowest_response: Option<Duration>,
+    /// The last frame whose pose was sent more than once.
+    repeated: Option<FrameNumber>,
     outcome: Outcome,
 }
 
@@ -107,6 +109,7 @@ impl FrameLoop<'_> {
             history: PoseHistory::default(),
             sent: vec![None; crate::pose_history::HISTORY_FRAMES],
             slowest_response: None,
+            repeated: None,
             outcome: Outcome::default(),
         };
         let drawn = self.draw_all(&mut memory);
@@ -248,8 +251,9 @@ impl FrameLoop<'_> {
     }
 }
 
-/// Waits for exactly this frame's mask, and asks again for it when it does not come: after some round trips and longer
-/// than masks took of late, and then after twice as long each time, so that a slow server is not asked in vain.
+/// Waits for exactly this frame's mask, and asks again for it: at once when a part of it was lost, or else after some
+/// round trips and longer than masks took of late, and then after twice as long each time, so that a slow server is not
+/// asked in vain.
 fn wait_for_mask(live: &mut Live, frame: FrameNumber, memory: &mut Memory, wanted: u32) -> Result<(), ClientError> {
     let begun = Instant::now();
     let round_trip = live.session.round_trip().unwrap_or_default();
@@ -260,16 +264,19 @@ fn wait_for_mask(live: &mut Live, frame: FrameNumber, memory: &mut Memory, wante
         match live.masks.wait_for(frame, Instant::now() + patience) {
             Waited::Arrived => return Ok(()),
             Waited::Ended(reason) => return Err(ended(memory, wanted, reason)),
-            Waited::TimedOut if begun.elapsed() > GIVE_UP => {
+            Waited::TimedOut | Waited::Lost if begun.elapsed() > GIVE_UP => {
                 return Err(ClientError::NoVisibility { frame, after: begun.elapsed(), asked });
             }
-            Waited::TimedOut => {
+            waited @ (Waited::TimedOut | Waited::Lost) => {
                 if let Some(pose) = memory.history.get(frame) {
                     live.session.send_pose_again(frame, *pose);
+                    memory.repeated = Some(frame);
                     memory.outcome.poses_repeated += 1;
                     asked += 1;
                 }
-                patience = (patience * 2).min(GIVE_UP / 4);
+                if waited == Waited::TimedOut {
+                    patience = (patience * 2).min(GIVE_UP / 4);
+                }
             }
         }
     }
@@ -285,8 +292,12 @@ impl Memory {
         let place = received.frame.0 as usize % self.sent.len();
         let (_, sent) = self.sent[place].filter(|(frame, _)| *frame == received.frame)?;
         let response = received.received_at.saturating_duration_since(sent);
-        let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
-        self.slowest_response = Some(response.max(faded));
+        // What a repeated pose took says nothing about the server (Karn's rule for round trips): taken for a response, a
+        // lost frame would make the next loss cost twice as much.
+        if self.repeated != Some(received.frame) {
+            let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
+            self.slowest_response = Some(response.max(faded));
+        }
         Some(response)
     }
 }

@@ -35,6 +35,8 @@ struct Middle {
     buffer: ReceivedMask,
     /// Whether the buffer holds a mask that the renderer has not seen.
     fresh: bool,
+    /// Whether a frame was lost since the last mask.
+    lost: bool,
     /// Why no more masks will come.
     ended: Option<String>,
 }
@@ -75,6 +77,8 @@ pub enum Waited {
     Arrived,
     /// It did not come in time.
     TimedOut,
+    /// A frame has come in part since the last mask: who waits for one waits in vain.
+    Lost,
     /// No more masks will come, and why.
     Ended(String),
 }
@@ -89,7 +93,7 @@ pub fn mask_buffer(shape: MaskShape) -> (MaskWriter, MaskReader) {
         packets: 0,
         received_at: Instant::now(),
     };
-    let middle = Mutex::new(Middle { buffer: buffer(), fresh: false, ended: None });
+    let middle = Mutex::new(Middle { buffer: buffer(), fresh: false, lost: false, ended: None });
     let shared = Arc::new(Shared { middle, changed: Condvar::new() });
     (MaskWriter { shared: Arc::clone(&shared), back: buffer() }, MaskReader { shared, front: buffer(), filled: false })
 }
@@ -105,7 +109,14 @@ impl MaskWriter {
         let mut middle = self.shared.lock();
         std::mem::swap(&mut middle.buffer, &mut self.back);
         middle.fresh = true;
+        middle.lost = false;
         drop(middle);
+        self.shared.changed.notify_all();
+    }
+
+    /// Says that a frame came in part only.
+    pub fn lose(&self) {
+        self.shared.lock().lost = true;
         self.shared.changed.notify_all();
     }
 
@@ -157,15 +168,20 @@ impl MaskReader {
 
     /// Waits for the mask of exactly this frame, but not beyond `deadline`. Others that come are passed over.
     pub fn wait_for(&mut self, frame: FrameNumber, deadline: Instant) -> Waited {
-        self.wait_until(deadline, |front, _| front.frame == frame)
+        self.wait_until(deadline, true, |front, _| front.frame == frame)
     }
 
-    /// Waits for a mask that has not been in the front buffer yet, but not beyond `deadline`.
+    /// Waits for a mask that has not been in the front buffer yet, but not beyond `deadline`. Losses do not end it.
     pub fn wait_for_any(&mut self, deadline: Instant) -> Waited {
-        self.wait_until(deadline, |_, fresh| fresh)
+        self.wait_until(deadline, false, |_, fresh| fresh)
     }
 
-    fn wait_until(&mut self, deadline: Instant, is_it: impl Fn(&ReceivedMask, bool) -> bool) -> Waited {
+    fn wait_until(
+        &mut self,
+        deadline: Instant,
+        heed_losses: bool,
+        is_it: impl Fn(&ReceivedMask, bool) -> bool,
+    ) -> Waited {
         let shared = Arc::clone(&self.shared);
         let mut middle = shared.lock();
         loop {
@@ -175,6 +191,9 @@ impl MaskReader {
             }
             if let Some(reason) = &middle.ended {
                 return Waited::Ended(reason.clone());
+            }
+            if std::mem::take(&mut middle.lost) && heed_losses {
+                return Waited::Lost;
             }
             let now = Instant::now();
             if now >= deadline {
@@ -250,6 +269,19 @@ mod tests {
         let late = Instant::now() + Duration::from_secs(60);
         assert_eq!(reader.wait_for(FrameNumber(6), late), Waited::Ended("server went away".into()));
         assert_eq!(reader.ended().as_deref(), Some("server went away"));
+    }
+
+    #[test]
+    fn a_loss_is_told_once_and_forgotten_with_the_next_mask() {
+        let (mut writer, mut reader) = mask_buffer(shape());
+        let soon = || Instant::now() + Duration::from_millis(20);
+        writer.lose();
+        assert_eq!(reader.wait_for(FrameNumber(1), soon()), Waited::Lost);
+        assert_eq!(reader.wait_for(FrameNumber(1), soon()), Waited::TimedOut);
+        writer.lose();
+        fill(&mut writer, 1);
+        assert_eq!(reader.wait_for(FrameNumber(1), soon()), Waited::Arrived);
+        assert_eq!(reader.wait_for(FrameNumber(2), soon()), Waited::TimedOut);
     }
 
     #[test]

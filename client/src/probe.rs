@@ -131,7 +131,7 @@ impl Probe {
     fn take_one(&mut self, deadline: Instant) -> Result<bool, ClientError> {
         match self.masks.wait_for_any(deadline) {
             Waited::Arrived => {}
-            Waited::TimedOut => return Ok(false),
+            Waited::TimedOut | Waited::Lost => return Ok(false),
             Waited::Ended(reason) => {
                 let rendered = u32::try_from(self.responses_ms.len()).unwrap_or(u32::MAX);
                 return Err(ClientError::Ended { rendered, wanted: rendered.saturating_add(1), reason });

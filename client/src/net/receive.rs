@@ -112,7 +112,10 @@ impl ReceiveTask {
                 Ok(Progress::Ignored(cause)) => {
                     begun &= !matches!(cause, IgnoredCause::OutOfOrder | IgnoredCause::Newer);
                     tracing::trace!(?cause, "packet ignored");
-                    self.counters.lock().unwrap_or_else(PoisonError::into_inner).incomplete = incomplete;
+                    let mut counters = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
+                    if std::mem::replace(&mut counters.incomplete, incomplete) < incomplete {
+                        self.writer.lose();
+                    }
                 }
                 Err(error) => {
                     begun &= !matches!(error, PacketError::Contradiction { .. } | PacketError::TooLong { .. });

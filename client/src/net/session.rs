@@ -227,7 +227,8 @@ async fn tasks(
     // Decoding takes long: in tasks of their own, packets hold up neither pings nor poses.
     let mut receiving = tokio::spawn(receive.run());
     let mut sending = tokio::spawn(send);
-    let reason = {
+    // A dropped writer ends the masks with a reason of its own, so it lives until the right one is said.
+    let (reason, _masks) = {
         let mut conversation = std::pin::pin!(converse(reader, &mut writer, &round_trip));
         let data = async {
             tokio::select! {
@@ -243,10 +244,13 @@ async fn tasks(
             }
         };
         tokio::select! {
-            _ = left => None,
-            reason = &mut conversation => Some(reason),
+            _ = left => (None, None),
+            reason = &mut conversation => (Some(reason), None),
             // Data and control end together, and the control stream says why.
-            (reason, _masks) = data => Some(tokio::time::timeout(LAST_WORDS, conversation).await.unwrap_or(reason)),
+            (reason, masks) = data => {
+                let last_words = tokio::time::timeout(LAST_WORDS, conversation).await;
+                (Some(last_words.unwrap_or(reason)), masks)
+            }
         }
     };
     match reason {
