@@ -8,6 +8,7 @@ use self::brute::Brute;
 use super::*;
 
 mod brute;
+mod real;
 
 /// A scene under construction.
 struct Builder(Scene);

@@ -1,6 +1,7 @@
-//! Every triangle against every ray, in f64, with nothing shared with the back end but the scene.
+//! Every triangle against every ray, in f64, with nothing shared with the back end but the scene. To bear real scenes, runs
+//! of neighbouring triangles are skipped when the ray misses the box around them.
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 use gnomon_shaders::{
     camera::Camera,
     scene::{AlphaMode, Light, LightKind, Scene, Wrap},
@@ -10,7 +11,11 @@ pub(super) struct Brute<'a> {
     scene: &'a Scene,
     /// Corners and material of each triangle that stops rays.
     triangles: Vec<([DVec3; 3], usize)>,
+    /// Boxes around each [`RUN`] triangles, grown by a micrometre.
+    boxes: Vec<[DVec3; 2]>,
 }
+
+const RUN: usize = 128;
 
 pub(super) struct Point {
     point: DVec3,
@@ -30,21 +35,48 @@ impl<'a> Brute<'a> {
                 }
             }
         }
-        Self { scene, triangles }
+        let boxes = triangles.chunks(RUN).map(|run| {
+            let corners = || run.iter().flat_map(|(corners, _)| corners);
+            let min = corners().fold(DVec3::INFINITY, |min, corner| min.min(*corner));
+            let max = corners().fold(DVec3::NEG_INFINITY, |max, corner| max.max(*corner));
+            [min - 1e-6, max + 1e-6]
+        });
+        Self { scene, boxes: boxes.collect(), triangles }
+    }
+
+    /// The triangles of all boxes that the ray passes.
+    fn candidates(&self, from: DVec3, way: DVec3) -> impl Iterator<Item = usize> {
+        let passes = move |[min, max]: &[DVec3; 2]| {
+            let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
+            for axis in 0..3 {
+                let ends = [(min[axis] - from[axis]) / way[axis], (max[axis] - from[axis]) / way[axis]];
+                // A ray within a side's plane gives a NaN, which these leave out.
+                enter = enter.max(ends[0].min(ends[1]));
+                leave = leave.min(ends[0].max(ends[1]));
+            }
+            enter <= leave
+        };
+        let passed = self.boxes.iter().enumerate().filter(move |(_, bounds)| passes(bounds));
+        passed.flat_map(|(run, _)| run * RUN..((run + 1) * RUN).min(self.triangles.len()))
     }
 
     /// Distance along the ray and weights of the corners, where the ray meets triangle `t` and it is there.
     fn meet(&self, t: usize, from: DVec3, way: DVec3) -> Option<(f64, DVec3)> {
         let ([a, b, c], material) = self.triangles[t];
-        // from + d·way = a + v·(b − a) + w·(c − a)
-        let system = DMat3::from_cols(-way, b - a, c - a);
-        if system.determinant() == 0.0 {
+        // from + distance·way = a + v·(b − a) + w·(c − a), solved by Cramer's rule.
+        let (to_b, to_c, from_a) = (b - a, c - a, from - a);
+        let across = way.cross(to_c);
+        let determinant = to_b.dot(across);
+        let v = from_a.dot(across) / determinant;
+        // A zero determinant gives a NaN or an infinity, which no comparison lets through.
+        if !(0.0..=1.0).contains(&v) {
             return None;
         }
-        let solution = system.inverse() * (from - a);
-        let weights = DVec3::new(1.0 - solution.y - solution.z, solution.y, solution.z);
-        let met = weights.min_element() >= 0.0 && solution.x > 0.0 && self.is_there(t, material, weights);
-        met.then_some((solution.x, weights))
+        let along = from_a.cross(to_b);
+        let weights = DVec3::new(1.0 - v - way.dot(along) / determinant, v, way.dot(along) / determinant);
+        let distance = to_c.dot(along) / determinant;
+        let met = weights.min_element() >= 0.0 && distance > 0.0 && self.is_there(t, material, weights);
+        met.then_some((distance, weights))
     }
 
     fn is_there(&self, t: usize, material: usize, weights: DVec3) -> bool {
@@ -85,7 +117,7 @@ impl<'a> Brute<'a> {
         let (eye, way) = camera.ray(x, y);
         let eye = eye - self.scene.origin_m;
         let mut nearest: Option<(f64, Point)> = None;
-        for t in 0..self.triangles.len() {
+        for t in self.candidates(eye, way) {
             let Some((distance, weights)) = self.meet(t, eye, way) else { continue };
             let ([a, b, c], material) = self.triangles[t];
             let normal = (b - a).cross(c - a).normalize();
@@ -124,7 +156,8 @@ impl<'a> Brute<'a> {
         }
         let from = at.point + at.geometric * 1e-5;
         let way = if directional { towards } else { light.position.as_dvec3() - from };
-        let stopped = (0..self.triangles.len())
+        let stopped = self
+            .candidates(from, way)
             .any(|t| self.meet(t, from, way).is_some_and(|(distance, _)| directional || distance < 1.0));
         Some((!stopped, true))
     }
