@@ -53,6 +53,13 @@ fn counts_beyond_the_limits_are_refused_before_memory_is_taken() {
     // Each is small; together they are not. Flat normals take three vertices a triangle.
     assert!(fault(&bomb(1 << 20, 17)).contains("of the scene"));
     assert!(fault(&bomb(3, 262_145)).contains("more than 262144"));
+    // Few triangles that name few of many vertices: reading these again for each primitive would take for ever.
+    let primitives = vec![r#"{"attributes":{"POSITION":0},"indices":1}"#; 1000].join(",");
+    let shared = file(&format!(
+        r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{primitives}]}}],
+        "accessors":[{{"componentType":5126,"count":16777216,"type":"VEC3"}},{{"componentType":5125,"count":3,"type":"SCALAR"}}]"#
+    ));
+    assert!(fault(&shared).contains("vertices of the scene"), "{}", fault(&shared));
     // Within the limits, but all in one point.
     assert!(matches!(load(bomb(1 << 20, 4).as_bytes()), Err(SceneError::NoTriangles { dropped: 4_194_296, .. })));
 }
@@ -65,6 +72,7 @@ fn lists_are_bounded_while_they_are_parsed() {
     assert!(fault(&list("buffers", r#"{"byteLength":1}"#, 5000)).contains("more than 4096"));
     assert!(fault(&list("materials", "{}", 20_000)).contains("more than 16384"));
     assert!(fault(&list("images", "{}", 5000)).contains("more than 4096"));
+    assert!(fault(&list("extensionsRequired", r#""""#, 20_000_000)).contains("more than 256 extensions"));
     // Neither in what is read nor in what is skipped do brackets nest on the stack.
     for name in ["extras", "nodes", "extensions"] {
         let nested = format!(r#""{name}":{}"#, r#"{"a":["#.repeat(1_000_000));
@@ -81,6 +89,13 @@ fn buffers_and_views_must_be_where_they_say() {
     assert!(fault(&file(outside)).contains("do not lie in buffer 0"));
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.gltf");
+    // A file longer than its buffers need: only what they need takes memory.
+    std::fs::File::create(folder.path().join("long.bin")).unwrap().set_len(64 << 20).unwrap();
+    let buffers = vec![r#"{"byteLength":8,"uri":"long.bin"}"#; 32].join(",");
+    std::fs::write(&path, file(&format!(r#""buffers":[{buffers}]"#))).unwrap();
+    let error = Scene::load(&path, &LoadOptions::default()).unwrap_err();
+    assert!(matches!(error, SceneError::NoTriangles { .. }), "{error}");
+    assert!(peak_kib() < MAX_PEAK_KIB, "peak of memory: {} KiB", peak_kib());
     let uri = file(r#""buffers":[{"byteLength":8,"uri":"."}]"#);
     std::fs::write(&path, uri).unwrap();
     assert!(Scene::load(&path, &LoadOptions::default()).is_err());

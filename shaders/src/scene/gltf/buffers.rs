@@ -3,7 +3,7 @@
 use std::{borrow::Cow, path::Path};
 
 use super::{
-    container::read_file,
+    container::read_start,
     document::Document,
     layout::view_range,
     uri::{Target, follow},
@@ -30,7 +30,8 @@ impl<'a> Buffers<'a> {
             let data = match &buffer.uri {
                 Some(uri) => match follow(&uri.0, folder).map_err(|fault| SceneError::invalid(here(), fault))? {
                     Target::Data(data) => Some(Cow::Owned(data)),
-                    Target::File(path) => Some(Cow::Owned(read_file(&path, MAX_BUFFER_BYTES)?)),
+                    // Only what the sum above has counted: many buffers may name one large file.
+                    Target::File(path) => Some(Cow::Owned(read_start(&path, buffer.byte_length)?)),
                 },
                 None if index == 0 => bin.map(Cow::Borrowed),
                 None => None,

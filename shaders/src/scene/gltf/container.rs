@@ -25,22 +25,40 @@ pub(super) struct Container<'a> {
 /// # Errors
 /// When it cannot be read, is no regular file (a pipe would never end), or is larger than `limit`.
 pub(in crate::scene) fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> {
-    let failed = |source| SceneError::Read { path: PathBuf::from(path), source };
     let too_large = |bytes| SceneError::FileTooLarge { path: PathBuf::from(path), bytes, limit };
-    // Asked before opening: opening a named pipe blocks until somebody writes to it.
-    let metadata = std::fs::metadata(path).map_err(failed)?;
-    if !metadata.is_file() {
-        return Err(failed(std::io::Error::other("not a regular file")));
+    let there = file_bytes(path)?;
+    if there > limit {
+        return Err(too_large(there));
     }
-    if metadata.len() > limit {
-        return Err(too_large(metadata.len()));
-    }
-    let mut bytes = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(limit + 1).read_to_end(&mut bytes)).map_err(failed)?;
-    if read as u64 > limit {
-        return Err(too_large(read as u64));
+    let bytes = read_start(path, limit + 1)?;
+    if bytes.len() as u64 > limit {
+        return Err(too_large(bytes.len() as u64));
     }
     Ok(bytes)
+}
+
+/// Reads the first `most` bytes of a regular file, or all of it where it has fewer. The rest takes no memory.
+///
+/// # Errors
+/// When it cannot be read, or is no regular file.
+pub(super) fn read_start(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
+    let expected = file_bytes(path)?.min(most);
+    let mut bytes = Vec::with_capacity(usize::try_from(expected).unwrap_or(0));
+    File::open(path).and_then(|file| file.take(most).read_to_end(&mut bytes)).map_err(|source| failed(path, source))?;
+    Ok(bytes)
+}
+
+/// The length of a regular file. Asked before opening: opening a named pipe blocks until somebody writes to it.
+fn file_bytes(path: &Path) -> Result<u64, SceneError> {
+    let metadata = std::fs::metadata(path).map_err(|source| failed(path, source))?;
+    if !metadata.is_file() {
+        return Err(failed(path, std::io::Error::other("not a regular file")));
+    }
+    Ok(metadata.len())
+}
+
+fn failed(path: &Path, source: std::io::Error) -> SceneError {
+    SceneError::Read { path: path.to_owned(), source }
 }
 
 /// Splits a scene file into its chunks; anything that does not start with `glTF` is JSON.

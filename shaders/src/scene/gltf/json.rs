@@ -87,13 +87,26 @@ pub(super) fn list<'de, D: Deserializer<'de>, T: Deserialize<'de>, const MAX: us
     deserializer.deserialize_seq(ListVisitor::<T, MAX>(PhantomData))
 }
 
-/// A short list of names.
+/// A list of at most [`MAX_EXTENSIONS`] names.
 pub(super) fn strings<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<String>, D::Error> {
-    let strings = Vec::<String>::deserialize(deserializer)?;
-    if strings.len() > MAX_EXTENSIONS {
-        return Err(D::Error::custom(format_args!("{} extensions, more than {MAX_EXTENSIONS}", strings.len())));
+    struct StringsVisitor;
+    impl<'de> Visitor<'de> for StringsVisitor {
+        type Value = Vec<String>;
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            write!(f, "an array of at most {MAX_EXTENSIONS} strings")
+        }
+        fn visit_seq<A: SeqAccess<'de>>(self, mut elements: A) -> Result<Self::Value, A::Error> {
+            let mut out = Vec::new();
+            while let Some(name) = elements.next_element()? {
+                if out.len() == MAX_EXTENSIONS {
+                    return Err(A::Error::custom(format_args!("more than {MAX_EXTENSIONS} extensions")));
+                }
+                out.push(name);
+            }
+            Ok(out)
+        }
     }
-    Ok(strings)
+    deserializer.deserialize_seq(StringsVisitor)
 }
 
 /// How many objects a list has, none of which is kept.

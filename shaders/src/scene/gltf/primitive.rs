@@ -105,7 +105,8 @@ pub(super) fn size(
     }
     let triangles = mode.triangles(corners) as u64;
     within(format!("triangles of {place}"), triangles, MAX_TRIANGLES)?;
-    let vertices = if attributes.normal.is_some() { vertices as u64 } else { triangles * 3 };
+    // All vertices are read, however few of them the triangles name; flat normals take three for each triangle.
+    let vertices = if attributes.normal.is_some() { vertices as u64 } else { (vertices as u64).max(triangles * 3) };
     within(format!("vertices of {place}"), vertices, MAX_VERTICES)?;
     Ok(Some(Size { triangles, vertices }))
 }
