@@ -43,12 +43,12 @@ pub enum GpuError {
     #[error("only the software adapter {0:?} is there: allow it with --allow-software, or mend the GPU's driver")]
     SoftwareOnly(String),
     /// The adapter gives no device.
-    #[error("adapter {name:?} gives no device")]
+    #[error("adapter {name:?} gives no device: {reason}")]
     Device {
         /// The adapter's name.
         name: String,
-        /// The reason.
-        source: wgpu::RequestDeviceError,
+        /// The driver's reason.
+        reason: wgpu::RequestDeviceError,
     },
 }
 
@@ -97,7 +97,7 @@ impl Gpu {
                 ..wgpu::DeviceDescriptor::default()
             })
             .await
-            .map_err(|source| GpuError::Device { name: info.name.clone(), source })?;
+            .map_err(|reason| GpuError::Device { name: info.name.clone(), reason })?;
         Ok(Self { info, device, queue })
     }
 
