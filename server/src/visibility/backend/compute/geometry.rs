@@ -1,5 +1,7 @@
 //! The scene as the kernels read it: obvhs' CWBVH, and the triangles in the order of its leaves.
 
+use std::collections::HashMap;
+
 use glam::{Vec2, Vec3, Vec3A};
 use gnomon_shaders::{
     host::{AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedTriangle, wraps},
@@ -75,6 +77,8 @@ impl Geometry {
     /// Takes up the alpha pictures of MASK materials, and says what rays find of every material.
     fn add_alpha(&mut self, scene: &Scene) -> Result<Vec<Presence>, BackendError> {
         let mut presences = Vec::with_capacity(scene.materials.len());
+        // Materials share pictures: each image's texels are kept once.
+        let mut first_texels = HashMap::new();
         for material in &scene.materials {
             presences.push(match (material.alpha, material.base_color_texture) {
                 (AlphaMode::Opaque, _) => Presence::Everywhere,
@@ -87,14 +91,21 @@ impl Geometry {
                         return Err(BackendError::Alpha { material: index_of_next("materials", &presences)? });
                     }
                     let index = index_of_next("alpha materials", &self.alpha_materials)?;
+                    let first_texel = match first_texels.get(&texture.image) {
+                        Some(first) => *first,
+                        None => {
+                            let first = index_of_next("alpha texels", &self.alpha_texels)?;
+                            self.alpha_texels.extend(image.rgba.iter().skip(3).step_by(4));
+                            *first_texels.entry(texture.image).or_insert(first)
+                        }
+                    };
                     self.alpha_materials.push(AlphaMaterial::new(
-                        index_of_next("alpha texels", &self.alpha_texels)?,
+                        first_texel,
                         (image.width, image.height),
                         wraps(texture.wrap_u, texture.wrap_v),
                         cutoff,
                         material.base_color.w,
                     ));
-                    self.alpha_texels.extend(image.rgba.iter().skip(3).step_by(4));
                     Presence::Holes(index)
                 }
             });
@@ -197,6 +208,19 @@ mod tests {
         // Each leaf has two triangles in this scene, and only they have holes.
         let with_holes = geometry.triangles.iter().filter(|t| t.kind & !TRIANGLE_SINGLE_SIDED != 0).count();
         assert_eq!((with_holes, geometry.alpha_uvs.len(), geometry.alpha_texels.len()), (2, 6, 16 * 12));
+    }
+
+    #[test]
+    fn materials_share_the_texels_of_their_picture() {
+        let mut scene = room();
+        let mut other = scene.materials[LEAF as usize].clone();
+        other.alpha = AlphaMode::Mask { cutoff: 0.25 };
+        scene.materials.push(other);
+        let geometry = Geometry::build(&scene).unwrap();
+        let [first, second] = geometry.alpha_materials[..] else { panic!("{:?}", geometry.alpha_materials) };
+        assert_eq!((first.first_texel, second.first_texel), (0, 0));
+        assert_ne!(first.cutoff.to_bits(), second.cutoff.to_bits());
+        assert_eq!(geometry.alpha_texels.len(), 16 * 12);
     }
 
     #[test]
