@@ -26,7 +26,6 @@
 //! The window starts at what the caller says (four frames at least: quinn paces by window over round trip) and stays
 //! between [`FLOOR_DATAGRAMS`] datagrams and [`MAX_WINDOW_BYTES`]. Not known: how it shares a path with other kinds
 //! of traffic. A queue that overflows below 25 ms is only noticed when it loses more than 10 %.
-
 //!
 //! Behind quinn's trait: `on_ack` passes `now − sent` as the round trip, not `RttEstimator::get`, which is smoothed and so
 //! hides the smallest ones; `on_congestion_event` is [`DelayController::on_loss`], `on_mtu_update`

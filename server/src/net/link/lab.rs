@@ -1,5 +1,5 @@
 //! The dissertation's transports (§3.1), for measurements on loopback: a control connection over TCP, and beside it a
-//! data socket for each session, over UDP or TCP. Nothing is encrypted or paced, and nobody is who they say they are.
+//! data socket for each session, over UDP or TCP. Nothing is encrypted, and nobody is who they say they are.
 
 use std::{
     io,
