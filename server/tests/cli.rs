@@ -92,7 +92,10 @@ fn every_failure_is_one_line_that_says_what_to_do() {
         (vec!["--scene", &good, "--cert-dir", &in_the_way], "--cert-dir"),
         (vec!["--scene", &good, "--listen", "127.0.0.1:1", "--transport", "lab-tcp", "--lights", "33"], "1 to 32"),
         (vec!["--scene", &good, "--listen", "0.0.0.0:0", "--transport", "lab-udp"], "loopback only"),
-        (vec!["--scene", &good, "--backend", "compute", "--adapter", "no such adapter"], "no such adapter"),
+        (
+            vec!["--scene", &good, "--listen", "127.0.0.1:0", "--backend", "compute", "--adapter", "no such adapter"],
+            "no such adapter",
+        ),
         (vec!["--max-sessions", "0"], "max_sessions is 0"),
     ] {
         let cert_dir = folder.path().join("cert");
@@ -130,7 +133,8 @@ fn check_says_what_is_in_the_scene() {
     let output = run(server().arg("--check").arg("--scene").arg(scene::write(folder.path())));
     let found = text(&output.stdout);
     assert!(output.status.success(), "{}", text(&output.stderr));
-    for part in ["triangles", "instances", "materials", "lights", "bounds", "digest", "everybody is admitted"] {
+    for part in ["triangles", "instances", "materials", "lights", "bounds", "memory", "digest", "everybody is admitted"]
+    {
         assert!(found.contains(part), "no {part} in {found}");
     }
 }

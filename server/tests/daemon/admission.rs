@@ -86,11 +86,29 @@ async fn whoever_speaks_out_of_turn_is_closed_alone() {
         bad.control.say_bytes(&opening).await;
         assert_eq!(bad.control.hear().await, None, "{opening:?}");
     }
-    for message in [ClientMessage::Hello(hello()), ClientMessage::FetchScene { offset: u64::MAX }] {
+    let fetch = ClientMessage::FetchScene { offset: 0 };
+    for (messages, reason) in [
+        (vec![ClientMessage::Hello(hello())], "a second Hello"),
+        (vec![ClientMessage::FetchScene { offset: u64::MAX }], "does not exist"),
+        (vec![ClientMessage::Start, ClientMessage::Start], "a second Start"),
+        (vec![ClientMessage::Start, fetch.clone()], "before Start"),
+        (vec![fetch; 5], "not over and over"),
+    ] {
         let mut bad = Native::connect(rig.address(), rig.folder.path()).await;
         bad.control.welcome(hello()).await;
-        bad.control.say(&message).await;
-        assert!(matches!(bad.control.hear().await, Some(ServerMessage::Closing { .. })), "{message:?}");
+        for message in &messages {
+            bad.control.say(message).await;
+        }
+        let closing = loop {
+            match bad.control.hear().await {
+                Some(ServerMessage::SceneChunk { .. }) => {}
+                other => break other,
+            }
+        };
+        assert!(
+            matches!(&closing, Some(ServerMessage::Closing { reason: said }) if said.contains(reason)),
+            "{closing:?}"
+        );
         assert_eq!(bad.control.hear().await, None);
     }
     good.frame(&mut frames, 1).await;
