@@ -12,6 +12,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+pub use crate::visibility::engine::BackendChoice as Backend;
 use crate::{files, limits};
 
 /// Everything that an operator can choose. A key that is not listed here is an error.
@@ -116,18 +117,6 @@ impl fmt::Display for Transport {
             Self::LabTcp => "lab-tcp",
         })
     }
-}
-
-/// What traces.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum Backend {
-    /// `compute` on a real GPU, otherwise `cpu`.
-    Auto,
-    /// WGSL compute shaders.
-    Compute,
-    /// Native threads.
-    Cpu,
 }
 
 /// Form of the logs.

@@ -53,11 +53,23 @@ async fn serve(config: ServerConfig) -> anyhow::Result<()> {
         }
     };
     print_line(&server.url())?;
-    let signal = signals.next().await;
-    tracing::info!(signal, "stopping; a second signal stops at once");
+    let failure = tokio::select! {
+        signal = signals.next() => {
+            tracing::info!(signal, "stopping; a second signal stops at once");
+            None
+        }
+        // A supervisor starts it again; a server that only refuses would look alive.
+        reason = server.failed() => Some(reason),
+    };
     tokio::select! {
-        () = server.shutdown() => Ok(()),
+        () = server.shutdown() => {}
         signal = signals.next() => anyhow::bail!("a second signal ({signal}): stopped at once"),
+    }
+    match failure {
+        None => Ok(()),
+        Some(reason) => {
+            anyhow::bail!("tracing has ended: {reason}; start the server again, or trace with --backend cpu")
+        }
     }
 }
 

@@ -19,7 +19,7 @@ use tokio::{
 use tracing::Instrument as _;
 
 use crate::{
-    config::{Backend, ServerConfig, Transport},
+    config::{ServerConfig, Transport},
     error::StartError,
     limits,
     net::{
@@ -29,7 +29,7 @@ use crate::{
     },
     session::{self, Phase, SceneAsset, Services, admission::Admission},
     tokens::Tokens,
-    visibility::engine::{BackendChoice, Engine, EngineOptions},
+    visibility::engine::{Engine, EngineOptions},
 };
 
 /// Starts servers.
@@ -164,6 +164,12 @@ impl RunningServer {
         self.services.admission.taken()
     }
 
+    /// Waits until the server can trace no more, and says why: its device is lost, for example. It still listens then, but
+    /// refuses everybody, so whoever started it should end it.
+    pub async fn failed(&self) -> String {
+        self.services.engine.ended().await
+    }
+
     /// Stops admitting, tells the clients, gives them `drain_ms` to leave while they are still served, finishes the
     /// frames on their way, and ends.
     pub async fn shutdown(self) {
@@ -233,7 +239,13 @@ async fn serve(arrival: Arrival, handshake: tokio::sync::OwnedSemaphorePermit, s
         let admitted = handshake::greet(&mut link, &services).await.map_err(|error| error.to_string())?;
         Ok::<_, String>((link, admitted))
     };
-    let (link, admitted) = match timeout(services.handshake_timeout, greeting).await {
+    let mut phase = services.phase.clone();
+    let greeted = tokio::select! {
+        greeted = timeout(services.handshake_timeout, greeting) => greeted,
+        // Whoever has not said Hello by now does not hold up the end.
+        () = session::stopping(&mut phase) => return tracing::info!(reason = "the server stops", "not admitted"),
+    };
+    let (link, admitted) = match greeted {
         Ok(Ok(greeted)) => greeted,
         Ok(Err(reason)) => return tracing::info!(reason, "not admitted"),
         Err(_) => return tracing::info!(reason = "no Hello in time", "not admitted"),
@@ -249,11 +261,7 @@ fn load_options(config: &ServerConfig) -> LoadOptions {
 
 fn engine_options(config: &ServerConfig) -> EngineOptions {
     EngineOptions {
-        backend: match config.backend {
-            Backend::Auto => BackendChoice::Auto,
-            Backend::Compute => BackendChoice::Compute,
-            Backend::Cpu => BackendChoice::Cpu,
-        },
+        backend: config.backend,
         adapter: config.adapter.clone(),
         allow_software: config.allow_software,
         threads: config.threads,
@@ -319,8 +327,32 @@ fn reachable(address: SocketAddr) -> SocketAddr {
 }
 
 #[cfg(test)]
+#[path = "../tests/support/scene.rs"]
+mod test_scene;
+
+#[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Backend;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn whoever_runs_a_server_hears_that_it_can_trace_no_more() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = ServerConfig {
+            scene: Some(test_scene::write(folder.path())),
+            listen: (Ipv4Addr::LOCALHOST, 0).into(),
+            backend: Backend::Cpu,
+            cert_dir: Some(folder.path().join("cert")),
+            drain_ms: 0,
+            ..ServerConfig::default()
+        };
+        let server = Server::start(config).await.unwrap();
+        let services = Arc::clone(&server.services);
+        let ending = tokio::task::spawn_blocking(move || services.engine.shutdown());
+        assert_eq!(timeout(Duration::from_secs(60), server.failed()).await.unwrap(), "it was shut down");
+        ending.await.unwrap();
+        server.shutdown().await;
+    }
 
     #[test]
     fn urls_can_be_used_as_they_are() {

@@ -1,9 +1,8 @@
 //! The engine: one thread owns the back end, traces for all sessions in turn, and is the only one to wait for a device.
 
 use std::{
-    fmt, io,
+    io,
     num::NonZeroUsize,
-    str::FromStr,
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicUsize, Ordering},
@@ -16,6 +15,7 @@ use gnomon_protocol::mask::MaskShape;
 use gnomon_shaders::{gpu::GpuError, scene::Scene};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+use tokio::sync::watch;
 
 use super::{
     backend::{
@@ -34,39 +34,15 @@ const WAITING_OPENINGS: usize = 64;
 const STACK_BYTES: usize = 16 << 20;
 
 /// What traces.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum BackendChoice {
     /// `compute` on a real GPU, `cpu` when there is none or only software that pretends to be one.
-    #[default]
     Auto,
     /// Kernels on a graphics adapter.
     Compute,
     /// The processor.
     Cpu,
-}
-
-impl fmt::Display for BackendChoice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Auto => "auto",
-            Self::Compute => "compute",
-            Self::Cpu => "cpu",
-        })
-    }
-}
-
-impl FromStr for BackendChoice {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "auto" => Ok(Self::Auto),
-            "compute" => Ok(Self::Compute),
-            "cpu" => Ok(Self::Cpu),
-            _ => Err(format!("no back end {text:?}: there are auto, compute and cpu")),
-        }
-    }
 }
 
 /// How to trace, and for how many.
@@ -91,8 +67,8 @@ pub enum EngineError {
     #[error(transparent)]
     Backend(#[from] BackendError),
     /// The thread cannot be had.
-    #[error("the engine's thread does not start")]
-    Thread(#[from] io::Error),
+    #[error("the engine's thread does not start: {0}")]
+    Thread(io::Error),
     /// The thread ended before the back end was there.
     #[error("the engine's thread died while it prepared the scene")]
     Died,
@@ -131,16 +107,21 @@ pub(super) struct Shared {
     /// Open sessions.
     pub(super) sessions: AtomicUsize,
     /// Why the thread has ended.
-    ended: Mutex<Option<String>>,
+    ended: watch::Sender<Option<String>>,
 }
 
 impl Shared {
     pub(super) fn end(&self, reason: String) {
-        self.ended.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+        // The first reason stays.
+        self.ended.send_if_modified(|ended| {
+            let is_first = ended.is_none();
+            ended.get_or_insert(reason);
+            is_first
+        });
     }
 
     pub(super) fn end_reason(&self) -> Option<String> {
-        self.ended.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.ended.borrow().clone()
     }
 }
 
@@ -205,7 +186,8 @@ impl Engine {
                 }
                 drop(guard);
             }
-        })?;
+        });
+        let thread = thread.map_err(EngineError::Thread)?;
         let waker = EngineWaker(thread.thread().clone());
         let about = ready_end.recv().map_err(|_| EngineError::Died)??;
         tracing::info!(backend = about.description, lights, "engine started");
@@ -258,6 +240,14 @@ impl Engine {
         })?;
         self.waker.wake();
         Ok(port)
+    }
+
+    /// Waits until the engine traces no more, and says why.
+    pub async fn ended(&self) -> String {
+        let mut ended = self.shared.ended.subscribe();
+        // It does not fail: the sender lives as long as `self`.
+        let reason = ended.wait_for(Option::is_some).await.ok().and_then(|reason| reason.clone());
+        reason.unwrap_or_default()
     }
 
     /// Stops tracing, closes all sessions' ports, and waits for the thread to end.
