@@ -2,7 +2,8 @@
 //!
 //! A tile's way: [`tile`] aims its 64 camera rays → [`group`] makes them points of a plane → [`traverse`] takes the group
 //! through the tree, testing eight boxes against all rays at once ([`frustum`]), then eight triangles ([`leaf`]), then packets →
-//! [`surface`] finds points and normals → [`light`] picks the rays that matter → [`traverse`] again, from the light.
+//! [`surface`] finds points and normals → [`light`] picks the rays that matter → [`regroup`] sorts those that end far apart →
+//! [`traverse`] again, from the light.
 //!
 //! Every result depends on its own ray and the triangles alone, not on the other rays of its group or on threads, so
 //! masks are the same from run to run and for any number of threads. They may differ in single bits between

@@ -25,6 +25,29 @@ pub(super) struct Regrouping {
     padding: f32,
 }
 
+/// Ranges that follow each other, by their ends. Small, because it is made for every group.
+pub(super) struct Ranges {
+    ends: [u8; RAYS],
+    count: usize,
+    next: usize,
+    from: usize,
+}
+
+impl Iterator for Ranges {
+    type Item = (usize, usize);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<(usize, usize)> {
+        if self.next == self.count {
+            return None;
+        }
+        let range = (self.from, usize::from(self.ends[self.next]));
+        self.next += 1;
+        self.from = range.1;
+        Some(range)
+    }
+}
+
 /// One of the new groups.
 pub(super) struct Part {
     pub(super) group: Group,
@@ -51,26 +74,28 @@ impl Regrouping {
     }
 
     /// Sorts the rays; the result's ranges of `rays` are the new groups, each already in the order of its packets.
-    pub(super) fn sort(&mut self) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let mut parts = [(0, 0); RAYS];
-        let mut found = 0;
-        let mut open = [(0, 0); RAYS];
-        open[0] = (0, self.count);
-        let mut left = 1;
+    pub(super) fn sort(&mut self) -> Ranges {
+        let mut done = Ranges { ends: [0; RAYS], count: 0, next: 0, from: 0 };
+        // Parts still to be looked at follow each other, the first one last; each begins where the one after it ends.
+        let mut open = [0; RAYS];
+        open[0] = self.count;
+        let (mut left, mut from) = (1, 0);
         while left > 0 {
-            left -= 1;
-            let (from, to) = open[left];
+            let to = open[left - 1];
             if let Some(middle) = self.cut(from, to) {
-                open[left] = (from, middle);
-                open[left + 1] = (middle, to);
-                left += 2;
+                open[left] = middle;
+                left += 1;
             } else {
                 self.pack(from, to);
-                parts[found] = (from, to);
-                found += 1;
+                #[expect(clippy::cast_possible_truncation, reason = "at most 64 rays")]
+                let end = to as u8;
+                done.ends[done.count] = end;
+                done.count += 1;
+                left -= 1;
+                from = to;
             }
         }
-        parts.into_iter().take(found)
+        done
     }
 
     /// Cuts `from..to` in the middle of its longer side, if that is worth it: the place of the cut.
