@@ -36,10 +36,14 @@ pub fn find(name: &str) -> Result<PathBuf> {
     Ok(path)
 }
 
-/// A source of the program, as cargo lists them in the `.d` file beside it, that is newer than it, or gone.
+/// A source of the program, as cargo lists them in the `.d` file beside it, that is newer than it, or gone. Programs
+/// that were copied somewhere else have no such list, and are what they are.
 fn newer_source(program: &Path) -> Result<Option<String>> {
     let list = program.with_extension("d");
-    let text = fs::read_to_string(&list).with_context(|| format!("reading {}", list.display()))?;
+    let text = match fs::read_to_string(&list) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        text => text.with_context(|| format!("reading {}", list.display()))?,
+    };
     let (_, sources) = text.split_once(": ").with_context(|| format!("{} lists no sources", list.display()))?;
     let built = fs::metadata(program)?.modified()?;
     // Spaces inside a path are escaped with a backslash.
