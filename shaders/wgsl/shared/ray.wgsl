@@ -9,10 +9,9 @@ struct Ray {
     inverse: vec3f,
     // Octant of the direction in obvhs' form: bits 2, 1, 0 are set where x, y, z are not negative.
     octant: u32,
-    // Rows of the map from points relative to the origin to the space in which the ray runs along +z.
+    // Rows of the map from points relative to the origin to the plane across the ray.
     shear_x: vec3f,
     shear_y: vec3f,
-    shear_z: vec3f,
 }
 
 // The largest f32: how far rays to directional lights go.
@@ -49,7 +48,6 @@ fn make_ray(origin: vec3f, direction: vec3f) -> Ray {
     let up = select(y, x, swapped);
     ray.shear_x = right - z * (dot(direction, right) / along);
     ray.shear_y = up - z * (dot(direction, up) / along);
-    ray.shear_z = z / along;
     return ray;
 }
 
@@ -68,13 +66,29 @@ fn along_row(row: vec3f, point: vec3f) -> f32 {
     return fma(row.x, point.x, fma(row.y, point.y, row.z * point.z));
 }
 
-// a.x · b.y − a.y · b.x with the sign that it has in exact arithmetic (Kahan's algorithm), whichever of two triangles
-// asks about their common edge. A plain difference, half of it contracted to an fma, would not have the same sign from
-// both sides, and rays would leak through edges.
+// p · q − r · s with the sign that it has in exact arithmetic, and nearly all of its digits (Kahan's algorithm).
+fn difference_of_products(p: f32, q: f32, r: f32, s: f32) -> f32 {
+    let product = r * s;
+    let error = fma(-r, s, product);
+    return fma(p, q, -product) + error;
+}
+
+// Whichever of two triangles asks about their common edge, the sign is the same. A plain difference, half of it
+// contracted to an fma, would not have the same sign from both sides, and rays would leak through edges.
 fn edge(a: vec2f, b: vec2f) -> f32 {
-    let product = a.y * b.x;
-    let error = fma(-a.y, b.x, product);
-    return fma(a.x, b.y, -product) + error;
+    return difference_of_products(a.x, b.y, a.y, b.x);
+}
+
+// The normal of a triangle's plane, as long as twice its area. Of a long thin triangle a plain cross product loses most
+// digits, and the plane with them: shadow rays would then start below their own surface.
+fn plane_normal(corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> vec3f {
+    let p = corner_b - corner_a;
+    let q = corner_c - corner_a;
+    return vec3f(
+        difference_of_products(p.y, q.z, p.z, q.y),
+        difference_of_products(p.z, q.x, p.x, q.z),
+        difference_of_products(p.x, q.y, p.y, q.x),
+    );
 }
 
 fn meet_triangle(ray: Ray, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Meeting {
@@ -90,7 +104,8 @@ fn meet_triangle(ray: Ray, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) ->
     if (any(areas < vec3f(0.0)) && any(areas > vec3f(0.0))) || area == 0.0 {
         return Meeting(-1.0, vec3f(0.0), false);
     }
-    let depths = vec3f(along_row(ray.shear_z, to_a), along_row(ray.shear_z, to_b), along_row(ray.shear_z, to_c));
-    let weights = areas / area;
-    return Meeting(dot(weights, depths), weights, area > 0.0);
+    // Where the ray meets the plane, and not the corners' depths by their weights: of a thin triangle the weights are
+    // quotients of small differences, and would be off by more than shadow rays are pushed off their surface.
+    let normal = plane_normal(corner_a, corner_b, corner_c);
+    return Meeting(dot(normal, to_a) / dot(normal, ray.direction), areas / area, area > 0.0);
 }

@@ -101,7 +101,7 @@ fn surface(found: Nearest) -> vec4u {
     let c = bitcast<vec3f>(triangles[at + 2u].xyz);
     let turn = select(-1.0, 1.0, found.front);
     let point = a * found.weights.x + b * found.weights.y + c * found.weights.z;
-    let geometric = turn * normalize(cross(b - a, c - a));
+    let geometric = turn * normalize(plane_normal(a, b, c));
     let shading = turn * (shading_corner(found.triangle, 0u) * found.weights.x
         + shading_corner(found.triangle, 1u) * found.weights.y + shading_corner(found.triangle, 2u) * found.weights.z);
 
