@@ -8,6 +8,7 @@ use thiserror::Error;
 pub const FILES: &[(&str, &str)] = &[
     ("shading/blend.wgsl", include_str!("../wgsl/shading/blend.wgsl")),
     ("shading/gbuffer.wgsl", include_str!("../wgsl/shading/gbuffer.wgsl")),
+    ("shading/inputs.wgsl", include_str!("../wgsl/shading/inputs.wgsl")),
     ("shading/lighting.wgsl", include_str!("../wgsl/shading/lighting.wgsl")),
     ("shading/material.wgsl", include_str!("../wgsl/shading/material.wgsl")),
     ("shading/shade.wgsl", include_str!("../wgsl/shading/shade.wgsl")),
@@ -17,6 +18,7 @@ pub const FILES: &[(&str, &str)] = &[
     ("shared/cwbvh.wgsl", include_str!("../wgsl/shared/cwbvh.wgsl")),
     ("shared/mask.wgsl", include_str!("../wgsl/shared/mask.wgsl")),
     ("shared/ray.wgsl", include_str!("../wgsl/shared/ray.wgsl")),
+    ("shared/texels.wgsl", include_str!("../wgsl/shared/texels.wgsl")),
     ("shared/traced_scene.wgsl", include_str!("../wgsl/shared/traced_scene.wgsl")),
     ("visibility/primary.wgsl", include_str!("../wgsl/visibility/primary.wgsl")),
     ("visibility/shadow.wgsl", include_str!("../wgsl/visibility/shadow.wgsl")),

@@ -5,12 +5,13 @@ use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_shaders::{
     camera::{Camera, NEAR_M},
     gpu::Gpu,
-    scene::{AlphaMode, Draw, Image, Material, Scene, Texture, Wrap},
+    scene::{AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap},
+    shading,
 };
 
 use super::{
     FrameRenderer, PICTURE_FORMAT,
-    exposure::Exposure,
+    exposure::{self, Exposure},
     testing::{camera, draw, floor_and_lights, gpu, renderer},
 };
 use crate::occluders::Occluders;
@@ -151,6 +152,97 @@ fn a_bit_of_0_removes_exactly_its_light() {
             assert_eq!(&shaded[place..place + 4], expected, "({x}, {y})");
         }
     }
+}
+
+/// What the screen shows of exposed light, by the definitions in `tone.wgsl`: bytes before they are rounded.
+fn shown(light: Vec3) -> [f32; 3] {
+    let peak = light.max_element();
+    let top = exposure::tone().curve(peak).clamp(0.0, 1.0);
+    let fade = top * top * (1.0 - 1.0 / (1.0 + 0.25 * (peak - 0.5).max(0.0)));
+    let toned = (light * (top / peak)).lerp(Vec3::splat(top), fade);
+    toned.to_array().map(|value| {
+        let encoded = if value <= 0.003_130_8 { value * 12.92 } else { 1.055 * value.powf(1.0 / 2.4) - 0.055 };
+        encoded * 255.0
+    })
+}
+
+#[test]
+fn lights_fall_off_with_distance_range_and_cone_as_the_host_computes_it() {
+    let (gpu, mut scene) = (gpu(), floor_and_lights());
+    let spot = LightKind::Spot { inner_cone_rad: 0.3, outer_cone_rad: 0.6 };
+    let lamp = |kind, position, color, intensity, range_m| Light {
+        kind,
+        position,
+        direction: Vec3::new(0.2, -1.0, -0.1).normalize(),
+        color,
+        intensity,
+        range_m,
+        ..scene.lights[0].clone()
+    };
+    scene.lights = vec![
+        lamp(spot, Vec3::new(-1.0, 3.0, 1.0), Vec3::new(1.0, 0.6, 0.3), 20.0, f32::INFINITY),
+        lamp(LightKind::Point, Vec3::new(1.5, 0.8, 0.5), Vec3::new(0.3, 0.5, 1.0), 2.0, 2.0),
+    ];
+    // Paint that the base colour's 8 bits keep as it is.
+    let paint = ((188.0_f32 / 255.0 + 0.055) / 1.055).powf(2.4);
+    scene.materials[0].base_color = Vec4::new(paint, paint, paint, 1.0);
+    let (width, height) = (150, 83);
+    let camera = camera(width, height);
+    let exposure = Exposure::of_scene(&floor_and_lights(), &Occluders::default()).at_ev(1.0);
+    let mut renderer =
+        FrameRenderer::new(&gpu, &scene, MaskShape::new(width, height, 2).unwrap(), exposure, PICTURE_FORMAT).unwrap();
+    let picture = draw(&gpu, &mut renderer, &camera, None).rgba;
+    let lighting = exposure.lighting(&scene.lights);
+    let mut counts = [[0; 2]; 2];
+    for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+        let (material, depth, margin) = nearest(&scene, &camera, x, y);
+        if material != 1 || margin < 1e-4 {
+            continue;
+        }
+        let (origin, direction) = camera.ray(x, y);
+        let point = (origin - scene.origin_m + direction * depth).as_vec3();
+        let mut irradiance = lighting.ambient_above;
+        for (k, light) in scene.lights.iter().enumerate() {
+            let (arriving, toward) = shading::Light::new(light, exposure.scale).arrival(point);
+            irradiance += arriving * toward.y.max(0.0);
+            counts[k][usize::from(arriving != Vec3::ZERO)] += 1;
+        }
+        let place = ((y * width + x) * 4) as usize;
+        for (found, expected) in picture[place..place + 3].iter().zip(shown(irradiance * paint)) {
+            // The dither moves a value by half a byte, rounding by another half, 16-bit light by less than 0.1.
+            assert!((f32::from(*found) - expected).abs() < 1.2, "({x}, {y}): {found}, expected {expected}");
+        }
+    }
+    assert!(counts.as_flattened().iter().all(|count| *count > 300), "{counts:?}");
+}
+
+#[test]
+fn a_surface_too_bright_for_any_number_is_white() {
+    let (gpu, mut scene) = (gpu(), floor_and_lights());
+    scene.lights.truncate(1);
+    scene.lights[0] = Light {
+        kind: LightKind::Point,
+        position: Vec3::new(0.0, 0.005, 1.0),
+        intensity: 1e6,
+        ..scene.lights[0].clone()
+    };
+    let shape = MaskShape::new(96, 54, 1).unwrap();
+    let camera = camera(96, 54);
+    let exposure = Exposure::of_scene(&scene, &Occluders::default()).at_ev(0.0);
+    let mut renderer = FrameRenderer::new(&gpu, &scene, shape, exposure, PICTURE_FORMAT).unwrap();
+    let picture = draw(&gpu, &mut renderer, &camera, None).rgba;
+    let mut seen = 0;
+    for place in 0..96 * 54 {
+        let (origin, direction) = camera.ray(place % 96, place / 96);
+        let point = origin - scene.origin_m - direction * (origin.y / direction.y);
+        // Within 30 cm, 1e6 cd · 5 mm / (30 cm)³ make 185000 lx, more than 16-bit floating point can hold.
+        if direction.y < 0.0 && point.distance(DVec3::new(0.0, 0.0, 1.0)) < 0.3 {
+            let texel = &picture[place as usize * 4..][..3];
+            assert!(texel.iter().all(|channel| *channel >= 254), "{texel:?} at {point}");
+            seen += 1;
+        }
+    }
+    assert!(seen > 50, "{seen}");
 }
 
 #[test]

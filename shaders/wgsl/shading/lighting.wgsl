@@ -67,19 +67,3 @@ fn arrival(light: Light, point: vec3f) -> Arrival {
 fn ambient(above: vec3f, below: vec3f, normal: vec3f) -> vec3f {
     return mix(below, above, 0.5 * normal.y + 0.5);
 }
-
-// The word of the mask, seen as array<u32>, that holds a pixel's bit for light 0, the step to the next light, and the
-// bit's place in it: 8×8 tiles of 64 bits, as in protocol/src/mask.rs.
-struct MaskPlace {
-    word: u32,
-    step: u32,
-    bit: u32,
-}
-
-fn mask_place(width: u32, height: u32, pixel: vec2u) -> MaskPlace {
-    let tiles_x = (width + 7u) / 8u;
-    let tiles = tiles_x * ((height + 7u) / 8u);
-    let bit = (pixel.y & 7u) * 8u + (pixel.x & 7u);
-    let tile = (pixel.y >> 3u) * tiles_x + (pixel.x >> 3u);
-    return MaskPlace(tile * 2u + (bit >> 5u), tiles * 2u, bit & 31u);
-}

@@ -1,5 +1,7 @@
 // A material: base colour, and whether a MASK point is there. Twin: `shading::Material`.
 
+#import "shared/texels.wgsl"
+
 struct Material {
     // Linear RGBA factor.
     base_color: vec4f,
@@ -21,18 +23,6 @@ fn base_color(uv: vec2f) -> vec4f {
     return material.base_color * textureSample(picture, picture_sampler, uv);
 }
 
-fn wrapped(place: i32, size: i32, wrap: u32) -> i32 {
-    if wrap == 2u {
-        return clamp(place, 0, size - 1);
-    }
-    if wrap == 1u {
-        let period = size * 2;
-        let folded = ((place % period) + period) % period;
-        return min(folded, period - 1 - folded);
-    }
-    return ((place % size) + size) % size;
-}
-
 fn picture_alpha(x: i32, y: i32, size: vec2i) -> f32 {
     let place = vec2i(wrapped(x, size.x, material.wrap_u), wrapped(y, size.y, material.wrap_v));
     return textureLoad(picture, place, 0).a;
@@ -42,12 +32,10 @@ fn picture_alpha(x: i32, y: i32, size: vec2i) -> f32 {
 // both ends see the same leaf. The picture's sampler must not be used: it would read a smaller mip.
 fn mask_alpha(uv: vec2f) -> f32 {
     let size = vec2i(textureDimensions(picture, 0));
-    let place = uv * vec2f(size) - 0.5;
-    let corner = floor(place);
-    let weight = place - corner;
-    let x = i32(corner.x);
-    let y = i32(corner.y);
-    let upper = mix(picture_alpha(x, y, size), picture_alpha(x + 1, y, size), weight.x);
-    let lower = mix(picture_alpha(x, y + 1, size), picture_alpha(x + 1, y + 1, size), weight.x);
-    return mix(upper, lower, weight.y) * material.base_color.a;
+    let texels = texels_around(uv, vec2f(size));
+    let x = texels.corner.x;
+    let y = texels.corner.y;
+    let upper = mix(picture_alpha(x, y, size), picture_alpha(x + 1, y, size), texels.weight.x);
+    let lower = mix(picture_alpha(x, y + 1, size), picture_alpha(x + 1, y + 1, size), texels.weight.x);
+    return mix(upper, lower, texels.weight.y) * material.base_color.a;
 }

@@ -1,20 +1,7 @@
 // Holes: whether a point of a MASK triangle is there. Needs shared/traced_scene.wgsl.
 
+#import "shared/texels.wgsl"
 #import "shared/traced_scene.wgsl"
-
-// The texel inside the picture that stands for texel `place` of the endless one. Wraps: 0 repeats, 1 repeats mirrored,
-// 2 holds the edge.
-fn wrapped(place: i32, size: i32, wrap: u32) -> i32 {
-    if wrap == 2u {
-        return clamp(place, 0, size - 1);
-    }
-    if wrap == 1u {
-        let period = 2 * size;
-        let folded = ((place % period) + period) % period;
-        return min(folded, period - 1 - folded);
-    }
-    return ((place % size) + size) % size;
-}
 
 fn alpha_texel(material: AlphaMaterial, x: i32, y: i32) -> f32 {
     let column = u32(wrapped(x, i32(material.width), material.wraps & 0xffffu));
@@ -23,18 +10,15 @@ fn alpha_texel(material: AlphaMaterial, x: i32, y: i32) -> f32 {
     return f32((alpha_texels[texel >> 2u] >> ((texel & 3u) * 8u)) & 0xffu);
 }
 
-// Bilinear in the full-size picture. Farther out than 2³⁰ texels an f32 has no place between texels anyway.
+// Bilinear in the full-size picture.
 fn is_there(index: u32, uv: vec2f) -> bool {
     let material = alpha_materials[index];
-    let size = vec2f(f32(material.width), f32(material.height));
-    let place = clamp(uv * size - 0.5, vec2f(-1073741824.0), vec2f(1073741824.0));
-    let corner = floor(place);
-    let weight = place - corner;
-    let x = i32(corner.x);
-    let y = i32(corner.y);
-    let upper = mix(alpha_texel(material, x, y), alpha_texel(material, x + 1, y), weight.x);
-    let lower = mix(alpha_texel(material, x, y + 1), alpha_texel(material, x + 1, y + 1), weight.x);
-    return mix(upper, lower, weight.y) / 255.0 * material.factor >= material.cutoff;
+    let texels = texels_around(uv, vec2f(f32(material.width), f32(material.height)));
+    let x = texels.corner.x;
+    let y = texels.corner.y;
+    let upper = mix(alpha_texel(material, x, y), alpha_texel(material, x + 1, y), texels.weight.x);
+    let lower = mix(alpha_texel(material, x, y + 1), alpha_texel(material, x + 1, y + 1), texels.weight.x);
+    return mix(upper, lower, texels.weight.y) / 255.0 * material.factor >= material.cutoff;
 }
 
 // Whether the triangle at `triangle` is there at a meeting with these weights.
