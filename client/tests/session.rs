@@ -103,6 +103,17 @@ fn a_lost_mask_is_asked_for_again_and_nothing_hangs() {
 }
 
 #[test]
+fn a_mask_that_comes_twice_counts_once() {
+    let stage = Stage::start("lab-tcp", Script { late: vec![2], ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = stage.options(folder.path());
+    options.wait = true;
+    let summary = run_headless(&options).unwrap();
+    assert!(summary.poses_repeated >= 1, "{}", summary.poses_repeated);
+    assert_eq!((summary.frames_with_mask, summary.frames_received, summary.frames_incomplete), (4, 4, 0));
+}
+
+#[test]
 fn a_run_that_does_not_wait_goes_on_without_masks() {
     let lose = (0..200).map(|frame| (frame, None)).collect();
     let stage = Stage::start("lab-udp", Script { lose, ..Script::default() });

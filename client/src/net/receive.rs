@@ -44,7 +44,8 @@ pub(crate) type Counters = Arc<Mutex<Received>>;
 /// Frames that are asked for a second time, because they did not come.
 ///
 /// The reassembler lets frames out in growing order only and ignores what it has given up. A frame that is sent anew
-/// therefore needs a fresh one, as soon as the first packet of the second attempt is there.
+/// therefore needs a fresh one, as soon as the first packet of the second attempt is there; but not when the first
+/// attempt was only late, and has come whole in the meantime.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Again(Arc<AtomicU64>);
 
@@ -54,13 +55,11 @@ impl Again {
         self.0.store(u64::from(frame.0) + 1, Ordering::Release);
     }
 
-    /// Whether this packet begins a frame that was asked for again.
-    fn begins_with(&self, packet: &[u8]) -> bool {
+    /// The frame that this packet begins, if it was asked for again.
+    fn begun_by(&self, packet: &[u8]) -> Option<FrameNumber> {
         let asked = self.0.load(Ordering::Acquire);
-        asked != 0
-            && PacketHeader::decode(packet).is_ok_and(|(header, _)| {
-                header.first && header.frame.is_some_and(|frame| u64::from(frame.0) + 1 == asked)
-            })
+        let (header, _) = PacketHeader::decode(packet).ok().filter(|(header, _)| header.first && asked != 0)?;
+        header.frame.filter(|frame| u64::from(frame.0) + 1 == asked)
     }
 }
 
@@ -94,10 +93,12 @@ impl ReceiveTask {
         let mut incomplete_before = 0;
         // Whether a frame is begun, which the reassembler counts as incomplete only when it gives it up.
         let mut begun = false;
+        // The newest mask.
+        let mut whole = None;
         loop {
             let packet =
                 self.receiver.receive().await.map_err(|error| format!("connection lost: {}", root_cause(&error)))?;
-            if self.again.begins_with(packet) {
+            if self.again.begun_by(packet).is_some_and(|frame| whole != Some(frame)) {
                 incomplete_before += reassembler.stats().frames_incomplete + u64::from(begun);
                 reassembler = fresh();
             }
@@ -106,7 +107,7 @@ impl ReceiveTask {
             match progress {
                 Ok(Progress::Complete) => {
                     begun = false;
-                    self.take_frame(&reassembler, &mut decoder, incomplete)?;
+                    whole = self.take_frame(&reassembler, &mut decoder, incomplete)?.or(whole);
                 }
                 Ok(Progress::Stored) => begun = true,
                 Ok(Progress::Ignored(cause)) => {
@@ -125,8 +126,14 @@ impl ReceiveTask {
         }
     }
 
-    fn take_frame(&mut self, reassembler: &Reassembler, decoder: &mut Decoder, incomplete: u64) -> Result<(), String> {
-        let Some(complete) = reassembler.frame() else { return Ok(()) };
+    /// Hands a whole frame to the renderer, and says which it was, unless it is no mask.
+    fn take_frame(
+        &mut self,
+        reassembler: &Reassembler,
+        decoder: &mut Decoder,
+        incomplete: u64,
+    ) -> Result<Option<FrameNumber>, String> {
+        let Some(complete) = reassembler.frame() else { return Ok(None) };
         let received_at = Instant::now();
         let back = self.writer.back();
         // The shape is looked at before memory for it is taken.
@@ -142,7 +149,7 @@ impl ReceiveTask {
         if let Err(reason) = decoded {
             counters.bad += 1;
             tracing::warn!(frame = complete.frame.0, %reason, "a frame is no mask");
-            return Ok(());
+            return Ok(None);
         }
         counters.frames += 1;
         counters.payload_bytes += complete.body.len() as u64;
@@ -158,7 +165,7 @@ impl ReceiveTask {
         back.packets = complete.packets;
         back.received_at = received_at;
         self.writer.publish();
-        Ok(())
+        Ok(Some(complete.frame))
     }
 }
 

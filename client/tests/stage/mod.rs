@@ -27,6 +27,8 @@ pub(crate) struct Script {
     pub(crate) lose: Vec<(u32, Option<usize>)>,
     /// Frames whose mask first comes in another shape.
     pub(crate) wrong_shape: Vec<u32>,
+    /// Frames that are answered only when they are asked for again, and then for each time.
+    pub(crate) late: Vec<u32>,
     /// Closes the session in place of this frame.
     pub(crate) close_at: Option<u32>,
     /// Said in place of Welcome.
@@ -228,7 +230,7 @@ fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: Co
     let mut link = Link::open(data);
     let (mut encoder, mut packetizer, mut body) =
         (Encoder::new(codec), Packetizer::new(MAX_PACKET_BYTES / 4), Vec::new());
-    let mut latest = None;
+    let (mut latest, mut owed) = (None, false);
     while let Some(packet) = link.receive() {
         let (sequence, FrameNumber(frame), _) = decode_pose_packet(&packet).unwrap();
         assert!(latest.is_none_or(|latest| latest < (frame, sequence)), "poses grow");
@@ -238,6 +240,11 @@ fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: Co
             let _ = control.write_all(&message::encode(&closing).unwrap());
             return;
         }
+        if let Some(place) = script.late.iter().position(|wanted| *wanted == frame) {
+            script.late.remove(place);
+            owed = true;
+            continue;
+        }
         let wrong = script.wrong_shape.iter().position(|wanted| *wanted == frame);
         let mask = match wrong.map(|place| script.wrong_shape.remove(place)) {
             Some(_) => Mask::new(MaskShape::new(64, 40, 1).unwrap()),
@@ -245,9 +252,11 @@ fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: Co
         };
         encoder.encode(&mask, &mut body).unwrap();
         let lost = script.lose.iter().position(|(wanted, _)| *wanted == frame).map(|place| script.lose.remove(place).1);
-        for (index, packet) in packetizer.packets(FrameNumber(frame), 0, &body).unwrap().enumerate() {
-            if lost.is_none_or(|lost| lost.is_some_and(|lost| lost != index)) {
-                link.send(&packet);
+        for _ in 0..1 + u8::from(std::mem::take(&mut owed)) {
+            for (index, packet) in packetizer.packets(FrameNumber(frame), 0, &body).unwrap().enumerate() {
+                if lost.is_none_or(|lost| lost.is_some_and(|lost| lost != index)) {
+                    link.send(&packet);
+                }
             }
         }
     }
