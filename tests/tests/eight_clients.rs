@@ -31,7 +31,8 @@ const CLIENTS: usize = 8;
 const KILLED: usize = 3;
 /// Small pictures and many frames: this is about sessions, not about speed.
 const SIZE: (u32, u32) = (96, 54);
-const FRAMES: u32 = 50;
+/// Eight seconds of them: the first client that is ready must still be at it when the last one has begun.
+const FRAMES: u32 = 160;
 /// So that the survivors are still at it when the sessions of the killed expire.
 const FPS: u32 = 20;
 const IDLE: Duration = Duration::from_secs(1);
@@ -47,7 +48,7 @@ fn write_path(json: &Path, client: usize, file: &Path) {
         let position = stop.position_m + DVec3::new(0.0, aside, 0.0);
         json!({ "t": t, "pos": position.to_array(), "target": target.to_array() })
     };
-    let keyframes = json!([keyframe(0.0, aside * 10.0), keyframe(2.5, 2.0 + aside * 10.0)]);
+    let keyframes = json!([keyframe(0.0, aside * 10.0), keyframe(f64::from(FRAMES / FPS), 2.0 + aside * 10.0)]);
     let path = json!({ "yfov_deg": 60.0, "camera_path": { "keyframes": keyframes } });
     fs::write(file, path.to_string()).unwrap();
 }

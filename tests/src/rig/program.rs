@@ -232,7 +232,8 @@ mod tests {
 
     #[test]
     fn an_endless_program_is_given_up_and_killed() {
-        let program = shell("echo busy; exec sleep 1000");
+        let mut program = shell("echo busy; exec sleep 1000");
+        program.wait_for(Duration::from_secs(60), |said| said.find("busy")).unwrap();
         let id = program.id();
         let error = program.finish(Duration::from_millis(200)).unwrap_err();
         assert!(error.to_string().contains("still runs after 200ms:\nbusy"), "{error}");
