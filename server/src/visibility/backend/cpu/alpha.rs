@@ -11,6 +11,8 @@ pub(super) struct Alpha {
     first: u32,
     triangles: Vec<MaskTriangle>,
     materials: Vec<MaskMaterial>,
+    /// One for each image, however many materials show it.
+    pictures: Vec<AlphaPicture>,
 }
 
 #[derive(Debug)]
@@ -23,7 +25,8 @@ struct MaskTriangle {
 struct MaskMaterial {
     cutoff: f32,
     factor: f32,
-    picture: Option<(AlphaPicture, [Wrap; 2])>,
+    /// Index of the picture, and how it repeats.
+    picture: Option<(usize, [Wrap; 2])>,
 }
 
 impl Alpha {
@@ -32,8 +35,9 @@ impl Alpha {
     /// # Errors
     /// When a MASK material's picture is not decoded.
     pub(super) fn new(scene: &Scene) -> Result<Self, BackendError> {
-        let mut alpha = Self { first: 0, triangles: Vec::new(), materials: Vec::new() };
+        let mut alpha = Self { first: 0, triangles: Vec::new(), materials: Vec::new(), pictures: Vec::new() };
         let mut places = vec![None; scene.materials.len()];
+        let mut picture_places = vec![None; scene.images.len()];
         for draw in &scene.draws {
             let material = &scene.materials[draw.material as usize];
             let AlphaMode::Mask { cutoff } = material.alpha else { continue };
@@ -43,12 +47,18 @@ impl Alpha {
             let place = match places[draw.material as usize] {
                 Some(place) => place,
                 None => {
-                    let picture = match (scene.alpha_picture(draw.material), material.base_color_texture) {
-                        (Some(picture), Some(texture)) if is_whole(&picture) => {
-                            Some((picture, [texture.wrap_u, texture.wrap_v]))
+                    let picture = match material.base_color_texture {
+                        Some(texture) => {
+                            let missing = || BackendError::Alpha { material: draw.material };
+                            let place = picture_places.get_mut(texture.image as usize).ok_or_else(missing)?;
+                            if place.is_none() {
+                                let picture = scene.alpha_picture(draw.material).filter(is_whole);
+                                alpha.pictures.push(picture.ok_or_else(missing)?);
+                            }
+                            let place = *place.get_or_insert(alpha.pictures.len() - 1);
+                            Some((place, [texture.wrap_u, texture.wrap_v]))
                         }
-                        (None, None) => None,
-                        _ => return Err(BackendError::Alpha { material: draw.material }),
+                        None => None,
                     };
                     alpha.materials.push(MaskMaterial { cutoff, factor: material.base_color.w, picture });
                     *places[draw.material as usize].insert(alpha.materials.len() - 1)
@@ -69,19 +79,17 @@ impl Alpha {
     pub(super) fn is_there(&self, triangle: u32, weights: [f32; 3]) -> bool {
         let triangle = &self.triangles[(triangle - self.first) as usize];
         let material = &self.materials[triangle.material as usize];
-        let Some((picture, wraps)) = &material.picture else { return material.factor >= material.cutoff };
+        let Some((picture, wraps)) = material.picture else { return material.factor >= material.cutoff };
         let sum = weights[0] + weights[1] + weights[2];
         let [u, v] = [0, 1].map(|i| {
             (triangle.uvs[0][i] * weights[0] + triangle.uvs[1][i] * weights[1] + triangle.uvs[2][i] * weights[2]) / sum
         });
-        sample(picture, *wraps, u, v) / 255.0 * material.factor >= material.cutoff
+        sample(&self.pictures[picture], wraps, u, v) / 255.0 * material.factor >= material.cutoff
     }
 
     /// Bytes of memory that pictures and coordinates take.
     pub(super) fn memory_bytes(&self) -> usize {
-        let pictures: usize =
-            self.materials.iter().filter_map(|material| Some(material.picture.as_ref()?.0.alpha.len())).sum();
-        pictures + size_of_val(&*self.triangles)
+        self.pictures.iter().map(|picture| picture.alpha.len()).sum::<usize>() + size_of_val(&*self.triangles)
     }
 }
 
@@ -127,9 +135,33 @@ fn texels(at: f32, size: u32, wrap: Wrap) -> [u32; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::visibility::test_scenes::{LEAF, room};
 
     fn picture() -> AlphaPicture {
         AlphaPicture { width: 4, height: 2, alpha: vec![0, 40, 80, 120, 200, 200, 200, 200] }
+    }
+
+    #[test]
+    fn materials_share_the_picture_of_their_image() {
+        let mut scene = room();
+        let mut other = scene.materials[LEAF as usize].clone();
+        other.alpha = AlphaMode::Mask { cutoff: 0.25 };
+        scene.materials.push(other);
+        let at = scene.draws.iter().position(|draw| draw.material == LEAF && draw.triangles > 1).unwrap();
+        let mut rest = scene.draws[at];
+        scene.draws[at].triangles = 1;
+        (rest.first_triangle, rest.triangles) = (rest.first_triangle + 1, rest.triangles - 1);
+        rest.material = u32::try_from(scene.materials.len() - 1).unwrap();
+        scene.draws.insert(at + 1, rest);
+        let alpha = Alpha::new(&scene).unwrap();
+        assert_eq!((alpha.materials.len(), alpha.pictures.len()), (2, 1));
+    }
+
+    #[test]
+    fn a_missing_picture_is_an_error() {
+        let mut scene = room();
+        scene.images.iter_mut().for_each(|image| image.rgba.clear());
+        assert!(matches!(Alpha::new(&scene), Err(BackendError::Alpha { material: LEAF })));
     }
 
     #[test]
