@@ -125,15 +125,20 @@ impl AlphaMaterial {
     }
 }
 
-/// Two wraps in one number: u in the low half, v in the high half.
+/// A wrap as the shaders number them (`shared/texels.wgsl`).
 #[must_use]
-pub fn wraps(u: Wrap, v: Wrap) -> u32 {
-    let code = |wrap| match wrap {
+pub fn wrap(wrap: Wrap) -> u32 {
+    match wrap {
         Wrap::Repeat => 0,
         Wrap::MirroredRepeat => 1,
         Wrap::ClampToEdge => 2,
-    };
-    code(u) | code(v) << 16
+    }
+}
+
+/// Two wraps in one number: u in the low half, v in the high half.
+#[must_use]
+pub fn wraps(u: Wrap, v: Wrap) -> u32 {
+    wrap(u) | wrap(v) << 16
 }
 
 /// A triangle, at the place that the hierarchy gives it.

@@ -7,7 +7,8 @@ use glam::{DVec3, Mat4, Vec3, Vec4};
 
 use crate::{
     camera::{Camera, NEAR_M},
-    scene::{AlphaMode, Light as SceneLight, LightKind, Material as SceneMaterial, Wrap},
+    host::wrap,
+    scene::{AlphaMode, Light as SceneLight, LightKind, Material as SceneMaterial},
 };
 
 /// Lights that fit [`Lighting`]; as many as a visibility mask has planes.
@@ -77,11 +78,6 @@ impl Material {
     /// What the shaders need of the scene's material number `index`.
     #[must_use]
     pub fn new(material: &SceneMaterial, index: u32) -> Self {
-        let wrap = |wrap| match wrap {
-            Wrap::Repeat => 0,
-            Wrap::MirroredRepeat => 1,
-            Wrap::ClampToEdge => 2,
-        };
         let (wrap_u, wrap_v) =
             material.base_color_texture.map_or((0, 0), |texture| (wrap(texture.wrap_u), wrap(texture.wrap_v)));
         let alpha_cutoff = match material.alpha {
