@@ -12,24 +12,33 @@ use gnomon_client::{
 use gnomon_protocol::codec::CodecId;
 use serde::Serialize;
 
+use super::scene_args::size;
+
 /// A load on a server that runs already.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct LoadOptions {
     /// The line that the server printed.
     pub url: ServerUrl,
     /// Token, for a server that wants one.
+    #[arg(long, env = "GNOMON_TOKEN", hide_env_values = true)]
     pub token: Option<String>,
     /// Clients at once.
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub clients: u32,
-    /// Camera path that all follow, each from its own place on.
+    /// Camera path, FILE or FILE#NAME; each client starts at another place of it.
+    #[arg(long)]
     pub path: PathSpec,
-    /// Size of the masks, in pixels.
+    /// Size of the masks, WIDTHxHEIGHT.
+    #[arg(long, value_parser = size, default_value = "640x360")]
     pub size: (u32, u32),
     /// Poses of each client.
+    #[arg(long, default_value_t = 600)]
     pub frames: u32,
-    /// Poses a second of each client; without, each sends a pose when the mask of the one before has come.
+    /// Poses a second of each client; without it, each sends a pose when the mask of the one before has come.
+    #[arg(long)]
     pub fps: Option<f64>,
-    /// File for the figures, as JSON.
+    /// File for the figures, as JSON; they are printed as well.
+    #[arg(long)]
     pub out: Option<PathBuf>,
 }
 

@@ -2,5 +2,6 @@
 
 pub mod load;
 pub mod pipeline;
+pub mod scene_args;
 pub mod table;
 pub mod trace_error;

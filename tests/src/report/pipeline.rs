@@ -3,38 +3,33 @@
 //! Each row runs the real server and the real headless client as processes, along the same camera path, at the same
 //! size. A row's figures are medians over its runs.
 
-use std::{ffi::OsString, fs, path::PathBuf};
+use std::ffi::OsString;
 
 use anyhow::{Context, Result};
 use gnomon_protocol::codec::CodecId;
 use serde_json::Value;
 
-use super::table::{Table, median};
+use super::{
+    scene_args::SceneArgs,
+    table::{Table, median},
+};
 use crate::rig::{ClientJob, PATIENCE, ServerProcess};
 
 /// What to measure.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct PipelineOptions {
-    /// The scene.
-    pub scene: PathBuf,
-    /// Lights for a scene that has none.
-    pub lights_from: Option<PathBuf>,
-    /// Keeps the first lights only.
-    pub lights: Option<u32>,
-    /// Camera path for the client: `FILE` or `FILE#NAME`.
-    pub path: OsString,
-    /// Width and height in pixels.
-    pub size: (u32, u32),
-    /// Frames a run.
-    pub frames: u32,
-    /// Runs a row.
+    /// Scene, path, size, frames a run, and the folder for `pipeline.csv`.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// Runs a row; figures are their medians.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub runs: u32,
-    /// The server's back end.
+    /// The server's back end: auto, compute or cpu.
+    #[arg(long, default_value = "auto")]
     pub backend: String,
-    /// Lets both ends use a software adapter.
+    /// Lets both programs use a software adapter.
+    #[arg(long)]
     pub allow_software: bool,
-    /// Folder for `pipeline.csv`.
-    pub out: PathBuf,
 }
 
 /// One configuration.
@@ -93,7 +88,6 @@ impl Run {
 /// # Errors
 /// When a program is not built or fails, or the folder cannot be written.
 pub fn measure(options: &PipelineOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
-    fs::create_dir_all(&options.out).with_context(|| format!("creating {}", options.out.display()))?;
     let mut table = Table::new(&[
         "row",
         "configuration",
@@ -108,24 +102,16 @@ pub fn measure(options: &PipelineOptions, mut progress: impl FnMut(&str)) -> Res
     ]);
     for row in &ROWS {
         let runs = runs_of(row, options)?;
-        let cells = cells(row, &runs, options.size);
+        let cells = cells(row, &runs, options.scene.size);
         progress(&cells.join("  "));
         table.rows.push(cells);
     }
-    let path = options.out.join("pipeline.csv");
-    fs::write(&path, table.csv()).with_context(|| format!("writing {}", path.display()))?;
+    options.scene.write("pipeline.csv", &table.csv())?;
     Ok(table)
 }
 
 fn runs_of(row: &Row, options: &PipelineOptions) -> Result<Vec<Run>> {
-    let lights = options.lights.map(|lights| lights.to_string());
-    let mut scene_arguments: Vec<OsString> = Vec::new();
-    if let Some(file) = &options.lights_from {
-        scene_arguments.extend(["--lights-from".into(), file.into()]);
-    }
-    if let Some(lights) = &lights {
-        scene_arguments.extend(["--lights".into(), lights.into()]);
-    }
+    let scene_arguments = options.scene.light_arguments();
     let software = options.allow_software.then(|| OsString::from("--allow-software"));
     let server = match row.transport {
         None => None,
@@ -133,7 +119,7 @@ fn runs_of(row: &Row, options: &PipelineOptions) -> Result<Vec<Run>> {
             let mut arguments = scene_arguments.clone();
             arguments.extend(["--transport".into(), transport.into(), "--backend".into(), (&options.backend).into()]);
             arguments.extend(software.clone());
-            Some(ServerProcess::start(&options.scene, &arguments)?)
+            Some(ServerProcess::start(&options.scene.scene, &arguments)?)
         }
     };
     let mut runs = Vec::new();
@@ -143,14 +129,14 @@ fn runs_of(row: &Row, options: &PipelineOptions) -> Result<Vec<Run>> {
         if server.is_some() {
             arguments.extend(["--codec".into(), row.codec.to_string().into()]);
         } else {
-            arguments.extend(["--offline".into(), (&options.scene).into()]);
+            arguments.extend(["--offline".into(), (&options.scene.scene).into()]);
             arguments.extend(scene_arguments.iter().cloned());
         }
         let job = ClientJob {
             url: server.as_ref().map(ServerProcess::url),
-            path: options.path.clone(),
-            frames: options.frames,
-            size: options.size,
+            path: options.scene.path_text(),
+            frames: options.scene.frames,
+            size: options.scene.size,
             folder: folder.path(),
             wait: row.wait,
             save_masks: false,

@@ -1,44 +1,34 @@
 //! How far a back end's masks are from the referee's, traced directly, without a network in between.
 
-use std::path::PathBuf;
-
 use anyhow::{Context, Result, bail};
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_server::visibility::backend::{compute::ComputeBackend, cpu::CpuBackend};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{LoadOptions, Scene},
-};
+use gnomon_shaders::{camera::Camera, scene::Scene};
 
+use super::scene_args::SceneArgs;
 use crate::{
     metrics::RelevantError,
     reference::{Reference, Truth},
-    scenes::real::{Stop, stop},
 };
 
 /// What to compare.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct TraceErrorOptions {
-    /// The scene.
-    pub scene: PathBuf,
-    /// Lights for a scene that has none.
-    pub lights_from: Option<PathBuf>,
-    /// Keeps the first lights only.
-    pub lights: Option<u32>,
-    /// JSON file with camera paths.
-    pub path: PathBuf,
-    /// Name of the path, where the file has several.
-    pub path_name: Option<String>,
+    /// Scene, path and size.
+    #[command(flatten)]
+    pub scene: SceneArgs,
     /// Times on the path, in seconds.
-    pub times_s: Vec<f64>,
-    /// Width and height in pixels.
-    pub size: (u32, u32),
-    /// `cpu`, `compute` or both.
+    #[arg(long, value_delimiter = ',', default_value = "0")]
+    pub times: Vec<f64>,
+    /// Back ends: cpu, compute.
+    #[arg(long, value_delimiter = ',', default_value = "cpu,compute")]
     pub backends: Vec<String>,
-    /// Lets `compute` run on a software adapter.
+    /// Lets compute run on a software adapter.
+    #[arg(long)]
     pub allow_software: bool,
-    /// Folder for a picture of each comparison.
-    pub pictures: Option<PathBuf>,
+    /// Writes a picture of each comparison.
+    #[arg(long)]
+    pub pictures: bool,
 }
 
 /// Compares, and tells `progress` each result as a line.
@@ -46,27 +36,22 @@ pub struct TraceErrorOptions {
 /// # Errors
 /// When the scene or the path cannot be read, there is no such back end, or a picture cannot be written.
 pub fn compare(options: &TraceErrorOptions, mut progress: impl FnMut(&str)) -> Result<()> {
-    let load = LoadOptions { lights_from: options.lights_from.clone(), max_lights: options.lights };
-    let scene = Scene::load(&options.scene, &load).with_context(|| format!("loading {}", options.scene.display()))?;
+    let scene = options.scene.load_scene()?;
+    let path = options.scene.load_path()?;
     let reference = Reference::new(&scene);
-    let (width, height) = options.size;
-    let cameras = options.times_s.iter().map(|&time_s| {
-        let stop: Stop = stop(&options.path, options.path_name.as_deref(), time_s)?;
-        Ok(stop.camera(width, height))
-    });
-    let cameras = cameras.collect::<Result<Vec<Camera>>>()?;
+    let (width, height) = options.scene.size;
+    let cameras: Vec<Camera> = options.times.iter().map(|&time_s| path.camera(time_s, width, height)).collect();
     let truths: Vec<_> = cameras.iter().map(|camera| reference.trace(camera)).collect();
     let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
     let mut mask = Mask::new(MaskShape::new(width, height, lights)?);
     for name in &options.backends {
         let mut backend = open(name, &scene, options.allow_software)?;
-        for ((camera, truth), time_s) in cameras.iter().zip(&truths).zip(&options.times_s) {
+        for ((camera, truth), time_s) in cameras.iter().zip(&truths).zip(&options.times) {
             backend(camera, &mut mask)?;
             let error = RelevantError::of(&mask, truth);
             progress(&format!("{name} at {time_s} s: {error}; light, x, y of wrong ones: {:?}", error.examples));
-            if let Some(folder) = &options.pictures {
-                std::fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
-                let path = folder.join(format!("{name}-{time_s}.png"));
+            if options.pictures {
+                let path = options.scene.result(&format!("{name}-{time_s}.png"))?;
                 picture(&mask, truth).save(&path).with_context(|| format!("writing {}", path.display()))?;
             }
         }
