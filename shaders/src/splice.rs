@@ -7,11 +7,15 @@ use thiserror::Error;
 /// Every WGSL file: its path under `wgsl/`, and its text.
 pub const FILES: &[(&str, &str)] = &[
     ("shading/blend.wgsl", include_str!("../wgsl/shading/blend.wgsl")),
+    ("shading/depth.wgsl", include_str!("../wgsl/shading/depth.wgsl")),
     ("shading/gbuffer.wgsl", include_str!("../wgsl/shading/gbuffer.wgsl")),
     ("shading/inputs.wgsl", include_str!("../wgsl/shading/inputs.wgsl")),
     ("shading/lighting.wgsl", include_str!("../wgsl/shading/lighting.wgsl")),
+    ("shading/mask_words.wgsl", include_str!("../wgsl/shading/mask_words.wgsl")),
     ("shading/material.wgsl", include_str!("../wgsl/shading/material.wgsl")),
+    ("shading/predict.wgsl", include_str!("../wgsl/shading/predict.wgsl")),
     ("shading/shade.wgsl", include_str!("../wgsl/shading/shade.wgsl")),
+    ("shading/shadow_map.wgsl", include_str!("../wgsl/shading/shadow_map.wgsl")),
     ("shading/tone.wgsl", include_str!("../wgsl/shading/tone.wgsl")),
     ("shading/view.wgsl", include_str!("../wgsl/shading/view.wgsl")),
     ("shared/alpha.wgsl", include_str!("../wgsl/shared/alpha.wgsl")),
