@@ -5,7 +5,7 @@ use std::{path::PathBuf, str::FromStr};
 use clap::Parser;
 use gnomon_protocol::codec::CodecId;
 
-use crate::{camera_path::PathSpec, net::url::ServerUrl};
+use crate::{camera_path::PathSpec, guard::Guard, mode::Mode, net::url::ServerUrl, predictor::Predictor};
 
 /// A thin client of a Gnomon server: rasterises a scene, and shades it with visibility that the server traces.
 #[derive(Debug, Clone, Parser)]
@@ -68,6 +68,28 @@ pub struct Arguments {
     /// Shade each frame with exactly its own mask, and wait for it
     #[arg(long)]
     pub wait: bool,
+    /// How visibility is carried over to frames that it was not traced for: none, dissertation, dissertation-shadow,
+    /// dissertation-copy or surface [default: surface]
+    #[arg(long, env = "GNOMON_PREDICT", value_name = "PREDICTOR")]
+    pub predict: Option<Predictor>,
+    /// Which pose is drawn: sequential (the newest mask's), concurrent (the newest) or auto [default: auto]
+    #[arg(long, env = "GNOMON_MODE", value_name = "MODE")]
+    pub mode: Option<Mode>,
+    /// Largest lag, in frames, that auto draws sequentially; the dissertation has 2 [default: 0, never]
+    #[arg(long, value_name = "FRAMES")]
+    pub sequential_lag: Option<u32>,
+    /// Largest lag, in frames, that is predicted over before the client goes on by itself [default: 50]
+    #[arg(long, value_name = "FRAMES")]
+    pub prediction_lag: Option<u32>,
+    /// How long a fade between received visibility and the client's own takes, in seconds [default: 0.25]
+    #[arg(long, value_name = "S")]
+    pub fade: Option<f64>,
+    /// Guard band: how many pixels wider and higher than the picture masks are, half on each side: WxH, 0 or auto [default: 0]
+    #[arg(long, env = "GNOMON_GUARD", value_name = "WxH")]
+    pub guard: Option<Guard>,
+    /// Have the server trace for where the camera will be when the mask is shown [default: false]
+    #[arg(long, env = "GNOMON_PREDICT_POSE", value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub predict_pose: Option<bool>,
     /// Exposure: 1 lux is shown as 2^-EV; the summary says what was used [default: what suits the scene and its lights]
     #[arg(long, value_name = "EV", allow_negative_numbers = true)]
     pub exposure: Option<f32>,

@@ -13,8 +13,11 @@ use thiserror::Error;
 use crate::{
     camera_path::PathSpec,
     cli::{Arguments, Size},
+    guard::Guard,
     headless::{HeadlessOptions, Source},
+    mode::{Mode, Thresholds},
     net::url::ServerUrl,
+    predictor::Predictor,
 };
 
 /// Largest configuration file that is read, in bytes.
@@ -42,6 +45,13 @@ pub struct FileConfig {
     adapter: Option<String>,
     allow_software: Option<bool>,
     wait: Option<bool>,
+    predict: Option<Predictor>,
+    mode: Option<Mode>,
+    sequential_lag: Option<u32>,
+    prediction_lag: Option<u32>,
+    fade: Option<f64>,
+    guard: Option<Guard>,
+    predict_pose: Option<bool>,
     exposure: Option<f32>,
     cache_dir: Option<PathBuf>,
     connect_timeout: Option<f64>,
@@ -127,6 +137,12 @@ pub fn resolve(arguments: Arguments) -> Result<HeadlessOptions, ConfigError> {
         Some(seconds) if (0.001..=3600.0).contains(&seconds) => Duration::from_secs_f64(seconds),
         Some(seconds) => return Err(ConfigError::Timeout(seconds)),
     };
+    let thresholds = Thresholds {
+        sequential_lag: arguments.sequential_lag.or(file.sequential_lag).unwrap_or(default.thresholds.sequential_lag),
+        prediction_lag: arguments.prediction_lag.or(file.prediction_lag).unwrap_or(default.thresholds.prediction_lag),
+        fade_s: arguments.fade.or(file.fade).unwrap_or(default.thresholds.fade_s),
+        ..default.thresholds
+    };
     Ok(HeadlessOptions {
         path: arguments.path.or(file.path),
         frames: arguments.frames.or(file.frames),
@@ -143,6 +159,11 @@ pub fn resolve(arguments: Arguments) -> Result<HeadlessOptions, ConfigError> {
         adapter: arguments.adapter.or(file.adapter),
         allow_software: arguments.allow_software.or(file.allow_software).unwrap_or(default.allow_software),
         wait: arguments.wait || file.wait.unwrap_or(default.wait),
+        predictor: arguments.predict.or(file.predict).unwrap_or(default.predictor),
+        mode: arguments.mode.or(file.mode).unwrap_or(default.mode),
+        thresholds,
+        guard: arguments.guard.or(file.guard).unwrap_or(default.guard),
+        predict_pose: arguments.predict_pose.or(file.predict_pose).unwrap_or(default.predict_pose),
         exposure_ev: arguments.exposure.or(file.exposure),
         cache_dir: arguments.cache_dir.or(file.cache_dir),
         connect_timeout,

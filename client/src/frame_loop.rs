@@ -1,34 +1,24 @@
 //! The frames of a headless run, one after the other: pose out, surfaces, mask in, shading, picture to disk.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
+use glam::DVec3;
 use gnomon_protocol::{ids::FrameNumber, pose::Pose};
 use gnomon_shaders::camera::Camera;
-use tokio::runtime::Runtime;
 
 use crate::{
     camera_path::CameraPath,
     error::ClientError,
-    mask_buffer::{MaskReader, ReceivedMask, Waited},
-    net::{receive::Received, session::Session},
+    guard::GuardChoice,
+    live::{Live, Taken},
+    mode::{Decision, ModeMachine, Observation, State},
+    net::receive::Received,
     pictures::PictureWriter,
-    pose_history::PoseHistory,
+    pose_history::{Asked, PoseHistory, Rejections},
     progress::Progress,
-    render::{FrameRenderer, predict::MaskView, readback::PictureReader},
+    render::{FrameRenderer, readback::PictureReader},
     stats::{FrameStats, StatsFile, millis},
 };
-
-/// How long the first mask may take before its pose is sent again: the server may still warm up.
-const FIRST_RESPONSE: Duration = Duration::from_secs(2);
-
-/// Least time before a pose is sent again.
-const LEAST_PATIENCE: Duration = Duration::from_millis(250);
-
-/// How long one frame is waited for in all.
-const GIVE_UP: Duration = Duration::from_secs(120);
 
 /// When frames are, and where on the path.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,21 +37,18 @@ impl Timing {
     }
 }
 
-/// A server that masks come from.
-pub(crate) struct Live {
-    pub(crate) runtime: Arc<Runtime>,
-    pub(crate) session: Session,
-    pub(crate) masks: MaskReader,
-}
-
 /// Everything that frames need.
 pub(crate) struct FrameLoop<'a> {
     pub(crate) renderer: FrameRenderer,
     pub(crate) picture_reader: PictureReader,
     pub(crate) camera_path: &'a CameraPath,
     pub(crate) timing: Timing,
+    pub(crate) size: (u32, u32),
     pub(crate) live: Option<Live>,
     pub(crate) wait: bool,
+    pub(crate) predict_pose: bool,
+    pub(crate) machine: ModeMachine,
+    pub(crate) guard: GuardChoice,
     pub(crate) pictures: Option<PictureWriter>,
     pub(crate) stats: Option<StatsFile>,
     pub(crate) progress: &'a Progress,
@@ -72,33 +59,27 @@ pub(crate) struct FrameLoop<'a> {
 pub(crate) struct Outcome {
     pub(crate) frames: u32,
     pub(crate) frames_with_mask: u32,
+    pub(crate) frames_degraded: u32,
     pub(crate) poses_repeated: u32,
     pub(crate) lags: Vec<f64>,
+    pub(crate) known_shares: Vec<f64>,
     pub(crate) responses_ms: Vec<f64>,
     pub(crate) received: Received,
+    pub(crate) rejections: Rejections,
     pub(crate) round_trip: Option<Duration>,
     pub(crate) duration: Duration,
+    /// Why the server was lost on the way.
+    pub(crate) lost: Option<String>,
 }
 
 /// What the loop remembers from frame to frame.
 struct Memory {
     started: Instant,
     history: PoseHistory,
-    /// When each frame's pose left, in the history's places.
-    sent: Vec<Option<(FrameNumber, Instant)>>,
-    /// Longest response of late, to poses that were sent once: a maximum that fades.
-    slowest_response: Option<Duration>,
-    /// The last frame whose pose was sent more than once.
-    repeated: Option<FrameNumber>,
+    /// The frame before: its camera, and when it began.
+    before: Option<(Camera, Instant)>,
+    state: Option<State>,
     outcome: Outcome,
-}
-
-/// The mask that a frame is shaded with.
-struct Used {
-    frame: FrameNumber,
-    bytes: usize,
-    packets: u16,
-    response: Option<Duration>,
 }
 
 impl FrameLoop<'_> {
@@ -107,17 +88,18 @@ impl FrameLoop<'_> {
         let mut memory = Memory {
             started: Instant::now(),
             history: PoseHistory::default(),
-            sent: vec![None; crate::pose_history::HISTORY_FRAMES],
-            slowest_response: None,
-            repeated: None,
+            before: None,
+            state: None,
             outcome: Outcome::default(),
         };
         let drawn = self.draw_all(&mut memory);
         self.progress.finish();
         let mut outcome = memory.outcome;
         outcome.duration = memory.started.elapsed();
-        if let Some(Live { runtime, session, masks }) = self.live.take() {
+        if let Some(Live { runtime, session, masks, rejections, poses_repeated, .. }) = self.live.take() {
             outcome.received = session.received();
+            outcome.rejections = rejections;
+            outcome.poses_repeated = poses_repeated;
             outcome.round_trip = session.round_trip();
             drop(masks);
             runtime.block_on(session.leave());
@@ -151,19 +133,29 @@ impl FrameLoop<'_> {
     fn draw(&mut self, frame: FrameNumber, memory: &mut Memory) -> Result<FrameStats, ClientError> {
         let begun = Instant::now();
         let mut clock = Clock(begun);
-        let (camera, pose) = self.pose(frame, begun.duration_since(memory.started));
-        memory.history.remember(frame, pose);
-        if let Some(live) = &self.live {
-            memory.sent[frame.0 as usize % crate::pose_history::HISTORY_FRAMES] = Some((frame, begun));
-            live.session.send_pose(frame, pose);
+        let camera = self.camera(frame);
+        let look_ahead_ms = self.ask(frame, &camera, begun, memory);
+        let (mut surfaces, mut wait) = (Duration::ZERO, Duration::ZERO);
+        if self.wait {
+            // The surfaces are drawn while the mask is on its way.
+            self.renderer.draw_surfaces(&camera)?;
+            surfaces = clock.lap();
+            if let Some(live) = &mut self.live {
+                let (rendered, wanted) = (memory.outcome.frames, self.timing.frames);
+                live.wait_for(frame, &memory.history, |reason| ClientError::Ended { rendered, wanted, reason })?;
+            }
+            wait = clock.lap();
         }
-        self.renderer.draw_surfaces(&camera)?;
-        let surfaces = clock.lap();
-        let used = self.mask_of(frame, memory)?;
-        let (wait, upload) = (clock.lap_without(used.1), used.1);
+        let taken = self.take_mask(begun, memory)?;
+        let _upload = clock.lap();
+        let (shown, decision) = self.decide(frame, &camera, begun, memory);
+        if !self.wait {
+            self.renderer.draw_surfaces(&shown)?;
+            surfaces = clock.lap();
+        }
         let target = self.picture_reader.target();
         let copied = self.pictures.is_some();
-        let submission = self.renderer.shade(&camera, 1.0, &target, |encoder| {
+        let submission = self.renderer.shade(&shown, decision.visibility_share, &target, |encoder| {
             if copied {
                 self.picture_reader.copy(encoder);
             }
@@ -175,74 +167,124 @@ impl FrameLoop<'_> {
         }
         let readback = clock.lap();
 
-        memory.outcome.frames += 1;
-        let used = used.0;
-        let lag = used.as_ref().map(|used| frame.0.saturating_sub(used.frame.0));
-        if let Some(lag) = lag {
-            memory.outcome.frames_with_mask += 1;
-            memory.outcome.lags.push(lag.into());
-        }
-        let response_ms = used.as_ref().and_then(|used| used.response).map(millis);
-        memory.outcome.responses_ms.extend(response_ms);
+        let known_share = self.renderer.known_share();
+        let current = self.live.as_ref().and_then(|live| live.current);
+        let lag = current.map(|current| frame.0.saturating_sub(current.asked.frame.0));
+        let response_ms = taken.response.map(millis);
+        let outcome = &mut memory.outcome;
+        outcome.frames += 1;
+        outcome.frames_with_mask += u32::from(current.is_some());
+        outcome.frames_degraded += u32::from(self.live.is_some() && decision.state == State::Degraded);
+        outcome.lags.extend(lag.map(f64::from));
+        outcome.responses_ms.extend(response_ms);
+        outcome.known_shares.extend(known_share);
+        let [mask_width, mask_height] = memory.history.get(frame).map_or([0, 0], |asked| asked.pose.mask_px);
         Ok(FrameStats {
             frame: frame.0,
             t_ms: millis(begun.duration_since(memory.started)),
-            mask_frame: used.as_ref().map(|used| used.frame.0),
+            state: decision.state,
+            visibility_share: decision.visibility_share,
+            known_share,
+            mask_frame: current.map(|current| current.asked.frame.0),
             lag,
+            mask_width,
+            mask_height,
+            look_ahead_ms,
             response_ms,
             surfaces_ms: millis(surfaces),
             wait_ms: millis(wait),
-            upload_ms: millis(upload),
+            upload_ms: millis(taken.upload),
             shade_ms: millis(shade),
             readback_ms: millis(readback),
-            bytes: used.as_ref().map(|used| used.bytes),
-            packets: used.as_ref().map(|used| used.packets),
+            bytes: current.map(|current| current.bytes),
+            packets: current.map(|current| current.packets),
         })
     }
 
-    fn pose(&self, frame: FrameNumber, since_first: Duration) -> (Camera, Pose) {
-        let time_s = self.timing.time_s(frame.0);
-        let camera = self.camera_path.camera(time_s, 1, 1);
-        // It wraps after 49 days, as the pose says.
-        #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³²")]
-        let client_time_ms = since_first.as_millis() as u32;
-        let pose = Pose {
-            position_m: camera.position_m.to_array(),
-            orientation: camera.orientation.to_array(),
-            yfov_rad: camera.yfov_rad,
-            scene_time_s: time_s,
-            client_time_ms,
-        };
-        (camera, pose)
+    /// The picture's camera in a frame.
+    fn camera(&self, frame: FrameNumber) -> Camera {
+        let camera = self.camera_path.camera(self.timing.time_s(frame.0), self.size.0, self.size.1);
+        // As it crosses the wire, so that a mask that comes back is found to be of this very view.
+        Camera { orientation: camera.orientation.normalize(), ..camera }
     }
 
-    /// Gives the renderer the mask for this frame, if it is another one than before. Also says how long that took.
-    fn mask_of(&mut self, frame: FrameNumber, memory: &mut Memory) -> Result<(Option<Used>, Duration), ClientError> {
-        let Some(live) = &mut self.live else { return Ok((None, Duration::ZERO)) };
-        if self.wait {
-            wait_for_mask(live, frame, memory, self.timing.frames)?;
-        } else if let Some(reason) = live.masks.ended() {
-            return Err(ended(memory, self.timing.frames, reason));
-        }
-        let (received, changed) = if self.wait {
-            (live.masks.front(), true)
-        } else {
-            live.masks.newest().map_or((None, false), |(received, changed)| (Some(received), changed))
+    /// Remembers a frame, and asks the server for its mask. How far ahead that is wanted is the answer, in milliseconds.
+    fn ask(&mut self, frame: FrameNumber, camera: &Camera, begun: Instant, memory: &mut Memory) -> u16 {
+        let lost = memory.outcome.lost.is_some();
+        let live = self.live.as_ref().filter(|_| !lost);
+        let turn_px = memory.before.map_or((0.0, 0.0), |(before, _)| turn_px(&before, camera));
+        let current = self.live.as_ref().and_then(|live| live.current);
+        let lag = current.map_or(0, |current| frame.0.saturating_sub(current.asked.frame.0));
+        let wide = camera.widened(self.guard.next(f64::from(lag), turn_px).per_side());
+        let look_ahead_ms = live.filter(|_| self.predict_pose && !self.wait).map_or(0, Live::look_ahead_ms);
+        // It wraps after 49 days, as the pose says.
+        #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³²")]
+        let client_time_ms = begun.duration_since(memory.started).as_millis() as u32;
+        let pose = Pose {
+            position_m: wide.position_m.to_array(),
+            orientation: wide.orientation.to_array(),
+            yfov_rad: wide.yfov_rad,
+            scene_time_s: self.timing.time_s(frame.0),
+            client_time_ms,
+            // Sides are at most 4096.
+            mask_px: [wide.width, wide.height].map(|side| u16::try_from(side).unwrap_or(u16::MAX)),
+            look_ahead_ms,
         };
-        let Some(received) = received else { return Ok((None, Duration::ZERO)) };
-        let mut upload = Duration::ZERO;
-        if changed {
-            let begun = Instant::now();
-            let shape = received.mask.shape();
-            let pose = memory.history.get(received.frame);
-            let traced_for = pose.map(|pose| camera_of(pose, shape.width(), shape.height()));
-            let mask = traced_for.as_ref().map(|traced_for| MaskView { mask: &received.mask, traced_for });
-            self.renderer.set_mask(mask)?;
-            upload = begun.elapsed();
+        let sent_at = live.map(|live| {
+            live.session.send_pose(frame, pose);
+            begun
+        });
+        memory.history.remember(Asked { frame, camera: *camera, pose, sent_at });
+        look_ahead_ms
+    }
+
+    /// Gives the renderer the mask that has come. A server that is gone ends a run that waits, or that it never answered;
+    /// others go on with what they have.
+    fn take_mask(&mut self, shown_at: Instant, memory: &mut Memory) -> Result<Taken, ClientError> {
+        let Some(live) = &mut self.live else { return Ok(Taken::default()) };
+        let taken = if self.wait {
+            live.take_front(&memory.history, &mut self.renderer, shown_at)?
+        } else {
+            live.take_newest(&memory.history, &mut self.renderer, shown_at)?
+        };
+        if let Some(reason) = live.masks.ended().filter(|_| !self.wait && memory.outcome.lost.is_none()) {
+            if live.current.is_none() {
+                return Err(ClientError::Ended { rendered: memory.outcome.frames, wanted: self.timing.frames, reason });
+            }
+            tracing::warn!(%reason, "the server is gone: drawing on without it");
+            memory.outcome.lost = Some(reason);
         }
-        let response = changed.then(|| memory.response(received)).flatten();
-        let used = Used { frame: received.frame, bytes: received.payload_bytes, packets: received.packets, response };
-        Ok((Some(used), upload))
+        Ok(taken)
+    }
+
+    /// What is drawn in this frame: from where, and with how much received visibility.
+    fn decide(
+        &mut self,
+        frame: FrameNumber,
+        camera: &Camera,
+        begun: Instant,
+        memory: &mut Memory,
+    ) -> (Camera, Decision) {
+        let current = self.live.as_ref().and_then(|live| live.current);
+        let step_s = memory.before.map_or(0.0, |(_, before)| begun.duration_since(before).as_secs_f64());
+        memory.before = Some((*camera, begun));
+        if self.wait || self.live.is_none() {
+            return (*camera, Decision { state: State::Concurrent, visibility_share: 1.0 });
+        }
+        let lag = current.map(|current| frame.0.saturating_sub(current.asked.frame.0));
+        let jumped = current.is_some_and(|current| has_jumped(&current.asked.camera, camera, lag.unwrap_or(0)));
+        let decision = self.machine.step(Observation { lag, jumped, step_s });
+        if memory.state.replace(decision.state) != Some(decision.state) {
+            match decision.state {
+                State::Degraded => tracing::warn!(frame = frame.0, ?lag, "degraded: visibility is too late"),
+                state => tracing::info!(frame = frame.0, ?lag, ?state, "visibility"),
+            }
+        }
+        let shown = match (decision.state, current) {
+            (State::Sequential, Some(current)) => current.asked.camera,
+            _ => *camera,
+        };
+        (shown, decision)
     }
 
     /// Waits for the oldest picture under way and hands it to the writers; whether there was one is the answer.
@@ -255,66 +297,24 @@ impl FrameLoop<'_> {
     }
 }
 
-/// Waits for exactly this frame's mask, and asks again for it: at once when a part of it was lost, or else after some
-/// round trips and longer than masks took of late, and then after twice as long each time, so that a slow server is not
-/// asked in vain.
-fn wait_for_mask(live: &mut Live, frame: FrameNumber, memory: &mut Memory, wanted: u32) -> Result<(), ClientError> {
-    let begun = Instant::now();
-    let round_trip = live.session.round_trip().unwrap_or_default();
-    let usual = memory.slowest_response.map_or(FIRST_RESPONSE, |slowest| slowest * 2);
-    let mut patience = (round_trip * 4).max(LEAST_PATIENCE).max(usual);
-    let mut asked = 1;
-    loop {
-        match live.masks.wait_for(frame, Instant::now() + patience) {
-            Waited::Arrived => return Ok(()),
-            Waited::Ended(reason) => return Err(ended(memory, wanted, reason)),
-            Waited::TimedOut | Waited::Lost if begun.elapsed() > GIVE_UP => {
-                return Err(ClientError::NoVisibility { frame, after: begun.elapsed(), asked });
-            }
-            waited @ (Waited::TimedOut | Waited::Lost) => {
-                if let Some(pose) = memory.history.get(frame) {
-                    live.session.send_pose_again(frame, *pose);
-                    memory.repeated = Some(frame);
-                    memory.outcome.poses_repeated += 1;
-                    asked += 1;
-                }
-                if waited == Waited::TimedOut {
-                    patience = (patience * 2).min(GIVE_UP / 4);
-                }
-            }
-        }
-    }
+/// By how many pixels the middle of the picture moves when the camera turns from `before` to `now`, across and up.
+fn turn_px(before: &Camera, now: &Camera) -> (f64, f64) {
+    let forward = before.orientation.inverse() * (now.orientation * DVec3::NEG_Z);
+    let (half_width, half_height) = now.half_extent();
+    // A turn of more than a quarter is beyond any guard band.
+    let depth = (-forward.z).max(1e-3);
+    let px = |along: f64, half: f64, side: u32| along / depth / half * f64::from(side) * 0.5;
+    (px(forward.x, half_width, now.width), px(forward.y, half_height, now.height))
 }
 
-/// The camera of a pose, for a picture of this size.
-fn camera_of(pose: &Pose, width: u32, height: u32) -> Camera {
-    Camera {
-        position_m: pose.position_m.into(),
-        orientation: glam::DQuat::from_array(pose.orientation),
-        yfov_rad: pose.yfov_rad,
-        width,
-        height,
-    }
-}
+/// Farthest that a camera moves in a frame without having jumped, in metres.
+const JUMP_M: f64 = 0.5;
 
-fn ended(memory: &Memory, wanted: u32, reason: String) -> ClientError {
-    ClientError::Ended { rendered: memory.outcome.frames, wanted, reason }
-}
-
-impl Memory {
-    /// How long the mask took from its pose's departure.
-    fn response(&mut self, received: &ReceivedMask) -> Option<Duration> {
-        let place = received.frame.0 as usize % self.sent.len();
-        let (_, sent) = self.sent[place].filter(|(frame, _)| *frame == received.frame)?;
-        let response = received.received_at.saturating_duration_since(sent);
-        // What a repeated pose took says nothing about the server (Karn's rule for round trips): taken for a response, a
-        // lost frame would make the next loss cost twice as much.
-        if self.repeated != Some(received.frame) {
-            let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
-            self.slowest_response = Some(response.max(faded));
-        }
-        Some(response)
-    }
+/// Whether the camera has jumped since `then`, so that next to nothing can be carried over: it looks elsewhere, or is too far away.
+fn has_jumped(then: &Camera, now: &Camera, lag: u32) -> bool {
+    let frames = f64::from(lag.max(1));
+    then.orientation.angle_between(now.orientation) > now.yfov_rad
+        || then.position_m.distance(now.position_m) > JUMP_M * frames
 }
 
 /// Time by stage.
@@ -328,9 +328,41 @@ impl Clock {
         self.0 = now;
         lap
     }
+}
 
-    /// The same, less a part that is counted elsewhere.
-    fn lap_without(&mut self, part: Duration) -> Duration {
-        self.lap().saturating_sub(part)
+#[cfg(test)]
+mod tests {
+    use glam::DQuat;
+
+    use super::*;
+
+    fn camera(position_m: DVec3, yaw: f64, pitch: f64) -> Camera {
+        let orientation = DQuat::from_rotation_y(yaw) * DQuat::from_rotation_x(pitch);
+        Camera { position_m, orientation, yfov_rad: 1.0, width: 1920, height: 1080 }
+    }
+
+    #[test]
+    fn turning_is_measured_in_pixels() {
+        let here = camera(DVec3::ZERO, 0.3, 0.0);
+        assert_eq!(turn_px(&here, &here), (0.0, 0.0));
+        let half_height = 0.5_f64.tan();
+        let (x, y) = turn_px(&here, &camera(DVec3::X, 0.3 - 0.01, 0.0));
+        assert!((x - 0.01_f64.tan() / half_height * 540.0).abs() < 1e-6 && y.abs() < 1e-9, "{x} {y}");
+        let (x, y) = turn_px(&here, &camera(DVec3::ZERO, 0.3, 0.02));
+        assert!((y - 0.02_f64.tan() / half_height * 540.0).abs() < 1e-6 && x.abs() < 1e-9, "{x} {y}");
+        assert!(turn_px(&here, &camera(DVec3::ZERO, 2.3, 0.0)).0.is_finite());
+    }
+
+    #[test]
+    fn a_jump_is_a_great_turn_or_a_long_way_in_a_short_time() {
+        let here = camera(DVec3::ZERO, 0.0, 0.0);
+        for (there, lag, jumped) in [
+            (camera(DVec3::X * 0.4, 0.9, 0.0), 1, false),
+            (camera(DVec3::X * 0.6, 0.0, 0.0), 1, true),
+            (camera(DVec3::X * 0.6, 0.0, 0.0), 2, false),
+            (camera(DVec3::ZERO, 1.1, 0.0), 50, true),
+        ] {
+            assert_eq!(has_jumped(&here, &there, lag), jumped, "{there:?}");
+        }
     }
 }

@@ -13,7 +13,10 @@ use crate::{
     camera_path::{CameraPath, PathSpec},
     default_path::default_path,
     error::ClientError,
-    frame_loop::{FrameLoop, Live, Outcome, Timing},
+    frame_loop::{FrameLoop, Outcome, Timing},
+    guard::{Guard, GuardChoice},
+    live::Live,
+    mode::{Mode, ModeMachine, Thresholds},
     net::{
         session::{Admitted, Introduction, admit},
         url::ServerUrl,
@@ -92,6 +95,14 @@ pub struct HeadlessOptions {
     pub wait: bool,
     /// How visibility is carried over to frames that it was not traced for.
     pub predictor: Predictor,
+    /// How the pose that is drawn is chosen.
+    pub mode: Mode,
+    /// When that choice changes.
+    pub thresholds: Thresholds,
+    /// How much wider than the picture masks are.
+    pub guard: Guard,
+    /// Whether the server is asked to trace for where the camera will be.
+    pub predict_pose: bool,
     /// Exposure that replaces the scene's own: 1 lux is shown as 2^−EV.
     pub exposure_ev: Option<f32>,
     /// Folder for cached scenes; the platform's without.
@@ -124,6 +135,10 @@ impl HeadlessOptions {
             allow_software: true,
             wait: false,
             predictor: Predictor::default(),
+            mode: Mode::default(),
+            thresholds: Thresholds::default(),
+            guard: Guard::default(),
+            predict_pose: false,
             exposure_ev: None,
             cache_dir: None,
             connect_timeout: Duration::from_secs(5),
@@ -149,6 +164,9 @@ impl HeadlessOptions {
         }
         if let Some(ev) = self.exposure_ev.filter(|ev| !(-40.0..=40.0).contains(ev)) {
             return wrong("exposure", format!("{ev} EV: −40 to 40 are possible"));
+        }
+        if !(0.0..=60.0).contains(&self.thresholds.fade_s) {
+            return wrong("fade", format!("{} s: 0 to 60 are possible", self.thresholds.fade_s));
         }
         if self.wait && matches!(self.source, Source::Offline { .. }) {
             return wrong("wait", "there is no mask to wait for without a server".to_owned());
@@ -182,16 +200,19 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         ..GpuOptions::default()
     }))?;
     let progress = Progress::new(options.progress);
-    let (scene, connected) = get_scene(options, &progress)?;
+    let size = (options.width, options.height);
+    let guard = GuardChoice::new(options.guard, size);
+    let largest = guard.largest();
+    let mask_size = (options.width + largest.width, options.height + largest.height);
+    let (scene, connected) = get_scene(options, mask_size, &progress)?;
     let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
-    let shape = MaskShape::new(options.width, options.height, lights)?;
+    let shape = MaskShape::new(mask_size.0, mask_size.1, lights)?;
 
     let occluders = Occluders::largest_of(&scene);
     let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
     let exposure = Exposure::of_scene(&scene, &occluders);
     let exposure = options.exposure_ev.map_or(exposure, |ev| exposure.at_ev(ev));
-    let renderer =
-        FrameRenderer::new(&gpu, &scene, (options.width, options.height), exposure, PICTURE_FORMAT, options.predictor)?;
+    let renderer = FrameRenderer::new(&gpu, &scene, size, exposure, PICTURE_FORMAT, options.predictor)?;
     let picture_reader = PictureReader::new(&gpu, options.width, options.height, PICTURES_AHEAD);
     drop(scene);
 
@@ -203,8 +224,12 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         picture_reader,
         camera_path: &camera_path,
         timing,
+        size,
         live,
         wait: options.wait,
+        predict_pose: options.predict_pose,
+        machine: ModeMachine::new(options.mode, options.thresholds),
+        guard,
         pictures,
         stats,
         progress: &progress,
@@ -217,7 +242,11 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     Ok(summary)
 }
 
-fn get_scene(options: &HeadlessOptions, progress: &Progress) -> Result<(Scene, Option<Connected>), ClientError> {
+fn get_scene(
+    options: &HeadlessOptions,
+    (width, height): (u32, u32),
+    progress: &Progress,
+) -> Result<(Scene, Option<Connected>), ClientError> {
     match &options.source {
         Source::Offline { scene, lights_from, lights } => {
             let load = LoadOptions { lights_from: lights_from.clone(), max_lights: *lights };
@@ -231,8 +260,8 @@ fn get_scene(options: &HeadlessOptions, progress: &Progress) -> Result<(Scene, O
                 .build()?;
             let introduction = Introduction {
                 token: options.token.clone(),
-                width: options.width,
-                height: options.height,
+                width,
+                height,
                 codec: options.codec,
                 connect_timeout: options.connect_timeout,
             };
@@ -256,7 +285,7 @@ fn get_scene(options: &HeadlessOptions, progress: &Progress) -> Result<(Scene, O
 fn start(connected: Connected, shape: MaskShape, save_masks: Option<PathBuf>) -> Result<Live, ClientError> {
     let Connected { runtime, admitted } = connected;
     let (session, masks) = runtime.block_on(admitted.start(shape, save_masks))?;
-    Ok(Live { runtime: Arc::new(runtime), session, masks })
+    Ok(Live::new(Arc::new(runtime), session, masks))
 }
 
 fn timing(options: &HeadlessOptions, path: &CameraPath) -> Timing {
@@ -297,7 +326,11 @@ fn summary(
         frames_incomplete: received.incomplete,
         frames_bad: received.bad,
         poses_repeated: outcome.poses_repeated,
+        masks_rejected: outcome.rejections,
+        degraded_share: welcome.map(|_| f64::from(outcome.frames_degraded) / f64::from(outcome.frames.max(1))),
+        known_share_mean: mean(&outcome.known_shares),
         lag_frames_mean: mean(&outcome.lags),
+        lag_frames_p50: percentile(&outcome.lags, 0.5),
         lag_frames_p99: percentile(&outcome.lags, 0.99),
         response_ms_mean: mean(&outcome.responses_ms),
         response_ms_p99: percentile(&outcome.responses_ms, 0.99),
@@ -315,6 +348,11 @@ fn summary(
         codec: welcome.map(|_| options.codec.to_string()),
         transport: transport.to_owned(),
         wait: options.wait,
+        predictor: options.predictor.to_string(),
+        mode: options.mode,
+        guard: options.guard.to_string(),
+        predict_pose: options.predict_pose,
+        connection_lost: outcome.lost.clone(),
         exposure_ev: exposure.ev(),
         path: path.name().to_owned(),
     }

@@ -13,6 +13,7 @@ use std::{
 use gnomon_protocol::{
     ids::FrameNumber,
     mask::{Mask, MaskShape},
+    pose::Pose,
 };
 
 /// A mask and where it came from.
@@ -22,6 +23,8 @@ pub struct ReceivedMask {
     pub frame: FrameNumber,
     /// The mask.
     pub mask: Mask,
+    /// The pose that it was traced for, where the server has looked ahead; that of its frame without.
+    pub traced_for: Option<Pose>,
     /// Bytes that the encoded frame had, packet headers not counted.
     pub payload_bytes: usize,
     /// Packets that it came in.
@@ -89,6 +92,7 @@ pub fn mask_buffer(shape: MaskShape) -> (MaskWriter, MaskReader) {
     let buffer = || ReceivedMask {
         frame: FrameNumber(0),
         mask: Mask::new(shape),
+        traced_for: None,
         payload_bytes: 0,
         packets: 0,
         received_at: Instant::now(),

@@ -112,7 +112,8 @@ impl Probe {
         let step_s = options.fps.map_or(1.0 / 60.0, f64::recip);
         for frame in 0..options.frames {
             let now = Instant::now();
-            let pose = pose(path, options.start_time_s + f64::from(frame) * step_s, now - begun);
+            let time_s = options.start_time_s + f64::from(frame) * step_s;
+            let pose = pose(path, time_s, now - begun, [options.width, options.height]);
             self.session.send_pose(FrameNumber(frame), pose);
             self.awaited.push_back((FrameNumber(frame), now));
             if options.fps.is_some() {
@@ -149,7 +150,7 @@ impl Probe {
 }
 
 /// The pose at a time on the path, which starts again when it ends.
-fn pose(path: &CameraPath, time_s: f64, since_first: Duration) -> Pose {
+fn pose(path: &CameraPath, time_s: f64, since_first: Duration, size: [u32; 2]) -> Pose {
     let duration_s = path.duration_s();
     let on_path_s = if duration_s > 0.0 { time_s % duration_s } else { 0.0 };
     let camera = path.camera(on_path_s, 1, 1);
@@ -161,5 +162,8 @@ fn pose(path: &CameraPath, time_s: f64, since_first: Duration) -> Pose {
         yfov_rad: camera.yfov_rad,
         scene_time_s: time_s,
         client_time_ms,
+        // Sides are at most 4096.
+        mask_px: size.map(|side| u16::try_from(side).unwrap_or(u16::MAX)),
+        look_ahead_ms: 0,
     }
 }

@@ -9,7 +9,11 @@ use std::{
 
 use serde::Serialize;
 
-use crate::error::ClientError;
+use crate::{
+    error::ClientError,
+    mode::{Mode, State},
+    pose_history::Rejections,
+};
 
 /// One frame, as a JSON line. Times are in milliseconds of the renderer's thread.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -18,11 +22,24 @@ pub struct FrameStats {
     pub frame: u32,
     /// When its pose was taken, since the first frame's.
     pub t_ms: f64,
+    /// What the client was doing: `sequential`, `concurrent` or `degraded`.
+    pub state: State,
+    /// How much received visibility counted, 0 to 1, against what the client knows by itself.
+    pub visibility_share: f32,
+    /// Share of a picture's pixels whose visibility a mask said something of (the sky counts); of the latest picture whose count
+    /// had come back from the adapter.
+    pub known_share: Option<f64>,
     /// The frame whose mask it was shaded with; none while there was no mask that fits.
     pub mask_frame: Option<u32>,
     /// Frames that the mask is older than the picture.
     pub lag: Option<u32>,
-    /// From the pose's departure until the mask for it was whole, where this frame was shaded with its own mask.
+    /// Width of the mask that this frame asked for, guard band included.
+    pub mask_width: u16,
+    /// Its height.
+    pub mask_height: u16,
+    /// How far ahead the mask was asked to be traced for.
+    pub look_ahead_ms: u16,
+    /// From a pose's departure until the mask for it was whole, where this frame took a new mask.
     pub response_ms: Option<f64>,
     /// Handing over the G-buffer pass.
     pub surfaces_ms: f64,
@@ -55,8 +72,16 @@ pub struct Summary {
     pub frames_bad: u64,
     /// Poses that were sent a second time because their mask did not come (`--wait`).
     pub poses_repeated: u32,
+    /// Whole masks that were not used, by cause.
+    pub masks_rejected: Rejections,
+    /// Share of the pictures that were drawn with masks too late or none at all.
+    pub degraded_share: Option<f64>,
+    /// Mean share of a picture's pixels whose visibility a mask said something of.
+    pub known_share_mean: Option<f64>,
     /// Mean of the frames that masks were older than their pictures.
     pub lag_frames_mean: Option<f64>,
+    /// Their median.
+    pub lag_frames_p50: Option<f64>,
     /// Their 99th percentile.
     pub lag_frames_p99: Option<f64>,
     /// Mean time from a pose's departure to its mask, of the frames that were shaded with their own.
@@ -91,6 +116,16 @@ pub struct Summary {
     pub transport: String,
     /// Whether each frame waited for its own mask.
     pub wait: bool,
+    /// How visibility was carried over.
+    pub predictor: String,
+    /// How the pose to draw was chosen.
+    pub mode: Mode,
+    /// The guard band that was asked for.
+    pub guard: String,
+    /// Whether the server was asked to look ahead.
+    pub predict_pose: bool,
+    /// Why the server was lost on the way, if it was.
+    pub connection_lost: Option<String>,
     /// The exposure, as `--exposure` takes it.
     pub exposure_ev: f32,
     /// The camera path's name.
@@ -197,7 +232,11 @@ mod tests {
             frames_incomplete: 1,
             frames_bad: 0,
             poses_repeated: 0,
+            masks_rejected: Rejections::default(),
+            degraded_share: Some(0.0),
+            known_share_mean: Some(0.99),
             lag_frames_mean: Some(0.5),
+            lag_frames_p50: Some(0.0),
             lag_frames_p99: Some(1.0),
             response_ms_mean: None,
             response_ms_p99: None,
@@ -215,6 +254,11 @@ mod tests {
             codec: None,
             transport: "offline".into(),
             wait: false,
+            predictor: "surface".into(),
+            mode: Mode::Auto,
+            guard: "0x0".into(),
+            predict_pose: false,
+            connection_lost: None,
             exposure_ev: 3.5,
             path: "default".into(),
         }
@@ -260,6 +304,12 @@ mod tests {
             let stats = FrameStats {
                 frame,
                 t_ms: 1.5,
+                state: State::Concurrent,
+                visibility_share: 1.0,
+                known_share: None,
+                mask_width: 64,
+                mask_height: 36,
+                look_ahead_ms: 0,
                 mask_frame: None,
                 lag: None,
                 response_ms: None,

@@ -5,9 +5,10 @@
 //! | 0 | codec ([`CodecId`]'s number) |
 //! | 1–2 | width in pixels |
 //! | 3–4 | height in pixels |
-//! | 5 | lights |
+//! | 5 | lights; the highest bit says that a pose follows |
 //! | 6–7 | number of slices n |
-//! | 8 … 8 + 4n | length of each slice in bytes, u32 |
+//! | 82 more, if so | the pose that the mask was traced for ([`crate::pose`]), where it is not the client's own |
+//! | 4n more | length of each slice in bytes, u32 |
 //! | to the end | the slices, one after the other |
 //!
 //! All little-endian. A slice can be decoded without the others: slice i of n covers the rows of tiles from
@@ -21,22 +22,28 @@ use crate::{
     codec::CodecId,
     limits::{MAX_FRAME_BYTES, MAX_FRAME_SLICES},
     mask::{MaskShape, ShapeError},
+    pose::{POSE_BYTES, Pose, PoseError},
 };
 
-/// Bytes before the table of slice lengths.
+/// Bytes before the table of slice lengths, without a pose.
 pub const FRAME_HEAD_BYTES: usize = 8;
 
-/// What a frame is: how it is coded, and the shape of its mask.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// The bit beside the number of lights that says that a pose follows.
+const POSE_FOLLOWS: u8 = 0x80;
+
+/// What a frame is: how it is coded, the shape of its mask, and what it was traced for.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameHead {
     /// How the slices are coded.
     pub codec: CodecId,
     /// Shape of the mask.
     pub shape: MaskShape,
+    /// The pose that the mask was traced for, where the server has looked ahead; the client's own pose of this frame without.
+    pub traced_for: Option<Pose>,
 }
 
 /// Why bytes are no frame.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[derive(Debug, Clone, PartialEq, Error)]
 pub enum FrameError {
     /// Too short for its head or its table of slices.
     #[error("a frame of {found} bytes, at least {needed} are needed")]
@@ -55,6 +62,9 @@ pub enum FrameError {
     /// No mask can have the frame's shape.
     #[error("the frame's shape: {0}")]
     Shape(#[from] ShapeError),
+    /// The pose in the head is none.
+    #[error("the frame's pose: {0}")]
+    Pose(#[from] PoseError),
     /// No slices, or more than rows of tiles or than [`MAX_FRAME_SLICES`].
     #[error("{found} slices: this shape has 1 to {most}")]
     Slices {
@@ -80,22 +90,31 @@ impl FrameHead {
         (self.shape.tiles_y() as usize).min(MAX_FRAME_SLICES)
     }
 
-    /// Writes the head for `slices` slices of length 0 at the end of `body`; [`set_slice_length`] fills the table in.
+    /// Bytes before the table of slice lengths.
+    pub(crate) fn bytes(&self) -> usize {
+        FRAME_HEAD_BYTES + if self.traced_for.is_some() { POSE_BYTES } else { 0 }
+    }
+
+    /// Writes the length of slice `index` into a body that begins with this head.
+    pub(crate) fn set_slice_length(&self, body: &mut [u8], index: usize, bytes: u32) {
+        let place = self.bytes() + index * 4;
+        body[place..place + 4].copy_from_slice(&bytes.to_le_bytes());
+    }
+
+    /// Writes the head for `slices` slices of length 0 at the end of `body`; [`Self::set_slice_length`] fills the table in.
     pub(crate) fn begin(&self, slices: u16, body: &mut Vec<u8>) {
         let (width, height, lights) = self.shape.into();
         body.push(self.codec.number());
         body.extend_from_slice(&low_u16(width).to_le_bytes());
         body.extend_from_slice(&low_u16(height).to_le_bytes());
-        body.push(low_u16(lights).to_le_bytes()[0]);
+        let follows = if self.traced_for.is_some() { POSE_FOLLOWS } else { 0 };
+        body.push(low_u16(lights).to_le_bytes()[0] | follows);
         body.extend_from_slice(&slices.to_le_bytes());
+        if let Some(pose) = &self.traced_for {
+            body.extend_from_slice(&pose.encode());
+        }
         body.resize(body.len() + usize::from(slices) * 4, 0);
     }
-}
-
-/// Writes the length of slice `index` into a body whose head is `FrameHead::begin`'s.
-pub(crate) fn set_slice_length(body: &mut [u8], index: usize, bytes: u32) {
-    let place = FRAME_HEAD_BYTES + index * 4;
-    body[place..place + 4].copy_from_slice(&bytes.to_le_bytes());
 }
 
 /// Every number in a shape is at most 4096, so nothing is lost.
@@ -112,7 +131,7 @@ pub fn slice_tile_rows(shape: MaskShape, index: usize, count: usize) -> Range<us
 }
 
 /// A frame's body, taken apart and checked: the slices are there and fill it exactly.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame<'a> {
     /// What the frame is.
     pub head: FrameHead,
@@ -135,13 +154,22 @@ impl<'a> Frame<'a> {
         let [codec, w0, w1, h0, h1, lights, n0, n1] = *head;
         let codec = CodecId::from_number(codec).ok_or(FrameError::Codec(codec))?;
         let [width, height] = [[w0, w1], [h0, h1]].map(|side| u32::from(u16::from_le_bytes(side)));
-        let head = FrameHead { codec, shape: MaskShape::new(width, height, u32::from(lights))? };
+        let shape = MaskShape::new(width, height, u32::from(lights & !POSE_FOLLOWS))?;
+        let (traced_for, rest) = if lights & POSE_FOLLOWS == 0 {
+            (None, rest)
+        } else {
+            let needed = FRAME_HEAD_BYTES + POSE_BYTES;
+            let (pose, rest) =
+                rest.split_at_checked(POSE_BYTES).ok_or(FrameError::TooShort { needed, found: body.len() })?;
+            (Some(Pose::decode(pose)?), rest)
+        };
+        let head = FrameHead { codec, shape, traced_for };
         let count = usize::from(u16::from_le_bytes([n0, n1]));
         if count == 0 || count > head.max_slices() {
             return Err(FrameError::Slices { found: count, most: head.max_slices() });
         }
         let Some((table, slices)) = rest.split_at_checked(count * 4) else {
-            return Err(FrameError::TooShort { needed: FRAME_HEAD_BYTES + count * 4, found: body.len() });
+            return Err(FrameError::TooShort { needed: head.bytes() + count * 4, found: body.len() });
         };
         let stated = lengths(table).map(u64::from).sum();
         if stated != slices.len() as u64 {
@@ -177,13 +205,17 @@ fn lengths(table: &[u8]) -> impl Iterator<Item = u32> + use<'_> {
 mod tests {
     use super::*;
 
+    fn head() -> FrameHead {
+        FrameHead { codec: CodecId::PlanesLz4, shape: MaskShape::new(10, 20, 2).unwrap(), traced_for: None }
+    }
+
     /// A planes frame of 10×20 pixels and 2 lights whose slices have these lengths.
     fn body(lengths: &[u32]) -> Vec<u8> {
-        let head = FrameHead { codec: CodecId::PlanesLz4, shape: MaskShape::new(10, 20, 2).unwrap() };
+        let head = head();
         let mut body = Vec::new();
         head.begin(u16::try_from(lengths.len()).unwrap(), &mut body);
         for (index, length) in lengths.iter().enumerate() {
-            set_slice_length(&mut body, index, *length);
+            head.set_slice_length(&mut body, index, *length);
         }
         body.extend((0..lengths.iter().sum()).map(|byte: u32| byte.to_le_bytes()[0]));
         body
@@ -197,6 +229,33 @@ mod tests {
         assert_eq!(frame.head.shape, MaskShape::new(10, 20, 2).unwrap());
         let slices: Vec<_> = frame.slices().collect();
         assert_eq!(slices, [(0..1, &[0, 1, 2][..]), (1..2, &[]), (2..3, &[3, 4])]);
+    }
+
+    #[test]
+    fn a_pose_in_the_head_comes_back_or_is_refused() {
+        let pose = Pose {
+            position_m: [1.0, 2.0, 3.0],
+            orientation: [0.0, 0.6, 0.0, 0.8],
+            yfov_rad: 1.0,
+            scene_time_s: 4.0,
+            client_time_ms: 5,
+            mask_px: [10, 20],
+            look_ahead_ms: 6,
+        };
+        let head = FrameHead { traced_for: Some(pose), ..head() };
+        let mut body = Vec::new();
+        head.begin(2, &mut body);
+        head.set_slice_length(&mut body, 1, 3);
+        body.extend([7, 8, 9]);
+        let frame = Frame::parse(&body).unwrap();
+        assert_eq!(frame.head, head);
+        assert_eq!(frame.slices().map(|(_, bytes)| bytes).collect::<Vec<_>>(), [&[][..], &[7, 8, 9]]);
+        for length in 8..8 + POSE_BYTES {
+            let needed = 8 + POSE_BYTES;
+            assert_eq!(Frame::parse(&body[..length]), Err(FrameError::TooShort { needed, found: length }));
+        }
+        body[8..16].copy_from_slice(&f64::NAN.to_le_bytes());
+        assert_eq!(Frame::parse(&body), Err(FrameError::Pose(PoseError::Range("position_m"))));
     }
 
     #[test]

@@ -43,5 +43,8 @@ pub const MAX_TEXT_BYTES: usize = 1024;
 /// Narrowest and widest vertical field of view that a pose may ask for, in radians (1° to 170°).
 pub const YFOV_RANGE_RAD: std::ops::RangeInclusive<f64> = 0.017_453_292_519_943_295..=2.967_059_728_390_360_5;
 
+/// Longest time that a client may ask to be looked ahead, in milliseconds.
+pub const MAX_LOOK_AHEAD_MS: u16 = 1000;
+
 /// Farthest that a pose may lie from the world's origin, in metres, per axis.
 pub const MAX_POSITION_M: f64 = 1e9;

@@ -1,23 +1,24 @@
 //! Where a client looked from: the only thing that it sends for every frame.
 //!
 //! The dissertation sends three vectors of three f32 (§3.5, 36 bytes). Ours are f64, so that a scene may lie far from
-//! its origin, and carry the field of view and the scene's time: 76 bytes, little-endian, in the order of the fields.
+//! its origin, and carry the field of view, the scene's time, the size of the mask that is wanted and how far ahead it is
+//! wanted for: 82 bytes, little-endian, in the order of the fields.
 
 use thiserror::Error;
 
 use crate::{
     header::{HEADER_BYTES, HeaderError, PacketHeader},
     ids::FrameNumber,
-    limits::{MAX_POSITION_M, YFOV_RANGE_RAD},
+    limits::{MAX_LOOK_AHEAD_MS, MAX_POSITION_M, MAX_SIDE_PX, YFOV_RANGE_RAD},
 };
 
 /// Bytes of an encoded pose.
-pub const POSE_BYTES: usize = 76;
+pub const POSE_BYTES: usize = 82;
 
 /// Bytes of a pose packet: header and pose.
 pub const POSE_PACKET_BYTES: usize = HEADER_BYTES + POSE_BYTES;
 
-/// A camera, without the size of its picture.
+/// A camera, and the mask that is wanted for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
     /// Position in world space, in metres.
@@ -30,6 +31,12 @@ pub struct Pose {
     pub scene_time_s: f64,
     /// Time that the client has spent since its first frame, in milliseconds; wraps.
     pub client_time_ms: u32,
+    /// Width and height of the mask, in pixels. A client that shows a smaller picture asks for a guard band around it; both are
+    /// seen through the same field of view per pixel, so `yfov_rad` is the mask's.
+    pub mask_px: [u16; 2],
+    /// How long after `client_time_ms` the mask will be shown, in milliseconds, as far as the client can tell. The server traces
+    /// for where the camera will be then, and says so in the frame's head; 0 asks for this very pose.
+    pub look_ahead_ms: u16,
 }
 
 /// Why bytes are no pose.
@@ -61,6 +68,12 @@ impl Pose {
         if !self.scene_time_s.is_finite() {
             return Err(PoseError::Range("scene_time_s"));
         }
+        if !self.mask_px.iter().all(|side| (1..=MAX_SIDE_PX).contains(&u32::from(*side))) {
+            return Err(PoseError::Range("mask_px"));
+        }
+        if self.look_ahead_ms > MAX_LOOK_AHEAD_MS {
+            return Err(PoseError::Range("look_ahead_ms"));
+        }
         let length = self.orientation.iter().map(|v| v * v).sum::<f64>().sqrt();
         // A NaN fails this comparison as well.
         if (length - 1.0).abs() <= 1e-3 { Ok(()) } else { Err(PoseError::NotUnit(length)) }
@@ -77,7 +90,11 @@ impl Pose {
         {
             place.copy_from_slice(&value.to_le_bytes());
         }
-        bytes[72..].copy_from_slice(&self.client_time_ms.to_le_bytes());
+        bytes[72..76].copy_from_slice(&self.client_time_ms.to_le_bytes());
+        let [width, height] = self.mask_px;
+        for (place, value) in bytes[76..].chunks_exact_mut(2).zip([width, height, self.look_ahead_ms]) {
+            place.copy_from_slice(&value.to_le_bytes());
+        }
         bytes
     }
 
@@ -95,8 +112,16 @@ impl Pose {
         }
         let [px, py, pz, ox, oy, oz, ow, yfov_rad, scene_time_s] = values;
         let client_time_ms = u32::from_le_bytes([bytes[72], bytes[73], bytes[74], bytes[75]]);
-        let pose =
-            Self { position_m: [px, py, pz], orientation: [ox, oy, oz, ow], yfov_rad, scene_time_s, client_time_ms };
+        let short = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
+        let pose = Self {
+            position_m: [px, py, pz],
+            orientation: [ox, oy, oz, ow],
+            yfov_rad,
+            scene_time_s,
+            client_time_ms,
+            mask_px: [short(76), short(78)],
+            look_ahead_ms: short(80),
+        };
         pose.validate().map(|()| pose)
     }
 }
@@ -126,7 +151,7 @@ pub fn encode_pose_packet(sequence: u32, frame: FrameNumber, pose: &Pose) -> [u8
     let header = PacketHeader {
         sequence,
         frame: Some(frame),
-        #[expect(clippy::cast_possible_truncation, reason = "76")]
+        #[expect(clippy::cast_possible_truncation, reason = "82")]
         data_bytes: POSE_BYTES as u16,
         frame_packets: None,
         first: false,
@@ -161,6 +186,8 @@ mod tests {
         yfov_rad: 1.0,
         scene_time_s: -3.25,
         client_time_ms: 77,
+        mask_px: [1920, 1080],
+        look_ahead_ms: 120,
     };
 
     #[test]
@@ -196,6 +223,10 @@ mod tests {
             assert_eq!(refused(change), PoseError::Range("yfov_rad"));
         }
         assert_eq!(refused(|pose| pose.scene_time_s = f64::INFINITY), PoseError::Range("scene_time_s"));
+        for change in [(|pose| pose.mask_px[0] = 0) as fn(&mut Pose), |pose| pose.mask_px[1] = 4097] {
+            assert_eq!(refused(change), PoseError::Range("mask_px"));
+        }
+        assert_eq!(refused(|pose| pose.look_ahead_ms = 1001), PoseError::Range("look_ahead_ms"));
         assert!(matches!(refused(|pose| pose.orientation[0] = f64::NAN), PoseError::NotUnit(_)));
         assert!(matches!(refused(|pose| pose.orientation = [0.0; 4]), PoseError::NotUnit(_)));
         assert!(matches!(refused(|pose| pose.orientation[3] = 0.9), PoseError::NotUnit(_)));
@@ -213,10 +244,10 @@ mod tests {
         assert_eq!(with(10, &[2]), PosePacketError::Visibility(5));
         assert_eq!(with(10, &[1]), PosePacketError::Visibility(5));
         assert_eq!(with(12, &[0]), PosePacketError::Visibility(5));
-        let short = HeaderError::DataSize { stated: 76, found: 75 };
-        assert_eq!(decode_pose_packet(&good[..91]), Err(PosePacketError::Header(short)));
-        let mut other = good[..91].to_vec();
-        other[8] = 75;
-        assert_eq!(decode_pose_packet(&other), Err(PosePacketError::Pose(PoseError::Length(75))));
+        let short = HeaderError::DataSize { stated: 82, found: 81 };
+        assert_eq!(decode_pose_packet(&good[..97]), Err(PosePacketError::Header(short)));
+        let mut other = good[..97].to_vec();
+        other[8] = 81;
+        assert_eq!(decode_pose_packet(&other), Err(PosePacketError::Pose(PoseError::Length(81))));
     }
 }

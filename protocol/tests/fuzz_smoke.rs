@@ -81,6 +81,8 @@ fn pose() {
         yfov_rad: 1.0,
         scene_time_s: 0.0,
         client_time_ms: 5,
+        mask_px: [64, 36],
+        look_ahead_ms: 0,
     };
     let seeds = [pose.encode().to_vec(), encode_pose_packet(1, FrameNumber(2), &pose).to_vec()];
     drive(fuzzing::pose, &seeds, 20_000);

@@ -23,7 +23,7 @@ fn hex(text: &str) -> Vec<u8> {
 
 #[test]
 fn version() {
-    assert_eq!(PROTOCOL_VERSION, 1);
+    assert_eq!(PROTOCOL_VERSION, 2);
 }
 
 #[test]
@@ -57,11 +57,13 @@ fn pose_packet() {
         yfov_rad: 1.0,
         scene_time_s: 4.0,
         client_time_ms: 0x0102_0304,
+        mask_px: [1920, 1080],
+        look_ahead_ms: 0x0102,
     };
-    let bytes = hex("07000000 0b0a0000 4c00 0000 ffffffff |
+    let bytes = hex("07000000 0b0a0000 5200 0000 ffffffff |
         000000000000f03f 00000000000000c0 000000000000e03f |
         0000000000000000 333333333333e33f 0000000000000080 9a9999999999e93f |
-        000000000000f03f 0000000000001040 04030201");
+        000000000000f03f 0000000000001040 04030201 8007 3804 0201");
     assert_eq!(encode_pose_packet(7, FrameNumber(0x0A0B), &pose), *bytes);
     assert_eq!(decode_pose_packet(&bytes), Ok((7, FrameNumber(0x0A0B), pose)));
 }

@@ -48,6 +48,33 @@ impl Camera {
         Self { position_m, orientation: DQuat::from_mat3(&rotation).normalize(), yfov_rad, width, height }
     }
 
+    /// The camera of a pose as it crosses the wire. Both ends make it here, so that a mask's pixels and its view are the same at
+    /// both. The quaternion need not be quite of unit length.
+    #[must_use]
+    pub fn of_pose(position_m: [f64; 3], orientation: [f64; 4], yfov_rad: f64, [width, height]: [u16; 2]) -> Self {
+        Self {
+            position_m: DVec3::from_array(position_m),
+            orientation: DQuat::from_array(orientation).normalize(),
+            yfov_rad,
+            width: width.into(),
+            height: height.into(),
+        }
+    }
+
+    /// The same view with a border of `x` more pixels to the left and right, `y` above and below, all as large as before: a guard
+    /// band.
+    #[must_use]
+    pub fn widened(&self, (x, y): (u32, u32)) -> Self {
+        let (width, height) = (self.width + 2 * x, self.height + 2 * y);
+        let (_, half_height) = self.half_extent();
+        let yfov_rad = if y == 0 {
+            self.yfov_rad
+        } else {
+            2.0 * (half_height * f64::from(height) / f64::from(self.height)).atan()
+        };
+        Self { yfov_rad, width, height, ..*self }
+    }
+
     /// Half the picture's width and height on the plane at distance 1.
     #[must_use]
     pub fn half_extent(&self) -> (f64, f64) {
@@ -132,6 +159,20 @@ mod tests {
         let rounded = basis.forward + basis.right * ndc.0 + basis.up * ndc.1;
         assert!((rounded.as_dvec3() - direction).length() < 1e-6);
         assert_eq!(basis.origin, Vec3::ZERO);
+    }
+
+    #[test]
+    fn a_guard_band_leaves_every_pixel_where_it_was() {
+        let camera = camera();
+        for (x, y) in [(0, 0), (7, 0), (0, 3), (128, 72)] {
+            let wide = camera.widened((x, y));
+            assert_eq!((wide.width, wide.height), (640 + 2 * x, 360 + 2 * y));
+            for (px, py) in [(0, 0), (639, 359), (17, 200)] {
+                let (one, other) = (camera.ray(px, py), wide.ray(px + x, py + y));
+                assert!((one.1 - other.1).length() < 1e-12, "{one:?} {other:?}");
+            }
+        }
+        assert_eq!(camera.widened((0, 0)), camera);
     }
 
     #[test]

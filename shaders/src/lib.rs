@@ -7,6 +7,7 @@ pub mod camera;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod host;
+pub mod motion;
 pub mod scene;
 pub mod shading;
 pub mod splice;

@@ -67,7 +67,7 @@ impl Again {
 pub(crate) struct ReceiveTask {
     pub(crate) receiver: DataReceiver,
     pub(crate) writer: MaskWriter,
-    /// Shape that every mask must have.
+    /// The largest shape that a mask may have.
     pub(crate) shape: MaskShape,
     pub(crate) counters: Counters,
     pub(crate) again: Again,
@@ -135,13 +135,15 @@ impl ReceiveTask {
     ) -> Result<Option<FrameNumber>, String> {
         let Some(complete) = reassembler.frame() else { return Ok(None) };
         let received_at = Instant::now();
+        let largest = self.shape;
         let back = self.writer.back();
         // The shape is looked at before memory for it is taken.
-        let decoded = match Frame::parse(complete.body).map(|frame| frame.head.shape) {
-            Ok(shape) if shape == self.shape => {
+        let decoded = match Frame::parse(complete.body).map(|frame| frame.head) {
+            Ok(head) if is_within(head.shape, largest) => {
+                back.traced_for = head.traced_for;
                 decoder.decode(complete.body, &mut back.mask).map(drop).map_err(|error| error.to_string())
             }
-            Ok(shape) => Err(format!("its shape is {shape:?}, not {:?}", self.shape)),
+            Ok(head) => Err(format!("its shape is {:?}, {largest:?} is the largest agreed on", head.shape)),
             Err(error) => Err(error.to_string()),
         };
         let mut counters = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
@@ -167,6 +169,11 @@ impl ReceiveTask {
         self.writer.publish();
         Ok(Some(complete.frame))
     }
+}
+
+/// Whether masks of this shape may come at all; which one was asked for is known where poses are.
+fn is_within(shape: MaskShape, largest: MaskShape) -> bool {
+    shape.lights() == largest.lights() && shape.width() <= largest.width() && shape.height() <= largest.height()
 }
 
 /// The longest that a frame of this shape can be: its words uncompressed, what LZ4 adds to noise (one byte in 255),

@@ -65,6 +65,16 @@ pub enum RenderError {
     Shader(#[from] SpliceError),
 }
 
+/// What a pixel was shaded with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PixelVisibility {
+    /// Bit k is 1 when light k reaches the pixel.
+    pub word: u32,
+    /// Whether the mask said so; the client knew nothing better otherwise. Told for a visibility share of 1 only, and false
+    /// where there is no surface.
+    pub known: bool,
+}
+
 /// Draws frames of one scene at one size.
 #[derive(Debug)]
 pub struct FrameRenderer {
@@ -215,14 +225,17 @@ impl FrameRenderer {
         self.predict.known_share()
     }
 
-    /// The visibility that the last picture was shaded with: a word a pixel, row by row, bit k of which is light k. Waits for
-    /// the adapter: for measuring, not for frames.
+    /// The visibility that the last picture was shaded with, row by row. Waits for the adapter: for measuring, not for frames.
     ///
     /// # Errors
     /// When the adapter failed.
-    pub fn read_visibility(&self) -> Result<Vec<u32>, RenderError> {
+    pub fn read_visibility(&self) -> Result<Vec<PixelVisibility>, RenderError> {
         let words = readback::texels(&self.gpu, &self.targets.visibility, wgpu::TextureAspect::All)?;
-        Ok(words.as_chunks::<8>().0.iter().map(|[a, b, c, d, ..]| u32::from_le_bytes([*a, *b, *c, *d])).collect())
+        let pixel = |[a, b, c, d, e, f, g, h]: &[u8; 8]| {
+            let (word, own) = (u32::from_le_bytes([*a, *b, *c, *d]), u32::from_le_bytes([*e, *f, *g, *h]));
+            PixelVisibility { word, known: word != own }
+        };
+        Ok(words.as_chunks().0.iter().map(pixel).collect())
     }
 
     fn sized(&self, camera: &Camera) -> Camera {

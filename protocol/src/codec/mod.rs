@@ -24,9 +24,10 @@ use thiserror::Error;
 
 pub use self::id::{CodecId, UnknownCodec};
 use crate::{
-    frame::{Frame, FrameError, FrameHead, set_slice_length, slice_tile_rows},
+    frame::{Frame, FrameError, FrameHead, slice_tile_rows},
     limits::MAX_FRAME_BYTES,
     mask::{Mask, MaskShape, TILE_PX},
+    pose::Pose,
 };
 
 /// Why a mask cannot be encoded.
@@ -129,9 +130,17 @@ impl Encoder {
     /// # Errors
     /// When the frame would be longer than [`MAX_FRAME_BYTES`].
     pub fn encode(&mut self, mask: &Mask, body: &mut Vec<u8>) -> Result<(), EncodeError> {
+        self.encode_for(None, mask, body)
+    }
+
+    /// As [`Self::encode`], of a mask that was traced for another pose than the client's own.
+    ///
+    /// # Errors
+    /// As [`Self::encode`].
+    pub fn encode_for(&mut self, traced_for: Option<Pose>, mask: &Mask, body: &mut Vec<u8>) -> Result<(), EncodeError> {
         body.clear();
         let shape = mask.shape();
-        let head = FrameHead { codec: self.codec, shape };
+        let head = FrameHead { codec: self.codec, shape, traced_for };
         let count = u16::try_from(head.max_slices()).unwrap_or(u16::MAX).min(self.slices.get());
         head.begin(count, body);
         for slice in 0..usize::from(count) {
@@ -139,7 +148,7 @@ impl Encoder {
             self.append_slice(mask, &slice_tile_rows(shape, slice, count.into()), body);
             let too_long = EncodeError::TooLong(body.len());
             let bytes = u32::try_from(body.len() - start).map_err(|_| too_long)?;
-            set_slice_length(body, slice, bytes);
+            head.set_slice_length(body, slice, bytes);
         }
         if body.len() > MAX_FRAME_BYTES { Err(EncodeError::TooLong(body.len())) } else { Ok(()) }
     }
@@ -195,7 +204,7 @@ impl Decoder {
     /// When the body is not exactly one frame. The mask is then one of some shape, with bits of no meaning.
     pub fn decode(&mut self, body: &[u8], mask: &mut Mask) -> Result<CodecId, DecodeError> {
         let frame = Frame::parse(body)?;
-        let FrameHead { codec, shape } = frame.head;
+        let FrameHead { codec, shape, .. } = frame.head;
         for (slice, (rows, bytes)) in frame.slices().enumerate() {
             let (found, raw) = (bytes.len(), raw_bytes(codec, shape, &rows));
             let fits = match codec {

@@ -9,6 +9,7 @@ use gnomon_protocol::{
     ids::FrameNumber,
     mask::Mask,
     packetizer::Packetizer,
+    pose::Pose,
 };
 use thiserror::Error;
 use tokio::sync::{Semaphore, watch};
@@ -99,9 +100,9 @@ impl FrameSender {
     }
 
     async fn send(&mut self, traced: TracedMask, ledger: &Ledger) -> Result<Mask, DriveError> {
-        let TracedMask { frame, mask, received_at, cost } = traced;
+        let TracedMask { frame, mask, ahead, received_at, cost } = traced;
         let started = Instant::now();
-        let (mask, encoded) = self.encode(mask).await?;
+        let (mask, encoded) = self.encode(mask, ahead).await?;
         let encoding = started.elapsed();
         ledger.encode_us.add_us(encoding);
         let body = match (encoded, &self.workspace) {
@@ -146,13 +147,13 @@ impl FrameSender {
     }
 
     /// Encodes on a thread where it disturbs no other session's packets.
-    async fn encode(&mut self, mask: Mask) -> Result<(Mask, Result<(), EncodeError>), DriveError> {
+    async fn encode(&mut self, mask: Mask, ahead: Option<Pose>) -> Result<(Mask, Result<(), EncodeError>), DriveError> {
         let broken = |reason: &str| DriveError::Encoding(reason.to_owned());
         let mut workspace = self.workspace.take().ok_or_else(|| broken("its memory is gone"))?;
         let permit = Arc::clone(&self.encoders).acquire_owned().await.map_err(|_| broken("the server has stopped"))?;
         let job = tokio::task::spawn_blocking(move || {
             let _permit = permit;
-            let result = workspace.encoder.encode(&mask, &mut workspace.body);
+            let result = workspace.encoder.encode_for(ahead, &mask, &mut workspace.body);
             (workspace, mask, result)
         });
         let (workspace, mask, result) = job.await.map_err(|error| broken(&error.to_string()))?;

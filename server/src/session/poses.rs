@@ -1,10 +1,15 @@
 //! Poses in: each newer one becomes the session's only request, anything else is counted and dropped.
+//!
+//! A client that says how long its masks are under way gets them traced for where its camera will be by then ([`ahead`]). Only the
+//! client sees the whole way, from its pose to the frame that shows the mask, so it measures and the server extrapolates.
 
 use std::{convert::Infallible, io, time::Instant};
 
-use glam::{DQuat, DVec3};
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose, pose::Pose};
-use gnomon_shaders::camera::Camera;
+use gnomon_shaders::{
+    camera::Camera,
+    motion::{Extrapolation, Motion},
+};
 
 use super::ledger::Ledger;
 use crate::{
@@ -40,6 +45,7 @@ pub(super) async fn receive(
     ledger: &Ledger,
 ) -> io::Result<Infallible> {
     let mut newest = Newest::default();
+    let mut ahead = Ahead::default();
     loop {
         let datagram = receiver.receive().await?;
         let received_at = Instant::now();
@@ -51,6 +57,12 @@ pub(super) async fn receive(
                 continue;
             }
         };
+        let [width, height] = pose.mask_px.map(u32::from);
+        if width > shape.width() || height > shape.height() {
+            ledger.poses_bad.one();
+            tracing::debug!(width, height, ?shape, "a pose asks for a larger mask than was agreed on");
+            continue;
+        }
         if !newest.take(frame, sequence) {
             ledger.poses_stale.one();
             continue;
@@ -58,18 +70,68 @@ pub(super) async fn receive(
         ledger.poses.one();
         // Noted first, so that a session which finishes never takes an earlier frame for the last one.
         ledger.set_newest_requested(frame);
-        requests.request(TraceRequest { frame, camera: camera(&pose, shape), received_at });
+        let predicted = ahead.of(&pose);
+        let camera = camera(predicted.as_ref().unwrap_or(&pose));
+        requests.request(TraceRequest { frame, camera, ahead: predicted, received_at });
     }
 }
 
 /// The camera of a pose whose values are valid.
-fn camera(pose: &Pose, shape: MaskShape) -> Camera {
-    Camera {
-        position_m: DVec3::from_array(pose.position_m),
-        orientation: DQuat::from_array(pose.orientation).normalize(),
-        yfov_rad: pose.yfov_rad,
-        width: shape.width(),
-        height: shape.height(),
+fn camera(pose: &Pose) -> Camera {
+    Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, pose.mask_px)
+}
+
+/// Metres, and radians, that no pixel can tell from standing still.
+const STANDS_STILL: f64 = 1e-6;
+
+/// Follows a client's motion, and says where it will be when a mask is shown.
+#[derive(Debug, Default)]
+struct Ahead {
+    motion: Motion,
+    /// The newest pose's time, and how often the client's clock had wrapped by then.
+    clock: Clock,
+}
+
+impl Ahead {
+    /// The pose to trace instead of `pose`, the client's newest; `None` where that is the same.
+    fn of(&mut self, pose: &Pose) -> Option<Pose> {
+        let time_s = self.clock.seconds(pose.client_time_ms);
+        let now = camera(pose);
+        self.motion.push(time_s, now);
+        let then_s = time_s + f64::from(pose.look_ahead_ms) * 1e-3;
+        let then = self.motion.at(then_s, Extrapolation::Velocity)?;
+        let stays = then.position_m.distance(now.position_m) < STANDS_STILL
+            && then.orientation.angle_between(now.orientation) < STANDS_STILL;
+        if pose.look_ahead_ms == 0 || stays {
+            return None;
+        }
+        // The mask's size and field of view are those that were asked for.
+        let predicted = Pose {
+            position_m: then.position_m.to_array(),
+            orientation: then.orientation.to_array(),
+            scene_time_s: pose.scene_time_s + f64::from(pose.look_ahead_ms) * 1e-3,
+            ..*pose
+        };
+        // A camera that is about to leave the world's limits is not followed.
+        predicted.validate().ok().map(|()| predicted)
+    }
+}
+
+/// A clock of milliseconds that wraps, as seconds that do not.
+#[derive(Debug, Default)]
+struct Clock {
+    newest_ms: u64,
+}
+
+impl Clock {
+    fn seconds(&mut self, client_time_ms: u32) -> f64 {
+        const WRAP_MS: u64 = 1 << 32;
+        let base = self.newest_ms - self.newest_ms % WRAP_MS;
+        let here = base + u64::from(client_time_ms);
+        // More than half a wrap back is a wrap; anything less is a late pose, or a clock that began anew.
+        let time_ms = if here + WRAP_MS / 2 < self.newest_ms { here + WRAP_MS } else { here };
+        self.newest_ms = time_ms;
+        std::time::Duration::from_millis(time_ms).as_secs_f64()
     }
 }
 
@@ -93,5 +155,44 @@ mod tests {
         ] {
             assert_eq!(newest.take(FrameNumber(frame), sequence), taken, "frame {frame}, sequence {sequence}");
         }
+    }
+
+    fn pose(x: f64, client_time_ms: u32, look_ahead_ms: u16) -> Pose {
+        Pose {
+            position_m: [x, 0.0, 0.0],
+            orientation: [0.0, 0.0, 0.0, 1.0],
+            yfov_rad: 1.0,
+            scene_time_s: 0.0,
+            client_time_ms,
+            mask_px: [64, 36],
+            look_ahead_ms,
+        }
+    }
+
+    #[test]
+    fn a_moving_camera_is_traced_where_it_will_be() {
+        let mut ahead = Ahead::default();
+        for frame in 0..10_u32 {
+            // One metre a second; the clock wraps on the way.
+            let time_ms = u32::MAX.wrapping_sub(80).wrapping_add(frame * 16);
+            let found = ahead.of(&pose(f64::from(frame) * 0.016, time_ms, 100));
+            if frame > 0 {
+                let found = found.unwrap();
+                assert!((found.position_m[0] - f64::from(frame) * 0.016 - 0.1).abs() < 1e-7, "{found:?}");
+                assert_eq!((found.client_time_ms, found.mask_px), (time_ms, [64, 36]));
+            }
+        }
+        // Who does not ask for it, or stands still, gets the pose as it is.
+        assert_eq!(ahead.of(&pose(0.16, u32::MAX.wrapping_sub(80).wrapping_add(160), 0)), None);
+        let mut still = Ahead::default();
+        assert!((0..5_u32).all(|frame| still.of(&pose(1.0, frame * 16, 100)).is_none()));
+    }
+
+    #[test]
+    fn a_camera_is_not_followed_out_of_the_world() {
+        let mut ahead = Ahead::default();
+        let edge = gnomon_protocol::limits::MAX_POSITION_M;
+        ahead.of(&pose(edge - 0.02, 0, 1000));
+        assert_eq!(ahead.of(&pose(edge - 0.01, 10, 1000)), None);
     }
 }

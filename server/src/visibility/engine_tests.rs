@@ -45,7 +45,12 @@ fn camera(step: u32, width: u32, height: u32) -> Camera {
 }
 
 fn request(frame: u32, width: u32, height: u32) -> TraceRequest {
-    TraceRequest { frame: FrameNumber(frame), camera: camera(frame, width, height), received_at: Instant::now() }
+    TraceRequest {
+        frame: FrameNumber(frame),
+        camera: camera(frame, width, height),
+        ahead: None,
+        received_at: Instant::now(),
+    }
 }
 
 fn shape(width: u32, height: u32) -> MaskShape {

@@ -29,7 +29,7 @@ mod worker;
 
 use std::time::Instant;
 
-use gnomon_protocol::{ids::FrameNumber, mask::Mask};
+use gnomon_protocol::{ids::FrameNumber, mask::Mask, pose::Pose};
 use gnomon_shaders::camera::Camera;
 
 /// A mask to trace: the newest that a session wants.
@@ -39,6 +39,8 @@ pub struct TraceRequest {
     pub frame: FrameNumber,
     /// Where it looks from, and the size of its mask.
     pub camera: Camera,
+    /// The pose that this camera is of, where it is not the client's own of this frame.
+    pub ahead: Option<Pose>,
     /// When its pose arrived.
     pub received_at: Instant,
 }
@@ -50,6 +52,8 @@ pub struct TracedMask {
     pub frame: FrameNumber,
     /// The mask.
     pub mask: Mask,
+    /// The pose that it was traced for, where that is not the client's own of this frame.
+    pub ahead: Option<Pose>,
     /// When its pose arrived.
     pub received_at: Instant,
     /// What it cost.

@@ -87,8 +87,8 @@ impl SessionPort {
 }
 
 impl RequestSender {
-    /// Asks for a mask. It replaces an earlier request that the engine has not taken up. The picture must have the
-    /// size that the session was opened with; a request of another size is logged and dropped.
+    /// Asks for a mask. It replaces an earlier request that the engine has not taken up. The picture must be no larger than
+    /// the session was opened for; a larger one is logged and dropped.
     pub fn request(&self, request: TraceRequest) {
         self.newest.send_replace(Some(request));
         self.waker.wake();

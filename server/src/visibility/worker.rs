@@ -7,6 +7,7 @@ use std::{
 };
 
 use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_shaders::camera::Camera;
 use tokio::sync::mpsc::OwnedPermit;
 
 use super::{
@@ -171,11 +172,11 @@ impl Worker {
             let place = session.port.masks.clone().try_reserve_owned();
             let request = *session.port.newest.borrow_and_update();
             let (Ok(place), Some(request)) = (place, request) else { continue };
-            let shape = session.shape;
-            if (request.camera.width, request.camera.height) != (shape.width(), shape.height()) {
-                tracing::warn!(engine_session = key, camera = ?request.camera, ?shape, "a pose of another size is dropped");
+            let Some(shape) = within(session.shape, &request.camera) else {
+                let largest = session.shape;
+                tracing::warn!(engine_session = key, camera = ?request.camera, ?largest, "a pose of a larger size is dropped");
                 continue;
-            }
+            };
             let used = session.port.used.try_iter().find(|mask| mask.shape() == shape);
             self.scheduler.started(key);
             return Some(Job { session: key, request, mask: used.unwrap_or_else(|| Mask::new(shape)), place });
@@ -197,7 +198,7 @@ impl Worker {
 
     fn finish(&mut self, job: Job, cost: TraceCost) {
         self.scheduler.finished(job.session);
-        let TraceRequest { frame, received_at, .. } = job.request;
+        let TraceRequest { frame, ahead, received_at, .. } = job.request;
         tracing::debug!(
             engine_session = job.session,
             frame = frame.0,
@@ -208,7 +209,7 @@ impl Worker {
             age_ms = received_at.elapsed().as_secs_f64() * 1e3,
             "mask traced"
         );
-        job.place.send(TracedMask { frame, mask: job.mask, received_at, cost });
+        job.place.send(TracedMask { frame, mask: job.mask, ahead, received_at, cost });
     }
 
     /// Before a sleep: buffers no larger than the open sessions need.
@@ -218,4 +219,10 @@ impl Worker {
         }
         Ok(())
     }
+}
+
+/// The shape of a mask for this camera, when it is no larger than the session's.
+fn within(largest: MaskShape, camera: &Camera) -> Option<MaskShape> {
+    let fits = camera.width <= largest.width() && camera.height <= largest.height();
+    MaskShape::new(camera.width, camera.height, largest.lights()).ok().filter(|_| fits)
 }

@@ -40,6 +40,8 @@ pub(crate) fn pose() -> Pose {
         yfov_rad: 1.2,
         scene_time_s: 0.0,
         client_time_ms: 0,
+        mask_px: [WIDTH, HEIGHT].map(|side| u16::try_from(side).unwrap()),
+        look_ahead_ms: 0,
     }
 }
 

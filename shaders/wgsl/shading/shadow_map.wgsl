@@ -31,6 +31,15 @@ fn shadow_view_of(light: Light, point: vec3f) -> u32 {
     return light.shadow_view + select(0u, cube_face(point - light.position), light.kind == POINT);
 }
 
+// How far off its surface a point is looked up, in texels: for surfaces that are not quite planes.
+const OFF_SURFACE_TEXELS: f32 = 0.2;
+
+// Where a point lies in its light's square, in texels with whole numbers at their centres; its reversed depth; its distance.
+fn map_place(shadow: ShadowView, point: vec3f) -> vec4f {
+    let clip = shadow.clip_from_local * vec4f(point, 1.0);
+    return vec4f((clip.xy / clip.w * vec2f(0.5, -0.5) + 0.5) * shadow.side - 0.5, clip.z / clip.w, clip.w);
+}
+
 // Whether the map leaves the surface at `point`, with this normal towards the eye, in the light: the majority of the four texels
 // around it, by their bilinear weights.
 fn shadow_map_lit(map: texture_depth_2d, shadow: ShadowView, kind: u32, toward: vec3f, point: vec3f, normal: vec3f) -> bool {
@@ -41,17 +50,19 @@ fn shadow_map_lit(map: texture_depth_2d, shadow: ShadowView, kind: u32, toward: 
     }
     let distance = (shadow.clip_from_local * vec4f(point, 1.0)).w;
     let texel_m = shadow.texel_m * select(distance, 1.0, kind == DIRECTIONAL);
-    // Within the four texels a tilted surface is up to √2 texels · tan nearer to the light than at the point; a step off the
-    // surface of √2 texels · sin makes up for that (Holbert, "Normal Offset Shadows", GDC 2011), and half a texel for rounding.
-    let sine = sqrt(max(1.0 - facing * facing, 0.0));
-    let clip = shadow.clip_from_local * vec4f(point + normal * (texel_m * (1.5 * sine + 0.5)), 1.0);
-    let ndc = clip.xyz / clip.w;
-    let place = (ndc.xy * vec2f(0.5, -0.5) + 0.5) * shadow.side - 0.5;
-    if clip.w <= 0.0 || any(place < vec2f(0.0)) || any(place >= vec2f(shadow.side - 1.0)) {
+    let step = normal * (OFF_SURFACE_TEXELS * texel_m);
+    let at = map_place(shadow, point + step);
+    if at.w <= 0.0 || any(at.xy < vec2f(0.0)) || any(at.xy >= vec2f(shadow.side - 1.0)) {
         return true;
     }
-    let corner = vec2i(place);
-    let weight = place - vec2f(corner);
+    // The depth that the surface itself has at the four texels: that of a plane is linear in the map.
+    let tangent = normalize(select(vec3f(0.0, normal.z, -normal.y), vec3f(normal.y, -normal.x, 0.0), abs(normal.z) < 0.7));
+    let across = map_place(shadow, point + step + tangent * texel_m).xyz - at.xyz;
+    let along = map_place(shadow, point + step + cross(normal, tangent) * texel_m).xyz - at.xyz;
+    let area = across.x * along.y - across.y * along.x;
+    let slope = vec2f(across.z * along.y - along.z * across.y, along.z * across.x - across.z * along.x) / area;
+    let corner = vec2i(at.xy);
+    let weight = at.xy - vec2f(corner);
     let texel = corner + vec2i(vec2f(shadow.left, shadow.top));
     // Reversed depth: what is nearer to the light has more.
     let nearest = vec4f(
@@ -60,6 +71,8 @@ fn shadow_map_lit(map: texture_depth_2d, shadow: ShadowView, kind: u32, toward: 
         textureLoad(map, texel + vec2i(0, 1), 0),
         textureLoad(map, texel + vec2i(1, 1), 0),
     );
-    let lit = select(vec4f(0.0), vec4f(1.0), nearest <= vec4f(ndc.z));
+    let first = at.z - dot(slope, weight);
+    let surface = vec4f(first, first + slope.x, first + slope.y, first + slope.x + slope.y);
+    let lit = select(vec4f(0.0), vec4f(1.0), nearest <= surface);
     return mix(mix(lit.x, lit.y, weight.x), mix(lit.z, lit.w, weight.x), weight.y) >= 0.5;
 }

@@ -169,7 +169,7 @@ fn toward(forward: DVec3) -> DMat4 {
 /// That of a cube's face, in the order of `cube_face` in `shadow_map.wgsl`.
 fn face_rotation(face: u32) -> DMat4 {
     let axis = [DVec3::X, DVec3::Y, DVec3::Z][face as usize / 2 % 3];
-    toward(if face % 2 == 0 { axis } else { -axis })
+    toward(if face.is_multiple_of(2) { axis } else { -axis })
 }
 
 /// Reversed-Z with an infinite far plane, `half` wide at distance 1.

@@ -1,0 +1,170 @@
+//! The server's end of a run: poses go out, masks come in and are matched with what was asked for.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use gnomon_protocol::{ids::FrameNumber, pose::Pose};
+use gnomon_shaders::camera::Camera;
+use tokio::runtime::Runtime;
+
+use crate::{
+    error::ClientError,
+    mask_buffer::{MaskReader, Waited},
+    net::session::Session,
+    pose_history::{Asked, PoseHistory, Rejections},
+    render::{FrameRenderer, RenderError, predict::MaskView},
+};
+
+/// How long the first mask may take before its pose is sent again: the server may still warm up.
+const FIRST_RESPONSE: Duration = Duration::from_secs(2);
+
+/// Least time before a pose is sent again.
+const LEAST_PATIENCE: Duration = Duration::from_millis(250);
+
+/// How long one frame is waited for in all.
+const GIVE_UP: Duration = Duration::from_secs(120);
+
+/// A server that masks come from.
+pub(crate) struct Live {
+    pub(crate) runtime: Arc<Runtime>,
+    pub(crate) session: Session,
+    pub(crate) masks: MaskReader,
+    /// The mask that the renderer has.
+    pub(crate) current: Option<Current>,
+    pub(crate) rejections: Rejections,
+    pub(crate) poses_repeated: u32,
+    /// Longest response of late, to poses that were sent once: a maximum that fades.
+    slowest_response: Option<Duration>,
+    /// The last frame whose pose was sent more than once.
+    repeated: Option<FrameNumber>,
+    /// From a pose's departure until the frame that showed its mask, smoothed.
+    pub(crate) way: Option<Duration>,
+}
+
+/// The mask that the renderer has, and what it was asked for with.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Current {
+    pub(crate) asked: Asked,
+    /// Bytes of its frame on the wire, packet headers not counted.
+    pub(crate) bytes: usize,
+    pub(crate) packets: u16,
+}
+
+/// A mask that the renderer has just been given.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Taken {
+    /// From its pose's departure until it was whole.
+    pub(crate) response: Option<Duration>,
+    /// What handing it to the renderer took.
+    pub(crate) upload: Duration,
+}
+
+impl Live {
+    pub(crate) fn new(runtime: Arc<Runtime>, session: Session, masks: MaskReader) -> Self {
+        Self {
+            runtime,
+            session,
+            masks,
+            current: None,
+            rejections: Rejections::default(),
+            poses_repeated: 0,
+            slowest_response: None,
+            repeated: None,
+            way: None,
+        }
+    }
+
+    /// How far ahead masks should be traced, in milliseconds.
+    pub(crate) fn look_ahead_ms(&self) -> u16 {
+        let most = gnomon_protocol::limits::MAX_LOOK_AHEAD_MS;
+        self.way.map_or(0, |way| u16::try_from(way.as_millis()).unwrap_or(most).min(most))
+    }
+
+    /// Gives the renderer the newest mask, when there is one that it has not seen and that answers something.
+    pub(crate) fn take_newest(
+        &mut self,
+        history: &PoseHistory,
+        renderer: &mut FrameRenderer,
+        shown_at: Instant,
+    ) -> Result<Taken, RenderError> {
+        let fresh = self.masks.newest().is_some_and(|(_, fresh)| fresh);
+        if fresh { self.take_front(history, renderer, shown_at) } else { Ok(Taken::default()) }
+    }
+
+    /// Waits for exactly this frame's mask and gives it to the renderer. Asks again for it: at once when a part of it was
+    /// lost, or else after some round trips and longer than masks took of late, and then after twice as long each time, so that
+    /// a slow server is not asked in vain. `ended` makes an error of the reason why no more masks will come.
+    pub(crate) fn wait_for(
+        &mut self,
+        frame: FrameNumber,
+        history: &PoseHistory,
+        ended: impl FnOnce(String) -> ClientError,
+    ) -> Result<(), ClientError> {
+        let begun = Instant::now();
+        let round_trip = self.session.round_trip().unwrap_or_default();
+        let usual = self.slowest_response.map_or(FIRST_RESPONSE, |slowest| slowest * 2);
+        let mut patience = (round_trip * 4).max(LEAST_PATIENCE).max(usual);
+        let mut asked = 1;
+        loop {
+            match self.masks.wait_for(frame, Instant::now() + patience) {
+                Waited::Arrived => return Ok(()),
+                Waited::Ended(reason) => return Err(ended(reason)),
+                Waited::TimedOut | Waited::Lost if begun.elapsed() > GIVE_UP => {
+                    return Err(ClientError::NoVisibility { frame, after: begun.elapsed(), asked });
+                }
+                waited @ (Waited::TimedOut | Waited::Lost) => {
+                    if let Some(sent) = history.get(frame) {
+                        self.session.send_pose_again(frame, sent.pose);
+                        self.repeated = Some(frame);
+                        self.poses_repeated += 1;
+                        asked += 1;
+                    }
+                    if waited == Waited::TimedOut {
+                        patience = (patience * 2).min(GIVE_UP / 4);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Gives the renderer the mask in the front buffer. One that answers nothing is counted and passed over: the renderer keeps
+    /// the one it has.
+    pub(crate) fn take_front(
+        &mut self,
+        history: &PoseHistory,
+        renderer: &mut FrameRenderer,
+        shown_at: Instant,
+    ) -> Result<Taken, RenderError> {
+        let Some(received) = self.masks.front() else { return Ok(Taken::default()) };
+        let asked = match history.answered(received.frame, received.mask.shape()) {
+            Ok(asked) => *asked,
+            Err(rejection) => {
+                tracing::debug!(frame = received.frame.0, ?rejection, "a mask that answers nothing");
+                self.rejections.count(rejection);
+                return Ok(Taken::default());
+            }
+        };
+        let begun = Instant::now();
+        let traced_for = camera_of(received.traced_for.as_ref().unwrap_or(&asked.pose), asked.pose.mask_px);
+        renderer.set_mask(Some(MaskView { mask: &received.mask, traced_for: &traced_for }))?;
+        let upload = begun.elapsed();
+        let response = asked.sent_at.map(|sent| received.received_at.saturating_duration_since(sent));
+        self.current = Some(Current { asked, bytes: received.payload_bytes, packets: received.packets });
+        // What a repeated pose took says nothing about the server (Karn's rule for round trips): taken for a response, a
+        // lost frame would make the next loss cost twice as much.
+        if self.repeated != Some(asked.frame) {
+            let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
+            self.slowest_response = response.map(|response| response.max(faded)).or(self.slowest_response);
+            let way = asked.sent_at.map(|sent| shown_at.saturating_duration_since(sent));
+            self.way = way.map(|way| self.way.map_or(way, |before| (before * 7 + way) / 8)).or(self.way);
+        }
+        Ok(Taken { response, upload })
+    }
+}
+
+/// The camera of a pose, with the mask's size that was asked for.
+fn camera_of(pose: &Pose, mask_px: [u16; 2]) -> Camera {
+    Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, mask_px)
+}

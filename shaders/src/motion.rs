@@ -1,0 +1,219 @@
+//! Where a camera will be: extrapolation of its latest poses, so that visibility can be traced for the moment that shows it.
+//!
+//! Times are the client's own, so that it does not matter how unevenly poses arrive. Positions move in straight lines and
+//! orientations turn about a fixed axis, at the mean rate of a short window: long enough to average a hand's tremor, short enough
+//! to notice that it stops.
+
+use std::collections::VecDeque;
+
+use glam::{DQuat, DVec3};
+
+use crate::camera::Camera;
+
+/// Poses that are remembered.
+const MOST_POSES: usize = 16;
+
+/// Length of the window that rates are measured over, in seconds: about four frames of 60 a second.
+const WINDOW_S: f64 = 0.07;
+
+/// Farthest that anything is extrapolated, in seconds. Beyond it a hand has long changed its mind.
+const FARTHEST_S: f64 = 0.4;
+
+/// A step from one pose to the next that is longer than this many metres, or turns by more than [`JUMP_RAD`], and is
+/// [`JUMP_RATIO`] times as fast as the camera was before, is no motion: somebody was put elsewhere.
+const JUMP_M: f64 = 0.5;
+const JUMP_RAD: f64 = 0.35;
+const JUMP_RATIO: f64 = 4.0;
+
+/// How a camera's motion goes on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Extrapolation {
+    /// It does not: the newest pose.
+    #[default]
+    Still,
+    /// At constant velocity and turning rate.
+    Velocity,
+    /// Velocity and turning rate themselves go on changing, half as much as they did.
+    Acceleration,
+}
+
+/// A camera's latest poses, in order of time.
+#[derive(Debug, Clone, Default)]
+pub struct Motion {
+    poses: VecDeque<(f64, Camera)>,
+}
+
+/// How fast a camera moves and turns.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Rate {
+    metres_per_s: DVec3,
+    /// Along the axis of rotation in world space; its length is the rate in radians per second.
+    turn_per_s: DVec3,
+}
+
+impl Motion {
+    /// Takes the camera at `time_s`, unless a later one is known already. After a jump, or when the clock ran backwards by
+    /// more than the window can explain, everything before is forgotten.
+    pub fn push(&mut self, time_s: f64, camera: Camera) {
+        if !time_s.is_finite() {
+            return;
+        }
+        if let Some((newest_s, newest)) = self.poses.back() {
+            let step_s = time_s - newest_s;
+            if step_s <= 0.0 && step_s > -FARTHEST_S {
+                return;
+            }
+            if step_s <= 0.0 || step_s > FARTHEST_S || self.is_jump(newest, &camera, step_s) {
+                self.poses.clear();
+            }
+        }
+        if self.poses.len() == MOST_POSES {
+            self.poses.pop_front();
+        }
+        self.poses.push_back((time_s, camera));
+    }
+
+    /// The camera at `time_s`; `None` before the first pose. A time before the newest pose gives the newest pose.
+    #[must_use]
+    pub fn at(&self, time_s: f64, extrapolation: Extrapolation) -> Option<Camera> {
+        let (newest_s, newest) = self.poses.back()?;
+        let ahead_s = (time_s - newest_s).clamp(0.0, FARTHEST_S);
+        let (Some(rate), true) = (self.rate(*newest_s), extrapolation != Extrapolation::Still) else {
+            return Some(*newest);
+        };
+        let rate = match (extrapolation, self.rate(newest_s - WINDOW_S)) {
+            (Extrapolation::Acceleration, Some(before)) => {
+                // Half the change of rate, carried on; the mean over the way is half of that again.
+                let change = 0.25 * ahead_s / WINDOW_S;
+                Rate {
+                    metres_per_s: rate.metres_per_s + (rate.metres_per_s - before.metres_per_s) * change,
+                    turn_per_s: rate.turn_per_s + (rate.turn_per_s - before.turn_per_s) * change,
+                }
+            }
+            _ => rate,
+        };
+        Some(Camera {
+            position_m: newest.position_m + rate.metres_per_s * ahead_s,
+            orientation: (DQuat::from_scaled_axis(rate.turn_per_s * ahead_s) * newest.orientation).normalize(),
+            ..*newest
+        })
+    }
+
+    /// The rates over the window that ends at `end_s`, or before it.
+    fn rate(&self, end_s: f64) -> Option<Rate> {
+        let last = self.poses.iter().rposition(|(time_s, _)| *time_s <= end_s)?;
+        let (to_s, to) = self.poses.get(last)?;
+        let first = self.poses.iter().take(last).position(|(time_s, _)| *time_s >= to_s - WINDOW_S * 1.01)?;
+        let (from_s, from) = self.poses.get(first)?;
+        Some(rate_between(from, to, to_s - from_s))
+    }
+
+    fn is_jump(&self, from: &Camera, to: &Camera, step_s: f64) -> bool {
+        let step = rate_between(from, to, step_s);
+        let before = self.poses.back().and_then(|(newest_s, _)| self.rate(*newest_s));
+        let before = before.unwrap_or(Rate { metres_per_s: DVec3::ZERO, turn_per_s: DVec3::ZERO });
+        let far = |step: f64, before: f64, least: f64| step * step_s > least && step > JUMP_RATIO * before;
+        far(step.metres_per_s.length(), before.metres_per_s.length(), JUMP_M)
+            || far(step.turn_per_s.length(), before.turn_per_s.length(), JUMP_RAD)
+    }
+}
+
+fn rate_between(from: &Camera, to: &Camera, step_s: f64) -> Rate {
+    let mut turn = to.orientation * from.orientation.inverse();
+    // The shorter way round.
+    if turn.w < 0.0 {
+        turn = -turn;
+    }
+    Rate { metres_per_s: (to.position_m - from.position_m) / step_s, turn_per_s: turn.to_scaled_axis() / step_s }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(position_m: DVec3, turned_rad: f64) -> Camera {
+        let orientation = DQuat::from_rotation_y(turned_rad);
+        Camera { position_m, orientation, yfov_rad: 1.0, width: 64, height: 36 }
+    }
+
+    /// Poses 60 times a second along this motion.
+    fn followed(at: impl Fn(f64) -> Camera, frames: u32) -> Motion {
+        let mut motion = Motion::default();
+        for frame in 0..frames {
+            let time_s = f64::from(frame) / 60.0;
+            motion.push(time_s, at(time_s));
+        }
+        motion
+    }
+
+    fn apart(one: &Camera, other: &Camera) -> (f64, f64) {
+        (one.position_m.distance(other.position_m), one.orientation.angle_between(other.orientation))
+    }
+
+    #[test]
+    fn straight_lines_and_steady_turns_go_on() {
+        let at = |time_s: f64| camera(DVec3::new(1e6 + 2.0 * time_s, 1.0, -time_s), 1.5 * time_s);
+        let motion = followed(at, 20);
+        for extrapolation in [Extrapolation::Velocity, Extrapolation::Acceleration] {
+            for ahead_s in [0.0, 0.016, 0.1, 0.4] {
+                let time_s = 19.0 / 60.0 + ahead_s;
+                let (metres, radians) = apart(&motion.at(time_s, extrapolation).unwrap(), &at(time_s));
+                assert!(metres < 1e-8 && radians < 1e-7, "{ahead_s}: {metres} m, {radians} rad");
+            }
+        }
+        assert_eq!(motion.at(1.0, Extrapolation::Still), Some(at(19.0 / 60.0)));
+    }
+
+    #[test]
+    fn a_growing_speed_is_followed_better_when_it_is_expected_to_grow() {
+        let at = |time_s: f64| camera(DVec3::X * (3.0 * time_s * time_s), 2.0 * time_s * time_s);
+        let (motion, time_s) = (followed(at, 30), 29.0 / 60.0 + 0.1);
+        let error = |extrapolation| apart(&motion.at(time_s, extrapolation).unwrap(), &at(time_s)).0;
+        assert!(error(Extrapolation::Acceleration) < 0.8 * error(Extrapolation::Velocity));
+        assert!(error(Extrapolation::Velocity) < 0.5 * error(Extrapolation::Still));
+    }
+
+    #[test]
+    fn a_stop_is_noticed_within_the_window() {
+        let at = |time_s: f64| camera(DVec3::X * time_s.min(0.25), 0.0);
+        let (moving, stopped) = (followed(at, 15), followed(at, 21));
+        assert!(moving.at(0.35, Extrapolation::Velocity).unwrap().position_m.x > 0.3);
+        assert!((stopped.at(0.45, Extrapolation::Velocity).unwrap().position_m.x - 0.25).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_jump_is_not_motion() {
+        let mut motion = followed(|time_s| camera(DVec3::X * time_s, 0.0), 10);
+        let there = camera(DVec3::new(50.0, 0.0, 0.0), 3.0);
+        motion.push(10.0 / 60.0, there);
+        for extrapolation in [Extrapolation::Velocity, Extrapolation::Acceleration] {
+            assert_eq!(motion.at(0.3, extrapolation), Some(there));
+        }
+        // From a standstill to a quick turn of the head is motion: 3 rad/s in steps of 1/60 s.
+        let mut motion = followed(|_| camera(DVec3::ZERO, 0.0), 10);
+        for frame in 1..=5 {
+            motion.push(f64::from(9 + frame) / 60.0, camera(DVec3::ZERO, f64::from(frame) * 0.05));
+        }
+        assert!(motion.at(14.0 / 60.0 + 0.1, Extrapolation::Velocity).unwrap().orientation.to_scaled_axis().y > 0.4);
+    }
+
+    #[test]
+    fn old_repeated_and_strange_times_do_no_harm() {
+        let here = camera(DVec3::ZERO, 0.0);
+        let mut motion = Motion::default();
+        assert_eq!(motion.at(0.0, Extrapolation::Velocity), None);
+        motion.push(1.0, here);
+        motion.push(1.0, camera(DVec3::X, 0.0));
+        motion.push(0.9, camera(DVec3::X, 0.0));
+        assert_eq!(motion.at(5.0, Extrapolation::Velocity), Some(here));
+        // A client that starts anew.
+        motion.push(0.1, camera(DVec3::Y, 0.0));
+        assert_eq!(motion.at(0.2, Extrapolation::Velocity), Some(camera(DVec3::Y, 0.0)));
+        motion.push(f64::NAN, here);
+        assert!(motion.at(f64::INFINITY, Extrapolation::Velocity).is_some());
+        for frame in 0..1000 {
+            motion.push(f64::from(frame) * 0.01, here);
+        }
+        assert!(motion.poses.len() <= MOST_POSES);
+    }
+}
