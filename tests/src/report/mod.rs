@@ -2,6 +2,7 @@
 
 pub mod load;
 pub mod pipeline;
+pub mod plot;
 pub mod prediction_error;
 pub mod scene_args;
 pub mod table;
