@@ -1,6 +1,7 @@
-//! Gnomon's end-to-end tests and what they need: the f64 referee, scenes, metrics, and a rig that boots real programs.
+//! Gnomon's end-to-end tests and what they need: the f64 referee, scenes, metrics, a network to test on, and a rig that boots real programs.
 
 pub mod cloister;
+pub mod link;
 pub mod metrics;
 pub mod reference;
 pub mod report;

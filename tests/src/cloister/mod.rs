@@ -20,7 +20,7 @@ mod moving;
 mod paths;
 mod paving;
 mod plants;
-mod rng;
+pub(crate) mod rng;
 mod roof;
 mod shapes;
 mod sundial;

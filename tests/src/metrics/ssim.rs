@@ -108,6 +108,6 @@ mod tests {
             })
         };
         let figure = ssim(&picture(0), &picture(1));
-        assert!((figure - 0.502_372_782_574).abs() < 1e-6, "{figure}");
+        assert!((figure - 0.502_372_782_574).abs() < 1e-9, "{figure}");
     }
 }

@@ -1,0 +1,212 @@
+//! What becomes of a datagram in one direction of a link. Sans-IO: the time comes in as an argument.
+//!
+//! A datagram's chances hang on the seed, the direction and the datagram's number alone, its jitter on seed, direction and
+//! time: under one seed the same datagrams fare the same, whatever the timing of others. Only the queue of a bottleneck
+//! looks at what else is there, as queues do.
+
+use std::{ops::AddAssign, time::Duration};
+
+use bytes::Bytes;
+
+use super::{
+    settings::{Burst, Rate, Settings},
+    trace::Moment,
+};
+use crate::cloister::rng::Rng;
+
+/// Jitter goes from one value to the next in this time, in seconds: about as fast as queues fill and empty.
+const JITTER_STEP_S: f64 = 0.02;
+
+/// Which way datagrams go.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Direction {
+    /// From client to server.
+    Up,
+    /// From server to client.
+    Down,
+}
+
+/// What became of datagrams. Those that came are those delivered, lost in any way, or dropped.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Counts {
+    /// Datagrams that came to the link.
+    pub arrived: u64,
+    /// Datagrams sent on, late or corrupted ones included, second copies not.
+    pub delivered: u64,
+    /// Lost, each for itself.
+    pub lost: u64,
+    /// Lost in the bad state of a bursty channel.
+    pub burst_lost: u64,
+    /// Dropped because the bottleneck's queue was full.
+    pub queue_dropped: u64,
+    /// Lost in an outage.
+    pub outage: u64,
+    /// Of the delivered: with a flipped bit.
+    pub corrupted: u64,
+    /// Of the delivered: sent on twice.
+    pub duplicated: u64,
+    /// Of the delivered: held back, for others to overtake.
+    pub reordered: u64,
+    /// Dropped because the link's own memory was full: not part of the model, and 0 in a sound measurement.
+    pub overrun: u64,
+}
+
+impl AddAssign for Counts {
+    fn add_assign(&mut self, other: Self) {
+        self.arrived += other.arrived;
+        self.delivered += other.delivered;
+        self.lost += other.lost;
+        self.burst_lost += other.burst_lost;
+        self.queue_dropped += other.queue_dropped;
+        self.outage += other.outage;
+        self.corrupted += other.corrupted;
+        self.duplicated += other.duplicated;
+        self.reordered += other.reordered;
+        self.overrun += other.overrun;
+    }
+}
+
+/// A datagram that the link sends on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Delivery {
+    /// When it arrives, on the clock of [`Impairment::push`].
+    pub due: Duration,
+    /// Its bytes.
+    pub bytes: Bytes,
+}
+
+/// A datagram's chances, drawn in this order.
+struct Chances {
+    loss: f64,
+    state: f64,
+    reorder: f64,
+    duplicate: f64,
+    corrupt: f64,
+    bit: u64,
+}
+
+/// One direction of a link.
+#[derive(Debug, Clone)]
+pub struct Impairment {
+    settings: Settings,
+    seed: u64,
+    /// Number of the next datagram.
+    index: u64,
+    /// Whether the bursty channel is in its bad state.
+    bad: bool,
+    /// When the bottleneck has sent all that waits.
+    idle_at: Duration,
+    /// When the latest datagram that was not held back arrives.
+    last_due: Duration,
+}
+
+impl Impairment {
+    /// A link at the beginning of its time.
+    #[must_use]
+    pub fn new(settings: Settings, seed: u64, direction: Direction) -> Self {
+        let mut seed = Rng::new(seed);
+        let seed = match direction {
+            Direction::Up => seed.bits(),
+            Direction::Down => {
+                seed.bits();
+                seed.bits()
+            }
+        };
+        Self { settings, seed, index: 0, bad: false, idle_at: Duration::ZERO, last_due: Duration::ZERO }
+    }
+
+    /// Takes a datagram at `now`, the time since the link's first one, and says what arrives and when: nothing, it, or it
+    /// twice. Times must not fall.
+    pub fn push(&mut self, now: Duration, datagram: Bytes, counts: &mut Counts) -> [Option<Delivery>; 2] {
+        let chances = self.chances();
+        counts.arrived += 1;
+        let moment = self.moment(now);
+        if self.settings.outages.iter().any(|&(start, length)| (start..start + length).contains(&now)) {
+            counts.outage += 1;
+            return [None, None];
+        }
+        let in_burst = self.settings.burst.filter(|_| self.bad);
+        if chances.loss < in_burst.map_or(moment.loss, |burst| burst.loss) {
+            *(if in_burst.is_some() { &mut counts.burst_lost } else { &mut counts.lost }) += 1;
+            return [None, None];
+        }
+        let Some(sent) = self.pass_bottleneck(now, datagram.len()) else {
+            counts.queue_dropped += 1;
+            return [None, None];
+        };
+        counts.delivered += 1;
+        let on_its_way = moment.delay.as_secs_f64() + self.settings.jitter.as_secs_f64() * self.jitter_at(now);
+        let mut due = (sent + Duration::from_secs_f64(on_its_way.max(0.0))).max(self.last_due);
+        if chances.reorder < self.settings.reorder {
+            counts.reordered += 1;
+            due += self.settings.reorder_by;
+        } else {
+            self.last_due = due;
+        }
+        let mut bytes = datagram;
+        if chances.corrupt < self.settings.corrupt && !bytes.is_empty() {
+            counts.corrupted += 1;
+            let mut flipped = bytes.to_vec();
+            let bit = usize::try_from(chances.bit % (8 * flipped.len() as u64)).unwrap_or(0);
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            bytes = flipped.into();
+        }
+        let twice = chances.duplicate < self.settings.duplicate;
+        counts.duplicated += u64::from(twice);
+        let delivery = Delivery { due, bytes };
+        [twice.then(|| delivery.clone()), Some(delivery)]
+    }
+
+    /// Draws the next datagram's chances, and moves the bursty channel on.
+    fn chances(&mut self) -> Chances {
+        // Seeds that differ by little give streams that overlap: hence the one step between.
+        let mut rng = Rng::new(Rng::new(self.seed ^ self.index).bits());
+        self.index += 1;
+        let chances = Chances {
+            loss: rng.unit(),
+            state: rng.unit(),
+            reorder: rng.unit(),
+            duplicate: rng.unit(),
+            corrupt: rng.unit(),
+            bit: rng.bits(),
+        };
+        if let Some(burst) = self.settings.burst {
+            self.bad = Self::next_state(burst, self.bad, chances.state);
+        }
+        chances
+    }
+
+    fn next_state(burst: Burst, bad: bool, chance: f64) -> bool {
+        if bad { chance >= burst.leave() } else { chance < burst.enter() }
+    }
+
+    /// Delay and loss at a time: the trace's, or else the constant ones.
+    fn moment(&self, now: Duration) -> Moment {
+        let Settings { delay, loss, trace, .. } = &self.settings;
+        trace.as_ref().map_or(Moment { time: now, delay: *delay, loss: *loss }, |(_, trace)| trace.at(now))
+    }
+
+    /// When a datagram leaves the bottleneck; `None` when its queue has no room.
+    fn pass_bottleneck(&mut self, now: Duration, bytes: usize) -> Option<Duration> {
+        let Some(Rate { bits_per_s, queue_bytes }) = self.settings.rate else { return Some(now) };
+        let waiting = self.idle_at.saturating_sub(now);
+        let waiting_bytes = waiting.as_nanos() * u128::from(bits_per_s) / 8_000_000_000;
+        if waiting_bytes + bytes as u128 > u128::from(queue_bytes) {
+            return None;
+        }
+        // Rounded up: the rate is never exceeded.
+        let nanos = (bytes as u64 * 8_000_000_000).div_ceil(bits_per_s);
+        self.idle_at = now.max(self.idle_at) + Duration::from_nanos(nanos);
+        Some(self.idle_at)
+    }
+
+    /// Smooth noise of −1 to 1 (value noise: random values at even times, and cosines between them).
+    fn jitter_at(&self, now: Duration) -> f64 {
+        let place = now.as_secs_f64() / JITTER_STEP_S;
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "not negative, and far below 2^53")]
+        let step = place as u64;
+        let value = |step: u64| 2.0 * Rng::new(Rng::new(!self.seed ^ step).bits()).unit() - 1.0;
+        let ease = 0.5 - 0.5 * (std::f64::consts::PI * place.fract()).cos();
+        value(step) * (1.0 - ease) + value(step + 1) * ease
+    }
+}
