@@ -7,6 +7,7 @@ use clap::{Parser, Subcommand};
 use gnomon_tests::{
     cloister,
     report::{
+        link::{self, LinkOptions},
         load::{self, LoadOptions},
         pipeline::{self, PipelineOptions},
         trace_error::{self, TraceErrorOptions},
@@ -30,6 +31,8 @@ enum Command {
     },
     /// Rebuilds the dissertation's Table 1 with the real programs on loopback: writes pipeline.csv, prints Markdown.
     Pipeline(PipelineOptions),
+    /// Stands between a client and a server on this machine as another network would.
+    Link(LinkOptions),
     /// Puts many clients that draw nothing on a running server, and says what each of them gets.
     Load(LoadOptions),
     /// Compares the back ends' masks with the f64 referee's, directly.
@@ -54,6 +57,7 @@ fn run(arguments: Arguments) -> Result<()> {
         Command::Pipeline(options) => {
             print!("{}", pipeline::measure(&options, |line| eprintln!("{line}"))?.markdown());
         }
+        Command::Link(options) => link::run(&options, |line| println!("{line}")).map(drop)?,
         Command::Load(options) => println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?),
         Command::TraceError(options) => trace_error::compare(&options, |line| println!("{line}"))?,
     }

@@ -1,0 +1,165 @@
+//! Promise: the real server and the real client work through a network that loses, reorders, repeats and corrupts, over
+//! QUIC and over lab-udp, and outlive an outage.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use std::{
+    net::SocketAddr,
+    path::{Path, PathBuf},
+};
+
+use gnomon_client::camera_path::{CameraPath, PathSpec};
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_server::visibility::backend::cpu::CpuBackend;
+use gnomon_shaders::scene::{LoadOptions, Scene};
+use gnomon_tests::{
+    link::{Counts, Link, LinkCounts, LinkSettings, profiles::Profile},
+    rig::{
+        ClientJob, PATIENCE, ServerProcess, masks,
+        program::{Program, find},
+    },
+};
+use serde_json::Value;
+
+const SIZE: (u32, u32) = (320, 180);
+const FREE: &str = "127.0.0.1:0";
+
+fn asset(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name)
+}
+
+fn path_text() -> String {
+    format!("{}#walk", asset("cloister.json").display())
+}
+
+/// What a client was told, kept and counted behind a link.
+struct Run {
+    summary: Value,
+    stats: Vec<Value>,
+    masks: std::collections::BTreeMap<u32, Mask>,
+    counts: LinkCounts,
+}
+
+fn job<'a>(url: &'a str, folder: &'a Path, frames: u32) -> ClientJob<'a> {
+    ClientJob {
+        url: Some(url),
+        path: path_text().into(),
+        frames,
+        size: SIZE,
+        folder,
+        wait: false,
+        save_masks: true,
+        arguments: ["--fps", "30", "--allow-software"].map(Into::into).to_vec(),
+    }
+}
+
+fn run(transport: &str, settings: LinkSettings, frames: u32) -> Run {
+    let arguments = ["--backend", "cpu", "--transport", transport];
+    let server = ServerProcess::start(&asset("cloister.glb"), &arguments).unwrap();
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let free: SocketAddr = FREE.parse().unwrap();
+    let link = runtime.block_on(Link::start(free, server.url(), settings)).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let url = link.url(server.url()).unwrap();
+    assert_ne!(url, server.url());
+    let job = job(&url, folder.path(), frames);
+    job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
+    let counts = link.counts();
+    for direction in [counts.up, counts.down] {
+        let Counts { arrived, delivered, lost, burst_lost, queue_dropped, outage, overrun, .. } = direction;
+        assert_eq!(arrived, delivered + lost + burst_lost + queue_dropped + outage, "{counts:?}");
+        assert_eq!(overrun, 0, "{counts:?}");
+    }
+    let (summary, stats) = (job.summary().unwrap(), job.stats().unwrap());
+    assert_eq!((summary["frames_rendered"].as_u64(), stats.len()), (Some(frames.into()), frames as usize), "{summary}");
+    server.stop().unwrap();
+    Run { summary, stats, masks: masks::read(&folder.path().join("masks")).unwrap(), counts }
+}
+
+/// Wifi, and worse. Bits are only flipped where the transport finds out: the lab's has no checksum but the kernel's.
+fn lossy(corrupt: &str) -> LinkSettings {
+    let mut settings = Profile::named("wifi").unwrap().settings(5).unwrap();
+    for direction in [&mut settings.up, &mut settings.down] {
+        direction.set(&format!("loss=2% burst=1%x4 reorder=1% duplicate=2% corrupt={corrupt}")).unwrap();
+    }
+    settings
+}
+
+fn masks_are_right(run: &Run) {
+    let scene = Scene::load(&asset("cloister.glb"), &LoadOptions::default()).unwrap();
+    let backend = CpuBackend::new(&scene, None).unwrap();
+    let path = CameraPath::load(&path_text().parse::<PathSpec>().unwrap()).unwrap();
+    for (&frame, mask) in run.masks.iter().step_by(1 + run.masks.len() / 8) {
+        let mut camera = path.camera(f64::from(frame) * (1.0 / 30.0), SIZE.0, SIZE.1);
+        // As the server does with what it receives.
+        camera.orientation = camera.orientation.normalize();
+        let mut expected = Mask::new(MaskShape::new(SIZE.0, SIZE.1, mask.shape().lights()).unwrap());
+        let _cost = backend.trace(&camera, &mut expected);
+        assert_eq!(expected.words(), mask.words(), "frame {frame}");
+    }
+}
+
+#[test]
+fn quic_brings_right_masks_through_loss_and_corruption() {
+    let run = run("quic", lossy("0.5%"), 240);
+    let down = run.counts.down;
+    assert!(down.lost > 0 && down.burst_lost > 0 && down.duplicated > 0 && down.reordered > 0, "{down:?}");
+    assert!(down.corrupted > 0, "{down:?}");
+    assert!(run.masks.len() >= 10, "{}", run.summary);
+    // Nothing that was lost has come whole.
+    assert!(run.summary["frames_incomplete"].as_u64().unwrap() > 0, "{}", run.summary);
+    assert_eq!(run.summary["frames_bad"], 0, "{}", run.summary);
+    masks_are_right(&run);
+}
+
+#[test]
+fn lab_udp_goes_through_the_link_with_its_data_port() {
+    let run = run("lab-udp", lossy("0%"), 240);
+    let counts = run.counts;
+    // One pose a frame goes up, and each of a mask's packets comes down.
+    assert_eq!(counts.up.arrived, 240, "{counts:?}");
+    assert!(counts.up.lost + counts.up.burst_lost > 0, "{counts:?}");
+    assert!(counts.down.arrived > 0 && run.masks.len() >= 10, "{counts:?} {}", run.summary);
+    assert!(run.masks.len() as u64 <= counts.down.delivered, "{counts:?}");
+    masks_are_right(&run);
+}
+
+#[test]
+fn sessions_outlive_an_outage() {
+    for transport in ["quic", "lab-udp"] {
+        let mut settings = LinkSettings::default();
+        settings.up.set("outage=2s+2s").unwrap();
+        settings.down.set("outage=2s+2s").unwrap();
+        let run = run(transport, settings, 240);
+        assert!(run.counts.up.outage > 0, "{transport}: {:?}", run.counts);
+        let lags: Vec<u64> = run.stats.iter().filter_map(|line| line["lag"].as_u64()).collect();
+        let (longest, last) = (*lags.iter().max().unwrap(), *lags.last().unwrap());
+        assert!(last < 30, "{transport}: no masks after the outage: {last}");
+        if transport == "lab-udp" {
+            // A frame's pose is one datagram there: the lag grew by all that were lost, and shrank again.
+            assert!(longest + 2 >= run.counts.up.outage && last < longest, "{longest} {last} {:?}", run.counts);
+        }
+    }
+}
+
+#[test]
+fn the_standalone_link_says_where_to_connect_and_what_it_did() {
+    let server = ServerProcess::start(&asset("cloister.glb"), &["--backend", "cpu"]).unwrap();
+    let arguments = ["link", "--server", server.url(), "--profile", "lan", "--both", "loss=1%", "--seed", "3"];
+    let mut lab = Program::start(&find("lab").unwrap(), &arguments, &[]).unwrap();
+    let url = lab
+        .wait_for(PATIENCE, |said| {
+            let whole = said.get(..said.rfind('\n')? + 1)?;
+            whole.lines().find(|line| line.starts_with("gnomon://")).map(str::to_owned)
+        })
+        .unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    job(&url, folder.path(), 30).start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
+    let id = lab.id().to_string();
+    assert!(std::process::Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    let outcome = lab.finish(PATIENCE).unwrap().success().unwrap();
+    let lines: Vec<&str> = outcome.stdout.lines().collect();
+    assert_eq!(lines[0], "lan, seed 3");
+    assert_eq!(lines[1], "up:   delay=0.2ms loss=1% rate=1000000kbit queue=512000B");
+    assert!(lines[5].starts_with("down: ") && lines[5].contains(" arrived, "), "{}", outcome.stdout);
+    assert!(!lines[5].contains(" 0 arrived"), "{}", outcome.stdout);
+}
