@@ -9,6 +9,7 @@ use gnomon_tests::{
     report::{
         link::{self, LinkOptions},
         load::{self, LoadOptions},
+        network::{self, NetworkOptions},
         pipeline::{self, PipelineOptions},
         trace_error::{self, TraceErrorOptions},
     },
@@ -35,6 +36,8 @@ enum Command {
     Link(LinkOptions),
     /// Puts many clients that draw nothing on a running server, and says what each of them gets.
     Load(LoadOptions),
+    /// Measures the client behind networks of several kinds, against itself without a server: writes network.csv and plots.
+    Network(NetworkOptions),
     /// Compares the back ends' masks with the f64 referee's, directly.
     TraceError(TraceErrorOptions),
 }
@@ -59,6 +62,9 @@ fn run(arguments: Arguments) -> Result<()> {
         }
         Command::Link(options) => link::run(&options, |line| println!("{line}")).map(drop)?,
         Command::Load(options) => println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?),
+        Command::Network(options) => {
+            print!("{}", network::measure(&options, |line| eprintln!("{line}"))?.markdown());
+        }
         Command::TraceError(options) => trace_error::compare(&options, |line| println!("{line}"))?,
     }
     Ok(())

@@ -2,6 +2,7 @@
 
 pub mod link;
 pub mod load;
+pub mod network;
 pub mod pipeline;
 pub mod plot;
 pub mod prediction_error;

@@ -1,0 +1,342 @@
+//! `lab network`: the real client behind networks of several kinds, and by itself without a server, in turns.
+//!
+//! The promise is that no network slows the client down. So client and server get a core each, the link sits on the
+//! server's, and every run behind a network is set against a run without a server right before it.
+
+use std::{ffi::OsString, net::SocketAddr};
+
+use anyhow::{Context, Result, ensure};
+use core_affinity::CoreId;
+use gnomon_client::stats::percentile;
+use serde_json::Value;
+use tokio::runtime::Runtime;
+
+use super::{
+    plot::{Axis, Plot, Series},
+    scene_args::SceneArgs,
+    table::{Table, median},
+};
+use crate::{
+    link::{Link, LinkCounts, LinkSettings, profiles::Profile},
+    rig::{ClientJob, PATIENCE, ServerProcess},
+};
+
+/// What to measure.
+#[derive(Debug, Clone, clap::Args)]
+pub struct NetworkOptions {
+    /// Scene, path, size, frames a run, and the folder for `network.csv` and the plots.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// Networks, of those that `lab link` knows.
+    #[arg(long, value_delimiter = ',', default_value = "lan,wifi,5g,lte,bad,outage")]
+    pub profile: Vec<String>,
+    /// Runs a network; figures are their medians, plots show the last.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    pub runs: u32,
+    /// Decides every chance of the links.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// What carries the data: quic or lab-udp.
+    #[arg(long, default_value = "quic")]
+    pub transport: String,
+    /// Frames a second of the client; as fast as it can without.
+    #[arg(long)]
+    pub fps: Option<f64>,
+    /// The server's back end: auto, compute or cpu.
+    #[arg(long, default_value = "auto")]
+    pub backend: String,
+    /// Lets both programs use a software adapter.
+    #[arg(long)]
+    pub allow_software: bool,
+}
+
+/// What a run's frames say.
+#[derive(Debug, Clone, Default)]
+struct Run {
+    client_fps: f64,
+    visibility_fps: Option<f64>,
+    lag_p50: Option<f64>,
+    lag_p99: Option<f64>,
+    mode: Option<String>,
+    degraded_share: Option<f64>,
+    /// Seconds since the first frame, and milliseconds from each frame to the next.
+    frame_times: Vec<(f64, f64)>,
+    /// Seconds since the first frame, and frames; not a number while there is no mask.
+    lags: Vec<(f64, f64)>,
+}
+
+impl Run {
+    fn read(summary: &Value, stats: &[Value]) -> Result<Self> {
+        let client_fps = summary["client_fps"].as_f64().context("the client's summary lacks client_fps")?;
+        let time_s = |line: &Value| line["t_ms"].as_f64().map(|ms| ms / 1e3).context("a frame without a time");
+        let times: Vec<f64> = stats.iter().map(time_s).collect::<Result<_>>()?;
+        let lags: Vec<Option<f64>> = stats.iter().map(|line| line["lag"].as_f64()).collect();
+        let known: Vec<f64> = lags.iter().copied().flatten().collect();
+        let degraded: Vec<bool> = stats.iter().filter_map(|line| line["degraded"].as_bool()).collect();
+        #[expect(clippy::cast_precision_loss, reason = "frames of a run")]
+        let share = |count: usize| count as f64 / degraded.len() as f64;
+        Ok(Self {
+            client_fps,
+            visibility_fps: summary["visibility_fps"].as_f64(),
+            lag_p50: percentile(&known, 0.5),
+            lag_p99: percentile(&known, 0.99),
+            mode: summary["mode"].as_str().map(str::to_owned),
+            degraded_share: (!degraded.is_empty()).then(|| share(degraded.iter().filter(|&&frame| frame).count())),
+            frame_times: times.windows(2).map(|pair| (pair[0], (pair[1] - pair[0]) * 1e3)).collect(),
+            lags: times.into_iter().zip(lags.into_iter().map(|lag| lag.unwrap_or(f64::NAN))).collect(),
+        })
+    }
+}
+
+/// The cores of the two sides; the same one where there is but one.
+#[derive(Debug, Clone, Copy)]
+struct Cores {
+    client: CoreId,
+    server: CoreId,
+}
+
+impl Cores {
+    fn of_this_machine() -> Result<Self> {
+        let cores = core_affinity::get_core_ids().context("the operating system does not say which cores there are")?;
+        let (Some(&client), Some(&server)) = (cores.first(), cores.last()) else {
+            anyhow::bail!("this machine has no cores that a program may choose from");
+        };
+        Ok(Self { client, server })
+    }
+}
+
+/// Starts something on a core: children inherit it from the thread that starts them.
+fn on_core<T: Send>(core: CoreId, start: impl FnOnce() -> Result<T> + Send) -> Result<T> {
+    std::thread::scope(|scope| {
+        let pinned = scope.spawn(move || {
+            ensure!(core_affinity::set_for_current(core), "core {} is not to be had", core.id);
+            start()
+        });
+        pinned.join().unwrap_or_else(|_| Err(anyhow::anyhow!("a starting thread panicked")))
+    })
+}
+
+/// A server, and what runs in front of it.
+struct Stage<'a> {
+    options: &'a NetworkOptions,
+    cores: Cores,
+    server: ServerProcess,
+    /// The links' threads.
+    runtime: Runtime,
+    /// Scenes that clients have fetched: a slow network would show nothing but that.
+    cache: tempfile::TempDir,
+}
+
+impl<'a> Stage<'a> {
+    fn new(options: &'a NetworkOptions) -> Result<Self> {
+        let cores = Cores::of_this_machine()?;
+        let mut arguments = options.scene.light_arguments();
+        let (transport, backend) = (&options.transport, &options.backend);
+        arguments.extend(["--transport".into(), transport.into(), "--backend".into(), backend.into()]);
+        arguments.extend(software(options));
+        let server = on_core(cores.server, || ServerProcess::start(&options.scene.scene, &arguments))?;
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .on_thread_start(move || {
+                // Refused only where it was refused to the server before.
+                core_affinity::set_for_current(cores.server);
+            })
+            .enable_all()
+            .build()
+            .context("the link's threads")?;
+        let cache = tempfile::tempdir().context("making a temporary folder")?;
+        let stage = Self { options, cores, server, runtime, cache };
+        let arguments = stage.online_arguments();
+        stage.client(Some(stage.server.url()), arguments, 2).context("fetching the scene")?;
+        Ok(stage)
+    }
+
+    fn online_arguments(&self) -> Vec<OsString> {
+        vec!["--cache-dir".into(), self.cache.path().into()]
+    }
+
+    fn offline(&self) -> Result<Run> {
+        let scene = &self.options.scene;
+        let mut arguments: Vec<OsString> = vec!["--offline".into(), (&scene.scene).into()];
+        arguments.extend(scene.light_arguments());
+        self.client(None, arguments, scene.frames).context("without a server")
+    }
+
+    fn behind(&self, settings: LinkSettings) -> Result<(Run, LinkCounts)> {
+        let free = SocketAddr::from(([127, 0, 0, 1], 0));
+        let link = self.runtime.block_on(Link::start(free, self.server.url(), settings))?;
+        let url = link.url(self.server.url())?;
+        let run = self.client(Some(&url), self.online_arguments(), self.options.scene.frames)?;
+        Ok((run, link.counts()))
+    }
+
+    fn client(&self, url: Option<&str>, mut arguments: Vec<OsString>, frames: u32) -> Result<Run> {
+        let folder = tempfile::tempdir().context("making a temporary folder")?;
+        arguments.extend(software(self.options));
+        arguments.extend(self.options.fps.into_iter().flat_map(|fps| ["--fps".into(), fps.to_string().into()]));
+        let job = ClientJob {
+            url,
+            path: self.options.scene.path_text(),
+            frames,
+            size: self.options.scene.size,
+            folder: folder.path(),
+            wait: false,
+            save_masks: false,
+            arguments,
+        };
+        on_core(self.cores.client, || job.start())?.finish(PATIENCE)?.success()?;
+        Run::read(&job.summary()?, &job.stats()?)
+    }
+}
+
+fn software(options: &NetworkOptions) -> Option<OsString> {
+    options.allow_software.then(|| "--allow-software".into())
+}
+
+/// Measures all networks, writes `network.csv` and the plots, and returns the table. `progress` hears of each run.
+///
+/// # Errors
+/// When a program is not built or fails, a profile does not exist, or the folder cannot be written.
+pub fn measure(options: &NetworkOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
+    let profiles: Vec<Profile> = options.profile.iter().map(|name| Ok(Profile::named(name)?)).collect::<Result<_>>()?;
+    ensure!(!profiles.is_empty(), "no profile");
+    let stage = Stage::new(options)?;
+    if stage.cores.client == stage.cores.server {
+        progress("one core for client and server: the server's work counts as the network's");
+    }
+    let mut runs: Vec<Vec<(Run, f64)>> = vec![Vec::new(); profiles.len()];
+    let mut alone = Run::default();
+    for number in 1..=options.runs {
+        for (profile, runs) in profiles.iter().zip(&mut runs) {
+            alone = stage.offline()?;
+            let (run, counts) =
+                stage.behind(profile.settings(options.seed)?).with_context(|| format!("behind {}", profile.name))?;
+            let ratio = run.client_fps / alone.client_fps;
+            let (alone_fps, fps, down) = (alone.client_fps, run.client_fps, counts.down);
+            progress(&format!(
+                "{} {number}/{}: {alone_fps:.1} frames/s alone, {fps:.1} behind it ({ratio:.3}); down {} of {} delivered",
+                profile.name, options.runs, down.delivered, down.arrived
+            ));
+            runs.push((run, ratio));
+        }
+    }
+    stage.server.stop()?;
+    let mut table = Table::new(&[
+        "profile",
+        "mode",
+        "client_fps",
+        "visibility_fps",
+        "lag_p50",
+        "lag_p99",
+        "bit_error",
+        "degraded_share",
+        "fps_ratio_to_offline",
+    ]);
+    table.rows.extend(profiles.iter().zip(&runs).map(|(profile, runs)| cells(profile.name, runs)));
+    options.scene.write("network.csv", &table.csv())?;
+    let last: Vec<(&str, &Run)> = profiles
+        .iter()
+        .zip(&runs)
+        .filter_map(|(profile, runs)| runs.last().map(|(run, _)| (profile.name, run)))
+        .collect();
+    write_plots(&options.scene, &last, &alone)?;
+    Ok(table)
+}
+
+fn cells(name: &str, runs: &[(Run, f64)]) -> Vec<String> {
+    let figure = |of: fn(&Run) -> Option<f64>, decimals: usize| {
+        let values: Vec<f64> = runs.iter().filter_map(|(run, _)| of(run)).collect();
+        median(&values).map(|value| format!("{value:.decimals$}")).unwrap_or_default()
+    };
+    let ratios: Vec<f64> = runs.iter().map(|(_, ratio)| *ratio).collect();
+    vec![
+        name.to_owned(),
+        runs.last().and_then(|(run, _)| run.mode.clone()).unwrap_or_default(),
+        figure(|run| Some(run.client_fps), 1),
+        figure(|run| run.visibility_fps, 1),
+        figure(|run| run.lag_p50, 1),
+        figure(|run| run.lag_p99, 1),
+        // A client that runs by itself has no truth to compare with.
+        String::new(),
+        figure(|run| run.degraded_share, 4),
+        median(&ratios).map(|ratio| format!("{ratio:.3}")).unwrap_or_default(),
+    ]
+}
+
+fn write_plots(scene: &SceneArgs, runs: &[(&str, &Run)], alone: &Run) -> Result<()> {
+    let lines = |of: fn(&Run) -> &Vec<(f64, f64)>| {
+        runs.iter().map(|(name, run)| Series::line(name, of(run).clone())).collect::<Vec<_>>()
+    };
+    let title = |what: &str| format!("{what}, {}, {}×{}", scene.scene_name(), scene.size.0, scene.size.1);
+    let time = || Axis::linear("time since the first frame, s");
+    let mut frame_times = lines(|run| &run.frame_times);
+    frame_times.push(Series::line("no server", alone.frame_times.clone()));
+    let frame_times = Plot::new(&title("Frame time"), time(), Axis::linear("frame time, ms"), frame_times);
+    scene.write("network_frame_time.svg", &frame_times.svg()?)?;
+    let lags = lines(|run| &run.lags);
+    let lags = Plot::new(&title("Lag of the visibility shown"), time(), Axis::linear("lag, frames"), lags);
+    scene.write("network_lag.svg", &lags.svg()?)?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn frames() -> Vec<Value> {
+        let lags = [None, Some(2), Some(4), Some(3)];
+        let line =
+            |(frame, lag): (usize, &Option<u32>)| json!({ "t_ms": frame * 20, "lag": lag, "degraded": frame == 0 });
+        lags.iter().enumerate().map(line).collect()
+    }
+
+    #[test]
+    fn a_run_is_read_from_its_frames() {
+        let run = Run::read(&json!({ "client_fps": 50.0, "visibility_fps": 30.0 }), &frames()).unwrap();
+        assert_eq!((run.lag_p50, run.lag_p99, run.degraded_share), (Some(3.0), Some(4.0), Some(0.25)));
+        assert_eq!(run.frame_times.iter().map(|point| point.1.round()).collect::<Vec<_>>(), [20.0; 3]);
+        assert!(run.lags[0].1.is_nan() && (run.lags[3].1 - 3.0).abs() < 1e-9);
+        assert!(Run::read(&json!({}), &[]).unwrap_err().to_string().contains("client_fps"));
+        let slower = Run { client_fps: 40.0, mode: Some("auto".into()), ..run.clone() };
+        let row = cells("wifi", &[(run.clone(), 1.0), (slower, 0.8)]);
+        assert_eq!(row, ["wifi", "auto", "45.0", "30.0", "3.0", "4.0", "", "0.2500", "0.900"]);
+        // What is not known is no zero.
+        let row = cells("lan", &[(Run { client_fps: 1.0, ..Run::default() }, 1.0)]);
+        assert_eq!(row, ["lan", "", "1.0", "", "", "", "", "", "1.000"]);
+    }
+
+    #[test]
+    fn children_get_the_core_that_they_are_given() {
+        let cores = Cores::of_this_machine().unwrap();
+        for core in [cores.client, cores.server] {
+            let allowed = on_core(core, || {
+                let status =
+                    std::process::Command::new("grep").args(["Cpus_allowed_list", "/proc/self/status"]).output();
+                Ok(String::from_utf8_lossy(&status?.stdout).into_owned())
+            });
+            assert_eq!(allowed.unwrap().split_whitespace().last(), Some(core.id.to_string().as_str()));
+        }
+    }
+
+    #[test]
+    fn the_plots_are_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = SceneArgs {
+            scene: "a/hall.glb".into(),
+            lights_from: None,
+            lights: None,
+            path: None,
+            size: (64, 36),
+            frames: 4,
+            out: folder.path().join("out"),
+        };
+        let run = Run::read(&json!({ "client_fps": 50.0 }), &frames()).unwrap();
+        write_plots(&scene, &[("wifi", &run), ("lte", &run)], &run).unwrap();
+        for file in ["network_frame_time.svg", "network_lag.svg"] {
+            let text = std::fs::read_to_string(scene.out.join(file)).unwrap();
+            assert!(text.contains("hall, 64×36") && text.contains("lte"), "{file}");
+        }
+    }
+}
