@@ -88,6 +88,17 @@ fn bursts_have_their_share_and_their_mean_length() {
 }
 
 #[test]
+fn a_bursty_channel_forgets_its_state_in_a_silence() {
+    let (fates, counts) = run(&settings("burst=20%x50"), 3, 20_000, 101 * MS, 10);
+    assert_binomial(counts.burst_lost, 20_000, 0.2);
+    // Each for itself, datagrams are lost in runs of 1 / (1 − 0.2), with a variance of 0.2 / 0.8².
+    let lost: Vec<bool> = fates.iter().map(|fate| fate[1].is_none()).collect();
+    let runs: Vec<usize> = lost.chunk_by(|a, b| a == b).filter(|run| run[0]).map(<[bool]>::len).collect();
+    let mean = runs.iter().sum::<usize>() as f64 / runs.len() as f64;
+    assert!((mean - 1.25).abs() < SIGMAS * (0.2_f64 / 0.64 / runs.len() as f64).sqrt(), "{mean}");
+}
+
+#[test]
 fn jitter_keeps_the_order_stays_in_its_bounds_and_uses_them() {
     let (fates, _) = run(&settings("delay=20ms jitter=15ms"), 11, 20_000, MS, 10);
     let dues: Vec<Duration> = fates.iter().map(|fate| fate[1].as_ref().unwrap().due).collect();

@@ -2,20 +2,24 @@
 //!
 //! A datagram's chances hang on the seed, the direction and the datagram's number alone, its jitter on seed, direction and
 //! time: under one seed the same datagrams fare the same, whatever the timing of others. Only the queue of a bottleneck
-//! looks at what else is there, as queues do.
+//! looks at what else is there, as queues do, and a bursty channel forgets its state in a long silence: else a sender that
+//! waits longer after every loss would meet one bad state for many seconds, which no radio has.
 
 use std::{ops::AddAssign, time::Duration};
 
 use bytes::Bytes;
 
 use super::{
-    settings::{Burst, Rate, Settings},
+    settings::{Rate, Settings},
     trace::Moment,
 };
 use crate::cloister::rng::Rng;
 
 /// Jitter goes from one value to the next in this time, in seconds: about as fast as queues fill and empty.
 const JITTER_STEP_S: f64 = 0.02;
+
+/// A bursty channel that carried nothing for so long may be in either state, whatever it was in.
+const FORGETTING: Duration = Duration::from_millis(100);
 
 /// Which way datagrams go.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,6 +98,8 @@ pub struct Impairment {
     index: u64,
     /// Whether the bursty channel is in its bad state.
     bad: bool,
+    /// When the last datagram came.
+    last_push: Duration,
     /// When the bottleneck has sent all that waits.
     idle_at: Duration,
     /// When the latest datagram that was not held back arrives.
@@ -112,13 +118,16 @@ impl Impairment {
                 seed.bits()
             }
         };
-        Self { settings, seed, index: 0, bad: false, idle_at: Duration::ZERO, last_due: Duration::ZERO }
+        let zero = Duration::ZERO;
+        Self { settings, seed, index: 0, bad: false, last_push: zero, idle_at: zero, last_due: zero }
     }
 
     /// Takes a datagram at `now`, the time since the link's first one, and says what arrives and when: nothing, it, or it
     /// twice. Times must not fall.
     pub fn push(&mut self, now: Duration, datagram: Bytes, counts: &mut Counts) -> [Option<Delivery>; 2] {
-        let chances = self.chances();
+        let silence = now.saturating_sub(self.last_push);
+        self.last_push = now;
+        let chances = self.chances(silence);
         counts.arrived += 1;
         let moment = self.moment(now);
         if self.settings.outages.iter().any(|&(start, length)| (start..start + length).contains(&now)) {
@@ -157,8 +166,8 @@ impl Impairment {
         [twice.then(|| delivery.clone()), Some(delivery)]
     }
 
-    /// Draws the next datagram's chances, and moves the bursty channel on.
-    fn chances(&mut self) -> Chances {
+    /// Draws the chances of the next datagram, which comes after `silence`, and moves the bursty channel on.
+    fn chances(&mut self, silence: Duration) -> Chances {
         // Seeds that differ by little give streams that overlap: hence the one step between.
         let mut rng = Rng::new(Rng::new(self.seed ^ self.index).bits());
         self.index += 1;
@@ -171,13 +180,13 @@ impl Impairment {
             bit: rng.bits(),
         };
         if let Some(burst) = self.settings.burst {
-            self.bad = Self::next_state(burst, self.bad, chances.state);
+            self.bad = match (silence > FORGETTING, self.bad) {
+                (true, _) => chances.state < burst.share,
+                (false, true) => chances.state >= burst.leave(),
+                (false, false) => chances.state < burst.enter(),
+            };
         }
         chances
-    }
-
-    fn next_state(burst: Burst, bad: bool, chance: f64) -> bool {
-        if bad { chance >= burst.leave() } else { chance < burst.enter() }
     }
 
     /// Delay and loss at a time: the trace's, or else the constant ones.
