@@ -21,6 +21,8 @@ pub struct Profile {
     pub up: &'static str,
     /// From server to client.
     pub down: &'static str,
+    /// What is added to both.
+    pub both: &'static str,
 }
 
 const WIFI_UP: &str =
@@ -30,28 +32,33 @@ const WIFI_DOWN: &str =
 
 /// All of them.
 pub const PROFILES: [Profile; 6] = [
-    Profile { name: "lan", up: "delay=0.2ms rate=1Gbit queue=512KB", down: "delay=0.2ms rate=1Gbit queue=512KB" },
-    Profile { name: "wifi", up: WIFI_UP, down: WIFI_DOWN },
+    Profile {
+        name: "lan",
+        up: "delay=0.2ms rate=1Gbit queue=512KB",
+        down: "delay=0.2ms rate=1Gbit queue=512KB",
+        both: "",
+    },
+    Profile { name: "wifi", up: WIFI_UP, down: WIFI_DOWN, both: "" },
     Profile {
         name: "5g",
         up: "delay=10ms jitter=4ms loss=0.1% burst=0.1%x10 rate=30Mbit queue=256KB",
         down: "delay=10ms jitter=4ms loss=0.1% burst=0.1%x10 rate=120Mbit queue=1MB",
+        both: "",
     },
     Profile {
         name: "lte",
         up: "delay=35ms jitter=10ms loss=0.2% burst=0.3%x10 rate=6Mbit queue=128KB",
         down: "delay=35ms jitter=10ms loss=0.2% burst=0.3%x10 rate=13Mbit queue=256KB",
+        both: "",
     },
     Profile {
         name: "bad",
         up: "delay=80ms jitter=40ms loss=2% burst=2%x8 reorder=1% reorder-by=10ms duplicate=0.5% corrupt=0.1% rate=2Mbit queue=64KB",
         down: "delay=80ms jitter=40ms loss=2% burst=2%x8 reorder=1% reorder-by=10ms duplicate=0.5% corrupt=0.1% rate=8Mbit queue=128KB",
+        both: "",
     },
-    Profile { name: "outage", up: WIFI_UP, down: WIFI_DOWN },
+    Profile { name: "outage", up: WIFI_UP, down: WIFI_DOWN, both: "outage=5s+5s" },
 ];
-
-/// When the outage of the profile `outage` begins, and how long it lasts, in either direction.
-pub const OUTAGE: &str = "outage=5s+5s";
 
 /// A name that no profile has.
 #[derive(Debug, Error)]
@@ -79,7 +86,7 @@ impl Profile {
     pub fn settings(&self, seed: u64) -> Result<LinkSettings, super::settings::SettingsError> {
         let one = |text: &str| {
             let mut settings: Settings = text.parse()?;
-            settings.set(if self.name == "outage" { OUTAGE } else { "" })?;
+            settings.set(self.both)?;
             Ok::<_, super::settings::SettingsError>(settings)
         };
         Ok(LinkSettings { up: one(self.up)?, down: one(self.down)?, seed })

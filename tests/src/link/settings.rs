@@ -36,7 +36,7 @@ pub struct Settings {
     pub rate: Option<Rate>,
     /// Times at which nothing passes: start and length, since the link's first datagram.
     pub outages: Vec<(Duration, Duration)>,
-    /// Recorded delay and loss, in place of `delay` and `loss`, and where it was read.
+    /// Recorded delay and loss, in place of `delay` and `loss`, and the file, whose path has neither blanks nor commas.
     pub trace: Option<(PathBuf, Arc<Trace>)>,
 }
 

@@ -4,10 +4,7 @@ use std::{net::SocketAddr, time::Duration};
 
 use anyhow::{Context, Result};
 
-use crate::link::{
-    Counts, Link, LinkCounts, LinkSettings,
-    profiles::{PROFILES, Profile},
-};
+use crate::link::{Counts, Link, LinkCounts, LinkSettings, profiles::Profile};
 
 /// A link and how long it stands.
 #[derive(Debug, Clone, clap::Args)]
@@ -58,9 +55,7 @@ impl LinkOptions {
 pub fn run(options: &LinkOptions, mut say: impl FnMut(&str)) -> Result<LinkCounts> {
     let settings = options.settings()?;
     let seconds = options.seconds.map(Duration::try_from_secs_f64).transpose().context("--seconds")?;
-    for profile in PROFILES.iter().filter(|profile| profile.name == options.profile) {
-        say(&format!("{}, seed {}", profile.name, options.seed));
-    }
+    say(&format!("{}, seed {}", options.profile, options.seed));
     say(&format!("up:   {}", settings.up));
     say(&format!("down: {}", settings.down));
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;

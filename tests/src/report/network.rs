@@ -271,7 +271,7 @@ fn write_plots(scene: &SceneArgs, runs: &[(&str, &Run)], alone: &Run) -> Result<
     let time = || Axis::linear("time since the first frame, s");
     let mut frame_times = lines(|run| &run.frame_times);
     frame_times.push(Series::line("no server", alone.frame_times.clone()));
-    let frame_times = Plot::new(&title("Frame time"), time(), Axis::linear("frame time, ms"), frame_times);
+    let frame_times = Plot::new(&title("Frame time"), time(), Axis::log("frame time, ms"), frame_times);
     scene.write("network_frame_time.svg", &frame_times.svg()?)?;
     let lags = lines(|run| &run.lags);
     let lags = Plot::new(&title("Lag of the visibility shown"), time(), Axis::linear("lag, frames"), lags);
