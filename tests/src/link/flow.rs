@@ -29,8 +29,8 @@ const MAX_ON_THE_WAY_BYTES: usize = 64 << 20;
 const OVERHEAD_BYTES: usize = 128;
 /// A client that is silent for so long is gone, and so is the server's answer.
 const IDLE: Duration = Duration::from_secs(60);
-/// Timers tick in milliseconds: what is due within half of one goes now, so that delays are right on average.
-const HALF_TICK: Duration = Duration::from_micros(500);
+/// Timers tick in milliseconds and wake a tick late: what is due within one goes now, so that delays are right on average.
+const TICK: Duration = Duration::from_millis(1);
 /// Kernel buffers: a frame of words at 1920×1080 in one go.
 const SOCKET_BUFFER_BYTES: usize = 16 << 20;
 
@@ -67,7 +67,7 @@ impl Lane {
     }
 
     fn pop(&mut self, now: Duration) -> Option<Bytes> {
-        self.next_due().filter(|&due| due <= now + HALF_TICK)?;
+        self.next_due().filter(|&due| due <= now + TICK)?;
         let Reverse((.., bytes)) = self.on_the_way.pop()?;
         self.bytes -= bytes.len() + OVERHEAD_BYTES;
         Some(bytes)
@@ -112,7 +112,7 @@ pub(super) async fn carry(
                     Ok(length) => Ok(Some((Direction::Down, Bytes::copy_from_slice(&buffer[..length])))),
                     Err(error) => Err(error),
                 },
-                () = sleep_until(start + due.unwrap_or_default()), if due.is_some() => {
+                () = sleep_until(start + due.unwrap_or_default().saturating_sub(TICK)), if due.is_some() => {
                     Err(io::ErrorKind::WouldBlock.into())
                 }
             }
@@ -158,10 +158,10 @@ mod tests {
             lane.push(Duration::from_millis(number), Bytes::copy_from_slice(&number.to_le_bytes()), &mut counts);
         }
         assert_eq!(lane.next_due(), Some(Duration::from_millis(5)));
-        assert_eq!(lane.pop(Duration::from_micros(4_499)), None);
-        assert_eq!(lane.pop(Duration::from_micros(4_500)).unwrap()[0], 0);
-        assert_eq!(lane.pop(Duration::from_millis(5)), None);
-        assert_eq!([6, 7].map(|ms| lane.pop(Duration::from_millis(ms)).unwrap()[0]), [1, 2]);
+        assert_eq!(lane.pop(Duration::from_micros(3_999)), None);
+        assert_eq!(lane.pop(Duration::from_millis(4)).unwrap()[0], 0);
+        assert_eq!(lane.pop(Duration::from_micros(4_999)), None);
+        assert_eq!([5, 6].map(|ms| lane.pop(Duration::from_millis(ms)).unwrap()[0]), [1, 2]);
         assert_eq!((lane.bytes, lane.next_due()), (0, None));
         let large = Bytes::from(vec![0; MAX_DATAGRAM_BYTES]);
         for _ in 0..2000 {

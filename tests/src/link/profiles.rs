@@ -1,6 +1,6 @@
 //! Networks by name.
 //!
-//! `lan` is a switch in the same building. `wifi`: the delays of WiFi hops have a long tail, with 20 ms as the 90th
+//! `lan` is a switch in the same building; its delay is below a tick of the link's timers. `wifi`: the delays of WiFi hops have a long tail, with 20 ms as the 90th
 //! percentile (Pei et al., *Characterizing and Improving WiFi Latency in Large-Scale Operational Networks*, MobiSys 2016);
 //! ours stays below that tail, which `outage` and `bad` stand for. `5g`: rates of mid-band networks (Narayanan et al., *A
 //! First Look at Commercial 5G Performance on Smartphones*, WWW 2020, 100 to 200 Mbit/s). `lte`: medians of 13 Mbit/s down
