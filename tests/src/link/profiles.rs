@@ -1,12 +1,12 @@
 //! Networks by name.
 //!
-//! `lan` is a switch in the same building; its delay is below a tick of the link's timers. `wifi`: the delays of WiFi hops have a long tail, with 20 ms as the 90th
-//! percentile (Pei et al., *Characterizing and Improving WiFi Latency in Large-Scale Operational Networks*, MobiSys 2016);
-//! ours stays below that tail, which `outage` and `bad` stand for. `5g`: rates of mid-band networks (Narayanan et al., *A
-//! First Look at Commercial 5G Performance on Smartphones*, WWW 2020, 100 to 200 Mbit/s). `lte`: medians of 13 Mbit/s down
-//! and 6 Mbit/s up (Huang et al., *A Close Examination of Performance and Power Characteristics of 4G LTE Networks*,
-//! MobiSys 2012). Delays and losses of `5g` and `lte`, and all of `bad`, are our own choice: a good cell, a middling cell,
-//! and a link that one would hang up on.
+//! `lan` is a switch in the same building; its delay is below a tick of the link's timers. `wifi`: the delays of WiFi hops
+//! have a long tail, with 20 ms as the 90th percentile (Sui et al., *Characterizing and Improving WiFi Latency in
+//! Large-Scale Operational Networks*, MobiSys 2016); ours stays below that tail, which `outage` and `bad` stand for. `5g`:
+//! rates of mid-band networks (Narayanan et al., *A First Look at Commercial 5G Performance on Smartphones*, WWW 2020, 100
+//! to 200 Mbit/s). `lte`: medians of 13 Mbit/s down and 6 Mbit/s up (Huang et al., *A Close Examination of Performance and
+//! Power Characteristics of 4G LTE Networks*, MobiSys 2012). Delays and losses of `5g` and `lte`, and all of `bad`, are our
+//! own choice: a good cell, a middling cell, and a link that one would hang up on.
 
 use thiserror::Error;
 
@@ -53,8 +53,10 @@ pub const PROFILES: [Profile; 6] = [
     },
     Profile {
         name: "bad",
-        up: "delay=80ms jitter=40ms loss=2% burst=2%x8 reorder=1% reorder-by=10ms duplicate=0.5% corrupt=0.1% rate=2Mbit queue=64KB",
-        down: "delay=80ms jitter=40ms loss=2% burst=2%x8 reorder=1% reorder-by=10ms duplicate=0.5% corrupt=0.1% rate=8Mbit queue=128KB",
+        up: "delay=80ms jitter=40ms loss=2% burst=2%x8 reorder=1% reorder-by=10ms duplicate=0.5% \
+             corrupt=0.1% rate=2Mbit queue=64KB",
+        down: "delay=80ms jitter=40ms loss=2% burst=2%x8 reorder=1% reorder-by=10ms duplicate=0.5% \
+             corrupt=0.1% rate=8Mbit queue=128KB",
         both: "",
     },
     Profile { name: "outage", up: WIFI_UP, down: WIFI_DOWN, both: "outage=5s+5s" },
