@@ -20,7 +20,7 @@ use gnomon_tests::{
 };
 use serde_json::Value;
 
-const SIZE: (u32, u32) = (320, 180);
+const SIZE: (u32, u32) = (160, 90);
 const FREE: &str = "127.0.0.1:0";
 
 fn asset(name: &str) -> PathBuf {
