@@ -13,7 +13,7 @@ use tokio::{
     time::{Instant, sleep_until},
 };
 
-use super::{LinkCounts, LinkSettings, Shared, UdpRelay, loopback_only};
+use super::{LinkCounts, LinkSettings, Shared, UdpRelay, loopback_only, relay::BREATH};
 
 /// Conversations at once.
 const MAX_CLIENTS: usize = 64;
@@ -70,7 +70,11 @@ async fn accept(listener: TcpListener, server: SocketAddr, settings: LinkSetting
     let mut conversations = JoinSet::new();
     let mut number = 0;
     loop {
-        let Ok((client, _)) = listener.accept().await else { continue };
+        let Ok((client, _)) = listener.accept().await else {
+            // Too many open files, for instance.
+            tokio::time::sleep(BREATH).await;
+            continue;
+        };
         while conversations.try_join_next().is_some() {}
         let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
             shared.add(LinkCounts { refused: 1, ..LinkCounts::default() });

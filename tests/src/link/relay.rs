@@ -1,6 +1,6 @@
 //! A UDP relay on loopback: whoever sends to it gets a link of their own to the server, and answers through it.
 
-use std::{collections::HashMap, io, net::SocketAddr, sync::Arc};
+use std::{collections::HashMap, io, net::SocketAddr, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use tokio::{
@@ -15,6 +15,8 @@ use super::{LinkCounts, LinkSettings, Shared, flow, loopback_only};
 const MAX_CLIENTS: usize = 64;
 /// Datagrams of a client that may wait for its link to take them.
 const WAITING_DATAGRAMS: usize = 1024;
+/// Time until a socket that failed is asked again.
+pub(super) const BREATH: Duration = Duration::from_millis(1);
 
 /// A running relay. It ends when it is dropped.
 #[derive(Debug)]
@@ -75,7 +77,10 @@ async fn relay(listener: Arc<UdpSocket>, server: SocketAddr, settings: LinkSetti
     let mut buffer = vec![0; flow::MAX_DATAGRAM_BYTES];
     loop {
         // An answer to a client that is gone comes back as an error of this socket: no reason to leave the others.
-        let Ok((length, client)) = listener.recv_from(&mut buffer).await else { continue };
+        let Ok((length, client)) = listener.recv_from(&mut buffer).await else {
+            tokio::time::sleep(BREATH).await;
+            continue;
+        };
         // Links that have ended are of no use, and their results of no interest.
         while links.try_join_next().is_some() {}
         let datagram = Bytes::copy_from_slice(&buffer[..length]);
@@ -111,7 +116,7 @@ fn overrun() -> LinkCounts {
 
 #[cfg(test)]
 mod tests {
-    use std::{net::Ipv4Addr, time::Duration};
+    use std::net::Ipv4Addr;
 
     use tokio::time::timeout;
 
