@@ -115,8 +115,9 @@ fn quic_brings_right_masks_through_loss_and_corruption() {
 fn lab_udp_goes_through_the_link_with_its_data_port() {
     let run = run("lab-udp", lossy("0%"), 240);
     let counts = run.counts;
-    // One pose a frame goes up, and each of a mask's packets comes down.
-    assert_eq!(counts.up.arrived, 240, "{counts:?}");
+    // At most one pose a frame goes up: a newer one replaces one that is unsent. Each mask answers a pose that arrived.
+    assert!(counts.up.arrived <= 240, "{counts:?}");
+    assert!(run.masks.len() as u64 <= counts.up.delivered, "{counts:?}");
     assert!(counts.up.lost + counts.up.burst_lost > 0, "{counts:?}");
     assert!(counts.down.arrived > 0 && run.masks.len() >= 10, "{counts:?} {}", run.summary);
     assert!(run.masks.len() as u64 <= counts.down.delivered, "{counts:?}");
