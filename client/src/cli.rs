@@ -68,28 +68,32 @@ pub struct Arguments {
     /// Shade each frame with exactly its own mask, and wait for it
     #[arg(long)]
     pub wait: bool,
-    /// How visibility is carried over to frames that it was not traced for: none, dissertation, dissertation-shadow,
-    /// dissertation-copy or surface [default: surface]
+    /// How visibility is carried over to newer frames: none, dissertation, dissertation-shadow, dissertation-copy or surface
+    /// [default: surface]
     #[arg(long, env = "GNOMON_PREDICT", value_name = "PREDICTOR")]
     pub predict: Option<Predictor>,
-    /// Which pose is drawn: sequential (the newest mask's), concurrent (the newest) or auto [default: auto]
+    /// Which pose is drawn: the newest mask's (sequential), the newest (concurrent), or what the lag suggests (auto)
+    /// [default: auto]
     #[arg(long, env = "GNOMON_MODE", value_name = "MODE")]
     pub mode: Option<Mode>,
-    /// Largest lag, in frames, that auto draws sequentially; the dissertation has 2 [default: 0, never]
-    #[arg(long, value_name = "FRAMES")]
-    pub sequential_lag: Option<u32>,
-    /// Largest lag, in frames, that is predicted over before the client goes on by itself [default: 50]
-    #[arg(long, value_name = "FRAMES")]
-    pub prediction_lag: Option<u32>,
-    /// How long a fade between received visibility and the client's own takes, in seconds [default: 0.25]
-    #[arg(long, value_name = "S")]
-    pub fade: Option<f64>,
-    /// Guard band: how many pixels wider and higher than the picture masks are, half on each side: WxH, 0 or auto [default: 0]
+    /// Extra pixels of the masks, half of them on each side: auto, 0 or WxH [default: 0]
     #[arg(long, env = "GNOMON_GUARD", value_name = "WxH")]
     pub guard: Option<Guard>,
-    /// Have the server trace for where the camera will be when the mask is shown [default: false]
+    /// Whether the server traces for where the camera will be when the mask is shown [default: false]
     #[arg(long, env = "GNOMON_PREDICT_POSE", value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub predict_pose: Option<bool>,
+    /// With --mode auto: the largest lag, in frames, that is drawn sequentially; 0 never is [default: 0]
+    #[arg(long, env = "GNOMON_SEQUENTIAL_LAG", value_name = "N")]
+    pub sequential_lag: Option<u32>,
+    /// With --mode auto: frames in a row with such a lag before sequential begins again [default: 10]
+    #[arg(long, env = "GNOMON_CALM_FRAMES", value_name = "N")]
+    pub calm_frames: Option<u32>,
+    /// The largest lag, in frames, that visibility is predicted over [default: 50]
+    #[arg(long, env = "GNOMON_PREDICTION_LAG", value_name = "N")]
+    pub prediction_lag: Option<u32>,
+    /// How long received visibility takes to fade out when it is too late, and back in, in seconds [default: 0.25]
+    #[arg(long, env = "GNOMON_FADE", value_name = "S")]
+    pub fade: Option<f64>,
     /// Exposure: 1 lux is shown as 2^-EV; the summary says what was used [default: what suits the scene and its lights]
     #[arg(long, value_name = "EV", allow_negative_numbers = true)]
     pub exposure: Option<f32>,
@@ -147,7 +151,22 @@ mod tests {
         let parsed = parse("gnomon-client --allow-software --offline a.gltf --exposure -3.5").unwrap();
         assert_eq!((parsed.allow_software, parsed.exposure), (Some(true), Some(-3.5)));
         assert_eq!(parse("gnomon-client --allow-software=false").unwrap().allow_software, Some(false));
-        for wrong in ["--size 640", "--size -1x3", "--codec zip", "--lights 3", "http://x:1", "--colour"] {
+        let parsed =
+            parse("gnomon-client --mode sequential --guard 128x72 --predict none --predict-pose --fade 0").unwrap();
+        assert_eq!((parsed.mode, parsed.predict), (Some(Mode::Sequential), Some(Predictor::None)));
+        assert_eq!((parsed.predict_pose, parsed.fade), (Some(true), Some(0.0)));
+        assert_eq!(parsed.guard.map(|guard| guard.to_string()).as_deref(), Some("128x72"));
+        for wrong in [
+            "--mode fast",
+            "--guard 63x36",
+            "--predict all",
+            "--size 640",
+            "--size -1x3",
+            "--codec zip",
+            "--lights 3",
+            "http://x:1",
+            "--colour",
+        ] {
             assert!(parse(&format!("gnomon-client {wrong}")).is_err(), "{wrong}");
         }
     }

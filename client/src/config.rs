@@ -47,11 +47,12 @@ pub struct FileConfig {
     wait: Option<bool>,
     predict: Option<Predictor>,
     mode: Option<Mode>,
-    sequential_lag: Option<u32>,
-    prediction_lag: Option<u32>,
-    fade: Option<f64>,
     guard: Option<Guard>,
     predict_pose: Option<bool>,
+    sequential_lag: Option<u32>,
+    calm_frames: Option<u32>,
+    prediction_lag: Option<u32>,
+    fade: Option<f64>,
     exposure: Option<f32>,
     cache_dir: Option<PathBuf>,
     connect_timeout: Option<f64>,
@@ -139,9 +140,9 @@ pub fn resolve(arguments: Arguments) -> Result<HeadlessOptions, ConfigError> {
     };
     let thresholds = Thresholds {
         sequential_lag: arguments.sequential_lag.or(file.sequential_lag).unwrap_or(default.thresholds.sequential_lag),
+        calm_frames: arguments.calm_frames.or(file.calm_frames).unwrap_or(default.thresholds.calm_frames),
         prediction_lag: arguments.prediction_lag.or(file.prediction_lag).unwrap_or(default.thresholds.prediction_lag),
         fade_s: arguments.fade.or(file.fade).unwrap_or(default.thresholds.fade_s),
-        ..default.thresholds
     };
     Ok(HeadlessOptions {
         path: arguments.path.or(file.path),
@@ -200,12 +201,29 @@ mod tests {
     }
 
     #[test]
+    fn what_hides_the_network_is_configuration() {
+        let file = format!(
+            "url = \"{URL}\"\nmode = \"sequential\"\nguard = \"auto\"\npredict = \"none\"\npredict_pose = true\n\
+             sequential_lag = 2\ncalm_frames = 5\nprediction_lag = 30\nfade = 0.5\n"
+        );
+        let options = resolve_with(&file, "--headless --mode concurrent --fade 0.125 --predict-pose=false").unwrap();
+        assert_eq!((options.mode, options.guard, options.predictor), (Mode::Concurrent, Guard::Auto, Predictor::None));
+        let expected = Thresholds { sequential_lag: 2, calm_frames: 5, prediction_lag: 30, fade_s: 0.125 };
+        assert_eq!((options.thresholds, options.predict_pose), (expected, false));
+        let default = resolve_with("", &format!("{URL} --headless")).unwrap();
+        assert_eq!((default.mode, default.thresholds), (Mode::Auto, Thresholds::default()));
+        assert_eq!((default.guard, default.predict_pose), (Guard::default(), false));
+    }
+
+    #[test]
     fn mistakes_say_what_to_do() {
         for (file, line, expected) in [
             ("", "--headless", "which server?"),
             ("", "gnomon+lab-udp://127.0.0.1:5", "--headless"),
             ("", "gnomon+lab-udp://127.0.0.1:5 --headless --offline a.gltf", "choose one"),
             ("colour = 1", "--headless", "colour"),
+            ("guard = \"63x36\"", "--headless", "even"),
+            ("mode = \"fast\"", "--headless", "sequential"),
             ("size = \"big\"", "--headless", "WIDTHxHEIGHT"),
             ("url = \"gnomon://a:1\"", "--headless", "cert"),
             ("connect_timeout = 0", "--headless --offline a.gltf", "connect-timeout"),

@@ -99,6 +99,8 @@ impl FrameLoop<'_> {
         if let Some(Live { runtime, session, masks, rejections, poses_repeated, .. }) = self.live.take() {
             outcome.received = session.received();
             outcome.rejections = rejections;
+            // Most are found out before a mask is made of them.
+            outcome.rejections.future += outcome.received.future;
             outcome.poses_repeated = poses_repeated;
             outcome.round_trip = session.round_trip();
             drop(masks);
@@ -216,7 +218,9 @@ impl FrameLoop<'_> {
         let current = self.live.as_ref().and_then(|live| live.current);
         let lag = current.map_or(0, |current| frame.0.saturating_sub(current.asked.frame.0));
         let wide = camera.widened(self.guard.next(f64::from(lag), turn_px).per_side());
-        let look_ahead_ms = live.filter(|_| self.predict_pose && !self.wait).map_or(0, Live::look_ahead_ms);
+        // A mask that is shown with its own frame is wanted for exactly that.
+        let looks_ahead = self.predict_pose && !self.wait && memory.state != Some(State::Sequential);
+        let look_ahead_ms = live.filter(|_| looks_ahead).map_or(0, Live::look_ahead_ms);
         // It wraps after 49 days, as the pose says.
         #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³²")]
         let client_time_ms = begun.duration_since(memory.started).as_millis() as u32;

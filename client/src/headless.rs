@@ -23,6 +23,7 @@ use crate::{
     },
     occluders::Occluders,
     pictures::PictureWriter,
+    pose_history::HISTORY_FRAMES,
     predictor::Predictor,
     progress::Progress,
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, readback::PictureReader},
@@ -95,13 +96,13 @@ pub struct HeadlessOptions {
     pub wait: bool,
     /// How visibility is carried over to frames that it was not traced for.
     pub predictor: Predictor,
-    /// How the pose that is drawn is chosen.
+    /// How the pose to draw is chosen.
     pub mode: Mode,
     /// When that choice changes.
     pub thresholds: Thresholds,
-    /// How much wider than the picture masks are.
+    /// The guard band around each picture that masks have.
     pub guard: Guard,
-    /// Whether the server is asked to trace for where the camera will be.
+    /// Whether the server traces for where the camera will be when the mask is shown.
     pub predict_pose: bool,
     /// Exposure that replaces the scene's own: 1 lux is shown as 2^−EV.
     pub exposure_ev: Option<f32>,
@@ -146,6 +147,17 @@ impl HeadlessOptions {
         }
     }
 
+    /// How each mask's guard band is chosen.
+    fn guard_choice(&self) -> GuardChoice {
+        GuardChoice::new(self.guard, (self.width, self.height))
+    }
+
+    /// Width and height of the largest mask that is asked for.
+    fn largest_mask(&self) -> (u32, u32) {
+        let band = self.guard_choice().largest();
+        (self.width + band.width, self.height + band.height)
+    }
+
     /// Checks what can be checked before anything is opened.
     ///
     /// # Errors
@@ -165,8 +177,21 @@ impl HeadlessOptions {
         if let Some(ev) = self.exposure_ev.filter(|ev| !(-40.0..=40.0).contains(ev)) {
             return wrong("exposure", format!("{ev} EV: −40 to 40 are possible"));
         }
-        if !(0.0..=60.0).contains(&self.thresholds.fade_s) {
-            return wrong("fade", format!("{} s: 0 to 60 are possible", self.thresholds.fade_s));
+        let fade_s = self.thresholds.fade_s;
+        if !(0.0..=60.0).contains(&fade_s) {
+            return wrong("fade", format!("{fade_s} s: 0 to 60 are possible"));
+        }
+        let most = HISTORY_FRAMES - 1;
+        if self.thresholds.prediction_lag > most {
+            return wrong(
+                "prediction-lag",
+                format!("{} frames: the client remembers {most}", self.thresholds.prediction_lag),
+            );
+        }
+        if self.thresholds.sequential_lag > self.thresholds.prediction_lag {
+            let reason =
+                format!("more than --prediction-lag {} is too late for any mode", self.thresholds.prediction_lag);
+            return wrong("sequential-lag", reason);
         }
         if self.wait && matches!(self.source, Source::Offline { .. }) {
             return wrong("wait", "there is no mask to wait for without a server".to_owned());
@@ -200,19 +225,17 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         ..GpuOptions::default()
     }))?;
     let progress = Progress::new(options.progress);
-    let size = (options.width, options.height);
-    let guard = GuardChoice::new(options.guard, size);
-    let largest = guard.largest();
-    let mask_size = (options.width + largest.width, options.height + largest.height);
-    let (scene, connected) = get_scene(options, mask_size, &progress)?;
+    let (scene, connected) = get_scene(options, &progress)?;
     let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
-    let shape = MaskShape::new(mask_size.0, mask_size.1, lights)?;
+    let (width, height) = options.largest_mask();
+    let shape = MaskShape::new(width, height, lights)?;
 
     let occluders = Occluders::largest_of(&scene);
     let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
     let exposure = Exposure::of_scene(&scene, &occluders);
     let exposure = options.exposure_ev.map_or(exposure, |ev| exposure.at_ev(ev));
-    let renderer = FrameRenderer::new(&gpu, &scene, size, exposure, PICTURE_FORMAT, options.predictor)?;
+    let renderer =
+        FrameRenderer::new(&gpu, &scene, (options.width, options.height), exposure, PICTURE_FORMAT, options.predictor)?;
     let picture_reader = PictureReader::new(&gpu, options.width, options.height, PICTURES_AHEAD);
     drop(scene);
 
@@ -224,12 +247,12 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         picture_reader,
         camera_path: &camera_path,
         timing,
-        size,
+        size: (options.width, options.height),
         live,
         wait: options.wait,
         predict_pose: options.predict_pose,
         machine: ModeMachine::new(options.mode, options.thresholds),
-        guard,
+        guard: options.guard_choice(),
         pictures,
         stats,
         progress: &progress,
@@ -242,11 +265,7 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     Ok(summary)
 }
 
-fn get_scene(
-    options: &HeadlessOptions,
-    (width, height): (u32, u32),
-    progress: &Progress,
-) -> Result<(Scene, Option<Connected>), ClientError> {
+fn get_scene(options: &HeadlessOptions, progress: &Progress) -> Result<(Scene, Option<Connected>), ClientError> {
     match &options.source {
         Source::Offline { scene, lights_from, lights } => {
             let load = LoadOptions { lights_from: lights_from.clone(), max_lights: *lights };
@@ -258,6 +277,7 @@ fn get_scene(
                 .thread_name("network")
                 .enable_all()
                 .build()?;
+            let (width, height) = options.largest_mask();
             let introduction = Introduction {
                 token: options.token.clone(),
                 width,
@@ -384,6 +404,10 @@ mod tests {
             (change(|o| o.start_time_s = -1.0), "--start-time"),
             (change(|o| o.exposure_ev = Some(f32::INFINITY)), "--exposure"),
             (change(|o| o.wait = true), "--wait"),
+            (change(|o| o.thresholds.fade_s = -0.1), "--fade"),
+            (change(|o| o.thresholds.fade_s = f64::NAN), "--fade"),
+            (change(|o| o.thresholds.prediction_lag = 64), "--prediction-lag"),
+            (change(|o| o.thresholds.sequential_lag = 51), "--sequential-lag"),
         ] {
             assert!(text.contains(expected), "{text}");
         }

@@ -107,16 +107,35 @@ impl Live {
         let usual = self.slowest_response.map_or(FIRST_RESPONSE, |slowest| slowest * 2);
         let mut patience = (round_trip * 4).max(LEAST_PATIENCE).max(usual);
         let mut asked = 1;
+        // Whether the mask in the front buffer is this frame's and was refused: it is of no use to wait for it again.
+        let mut refused = false;
         loop {
-            match self.masks.wait_for(frame, Instant::now() + patience) {
-                Waited::Arrived => return Ok(()),
+            let deadline = Instant::now() + patience;
+            let mut waited =
+                if refused { self.masks.wait_for_any(deadline) } else { self.masks.wait_for(frame, deadline) };
+            if waited == Waited::Arrived {
+                let front = self.masks.front().filter(|front| front.frame == frame);
+                match front.map(|front| history.answered(frame, front.mask.shape())) {
+                    Some(Ok(_)) => return Ok(()),
+                    Some(Err(rejection)) => {
+                        self.rejections.count(rejection);
+                        refused = true;
+                        waited = Waited::Lost;
+                    }
+                    None => {
+                        refused = false;
+                        continue;
+                    }
+                }
+            }
+            match waited {
                 Waited::Ended(reason) => return Err(ended(reason)),
-                Waited::TimedOut | Waited::Lost if begun.elapsed() > GIVE_UP => {
+                Waited::Arrived | Waited::TimedOut | Waited::Lost if begun.elapsed() > GIVE_UP => {
                     return Err(ClientError::NoVisibility { frame, after: begun.elapsed(), asked });
                 }
-                waited @ (Waited::TimedOut | Waited::Lost) => {
+                waited => {
                     if let Some(sent) = history.get(frame) {
-                        self.session.send_pose_again(frame, sent.pose);
+                        self.session.send_pose_again(frame, sent.pose, refused);
                         self.repeated = Some(frame);
                         self.poses_repeated += 1;
                         asked += 1;

@@ -7,7 +7,7 @@ use gnomon_shaders::camera::Camera;
 use serde::Serialize;
 
 /// Frames that are remembered: a second at 60 frames/s, and more than any lag that is predicted over.
-pub const HISTORY_FRAMES: usize = 64;
+pub const HISTORY_FRAMES: u32 = 64;
 
 /// A frame, and the mask that was asked for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,7 +78,7 @@ pub struct PoseHistory {
 
 impl Default for PoseHistory {
     fn default() -> Self {
-        Self { slots: vec![None; HISTORY_FRAMES], newest: None, connected_since: FrameNumber(0) }
+        Self { slots: vec![None; HISTORY_FRAMES as usize], newest: None, connected_since: FrameNumber(0) }
     }
 }
 
@@ -112,8 +112,8 @@ impl PoseHistory {
             return Err(Rejection::BeforeReconnect);
         }
         let Some(asked) = self.get(frame) else {
-            let behind = self.newest.map_or(0, |newest| newest.0 - frame.0);
-            return Err(if behind as usize >= HISTORY_FRAMES { Rejection::Forgotten } else { Rejection::NeverSent });
+            let oldest = self.newest.map_or(0, |newest| newest.0.saturating_sub(HISTORY_FRAMES - 1));
+            return Err(if frame.0 < oldest { Rejection::Forgotten } else { Rejection::NeverSent });
         };
         if asked.sent_at.is_none() {
             return Err(Rejection::NeverSent);
@@ -125,7 +125,7 @@ impl PoseHistory {
     }
 
     fn place(frame: FrameNumber) -> usize {
-        frame.0 as usize % HISTORY_FRAMES
+        (frame.0 % HISTORY_FRAMES) as usize
     }
 }
 

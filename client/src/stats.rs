@@ -233,8 +233,8 @@ mod tests {
             frames_bad: 0,
             poses_repeated: 0,
             masks_rejected: Rejections::default(),
-            degraded_share: Some(0.0),
-            known_share_mean: Some(0.99),
+            degraded_share: Some(0.25),
+            known_share_mean: Some(0.97),
             lag_frames_mean: Some(0.5),
             lag_frames_p50: Some(0.0),
             lag_frames_p99: Some(1.0),
@@ -275,7 +275,13 @@ mod tests {
             "frames_received",
             "frames_incomplete",
             "lag_frames_mean",
+            "lag_frames_p50",
             "lag_frames_p99",
+            "degraded_share",
+            "known_share_mean",
+            "masks_rejected",
+            "mode",
+            "connection_lost",
             "client_fps",
             "visibility_fps",
             "payload_bytes_mean",
@@ -304,14 +310,14 @@ mod tests {
             let stats = FrameStats {
                 frame,
                 t_ms: 1.5,
-                state: State::Concurrent,
-                visibility_share: 1.0,
+                state: State::Degraded,
+                visibility_share: 0.5,
                 known_share: None,
+                mask_frame: None,
+                lag: None,
                 mask_width: 64,
                 mask_height: 36,
                 look_ahead_ms: 0,
-                mask_frame: None,
-                lag: None,
                 response_ms: None,
                 surfaces_ms: 0.0,
                 wait_ms: 0.0,
@@ -328,5 +334,6 @@ mod tests {
         let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
         assert_eq!(lines.iter().map(|line| line["frame"].as_u64().unwrap()).collect::<Vec<_>>(), [0, 1, 2]);
         assert_eq!((&lines[0]["mask_frame"], &lines[0]["bytes"]), (&serde_json::Value::Null, &12.into()));
+        assert_eq!((&lines[0]["state"], &lines[0]["visibility_share"]), (&"degraded".into(), &0.5.into()));
     }
 }

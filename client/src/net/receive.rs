@@ -30,6 +30,8 @@ pub(crate) struct Received {
     pub(crate) frames: u64,
     /// Frames of which something came, but not all.
     pub(crate) incomplete: u64,
+    /// Frames whose pose had not been sent when their first packet came.
+    pub(crate) future: u64,
     /// Whole frames that did not decode, or have another shape than was agreed on.
     pub(crate) bad: u64,
     /// Bytes of the whole frames, packet headers not counted.
@@ -41,25 +43,46 @@ pub(crate) struct Received {
 /// Counters that the receive task writes and anybody reads.
 pub(crate) type Counters = Arc<Mutex<Received>>;
 
-/// Frames that are asked for a second time, because they did not come.
+/// What has been asked for: the newest frame, and the one that is asked for a second time, because it did not come or was of no
+/// use.
+///
+/// A packet of a frame beyond the newest answers nothing. Were it pushed, the reassembler would take every frame before it for an
+/// old one.
 ///
 /// The reassembler lets frames out in growing order only and ignores what it has given up. A frame that is sent anew
 /// therefore needs a fresh one, as soon as the first packet of the second attempt is there; but not when the first
 /// attempt was only late, and has come whole in the meantime.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Again(Arc<AtomicU64>);
+pub(crate) struct Requested {
+    /// One more than the newest frame's number.
+    newest: Arc<AtomicU64>,
+    /// Twice one more than the number of the frame that is asked for again, plus 1 when it has come but is of no use.
+    again: Arc<AtomicU64>,
+}
 
-impl Again {
-    /// Says that `frame` has been asked for again.
+impl Requested {
+    /// Says that the pose of `frame` is about to leave.
     pub(crate) fn ask(&self, frame: FrameNumber) {
-        self.0.store(u64::from(frame.0) + 1, Ordering::Release);
+        self.newest.fetch_max(u64::from(frame.0) + 1, Ordering::AcqRel);
     }
 
-    /// The frame that this packet begins, if it was asked for again.
-    fn begun_by(&self, packet: &[u8]) -> Option<FrameNumber> {
-        let asked = self.0.load(Ordering::Acquire);
-        let (header, _) = PacketHeader::decode(packet).ok().filter(|(header, _)| header.first && asked != 0)?;
-        header.frame.filter(|frame| u64::from(frame.0) + 1 == asked)
+    /// Says that `frame` is about to be asked for again; `refused` when its mask has come and is of no use.
+    pub(crate) fn ask_again(&self, frame: FrameNumber, refused: bool) {
+        self.again.store((u64::from(frame.0) + 1) * 2 + u64::from(refused), Ordering::Release);
+    }
+
+    /// Whether no pose of this packet's frame has been sent yet.
+    fn is_ahead(&self, header: &PacketHeader) -> bool {
+        header.frame.is_some_and(|frame| u64::from(frame.0) >= self.newest.load(Ordering::Acquire))
+    }
+
+    /// Whether this packet begins the second attempt at a frame, when `whole` is the newest frame that has come.
+    fn is_begun_anew(&self, header: &PacketHeader, whole: Option<FrameNumber>) -> bool {
+        let again = self.again.load(Ordering::Acquire);
+        let refused = again % 2 == 1;
+        header.first
+            && header.frame.is_some_and(|frame| u64::from(frame.0) + 1 == again / 2)
+            && (refused || whole != header.frame)
     }
 }
 
@@ -70,7 +93,7 @@ pub(crate) struct ReceiveTask {
     /// The largest shape that a mask may have.
     pub(crate) shape: MaskShape,
     pub(crate) counters: Counters,
-    pub(crate) again: Again,
+    pub(crate) requested: Requested,
     /// Folder that every frame's body is written to.
     pub(crate) save_masks: Option<PathBuf>,
 }
@@ -98,7 +121,14 @@ impl ReceiveTask {
         loop {
             let packet =
                 self.receiver.receive().await.map_err(|error| format!("connection lost: {}", root_cause(&error)))?;
-            if self.again.begun_by(packet).is_some_and(|frame| whole != Some(frame)) {
+            let header = PacketHeader::decode(packet).ok().map(|(header, _)| header);
+            if let Some(header) = header.filter(|header| self.requested.is_ahead(header)) {
+                tracing::debug!(frame = ?header.frame, "a packet of a frame that was not asked for yet");
+                let mut counters = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
+                counters.future += u64::from(header.first);
+                continue;
+            }
+            if header.is_some_and(|header| self.requested.is_begun_anew(&header, whole)) {
                 incomplete_before += reassembler.stats().frames_incomplete + u64::from(begun);
                 reassembler = fresh();
             }
@@ -135,15 +165,14 @@ impl ReceiveTask {
     ) -> Result<Option<FrameNumber>, String> {
         let Some(complete) = reassembler.frame() else { return Ok(None) };
         let received_at = Instant::now();
-        let largest = self.shape;
         let back = self.writer.back();
         // The shape is looked at before memory for it is taken.
         let decoded = match Frame::parse(complete.body).map(|frame| frame.head) {
-            Ok(head) if is_within(head.shape, largest) => {
+            Ok(head) if is_within(self.shape, head.shape) => {
                 back.traced_for = head.traced_for;
                 decoder.decode(complete.body, &mut back.mask).map(drop).map_err(|error| error.to_string())
             }
-            Ok(head) => Err(format!("its shape is {:?}, {largest:?} is the largest agreed on", head.shape)),
+            Ok(head) => Err(format!("its shape is {:?}, {:?} is the largest agreed on", head.shape, self.shape)),
             Err(error) => Err(error.to_string()),
         };
         let mut counters = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
@@ -172,7 +201,7 @@ impl ReceiveTask {
 }
 
 /// Whether masks of this shape may come at all; which one was asked for is known where poses are.
-fn is_within(shape: MaskShape, largest: MaskShape) -> bool {
+fn is_within(largest: MaskShape, shape: MaskShape) -> bool {
     shape.lights() == largest.lights() && shape.width() <= largest.width() && shape.height() <= largest.height()
 }
 

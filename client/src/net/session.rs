@@ -22,7 +22,7 @@ use tokio::{
 use super::{
     control::{ControlError, ControlReader, ControlWriter},
     link::{Closer, Link, root_cause},
-    receive::{Again, Counters, ReceiveTask, Received},
+    receive::{Counters, ReceiveTask, Received, Requested},
     send::{Outgoing, send_poses},
     url::ServerUrl,
 };
@@ -155,20 +155,20 @@ impl Admitted {
             .map_err(|error| ClientError::Connect { url, reason: format!("data: {error}") })?;
         let (mask_writer, mask_reader) = mask_buffer(shape);
         let (poses, outgoing) = watch::channel(None);
-        let (counters, again) = (Counters::default(), Again::default());
+        let (counters, requested) = (Counters::default(), Requested::default());
         let task = ReceiveTask {
             receiver,
             writer: mask_writer,
             shape,
             counters: Arc::clone(&counters),
-            again: again.clone(),
+            requested: requested.clone(),
             save_masks,
         };
         let round_trip = Arc::new(Mutex::new(None));
         let (leave, left) = oneshot::channel();
         let tasks =
             tokio::spawn(tasks(reader, writer, task, send_poses(sender, outgoing), Arc::clone(&round_trip), left));
-        let session = Session { poses, counters, again, round_trip, closer, leave, tasks };
+        let session = Session { poses, counters, requested, round_trip, closer, leave, tasks };
         Ok((session, mask_reader))
     }
 }
@@ -177,7 +177,7 @@ impl Admitted {
 pub(crate) struct Session {
     poses: watch::Sender<Outgoing>,
     counters: Counters,
-    again: Again,
+    requested: Requested,
     round_trip: Arc<Mutex<Option<Duration>>>,
     closer: Closer,
     leave: oneshot::Sender<()>,
@@ -187,12 +187,13 @@ pub(crate) struct Session {
 impl Session {
     /// Hands a frame's pose to the send task, in place of one that it has not sent yet.
     pub(crate) fn send_pose(&self, frame: FrameNumber, pose: Pose) {
+        self.requested.ask(frame);
         self.poses.send_replace(Some((frame, pose)));
     }
 
-    /// Asks once more for a frame that did not come.
-    pub(crate) fn send_pose_again(&self, frame: FrameNumber, pose: Pose) {
-        self.again.ask(frame);
+    /// Asks once more for a frame that did not come, or whose mask was `refused`.
+    pub(crate) fn send_pose_again(&self, frame: FrameNumber, pose: Pose, refused: bool) {
+        self.requested.ask_again(frame, refused);
         self.send_pose(frame, pose);
     }
 

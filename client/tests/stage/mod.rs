@@ -1,5 +1,7 @@
 //! A server for tests: one scene, masks that anybody can compute, and a script of what goes wrong.
 
+#![allow(dead_code, reason = "each test program uses its own part of the stage")]
+
 use std::{
     io::{Read as _, Write as _},
     net::{SocketAddr, TcpListener, TcpStream, UdpSocket},
@@ -27,6 +29,10 @@ pub(crate) struct Script {
     pub(crate) lose: Vec<(u32, Option<usize>)>,
     /// Frames whose mask first comes in another shape.
     pub(crate) wrong_shape: Vec<u32>,
+    /// Frames whose mask first comes smaller than it was asked for.
+    pub(crate) smaller: Vec<u32>,
+    /// Masks that come unasked: before the answer to the first frame, one with the number of the second.
+    pub(crate) strays: Vec<(u32, u32)>,
     /// Frames that are answered only when they are asked for again, and then for each time.
     pub(crate) late: Vec<u32>,
     /// Closes the session in place of this frame.
@@ -250,6 +256,17 @@ fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: Co
             Some(_) => Mask::new(MaskShape::new(64, 40, 1).unwrap()),
             None => mask_for(frame),
         };
+        let mask = match script.smaller.iter().position(|wanted| *wanted == frame) {
+            Some(place) => {
+                script.smaller.remove(place);
+                Mask::new(MaskShape::new(32, 36, 1).unwrap())
+            }
+            None => mask,
+        };
+        for stray in script.strays.iter().filter(|(at, _)| *at == frame).map(|(_, number)| FrameNumber(*number)) {
+            encoder.encode(&mask, &mut body).unwrap();
+            packetizer.packets(stray, 0, &body).unwrap().for_each(|packet| link.send(&packet));
+        }
         encoder.encode(&mask, &mut body).unwrap();
         let lost = script.lose.iter().position(|(wanted, _)| *wanted == frame).map(|place| script.lose.remove(place).1);
         for _ in 0..1 + u8::from(std::mem::take(&mut owed)) {

@@ -1,0 +1,130 @@
+//! Runs that do not wait, against a server of a few lines that is silent for a while, leaves, or answers what nobody asked.
+
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "clippy knows tests by their functions, and the stage has others"
+)]
+
+mod stage;
+
+use std::path::Path;
+
+use gnomon_client::{HeadlessOptions, Summary, mode::Mode, run_headless};
+use gnomon_protocol::message::ServerMessage;
+use serde_json::Value;
+use stage::{Script, Stage, mask_for};
+
+/// Largest lag that these runs predict over, in frames, and their fade in seconds: an outage of a second shows everything.
+const PREDICTION_LAG: u32 = 10;
+const FADE_S: f64 = 0.1;
+
+fn options(stage: &Stage, folder: &Path, frames: u32) -> HeadlessOptions {
+    let mut options = stage.options(folder);
+    (options.frames, options.fps) = (Some(frames), Some(60.0));
+    options.thresholds.prediction_lag = PREDICTION_LAG;
+    options.thresholds.fade_s = FADE_S;
+    options.stats = Some(folder.join("stats.jsonl"));
+    options
+}
+
+fn run(options: &HeadlessOptions) -> (Summary, Vec<Value>) {
+    let summary = run_headless(options).unwrap();
+    let stats = std::fs::read_to_string(options.stats.as_ref().unwrap()).unwrap();
+    (summary, stats.lines().map(|line| serde_json::from_str(line).unwrap()).collect())
+}
+
+/// No step of received visibility's share is larger than the time since the frame before allows.
+fn assert_no_pop(lines: &[Value]) {
+    for pair in lines.windows(2) {
+        let number = |line: &Value, name| line[name].as_f64().unwrap();
+        let step = (number(&pair[1], "visibility_share") - number(&pair[0], "visibility_share")).abs();
+        let allowed = (number(&pair[1], "t_ms") - number(&pair[0], "t_ms")) * 1e-3 / FADE_S;
+        assert!(step <= allowed + 1e-3, "{step} > {allowed}: {pair:?}");
+    }
+}
+
+#[test]
+fn an_outage_fades_out_and_back_in() {
+    for mode in [Mode::Auto, Mode::Concurrent, Mode::Sequential] {
+        let lose = (40..100).map(|frame| (frame, None)).collect();
+        let stage = Stage::start("lab-udp", Script { lose, ..Script::default() });
+        let folder = tempfile::tempdir().unwrap();
+        let mut options = options(&stage, folder.path(), 160);
+        options.mode = mode;
+        let (summary, lines) = run(&options);
+        assert_eq!((summary.frames_rendered, lines.len()), (160, 160), "no frame is missing");
+        assert_eq!(summary.connection_lost, None);
+        assert_no_pop(&lines);
+        let share = |line: &Value| line["visibility_share"].as_f64().unwrap();
+        let before = lines[..40].iter().rev().find(|line| line["lag"].as_u64().is_some()).unwrap();
+        assert_eq!(share(before), 1.0, "{before}");
+        assert!(lines.iter().any(|line| line["state"] == "degraded" && share(line) == 0.0), "it was not seen");
+        let first = lines.iter().position(|line| line["mask_frame"].as_u64() >= Some(100)).unwrap();
+        assert!(lines[first]["state"] != "degraded" && share(&lines[first + 1]) > 0.0, "{}", lines[first]);
+        assert_eq!(share(&lines[159]), 1.0);
+        let degraded = lines.iter().filter(|line| line["state"] == "degraded").count();
+        assert!((summary.degraded_share.unwrap() - degraded as f64 / 160.0).abs() < 1e-9);
+        for line in lines.iter().filter(|line| line["lag"].as_u64().is_some()) {
+            assert_eq!(line["state"] == "degraded", line["lag"].as_u64() > Some(PREDICTION_LAG.into()), "{line}");
+        }
+    }
+}
+
+#[test]
+fn a_server_that_leaves_does_not_end_a_run_that_it_has_answered() {
+    let stage = Stage::start("lab-tcp", Script { close_at: Some(30), ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let (summary, lines) = run(&options(&stage, folder.path(), 80));
+    assert_eq!((summary.frames_rendered, lines.len()), (80, 80));
+    assert!(summary.connection_lost.unwrap().contains("curtain"));
+    assert_no_pop(&lines);
+    let last = lines.last().unwrap();
+    assert_eq!((&last["state"], last["visibility_share"].as_f64()), (&"degraded".into(), Some(0.0)));
+
+    let answer = ServerMessage::Closing { reason: "no play today".into() };
+    let stage = Stage::start("lab-tcp", Script { answer: Some(answer), ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    run_headless(&options(&stage, folder.path(), 10)).unwrap_err();
+}
+
+#[test]
+fn masks_that_answer_nothing_are_counted_and_ignored() {
+    // A number that was never sent and lies ahead, then a mask that is too small, in a run that goes on.
+    let script = Script { strays: vec![(20, 25)], smaller: vec![40], ..Script::default() };
+    let stage = Stage::start("lab-udp", script);
+    let folder = tempfile::tempdir().unwrap();
+    let (summary, lines) = run(&options(&stage, folder.path(), 80));
+    assert_eq!((summary.frames_rendered, summary.frames_bad), (80, 0));
+    let rejected = summary.masks_rejected;
+    assert_eq!((rejected.future, rejected.wrong_size), (1, 1), "{rejected:?}");
+    assert!(lines.iter().all(|line| line["mask_frame"].as_u64() <= line["frame"].as_u64()));
+    assert!(lines.iter().all(|line| line["mask_frame"] != 40));
+    assert!(lines.last().unwrap()["mask_frame"].as_u64() > Some(70), "{:?}", lines.last());
+}
+
+#[test]
+fn a_mask_from_the_far_future_does_not_shut_out_the_present() {
+    let stage = Stage::start("lab-udp", Script { strays: vec![(20, 1_000_000)], ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let (summary, lines) = run(&options(&stage, folder.path(), 60));
+    assert_eq!(summary.masks_rejected.future, 1);
+    assert!(lines.last().unwrap()["mask_frame"].as_u64() > Some(50), "{:?}", lines.last());
+}
+
+#[test]
+fn a_waiting_run_never_takes_a_mask_of_another_size_for_its_own() {
+    let stage = Stage::start("lab-udp", Script { smaller: vec![1], ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = stage.options(folder.path());
+    options.wait = true;
+    options.stats = Some(folder.path().join("stats.jsonl"));
+    options.save_masks = Some(folder.path().join("masks"));
+    let (summary, lines) = run(&options);
+    assert_eq!((summary.frames_with_mask, summary.masks_rejected.wrong_size), (4, 1));
+    assert!(lines.iter().all(|line| line["mask_frame"] == line["frame"]), "{lines:?}");
+    let saved = std::fs::read(folder.path().join("masks/frame_000001.body")).unwrap();
+    let mut mask = gnomon_protocol::mask::Mask::new(stage::shape());
+    gnomon_protocol::codec::Decoder::new().decode(&saved, &mut mask).unwrap();
+    assert_eq!(mask, mask_for(1));
+}
