@@ -1,5 +1,6 @@
 //! Gnomon's end-to-end tests and what they need: the f64 referee, scenes, metrics, and a rig that boots real programs.
 
+pub mod backends;
 pub mod cloister;
 pub mod metrics;
 pub mod reference;

@@ -45,8 +45,10 @@ fn is_blocked(ray: Ray, limit: f32) -> bool {
             let a = triangles[triangle * 3u];
             let b = triangles[triangle * 3u + 1u];
             let c = triangles[triangle * 3u + 2u];
-            let met = meet_triangle(ray, bitcast<vec3f>(a.xyz), bitcast<vec3f>(b.xyz), bitcast<vec3f>(c.xyz));
-            if met.distance > 0.0 && met.distance < limit && triangle_is_there(triangle, a.w, met.weights) {
+            let met = meet_triangle(ray, triangle, bitcast<vec3f>(a.xyz), bitcast<vec3f>(b.xyz),
+                bitcast<vec3f>(c.xyz));
+            if met.clear && met.distance > 0.0 && met.distance < limit
+                && triangle_is_there(triangle, a.w, met.weights) {
                 return true;
             }
         }

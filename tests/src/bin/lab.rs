@@ -7,6 +7,7 @@ use clap::{Parser, Subcommand};
 use gnomon_tests::{
     cloister,
     report::{
+        accuracy::{self, AccuracyOptions},
         load::{self, LoadOptions},
         pipeline::{self, PipelineOptions},
         trace_error::{self, TraceErrorOptions},
@@ -22,6 +23,9 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Judges the back ends by the f64 referee on the real scenes, and on the hard cases by their bounds: writes
+    /// accuracy.csv, hard_cases.csv and pictures, prints Markdown.
+    Accuracy(AccuracyOptions),
     /// Writes Gnomon's own scene: cloister.glb and its camera paths, cloister.json.
     MakeScene {
         /// Folder to write into.
@@ -38,6 +42,9 @@ enum Command {
 
 fn run(arguments: Arguments) -> Result<()> {
     match arguments.command {
+        Command::Accuracy(options) => {
+            print!("{}", accuracy::measure(&options, |line| eprintln!("{line}"))?.markdown());
+        }
         Command::MakeScene { out } => {
             let made = cloister::generate(&out)?;
             println!(

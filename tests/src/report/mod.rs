@@ -1,5 +1,6 @@
 //! Reports of the `lab`: tables that are measured by running the real programs.
 
+pub mod accuracy;
 pub mod load;
 pub mod pipeline;
 pub mod scene_args;

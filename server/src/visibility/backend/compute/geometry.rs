@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use glam::{Vec2, Vec3, Vec3A};
 use gnomon_shaders::{
     host::{AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedTriangle, wraps},
-    scene::{AlphaMode, Material, Scene},
+    scene::{AlphaMode, Material, Scene, triangle_normal},
 };
 use obvhs::{
     BvhBuildParams,
@@ -22,8 +22,8 @@ pub(super) struct Geometry {
     pub(super) nodes: Vec<CwBvhNode>,
     /// Triangles; a leaf's follow each other.
     pub(super) triangles: Vec<TracedTriangle>,
-    /// Shading normals of each triangle's corners.
-    pub(super) normals: Vec<[Vec3; 3]>,
+    /// Shading normals of each triangle's corners, and the unit normal of its plane: zero without an area.
+    pub(super) normals: Vec<[Vec3; 4]>,
     /// Texture coordinates of the triangles with holes, three each.
     pub(super) alpha_uvs: Vec<Vec2>,
     /// Materials with holes.
@@ -128,7 +128,9 @@ impl Geometry {
             self.alpha_uvs.extend(corners.map(|index| scene.uvs[index as usize]));
         }
         self.triangles.push(TracedTriangle { a, kind, b, first_uv, c, unused: 0 });
-        self.normals.push(corners.map(|index| scene.normals[index as usize]));
+        let [na, nb, nc] = corners.map(|index| scene.normals[index as usize]);
+        let plane = triangle_normal(a.into(), b.into(), c.into()).unwrap_or_default();
+        self.normals.push([na, nb, nc, plane.as_vec3()]);
         Ok(())
     }
 }
