@@ -7,8 +7,7 @@
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
-#import "shared/cwbvh.wgsl"
-#import "shared/alpha.wgsl"
+#import "visibility/traverse.wgsl"
 
 var<immediate> view: TracedView;
 
@@ -18,57 +17,6 @@ var<immediate> view: TracedView;
 @group(1) @binding(2) var<storage, read_write> work: array<atomic<u32>>;
 
 var<workgroup> tile_rays: atomic<u32>;
-
-struct Nearest {
-    // The triangle, or NOTHING.
-    triangle: u32,
-    weights: vec3f,
-    front: bool,
-}
-
-const NOTHING: u32 = 0xffffffffu;
-
-fn nearest(ray: Ray) -> Nearest {
-    var found = Nearest(NOTHING, vec3f(0.0), false);
-    var limit = FARTHEST;
-    var stack: array<vec2u, TRAVERSAL_STACK>;
-    var depth = 0u;
-    var group = select(vec2u(0u), ROOT_GROUP, view.nodes > 0u);
-    loop {
-        if (group.y & GROUP_NODES) == 0u {
-            if depth == 0u {
-                break;
-            }
-            depth -= 1u;
-            group = stack[depth];
-        }
-        let bit = firstLeadingBit(group.y);
-        let node = group_node(group, bit, ray.octant);
-        group.y &= ~(1u << bit);
-        if (group.y & GROUP_NODES) != 0u && depth < TRAVERSAL_STACK {
-            stack[depth] = group;
-            depth += 1u;
-        }
-        let hits = node_hits(node, ray, limit);
-        group = vec2u(hits.child_base, (hits.bits & GROUP_NODES) | hits.inner);
-        var candidates = hits.bits & ~GROUP_NODES;
-        while candidates != 0u {
-            let candidate = firstTrailingBit(candidates);
-            candidates &= candidates - 1u;
-            let triangle = hits.triangle_base + candidate;
-            let a = triangles[triangle * 3u];
-            let b = triangles[triangle * 3u + 1u];
-            let c = triangles[triangle * 3u + 2u];
-            let met = meet_triangle(ray, bitcast<vec3f>(a.xyz), bitcast<vec3f>(b.xyz), bitcast<vec3f>(c.xyz));
-            if met.distance > 0.0 && met.distance < limit && (met.front || (a.w & TRIANGLE_SINGLE_SIDED) == 0u)
-                && triangle_is_there(triangle, a.w, met.weights) {
-                limit = met.distance;
-                found = Nearest(triangle, met.weights, met.front);
-            }
-        }
-    }
-    return found;
-}
 
 // Whether light `light` matters at `point`, and the surface does not hide it from itself.
 fn wants_ray(light: TracedLight, point: vec3f, geometric: vec3f, shading: vec3f) -> bool {

@@ -4,8 +4,7 @@
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
-#import "shared/cwbvh.wgsl"
-#import "shared/alpha.wgsl"
+#import "visibility/traverse.wgsl"
 
 var<immediate> view: TracedView;
 
@@ -14,45 +13,6 @@ var<immediate> view: TracedView;
 @group(1) @binding(1) var<storage, read_write> mask: array<u32>;
 
 var<workgroup> tile_words: array<atomic<u32>, 2>;
-
-// Whether anything stands on the ray before `limit`.
-fn is_blocked(ray: Ray, limit: f32) -> bool {
-    var stack: array<vec2u, TRAVERSAL_STACK>;
-    var depth = 0u;
-    var group = select(vec2u(0u), ROOT_GROUP, view.nodes > 0u);
-    loop {
-        if (group.y & GROUP_NODES) == 0u {
-            if depth == 0u {
-                break;
-            }
-            depth -= 1u;
-            group = stack[depth];
-        }
-        let bit = firstLeadingBit(group.y);
-        let node = group_node(group, bit, ray.octant);
-        group.y &= ~(1u << bit);
-        if (group.y & GROUP_NODES) != 0u && depth < TRAVERSAL_STACK {
-            stack[depth] = group;
-            depth += 1u;
-        }
-        let hits = node_hits(node, ray, limit);
-        group = vec2u(hits.child_base, (hits.bits & GROUP_NODES) | hits.inner);
-        var candidates = hits.bits & ~GROUP_NODES;
-        while candidates != 0u {
-            let candidate = firstTrailingBit(candidates);
-            candidates &= candidates - 1u;
-            let triangle = hits.triangle_base + candidate;
-            let a = triangles[triangle * 3u];
-            let b = triangles[triangle * 3u + 1u];
-            let c = triangles[triangle * 3u + 2u];
-            let met = meet_triangle(ray, bitcast<vec3f>(a.xyz), bitcast<vec3f>(b.xyz), bitcast<vec3f>(c.xyz));
-            if met.distance > 0.0 && met.distance < limit && triangle_is_there(triangle, a.w, met.weights) {
-                return true;
-            }
-        }
-    }
-    return false;
-}
 
 @compute @workgroup_size(8, 8)
 fn shadow(
