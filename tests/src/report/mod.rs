@@ -2,6 +2,7 @@
 
 pub mod load;
 pub mod pipeline;
+pub mod plot;
 pub mod scene_args;
 pub mod table;
 pub mod trace_error;
