@@ -27,8 +27,10 @@ pub const FILES: &[(&str, &str)] = &[
     ("visibility/nearest.wgsl", include_str!("../wgsl/visibility/nearest.wgsl")),
     ("visibility/primary.wgsl", include_str!("../wgsl/visibility/primary.wgsl")),
     ("visibility/ray_query.wgsl", include_str!("../wgsl/visibility/ray_query.wgsl")),
+    ("visibility/sampling.wgsl", include_str!("../wgsl/visibility/sampling.wgsl")),
     ("visibility/shadow.wgsl", include_str!("../wgsl/visibility/shadow.wgsl")),
     ("visibility/traverse.wgsl", include_str!("../wgsl/visibility/traverse.wgsl")),
+    ("visibility/work.wgsl", include_str!("../wgsl/visibility/work.wgsl")),
 ];
 
 /// Why a shader cannot be put together.

@@ -7,13 +7,14 @@
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
+#import "visibility/work.wgsl"
 #import "visibility/traverse.wgsl"
 
 var<immediate> view: TracedView;
 
 // Tile after tile, 64 pixels each: xyz is where shadow rays start (bits of f32), w the lights that want one.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
-// Counts shadow rays.
+// What is counted: visibility/work.wgsl.
 @group(1) @binding(2) var<storage, read_write> work: array<atomic<u32>>;
 
 var<workgroup> tile_rays: atomic<u32>;
@@ -85,6 +86,9 @@ fn primary(
     atomicAdd(&tile_rays, countOneBits(seen.w));
     workgroupBarrier();
     if bit == 0u {
-        atomicAdd(&work[0], atomicLoad(&tile_rays));
+        atomicAdd(&work[WORK_WANTED], atomicLoad(&tile_rays));
+    }
+    if COUNT_NODES {
+        atomicAdd(&work[WORK_NODES], node_visits);
     }
 }

@@ -6,6 +6,7 @@
 #import "shared/cwbvh.wgsl"
 #import "shared/alpha.wgsl"
 #import "visibility/nearest.wgsl"
+#import "visibility/work.wgsl"
 
 fn nearest(ray: Ray) -> Nearest {
     var found = Nearest(NOTHING, vec3f(0.0), false);
@@ -29,6 +30,9 @@ fn nearest(ray: Ray) -> Nearest {
             depth += 1u;
         }
         let hits = node_hits(node, ray, limit);
+        if COUNT_NODES {
+            node_visits += 1u;
+        }
         group = vec2u(hits.child_base, (hits.bits & GROUP_NODES) | hits.inner);
         var candidates = hits.bits & ~GROUP_NODES;
         while candidates != 0u {
@@ -70,6 +74,9 @@ fn is_blocked(ray: Ray, limit: f32) -> bool {
             depth += 1u;
         }
         let hits = node_hits(node, ray, limit);
+        if COUNT_NODES {
+            node_visits += 1u;
+        }
         group = vec2u(hits.child_base, (hits.bits & GROUP_NODES) | hits.inner);
         var candidates = hits.bits & ~GROUP_NODES;
         while candidates != 0u {

@@ -7,6 +7,7 @@ use gnomon_shaders::gpu::GpuError;
 pub mod compute;
 pub mod cpu;
 pub mod ray_query;
+pub mod sampling;
 
 /// Why a back end cannot be had for a scene.
 #[derive(Debug, Error)]

@@ -6,7 +6,7 @@ use gnomon_shaders::{
     splice::{splice, splice_ray_query},
 };
 
-use super::Traversal;
+use super::{KernelOptions, Traversal};
 use crate::visibility::backend::{BackendError, ray_query};
 
 /// Device features without which the kernels cannot run: the camera travels inside the command buffer, so that a frame
@@ -42,7 +42,7 @@ pub(super) struct FrameBuffers<'a> {
     pub(super) surfaces: &'a wgpu::Buffer,
     /// The mask's words.
     pub(super) mask: &'a wgpu::Buffer,
-    /// The number of shadow rays.
+    /// What is counted: `wgsl/visibility/work.wgsl`.
     pub(super) work: &'a wgpu::Buffer,
 }
 
@@ -51,7 +51,7 @@ impl Kernels {
     ///
     /// # Errors
     /// When the device lacks a feature or a limit that they need. What the device itself refuses, its error handler gets.
-    pub(super) fn new(gpu: &Gpu, traversal: Traversal) -> Result<Self, BackendError> {
+    pub(super) fn new(gpu: &Gpu, traversal: Traversal, options: KernelOptions) -> Result<Self, BackendError> {
         if traversal == Traversal::RayQuery {
             ray_query::check(gpu)?;
         }
@@ -79,7 +79,10 @@ impl Kernels {
             bind_group_layouts: &[Some(&scene), Some(&frame)],
             immediate_size: TracedView::BYTES,
         });
-        let pipeline = |name: &str| -> Result<wgpu::ComputePipeline, BackendError> {
+        let (sampling, refine) = options.sampling.constants();
+        let count = ("COUNT_NODES", f64::from(u8::from(options.count_nodes)));
+        let shadow_constants = [count, ("SAMPLING", f64::from(sampling)), ("REFINE", f64::from(u8::from(refine)))];
+        let pipeline = |name: &str, constants: &[(&str, f64)]| -> Result<wgpu::ComputePipeline, BackendError> {
             let path = format!("visibility/{name}.wgsl");
             let text = match traversal {
                 Traversal::Hierarchy => splice(&path),
@@ -95,11 +98,12 @@ impl Kernels {
                 layout: Some(&pipeline_layout),
                 module: &module,
                 entry_point: Some(name),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
                 cache: None,
             }))
         };
-        Ok(Self { primary: pipeline("primary")?, shadow: pipeline("shadow")?, scene, frame })
+        let (primary, shadow) = (pipeline("primary", &[count])?, pipeline("shadow", &shadow_constants)?);
+        Ok(Self { primary, shadow, scene, frame })
     }
 
     /// The scene's bind group. Buffers are in the order of `wgsl/shared/traced_scene.wgsl`; the structure is there when the

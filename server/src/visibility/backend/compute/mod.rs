@@ -30,7 +30,7 @@ use self::{
     ring::{Capacity, Ring},
     timing::{QUERIES, Stages, Timing},
 };
-use super::{BackendError, ray_query};
+use super::{BackendError, ray_query, sampling::Sampling};
 use crate::visibility::TraceCost;
 
 /// How the kernels find the triangles on a ray's way.
@@ -42,11 +42,23 @@ pub(super) enum Traversal {
     RayQuery,
 }
 
+/// What the kernels are compiled for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct KernelOptions {
+    /// Which pixels have shadow rays of their own.
+    pub sampling: Sampling,
+    /// Whether visited nodes are counted, which costs time.
+    pub count_nodes: bool,
+}
+
 /// Traces masks on one device. Frames are submitted and collected in the same order, up to [`RING_FRAMES`] at a time.
 #[derive(Debug)]
 pub struct ComputeBackend {
     gpu: Gpu,
     traversal: Traversal,
+    sampling: Sampling,
+    /// Of the last frame collected.
+    node_visits: u64,
     kernels: Kernels,
     scene: wgpu::BindGroup,
     timing: Option<Timing>,
@@ -116,20 +128,33 @@ impl ComputeBackend {
     /// # Errors
     /// When there is no such adapter, it lacks what the kernels need, or the scene does not fit it.
     pub fn open(scene: &Scene, adapter: Option<String>, allow_software: bool) -> Result<Self, BackendError> {
-        Self::open_traversing(scene, adapter, allow_software, Traversal::Hierarchy)
+        Self::open_with(scene, adapter, allow_software, KernelOptions::default())
     }
 
-    /// As [`Self::open`], with either kind of kernels.
+    /// As [`Self::open`], with other kernels.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_with(
+        scene: &Scene,
+        adapter: Option<String>,
+        allow_software: bool,
+        options: KernelOptions,
+    ) -> Result<Self, BackendError> {
+        Self::open_traversing(scene, adapter, allow_software, (Traversal::Hierarchy, options))
+    }
+
+    /// As [`Self::open_with`], with either way to find triangles.
     pub(super) fn open_traversing(
         scene: &Scene,
         adapter: Option<String>,
         allow_software: bool,
-        traversal: Traversal,
+        (traversal, options): (Traversal, KernelOptions),
     ) -> Result<Self, BackendError> {
         let experimental = if traversal == Traversal::RayQuery { ray_query::NEEDED } else { wgpu::Features::empty() };
         let wanted = kernels::NEEDED | kernels::TIMING | experimental;
         let gpu = pollster::block_on(Gpu::open(&GpuOptions { adapter, wanted, allow_software }))?;
-        Self::new_traversing(scene, gpu, traversal)
+        Self::new_traversing(scene, gpu, (traversal, options))
     }
 
     /// As [`Self::open`], on a device that is already there.
@@ -137,11 +162,15 @@ impl ComputeBackend {
     /// # Errors
     /// When the device lacks what the kernels need, or the scene does not fit it.
     pub fn new(scene: &Scene, gpu: Gpu) -> Result<Self, BackendError> {
-        Self::new_traversing(scene, gpu, Traversal::Hierarchy)
+        Self::new_traversing(scene, gpu, (Traversal::Hierarchy, KernelOptions::default()))
     }
 
-    /// As [`Self::new`], with either kind of kernels.
-    pub(super) fn new_traversing(scene: &Scene, gpu: Gpu, traversal: Traversal) -> Result<Self, BackendError> {
+    /// As [`Self::new`], with any kernels.
+    pub(super) fn new_traversing(
+        scene: &Scene,
+        gpu: Gpu,
+        (traversal, options): (Traversal, KernelOptions),
+    ) -> Result<Self, BackendError> {
         let failure = Failure::default();
         let (on_error, on_loss) = (failure.clone(), failure.clone());
         gpu.device.on_uncaptured_error(Arc::new(move |error| on_error.note(error.to_string())));
@@ -151,7 +180,7 @@ impl ComputeBackend {
                 on_loss.note(format!("the device is lost: {text}"));
             }
         });
-        let kernels = Kernels::new(&gpu, traversal)?;
+        let kernels = Kernels::new(&gpu, traversal, options)?;
         let geometry = Geometry::build(scene, traversal)?;
         let nodes = match traversal {
             Traversal::Hierarchy => geometry.nodes.len(),
@@ -171,6 +200,8 @@ impl ComputeBackend {
         }
         Ok(Self {
             traversal,
+            sampling: options.sampling,
+            node_visits: 0,
             kernels,
             scene: scene_group,
             timing,
@@ -317,7 +348,7 @@ impl ComputeBackend {
         if mask.shape() != oldest.shape {
             mask.reset(oldest.shape);
         }
-        let (ticks, shadow_rays) = slot.read(mask).map_err(BackendError::Device)?;
+        let (ticks, work) = slot.read(mask).map_err(BackendError::Device)?;
         let stages = match &self.timing {
             Some(timing) => timing.stages(ticks),
             // Without a clock on the device, all of it counts as tracing.
@@ -328,10 +359,17 @@ impl ComputeBackend {
             shadow_ms: stages.shadow_ms,
             readback_ms: stages.copy_ms + seen_at.elapsed().as_secs_f64() * 1e3,
             primary_rays: oldest.shape.pixels() as u64,
-            shadow_rays,
+            shadow_rays: if self.sampling == Sampling::All { work.wanted } else { work.traced },
         };
+        self.node_visits = work.nodes;
         self.in_flight.pop_front();
         Ok(Some(cost))
+    }
+
+    /// Nodes that the rays of the last frame collected visited; 0 unless they are counted ([`KernelOptions`]).
+    #[must_use]
+    pub fn node_visits(&self) -> u64 {
+        self.node_visits
     }
 
     /// Traces one mask and waits for it; for tests and measurements. `mask` must have the camera's size and a plane for

@@ -10,7 +10,7 @@ use gnomon_shaders::{gpu::Gpu, host::TracedTriangle, scene::Scene};
 
 use super::{
     BackendError,
-    compute::{ComputeBackend, Traversal},
+    compute::{ComputeBackend, KernelOptions, Traversal},
 };
 
 /// The device feature that sets this back end apart.
@@ -22,7 +22,20 @@ pub(super) const NEEDED: wgpu::Features = wgpu::Features::EXPERIMENTAL_RAY_QUERY
 /// # Errors
 /// When there is no such adapter, it has no ray queries or lacks what else the kernels need, or the scene does not fit it.
 pub fn open(scene: &Scene, adapter: Option<String>, allow_software: bool) -> Result<ComputeBackend, BackendError> {
-    ComputeBackend::open_traversing(scene, adapter, allow_software, Traversal::RayQuery)
+    open_with(scene, adapter, allow_software, KernelOptions::default())
+}
+
+/// As [`open`], with other kernels. Nodes of the adapter's own structure cannot be counted.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_with(
+    scene: &Scene,
+    adapter: Option<String>,
+    allow_software: bool,
+    options: KernelOptions,
+) -> Result<ComputeBackend, BackendError> {
+    ComputeBackend::open_traversing(scene, adapter, allow_software, (Traversal::RayQuery, options))
 }
 
 /// The best that an adapter can do: ray queries where it has them and the scene fits, `compute` otherwise.
@@ -49,7 +62,7 @@ pub fn open_preferred(
 /// # Errors
 /// When the device lacks what the kernels need, or the scene does not fit it.
 pub fn new(scene: &Scene, gpu: Gpu) -> Result<ComputeBackend, BackendError> {
-    ComputeBackend::new_traversing(scene, gpu, Traversal::RayQuery)
+    ComputeBackend::new_traversing(scene, gpu, (Traversal::RayQuery, KernelOptions::default()))
 }
 
 /// Whether the device has ray queries.
