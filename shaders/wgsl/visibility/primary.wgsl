@@ -41,7 +41,9 @@ fn shading_corner(triangle: u32, corner: u32) -> vec3f {
 // Wächter and Binder, "A Fast and Robust Method for Avoiding Self-Intersection" (Ray Tracing Gems, ch. 6), and at
 // least that part of a metre. It is taken of the terms that were summed rather than of the sum, since a point near
 // the origin of a large triangle carries the large triangle's error.
-const OFFSET: f32 = 1.52587890625e-5;
+override OFFSET_ROUNDINGS: f32 = 256.0;
+// The rounding unit of f32, 2⁻²⁴.
+const ROUNDING: f32 = 5.9604644775390625e-8;
 
 fn surface(found: Nearest) -> vec4u {
     let at = found.triangle * 3u;
@@ -59,7 +61,7 @@ fn surface(found: Nearest) -> vec4u {
         wanted |= select(0u, 1u << light, wants_ray(lights[light], point, geometric, shading));
     }
     let summed = abs(a) * found.weights.x + abs(b) * found.weights.y + abs(c) * found.weights.z;
-    let start = point + geometric * (OFFSET * max(1.0, dot(abs(geometric), summed)));
+    let start = point + geometric * (OFFSET_ROUNDINGS * ROUNDING * max(1.0, dot(abs(geometric), summed)));
     return vec4u(bitcast<vec3u>(start), wanted);
 }
 

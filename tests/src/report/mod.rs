@@ -1,6 +1,7 @@
 //! Reports of the `lab`: tables that are measured by running the real programs.
 
 pub mod load;
+pub mod pareto;
 pub mod pipeline;
 pub mod plot;
 pub mod scene_args;

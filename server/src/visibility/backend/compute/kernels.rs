@@ -82,6 +82,8 @@ impl Kernels {
         let (sampling, refine) = options.sampling.constants();
         let count = ("COUNT_NODES", f64::from(u8::from(options.count_nodes)));
         let shadow_constants = [count, ("SAMPLING", f64::from(sampling)), ("REFINE", f64::from(u8::from(refine)))];
+        let offset = options.offset_roundings.map(|offset| ("OFFSET_ROUNDINGS", f64::from(offset)));
+        let primary_constants: Vec<(&str, f64)> = [count].into_iter().chain(offset).collect();
         let pipeline = |name: &str, constants: &[(&str, f64)]| -> Result<wgpu::ComputePipeline, BackendError> {
             let path = format!("visibility/{name}.wgsl");
             let text = match traversal {
@@ -102,7 +104,7 @@ impl Kernels {
                 cache: None,
             }))
         };
-        let (primary, shadow) = (pipeline("primary", &[count])?, pipeline("shadow", &shadow_constants)?);
+        let (primary, shadow) = (pipeline("primary", &primary_constants)?, pipeline("shadow", &shadow_constants)?);
         Ok(Self { primary, shadow, scene, frame })
     }
 

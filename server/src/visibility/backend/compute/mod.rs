@@ -49,6 +49,8 @@ pub struct KernelOptions {
     pub sampling: Sampling,
     /// Whether visited nodes are counted, which costs time.
     pub count_nodes: bool,
+    /// How far shadow rays start off their surface, in rounding units, in place of what the rule says (`primary.wgsl`).
+    pub offset_roundings: Option<u16>,
 }
 
 /// Traces masks on one device. Frames are submitted and collected in the same order, up to [`RING_FRAMES`] at a time.

@@ -346,7 +346,7 @@ fn fewer_rays_than_pixels_give_nearly_the_same_mask_on_both_back_ends() {
         (Sampling::Quarter { refine: false }, 27, 3.0),
         (Sampling::Quarter { refine: true }, 31, 1.0),
     ] {
-        let options = KernelOptions { sampling, count_nodes: true };
+        let options = KernelOptions { sampling, count_nodes: true, ..KernelOptions::default() };
         let mut compute = ComputeBackend::open_with(&scene, None, true, options).unwrap();
         let cpu = CpuBackend::new(&scene, None).unwrap().with_sampling(sampling);
         let [mut a, mut b] = [(); 2].map(|()| mask_for(&scene, &camera));

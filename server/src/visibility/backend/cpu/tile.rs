@@ -158,24 +158,29 @@ pub(super) fn trace_tile<S: Simd, C: Counter>(
             rays[p] = light.rays(s, surface, p);
         }
         traversal.blocker = blockers[plane];
-        let mut trace = |rays: &[u8; PACKETS]| {
+        let sampling = world.sampling;
+        let mut wanted = 0;
+        if sampling != Sampling::All {
+            wanted = rays.iter().enumerate().fold(0, |word, (p, &lanes)| word | word_bits(p, lanes));
+            rays = word_lanes(wanted & sampling.own());
+        }
+        let mut word = 0;
+        // The call stands once, and in no closure: only so do its instructions become part of this function.
+        for is_last in [sampling == Sampling::All, true] {
             cost.shadow_rays += rays.iter().map(|lanes| u64::from(lanes.count_ones())).sum::<u64>();
-            light_tile(s, world, light, rays, surface, traversal, &mut cost.shadow_work)
-        };
-        let word = match world.sampling {
-            Sampling::All => trace(&rays),
-            sampling => {
-                let wanted = rays.iter().enumerate().fold(0, |word, (p, &lanes)| word | word_bits(p, lanes));
-                let lit = trace(&word_lanes(wanted & sampling.own()));
-                let pixel = picture.basis.right.length() * 2.0 / float(picture.width);
-                let filled = fill(sampling, wanted, lit, |bit| {
-                    let (p, lane) = place_of(bit);
-                    let at = Vec3::from_array([0, 1, 2].map(|axis: usize| surface.pushed[axis][p].0[lane]));
-                    (at, at.distance(picture.basis.origin) * pixel)
-                });
-                lit | filled.lit | trace(&word_lanes(filled.undecided))
+            word |= light_tile(s, world, light, &rays, surface, traversal, &mut cost.shadow_work);
+            if is_last {
+                break;
             }
-        };
+            let pixel = picture.basis.right.length() * 2.0 / float(picture.width);
+            let filled = fill(sampling, wanted, word, |bit| {
+                let (p, lane) = place_of(bit);
+                let at = Vec3::from_array([0, 1, 2].map(|axis: usize| surface.pushed[axis][p].0[lane]));
+                (at, at.distance(picture.basis.origin) * pixel)
+            });
+            word |= filled.lit;
+            rays = word_lanes(filled.undecided);
+        }
         write(plane, word);
         blockers[plane] = traversal.blocker;
     }
