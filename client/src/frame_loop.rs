@@ -17,7 +17,7 @@ use crate::{
     pictures::PictureWriter,
     pose_history::PoseHistory,
     progress::Progress,
-    render::{FrameRenderer, readback::PictureReader},
+    render::{FrameRenderer, predict::MaskView, readback::PictureReader},
     stats::{FrameStats, StatsFile, millis},
 };
 
@@ -163,7 +163,7 @@ impl FrameLoop<'_> {
         let (wait, upload) = (clock.lap_without(used.1), used.1);
         let target = self.picture_reader.target();
         let copied = self.pictures.is_some();
-        let submission = self.renderer.shade(&camera, &target, |encoder| {
+        let submission = self.renderer.shade(&camera, 1.0, &target, |encoder| {
             if copied {
                 self.picture_reader.copy(encoder);
             }
@@ -233,7 +233,11 @@ impl FrameLoop<'_> {
         let mut upload = Duration::ZERO;
         if changed {
             let begun = Instant::now();
-            self.renderer.set_mask(Some(&received.mask));
+            let shape = received.mask.shape();
+            let pose = memory.history.get(received.frame);
+            let traced_for = pose.map(|pose| camera_of(pose, shape.width(), shape.height()));
+            let mask = traced_for.as_ref().map(|traced_for| MaskView { mask: &received.mask, traced_for });
+            self.renderer.set_mask(mask)?;
             upload = begun.elapsed();
         }
         let response = changed.then(|| memory.response(received)).flatten();
@@ -279,6 +283,17 @@ fn wait_for_mask(live: &mut Live, frame: FrameNumber, memory: &mut Memory, wante
                 }
             }
         }
+    }
+}
+
+/// The camera of a pose, for a picture of this size.
+fn camera_of(pose: &Pose, width: u32, height: u32) -> Camera {
+    Camera {
+        position_m: pose.position_m.into(),
+        orientation: glam::DQuat::from_array(pose.orientation),
+        yfov_rad: pose.yfov_rad,
+        width,
+        height,
     }
 }
 

@@ -20,6 +20,7 @@ use crate::{
     },
     occluders::Occluders,
     pictures::PictureWriter,
+    predictor::Predictor,
     progress::Progress,
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, readback::PictureReader},
     scene_cache::SceneCache,
@@ -89,6 +90,8 @@ pub struct HeadlessOptions {
     pub allow_software: bool,
     /// Whether each frame waits for its own mask.
     pub wait: bool,
+    /// How visibility is carried over to frames that it was not traced for.
+    pub predictor: Predictor,
     /// Exposure that replaces the scene's own: 1 lux is shown as 2^−EV.
     pub exposure_ev: Option<f32>,
     /// Folder for cached scenes; the platform's without.
@@ -120,6 +123,7 @@ impl HeadlessOptions {
             adapter: None,
             allow_software: true,
             wait: false,
+            predictor: Predictor::default(),
             exposure_ev: None,
             cache_dir: None,
             connect_timeout: Duration::from_secs(5),
@@ -186,7 +190,8 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
     let exposure = Exposure::of_scene(&scene, &occluders);
     let exposure = options.exposure_ev.map_or(exposure, |ev| exposure.at_ev(ev));
-    let renderer = FrameRenderer::new(&gpu, &scene, shape, exposure, PICTURE_FORMAT)?;
+    let renderer =
+        FrameRenderer::new(&gpu, &scene, (options.width, options.height), exposure, PICTURE_FORMAT, options.predictor)?;
     let picture_reader = PictureReader::new(&gpu, options.width, options.height, PICTURES_AHEAD);
     drop(scene);
 

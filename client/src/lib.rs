@@ -15,6 +15,7 @@ pub mod net;
 pub mod occluders;
 pub mod pictures;
 pub mod pose_history;
+pub mod predictor;
 pub mod probe;
 mod progress;
 pub mod render;

@@ -34,14 +34,14 @@ pub struct View {
     pub height: u32,
     /// Half the picture's height on the plane at distance 1.
     pub up: Vec3,
-    /// Planes of the mask that fits this picture, or 0 when there is none.
-    pub mask_lights: u32,
+    /// How much predicted visibility counts, 0 to 1, against what the client knows without a server.
+    pub visibility_share: f32,
 }
 
 impl View {
     /// What the shaders need of `camera`, in the space whose origin lies at `origin_m` of the world.
     #[must_use]
-    pub fn new(camera: &Camera, origin_m: DVec3, mask_lights: u32) -> Self {
+    pub fn new(camera: &Camera, origin_m: DVec3, visibility_share: f32) -> Self {
         let basis = camera.ray_basis(origin_m);
         Self {
             clip_from_local: camera.clip_from_local(origin_m),
@@ -53,9 +53,41 @@ impl View {
             right: basis.right,
             height: camera.height,
             up: basis.up,
-            mask_lights,
+            visibility_share,
         }
     }
+}
+
+/// What prediction works from. Twin of `Prediction` in `predict.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Prediction {
+    /// The view that the mask was traced for, with the mask's size.
+    pub mask_view: View,
+    /// What the mask says of the picture's view: 0 nothing, 1 it was traced for this very view, 2 for another one.
+    pub source: u32,
+    /// 0 none, 1 the dissertation's, 2 by surface.
+    pub predictor: u32,
+    /// What the dissertation's predictor does with unknown points: 0 lights them, 1 shadows them, 2 copies.
+    pub unknown: u32,
+    /// A bit for each light.
+    pub lights: u32,
+}
+
+/// A light's view of the scene, in a square of the shadow map. Twin of `ShadowView` in `shadow_map.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct ShadowView {
+    /// Reversed-Z clip space from local space.
+    pub clip_from_local: Mat4,
+    /// Left edge of the square, in texels.
+    pub left: f32,
+    /// Top edge of the square, in texels.
+    pub top: f32,
+    /// Side of the square, in texels.
+    pub side: f32,
+    /// Side of a texel in metres: at distance 1, or anywhere for a directional light.
+    pub texel_m: f32,
 }
 
 /// A material. Twin of `Material` in `material.wgsl`.
@@ -106,8 +138,10 @@ pub struct Light {
     pub cone_scale: f32,
     /// Offset of the cone's falloff.
     pub cone_offset: f32,
+    /// The light's first view in the shadow map.
+    pub shadow_view: u32,
     /// Fills the last 16 bytes.
-    pub unused: [f32; 3],
+    pub unused: [f32; 2],
 }
 
 impl Light {
@@ -133,7 +167,8 @@ impl Light {
             intensity: light.color * light.intensity * exposure,
             cone_scale,
             cone_offset,
-            unused: [0.0; 3],
+            shadow_view: 0,
+            unused: [0.0; 2],
         }
     }
 
@@ -243,13 +278,15 @@ mod tests {
         assert_layout!(
             "shading/shade.wgsl",
             View,
-            [clip_from_local, origin, near_m, forward, width, right, height, up, mask_lights]
+            [clip_from_local, origin, near_m, forward, width, right, height, up, visibility_share]
         );
+        assert_layout!("shading/predict.wgsl", Prediction, [mask_view, source, predictor, unknown, lights]);
+        assert_layout!("shading/predict.wgsl", ShadowView, [clip_from_local, left, top, side, texel_m]);
         assert_layout!("shading/gbuffer.wgsl", Material, [base_color, alpha_cutoff, index, wrap_u, wrap_v]);
         assert_layout!(
             "shading/shade.wgsl",
             Light,
-            [position, kind, direction, inverse_range, intensity, cone_scale, cone_offset]
+            [position, kind, direction, inverse_range, intensity, cone_scale, cone_offset, shadow_view]
         );
         assert_layout!(
             "shading/shade.wgsl",
@@ -261,7 +298,7 @@ mod tests {
 
     #[test]
     fn every_shading_shader_is_valid() {
-        for name in ["gbuffer", "shade", "blend", "tone"] {
+        for name in ["gbuffer", "depth", "mask_words", "predict", "shade", "blend", "tone"] {
             let text = splice(&format!("shading/{name}.wgsl")).unwrap();
             let module = naga::front::wgsl::parse_str(&text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
             naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())

@@ -73,7 +73,7 @@ impl BlendPass {
     pub(crate) fn encode(
         &self,
         encoder: &mut wgpu::CommandEncoder,
-        targets: &Targets,
+        (targets, depth): (&Targets, &wgpu::TextureView),
         scene: &SceneUpload,
         shade_group: &wgpu::BindGroup,
         eye: Vec3,
@@ -95,7 +95,7 @@ impl BlendPass {
             })],
             // Read-only: the same depth is tested against and read by the shader.
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &targets.depth,
+                view: depth,
                 depth_ops: None,
                 stencil_ops: None,
             }),

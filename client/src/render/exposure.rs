@@ -9,6 +9,7 @@ use gnomon_shaders::{
     shading::{Light, Lighting, MAX_LIGHTS, Tone},
 };
 
+use super::predict::shadow_map;
 use crate::occluders::Occluders;
 
 /// Points that are lit.
@@ -85,8 +86,10 @@ impl Exposure {
             horizon: HORIZON,
             ..bytemuck::Zeroable::zeroed()
         };
+        let mut shadow_view = 0;
         for (place, light) in lighting.lights.iter_mut().zip(lights) {
-            *place = Light::new(light, self.scale);
+            *place = Light { shadow_view, ..Light::new(light, self.scale) };
+            shadow_view += shadow_map::views_of(light.kind);
             lighting.count += 1;
         }
         debug_assert!(lights.len() <= MAX_LIGHTS);

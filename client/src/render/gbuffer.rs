@@ -32,7 +32,7 @@ impl GbufferPass {
             label: Some("G-buffer"),
             entries: &[wgpu::BindGroupLayoutEntry {
                 binding: 0,
-                visibility: wgpu::ShaderStages::VERTEX,
+                visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
                 ty: uniform::<View>(),
                 count: None,
             }],
@@ -83,12 +83,17 @@ impl GbufferPass {
         Ok(Self { group, pipelines })
     }
 
-    pub(crate) fn encode(&self, encoder: &mut wgpu::CommandEncoder, targets: &Targets, scene: &SceneUpload) {
+    pub(crate) fn encode(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        (targets, depth): (&Targets, &wgpu::TextureView),
+        scene: &SceneUpload,
+    ) {
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("G-buffer"),
             color_attachments: &[cleared(&targets.color), cleared(&targets.normal_material)],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &targets.depth,
+                view: depth,
                 depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
                 stencil_ops: None,
             }),

@@ -1,11 +1,11 @@
-//! The frame renderer: G-buffer → shading with the visibility mask → blended surfaces → tone mapping.
+//! The frame renderer: G-buffer → prediction of the visibility → shading with it → blended surfaces → tone mapping.
 //!
 //! It draws into whatever view it is given and knows nothing of files, windows or the network.
 
 mod blend;
 pub mod exposure;
 mod gbuffer;
-mod mask_upload;
+pub mod predict;
 pub mod readback;
 mod scene_upload;
 mod shade;
@@ -19,7 +19,6 @@ mod tone;
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_shaders::{
     camera::Camera,
     gpu::Gpu,
@@ -31,9 +30,16 @@ use thiserror::Error;
 use wgpu::util::DeviceExt as _;
 
 use self::{
-    blend::BlendPass, exposure::Exposure, gbuffer::GbufferPass, mask_upload::MaskUpload, scene_upload::SceneUpload,
-    shade::ShadePass, targets::Targets, tone::TonePass,
+    blend::BlendPass,
+    exposure::Exposure,
+    gbuffer::GbufferPass,
+    predict::{MaskView, PredictPass, depth_history::DepthHistory},
+    scene_upload::SceneUpload,
+    shade::ShadePass,
+    targets::Targets,
+    tone::TonePass,
 };
+use crate::predictor::Predictor;
 
 /// What a picture is made of, unless a window wants it otherwise: sRGB-encoded bytes.
 pub const PICTURE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
@@ -68,7 +74,8 @@ pub struct FrameRenderer {
     view: wgpu::Buffer,
     scene: SceneUpload,
     targets: Targets,
-    mask: MaskUpload,
+    history: DepthHistory,
+    predict: PredictPass,
     gbuffer: GbufferPass,
     shade: ShadePass,
     blend: BlendPass,
@@ -77,34 +84,31 @@ pub struct FrameRenderer {
 }
 
 impl FrameRenderer {
-    /// Uploads `scene` and makes the passes for masks, and so pictures, of `shape`. Pictures are drawn into views of
-    /// `format`, which must not be an sRGB format: the tone pass encodes.
+    /// Uploads `scene` and makes the passes for pictures of this size. Pictures are drawn into views of `format`, which must
+    /// not be an sRGB format: the tone pass encodes.
     ///
     /// # Errors
     /// When the scene or the picture is too large for the adapter, or it fails.
     pub fn new(
         gpu: &Gpu,
         scene: &Scene,
-        shape: MaskShape,
+        (width, height): (u32, u32),
         exposure: Exposure,
         format: wgpu::TextureFormat,
+        predictor: Predictor,
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
         let failure = watch(device);
         let limits = device.limits();
-        let side = shape.width().max(shape.height());
+        let side = width.max(height);
         if side > limits.max_texture_dimension_2d {
             let limit = limits.max_texture_dimension_2d.into();
             return Err(RenderError::TooLarge { what: "picture side", needed: side.into(), limit });
         }
-        let (needed, limit) = (MaskUpload::bytes(shape), limits.max_storage_buffer_binding_size);
-        if needed > limit {
-            return Err(RenderError::TooLarge { what: "visibility mask", needed, limit });
-        }
         // Anisotropic filtering is nearly free on a GPU and costs several times the rest of the frame in software.
         let scene_upload = SceneUpload::new(device, &gpu.queue, scene, if gpu.is_software() { 1 } else { 8 })?;
-        let targets = Targets::new(device, shape.width(), shape.height());
-        let mask = MaskUpload::new(device, shape);
+        let targets = Targets::new(device, width, height);
+        let history = DepthHistory::new(device, width, height);
         let view = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("view"),
             size: size_of::<View>() as u64,
@@ -112,7 +116,10 @@ impl FrameRenderer {
             mapped_at_creation: false,
         });
         let gbuffer = GbufferPass::new(device, &view, &scene_upload.material_layout)?;
-        let shade = ShadePass::new(device, &view, &mask, &targets, scene, exposure)?;
+        let lighting = constant(device, "lighting", &exposure.lighting(&scene.lights));
+        let constants = (&view, &lighting);
+        let predict = PredictPass::new(gpu, scene, &scene_upload, &targets, &history, constants, predictor)?;
+        let shade = ShadePass::new(device, constants, &targets, &history, scene)?;
         let blend = BlendPass::new(device, shade.layout(), &scene_upload)?;
         let tone = TonePass::new(device, &targets, format)?;
         let renderer = Self {
@@ -122,7 +129,8 @@ impl FrameRenderer {
             view,
             scene: scene_upload,
             targets,
-            mask,
+            history,
+            predict,
             gbuffer,
             shade,
             blend,
@@ -145,44 +153,88 @@ impl FrameRenderer {
     /// # Errors
     /// When the adapter failed.
     pub fn draw_surfaces(&mut self, camera: &Camera) -> Result<(), RenderError> {
-        self.write_view(camera, 0);
-        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.gbuffer.encode(&mut encoder, &self.targets, &self.scene);
+        let camera = self.sized(camera);
+        self.write_view(&camera, 1.0);
+        self.history.begin(&camera, self.predict.kept());
+        let mut encoder = self.encoder();
+        self.gbuffer.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene);
         self.gpu.queue.submit([encoder.finish()]);
         self.check()
     }
 
-    /// Takes the mask that the next pictures are shaded with, until another one comes; `None`, or one of another shape
-    /// than the picture's, means that every light reaches everything. Whether the mask is used is the answer.
-    pub fn set_mask(&mut self, mask: Option<&Mask>) -> bool {
-        self.mask.write(&self.gpu.queue, mask)
+    /// Takes the mask that the next pictures' visibility is predicted from, until another one comes. `None`, or one that
+    /// has not the scene's lights or its camera's size, leaves the client to what it knows by itself. Whether the mask is
+    /// used is the answer.
+    ///
+    /// # Errors
+    /// When the adapter cannot hold a mask of this size.
+    pub fn set_mask(&mut self, mask: Option<MaskView<'_>>) -> Result<bool, RenderError> {
+        let mut encoder = self.encoder();
+        let used = self.predict.set_mask(&self.gpu, &mut encoder, mask)?;
+        self.gpu.queue.submit([encoder.finish()]);
+        Ok(used)
+    }
+
+    /// How visibility is carried over from the mask's view, from the next picture on.
+    pub fn set_predictor(&mut self, predictor: Predictor) {
+        self.predict.predictor = predictor;
     }
 
     /// Shades the surfaces that [`Self::draw_surfaces`] drew for the same `camera`, into `target`, and hands the work
-    /// over together with whatever `more` adds to it (a copy to the host, say).
+    /// over together with whatever `more` adds to it (a copy to the host, say). `visibility_share`, from 0 to 1, is how much
+    /// the predicted visibility counts against what the client knows by itself.
     ///
     /// # Errors
     /// When the adapter failed.
     pub fn shade(
         &mut self,
         camera: &Camera,
+        visibility_share: f32,
         target: &wgpu::TextureView,
         more: impl FnOnce(&mut wgpu::CommandEncoder),
     ) -> Result<wgpu::SubmissionIndex, RenderError> {
-        self.write_view(camera, self.mask.lights());
-        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.shade.encode(&mut encoder, &self.targets);
+        let camera = self.sized(camera);
+        self.write_view(&camera, visibility_share.clamp(0.0, 1.0));
+        let mut encoder = self.encoder();
+        let pictures = (&self.targets, &self.history, &self.scene);
+        self.predict.encode(&self.gpu, &mut encoder, (&camera, self.origin_m), pictures);
+        self.shade.encode(&mut encoder, &self.targets, &self.history);
         let eye = (camera.position_m - self.origin_m).as_vec3();
-        self.blend.encode(&mut encoder, &self.targets, &self.scene, self.shade.group(), eye);
+        let group = self.shade.group(&self.history);
+        self.blend.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene, group, eye);
         self.tone.encode(&mut encoder, target);
         more(&mut encoder);
         let submission = self.gpu.queue.submit([encoder.finish()]);
         self.check().map(|()| submission)
     }
 
-    fn write_view(&self, camera: &Camera, mask_lights: u32) {
-        let camera = Camera { width: self.targets.width, height: self.targets.height, ..*camera };
-        let view = View::new(&camera, self.origin_m, mask_lights);
+    /// Share of the picture's pixels whose visibility the mask said something of (the sky counts), in the newest picture
+    /// whose count has come back: nothing is waited for.
+    #[must_use]
+    pub fn known_share(&mut self) -> Option<f64> {
+        self.predict.known_share()
+    }
+
+    /// The visibility that the last picture was shaded with: a word a pixel, row by row, bit k of which is light k. Waits for
+    /// the adapter: for measuring, not for frames.
+    ///
+    /// # Errors
+    /// When the adapter failed.
+    pub fn read_visibility(&self) -> Result<Vec<u32>, RenderError> {
+        let words = readback::texels(&self.gpu, &self.targets.visibility, wgpu::TextureAspect::All)?;
+        Ok(words.as_chunks::<8>().0.iter().map(|[a, b, c, d, ..]| u32::from_le_bytes([*a, *b, *c, *d])).collect())
+    }
+
+    fn sized(&self, camera: &Camera) -> Camera {
+        Camera { width: self.targets.width, height: self.targets.height, ..*camera }
+    }
+
+    fn encoder(&self) -> wgpu::CommandEncoder {
+        self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+
+    fn write_view(&self, camera: &Camera, visibility_share: f32) {
+        let view = View::new(camera, self.origin_m, visibility_share);
         self.gpu.queue.write_buffer(&self.view, 0, bytemuck::bytes_of(&view));
     }
 
@@ -240,13 +292,14 @@ fn shader(device: &wgpu::Device, path: &'static str) -> Result<wgpu::ShaderModul
 fn covering_pipeline(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,
-    layout: &wgpu::BindGroupLayout,
+    layouts: &[&wgpu::BindGroupLayout],
     fragment: &'static str,
     format: wgpu::TextureFormat,
 ) -> wgpu::RenderPipeline {
+    let groups: Vec<_> = layouts.iter().copied().map(Some).collect();
     let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some(fragment),
-        bind_group_layouts: &[Some(layout)],
+        bind_group_layouts: &groups,
         immediate_size: 0,
     });
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {

@@ -126,6 +126,37 @@ impl PictureReader {
     }
 }
 
+/// A texture's rows on the host, without their padding. Waits for the adapter.
+///
+/// # Errors
+/// When the adapter failed.
+pub(crate) fn texels(gpu: &Gpu, view: &wgpu::TextureView, aspect: wgpu::TextureAspect) -> Result<Vec<u8>, RenderError> {
+    let texture = view.texture();
+    let row = texture.width() * texture.format().block_copy_size(Some(aspect)).unwrap_or(TEXEL_BYTES);
+    let padded = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("texels"),
+        size: u64::from(padded) * u64::from(texture.height()),
+        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+        mapped_at_creation: false,
+    });
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    encoder.copy_texture_to_buffer(
+        wgpu::TexelCopyTextureInfo { texture, mip_level: 0, origin: wgpu::Origin3d::ZERO, aspect },
+        wgpu::TexelCopyBufferInfo {
+            buffer: &buffer,
+            layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(padded), rows_per_image: None },
+        },
+        texture.size(),
+    );
+    gpu.queue.submit([encoder.finish()]);
+    buffer.map_async(wgpu::MapMode::Read, .., |_| ());
+    let failed = |reason: &dyn std::fmt::Display| RenderError::Device(reason.to_string());
+    gpu.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|error| failed(&error))?;
+    let mapped = buffer.get_mapped_range(..).map_err(|error| failed(&error))?;
+    Ok(mapped.chunks_exact(padded as usize).flat_map(|line| line[..row as usize].to_vec()).collect())
+}
+
 /// Bytes from one row of a copied picture to the next.
 fn row_bytes(width: u32) -> u32 {
     (width * TEXEL_BYTES).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT)

@@ -1,4 +1,4 @@
-//! The shading pass: every light with its bit, on every pixel's surface; the sky where there is none.
+//! The shading pass: every light with its visibility, on every pixel's surface; the sky where there is none.
 
 use glam::Vec4;
 use gnomon_shaders::{
@@ -8,9 +8,9 @@ use gnomon_shaders::{
 use wgpu::util::DeviceExt as _;
 
 use super::{
-    RenderError, cleared, constant, covering_pipeline,
-    exposure::{EMISSIVE, Exposure},
-    mask_upload::MaskUpload,
+    RenderError, cleared, covering_pipeline,
+    exposure::EMISSIVE,
+    predict::depth_history::DepthHistory,
     shader,
     targets::{LIGHT, Targets},
     uniform,
@@ -20,20 +20,19 @@ use super::{
 #[derive(Debug)]
 pub(crate) struct ShadePass {
     layout: wgpu::BindGroupLayout,
-    group: wgpu::BindGroup,
+    /// By the place of the picture's depth in the history.
+    groups: Vec<wgpu::BindGroup>,
     pipeline: wgpu::RenderPipeline,
 }
 
 impl ShadePass {
     pub(crate) fn new(
         device: &wgpu::Device,
-        view: &wgpu::Buffer,
-        mask: &MaskUpload,
+        (view, lighting): (&wgpu::Buffer, &wgpu::Buffer),
         targets: &Targets,
+        history: &DepthHistory,
         scene: &Scene,
-        exposure: Exposure,
     ) -> Result<Self, RenderError> {
-        let lighting = constant(device, "lighting", &exposure.lighting(&scene.lights));
         let mut emitted: Vec<Vec4> =
             scene.materials.iter().map(|material| (material.emissive * EMISSIVE).extend(0.0)).collect();
         // A binding cannot be empty.
@@ -45,43 +44,46 @@ impl ShadePass {
         });
         let layout = layout(device);
         let picture = wgpu::BindingResource::TextureView;
-        let resources = [
-            view.as_entire_binding(),
-            lighting.as_entire_binding(),
-            mask.binding(),
-            emitted.as_entire_binding(),
-            picture(&targets.depth),
-            picture(&targets.color),
-            picture(&targets.normal_material),
-        ];
-        let entries: Vec<_> =
-            (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("shading"),
-            layout: &layout,
-            entries: &entries,
-        });
+        let group = |depth| {
+            let resources = [
+                view.as_entire_binding(),
+                lighting.as_entire_binding(),
+                picture(&targets.visibility),
+                emitted.as_entire_binding(),
+                picture(depth),
+                picture(&targets.color),
+                picture(&targets.normal_material),
+            ];
+            let entries: Vec<_> =
+                (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("shading"),
+                layout: &layout,
+                entries: &entries,
+            })
+        };
+        let groups = history.views().map(group).collect();
         let module = shader(device, "shading/shade.wgsl")?;
-        let pipeline = covering_pipeline(device, &module, &layout, "shade", LIGHT);
-        Ok(Self { layout, group, pipeline })
+        let pipeline = covering_pipeline(device, &module, &[&layout], "shade", LIGHT);
+        Ok(Self { layout, groups, pipeline })
     }
 
     pub(crate) fn layout(&self) -> &wgpu::BindGroupLayout {
         &self.layout
     }
 
-    pub(crate) fn group(&self) -> &wgpu::BindGroup {
-        &self.group
+    pub(crate) fn group(&self, history: &DepthHistory) -> &wgpu::BindGroup {
+        &self.groups[history.current()]
     }
 
-    pub(crate) fn encode(&self, encoder: &mut wgpu::CommandEncoder, targets: &Targets) {
+    pub(crate) fn encode(&self, encoder: &mut wgpu::CommandEncoder, targets: &Targets, history: &DepthHistory) {
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("shading"),
             color_attachments: &[cleared(&targets.light)],
             ..wgpu::RenderPassDescriptor::default()
         });
         pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, &self.group, &[]);
+        pass.set_bind_group(0, self.group(history), &[]);
         pass.draw(0..3, 0..1);
     }
 }
@@ -100,7 +102,7 @@ fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     let bindings = [
         uniform::<View>(),
         uniform::<Lighting>(),
-        storage,
+        picture(wgpu::TextureSampleType::Uint),
         storage,
         picture(wgpu::TextureSampleType::Depth),
         picture(wgpu::TextureSampleType::Float { filterable: false }),

@@ -2,9 +2,11 @@
 
 /// What the G-buffer's first colour target holds: base colour.
 pub(crate) const COLOR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
-/// What its second one holds: packed normal, and material + 1.
+/// What its second one holds: packed shading normal; packed material and plane normal.
 pub(crate) const NORMAL_MATERIAL: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
-/// Reversed-Z depth.
+/// What prediction finds: the lights that reach a pixel, and those that the client alone would say do.
+pub(crate) const VISIBILITY: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
+/// Reversed-Z depth, kept in [`super::predict::depth_history`].
 pub(crate) const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// Shaded light, before tone mapping.
 pub(crate) const LIGHT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
@@ -14,9 +16,9 @@ pub(crate) const LIGHT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 pub(crate) struct Targets {
     pub(crate) width: u32,
     pub(crate) height: u32,
-    pub(crate) depth: wgpu::TextureView,
     pub(crate) color: wgpu::TextureView,
     pub(crate) normal_material: wgpu::TextureView,
+    pub(crate) visibility: wgpu::TextureView,
     pub(crate) light: wgpu::TextureView,
 }
 
@@ -30,9 +32,9 @@ impl Targets {
         Self {
             width,
             height,
-            depth: picture("depth", DEPTH),
             color: picture("base colour", COLOR),
             normal_material: picture("normal and material", NORMAL_MATERIAL),
+            visibility: picture("visibility", VISIBILITY),
             light: picture("light", LIGHT),
         }
     }

@@ -11,9 +11,10 @@ use gnomon_shaders::{
 use super::{
     FrameRenderer, PICTURE_FORMAT,
     exposure::Exposure,
+    predict::MaskView,
     readback::{Picture, PictureReader},
 };
-use crate::occluders::Occluders;
+use crate::{occluders::Occluders, predictor::Predictor};
 
 /// An adapter; software will do. There always is one where tests run.
 pub(crate) fn gpu() -> Gpu {
@@ -73,19 +74,21 @@ pub(crate) fn camera(width: u32, height: u32) -> Camera {
     Camera::looking_at(origin + DVec3::new(0.0, 1.4, 3.0), origin + DVec3::new(0.0, 0.4, 0.0), 1.1, width, height)
 }
 
-/// A renderer of `scene` at this size.
+/// A renderer of `scene` at this size, which takes masks as they are.
 pub(crate) fn renderer(gpu: &Gpu, scene: &Scene, shape: MaskShape) -> FrameRenderer {
     let exposure = Exposure::of_scene(scene, &Occluders::largest_of(scene));
-    FrameRenderer::new(gpu, scene, shape, exposure, PICTURE_FORMAT).unwrap()
+    FrameRenderer::new(gpu, scene, (shape.width(), shape.height()), exposure, PICTURE_FORMAT, Predictor::None).unwrap()
 }
 
 /// One picture.
 pub(crate) fn draw(gpu: &Gpu, renderer: &mut FrameRenderer, camera: &Camera, mask: Option<&Mask>) -> Picture {
     let mut reader = PictureReader::new(gpu, camera.width, camera.height, 1);
     renderer.draw_surfaces(camera).unwrap();
-    renderer.set_mask(mask);
+    let traced_for = mask.map(|mask| Camera { width: mask.shape().width(), height: mask.shape().height(), ..*camera });
+    let mask = mask.zip(traced_for.as_ref()).map(|(mask, traced_for)| MaskView { mask, traced_for });
+    renderer.set_mask(mask).unwrap();
     let target = reader.target();
-    let submission = renderer.shade(camera, &target, |encoder| reader.copy(encoder)).unwrap();
+    let submission = renderer.shade(camera, 1.0, &target, |encoder| reader.copy(encoder)).unwrap();
     reader.submitted(0, submission, true);
     reader.take_oldest().unwrap().unwrap().unwrap()
 }

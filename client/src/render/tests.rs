@@ -4,7 +4,6 @@ use glam::{DVec3, Vec3, Vec4};
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_shaders::{
     camera::{Camera, NEAR_M},
-    gpu::Gpu,
     scene::{AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap},
     shading,
 };
@@ -12,36 +11,10 @@ use gnomon_shaders::{
 use super::{
     FrameRenderer, PICTURE_FORMAT,
     exposure::{self, Exposure},
+    readback::texels,
     testing::{camera, draw, floor_and_lights, gpu, renderer},
 };
-use crate::occluders::Occluders;
-
-/// A texture's rows, without their padding.
-fn read(gpu: &Gpu, view: &wgpu::TextureView, texel_bytes: u32, aspect: wgpu::TextureAspect) -> Vec<u8> {
-    let texture = view.texture();
-    let row = texture.width() * texel_bytes;
-    let padded = row.next_multiple_of(256);
-    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: None,
-        size: u64::from(padded) * u64::from(texture.height()),
-        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-        mapped_at_creation: false,
-    });
-    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    encoder.copy_texture_to_buffer(
-        wgpu::TexelCopyTextureInfo { texture, mip_level: 0, origin: wgpu::Origin3d::ZERO, aspect },
-        wgpu::TexelCopyBufferInfo {
-            buffer: &buffer,
-            layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(padded), rows_per_image: None },
-        },
-        texture.size(),
-    );
-    gpu.queue.submit([encoder.finish()]);
-    buffer.map_async(wgpu::MapMode::Read, .., |_| ());
-    gpu.device.poll(wgpu::PollType::wait_indefinitely()).unwrap();
-    let mapped = buffer.get_mapped_range(..).unwrap();
-    mapped.chunks_exact(padded as usize).flat_map(|line| line[..row as usize].to_vec()).collect()
-}
+use crate::{occluders::Occluders, predictor::Predictor};
 
 /// Material and depth of the nearest surface on a pixel's ray, and how near the ray comes to one of its edges.
 fn nearest(scene: &Scene, camera: &Camera, x: u32, y: u32) -> (u32, f64, f64) {
@@ -79,11 +52,11 @@ fn the_g_buffer_holds_the_surface_that_each_pixels_centre_sees() {
     let camera = camera(150, 83);
     let mut renderer = renderer(&gpu, &scene, shape);
     renderer.draw_surfaces(&camera).unwrap();
-    let surfaces = read(&gpu, &renderer.targets.normal_material, 8, wgpu::TextureAspect::All);
+    let surfaces = texels(&gpu, &renderer.targets.normal_material, wgpu::TextureAspect::All).unwrap();
     let surfaces: &[[u32; 2]] = bytemuck::cast_slice(&surfaces);
-    let depths = read(&gpu, &renderer.targets.depth, 4, wgpu::TextureAspect::DepthOnly);
+    let depths = texels(&gpu, renderer.history.view(), wgpu::TextureAspect::DepthOnly).unwrap();
     let depths: &[f32] = bytemuck::cast_slice(&depths);
-    let colors = read(&gpu, &renderer.targets.color, 4, wgpu::TextureAspect::All);
+    let colors = texels(&gpu, &renderer.targets.color, wgpu::TextureAspect::All).unwrap();
     let mut seen = [0; 3];
     for y in 0..83 {
         for x in 0..150 {
@@ -93,7 +66,7 @@ fn the_g_buffer_holds_the_surface_that_each_pixels_centre_sees() {
             if margin < 1e-4 {
                 continue;
             }
-            assert_eq!(surfaces[place][1], material, "({x}, {y})");
+            assert_eq!(surfaces[place][1] & 0xffff, material, "({x}, {y})");
             seen[material as usize] += 1;
             if material == 0 {
                 assert_eq!(depths[place], 0.0);
@@ -128,7 +101,15 @@ fn a_bit_of_0_removes_exactly_its_light() {
             for (k, light) in part.lights.iter_mut().enumerate() {
                 light.intensity *= if bits >> k & 1 == 1 { 1.0 } else { 0.0 };
             }
-            let mut renderer = FrameRenderer::new(&gpu, &part, shape, exposure, PICTURE_FORMAT).unwrap();
+            let mut renderer = FrameRenderer::new(
+                &gpu,
+                &part,
+                (shape.width(), shape.height()),
+                exposure,
+                PICTURE_FORMAT,
+                Predictor::None,
+            )
+            .unwrap();
             draw(&gpu, &mut renderer, &camera, None).rgba
         })
         .collect();
@@ -190,7 +171,7 @@ fn lights_fall_off_with_distance_range_and_cone_as_the_host_computes_it() {
     let camera = camera(width, height);
     let exposure = Exposure::of_scene(&floor_and_lights(), &Occluders::default()).at_ev(1.0);
     let mut renderer =
-        FrameRenderer::new(&gpu, &scene, MaskShape::new(width, height, 2).unwrap(), exposure, PICTURE_FORMAT).unwrap();
+        FrameRenderer::new(&gpu, &scene, (width, height), exposure, PICTURE_FORMAT, Predictor::None).unwrap();
     let picture = draw(&gpu, &mut renderer, &camera, None).rgba;
     let lighting = exposure.lighting(&scene.lights);
     let mut counts = [[0; 2]; 2];
@@ -229,7 +210,9 @@ fn a_surface_too_bright_for_any_number_is_white() {
     let shape = MaskShape::new(96, 54, 1).unwrap();
     let camera = camera(96, 54);
     let exposure = Exposure::of_scene(&scene, &Occluders::default()).at_ev(0.0);
-    let mut renderer = FrameRenderer::new(&gpu, &scene, shape, exposure, PICTURE_FORMAT).unwrap();
+    let mut renderer =
+        FrameRenderer::new(&gpu, &scene, (shape.width(), shape.height()), exposure, PICTURE_FORMAT, Predictor::None)
+            .unwrap();
     let picture = draw(&gpu, &mut renderer, &camera, None).rgba;
     let mut seen = 0;
     for place in 0..96 * 54 {
@@ -277,7 +260,7 @@ fn a_masked_surface_has_holes_where_its_full_size_alpha_says_so() {
     let camera = camera(160, 90);
     let mut renderer = renderer(&gpu, &scene, shape);
     renderer.draw_surfaces(&camera).unwrap();
-    let surfaces = read(&gpu, &renderer.targets.normal_material, 8, wgpu::TextureAspect::All);
+    let surfaces = texels(&gpu, &renderer.targets.normal_material, wgpu::TextureAspect::All).unwrap();
     let surfaces: &[[u32; 2]] = bytemuck::cast_slice(&surfaces);
     let (mut holes, mut leaves) = (0, 0);
     for (place, surface) in (0_u32..).zip(surfaces) {
@@ -288,7 +271,7 @@ fn a_masked_surface_has_holes_where_its_full_size_alpha_says_so() {
         let inside = point.x.abs() < 0.49 && (0.01..0.99).contains(&point.y);
         // Halfway between the second and the third column of texels, the bilinear alpha is a half.
         if inside && point.x.abs() > 0.005 {
-            assert_eq!(surface[1] == 2, point.x > 0.0, "({x}, {y}) sees the wall at {point}");
+            assert_eq!(surface[1] & 0xffff == 2, point.x > 0.0, "({x}, {y}) sees the wall at {point}");
             *(if point.x > 0.0 { &mut leaves } else { &mut holes }) += 1;
         }
     }
@@ -313,7 +296,9 @@ fn blended_surfaces_let_through_what_their_alpha_leaves() {
     let camera = camera(96, 54);
     let exposure = Exposure::of_scene(&plain, &Occluders::largest_of(&plain));
     let picture = |scene: &Scene| {
-        let mut renderer = FrameRenderer::new(&gpu, scene, shape, exposure, PICTURE_FORMAT).unwrap();
+        let mut renderer =
+            FrameRenderer::new(&gpu, scene, (shape.width(), shape.height()), exposure, PICTURE_FORMAT, Predictor::None)
+                .unwrap();
         draw(&gpu, &mut renderer, &camera, None).rgba
     };
     let (without, with) = (picture(&plain), picture(&scene));

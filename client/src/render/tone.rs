@@ -47,7 +47,7 @@ impl TonePass {
             ],
         });
         let module = shader(device, "shading/tone.wgsl")?;
-        let pipeline = covering_pipeline(device, &module, &layout, "show", format);
+        let pipeline = covering_pipeline(device, &module, &[&layout], "show", format);
         Ok(Self { group, pipeline })
     }
 

@@ -23,17 +23,17 @@ fn transform(vertex: Vertex) -> Varying {
     return Varying(clip, vertex.position, vertex.normal, vertex.uv);
 }
 
-// Whether light k reaches the surface behind the pixel.
-fn reaches(k: u32, pixel: vec2u) -> bool {
+// How much of light k reaches the surface behind the pixel.
+fn reached_behind(k: u32, pixel: vec2u) -> f32 {
     let behind = textureLoad(normal_material_picture, pixel, 0).xy;
-    if behind.y == 0u {
-        return true;
+    if material_plus_1(behind.y) == 0u {
+        return 1.0;
     }
     let light = arrival(lighting.lights[k], surface_point(pixel));
     if dot(unpack_normal(behind.x), light.toward) <= 0.0 || all(light.irradiance <= vec3f(0.0)) {
-        return true;
+        return 1.0;
     }
-    return lets_through(k, pixel);
+    return reached(k, textureLoad(visibility_picture, pixel, 0).xy);
 }
 
 @fragment
@@ -45,8 +45,8 @@ fn blend(input: Varying, @builtin(front_facing) front: bool) -> @location(0) vec
     for (var k = 0u; k < lighting.count; k++) {
         let light = arrival(lighting.lights[k], input.point);
         let facing = dot(normal, light.toward);
-        if facing > 0.0 && any(light.irradiance > vec3f(0.0)) && reaches(k, pixel) {
-            irradiance += light.irradiance * facing;
+        if facing > 0.0 && any(light.irradiance > vec3f(0.0)) {
+            irradiance += light.irradiance * (facing * reached_behind(k, pixel));
         }
     }
     return vec4f(kept(color.rgb * irradiance + emitted[material.index].rgb), color.a);

@@ -15,24 +15,34 @@ struct Varying {
     @builtin(position) clip: vec4f,
     @location(0) normal: vec3f,
     @location(1) uv: vec2f,
+    // From the eye to the surface: small numbers, so that their differences keep their digits.
+    @location(2) from_eye: vec3f,
 }
 
 struct Surface {
     // Linear base colour; the target encodes it as sRGB.
     @location(0) base_color: vec4f,
-    // Packed shading normal, and 1 + the material's index; 0 where there is no surface.
+    // Packed shading normal; packed material and plane normal, 0 where there is no surface.
     @location(1) normal_material: vec2u,
 }
 
 @vertex
 fn transform(vertex: Vertex) -> Varying {
-    return Varying(view.clip_from_local * vec4f(vertex.position, 1.0), vertex.normal, vertex.uv);
+    let clip = view.clip_from_local * vec4f(vertex.position, 1.0);
+    return Varying(clip, vertex.normal, vertex.uv, vertex.position - view.origin);
 }
 
 fn surface(input: Varying, front: bool) -> Surface {
     // The normal stays as the vertices have it on the front, and is negated when the back face is seen.
     let normal = normalize(select(-input.normal, input.normal, front));
-    return Surface(vec4f(base_color(input.uv).rgb, 1.0), vec2u(pack_normal(normal), material.index + 1u));
+    let across = cross(dpdx(input.from_eye), dpdy(input.from_eye));
+    // Normalised twice: the product of two small differences may be too small to be squared.
+    let plane = normalize(across / max(max(abs(across.x), abs(across.y)), max(abs(across.z), 1e-37)));
+    // A triangle seen edge-on has no such product: its shading normal has to do.
+    let plane_or_normal = select(normal, plane, any(across != vec3f(0.0)));
+    let toward_eye = select(plane_or_normal, -plane_or_normal, dot(plane_or_normal, input.from_eye) > 0.0);
+    let packed = vec2u(pack_normal(normal), pack_material(material.index, toward_eye));
+    return Surface(vec4f(base_color(input.uv).rgb, 1.0), packed);
 }
 
 @fragment

@@ -1,35 +1,27 @@
-// What the passes that shade read, and what the mask and the G-buffer say about a pixel.
+// What the passes that shade read, and what the visibility and the G-buffer say about a pixel.
 // `client/src/render/shade.rs` binds it.
 
 #import "shading/view.wgsl"
 #import "shading/lighting.wgsl"
-#import "shared/mask.wgsl"
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> lighting: Lighting;
-// The newest mask, plane after plane.
-@group(0) @binding(2) var<storage, read> mask: array<u32>;
+// What `predict.wgsl` found: bit k of x, and of y, is light k.
+@group(0) @binding(2) var visibility_picture: texture_2d<u32>;
 // Emitted light of every material, exposed.
 @group(0) @binding(3) var<storage, read> emitted: array<vec4f>;
 @group(0) @binding(4) var depth_picture: texture_depth_2d;
 @group(0) @binding(5) var color_picture: texture_2d<f32>;
 @group(0) @binding(6) var normal_material_picture: texture_2d<u32>;
 
-// Whether light k reaches the surface in a pixel. Lights that the mask has no plane for reach everything.
-fn lets_through(k: u32, pixel: vec2u) -> bool {
-    if k >= view.mask_lights {
-        return true;
-    }
-    let tiles_x = (view.width + TILE_PX - 1u) / TILE_PX;
-    let tiles = tiles_x * ((view.height + TILE_PX - 1u) / TILE_PX);
-    let tile = pixel.y / TILE_PX * tiles_x + pixel.x / TILE_PX;
-    let bit = mask_bit(pixel % TILE_PX);
-    return ((mask[mask_word(k, tiles, tile, bit)] >> (bit & 31u)) & 1u) == 1u;
+// How much of light k reaches the surface in a pixel: 0 or 1, and in between while the one source fades into the other.
+fn reached(k: u32, visibility: vec2u) -> f32 {
+    return mix(f32((visibility.y >> k) & 1u), f32((visibility.x >> k) & 1u), view.visibility_share);
 }
 
 // The point of the surface in a pixel, in local space.
 fn surface_point(pixel: vec2u) -> vec3f {
-    return view.origin + ray_of_pixel(view, pixel) * (view.near_m / textureLoad(depth_picture, pixel, 0));
+    return point_at_depth(view, pixel, textureLoad(depth_picture, pixel, 0));
 }
 
 // Light as its picture can hold it, whose 16-bit numbers end here: a surface close to a lamp would become infinitely

@@ -18,9 +18,10 @@ struct Light {
     // The cone's falloff is (cosine · scale + offset)², clamped to 0 and 1 before it is squared (KHR_lights_punctual).
     cone_scale: f32,
     cone_offset: f32,
+    // The light's first view in the shadow map.
+    shadow_view: u32,
     unused_0: f32,
     unused_1: f32,
-    unused_2: f32,
 }
 
 struct Lighting {

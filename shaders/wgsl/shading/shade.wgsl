@@ -15,20 +15,20 @@ fn sky(direction: vec3f) -> vec3f {
 fn shade(@builtin(position) place: vec4f) -> @location(0) vec4f {
     let pixel = vec2u(place.xy);
     let normal_material = textureLoad(normal_material_picture, pixel, 0).xy;
-    if normal_material.y == 0u {
+    let material = material_plus_1(normal_material.y);
+    if material == 0u {
         return vec4f(sky(ray_of_pixel(view, pixel)), 1.0);
     }
     let point = surface_point(pixel);
     let normal = unpack_normal(normal_material.x);
+    let visibility = textureLoad(visibility_picture, pixel, 0).xy;
     var irradiance = ambient(lighting.ambient_above, lighting.ambient_below, normal);
     for (var k = 0u; k < lighting.count; k++) {
         let light = arrival(lighting.lights[k], point);
         let facing = dot(normal, light.toward);
-        // An irrelevant light adds nothing, whatever its bit is, so its bit is not even read.
-        if facing > 0.0 && any(light.irradiance > vec3f(0.0)) && lets_through(k, pixel) {
-            irradiance += light.irradiance * facing;
-        }
+        // An irrelevant light adds nothing, whatever its bit is.
+        irradiance += light.irradiance * (max(facing, 0.0) * reached(k, visibility));
     }
     let color = textureLoad(color_picture, pixel, 0).rgb;
-    return vec4f(kept(color * irradiance + emitted[normal_material.y - 1u].rgb), 1.0);
+    return vec4f(kept(color * irradiance + emitted[material - 1u].rgb), 1.0);
 }

@@ -17,8 +17,8 @@ struct View {
     height: u32,
     // Half the picture's height on the plane at distance 1.
     up: vec3f,
-    // Planes of the mask that fits this picture, or 0 when there is none: then every light reaches every pixel.
-    mask_lights: u32,
+    // How much predicted visibility counts, 0 to 1, against what the client knows without a server.
+    visibility_share: f32,
 }
 
 // The direction of a pixel's ray, of which one unit is one metre of depth.
@@ -28,20 +28,47 @@ fn ray_of_pixel(view: View, pixel: vec2u) -> vec3f {
     return view.forward + x * view.right + y * view.up;
 }
 
-// A unit vector in two 16-bit numbers: the octahedral map of Meyer et al., "On Floating-Point Normal Vectors" (2010).
-fn pack_normal(n: vec3f) -> u32 {
-    var flat = n.xy / (abs(n.x) + abs(n.y) + abs(n.z));
-    if n.z < 0.0 {
-        flat = (1.0 - abs(flat.yx)) * select(vec2f(-1.0), vec2f(1.0), flat >= vec2f(0.0));
-    }
-    return pack2x16snorm(flat);
+// The point of a pixel's surface in local space, from its depth.
+fn point_at_depth(view: View, pixel: vec2u, depth: f32) -> vec3f {
+    return view.origin + ray_of_pixel(view, pixel) * (view.near_m / depth);
 }
 
-fn unpack_normal(bits: u32) -> vec3f {
-    let flat = unpack2x16snorm(bits);
+// A unit vector on a square: the octahedral map of Meyer et al., "On Floating-Point Normal Vectors" (2010).
+fn octahedral(n: vec3f) -> vec2f {
+    let flat = n.xy / (abs(n.x) + abs(n.y) + abs(n.z));
+    if n.z < 0.0 {
+        return (1.0 - abs(flat.yx)) * select(vec2f(-1.0), vec2f(1.0), flat >= vec2f(0.0));
+    }
+    return flat;
+}
+
+fn from_octahedral(flat: vec2f) -> vec3f {
     let z = 1.0 - abs(flat.x) - abs(flat.y);
     let fold = max(-z, 0.0);
     return normalize(vec3f(flat - select(vec2f(-fold), vec2f(fold), flat >= vec2f(0.0)), z));
+}
+
+// A unit vector in two 16-bit numbers.
+fn pack_normal(n: vec3f) -> u32 {
+    return pack2x16snorm(octahedral(n));
+}
+
+fn unpack_normal(bits: u32) -> vec3f {
+    return from_octahedral(unpack2x16snorm(bits));
+}
+
+// The second word of the G-buffer: 1 + the material's index in the lower half, 0 where there is no surface; in the upper half
+// the triangle's own normal, towards the eye, in two 8-bit numbers. Its error of up to 1/100 counts in `predict.wgsl`.
+fn pack_material(material: u32, plane_normal: vec3f) -> u32 {
+    return (material + 1u) | (pack4x8snorm(vec4f(octahedral(plane_normal), 0.0, 0.0)) << 16u);
+}
+
+fn material_plus_1(word: u32) -> u32 {
+    return word & 0xffffu;
+}
+
+fn unpack_plane_normal(word: u32) -> vec3f {
+    return from_octahedral(unpack4x8snorm(word >> 16u).xy);
 }
 
 // A triangle that covers the picture.

@@ -92,22 +92,38 @@ fn edge(a: vec2f, b: vec2f) -> f32 {
     return difference_of_products(a.x, b.y, a.y, b.x);
 }
 
-fn meet_triangle(ray: Ray, triangle: u32, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Meeting {
+// Twice the areas that the ray, seen along it, spans with the edges opposite the corners.
+fn areas_across(ray: Ray, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> vec3f {
     let to_a = corner_a - ray.origin;
     let to_b = corner_b - ray.origin;
     let to_c = corner_c - ray.origin;
     let a = vec2f(along_row(ray.shear_x, to_a), along_row(ray.shear_y, to_a));
     let b = vec2f(along_row(ray.shear_x, to_b), along_row(ray.shear_y, to_b));
     let c = vec2f(along_row(ray.shear_x, to_c), along_row(ray.shear_y, to_c));
-    let areas = vec3f(edge(c, b), edge(a, c), edge(b, a));
-    let area = areas.x + areas.y + areas.z;
+    return vec3f(edge(c, b), edge(a, c), edge(b, a));
+}
+
+const MISSED: Meeting = Meeting(-1.0, vec3f(0.0), false, false);
+
+fn meet_triangle(ray: Ray, triangle: u32, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Meeting {
+    let areas = areas_across(ray, corner_a, corner_b, corner_c);
     // Points on an edge belong to both of its triangles.
-    if (any(areas < vec3f(0.0)) && any(areas > vec3f(0.0))) || area == 0.0 {
-        return Meeting(-1.0, vec3f(0.0), false, false);
+    if any(areas < vec3f(0.0)) && any(areas > vec3f(0.0)) {
+        return MISSED;
+    }
+    return meet_plane(ray, triangle, areas, corner_a);
+}
+
+// The meeting with a triangle that the ray is known to pass through; `areas` are its `areas_across`.
+fn meet_plane(ray: Ray, triangle: u32, areas: vec3f, corner_a: vec3f) -> Meeting {
+    let area = areas.x + areas.y + areas.z;
+    if area == 0.0 {
+        return MISSED;
     }
     // Where the ray meets the plane, and not the corners' depths by their weights: of a thin triangle the weights are
     // quotients of small differences, and would be off by more than shadow rays are pushed off their surface.
     let normal = plane_normal(triangle);
+    let to_a = corner_a - ray.origin;
     let height = dot(normal, to_a);
     let clear = abs(height) > PLANE_ROUNDINGS * ROUNDING * dot(abs(normal), abs(to_a));
     return Meeting(height / dot(normal, ray.direction), areas / area, area > 0.0, clear);

@@ -7,69 +7,17 @@
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
-#import "shared/cwbvh.wgsl"
-#import "shared/alpha.wgsl"
+#import "visibility/work.wgsl"
+#import "visibility/traverse.wgsl"
 
 var<immediate> view: TracedView;
 
 // Tile after tile, 64 pixels each: xyz is where shadow rays start (bits of f32), w the lights that want one.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
-// Counts shadow rays.
+// What is counted: visibility/work.wgsl.
 @group(1) @binding(2) var<storage, read_write> work: array<atomic<u32>>;
 
 var<workgroup> tile_rays: atomic<u32>;
-
-struct Nearest {
-    // The triangle, or NOTHING.
-    triangle: u32,
-    weights: vec3f,
-    front: bool,
-}
-
-const NOTHING: u32 = 0xffffffffu;
-
-fn nearest(ray: Ray) -> Nearest {
-    var found = Nearest(NOTHING, vec3f(0.0), false);
-    var limit = FARTHEST;
-    var stack: array<vec2u, TRAVERSAL_STACK>;
-    var depth = 0u;
-    var group = select(vec2u(0u), ROOT_GROUP, view.nodes > 0u);
-    loop {
-        if (group.y & GROUP_NODES) == 0u {
-            if depth == 0u {
-                break;
-            }
-            depth -= 1u;
-            group = stack[depth];
-        }
-        let bit = firstLeadingBit(group.y);
-        let node = group_node(group, bit, ray.octant);
-        group.y &= ~(1u << bit);
-        if (group.y & GROUP_NODES) != 0u && depth < TRAVERSAL_STACK {
-            stack[depth] = group;
-            depth += 1u;
-        }
-        let hits = node_hits(node, ray, limit);
-        group = vec2u(hits.child_base, (hits.bits & GROUP_NODES) | hits.inner);
-        var candidates = hits.bits & ~GROUP_NODES;
-        while candidates != 0u {
-            let candidate = firstTrailingBit(candidates);
-            candidates &= candidates - 1u;
-            let triangle = hits.triangle_base + candidate;
-            let a = triangles[triangle * 3u];
-            let b = triangles[triangle * 3u + 1u];
-            let c = triangles[triangle * 3u + 2u];
-            let met = meet_triangle(ray, triangle, bitcast<vec3f>(a.xyz), bitcast<vec3f>(b.xyz),
-                bitcast<vec3f>(c.xyz));
-            if met.distance > 0.0 && met.distance < limit && (met.front || (a.w & TRIANGLE_SINGLE_SIDED) == 0u)
-                && triangle_is_there(triangle, a.w, met.weights) {
-                limit = met.distance;
-                found = Nearest(triangle, met.weights, met.front);
-            }
-        }
-    }
-    return found;
-}
 
 // Whether light `light` matters at `point`, and the surface does not hide it from itself.
 fn wants_ray(light: TracedLight, point: vec3f, geometric: vec3f, shading: vec3f) -> bool {
@@ -90,7 +38,7 @@ fn wants_ray(light: TracedLight, point: vec3f, geometric: vec3f, shading: vec3f)
 // That is 12; shadow rays start 16 above the surface. Errors of the weights themselves only slide the point along the
 // plane. It is taken of the terms rather than of their sum, since a point near the origin of a large triangle
 // carries the large triangle's error. Twin: `OFFSET_ROUNDINGS` in backend/cpu/surface.rs.
-const OFFSET_ROUNDINGS: f32 = 16.0;
+override OFFSET_ROUNDINGS: f32 = 16.0;
 
 fn surface(found: Nearest) -> vec4u {
     let at = found.triangle * 3u;
@@ -135,6 +83,9 @@ fn primary(
     atomicAdd(&tile_rays, countOneBits(seen.w));
     workgroupBarrier();
     if bit == 0u {
-        atomicAdd(&work[0], atomicLoad(&tile_rays));
+        atomicAdd(&work[WORK_WANTED], atomicLoad(&tile_rays));
+    }
+    if COUNT_NODES {
+        atomicAdd(&work[WORK_NODES], node_visits);
     }
 }

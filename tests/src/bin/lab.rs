@@ -9,6 +9,7 @@ use gnomon_tests::{
     report::{
         accuracy::{self, AccuracyOptions},
         load::{self, LoadOptions},
+        pareto::{self, ParetoOptions},
         pipeline::{self, PipelineOptions},
         trace_error::{self, TraceErrorOptions},
     },
@@ -36,6 +37,8 @@ enum Command {
     Pipeline(PipelineOptions),
     /// Puts many clients that draw nothing on a running server, and says what each of them gets.
     Load(LoadOptions),
+    /// Turns every knob that trades speed for error, over the real scenes: writes pareto.csv and a plot of each scene.
+    Pareto(ParetoOptions),
     /// Compares the back ends' masks with the f64 referee's, directly.
     TraceError(TraceErrorOptions),
 }
@@ -62,6 +65,7 @@ fn run(arguments: Arguments) -> Result<()> {
             print!("{}", pipeline::measure(&options, |line| eprintln!("{line}"))?.markdown());
         }
         Command::Load(options) => println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?),
+        Command::Pareto(options) => pareto::measure(&options, |line| eprintln!("{line}"))?,
         Command::TraceError(options) => trace_error::compare(&options, |line| println!("{line}"))?,
     }
     Ok(())

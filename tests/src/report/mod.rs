@@ -2,7 +2,9 @@
 
 pub mod accuracy;
 pub mod load;
+pub mod pareto;
 pub mod pipeline;
+pub mod plot;
 pub mod scene_args;
 pub mod table;
 pub mod trace_error;

@@ -1,0 +1,91 @@
+//! How visibility that was traced for one view is carried over to another one: the choices there are.
+
+use std::{fmt, str::FromStr};
+
+use serde::{Deserialize, Serialize};
+
+/// How the client predicts visibility.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Predictor {
+    /// Not at all: each pixel takes its own bit of the newest mask, whatever that was traced for.
+    None,
+    /// As the dissertation (§3.6): the nearest sample; points outside the mask's picture are unknown.
+    Dissertation(Unknown),
+    /// By the surface: a sample counts where its own point lies on the surface that is asked about, shadow edges are placed
+    /// between samples, and what no sample saw is looked up in the client's shadow maps.
+    #[default]
+    Surface,
+}
+
+/// What the dissertation's predictor does with unknown points (its Figure 12).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Unknown {
+    /// Every light reaches them.
+    #[default]
+    Lit,
+    /// No light reaches them.
+    Shadow,
+    /// They take the bit that the mask has at their own pixel.
+    Copy,
+}
+
+/// No predictor has this name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no predictor: none, dissertation, dissertation-shadow, dissertation-copy or surface")]
+pub struct UnknownPredictor(pub String);
+
+impl Predictor {
+    /// Every predictor, with its name.
+    pub const ALL: [(&'static str, Self); 5] = [
+        ("none", Self::None),
+        ("dissertation", Self::Dissertation(Unknown::Lit)),
+        ("dissertation-shadow", Self::Dissertation(Unknown::Shadow)),
+        ("dissertation-copy", Self::Dissertation(Unknown::Copy)),
+        ("surface", Self::Surface),
+    ];
+}
+
+impl fmt::Display for Predictor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = Self::ALL.iter().find(|(_, predictor)| predictor == self).map_or("", |(name, _)| name);
+        f.write_str(name)
+    }
+}
+
+impl FromStr for Predictor {
+    type Err = UnknownPredictor;
+
+    fn from_str(text: &str) -> Result<Self, UnknownPredictor> {
+        let found = Self::ALL.iter().find(|(name, _)| *name == text);
+        found.map(|(_, predictor)| *predictor).ok_or_else(|| UnknownPredictor(text.to_owned()))
+    }
+}
+
+impl TryFrom<String> for Predictor {
+    type Error = UnknownPredictor;
+
+    fn try_from(text: String) -> Result<Self, UnknownPredictor> {
+        text.parse()
+    }
+}
+
+impl From<Predictor> for String {
+    fn from(predictor: Predictor) -> Self {
+        predictor.to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_lead_back_to_their_predictors() {
+        for (name, predictor) in Predictor::ALL {
+            assert_eq!(name.parse(), Ok(predictor));
+            assert_eq!(predictor.to_string(), name);
+        }
+        assert!("surfaces".parse::<Predictor>().unwrap_err().to_string().contains("dissertation-copy"));
+    }
+}

@@ -1,0 +1,117 @@
+//! The depth of the latest pictures: whether a point was visible in the view that a mask was traced for is told by the depth that
+//! was drawn for that view.
+//!
+//! The G-buffer pass draws each picture's depth into the next texture of a ring, so keeping it costs memory and no time: 4 bytes a
+//! pixel and picture. The ring is as long as [`BUDGET_BYTES`] allow. A mask that is older than the ring, or was traced for a view that
+//! was never drawn (a guard band, a pose that the server predicted), has its depth drawn anew ([`super::depth_pass`]).
+
+use gnomon_shaders::camera::Camera;
+
+use crate::render::targets::{DEPTH, texture};
+
+/// Memory for the ring, in bytes: 64 pictures of 640×360, 16 of 1920×1080.
+const BUDGET_BYTES: u64 = 133 << 20;
+
+/// Pictures of a ring, whatever they take: the one that is drawn, one that a mask refers to, and two on the way.
+const LEAST_PICTURES: u64 = 4;
+
+/// Most pictures of a ring: as many as poses are remembered.
+const MOST_PICTURES: u64 = 64;
+
+/// The ring.
+#[derive(Debug)]
+pub(crate) struct DepthHistory {
+    slots: Vec<Slot>,
+    current: usize,
+}
+
+#[derive(Debug)]
+struct Slot {
+    view: wgpu::TextureView,
+    /// What the texture holds.
+    camera: Option<Camera>,
+}
+
+impl DepthHistory {
+    pub(crate) fn new(device: &wgpu::Device, width: u32, height: u32) -> Self {
+        let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
+        let slot = |_| Slot {
+            view: texture(device, "depth", (width, height), DEPTH, usage | wgpu::TextureUsages::COPY_SRC)
+                .create_view(&wgpu::TextureViewDescriptor::default()),
+            camera: None,
+        };
+        Self { slots: (0..pictures(width, height)).map(slot).collect(), current: 0 }
+    }
+
+    /// The textures, by their place in the ring.
+    pub(crate) fn views(&self) -> impl Iterator<Item = &wgpu::TextureView> {
+        self.slots.iter().map(|slot| &slot.view)
+    }
+
+    /// The texture that the newest picture's depth is in.
+    pub(crate) fn view(&self) -> &wgpu::TextureView {
+        &self.slots[self.current].view
+    }
+
+    /// The texture in this place of the ring.
+    pub(crate) fn view_at(&self, place: usize) -> &wgpu::TextureView {
+        &self.slots[place].view
+    }
+
+    /// Place of the newest picture in the ring.
+    pub(crate) fn current(&self) -> usize {
+        self.current
+    }
+
+    /// Goes on to the texture for a new picture, past `kept`, which is still needed.
+    pub(crate) fn begin(&mut self, camera: &Camera, kept: Option<usize>) {
+        let next = |place: usize| (place + 1) % self.slots.len();
+        let place = next(self.current);
+        self.current = if Some(place) == kept { next(place) } else { place };
+        self.slots[self.current].camera = Some(*camera);
+    }
+
+    /// The place of the picture that was drawn for exactly this camera, if it is still there.
+    pub(crate) fn find(&self, camera: &Camera) -> Option<usize> {
+        self.slots.iter().position(|slot| slot.camera.as_ref() == Some(camera))
+    }
+}
+
+fn pictures(width: u32, height: u32) -> u64 {
+    (BUDGET_BYTES / (u64::from(width) * u64::from(height) * 4)).clamp(LEAST_PICTURES, MOST_PICTURES)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::testing::{camera, gpu};
+
+    #[test]
+    fn the_ring_is_as_long_as_its_memory_allows() {
+        assert_eq!(pictures(640, 360), 64);
+        assert_eq!(pictures(1920, 1080), 16);
+        assert_eq!(pictures(3840, 2160), 4);
+        assert_eq!(pictures(1, 1), 64);
+    }
+
+    #[test]
+    fn pictures_are_found_until_they_are_overwritten_and_a_kept_one_stays() {
+        let gpu = gpu();
+        let mut history = DepthHistory::new(&gpu.device, 3840, 2160);
+        let at = |yfov_rad: f64| Camera { yfov_rad, ..camera(3840, 2160) };
+        let mut kept = None;
+        for frame in 0..20_u32 {
+            history.begin(&at(1.0 + f64::from(frame) * 0.01), kept);
+            if frame == 2 {
+                kept = history.find(&at(1.02));
+                assert!(kept.is_some());
+            }
+            assert_eq!(history.find(&at(1.0 + f64::from(frame) * 0.01)), Some(history.current()));
+        }
+        assert_eq!(history.find(&at(1.02)), kept);
+        // Of the other three places, all hold the latest pictures.
+        for (frame, there) in [(19, true), (18, true), (17, true), (16, false), (3, false)] {
+            assert_eq!(history.find(&at(1.0 + f64::from(frame) * 0.01)).is_some(), there, "{frame}");
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! Depth alone, for views that no picture was drawn for: those that masks were traced for, and the lights' own.
+
+use gnomon_shaders::scene::AlphaMode;
+
+use crate::render::{
+    RenderError,
+    scene_upload::{SceneUpload, VERTEX_LAYOUT},
+    shader,
+    targets::DEPTH,
+};
+
+/// The pass's pipelines.
+#[derive(Debug)]
+pub(crate) struct DepthPass {
+    layout: wgpu::BindGroupLayout,
+    /// By [`pipeline_of`]: OPAQUE or MASK, front faces or both.
+    pipelines: [wgpu::RenderPipeline; 4],
+}
+
+/// Which faces are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Faces {
+    /// Those that a camera sees.
+    Seen,
+    /// Both: light is stopped from either side.
+    Both,
+}
+
+fn pipeline_of(masked: bool, both: bool) -> usize {
+    usize::from(masked) * 2 + usize::from(both)
+}
+
+impl DepthPass {
+    pub(crate) fn new(device: &wgpu::Device, scene: &SceneUpload) -> Result<Self, RenderError> {
+        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("depth"),
+            entries: &[wgpu::BindGroupLayoutEntry {
+                binding: 0,
+                visibility: wgpu::ShaderStages::VERTEX,
+                ty: crate::render::uniform::<glam::Mat4>(),
+                count: None,
+            }],
+        });
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("depth"),
+            bind_group_layouts: &[Some(&layout), Some(&scene.material_layout)],
+            immediate_size: 0,
+        });
+        let module = shader(device, "shading/depth.wgsl")?;
+        let pipeline = |masked: bool, both: bool| {
+            device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+                label: Some("depth"),
+                layout: Some(&pipeline_layout),
+                vertex: wgpu::VertexState {
+                    module: &module,
+                    entry_point: Some(if masked { "transform_masked" } else { "transform" }),
+                    compilation_options: wgpu::PipelineCompilationOptions::default(),
+                    buffers: &[Some(VERTEX_LAYOUT)],
+                },
+                primitive: wgpu::PrimitiveState {
+                    cull_mode: (!both).then_some(wgpu::Face::Back),
+                    ..wgpu::PrimitiveState::default()
+                },
+                depth_stencil: Some(wgpu::DepthStencilState {
+                    format: DEPTH,
+                    depth_write_enabled: Some(true),
+                    depth_compare: Some(wgpu::CompareFunction::Greater),
+                    stencil: wgpu::StencilState::default(),
+                    bias: wgpu::DepthBiasState::default(),
+                }),
+                multisample: wgpu::MultisampleState::default(),
+                fragment: masked.then_some(wgpu::FragmentState {
+                    module: &module,
+                    entry_point: Some("masked"),
+                    compilation_options: wgpu::PipelineCompilationOptions::default(),
+                    targets: &[],
+                }),
+                multiview_mask: None,
+                cache: None,
+            })
+        };
+        let pipelines =
+            [(false, false), (false, true), (true, false), (true, true)].map(|(masked, both)| pipeline(masked, both));
+        Ok(Self { layout, pipelines })
+    }
+
+    /// A view's bindings: a buffer that begins with its matrix `clip_from_local`.
+    pub(crate) fn group(&self, device: &wgpu::Device, view: wgpu::BindingResource<'_>) -> wgpu::BindGroup {
+        device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("depth"),
+            layout: &self.layout,
+            entries: &[wgpu::BindGroupEntry { binding: 0, resource: view }],
+        })
+    }
+
+    /// Draws the OPAQUE and MASK surfaces into a pass with a depth attachment only.
+    pub(crate) fn draw(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        view: &wgpu::BindGroup,
+        scene: &SceneUpload,
+        faces: Faces,
+    ) {
+        pass.set_bind_group(0, view, &[]);
+        pass.set_vertex_buffer(0, scene.vertices.slice(..));
+        pass.set_index_buffer(scene.indices.slice(..), wgpu::IndexFormat::Uint32);
+        for batch in scene.batches.iter().filter(|batch| !matches!(batch.alpha, AlphaMode::Blend)) {
+            let masked = matches!(batch.alpha, AlphaMode::Mask { .. });
+            pass.set_pipeline(&self.pipelines[pipeline_of(masked, batch.double_sided || faces == Faces::Both)]);
+            pass.set_bind_group(1, &scene.materials[batch.material], &[]);
+            pass.draw_indexed(batch.indices.clone(), 0, 0..1);
+        }
+    }
+}
+
+/// Begins a pass that draws depth into `view`, from nothing.
+pub(crate) fn begin<'a>(
+    encoder: &'a mut wgpu::CommandEncoder,
+    label: &'static str,
+    view: &wgpu::TextureView,
+) -> wgpu::RenderPass<'a> {
+    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        label: Some(label),
+        depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+            view,
+            depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
+            stencil_ops: None,
+        }),
+        ..wgpu::RenderPassDescriptor::default()
+    })
+}

@@ -1,0 +1,28 @@
+// Depth alone, of what the G-buffer holds: for a view that visibility was traced for, and for the lights' own views.
+
+#import "shading/material.wgsl"
+
+// The first field of `View` and of `ShadowView`.
+@group(0) @binding(0) var<uniform> clip_from_local: mat4x4f;
+
+struct Varying {
+    @builtin(position) clip: vec4f,
+    @location(0) uv: vec2f,
+}
+
+@vertex
+fn transform(@location(0) position: vec3f) -> @builtin(position) vec4f {
+    return clip_from_local * vec4f(position, 1.0);
+}
+
+@vertex
+fn transform_masked(@location(0) position: vec3f, @location(2) uv: vec2f) -> Varying {
+    return Varying(clip_from_local * vec4f(position, 1.0), uv);
+}
+
+@fragment
+fn masked(input: Varying) {
+    if mask_alpha(input.uv) < material.alpha_cutoff {
+        discard;
+    }
+}
