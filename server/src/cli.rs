@@ -55,7 +55,7 @@ pub struct Flags {
     /// Part of the name of the graphics adapter to trace on
     #[arg(long, env = "GNOMON_ADAPTER", value_name = "NAME")]
     pub adapter: Option<String>,
-    /// Let the compute back end run on a software adapter
+    /// Let ray-query and compute run on a software adapter
     #[arg(long, env = "GNOMON_ALLOW_SOFTWARE", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub allow_software: Option<bool>,
     /// Threads of the cpu back end [default: all cores]

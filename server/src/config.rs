@@ -35,7 +35,7 @@ pub struct ServerConfig {
     pub backend: Backend,
     /// Part of the name of the graphics adapter to trace on.
     pub adapter: Option<String>,
-    /// Lets `compute` run on a software adapter.
+    /// Lets `ray-query` and `compute` run on a software adapter.
     pub allow_software: bool,
     /// Threads of the `cpu` back end; all cores without it.
     pub threads: Option<NonZeroUsize>,

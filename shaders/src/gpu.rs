@@ -89,11 +89,13 @@ impl Gpu {
         if info.device_type == wgpu::DeviceType::Cpu && !options.allow_software {
             return Err(GpuError::SoftwareOnly(info.name));
         }
+        let required_features = adapter.features() & options.wanted;
         let (device, queue) = adapter
             .request_device(&wgpu::DeviceDescriptor {
                 label: Some("gnomon"),
-                required_features: adapter.features() & options.wanted,
+                required_features,
                 required_limits: adapter.limits(),
+                experimental_features: experimental(required_features),
                 ..wgpu::DeviceDescriptor::default()
             })
             .await
@@ -105,5 +107,18 @@ impl Gpu {
     #[must_use]
     pub fn is_software(&self) -> bool {
         self.info.device_type == wgpu::DeviceType::Cpu
+    }
+}
+
+/// The consent that wgpu wants before it enables an experimental feature.
+fn experimental(features: wgpu::Features) -> wgpu::ExperimentalFeatures {
+    if !features.intersects(wgpu::Features::all_experimental_mask()) {
+        return wgpu::ExperimentalFeatures::disabled();
+    }
+    // SAFETY: wgpu asks its users to know that experimental features may have bugs that its checks do not catch. They are
+    // only ever asked for by the ray-query back end, whose kernels and structures are ours and never a peer's.
+    #[expect(unsafe_code, reason = "the only way to ray queries")]
+    unsafe {
+        wgpu::ExperimentalFeatures::enabled()
     }
 }

@@ -31,7 +31,7 @@ pub struct TracedView {
     pub lights: u32,
     /// Half the picture's height on the plane at distance 1.
     pub up: [f32; 3],
-    /// Nodes of the bounding volume hierarchy; 0 when nothing stops a ray.
+    /// Nodes of the bounding volume hierarchy, or triangles where the adapter walks its own; 0 when nothing stops a ray.
     pub nodes: u32,
 }
 
@@ -164,7 +164,7 @@ mod tests {
     use std::mem::{offset_of, size_of};
 
     use super::*;
-    use crate::splice::{FILES, splice};
+    use crate::splice::{FILES, splice, splice_ray_query};
 
     fn module(path: &str) -> naga::Module {
         let text = splice(path).unwrap();
@@ -235,6 +235,16 @@ mod tests {
                     panic!("{path}: {}", error.emit_to_string_with_path(&splice(path).unwrap(), path))
                 });
             checked.push(*path);
+        }
+        for path in ["visibility/primary.wgsl", "visibility/shadow.wgsl"] {
+            let text = splice_ray_query(path).unwrap();
+            let module = naga::front::wgsl::parse_str(&text)
+                .unwrap_or_else(|error| panic!("{}", error.emit_to_string_with_path(&text, path)));
+            let capabilities = naga::valid::Capabilities::IMMEDIATES | naga::valid::Capabilities::RAY_QUERY;
+            naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities)
+                .validate(&module)
+                .unwrap_or_else(|error| panic!("{path}: {}", error.emit_to_string_with_path(&text, path)));
+            assert!(text.contains("rayQueryProceed") && !text.contains("node_hits"), "{path} walks our hierarchy");
         }
         assert!(checked.contains(&"visibility/primary.wgsl") && checked.contains(&"visibility/shadow.wgsl"));
     }

@@ -24,8 +24,13 @@ pub const FILES: &[(&str, &str)] = &[
     ("shared/ray.wgsl", include_str!("../wgsl/shared/ray.wgsl")),
     ("shared/texels.wgsl", include_str!("../wgsl/shared/texels.wgsl")),
     ("shared/traced_scene.wgsl", include_str!("../wgsl/shared/traced_scene.wgsl")),
+    ("visibility/nearest.wgsl", include_str!("../wgsl/visibility/nearest.wgsl")),
     ("visibility/primary.wgsl", include_str!("../wgsl/visibility/primary.wgsl")),
+    ("visibility/ray_query.wgsl", include_str!("../wgsl/visibility/ray_query.wgsl")),
+    ("visibility/sampling.wgsl", include_str!("../wgsl/visibility/sampling.wgsl")),
     ("visibility/shadow.wgsl", include_str!("../wgsl/visibility/shadow.wgsl")),
+    ("visibility/traverse.wgsl", include_str!("../wgsl/visibility/traverse.wgsl")),
+    ("visibility/work.wgsl", include_str!("../wgsl/visibility/work.wgsl")),
 ];
 
 /// Why a shader cannot be put together.
@@ -49,16 +54,34 @@ pub enum SpliceError {
 /// # Errors
 /// When a file does not exist or a directive is malformed.
 pub fn splice(path: &str) -> Result<String, SpliceError> {
-    splice_from(FILES, path)
+    splice_from(FILES, &[], path)
 }
 
-fn splice_from(files: &[(&str, &str)], path: &str) -> Result<String, SpliceError> {
+/// As [`splice`], of a tracing kernel that walks the adapter's own acceleration structure in place of our hierarchy.
+///
+/// # Errors
+/// As [`splice`].
+pub fn splice_ray_query(path: &str) -> Result<String, SpliceError> {
+    let text = splice_from(FILES, &[("visibility/traverse.wgsl", "visibility/ray_query.wgsl")], path)?;
+    // Directives come before everything else.
+    Ok(format!("enable wgpu_ray_query;\n{text}"))
+}
+
+/// `path` with its imports, of which those named first in `replaced` are replaced by those named second.
+fn splice_from(files: &[(&str, &str)], replaced: &[(&str, &str)], path: &str) -> Result<String, SpliceError> {
     let (mut text, mut seen) = (String::new(), Vec::new());
-    append(files, path, &mut seen, &mut text)?;
+    append(files, replaced, path, &mut seen, &mut text)?;
     Ok(text)
 }
 
-fn append(files: &[(&str, &str)], path: &str, seen: &mut Vec<String>, text: &mut String) -> Result<(), SpliceError> {
+fn append(
+    files: &[(&str, &str)],
+    replaced: &[(&str, &str)],
+    path: &str,
+    seen: &mut Vec<String>,
+    text: &mut String,
+) -> Result<(), SpliceError> {
+    let path = replaced.iter().find(|(name, _)| *name == path).map_or(path, |(_, other)| *other);
     if seen.iter().any(|done| done == path) {
         return Ok(());
     }
@@ -71,7 +94,7 @@ fn append(files: &[(&str, &str)], path: &str, seen: &mut Vec<String>, text: &mut
                 .strip_prefix("import \"")
                 .and_then(|rest| rest.trim_end().strip_suffix('"'))
                 .ok_or_else(|| SpliceError::Directive { file: path.to_owned(), line: index + 1 })?;
-            append(files, import, seen, text)?;
+            append(files, replaced, import, seen, text)?;
         } else {
             text.push_str(line);
             text.push('\n');
@@ -88,6 +111,7 @@ mod tests {
         ("a", "#import \"b\"\n#import \"c\"\nA"),
         ("b", "#import \"c\"\nB"),
         ("c", "C"),
+        ("d", "D"),
         ("loop", "#import \"loop\"\nL"),
         ("bad", "x\n#include \"c\""),
         ("gone", "#import \"nowhere\""),
@@ -95,13 +119,18 @@ mod tests {
 
     #[test]
     fn imports_come_once_and_before_their_reader() {
-        assert_eq!(splice_from(TREE, "a").as_deref(), Ok("C\nB\nA\n"));
-        assert_eq!(splice_from(TREE, "loop").as_deref(), Ok("L\n"));
+        assert_eq!(splice_from(TREE, &[], "a").as_deref(), Ok("C\nB\nA\n"));
+        assert_eq!(splice_from(TREE, &[], "loop").as_deref(), Ok("L\n"));
+    }
+
+    #[test]
+    fn a_replaced_import_comes_where_the_other_would() {
+        assert_eq!(splice_from(TREE, &[("b", "d")], "a").as_deref(), Ok("D\nC\nA\n"));
     }
 
     #[test]
     fn mistakes_name_their_place() {
-        assert_eq!(splice_from(TREE, "bad"), Err(SpliceError::Directive { file: "bad".into(), line: 2 }));
-        assert_eq!(splice_from(TREE, "gone"), Err(SpliceError::Missing("nowhere".into())));
+        assert_eq!(splice_from(TREE, &[], "bad"), Err(SpliceError::Directive { file: "bad".into(), line: 2 }));
+        assert_eq!(splice_from(TREE, &[], "gone"), Err(SpliceError::Missing("nowhere".into())));
     }
 }

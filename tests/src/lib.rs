@@ -1,5 +1,6 @@
 //! Gnomon's end-to-end tests and what they need: the f64 referee, scenes, metrics, a network to test on, and a rig that boots real programs.
 
+pub mod backends;
 pub mod cloister;
 pub mod link;
 pub mod metrics;

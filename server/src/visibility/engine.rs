@@ -22,6 +22,7 @@ use super::{
         BackendError,
         compute::{ComputeBackend, PictureLimit},
         cpu::CpuBackend,
+        ray_query,
     },
     port::{EngineWaker, SessionPort, session_port},
     worker::{Backend, Opening, Worker},
@@ -37,8 +38,11 @@ const STACK_BYTES: usize = 16 << 20;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum BackendChoice {
-    /// `compute` on a real GPU, `cpu` when there is none or only software that pretends to be one.
+    /// `ray-query` on a real GPU that has ray queries, `compute` on another, `cpu` when there is none or only software
+    /// that pretends to be one.
     Auto,
+    /// Kernels on a graphics adapter, with its own ray queries.
+    RayQuery,
     /// Kernels on a graphics adapter.
     Compute,
     /// The processor.
@@ -288,10 +292,10 @@ struct About {
 }
 
 fn open_backend(scene: &Scene, options: &EngineOptions) -> Result<(Backend, About), BackendError> {
-    let compute = |allow_software| {
-        let backend = ComputeBackend::open(scene, options.adapter.clone(), allow_software)?;
+    let adapter = || options.adapter.clone();
+    let on_device = |backend: ComputeBackend| {
         let about = About { description: backend.describe(), limit: Some(backend.picture_limit()) };
-        Ok((Backend::Compute(Box::new(backend)), about))
+        (Backend::Compute(Box::new(backend)), about)
     };
     let cpu = || {
         let backend = CpuBackend::new(scene, options.threads)?;
@@ -299,10 +303,11 @@ fn open_backend(scene: &Scene, options: &EngineOptions) -> Result<(Backend, Abou
         Ok((Backend::Cpu(Box::new(backend)), about))
     };
     match options.backend {
-        BackendChoice::Compute => compute(options.allow_software),
+        BackendChoice::RayQuery => ray_query::open(scene, adapter(), options.allow_software).map(on_device),
+        BackendChoice::Compute => ComputeBackend::open(scene, adapter(), options.allow_software).map(on_device),
         BackendChoice::Cpu => cpu(),
-        BackendChoice::Auto => match compute(false) {
-            Ok(backend) => Ok(backend),
+        BackendChoice::Auto => match ray_query::open_preferred(scene, adapter(), false) {
+            Ok(backend) => Ok(on_device(backend)),
             // Who names an adapter wants that one, or to hear that it is not there.
             Err(error @ BackendError::Gpu(GpuError::NoAdapter { wanted: Some(_), .. })) => Err(error),
             Err(BackendError::Gpu(error @ (GpuError::NoAdapter { .. } | GpuError::SoftwareOnly(_)))) => {

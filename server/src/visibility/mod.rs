@@ -11,10 +11,12 @@
 //!    and inside its outer cone. Irrelevant bits are 0.
 //! 4. **Facing.** Where the geometric normal faces away from a relevant light the surface hides it from itself: bit 0,
 //!    no ray.
-//! 5. **Shadow ray.** It starts at the point, interpolated from the vertices and pushed along the geometric normal by an
-//!    amount that covers the rounding error of its coordinates (Wächter and Binder, Ray Tracing Gems, ch. 6), and ends
-//!    at the light, or beyond the scene for a directional light. Any OPAQUE triangle, from either side, and any MASK
-//!    triangle whose alpha is there, stops it. Bit 1 when nothing does.
+//! 5. **Shadow ray.** It starts at the point, interpolated from the vertices and pushed along the geometric normal by a
+//!    proven bound on how far interpolation took it off the plane: 16 rounding units of the magnitudes that were summed
+//!    (the idea of Wächter and Binder, Ray Tracing Gems, ch. 6, whose 256 are a rule of thumb). It ends at the light, or
+//!    beyond the scene for a directional light. Any OPAQUE triangle, from either side, and any MASK triangle whose alpha
+//!    is there, stops it, unless the start lies on the triangle's plane as far as rounding can tell: 6 rounding units
+//!    of the distance's terms, with a plane normal computed in f64. Bit 1 when nothing stops it.
 
 pub mod backend;
 pub mod bvh;

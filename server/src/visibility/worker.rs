@@ -31,6 +31,7 @@ const FULL_RING_WAIT: Duration = Duration::from_millis(100);
 
 /// What traces.
 pub(super) enum Backend {
+    /// Kernels on a device, with or without its ray queries.
     Compute(Box<ComputeBackend>),
     Cpu(Box<CpuBackend>),
 }

@@ -1,5 +1,7 @@
 // Rays, and where they meet triangles: watertight along shared edges (Woop, Benthin, Wald, "Watertight Ray/Triangle
-// Intersection", JCGT 2013).
+// Intersection", JCGT 2013). Needs shared/traced_scene.wgsl.
+
+#import "shared/traced_scene.wgsl"
 
 struct Ray {
     origin: vec3f,
@@ -58,7 +60,17 @@ struct Meeting {
     weights: vec3f,
     // Whether the front was met.
     front: bool,
+    // Whether the origin lies off the triangle's plane by more than rounding can account for.
+    clear: bool,
 }
+
+// The rounding unit of f32, 2⁻²⁴.
+const ROUNDING: f32 = 5.9604644775390625e-8;
+
+// How far rounding may move the distance n · (a − s) of a ray's origin s from a triangle's plane, in rounding units of
+// Σ |nᵢ|·|aᵢ − sᵢ|: 1 for n, which comes rounded from f64; 1 for a − s; 3 for products and sums, contracted or not; and one
+// more for the rounding of this bound. Twin: `PLANE_ROUNDINGS` in backend/cpu/traverse.rs.
+const PLANE_ROUNDINGS: f32 = 6.0;
 
 // Explicit fma: the same corner and ray must give the same number in every triangle that shares the corner, so it is not
 // left to the compiler what it contracts.
@@ -66,7 +78,8 @@ fn along_row(row: vec3f, point: vec3f) -> f32 {
     return fma(row.x, point.x, fma(row.y, point.y, row.z * point.z));
 }
 
-// p · q − r · s with the sign that it has in exact arithmetic, and nearly all of its digits (Kahan's algorithm).
+// p · q − r · s with the sign that it has in exact arithmetic, and nearly all of its digits (Kahan's algorithm), on adapters
+// that fuse; on others it is the plain difference, whose sign is antisymmetric too.
 fn difference_of_products(p: f32, q: f32, r: f32, s: f32) -> f32 {
     let product = r * s;
     let error = fma(-r, s, product);
@@ -79,33 +92,39 @@ fn edge(a: vec2f, b: vec2f) -> f32 {
     return difference_of_products(a.x, b.y, a.y, b.x);
 }
 
-// The normal of a triangle's plane, as long as twice its area. Of a long thin triangle a plain cross product loses most
-// digits, and the plane with them: shadow rays would then start below their own surface.
-fn plane_normal(corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> vec3f {
-    let p = corner_b - corner_a;
-    let q = corner_c - corner_a;
-    return vec3f(
-        difference_of_products(p.y, q.z, p.z, q.y),
-        difference_of_products(p.z, q.x, p.x, q.z),
-        difference_of_products(p.x, q.y, p.y, q.x),
-    );
-}
-
-fn meet_triangle(ray: Ray, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Meeting {
+// Twice the areas that the ray, seen along it, spans with the edges opposite the corners.
+fn areas_across(ray: Ray, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> vec3f {
     let to_a = corner_a - ray.origin;
     let to_b = corner_b - ray.origin;
     let to_c = corner_c - ray.origin;
     let a = vec2f(along_row(ray.shear_x, to_a), along_row(ray.shear_y, to_a));
     let b = vec2f(along_row(ray.shear_x, to_b), along_row(ray.shear_y, to_b));
     let c = vec2f(along_row(ray.shear_x, to_c), along_row(ray.shear_y, to_c));
-    let areas = vec3f(edge(c, b), edge(a, c), edge(b, a));
-    let area = areas.x + areas.y + areas.z;
+    return vec3f(edge(c, b), edge(a, c), edge(b, a));
+}
+
+const MISSED: Meeting = Meeting(-1.0, vec3f(0.0), false, false);
+
+fn meet_triangle(ray: Ray, triangle: u32, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Meeting {
+    let areas = areas_across(ray, corner_a, corner_b, corner_c);
     // Points on an edge belong to both of its triangles.
-    if (any(areas < vec3f(0.0)) && any(areas > vec3f(0.0))) || area == 0.0 {
-        return Meeting(-1.0, vec3f(0.0), false);
+    if any(areas < vec3f(0.0)) && any(areas > vec3f(0.0)) {
+        return MISSED;
+    }
+    return meet_plane(ray, triangle, areas, corner_a);
+}
+
+// The meeting with a triangle that the ray is known to pass through; `areas` are its `areas_across`.
+fn meet_plane(ray: Ray, triangle: u32, areas: vec3f, corner_a: vec3f) -> Meeting {
+    let area = areas.x + areas.y + areas.z;
+    if area == 0.0 {
+        return MISSED;
     }
     // Where the ray meets the plane, and not the corners' depths by their weights: of a thin triangle the weights are
     // quotients of small differences, and would be off by more than shadow rays are pushed off their surface.
-    let normal = plane_normal(corner_a, corner_b, corner_c);
-    return Meeting(dot(normal, to_a) / dot(normal, ray.direction), areas / area, area > 0.0);
+    let normal = plane_normal(triangle);
+    let to_a = corner_a - ray.origin;
+    let height = dot(normal, to_a);
+    let clear = abs(height) > PLANE_ROUNDINGS * ROUNDING * dot(abs(normal), abs(to_a));
+    return Meeting(height / dot(normal, ray.direction), areas / area, area > 0.0, clear);
 }

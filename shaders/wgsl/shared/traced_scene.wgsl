@@ -71,5 +71,17 @@ const TRIANGLE_ALPHA: u32 = 0x7fffffffu;
 @group(0) @binding(4) var<storage, read> alpha_texels: array<u32>;
 // Texture coordinates of triangles with holes, three each.
 @group(0) @binding(5) var<storage, read> alpha_uvs: array<vec2f>;
-// Shading normals of the triangles' corners, nine numbers a triangle.
+// Twelve numbers a triangle: the shading normals of its corners, then the unit normal of its plane.
 @group(0) @binding(6) var<storage, read> normals: array<f32>;
+
+// Normal `which` of a triangle: 0 to 2 for its corners' shading normals, 3 for its plane's.
+fn triangle_normal(triangle: u32, which: u32) -> vec3f {
+    let first = triangle * 12u + which * 3u;
+    return vec3f(normals[first], normals[first + 1u], normals[first + 2u]);
+}
+
+// The unit normal of a triangle's plane, towards its front; zero for one without an area. It was computed in f64: a cross
+// product in f32 loses most digits of a long thin triangle's plane, and shadow rays would start below their own surface.
+fn plane_normal(triangle: u32) -> vec3f {
+    return triangle_normal(triangle, 3u);
+}

@@ -7,68 +7,17 @@
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
-#import "shared/cwbvh.wgsl"
-#import "shared/alpha.wgsl"
+#import "visibility/work.wgsl"
+#import "visibility/traverse.wgsl"
 
 var<immediate> view: TracedView;
 
 // Tile after tile, 64 pixels each: xyz is where shadow rays start (bits of f32), w the lights that want one.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
-// Counts shadow rays.
+// What is counted: visibility/work.wgsl.
 @group(1) @binding(2) var<storage, read_write> work: array<atomic<u32>>;
 
 var<workgroup> tile_rays: atomic<u32>;
-
-struct Nearest {
-    // The triangle, or NOTHING.
-    triangle: u32,
-    weights: vec3f,
-    front: bool,
-}
-
-const NOTHING: u32 = 0xffffffffu;
-
-fn nearest(ray: Ray) -> Nearest {
-    var found = Nearest(NOTHING, vec3f(0.0), false);
-    var limit = FARTHEST;
-    var stack: array<vec2u, TRAVERSAL_STACK>;
-    var depth = 0u;
-    var group = select(vec2u(0u), ROOT_GROUP, view.nodes > 0u);
-    loop {
-        if (group.y & GROUP_NODES) == 0u {
-            if depth == 0u {
-                break;
-            }
-            depth -= 1u;
-            group = stack[depth];
-        }
-        let bit = firstLeadingBit(group.y);
-        let node = group_node(group, bit, ray.octant);
-        group.y &= ~(1u << bit);
-        if (group.y & GROUP_NODES) != 0u && depth < TRAVERSAL_STACK {
-            stack[depth] = group;
-            depth += 1u;
-        }
-        let hits = node_hits(node, ray, limit);
-        group = vec2u(hits.child_base, (hits.bits & GROUP_NODES) | hits.inner);
-        var candidates = hits.bits & ~GROUP_NODES;
-        while candidates != 0u {
-            let candidate = firstTrailingBit(candidates);
-            candidates &= candidates - 1u;
-            let triangle = hits.triangle_base + candidate;
-            let a = triangles[triangle * 3u];
-            let b = triangles[triangle * 3u + 1u];
-            let c = triangles[triangle * 3u + 2u];
-            let met = meet_triangle(ray, bitcast<vec3f>(a.xyz), bitcast<vec3f>(b.xyz), bitcast<vec3f>(c.xyz));
-            if met.distance > 0.0 && met.distance < limit && (met.front || (a.w & TRIANGLE_SINGLE_SIDED) == 0u)
-                && triangle_is_there(triangle, a.w, met.weights) {
-                limit = met.distance;
-                found = Nearest(triangle, met.weights, met.front);
-            }
-        }
-    }
-    return found;
-}
 
 // Whether light `light` matters at `point`, and the surface does not hide it from itself.
 fn wants_ray(light: TracedLight, point: vec3f, geometric: vec3f, shading: vec3f) -> bool {
@@ -83,16 +32,13 @@ fn wants_ray(light: TracedLight, point: vec3f, geometric: vec3f, shading: vec3f)
     return squared <= light.range_squared && dot(shading, toward) > 0.0 && dot(geometric, toward) > 0.0;
 }
 
-fn shading_corner(triangle: u32, corner: u32) -> vec3f {
-    let first = triangle * 9u + corner * 3u;
-    return vec3f(normals[first], normals[first + 1u], normals[first + 2u]);
-}
-
-// How far shadow rays start from the surface, as a part of the summed magnitudes: 256 times the rounding unit, as in
-// Wächter and Binder, "A Fast and Robust Method for Avoiding Self-Intersection" (Ray Tracing Gems, ch. 6), and at
-// least that part of a metre. It is taken of the terms that were summed rather than of the sum, since a point near
-// the origin of a large triangle carries the large triangle's error.
-const OFFSET: f32 = 1.52587890625e-5;
+// How far rounding may take an interpolated point off its triangle's plane, in rounding units of Σ |nᵢ|·Σₖ wₖ·|pₖᵢ| with unit
+// normal n, corners p and weights w: 3 for the products and sums; 8 because weights that do not sum to 1 scale the point
+// (a quotient is good to 2.5 units in the last place, and their sum has been rounded); 1 for the sum that the start is.
+// That is 12; shadow rays start 16 above the surface. Errors of the weights themselves only slide the point along the
+// plane. It is taken of the terms rather than of their sum, since a point near the origin of a large triangle
+// carries the large triangle's error. Twin: `OFFSET_ROUNDINGS` in backend/cpu/surface.rs.
+override OFFSET_ROUNDINGS: f32 = 16.0;
 
 fn surface(found: Nearest) -> vec4u {
     let at = found.triangle * 3u;
@@ -101,16 +47,16 @@ fn surface(found: Nearest) -> vec4u {
     let c = bitcast<vec3f>(triangles[at + 2u].xyz);
     let turn = select(-1.0, 1.0, found.front);
     let point = a * found.weights.x + b * found.weights.y + c * found.weights.z;
-    let geometric = turn * normalize(plane_normal(a, b, c));
-    let shading = turn * (shading_corner(found.triangle, 0u) * found.weights.x
-        + shading_corner(found.triangle, 1u) * found.weights.y + shading_corner(found.triangle, 2u) * found.weights.z);
+    let geometric = turn * plane_normal(found.triangle);
+    let shading = turn * (triangle_normal(found.triangle, 0u) * found.weights.x
+        + triangle_normal(found.triangle, 1u) * found.weights.y + triangle_normal(found.triangle, 2u) * found.weights.z);
 
     var wanted = 0u;
     for (var light = 0u; light < view.lights; light++) {
         wanted |= select(0u, 1u << light, wants_ray(lights[light], point, geometric, shading));
     }
     let summed = abs(a) * found.weights.x + abs(b) * found.weights.y + abs(c) * found.weights.z;
-    let start = point + geometric * (OFFSET * max(1.0, dot(abs(geometric), summed)));
+    let start = point + geometric * (OFFSET_ROUNDINGS * ROUNDING * dot(abs(geometric), summed));
     return vec4u(bitcast<vec3u>(start), wanted);
 }
 
@@ -137,6 +83,9 @@ fn primary(
     atomicAdd(&tile_rays, countOneBits(seen.w));
     workgroupBarrier();
     if bit == 0u {
-        atomicAdd(&work[0], atomicLoad(&tile_rays));
+        atomicAdd(&work[WORK_WANTED], atomicLoad(&tile_rays));
+    }
+    if COUNT_NODES {
+        atomicAdd(&work[WORK_NODES], node_visits);
     }
 }

@@ -4,54 +4,27 @@
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
-#import "shared/cwbvh.wgsl"
-#import "shared/alpha.wgsl"
+#import "visibility/work.wgsl"
+#import "visibility/sampling.wgsl"
+#import "visibility/traverse.wgsl"
 
 var<immediate> view: TracedView;
 
 // As visibility/primary.wgsl wrote them.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
 @group(1) @binding(1) var<storage, read_write> mask: array<u32>;
+@group(1) @binding(2) var<storage, read_write> work: array<atomic<u32>>;
 
 var<workgroup> tile_words: array<atomic<u32>, 2>;
 
-// Whether anything stands on the ray before `limit`.
-fn is_blocked(ray: Ray, limit: f32) -> bool {
-    var stack: array<vec2u, TRAVERSAL_STACK>;
-    var depth = 0u;
-    var group = select(vec2u(0u), ROOT_GROUP, view.nodes > 0u);
-    loop {
-        if (group.y & GROUP_NODES) == 0u {
-            if depth == 0u {
-                break;
-            }
-            depth -= 1u;
-            group = stack[depth];
-        }
-        let bit = firstLeadingBit(group.y);
-        let node = group_node(group, bit, ray.octant);
-        group.y &= ~(1u << bit);
-        if (group.y & GROUP_NODES) != 0u && depth < TRAVERSAL_STACK {
-            stack[depth] = group;
-            depth += 1u;
-        }
-        let hits = node_hits(node, ray, limit);
-        group = vec2u(hits.child_base, (hits.bits & GROUP_NODES) | hits.inner);
-        var candidates = hits.bits & ~GROUP_NODES;
-        while candidates != 0u {
-            let candidate = firstTrailingBit(candidates);
-            candidates &= candidates - 1u;
-            let triangle = hits.triangle_base + candidate;
-            let a = triangles[triangle * 3u];
-            let b = triangles[triangle * 3u + 1u];
-            let c = triangles[triangle * 3u + 2u];
-            let met = meet_triangle(ray, bitcast<vec3f>(a.xyz), bitcast<vec3f>(b.xyz), bitcast<vec3f>(c.xyz));
-            if met.distance > 0.0 && met.distance < limit && triangle_is_there(triangle, a.w, met.weights) {
-                return true;
-            }
-        }
-    }
-    return false;
+// Shadow rays that this tile traced for the light, where not every pixel has its own.
+var<workgroup> tile_rays: atomic<u32>;
+
+// Whether the segment from a surface's start point to the light is free.
+fn is_lit(start: vec3f, light: TracedLight) -> bool {
+    let directional = light.kind == LIGHT_DIRECTIONAL;
+    let direction = select(light.position - start, -light.direction, directional);
+    return !is_blocked(make_ray(start, direction), select(1.0, FARTHEST, directional));
 }
 
 @compute @workgroup_size(8, 8)
@@ -63,17 +36,44 @@ fn shadow(
     let bit = mask_bit(local.xy);
     let tile = place.y * tiles.x + place.x;
     let seen = surfaces[tile * 64u + bit];
-    if ((seen.w >> place.z) & 1u) == 1u {
-        let start = bitcast<vec3f>(seen.xyz);
-        let light = lights[place.z];
-        let directional = light.kind == LIGHT_DIRECTIONAL;
-        let direction = select(light.position - start, -light.direction, directional);
-        if !is_blocked(make_ray(start, direction), select(1.0, FARTHEST, directional)) {
-            atomicOr(&tile_words[bit >> 5u], 1u << (bit & 31u));
-        }
+    let start = bitcast<vec3f>(seen.xyz);
+    let light = lights[place.z];
+    let wanted = ((seen.w >> place.z) & 1u) == 1u;
+    let own = wanted && has_own_ray(local.xy);
+    var lit = own && is_lit(start, light);
+    if lit {
+        atomicOr(&tile_words[bit >> 5u], 1u << (bit & 31u));
     }
     workgroupBarrier();
+    var words = vec2u(atomicLoad(&tile_words[0]), atomicLoad(&tile_words[1]));
+    if SAMPLING != SAMPLE_ALL {
+        workgroupBarrier();
+        if wanted && !own {
+            let found = neighbours_verdict(local.xy, place.z, tile, start, words);
+            lit = found == LIT;
+            if found == UNDECIDED {
+                lit = is_lit(start, light);
+            }
+            if lit {
+                atomicOr(&tile_words[bit >> 5u], 1u << (bit & 31u));
+            }
+            if found == UNDECIDED {
+                atomicAdd(&tile_rays, 1u);
+            }
+        }
+        if own {
+            atomicAdd(&tile_rays, 1u);
+        }
+        workgroupBarrier();
+        words = vec2u(atomicLoad(&tile_words[0]), atomicLoad(&tile_words[1]));
+        if bit == 0u {
+            atomicAdd(&work[WORK_RAYS], atomicLoad(&tile_rays));
+        }
+    }
+    if COUNT_NODES {
+        atomicAdd(&work[WORK_NODES], node_visits);
+    }
     if bit < 2u {
-        mask[mask_word(place.z, tiles.x * tiles.y, tile, bit * 32u)] = atomicLoad(&tile_words[bit]);
+        mask[mask_word(place.z, tiles.x * tiles.y, tile, bit * 32u)] = words[bit];
     }
 }

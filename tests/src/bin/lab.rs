@@ -7,9 +7,11 @@ use clap::{Parser, Subcommand};
 use gnomon_tests::{
     cloister,
     report::{
+        accuracy::{self, AccuracyOptions},
         link::{self, LinkOptions},
         load::{self, LoadOptions},
         network::{self, NetworkOptions},
+        pareto::{self, ParetoOptions},
         pipeline::{self, PipelineOptions},
         trace_error::{self, TraceErrorOptions},
     },
@@ -24,6 +26,9 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Judges the back ends by the f64 referee on the real scenes: writes accuracy.csv and pictures, prints
+    /// Markdown.
+    Accuracy(AccuracyOptions),
     /// Writes Gnomon's own scene: cloister.glb and its camera paths, cloister.json.
     MakeScene {
         /// Folder to write into.
@@ -38,12 +43,17 @@ enum Command {
     Load(LoadOptions),
     /// Measures the client behind networks of several kinds, against itself without a server: writes network.csv and plots.
     Network(NetworkOptions),
+    /// Turns every knob that trades speed for error, over the real scenes: writes pareto.csv and a plot of each scene.
+    Pareto(ParetoOptions),
     /// Compares the back ends' masks with the f64 referee's, directly.
     TraceError(TraceErrorOptions),
 }
 
 fn run(arguments: Arguments) -> Result<()> {
     match arguments.command {
+        Command::Accuracy(options) => {
+            print!("{}", accuracy::measure(&options, |line| eprintln!("{line}"))?.markdown());
+        }
         Command::MakeScene { out } => {
             let made = cloister::generate(&out)?;
             println!(
@@ -65,6 +75,7 @@ fn run(arguments: Arguments) -> Result<()> {
         Command::Network(options) => {
             print!("{}", network::measure(&options, |line| eprintln!("{line}"))?.markdown());
         }
+        Command::Pareto(options) => pareto::measure(&options, |line| eprintln!("{line}"))?,
         Command::TraceError(options) => trace_error::compare(&options, |line| println!("{line}"))?,
     }
     Ok(())

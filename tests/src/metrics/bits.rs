@@ -10,7 +10,7 @@ use crate::reference::Truth;
 const EXAMPLES: usize = 8;
 
 /// Counts of bits, of one mask or summed over many.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct RelevantError {
     /// Bits that the referee calls relevant.
     pub relevant: u64,
@@ -26,6 +26,34 @@ pub struct RelevantError {
     pub irrelevant_set: u64,
     /// The first few wrong bits that are not undecided: light, x, y.
     pub examples: Vec<[u32; 3]>,
+    /// The greatest distance of a wrong bit that is not undecided from an edge of the truth, in pixels: see
+    /// [`distance_from_edge_px`].
+    pub worst_distance_px: f64,
+}
+
+/// How far from an edge of the truth a report looks, in pixels.
+const FARTHEST_PX: u32 = 16;
+
+/// How far pixel (x, y) lies from the nearest edge in light `light`'s plane of the truth, in pixels: from the nearest
+/// centre of a pixel with another verdict (lit, dark, irrelevant, or no surface), less the half pixel by which the edge
+/// lies before that. [`FARTHEST_PX`] when there is none nearer.
+#[must_use]
+pub fn distance_from_edge_px(truth: &Truth, light: u32, x: u32, y: u32) -> f64 {
+    let state = |x: u32, y: u32| {
+        let verdict = truth.at(x, y);
+        (verdict.surface, verdict.relevant >> light & 1, verdict.lit >> light & 1)
+    };
+    let here = state(x, y);
+    let around = |at: u32, size: u32| at.saturating_sub(FARTHEST_PX)..(at + FARTHEST_PX + 1).min(size);
+    let mut nearest = f64::from(FARTHEST_PX);
+    for v in around(y, truth.height) {
+        for u in around(x, truth.width) {
+            if state(u, v) != here {
+                nearest = nearest.min(f64::from(u.abs_diff(x)).hypot(f64::from(v.abs_diff(y))) - 0.5);
+            }
+        }
+    }
+    nearest
 }
 
 impl RelevantError {
@@ -54,7 +82,12 @@ impl RelevantError {
                         error.wrong += 1;
                         error.leaks += u64::from(set);
                         error.wrong_undecided += u64::from(undecided);
-                        if !undecided && error.examples.len() < EXAMPLES {
+                        if undecided {
+                            continue;
+                        }
+                        let distance_px = distance_from_edge_px(truth, light, x, y);
+                        error.worst_distance_px = error.worst_distance_px.max(distance_px);
+                        if error.examples.len() < EXAMPLES {
                             error.examples.push([light, x, y]);
                         }
                     }
@@ -70,6 +103,19 @@ impl RelevantError {
     pub fn share(&self) -> f64 {
         if self.relevant == 0 { 0.0 } else { self.wrong as f64 / self.relevant as f64 }
     }
+
+    /// Bits that are wrong though the referee is sure.
+    #[must_use]
+    pub fn surely_wrong(&self) -> u64 {
+        self.wrong - self.wrong_undecided
+    }
+
+    /// The share of relevant bits that are wrong though the referee is sure; 0 where nothing is relevant.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
+    pub fn sure_share(&self) -> f64 {
+        if self.relevant == 0 { 0.0 } else { self.surely_wrong() as f64 / self.relevant as f64 }
+    }
 }
 
 impl AddAssign for RelevantError {
@@ -80,6 +126,7 @@ impl AddAssign for RelevantError {
         self.undecided += other.undecided;
         self.wrong_undecided += other.wrong_undecided;
         self.irrelevant_set += other.irrelevant_set;
+        self.worst_distance_px = self.worst_distance_px.max(other.worst_distance_px);
         self.examples.extend(other.examples.into_iter().take(EXAMPLES.saturating_sub(self.examples.len())));
     }
 }
@@ -88,13 +135,15 @@ impl fmt::Display for RelevantError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "{:.4} % of {} relevant bits wrong ({}: {} leaks, {} of all among the {} undecided); {} irrelevant bits set",
+            "{:.4} % of {} relevant bits wrong ({}: {} leaks, {} of all among the {} undecided), \
+             {:.1} px from an edge at most; {} irrelevant bits set",
             self.share() * 100.0,
             self.relevant,
             self.wrong,
             self.leaks,
             self.wrong_undecided,
             self.undecided,
+            self.worst_distance_px,
             self.irrelevant_set
         )
     }
@@ -128,8 +177,16 @@ mod tests {
         mask.set(1, 2, 0, true);
         let error = RelevantError::of(&mask, &truth);
         let examples = vec![[0, 0, 0], [1, 0, 0]];
-        let expected =
-            RelevantError { wrong: 3, leaks: 2, wrong_undecided: 1, irrelevant_set: 1, examples, ..expected };
+        let expected = RelevantError {
+            wrong: 3,
+            leaks: 2,
+            wrong_undecided: 1,
+            irrelevant_set: 1,
+            examples,
+            worst_distance_px: 0.5,
+            ..expected
+        };
+        assert_eq!(error.surely_wrong(), 2);
         assert_eq!(error, expected);
         assert!((error.share() - 1.0).abs() < 1e-12);
         let mut sum = exact;

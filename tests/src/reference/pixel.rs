@@ -20,6 +20,13 @@ struct Nudge {
     alpha: f64,
 }
 
+/// What a camera ray meets first.
+struct Nearest {
+    first: (u32, Crossing),
+    /// Other triangles that it meets within rounding of the first: f32 may see either.
+    ties: Vec<(u32, Crossing)>,
+}
+
 /// The point that a pixel sees.
 struct Seen {
     triangle: u32,
@@ -54,7 +61,7 @@ impl Reference {
                 let offset = DVec3::new(sign(0), sign(1), sign(2)) * rounding_m;
                 let nudge = Nudge { offset, alpha: sign(0) };
                 let other = self.judge_nudged(origin, direction, nudge, &mut Doubt::default());
-                verdict.undecided |= (verdict.relevant ^ other.relevant) | (verdict.lit ^ other.lit);
+                verdict.undecided |= (verdict.relevant ^ other.relevant) | (verdict.lit ^ other.lit) | other.undecided;
             }
         }
         verdict
@@ -62,31 +69,45 @@ impl Reference {
 
     fn judge_nudged(&self, origin: DVec3, direction: DVec3, nudge: Nudge, doubt: &mut Doubt) -> Verdict {
         let ray = Ray::new(origin + nudge.offset, direction);
-        let Some(seen) = self.surface(&ray, nudge, doubt) else { return Verdict::default() };
+        let Some(nearest) = self.nearest(&ray, nudge, doubt) else { return Verdict::default() };
+        let mut verdict = self.judge_point(&self.seen(&ray, nearest.first), nudge, doubt);
+        for tie in nearest.ties {
+            let other = self.judge_point(&self.seen(&ray, tie), nudge, &mut Doubt::default());
+            verdict.undecided |= (verdict.relevant ^ other.relevant) | (verdict.lit ^ other.lit);
+        }
+        verdict
+    }
+
+    /// Rules 3 to 5.
+    fn judge_point(&self, seen: &Seen, nudge: Nudge, doubt: &mut Doubt) -> Verdict {
         let mut verdict = Verdict { surface: true, ..Verdict::default() };
         for (k, light) in self.lights.iter().enumerate() {
-            if !self.relevant(light, &seen, doubt) {
+            if !self.relevant(light, seen, doubt) {
                 continue;
             }
             verdict.relevant |= 1 << k;
-            if self.reached(light, &seen, nudge, doubt) {
+            if self.reached(light, seen, nudge, doubt) {
                 verdict.lit |= 1 << k;
             }
         }
         verdict
     }
 
-    /// Rules 1 and 2.
-    fn surface(&self, ray: &Ray, nudge: Nudge, doubt: &mut Doubt) -> Option<Seen> {
+    /// Rule 1.
+    fn nearest(&self, ray: &Ray, nudge: Nudge, doubt: &mut Doubt) -> Option<Nearest> {
         let slack = 4.0 * self.rounding_m / ray.direction.length();
         let mut nearest: Option<(u32, Crossing)> = None;
         let mut nearest_doubt = f64::INFINITY;
+        let mut ties = Vec::new();
         self.bvh.walk(ray, f64::INFINITY, |triangle| {
             let end = nearest.map_or(f64::INFINITY, |(_, crossing)| crossing.t);
             let meeting = self.meet(ray, triangle, nudge, true);
             if let Some((crossing, there, close)) = meeting.filter(|(crossing, ..)| crossing.t > 0.0) {
                 if close || there && (crossing.t - end).abs() <= slack {
                     nearest_doubt = nearest_doubt.min(crossing.t);
+                }
+                if crossing.t <= end + slack {
+                    ties.push((triangle, crossing));
                 }
                 if there && crossing.t < end {
                     nearest = Some((triangle, crossing));
@@ -97,14 +118,21 @@ impl Reference {
         });
         let end = nearest.as_ref().map_or(f64::INFINITY, |(_, crossing)| crossing.t);
         doubt.about(nearest_doubt.is_finite() && nearest_doubt <= end + slack);
-        let (triangle, crossing) = nearest?;
+        let first = nearest?;
+        // What lies farther ahead was met before the nearest was.
+        ties.retain(|(triangle, crossing)| *triangle != first.0 && (crossing.t - end).abs() <= slack);
+        Some(Nearest { first, ties })
+    }
+
+    /// Rule 2.
+    fn seen(&self, ray: &Ray, (triangle, crossing): (u32, Crossing)) -> Seen {
         let [a, b, c] = self.corners[triangle as usize];
         let normal = (b - a).cross(c - a).normalize();
         let [na, nb, nc] = self.surfaces[triangle as usize].normals;
         let [wa, wb, wc] = crossing.weights;
         let shading = na * wa + nb * wb + nc * wc;
         let side = if normal.dot(ray.direction) > 0.0 { -1.0 } else { 1.0 };
-        Some(Seen { triangle, point: ray.at(crossing.t), geometric: normal * side, shading: shading * side })
+        Seen { triangle, point: ray.at(crossing.t), geometric: normal * side, shading: shading * side }
     }
 
     /// Whether the ray meets the triangle: where, whether it is there, and whether that is in doubt. `None` for sure misses.

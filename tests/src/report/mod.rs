@@ -1,8 +1,10 @@
 //! Reports of the `lab`: tables that are measured by running the real programs.
 
+pub mod accuracy;
 pub mod link;
 pub mod load;
 pub mod network;
+pub mod pareto;
 pub mod pipeline;
 pub mod plot;
 pub mod prediction_error;

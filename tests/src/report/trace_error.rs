@@ -1,12 +1,12 @@
 //! How far a back end's masks are from the referee's, traced directly, without a network in between.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_server::visibility::backend::{compute::ComputeBackend, cpu::CpuBackend};
-use gnomon_shaders::{camera::Camera, scene::Scene};
+use gnomon_shaders::camera::Camera;
 
 use super::scene_args::SceneArgs;
 use crate::{
+    backends::BackendName,
     metrics::RelevantError,
     reference::{Reference, Truth},
 };
@@ -20,12 +20,9 @@ pub struct TraceErrorOptions {
     /// Times on the path, in seconds.
     #[arg(long, value_delimiter = ',', default_value = "0")]
     pub times: Vec<f64>,
-    /// Back ends: cpu, compute.
-    #[arg(long, value_delimiter = ',', default_value = "cpu,compute")]
-    pub backends: Vec<String>,
-    /// Lets compute run on a software adapter.
-    #[arg(long)]
-    pub allow_software: bool,
+    /// Back ends to compare; software adapters count.
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = BackendName::ALL)]
+    pub backends: Vec<BackendName>,
     /// Writes a picture of each comparison.
     #[arg(long)]
     pub pictures: bool,
@@ -44,10 +41,11 @@ pub fn compare(options: &TraceErrorOptions, mut progress: impl FnMut(&str)) -> R
     let truths: Vec<_> = cameras.iter().map(|camera| reference.trace(camera)).collect();
     let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
     let mut mask = Mask::new(MaskShape::new(width, height, lights)?);
-    for name in &options.backends {
-        let mut backend = open(name, &scene, options.allow_software)?;
+    for backend in &options.backends {
+        let name = backend.name();
+        let mut trace = backend.open(&scene)?;
         for ((camera, truth), time_s) in cameras.iter().zip(&truths).zip(&options.times) {
-            backend(camera, &mut mask)?;
+            trace(camera, &mut mask)?;
             let error = RelevantError::of(&mask, truth);
             progress(&format!("{name} at {time_s} s: {error}; light, x, y of wrong ones: {:?}", error.examples));
             if options.pictures {
@@ -59,31 +57,9 @@ pub fn compare(options: &TraceErrorOptions, mut progress: impl FnMut(&str)) -> R
     Ok(())
 }
 
-type Trace = Box<dyn FnMut(&Camera, &mut Mask) -> Result<()>>;
-
-fn open(name: &str, scene: &Scene, allow_software: bool) -> Result<Trace> {
-    Ok(match name {
-        "cpu" => {
-            let backend = CpuBackend::new(scene, None)?;
-            Box::new(move |camera, mask| {
-                let _cost = backend.trace(camera, mask);
-                Ok(())
-            })
-        }
-        "compute" => {
-            let mut backend = ComputeBackend::open(scene, None, allow_software)?;
-            Box::new(move |camera, mask| {
-                backend.trace(camera, mask)?;
-                Ok(())
-            })
-        }
-        _ => bail!("{name:?} is no back end: cpu or compute"),
-    })
-}
-
 /// Grey where right, the brighter the more lights reach the pixel; red for leaks, blue for false shadows, orange and cyan
 /// for the same in doubt.
-fn picture(mask: &Mask, truth: &Truth) -> image::RgbImage {
+pub(super) fn picture(mask: &Mask, truth: &Truth) -> image::RgbImage {
     image::RgbImage::from_fn(truth.width, truth.height, |x, y| {
         let verdict = truth.at(x, y);
         let bits = |word: u32| word.count_ones().min(32).to_le_bytes()[0];

@@ -23,8 +23,8 @@ pub struct RealScene {
     pub stops: &'static [(Option<&'static str>, f64)],
 }
 
-/// The four scenes that masks are judged on.
-pub const JUDGED: [RealScene; 4] = [
+/// The scenes that masks are judged on.
+pub const JUDGED: [RealScene; 6] = [
     RealScene {
         name: "sponza",
         file: "sponza/sponza_lights.gltf",
@@ -46,6 +46,18 @@ pub const JUDGED: [RealScene; 4] = [
     RealScene {
         name: "pink-room-partial",
         file: "pink-room-partial/pink-room-partial.glb",
+        lights_from_json: true,
+        stops: &[(None, 0.0), (None, 3.0)],
+    },
+    RealScene {
+        name: "breakfast-room",
+        file: "breakfast-room/breakfast-room.glb",
+        lights_from_json: true,
+        stops: &[(None, 0.0), (None, 3.0)],
+    },
+    RealScene {
+        name: "sponza-dabrovic",
+        file: "sponza-dabrovic/sponza-dabrovic.glb",
         lights_from_json: true,
         stops: &[(None, 0.0), (None, 3.0)],
     },
@@ -112,12 +124,26 @@ impl RealScene {
         Ok(self.path()?.with_file_name("lights_camera.json"))
     }
 
+    /// The `lights_camera.json` beside the scene file in a folder of scenes.
+    #[must_use]
+    pub fn json_in(&self, folder: &Path) -> PathBuf {
+        folder.join(self.file).with_file_name("lights_camera.json")
+    }
+
     /// The places to judge from.
     ///
     /// # Errors
     /// When the JSON cannot be read or lacks a path.
     pub fn stops(&self) -> Result<Vec<Stop>> {
-        let json = self.json()?;
+        self.stops_in(&folder()?)
+    }
+
+    /// The places to judge from, by a folder of scenes.
+    ///
+    /// # Errors
+    /// When the JSON cannot be read or lacks a path.
+    pub fn stops_in(&self, folder: &Path) -> Result<Vec<Stop>> {
+        let json = self.json_in(folder);
         self.stops.iter().map(|&(name, time_s)| stop(&json, name, time_s)).collect()
     }
 }

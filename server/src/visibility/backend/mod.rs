@@ -1,4 +1,4 @@
-//! What traces: kernels on a graphics adapter, or the processor.
+//! What traces: kernels on a graphics adapter, with or without its own ray queries, or the processor.
 
 use thiserror::Error;
 
@@ -6,6 +6,8 @@ use gnomon_shaders::gpu::GpuError;
 
 pub mod compute;
 pub mod cpu;
+pub mod ray_query;
+pub mod sampling;
 
 /// Why a back end cannot be had for a scene.
 #[derive(Debug, Error)]
@@ -14,7 +16,7 @@ pub enum BackendError {
     #[error(transparent)]
     Gpu(#[from] GpuError),
     /// The adapter lacks something that the kernels are written with.
-    #[error("adapter {adapter:?} lacks {missing}: trace with --backend cpu")]
+    #[error("adapter {adapter:?} lacks {missing}: trace with another --backend; cpu needs no adapter")]
     Feature {
         /// The adapter's name.
         adapter: String,

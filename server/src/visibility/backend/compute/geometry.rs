@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use glam::{Vec2, Vec3, Vec3A};
 use gnomon_shaders::{
     host::{AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedTriangle, wraps},
-    scene::{AlphaMode, Material, Scene},
+    scene::{AlphaMode, Material, Scene, triangle_normal},
 };
 use obvhs::{
     BvhBuildParams,
@@ -13,17 +13,18 @@ use obvhs::{
     triangle::Triangle,
 };
 
+use super::Traversal;
 use crate::visibility::backend::BackendError;
 
 /// Everything that the kernels read, except the lights.
 #[derive(Debug, Default)]
 pub(super) struct Geometry {
-    /// Nodes of the hierarchy, the root first; none when nothing stops a ray.
+    /// Nodes of the hierarchy, the root first; none when nothing stops a ray, or the adapter has its own.
     pub(super) nodes: Vec<CwBvhNode>,
     /// Triangles; a leaf's follow each other.
     pub(super) triangles: Vec<TracedTriangle>,
-    /// Shading normals of each triangle's corners.
-    pub(super) normals: Vec<[Vec3; 3]>,
+    /// Shading normals of each triangle's corners, and the unit normal of its plane: zero without an area.
+    pub(super) normals: Vec<[Vec3; 4]>,
     /// Texture coordinates of the triangles with holes, three each.
     pub(super) alpha_uvs: Vec<Vec2>,
     /// Materials with holes.
@@ -42,11 +43,11 @@ enum Presence {
 }
 
 impl Geometry {
-    /// Builds the hierarchy over the triangles that stop rays.
+    /// The triangles that stop rays, with the hierarchy that `traversal` wants over them.
     ///
     /// # Errors
     /// When the hierarchy is deeper than the kernels can follow, or there is more than 32-bit indices can name.
-    pub(super) fn build(scene: &Scene) -> Result<Self, BackendError> {
+    pub(super) fn build(scene: &Scene, traversal: Traversal) -> Result<Self, BackendError> {
         let mut geometry = Self::default();
         let presences = geometry.add_alpha(scene)?;
         let tracing = scene.tracing_triangles();
@@ -60,6 +61,13 @@ impl Geometry {
             }
         }
         if stopping.is_empty() {
+            return Ok(geometry);
+        }
+        if traversal == Traversal::RayQuery {
+            for (corners, material) in stopping {
+                let (surface, presence) = (&scene.materials[material as usize], presences[material as usize]);
+                geometry.add_triangle(scene, corners, surface, presence)?;
+            }
             return Ok(geometry);
         }
         let corner = |index: u32| Vec3A::from(scene.positions[index as usize]);
@@ -128,7 +136,9 @@ impl Geometry {
             self.alpha_uvs.extend(corners.map(|index| scene.uvs[index as usize]));
         }
         self.triangles.push(TracedTriangle { a, kind, b, first_uv, c, unused: 0 });
-        self.normals.push(corners.map(|index| scene.normals[index as usize]));
+        let [na, nb, nc] = corners.map(|index| scene.normals[index as usize]);
+        let plane = triangle_normal(a.into(), b.into(), c.into()).unwrap_or_default();
+        self.normals.push([na, nb, nc, plane.as_vec3()]);
         Ok(())
     }
 }
@@ -193,7 +203,7 @@ mod tests {
     #[test]
     fn every_triangle_that_stops_rays_is_there_once_with_its_own_corners() {
         let scene = room();
-        let geometry = Geometry::build(&scene).unwrap();
+        let geometry = Geometry::build(&scene, Traversal::Hierarchy).unwrap();
         let key = |corners: [[f32; 3]; 3]| corners.map(|corner| corner.map(f32::to_bits));
         let mut built: Vec<_> = geometry.triangles.iter().map(|t| key([t.a, t.b, t.c])).collect();
         let mut expected: Vec<_> = scene
@@ -216,7 +226,7 @@ mod tests {
         let mut other = scene.materials[LEAF as usize].clone();
         other.alpha = AlphaMode::Mask { cutoff: 0.25 };
         scene.materials.push(other);
-        let geometry = Geometry::build(&scene).unwrap();
+        let geometry = Geometry::build(&scene, Traversal::Hierarchy).unwrap();
         let [first, second] = geometry.alpha_materials[..] else { panic!("{:?}", geometry.alpha_materials) };
         assert_eq!((first.first_texel, second.first_texel), (0, 0));
         assert_ne!(first.cutoff.to_bits(), second.cutoff.to_bits());
@@ -233,7 +243,7 @@ mod tests {
         scene.materials[LEAF as usize].base_color_texture = None;
         for (factor, triangles) in [(0.5, 4), (0.49, 2)] {
             scene.materials[LEAF as usize].base_color.w = factor;
-            let geometry = Geometry::build(&scene).unwrap();
+            let geometry = Geometry::build(&scene, Traversal::Hierarchy).unwrap();
             assert_eq!((geometry.triangles.len(), geometry.alpha_materials.len()), (triangles, 0));
         }
     }

@@ -1,8 +1,13 @@
 //! The two kernels as pipelines, and the layouts of what they read and write.
 
-use gnomon_shaders::{gpu::Gpu, host::TracedView, splice::splice};
+use gnomon_shaders::{
+    gpu::Gpu,
+    host::TracedView,
+    splice::{splice, splice_ray_query},
+};
 
-use crate::visibility::backend::BackendError;
+use super::{KernelOptions, Traversal};
+use crate::visibility::backend::{BackendError, ray_query};
 
 /// Device features without which the kernels cannot run: the camera travels inside the command buffer, so that a frame
 /// creates no resource.
@@ -37,7 +42,7 @@ pub(super) struct FrameBuffers<'a> {
     pub(super) surfaces: &'a wgpu::Buffer,
     /// The mask's words.
     pub(super) mask: &'a wgpu::Buffer,
-    /// The number of shadow rays.
+    /// What is counted: `wgsl/visibility/work.wgsl`.
     pub(super) work: &'a wgpu::Buffer,
 }
 
@@ -46,7 +51,10 @@ impl Kernels {
     ///
     /// # Errors
     /// When the device lacks a feature or a limit that they need. What the device itself refuses, its error handler gets.
-    pub(super) fn new(gpu: &Gpu) -> Result<Self, BackendError> {
+    pub(super) fn new(gpu: &Gpu, traversal: Traversal, options: KernelOptions) -> Result<Self, BackendError> {
+        if traversal == Traversal::RayQuery {
+            ray_query::check(gpu)?;
+        }
         let lacking = |missing: String| BackendError::Feature { adapter: gpu.info.name.clone(), missing };
         if !gpu.device.features().contains(NEEDED) {
             return Err(lacking("immediate data (push constants)".to_owned()));
@@ -60,16 +68,29 @@ impl Kernels {
             let (there, needed) = (limits.max_immediate_size, TracedView::BYTES);
             return Err(lacking(format!("immediate data: it has {there} bytes where {needed} are needed")));
         }
-        let scene = layout(&gpu.device, "scene", [true; SCENE_BUFFERS]);
-        let frame = layout(&gpu.device, "frame", [false; FRAME_BUFFERS]);
+        let mut scene_types = [true; SCENE_BUFFERS].map(buffer_type).to_vec();
+        if traversal == Traversal::RayQuery {
+            scene_types.push(ray_query::structure_type());
+        }
+        let scene = layout(&gpu.device, "scene", scene_types);
+        let frame = layout(&gpu.device, "frame", [false; FRAME_BUFFERS].map(buffer_type));
         let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("tracing"),
             bind_group_layouts: &[Some(&scene), Some(&frame)],
             immediate_size: TracedView::BYTES,
         });
-        let pipeline = |name: &str| -> Result<wgpu::ComputePipeline, BackendError> {
-            let text = splice(&format!("visibility/{name}.wgsl"))
-                .map_err(|error| BackendError::Setup(format!("kernel {name}: {error}")))?;
+        let (sampling, refine) = options.sampling.constants();
+        let count = ("COUNT_NODES", f64::from(u8::from(options.count_nodes)));
+        let shadow_constants = [count, ("SAMPLING", f64::from(sampling)), ("REFINE", f64::from(u8::from(refine)))];
+        let offset = options.offset_roundings.map(|offset| ("OFFSET_ROUNDINGS", f64::from(offset)));
+        let primary_constants: Vec<(&str, f64)> = [count].into_iter().chain(offset).collect();
+        let pipeline = |name: &str, constants: &[(&str, f64)]| -> Result<wgpu::ComputePipeline, BackendError> {
+            let path = format!("visibility/{name}.wgsl");
+            let text = match traversal {
+                Traversal::Hierarchy => splice(&path),
+                Traversal::RayQuery => splice_ray_query(&path),
+            };
+            let text = text.map_err(|error| BackendError::Setup(format!("kernel {name}: {error}")))?;
             let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
                 label: Some(name),
                 source: wgpu::ShaderSource::Wgsl(text.into()),
@@ -79,52 +100,67 @@ impl Kernels {
                 layout: Some(&pipeline_layout),
                 module: &module,
                 entry_point: Some(name),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
                 cache: None,
             }))
         };
-        Ok(Self { primary: pipeline("primary")?, shadow: pipeline("shadow")?, scene, frame })
+        let (primary, shadow) = (pipeline("primary", &primary_constants)?, pipeline("shadow", &shadow_constants)?);
+        Ok(Self { primary, shadow, scene, frame })
     }
 
-    /// The scene's bind group. Buffers are in the order of `wgsl/shared/traced_scene.wgsl`.
-    pub(super) fn bind_scene(&self, device: &wgpu::Device, buffers: &[wgpu::Buffer; SCENE_BUFFERS]) -> wgpu::BindGroup {
-        bind(device, "scene", &self.scene, buffers.each_ref())
+    /// The scene's bind group. Buffers are in the order of `wgsl/shared/traced_scene.wgsl`; the structure is there when the
+    /// kernels walk the adapter's own.
+    pub(super) fn bind_scene(
+        &self,
+        device: &wgpu::Device,
+        buffers: &[wgpu::Buffer; SCENE_BUFFERS],
+        structure: Option<&wgpu::Tlas>,
+    ) -> wgpu::BindGroup {
+        let resources = buffers.iter().map(wgpu::Buffer::as_entire_binding);
+        bind(device, "scene", &self.scene, resources.chain(structure.map(wgpu::Tlas::as_binding)))
     }
 
     /// A frame's bind group.
     pub(super) fn bind_frame(&self, device: &wgpu::Device, buffers: FrameBuffers<'_>) -> wgpu::BindGroup {
-        bind(device, "frame", &self.frame, [buffers.surfaces, buffers.mask, buffers.work])
+        let buffers = [buffers.surfaces, buffers.mask, buffers.work];
+        bind(device, "frame", &self.frame, buffers.map(wgpu::Buffer::as_entire_binding))
     }
 }
 
-fn layout<const N: usize>(device: &wgpu::Device, label: &str, read_only: [bool; N]) -> wgpu::BindGroupLayout {
-    let mut binding = 0;
-    let entries = read_only.map(|read_only| {
-        binding += 1;
-        wgpu::BindGroupLayoutEntry {
-            binding: binding - 1,
+/// What a storage buffer is bound as.
+fn buffer_type(read_only: bool) -> wgpu::BindingType {
+    wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Storage { read_only },
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    }
+}
+
+/// A layout of these bindings, numbered from 0.
+fn layout(
+    device: &wgpu::Device,
+    label: &str,
+    types: impl IntoIterator<Item = wgpu::BindingType>,
+) -> wgpu::BindGroupLayout {
+    let entries: Vec<wgpu::BindGroupLayoutEntry> = (0..)
+        .zip(types)
+        .map(|(binding, ty)| wgpu::BindGroupLayoutEntry {
+            binding,
             visibility: wgpu::ShaderStages::COMPUTE,
-            ty: wgpu::BindingType::Buffer {
-                ty: wgpu::BufferBindingType::Storage { read_only },
-                has_dynamic_offset: false,
-                min_binding_size: None,
-            },
+            ty,
             count: None,
-        }
-    });
+        })
+        .collect();
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
 }
 
-fn bind<const N: usize>(
+fn bind<'a>(
     device: &wgpu::Device,
     label: &str,
     layout: &wgpu::BindGroupLayout,
-    buffers: [&wgpu::Buffer; N],
+    resources: impl IntoIterator<Item = wgpu::BindingResource<'a>>,
 ) -> wgpu::BindGroup {
-    let mut binding = 0;
-    let entries = buffers.map(|buffer| {
-        binding += 1;
-        wgpu::BindGroupEntry { binding: binding - 1, resource: buffer.as_entire_binding() }
-    });
+    let entries: Vec<wgpu::BindGroupEntry<'a>> =
+        (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
     device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
 }

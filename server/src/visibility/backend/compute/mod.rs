@@ -30,13 +30,37 @@ use self::{
     ring::{Capacity, Ring},
     timing::{QUERIES, Stages, Timing},
 };
-use super::BackendError;
+use super::{BackendError, ray_query, sampling::Sampling};
 use crate::visibility::TraceCost;
+
+/// How the kernels find the triangles on a ray's way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Traversal {
+    /// They walk obvhs' compressed hierarchy: the `compute` back end.
+    Hierarchy,
+    /// The adapter walks a structure of its own: the `ray-query` back end.
+    RayQuery,
+}
+
+/// What the kernels are compiled for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct KernelOptions {
+    /// Which pixels have shadow rays of their own.
+    pub sampling: Sampling,
+    /// Whether visited nodes are counted, which costs time.
+    pub count_nodes: bool,
+    /// How far shadow rays start off their surface, in rounding units, in place of what the rule says (`primary.wgsl`).
+    pub offset_roundings: Option<u16>,
+}
 
 /// Traces masks on one device. Frames are submitted and collected in the same order, up to [`RING_FRAMES`] at a time.
 #[derive(Debug)]
 pub struct ComputeBackend {
     gpu: Gpu,
+    traversal: Traversal,
+    sampling: Sampling,
+    /// Of the last frame collected.
+    node_visits: u64,
     kernels: Kernels,
     scene: wgpu::BindGroup,
     timing: Option<Timing>,
@@ -106,9 +130,33 @@ impl ComputeBackend {
     /// # Errors
     /// When there is no such adapter, it lacks what the kernels need, or the scene does not fit it.
     pub fn open(scene: &Scene, adapter: Option<String>, allow_software: bool) -> Result<Self, BackendError> {
-        let wanted = kernels::NEEDED | kernels::TIMING;
+        Self::open_with(scene, adapter, allow_software, KernelOptions::default())
+    }
+
+    /// As [`Self::open`], with other kernels.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_with(
+        scene: &Scene,
+        adapter: Option<String>,
+        allow_software: bool,
+        options: KernelOptions,
+    ) -> Result<Self, BackendError> {
+        Self::open_traversing(scene, adapter, allow_software, (Traversal::Hierarchy, options))
+    }
+
+    /// As [`Self::open_with`], with either way to find triangles.
+    pub(super) fn open_traversing(
+        scene: &Scene,
+        adapter: Option<String>,
+        allow_software: bool,
+        (traversal, options): (Traversal, KernelOptions),
+    ) -> Result<Self, BackendError> {
+        let experimental = if traversal == Traversal::RayQuery { ray_query::NEEDED } else { wgpu::Features::empty() };
+        let wanted = kernels::NEEDED | kernels::TIMING | experimental;
         let gpu = pollster::block_on(Gpu::open(&GpuOptions { adapter, wanted, allow_software }))?;
-        Self::new(scene, gpu)
+        Self::new_traversing(scene, gpu, (traversal, options))
     }
 
     /// As [`Self::open`], on a device that is already there.
@@ -116,6 +164,15 @@ impl ComputeBackend {
     /// # Errors
     /// When the device lacks what the kernels need, or the scene does not fit it.
     pub fn new(scene: &Scene, gpu: Gpu) -> Result<Self, BackendError> {
+        Self::new_traversing(scene, gpu, (Traversal::Hierarchy, KernelOptions::default()))
+    }
+
+    /// As [`Self::new`], with any kernels.
+    pub(super) fn new_traversing(
+        scene: &Scene,
+        gpu: Gpu,
+        (traversal, options): (Traversal, KernelOptions),
+    ) -> Result<Self, BackendError> {
         let failure = Failure::default();
         let (on_error, on_loss) = (failure.clone(), failure.clone());
         gpu.device.on_uncaptured_error(Arc::new(move |error| on_error.note(error.to_string())));
@@ -125,17 +182,28 @@ impl ComputeBackend {
                 on_loss.note(format!("the device is lost: {text}"));
             }
         });
-        let kernels = Kernels::new(&gpu)?;
-        let geometry = Geometry::build(scene)?;
-        let nodes = u32::try_from(geometry.nodes.len())
-            .map_err(|_| BackendError::Setup(format!("the hierarchy has {} nodes", geometry.nodes.len())))?;
-        let buffers = upload(&gpu, scene, geometry)?;
-        let scene_group = kernels.bind_scene(&gpu.device, &buffers);
+        let kernels = Kernels::new(&gpu, traversal, options)?;
+        let geometry = Geometry::build(scene, traversal)?;
+        let nodes = match traversal {
+            Traversal::Hierarchy => geometry.nodes.len(),
+            Traversal::RayQuery => geometry.triangles.len(),
+        };
+        let nodes =
+            u32::try_from(nodes).map_err(|_| BackendError::Setup(format!("the hierarchy has {nodes} nodes")))?;
+        let buffers = upload(&gpu, scene, geometry, traversal)?;
+        let structure = match traversal {
+            Traversal::Hierarchy => None,
+            Traversal::RayQuery => Some(ray_query::build_structure(&gpu, &buffers[TRIANGLES], nodes)?),
+        };
+        let scene_group = kernels.bind_scene(&gpu.device, &buffers, structure.as_ref());
         let timing = Timing::new(&gpu.device, &gpu.queue, u32::try_from(RING_FRAMES).unwrap_or(u32::MAX));
         if let Some(reason) = failure.take() {
             return Err(BackendError::Setup(reason));
         }
         Ok(Self {
+            traversal,
+            sampling: options.sampling,
+            node_visits: 0,
             kernels,
             scene: scene_group,
             timing,
@@ -150,11 +218,15 @@ impl ComputeBackend {
         })
     }
 
-    /// `compute on ADAPTER (DRIVER)`.
+    /// `compute on ADAPTER (DRIVER)`, or `ray-query on` it.
     #[must_use]
     pub fn describe(&self) -> String {
         let info = &self.gpu.info;
-        format!("compute on {} ({} {}, {})", info.name, info.driver, info.driver_info, info.backend)
+        let name = match self.traversal {
+            Traversal::Hierarchy => "compute",
+            Traversal::RayQuery => "ray-query",
+        };
+        format!("{name} on {} ({} {}, {})", info.name, info.driver, info.driver_info, info.backend)
     }
 
     /// What masks must fit into.
@@ -278,7 +350,7 @@ impl ComputeBackend {
         if mask.shape() != oldest.shape {
             mask.reset(oldest.shape);
         }
-        let (ticks, shadow_rays) = slot.read(mask).map_err(BackendError::Device)?;
+        let (ticks, work) = slot.read(mask).map_err(BackendError::Device)?;
         let stages = match &self.timing {
             Some(timing) => timing.stages(ticks),
             // Without a clock on the device, all of it counts as tracing.
@@ -289,10 +361,17 @@ impl ComputeBackend {
             shadow_ms: stages.shadow_ms,
             readback_ms: stages.copy_ms + seen_at.elapsed().as_secs_f64() * 1e3,
             primary_rays: oldest.shape.pixels() as u64,
-            shadow_rays,
+            shadow_rays: if self.sampling == Sampling::All { work.wanted } else { work.traced },
         };
+        self.node_visits = work.nodes;
         self.in_flight.pop_front();
         Ok(Some(cost))
+    }
+
+    /// Nodes that the rays of the last frame collected visited; 0 unless they are counted ([`KernelOptions`]).
+    #[must_use]
+    pub fn node_visits(&self) -> u64 {
+        self.node_visits
     }
 
     /// Traces one mask and waits for it; for tests and measurements. `mask` must have the camera's size and a plane for
@@ -323,8 +402,20 @@ fn binding_limit(gpu: &Gpu) -> u64 {
     limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
 }
 
+/// Which of the scene's buffers holds the triangles.
+const TRIANGLES: usize = 1;
+
 /// The scene's buffers, in the order of `wgsl/shared/traced_scene.wgsl`.
-fn upload(gpu: &Gpu, scene: &Scene, geometry: Geometry) -> Result<[wgpu::Buffer; SCENE_BUFFERS], BackendError> {
+fn upload(
+    gpu: &Gpu,
+    scene: &Scene,
+    geometry: Geometry,
+    traversal: Traversal,
+) -> Result<[wgpu::Buffer; SCENE_BUFFERS], BackendError> {
+    let usage = match traversal {
+        Traversal::Hierarchy => wgpu::BufferUsages::STORAGE,
+        Traversal::RayQuery => wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::BLAS_INPUT,
+    };
     let lights: Vec<TracedLight> = scene.lights.iter().map(TracedLight::new).collect();
     let mut texels = geometry.alpha_texels;
     // The kernels read them four at a time.
@@ -336,11 +427,7 @@ fn upload(gpu: &Gpu, scene: &Scene, geometry: Geometry) -> Result<[wgpu::Buffer;
         }
         // A binding may not be empty; nothing reads what fills it.
         let contents = if contents.is_empty() { &[0; 64] } else { contents };
-        Ok(gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some(what),
-            contents,
-            usage: wgpu::BufferUsages::STORAGE,
-        }))
+        Ok(gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(what), contents, usage }))
     };
     Ok([
         buffer("bounding volume hierarchy", bytemuck::cast_slice(&geometry.nodes))?,

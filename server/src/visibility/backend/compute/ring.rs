@@ -22,12 +22,14 @@ pub const RING_FRAMES: usize = 3;
 const SURFACE_BYTES: u64 = 16;
 /// Pixels of a tile.
 const TILE_PIXELS: u64 = 64;
-/// Place of the shadow-ray count in the host's buffer, behind the timestamps.
+/// Place of the counts in the host's buffer, behind the timestamps.
 const WORK_AT: u64 = QUERY_BYTES;
+/// Bytes of the counts: `wgsl/visibility/work.wgsl`.
+const WORK_BYTES: u64 = 16;
 /// Place of the mask's words there, in words and in bytes.
 const MASK_WORDS_AT: usize = 8;
 const MASK_AT: u64 = 8 * MASK_WORDS_AT as u64;
-const _: () = assert!(WORK_AT + 4 <= MASK_AT);
+const _: () = assert!(WORK_AT + WORK_BYTES <= MASK_AT);
 
 const PENDING: u8 = 0;
 const MAPPED: u8 = 1;
@@ -71,6 +73,17 @@ pub(super) struct Ring {
     pub(super) slots: [Slot; RING_FRAMES],
 }
 
+/// What the kernels counted of one frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Work {
+    /// Shadow rays that pixels want.
+    pub(super) wanted: u64,
+    /// Nodes that rays visited, when they are counted.
+    pub(super) nodes: u64,
+    /// Shadow rays traced, when not every pixel that wants one has its own.
+    pub(super) traced: u64,
+}
+
 /// Buffers of one frame.
 #[derive(Debug)]
 pub(super) struct Slot {
@@ -91,7 +104,7 @@ impl Ring {
         let surfaces = buffer("surfaces", capacity.surface_bytes, Usage::STORAGE);
         let slots = std::array::from_fn(|_| {
             let mask = buffer("mask", capacity.mask_bytes, Usage::STORAGE | Usage::COPY_SRC);
-            let work = buffer("work", 16, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST);
+            let work = buffer("work", WORK_BYTES, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST);
             Slot {
                 group: kernels.bind_frame(device, FrameBuffers { surfaces: &surfaces, mask: &mask, work: &work }),
                 mask,
@@ -114,7 +127,7 @@ impl Slot {
     /// Behind the kernels: copies what they wrote.
     pub(super) fn copy_mask(&self, encoder: &mut wgpu::CommandEncoder, shape: MaskShape) {
         encoder.copy_buffer_to_buffer(&self.mask, 0, &self.host, MASK_AT, mask_bytes(shape));
-        encoder.copy_buffer_to_buffer(&self.work, 0, &self.host, WORK_AT, 4);
+        encoder.copy_buffer_to_buffer(&self.work, 0, &self.host, WORK_AT, WORK_BYTES);
     }
 
     /// At the very end: copies the timestamps.
@@ -143,24 +156,24 @@ impl Slot {
         }
     }
 
-    /// Copies a frame that is ready into `mask`, whose shape it must have, and gives the timestamps and the number of
-    /// shadow rays.
+    /// Copies a frame that is ready into `mask`, whose shape it must have, and gives the timestamps and the counts.
     ///
     /// # Errors
     /// When the buffer is not mapped after all.
-    pub(super) fn read(&self, mask: &mut Mask) -> Result<([u64; QUERIES as usize], u64), String> {
+    pub(super) fn read(&self, mask: &mut Mask) -> Result<([u64; QUERIES as usize], Work), String> {
         let bytes = MASK_AT + mask_bytes(mask.shape());
         let view = self.host.get_mapped_range(..bytes).map_err(|error| error.to_string())?;
         let (head, words) = view.split_at(MASK_WORDS_AT * 8);
         let mut head = head.as_chunks().0.iter().copied().map(u64::from_le_bytes);
         let timestamps = std::array::from_fn(|_| head.next().unwrap_or_default());
-        // The low half of the word; the high half is not written.
-        let rays = head.next().unwrap_or_default() & u64::from(u32::MAX);
+        let [first, second] = std::array::from_fn(|_| head.next().unwrap_or_default());
+        let low = |word: u64| word & u64::from(u32::MAX);
+        let work = Work { wanted: low(first), nodes: first >> 32, traced: low(second) };
         for (word, bytes) in mask.words_mut().iter_mut().zip(words.as_chunks().0) {
             *word = u64::from_le_bytes(*bytes);
         }
         drop(view);
         self.host.unmap();
-        Ok((timestamps, rays))
+        Ok((timestamps, work))
     }
 }

@@ -9,7 +9,7 @@ use gnomon_shaders::{
 };
 use obvhs::ray::{Ray, RayHit};
 
-use super::{ComputeBackend, RING_FRAMES, geometry};
+use super::{ComputeBackend, KernelOptions, RING_FRAMES, Sampling, geometry};
 use crate::visibility::{
     TraceCost,
     backend::{BackendError, cpu::CpuBackend},
@@ -332,4 +332,34 @@ fn a_device_that_is_gone_is_an_error() {
     gpu.device.destroy();
     let error = compute.trace(&camera, &mut mask).unwrap_err();
     assert!(matches!(error, BackendError::Device(_)), "{error}");
+}
+
+#[test]
+fn fewer_rays_than_pixels_give_nearly_the_same_mask_on_both_back_ends() {
+    let scene = room();
+    let camera = cameras()[0];
+    let (full, full_cost) = trace(&scene, &camera);
+    // Kinds of sampling, the most rays in per cent of all, and the most wrong bits in per cent of those rays.
+    for (sampling, most_rays, most_wrong) in [
+        (Sampling::Checkerboard { refine: false }, 52, 1.0),
+        (Sampling::Checkerboard { refine: true }, 56, 0.1),
+        (Sampling::Quarter { refine: false }, 27, 3.0),
+        (Sampling::Quarter { refine: true }, 31, 1.0),
+    ] {
+        let options = KernelOptions { sampling, count_nodes: true, ..KernelOptions::default() };
+        let mut compute = ComputeBackend::open_with(&scene, None, true, options).unwrap();
+        let cpu = CpuBackend::new(&scene, None).unwrap().with_sampling(sampling);
+        let [mut a, mut b] = [(); 2].map(|()| mask_for(&scene, &camera));
+        let (on_device, on_cpu) = (compute.trace(&camera, &mut a).unwrap(), cpu.trace(&camera, &mut b));
+        for (mask, cost) in [(&a, on_device), (&b, on_cpu)] {
+            let wrong = 100.0 * f64::from(differing(mask, &full)) / full_cost.shadow_rays as f64;
+            let rays = cost.shadow_rays * 100 / full_cost.shadow_rays;
+            assert!(wrong <= most_wrong && rays <= most_rays, "{sampling:?}: {rays} % of the rays, {wrong} % wrong");
+            assert!(wrong > 0.0, "{sampling:?} is as good as all rays, so it traced all");
+        }
+        let apart = u64::from(differing(&a, &b));
+        assert!(apart * 500 <= full_cost.shadow_rays, "{sampling:?}: {apart} bits differ between the back ends");
+        assert!(on_device.shadow_rays.abs_diff(on_cpu.shadow_rays) * 500 <= full_cost.shadow_rays);
+        assert!(compute.node_visits() > on_device.primary_rays, "{} nodes", compute.node_visits());
+    }
 }

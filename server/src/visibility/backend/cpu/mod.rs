@@ -29,7 +29,7 @@ use self::{
     surface::Corners,
     tile::{Picture, TileCost, TileScratch, World, trace_tile},
 };
-use super::BackendError;
+use super::{BackendError, sampling::Sampling};
 use crate::visibility::{
     TraceCost,
     bvh::{TriangleFlags, WideBvh},
@@ -96,10 +96,18 @@ impl CpuBackend {
             corners: Corners::of(scene),
             alpha: Alpha::new(scene)?,
             lights: scene.lights.iter().map(PreparedLight::new).collect(),
+            sampling: Sampling::All,
             middle: (scene.bounds.min + scene.bounds.max) * 0.5,
             size_m: (scene.bounds.max - scene.bounds.min).max_element() * 2.0,
         };
         Ok(Self { world, origin_m: scene.origin_m, pool, level })
+    }
+
+    /// The same back end, with shadow rays for these pixels only.
+    #[must_use]
+    pub fn with_sampling(mut self, sampling: Sampling) -> Self {
+        self.world.sampling = sampling;
+        self
     }
 
     /// One line for logs: instructions, threads, and the tree.

@@ -51,8 +51,6 @@ pub(super) trait Simd: Copy + Send + Sync {
     fn select_negative(self, sign: Self::F, a: Self::F, b: Self::F) -> Self::F;
     fn lowest(self, a: Self::F) -> f32;
     fn highest(self, a: Self::F) -> f32;
-    /// Reads a number as an integer of the same bits, adds what `f` (a truncated number) says, and reads it back.
-    fn add_to_bits(self, a: Self::F, f: Self::F) -> Self::F;
 }
 
 /// Work that runs on any level.
@@ -220,15 +218,6 @@ impl Simd for Portable {
     fn highest(self, a: Array) -> f32 {
         a.0.iter().copied().fold(f32::NEG_INFINITY, f32::max)
     }
-    #[inline(always)]
-    fn add_to_bits(self, a: Array, f: Array) -> Array {
-        #[expect(
-            clippy::cast_possible_truncation,
-            reason = "whole steps are what is asked for, and the cast saturates"
-        )]
-        let steps = f.0.map(|f| f as i32);
-        Array(std::array::from_fn(|i| f32::from_bits(a.0[i].to_bits().wrapping_add_signed(steps[i]))))
-    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -267,7 +256,6 @@ mod tests {
                 s.select(s.mask(0b1011_0001), a, c),
                 s.select_negative(b, a, c),
                 s.splat(2.5),
-                s.add_to_bits(c, c * s.splat(2560.0)),
             ];
             let exact = exact.map(|f| out(f).map(|x| if x.is_nan() { u32::MAX } else { x.to_bits() })).to_vec();
             let fused = [s.fma(c, c, c), s.fms(c, c, c), s.fnma(c, c, c)].map(out).to_vec();

@@ -17,7 +17,10 @@ use super::{
     traverse::{Hits, Scratch, closest, occlude},
     vector,
 };
-use crate::visibility::bvh::{Child, WideBvh};
+use crate::visibility::{
+    backend::sampling::{Sampling, fill},
+    bvh::{Child, WideBvh},
+};
 
 /// Everything that tracing reads.
 pub(super) struct World {
@@ -25,6 +28,8 @@ pub(super) struct World {
     pub(super) corners: Vec<Corners>,
     pub(super) alpha: Alpha,
     pub(super) lights: Vec<PreparedLight>,
+    /// Which pixels have shadow rays of their own.
+    pub(super) sampling: Sampling,
     /// Middle of the scene: where parallel rays are measured from.
     pub(super) middle: Vec3,
     /// No coordinate of the scene is farther than this from its middle, even sheared.
@@ -83,6 +88,26 @@ fn word_bits(p: usize, lanes: u8) -> u64 {
     u64::from(lanes & 15) << row | u64::from(lanes >> 4) << (row + 8)
 }
 
+/// A pixel's packet, and its lane there: the inverse of [`word_bits`].
+fn place_of(bit: u32) -> (usize, usize) {
+    let (x, y) = ((bit % 8) as usize, (bit / 8) as usize);
+    (y / 2 * 2 + x / 4, y % 2 * 4 + x % 4)
+}
+
+/// The pixels of a word as lanes of packets.
+fn word_lanes(word: u64) -> [u8; PACKETS] {
+    PACKET_CORNERS.map(|(x, y)| {
+        let rows = word >> (8 * y + x);
+        (rows & 15 | (rows >> 8 & 15) << 4).to_le_bytes()[0]
+    })
+}
+
+/// Sides of a picture are at most 4096 pixels, so every centre is exact.
+#[expect(clippy::cast_precision_loss, reason = "pixel coordinates are below 2^24")]
+fn float(x: u32) -> f32 {
+    x as f32
+}
+
 /// Traces tile (`tile_x`, `tile_y`); `write` is told each light's word.
 #[inline(always)]
 pub(super) fn trace_tile<S: Simd, C: Counter>(
@@ -131,10 +156,32 @@ pub(super) fn trace_tile<S: Simd, C: Counter>(
         let mut rays = [0; PACKETS];
         for p in (0..PACKETS).filter(|&p| surface.lanes[p] != 0) {
             rays[p] = light.rays(s, surface, p);
-            cost.shadow_rays += u64::from(rays[p].count_ones());
         }
         traversal.blocker = blockers[plane];
-        write(plane, light_tile(s, world, light, &rays, surface, traversal, &mut cost.shadow_work));
+        let sampling = world.sampling;
+        let mut wanted = 0;
+        if sampling != Sampling::All {
+            wanted = rays.iter().enumerate().fold(0, |word, (p, &lanes)| word | word_bits(p, lanes));
+            rays = word_lanes(wanted & sampling.own());
+        }
+        let mut word = 0;
+        // The call stands once, and in no closure: only so do its instructions become part of this function.
+        for is_last in [sampling == Sampling::All, true] {
+            cost.shadow_rays += rays.iter().map(|lanes| u64::from(lanes.count_ones())).sum::<u64>();
+            word |= light_tile(s, world, light, &rays, surface, traversal, &mut cost.shadow_work);
+            if is_last {
+                break;
+            }
+            let pixel = picture.basis.right.length() * 2.0 / float(picture.width);
+            let filled = fill(sampling, wanted, word, |bit| {
+                let (p, lane) = place_of(bit);
+                let at = Vec3::from_array([0, 1, 2].map(|axis: usize| surface.pushed[axis][p].0[lane]));
+                (at, at.distance(picture.basis.origin) * pixel)
+            });
+            word |= filled.lit;
+            rays = word_lanes(filled.undecided);
+        }
+        write(plane, word);
         blockers[plane] = traversal.blocker;
     }
     cost.shadow += traced.elapsed();
@@ -149,9 +196,6 @@ fn aim<S: Simd>(
     tile_y: u32,
     directions: &mut [[F8; PACKETS]; 3],
 ) -> [u8; PACKETS] {
-    // Sides are at most 4096 pixels, so every centre is exact.
-    #[expect(clippy::cast_precision_loss, reason = "pixel coordinates are below 2^24")]
-    let float = |x: u32| x as f32;
     let RayBasis { forward, right, up, .. } = picture.basis;
     let lane_x = s.load(&F8([0.5, 1.5, 2.5, 3.5, 0.5, 1.5, 2.5, 3.5]));
     let lane_y = s.load(&F8([0.5, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.5]));
@@ -273,6 +317,10 @@ mod tests {
                 let bits = word_bits(p, 1 << lane);
                 assert_eq!(bits, 1 << (8 * (y + lane / 4) + x + lane % 4));
                 assert_eq!(seen & bits, 0);
+                assert_eq!(place_of(bits.trailing_zeros()), (p, lane as usize));
+                let mut lanes = [0; PACKETS];
+                lanes[p] = 1 << lane;
+                assert_eq!(word_lanes(bits), lanes);
                 seen |= bits;
             }
         }

@@ -7,6 +7,7 @@ use super::{
     group::{Group, PACKETS, Projection},
     leaf::{Prepared, prepare},
     simd::{F8, Simd},
+    surface::ROUNDING,
     tile::World,
     vector,
 };
@@ -244,27 +245,26 @@ fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
 
 /// Which points lie beyond the plane of triangle `slot`, seen along the rays, by more than rounding can account for.
 ///
-/// With corners a, b, c the distance is n·(p − a)/|n|, n = (b − a) × (c − a), and all of it is computed near the triangle,
-/// not near the light. Each product of n is off by up to 3 roundings (ε = 2⁻²⁴), its sum by another, p − a by one and p,
-/// interpolated, by about 4 of |p|: 8ε of the absolute terms covers it.
+/// With corners a, b, c the distance is n·(p − a), n = (b − a) × (c − a), computed near the triangle and not near the light.
+/// n is exact but for its rounding to f32, so that long thin triangles have a plane as sharp as any. Each term is off by
+/// 1 rounding of n, 1 of p − a and 3 of the products and sums, contracted or not: 5, and one more for the bound itself.
 #[inline(always)]
 fn beyond<S: Simd>(s: S, projection: &Projection, leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
-    const ROUNDING: f32 = 8.0 / (1 << 24) as f32;
+    const PLANE_ROUNDINGS: f32 = 6.0;
     let [u, v, w] = projection.axes;
     let [a, b, c] = leaf.corners.each_ref().map(|k| [k[u].0[slot], k[v].0[slot], k[w].0[slot] * projection.w_sign]);
-    let ab = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
-    let ac = [c[0] - a[0], c[1] - a[1], c[2] - a[2]];
+    let [ab, ac] = [b, c].map(|to| [0, 1, 2].map(|i| f64::from(to[i]) - f64::from(a[i])));
     let mut distance = s.splat(0.0);
-    let mut error = s.splat(0.0);
+    let mut terms = s.splat(0.0);
     for (i, j, k) in [(0, 1, 2), (1, 2, 0), (2, 0, 1)] {
-        let (plus, minus) = (ab[j] * ac[k], ab[k] * ac[j]);
-        let normal = if back { plus - minus } else { minus - plus };
+        let normal = ab[j] * ac[k] - ab[k] * ac[j];
+        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is accounted for")]
+        let normal = s.splat(if back { normal } else { -normal } as f32);
         let way = point[i] - s.splat(a[i]);
-        distance = s.fma(s.splat(normal), way, distance);
-        error = s.fma(s.splat((plus.abs() + minus.abs()) * ROUNDING), s.abs(way), error);
-        error = s.fma(s.splat(normal.abs() * ROUNDING), s.abs(point[i]), error);
+        distance = s.fma(normal, way, distance);
+        terms = s.fma(s.abs(normal), s.abs(way), terms);
     }
-    s.gt(distance, error)
+    s.gt(distance, terms * s.splat(PLANE_ROUNDINGS * ROUNDING))
 }
 
 /// The lanes whose point of a MASK triangle is there.

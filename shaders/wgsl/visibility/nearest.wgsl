@@ -1,0 +1,10 @@
+// What a ray meets first, however the triangles on its way are found.
+
+struct Nearest {
+    // The triangle, or NOTHING.
+    triangle: u32,
+    weights: vec3f,
+    front: bool,
+}
+
+const NOTHING: u32 = 0xffffffffu;

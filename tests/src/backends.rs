@@ -1,0 +1,63 @@
+//! The back ends under test, by name: one line here brings another before every test and report that judges them all.
+
+use anyhow::Result;
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_server::visibility::{
+    TraceCost,
+    backend::{compute::ComputeBackend, cpu::CpuBackend},
+};
+use gnomon_shaders::{camera::Camera, scene::Scene};
+
+/// A back end that masks can be traced with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum BackendName {
+    /// Native, on the processor.
+    Cpu,
+    /// Kernels in WGSL, on any adapter.
+    Compute,
+}
+
+/// An open back end: traces what a camera sees into a mask of its size.
+pub type Trace = Box<dyn FnMut(&Camera, &mut Mask) -> Result<TraceCost>>;
+
+impl BackendName {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Cpu, Self::Compute];
+
+    /// As on the server's command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cpu => "cpu",
+            Self::Compute => "compute",
+        }
+    }
+
+    /// Brings the scene to the back end. Software adapters count.
+    ///
+    /// # Errors
+    /// When the scene is refused, or there is no adapter.
+    pub fn open(self, scene: &Scene) -> Result<Trace> {
+        Ok(match self {
+            Self::Cpu => {
+                let backend = CpuBackend::new(scene, None)?;
+                Box::new(move |camera, mask| Ok(backend.trace(camera, mask)))
+            }
+            Self::Compute => {
+                let mut backend = ComputeBackend::open(scene, None, true)?;
+                Box::new(move |camera, mask| Ok(backend.trace(camera, mask)?))
+            }
+        })
+    }
+
+    /// One mask of the scene.
+    ///
+    /// # Errors
+    /// As [`Self::open`], or when the mask cannot be traced.
+    pub fn mask(self, scene: &Scene, camera: &Camera) -> Result<Mask> {
+        let lights = u32::try_from(scene.lights.len())?;
+        let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, lights)?);
+        self.open(scene)?(camera, &mut mask)?;
+        Ok(mask)
+    }
+}

@@ -1,0 +1,263 @@
+//! Speed against error: every knob that trades one for the other, over real scenes.
+//!
+//! `tracing` knobs are measured on masks that are traced for the frame that they are shown in: the back end, which also sets
+//! whether nodes are compressed (`compute`) or in full precision (`cpu`); the resolution; the codec; how often dim lights are
+//! traced. `prediction` is how late a mask is and what the client makes of it. Milliseconds are what a frame waits for its
+//! visibility: tracing and encoding, less the lag that it is allowed. `half` and `checkerboard` trace that part of the shadow
+//! rays and ask neighbours for the rest, on the server; `half-mask` is a mask of half the size, which the client's predictor
+//! spreads over the picture. No codec is lossy.
+
+mod front;
+mod judge;
+mod measure;
+mod tracer;
+mod viewer;
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, ensure};
+use gnomon_client::camera_path::CameraPath;
+use gnomon_shaders::scene::{LoadOptions, Scene};
+
+use self::{
+    front::{Trade, on_front},
+    judge::Verdict,
+    measure::Bench,
+    tracer::{BACKENDS, Traced},
+};
+use super::{
+    plot::{Axis, Better, Front, Plot, Series},
+    scene_args::size,
+    table::{Table, median},
+};
+
+/// What to measure.
+#[derive(Debug, Clone, clap::Args)]
+pub struct ParetoOptions {
+    /// Folder that holds the six real scenes.
+    #[arg(long, env = "GNOMON_SCENES")]
+    pub scenes: PathBuf,
+    /// Scenes, by their folders' names.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "sponza,modern-hall,grey-white-room,pink-room-partial,breakfast-room,sponza-dabrovic"
+    )]
+    pub only: Vec<String>,
+    /// Back ends. On software Vulkan ray-query wants VK_DRIVER_FILES=$(deploy/ray-query-driver).
+    #[arg(long, value_delimiter = ',', default_value = "cpu,compute,ray-query")]
+    pub backends: Vec<String>,
+    /// Size of the picture, WIDTHxHEIGHT.
+    #[arg(long, value_parser = size, default_value = "320x180")]
+    pub size: (u32, u32),
+    /// Times that each view is traced.
+    #[arg(long, default_value_t = 21)]
+    pub samples: usize,
+    /// Seconds after which fewer will do.
+    #[arg(long, default_value_t = 5.0)]
+    pub seconds: f64,
+    /// Folder for tables and plots.
+    #[arg(long, default_value = "target/lab")]
+    pub out: PathBuf,
+}
+
+/// What can be compared: rows of a group and a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Group {
+    Tracing,
+    Prediction,
+}
+
+/// A line of the table.
+#[derive(Debug, Clone)]
+struct Row {
+    scene: String,
+    backend: String,
+    knob: String,
+    value: String,
+    group: Group,
+    ms_p50: f64,
+    ms_p99: f64,
+    rays: f64,
+    node_visits: Option<u64>,
+    bytes: f64,
+    bit_error: f64,
+    psnr_db: f64,
+    flip: f64,
+    on_front: bool,
+    is_default: bool,
+}
+
+impl Row {
+    fn new(
+        [scene, backend, knob, value]: [&str; 4],
+        (group, is_default): (Group, bool),
+        traced: &[Traced],
+        node_visits: Option<u64>,
+        verdict: &Verdict,
+    ) -> Self {
+        let mut times: Vec<f64> = traced.iter().map(|traced| traced.ms).collect();
+        times.sort_by(f64::total_cmp);
+        #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
+        let mean = |of: fn(&Traced) -> u64| {
+            traced.iter().map(|traced| of(traced) as f64).sum::<f64>() / traced.len().max(1) as f64
+        };
+        Self {
+            scene: scene.to_owned(),
+            backend: backend.to_owned(),
+            knob: knob.to_owned(),
+            value: value.to_owned(),
+            group,
+            ms_p50: median(&times).unwrap_or(f64::NAN),
+            ms_p99: times.get(times.len().saturating_sub(1).min(times.len() * 99 / 100)).copied().unwrap_or(f64::NAN),
+            rays: mean(|traced| traced.rays),
+            node_visits,
+            bytes: mean(|traced| traced.bytes),
+            bit_error: verdict.bit_error(),
+            psnr_db: verdict.psnr_db(),
+            flip: verdict.flip(),
+            on_front: false,
+            is_default,
+        }
+    }
+}
+
+/// Measures, tells `progress` each step and every default that is off the front, and writes `pareto.csv` and a plot a scene.
+///
+/// # Errors
+/// When a scene cannot be read, a back end that was there fails, or a result cannot be written.
+pub fn measure(options: &ParetoOptions, mut progress: impl FnMut(&str)) -> Result<()> {
+    for name in &options.backends {
+        ensure!(BACKENDS.contains(&name.as_str()), "{name:?} is no back end: {}", BACKENDS.join(", "));
+    }
+    std::fs::create_dir_all(&options.out).with_context(|| format!("creating {}", options.out.display()))?;
+    let mut rows = Vec::new();
+    for name in &options.only {
+        let (scene, path) = load(options, name)?;
+        measure::check(&path)?;
+        let automatic = tracer::automatic(&scene);
+        let mut bench = Bench::new(name, &scene, &path, options.size, (options.samples, options.seconds))?;
+        for backend in &options.backends {
+            progress(&format!("{name}: {backend}"));
+            if !bench.resolutions(backend, backend == automatic)? {
+                progress(&format!("NOT MEASURED: {backend} on {name}: no adapter here has what it needs"));
+                continue;
+            }
+            // The processor's offset is part of its vector code.
+            if backend == "compute" {
+                bench.offsets(backend)?;
+            }
+            if backend == automatic {
+                bench.codecs(backend)?;
+                bench.dim_lights(backend)?;
+                bench.lags(backend)?;
+            }
+        }
+        let mut of_scene = bench.rows();
+        mark_front(&mut of_scene);
+        for row in of_scene.iter().filter(|row| row.is_default && !row.on_front) {
+            progress(&format!("DEFAULT OFF THE FRONT: {name}, {}, {} {}", row.backend, row.knob, row.value));
+        }
+        rows.extend(of_scene);
+        // After each scene, so that a long measurement that is cut short has something to show.
+        write(options, "pareto.csv", &table(&rows).csv())?;
+        write(options, &format!("pareto-{name}.svg"), &plot(name, &rows).svg()?)?;
+    }
+    Ok(())
+}
+
+fn load(options: &ParetoOptions, name: &str) -> Result<(Scene, CameraPath)> {
+    let folder = options.scenes.join(name);
+    // Sponza has a file with its lights beside the one without.
+    let files = [format!("{name}_lights.gltf"), format!("{name}.glb"), format!("{name}.gltf")];
+    let file = files.iter().map(|file| folder.join(file)).find(|file| file.is_file());
+    let file = file.with_context(|| format!("no {} in {}", files.join(", "), folder.display()))?;
+    let json = folder.join("lights_camera.json");
+    let scene = Scene::load(&file, &LoadOptions::default());
+    let scene = match scene {
+        Ok(scene) if !scene.lights.is_empty() => scene,
+        _ => Scene::load(&file, &LoadOptions { lights_from: Some(json.clone()), ..LoadOptions::default() })
+            .with_context(|| format!("loading {}", file.display()))?,
+    };
+    let mut spec = json.into_os_string();
+    if name == "sponza" {
+        spec.push("#A_atrium_dolly");
+    }
+    let spec = spec.to_str().with_context(|| format!("{} is no UTF-8", folder.display()))?.parse()?;
+    Ok((scene, CameraPath::load(&spec)?))
+}
+
+fn mark_front(rows: &mut [Row]) {
+    for group in [Group::Tracing, Group::Prediction] {
+        let mut members: Vec<&mut Row> = rows.iter_mut().filter(|row| row.group == group).collect();
+        let trades: Vec<Trade> =
+            members.iter().map(|row| Trade { ms: row.ms_p50, bytes: row.bytes, error: row.bit_error }).collect();
+        for (row, on_front) in members.iter_mut().zip(on_front(&trades)) {
+            row.on_front = on_front;
+        }
+    }
+}
+
+fn table(rows: &[Row]) -> Table {
+    let mut table = Table::new(&[
+        "scene",
+        "backend",
+        "knob",
+        "value",
+        "ms_p50",
+        "ms_p99",
+        "rays",
+        "node_visits",
+        "bytes",
+        "bit_error",
+        "psnr",
+        "flip",
+        "on_front",
+        "is_default",
+    ]);
+    table.rows.extend(rows.iter().map(|row| {
+        let Row { ms_p50, ms_p99, rays, bytes, bit_error, psnr_db, flip, on_front, is_default, .. } = row;
+        vec![
+            row.scene.clone(),
+            row.backend.clone(),
+            row.knob.clone(),
+            row.value.clone(),
+            format!("{ms_p50:.3}"),
+            format!("{ms_p99:.3}"),
+            format!("{rays:.0}"),
+            row.node_visits.map(|nodes| nodes.to_string()).unwrap_or_default(),
+            format!("{bytes:.0}"),
+            format!("{bit_error:.5}"),
+            format!("{psnr_db:.2}"),
+            format!("{flip:.5}"),
+            on_front.to_string(),
+            is_default.to_string(),
+        ]
+    }));
+    table
+}
+
+/// Time against wrong bits of one scene; a series for each back end, and the default by itself.
+fn plot(scene: &str, rows: &[Row]) -> Plot {
+    let rows: Vec<&Row> = rows.iter().filter(|row| row.scene == scene && row.group == Group::Tracing).collect();
+    let points = |wanted: &dyn Fn(&Row) -> bool| {
+        rows.iter().filter(|row| wanted(row)).map(|row| (row.ms_p50, row.bit_error)).collect::<Vec<_>>()
+    };
+    let mut series: Vec<Series> = BACKENDS
+        .iter()
+        .map(|&backend| Series::dots(backend, points(&|row| row.backend == backend && !row.is_default)))
+        .filter(|series| !series.points.is_empty())
+        .collect();
+    let default = points(&|row| row.is_default);
+    if !default.is_empty() {
+        series.push(Series::dots("default", default));
+    }
+    let title = format!("{scene}: what less time costs");
+    Plot::new(&title, Axis::log("tracing and encoding, ms (median)"), Axis::linear("wrong relevant bits, %"), series)
+        .with_front(Front { x: Better::Low, y: Better::Low })
+}
+
+fn write(options: &ParetoOptions, name: &str, text: &str) -> Result<()> {
+    let file = options.out.join(name);
+    std::fs::write(&file, text).with_context(|| format!("writing {}", file.display()))
+}
