@@ -302,7 +302,7 @@ fn version_mismatch() {
         drop(stream.read(&mut [0]));
     });
     let line = stage.client_fails(&url, &[], &[]);
-    assert_says(&line, &["version 2", "1", "install matching versions"]);
+    assert_says(&line, &[&format!("version {tomorrow}"), &PROTOCOL_VERSION.to_string(), "install matching versions"]);
     server.join().unwrap();
 }
 

@@ -8,6 +8,7 @@ use gnomon_tests::{
     cloister,
     report::{
         accuracy::{self, AccuracyOptions},
+        lag::{self, LagOptions},
         link::{self, LinkOptions},
         load::{self, LoadOptions},
         network::{self, NetworkOptions},
@@ -37,6 +38,8 @@ enum Command {
     },
     /// Rebuilds the dissertation's Table 1 with the real programs on loopback: writes pipeline.csv, prints Markdown.
     Pipeline(PipelineOptions),
+    /// Measures how wrong predicted visibility is, against how late it is: writes lag.csv, plots and a grid of pictures.
+    Lag(LagOptions),
     /// Stands between a client and a server on this machine as another network would.
     Link(LinkOptions),
     /// Puts many clients that draw nothing on a running server, and says what each of them gets.
@@ -70,6 +73,7 @@ fn run(arguments: Arguments) -> Result<()> {
         Command::Pipeline(options) => {
             print!("{}", pipeline::measure(&options, |line| eprintln!("{line}"))?.markdown());
         }
+        Command::Lag(options) => print!("{}", lag::measure(&options, |line| eprintln!("{line}"))?.markdown()),
         Command::Link(options) => link::run(&options, |line| println!("{line}")).map(drop)?,
         Command::Load(options) => println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?),
         Command::Network(options) => {

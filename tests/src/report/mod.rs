@@ -1,6 +1,8 @@
 //! Reports of the `lab`: tables that are measured by running the real programs.
 
 pub mod accuracy;
+pub mod lag;
+mod lag_plots;
 pub mod link;
 pub mod load;
 pub mod network;

@@ -1,0 +1,330 @@
+//! `lab lag`: how wrong predicted visibility is, against how late it is (the dissertation's Figures 13 and 16 to 19).
+//!
+//! For each measured frame, spread evenly over the path, the referee judges the frame itself, the cpu back end traces the mask of
+//! the frame that lies `lag` earlier, and the client's own renderer predicts the one from the other. There is no network and no
+//! clock: a second run gives the same figures.
+
+use anyhow::{Context, Result, bail};
+use gnomon_client::{
+    camera_path::CameraPath,
+    guard::GuardSize,
+    occluders::Occluders,
+    predictor::Predictor,
+    render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, predict::MaskView, readback::PictureReader},
+};
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_server::visibility::backend::cpu::CpuBackend;
+use gnomon_shaders::{
+    camera::Camera,
+    gpu::{Gpu, GpuOptions},
+    motion::{Extrapolation, Motion},
+    scene::{AlphaMode, Scene},
+};
+use image::RgbImage;
+
+use super::{lag_plots, prediction_error::PredictionError, scene_args::SceneArgs, table::Table};
+use crate::{
+    metrics::{
+        image::{ImageError, compare},
+        vmaf::vmaf,
+    },
+    reference::Reference,
+};
+
+/// Poses before the mask's that the server's extrapolation has seen.
+const POSES_BEFORE: u32 = 12;
+
+/// What to measure.
+#[derive(Debug, Clone, clap::Args)]
+pub struct LagOptions {
+    /// Scene, path, size, and how many frames of the path are measured.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// Lags, in frames.
+    #[arg(long, value_delimiter = ',', default_value = "0,1,2,3,6,10,20,50")]
+    pub lags: Vec<u32>,
+    /// Predictors: none, dissertation, dissertation-shadow, dissertation-copy, surface.
+    #[arg(long, value_delimiter = ',', default_value = "none,dissertation,surface")]
+    pub predict: Vec<Predictor>,
+    /// Guard bands: WxH extra pixels in all, half of them on each side.
+    #[arg(long, value_delimiter = ',', default_value = "0x0")]
+    pub guard: Vec<GuardSize>,
+    /// How the server extrapolates poses to the moment that shows them: off, velocity, acceleration.
+    #[arg(long, value_delimiter = ',', default_value = "off", value_parser = extrapolation)]
+    pub predict_pose: Vec<(&'static str, Extrapolation)>,
+    /// Frames a second of the client.
+    #[arg(long, default_value_t = 60.0)]
+    pub fps: f64,
+    /// Instead of following the path, turns on the spot where it begins, by this many degrees a second.
+    #[arg(long)]
+    pub turn: Option<f64>,
+    /// Takes MASK surfaces for OPAQUE ones.
+    #[arg(long)]
+    pub ignore_alpha: bool,
+    /// Lets the client run on a software adapter.
+    #[arg(long)]
+    pub allow_software: bool,
+    /// Leaves out the comparison of pictures, which takes most of the time.
+    #[arg(long)]
+    pub bits_only: bool,
+}
+
+fn extrapolation(text: &str) -> Result<(&'static str, Extrapolation), String> {
+    match text {
+        "off" => Ok(("off", Extrapolation::Still)),
+        "velocity" => Ok(("velocity", Extrapolation::Velocity)),
+        "acceleration" => Ok(("acceleration", Extrapolation::Acceleration)),
+        _ => Err(format!("{text:?} is no extrapolation: off, velocity or acceleration")),
+    }
+}
+
+/// One row of the table: what is varied.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Setting {
+    pub(super) lag: u32,
+    pub(super) predictor: Predictor,
+    pub(super) guard: GuardSize,
+    pub(super) predict_pose: (&'static str, Extrapolation),
+}
+
+/// What a setting came to.
+#[derive(Debug, Default)]
+pub(super) struct Outcome {
+    pub(super) bits: PredictionError,
+    pub(super) known_share: Vec<f64>,
+    pub(super) images: Vec<ImageError>,
+    pub(super) vmaf: Option<f64>,
+    /// Pictures as they were shown, one a measured frame.
+    pub(super) shown: Vec<RgbImage>,
+}
+
+/// Measures, writes `lag.csv` and its plots, and tells `progress` each setting's figures as a line.
+///
+/// # Errors
+/// When the scene or the path cannot be read, there is no adapter, or a file cannot be written.
+pub fn measure(options: &LagOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
+    let mut rig = Rig::new(options)?;
+    let settings: Vec<Setting> = settings(options);
+    if settings.is_empty() {
+        bail!("nothing to measure: --lags, --predict, --guard and --predict-pose each need a value");
+    }
+    let mut outcomes: Vec<Outcome> = settings.iter().map(|_| Outcome::default()).collect();
+    let mut truths = Vec::new();
+    for frame in 0..options.scene.frames {
+        let time_s = rig.time_s(frame);
+        let camera = rig.camera(time_s);
+        let truth = rig.reference.trace(&camera);
+        let true_picture = rig.true_picture(&camera)?;
+        let mut traced: Option<(Camera, Mask)> = None;
+        for (setting, outcome) in settings.iter().zip(&mut outcomes) {
+            let traced_for = rig.traced_for(setting, time_s);
+            // Settings that differ in the predictor only share a mask.
+            let mask = match traced.take().filter(|(camera, _)| *camera == traced_for) {
+                Some((_, mask)) => mask,
+                None => rig.trace(&traced_for)?,
+            };
+            rig.renderer.set_predictor(setting.predictor);
+            let (picture, visibility) = rig.draw(&camera, &mask, &traced_for)?;
+            outcome.bits.add(&visibility, &truth);
+            outcome.known_share.push(rig.renderer.known_share().unwrap_or(f64::NAN));
+            if !options.bits_only {
+                outcome.images.push(compare(&picture, &true_picture));
+                outcome.shown.push(picture);
+            }
+            traced = Some((traced_for, mask));
+        }
+        progress(&format!("frame {} of {} at {time_s:.3} s", frame + 1, options.scene.frames));
+        truths.push(true_picture);
+    }
+    if !options.bits_only {
+        for outcome in &mut outcomes {
+            outcome.vmaf = vmaf(&outcome.shown, &truths, options.fps)?;
+        }
+    }
+    let table = table(options, &settings, &outcomes);
+    options.scene.write("lag.csv", &table.csv())?;
+    if !options.bits_only {
+        lag_plots::draw(options, &settings, &outcomes, &truths)?;
+    }
+    Ok(table)
+}
+
+/// Every combination, the predictor fastest: masks are shared between predictors.
+fn settings(options: &LagOptions) -> Vec<Setting> {
+    let mut settings = Vec::new();
+    for &lag in &options.lags {
+        for &guard in &options.guard {
+            for &predict_pose in &options.predict_pose {
+                for &predictor in &options.predict {
+                    settings.push(Setting { lag, predictor, guard, predict_pose });
+                }
+            }
+        }
+    }
+    settings
+}
+
+fn table(options: &LagOptions, settings: &[Setting], outcomes: &[Outcome]) -> Table {
+    let mut table = Table::new(&[
+        "scene",
+        "path",
+        "lights",
+        "size",
+        "predictor",
+        "guard",
+        "server_prediction",
+        "lag",
+        "bit_error",
+        "known_share",
+        "psnr",
+        "ssim",
+        "flip",
+        "vmaf",
+        "known_inside_error",
+        "known_edge_error",
+        "unknown_error",
+    ]);
+    let path = options.scene.path_text().to_string_lossy().into_owned();
+    let path = path.rsplit_once('#').map_or("path", |(_, name)| name);
+    let path = options.turn.map_or_else(|| path.to_owned(), |rate| format!("turn {rate}°/s"));
+    for (setting, outcome) in settings.iter().zip(outcomes) {
+        let bits = &outcome.bits;
+        let mean = |of: fn(&ImageError) -> f64, decimals: usize| {
+            let finite: Vec<f64> = outcome.images.iter().map(of).filter(|value| value.is_finite()).collect();
+            if finite.is_empty() { String::new() } else { format!("{:.decimals$}", mean_of(&finite)) }
+        };
+        table.rows.push(vec![
+            options.scene.scene_name(),
+            path.clone(),
+            bits.lights.to_string(),
+            format!("{}x{}", options.scene.size.0, options.scene.size.1),
+            setting.predictor.to_string(),
+            setting.guard.to_string(),
+            setting.predict_pose.0.to_owned(),
+            setting.lag.to_string(),
+            format!("{:.4}", bits.wrong_percent()),
+            format!("{:.4}", mean_of(&outcome.known_share)),
+            mean(|error| error.psnr_db, 2),
+            mean(|error| error.ssim, 4),
+            mean(|error| error.flip, 4),
+            outcome.vmaf.map_or(String::new(), |vmaf| format!("{vmaf:.2}")),
+            format!("{:.4}", bits.percent(bits.known_inside)),
+            format!("{:.4}", bits.percent(bits.known_edge)),
+            format!("{:.4}", bits.percent(bits.unknown)),
+        ]);
+    }
+    table
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a few frames")]
+pub(super) fn mean_of(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// What is the same for all settings.
+struct Rig {
+    path: CameraPath,
+    size: (u32, u32),
+    fps: f64,
+    turn_rad_per_s: Option<f64>,
+    first_s: f64,
+    span_s: f64,
+    frames: u32,
+    lights: u32,
+    backend: CpuBackend,
+    reference: Reference,
+    renderer: FrameRenderer,
+    pictures: PictureReader,
+}
+
+impl Rig {
+    fn new(options: &LagOptions) -> Result<Self> {
+        let mut scene = options.scene.load_scene()?;
+        if options.ignore_alpha {
+            ignore_alpha(&mut scene);
+        }
+        let path = options.scene.load_path()?;
+        let size = options.scene.size;
+        let gpu = GpuOptions { allow_software: options.allow_software, ..GpuOptions::default() };
+        let gpu = pollster::block_on(Gpu::open(&gpu))?;
+        let exposure = Exposure::of_scene(&scene, &Occluders::largest_of(&scene));
+        let most = options.lags.iter().max().copied().unwrap_or(0) + POSES_BEFORE;
+        let first_s = f64::from(most) / options.fps;
+        Ok(Self {
+            span_s: (path.duration_s() - first_s).max(0.0),
+            first_s,
+            path,
+            size,
+            fps: options.fps,
+            turn_rad_per_s: options.turn.map(f64::to_radians),
+            frames: options.scene.frames,
+            lights: u32::try_from(scene.lights.len()).context("more lights than a mask has")?,
+            backend: CpuBackend::new(&scene, None)?,
+            reference: Reference::new(&scene),
+            renderer: FrameRenderer::new(&gpu, &scene, size, exposure, PICTURE_FORMAT, Predictor::Surface)?,
+            pictures: PictureReader::new(&gpu, size.0, size.1, 1),
+        })
+    }
+
+    /// When the measured frame is: in the middle of its share of the path.
+    fn time_s(&self, frame: u32) -> f64 {
+        self.first_s + self.span_s * (f64::from(frame) + 0.5) / f64::from(self.frames)
+    }
+
+    fn camera(&self, time_s: f64) -> Camera {
+        let (width, height) = self.size;
+        let Some(rate) = self.turn_rad_per_s else { return self.path.camera(time_s, width, height) };
+        let start = self.path.camera(0.0, width, height);
+        Camera { orientation: glam::DQuat::from_rotation_y(rate * time_s) * start.orientation, ..start }
+    }
+
+    /// The camera of the mask that is there at `time_s`: that of `lag` frames before, or what the server made of it and the
+    /// poses before it.
+    fn traced_for(&self, setting: &Setting, time_s: f64) -> Camera {
+        let before = |frames: u32| time_s - f64::from(frames) / self.fps;
+        let mut motion = Motion::default();
+        for frames in (setting.lag..=setting.lag + POSES_BEFORE).rev() {
+            motion.push(before(frames), self.camera(before(frames)));
+        }
+        let camera = motion.at(time_s, setting.predict_pose.1).unwrap_or_else(|| self.camera(before(setting.lag)));
+        camera.widened(setting.guard.per_side())
+    }
+
+    fn trace(&self, camera: &Camera) -> Result<Mask> {
+        let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, self.lights)?);
+        self.backend.trace(camera, &mut mask);
+        Ok(mask)
+    }
+
+    /// What the same renderer shows without any lag.
+    fn true_picture(&mut self, camera: &Camera) -> Result<RgbImage> {
+        let mask = self.trace(camera)?;
+        self.renderer.set_predictor(Predictor::None);
+        Ok(self.draw(camera, &mask, camera)?.0)
+    }
+
+    fn draw(
+        &mut self,
+        camera: &Camera,
+        mask: &Mask,
+        traced_for: &Camera,
+    ) -> Result<(RgbImage, Vec<gnomon_client::render::PixelVisibility>)> {
+        self.renderer.draw_surfaces(camera)?;
+        self.renderer.set_mask(Some(MaskView { mask, traced_for }))?;
+        let target = self.pictures.target();
+        let submission = self.renderer.shade(camera, 1.0, &target, |encoder| self.pictures.copy(encoder))?;
+        self.pictures.submitted(0, submission, true);
+        let picture = self.pictures.take_oldest()?.flatten().context("the picture has not come back")?;
+        let rgb = picture.rgba.as_chunks::<4>().0.iter().flat_map(|[r, g, b, _]| [*r, *g, *b]).collect();
+        let picture = RgbImage::from_raw(picture.width, picture.height, rgb).context("a picture of another size")?;
+        Ok((picture, self.renderer.read_visibility()?))
+    }
+}
+
+fn ignore_alpha(scene: &mut Scene) {
+    for material in &mut scene.materials {
+        if matches!(material.alpha, AlphaMode::Mask { .. }) {
+            material.alpha = AlphaMode::Opaque;
+        }
+    }
+}

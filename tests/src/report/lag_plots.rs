@@ -1,0 +1,115 @@
+//! The pictures of `lab lag`: error against lag, a line for each way of predicting, and a grid of what was shown.
+
+use anyhow::{Context, Result};
+use image::{Rgb, RgbImage};
+
+use super::{
+    lag::{LagOptions, Outcome, Setting, mean_of},
+    plot::{
+        Axis, Plot, Series,
+        grid::{Cell, grid},
+    },
+};
+use crate::metrics::image::ImageError;
+
+/// A quantity that is drawn: its file, its axis, and its value.
+type Quantity = (&'static str, Axis, fn(&Outcome) -> f64);
+
+/// Draws `lag_*.svg`, and `lag_grid.png`: for each lag what was shown, and where it differs from the truth.
+///
+/// # Errors
+/// When a file cannot be written.
+pub(super) fn draw(
+    options: &LagOptions,
+    settings: &[Setting],
+    outcomes: &[Outcome],
+    truths: &[RgbImage],
+) -> Result<()> {
+    let quantities: [Quantity; 5] = [
+        ("bit_error", Axis::log("wrong bits, % of the relevant ones"), |outcome| outcome.bits.wrong_percent()),
+        ("psnr", Axis::linear("PSNR, dB"), |outcome| mean_image(outcome, |error| error.psnr_db)),
+        ("ssim", Axis::linear("SSIM"), |outcome| mean_image(outcome, |error| error.ssim)),
+        ("flip", Axis::linear("FLIP"), |outcome| mean_image(outcome, |error| error.flip)),
+        ("vmaf", Axis::linear("VMAF"), |outcome| outcome.vmaf.unwrap_or(f64::NAN)),
+    ];
+    for (name, axis, value) in quantities {
+        let series = series(settings, outcomes, value);
+        if series.iter().all(|series| series.points.is_empty()) {
+            continue;
+        }
+        let title = format!("{}: {name} against lag", options.scene.scene_name());
+        let plot = Plot::new(&title, Axis::linear("lag, frames"), axis, series);
+        options.scene.write(&format!("lag_{name}.svg"), &plot.svg()?)?;
+    }
+    let file = options.scene.result("lag_grid.png")?;
+    let rows = rows(options, settings, outcomes, truths);
+    grid(&rows)?.save(&file).with_context(|| format!("writing {}", file.display()))
+}
+
+/// A line for each predictor, guard band and extrapolation.
+fn series(settings: &[Setting], outcomes: &[Outcome], value: fn(&Outcome) -> f64) -> Vec<Series> {
+    let mut lines: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
+    for (setting, outcome) in settings.iter().zip(outcomes) {
+        let name = name(setting);
+        let place = lines.iter().position(|(known, _)| *known == name).unwrap_or_else(|| {
+            lines.push((name, Vec::new()));
+            lines.len() - 1
+        });
+        let value = value(outcome);
+        if value.is_finite() {
+            lines[place].1.push((f64::from(setting.lag), value));
+        }
+    }
+    lines.into_iter().map(|(name, points)| Series::line(&name, points)).collect()
+}
+
+fn name(setting: &Setting) -> String {
+    let mut name = setting.predictor.to_string();
+    if setting.guard.width + setting.guard.height > 0 {
+        name += &format!(", guard {}", setting.guard);
+    }
+    if setting.predict_pose.0 != "off" {
+        name += &format!(", poses by {}", setting.predict_pose.0);
+    }
+    name
+}
+
+/// Of the middle frame: a row a lag, and for each way of predicting the picture and its difference from the truth, four times
+/// as strong.
+fn rows(options: &LagOptions, settings: &[Setting], outcomes: &[Outcome], truths: &[RgbImage]) -> Vec<Vec<Cell>> {
+    let middle = truths.len() / 2;
+    let rows = options.lags.iter().map(|lag| {
+        let of_lag = settings.iter().zip(outcomes).filter(|(setting, _)| setting.lag == *lag);
+        of_lag
+            .flat_map(|(setting, outcome)| {
+                let shown = &outcome.shown[middle];
+                let caption = format!("lag {lag}, {}", name(setting));
+                let difference = difference(shown, &truths[middle]);
+                [
+                    Cell { caption, picture: small(shown) },
+                    Cell { caption: "4 x difference".to_owned(), picture: small(&difference) },
+                ]
+            })
+            .collect()
+    });
+    rows.collect()
+}
+
+fn difference(one: &RgbImage, other: &RgbImage) -> RgbImage {
+    RgbImage::from_fn(one.width(), one.height(), |x, y| {
+        let (one, other) = (one.get_pixel(x, y), other.get_pixel(x, y));
+        Rgb([0, 1, 2].map(|channel| one[channel].abs_diff(other[channel]).saturating_mul(4)))
+    })
+}
+
+/// At most 480 pixels wide.
+fn small(picture: &RgbImage) -> RgbImage {
+    let width = picture.width().min(480);
+    let height = (picture.height() * width / picture.width()).max(1);
+    image::imageops::resize(picture, width, height, image::imageops::FilterType::Triangle)
+}
+
+fn mean_image(outcome: &Outcome, of: fn(&ImageError) -> f64) -> f64 {
+    let finite: Vec<f64> = outcome.images.iter().map(of).filter(|value| value.is_finite()).collect();
+    if finite.is_empty() { f64::NAN } else { mean_of(&finite) }
+}
