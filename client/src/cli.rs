@@ -88,7 +88,7 @@ pub struct Arguments {
     /// With --mode auto: frames in a row with such a lag before sequential begins again [default: 10]
     #[arg(long, env = "GNOMON_CALM_FRAMES", value_name = "N")]
     pub calm_frames: Option<u32>,
-    /// The largest lag, in frames, that visibility is predicted over [default: 50]
+    /// The largest lag, in frames, that visibility is predicted over; the dissertation has 50 [default: 100]
     #[arg(long, env = "GNOMON_PREDICTION_LAG", value_name = "N")]
     pub prediction_lag: Option<u32>,
     /// How long received visibility takes to fade out when it is too late, and back in, in seconds [default: 0.25]

@@ -47,7 +47,8 @@ pub struct Thresholds {
     pub sequential_lag: u32,
     /// Frames in a row with such a lag before sequential begins again.
     pub calm_frames: u32,
-    /// The largest lag that is predicted over. The dissertation has 50.
+    /// The largest lag that is predicted over. The dissertation has 50. Ours is 100: measured on Sponza without leaves, prediction
+    /// is then wrong in 0.48 % of the bits, and at 200 in 0.98 %; what the client knows by itself is wrong in about 0.9 %.
     pub prediction_lag: u32,
     /// How long a fade from all received visibility to none takes, in seconds.
     pub fade_s: f64,
@@ -55,7 +56,7 @@ pub struct Thresholds {
 
 impl Default for Thresholds {
     fn default() -> Self {
-        Self { sequential_lag: 0, calm_frames: 10, prediction_lag: 50, fade_s: 0.25 }
+        Self { sequential_lag: 0, calm_frames: 10, prediction_lag: 100, fade_s: 0.25 }
     }
 }
 
@@ -147,7 +148,7 @@ mod tests {
     }
 
     fn dissertation() -> Thresholds {
-        Thresholds { sequential_lag: 2, ..Thresholds::default() }
+        Thresholds { sequential_lag: 2, prediction_lag: 50, ..Thresholds::default() }
     }
 
     #[test]
@@ -179,8 +180,8 @@ mod tests {
         let ours: &[(Option<u32>, bool, u32, State)] = &[
             (Some(0), false, 100, Concurrent),
             (Some(2), true, 1, Concurrent),
-            (Some(50), false, 1, Concurrent),
-            (Some(51), false, 1, Degraded),
+            (Some(100), false, 1, Concurrent),
+            (Some(101), false, 1, Degraded),
             (Some(1), false, 1, Concurrent),
         ];
         let sequential: &[(Option<u32>, bool, u32, State)] =
@@ -190,8 +191,8 @@ mod tests {
         for (mode, thresholds, rows) in [
             (Mode::Auto, dissertation(), automatic),
             (Mode::Auto, Thresholds::default(), ours),
-            (Mode::Sequential, Thresholds::default(), sequential),
-            (Mode::Concurrent, Thresholds::default(), concurrent),
+            (Mode::Sequential, dissertation(), sequential),
+            (Mode::Concurrent, dissertation(), concurrent),
         ] {
             let mut machine = ModeMachine::new(mode, thresholds);
             for (row, (lag, jumped, frames, state)) in rows.iter().enumerate() {
@@ -209,7 +210,7 @@ mod tests {
         let mut machine = ModeMachine::new(Mode::Auto, Thresholds::default());
         let mut shares = vec![0.0];
         let lags =
-            (0..30).map(|_| Some(3)).chain((51..120).map(Some)).chain((0..30).map(|_| Some(4))).chain([None; 30]);
+            (0..30).map(|_| Some(3)).chain((101..170).map(Some)).chain((0..30).map(|_| Some(4))).chain([None; 30]);
         for lag in lags {
             shares.push(machine.step(seen(lag, false)).visibility_share);
         }
