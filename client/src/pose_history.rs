@@ -6,8 +6,8 @@ use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose::Pose};
 use gnomon_shaders::camera::Camera;
 use serde::Serialize;
 
-/// Frames that are remembered: a second at 60 frames/s, and more than any lag that is predicted over.
-pub const HISTORY_FRAMES: u32 = 64;
+/// Frames that are remembered: four seconds at 60 frames/s, and more than any lag that is worth predicting over.
+pub const HISTORY_FRAMES: u32 = 256;
 
 /// A frame, and the mask that was asked for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -159,12 +159,12 @@ mod tests {
     fn the_latest_frames_are_found_and_older_ones_are_not() {
         let mut history = PoseHistory::default();
         assert_eq!(history.get(FrameNumber(0)), None);
-        for frame in 0..200 {
+        for frame in 0..400 {
             history.remember(asked(frame, true));
         }
-        assert_eq!(history.get(FrameNumber(199)).unwrap().pose.position_m[0], 199.0);
-        assert_eq!(history.get(FrameNumber(136)).unwrap().pose.position_m[0], 136.0);
-        for gone in [0, 135, 200, 199 + 64] {
+        assert_eq!(history.get(FrameNumber(399)).unwrap().pose.position_m[0], 399.0);
+        assert_eq!(history.get(FrameNumber(144)).unwrap().pose.position_m[0], 144.0);
+        for gone in [0, 143, 400, 399 + 256] {
             assert_eq!(history.get(FrameNumber(gone)), None);
         }
     }
@@ -174,30 +174,30 @@ mod tests {
         let mut history = PoseHistory::default();
         let shape = |width| MaskShape::new(width, 36, 3).unwrap();
         assert_eq!(history.answered(FrameNumber(0), shape(64)), Err(Rejection::Future));
-        for frame in 10..200 {
-            // The connection came up with frame 150; frames 170 to 174 found the server's door closed; 180 was skipped.
-            if frame == 150 {
-                history.reconnected(FrameNumber(150));
+        for frame in 10..400 {
+            // The connection came up with frame 350; frames 370 to 374 found the server's door closed; 380 was skipped.
+            if frame == 350 {
+                history.reconnected(FrameNumber(350));
             }
-            if frame != 180 {
-                history.remember(asked(frame, !(170..175).contains(&frame)));
+            if frame != 380 {
+                history.remember(asked(frame, !(370..375).contains(&frame)));
             }
         }
         for (frame, width, expected) in [
-            (199, 64, None),
-            (150, 64, None),
-            (200, 64, Some(Rejection::Future)),
+            (399, 64, None),
+            (350, 64, None),
+            (400, 64, Some(Rejection::Future)),
             (u32::MAX, 64, Some(Rejection::Future)),
-            (149, 64, Some(Rejection::BeforeReconnect)),
+            (349, 64, Some(Rejection::BeforeReconnect)),
             (3, 64, Some(Rejection::BeforeReconnect)),
-            (172, 64, Some(Rejection::NeverSent)),
-            (180, 64, Some(Rejection::NeverSent)),
-            (190, 65, Some(Rejection::WrongSize)),
+            (372, 64, Some(Rejection::NeverSent)),
+            (380, 64, Some(Rejection::NeverSent)),
+            (390, 65, Some(Rejection::WrongSize)),
         ] {
             assert_eq!(history.answered(FrameNumber(frame), shape(width)).err(), expected, "frame {frame}");
         }
         history.reconnected(FrameNumber(0));
-        for (frame, expected) in [(135, Rejection::Forgotten), (0, Rejection::Forgotten), (180, Rejection::NeverSent)] {
+        for (frame, expected) in [(143, Rejection::Forgotten), (0, Rejection::Forgotten), (380, Rejection::NeverSent)] {
             assert_eq!(history.answered(FrameNumber(frame), shape(64)), Err(expected), "frame {frame}");
         }
         let mut counts = Rejections::default();
