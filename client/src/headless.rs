@@ -406,8 +406,8 @@ mod tests {
             (change(|o| o.wait = true), "--wait"),
             (change(|o| o.thresholds.fade_s = -0.1), "--fade"),
             (change(|o| o.thresholds.fade_s = f64::NAN), "--fade"),
-            (change(|o| o.thresholds.prediction_lag = 64), "--prediction-lag"),
-            (change(|o| o.thresholds.sequential_lag = 51), "--sequential-lag"),
+            (change(|o| o.thresholds.prediction_lag = 256), "--prediction-lag"),
+            (change(|o| o.thresholds.sequential_lag = 101), "--sequential-lag"),
         ] {
             assert!(text.contains(expected), "{text}");
         }
