@@ -9,6 +9,8 @@ pub(crate) mod depth_pass;
 mod known;
 mod mask_words;
 pub(crate) mod shadow_map;
+#[cfg(test)]
+mod tests;
 
 use glam::DVec3;
 use gnomon_protocol::mask::{Mask, MaskShape};

@@ -1,0 +1,312 @@
+//! The prediction pass against rays that are traced one by one in f64.
+
+use std::f64::consts::PI;
+
+use glam::{DVec3, Vec3};
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_shaders::{
+    camera::{Camera, NEAR_M},
+    gpu::Gpu,
+    scene::{LightKind, Scene},
+};
+
+use super::MaskView;
+use crate::{
+    predictor::{Predictor, Unknown},
+    render::{
+        FrameRenderer, PixelVisibility,
+        readback::PictureReader,
+        testing::{camera, floor_and_lights, gpu, renderer},
+    },
+};
+
+const SIZE: (u32, u32) = (160, 90);
+
+/// How far from a pixel's centre its surroundings are looked at, in pixels: a prediction may be wrong where light or surface
+/// changes that near, as the mask knows them at its own pixels' centres only.
+const EDGE_PX: f64 = 1.5;
+
+/// The sun lights the wall from the front, the lamp from behind: its shadow lies on the floor where it is seen.
+fn scene_with_shadows() -> Scene {
+    let mut scene = floor_and_lights();
+    scene.lights[0].direction = Vec3::new(0.5, -0.7, -0.4).normalize();
+    scene.lights[1].position = Vec3::new(1.0, 2.0, -2.5);
+    scene
+}
+
+/// Lights whose shadow on the draw matters.
+const RELEVANT: [u32; 2] = [0b11, 0b01];
+
+/// The draw that a ray meets first, and where.
+fn first_hit(scene: &Scene, origin: DVec3, direction: DVec3, least: f64) -> Option<(usize, f64)> {
+    let mut found: Option<(usize, f64)> = None;
+    for (number, draw) in scene.draws.iter().enumerate() {
+        let first = draw.first_triangle as usize;
+        for corners in &scene.triangles[first..first + draw.triangles as usize] {
+            let [a, b, c] = corners.map(|index| scene.positions[index as usize].as_dvec3());
+            let normal = (b - a).cross(c - a);
+            let distance = normal.dot(a - origin) / normal.dot(direction);
+            let point = origin + direction * distance;
+            let inside =
+                [(a, b), (b, c), (c, a)].iter().all(|(from, to)| (to - from).cross(point - from).dot(normal) >= 0.0);
+            if inside && distance > least && found.is_none_or(|(_, nearest)| distance < nearest) {
+                found = Some((number, distance));
+            }
+        }
+    }
+    found
+}
+
+/// What is seen through a place of the picture, in pixels: the draw, the point, and the lights that reach it.
+fn seen(scene: &Scene, camera: &Camera, x: f64, y: f64) -> Option<(usize, DVec3, u32)> {
+    let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+    let half_height = (camera.yfov_rad / 2.0).tan();
+    let right = (2.0 * x / width - 1.0) * half_height * width / height;
+    let direction = camera.orientation * DVec3::new(right, (1.0 - 2.0 * y / height) * half_height, -1.0);
+    let origin = camera.position_m - scene.origin_m;
+    let (draw, distance) = first_hit(scene, origin, direction, NEAR_M)?;
+    let point = origin + direction * distance;
+    let mut word = 0;
+    for (number, light) in scene.lights.iter().enumerate() {
+        let way = match light.kind {
+            LightKind::Directional => -light.direction.as_dvec3() * 100.0,
+            LightKind::Point | LightKind::Spot { .. } => light.position.as_dvec3() - point,
+        };
+        let hit = first_hit(scene, point, way, 1e-9);
+        word |= u32::from(hit.is_none_or(|(_, distance)| distance >= 1.0)) << number;
+    }
+    Some((draw, point, word))
+}
+
+/// The mask of a view, or whatever `bits` makes of what each pixel sees.
+fn mask_of(scene: &Scene, camera: &Camera, bits: impl Fn(usize, u32) -> u32) -> Mask {
+    let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, 2).unwrap());
+    for y in 0..camera.height {
+        for x in 0..camera.width {
+            let Some((draw, _, word)) = seen(scene, camera, f64::from(x) + 0.5, f64::from(y) + 0.5) else { continue };
+            for light in 0..2 {
+                mask.set(light, x, y, bits(draw, word) >> light & 1 == 1);
+            }
+        }
+    }
+    mask
+}
+
+/// Draws `camera` with a mask for another view.
+fn predict(
+    gpu: &Gpu,
+    renderer: &mut FrameRenderer,
+    camera: &Camera,
+    mask: &Mask,
+    traced_for: &Camera,
+) -> Vec<PixelVisibility> {
+    let mut reader = PictureReader::new(gpu, SIZE.0, SIZE.1, 1);
+    renderer.draw_surfaces(camera).unwrap();
+    assert!(renderer.set_mask(Some(MaskView { mask, traced_for })).unwrap());
+    let target = reader.target();
+    let submission = renderer.shade(camera, 1.0, &target, |encoder| reader.copy(encoder)).unwrap();
+    reader.submitted(0, submission, true);
+    reader.take_oldest().unwrap();
+    renderer.read_visibility().unwrap()
+}
+
+fn with_predictor(gpu: &Gpu, scene: &Scene, predictor: Predictor) -> FrameRenderer {
+    let mut renderer = renderer(gpu, scene, MaskShape::new(SIZE.0, SIZE.1, 2).unwrap());
+    renderer.set_predictor(predictor);
+    renderer
+}
+
+/// The view before: half a metre to the left, and turned a little.
+fn before(now: &Camera) -> Camera {
+    let turn = glam::DQuat::from_rotation_y(PI / 60.0);
+    Camera { position_m: now.position_m - DVec3::X * 0.5, orientation: turn * now.orientation, ..*now }
+}
+
+/// Calls `check` with each pixel in whose surroundings nothing changes: its draw, its point and its lights.
+fn each_calm_pixel(scene: &Scene, camera: &Camera, mut check: impl FnMut(usize, usize, DVec3, u32)) -> usize {
+    let mut calm = 0;
+    for y in 0..camera.height {
+        for x in 0..camera.width {
+            let at = |dx: f64, dy: f64| seen(scene, camera, f64::from(x) + 0.5 + dx, f64::from(y) + 0.5 + dy);
+            let Some((draw, point, word)) = at(0.0, 0.0) else { continue };
+            let same = (0..9).all(|place| {
+                let (dx, dy) = (f64::from(place % 3 - 1), f64::from(place / 3 - 1));
+                at(dx * EDGE_PX, dy * EDGE_PX).is_some_and(|there| (there.0, there.2) == (draw, word))
+            });
+            if same {
+                calm += 1;
+                check((y * camera.width + x) as usize, draw, point, word);
+            }
+        }
+    }
+    calm
+}
+
+#[test]
+fn away_from_edges_every_pixel_is_right_and_says_whether_the_mask_knew_it() {
+    let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
+    let then = before(&now);
+    let mask = mask_of(&scene, &then, |_, word| word);
+    let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
+    let shown = predict(&gpu, &mut renderer, &now, &mask, &then);
+    let eye = then.position_m - scene.origin_m;
+    let (mut unknown, mut shadowed) = (0, 0);
+    let calm = each_calm_pixel(&scene, &now, |pixel, draw, point, word| {
+        assert_eq!((shown[pixel].word ^ word) & RELEVANT[draw], 0, "pixel {pixel}, draw {draw}: {:?}", shown[pixel]);
+        shadowed += usize::from(word != 0b11);
+        // Where the point was in the picture before, by how many pixels it was inside, and whether something stood before it.
+        let place = then.orientation.inverse() * (point - eye);
+        let pixels = f64::from(SIZE.1) / 2.0 / (then.yfov_rad / 2.0).tan() / -place.z;
+        let inside = f64::min(
+            f64::from(SIZE.0) / 2.0 - (place.x * pixels).abs(),
+            f64::from(SIZE.1) / 2.0 - (place.y * pixels).abs(),
+        );
+        let covered = (0..9).map(|number| {
+            let (dx, dy) = (f64::from(number % 3 - 1), f64::from(number / 3 - 1));
+            let there = point + then.orientation * DVec3::new(dx, dy, 0.0) * EDGE_PX / pixels;
+            first_hit(&scene, eye, there - eye, 0.0).is_none_or(|(hit, _)| hit != draw)
+        });
+        match covered.filter(|&covered| covered).count() {
+            0 if inside > EDGE_PX => assert!(shown[pixel].known, "pixel {pixel} was seen"),
+            9 => {
+                unknown += 1;
+                assert!(!shown[pixel].known, "pixel {pixel} was hidden");
+            }
+            _ if inside < -EDGE_PX => {
+                unknown += 1;
+                assert!(!shown[pixel].known, "pixel {pixel} was outside");
+            }
+            _ => {}
+        }
+    });
+    // The wall hides floor, the picture's side comes into view, and there is shadow.
+    assert!(calm > 6000 && unknown > 200 && shadowed > 100, "{calm} calm, {unknown} unknown, {shadowed} shadowed");
+}
+
+#[test]
+fn nothing_bleeds_from_one_surface_to_another() {
+    let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
+    let then = before(&now);
+    // No light on the wall, all light on the floor: whatever a known pixel has tells where it came from.
+    let of_draw = [0b11, 0b00];
+    let mask = mask_of(&scene, &then, |draw, _| of_draw[draw]);
+    let known_from_the_other_surface = |predictor| {
+        let mut renderer = with_predictor(&gpu, &scene, predictor);
+        let shown = predict(&gpu, &mut renderer, &now, &mask, &then);
+        let (mut known, mut wrong) = ([0; 2], 0);
+        for y in 0..SIZE.1 {
+            for x in 0..SIZE.0 {
+                // Rasterisation may see either surface where an edge passes through the pixel's very centre.
+                let at = |d: f64| seen(&scene, &now, f64::from(x) + 0.5 + d, f64::from(y) + 0.5 + d).map(|seen| seen.0);
+                let Some(draw) = at(0.0).filter(|&draw| at(0.01) == Some(draw) && at(-0.01) == Some(draw)) else {
+                    continue;
+                };
+                let pixel = shown[(y * SIZE.0 + x) as usize];
+                known[draw] += usize::from(pixel.known);
+                wrong += usize::from(pixel.known && pixel.word != of_draw[draw]);
+            }
+        }
+        assert!(known[0] > 5000 && known[1] > 300, "{known:?}");
+        wrong
+    };
+    assert_eq!(known_from_the_other_surface(Predictor::Surface), 0);
+    // It is not that nothing could: the nearest sample does.
+    let wrong = known_from_the_other_surface(Predictor::Dissertation(Unknown::Lit));
+    assert!(wrong > 0);
+}
+
+#[test]
+fn the_masks_own_view_is_taken_bit_for_bit() {
+    let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
+    let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, 2).unwrap());
+    let bit =
+        |light: u32, x: u32, y: u32| (x.wrapping_mul(2_654_435_761) ^ y.wrapping_mul(40_503) ^ light) >> 7 & 1 == 1;
+    for (light, y) in (0..2).flat_map(|light| (0..SIZE.1).map(move |y| (light, y))) {
+        (0..SIZE.0).for_each(|x| mask.set(light, x, y, bit(light, x, y)));
+    }
+    for predictor in [Predictor::None, Predictor::Dissertation(Unknown::Lit), Predictor::Surface] {
+        let mut renderer = with_predictor(&gpu, &scene, predictor);
+        let shown = predict(&gpu, &mut renderer, &now, &mask, &now);
+        let mut surfaces = 0;
+        for (pixel, (x, y)) in shown.iter().zip((0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (x, y)))) {
+            if pixel.known {
+                surfaces += 1;
+                assert_eq!(
+                    pixel.word,
+                    u32::from(bit(0, x, y)) | u32::from(bit(1, x, y)) << 1,
+                    "{predictor} ({x}, {y})"
+                );
+            }
+        }
+        assert!(surfaces > 6000, "{predictor}: {surfaces}");
+    }
+}
+
+#[test]
+fn the_dissertations_predictor_fills_what_lies_outside_in_its_three_ways() {
+    let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
+    // A quarter of a turn away: nothing of the new picture was in the old one.
+    let away = Camera { orientation: glam::DQuat::from_rotation_y(PI) * now.orientation, ..now };
+    let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, 2).unwrap());
+    (0..SIZE.1).for_each(|y| (0..SIZE.0).for_each(|x| mask.set(1, x, y, true)));
+    for (unknown, word) in [(Unknown::Lit, 0b11), (Unknown::Shadow, 0b00), (Unknown::Copy, 0b10)] {
+        let mut renderer = with_predictor(&gpu, &scene, Predictor::Dissertation(unknown));
+        let shown = predict(&gpu, &mut renderer, &now, &mask, &away);
+        each_calm_pixel(&scene, &now, |pixel, _, _, _| {
+            assert_eq!((shown[pixel].word & 0b11, shown[pixel].known), (word, false), "{unknown:?}");
+        });
+    }
+}
+
+#[test]
+fn depth_that_was_kept_and_depth_that_is_drawn_anew_say_the_same() {
+    let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
+    let then = before(&now);
+    let mask = mask_of(&scene, &then, |_, word| word);
+    let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
+    let anew = predict(&gpu, &mut renderer, &now, &mask, &then);
+    renderer.draw_surfaces(&then).unwrap();
+    let kept = predict(&gpu, &mut renderer, &now, &mask, &then);
+    assert!(renderer.predict.kept().is_some());
+    assert!(anew == kept);
+}
+
+#[test]
+fn a_guard_band_knows_what_a_turn_brings_into_view() {
+    let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
+    let then = Camera { orientation: glam::DQuat::from_rotation_y(PI / 60.0) * now.orientation, ..now };
+    let unknown = |extra: u32| {
+        let traced_for = then.widened((extra, extra));
+        let mask = mask_of(&scene, &traced_for, |_, word| word);
+        let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
+        let shown = predict(&gpu, &mut renderer, &now, &mask, &traced_for);
+        let mut unknown = 0;
+        each_calm_pixel(&scene, &now, |pixel, draw, _, word| {
+            unknown += usize::from(!shown[pixel].known);
+            assert_eq!((shown[pixel].word ^ word) & RELEVANT[draw], 0, "pixel {pixel}");
+        });
+        unknown
+    };
+    assert!(unknown(0) > 100);
+    assert_eq!(unknown(32), 0);
+}
+
+#[test]
+fn without_any_mask_the_client_shows_what_its_shadow_maps_know() {
+    let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
+    let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
+    let mut reader = PictureReader::new(&gpu, SIZE.0, SIZE.1, 1);
+    renderer.draw_surfaces(&now).unwrap();
+    let target = reader.target();
+    let submission = renderer.shade(&now, 1.0, &target, |encoder| reader.copy(encoder)).unwrap();
+    reader.submitted(0, submission, true);
+    reader.take_oldest().unwrap();
+    let shown = renderer.read_visibility().unwrap();
+    let mut shadowed = 0;
+    each_calm_pixel(&scene, &now, |pixel, draw, _, word| {
+        assert!(!shown[pixel].known);
+        assert_eq!((shown[pixel].word ^ word) & RELEVANT[draw], 0, "pixel {pixel}: {:?}", shown[pixel]);
+        shadowed += usize::from(word != 0b11);
+    });
+    assert!(shadowed > 100, "{shadowed} shadowed");
+}
