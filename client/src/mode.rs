@@ -8,7 +8,7 @@
 //!
 //! The share of received visibility never moves faster than one fade a [`Thresholds::fade_s`], whatever the network does.
 
-use std::str::FromStr;
+use std::{fmt, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 
@@ -23,6 +23,16 @@ pub enum Mode {
     /// Sequential while masks are hardly late, concurrent from then on.
     #[default]
     Auto,
+}
+
+impl fmt::Display for Mode {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Sequential => "sequential",
+            Self::Concurrent => "concurrent",
+            Self::Auto => "auto",
+        })
+    }
 }
 
 impl FromStr for Mode {

@@ -4,31 +4,22 @@
 //! the frame that lies `lag` earlier, and the client's own renderer predicts the one from the other. There is no network and no
 //! clock: a second run gives the same figures.
 
-use anyhow::{Context, Result, bail};
-use gnomon_client::{
-    camera_path::CameraPath,
-    guard::GuardSize,
-    occluders::Occluders,
-    predictor::Predictor,
-    render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, predict::MaskView, readback::PictureReader},
-};
-use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_server::visibility::backend::cpu::CpuBackend;
+use anyhow::{Result, bail};
+use gnomon_client::{camera_path::CameraPath, guard::GuardSize, predictor::Predictor};
+use gnomon_protocol::mask::Mask;
 use gnomon_shaders::{
     camera::Camera,
-    gpu::{Gpu, GpuOptions},
     motion::{Extrapolation, Motion},
     scene::{AlphaMode, Scene},
 };
 use image::RgbImage;
 
-use super::{lag_plots, prediction_error::PredictionError, scene_args::SceneArgs, table::Table};
-use crate::{
-    metrics::{
-        image::{ImageError, compare},
-        vmaf::vmaf,
-    },
-    reference::Reference,
+use super::{
+    lag_plots, predict_rig::PredictRig, prediction_error::PredictionError, scene_args::SceneArgs, table::Table,
+};
+use crate::metrics::{
+    image::{ImageError, compare},
+    vmaf::vmaf,
 };
 
 /// Poses before the mask's that the server's extrapolation has seen.
@@ -113,20 +104,19 @@ pub fn measure(options: &LagOptions, mut progress: impl FnMut(&str)) -> Result<T
     for frame in 0..options.scene.frames {
         let time_s = rig.time_s(frame);
         let camera = rig.camera(time_s);
-        let truth = rig.reference.trace(&camera);
-        let true_picture = rig.true_picture(&camera)?;
+        let truth = rig.predict.truth(&camera);
+        let true_picture = rig.predict.true_picture(&camera)?;
         let mut traced: Option<(Camera, Mask)> = None;
         for (setting, outcome) in settings.iter().zip(&mut outcomes) {
             let traced_for = rig.traced_for(setting, time_s);
             // Settings that differ in the predictor only share a mask.
             let mask = match traced.take().filter(|(camera, _)| *camera == traced_for) {
                 Some((_, mask)) => mask,
-                None => rig.trace(&traced_for)?,
+                None => rig.predict.trace(&traced_for)?,
             };
-            rig.renderer.set_predictor(setting.predictor);
-            let (picture, visibility) = rig.draw(&camera, &mask, &traced_for)?;
+            let (picture, visibility) = rig.predict.draw(&camera, setting.predictor, Some((&mask, &traced_for)))?;
             outcome.bits.add(&visibility, &truth);
-            outcome.known_share.push(rig.renderer.known_share().unwrap_or(f64::NAN));
+            outcome.known_share.push(rig.predict.known_share().unwrap_or(f64::NAN));
             if !options.bits_only {
                 outcome.images.push(compare(&picture, &true_picture));
                 outcome.shown.push(picture);
@@ -223,6 +213,7 @@ pub(super) fn mean_of(values: &[f64]) -> f64 {
 
 /// What is the same for all settings.
 struct Rig {
+    predict: PredictRig,
     path: CameraPath,
     size: (u32, u32),
     fps: f64,
@@ -230,11 +221,6 @@ struct Rig {
     first_s: f64,
     span_s: f64,
     frames: u32,
-    lights: u32,
-    backend: CpuBackend,
-    reference: Reference,
-    renderer: FrameRenderer,
-    pictures: PictureReader,
 }
 
 impl Rig {
@@ -244,25 +230,17 @@ impl Rig {
             ignore_alpha(&mut scene);
         }
         let path = options.scene.load_path()?;
-        let size = options.scene.size;
-        let gpu = GpuOptions { allow_software: options.allow_software, ..GpuOptions::default() };
-        let gpu = pollster::block_on(Gpu::open(&gpu))?;
-        let exposure = Exposure::of_scene(&scene, &Occluders::largest_of(&scene));
         let most = options.lags.iter().max().copied().unwrap_or(0) + POSES_BEFORE;
         let first_s = f64::from(most) / options.fps;
         Ok(Self {
+            predict: PredictRig::new(&scene, options.scene.size, options.allow_software)?,
             span_s: (path.duration_s() - first_s).max(0.0),
             first_s,
             path,
-            size,
+            size: options.scene.size,
             fps: options.fps,
             turn_rad_per_s: options.turn.map(f64::to_radians),
             frames: options.scene.frames,
-            lights: u32::try_from(scene.lights.len()).context("more lights than a mask has")?,
-            backend: CpuBackend::new(&scene, None)?,
-            reference: Reference::new(&scene),
-            renderer: FrameRenderer::new(&gpu, &scene, size, exposure, PICTURE_FORMAT, Predictor::Surface)?,
-            pictures: PictureReader::new(&gpu, size.0, size.1, 1),
         })
     }
 
@@ -288,36 +266,6 @@ impl Rig {
         }
         let camera = motion.at(time_s, setting.predict_pose.1).unwrap_or_else(|| self.camera(before(setting.lag)));
         camera.widened(setting.guard.per_side())
-    }
-
-    fn trace(&self, camera: &Camera) -> Result<Mask> {
-        let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, self.lights)?);
-        self.backend.trace(camera, &mut mask);
-        Ok(mask)
-    }
-
-    /// What the same renderer shows without any lag.
-    fn true_picture(&mut self, camera: &Camera) -> Result<RgbImage> {
-        let mask = self.trace(camera)?;
-        self.renderer.set_predictor(Predictor::None);
-        Ok(self.draw(camera, &mask, camera)?.0)
-    }
-
-    fn draw(
-        &mut self,
-        camera: &Camera,
-        mask: &Mask,
-        traced_for: &Camera,
-    ) -> Result<(RgbImage, Vec<gnomon_client::render::PixelVisibility>)> {
-        self.renderer.draw_surfaces(camera)?;
-        self.renderer.set_mask(Some(MaskView { mask, traced_for }))?;
-        let target = self.pictures.target();
-        let submission = self.renderer.shade(camera, 1.0, &target, |encoder| self.pictures.copy(encoder))?;
-        self.pictures.submitted(0, submission, true);
-        let picture = self.pictures.take_oldest()?.flatten().context("the picture has not come back")?;
-        let rgb = picture.rgba.as_chunks::<4>().0.iter().flat_map(|[r, g, b, _]| [*r, *g, *b]).collect();
-        let picture = RgbImage::from_raw(picture.width, picture.height, rgb).context("a picture of another size")?;
-        Ok((picture, self.renderer.read_visibility()?))
     }
 }
 

@@ -1,17 +1,22 @@
 //! `lab network`: the real client behind networks of several kinds, and by itself without a server, in turns.
 //!
-//! The promise is that no network slows the client down. So client and server get a core each, the link sits on the
+//! The promise is that no network slows the client down, and that its pictures stay nearly right. So client and server get a core each, the link sits on the
 //! server's, and every run behind a network is set against a run without a server right before it.
 
 use std::{ffi::OsString, net::SocketAddr};
 
 use anyhow::{Context, Result, ensure};
 use core_affinity::CoreId;
-use gnomon_client::stats::percentile;
+use gnomon_client::{
+    mode::{Mode, State},
+    stats::percentile,
+};
+use serde::Deserialize as _;
 use serde_json::Value;
 use tokio::runtime::Runtime;
 
 use super::{
+    network_replay::{Replay, Shown},
     plot::{Axis, Plot, Series},
     scene_args::SceneArgs,
     table::{Table, median},
@@ -36,6 +41,12 @@ pub struct NetworkOptions {
     /// Decides every chance of the links.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Modes of the client: sequential, concurrent, auto.
+    #[arg(long, value_delimiter = ',', default_value = "auto")]
+    pub mode: Vec<Mode>,
+    /// Pictures of each network's last run that the referee judges.
+    #[arg(long, default_value_t = 8)]
+    pub samples: usize,
     /// What carries the data: quic or lab-udp.
     #[arg(long, default_value = "quic")]
     pub transport: String,
@@ -55,36 +66,37 @@ pub struct NetworkOptions {
 struct Run {
     client_fps: f64,
     visibility_fps: Option<f64>,
-    lag_p50: Option<f64>,
-    lag_p99: Option<f64>,
-    mode: Option<String>,
-    degraded_share: Option<f64>,
-    /// Seconds since the first frame, and milliseconds from each frame to the next.
-    frame_times: Vec<(f64, f64)>,
-    /// Seconds since the first frame, and frames; not a number while there is no mask.
-    lags: Vec<(f64, f64)>,
+    frames: Vec<Shown>,
 }
 
 impl Run {
     fn read(summary: &Value, stats: &[Value]) -> Result<Self> {
         let client_fps = summary["client_fps"].as_f64().context("the client's summary lacks client_fps")?;
-        let time_s = |line: &Value| line["t_ms"].as_f64().map(|ms| ms / 1e3).context("a frame without a time");
-        let times: Vec<f64> = stats.iter().map(time_s).collect::<Result<_>>()?;
-        let lags: Vec<Option<f64>> = stats.iter().map(|line| line["lag"].as_f64()).collect();
-        let known: Vec<f64> = lags.iter().copied().flatten().collect();
-        let degraded: Vec<bool> = stats.iter().filter_map(|line| line["degraded"].as_bool()).collect();
-        #[expect(clippy::cast_precision_loss, reason = "frames of a run")]
-        let share = |count: usize| count as f64 / degraded.len() as f64;
-        Ok(Self {
-            client_fps,
-            visibility_fps: summary["visibility_fps"].as_f64(),
-            lag_p50: percentile(&known, 0.5),
-            lag_p99: percentile(&known, 0.99),
-            mode: summary["mode"].as_str().map(str::to_owned),
-            degraded_share: (!degraded.is_empty()).then(|| share(degraded.iter().filter(|&&frame| frame).count())),
-            frame_times: times.windows(2).map(|pair| (pair[0], (pair[1] - pair[0]) * 1e3)).collect(),
-            lags: times.into_iter().zip(lags.into_iter().map(|lag| lag.unwrap_or(f64::NAN))).collect(),
-        })
+        let frames =
+            stats.iter().map(Shown::deserialize).collect::<Result<_, _>>().context("the client's statistics")?;
+        Ok(Self { client_fps, visibility_fps: summary["visibility_fps"].as_f64(), frames })
+    }
+
+    /// Of the pictures that had a mask, so many had one that was no later than this.
+    fn lag(&self, share: f64) -> Option<f64> {
+        let lags: Vec<f64> = self.frames.iter().filter_map(|frame| frame.lag.map(f64::from)).collect();
+        percentile(&lags, share)
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "frames of a run")]
+    fn degraded_share(&self) -> Option<f64> {
+        let degraded = self.frames.iter().filter(|frame| frame.state == State::Degraded).count();
+        (!self.frames.is_empty()).then(|| degraded as f64 / self.frames.len() as f64)
+    }
+
+    /// Seconds since the first frame, and milliseconds from each frame to the next.
+    fn frame_times(&self) -> Vec<(f64, f64)> {
+        self.frames.windows(2).map(|pair| (pair[0].t_ms / 1e3, pair[1].t_ms - pair[0].t_ms)).collect()
+    }
+
+    /// Seconds since the first frame, and frames; not a number while there is no mask.
+    fn lags(&self) -> Vec<(f64, f64)> {
+        self.frames.iter().map(|frame| (frame.t_ms / 1e3, frame.lag.map_or(f64::NAN, f64::from))).collect()
     }
 }
 
@@ -146,13 +158,13 @@ impl<'a> Stage<'a> {
             .context("the link's threads")?;
         let cache = tempfile::tempdir().context("making a temporary folder")?;
         let stage = Self { options, cores, server, runtime, cache };
-        let arguments = stage.online_arguments();
+        let arguments = stage.online_arguments(Mode::Auto);
         stage.client(Some(stage.server.url()), arguments, 2).context("fetching the scene")?;
         Ok(stage)
     }
 
-    fn online_arguments(&self) -> Vec<OsString> {
-        vec!["--cache-dir".into(), self.cache.path().into()]
+    fn online_arguments(&self, mode: Mode) -> Vec<OsString> {
+        vec!["--cache-dir".into(), self.cache.path().into(), "--mode".into(), mode.to_string().into()]
     }
 
     fn offline(&self) -> Result<Run> {
@@ -162,11 +174,11 @@ impl<'a> Stage<'a> {
         self.client(None, arguments, scene.frames).context("without a server")
     }
 
-    fn behind(&self, settings: LinkSettings) -> Result<(Run, LinkCounts)> {
+    fn behind(&self, settings: LinkSettings, mode: Mode) -> Result<(Run, LinkCounts)> {
         let free = SocketAddr::from(([127, 0, 0, 1], 0));
         let link = self.runtime.block_on(Link::start(free, self.server.url(), settings))?;
         let url = link.url(self.server.url())?;
-        let run = self.client(Some(&url), self.online_arguments(), self.options.scene.frames)?;
+        let run = self.client(Some(&url), self.online_arguments(mode), self.options.scene.frames)?;
         Ok((run, link.counts()))
     }
 
@@ -199,28 +211,33 @@ fn software(options: &NetworkOptions) -> Option<OsString> {
 /// When a program is not built or fails, a profile does not exist, or the folder cannot be written.
 pub fn measure(options: &NetworkOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
     let profiles: Vec<Profile> = options.profile.iter().map(|name| Ok(Profile::named(name)?)).collect::<Result<_>>()?;
-    ensure!(!profiles.is_empty(), "no profile");
+    let ways: Vec<(&Profile, Mode)> =
+        profiles.iter().flat_map(|profile| options.mode.iter().map(move |mode| (profile, *mode))).collect();
+    ensure!(!ways.is_empty(), "nothing to measure: --profile and --mode each need a value");
     let stage = Stage::new(options)?;
     if stage.cores.client == stage.cores.server {
         progress("one core for client and server: the server's work counts as the network's");
     }
-    let mut runs: Vec<Vec<(Run, f64)>> = vec![Vec::new(); profiles.len()];
+    let mut runs: Vec<Vec<(Run, f64)>> = vec![Vec::new(); ways.len()];
     let mut alone = Run::default();
     for number in 1..=options.runs {
-        for (profile, runs) in profiles.iter().zip(&mut runs) {
+        for ((profile, mode), runs) in ways.iter().zip(&mut runs) {
             alone = stage.offline()?;
-            let (run, counts) =
-                stage.behind(profile.settings(options.seed)?).with_context(|| format!("behind {}", profile.name))?;
+            let (run, counts) = stage
+                .behind(profile.settings(options.seed)?, *mode)
+                .with_context(|| format!("behind {}", profile.name))?;
             let ratio = run.client_fps / alone.client_fps;
             let (alone_fps, fps, down) = (alone.client_fps, run.client_fps, counts.down);
             progress(&format!(
-                "{} {number}/{}: {alone_fps:.1} frames/s alone, {fps:.1} behind it ({ratio:.3}); down {} of {} delivered",
+                "{}, {mode}, {number}/{}: {alone_fps:.1} frames/s alone, {fps:.1} behind it ({ratio:.3}); down {} of {} delivered",
                 profile.name, options.runs, down.delivered, down.arrived
             ));
             runs.push((run, ratio));
         }
     }
     stage.server.stop()?;
+    progress("judging pictures of the last runs");
+    let mut replay = Replay::new(&options.scene, options.fps, options.allow_software)?;
     let mut table = Table::new(&[
         "profile",
         "mode",
@@ -232,48 +249,54 @@ pub fn measure(options: &NetworkOptions, mut progress: impl FnMut(&str)) -> Resu
         "degraded_share",
         "fps_ratio_to_offline",
     ]);
-    table.rows.extend(profiles.iter().zip(&runs).map(|(profile, runs)| cells(profile.name, runs)));
+    for ((profile, mode), runs) in ways.iter().zip(&runs) {
+        let error = runs.last().map(|(run, _)| replay.bit_error(&run.frames, options.samples)).transpose()?;
+        table.rows.push(cells(profile.name, *mode, runs, error));
+    }
     options.scene.write("network.csv", &table.csv())?;
-    let last: Vec<(&str, &Run)> = profiles
+    let last: Vec<(String, &Run)> = ways
         .iter()
         .zip(&runs)
-        .filter_map(|(profile, runs)| runs.last().map(|(run, _)| (profile.name, run)))
+        .filter_map(|((profile, mode), runs)| {
+            let name =
+                if options.mode.len() > 1 { format!("{}, {mode}", profile.name) } else { profile.name.to_owned() };
+            runs.last().map(|(run, _)| (name, run))
+        })
         .collect();
     write_plots(&options.scene, &last, &alone)?;
     Ok(table)
 }
 
-fn cells(name: &str, runs: &[(Run, f64)]) -> Vec<String> {
+fn cells(profile: &str, mode: Mode, runs: &[(Run, f64)], bit_error: Option<f64>) -> Vec<String> {
     let figure = |of: fn(&Run) -> Option<f64>, decimals: usize| {
         let values: Vec<f64> = runs.iter().filter_map(|(run, _)| of(run)).collect();
         median(&values).map(|value| format!("{value:.decimals$}")).unwrap_or_default()
     };
     let ratios: Vec<f64> = runs.iter().map(|(_, ratio)| *ratio).collect();
     vec![
-        name.to_owned(),
-        runs.last().and_then(|(run, _)| run.mode.clone()).unwrap_or_default(),
+        profile.to_owned(),
+        mode.to_string(),
         figure(|run| Some(run.client_fps), 1),
         figure(|run| run.visibility_fps, 1),
-        figure(|run| run.lag_p50, 1),
-        figure(|run| run.lag_p99, 1),
-        // A client that runs by itself has no truth to compare with.
-        String::new(),
-        figure(|run| run.degraded_share, 4),
+        figure(|run| run.lag(0.5), 1),
+        figure(|run| run.lag(0.99), 1),
+        bit_error.map(|error| format!("{error:.4}")).unwrap_or_default(),
+        figure(Run::degraded_share, 4),
         median(&ratios).map(|ratio| format!("{ratio:.3}")).unwrap_or_default(),
     ]
 }
 
-fn write_plots(scene: &SceneArgs, runs: &[(&str, &Run)], alone: &Run) -> Result<()> {
-    let lines = |of: fn(&Run) -> &Vec<(f64, f64)>| {
-        runs.iter().map(|(name, run)| Series::line(name, of(run).clone())).collect::<Vec<_>>()
+fn write_plots(scene: &SceneArgs, runs: &[(String, &Run)], alone: &Run) -> Result<()> {
+    let lines = |of: fn(&Run) -> Vec<(f64, f64)>| {
+        runs.iter().map(|(name, run)| Series::line(name, of(run))).collect::<Vec<_>>()
     };
     let title = |what: &str| format!("{what}, {}, {}×{}", scene.scene_name(), scene.size.0, scene.size.1);
     let time = || Axis::linear("time since the first frame, s");
-    let mut frame_times = lines(|run| &run.frame_times);
-    frame_times.push(Series::line("no server", alone.frame_times.clone()));
+    let mut frame_times = lines(Run::frame_times);
+    frame_times.push(Series::line("no server", alone.frame_times()));
     let frame_times = Plot::new(&title("Frame time"), time(), Axis::log("frame time, ms"), frame_times);
     scene.write("network_frame_time.svg", &frame_times.svg()?)?;
-    let lags = lines(|run| &run.lags);
+    let lags = lines(Run::lags);
     let lags = Plot::new(&title("Lag of the visibility shown"), time(), Axis::linear("lag, frames"), lags);
     scene.write("network_lag.svg", &lags.svg()?)?;
     Ok(())
@@ -287,24 +310,27 @@ mod tests {
 
     fn frames() -> Vec<Value> {
         let lags = [None, Some(2), Some(4), Some(3)];
-        let line =
-            |(frame, lag): (usize, &Option<u32>)| json!({ "t_ms": frame * 20, "lag": lag, "degraded": frame == 0 });
+        let line = |(frame, lag): (usize, &Option<u32>)| {
+            let state = if lag.is_none() { "degraded" } else { "concurrent" };
+            json!({ "t_ms": frame * 20, "lag": lag, "state": state, "visibility_share": 1.0, "mask_frame": lag, "look_ahead_ms": 0 })
+        };
         lags.iter().enumerate().map(line).collect()
     }
 
     #[test]
     fn a_run_is_read_from_its_frames() {
         let run = Run::read(&json!({ "client_fps": 50.0, "visibility_fps": 30.0 }), &frames()).unwrap();
-        assert_eq!((run.lag_p50, run.lag_p99, run.degraded_share), (Some(3.0), Some(4.0), Some(0.25)));
-        assert_eq!(run.frame_times.iter().map(|point| point.1.round()).collect::<Vec<_>>(), [20.0; 3]);
-        assert!(run.lags[0].1.is_nan() && (run.lags[3].1 - 3.0).abs() < 1e-9);
+        assert_eq!((run.lag(0.5), run.lag(0.99), run.degraded_share()), (Some(3.0), Some(4.0), Some(0.25)));
+        assert_eq!(run.frame_times().iter().map(|point| point.1.round()).collect::<Vec<_>>(), [20.0; 3]);
+        assert!(run.lags()[0].1.is_nan() && (run.lags()[3].1 - 3.0).abs() < 1e-9);
         assert!(Run::read(&json!({}), &[]).unwrap_err().to_string().contains("client_fps"));
-        let slower = Run { client_fps: 40.0, mode: Some("auto".into()), ..run.clone() };
-        let row = cells("wifi", &[(run.clone(), 1.0), (slower, 0.8)]);
-        assert_eq!(row, ["wifi", "auto", "45.0", "30.0", "3.0", "4.0", "", "0.2500", "0.900"]);
+        assert!(Run::read(&json!({ "client_fps": 1.0 }), &[json!({ "t_ms": 0 })]).is_err());
+        let slower = Run { client_fps: 40.0, ..run.clone() };
+        let row = cells("wifi", Mode::Auto, &[(run.clone(), 1.0), (slower, 0.8)], Some(0.25));
+        assert_eq!(row, ["wifi", "auto", "45.0", "30.0", "3.0", "4.0", "0.2500", "0.2500", "0.900"]);
         // What is not known is no zero.
-        let row = cells("lan", &[(Run { client_fps: 1.0, ..Run::default() }, 1.0)]);
-        assert_eq!(row, ["lan", "", "1.0", "", "", "", "", "", "1.000"]);
+        let row = cells("lan", Mode::Sequential, &[(Run { client_fps: 1.0, ..Run::default() }, 1.0)], None);
+        assert_eq!(row, ["lan", "sequential", "1.0", "", "", "", "", "", "1.000"]);
     }
 
     #[test]
@@ -333,7 +359,7 @@ mod tests {
             out: folder.path().join("out"),
         };
         let run = Run::read(&json!({ "client_fps": 50.0 }), &frames()).unwrap();
-        write_plots(&scene, &[("wifi", &run), ("lte", &run)], &run).unwrap();
+        write_plots(&scene, &[("wifi".to_owned(), &run), ("lte".to_owned(), &run)], &run).unwrap();
         for file in ["network_frame_time.svg", "network_lag.svg"] {
             let text = std::fs::read_to_string(scene.out.join(file)).unwrap();
             assert!(text.contains("hall, 64×36") && text.contains("lte"), "{file}");

@@ -1,0 +1,87 @@
+//! Pictures with late visibility, without a network or a clock: the cpu back end traces the mask of one view, the client's own
+//! renderer carries it over to another, and the referee knows what is true there.
+
+use anyhow::{Context, Result};
+use gnomon_client::{
+    occluders::Occluders,
+    predictor::Predictor,
+    render::{
+        FrameRenderer, PICTURE_FORMAT, PixelVisibility, exposure::Exposure, predict::MaskView, readback::PictureReader,
+    },
+};
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_server::visibility::backend::cpu::CpuBackend;
+use gnomon_shaders::{
+    camera::Camera,
+    gpu::{Gpu, GpuOptions},
+    scene::Scene,
+};
+use image::RgbImage;
+
+use crate::reference::{Reference, Truth};
+
+/// One scene at one size.
+pub(super) struct PredictRig {
+    lights: u32,
+    backend: CpuBackend,
+    reference: Reference,
+    renderer: FrameRenderer,
+    pictures: PictureReader,
+}
+
+impl PredictRig {
+    pub(super) fn new(scene: &Scene, size: (u32, u32), allow_software: bool) -> Result<Self> {
+        let gpu = GpuOptions { allow_software, ..GpuOptions::default() };
+        let gpu = pollster::block_on(Gpu::open(&gpu))?;
+        let exposure = Exposure::of_scene(scene, &Occluders::largest_of(scene));
+        Ok(Self {
+            lights: u32::try_from(scene.lights.len()).context("more lights than a mask has")?,
+            backend: CpuBackend::new(scene, None)?,
+            reference: Reference::new(scene),
+            renderer: FrameRenderer::new(&gpu, scene, size, exposure, PICTURE_FORMAT, Predictor::Surface)?,
+            pictures: PictureReader::new(&gpu, size.0, size.1, 1),
+        })
+    }
+
+    /// What the referee says of a view.
+    pub(super) fn truth(&self, camera: &Camera) -> Truth {
+        self.reference.trace(camera)
+    }
+
+    /// What a server would send for a view.
+    pub(super) fn trace(&self, camera: &Camera) -> Result<Mask> {
+        let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, self.lights)?);
+        self.backend.trace(camera, &mut mask);
+        Ok(mask)
+    }
+
+    /// What the same renderer shows without any lag.
+    pub(super) fn true_picture(&mut self, camera: &Camera) -> Result<RgbImage> {
+        let mask = self.trace(camera)?;
+        Ok(self.draw(camera, Predictor::None, Some((&mask, camera)))?.0)
+    }
+
+    /// What the client shows of a view with this mask, and the view that it was traced for; or without any.
+    pub(super) fn draw(
+        &mut self,
+        camera: &Camera,
+        predictor: Predictor,
+        mask: Option<(&Mask, &Camera)>,
+    ) -> Result<(RgbImage, Vec<PixelVisibility>)> {
+        self.renderer.set_predictor(predictor);
+        self.renderer.draw_surfaces(camera)?;
+        self.renderer.set_mask(mask.map(|(mask, traced_for)| MaskView { mask, traced_for }))?;
+        let target = self.pictures.target();
+        let submission = self.renderer.shade(camera, 1.0, &target, |encoder| self.pictures.copy(encoder))?;
+        self.pictures.submitted(0, submission, true);
+        let picture = self.pictures.take_oldest()?.flatten().context("the picture has not come back")?;
+        let rgb = picture.rgba.as_chunks::<4>().0.iter().flat_map(|[r, g, b, _]| [*r, *g, *b]).collect();
+        let picture = RgbImage::from_raw(picture.width, picture.height, rgb).context("a picture of another size")?;
+        Ok((picture, self.renderer.read_visibility()?))
+    }
+
+    /// Share of the last picture's pixels whose visibility the mask said something of.
+    pub(super) fn known_share(&mut self) -> Option<f64> {
+        self.renderer.known_share()
+    }
+}
