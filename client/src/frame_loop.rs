@@ -205,9 +205,7 @@ impl FrameLoop<'_> {
 
     /// The picture's camera in a frame.
     fn camera(&self, frame: FrameNumber) -> Camera {
-        let camera = self.camera_path.camera(self.timing.time_s(frame.0), self.size.0, self.size.1);
-        // As it crosses the wire, so that a mask that comes back is found to be of this very view.
-        Camera { orientation: camera.orientation.normalize(), ..camera }
+        self.camera_path.camera(self.timing.time_s(frame.0), self.size.0, self.size.1)
     }
 
     /// Remembers a frame, and asks the server for its mask. How far ahead that is wanted is the answer, in milliseconds.
@@ -238,7 +236,7 @@ impl FrameLoop<'_> {
             live.session.send_pose(frame, pose);
             begun
         });
-        memory.history.remember(Asked { frame, camera: *camera, pose, sent_at });
+        memory.history.remember(Asked { frame, camera: *camera, mask_camera: wide, pose, sent_at });
         look_ahead_ms
     }
 

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_protocol::{ids::FrameNumber, pose::Pose};
+use gnomon_protocol::ids::FrameNumber;
 use gnomon_shaders::camera::Camera;
 use tokio::runtime::Runtime;
 
@@ -166,7 +166,9 @@ impl Live {
             }
         };
         let begun = Instant::now();
-        let traced_for = camera_of(received.traced_for.as_ref().unwrap_or(&asked.pose), asked.pose.mask_px);
+        let traced_for = received.traced_for.map_or(asked.mask_camera, |pose| {
+            Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, asked.pose.mask_px)
+        });
         renderer.set_mask(Some(MaskView { mask: &received.mask, traced_for: &traced_for }))?;
         let upload = begun.elapsed();
         let response = asked.sent_at.map(|sent| received.received_at.saturating_duration_since(sent));
@@ -181,9 +183,4 @@ impl Live {
         }
         Ok(Taken { response, upload })
     }
-}
-
-/// The camera of a pose, with the mask's size that was asked for.
-fn camera_of(pose: &Pose, mask_px: [u16; 2]) -> Camera {
-    Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, mask_px)
 }

@@ -16,6 +16,9 @@ pub struct Asked {
     pub frame: FrameNumber,
     /// Where the picture was looked at from.
     pub camera: Camera,
+    /// What the mask was asked for: the same with the guard band around it. Kept as it was drawn, not made again from the pose:
+    /// a quaternion that is brought to unit length twice may differ in its last bit, and then this would be another view.
+    pub mask_camera: Camera,
     /// The pose as it was sent, with the mask's size and field of view.
     pub pose: Pose,
     /// When it was sent; `None` when there was no server to send it to.
@@ -152,7 +155,7 @@ mod tests {
             width: 64,
             height: 36,
         };
-        Asked { frame: FrameNumber(frame), camera, pose, sent_at: sent.then(Instant::now) }
+        Asked { frame: FrameNumber(frame), camera, mask_camera: camera, pose, sent_at: sent.then(Instant::now) }
     }
 
     #[test]

@@ -48,6 +48,7 @@ const UNKNOWN_COPY: u32 = 2u;
 @group(1) @binding(1) var normal_material_picture: texture_2d<u32>;
 @group(2) @binding(0) var mask_words: texture_2d<u32>;
 @group(2) @binding(1) var mask_depth: texture_depth_2d;
+@group(2) @binding(2) var nearest_texel: sampler;
 
 @vertex
 fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
@@ -70,84 +71,104 @@ struct Found {
     word: u32,
 }
 
-// Whether the sample's own point lies on the surface at `place`.
-//
-// The sample's point is up to a few footprints away within the plane. The packed normal is off by up to 1/100, and a curved surface
-// by less than a fifth of a footprint unless it bends by more than 20° from one sample to the next.
-fn same_surface(place: Place, sample: vec2i) -> bool {
-    let depth = textureLoad(mask_depth, sample, 0);
-    if depth == 0.0 {
-        return false;
-    }
-    let between = point_at_depth(prediction.mask_view, vec2u(sample), depth) - place.point;
-    return abs(dot(place.normal, between)) <= 0.2 * place.footprint_m + 0.02 * length(between);
+// Four samples of the mask that form a square, in textureGather's order: lower left, lower right, upper right, upper left.
+struct Quad {
+    // Whether the sample's own point lies on the surface that is asked about.
+    on_surface: vec4<bool>,
+    words: vec4u,
+    // Squared distance from the place, in pixels of the mask.
+    distance_2: vec4f,
 }
 
-fn in_mask(sample: vec2i) -> bool {
-    return all(sample >= vec2i(0)) && all(sample < vec2i(vec2u(prediction.mask_view.width, prediction.mask_view.height)));
+// The square whose upper left sample is `corner`.
+//
+// A sample's point is up to a few footprints away within the plane. The packed normal is off by up to 1/100, and a curved surface
+// by less than a fifth of a footprint unless it bends by more than 20° from one sample to the next.
+fn quad_at(place: Place, corner: vec2f) -> Quad {
+    let size = vec2f(vec2u(prediction.mask_view.width, prediction.mask_view.height));
+    let middle = (corner + 1.0) / size;
+    let depth = textureGather(mask_depth, nearest_texel, middle);
+    let words = textureGather(0, mask_words, nearest_texel, middle);
+    let across = corner.x + vec4f(0.0, 1.0, 1.0, 0.0);
+    let down = corner.y + vec4f(1.0, 1.0, 0.0, 0.0);
+    // The four points less the place's own, as `point_at_depth` has them; where there is no surface the depth is 0.
+    let view_x = (2.0 * across + 1.0) / size.x - 1.0;
+    let view_y = 1.0 - (2.0 * down + 1.0) / size.y;
+    let distance = prediction.mask_view.near_m / max(depth, vec4f(1e-30));
+    let eye = prediction.mask_view.origin - place.point;
+    let forward = prediction.mask_view.forward;
+    let right = prediction.mask_view.right;
+    let up = prediction.mask_view.up;
+    let x = eye.x + distance * (forward.x + view_x * right.x + view_y * up.x);
+    let y = eye.y + distance * (forward.y + view_x * right.y + view_y * up.y);
+    let z = eye.z + distance * (forward.z + view_x * right.z + view_y * up.z);
+    let off_plane = abs(place.normal.x * x + place.normal.y * y + place.normal.z * z);
+    let in_plane = off_plane <= 0.2 * place.footprint_m + 0.02 * sqrt(x * x + y * y + z * z);
+    // What is gathered beyond the border repeats it.
+    let in_mask = (across >= vec4f(0.0)) & (across < vec4f(size.x)) & (down >= vec4f(0.0)) & (down < vec4f(size.y));
+    let away_x = across - place.at.x;
+    let away_y = down - place.at.y;
+    return Quad((depth > vec4f(0.0)) & in_mask & in_plane, words, away_x * away_x + away_y * away_y);
 }
 
 // How close to a sample's centre a place counts as being there, in pixels of the mask.
 const ON_CENTRE_PX: f32 = 0.2;
 
-// The weight of a sample `away` pixels from the place. Measured on Sponza at 1080p, wrong bits of known points at lag 6: nearest
-// 0.34 %, bilinear 0.30, this 0.27; wider ones gain on straight edges what they lose on leaves.
-fn edge_weight(away: vec2f) -> f32 {
-    return exp(-0.85 * dot(away, away));
+// The weights of samples on the surface. Measured on Sponza at 1080p, wrong bits of known points at lag 6: nearest 0.34 %, bilinear
+// 0.30, this 0.27; wider ones gain on straight edges what they lose on leaves.
+fn edge_weights(quad: Quad) -> vec4f {
+    return select(vec4f(0.0), exp(-0.85 * quad.distance_2), quad.on_surface);
+}
+
+// The weight of the samples that a light reaches.
+fn reached(quad: Quad, weights: vec4f, light: u32) -> f32 {
+    return dot(weights, vec4f((quad.words >> vec4u(light)) & vec4u(1u)));
 }
 
 // The lights of `disputed` that reach the place, by the weighted majority of the 16 samples around it.
 fn edge_word(place: Place, disputed: u32) -> u32 {
-    let corner = vec2i(floor(place.at));
-    var words: array<u32, 16>;
-    var weights: array<f32, 16>;
-    var total = 0.0;
-    for (var i = 0; i < 16; i++) {
-        let sample = corner + vec2i(i & 3, i >> 2) - 1;
-        weights[i] = 0.0;
-        if in_mask(sample) && same_surface(place, sample) {
-            weights[i] = edge_weight(vec2f(sample) - place.at);
-            words[i] = textureLoad(mask_words, sample, 0).x;
-            total += weights[i];
-        }
-    }
+    let corner = floor(place.at);
+    let a = quad_at(place, corner + vec2f(-1.0, -1.0));
+    let b = quad_at(place, corner + vec2f(1.0, -1.0));
+    let c = quad_at(place, corner + vec2f(-1.0, 1.0));
+    let d = quad_at(place, corner + vec2f(1.0, 1.0));
+    let of_a = edge_weights(a);
+    let of_b = edge_weights(b);
+    let of_c = edge_weights(c);
+    let of_d = edge_weights(d);
+    let half = 0.5 * dot(of_a + of_b + of_c + of_d, vec4f(1.0));
     var word = 0u;
     for (var rest = disputed; rest != 0u; rest &= rest - 1u) {
         let light = firstTrailingBit(rest);
-        var reached = 0.0;
-        for (var i = 0; i < 16; i++) {
-            reached += select(0.0, weights[i], ((words[i] >> light) & 1u) == 1u);
-        }
-        word |= select(0u, 1u << light, reached * 2.0 > total);
+        let all = reached(a, of_a, light) + reached(b, of_b, light) + reached(c, of_c, light) + reached(d, of_d, light);
+        word |= select(0u, 1u << light, all > half);
     }
     return word;
 }
 
+fn any_of(words: vec4u) -> u32 {
+    return words.x | words.y | words.z | words.w;
+}
+
 fn by_surface(place: Place) -> Found {
-    let corner = vec2i(floor(place.at));
-    var every = 0xffffffffu;
-    var some = 0u;
-    var known = false;
-    for (var i = 0; i < 4; i++) {
-        let sample = corner + vec2i(i & 1, i >> 1);
-        if in_mask(sample) && same_surface(place, sample) {
-            let word = textureLoad(mask_words, sample, 0).x;
-            every &= word;
-            some |= word;
-            known = true;
-        }
-    }
-    let disputed = some & ~every & prediction.lights;
-    if !known || disputed == 0u {
-        return Found(known, some);
+    let quad = quad_at(place, floor(place.at));
+    let some = any_of(select(vec4u(0u), quad.words, quad.on_surface));
+    let not_every = any_of(select(vec4u(0u), ~quad.words, quad.on_surface));
+    let disputed = some & not_every & prediction.lights;
+    if disputed == 0u {
+        return Found(any(quad.on_surface), some);
     }
     // Next to a sample's centre that sample is right, and a kernel would round corners off: a mask that was traced for nearly this
     // view has such centres everywhere.
-    let nearest = vec2i(round(place.at));
-    if distance(place.at, vec2f(nearest)) < ON_CENTRE_PX && in_mask(nearest) && same_surface(place, nearest) {
-        return Found(true, textureLoad(mask_words, nearest, 0).x);
+    let on_centre = quad.on_surface & (quad.distance_2 < vec4f(ON_CENTRE_PX * ON_CENTRE_PX));
+    if any(on_centre) {
+        return Found(true, any_of(select(vec4u(0u), quad.words, on_centre)));
     }
-    return Found(true, (some & every) | edge_word(place, disputed));
+    return Found(true, (some & ~not_every) | edge_word(place, disputed));
+}
+
+fn in_mask(sample: vec2i) -> bool {
+    return all(sample >= vec2i(0)) && all(sample < vec2i(vec2u(prediction.mask_view.width, prediction.mask_view.height)));
 }
 
 fn by_dissertation(place: Place) -> Found {

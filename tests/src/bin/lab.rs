@@ -14,6 +14,7 @@ use gnomon_tests::{
         network::{self, NetworkOptions},
         pareto::{self, ParetoOptions},
         pipeline::{self, PipelineOptions},
+        predict_cost::{self, PredictCostOptions},
         trace_error::{self, TraceErrorOptions},
     },
 };
@@ -40,6 +41,8 @@ enum Command {
     Pipeline(PipelineOptions),
     /// Measures how wrong predicted visibility is, against how late it is: writes lag.csv, plots and a grid of pictures.
     Lag(LagOptions),
+    /// Measures what carrying visibility over costs of a client's frame: writes predict_cost.csv.
+    PredictCost(PredictCostOptions),
     /// Stands between a client and a server on this machine as another network would.
     Link(LinkOptions),
     /// Puts many clients that draw nothing on a running server, and says what each of them gets.
@@ -74,6 +77,9 @@ fn run(arguments: Arguments) -> Result<()> {
             print!("{}", pipeline::measure(&options, |line| eprintln!("{line}"))?.markdown());
         }
         Command::Lag(options) => print!("{}", lag::measure(&options, |line| eprintln!("{line}"))?.markdown()),
+        Command::PredictCost(options) => {
+            print!("{}", predict_cost::measure(&options, |line| eprintln!("{line}"))?.markdown());
+        }
         Command::Link(options) => link::run(&options, |line| println!("{line}")).map(drop)?,
         Command::Load(options) => println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?),
         Command::Network(options) => {

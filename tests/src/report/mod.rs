@@ -10,6 +10,7 @@ mod network_replay;
 pub mod pareto;
 pub mod pipeline;
 pub mod plot;
+pub mod predict_cost;
 mod predict_rig;
 pub mod prediction_error;
 pub mod scene_args;

@@ -69,8 +69,7 @@ impl Replay {
 
     fn camera(&self, frame: usize) -> Result<Camera> {
         let frame = u32::try_from(frame).context("more frames than have numbers")?;
-        let camera = self.path.camera(f64::from(frame) * self.step_s, self.size.0, self.size.1);
-        Ok(Camera { orientation: camera.orientation.normalize(), ..camera })
+        Ok(self.path.camera(f64::from(frame) * self.step_s, self.size.0, self.size.1))
     }
 
     /// Where the server traced the mask that this frame asked for.

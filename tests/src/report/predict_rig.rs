@@ -6,7 +6,10 @@ use gnomon_client::{
     occluders::Occluders,
     predictor::Predictor,
     render::{
-        FrameRenderer, PICTURE_FORMAT, PixelVisibility, exposure::Exposure, predict::MaskView, readback::PictureReader,
+        FrameRenderer, PICTURE_FORMAT, PixelVisibility,
+        exposure::Exposure,
+        predict::MaskView,
+        readback::{Picture, PictureReader},
     },
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
@@ -68,16 +71,40 @@ impl PredictRig {
         predictor: Predictor,
         mask: Option<(&Mask, &Camera)>,
     ) -> Result<(RgbImage, Vec<PixelVisibility>)> {
+        let picture = self.shade(camera, predictor, mask, true)?.context("the picture has not come back")?;
+        let rgb = picture.rgba.as_chunks::<4>().0.iter().flat_map(|[r, g, b, _]| [*r, *g, *b]).collect();
+        let picture = RgbImage::from_raw(picture.width, picture.height, rgb).context("a picture of another size")?;
+        Ok((picture, self.renderer.read_visibility()?))
+    }
+
+    /// The same, but the picture stays where it is; returns when it is done.
+    pub(super) fn show(&mut self, camera: &Camera, predictor: Predictor, mask: Option<(&Mask, &Camera)>) -> Result<()> {
+        self.shade(camera, predictor, mask, false).map(|_| ())
+    }
+
+    /// Draws a view and waits for it: from now on its depth is in the renderer's history.
+    pub(super) fn see(&mut self, camera: &Camera) -> Result<()> {
+        self.show(camera, Predictor::None, None)
+    }
+
+    fn shade(
+        &mut self,
+        camera: &Camera,
+        predictor: Predictor,
+        mask: Option<(&Mask, &Camera)>,
+        copied: bool,
+    ) -> Result<Option<Picture>> {
         self.renderer.set_predictor(predictor);
         self.renderer.draw_surfaces(camera)?;
         self.renderer.set_mask(mask.map(|(mask, traced_for)| MaskView { mask, traced_for }))?;
         let target = self.pictures.target();
-        let submission = self.renderer.shade(camera, 1.0, &target, |encoder| self.pictures.copy(encoder))?;
-        self.pictures.submitted(0, submission, true);
-        let picture = self.pictures.take_oldest()?.flatten().context("the picture has not come back")?;
-        let rgb = picture.rgba.as_chunks::<4>().0.iter().flat_map(|[r, g, b, _]| [*r, *g, *b]).collect();
-        let picture = RgbImage::from_raw(picture.width, picture.height, rgb).context("a picture of another size")?;
-        Ok((picture, self.renderer.read_visibility()?))
+        let submission = self.renderer.shade(camera, 1.0, &target, |encoder| {
+            if copied {
+                self.pictures.copy(encoder);
+            }
+        })?;
+        self.pictures.submitted(0, submission, copied);
+        Ok(self.pictures.take_oldest()?.flatten())
     }
 
     /// Share of the last picture's pixels whose visibility the mask said something of.

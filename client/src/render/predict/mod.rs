@@ -55,6 +55,8 @@ pub(crate) struct PredictPass {
     mask_layout: wgpu::BindGroupLayout,
     /// The picture's own surfaces, by the place of its depth in the history.
     surface_groups: Vec<wgpu::BindGroup>,
+    /// Takes samples as they are.
+    nearest: wgpu::Sampler,
     uniform: wgpu::Buffer,
     depth_pass: DepthPass,
     words_pass: WordsPass,
@@ -139,6 +141,7 @@ impl PredictPass {
             scene_group,
             mask_layout,
             surface_groups,
+            nearest: device.create_sampler(&wgpu::SamplerDescriptor::default()),
             uniform,
             depth_pass,
             words_pass,
@@ -223,7 +226,11 @@ impl PredictPass {
             history.view().clone()
         };
         let picture = wgpu::BindingResource::TextureView;
-        let mask_group = group(&gpu.device, &self.mask_layout, &[picture(self.words.words()), picture(&depth)]);
+        let mask_group = group(
+            &gpu.device,
+            &self.mask_layout,
+            &[picture(self.words.words()), picture(&depth), wgpu::BindingResource::Sampler(&self.nearest)],
+        );
         self.unknown.clear(encoder);
         {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -320,7 +327,7 @@ fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 3] {
             &[uniform::<View>(), uniform::<Lighting>(), depth, storage(true), uniform::<Prediction>(), storage(false)],
         ),
         layout("prediction: surfaces", &[depth, words]),
-        layout("prediction: mask", &[words, depth]),
+        layout("prediction: mask", &[words, depth, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering)]),
     ]
 }
 

@@ -1,0 +1,101 @@
+//! `lab predict-cost`: what carrying visibility over costs of a client's frame.
+//!
+//! No network and no server run meanwhile: masks are traced before, and each frame is drawn by every predictor in turn, so that
+//! whatever else the machine does falls on all alike.
+
+use std::time::Instant;
+
+use anyhow::{Result, ensure};
+use glam::DVec3;
+use gnomon_client::predictor::Predictor;
+use gnomon_shaders::camera::Camera;
+
+use super::{
+    predict_rig::PredictRig,
+    scene_args::SceneArgs,
+    table::{Table, median},
+};
+
+/// What to measure.
+#[derive(Debug, Clone, clap::Args)]
+pub struct PredictCostOptions {
+    /// Scene, path, size, and how many frames of the path are drawn.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// How old the mask is, in frames of 60 a second.
+    #[arg(long, default_value_t = 6)]
+    pub lag: u32,
+    /// Times that each frame is drawn in each way.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    pub runs: u32,
+    /// Lets the client run on a software adapter.
+    #[arg(long)]
+    pub allow_software: bool,
+}
+
+/// A predictor, and whether the depth of the mask's view is still in the history or has to be drawn anew.
+const WAYS: [(Predictor, &str); 4] = [
+    (Predictor::None, "unused"),
+    (Predictor::Dissertation(gnomon_client::predictor::Unknown::Lit), "unused"),
+    (Predictor::Surface, "kept"),
+    (Predictor::Surface, "drawn"),
+];
+
+/// No pixel can tell it from nothing, and no picture in the history is of a camera that stands this far away.
+const ELSEWHERE_M: f64 = 1e-9;
+
+/// Measures, writes `predict_cost.csv`, and returns the table. `progress` hears of each frame.
+///
+/// # Errors
+/// When the scene or the path cannot be read, there is no adapter, or a file cannot be written.
+pub fn measure(options: &PredictCostOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
+    let scene = &options.scene;
+    let path = scene.load_path()?;
+    let lag_s = f64::from(options.lag) / 60.0;
+    ensure!(path.duration_s() > lag_s, "the path takes {} s, less than the lag", path.duration_s());
+    let mut rig = PredictRig::new(&scene.load_scene()?, scene.size, options.allow_software)?;
+    let mut times_ms: [Vec<f64>; WAYS.len()] = Default::default();
+    let mut ratios: [Vec<f64>; WAYS.len()] = Default::default();
+    for frame in 0..scene.frames {
+        let share = (f64::from(frame) + 0.5) / f64::from(scene.frames);
+        let time_s = lag_s + (path.duration_s() - lag_s) * share;
+        let at = |time_s: f64| path.camera(time_s, scene.size.0, scene.size.1);
+        let (now, then) = (at(time_s), at(time_s - lag_s));
+        let elsewhere = Camera { position_m: then.position_m + DVec3::X * ELSEWHERE_M, ..then };
+        let mask = rig.trace(&then)?;
+        for run in 0..=options.runs {
+            let mut none_ms = f64::NAN;
+            for (way, (predictor, depth)) in WAYS.iter().enumerate() {
+                rig.see(&then)?;
+                let traced_for = if *depth == "kept" { &then } else { &elsewhere };
+                let begun = Instant::now();
+                rig.show(&now, *predictor, Some((&mask, traced_for)))?;
+                let ms = begun.elapsed().as_secs_f64() * 1e3;
+                // The first time warms up.
+                if run > 0 {
+                    if way == 0 {
+                        none_ms = ms;
+                    }
+                    times_ms[way].push(ms);
+                    ratios[way].push(ms / none_ms);
+                }
+            }
+        }
+        progress(&format!("frame {} of {} at {time_s:.3} s", frame + 1, scene.frames));
+    }
+    let mut table = Table::new(&["scene", "size", "predictor", "depth", "lag", "ms_p50", "ratio_to_none"]);
+    for ((predictor, depth), (times, ratios)) in WAYS.iter().zip(times_ms.iter().zip(&ratios)) {
+        let figure = |values: &[f64], decimals: usize| median(values).map(|value| format!("{value:.decimals$}"));
+        table.rows.push(vec![
+            scene.scene_name(),
+            format!("{}x{}", scene.size.0, scene.size.1),
+            predictor.to_string(),
+            (*depth).to_owned(),
+            options.lag.to_string(),
+            figure(times, 2).unwrap_or_default(),
+            figure(ratios, 3).unwrap_or_default(),
+        ]);
+    }
+    scene.write("predict_cost.csv", &table.csv())?;
+    Ok(table)
+}
