@@ -79,7 +79,7 @@ pub struct Arguments {
     /// Extra pixels of the masks, half of them on each side: auto, 0 or WxH [default: 0]
     #[arg(long, env = "GNOMON_GUARD", value_name = "WxH")]
     pub guard: Option<Guard>,
-    /// Whether the server traces for where the camera will be when the mask is shown [default: false]
+    /// Whether the server traces for where the camera will be when the mask is shown [default: true on a GPU]
     #[arg(long, env = "GNOMON_PREDICT_POSE", value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub predict_pose: Option<bool>,
     /// With --mode auto: the largest lag, in frames, that is drawn sequentially; 0 never is [default: 0]

@@ -164,7 +164,7 @@ pub fn resolve(arguments: Arguments) -> Result<HeadlessOptions, ConfigError> {
         mode: arguments.mode.or(file.mode).unwrap_or(default.mode),
         thresholds,
         guard: arguments.guard.or(file.guard).unwrap_or(default.guard),
-        predict_pose: arguments.predict_pose.or(file.predict_pose).unwrap_or(default.predict_pose),
+        predict_pose: arguments.predict_pose.or(file.predict_pose),
         exposure_ev: arguments.exposure.or(file.exposure),
         cache_dir: arguments.cache_dir.or(file.cache_dir),
         connect_timeout,
@@ -209,10 +209,10 @@ mod tests {
         let options = resolve_with(&file, "--headless --mode concurrent --fade 0.125 --predict-pose=false").unwrap();
         assert_eq!((options.mode, options.guard, options.predictor), (Mode::Concurrent, Guard::Auto, Predictor::None));
         let expected = Thresholds { sequential_lag: 2, calm_frames: 5, prediction_lag: 30, fade_s: 0.125 };
-        assert_eq!((options.thresholds, options.predict_pose), (expected, false));
+        assert_eq!((options.thresholds, options.predict_pose), (expected, Some(false)));
         let default = resolve_with("", &format!("{URL} --headless")).unwrap();
         assert_eq!((default.mode, default.thresholds), (Mode::Auto, Thresholds::default()));
-        assert_eq!((default.guard, default.predict_pose), (Guard::default(), false));
+        assert_eq!((default.guard, default.predict_pose), (Guard::default(), None));
     }
 
     #[test]

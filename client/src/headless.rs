@@ -102,8 +102,10 @@ pub struct HeadlessOptions {
     pub thresholds: Thresholds,
     /// The guard band around each picture that masks have.
     pub guard: Guard,
-    /// Whether the server traces for where the camera will be when the mask is shown.
-    pub predict_pose: bool,
+    /// Whether the server traces for where the camera will be when the mask is shown. Without a choice it does unless the adapter
+    /// is software: such a mask is of a view that was never drawn, so its depth has to be drawn for the prediction, which costs a
+    /// GPU little and a processor a tenth of its frame and more (`lab predict-cost`).
+    pub predict_pose: Option<bool>,
     /// Exposure that replaces the scene's own: 1 lux is shown as 2^−EV.
     pub exposure_ev: Option<f32>,
     /// Folder for cached scenes; the platform's without.
@@ -139,7 +141,7 @@ impl HeadlessOptions {
             mode: Mode::default(),
             thresholds: Thresholds::default(),
             guard: Guard::default(),
-            predict_pose: false,
+            predict_pose: None,
             exposure_ev: None,
             cache_dir: None,
             connect_timeout: Duration::from_secs(5),
@@ -150,6 +152,10 @@ impl HeadlessOptions {
     /// How each mask's guard band is chosen.
     fn guard_choice(&self) -> GuardChoice {
         GuardChoice::new(self.guard, (self.width, self.height))
+    }
+
+    fn looks_ahead(&self, gpu: &Gpu) -> bool {
+        self.predict_pose.unwrap_or(!gpu.is_software())
     }
 
     /// Width and height of the largest mask that is asked for.
@@ -250,7 +256,7 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         size: (options.width, options.height),
         live,
         wait: options.wait,
-        predict_pose: options.predict_pose,
+        predict_pose: options.looks_ahead(&gpu),
         machine: ModeMachine::new(options.mode, options.thresholds),
         guard: options.guard_choice(),
         pictures,
@@ -371,7 +377,7 @@ fn summary(
         predictor: options.predictor.to_string(),
         mode: options.mode,
         guard: options.guard.to_string(),
-        predict_pose: options.predict_pose,
+        predict_pose: options.looks_ahead(gpu),
         connection_lost: outcome.lost.clone(),
         exposure_ev: exposure.ev(),
         path: path.name().to_owned(),
