@@ -53,6 +53,11 @@ fn job<'a>(url: &'a str, folder: &'a Path, frames: u32) -> ClientJob<'a> {
 }
 
 fn run(transport: &str, settings: LinkSettings, frames: u32) -> Run {
+    // Of the poses that were asked for, so that they can be checked.
+    run_with(transport, settings, frames, &["--predict-pose=false"])
+}
+
+fn run_with(transport: &str, settings: LinkSettings, frames: u32, more: &[&str]) -> Run {
     let arguments = ["--backend", "cpu", "--transport", transport];
     let server = ServerProcess::start(&asset("cloister.glb"), &arguments).unwrap();
     let runtime = tokio::runtime::Runtime::new().unwrap();
@@ -61,7 +66,8 @@ fn run(transport: &str, settings: LinkSettings, frames: u32) -> Run {
     let folder = tempfile::tempdir().unwrap();
     let url = link.url(server.url()).unwrap();
     assert_ne!(url, server.url());
-    let job = job(&url, folder.path(), frames);
+    let mut job = job(&url, folder.path(), frames);
+    job.arguments.extend(more.iter().map(Into::into));
     job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
     let counts = link.counts();
     for direction in [counts.up, counts.down] {
@@ -140,6 +146,25 @@ fn sessions_outlive_an_outage() {
             assert!(longest + 2 >= run.counts.up.outage && last < longest, "{longest} {last} {:?}", run.counts);
         }
     }
+}
+
+#[test]
+fn a_server_that_looks_ahead_knows_more_of_the_picture_that_shows_its_mask() {
+    let run = |ahead: &str| {
+        let mut settings = LinkSettings::default();
+        settings.up.set("delay=80ms").unwrap();
+        settings.down.set("delay=80ms").unwrap();
+        let run = run_with("quic", settings, 90, &["--mode", "concurrent", ahead]);
+        let last = run.stats.last().unwrap();
+        assert!(last["lag"].as_u64().unwrap() >= 1, "{last}");
+        // Without a mask nothing is known; the beginning, while rates are measured, counts for nothing.
+        let known = run.stats.iter().skip(30).map(|line| line["known_share"].as_f64().unwrap()).sum::<f64>() / 60.0;
+        (last["look_ahead_ms"].as_u64().unwrap(), known)
+    };
+    let ((none_ms, behind), (ahead_ms, ahead)) = (run("--predict-pose=false"), run("--predict-pose=true"));
+    assert_eq!(none_ms, 0);
+    assert!((160..1000).contains(&ahead_ms), "{ahead_ms} ms");
+    assert!(ahead > behind && behind > 0.5, "{behind} without, {ahead} with");
 }
 
 #[test]
