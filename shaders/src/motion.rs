@@ -99,12 +99,12 @@ impl Motion {
         })
     }
 
-    /// The rates over the window that ends at `end_s`, or before it.
+    /// The rates over the window that ends at `end_s`, or before it; over one step where steps are longer than the window.
     fn rate(&self, end_s: f64) -> Option<Rate> {
         let last = self.poses.iter().rposition(|(time_s, _)| *time_s <= end_s)?;
         let (to_s, to) = self.poses.get(last)?;
-        let first = self.poses.iter().take(last).position(|(time_s, _)| *time_s >= to_s - WINDOW_S * 1.01)?;
-        let (from_s, from) = self.poses.get(first)?;
+        let first = self.poses.iter().take(last).position(|(time_s, _)| *time_s >= to_s - WINDOW_S * 1.01);
+        let (from_s, from) = self.poses.get(first.or(last.checked_sub(1))?)?;
         Some(rate_between(from, to, to_s - from_s))
     }
 
@@ -162,6 +162,17 @@ mod tests {
             }
         }
         assert_eq!(motion.at(1.0, Extrapolation::Still), Some(at(19.0 / 60.0)));
+    }
+
+    #[test]
+    fn steps_longer_than_the_window_are_followed_too() {
+        let at = |time_s: f64| camera(DVec3::X * time_s, 0.3 * time_s);
+        let mut motion = Motion::default();
+        for frame in 0..5 {
+            motion.push(f64::from(frame) * 0.2, at(f64::from(frame) * 0.2));
+        }
+        let (metres, radians) = apart(&motion.at(1.0, Extrapolation::Velocity).unwrap(), &at(1.0));
+        assert!(metres < 1e-8 && radians < 1e-7, "{metres} m, {radians} rad");
     }
 
     #[test]
