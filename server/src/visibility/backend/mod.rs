@@ -53,14 +53,6 @@ pub enum BackendError {
         /// The adapter's name.
         adapter: String,
     },
-    /// The scene's bounding volume hierarchy is deeper than the traversal stack.
-    #[error("the scene's bounding volume hierarchy is {depth} levels deep, the traversal has room for {limit}")]
-    TooDeep {
-        /// Its depth.
-        depth: u32,
-        /// The most levels that fit.
-        limit: u32,
-    },
     /// A kernel cannot be built, or the device refuses it or a buffer.
     #[error("the device cannot be set up for tracing: {0}")]
     Setup(String),

@@ -9,11 +9,12 @@ use gnomon_shaders::{
 };
 use obvhs::{
     BvhBuildParams,
-    cwbvh::{CwBvh, builder::build_cwbvh_from_tris, node::CwBvhNode},
+    bvh2::{Bvh2, builder::build_bvh2_from_tris},
+    cwbvh::{CwBvh, bvh2_to_cwbvh::bvh2_to_cwbvh, node::CwBvhNode},
     triangle::Triangle,
 };
 
-use super::Traversal;
+use super::{Traversal, balance::bound_depth};
 use crate::visibility::backend::BackendError;
 
 /// Everything that the kernels read, except the lights.
@@ -46,7 +47,7 @@ impl Geometry {
     /// The triangles that stop rays, with the hierarchy that `traversal` wants over them.
     ///
     /// # Errors
-    /// When the hierarchy is deeper than the kernels can follow, or there is more than 32-bit indices can name.
+    /// When there is more than 32-bit indices can name.
     pub(super) fn build(scene: &Scene, traversal: Traversal) -> Result<Self, BackendError> {
         let mut geometry = Self::default();
         let presences = geometry.add_alpha(scene)?;
@@ -73,7 +74,7 @@ impl Geometry {
         let corner = |index: u32| Vec3A::from(scene.positions[index as usize]);
         let shapes: Vec<Triangle> =
             stopping.iter().map(|&([a, b, c], _)| Triangle { v0: corner(a), v1: corner(b), v2: corner(c) }).collect();
-        let hierarchy = build_hierarchy(&shapes)?;
+        let hierarchy = build_hierarchy(&shapes);
         for &primitive in &hierarchy.primitive_indices {
             let (corners, material) = stopping[primitive as usize];
             geometry.add_triangle(scene, corners, &scene.materials[material as usize], presences[material as usize])?;
@@ -149,24 +150,26 @@ fn index_of_next<T>(what: &str, list: &[T]) -> Result<u32, BackendError> {
 }
 
 /// The hierarchy over these triangles, as the kernels follow it.
-pub(super) fn build_hierarchy(shapes: &[Triangle]) -> Result<CwBvh, BackendError> {
+pub(super) fn build_hierarchy(shapes: &[Triangle]) -> CwBvh {
     // A scene is built once and traced for days, so building may take its time: on Sponza these parameters take twice
     // as long as obvhs' medium ones, and save 9 % of the nodes and 24 % of the triangles that a camera ray visits, and
-    // 3 % of the nodes of a shadow ray. Spatial splits saved nothing there. Three triangles are the most that a leaf
-    // of this format can name.
-    let parameters = BvhBuildParams { pre_split: false, max_prims_per_leaf: 3, ..BvhBuildParams::slow_build() };
-    let hierarchy = build_cwbvh_from_tris(shapes, parameters, &mut std::time::Duration::default());
-    check_depth(&hierarchy.nodes)?;
-    Ok(hierarchy)
-}
-
-/// Every level of nodes can put one entry on a traversal's stack.
-fn check_depth(nodes: &[CwBvhNode]) -> Result<(), BackendError> {
-    let depth = depth(nodes);
-    if depth > TRAVERSAL_STACK {
-        return Err(BackendError::TooDeep { depth, limit: TRAVERSAL_STACK });
+    // 3 % of the nodes of a shadow ray. Spatial splits saved nothing there.
+    let parameters = BvhBuildParams {
+        pre_split: false,
+        max_prims_per_leaf: 1,
+        post_collapse_reinsertion_batch_ratio_multiplier: 0.0,
+        ..BvhBuildParams::slow_build()
+    };
+    let mut binary = build_bvh2_from_tris(shapes, parameters, &mut std::time::Duration::default());
+    // Three triangles are the most that a leaf of this format can name.
+    let compress = |binary: &Bvh2| bvh2_to_cwbvh(binary, 3, true, false);
+    let hierarchy = compress(&binary);
+    if depth(&hierarchy.nodes) <= TRAVERSAL_STACK {
+        return hierarchy;
     }
-    Ok(())
+    // Every level of wide nodes can put one entry on a traversal's stack, and takes up one level of binary nodes at least.
+    bound_depth(&mut binary, TRAVERSAL_STACK);
+    compress(&binary)
 }
 
 /// Levels of nodes.
@@ -189,15 +192,20 @@ mod tests {
     use crate::visibility::test_scenes::{DOUBLE_SIDED, LEAF, TestScene, room};
 
     #[test]
-    fn a_hierarchy_deeper_than_the_stack_is_refused() {
-        let chain = |levels: u32| -> Vec<CwBvhNode> {
-            (1..=levels)
-                .map(|next| CwBvhNode { imask: u8::from(next < levels), child_base_idx: next, ..CwBvhNode::default() })
-                .collect()
-        };
-        assert!(check_depth(&chain(TRAVERSAL_STACK)).is_ok());
-        let error = check_depth(&chain(TRAVERSAL_STACK + 1)).unwrap_err();
-        assert!(matches!(error, BackendError::TooDeep { depth: 33, limit: 32 }), "{error}");
+    fn no_hierarchy_is_deeper_than_the_stack() {
+        // Each triangle is as far from the last as that one is large: the builder makes a chain of nodes.
+        let chain: Vec<Triangle> = (0..120)
+            .flat_map(|i| {
+                let v0 = Vec3A::new(1.0, 0.4, -0.7) * 2.0_f32.powi(i - 60);
+                let side = v0.length() * 0.1;
+                [Vec3A::Y, Vec3A::Z].map(|up| Triangle { v0, v1: v0 + Vec3A::X * side, v2: v0 + up * side })
+            })
+            .collect();
+        let hierarchy = build_hierarchy(&chain);
+        assert!(depth(&hierarchy.nodes) <= TRAVERSAL_STACK);
+        let mut named = hierarchy.primitive_indices;
+        named.sort_unstable();
+        assert_eq!(named, (0..240).collect::<Vec<_>>());
     }
 
     #[test]

@@ -216,7 +216,7 @@ fn the_hierarchy_leads_rays_where_obvhs_own_traversal_leads_them() {
             obvhs::triangle::Triangle { v0, v1, v2 }
         })
         .collect();
-    let hierarchy = geometry::build_hierarchy(&shapes).unwrap();
+    let hierarchy = geometry::build_hierarchy(&shapes);
     let triangle = |id: usize| shapes[hierarchy.primitive_indices[id] as usize];
     let light = Vec3A::from(scene.lights[0].position);
     let (mut wrong, mut seen) = (0, 0);
