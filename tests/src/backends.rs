@@ -4,7 +4,7 @@ use anyhow::Result;
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_server::visibility::{
     TraceCost,
-    backend::{compute::ComputeBackend, cpu::CpuBackend},
+    backend::{BackendError, compute::ComputeBackend, cpu::CpuBackend, ray_query},
 };
 use gnomon_shaders::{camera::Camera, scene::Scene};
 
@@ -15,6 +15,8 @@ pub enum BackendName {
     Cpu,
     /// Kernels in WGSL, on any adapter.
     Compute,
+    /// The same kernels with the adapter's own ray queries, which few adapters have.
+    RayQuery,
 }
 
 /// An open back end: traces what a camera sees into a mask of its size.
@@ -22,7 +24,9 @@ pub type Trace = Box<dyn FnMut(&Camera, &mut Mask) -> Result<TraceCost>>;
 
 impl BackendName {
     /// All of them.
-    pub const ALL: [Self; 2] = [Self::Cpu, Self::Compute];
+    pub const ALL: [Self; 3] = [Self::Cpu, Self::Compute, Self::RayQuery];
+    /// Those that every machine has, be it with a software adapter.
+    pub const EVERYWHERE: [Self; 2] = [Self::Cpu, Self::Compute];
 
     /// As on the server's command line.
     #[must_use]
@@ -30,6 +34,7 @@ impl BackendName {
         match self {
             Self::Cpu => "cpu",
             Self::Compute => "compute",
+            Self::RayQuery => "ray-query",
         }
     }
 
@@ -38,16 +43,30 @@ impl BackendName {
     /// # Errors
     /// When the scene is refused, or there is no adapter.
     pub fn open(self, scene: &Scene) -> Result<Trace> {
-        Ok(match self {
+        let mut backend = match self {
             Self::Cpu => {
                 let backend = CpuBackend::new(scene, None)?;
-                Box::new(move |camera, mask| Ok(backend.trace(camera, mask)))
+                return Ok(Box::new(move |camera, mask| Ok(backend.trace(camera, mask))));
             }
-            Self::Compute => {
-                let mut backend = ComputeBackend::open(scene, None, true)?;
-                Box::new(move |camera, mask| Ok(backend.trace(camera, mask)?))
-            }
-        })
+            Self::Compute => ComputeBackend::open(scene, None, true)?,
+            Self::RayQuery => ray_query::open(scene, None, true)?,
+        };
+        Ok(Box::new(move |camera, mask| Ok(backend.trace(camera, mask)?)))
+    }
+
+    /// Whether an adapter here, software or not, has what the back end needs.
+    ///
+    /// # Errors
+    /// When that cannot be found out.
+    pub fn is_here(self, scene: &Scene) -> Result<bool> {
+        if self != Self::RayQuery {
+            return Ok(true);
+        }
+        match ray_query::open(scene, None, true) {
+            Ok(_) => Ok(true),
+            Err(BackendError::Feature { .. } | BackendError::Gpu(_)) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// One mask of the scene.

@@ -2,6 +2,7 @@
 
 pub mod backends;
 pub mod cloister;
+pub mod hard_cases;
 pub mod link;
 pub mod metrics;
 pub mod reference;

@@ -1,13 +1,13 @@
 //! A BVH with eight children a node and leaves of up to eight triangles, for kernels that test eight boxes at once.
 //!
-//! `obvhs` builds a binary tree (PLOC with reinsertion); this file collapses it into the cheapest eight-wide one by the
+//! A binary tree comes first (`binary`); this file collapses it into the cheapest eight-wide one by the
 //! dynamic programme of Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide
 //! BVHs", HPG 2017, §3.1. Boxes stay f32: they are never rounded inwards.
 
-use std::time::Duration;
-
 use glam::Vec3;
-use obvhs::{Boundable, BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::builder::build_bvh2};
+use obvhs::{aabb::Aabb, bvh2::Bvh2};
+
+use super::binary::{self, Care};
 
 /// Children of a node, and the most triangles in a leaf.
 pub const WIDTH: usize = 8;
@@ -104,13 +104,8 @@ const NODE_COST: f32 = 1.0;
 const LEAF_COST: f32 = 3.0;
 const TRIANGLE_COST: f32 = 0.15;
 
-struct Bounds(Aabb);
-
-impl Boundable for Bounds {
-    fn aabb(&self) -> Aabb {
-        self.0
-    }
-}
+/// What obvhs takes for a build of middling care.
+const CARE: Care = Care { reach: 14, reinsertion: 0.05 };
 
 impl WideBvh {
     /// Builds a tree over `triangles`, whose indices must be in range and whose positions finite. Fewer than 2³¹
@@ -120,20 +115,11 @@ impl WideBvh {
         if triangles.is_empty() {
             return Self { nodes: vec![Node::EMPTY], leaves: Vec::new(), depth: 1 };
         }
-        let bounds: Vec<Bounds> = triangles
-            .iter()
-            .map(|corners| {
-                let [a, b, c] = corners.map(|i| positions[i as usize]);
-                Bounds(Aabb::new(a.min(b).min(c).into(), a.max(b).max(c).into()))
-            })
-            .collect();
-        let parameters = BvhBuildParams {
-            pre_split: false,
-            max_prims_per_leaf: 1,
-            post_collapse_reinsertion_batch_ratio_multiplier: 0.0,
-            ..BvhBuildParams::medium_build()
+        let bounds = |corners: &[u32; 3]| {
+            let [a, b, c] = corners.map(|i| positions[i as usize]);
+            Aabb::new(a.min(b).min(c).into(), a.max(b).max(c).into())
         };
-        let binary = build_bvh2(&bounds, parameters, &mut Duration::default());
+        let binary = binary::build(&triangles.iter().map(bounds).collect::<Vec<_>>(), CARE);
         Collapse::new(&binary).run(positions, triangles, flags)
     }
 

@@ -19,6 +19,8 @@
 //!    of the distance's terms, with a plane normal computed in f64. Bit 1 when nothing stops it.
 
 pub mod backend;
+mod balance;
+mod binary;
 pub mod bvh;
 pub mod engine;
 #[cfg(test)]

@@ -28,8 +28,8 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Judges the back ends by the f64 referee on the real scenes: writes accuracy.csv and pictures, prints
-    /// Markdown.
+    /// Judges the back ends by the f64 referee on the real scenes and on hard cases: writes accuracy.csv, hard_cases.csv
+    /// and pictures, prints Markdown.
     Accuracy(AccuracyOptions),
     /// Writes Gnomon's own scene: cloister.glb and its camera paths, cloister.json.
     MakeScene {
@@ -58,7 +58,8 @@ enum Command {
 fn run(arguments: Arguments) -> Result<()> {
     match arguments.command {
         Command::Accuracy(options) => {
-            print!("{}", accuracy::measure(&options, |line| eprintln!("{line}"))?.markdown());
+            let judged = accuracy::measure(&options, |line| eprintln!("{line}"))?;
+            print!("{}\n{}", judged.scenes.markdown(), judged.cases.markdown());
         }
         Command::MakeScene { out } => {
             let made = cloister::generate(&out)?;

@@ -18,6 +18,8 @@ pub struct RelevantError {
     pub wrong: u64,
     /// Of the wrong ones, those that are 1 where the referee says 0: light that leaks.
     pub leaks: u64,
+    /// Leaks that the referee is sure of.
+    pub sure_leaks: u64,
     /// Bits whose relevance or value rounding may change, whether they differ or not.
     pub undecided: u64,
     /// Wrong bits among these.
@@ -85,6 +87,7 @@ impl RelevantError {
                         if undecided {
                             continue;
                         }
+                        error.sure_leaks += u64::from(set);
                         let distance_px = distance_from_edge_px(truth, light, x, y);
                         error.worst_distance_px = error.worst_distance_px.max(distance_px);
                         if error.examples.len() < EXAMPLES {
@@ -123,6 +126,7 @@ impl AddAssign for RelevantError {
         self.relevant += other.relevant;
         self.wrong += other.wrong;
         self.leaks += other.leaks;
+        self.sure_leaks += other.sure_leaks;
         self.undecided += other.undecided;
         self.wrong_undecided += other.wrong_undecided;
         self.irrelevant_set += other.irrelevant_set;
@@ -180,6 +184,7 @@ mod tests {
         let expected = RelevantError {
             wrong: 3,
             leaks: 2,
+            sure_leaks: 1,
             wrong_undecided: 1,
             irrelevant_set: 1,
             examples,

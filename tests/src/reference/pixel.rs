@@ -20,6 +20,9 @@ struct Nudge {
     alpha: f64,
 }
 
+/// Ties that are judged; more lie in one point only where a mesh has a fan or a heap there.
+const MOST_TIES: usize = 8;
+
 /// What a camera ray meets first.
 struct Nearest {
     first: (u32, Crossing),
@@ -120,7 +123,12 @@ impl Reference {
         doubt.about(nearest_doubt.is_finite() && nearest_doubt <= end + slack);
         let first = nearest?;
         // What lies farther ahead was met before the nearest was.
-        ties.retain(|(triangle, crossing)| *triangle != first.0 && (crossing.t - end).abs() <= slack);
+        let own = self.corners[first.0 as usize];
+        ties.retain(|(triangle, crossing)| {
+            // The same triangle laid twice has the same verdict.
+            self.corners[*triangle as usize] != own && (crossing.t - end).abs() <= slack
+        });
+        ties.truncate(MOST_TIES);
         Some(Nearest { first, ties })
     }
 

@@ -12,6 +12,7 @@ use gnomon_shaders::{camera::Camera, scene::LoadOptions, scene::Scene};
 use super::{scene_args, table::Table, trace_error::picture};
 use crate::{
     backends::BackendName,
+    hard_cases::{self, Case},
     metrics::RelevantError,
     reference::{Reference, Truth},
     scenes::real::{JUDGED, RealScene},
@@ -20,16 +21,25 @@ use crate::{
 /// What to judge, and where to put the results.
 #[derive(Debug, Clone, clap::Args)]
 pub struct AccuracyOptions {
-    /// Folder that holds the real scenes.
+    /// Folder that holds the real scenes, when they are judged.
     #[arg(long, env = crate::scenes::real::SCENES_VARIABLE)]
-    pub scenes: PathBuf,
+    pub scenes: Option<PathBuf>,
     /// Real scenes to judge, by name; all of them without it.
     #[arg(long, value_delimiter = ',')]
     pub only: Vec<String>,
     /// Size of the pictures of real scenes, WIDTHxHEIGHT.
     #[arg(long, value_parser = scene_args::size, default_value = "640x360")]
     pub size: (u32, u32),
-    /// Back ends to judge.
+    /// Hard cases to judge, by a part of their names; all of them without it.
+    #[arg(long, value_delimiter = ',')]
+    pub cases: Vec<String>,
+    /// Size of the pictures of hard cases, WIDTHxHEIGHT.
+    #[arg(long, value_parser = scene_args::size, default_value = "320x180")]
+    pub case_size: (u32, u32),
+    /// What to judge.
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [Part::Scenes, Part::Cases])]
+    pub parts: Vec<Part>,
+    /// Back ends to judge; one that no adapter here can run is left out, and said to be.
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = BackendName::ALL)]
     pub backends: Vec<BackendName>,
     /// Folder for tables and pictures.
@@ -37,13 +47,79 @@ pub struct AccuracyOptions {
     pub out: PathBuf,
 }
 
-/// Judges, writes `accuracy.csv` and pictures, and tells `progress` each result as a line. The table has a row for
-/// every scene and back end, summed over the places that the scene is seen from.
+/// What there is to judge.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Part {
+    /// The real scenes: `accuracy.csv`.
+    Scenes,
+    /// The hard cases: `hard_cases.csv`.
+    Cases,
+}
+
+/// What was judged.
+#[derive(Debug)]
+pub struct Judgement {
+    /// A row for every scene and back end, summed over the places that the scene is seen from.
+    pub scenes: Table,
+    /// A row for every case, back end and measure.
+    pub cases: Table,
+}
+
+/// Judges, writes tables and pictures, and tells `progress` each result as a line.
 ///
 /// # Errors
 /// When a scene cannot be loaded, a back end cannot be opened, or a result cannot be written.
-pub fn measure(options: &AccuracyOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
+pub fn measure(options: &AccuracyOptions, mut progress: impl FnMut(&str)) -> Result<Judgement> {
     fs::create_dir_all(&options.out).with_context(|| format!("creating {}", options.out.display()))?;
+    let cases = hard_cases::all(options.case_size, true)?;
+    let mut backends = options.backends.clone();
+    for &backend in &options.backends {
+        if !cases.first().map_or(Ok(true), |case| backend.is_here(&case.scene))? {
+            progress(&format!("{}: no adapter here can run it", backend.name()));
+            backends.retain(|&other| other != backend);
+        }
+    }
+    let judges = |part| options.parts.contains(&part);
+    let scenes = judge_scenes(options, &backends, judges(Part::Scenes), &mut progress)?;
+    let cases = judge_cases(options, &backends, if judges(Part::Cases) { cases } else { Vec::new() }, &mut progress)?;
+    Ok(Judgement { scenes, cases })
+}
+
+fn judge_cases(
+    options: &AccuracyOptions,
+    backends: &[BackendName],
+    mut cases: Vec<Case>,
+    mut progress: impl FnMut(&str),
+) -> Result<Table> {
+    cases.retain(|case| options.cases.is_empty() || options.cases.iter().any(|part| case.name.contains(part)));
+    let table = hard_cases::run(&cases, backends, |case, backend, mask, truth| {
+        progress(&format!("{} on {}", case.name, backend.name()));
+        let file = options.out.join(format!("case-{}-{}.png", case.name, backend.name()));
+        let picture = truth.map_or_else(|| lit_picture(mask), |truth| picture(mask, truth));
+        picture.save(&file).with_context(|| format!("writing {}", file.display()))
+    })?;
+    if !cases.is_empty() {
+        write(&options.out, "hard_cases.csv", &table)?;
+    }
+    Ok(table)
+}
+
+/// Where no referee was asked: the brighter the more lights reach the pixel.
+fn lit_picture(mask: &Mask) -> image::RgbImage {
+    let shape = mask.shape();
+    image::RgbImage::from_fn(shape.width(), shape.height(), |x, y| {
+        let lit = (0..shape.lights()).filter(|&light| mask.get(light, x, y)).count();
+        let grey = lit * 200 / (shape.lights().max(1) as usize);
+        image::Rgb([u8::try_from(grey).unwrap_or(u8::MAX); 3])
+    })
+}
+
+fn judge_scenes(
+    options: &AccuracyOptions,
+    backends: &[BackendName],
+    wanted: bool,
+    mut progress: impl FnMut(&str),
+) -> Result<Table> {
     let mut table = Table::new(&[
         "scene",
         "backend",
@@ -55,9 +131,13 @@ pub fn measure(options: &AccuracyOptions, mut progress: impl FnMut(&str)) -> Res
         "worst_distance_px",
     ]);
     let (width, height) = options.size;
+    if !wanted {
+        return Ok(table);
+    }
+    let folder = options.scenes.as_deref().context("--scenes names the folder of the real scenes")?;
     for real in JUDGED.iter().filter(|real| options.only.is_empty() || options.only.iter().any(|n| n == real.name)) {
-        let judged = Judged::new(real, &options.scenes, options.size)?;
-        for &backend in &options.backends {
+        let judged = Judged::new(real, folder, options.size)?;
+        for &backend in backends {
             let mut sum = RelevantError::default();
             for (place, (mask, truth)) in judged.masks(backend)?.iter().zip(&judged.truths).enumerate() {
                 let error = RelevantError::of(mask, truth);

@@ -21,7 +21,7 @@ pub struct TraceErrorOptions {
     #[arg(long, value_delimiter = ',', default_value = "0")]
     pub times: Vec<f64>,
     /// Back ends to compare; software adapters count.
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = BackendName::ALL)]
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = BackendName::EVERYWHERE)]
     pub backends: Vec<BackendName>,
     /// Writes a picture of each comparison.
     #[arg(long)]

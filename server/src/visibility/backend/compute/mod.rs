@@ -1,6 +1,5 @@
 //! Tracing on a graphics adapter, with kernels in WGSL: runs on every adapter that has compute shaders.
 
-mod balance;
 mod geometry;
 mod kernels;
 mod ring;

@@ -1,0 +1,80 @@
+//! What surfaces are made of: smooth normals on coarse meshes, alpha at its threshold, faces in one plane.
+
+use glam::{DVec3, Vec3};
+use gnomon_shaders::{
+    camera::Camera,
+    scene::{AlphaMode, Wrap},
+};
+
+use super::{Case, Known};
+use crate::scenes::builder::SceneBuilder;
+
+fn floor() -> SceneBuilder {
+    SceneBuilder::new().quad(Vec3::new(-6.0, 0.0, -6.0), Vec3::Z * 12.0, Vec3::X * 12.0)
+}
+
+fn look(from: [f64; 3], to: [f64; 3], (width, height): (u32, u32)) -> Camera {
+    Camera::looking_at(DVec3::from(from), DVec3::from(to), 0.9, width, height)
+}
+
+pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
+    let mut cases = Vec::new();
+    let view = look([0.7, 2.1, 4.3], [0.0, 0.5, 0.0], size);
+    // Between the shading normal's terminator and the facets' own: Hanika, "Hacking the Shadow Terminator", Ray Tracing
+    // Gems II, ch. 4. Our rule is that the facet decides, and the bits must say so.
+    for rings in [3, 5, 9] {
+        let ball = floor().material(AlphaMode::Opaque, false).sphere(Vec3::Y * 1.2, 1.1, rings);
+        let scene = ball.sun(Vec3::new(-1.0, -0.2, 0.1)).point_light(Vec3::new(2.5, 1.0, 1.5), f32::INFINITY).build();
+        cases.push(Case::judged(format!("terminator-{rings}"), scene, view));
+    }
+    // Alpha of exactly the cutoff is there; a step less is not.
+    for (name, alpha, cutoff) in [("at", 128, 128.0 / 255.0), ("below", 127, 128.0 / 255.0)] {
+        let scene = floor()
+            .material(AlphaMode::Mask { cutoff }, true)
+            .alpha_picture(2, &[alpha; 4], Wrap::Repeat)
+            .quad(Vec3::new(-6.0, 3.0, -6.0), Vec3::Z * 12.0, Vec3::X * 12.0)
+            .sun(Vec3::NEG_Y)
+            .build();
+        let known = if name == "at" { Known::Dark } else { Known::Lit };
+        cases.push(Case::all(
+            format!("alpha-{name}-cutoff"),
+            scene,
+            look([0.5, 2.0, 1.0], [0.0, 0.0, 0.0], size),
+            known,
+        ));
+    }
+    // A chequer of texels far smaller than a pixel's footprint.
+    let chequer: Vec<u8> = (0..64_u8).map(|i| if (i / 8 + i) % 2 == 0 { 255 } else { 0 }).collect();
+    let mut minified = floor()
+        .material(AlphaMode::Mask { cutoff: 0.5 }, true)
+        .alpha_picture(8, &chequer, Wrap::Repeat)
+        .quad(Vec3::new(-2.0, 1.5, -2.0), Vec3::Z * 4.0, Vec3::X * 4.0)
+        .sun(Vec3::new(0.3, -1.0, -0.2))
+        .build();
+    minified.uvs.iter_mut().for_each(|uv| *uv *= 100.0);
+    cases.push(Case::judged("alpha-minified", minified, view).doubtful(0.05));
+
+    // Two boxes that share a side's plane and overlap there, a sheet on the floor, and one laid twice.
+    let coplanar = floor()
+        .quad(Vec3::new(-2.0, 0.0, -1.0), Vec3::Z * 3.0, Vec3::X * 3.0)
+        .quad(Vec3::new(-2.0, 0.0, -1.0), Vec3::Z * 3.0, Vec3::X * 3.0)
+        .cuboid(Vec3::new(-1.0, 0.0, -1.0), Vec3::new(0.5, 1.0, 0.7))
+        .cuboid(Vec3::new(-0.3, 0.2, -0.6), Vec3::new(1.2, 1.5, 0.7))
+        .sun(Vec3::new(0.5, -1.0, -0.6))
+        .point_light(Vec3::new(1.0, 2.5, 2.0), f32::INFINITY)
+        .build();
+    cases.push(Case::judged("coplanar", coplanar, view).doubtful(0.02));
+    // Faces in one tilted plane whose corners are rounded each for itself: nothing may shadow them.
+    let (u, v) = (Vec3::new(0.7, 0.2, 0.1), Vec3::new(-0.1, 0.15, 0.8));
+    let mut tilted = SceneBuilder::new();
+    for i in 0..24_i8 {
+        let corner = (u * f32::from(i % 6 - 3) + v * f32::from(i / 6 - 2)) * 1.7;
+        tilted = tilted.quad(corner, u * 2.9, v * 2.9);
+    }
+    let up = v.cross(u).normalize();
+    let scene = tilted.point_light(up * 3.0, f32::INFINITY).sun(-(up + u * 3.0)).build();
+    let eye = up.as_dvec3() * 2.0 + DVec3::new(0.1, 0.0, 0.2);
+    let camera = Camera::looking_at(eye, DVec3::new(0.3, 0.2, 0.4), 0.9, size.0, size.1);
+    cases.push(Case::all("coplanar-tilted", scene, camera, Known::Lit));
+    cases
+}
