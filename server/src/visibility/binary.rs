@@ -6,7 +6,6 @@
 //! row of equal triangles, one laid many times, or shells around one centre have one pair of mutual nearest boxes
 //! a round, and a million of them took hours. Here ties go by lot, and a round that finds few pairs takes neighbours.
 
-use glam::Vec3A;
 use obvhs::{
     aabb::Aabb,
     bvh2::{Bvh2, node::Bvh2Node, reinsertion::ReinsertionOptimizer},
@@ -111,9 +110,11 @@ fn nearest(clusters: &[Bvh2Node], reach: usize) -> Vec<usize> {
     let among = |i: usize| {
         let own = clusters[i].aabb();
         let (mut best, mut best_cost) = (i ^ 1, (f32::INFINITY, 0));
-        for other in i.saturating_sub(reach)..(i + reach + 1).min(clusters.len()) {
+        let begin = i.saturating_sub(reach);
+        let within_reach = &clusters[begin..(i + reach + 1).min(clusters.len())];
+        for (other, candidate) in (begin..).zip(within_reach) {
             // Of equal distances both ends must choose the same, and not all the one to the same side.
-            let cost = (own.union(clusters[other].aabb()).half_area(), lot(i.min(other), i.max(other)));
+            let cost = (own.union(candidate.aabb()).half_area(), lot(i.min(other), i.max(other)));
             if other != i && cost < best_cost {
                 (best, best_cost) = (other, cost);
             }
@@ -137,6 +138,8 @@ fn place(node: usize) -> u32 {
 #[cfg(test)]
 mod tests {
     use std::time::Duration;
+
+    use glam::Vec3A;
 
     use super::*;
 

@@ -4,19 +4,22 @@
 //!
 //! 1. **Surface point.** A pixel's ray (`gnomon_shaders::camera::RayBasis`) meets the nearest OPAQUE or MASK triangle.
 //!    Back faces of single-sided materials are passed through. A MASK point is there when the bilinear sample of the
-//!    full-size alpha picture, times the factor, is at least the cutoff. BLEND triangles are never met.
+//!    full-size alpha picture, times the factor, is at least the cutoff. BLEND triangles are never met, nor is a triangle
+//!    whose plane holds the camera as far as rounding can tell.
 //! 2. **Normals.** The geometric normal is the triangle's plane's, turned towards the camera. The shading normal is
 //!    interpolated from the vertices, and negated when the back face was met.
 //! 3. **Relevance.** Light k matters at the point when the shading normal faces it, and the point lies within its range
 //!    and inside its outer cone. Irrelevant bits are 0.
 //! 4. **Facing.** Where the geometric normal faces away from a relevant light the surface hides it from itself: bit 0,
-//!    no ray.
+//!    no ray. It faces the light when that is above the shadow ray's start by more than rounding can account for (5
+//!    rounding units of the height's terms), so that no light in a surface's own plane speckles it.
 //! 5. **Shadow ray.** It starts at the point, interpolated from the vertices and pushed along the geometric normal by a
 //!    proven bound on how far interpolation took it off the plane: 16 rounding units of the magnitudes that were summed
 //!    (the idea of Wächter and Binder, Ray Tracing Gems, ch. 6, whose 256 are a rule of thumb). It ends at the light, or
 //!    beyond the scene for a directional light. Any OPAQUE triangle, from either side, and any MASK triangle whose alpha
-//!    is there, stops it, unless the start lies on the triangle's plane as far as rounding can tell: 6 rounding units
-//!    of the distance's terms, with a plane normal computed in f64. Bit 1 when nothing stops it.
+//!    is there, stops it, unless the start or the light lies on the triangle's plane as far as rounding can tell: 6
+//!    rounding units of the distance's terms, with a plane normal computed in f64. So a lamp that sits on a surface
+//!    lights what is around it, on both sides of a surface without thickness. Bit 1 when nothing stops it.
 
 pub mod backend;
 mod balance;

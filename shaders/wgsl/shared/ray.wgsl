@@ -7,7 +7,9 @@ struct Ray {
     origin: vec3f,
     // Not normalised: distances are in units of its length.
     direction: vec3f,
-    // One over the direction, with its zeros replaced by something tiny.
+    // The direction for boxes: zeros are replaced by something tiny.
+    slanted: vec3f,
+    // One over that.
     inverse: vec3f,
     // Octant of the direction in obvhs' form: bits 2, 1, 0 are set where x, y, z are not negative.
     octant: u32,
@@ -26,7 +28,8 @@ fn make_ray(origin: vec3f, direction: vec3f) -> Ray {
     // A zero would make 0 · ∞ of a plane that contains the origin.
     let negative = direction < vec3f(0.0);
     let tiny = select(vec3f(1e-18), vec3f(-1e-18), negative);
-    ray.inverse = 1.0 / select(direction, tiny, abs(direction) < vec3f(1e-18));
+    ray.slanted = select(direction, tiny, abs(direction) < vec3f(1e-18));
+    ray.inverse = 1.0 / ray.slanted;
     let positive = select(vec3u(4u, 2u, 1u), vec3u(0u), negative);
     ray.octant = positive.x | positive.y | positive.z;
 
@@ -111,11 +114,6 @@ fn meet_triangle(ray: Ray, triangle: u32, corner_a: vec3f, corner_b: vec3f, corn
     if any(areas < vec3f(0.0)) && any(areas > vec3f(0.0)) {
         return MISSED;
     }
-    return meet_plane(ray, triangle, areas, corner_a);
-}
-
-// The meeting with a triangle that the ray is known to pass through; `areas` are its `areas_across`.
-fn meet_plane(ray: Ray, triangle: u32, areas: vec3f, corner_a: vec3f) -> Meeting {
     let area = areas.x + areas.y + areas.z;
     if area == 0.0 {
         return MISSED;
@@ -125,6 +123,30 @@ fn meet_plane(ray: Ray, triangle: u32, areas: vec3f, corner_a: vec3f) -> Meeting
     let normal = plane_normal(triangle);
     let to_a = corner_a - ray.origin;
     let height = dot(normal, to_a);
-    let clear = abs(height) > PLANE_ROUNDINGS * ROUNDING * dot(abs(normal), abs(to_a));
-    return Meeting(height / dot(normal, ray.direction), areas / area, area > 0.0, clear);
+    return Meeting(height / dot(normal, ray.direction), areas / area, area > 0.0, is_clear(normal, to_a, height));
+}
+
+// Whether `height`, which is normal · to_a, tells that a point lies off a plane.
+fn is_clear(normal: vec3f, to_a: vec3f, height: f32) -> bool {
+    return abs(height) > PLANE_ROUNDINGS * ROUNDING * dot(abs(normal), abs(to_a));
+}
+
+// Where a shadow ray ends.
+struct End {
+    // Distance along the ray, in lengths of its direction.
+    limit: f32,
+    // The light's place; not used for one infinitely far away.
+    light: vec3f,
+    is_place: bool,
+}
+
+// Whether a triangle that the ray meets at `met` stands between its origin and its end. One whose plane holds either of them,
+// as far as rounding can tell, does not: a surface does not shadow itself, and a lamp that sits on one shines.
+fn stands_between(met: Meeting, triangle: u32, corner_a: vec3f, end: End) -> bool {
+    if !met.clear || met.distance <= 0.0 || met.distance >= end.limit {
+        return false;
+    }
+    let normal = plane_normal(triangle);
+    let to_a = corner_a - end.light;
+    return !end.is_place || is_clear(normal, to_a, dot(normal, to_a));
 }

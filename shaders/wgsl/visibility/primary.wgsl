@@ -19,17 +19,27 @@ var<immediate> view: TracedView;
 
 var<workgroup> tile_rays: atomic<u32>;
 
-// Whether light `light` matters at `point`, and the surface does not hide it from itself.
-fn wants_ray(light: TracedLight, point: vec3f, geometric: vec3f, shading: vec3f) -> bool {
+// How far rounding may take the distance n · (l − s) of a light l from the plane through a shadow ray's start s, in rounding
+// units of Σ |nᵢ|·|lᵢ − sᵢ|: 1 for n, 1 for l − s, 3 for products and sums. The start is above its surface, so a light that is
+// not above the start by more than this may lie in the surface's plane. Twin: `FACING_ROUNDINGS` in backend/cpu/light.rs.
+const FACING_ROUNDINGS: f32 = 5.0;
+
+// Whether a surface turns its face to a light in this direction, whatever rounding did.
+fn faces(geometric: vec3f, toward: vec3f) -> bool {
+    return dot(geometric, toward) > FACING_ROUNDINGS * ROUNDING * dot(abs(geometric), abs(toward));
+}
+
+// Whether light `light` matters at `point`, and the surface does not hide it from itself; shadow rays begin at `start`.
+fn wants_ray(light: TracedLight, point: vec3f, start: vec3f, geometric: vec3f, shading: vec3f) -> bool {
     if light.kind == LIGHT_DIRECTIONAL {
-        return dot(shading, light.direction) < 0.0 && dot(geometric, light.direction) < 0.0;
+        return dot(shading, light.direction) < 0.0 && faces(geometric, -light.direction);
     }
     let toward = light.position - point;
     let squared = dot(toward, toward);
     if light.kind == LIGHT_SPOT && -dot(toward, light.direction) < light.cos_outer * sqrt(squared) {
         return false;
     }
-    return squared <= light.range_squared && dot(shading, toward) > 0.0 && dot(geometric, toward) > 0.0;
+    return squared <= light.range_squared && dot(shading, toward) > 0.0 && faces(geometric, light.position - start);
 }
 
 // How far rounding may take an interpolated point off its triangle's plane, in rounding units of Σ |nᵢ|·Σₖ wₖ·|pₖᵢ| with unit
@@ -51,12 +61,12 @@ fn surface(found: Nearest) -> vec4u {
     let shading = turn * (triangle_normal(found.triangle, 0u) * found.weights.x
         + triangle_normal(found.triangle, 1u) * found.weights.y + triangle_normal(found.triangle, 2u) * found.weights.z);
 
-    var wanted = 0u;
-    for (var light = 0u; light < view.lights; light++) {
-        wanted |= select(0u, 1u << light, wants_ray(lights[light], point, geometric, shading));
-    }
     let summed = abs(a) * found.weights.x + abs(b) * found.weights.y + abs(c) * found.weights.z;
     let start = point + geometric * (OFFSET_ROUNDINGS * ROUNDING * dot(abs(geometric), summed));
+    var wanted = 0u;
+    for (var light = 0u; light < view.lights; light++) {
+        wanted |= select(0u, 1u << light, wants_ray(lights[light], point, start, geometric, shading));
+    }
     return vec4u(bitcast<vec3u>(start), wanted);
 }
 

@@ -1,9 +1,10 @@
 // Rays through the adapter's own acceleration structure: takes the place of visibility/traverse.wgsl in the kernels, which
 // declare `view`. Its text wants `enable wgpu_ray_query;` in front.
 //
-// The adapter says which triangles a ray passes through, since only its own test is watertight with its own boxes. Where
-// the ray meets their planes, and whether they are there, is decided here as everywhere: no geometry is marked opaque, so
-// every triangle comes as a candidate. A shadow ray seldom sees more than one, for the first that is there ends it.
+// The adapter offers triangles, and everything is decided here as everywhere. Its structure holds every triangle a little
+// enlarged (backend/ray_query/pad.rs), since not every adapter's own test is watertight: what it offers is more than what the
+// ray meets, and our test says which of it that is. No geometry is marked opaque, so every triangle comes as a candidate. A
+// shadow ray seldom sees more than one, for the first that is there ends it.
 
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
@@ -17,7 +18,7 @@ fn meet_candidate(ray: Ray, triangle: u32) -> Meeting {
     let a = bitcast<vec3f>(triangles[triangle * 3u].xyz);
     let b = bitcast<vec3f>(triangles[triangle * 3u + 1u].xyz);
     let c = bitcast<vec3f>(triangles[triangle * 3u + 2u].xyz);
-    return meet_plane(ray, triangle, areas_across(ray, a, b, c), a);
+    return meet_triangle(ray, triangle, a, b, c);
 }
 
 fn nearest(ray: Ray) -> Nearest {
@@ -27,12 +28,12 @@ fn nearest(ray: Ray) -> Nearest {
     }
     var limit = FARTHEST;
     var query: ray_query;
-    rayQueryInitialize(&query, structure, RayDesc(RAY_FLAG_NONE, 0xffu, 0.0, FARTHEST, ray.origin, ray.direction));
+    rayQueryInitialize(&query, structure, RayDesc(RAY_FLAG_NONE, 0xffu, 0.0, FARTHEST, ray.origin, ray.slanted));
     while rayQueryProceed(&query) {
         let triangle = rayQueryGetCandidateIntersection(&query).primitive_index;
         let kind = triangles[triangle * 3u].w;
         let met = meet_candidate(ray, triangle);
-        if met.distance > 0.0 && met.distance < limit && (met.front || (kind & TRIANGLE_SINGLE_SIDED) == 0u)
+        if met.clear && met.distance > 0.0 && met.distance < limit && (met.front || (kind & TRIANGLE_SINGLE_SIDED) == 0u)
             && triangle_is_there(triangle, kind, met.weights) {
             limit = met.distance;
             found = Nearest(triangle, met.weights, met.front);
@@ -43,19 +44,20 @@ fn nearest(ray: Ray) -> Nearest {
     return found;
 }
 
-// Whether anything stands on the ray before `limit`.
-fn is_blocked(ray: Ray, limit: f32) -> bool {
+// Whether anything stands on the ray before its end.
+fn is_blocked(ray: Ray, end: End) -> bool {
     if view.nodes == 0u {
         return false;
     }
     var query: ray_query;
     rayQueryInitialize(&query, structure,
-        RayDesc(RAY_FLAG_TERMINATE_ON_FIRST_HIT, 0xffu, 0.0, limit, ray.origin, ray.direction));
+        RayDesc(RAY_FLAG_TERMINATE_ON_FIRST_HIT, 0xffu, 0.0, end.limit, ray.origin, ray.slanted));
     while rayQueryProceed(&query) {
         let triangle = rayQueryGetCandidateIntersection(&query).primitive_index;
         let met = meet_candidate(ray, triangle);
-        if met.clear && met.distance > 0.0 && met.distance < limit
-            && triangle_is_there(triangle, triangles[triangle * 3u].w, met.weights) {
+        let corner = triangles[triangle * 3u];
+        if stands_between(met, triangle, bitcast<vec3f>(corner.xyz), end)
+            && triangle_is_there(triangle, corner.w, met.weights) {
             return true;
         }
     }

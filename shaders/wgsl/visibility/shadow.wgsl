@@ -24,7 +24,8 @@ var<workgroup> tile_rays: atomic<u32>;
 fn is_lit(start: vec3f, light: TracedLight) -> bool {
     let directional = light.kind == LIGHT_DIRECTIONAL;
     let direction = select(light.position - start, -light.direction, directional);
-    return !is_blocked(make_ray(start, direction), select(1.0, FARTHEST, directional));
+    let end = End(select(1.0, FARTHEST, directional), light.position, !directional);
+    return !is_blocked(make_ray(start, direction), end);
 }
 
 @compute @workgroup_size(8, 8)

@@ -44,7 +44,7 @@ fn nearest(ray: Ray) -> Nearest {
             let c = triangles[triangle * 3u + 2u];
             let met = meet_triangle(ray, triangle, bitcast<vec3f>(a.xyz), bitcast<vec3f>(b.xyz),
                 bitcast<vec3f>(c.xyz));
-            if met.distance > 0.0 && met.distance < limit && (met.front || (a.w & TRIANGLE_SINGLE_SIDED) == 0u)
+            if met.clear && met.distance > 0.0 && met.distance < limit && (met.front || (a.w & TRIANGLE_SINGLE_SIDED) == 0u)
                 && triangle_is_there(triangle, a.w, met.weights) {
                 limit = met.distance;
                 found = Nearest(triangle, met.weights, met.front);
@@ -54,8 +54,8 @@ fn nearest(ray: Ray) -> Nearest {
     return found;
 }
 
-// Whether anything stands on the ray before `limit`.
-fn is_blocked(ray: Ray, limit: f32) -> bool {
+// Whether anything stands on the ray before its end.
+fn is_blocked(ray: Ray, end: End) -> bool {
     var stack: array<vec2u, TRAVERSAL_STACK>;
     var depth = 0u;
     var group = select(vec2u(0u), ROOT_GROUP, view.nodes > 0u);
@@ -74,7 +74,7 @@ fn is_blocked(ray: Ray, limit: f32) -> bool {
             stack[depth] = group;
             depth += 1u;
         }
-        let hits = node_hits(node, ray, limit);
+        let hits = node_hits(node, ray, end.limit);
         if COUNT_NODES {
             node_visits += 1u;
         }
@@ -87,10 +87,9 @@ fn is_blocked(ray: Ray, limit: f32) -> bool {
             let a = triangles[triangle * 3u];
             let b = triangles[triangle * 3u + 1u];
             let c = triangles[triangle * 3u + 2u];
-            let met = meet_triangle(ray, triangle, bitcast<vec3f>(a.xyz), bitcast<vec3f>(b.xyz),
-                bitcast<vec3f>(c.xyz));
-            if met.clear && met.distance > 0.0 && met.distance < limit
-                && triangle_is_there(triangle, a.w, met.weights) {
+            let corner_a = bitcast<vec3f>(a.xyz);
+            let met = meet_triangle(ray, triangle, corner_a, bitcast<vec3f>(b.xyz), bitcast<vec3f>(c.xyz));
+            if stands_between(met, triangle, corner_a, end) && triangle_is_there(triangle, a.w, met.weights) {
                 return true;
             }
         }

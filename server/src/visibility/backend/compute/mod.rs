@@ -190,11 +190,11 @@ impl ComputeBackend {
         };
         let nodes =
             u32::try_from(nodes).map_err(|_| BackendError::Setup(format!("the hierarchy has {nodes} nodes")))?;
-        let buffers = upload(&gpu, scene, geometry, traversal)?;
         let structure = match traversal {
             Traversal::Hierarchy => None,
-            Traversal::RayQuery => Some(ray_query::build_structure(&gpu, &buffers[TRIANGLES], nodes)?),
+            Traversal::RayQuery => Some(ray_query::build_structure(&gpu, &geometry.triangles)?),
         };
+        let buffers = upload(&gpu, scene, geometry)?;
         let scene_group = kernels.bind_scene(&gpu.device, &buffers, structure.as_ref());
         let timing = Timing::new(&gpu.device, &gpu.queue, u32::try_from(RING_FRAMES).unwrap_or(u32::MAX));
         if let Some(reason) = failure.take() {
@@ -402,20 +402,9 @@ fn binding_limit(gpu: &Gpu) -> u64 {
     limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
 }
 
-/// Which of the scene's buffers holds the triangles.
-const TRIANGLES: usize = 1;
-
 /// The scene's buffers, in the order of `wgsl/shared/traced_scene.wgsl`.
-fn upload(
-    gpu: &Gpu,
-    scene: &Scene,
-    geometry: Geometry,
-    traversal: Traversal,
-) -> Result<[wgpu::Buffer; SCENE_BUFFERS], BackendError> {
-    let usage = match traversal {
-        Traversal::Hierarchy => wgpu::BufferUsages::STORAGE,
-        Traversal::RayQuery => wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::BLAS_INPUT,
-    };
+fn upload(gpu: &Gpu, scene: &Scene, geometry: Geometry) -> Result<[wgpu::Buffer; SCENE_BUFFERS], BackendError> {
+    let usage = wgpu::BufferUsages::STORAGE;
     let lights: Vec<TracedLight> = scene.lights.iter().map(TracedLight::new).collect();
     let mut texels = geometry.alpha_texels;
     // The kernels read them four at a time.

@@ -37,18 +37,21 @@ impl<S: Simd> Frustum<S> {
         let [u, v, w] = projection.origin;
         let bounds = [group.group_x[0], group.group_x[1], group.group_y[0], group.group_y[1]];
         let slack = if PARALLEL { SLACK * scene_size_m } else { SLACK };
-        let bounds = [
-            s.splat(bounds[0] - slack),
-            s.splat(bounds[1] + slack),
-            s.splat(bounds[2] - slack),
-            s.splat(bounds[3] + slack),
-        ];
-        let [shear_x, shear_y] = [s.splat(projection.shear[0]), s.splat(projection.shear[1])];
+        let bounds = [bounds[0] - slack, bounds[1] + slack, bounds[2] - slack, bounds[3] + slack];
+        let [shear_x, shear_y] = projection.shear;
         let (slope, base, z_near) = if PARALLEL {
-            ([shear_x, shear_x, shear_y, shear_y], bounds, f32::NEG_INFINITY)
+            let spread = |shear: f32, bound: f32| shear + projection.spread * bound;
+            let slope = [
+                spread(shear_x, bounds[0]),
+                spread(shear_x, bounds[1]),
+                spread(shear_y, bounds[2]),
+                spread(shear_y, bounds[3]),
+            ];
+            (slope, bounds, f32::NEG_INFINITY)
         } else {
-            (bounds, [s.splat(0.0); 4], 0.0)
+            (bounds, [0.0; 4], 0.0)
         };
+        let [slope, base] = [slope, base].map(|planes| planes.map(|plane| s.splat(plane)));
         Self {
             axes: projection.axes,
             w_negative: projection.w_sign < 0.0,

@@ -42,8 +42,11 @@ pub(super) struct Projection {
     pub(super) w_sign: f32,
     /// The apex, or a reference point in the scene for parallel rays; in scene axes (u, v, w), w not mirrored.
     pub(super) origin: [f32; 3],
-    /// For parallel rays, the change of u and v along w; else 0.
+    /// For parallel rays, the change of u and v along w; else 0. For rays from far away, that of the ray through the
+    /// reference point.
     pub(super) shear: [f32; 2],
+    /// For rays from far away, how much they spread along w: one over their apex's distance along w; else 0.
+    pub(super) spread: f32,
 }
 
 impl Projection {
@@ -53,7 +56,7 @@ impl Projection {
         let negative = face % 2 == 1;
         let (u, v) = if negative { ((w + 2) % 3, (w + 1) % 3) } else { ((w + 1) % 3, (w + 2) % 3) };
         let w_sign = if negative { -1.0 } else { 1.0 };
-        Self { axes: [u, v, w], w_sign, origin: [apex[u], apex[v], apex[w]], shear: [0.0; 2] }
+        Self { axes: [u, v, w], w_sign, origin: [apex[u], apex[v], apex[w]], shear: [0.0; 2], spread: 0.0 }
     }
 
     /// Rays that run along `direction`.
@@ -62,6 +65,15 @@ impl Projection {
         let [u, v, w] = this.axes;
         let depth = direction[w].abs();
         Self { shear: [direction[u] / depth, direction[v] / depth], ..this }
+    }
+
+    /// Rays that start at `apex`, so far from `reference` that scene points relative to the apex would lose their digits.
+    /// They are projected onto the plane through the reference point instead, where parallel rays would be, but for a
+    /// factor that is almost 1.
+    pub(super) fn from_afar(apex: Vec3, reference: Vec3) -> Self {
+        let direction = reference - apex;
+        let this = Self::along(direction, reference);
+        Self { spread: 1.0 / direction[this.axes[2]].abs(), ..this }
     }
 
     /// Three numbers by scene axis as (u, v, w).

@@ -1,13 +1,18 @@
 //! The eight triangles of a leaf as a group's rays see them: edge functions, and which triangles can be met at all.
 //!
-//! With corners a, b, c in the group's homogeneous frame (u, v, w from the apex; sheared (u, v, 1) for parallel rays), the
+//! With corners a, b, c in the group's homogeneous frame (u, v, w from the apex; sheared (u, v, 1) for parallel
+//! rays, (u, v, 1 + spread·w) for those from far away), the
 //! ray (x, y, 1) passes the edge a→b on the side that the sign of (x, y, 1) · (a × b) tells. Computed as (a + b) × (b − a),
 //! which is twice that: swapping a and b negates every product exactly, so neighbours agree; and the error is a few
 //! roundings of |a|·|b − a|, hence of |a| as a distance from the edge, however short the edge is.
 
+use glam::DVec3;
+
 use super::{
     group::{Group, Projection},
     simd::{F8, Simd},
+    surface::ROUNDING,
+    traverse::PLANE_ROUNDINGS,
     vector::{self, V3},
 };
 use crate::visibility::bvh::Leaf;
@@ -40,7 +45,11 @@ fn corner<S: Simd, const PARALLEL: bool>(s: S, projection: &Projection, corner: 
     let z = (s.load(&corner[w]) - s.splat(projection.origin[2])) * s.splat(projection.w_sign);
     if PARALLEL {
         let [shear_x, shear_y] = projection.shear;
-        [s.fnma(s.splat(shear_x), z, x), s.fnma(s.splat(shear_y), z, y), s.splat(1.0)]
+        [
+            s.fnma(s.splat(shear_x), z, x),
+            s.fnma(s.splat(shear_y), z, y),
+            s.fma(s.splat(projection.spread), z, s.splat(1.0)),
+        ]
     } else {
         [x, y, z]
     }
@@ -62,7 +71,19 @@ pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
     let c = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[2]);
     let normal = vector::cross(s, vector::sub::<S>(b, a), vector::sub::<S>(c, a));
     // Positive when the normal points along the rays. Zero: edge-on, nothing to be met.
-    let distance = vector::dot(s, normal, a);
+    let mut distance = vector::dot(s, normal, a);
+    if !PARALLEL {
+        let sizes =
+            vector::size(s, vector::sub::<S>(b, a)) * vector::size(s, vector::sub::<S>(c, a)) * vector::size(s, a);
+        let sure = s.gt(s.abs(distance), sizes * s.splat(APEX_ROUNDINGS * ROUNDING));
+        let doubtful = leaf.used & !s.bits(sure);
+        if doubtful != 0 {
+            let mut distances = F8::default();
+            s.store(distance, &mut distances);
+            settle(leaf, &group.projection, doubtful, &mut distances);
+            distance = s.load(&distances);
+        }
+    }
     let back = s.bits(s.gt(distance, zero));
     let mut alive = leaf.used & (back | s.bits(s.gt(zero, distance)));
     if CLOSEST {
@@ -80,6 +101,37 @@ pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
     }
     prepared.back = back;
     alive
+}
+
+/// How far rounding may move the product of a triangle's normal and its distance from the apex, in rounding units of the
+/// product of the sizes of two sides and of the distance: 4 for the normal, 1 for the distance, and 3 for products and sums.
+const APEX_ROUNDINGS: f32 = 8.0;
+
+/// The distances again for the triangles in `slots`, in f64: 0 where the plane holds the apex as far as rounding of the
+/// corners can tell. A lamp on a surface is not shadowed by it, a camera on one does not
+/// see it; and the sign of a distance turns the edges, so that a wrong
+/// one would let light through.
+#[cold]
+#[inline(never)]
+fn settle(leaf: &Leaf, projection: &Projection, slots: u8, distances: &mut F8) {
+    let [u, v, w] = projection.axes;
+    let [x, y, z] = projection.origin.map(f64::from);
+    for slot in (0..8).filter(|slot| slots >> slot & 1 == 1) {
+        let [a, b, c] = leaf.corners.each_ref().map(|corner| {
+            let [u, v, w] = [u, v, w].map(|axis| f64::from(corner[axis].0[slot]));
+            DVec3::new(u - x, v - y, (w - z) * f64::from(projection.w_sign))
+        });
+        let normal = (b - a).cross(c - a);
+        let distance = normal.dot(a);
+        let is_clear = distance.abs() > f64::from(PLANE_ROUNDINGS * ROUNDING) * normal.abs().dot(a.abs());
+        #[expect(clippy::cast_possible_truncation, reason = "rounding keeps the sign, and 0 is kept away from")]
+        let rounded = (distance.abs() as f32).max(f32::MIN_POSITIVE);
+        distances.0[slot] = match () {
+            () if !is_clear => 0.0,
+            () if distance < 0.0 => -rounded,
+            () => rounded,
+        };
+    }
 }
 
 #[inline(always)]

@@ -3,13 +3,24 @@
 use glam::Vec3;
 use gnomon_shaders::scene::{Light, LightKind};
 
-use super::{group::PACKETS, simd::Simd, surface::Surface, vector};
+use super::{
+    group::PACKETS,
+    simd::Simd,
+    surface::{ROUNDING, Surface},
+    vector,
+};
+
+/// How far rounding may move a light's height above a shadow ray's start, in rounding units of the height's terms: 1 for the
+/// normal, 1 for the difference, 3 for products and sums. Twin: `FACING_ROUNDINGS` in visibility/primary.wgsl.
+const FACING_ROUNDINGS: f32 = 5.0;
 
 /// A light, ready for testing points against it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PreparedLight {
     /// Infinitely far away, along −`direction`.
     pub(super) directional: bool,
+    /// So far from the scene that its rays are almost parallel.
+    pub(super) afar: bool,
     /// Where it is.
     pub(super) position: Vec3,
     /// Where it shines to; a unit vector.
@@ -21,13 +32,15 @@ pub(super) struct PreparedLight {
 }
 
 impl PreparedLight {
-    pub(super) fn new(light: &Light) -> Self {
+    /// For a scene around `middle`, of whose coordinates none is farther from there than `size_m`.
+    pub(super) fn new(light: &Light, middle: Vec3, size_m: f32) -> Self {
         let cos_outer = match light.kind {
             LightKind::Spot { outer_cone_rad, .. } => Some(outer_cone_rad.cos()),
             LightKind::Directional | LightKind::Point => None,
         };
         Self {
             directional: light.kind == LightKind::Directional,
+            afar: light.position.distance(middle) > size_m,
             position: light.position,
             direction: light.direction,
             range_squared: light.range_m * light.range_m,
@@ -46,9 +59,18 @@ impl PreparedLight {
         } else {
             vector::sub::<S>(vector::splat(s, self.position.to_array()), vector::load_packet(s, &surface.point, p))
         };
+        // The start is above its surface, so a light that is not above the start may lie in the surface's plane.
+        let from_start = if self.directional {
+            to_light
+        } else {
+            vector::sub::<S>(vector::splat(s, self.position.to_array()), vector::load_packet(s, &surface.pushed, p))
+        };
+        let normal = vector::load_packet(s, &surface.geometric, p);
+        let height = vector::dot(s, normal, from_start);
+        let sizes = [0, 1, 2].map(|axis: usize| [s.abs(normal[axis]), s.abs(from_start[axis])]);
+        let terms = s.fma(sizes[0][0], sizes[0][1], s.fma(sizes[1][0], sizes[1][1], sizes[2][0] * sizes[2][1]));
         let shading = vector::dot(s, vector::load_packet(s, &surface.shading, p), to_light);
-        let geometric = vector::dot(s, vector::load_packet(s, &surface.geometric, p), to_light);
-        let faces = s.and(s.gt(shading, zero), s.gt(geometric, zero));
+        let faces = s.and(s.gt(shading, zero), s.gt(height, terms * s.splat(FACING_ROUNDINGS * ROUNDING)));
         let mut lanes = surface.lanes[p] & s.bits(faces);
         if !self.directional {
             let squared = vector::dot(s, to_light, to_light);

@@ -91,14 +91,16 @@ impl CpuBackend {
             .map_err(|error| BackendError::Threads { threads, reason: error.to_string() })?;
         let flags = triangle_flags(scene);
         let bvh = pool.install(|| WideBvh::build(&scene.positions, triangles, &|t| flags[t as usize]));
+        let middle = (scene.bounds.min + scene.bounds.max) * 0.5;
+        let size_m = (scene.bounds.max - scene.bounds.min).max_element() * 2.0;
         let world = World {
             bvh,
             corners: Corners::of(scene),
             alpha: Alpha::new(scene)?,
-            lights: scene.lights.iter().map(PreparedLight::new).collect(),
+            lights: scene.lights.iter().map(|light| PreparedLight::new(light, middle, size_m)).collect(),
             sampling: Sampling::All,
-            middle: (scene.bounds.min + scene.bounds.max) * 0.5,
-            size_m: (scene.bounds.max - scene.bounds.min).max_element() * 2.0,
+            middle,
+            size_m,
         };
         Ok(Self { world, origin_m: scene.origin_m, pool, level })
     }

@@ -232,14 +232,19 @@ fn light_tile<S: Simd, C: Counter>(
         return 0;
     }
     let points = &surface.pushed;
-    if light.directional {
-        let projection = Projection::along(light.direction, world.middle);
+    if light.directional || light.afar {
+        let projection = if light.directional {
+            Projection::along(light.direction, world.middle)
+        } else {
+            Projection::from_afar(light.position, world.middle)
+        };
         let mut group = Group::empty(projection);
         for p in (0..PACKETS).filter(|&p| rays[p] != 0) {
             let from_middle = from_origin(s, points, &projection, p);
             let x = s.fnma(s.splat(projection.shear[0]), from_middle[2], from_middle[0]);
             let y = s.fnma(s.splat(projection.shear[1]), from_middle[2], from_middle[1]);
-            group.set_packet(s, p, x, y, rays[p]);
+            let inverse = s.div(s.splat(1.0), s.fma(s.splat(projection.spread), from_middle[2], s.splat(1.0)));
+            group.set_packet(s, p, x * inverse, y * inverse, rays[p]);
         }
         return trace_group::<S, C, true>(s, world, group, points, scratch, count);
     }

@@ -243,6 +243,10 @@ fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
     far + far.abs() * (DEPTH_SLACK - 1.0)
 }
 
+/// How far rounding may move the distance of a point from a triangle's plane, in rounding units of the distance's terms: see
+/// [`beyond`]. Twin: `PLANE_ROUNDINGS` in shared/ray.wgsl.
+pub(super) const PLANE_ROUNDINGS: f32 = 6.0;
+
 /// Which points lie beyond the plane of triangle `slot`, seen along the rays, by more than rounding can account for.
 ///
 /// With corners a, b, c the distance is n·(p − a), n = (b − a) × (c − a), computed near the triangle and not near the light.
@@ -250,7 +254,6 @@ fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
 /// 1 rounding of n, 1 of p − a and 3 of the products and sums, contracted or not: 5, and one more for the bound itself.
 #[inline(always)]
 fn beyond<S: Simd>(s: S, projection: &Projection, leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
-    const PLANE_ROUNDINGS: f32 = 6.0;
     let [u, v, w] = projection.axes;
     let [a, b, c] = leaf.corners.each_ref().map(|k| [k[u].0[slot], k[v].0[slot], k[w].0[slot] * projection.w_sign]);
     let [ab, ac] = [b, c].map(|to| [0, 1, 2].map(|i| f64::from(to[i]) - f64::from(a[i])));

@@ -63,6 +63,12 @@ pub(super) fn cross_of_edge<S: Simd>(s: S, a: V3<S>, b: V3<S>) -> V3<S> {
     cross(s, add::<S>(a, b), sub::<S>(b, a))
 }
 
+/// The sum of the coordinates' sizes.
+#[inline(always)]
+pub(super) fn size<S: Simd>(s: S, a: V3<S>) -> S::F {
+    s.abs(a[0]) + s.abs(a[1]) + s.abs(a[2])
+}
+
 /// k[0]·x + k[1]·y + k[2].
 #[inline(always)]
 pub(super) fn at<S: Simd>(s: S, k: V3<S>, x: S::F, y: S::F) -> S::F {

@@ -3,10 +3,14 @@
 //!
 //! wgpu calls ray queries experimental. An adapter that has no hardware for them does not offer them, except software Vulkan
 //! of a recent kind, which is what tests run on. The structure holds one bottom level over the scene's triangles and one
-//! instance of it, since nothing moves. Triangles lie in one buffer for the structure and for the kernels, and keep the
-//! scene's order, so that a candidate's number is its triangle's.
+//! instance of it, since nothing moves. Its triangles are a little larger than the scene's (`pad`), and in the scene's order,
+//! so that a candidate's number is its triangle's.
 
+mod pad;
+
+use glam::Vec3;
 use gnomon_shaders::{gpu::Gpu, host::TracedTriangle, scene::Scene};
+use wgpu::util::DeviceExt as _;
 
 use super::{
     BackendError,
@@ -81,17 +85,17 @@ pub(super) fn structure_type() -> wgpu::BindingType {
     wgpu::BindingType::AccelerationStructure { vertex_return: false }
 }
 
-/// Builds the structure over the first `triangles` of `buffer`, which holds [`TracedTriangle`]s.
+/// Builds the structure over `triangles`.
 ///
 /// # Errors
 /// When there are more triangles than the adapter can build a structure of. What the device itself refuses, its error
 /// handler gets.
-pub(super) fn build_structure(gpu: &Gpu, buffer: &wgpu::Buffer, triangles: u32) -> Result<wgpu::Tlas, BackendError> {
+pub(super) fn build_structure(gpu: &Gpu, triangles: &[TracedTriangle]) -> Result<wgpu::Tlas, BackendError> {
     let limit = gpu.device.limits().max_blas_primitive_count;
-    if triangles > limit {
-        let missing = format!("acceleration structures of {triangles} triangles: {limit} are its most");
+    let Some(count) = u32::try_from(triangles.len()).ok().filter(|&count| count <= limit) else {
+        let missing = format!("acceleration structures of {} triangles: {limit} are its most", triangles.len());
         return Err(BackendError::Feature { adapter: gpu.info.name.clone(), missing });
-    }
+    };
     let (flags, update_mode) =
         (wgpu::AccelerationStructureFlags::PREFER_FAST_TRACE, wgpu::AccelerationStructureUpdateMode::Build);
     let mut structure = gpu.device.create_tlas(&wgpu::CreateTlasDescriptor {
@@ -101,14 +105,19 @@ pub(super) fn build_structure(gpu: &Gpu, buffer: &wgpu::Buffer, triangles: u32) 
         update_mode,
     });
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    if triangles == 0 {
+    if triangles.is_empty() {
         encoder.build_acceleration_structures([], [&structure]);
         gpu.queue.submit([encoder.finish()]);
         return Ok(structure);
     }
+    let vertices = gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+        label: Some("corners"),
+        contents: bytemuck::cast_slice(&pad::padded(triangles)),
+        usage: wgpu::BufferUsages::BLAS_INPUT,
+    });
     let size = wgpu::BlasTriangleGeometrySizeDescriptor {
         vertex_format: wgpu::VertexFormat::Float32x3,
-        vertex_count: triangles * 3,
+        vertex_count: count.saturating_mul(3),
         index_format: None,
         index_count: None,
         // Not opaque: every triangle is offered to the kernels, which decide (wgsl/visibility/ray_query.wgsl).
@@ -120,9 +129,9 @@ pub(super) fn build_structure(gpu: &Gpu, buffer: &wgpu::Buffer, triangles: u32) 
     );
     let geometry = wgpu::BlasTriangleGeometry {
         size: &size,
-        vertex_buffer: buffer,
+        vertex_buffer: &vertices,
         first_vertex: 0,
-        vertex_stride: CORNER_BYTES,
+        vertex_stride: size_of::<Vec3>() as u64,
         index_buffer: None,
         first_index: None,
         transform_buffer: None,
@@ -136,6 +145,3 @@ pub(super) fn build_structure(gpu: &Gpu, buffer: &wgpu::Buffer, triangles: u32) 
     gpu.queue.submit([encoder.finish()]);
     Ok(structure)
 }
-
-/// From corner to corner in the list of triangles: each has a word of its own behind it.
-const CORNER_BYTES: u64 = size_of::<TracedTriangle>() as u64 / 3;
