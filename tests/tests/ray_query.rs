@@ -1,17 +1,9 @@
 //! Promise: the `ray-query` back end answers as `compute` and `cpu` do, on an adapter that has ray queries.
 //!
-//! A Vulkan loader chooses its driver when it is first asked, from VK_DRIVER_FILES. So each test starts this program again
-//! for itself alone, with the driver that `deploy/ray-query-driver` laid out. Without one, and without an adapter of the
-//! machine's own that has ray queries, a test says on the terminal that it did not run. `make test` fetches the driver, and
-//! names it in GNOMON_RAY_QUERY_DRIVER: then it must be there, and must do.
+//! Where no adapter has them, a test says on the terminal that it did not run: `rig::ray_queries`.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-use std::{
-    env,
-    io::Write as _,
-    path::{Path, PathBuf},
-    process::Command,
-};
+use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use gnomon_protocol::mask::{Mask, MaskShape};
@@ -28,44 +20,15 @@ use gnomon_shaders::{
     gpu::{Gpu, GpuOptions},
     scene::{AlphaMode, Scene, Wrap},
 };
-use gnomon_tests::{metrics::RelevantError, reference::Reference, rig::ServerProcess, scenes::builder::SceneBuilder};
+use gnomon_tests::{
+    metrics::RelevantError,
+    reference::Reference,
+    rig::{ServerProcess, ray_queries},
+    scenes::builder::SceneBuilder,
+};
 
-/// Names the driver file, and makes its absence a failure.
-const DRIVER: &str = "GNOMON_RAY_QUERY_DRIVER";
-/// Tells the program that it is the one that was started with the driver.
-const CHILD: &str = "GNOMON_RAY_QUERY_CHILD";
-
-fn driver() -> Option<PathBuf> {
-    if let Some(named) = env::var_os(DRIVER) {
-        let path = PathBuf::from(named);
-        assert!(path.is_file(), "{DRIVER} names {}, which is no file", path.display());
-        return Some(path);
-    }
-    let fetched = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/ray-query-driver/lvp_icd.json");
-    fetched.is_file().then_some(fetched)
-}
-
-/// Runs `body` where there are ray queries: in this program started again as `test` alone, or here.
 fn with_ray_queries(test: &str, body: impl FnOnce()) {
-    if env::var_os(CHILD).is_some() {
-        return body();
-    }
-    if let Some(driver) = driver() {
-        let program = env::current_exe().unwrap();
-        let mut child = Command::new(program);
-        child.args([test, "--exact", "--nocapture"]).env(CHILD, "1").env("VK_DRIVER_FILES", driver);
-        let output = child.output().unwrap();
-        let said = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-        assert!(output.status.success(), "{said}");
-        assert!(said.contains("1 passed"), "no test is named {test}: {said}");
-        return;
-    }
-    if ray_query::open(&room(), None, true).is_ok() {
-        return body();
-    }
-    // Not `eprintln`, which the harness keeps to itself when a test passes.
-    let line = format!("NOT RUN: {test}: no adapter here has ray queries (deploy/ray-query-driver lays one out)\n");
-    std::io::stderr().write_all(line.as_bytes()).unwrap();
+    ray_queries::with_ray_queries(test, &room(), body).unwrap();
 }
 
 fn mask_for(scene: &Scene, camera: &Camera) -> Mask {

@@ -17,15 +17,18 @@ use gnomon_shaders::{camera::Camera, scene::Scene};
 use crate::{
     backends::BackendName,
     metrics::RelevantError,
-    reference::{Reference, Truth},
+    reference::{Reference, Truth, Verdict},
     report::table::Table,
 };
 
 /// What is known about a case's mask.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Known {
-    /// What the referee says; it may leave at most this share of the relevant bits undecided.
-    Referee { undecided_share: f64 },
+    /// What the referee says.
+    Referee {
+        /// The most that it may leave undecided, of the bits that are relevant or undecided.
+        undecided_share: f64,
+    },
     /// Not a bit is set.
     Dark,
     /// Every bit of every pixel is set.
@@ -71,8 +74,9 @@ impl Case {
             (Known::Referee { undecided_share }, Some(truth)) => {
                 let error = RelevantError::of(mask, truth);
                 let leaks = error.sure_leaks + error.irrelevant_set;
-                #[expect(clippy::cast_precision_loss, reason = "counts of a picture's bits")]
-                let share = error.undecided as f64 / error.relevant.max(1) as f64;
+                let bits =
+                    |of: fn(&Verdict) -> u32| truth.pixels.iter().map(|v| f64::from(of(v).count_ones())).sum::<f64>();
+                let share = bits(|v| v.undecided) / bits(|v| v.relevant | v.undecided).max(1.0);
                 (Some(leaks), Some(error.surely_wrong() - error.sure_leaks), Some((share, undecided_share)))
             }
             (Known::Dark, _) => (Some(count(mask, true)), None, None),
@@ -93,10 +97,28 @@ fn count(mask: &Mask, set: bool) -> u64 {
     bits.filter(|&(light, x, y)| mask.get(light, x, y) == set).count() as u64
 }
 
+/// What the loader must refuse, so that no back end meets it: rows like those of [`run`].
+#[must_use]
+pub fn refusals() -> Vec<Vec<String>> {
+    let accepted = mesh::accepted().into_iter();
+    accepted
+        .map(|(case, taken)| {
+            row(case, "loader", Measure { name: "accepted", value: f64::from(u8::from(taken)), bound: 0.0 })
+        })
+        .collect()
+}
+
+/// A line of the table: case, backend, measure, value, bound, holds.
+fn row(case: &str, backend: &str, measure: Measure) -> Vec<String> {
+    let Measure { name, value, bound } = measure;
+    let numbers = [value.to_string(), bound.to_string(), measure.holds().to_string()];
+    [case.to_owned(), backend.to_owned(), name.to_owned()].into_iter().chain(numbers).collect()
+}
+
 /// A number and the most that it may be.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measure {
-    /// `leaks`, `acne` or `undecided_share`.
+    /// `leaks`, `acne`, `undecided_share`, or `accepted` of files that must be refused.
     pub name: &'static str,
     /// What was measured.
     pub value: f64,
@@ -119,7 +141,7 @@ impl Measure {
 pub fn all((width, height): (u32, u32), large: bool) -> Result<Vec<Case>> {
     let size = (width, height);
     let mut cases = place::cases(size);
-    cases.extend(light::cases(size));
+    cases.extend(light::cases(size, large));
     cases.extend(mesh::cases(size, large)?);
     cases.extend(surface::cases(size));
     Ok(cases)
@@ -140,16 +162,8 @@ pub fn run(
         for &backend in backends {
             let mask = backend.mask(&case.scene, &case.camera)?;
             see(case, backend, &mask, truth.as_ref())?;
-            table.rows.extend(case.measure(&mask, truth.as_ref()).iter().map(|measure| {
-                vec![
-                    case.name.clone(),
-                    backend.name().into(),
-                    measure.name.into(),
-                    measure.value.to_string(),
-                    measure.bound.to_string(),
-                    measure.holds().to_string(),
-                ]
-            }));
+            let measures = case.measure(&mask, truth.as_ref());
+            table.rows.extend(measures.into_iter().map(|measure| row(&case.name, backend.name(), measure)));
         }
     }
     Ok(table)

@@ -14,6 +14,9 @@
 //! another surface, or of a limit (range, cone, facing, alpha cutoff) is judged eight more times, with the camera and the
 //! point moved by `rounding_m` along each diagonal, and bits that change are undecided. They stay in every figure: they
 //! are reported beside it, to explain a difference, never to excuse one.
+//!
+//! **Ties** are none of them: a plane that holds the camera or the light (to a thousandth of the push) does what the rules
+//! say, for sure, and the back ends must decide as much.
 
 mod alpha;
 mod bvh;
@@ -31,6 +34,9 @@ use rayon::prelude::*;
 
 use alpha::AlphaTest;
 use bvh::Bvh;
+
+/// Lights count as far away from this many times the scene's greatest coordinate on.
+const AFAR: f64 = 4.0;
 
 /// The referee's answers for one picture, row by row; bit k of a word is light k.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -83,6 +89,8 @@ pub struct Reference {
     rounding_m: f64,
     /// How far shadow rays are pushed off their surface, in metres.
     push_m: f64,
+    /// Distances below this are 0 but for rounding in f64, in metres.
+    exact_m: f64,
 }
 
 /// What a triangle is besides its corners.
@@ -120,12 +128,12 @@ impl Reference {
             }
         }
         let lights = scene.lights.iter().filter(|light| light.kind != LightKind::Directional);
-        let magnitude_m = corners
-            .iter()
-            .flatten()
-            .map(|corner| corner.abs().max_element())
-            .chain(lights.map(|light| light.position.as_dvec3().abs().max_element()))
-            .fold(f64::MIN_POSITIVE, f64::max);
+        let scene_m =
+            corners.iter().flatten().map(|corner| corner.abs().max_element()).fold(f64::MIN_POSITIVE, f64::max);
+        // Of what lies farther away only the direction counts, and this is as sharp as that of what lies here.
+        let magnitude_m = lights
+            .map(|light| light.position.as_dvec3().abs().max_element().min(AFAR * scene_m))
+            .fold(scene_m, f64::max);
         let rounding_m = magnitude_m * 2.0_f64.powi(-21);
         Self {
             origin_m: scene.origin_m,
@@ -140,6 +148,7 @@ impl Reference {
             lights: scene.lights.clone(),
             rounding_m,
             push_m: magnitude_m * 1e-9,
+            exact_m: magnitude_m * 1e-12,
         }
     }
 

@@ -18,6 +18,8 @@ struct Nudge {
     offset: DVec3,
     /// Moves alpha samples, in units of their rounding.
     alpha: f64,
+    /// Moves limits (facing, range, cone, the light's end of a shadow ray), in units of theirs.
+    limit: f64,
 }
 
 /// Ties that are judged; more lie in one point only where a mesh has a fan or a heap there.
@@ -55,14 +57,15 @@ impl Reference {
         let (position, direction) = camera.ray(x, y);
         let origin = position - self.origin_m;
         let mut doubt = Doubt::default();
-        let mut verdict = self.judge_nudged(origin, direction, Nudge { offset: DVec3::ZERO, alpha: 0.0 }, &mut doubt);
+        let mut verdict =
+            self.judge_nudged(origin, direction, Nudge { offset: DVec3::ZERO, alpha: 0.0, limit: 0.0 }, &mut doubt);
         if doubt.0 {
             // A camera far outside the scene rounds more coarsely than the scene does.
             let rounding_m = self.rounding_m.max(origin.abs().max_element() * 2.0_f64.powi(-21));
             for corner in 0..8_u32 {
                 let sign = |bit: u32| if corner >> bit & 1 == 1 { 1.0 } else { -1.0 };
                 let offset = DVec3::new(sign(0), sign(1), sign(2)) * rounding_m;
-                let nudge = Nudge { offset, alpha: sign(0) };
+                let nudge = Nudge { offset, alpha: sign(0), limit: sign(1) };
                 let other = self.judge_nudged(origin, direction, nudge, &mut Doubt::default());
                 verdict.undecided |= (verdict.relevant ^ other.relevant) | (verdict.lit ^ other.lit) | other.undecided;
             }
@@ -85,7 +88,7 @@ impl Reference {
     fn judge_point(&self, seen: &Seen, nudge: Nudge, doubt: &mut Doubt) -> Verdict {
         let mut verdict = Verdict { surface: true, ..Verdict::default() };
         for (k, light) in self.lights.iter().enumerate() {
-            if !self.relevant(light, seen, doubt) {
+            if !self.relevant(light, seen, nudge, doubt) {
                 continue;
             }
             verdict.relevant |= 1 << k;
@@ -104,7 +107,12 @@ impl Reference {
         let mut ties = Vec::new();
         self.bvh.walk(ray, f64::INFINITY, |triangle| {
             let end = nearest.map_or(f64::INFINITY, |(_, crossing)| crossing.t);
-            let meeting = self.meet(ray, triangle, nudge, true);
+            // What holds the camera is not met, wherever the nudge moved it.
+            let meeting =
+                self.meet(ray, triangle, nudge, true).filter(|_| !self.holds(triangle, ray.origin - nudge.offset));
+            if meeting.is_some_and(|(crossing, ..)| crossing.t.abs() <= slack) {
+                nearest_doubt = 0.0;
+            }
             if let Some((crossing, there, close)) = meeting.filter(|(crossing, ..)| crossing.t > 0.0) {
                 if close || there && (crossing.t - end).abs() <= slack {
                     nearest_doubt = nearest_doubt.min(crossing.t);
@@ -188,22 +196,28 @@ impl Reference {
     }
 
     /// Rule 3.
-    fn relevant(&self, light: &Light, seen: &Seen, doubt: &mut Doubt) -> bool {
+    fn relevant(&self, light: &Light, seen: &Seen, nudge: Nudge, doubt: &mut Doubt) -> bool {
         let margin = 4.0 * self.rounding_m;
         let to_light = towards(light, seen.point);
+        // Whether `above` is positive, within what rounding may move it.
+        let mut within = |above: f64, rounding: f64| {
+            doubt.about(above.abs() <= rounding);
+            above + nudge.limit * rounding >= 0.0
+        };
+        let facing_margin = self.dot_margin(light, to_light) * seen.shading.length();
         let facing = seen.shading.dot(to_light);
-        doubt.about(facing.abs() <= self.dot_margin(light, to_light) * seen.shading.length());
-        let mut relevant = facing > 0.0;
+        // In the surface's own plane, which its shading follows: dark either way.
+        if facing.abs().max(seen.geometric.dot(to_light).abs()) <= self.exact_m {
+            return false;
+        }
+        let mut relevant = within(facing, facing_margin) && (facing != 0.0 || nudge.limit > 0.0);
         if light.kind != LightKind::Directional {
             let distance = to_light.length();
-            let range = f64::from(light.range_m);
-            doubt.about((distance - range).abs() <= margin);
-            relevant &= distance <= range;
+            let far = distance * 4.0 * f64::from(f32::EPSILON);
+            relevant &= within(f64::from(light.range_m) - distance, margin + far);
             if let LightKind::Spot { outer_cone_rad, .. } = light.kind {
                 let along = -to_light.dot(light.direction.as_dvec3());
-                let edge = distance * f64::from(outer_cone_rad).cos();
-                doubt.about((along - edge).abs() <= margin + distance * 4.0 * f64::from(f32::EPSILON));
-                relevant &= along >= edge;
+                relevant &= within(along - distance * f64::from(outer_cone_rad).cos(), margin + far);
             }
         }
         relevant
@@ -213,8 +227,13 @@ impl Reference {
     fn reached(&self, light: &Light, seen: &Seen, nudge: Nudge, doubt: &mut Doubt) -> bool {
         let to_light = towards(light, seen.point);
         let facing = seen.geometric.dot(to_light);
-        doubt.about(facing.abs() <= self.dot_margin(light, to_light));
-        if facing <= 0.0 {
+        // A light in the surface's own plane is not above it: rule 4 is sure of that.
+        if facing.abs() <= self.exact_m {
+            return false;
+        }
+        let margin = self.dot_margin(light, to_light);
+        doubt.about(facing.abs() <= margin);
+        if facing + nudge.limit * margin <= 0.0 {
             return false;
         }
         // Back ends push their starts up by more than rounding, so doubt moves a start along the surface and up, never down.
@@ -233,8 +252,13 @@ impl Reference {
                 return end + slack;
             }
             if let Some((crossing, there, in_doubt)) = self.meet(&ray, triangle, nudge, false) {
-                let inside = there && crossing.t > 0.0 && crossing.t < end;
-                let near_an_end = crossing.t.abs() <= slack || (crossing.t - end).abs() <= slack;
+                if light.kind != LightKind::Directional && self.holds(triangle, light.position.as_dvec3()) {
+                    return end + slack;
+                }
+                let near_light = (crossing.t - end).abs() <= slack;
+                let before_light = if near_light { crossing.t < end + nudge.limit * slack } else { crossing.t < end };
+                let inside = there && crossing.t > 0.0 && before_light;
+                let near_an_end = crossing.t.abs() <= slack || near_light;
                 if inside && !in_doubt && !near_an_end {
                     (stopped, close) = (true, false);
                     return -1.0;
@@ -246,6 +270,13 @@ impl Reference {
         });
         doubt.about(close);
         !stopped
+    }
+
+    /// Whether a triangle's plane holds a point, but for what f64 cannot tell.
+    fn holds(&self, triangle: u32, point: DVec3) -> bool {
+        let [a, b, c] = self.corners[triangle as usize];
+        let normal = (b - a).cross(c - a);
+        normal.dot(point - a).abs() <= self.exact_m * normal.length()
     }
 
     /// How far rounding may move a unit vector's dot product with `to_light`.

@@ -92,13 +92,16 @@ fn judge_cases(
     mut progress: impl FnMut(&str),
 ) -> Result<Table> {
     cases.retain(|case| options.cases.is_empty() || options.cases.iter().any(|part| case.name.contains(part)));
-    let table = hard_cases::run(&cases, backends, |case, backend, mask, truth| {
-        progress(&format!("{} on {}", case.name, backend.name()));
+    let mut table = hard_cases::run(&cases, backends, |case, backend, mask, truth| {
+        let error = truth.map(|truth| RelevantError::of(mask, truth));
+        let error = error.map(|error| format!(": {error} {:?}", error.examples)).unwrap_or_default();
+        progress(&format!("{} on {}{error}", case.name, backend.name()));
         let file = options.out.join(format!("case-{}-{}.png", case.name, backend.name()));
         let picture = truth.map_or_else(|| lit_picture(mask), |truth| picture(mask, truth));
         picture.save(&file).with_context(|| format!("writing {}", file.display()))
     })?;
     if !cases.is_empty() {
+        table.rows.extend(hard_cases::refusals());
         write(&options.out, "hard_cases.csv", &table)?;
     }
     Ok(table)

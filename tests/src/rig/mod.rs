@@ -2,6 +2,7 @@
 
 pub mod masks;
 pub mod program;
+pub mod ray_queries;
 
 use std::{
     ffi::{OsStr, OsString},

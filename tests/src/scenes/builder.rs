@@ -97,10 +97,14 @@ impl SceneBuilder {
     /// to 1 along the sides.
     #[must_use]
     pub fn quad(self, corner: Vec3, side_u: Vec3, side_v: Vec3) -> Self {
-        let normals = [side_u.cross(side_v).normalize(); 3];
-        let far = corner + side_u + side_v;
-        self.triangle([corner, corner + side_u, far], normals, [Vec2::ZERO, Vec2::X, Vec2::ONE]).triangle(
-            [corner, far, corner + side_v],
+        self.face([corner, corner + side_u, corner + side_u + side_v, corner + side_v])
+    }
+
+    /// A flat face with four corners, in the order in which its front sees them counter-clockwise.
+    fn face(self, [a, b, c, d]: [Vec3; 4]) -> Self {
+        let normals = [(b - a).cross(d - a).normalize(); 3];
+        self.triangle([a, b, c], normals, [Vec2::ZERO, Vec2::X, Vec2::ONE]).triangle(
+            [a, c, d],
             normals,
             [Vec2::ZERO, Vec2::ONE, Vec2::Y],
         )
@@ -109,9 +113,15 @@ impl SceneBuilder {
     /// A closed box with outward fronts.
     #[must_use]
     pub fn cuboid(self, min: Vec3, max: Vec3) -> Self {
-        let size = max - min;
-        let (x, y, z) = (Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z);
-        self.quad(min, y, x).quad(min, z, y).quad(min, x, z).quad(max, -x, -y).quad(max, -y, -z).quad(max, -z, -x)
+        // Corners are picked and not computed, so that faces share them to the last bit.
+        let at = |x: bool, y: bool, z: bool| Vec3::select(glam::BVec3::new(x, y, z), max, min);
+        let (o, i) = (false, true);
+        self.face([at(o, o, o), at(o, i, o), at(i, i, o), at(i, o, o)])
+            .face([at(o, o, o), at(o, o, i), at(o, i, i), at(o, i, o)])
+            .face([at(o, o, o), at(i, o, o), at(i, o, i), at(o, o, i)])
+            .face([at(i, i, i), at(o, i, i), at(o, o, i), at(i, o, i)])
+            .face([at(i, i, i), at(i, o, i), at(i, o, o), at(i, i, o)])
+            .face([at(i, i, i), at(i, i, o), at(o, i, o), at(o, i, i)])
     }
 
     /// A sphere with outward fronts and smooth normals, of `rings` × 2·`rings` patches. Its corners lie on the sphere.
