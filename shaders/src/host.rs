@@ -1,6 +1,7 @@
 //! The tracing kernels' types, as the host writes them: `wgsl/shared/traced_scene.wgsl` has their twins.
 
 use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
 
 use crate::{
     camera::RayBasis,
@@ -75,7 +76,7 @@ pub struct TracedLight {
 }
 
 impl TracedLight {
-    /// What the kernels need of a light.
+    /// What the kernels need of a light. One that is switched off reaches no place and no normal faces it.
     #[must_use]
     pub fn new(light: &Light) -> Self {
         let (kind, cos_outer) = match light.kind {
@@ -83,12 +84,17 @@ impl TracedLight {
             LightKind::Point => (1, -1.0),
             LightKind::Spot { outer_cone_rad, .. } => (2, outer_cone_rad.cos()),
         };
+        let (direction, range_squared) = if light.shines() {
+            (light.direction, (light.range_m * light.range_m).min(f32::MAX))
+        } else {
+            (Vec3::ZERO, -1.0)
+        };
         Self {
             position: light.position.to_array(),
             kind,
-            direction: light.direction.to_array(),
+            direction: direction.to_array(),
             cos_outer,
-            range_squared: (light.range_m * light.range_m).min(f32::MAX),
+            range_squared,
             unused_0: 0.0,
             unused_1: 0.0,
             unused_2: 0.0,
@@ -270,9 +276,9 @@ mod tests {
         let light = Light {
             name: String::new(),
             kind: LightKind::Spot { inner_cone_rad: 0.0, outer_cone_rad: std::f32::consts::FRAC_PI_3 },
-            position: glam::Vec3::X,
-            direction: glam::Vec3::NEG_Y,
-            color: glam::Vec3::ONE,
+            position: Vec3::X,
+            direction: Vec3::NEG_Y,
+            color: Vec3::ONE,
             intensity: 1.0,
             range_m: f32::INFINITY,
         };

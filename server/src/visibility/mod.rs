@@ -8,8 +8,8 @@
 //!    whose plane holds the camera as far as rounding can tell.
 //! 2. **Normals.** The geometric normal is the triangle's plane's, turned towards the camera. The shading normal is
 //!    interpolated from the vertices, and negated when the back face was met.
-//! 3. **Relevance.** Light k matters at the point when the shading normal faces it, and the point lies within its range
-//!    and inside its outer cone. Irrelevant bits are 0.
+//! 3. **Relevance.** Light k matters at the point when it is not switched off (of no intensity, or black), the shading
+//!    normal faces it, and the point lies within its range and inside its outer cone. Irrelevant bits are 0.
 //! 4. **Facing.** Where the geometric normal faces away from a relevant light the surface hides it from itself: bit 0,
 //!    no ray. It faces the light when that is above the shadow ray's start by more than rounding can account for (5
 //!    rounding units of the height's terms), so that no light in a surface's own plane speckles it.

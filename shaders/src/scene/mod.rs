@@ -161,6 +161,14 @@ pub struct Light {
     pub range_m: f32,
 }
 
+impl Light {
+    /// Whether any light comes from it: one of no intensity, or of black, is switched off.
+    #[must_use]
+    pub fn shines(&self) -> bool {
+        self.intensity > 0.0 && self.color.max_element() > 0.0
+    }
+}
+
 /// The kinds of punctual light.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum LightKind {

@@ -21,10 +21,13 @@ fn is_there(index: u32, uv: vec2f) -> bool {
     return mix(upper, lower, texels.weight.y) / 255.0 * material.factor >= material.cutoff;
 }
 
+// Whether the scene has triangles with holes. Where it has none, none of this is compiled.
+override HAS_ALPHA: bool = true;
+
 // Whether the triangle at `triangle` is there at a meeting with these weights.
 fn triangle_is_there(triangle: u32, kind: u32, weights: vec3f) -> bool {
     let alpha = kind & TRIANGLE_ALPHA;
-    if alpha == 0u {
+    if !HAS_ALPHA || alpha == 0u {
         return true;
     }
     let first = triangles[triangle * 3u + 1u].w;

@@ -88,7 +88,7 @@ impl Reference {
     fn judge_point(&self, seen: &Seen, nudge: Nudge, doubt: &mut Doubt) -> Verdict {
         let mut verdict = Verdict { surface: true, ..Verdict::default() };
         for (k, light) in self.lights.iter().enumerate() {
-            if !self.relevant(light, seen, nudge, doubt) {
+            if !light.shines() || !self.relevant(light, seen, nudge, doubt) {
                 continue;
             }
             verdict.relevant |= 1 << k;

@@ -87,6 +87,12 @@ impl Geometry {
         Ok(geometry)
     }
 
+    /// Size of what only holes need.
+    pub(super) fn alpha_bytes(&self) -> u64 {
+        let bytes = size_of_val(&*self.alpha_materials) + self.alpha_texels.len() + size_of_val(&*self.alpha_uvs);
+        bytes as u64
+    }
+
     /// Takes up the alpha pictures of MASK materials, and says what rays find of every material.
     fn add_alpha(&mut self, scene: &Scene) -> Result<Vec<Presence>, BackendError> {
         let mut presences = Vec::with_capacity(scene.materials.len());

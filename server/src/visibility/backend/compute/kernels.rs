@@ -47,11 +47,16 @@ pub(super) struct FrameBuffers<'a> {
 }
 
 impl Kernels {
-    /// Compiles the kernels.
+    /// Compiles the kernels; `has_alpha` for a scene whose triangles have holes.
     ///
     /// # Errors
     /// When the device lacks a feature or a limit that they need. What the device itself refuses, its error handler gets.
-    pub(super) fn new(gpu: &Gpu, traversal: Traversal, options: KernelOptions) -> Result<Self, BackendError> {
+    pub(super) fn new(
+        gpu: &Gpu,
+        traversal: Traversal,
+        options: KernelOptions,
+        has_alpha: bool,
+    ) -> Result<Self, BackendError> {
         if traversal == Traversal::RayQuery {
             ray_query::check(gpu)?;
         }
@@ -81,9 +86,11 @@ impl Kernels {
         });
         let (sampling, refine) = options.sampling.constants();
         let count = ("COUNT_NODES", f64::from(u8::from(options.count_nodes)));
-        let shadow_constants = [count, ("SAMPLING", f64::from(sampling)), ("REFINE", f64::from(u8::from(refine)))];
+        let alpha = ("HAS_ALPHA", f64::from(u8::from(has_alpha)));
+        let shadow_constants =
+            [count, alpha, ("SAMPLING", f64::from(sampling)), ("REFINE", f64::from(u8::from(refine)))];
         let offset = options.offset_roundings.map(|offset| ("OFFSET_ROUNDINGS", f64::from(offset)));
-        let primary_constants: Vec<(&str, f64)> = [count].into_iter().chain(offset).collect();
+        let primary_constants: Vec<(&str, f64)> = [count, alpha].into_iter().chain(offset).collect();
         let pipeline = |name: &str, constants: &[(&str, f64)]| -> Result<wgpu::ComputePipeline, BackendError> {
             let path = format!("visibility/{name}.wgsl");
             let text = match traversal {

@@ -58,6 +58,8 @@ pub struct KernelOptions {
 pub struct ComputeBackend {
     gpu: Gpu,
     traversal: Traversal,
+    tests_alpha: bool,
+    kept: Kept,
     sampling: Sampling,
     /// Of the last frame collected.
     node_visits: u64,
@@ -71,6 +73,17 @@ pub struct ComputeBackend {
     in_flight: VecDeque<InFlight>,
     next_slot: usize,
     failure: Failure,
+}
+
+/// What a device keeps that depends on the scene's lights and its holes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Kept {
+    /// The lights, in bytes.
+    pub lights_bytes: u64,
+    /// Alpha materials, their pictures, and texture coordinates, in bytes.
+    pub alpha_bytes: u64,
+    /// The words of one mask, in bytes; 0 before there are buffers.
+    pub mask_bytes: u64,
 }
 
 #[derive(Debug)]
@@ -182,8 +195,14 @@ impl ComputeBackend {
                 on_loss.note(format!("the device is lost: {text}"));
             }
         });
-        let kernels = Kernels::new(&gpu, traversal, options)?;
         let geometry = Geometry::build(scene, traversal)?;
+        let tests_alpha = !geometry.alpha_materials.is_empty();
+        let kept = Kept {
+            lights_bytes: (size_of::<TracedLight>() * scene.lights.len()) as u64,
+            alpha_bytes: geometry.alpha_bytes(),
+            mask_bytes: 0,
+        };
+        let kernels = Kernels::new(&gpu, traversal, options, tests_alpha)?;
         let nodes = match traversal {
             Traversal::Hierarchy => geometry.nodes.len(),
             Traversal::RayQuery => geometry.triangles.len(),
@@ -202,6 +221,8 @@ impl ComputeBackend {
         }
         Ok(Self {
             traversal,
+            tests_alpha,
+            kept,
             sampling: options.sampling,
             node_visits: 0,
             kernels,
@@ -372,6 +393,18 @@ impl ComputeBackend {
     #[must_use]
     pub fn node_visits(&self) -> u64 {
         self.node_visits
+    }
+
+    /// Whether the kernels were compiled with what tests alpha: only for a scene whose triangles have holes.
+    #[must_use]
+    pub fn tests_alpha(&self) -> bool {
+        self.tests_alpha
+    }
+
+    /// How much the device keeps of what grows with lights and holes.
+    #[must_use]
+    pub fn kept(&self) -> Kept {
+        Kept { mask_bytes: self.ring.as_ref().map_or(0, |ring| ring.capacity.mask_bytes), ..self.kept }
     }
 
     /// Traces one mask and waits for it; for tests and measurements. `mask` must have the camera's size and a plane for

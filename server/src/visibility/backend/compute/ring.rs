@@ -39,7 +39,7 @@ const FAILED: u8 = 2;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Capacity {
     surface_bytes: u64,
-    mask_bytes: u64,
+    pub(super) mask_bytes: u64,
 }
 
 impl Capacity {

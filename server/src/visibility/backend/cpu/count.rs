@@ -12,6 +12,8 @@ pub(super) trait Counter: Default + Send {
     fn packets(&mut self, _packets: u32) {}
     /// A packet had rays inside a triangle's edges.
     fn candidate(&mut self) {}
+    /// So many rays asked a triangle's alpha whether it is there.
+    fn alpha(&mut self, _rays: u32) {}
 }
 
 /// Counts nothing.
@@ -37,6 +39,8 @@ pub struct Work {
     pub packet_tests: u64,
     /// Those with a ray inside the triangle's edges.
     pub candidates: u64,
+    /// Rays that asked a triangle's alpha.
+    pub alpha_tests: u64,
 }
 
 impl Work {
@@ -49,6 +53,7 @@ impl Work {
         self.tested_triangles += other.tested_triangles;
         self.packet_tests += other.packet_tests;
         self.candidates += other.candidates;
+        self.alpha_tests += other.alpha_tests;
     }
 }
 
@@ -69,5 +74,8 @@ impl Counter for Work {
     }
     fn candidate(&mut self) {
         self.candidates += 1;
+    }
+    fn alpha(&mut self, rays: u32) {
+        self.alpha_tests += u64::from(rays);
     }
 }

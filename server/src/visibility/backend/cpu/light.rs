@@ -42,8 +42,9 @@ impl PreparedLight {
             directional: light.kind == LightKind::Directional,
             afar: light.position.distance(middle) > size_m,
             position: light.position,
-            direction: light.direction,
-            range_squared: light.range_m * light.range_m,
+            // One that is switched off reaches no place, and no normal faces it.
+            direction: if light.shines() { light.direction } else { Vec3::ZERO },
+            range_squared: if light.shines() { light.range_m * light.range_m } else { -1.0 },
             cos_outer,
         }
     }

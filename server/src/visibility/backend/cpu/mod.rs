@@ -247,7 +247,9 @@ fn triangle_flags(scene: &Scene) -> Vec<TriangleFlags> {
         if material.alpha == AlphaMode::Blend {
             break;
         }
-        let masked = matches!(material.alpha, AlphaMode::Mask { .. });
+        // Without a picture alpha is the same everywhere: what is there need not be asked.
+        let masked = matches!(material.alpha, AlphaMode::Mask { cutoff }
+            if material.base_color_texture.is_some() || material.base_color.w < cutoff);
         let of_draw = TriangleFlags { single_sided: !material.double_sided, masked };
         flags.extend(std::iter::repeat_n(of_draw, draw.triangles as usize));
     }

@@ -106,6 +106,7 @@ pub(super) fn closest<S: Simd, C: Counter>(
                 }
                 count.candidate();
                 if leaf.masked >> slot & 1 == 1 {
+                    count.alpha(lanes.count_ones());
                     lanes = there(s, &world.alpha, leaf.triangles[slot], edges, lanes);
                     if lanes == 0 {
                         continue;
@@ -186,6 +187,7 @@ pub(super) fn occlude<S: Simd, C: Counter, const PARALLEL: bool>(
                 let point = group.projection.permute(s, vector::load_packet(s, points, p));
                 lanes &= s.bits(beyond(s, &group.projection, leaf, slot, back, point));
                 if lanes != 0 && leaf.masked >> slot & 1 == 1 {
+                    count.alpha(lanes.count_ones());
                     lanes = there(s, &world.alpha, leaf.triangles[slot], edges, lanes);
                 }
                 if lanes == 0 {

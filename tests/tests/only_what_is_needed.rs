@@ -1,0 +1,108 @@
+//! Promise: nothing is computed that a scene does not need, and counters say so. No ray is traced for a light that is switched
+//! off, out of range, outside its cone or behind the surface; no alpha is asked where no material is MASK; and a mask and
+//! what a device keeps for it grow with the scene's lights alone.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use glam::{DVec3, Vec3};
+use gnomon_protocol::mask::{Mask, MaskShape, TILE_PX};
+use gnomon_server::visibility::backend::{compute::ComputeBackend, cpu::CpuBackend};
+use gnomon_shaders::{
+    camera::Camera,
+    scene::{AlphaMode, Scene, Wrap},
+};
+use gnomon_tests::{backends::BackendName, reference::Reference, scenes::builder::SceneBuilder};
+
+const SIZE: (u32, u32) = (96, 64);
+
+/// From above onto the middle of a floor that fills the picture.
+fn camera() -> Camera {
+    Camera::looking_at(DVec3::new(0.1, 3.0, 0.2), DVec3::new(0.0, 0.0, 0.1), 0.8, SIZE.0, SIZE.1)
+}
+
+fn floor() -> SceneBuilder {
+    SceneBuilder::new().quad(Vec3::new(-9.0, 0.0, -9.0), Vec3::Z * 18.0, Vec3::X * 18.0)
+}
+
+/// Rays that a back end traced, and bits that it set.
+fn traced(backend: BackendName, scene: &Scene) -> (u64, u32) {
+    let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, scene.lights.len().try_into().unwrap()).unwrap());
+    let cost = backend.open(scene).unwrap()(&camera(), &mut mask).unwrap();
+    (cost.shadow_rays, mask.words().iter().map(|word| word.count_ones()).sum())
+}
+
+#[test]
+fn no_ray_is_traced_for_a_light_that_cannot_matter() {
+    let pixels = u64::from(SIZE.0 * SIZE.1);
+    let lamp = Vec3::new(0.5, 2.0, -0.4);
+    let mut dimmed =
+        floor().point_light(lamp, f32::INFINITY).sun(Vec3::NEG_Y).spot_light(lamp, Vec3::NEG_Y, 1.5).build();
+    dimmed.lights.iter_mut().for_each(|light| light.intensity = 0.0);
+    let mut black = dimmed.clone();
+    black.lights.iter_mut().for_each(|light| (light.intensity, light.color) = (5.0, Vec3::ZERO));
+    // A smooth normal that faces the sun on a plane that does not: relevant, and dark without a ray.
+    let mut behind = floor().sun(Vec3::new(-1.0, 0.2, 0.0)).build();
+    behind.normals.fill(Vec3::new(0.8, 0.6, 0.0));
+    for (what, scene) in [
+        ("out of range", floor().point_light(lamp, 1.9).build()),
+        ("outside the cone", floor().spot_light(lamp, Vec3::Y, 1.2).build()),
+        ("below the floor", floor().point_light(Vec3::new(0.5, -2.0, 0.0), f32::INFINITY).build()),
+        ("in the floor's plane", floor().point_light(Vec3::new(5.0, 0.0, 0.3), f32::INFINITY).build()),
+        ("a sun from below", floor().sun(Vec3::new(0.2, 1.0, 0.0)).build()),
+        ("behind the plane", behind),
+        ("switched off", dimmed),
+        ("black", black),
+    ] {
+        let truth = Reference::new(&scene).trace(&camera());
+        assert!(truth.pixels.iter().all(|verdict| verdict.surface && verdict.lit == 0), "{what}: the scene is wrong");
+        for backend in BackendName::EVERYWHERE {
+            assert_eq!(traced(backend, &scene), (0, 0), "{what} on {}", backend.name());
+        }
+    }
+    // Beside one that matters they cost nothing either.
+    let mut mixed =
+        floor().point_light(lamp, f32::INFINITY).point_light(lamp, 1.9).sun(Vec3::Y).sun(Vec3::NEG_Y).build();
+    mixed.lights[3].intensity = 0.0;
+    for backend in BackendName::EVERYWHERE {
+        assert_eq!(traced(backend, &mixed).0, pixels, "{}", backend.name());
+    }
+}
+
+#[test]
+fn alpha_is_asked_only_where_a_material_is_mask() {
+    let sheet =
+        |builder: SceneBuilder| builder.quad(Vec3::new(-1.0, 1.0, -1.0), Vec3::Z * 2.0, Vec3::X * 2.0).sun(Vec3::NEG_Y);
+    let opaque = sheet(floor()).build();
+    let mask = AlphaMode::Mask { cutoff: 0.5 };
+    let masked = sheet(floor().material(mask, true).alpha_picture(2, &[0, 255, 255, 0], Wrap::Repeat)).build();
+    // Without a picture its alpha is the same everywhere: it is there, and nobody has to ask.
+    let plain = sheet(floor().material(mask, true)).build();
+    for (what, scene, asked) in
+        [("opaque", &opaque, false), ("masked", &masked, true), ("without a picture", &plain, false)]
+    {
+        let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, 1).unwrap());
+        let (_, work) = CpuBackend::new(scene, None).unwrap().trace_counted(&camera(), &mut mask);
+        let tests: u64 = work.iter().map(|work| work.alpha_tests).sum();
+        assert_eq!(tests > 0, asked, "{what} on cpu: {tests} tests of alpha");
+        assert_eq!(ComputeBackend::open(scene, None, true).unwrap().tests_alpha(), asked, "{what} on compute");
+    }
+}
+
+#[test]
+fn masks_and_what_is_kept_for_them_grow_with_the_lights() {
+    let tiles = u64::from(SIZE.0.div_ceil(TILE_PX) * SIZE.1.div_ceil(TILE_PX));
+    for lights in [1, 3, 8, 32] {
+        let scene = (0..lights).fold(floor(), |builder, _| builder.sun(Vec3::NEG_Y)).build();
+        let shape = MaskShape::new(SIZE.0, SIZE.1, lights).unwrap();
+        assert_eq!(Mask::new(shape).words().len() as u64, tiles * u64::from(lights));
+        let mut backend = ComputeBackend::open(&scene, None, true).unwrap();
+        backend.fit([shape]).unwrap();
+        let kept = backend.kept();
+        assert_eq!(kept.lights_bytes, u64::from(lights) * 48, "{kept:?}");
+        assert_eq!(kept.mask_bytes, tiles * 8 * u64::from(lights), "{kept:?}");
+        assert_eq!(kept.alpha_bytes, 0, "{kept:?}");
+        for backend in BackendName::EVERYWHERE {
+            let pixels = u64::from(SIZE.0 * SIZE.1);
+            assert_eq!(traced(backend, &scene).0, pixels * u64::from(lights), "{}", backend.name());
+        }
+    }
+}
