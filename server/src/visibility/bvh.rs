@@ -1,13 +1,13 @@
 //! A BVH with eight children a node and leaves of up to eight triangles, for kernels that test eight boxes at once.
 //!
-//! A binary tree comes first (`binary`); this file collapses it into the cheapest eight-wide one by the
-//! dynamic programme of Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide
-//! BVHs", HPG 2017, §3.1. Boxes stay f32: they are never rounded inwards.
+//! A binary tree comes first (`binary`); this file collapses it into the cheapest eight-wide one by the dynamic programme of
+//! Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", HPG 2017, §3.1. Boxes
+//! stay f32: they are never rounded inwards.
 
 use glam::Vec3;
 use obvhs::{aabb::Aabb, bvh2::Bvh2};
 
-use super::binary::{self, Care};
+use super::binary;
 
 /// Children of a node, and the most triangles in a leaf.
 pub const WIDTH: usize = 8;
@@ -80,6 +80,9 @@ pub struct Leaf {
     pub corners: [[F8; 3]; 3],
     /// Index of each triangle among those that the tree was built from.
     pub triangles: [u32; WIDTH],
+    /// The product of two sides' sizes (sums of coordinates' sizes), in square metres: by this times a distance, a
+    /// rounding moves the product of the normal and that distance.
+    pub span: F8,
     /// Bit i: slot i is used.
     pub used: u8,
     /// Bit i: triangle i is single-sided.
@@ -104,9 +107,6 @@ const NODE_COST: f32 = 1.0;
 const LEAF_COST: f32 = 3.0;
 const TRIANGLE_COST: f32 = 0.15;
 
-/// What obvhs takes for a build of middling care.
-const CARE: Care = Care { reach: 14, reinsertion: 0.05 };
-
 impl WideBvh {
     /// Builds a tree over `triangles`, whose indices must be in range and whose positions finite. Fewer than 2³¹
     /// triangles. Runs on the current rayon pool.
@@ -119,7 +119,7 @@ impl WideBvh {
             let [a, b, c] = corners.map(|i| positions[i as usize]);
             Aabb::new(a.min(b).min(c).into(), a.max(b).max(c).into())
         };
-        let binary = binary::build(&triangles.iter().map(bounds).collect::<Vec<_>>(), CARE);
+        let binary = binary::build(&triangles.iter().map(bounds).collect::<Vec<_>>());
         Collapse::new(&binary).run(positions, triangles, flags)
     }
 
@@ -244,8 +244,14 @@ impl<'a> Collapse<'a> {
     }
 
     fn leaf(&self, n: usize, positions: &[Vec3], triangles: &[[u32; 3]], flags: &dyn Fn(u32) -> TriangleFlags) -> Leaf {
-        let mut leaf =
-            Leaf { corners: [[F8::default(); 3]; 3], triangles: [0; WIDTH], used: 0, single_sided: 0, masked: 0 };
+        let mut leaf = Leaf {
+            corners: [[F8::default(); 3]; 3],
+            triangles: [0; WIDTH],
+            span: F8::default(),
+            used: 0,
+            single_sided: 0,
+            masked: 0,
+        };
         let mut slot = 0;
         let mut open = vec![n];
         while let Some(n) = open.pop() {
@@ -261,6 +267,8 @@ impl<'a> Collapse<'a> {
                     place.0[slot] = coordinate;
                 }
             }
+            let [a, b, c] = triangles[triangle as usize].map(|index| positions[index as usize]);
+            leaf.span.0[slot] = (b - a).abs().element_sum() * (c - a).abs().element_sum();
             let flags = flags(triangle);
             leaf.used |= 1 << slot;
             leaf.single_sided |= u8::from(flags.single_sided) << slot;
@@ -358,7 +366,8 @@ mod tests {
         let quads = (0..64).flat_map(|z| (0..64).map(move |x| 65 * z + x));
         let triangles: Vec<[u32; 3]> = quads.flat_map(|i| [[i, i + 65, i + 66], [i, i + 66, i + 1]]).collect();
         let wide = WideBvh::build(&positions, &triangles, &|_| TriangleFlags::default());
-        assert!(wide.leaves.len() * 4 < triangles.len(), "{} leaves", wide.leaves.len());
+        // 3.9 triangles a leaf.
+        assert!(wide.leaves.len() * 15 < triangles.len() * 4, "{} leaves", wide.leaves.len());
         assert!(wide.nodes.len() * 4 < wide.leaves.len(), "{} nodes", wide.nodes.len());
     }
 }

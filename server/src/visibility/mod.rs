@@ -12,7 +12,7 @@
 //!    normal faces it, and the point lies within its range and inside its outer cone. Irrelevant bits are 0.
 //! 4. **Facing.** Where the geometric normal faces away from a relevant light the surface hides it from itself: bit 0,
 //!    no ray. It faces the light when that is above the shadow ray's start by more than rounding can account for (5
-//!    rounding units of the height's terms), so that no light in a surface's own plane speckles it.
+//!    rounding units of the way to the light), so that no light in a surface's own plane speckles it.
 //! 5. **Shadow ray.** It starts at the point, interpolated from the vertices and pushed along the geometric normal by a
 //!    proven bound on how far interpolation took it off the plane: 16 rounding units of the magnitudes that were summed
 //!    (the idea of Wächter and Binder, Ray Tracing Gems, ch. 6, whose 256 are a rule of thumb). It ends at the light, or

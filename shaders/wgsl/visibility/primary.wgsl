@@ -20,13 +20,13 @@ var<immediate> view: TracedView;
 var<workgroup> tile_rays: atomic<u32>;
 
 // How far rounding may take the distance n · (l − s) of a light l from the plane through a shadow ray's start s, in rounding
-// units of Σ |nᵢ|·|lᵢ − sᵢ|: 1 for n, 1 for l − s, 3 for products and sums. The start is above its surface, so a light that is
+// units of Σ |lᵢ − sᵢ|: 1 for n, which has no coordinate above 1, 1 for l − s, 3 for products and sums. The start is above its surface, so a light that is
 // not above the start by more than this may lie in the surface's plane. Twin: `FACING_ROUNDINGS` in backend/cpu/light.rs.
 const FACING_ROUNDINGS: f32 = 5.0;
 
 // Whether a surface turns its face to a light in this direction, whatever rounding did.
 fn faces(geometric: vec3f, toward: vec3f) -> bool {
-    return dot(geometric, toward) > FACING_ROUNDINGS * ROUNDING * dot(abs(geometric), abs(toward));
+    return dot(geometric, toward) > FACING_ROUNDINGS * ROUNDING * dot(vec3f(1.0), abs(toward));
 }
 
 // Whether light `light` matters at `point`, and the surface does not hide it from itself; shadow rays begin at `start`.

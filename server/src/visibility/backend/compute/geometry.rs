@@ -15,11 +15,7 @@ use obvhs::{
 };
 
 use super::Traversal;
-use crate::visibility::{
-    backend::BackendError,
-    balance::bound_depth,
-    binary::{self, Care},
-};
+use crate::visibility::{backend::BackendError, balance::bound_depth, binary};
 
 /// Everything that the kernels read, except the lights.
 #[derive(Debug, Default)]
@@ -161,9 +157,7 @@ fn index_of_next<T>(what: &str, list: &[T]) -> Result<u32, BackendError> {
 
 /// The hierarchy over these triangles, as the kernels follow it.
 pub(super) fn build_hierarchy(shapes: &[Triangle]) -> CwBvh {
-    // A scene is built once and traced for days, so building may take its time: what obvhs takes for a slow build.
-    let care = Care { reach: 24, reinsertion: 0.2 };
-    let mut binary = binary::build(&shapes.iter().map(Boundable::aabb).collect::<Vec<_>>(), care);
+    let mut binary = binary::build(&shapes.iter().map(Boundable::aabb).collect::<Vec<_>>());
     // Three triangles are the most that a leaf of this format can name.
     let compress = |binary: &Bvh2| bvh2_to_cwbvh(binary, 3, true, false);
     let hierarchy = compress(&binary);

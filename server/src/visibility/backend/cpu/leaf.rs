@@ -65,6 +65,31 @@ pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
     inverse_far: f32,
     prepared: &mut Prepared,
 ) -> u8 {
+    prepare_as::<S, PARALLEL, CLOSEST, false>(s, leaf, group, inverse_far, prepared)
+}
+
+/// As [`prepare`], where some triangle's side is in doubt: a function of its own, so that the common way keeps its
+/// registers.
+#[cold]
+#[inline(never)]
+fn prepare_settled<S: Simd, const CLOSEST: bool>(
+    s: S,
+    leaf: &Leaf,
+    group: &Group,
+    inverse_far: f32,
+    prepared: &mut Prepared,
+) -> u8 {
+    prepare_as::<S, false, CLOSEST, true>(s, leaf, group, inverse_far, prepared)
+}
+
+#[inline(always)]
+fn prepare_as<S: Simd, const PARALLEL: bool, const CLOSEST: bool, const SETTLE: bool>(
+    s: S,
+    leaf: &Leaf,
+    group: &Group,
+    inverse_far: f32,
+    prepared: &mut Prepared,
+) -> u8 {
     let zero = s.splat(0.0);
     let a = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[0]);
     let b = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[1]);
@@ -73,11 +98,13 @@ pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
     // Positive when the normal points along the rays. Zero: edge-on, nothing to be met.
     let mut distance = vector::dot(s, normal, a);
     if !PARALLEL {
-        let sizes =
-            vector::size(s, vector::sub::<S>(b, a)) * vector::size(s, vector::sub::<S>(c, a)) * vector::size(s, a);
-        let sure = s.gt(s.abs(distance), sizes * s.splat(APEX_ROUNDINGS * ROUNDING));
+        let rounding = s.load(&leaf.span) * vector::size(s, a);
+        let sure = s.gt(s.abs(distance), rounding * s.splat(APEX_ROUNDINGS * ROUNDING));
         let doubtful = leaf.used & !s.bits(sure);
-        if doubtful != 0 {
+        if doubtful != 0 && !SETTLE {
+            return prepare_settled::<S, CLOSEST>(s, leaf, group, inverse_far, prepared);
+        }
+        if SETTLE {
             let mut distances = F8::default();
             s.store(distance, &mut distances);
             settle(leaf, &group.projection, doubtful, &mut distances);
@@ -111,8 +138,6 @@ const APEX_ROUNDINGS: f32 = 8.0;
 /// corners can tell. A lamp on a surface is not shadowed by it, a camera on one does not
 /// see it; and the sign of a distance turns the edges, so that a wrong
 /// one would let light through.
-#[cold]
-#[inline(never)]
 fn settle(leaf: &Leaf, projection: &Projection, slots: u8, distances: &mut F8) {
     let [u, v, w] = projection.axes;
     let [x, y, z] = projection.origin.map(f64::from);

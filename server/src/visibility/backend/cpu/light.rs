@@ -10,8 +10,8 @@ use super::{
     vector,
 };
 
-/// How far rounding may move a light's height above a shadow ray's start, in rounding units of the height's terms: 1 for the
-/// normal, 1 for the difference, 3 for products and sums. Twin: `FACING_ROUNDINGS` in visibility/primary.wgsl.
+/// How far rounding may move a light's height above a shadow ray's start, in rounding units of Σ |lᵢ − sᵢ|: 1 for the
+/// normal, which has no coordinate above 1, 1 for the difference, 3 for products and sums. Twin: `FACING_ROUNDINGS` in visibility/primary.wgsl.
 const FACING_ROUNDINGS: f32 = 5.0;
 
 /// A light, ready for testing points against it.
@@ -68,10 +68,9 @@ impl PreparedLight {
         };
         let normal = vector::load_packet(s, &surface.geometric, p);
         let height = vector::dot(s, normal, from_start);
-        let sizes = [0, 1, 2].map(|axis: usize| [s.abs(normal[axis]), s.abs(from_start[axis])]);
-        let terms = s.fma(sizes[0][0], sizes[0][1], s.fma(sizes[1][0], sizes[1][1], sizes[2][0] * sizes[2][1]));
+        let rounding = vector::size(s, from_start) * s.splat(FACING_ROUNDINGS * ROUNDING);
         let shading = vector::dot(s, vector::load_packet(s, &surface.shading, p), to_light);
-        let faces = s.and(s.gt(shading, zero), s.gt(height, terms * s.splat(FACING_ROUNDINGS * ROUNDING)));
+        let faces = s.and(s.gt(shading, zero), s.gt(height, rounding));
         let mut lanes = surface.lanes[p] & s.bits(faces);
         if !self.directional {
             let squared = vector::dot(s, to_light, to_light);

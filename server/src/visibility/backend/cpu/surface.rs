@@ -31,6 +31,12 @@ impl Corners {
             .collect()
     }
 
+    /// The unit normal of the plane.
+    #[inline(always)]
+    pub(super) fn geometric(&self) -> [f32; 3] {
+        self.geometric
+    }
+
     fn new(positions: [Vec3; 3], normals: [Vec3; 3]) -> Self {
         let [a, b, c] = positions;
         Self {

@@ -4,7 +4,7 @@ use super::{
     alpha::Alpha,
     count::Counter,
     frustum::Frustum,
-    group::{Group, PACKETS, Projection},
+    group::{Group, PACKETS},
     leaf::{Prepared, prepare},
     simd::{F8, Simd},
     surface::ROUNDING,
@@ -184,8 +184,8 @@ pub(super) fn occlude<S: Simd, C: Counter, const PARALLEL: bool>(
                 }
                 count.candidate();
                 let back = prepared.back >> slot & 1 == 1;
-                let point = group.projection.permute(s, vector::load_packet(s, points, p));
-                lanes &= s.bits(beyond(s, &group.projection, leaf, slot, back, point));
+                let normal = world.corners[leaf.triangles[slot] as usize].geometric();
+                lanes &= s.bits(beyond(s, normal, leaf, slot, back, vector::load_packet(s, points, p)));
                 if lanes != 0 && leaf.masked >> slot & 1 == 1 {
                     count.alpha(lanes.count_ones());
                     lanes = there(s, &world.alpha, leaf.triangles[slot], edges, lanes);
@@ -251,21 +251,16 @@ pub(super) const PLANE_ROUNDINGS: f32 = 6.0;
 
 /// Which points lie beyond the plane of triangle `slot`, seen along the rays, by more than rounding can account for.
 ///
-/// With corners a, b, c the distance is n·(p − a), n = (b − a) × (c − a), computed near the triangle and not near the light.
-/// n is exact but for its rounding to f32, so that long thin triangles have a plane as sharp as any. Each term is off by
-/// 1 rounding of n, 1 of p − a and 3 of the products and sums, contracted or not: 5, and one more for the bound itself.
+/// With a corner a and the unit normal n the distance is n·(p − a), computed near the triangle and not near the light. n comes
+/// from f64, and is exact but for its rounding to f32, so that long thin triangles have a plane as sharp as any. Each term is
+/// off by 1 rounding of n, 1 of p − a and 3 of the products and sums, contracted or not: 5, and one more for the bound itself.
 #[inline(always)]
-fn beyond<S: Simd>(s: S, projection: &Projection, leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
-    let [u, v, w] = projection.axes;
-    let [a, b, c] = leaf.corners.each_ref().map(|k| [k[u].0[slot], k[v].0[slot], k[w].0[slot] * projection.w_sign]);
-    let [ab, ac] = [b, c].map(|to| [0, 1, 2].map(|i| f64::from(to[i]) - f64::from(a[i])));
+fn beyond<S: Simd>(s: S, normal: [f32; 3], leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
     let mut distance = s.splat(0.0);
     let mut terms = s.splat(0.0);
-    for (i, j, k) in [(0, 1, 2), (1, 2, 0), (2, 0, 1)] {
-        let normal = ab[j] * ac[k] - ab[k] * ac[j];
-        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is accounted for")]
-        let normal = s.splat(if back { normal } else { -normal } as f32);
-        let way = point[i] - s.splat(a[i]);
+    for axis in 0..3 {
+        let normal = s.splat(if back { normal[axis] } else { -normal[axis] });
+        let way = point[axis] - s.splat(leaf.corners[0][axis].0[slot]);
         distance = s.fma(normal, way, distance);
         terms = s.fma(s.abs(normal), s.abs(way), terms);
     }
