@@ -4,7 +4,12 @@
 
 use std::collections::BTreeSet;
 
-use gnomon_tests::{backends::BackendName, hard_cases, rig::ray_queries::with_ray_queries};
+use gnomon_tests::{
+    backends::BackendName,
+    hard_cases,
+    report::accuracy::{self, AccuracyOptions, Part},
+    rig::ray_queries::with_ray_queries,
+};
 
 fn assert_within_bounds(size: (u32, u32), backends: &[BackendName]) {
     let cases = hard_cases::all(size, false).unwrap();
@@ -32,4 +37,32 @@ fn so_does_the_one_with_ray_queries() {
         assert_within_bounds((64, 40), &[BackendName::RayQuery]);
     })
     .unwrap();
+}
+
+#[test]
+fn the_report_has_a_table_and_a_picture_of_each_case() {
+    let out = tempfile::tempdir().unwrap();
+    let options = AccuracyOptions {
+        scenes: None,
+        only: Vec::new(),
+        size: (64, 36),
+        cases: vec!["coplanar".into(), "aimed".into()],
+        case_size: (64, 36),
+        parts: vec![Part::Cases],
+        backends: vec![BackendName::Cpu],
+        out: out.path().to_owned(),
+    };
+    let judged = accuracy::measure(&options, |line| println!("{line}")).unwrap();
+    assert!(judged.scenes.rows.is_empty());
+    let csv = std::fs::read_to_string(out.path().join("hard_cases.csv")).unwrap();
+    let mut lines = csv.lines();
+    assert_eq!(lines.next(), Some("case,backend,measure,value,bound,holds"));
+    let rows: Vec<_> = lines.collect();
+    assert!(rows.contains(&"aimed-at-edges-0,cpu,leaks,0,0,true"), "{csv}");
+    assert!(rows.contains(&"vertex-nan,loader,accepted,0,0,true"), "{csv}");
+    for case in ["coplanar", "coplanar-tilted", "aimed-at-edges-0", "aimed-at-edges-0.04"] {
+        assert!(rows.iter().any(|row| row.starts_with(&format!("{case},cpu,"))), "{csv}");
+        let picture = image::open(out.path().join(format!("case-{case}-cpu.png"))).unwrap();
+        assert_eq!((picture.width(), picture.height()), (64, 36));
+    }
 }

@@ -93,7 +93,7 @@ fn broken_triangles(size: (u32, u32)) -> Vec<Case> {
         heap = flat(heap, [point - Vec3::Y * 0.3, point + Vec3::X * 0.3, point + Vec3::Z * 0.3]);
     }
     vec![
-        Case::judged("slivers", slivers.build(), view).doubtful(0.02),
+        Case::judged("slivers", slivers.build(), view),
         Case::judged("zero-area-and-duplicates", heap.build(), view),
     ]
 }
@@ -122,8 +122,8 @@ fn heaps(size: (u32, u32), large: bool) -> Vec<Case> {
     }
     vec![
         Case::judged("bvh-equal-centroids", concentric.build(), view).doubtful(0.02),
-        Case::judged("bvh-diagonal-row", row.build(), view).doubtful(0.02),
-        Case::judged("bvh-one-place", point.build(), view).doubtful(0.02),
+        Case::judged("bvh-diagonal-row", row.build(), view),
+        Case::judged("bvh-one-place", point.build(), view),
     ]
 }
 
@@ -201,7 +201,7 @@ pub(super) fn cases(size: (u32, u32), large: bool) -> Result<Vec<Case>> {
         ("matrix-tiny", columns([1e-4, 0.0, 0.0], y, z, [0.3, 0.2, 0.0])),
     ] {
         let scene = loaded(TOP, matrix).with_context(|| format!("the case {name}"))?;
-        cases.push(Case::judged(name, scene, look([1.5, 2.2, 3.6], [0.0, 0.4, 0.0], size)).doubtful(0.02));
+        cases.push(Case::judged(name, scene, look([1.5, 2.2, 3.6], [0.0, 0.4, 0.0], size)));
     }
     Ok(cases)
 }

@@ -50,7 +50,7 @@ pub struct Case {
 
 impl Case {
     fn judged(name: impl Into<String>, scene: Scene, camera: Camera) -> Self {
-        Self { name: name.into(), scene, camera, known: Known::Referee { undecided_share: 0.01 } }
+        Self { name: name.into(), scene, camera, known: Known::Referee { undecided_share: 0.005 } }
     }
 
     fn doubtful(self, undecided_share: f64) -> Self {

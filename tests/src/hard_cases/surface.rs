@@ -52,7 +52,7 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
         .sun(Vec3::new(0.3, -1.0, -0.2))
         .build();
     minified.uvs.iter_mut().for_each(|uv| *uv *= 100.0);
-    cases.push(Case::judged("alpha-minified", minified, view).doubtful(0.05));
+    cases.push(Case::judged("alpha-minified", minified, view).doubtful(0.01));
 
     // Two boxes that share a side's plane and overlap there, a sheet on the floor, and one laid twice.
     let coplanar = floor()
@@ -63,7 +63,7 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
         .sun(Vec3::new(0.5, -1.0, -0.6))
         .point_light(Vec3::new(1.0, 2.5, 2.0), f32::INFINITY)
         .build();
-    cases.push(Case::judged("coplanar", coplanar, view).doubtful(0.02));
+    cases.push(Case::judged("coplanar", coplanar, view));
     // Faces in one tilted plane whose corners are rounded each for itself: nothing may shadow them.
     let (u, v) = (Vec3::new(0.7, 0.2, 0.1), Vec3::new(-0.1, 0.15, 0.8));
     let mut tilted = SceneBuilder::new();
