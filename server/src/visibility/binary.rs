@@ -4,7 +4,7 @@
 //! (Meister and Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy Construction", 2018), then obvhs'
 //! reinsertion. obvhs has that clustering too, but it takes time with the square of a number of boxes whose distances tie: a
 //! row of equal triangles, one laid many times, or shells around one centre have one pair of mutual nearest boxes
-//! a round, and a million of them took hours. Here ties go by lot, and a round that finds few pairs takes neighbours.
+//! a round, and a million of them would take hours. Here ties go by lot, and a round that finds few pairs takes neighbours.
 
 use obvhs::{
     aabb::Aabb,

@@ -92,10 +92,7 @@ fn broken_triangles(size: (u32, u32)) -> Vec<Case> {
         heap = flat(heap, [point, point + Vec3::X, point + Vec3::X * 0.5]);
         heap = flat(heap, [point - Vec3::Y * 0.3, point + Vec3::X * 0.3, point + Vec3::Z * 0.3]);
     }
-    vec![
-        Case::judged("slivers", slivers.build(), view),
-        Case::judged("zero-area-and-duplicates", heap.build(), view),
-    ]
+    vec![Case::judged("slivers", slivers.build(), view), Case::judged("zero-area-and-duplicates", heap.build(), view)]
 }
 
 /// Hierarchies that cannot be balanced, or in which boxes do not tell triangles apart.
