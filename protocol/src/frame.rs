@@ -12,7 +12,8 @@
 //! | to the end | the slices, one after the other |
 //!
 //! All little-endian. A slice can be decoded without the others: slice i of n covers the rows of tiles from
-//! ⌊i·rows/n⌋ up to ⌊(i+1)·rows/n⌋ ([`slice_tile_rows`]), so a frame has at most as many slices as rows of tiles.
+//! ⌊i·rows/n⌋ up to ⌊(i+1)·rows/n⌋ ([`slice_tile_rows`]), so a frame has at most as many slices as rows of tiles. Where
+//! the codec [slices](CodecId::is_sliced), each slice says itself what it covers, and [`Frame::slices`]' rows mean nothing.
 
 use std::ops::Range;
 
@@ -87,7 +88,7 @@ impl FrameHead {
     /// The most slices that the frame can have.
     #[must_use]
     pub fn max_slices(&self) -> usize {
-        (self.shape.tiles_y() as usize).min(MAX_FRAME_SLICES)
+        if self.codec.is_sliced() { MAX_FRAME_SLICES } else { (self.shape.tiles_y() as usize).min(MAX_FRAME_SLICES) }
     }
 
     /// Bytes before the table of slice lengths.
@@ -282,7 +283,7 @@ mod tests {
             bad[place] = byte;
             Frame::parse(&bad).unwrap_err()
         };
-        assert_eq!(with(0, 3), FrameError::Codec(3));
+        assert_eq!(with(0, 9), FrameError::Codec(9));
         assert_eq!(with(1, 0), FrameError::Shape(ShapeError::Size { width: 0, height: 20 }));
         assert_eq!(with(4, 0xFF), FrameError::Shape(ShapeError::Size { width: 10, height: 0xFF14 }));
         assert_eq!(with(5, 33), FrameError::Shape(ShapeError::Lights(33)));

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
 use gnomon_protocol::{
-    codec::{DecodeError, Decoder},
+    codec::{CodecId, DecodeError, Decoder, Encoder},
     frame::FrameError,
     mask::{Mask, MaskShape},
 };
@@ -100,6 +100,60 @@ fn tiles_with_bits_outside_the_picture_are_refused() {
                 }
                 Err(error) => panic!("{error}"),
             }
+        }
+    }
+}
+
+/// A frame of `tiles-small` or `tiles-fast`: 200×20 pixels and 3 lights are 4 × 3 × 3 blocks.
+fn tiles(codec: u8, slices: &[&[u8]]) -> Vec<u8> {
+    let count = u16::try_from(slices.len()).unwrap().to_le_bytes();
+    let lengths = slices.iter().flat_map(|slice| u32::try_from(slice.len()).unwrap().to_le_bytes());
+    let head = [codec, 200, 0, 20, 0, 3, count[0], count[1]];
+    head.into_iter().chain(lengths).chain(slices.concat()).collect()
+}
+
+#[test]
+fn slices_that_do_not_cover_the_blocks_in_order_take_no_memory() {
+    let all: &[u8] = &[0, 0, 0, 36, 0];
+    for codec in [3, 4] {
+        let cases: [(&[&[u8]], usize); 9] = [
+            (&[&[0, 0, 0, 20, 0], &[21, 0, 0, 15, 0]], 1),
+            (&[&[0, 0, 0, 20, 0], &[19, 0, 0, 17, 0]], 1),
+            (&[&[1, 0, 0, 35, 0]], 0),
+            (&[&[0, 0, 0, 35, 0]], 1),
+            (&[&[0, 0, 0, 37, 0]], 0),
+            (&[&[0, 0, 0, 0, 0], all], 0),
+            (&[&[0, 0, 0, 36]], 0),
+            (&[all, &[36, 0, 0, 1, 0]], 1),
+            (&[&[0, 0, 1, 36, 0]], 0),
+        ];
+        for (slices, bad) in cases {
+            let (result, mask) = decode(&tiles(codec, slices));
+            assert!(matches!(result, Err(DecodeError::Blocks { slice }) if slice == bad), "{slices:?}: {result:?}");
+            assert_eq!(mask.shape(), MaskShape::new(1, 1, 1).unwrap());
+        }
+    }
+}
+
+/// Every slice that an encoder makes decodes, and none does with a byte more; most do not with a byte less.
+#[test]
+fn slices_with_too_few_or_too_many_bits_are_refused() {
+    let mut mask = Mask::new(MaskShape::new(200, 20, 3).unwrap());
+    for light in 0..3 {
+        for (x, y) in (0..20).flat_map(|y| (0..200).map(move |x| (x, y))) {
+            mask.set(light, x, y, (x * 7 + y * 3 + light) % 31 > 11 && (x / 9 + y) % 5 != light);
+        }
+    }
+    for codec in [CodecId::TilesSmall, CodecId::TilesFast] {
+        let mut body = Vec::new();
+        Encoder::new(codec).for_packets_of(60_000).encode(&mask, &mut body).unwrap();
+        let (head, slice) = (&body[12..17], &body[17..]);
+        let with = |bits: &[u8]| decode(&tiles(codec.number(), &[&[head, bits].concat()])).0;
+        assert!(with(slice).is_ok());
+        assert!(matches!(with(&[slice, &[0; 9]].concat()), Err(DecodeError::Bits { slice: 0 })));
+        for length in 0..slice.len() - 8 {
+            let result = with(&slice[..length]);
+            assert!(matches!(result, Err(DecodeError::Bits { slice: 0 })), "{codec}, {length}: {result:?}");
         }
     }
 }

@@ -7,9 +7,10 @@ mod common;
 use std::num::NonZeroU16;
 
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder},
-    frame::Frame,
-    limits::MAX_FRAME_BYTES,
+    codec::{CodecId, Decoder, EncodeError, Encoder},
+    frame::{FRAME_HEAD_BYTES, Frame},
+    header::HEADER_BYTES,
+    limits::{MAX_FRAME_BYTES, MAX_FRAME_SLICES},
     mask::{Mask, MaskShape},
 };
 use proptest::prelude::*;
@@ -71,6 +72,7 @@ proptest! {
         pattern in patterns(),
         seed in any::<u64>(),
         slices in 1u16..=12,
+        packet_bytes in 0usize..2000,
     ) {
         let shape = MaskShape::new(width, height, lights).unwrap();
         let sent = mask(shape, pattern, seed);
@@ -78,10 +80,16 @@ proptest! {
         // A mask of another shape, with bits set: nothing of it may shine through.
         let mut received = mask(MaskShape::new(9, 17, 2).unwrap(), Pattern::AllLit, 0);
         for codec in CodecId::ALL {
-            let mut encoder = Encoder::with_slices(codec, NonZeroU16::new(slices).unwrap());
+            let mut encoder = Encoder::with_slices(codec, NonZeroU16::new(slices).unwrap()).for_packets_of(packet_bytes);
             encoder.encode(&sent, &mut body).unwrap();
             let frame = Frame::parse(&body).unwrap();
-            prop_assert_eq!(frame.slice_count(), usize::from(slices).min(shape.tiles_y() as usize));
+            if codec.is_sliced() {
+                // A block of noise takes up to 1 KiB, and is never cut.
+                let room = packet_bytes.saturating_sub(HEADER_BYTES + FRAME_HEAD_BYTES);
+                prop_assert!(frame.slices().all(|(_, slice)| slice.len() <= room.max(1024)));
+            } else {
+                prop_assert_eq!(frame.slice_count(), usize::from(slices).min(shape.tiles_y() as usize));
+            }
             prop_assert_eq!(decoder.decode(&body, &mut received).unwrap(), codec);
             prop_assert_eq!(&received, &sent);
         }
@@ -148,6 +156,18 @@ fn the_largest_masks_fit_a_frame() {
             assert!(body.len() <= MAX_FRAME_BYTES, "{codec}: {}", body.len());
             Decoder::new().decode(&body, &mut received).unwrap();
             assert!(received == clean, "{codec}");
+        }
+        // In slices of a datagram each, noise is too much, and shadows are not.
+        for codec in [CodecId::TilesSmall, CodecId::TilesFast] {
+            let refused = Encoder::new(codec).encode(&sent, &mut body);
+            assert!(
+                matches!(refused, Err(EncodeError::TooManySlices(slices)) if slices > MAX_FRAME_SLICES),
+                "{refused:?}"
+            );
+            let discs = mask(shape, Pattern::Discs, 7);
+            Encoder::new(codec).encode(&discs, &mut body).unwrap();
+            Decoder::new().decode(&body, &mut received).unwrap();
+            assert!(received == discs, "{codec}");
         }
     }
 }
