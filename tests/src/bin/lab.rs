@@ -8,6 +8,7 @@ use gnomon_tests::{
     cloister,
     report::{
         accuracy::{self, AccuracyOptions},
+        codec::{self, CodecOptions},
         lag::{self, LagOptions},
         link::{self, LinkOptions},
         load::{self, LoadOptions},
@@ -30,6 +31,8 @@ enum Command {
     /// Judges the back ends by the f64 referee on the real scenes: writes accuracy.csv and pictures, prints
     /// Markdown.
     Accuracy(AccuracyOptions),
+    /// Measures what each codec makes of a path's masks, in bytes and in time: writes codec.csv.
+    Codec(CodecOptions),
     /// Writes Gnomon's own scene: cloister.glb and its camera paths, cloister.json.
     MakeScene {
         /// Folder to write into.
@@ -57,6 +60,7 @@ fn run(arguments: Arguments) -> Result<()> {
         Command::Accuracy(options) => {
             print!("{}", accuracy::measure(&options, |line| eprintln!("{line}"))?.markdown());
         }
+        Command::Codec(options) => print!("{}", codec::measure(&options, |line| eprintln!("{line}"))?.markdown()),
         Command::MakeScene { out } => {
             let made = cloister::generate(&out)?;
             println!(
