@@ -104,12 +104,9 @@ fn tiles_with_bits_outside_the_picture_are_refused() {
     }
 }
 
-/// A frame of `tiles-small` or `tiles-fast`: 200×20 pixels and 3 lights are 4 × 3 × 3 blocks.
+/// A frame of `tiles-small` or `tiles-fast`, a part for each slice: 200×20 pixels and 3 lights are 4 × 3 × 3 blocks.
 fn tiles(codec: u8, slices: &[&[u8]]) -> Vec<u8> {
-    let count = u16::try_from(slices.len()).unwrap().to_le_bytes();
-    let lengths = slices.iter().flat_map(|slice| u32::try_from(slice.len()).unwrap().to_le_bytes());
-    let head = [codec, 200, 0, 20, 0, 3, count[0], count[1]];
-    head.into_iter().chain(lengths).chain(slices.concat()).collect()
+    slices.iter().flat_map(|slice| body(codec, (200, 20, 3), slice)).collect()
 }
 
 #[test]
@@ -156,6 +153,20 @@ fn slices_with_too_few_or_too_many_bits_are_refused() {
             assert!(matches!(result, Err(DecodeError::Bits { slice: 0 })), "{codec}, {length}: {result:?}");
         }
     }
+}
+
+#[test]
+fn parts_that_are_not_of_one_frame_are_refused() {
+    let part = |codec, first| body(codec, (200, 20, 3), &[first, 0, 0, 18, 0]);
+    let mixed = [part(3, 0), part(4, 18)].concat();
+    assert!(matches!(error(&mixed), DecodeError::Frame(FrameError::Parts)));
+    let cut = &[part(3, 0), part(3, 18)].concat()[..20];
+    assert!(matches!(error(cut), DecodeError::Frame(FrameError::TooShort { needed: 8, found: 3 })));
+    // Onto a mask of another shape, or where there are no parts.
+    let mut mask = Mask::new(MaskShape::new(200, 21, 3).unwrap());
+    let mut onto = |body: &[u8]| Decoder::new().decode_onto(body, &mut mask);
+    assert!(matches!(onto(&part(3, 0)), Err(DecodeError::NoParts)));
+    assert!(matches!(onto(&body(2, (200, 21, 3), &[0])), Err(DecodeError::NoParts)));
 }
 
 #[test]

@@ -29,9 +29,9 @@ pub use self::id::{CodecId, UnknownCodec};
 #[doc(hidden)]
 pub use self::tiles::train as train_tiles;
 use crate::{
-    frame::{FRAME_HEAD_BYTES, Frame, FrameError, FrameHead, slice_tile_rows},
+    frame::{Frame, FrameError, FrameHead, slice_tile_rows},
     header::HEADER_BYTES,
-    limits::{MAX_FRAME_BYTES, MAX_FRAME_SLICES, MAX_PACKET_BYTES},
+    limits::{MAX_FRAME_BYTES, MAX_PACKET_BYTES},
     mask::{Mask, MaskShape},
     pose::Pose,
 };
@@ -42,9 +42,6 @@ pub enum EncodeError {
     /// The frame would be longer than allowed. Only noise in 32 lights at more than 8.2 million pixels comes to this.
     #[error("the frame takes {0} bytes, at most {MAX_FRAME_BYTES} are allowed")]
     TooLong(usize),
-    /// The frame would have more slices than allowed. Only noise in more pixels than two million comes to this.
-    #[error("the frame takes {0} slices, at most {MAX_FRAME_SLICES} are allowed")]
-    TooManySlices(usize),
 }
 
 /// Why a body cannot be decoded.
@@ -99,6 +96,9 @@ pub enum DecodeError {
         /// The tile's place in its plane.
         tile: usize,
     },
+    /// The frame is not sliced, or has another shape than the mask that it is to be put into.
+    #[error("the frame has no parts, or another shape")]
+    NoParts,
     /// The slices do not cover the picture's blocks one after the other.
     #[error("slice {slice} has no blocks, or not those that follow the ones before")]
     Blocks {
@@ -126,11 +126,9 @@ impl DecodeError {
 pub struct Encoder {
     codec: CodecId,
     slices: NonZeroU16,
-    slice_bytes: usize,
+    packet_bytes: usize,
     rows: rows::Writer,
     tiles: tiles::Workspace,
-    sliced: Vec<u8>,
-    lengths: Vec<u32>,
 }
 
 impl fmt::Debug for Encoder {
@@ -153,11 +151,9 @@ impl Encoder {
         Self {
             codec,
             slices,
-            slice_bytes: slice_bytes(MAX_PACKET_BYTES),
+            packet_bytes: MAX_PACKET_BYTES,
             rows: rows::Writer::new(),
             tiles: tiles::Workspace::new(),
-            sliced: Vec::new(),
-            lengths: Vec::new(),
         }
     }
 
@@ -165,7 +161,7 @@ impl Encoder {
     /// the frames are sliced.
     #[must_use]
     pub fn for_packets_of(mut self, max_packet_bytes: usize) -> Self {
-        self.slice_bytes = slice_bytes(max_packet_bytes);
+        self.packet_bytes = max_packet_bytes;
         self
     }
 
@@ -207,7 +203,7 @@ impl Encoder {
         if body.len() > MAX_FRAME_BYTES { Err(EncodeError::TooLong(body.len())) } else { Ok(()) }
     }
 
-    /// Slices first, as nobody knows before how many there are; then the frame around them.
+    /// A part for each slice.
     fn encode_sliced(
         &mut self,
         head: &FrameHead,
@@ -215,26 +211,13 @@ impl Encoder {
         mask: &Mask,
         body: &mut Vec<u8>,
     ) -> Result<(), EncodeError> {
-        let Self { sliced, lengths, tiles, slice_bytes, .. } = self;
-        sliced.clear();
-        lengths.clear();
+        let slice_bytes = self.packet_bytes.saturating_sub(HEADER_BYTES + head.part_bytes());
+        let open = |body: &mut Vec<u8>| head.begin(1, body);
         // No slice is longer than its blocks' bits at 12 bits each.
-        tiles.encode(profile, mask, *slice_bytes, sliced, |length| {
-            lengths.push(u32::try_from(length).unwrap_or(u32::MAX));
-        });
-        let count = u16::try_from(lengths.len()).ok().filter(|count| usize::from(*count) <= head.max_slices());
-        head.begin(count.ok_or(EncodeError::TooManySlices(lengths.len()))?, body);
-        for (index, length) in lengths.iter().enumerate() {
-            head.set_slice_length(body, index, *length);
-        }
-        body.extend_from_slice(sliced);
+        let close = |part: &mut [u8], bytes| head.set_slice_length(part, 0, u32::try_from(bytes).unwrap_or(u32::MAX));
+        self.tiles.encode(profile, mask, slice_bytes, body, open, close);
         if body.len() > MAX_FRAME_BYTES { Err(EncodeError::TooLong(body.len())) } else { Ok(()) }
     }
-}
-
-/// Bytes that a packet leaves to a slice.
-fn slice_bytes(max_packet_bytes: usize) -> usize {
-    max_packet_bytes.saturating_sub(HEADER_BYTES + FRAME_HEAD_BYTES)
 }
 
 /// How a codec's slices come about.
@@ -290,36 +273,61 @@ impl Decoder {
     pub fn decode(&mut self, body: &[u8], mask: &mut Mask) -> Result<CodecId, DecodeError> {
         let frame = Frame::parse(body)?;
         let FrameHead { codec, shape, .. } = frame.head;
-        let form = Form::of(codec);
-        match form {
+        match Form::of(codec) {
             Form::Rows(form) => {
                 for (slice, (rows, bytes)) in frame.slices().enumerate() {
                     rows::check_length(form, shape, slice, &rows, bytes.len())?;
                 }
-            }
-            Form::Tiles(_) => check_cover(shape, &frame)?,
-        }
-        if mask.shape() != shape {
-            mask.reset(shape);
-        }
-        for (slice, (rows, bytes)) in frame.slices().enumerate() {
-            match form {
-                Form::Rows(form) => rows::read(form, &mut self.raw, slice, &rows, bytes, mask)?,
-                Form::Tiles(profile) => {
-                    self.tiles.decode(profile, bytes, mask).map_err(|failure| DecodeError::of_tiles(slice, failure))?;
+                if mask.shape() != shape {
+                    mask.reset(shape);
                 }
+                for (slice, (rows, bytes)) in frame.slices().enumerate() {
+                    rows::read(form, &mut self.raw, slice, &rows, bytes, mask)?;
+                }
+            }
+            Form::Tiles(profile) => {
+                check_cover(shape, body)?;
+                if mask.shape() != shape {
+                    mask.reset(shape);
+                }
+                self.decode_parts(profile, body, mask)?;
             }
         }
         Ok(codec)
     }
+
+    /// Decodes those parts of a sliced frame that have come, in any order; the rest of `mask` stays as it is.
+    ///
+    /// # Errors
+    /// When the body does not consist of parts of one frame with the mask's shape. Some tiles of `mask` may have
+    /// changed.
+    pub fn decode_onto(&mut self, body: &[u8], mask: &mut Mask) -> Result<CodecId, DecodeError> {
+        let FrameHead { codec, shape, .. } = Frame::parse(body)?.head;
+        match Form::of(codec) {
+            Form::Tiles(profile) if shape == mask.shape() => self.decode_parts(profile, body, mask).map(|()| codec),
+            Form::Tiles(_) | Form::Rows(_) => Err(DecodeError::NoParts),
+        }
+    }
+
+    fn decode_parts(&mut self, profile: tiles::Profile, body: &[u8], mask: &mut Mask) -> Result<(), DecodeError> {
+        for (slice, part) in Frame::parts(body).enumerate() {
+            for (_, bytes) in part?.slices() {
+                self.tiles.decode(profile, bytes, mask).map_err(|failure| DecodeError::of_tiles(slice, failure))?;
+            }
+        }
+        Ok(())
+    }
 }
 
-/// Whether the slices hold the picture's blocks one after the other.
-fn check_cover(shape: MaskShape, frame: &Frame<'_>) -> Result<(), DecodeError> {
-    let mut next = 0;
-    for (slice, (_, bytes)) in frame.slices().enumerate() {
-        let blocks = tiles::blocks_of(shape, bytes).filter(|blocks| blocks.start == next);
-        next = blocks.ok_or(DecodeError::Blocks { slice })?.end;
+/// Whether the parts hold the picture's blocks one after the other.
+fn check_cover(shape: MaskShape, body: &[u8]) -> Result<(), DecodeError> {
+    let (mut next, mut count) = (0, 0);
+    for (slice, part) in Frame::parts(body).enumerate() {
+        for (_, bytes) in part?.slices() {
+            let blocks = tiles::blocks_of(shape, bytes).filter(|blocks| blocks.start == next);
+            next = blocks.ok_or(DecodeError::Blocks { slice })?.end;
+        }
+        count = slice + 1;
     }
-    if next == tiles::block_count(shape) { Ok(()) } else { Err(DecodeError::Blocks { slice: frame.slice_count() }) }
+    if next == tiles::block_count(shape) { Ok(()) } else { Err(DecodeError::Blocks { slice: count }) }
 }

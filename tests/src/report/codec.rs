@@ -132,8 +132,8 @@ impl Tally {
             decode_ms = decode_ms.min(begun.elapsed().as_secs_f64() * 1e3);
         }
         let packetizer = Packetizer::new(MAX_PACKET_BYTES);
-        self.bytes.push(packetizer.wire_bytes(body.len()) as f64);
-        self.packets.push(packetizer.packet_count(body.len()) as f64);
+        self.bytes.push(packetizer.wire_bytes(&body) as f64);
+        self.packets.push(packetizer.packet_count(&body) as f64);
         self.encode_ms.push(encode_ms);
         self.decode_ms.push(decode_ms);
         let differ = mask.words().iter().zip(decoded.words()).map(|(a, b)| u64::from((a ^ b).count_ones()));

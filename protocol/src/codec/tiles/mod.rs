@@ -116,21 +116,24 @@ impl Workspace {
         }
     }
 
-    /// Appends slices of at most `slice_bytes` bytes, and tells each one's length. Only where that is too short for one block
-    /// (at most 1 KiB) is a slice longer.
+    /// Appends slices of at most `slice_bytes` bytes. Only where that is too short for one block (at most 1 KiB) is a slice
+    /// longer. What `open` appends comes before each of them, and `close` gets both and the slice's length.
     pub(super) fn encode(
         &mut self,
         profile: Profile,
         mask: &Mask,
         slice_bytes: usize,
         output: &mut Vec<u8>,
-        mut sliced: impl FnMut(usize),
+        open: impl Fn(&mut Vec<u8>),
+        close: impl Fn(&mut [u8], usize),
     ) {
         let order = Order::new(mask.shape());
         self.make_room(order.blocks());
         let bits_bytes = slice_bytes.saturating_sub(SLICE_HEAD_BYTES);
         let mut first = 0;
         while first < order.blocks() {
+            let part = output.len();
+            open(output);
             let start = output.len();
             output.extend_from_slice(&[0; SLICE_HEAD_BYTES]);
             let blocks = first..order.blocks().min(first + usize::from(u16::MAX));
@@ -140,7 +143,8 @@ impl Workspace {
             };
             output[start..start + 3].copy_from_slice(&first.to_le_bytes()[..3]);
             output[start + 3..start + 5].copy_from_slice(&(next - first).to_le_bytes()[..2]);
-            sliced(output.len() - start);
+            let bytes = output.len() - start;
+            close(&mut output[part..], bytes);
             first = next;
         }
     }
