@@ -12,6 +12,7 @@ use gnomon_tests::{
         lag::{self, LagOptions},
         link::{self, LinkOptions},
         load::{self, LoadOptions},
+        loss::{self, LossOptions},
         network::{self, NetworkOptions},
         pareto::{self, ParetoOptions},
         pipeline::{self, PipelineOptions},
@@ -47,6 +48,8 @@ enum Command {
     Link(LinkOptions),
     /// Puts many clients that draw nothing on a running server, and says what each of them gets.
     Load(LoadOptions),
+    /// Measures what lost packets do to the masks that a client shows, in a model of a session: writes loss.csv.
+    Loss(LossOptions),
     /// Measures the client behind networks of several kinds, against itself without a server: writes network.csv and plots.
     Network(NetworkOptions),
     /// Turns every knob that trades speed for error, over the real scenes: writes pareto.csv and a plot of each scene.
@@ -80,6 +83,7 @@ fn run(arguments: Arguments) -> Result<()> {
         Command::Lag(options) => print!("{}", lag::measure(&options, |line| eprintln!("{line}"))?.markdown()),
         Command::Link(options) => link::run(&options, |line| println!("{line}")).map(drop)?,
         Command::Load(options) => println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?),
+        Command::Loss(options) => print!("{}", loss::measure(&options, |line| eprintln!("{line}"))?.markdown()),
         Command::Network(options) => {
             print!("{}", network::measure(&options, |line| eprintln!("{line}"))?.markdown());
         }

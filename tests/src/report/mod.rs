@@ -6,6 +6,7 @@ pub mod lag;
 mod lag_plots;
 pub mod link;
 pub mod load;
+pub mod loss;
 pub mod network;
 mod network_replay;
 pub mod pareto;
