@@ -56,7 +56,7 @@ pub struct Arguments {
     /// Token, for a server that wants one
     #[arg(long, env = "GNOMON_TOKEN", hide_env_values = true, value_name = "TOKEN")]
     pub token: Option<String>,
-    /// Codec of the masks: words, words-lz4 or planes-lz4 [default: planes-lz4]
+    /// Codec of the masks: words, words-lz4, planes-lz4, tiles-small or tiles-fast [default: planes-lz4]
     #[arg(long, env = "GNOMON_CODEC", value_name = "CODEC")]
     pub codec: Option<CodecId>,
     /// Part of the graphics adapter's name [default: the first real GPU, or else software]

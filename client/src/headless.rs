@@ -2,7 +2,7 @@
 
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
-use gnomon_protocol::{codec::CodecId, mask::MaskShape, message::Welcome};
+use gnomon_protocol::{codec::CodecId, mask::MaskShape, message::Welcome, reassembler::Policy};
 use gnomon_shaders::{
     gpu::{Gpu, GpuOptions},
     scene::{LoadOptions, Scene},
@@ -158,6 +158,11 @@ impl HeadlessOptions {
         self.predict_pose.unwrap_or(!gpu.is_software())
     }
 
+    /// Which packets make a frame: a client that waits for its own mask wants all of it.
+    const fn policy(&self) -> Policy {
+        if self.codec.is_sliced() && !self.wait { Policy::Slices } else { Policy::WholeFrame }
+    }
+
     /// Width and height of the largest mask that is asked for.
     fn largest_mask(&self) -> (u32, u32) {
         let band = self.guard_choice().largest();
@@ -246,7 +251,8 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     drop(scene);
 
     let welcome = connected.as_ref().map(|connected| connected.admitted.welcome.clone());
-    let live = connected.map(|connected| start(connected, shape, options.save_masks.clone())).transpose()?;
+    let live =
+        connected.map(|connected| start(connected, shape, options.policy(), options.save_masks.clone())).transpose()?;
     let timing = timing(options, &camera_path);
     let frame_loop = FrameLoop {
         renderer,
@@ -308,9 +314,14 @@ fn get_scene(options: &HeadlessOptions, progress: &Progress) -> Result<(Scene, O
     }
 }
 
-fn start(connected: Connected, shape: MaskShape, save_masks: Option<PathBuf>) -> Result<Live, ClientError> {
+fn start(
+    connected: Connected,
+    shape: MaskShape,
+    policy: Policy,
+    save_masks: Option<PathBuf>,
+) -> Result<Live, ClientError> {
     let Connected { runtime, admitted } = connected;
-    let (session, masks) = runtime.block_on(admitted.start(shape, save_masks))?;
+    let (session, masks) = runtime.block_on(admitted.start(shape, policy, save_masks))?;
     Ok(Live::new(Arc::new(runtime), session, masks))
 }
 
@@ -349,6 +360,7 @@ fn summary(
         frames_rendered: outcome.frames,
         frames_with_mask: outcome.frames_with_mask,
         frames_received: received.frames,
+        frames_partial: received.partial,
         frames_incomplete: received.incomplete,
         frames_bad: received.bad,
         poses_repeated: outcome.poses_repeated,
@@ -361,7 +373,7 @@ fn summary(
         response_ms_mean: mean(&outcome.responses_ms),
         response_ms_p99: percentile(&outcome.responses_ms, 0.99),
         client_fps: f64::from(outcome.frames) / duration_s,
-        visibility_fps: welcome.map(|_| received.frames as f64 / duration_s),
+        visibility_fps: welcome.map(|_| (received.frames + received.partial) as f64 / duration_s),
         payload_bytes_mean: of_each(received.payload_bytes),
         packets_mean: of_each(received.packets),
         rtt_ms: outcome.round_trip.map(crate::stats::millis),

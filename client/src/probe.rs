@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_protocol::{codec::CodecId, ids::FrameNumber, mask::MaskShape, pose::Pose};
+use gnomon_protocol::{codec::CodecId, ids::FrameNumber, mask::MaskShape, pose::Pose, reassembler::Policy};
 use tokio::runtime::Handle;
 
 use crate::{
@@ -79,7 +79,7 @@ pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) ->
     let admitted = runtime.block_on(admit(&options.url, &introduction))?;
     let backend = admitted.welcome.backend.clone();
     let shape = MaskShape::new(options.width, options.height, admitted.welcome.lights)?;
-    let (session, masks) = runtime.block_on(admitted.start(shape, None))?;
+    let (session, masks) = runtime.block_on(admitted.start(shape, Policy::WholeFrame, None))?;
     let mut probe = Probe { session, masks, awaited: VecDeque::new(), responses_ms: Vec::new() };
     let begun = Instant::now();
     let ran = probe.run(options, path, begun);

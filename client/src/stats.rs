@@ -66,7 +66,9 @@ pub struct Summary {
     pub frames_with_mask: u32,
     /// Masks that came whole.
     pub frames_received: u64,
-    /// Masks of which something came, but not all.
+    /// Masks that were shown although some of their tiles did not come.
+    pub frames_partial: u64,
+    /// Masks of which something came, but not all, and which were not shown.
     pub frames_incomplete: u64,
     /// Whole frames that were no mask of the agreed shape.
     pub frames_bad: u64,
@@ -229,6 +231,7 @@ mod tests {
             frames_rendered: 3,
             frames_with_mask: 2,
             frames_received: 2,
+            frames_partial: 0,
             frames_incomplete: 1,
             frames_bad: 0,
             poses_repeated: 0,
@@ -273,6 +276,7 @@ mod tests {
         for name in [
             "frames_rendered",
             "frames_received",
+            "frames_partial",
             "frames_incomplete",
             "lag_frames_mean",
             "lag_frames_p50",

@@ -124,6 +124,25 @@ fn a_run_that_does_not_wait_goes_on_without_masks() {
 }
 
 #[test]
+fn what_comes_of_a_sliced_frame_is_shown() {
+    for codec in [CodecId::TilesSmall, CodecId::TilesFast] {
+        let lose = (0..400).map(|frame| (frame, Some(1))).collect();
+        let stage = Stage::start("lab-udp", Script { lose, ..Script::default() });
+        let folder = tempfile::tempdir().unwrap();
+        let mut options = stage.options(folder.path());
+        options.codec = codec;
+        options.frames = Some(40);
+        options.fps = Some(60.0);
+        options.save_masks = Some(folder.path().join("masks"));
+        let summary = run_headless(&options).unwrap();
+        assert_eq!((summary.frames_received, summary.frames_bad, summary.frames_incomplete), (0, 0, 0), "{codec}");
+        assert!(summary.frames_partial > 10 && summary.frames_with_mask > 10, "{codec}: {summary:?}");
+        // A mask of which something is missing is not one to keep.
+        assert_eq!(saved_masks(&folder.path().join("masks")), BTreeMap::new());
+    }
+}
+
+#[test]
 fn frames_that_are_no_masks_of_this_session_are_counted_and_passed_over() {
     let stage = Stage::start("lab-udp", Script { wrong_shape: vec![1], ..Script::default() });
     let folder = tempfile::tempdir().unwrap();

@@ -12,7 +12,9 @@
 //! | to the end | the slices, one after the other |
 //!
 //! All little-endian. A slice can be decoded without the others: slice i of n covers the rows of tiles from
-//! ⌊i·rows/n⌋ up to ⌊(i+1)·rows/n⌋ ([`slice_tile_rows`]), so a frame has at most as many slices as rows of tiles.
+//! ⌊i·rows/n⌋ up to ⌊(i+1)·rows/n⌋ ([`slice_tile_rows`]), so a frame has at most as many slices as rows of tiles. Where
+//! the codec [slices](CodecId::is_sliced), a body is one such frame after the other, its *parts*, with a slice each that says
+//! itself what it covers. A part fits a datagram and can be read alone ([`Frame::parts`], [`pieces`]).
 
 use std::ops::Range;
 
@@ -73,6 +75,9 @@ pub enum FrameError {
         /// The most that the shape can have.
         most: usize,
     },
+    /// The parts of a frame do not agree on what it is.
+    #[error("the parts of the frame say different things of it")]
+    Parts,
     /// The slices' lengths do not add up to the rest of the frame.
     #[error("the slices have {stated} bytes, {found} follow the table")]
     Length {
@@ -87,12 +92,17 @@ impl FrameHead {
     /// The most slices that the frame can have.
     #[must_use]
     pub fn max_slices(&self) -> usize {
-        (self.shape.tiles_y() as usize).min(MAX_FRAME_SLICES)
+        if self.codec.is_sliced() { 1 } else { (self.shape.tiles_y() as usize).min(MAX_FRAME_SLICES) }
     }
 
     /// Bytes before the table of slice lengths.
     pub(crate) fn bytes(&self) -> usize {
         FRAME_HEAD_BYTES + if self.traced_for.is_some() { POSE_BYTES } else { 0 }
+    }
+
+    /// Bytes of a part that are not its slice.
+    pub(crate) fn part_bytes(&self) -> usize {
+        self.bytes() + 4
     }
 
     /// Writes the length of slice `index` into a body that begins with this head.
@@ -140,11 +150,30 @@ pub struct Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// Takes a body apart. Nothing is decoded and no memory is taken.
+    /// Takes a body apart, or the first part of one that is sliced. Nothing is decoded and no memory is taken.
     ///
     /// # Errors
     /// When the body is too short or too long, the codec or the shape cannot be, or the slices do not fill the body.
     pub fn parse(body: &'a [u8]) -> Result<Self, FrameError> {
+        Self::parse_part(body).map(|(frame, _)| frame)
+    }
+
+    /// The parts of a body: as many as it has slices where it is sliced, or else the whole.
+    pub fn parts(body: &'a [u8]) -> impl Iterator<Item = Result<Self, FrameError>> + use<'a> {
+        let (mut rest, mut head) = (Some(body), None);
+        std::iter::from_fn(move || {
+            let parsed = Self::parse_part(rest.take()?).and_then(|(frame, after)| {
+                rest = Some(after).filter(|after| !after.is_empty());
+                if *head.get_or_insert(frame.head) == frame.head { Ok(frame) } else { Err(FrameError::Parts) }
+            });
+            if parsed.is_err() {
+                rest = None;
+            }
+            Some(parsed)
+        })
+    }
+
+    fn parse_part(body: &'a [u8]) -> Result<(Self, &'a [u8]), FrameError> {
         if body.len() > MAX_FRAME_BYTES {
             return Err(FrameError::TooLong(body.len()));
         }
@@ -171,11 +200,12 @@ impl<'a> Frame<'a> {
         let Some((table, slices)) = rest.split_at_checked(count * 4) else {
             return Err(FrameError::TooShort { needed: head.bytes() + count * 4, found: body.len() });
         };
-        let stated = lengths(table).map(u64::from).sum();
-        if stated != slices.len() as u64 {
+        let stated: u64 = lengths(table).map(u64::from).sum();
+        let end = usize::try_from(stated).ok().filter(|end| head.codec.is_sliced() || *end == slices.len());
+        let Some((slices, after)) = end.and_then(|end| slices.split_at_checked(end)) else {
             return Err(FrameError::Length { stated, found: slices.len() });
-        }
-        Ok(Self { head, table, slices })
+        };
+        Ok((Self { head, table, slices }, after))
     }
 
     /// Number of slices.
@@ -195,6 +225,23 @@ impl<'a> Frame<'a> {
             (slice_tile_rows(shape, index, count), slice)
         })
     }
+}
+
+/// What the packets of a frame carry, at most `most` bytes each: all but the last are full, and of a frame that is sliced
+/// each carries one part. A body that is no frame, or whose parts are too long, is cut anywhere.
+pub fn pieces(body: &[u8], most: usize) -> impl Iterator<Item = &[u8]> {
+    let parts = || {
+        let mut rest = body;
+        std::iter::from_fn(move || {
+            let (_, after) = Frame::parse_part(rest).ok().filter(|(part, _)| part.head.codec.is_sliced())?;
+            let (part, after) = rest.split_at(rest.len() - after.len());
+            rest = after;
+            Some(part)
+        })
+    };
+    let fits = parts().all(|part| part.len() <= most) && parts().map(<[u8]>::len).sum::<usize>() == body.len();
+    let chunks = if fits { &[] } else { body };
+    parts().take_while(move |_| fits).chain(chunks.chunks(most.max(1)))
 }
 
 fn lengths(table: &[u8]) -> impl Iterator<Item = u32> + use<'_> {
@@ -282,7 +329,7 @@ mod tests {
             bad[place] = byte;
             Frame::parse(&bad).unwrap_err()
         };
-        assert_eq!(with(0, 3), FrameError::Codec(3));
+        assert_eq!(with(0, 9), FrameError::Codec(9));
         assert_eq!(with(1, 0), FrameError::Shape(ShapeError::Size { width: 0, height: 20 }));
         assert_eq!(with(4, 0xFF), FrameError::Shape(ShapeError::Size { width: 10, height: 0xFF14 }));
         assert_eq!(with(5, 33), FrameError::Shape(ShapeError::Lights(33)));

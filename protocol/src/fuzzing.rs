@@ -103,7 +103,13 @@ const MAX_BODY_BYTES: usize = 64;
 /// the next byte names frame (upper four bits) and packet (lower four, modulo) of an honest packet, whose number of packets
 /// and first-packet flag the first byte's low six bits change when its bit 6 is set.
 pub fn reassembler(bytes: &[u8]) {
-    let mut reassembler = Reassembler::with_max_frame_bytes(Policy::WholeFrame, MAX_BODY_BYTES);
+    for policy in [Policy::WholeFrame, Policy::Slices] {
+        reassemble(policy, bytes);
+    }
+}
+
+fn reassemble(policy: Policy, bytes: &[u8]) {
+    let mut reassembler = Reassembler::with_max_frame_bytes(policy, MAX_BODY_BYTES);
     let (mut newest, mut honest, mut packets, mut complete, mut rest) = (None, true, 0, 0, bytes);
     while let [control, name, after @ ..] = rest {
         let progress = if control & 0x80 == 0 {
@@ -121,20 +127,29 @@ pub fn reassembler(bytes: &[u8]) {
         };
         packets += 1;
         let frame = reassembler.frame();
-        assert_eq!(frame.is_some(), progress == Ok(Progress::Complete));
+        match progress {
+            Ok(progress) => assert_eq!(frame.is_some(), matches!(progress, Progress::Complete | Progress::Partial)),
+            // Even a packet that is refused can end the frame before it.
+            Err(_) => assert!(frame.is_none_or(|frame| frame.missing > 0)),
+        }
         if let Some(frame) = frame {
-            complete += 1;
+            complete += u64::from(frame.missing == 0);
             assert!(newest < Some(frame.frame), "{newest:?}, then {frame:?}");
             newest = Some(frame.frame);
             assert!((1..=MAX_BODY_BYTES).contains(&frame.body.len()));
             assert!(frame.body.len() >= usize::from(frame.packets));
+            assert!(frame.missing == 0 || policy == Policy::Slices);
             if honest {
                 let number = frame.frame.0.to_le_bytes()[0];
+                assert_eq!(frame.packets + frame.missing, u16::from(honest_count(number)));
                 let whole: Vec<u8> = (0..honest_count(number)).flat_map(|index| honest_data(number, index)).collect();
-                assert_eq!(frame.body, whole);
+                match policy {
+                    Policy::WholeFrame => assert_eq!(frame.body, whole),
+                    Policy::Slices => assert!(frame.body.len() < whole.len() || frame.missing == 0),
+                }
             }
         }
-        assert!(reassembler.buffer_bytes() <= MAX_BODY_BYTES);
+        assert!(reassembler.buffer_bytes() <= if policy == Policy::Slices { 2 } else { 1 } * MAX_BODY_BYTES);
     }
     let stats = reassembler.stats();
     assert_eq!((stats.packets, stats.frames_complete), (packets, complete));

@@ -6,6 +6,7 @@ use bytes::{Bytes, BytesMut};
 use thiserror::Error;
 
 use crate::{
+    frame::pieces,
     header::{HEADER_BYTES, PacketHeader},
     ids::FrameNumber,
     limits::{MAX_FRAME_BYTES, MAX_FRAME_PACKETS, MAX_LAB_PACKET_BYTES},
@@ -59,14 +60,14 @@ impl Packetizer {
 
     /// Packets that a body takes.
     #[must_use]
-    pub const fn packet_count(&self, body_bytes: usize) -> usize {
-        body_bytes.div_ceil(self.payload_bytes)
+    pub fn packet_count(&self, body: &[u8]) -> usize {
+        pieces(body, self.payload_bytes).count()
     }
 
     /// Bytes that a body takes on the wire, headers included.
     #[must_use]
-    pub const fn wire_bytes(&self, body_bytes: usize) -> usize {
-        body_bytes + self.packet_count(body_bytes) * HEADER_BYTES
+    pub fn wire_bytes(&self, body: &[u8]) -> usize {
+        body.len() + self.packet_count(body) * HEADER_BYTES
     }
 
     /// Sequence number of the next packet.
@@ -75,7 +76,7 @@ impl Packetizer {
         self.next_sequence
     }
 
-    /// The packets of one frame, in order; all but the last are full. Each takes its sequence number when it is
+    /// The packets of one frame, in order, as [`pieces`] cuts it. Each takes its sequence number when it is
     /// made, so packets that are never taken from the iterator leave no gap.
     ///
     /// `timestamp_ms` wraps after 49.7 days; `u32::MAX`, which is the header's placeholder, is sent as the ms before.
@@ -94,13 +95,13 @@ impl Packetizer {
         if body.len() > MAX_FRAME_BYTES {
             return Err(PacketizeError::TooLong { frame, bytes: body.len() });
         }
-        let packets = self.packet_count(body.len());
+        let packets = self.packet_count(body);
         let counted = u16::try_from(packets).ok().filter(|_| packets <= MAX_FRAME_PACKETS);
         let counted = NonZeroU16::new(counted.ok_or(PacketizeError::TooManyPackets { frame, packets })?);
         let frame_packets = counted.ok_or(PacketizeError::Empty(frame))?;
-        self.buffer.reserve(self.wire_bytes(body.len()));
+        self.buffer.reserve(body.len() + packets * HEADER_BYTES);
         let Self { payload_bytes, next_sequence, buffer } = self;
-        Ok(body.chunks(*payload_bytes).enumerate().map(move |(index, payload)| {
+        Ok(pieces(body, *payload_bytes).enumerate().map(move |(index, payload)| {
             let header = PacketHeader {
                 sequence: *next_sequence,
                 frame: Some(frame),
@@ -134,8 +135,8 @@ mod tests {
             let packets = packets(&mut packetizer, frame, &body);
             let lengths: Vec<_> = packets.iter().map(Bytes::len).collect();
             assert_eq!(lengths, [1161, 1161, 16 + 3000 - 2 * 1145]);
-            assert_eq!(packetizer.packet_count(body.len()), 3);
-            assert_eq!(packetizer.wire_bytes(body.len()), 3048);
+            assert_eq!(packetizer.packet_count(&body), 3);
+            assert_eq!(packetizer.wire_bytes(&body), 3048);
             let mut data = Vec::new();
             for (index, packet) in (0u32..).zip(&packets) {
                 let (header, payload) = PacketHeader::decode(packet).unwrap();
@@ -154,13 +155,13 @@ mod tests {
     /// §3.1 counts 127 packets for the uncompressed words of 1920×1080 pixels.
     #[test]
     fn the_dissertations_frame_takes_127_lab_packets() {
-        assert_eq!(Packetizer::new(MAX_LAB_PACKET_BYTES).packet_count(1920 * 1080 * 4), 127);
+        assert_eq!(Packetizer::new(MAX_LAB_PACKET_BYTES).packet_count(&vec![0; 1920 * 1080 * 4]), 127);
     }
 
     #[test]
     fn any_allowed_frame_fits_the_count_at_the_datagram_size() {
         let packetizer = Packetizer::new(crate::limits::MAX_PACKET_BYTES);
-        assert!(packetizer.packet_count(MAX_FRAME_BYTES) <= MAX_FRAME_PACKETS);
+        assert!(packetizer.packet_count(&vec![0; MAX_FRAME_BYTES]) <= MAX_FRAME_PACKETS);
     }
 
     #[test]
@@ -197,7 +198,7 @@ mod tests {
         let bytes = MAX_FRAME_BYTES + 1;
         let mut large = Packetizer::new(usize::MAX);
         assert_eq!(error(&mut large, frame, &vec![0; bytes]), PacketizeError::TooLong { frame, bytes });
-        assert_eq!(large.packet_count(65_491), 1);
-        assert_eq!(large.packet_count(65_492), 2);
+        assert_eq!(large.packet_count(&[0; 65_491]), 1);
+        assert_eq!(large.packet_count(&[0; 65_492]), 2);
     }
 }

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
 use gnomon_protocol::{
-    codec::{DecodeError, Decoder},
+    codec::{CodecId, DecodeError, Decoder, Encoder},
     frame::FrameError,
     mask::{Mask, MaskShape},
 };
@@ -102,6 +102,71 @@ fn tiles_with_bits_outside_the_picture_are_refused() {
             }
         }
     }
+}
+
+/// A frame of `tiles-small` or `tiles-fast`, a part for each slice: 200×20 pixels and 3 lights are 4 × 3 × 3 blocks.
+fn tiles(codec: u8, slices: &[&[u8]]) -> Vec<u8> {
+    slices.iter().flat_map(|slice| body(codec, (200, 20, 3), slice)).collect()
+}
+
+#[test]
+fn slices_that_do_not_cover_the_blocks_in_order_take_no_memory() {
+    let all: &[u8] = &[0, 0, 0, 36, 0];
+    for codec in [3, 4] {
+        let cases: [(&[&[u8]], usize); 9] = [
+            (&[&[0, 0, 0, 20, 0], &[21, 0, 0, 15, 0]], 1),
+            (&[&[0, 0, 0, 20, 0], &[19, 0, 0, 17, 0]], 1),
+            (&[&[1, 0, 0, 35, 0]], 0),
+            (&[&[0, 0, 0, 35, 0]], 1),
+            (&[&[0, 0, 0, 37, 0]], 0),
+            (&[&[0, 0, 0, 0, 0], all], 0),
+            (&[&[0, 0, 0, 36]], 0),
+            (&[all, &[36, 0, 0, 1, 0]], 1),
+            (&[&[0, 0, 1, 36, 0]], 0),
+        ];
+        for (slices, bad) in cases {
+            let (result, mask) = decode(&tiles(codec, slices));
+            assert!(matches!(result, Err(DecodeError::Blocks { slice }) if slice == bad), "{slices:?}: {result:?}");
+            assert_eq!(mask.shape(), MaskShape::new(1, 1, 1).unwrap());
+        }
+    }
+}
+
+/// Every slice that an encoder makes decodes, and none does with a byte more; most do not with a byte less.
+#[test]
+fn slices_with_too_few_or_too_many_bits_are_refused() {
+    let mut mask = Mask::new(MaskShape::new(200, 20, 3).unwrap());
+    for light in 0..3 {
+        for (x, y) in (0..20).flat_map(|y| (0..200).map(move |x| (x, y))) {
+            mask.set(light, x, y, (x * 7 + y * 3 + light) % 31 > 11 && (x / 9 + y) % 5 != light);
+        }
+    }
+    for codec in [CodecId::TilesSmall, CodecId::TilesFast] {
+        let mut body = Vec::new();
+        Encoder::new(codec).for_packets_of(60_000).encode(&mask, &mut body).unwrap();
+        let (head, slice) = (&body[12..17], &body[17..]);
+        let with = |bits: &[u8]| decode(&tiles(codec.number(), &[&[head, bits].concat()])).0;
+        assert!(with(slice).is_ok());
+        assert!(matches!(with(&[slice, &[0; 9]].concat()), Err(DecodeError::Bits { slice: 0 })));
+        for length in 0..slice.len() - 8 {
+            let result = with(&slice[..length]);
+            assert!(matches!(result, Err(DecodeError::Bits { slice: 0 })), "{codec}, {length}: {result:?}");
+        }
+    }
+}
+
+#[test]
+fn parts_that_are_not_of_one_frame_are_refused() {
+    let part = |codec, first| body(codec, (200, 20, 3), &[first, 0, 0, 18, 0]);
+    let mixed = [part(3, 0), part(4, 18)].concat();
+    assert!(matches!(error(&mixed), DecodeError::Frame(FrameError::Parts)));
+    let cut = &[part(3, 0), part(3, 18)].concat()[..20];
+    assert!(matches!(error(cut), DecodeError::Frame(FrameError::TooShort { needed: 8, found: 3 })));
+    // Onto a mask of another shape, or where there are no parts.
+    let mut mask = Mask::new(MaskShape::new(200, 21, 3).unwrap());
+    let mut onto = |body: &[u8]| Decoder::new().decode_onto(body, &mut mask);
+    assert!(matches!(onto(&part(3, 0)), Err(DecodeError::NoParts)));
+    assert!(matches!(onto(&body(2, (200, 21, 3), &[0])), Err(DecodeError::NoParts)));
 }
 
 #[test]

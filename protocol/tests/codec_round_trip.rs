@@ -8,9 +8,11 @@ use std::num::NonZeroU16;
 
 use gnomon_protocol::{
     codec::{CodecId, Decoder, Encoder},
-    frame::Frame,
-    limits::MAX_FRAME_BYTES,
+    frame::{FRAME_HEAD_BYTES, Frame, pieces},
+    header::HEADER_BYTES,
+    limits::{MAX_FRAME_BYTES, MAX_FRAME_PACKETS, MAX_PACKET_BYTES},
     mask::{Mask, MaskShape},
+    packetizer::Packetizer,
 };
 use proptest::prelude::*;
 
@@ -71,6 +73,7 @@ proptest! {
         pattern in patterns(),
         seed in any::<u64>(),
         slices in 1u16..=12,
+        packet_bytes in 0usize..2000,
     ) {
         let shape = MaskShape::new(width, height, lights).unwrap();
         let sent = mask(shape, pattern, seed);
@@ -78,11 +81,45 @@ proptest! {
         // A mask of another shape, with bits set: nothing of it may shine through.
         let mut received = mask(MaskShape::new(9, 17, 2).unwrap(), Pattern::AllLit, 0);
         for codec in CodecId::ALL {
-            let mut encoder = Encoder::with_slices(codec, NonZeroU16::new(slices).unwrap());
+            let mut encoder = Encoder::with_slices(codec, NonZeroU16::new(slices).unwrap()).for_packets_of(packet_bytes);
             encoder.encode(&sent, &mut body).unwrap();
             let frame = Frame::parse(&body).unwrap();
-            prop_assert_eq!(frame.slice_count(), usize::from(slices).min(shape.tiles_y() as usize));
+            if codec.is_sliced() {
+                // A block of noise takes up to 1 KiB, and is never cut.
+                let room = packet_bytes.saturating_sub(HEADER_BYTES).max(1024 + FRAME_HEAD_BYTES + 4);
+                prop_assert!(pieces(&body, room).all(|part| part.len() <= room && Frame::parts(part).count() == 1));
+            } else {
+                prop_assert_eq!(frame.slice_count(), usize::from(slices).min(shape.tiles_y() as usize));
+            }
             prop_assert_eq!(decoder.decode(&body, &mut received).unwrap(), codec);
+            prop_assert_eq!(&received, &sent);
+        }
+    }
+
+    /// The parts of a sliced frame that come, in whatever order, change their own tiles and no others.
+    #[test]
+    fn each_part_stands_alone(
+        (width, height, lights) in (1u32..=300, 1u32..=150, 1u32..=5),
+        pattern in patterns(),
+        seed in any::<u64>(),
+    ) {
+        let shape = MaskShape::new(width, height, lights).unwrap();
+        let (before, sent) = (mask(shape, Pattern::Checkers, 0), mask(shape, pattern, seed));
+        let (mut decoder, mut body, mut random) = (Decoder::new(), Vec::new(), Random(seed));
+        for codec in CodecId::ALL.into_iter().filter(|codec| codec.is_sliced()) {
+            Encoder::new(codec).for_packets_of(0).encode(&sent, &mut body).unwrap();
+            let mut parts: Vec<&[u8]> = pieces(&body, MAX_PACKET_BYTES).collect();
+            (1..parts.len()).for_each(|place| parts.swap(place, random.index(place + 1)));
+            let mut received = before.clone();
+            for (count, part) in (1..).zip(&parts) {
+                let old = received.clone();
+                prop_assert_eq!(decoder.decode_onto(part, &mut received).unwrap(), codec);
+                let places = || old.words().iter().zip(received.words()).zip(sent.words());
+                prop_assert!(places().all(|((old, new), sent)| new == old || new == sent));
+                let mut all_so_far = before.clone();
+                decoder.decode_onto(&parts[..count].concat(), &mut all_so_far).unwrap();
+                prop_assert_eq!(&all_so_far, &received);
+            }
             prop_assert_eq!(&received, &sent);
         }
     }
@@ -146,6 +183,17 @@ fn the_largest_masks_fit_a_frame() {
         for codec in [CodecId::WordsLz4, CodecId::PlanesLz4] {
             Encoder::new(codec).encode(&sent, &mut body).unwrap();
             assert!(body.len() <= MAX_FRAME_BYTES, "{codec}: {}", body.len());
+            Decoder::new().decode(&body, &mut received).unwrap();
+            assert!(received == clean, "{codec}");
+        }
+        // In parts of a datagram each, with less noise: it takes them long.
+        sent.words_mut()[words / 32..].fill(u64::MAX);
+        Encoder::new(CodecId::Words).encode(&sent, &mut body).unwrap();
+        Decoder::new().decode(&body, &mut received).unwrap();
+        let clean = received.clone();
+        for codec in [CodecId::TilesSmall, CodecId::TilesFast] {
+            Encoder::new(codec).encode(&sent, &mut body).unwrap();
+            assert!(Packetizer::new(MAX_PACKET_BYTES).packet_count(&body) <= MAX_FRAME_PACKETS);
             Decoder::new().decode(&body, &mut received).unwrap();
             assert!(received == clean, "{codec}");
         }

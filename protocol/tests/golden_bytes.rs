@@ -23,7 +23,7 @@ fn hex(text: &str) -> Vec<u8> {
 
 #[test]
 fn version() {
-    assert_eq!(PROTOCOL_VERSION, 2);
+    assert_eq!(PROTOCOL_VERSION, 3);
 }
 
 #[test]
@@ -199,4 +199,38 @@ fn frames_of_planes() {
     corner.set(0, 1, 0, true);
     corner.set(0, 0, 1, true);
     frame(CodecId::PlanesLz4, 1, &corner, "02 0200 0200 01 0100 | 08000000 | 0201000000000000");
+}
+
+#[test]
+fn frames_of_tiles() {
+    let small = "03 0a00 0900 02 0100 | 0a000000 | 000000 0400 | 1ba713e6ab";
+    frame(CodecId::TilesSmall, 1, &wide(), small);
+    let fast = "04 0a00 0900 02 0100 | 0c000000 | 000000 0400 | f83e801003e080";
+    frame(CodecId::TilesFast, 1, &wide(), fast);
+}
+
+/// What the codecs know beforehand is a part of the protocol as well: discs meet most of its contexts.
+#[test]
+fn frames_of_many_tiles() {
+    let mut mask = Mask::new(MaskShape::new(700, 300, 3).unwrap());
+    for light in 0..3 {
+        for (x, y) in (0..300_u32).flat_map(|y| (0..700_u32).map(move |x| (x, y))) {
+            let from_centre = (x % 90).abs_diff(40 + light).pow(2) + (y % 70).abs_diff(30).pow(2);
+            mask.set(light, x, y, from_centre > (x / 90 + y / 70 * 8) * 17 + ((x * 7) ^ (y * 3)) % 40);
+        }
+    }
+    for (codec, length, digest) in
+        [(CodecId::TilesSmall, 2672, 13_754_718_524_727_062_367), (CodecId::TilesFast, 4177, 6_906_329_456_205_663_627)]
+    {
+        let mut body = Vec::new();
+        Encoder::new(codec).encode(&mask, &mut body).unwrap();
+        let mut decoded = Mask::new(MaskShape::new(1, 1, 1).unwrap());
+        Decoder::new().decode(&body, &mut decoded).unwrap();
+        assert_eq!(decoded, mask);
+        // FNV-1a.
+        let found = body
+            .iter()
+            .fold(0xCBF2_9CE4_8422_2325_u64, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3));
+        assert_eq!((body.len(), found), (length, digest), "{codec}");
+    }
 }

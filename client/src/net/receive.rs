@@ -1,4 +1,7 @@
 //! The receive task: packets → reassembler → decoder → back buffer → swap.
+//!
+//! Where each packet of a frame stands alone, a frame comes out in part when a newer one begins, or when what is missing of it
+//! has taken too long: tiles that did not come keep the value that they had.
 
 use std::{
     convert::Infallible,
@@ -7,32 +10,37 @@ use std::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
     },
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use gnomon_protocol::{
-    codec::Decoder,
+    codec::{DecodeError, Decoder},
     frame::Frame,
     header::PacketHeader,
     ids::FrameNumber,
     limits::MAX_FRAME_BYTES,
-    mask::MaskShape,
-    reassembler::{IgnoredCause, PacketError, Policy, Progress, Reassembler},
+    mask::{Mask, MaskShape},
+    reassembler::{CompleteFrame, IgnoredCause, PacketError, Policy, Progress, Reassembler},
 };
 
 use super::link::{DataReceiver, root_cause};
 use crate::mask_buffer::MaskWriter;
+
+/// How long the rest of a frame may take after its first packet: at 60 frames a second the next one comes before.
+const REST_PATIENCE: Duration = Duration::from_millis(25);
 
 /// What has come in so far.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Received {
     /// Whole frames that decoded.
     pub(crate) frames: u64,
-    /// Frames of which something came, but not all.
+    /// Frames that were shown although something of them was missing.
+    pub(crate) partial: u64,
+    /// Frames of which something came, but not all, and which were not shown.
     pub(crate) incomplete: u64,
     /// Frames whose pose had not been sent when their first packet came.
     pub(crate) future: u64,
-    /// Whole frames that did not decode, or have another shape than was agreed on.
+    /// Frames that did not decode, or have another shape than was agreed on.
     pub(crate) bad: u64,
     /// Bytes of the whole frames, packet headers not counted.
     pub(crate) payload_bytes: u64,
@@ -92,9 +100,11 @@ pub(crate) struct ReceiveTask {
     pub(crate) writer: MaskWriter,
     /// The largest shape that a mask may have.
     pub(crate) shape: MaskShape,
+    /// Which packets make a frame.
+    pub(crate) policy: Policy,
     pub(crate) counters: Counters,
     pub(crate) requested: Requested,
-    /// Folder that every frame's body is written to.
+    /// Folder that every whole frame's body is written to.
     pub(crate) save_masks: Option<PathBuf>,
 }
 
@@ -109,9 +119,12 @@ impl ReceiveTask {
 
     async fn receive(&mut self) -> Result<Infallible, String> {
         let limit = max_frame_bytes(self.shape);
-        let fresh = || Reassembler::with_max_frame_bytes(Policy::WholeFrame, limit);
+        let policy = self.policy;
+        let fresh = || Reassembler::with_max_frame_bytes(policy, limit);
         let mut reassembler = fresh();
-        let mut decoder = Decoder::new();
+        let mut decoder = FrameDecoder::new(policy, self.shape);
+        // When the frame at hand comes out as it is.
+        let mut deadline = None;
         // Of the reassemblers before this one.
         let mut incomplete_before = 0;
         // Whether a frame is begun, which the reassembler counts as incomplete only when it gives it up.
@@ -119,8 +132,14 @@ impl ReceiveTask {
         // The newest mask.
         let mut whole = None;
         loop {
-            let packet =
-                self.receiver.receive().await.map_err(|error| format!("connection lost: {}", root_cause(&error)))?;
+            let Ok(packet) = within(deadline, self.receiver.receive()).await else {
+                (deadline, begun) = (None, false);
+                reassembler.end();
+                let incomplete = incomplete_before + reassembler.stats().frames_incomplete;
+                whole = self.take_frame(&reassembler, &mut decoder, incomplete)?.or(whole);
+                continue;
+            };
+            let packet = packet.map_err(|error| format!("connection lost: {}", root_cause(&error)))?;
             let header = PacketHeader::decode(packet).ok().map(|(header, _)| header);
             if let Some(header) = header.filter(|header| self.requested.is_ahead(header)) {
                 tracing::debug!(frame = ?header.frame, "a packet of a frame that was not asked for yet");
@@ -137,9 +156,15 @@ impl ReceiveTask {
             match progress {
                 Ok(Progress::Complete) => {
                     begun = false;
-                    whole = self.take_frame(&reassembler, &mut decoder, incomplete)?.or(whole);
+                    deadline = None;
                 }
-                Ok(Progress::Stored) => begun = true,
+                Ok(Progress::Partial) => deadline = Some(Instant::now() + REST_PATIENCE),
+                Ok(Progress::Stored) => {
+                    begun = true;
+                    if policy == Policy::Slices {
+                        deadline = deadline.or_else(|| Some(Instant::now() + REST_PATIENCE));
+                    }
+                }
                 Ok(Progress::Ignored(cause)) => {
                     begun &= !matches!(cause, IgnoredCause::OutOfOrder | IgnoredCause::Newer);
                     tracing::trace!(?cause, "packet ignored");
@@ -153,14 +178,15 @@ impl ReceiveTask {
                     tracing::debug!(%error, "bad packet");
                 }
             }
+            whole = self.take_frame(&reassembler, &mut decoder, incomplete)?.or(whole);
         }
     }
 
-    /// Hands a whole frame to the renderer, and says which it was, unless it is no mask.
+    /// Hands the frame that has come out to the renderer, and says which it was, unless there is none or it is no mask.
     fn take_frame(
         &mut self,
         reassembler: &Reassembler,
-        decoder: &mut Decoder,
+        decoder: &mut FrameDecoder,
         incomplete: u64,
     ) -> Result<Option<FrameNumber>, String> {
         let Some(complete) = reassembler.frame() else { return Ok(None) };
@@ -170,7 +196,7 @@ impl ReceiveTask {
         let decoded = match Frame::parse(complete.body).map(|frame| frame.head) {
             Ok(head) if is_within(self.shape, head.shape) => {
                 back.traced_for = head.traced_for;
-                decoder.decode(complete.body, &mut back.mask).map(drop).map_err(|error| error.to_string())
+                decoder.decode(&complete, head.shape, &mut back.mask).map_err(|error| error.to_string())
             }
             Ok(head) => Err(format!("its shape is {:?}, {:?} is the largest agreed on", head.shape, self.shape)),
             Err(error) => Err(error.to_string()),
@@ -182,11 +208,15 @@ impl ReceiveTask {
             tracing::warn!(frame = complete.frame.0, %reason, "a frame is no mask");
             return Ok(None);
         }
-        counters.frames += 1;
-        counters.payload_bytes += complete.body.len() as u64;
-        counters.packets += u64::from(complete.packets);
+        if complete.missing == 0 {
+            counters.frames += 1;
+            counters.payload_bytes += complete.body.len() as u64;
+            counters.packets += u64::from(complete.packets);
+        } else {
+            counters.partial += 1;
+        }
         drop(counters);
-        if let Some(folder) = &self.save_masks {
+        if let Some(folder) = self.save_masks.as_ref().filter(|_| complete.missing == 0) {
             let file = folder.join(format!("frame_{:06}.body", complete.frame.0));
             std::fs::write(&file, complete.body)
                 .map_err(|error| format!("cannot write {}: {error}", file.display()))?;
@@ -200,13 +230,53 @@ impl ReceiveTask {
     }
 }
 
+/// What `receive` gives, or nothing when the deadline comes before.
+async fn within<T>(
+    deadline: Option<Instant>,
+    receive: impl Future<Output = T>,
+) -> Result<T, tokio::time::error::Elapsed> {
+    match deadline {
+        Some(deadline) => tokio::time::timeout_at(deadline.into(), receive).await,
+        None => Ok(receive.await),
+    }
+}
+
+/// Decodes frames, and knows the tiles that frames in part leave out.
+struct FrameDecoder {
+    decoder: Decoder,
+    /// The newest value of each tile, where frames come in part.
+    newest: Option<Mask>,
+}
+
+impl FrameDecoder {
+    fn new(policy: Policy, shape: MaskShape) -> Self {
+        Self { decoder: Decoder::new(), newest: (policy == Policy::Slices).then(|| Mask::new(shape)) }
+    }
+
+    /// Decodes a frame whose head says `shape`.
+    fn decode(&mut self, frame: &CompleteFrame<'_>, shape: MaskShape, mask: &mut Mask) -> Result<(), DecodeError> {
+        let Some(newest) = &mut self.newest else {
+            return self.decoder.decode(frame.body, mask).map(drop);
+        };
+        if newest.shape() != shape {
+            newest.reset(shape);
+        }
+        self.decoder.decode_onto(frame.body, newest)?;
+        if mask.shape() != shape {
+            mask.reset(shape);
+        }
+        mask.words_mut().copy_from_slice(newest.words());
+        Ok(())
+    }
+}
+
 /// Whether masks of this shape may come at all; which one was asked for is known where poses are.
 fn is_within(largest: MaskShape, shape: MaskShape) -> bool {
     shape.lights() == largest.lights() && shape.width() <= largest.width() && shape.height() <= largest.height()
 }
 
 /// The longest that a frame of this shape can be: its words uncompressed, what LZ4 adds to noise (one byte in 255),
-/// and the head with its table of slices.
+/// and the heads of a frame and its parts.
 fn max_frame_bytes(shape: MaskShape) -> usize {
     let words = shape.pixels() * 4;
     (words + words / 255 + 64 * 1024).min(MAX_FRAME_BYTES)

@@ -13,6 +13,7 @@ use gnomon_protocol::{
     mask::MaskShape,
     message::{ClientMessage, Hello, ServerMessage, Welcome},
     pose::Pose,
+    reassembler::Policy,
 };
 use tokio::{
     sync::{oneshot, watch},
@@ -146,6 +147,7 @@ impl Admitted {
     pub(crate) async fn start(
         mut self,
         shape: MaskShape,
+        policy: Policy,
         save_masks: Option<PathBuf>,
     ) -> Result<(Session, MaskReader), ClientError> {
         let started = self.link.writer.write(&ClientMessage::Start).await;
@@ -160,6 +162,7 @@ impl Admitted {
             receiver,
             writer: mask_writer,
             shape,
+            policy,
             counters: Arc::clone(&counters),
             requested: requested.clone(),
             save_masks,

@@ -22,6 +22,9 @@ use gnomon_protocol::{
 };
 use gnomon_shaders::scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene};
 
+/// So short that every mask takes several.
+const PACKET_BYTES: usize = MAX_PACKET_BYTES / 4;
+
 /// What goes wrong.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Script {
@@ -235,7 +238,7 @@ impl Session<'_> {
 fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: CodecId) {
     let mut link = Link::open(data);
     let (mut encoder, mut packetizer, mut body) =
-        (Encoder::new(codec), Packetizer::new(MAX_PACKET_BYTES / 4), Vec::new());
+        (Encoder::new(codec).for_packets_of(PACKET_BYTES), Packetizer::new(PACKET_BYTES), Vec::new());
     let (mut latest, mut owed) = (None, false);
     while let Some(packet) = link.receive() {
         let (sequence, FrameNumber(frame), _) = decode_pose_packet(&packet).unwrap();

@@ -15,16 +15,20 @@ pub enum CodecId {
     WordsLz4 = 1,
     /// Bit planes in 8×8 tiles, LZ4.
     PlanesLz4 = 2,
+    /// Bit planes in 8×8 tiles, in contexts: the fewest bytes, in slices that stand alone.
+    TilesSmall = 3,
+    /// The same tiles with prefix codes: more bytes, in a tenth of the time.
+    TilesFast = 4,
 }
 
 /// A text that names no codec.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error("no codec is called {0:?}: there are words, words-lz4 and planes-lz4")]
+#[error("no codec is called {0:?}: there are words, words-lz4, planes-lz4, tiles-small and tiles-fast")]
 pub struct UnknownCodec(pub String);
 
 impl CodecId {
     /// All codecs.
-    pub const ALL: [Self; 3] = [Self::Words, Self::WordsLz4, Self::PlanesLz4];
+    pub const ALL: [Self; 5] = [Self::Words, Self::WordsLz4, Self::PlanesLz4, Self::TilesSmall, Self::TilesFast];
 
     /// Name on command lines and in configuration.
     #[must_use]
@@ -33,7 +37,16 @@ impl CodecId {
             Self::Words => "words",
             Self::WordsLz4 => "words-lz4",
             Self::PlanesLz4 => "planes-lz4",
+            Self::TilesSmall => "tiles-small",
+            Self::TilesFast => "tiles-fast",
         }
+    }
+
+    /// Whether each slice of a frame names what it covers, fits a datagram, and needs nothing but itself. The other codecs
+    /// cut the picture into equal parts.
+    #[must_use]
+    pub const fn is_sliced(self) -> bool {
+        matches!(self, Self::TilesSmall | Self::TilesFast)
     }
 
     /// Number in a frame's head.
@@ -69,16 +82,20 @@ mod tests {
 
     #[test]
     fn names_and_numbers_name_one_codec_each() {
-        for (codec, name, number) in
-            [(CodecId::Words, "words", 0), (CodecId::WordsLz4, "words-lz4", 1), (CodecId::PlanesLz4, "planes-lz4", 2)]
-        {
+        for (codec, name, number) in [
+            (CodecId::Words, "words", 0),
+            (CodecId::WordsLz4, "words-lz4", 1),
+            (CodecId::PlanesLz4, "planes-lz4", 2),
+            (CodecId::TilesSmall, "tiles-small", 3),
+            (CodecId::TilesFast, "tiles-fast", 4),
+        ] {
             assert_eq!(codec.to_string(), name);
             assert_eq!(name.parse(), Ok(codec));
             assert_eq!(codec.number(), number);
             assert_eq!(CodecId::from_number(number), Some(codec));
         }
-        assert_eq!(CodecId::from_number(3), None);
-        for wrong in ["", "Words", "words_lz4", "planes", " words"] {
+        assert_eq!(CodecId::from_number(5), None);
+        for wrong in ["", "Words", "words_lz4", "planes", "tiles", " words"] {
             assert_eq!(wrong.parse::<CodecId>(), Err(UnknownCodec(wrong.to_owned())));
         }
     }

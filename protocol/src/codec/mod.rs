@@ -5,6 +5,7 @@
 //! | `words` | a u32 a pixel, row by row (dissertation §3.1) | as they are |
 //! | `words-lz4` | the same | LZ4 block (dissertation §3.5) |
 //! | `planes-lz4` | for each light the slice's 8×8 tiles, a u64 each | LZ4 block |
+//! | `tiles-small`, `tiles-fast` | – | [`tiles`], in as many slices as datagrams are needed |
 //!
 //! A compressed slice that would not be shorter than its raw bytes is sent as these. The decoder is strict: a slice
 //! gives exactly its raw bytes; bits of words that stand for no light of the frame, and bits of tiles that lie outside
@@ -15,18 +16,23 @@
 mod id;
 mod lz4;
 mod planes;
+mod rows;
+mod tiles;
 mod words;
 
-use std::{fmt, num::NonZeroU16, ops::Range};
+use std::{fmt, num::NonZeroU16};
 
 use lz4_flex::block::DecompressError;
 use thiserror::Error;
 
 pub use self::id::{CodecId, UnknownCodec};
+#[doc(hidden)]
+pub use self::tiles::train as train_tiles;
 use crate::{
     frame::{Frame, FrameError, FrameHead, slice_tile_rows},
-    limits::MAX_FRAME_BYTES,
-    mask::{Mask, MaskShape, TILE_PX},
+    header::HEADER_BYTES,
+    limits::{MAX_FRAME_BYTES, MAX_PACKET_BYTES},
+    mask::{Mask, MaskShape},
     pose::Pose,
 };
 
@@ -90,14 +96,39 @@ pub enum DecodeError {
         /// The tile's place in its plane.
         tile: usize,
     },
+    /// The frame is not sliced, or has another shape than the mask that it is to be put into.
+    #[error("the frame has no parts, or another shape")]
+    NoParts,
+    /// The slices do not cover the picture's blocks one after the other.
+    #[error("slice {slice} has no blocks, or not those that follow the ones before")]
+    Blocks {
+        /// The slice's place, or the number of slices when blocks are missing at the end.
+        slice: usize,
+    },
+    /// A slice has fewer or more bits than its blocks take.
+    #[error("slice {slice} has fewer or more bits than its blocks")]
+    Bits {
+        /// The slice's place.
+        slice: usize,
+    },
+}
+
+impl DecodeError {
+    const fn of_tiles(slice: usize, failure: tiles::Failure) -> Self {
+        match failure {
+            tiles::Failure::Blocks => Self::Blocks { slice },
+            tiles::Failure::Bits => Self::Bits { slice },
+        }
+    }
 }
 
 /// Encodes masks; keeps its memory from frame to frame.
 pub struct Encoder {
     codec: CodecId,
     slices: NonZeroU16,
-    raw: Vec<u8>,
-    lz4: lz4::Compressor,
+    packet_bytes: usize,
+    rows: rows::Writer,
+    tiles: tiles::Workspace,
 }
 
 impl fmt::Debug for Encoder {
@@ -114,9 +145,24 @@ impl Encoder {
     }
 
     /// An encoder that makes frames of `slices` slices, or as many as the mask has rows of tiles if these are fewer.
+    /// Codecs whose frames are sliced ([`CodecId::is_sliced`]) take as many as are needed instead.
     #[must_use]
     pub fn with_slices(codec: CodecId, slices: NonZeroU16) -> Self {
-        Self { codec, slices, raw: Vec::new(), lz4: lz4::Compressor::new() }
+        Self {
+            codec,
+            slices,
+            packet_bytes: MAX_PACKET_BYTES,
+            rows: rows::Writer::new(),
+            tiles: tiles::Workspace::new(),
+        }
+    }
+
+    /// Each of the slices fits a packet of `max_packet_bytes` bytes with the packet's header and the frame's head, where
+    /// the frames are sliced.
+    #[must_use]
+    pub fn for_packets_of(mut self, max_packet_bytes: usize) -> Self {
+        self.packet_bytes = max_packet_bytes;
+        self
     }
 
     /// What the frames are encoded with.
@@ -141,11 +187,15 @@ impl Encoder {
         body.clear();
         let shape = mask.shape();
         let head = FrameHead { codec: self.codec, shape, traced_for };
+        let form = match Form::of(self.codec) {
+            Form::Rows(form) => form,
+            Form::Tiles(profile) => return self.encode_sliced(&head, profile, mask, body),
+        };
         let count = u16::try_from(head.max_slices()).unwrap_or(u16::MAX).min(self.slices.get());
         head.begin(count, body);
         for slice in 0..usize::from(count) {
             let start = body.len();
-            self.append_slice(mask, &slice_tile_rows(shape, slice, count.into()), body);
+            self.rows.append(form, mask, &slice_tile_rows(shape, slice, count.into()), body);
             let too_long = EncodeError::TooLong(body.len());
             let bytes = u32::try_from(body.len() - start).map_err(|_| too_long)?;
             head.set_slice_length(body, slice, bytes);
@@ -153,129 +203,131 @@ impl Encoder {
         if body.len() > MAX_FRAME_BYTES { Err(EncodeError::TooLong(body.len())) } else { Ok(()) }
     }
 
-    fn append_slice(&mut self, mask: &Mask, rows: &Range<usize>, body: &mut Vec<u8>) {
-        let (shape, words) = (mask.shape(), mask.words());
-        match self.codec {
-            CodecId::Words => {
-                for row in rows.clone() {
-                    let bytes = at_least(&mut self.raw, raw_bytes(self.codec, shape, &(row..row + 1)));
-                    words::from_planes(shape, words, row, bytes);
-                    body.extend_from_slice(bytes);
-                }
-            }
-            CodecId::WordsLz4 => {
-                let raw = at_least(&mut self.raw, raw_bytes(self.codec, shape, rows));
-                let mut rest = &mut *raw;
-                for row in rows.clone() {
-                    let bytes = raw_bytes(self.codec, shape, &(row..row + 1));
-                    let (head, tail) = rest.split_at_mut(bytes);
-                    words::from_planes(shape, words, row, head);
-                    rest = tail;
-                }
-                body.extend_from_slice(self.lz4.compress(raw));
-            }
-            CodecId::PlanesLz4 => {
-                let raw = at_least(&mut self.raw, raw_bytes(self.codec, shape, rows));
-                planes::write(shape, words, rows, raw);
-                body.extend_from_slice(self.lz4.compress(raw));
-            }
+    /// A part for each slice.
+    fn encode_sliced(
+        &mut self,
+        head: &FrameHead,
+        profile: tiles::Profile,
+        mask: &Mask,
+        body: &mut Vec<u8>,
+    ) -> Result<(), EncodeError> {
+        let slice_bytes = self.packet_bytes.saturating_sub(HEADER_BYTES + head.part_bytes());
+        let open = |body: &mut Vec<u8>| head.begin(1, body);
+        // No slice is longer than its blocks' bits at 12 bits each.
+        let close = |part: &mut [u8], bytes| head.set_slice_length(part, 0, u32::try_from(bytes).unwrap_or(u32::MAX));
+        self.tiles.encode(profile, mask, slice_bytes, body, open, close);
+        if body.len() > MAX_FRAME_BYTES { Err(EncodeError::TooLong(body.len())) } else { Ok(()) }
+    }
+}
+
+/// How a codec's slices come about.
+#[derive(Debug, Clone, Copy)]
+enum Form {
+    Rows(rows::Form),
+    Tiles(tiles::Profile),
+}
+
+impl Form {
+    const fn of(codec: CodecId) -> Self {
+        match codec {
+            CodecId::Words => Self::Rows(rows::Form::Words),
+            CodecId::WordsLz4 => Self::Rows(rows::Form::WordsLz4),
+            CodecId::PlanesLz4 => Self::Rows(rows::Form::PlanesLz4),
+            CodecId::TilesSmall => Self::Tiles(tiles::Profile::Small),
+            CodecId::TilesFast => Self::Tiles(tiles::Profile::Fast),
         }
     }
 }
 
 /// Decodes frames; keeps its memory from frame to frame.
-#[derive(Debug, Default)]
 pub struct Decoder {
     raw: Vec<u8>,
+    tiles: tiles::Workspace,
+}
+
+impl fmt::Debug for Decoder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Decoder").finish_non_exhaustive()
+    }
+}
+
+impl Default for Decoder {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 impl Decoder {
     /// A decoder for all codecs.
     #[must_use]
-    pub const fn new() -> Self {
-        Self { raw: Vec::new() }
+    pub fn new() -> Self {
+        Self { raw: Vec::new(), tiles: tiles::Workspace::new() }
     }
 
     /// Decodes a frame into `mask`, which takes the frame's shape: whoever expects a certain one looks at it after,
     /// or at [`Frame::parse`]'s head before. All sizes are checked before memory is taken, which is never more than
-    /// the raw bytes of one slice and the mask.
+    /// the mask and the raw bytes of one slice, or twice the mask where frames are sliced.
     ///
     /// # Errors
     /// When the body is not exactly one frame. The mask is then one of some shape, with bits of no meaning.
     pub fn decode(&mut self, body: &[u8], mask: &mut Mask) -> Result<CodecId, DecodeError> {
         let frame = Frame::parse(body)?;
         let FrameHead { codec, shape, .. } = frame.head;
-        for (slice, (rows, bytes)) in frame.slices().enumerate() {
-            let (found, raw) = (bytes.len(), raw_bytes(codec, shape, &rows));
-            let fits = match codec {
-                CodecId::Words => found == raw,
-                CodecId::WordsLz4 | CodecId::PlanesLz4 => lz4::can_be(found, raw),
-            };
-            if !fits {
-                return Err(DecodeError::SliceLength { slice, found, raw });
+        match Form::of(codec) {
+            Form::Rows(form) => {
+                for (slice, (rows, bytes)) in frame.slices().enumerate() {
+                    rows::check_length(form, shape, slice, &rows, bytes.len())?;
+                }
+                if mask.shape() != shape {
+                    mask.reset(shape);
+                }
+                for (slice, (rows, bytes)) in frame.slices().enumerate() {
+                    rows::read(form, &mut self.raw, slice, &rows, bytes, mask)?;
+                }
             }
-        }
-        if mask.shape() != shape {
-            mask.reset(shape);
-        }
-        for (slice, (rows, bytes)) in frame.slices().enumerate() {
-            self.decode_slice(codec, slice, &rows, bytes, mask)?;
+            Form::Tiles(profile) => {
+                check_cover(shape, body)?;
+                if mask.shape() != shape {
+                    mask.reset(shape);
+                }
+                self.decode_parts(profile, body, mask)?;
+            }
         }
         Ok(codec)
     }
 
-    fn decode_slice(
-        &mut self,
-        codec: CodecId,
-        slice: usize,
-        rows: &Range<usize>,
-        bytes: &[u8],
-        mask: &mut Mask,
-    ) -> Result<(), DecodeError> {
-        let shape = mask.shape();
-        let raw_len = raw_bytes(codec, shape, rows);
-        let raw = match codec {
-            CodecId::Words => bytes,
-            CodecId::WordsLz4 | CodecId::PlanesLz4 => {
-                lz4::decompress(bytes, raw_len, &mut self.raw).map_err(|failure| match failure {
-                    lz4::Failure::Block(source) => DecodeError::Lz4 { slice, source },
-                    lz4::Failure::Short(found) => DecodeError::Short { slice, found, raw: raw_len },
-                })?
-            }
-        };
-        match codec {
-            CodecId::Words | CodecId::WordsLz4 => {
-                let mut rest = raw;
-                for row in rows.clone() {
-                    let (head, tail) = rest.split_at(raw_bytes(codec, shape, &(row..row + 1)));
-                    words::to_planes(shape, head, row, mask.words_mut()).map_err(|words::StrayLights(set)| {
-                        DecodeError::StrayLights { slice, set, lights: shape.lights() }
-                    })?;
-                    rest = tail;
-                }
-                Ok(())
-            }
-            CodecId::PlanesLz4 => planes::read(shape, raw, rows, mask.words_mut())
-                .map_err(|planes::StrayPixels { light, tile }| DecodeError::StrayPixels { light, tile }),
+    /// Decodes those parts of a sliced frame that have come, in any order; the rest of `mask` stays as it is.
+    ///
+    /// # Errors
+    /// When the body does not consist of parts of one frame with the mask's shape. Some tiles of `mask` may have
+    /// changed.
+    pub fn decode_onto(&mut self, body: &[u8], mask: &mut Mask) -> Result<CodecId, DecodeError> {
+        let FrameHead { codec, shape, .. } = Frame::parse(body)?.head;
+        match Form::of(codec) {
+            Form::Tiles(profile) if shape == mask.shape() => self.decode_parts(profile, body, mask).map(|()| codec),
+            Form::Tiles(_) | Form::Rows(_) => Err(DecodeError::NoParts),
         }
+    }
+
+    fn decode_parts(&mut self, profile: tiles::Profile, body: &[u8], mask: &mut Mask) -> Result<(), DecodeError> {
+        for (slice, part) in Frame::parts(body).enumerate() {
+            for (_, bytes) in part?.slices() {
+                self.tiles.decode(profile, bytes, mask).map_err(|failure| DecodeError::of_tiles(slice, failure))?;
+            }
+        }
+        Ok(())
     }
 }
 
-/// Bytes that the rows of tiles `rows` take before compression; there is at least one row.
-fn raw_bytes(codec: CodecId, shape: MaskShape, rows: &Range<usize>) -> usize {
-    match codec {
-        CodecId::Words | CodecId::WordsLz4 => {
-            let pixel_rows = (rows.end * TILE_PX as usize).min(shape.height() as usize) - rows.start * TILE_PX as usize;
-            pixel_rows * shape.width() as usize * words::WORD_BYTES
+/// Whether the parts hold the picture's blocks one after the other.
+fn check_cover(shape: MaskShape, body: &[u8]) -> Result<(), DecodeError> {
+    let (mut next, mut count) = (0, 0);
+    for (slice, part) in Frame::parts(body).enumerate() {
+        for (_, bytes) in part?.slices() {
+            let blocks = tiles::blocks_of(shape, bytes).filter(|blocks| blocks.start == next);
+            next = blocks.ok_or(DecodeError::Blocks { slice })?.end;
         }
-        CodecId::PlanesLz4 => rows.len() * shape.tiles_x() as usize * shape.lights() as usize * planes::TILE_BYTES,
+        count = slice + 1;
     }
-}
-
-/// The first `len` bytes of a buffer that is only ever lengthened.
-fn at_least(buffer: &mut Vec<u8>, len: usize) -> &mut [u8] {
-    if buffer.len() < len {
-        buffer.resize(len, 0);
-    }
-    &mut buffer[..len]
+    if next == tiles::block_count(shape) { Ok(()) } else { Err(DecodeError::Blocks { slice: count }) }
 }

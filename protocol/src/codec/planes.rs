@@ -15,7 +15,7 @@ pub(super) struct StrayPixels {
 }
 
 /// Bits of a tile that lie inside the picture.
-fn inside(shape: MaskShape, tile_x: usize, tile_y: usize) -> u64 {
+pub(super) fn inside(shape: MaskShape, tile_x: usize, tile_y: usize) -> u64 {
     let side = TILE_PX as usize;
     let columns = (shape.width() as usize - tile_x * side).min(side);
     let rows = (shape.height() as usize - tile_y * side).min(side);

@@ -112,24 +112,24 @@ const fn transpose_bits(mut bits: u64) -> u64 {
     bits ^ swap ^ swap << 28
 }
 
-/// Transposes an 8×8 matrix of bytes, a row in each u64.
-const fn transpose_bytes(mut rows: [u64; 8]) -> [u64; 8] {
-    let steps = [(4, 32, 0x0000_0000_FFFF_FFFF), (2, 16, 0x0000_FFFF_0000_FFFF), (1, 8, 0x00FF_00FF_00FF_00FF)];
-    let mut step = 0;
-    while step < 3 {
-        let (distance, shift, low) = steps[step];
-        let mut row = 0;
-        while row < 8 {
-            if row & distance == 0 {
-                let (a, b) = (rows[row], rows[row + distance]);
-                rows[row] = a & low | (b & low) << shift;
-                rows[row + distance] = a >> shift & low | b & !low;
-            }
-            row += 1;
-        }
-        step += 1;
+/// Transposes an 8×8 matrix of bytes, a row in each u64: swaps the off-diagonal quarters of the whole, then of each
+/// quarter, and so on.
+#[inline]
+pub(super) const fn transpose_bytes(rows: [u64; 8]) -> [u64; 8] {
+    const fn swap(a: u64, b: u64, shift: u32, low: u64) -> (u64, u64) {
+        (a & low | (b & low) << shift, a >> shift & low | b & !low)
     }
-    rows
+    let [a, b, c, d, e, f, g, h] = rows;
+    let low = 0x0000_0000_FFFF_FFFF;
+    let ((a, e), (b, f), (c, g), (d, h)) =
+        (swap(a, e, 32, low), swap(b, f, 32, low), swap(c, g, 32, low), swap(d, h, 32, low));
+    let low = 0x0000_FFFF_0000_FFFF;
+    let ((a, c), (b, d), (e, g), (f, h)) =
+        (swap(a, c, 16, low), swap(b, d, 16, low), swap(e, g, 16, low), swap(f, h, 16, low));
+    let low = 0x00FF_00FF_00FF_00FF;
+    let ((a, b), (c, d), (e, f), (g, h)) =
+        (swap(a, b, 8, low), swap(c, d, 8, low), swap(e, f, 8, low), swap(g, h, 8, low));
+    [a, b, c, d, e, f, g, h]
 }
 
 #[cfg(test)]

@@ -1,17 +1,22 @@
-//! The greedy reassembler: packets in, whole frames out.
+//! The greedy reassembler: packets in, frames out.
 //!
-//! Data goes straight to its place in one buffer, which is kept from frame to frame and never grows beyond its limit.
+//! Data goes straight to its place in one buffer, which is kept from frame to frame and never grows beyond its limit; a
+//! second one of that kind holds a frame that came in part.
 //! Frames come out in strictly increasing order. Which packets are taken is the [`Policy`]'s business.
 //!
 //! The reassembler believes what the packets say, as the dissertation's does: that nobody but the peer can send them
 //! is the transport's duty. (A forged frame number near 2³² would make it ignore all that follows.)
 
+mod slices;
 mod stats;
 mod whole_frame;
 
 use thiserror::Error;
 
-use self::whole_frame::{FramePacket, Verdict, WholeFrame};
+use self::{
+    slices::Slices,
+    whole_frame::{FramePacket, Verdict, WholeFrame},
+};
 pub use self::{stats::ReassemblerStats, whole_frame::IgnoredCause};
 use crate::{
     header::{HeaderError, PacketHeader},
@@ -25,6 +30,9 @@ pub enum Policy {
     /// All packets of a frame, in order, or none (dissertation §3.2, Figure 2).
     #[default]
     WholeFrame,
+    /// Those that come, in any order: for frames whose packets can each be read alone
+    /// ([`CodecId::is_sliced`](crate::codec::CodecId::is_sliced)).
+    Slices,
 }
 
 /// What a packet did.
@@ -36,6 +44,9 @@ pub enum Progress {
     Stored,
     /// Its data is in the buffer, and the frame is complete: [`Reassembler::frame`] has it until the next packet.
     Complete,
+    /// Its data is in the buffer, and the frame before its own ends in part: [`Reassembler::frame`] has that until the next
+    /// packet.
+    Partial,
 }
 
 /// Why bytes are no packet of a frame.
@@ -81,19 +92,31 @@ pub struct CompleteFrame<'a> {
     pub frame: FrameNumber,
     /// When its sender made it, in ms since the sender's first frame.
     pub timestamp_ms: u32,
-    /// Packets that it took.
+    /// Packets that came.
     pub packets: u16,
-    /// Its bytes.
+    /// Packets that did not: none but under [`Policy::Slices`].
+    pub missing: u16,
+    /// Its bytes, as far as they came: in the packets' own order where none is missing and [`Policy::Slices`] does not
+    /// hold, and otherwise in the order in which they came.
     pub body: &'a [u8],
 }
 
 /// Puts frames together. See the module.
 #[derive(Debug)]
 pub struct Reassembler {
-    state: WholeFrame,
+    state: State,
     body: Vec<u8>,
+    /// A frame that ended in part, and its data.
+    ended: Option<slices::Current>,
+    ended_body: Vec<u8>,
     max_frame_bytes: usize,
     stats: ReassemblerStats,
+}
+
+#[derive(Debug)]
+enum State {
+    WholeFrame(WholeFrame),
+    Slices(Slices),
 }
 
 impl Reassembler {
@@ -106,10 +129,14 @@ impl Reassembler {
     /// A reassembler for frames of up to `max_frame_bytes`, for who knows how long a frame can be.
     #[must_use]
     pub fn with_max_frame_bytes(policy: Policy, max_frame_bytes: usize) -> Self {
-        let Policy::WholeFrame = policy;
         Self {
-            state: WholeFrame::new(max_frame_bytes),
+            state: match policy {
+                Policy::WholeFrame => State::WholeFrame(WholeFrame::new(max_frame_bytes)),
+                Policy::Slices => State::Slices(Slices::new(max_frame_bytes)),
+            },
             body: Vec::new(),
+            ended: None,
+            ended_body: Vec::new(),
             max_frame_bytes,
             stats: ReassemblerStats::default(),
         }
@@ -123,27 +150,63 @@ impl Reassembler {
     pub fn push(&mut self, datagram: &[u8]) -> Result<Progress, PacketError> {
         self.stats.packets += 1;
         self.stats.bytes += datagram.len() as u64;
-        self.state.leave_complete();
+        self.ended = None;
+        match &mut self.state {
+            State::WholeFrame(state) => state.leave_complete(),
+            State::Slices(state) => state.leave_complete(),
+        }
         let progress = self.take(datagram);
         match progress {
-            Ok(Progress::Stored | Progress::Complete) => self.stats.stored += 1,
+            Ok(Progress::Stored | Progress::Complete | Progress::Partial) => self.stats.stored += 1,
             Ok(Progress::Ignored(cause)) => *self.ignored(cause) += 1,
             Err(_) => self.stats.malformed += 1,
         }
-        self.stats.frames_complete = self.state.frames_complete;
-        self.stats.frames_incomplete = self.state.frames_incomplete;
+        self.count_frames();
         progress
     }
 
-    /// The frame that the last packet completed, if it did.
+    /// Waits no longer for the frame at hand: what came of it comes out, and [`Self::frame`] has it until the next packet.
+    /// Says whether there is one. Under [`Policy::WholeFrame`] there never is.
+    pub fn end(&mut self) -> bool {
+        let State::Slices(state) = &mut self.state else { return false };
+        state.leave_complete();
+        self.ended = state.end();
+        if self.ended.is_some() {
+            std::mem::swap(&mut self.body, &mut self.ended_body);
+        }
+        self.count_frames();
+        self.ended.is_some()
+    }
+
+    fn count_frames(&mut self) {
+        let stats = &mut self.stats;
+        match &self.state {
+            State::WholeFrame(state) => {
+                stats.frames_complete = state.frames_complete;
+                stats.frames_incomplete = state.frames_incomplete;
+            }
+            State::Slices(state) => {
+                stats.frames_complete = state.frames_complete;
+                stats.frames_partial = state.frames_partial;
+                stats.frames_incomplete = state.frames_incomplete;
+            }
+        }
+    }
+
+    /// The frame that the last packet completed or ended, if it did; the newer one, if it did both.
     #[must_use]
     pub fn frame(&self) -> Option<CompleteFrame<'_>> {
-        self.state.complete().map(|complete| CompleteFrame {
-            frame: complete.first.frame,
-            timestamp_ms: complete.first.timestamp_ms,
-            packets: complete.taken,
-            body: &self.body,
-        })
+        let (first, packets, missing, body) = match &self.state {
+            State::WholeFrame(state) => {
+                state.complete().map(|complete| (complete.first, complete.taken, 0, &self.body))
+            }
+            State::Slices(state) => match (state.complete(), self.ended) {
+                (Some(complete), _) => Some((complete.begun_by, complete.taken, 0, &self.body)),
+                (None, Some(ended)) => Some((ended.begun_by, ended.taken, ended.missing(), &self.ended_body)),
+                (None, None) => None,
+            },
+        }?;
+        Some(CompleteFrame { frame: first.frame, timestamp_ms: first.timestamp_ms, packets, missing, body })
     }
 
     /// What has happened so far.
@@ -152,10 +215,10 @@ impl Reassembler {
         &self.stats
     }
 
-    /// Bytes of memory that the buffer holds.
+    /// Bytes of memory that the buffers hold.
     #[must_use]
     pub const fn buffer_bytes(&self) -> usize {
-        self.body.capacity()
+        self.body.capacity() + self.ended_body.capacity()
     }
 
     fn take(&mut self, datagram: &[u8]) -> Result<Progress, PacketError> {
@@ -164,7 +227,17 @@ impl Reassembler {
         if data.is_empty() {
             return Err(PacketError::Empty(packet.sequence));
         }
-        match self.state.packet(&packet) {
+        let verdict = match &mut self.state {
+            State::WholeFrame(state) => state.packet(&packet),
+            State::Slices(state) => {
+                if state.is_newer(&packet) {
+                    self.ended = state.end();
+                    std::mem::swap(&mut self.body, &mut self.ended_body);
+                }
+                state.packet(&packet)
+            }
+        };
+        match verdict {
             Verdict::Ignore(cause) => return Ok(Progress::Ignored(cause)),
             Verdict::Contradiction => {
                 return Err(PacketError::Contradiction { sequence: packet.sequence, frame: packet.frame });
@@ -176,7 +249,15 @@ impl Reassembler {
             Verdict::Append => {}
         }
         self.append(data);
-        Ok(if self.state.complete().is_some() { Progress::Complete } else { Progress::Stored })
+        let complete = match &self.state {
+            State::WholeFrame(state) => state.complete().is_some(),
+            State::Slices(state) => state.complete().is_some(),
+        };
+        Ok(match (complete, self.ended) {
+            (true, _) => Progress::Complete,
+            (false, Some(_)) => Progress::Partial,
+            (false, None) => Progress::Stored,
+        })
     }
 
     /// Appends, and grows the buffer by doubling, but not beyond the limit.

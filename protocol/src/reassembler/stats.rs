@@ -10,8 +10,11 @@ pub struct ReassemblerStats {
     pub bytes: u64,
     /// Packets whose data was stored. The frame may still have been dropped later.
     pub stored: u64,
-    /// Frames that came out.
+    /// Frames that came out whole.
     pub frames_complete: u64,
+    /// Frames that came out in part, under [`Policy::Slices`](super::Policy::Slices). One that a whole newer frame ended
+    /// is counted, although only the newer one is given out.
+    pub frames_partial: u64,
     /// Frames of which something arrived and which did not come out: dropped, abandoned, or never begun because the
     /// first packet was not there. A frame of which nothing arrived is unknown here, and so is one that only arrived
     /// after a newer frame had begun. Exact where packets are only lost; where they are reordered across frames or

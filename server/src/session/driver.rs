@@ -90,10 +90,12 @@ struct Workspace {
 impl FrameSender {
     /// Of frames in `codec`; `encoders` bounds how many sessions encode at once.
     pub(super) fn new(sender: DataSender, codec: CodecId, encoders: Arc<Semaphore>) -> Self {
+        let packet_bytes = sender.max_packet_bytes();
+        let encoder = Encoder::new(codec).for_packets_of(packet_bytes);
         Self {
-            packetizer: Packetizer::new(sender.max_packet_bytes()),
+            packetizer: Packetizer::new(packet_bytes),
             sender,
-            workspace: Some(Workspace { encoder: Encoder::new(codec), body: Vec::new() }),
+            workspace: Some(Workspace { encoder, body: Vec::new() }),
             encoders,
             first_frame_at: None,
         }
@@ -114,7 +116,7 @@ impl FrameSender {
             }
             (Ok(()), None) => return Err(DriveError::Encoding("its memory is gone".to_owned())),
         };
-        let packets = self.packetizer.packet_count(body.len());
+        let packets = self.packetizer.packet_count(body);
         let bytes = body.len() + packets * HEADER_BYTES;
         if !self.sender.has_room(packets, bytes) {
             ledger.frames_gated.one();

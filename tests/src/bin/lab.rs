@@ -8,9 +8,11 @@ use gnomon_tests::{
     cloister,
     report::{
         accuracy::{self, AccuracyOptions},
+        codec::{self, CodecOptions},
         lag::{self, LagOptions},
         link::{self, LinkOptions},
         load::{self, LoadOptions},
+        loss::{self, LossOptions},
         network::{self, NetworkOptions},
         pareto::{self, ParetoOptions},
         pipeline::{self, PipelineOptions},
@@ -31,6 +33,8 @@ enum Command {
     /// Judges the back ends by the f64 referee on the real scenes and on hard cases: writes accuracy.csv, hard_cases.csv
     /// and pictures, prints Markdown.
     Accuracy(AccuracyOptions),
+    /// Measures what each codec makes of a path's masks, in bytes and in time: writes codec.csv.
+    Codec(CodecOptions),
     /// Writes Gnomon's own scene: cloister.glb and its camera paths, cloister.json.
     MakeScene {
         /// Folder to write into.
@@ -47,6 +51,8 @@ enum Command {
     Link(LinkOptions),
     /// Puts many clients that draw nothing on a running server, and says what each of them gets.
     Load(LoadOptions),
+    /// Measures what lost packets do to the masks that a client shows, in a model of a session: writes loss.csv.
+    Loss(LossOptions),
     /// Measures the client behind networks of several kinds, against itself without a server: writes network.csv and plots.
     Network(NetworkOptions),
     /// Turns every knob that trades speed for error, over the real scenes: writes pareto.csv and a plot of each scene.
@@ -61,6 +67,7 @@ fn run(arguments: Arguments) -> Result<()> {
             let judged = accuracy::measure(&options, |line| eprintln!("{line}"))?;
             print!("{}\n{}", judged.scenes.markdown(), judged.cases.markdown());
         }
+        Command::Codec(options) => print!("{}", codec::measure(&options, |line| eprintln!("{line}"))?.markdown()),
         Command::MakeScene { out } => {
             let made = cloister::generate(&out)?;
             println!(
@@ -83,6 +90,7 @@ fn run(arguments: Arguments) -> Result<()> {
         }
         Command::Link(options) => link::run(&options, |line| println!("{line}")).map(drop)?,
         Command::Load(options) => println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?),
+        Command::Loss(options) => print!("{}", loss::measure(&options, |line| eprintln!("{line}"))?.markdown()),
         Command::Network(options) => {
             print!("{}", network::measure(&options, |line| eprintln!("{line}"))?.markdown());
         }

@@ -1,10 +1,12 @@
 //! Reports of the `lab`: tables that are measured by running the real programs.
 
 pub mod accuracy;
+pub mod codec;
 pub mod lag;
 mod lag_plots;
 pub mod link;
 pub mod load;
+pub mod loss;
 pub mod network;
 mod network_replay;
 pub mod pareto;

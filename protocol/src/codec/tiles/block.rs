@@ -1,0 +1,121 @@
+//! A block of 64×8 pixels of one light, as eight rows of 64 bits: what the models look at.
+
+use super::order::{BLOCK_TILES, Order, Place};
+use crate::{
+    codec::{planes::inside, words::transpose_bytes},
+    mask::{Mask, TILE_PX},
+};
+
+/// Rows from the top; bit x of a row is the pixel x from the left.
+pub(super) type Block = [u64; 8];
+
+/// What a tile holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Dark = 0,
+    Lit = 1,
+    Mixed = 2,
+}
+
+/// Which columns of a block are lit, and which are not dark, from top to bottom.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Extent {
+    pub(super) all: u64,
+    pub(super) any: u64,
+}
+
+impl Extent {
+    pub(super) fn of(block: &Block) -> Self {
+        Self { all: block.iter().fold(u64::MAX, |all, row| all & row), any: block.iter().fold(0, |any, row| any | row) }
+    }
+
+    /// What tile `tile` of the block holds.
+    pub(super) fn kind(self, tile: usize) -> Kind {
+        let byte = 0xFF << (tile * 8);
+        if self.any & byte == 0 {
+            Kind::Dark
+        } else if self.all & byte == byte {
+            Kind::Lit
+        } else {
+            Kind::Mixed
+        }
+    }
+
+    /// Whether every pixel has the same value, and which.
+    pub(super) const fn value(self) -> Option<bool> {
+        match (self.all, self.any) {
+            (_, 0) => Some(false),
+            (u64::MAX, _) => Some(true),
+            _ => None,
+        }
+    }
+}
+
+/// A block and what is often asked of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Known {
+    pub(super) rows: Block,
+    pub(super) extent: Extent,
+}
+
+impl Known {
+    pub(super) fn new(rows: Block) -> Self {
+        Self { rows, extent: Extent::of(&rows) }
+    }
+
+    /// All of one value.
+    pub(super) const fn flat(value: bool) -> Self {
+        let row = if value { u64::MAX } else { 0 };
+        Self { rows: [row; 8], extent: Extent { all: row, any: row } }
+    }
+}
+
+/// The block at a place. What of it lies outside the picture repeats the picture's edge, which makes no tile mixed; a
+/// decoder does not learn it.
+pub(super) fn gather(mask: &Mask, order: &Order, place: Place) -> Known {
+    let shape = mask.shape();
+    let words = &mask.words()[place.light * shape.tiles()..][order.tiles(place)];
+    let height = shape.height() as usize - place.y * TILE_PX as usize;
+    let columns = shape.width() as usize - place.x * BLOCK_TILES * TILE_PX as usize;
+    if columns >= 64 && height >= 8 {
+        match words.iter().fold((u64::MAX, 0), |(all, any), word| (all & word, any | word)) {
+            (_, 0) => return Known::flat(false),
+            (u64::MAX, _) => return Known::flat(true),
+            _ => {}
+        }
+    }
+    let mut tiles = [0; BLOCK_TILES];
+    for (tile, word) in tiles.iter_mut().zip(words) {
+        *tile = *word;
+    }
+    let mut rows = transpose_bytes(tiles);
+    if columns < 64 {
+        for row in &mut rows {
+            let last = *row >> (columns - 1) & 1;
+            *row = *row & !(u64::MAX << columns) | last.wrapping_neg() << columns;
+        }
+    }
+    if height < rows.len() {
+        let last = rows[height - 1];
+        rows[height..].fill(last);
+    }
+    Known::new(rows)
+}
+
+/// Writes the block's tiles to their places, without what lies outside the picture.
+pub(super) fn scatter(order: &Order, place: Place, known: &Known, mask: &mut Mask) {
+    let shape = mask.shape();
+    let plane = &mut mask.words_mut()[place.light * shape.tiles()..][order.tiles(place)];
+    if known.extent.value().is_some() {
+        plane.fill(known.rows[0]);
+    } else {
+        for (word, tile) in plane.iter_mut().zip(transpose_bytes(known.rows)) {
+            *word = tile;
+        }
+    }
+    if shape.tiles_x() as usize <= (place.x + 1) * BLOCK_TILES || shape.tiles_y() as usize == place.y + 1 {
+        for (x, word) in (place.x * BLOCK_TILES..).zip(plane) {
+            *word &= inside(shape, x, place.y);
+        }
+    }
+}

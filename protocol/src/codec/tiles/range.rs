@@ -1,0 +1,350 @@
+//! A binary range coder (Martin 1979; the carry is held back as in Schindler's and LZMA's coders).
+//!
+//! The interval is kept in 64 bits and leaves in words of 32. What has left is never touched again, because a word waits
+//! until no carry can reach it: so an encoder can go back to an earlier state and cut its output there.
+
+use super::state::State;
+
+/// Bytes that leave the coder at once.
+const WORD_BYTES: usize = 4;
+
+/// The most that the end of a slice adds to the words that left.
+const TAIL_BYTES: usize = 8;
+
+/// Either direction of the coder: one model serves both.
+pub(super) trait Bits {
+    /// What changes with every bit. A loop keeps it in registers, which it cannot do with the rest.
+    type Hot: Copy;
+
+    fn hot(&self) -> Self::Hot;
+
+    fn set_hot(&mut self, hot: Self::Hot);
+
+    /// Codes `bit` and gives it back; a decoder gives the bit that was coded instead.
+    fn bit_in(&mut self, hot: &mut Self::Hot, state: &mut State, bit: bool) -> bool;
+
+    /// The same, of a bit outside any loop.
+    #[inline(always)]
+    fn bit(&mut self, state: &mut State, bit: bool) -> bool {
+        let mut hot = self.hot();
+        let bit = self.bit_in(&mut hot, state, bit);
+        self.set_hot(hot);
+        bit
+    }
+}
+
+/// The encoder's interval.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Interval {
+    low: u64,
+    range: u64,
+}
+
+/// What waits for a carry.
+#[derive(Debug, Clone, Copy)]
+struct Held {
+    /// The newest word that has left the interval, unless nothing has.
+    word: Option<u32>,
+    /// Words of all ones behind it, through which a carry would run.
+    ones: usize,
+    /// End of the words that are out of reach, in the output.
+    end: usize,
+}
+
+/// A place in the output to go back to.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Here {
+    interval: Interval,
+    held: Held,
+}
+
+/// Codes bits to the end of a buffer.
+#[derive(Debug)]
+pub(super) struct RangeEncoder<'a> {
+    interval: Interval,
+    held: Held,
+    start: usize,
+    output: &'a mut Vec<u8>,
+}
+
+impl<'a> RangeEncoder<'a> {
+    pub(super) fn new(output: &'a mut Vec<u8>) -> Self {
+        let start = output.len();
+        let held = Held { word: None, ones: 0, end: start };
+        Self { interval: Interval { low: 0, range: u64::MAX }, held, start, output }
+    }
+
+    /// A place to come back to.
+    pub(super) const fn here(&self) -> Here {
+        Here { interval: self.interval, held: self.held }
+    }
+
+    /// Takes everything back that was coded since.
+    pub(super) fn back_to(&mut self, Here { interval, held }: Here) {
+        (self.interval, self.held) = (interval, held);
+        self.output.truncate(held.end);
+    }
+
+    /// The most bytes that the slice has, if it ends here.
+    pub(super) fn most_bytes(&self) -> usize {
+        let Held { word, ones, end } = self.held;
+        end - self.start + (usize::from(word.is_some()) + ones) * WORD_BYTES + TAIL_BYTES
+    }
+
+    fn put(&mut self, word: u32) {
+        self.output.extend_from_slice(&word.to_be_bytes());
+        self.held.end += WORD_BYTES;
+    }
+
+    /// Only one carry can ever reach a word, so it does not overflow.
+    #[cold]
+    #[inline(never)]
+    fn carry(&mut self) {
+        let Some(word) = self.held.word else { return };
+        let mut word = word.wrapping_add(1);
+        for _ in 0..std::mem::take(&mut self.held.ones) {
+            self.put(word);
+            word = 0;
+        }
+        self.held.word = Some(word);
+    }
+
+    fn release(&mut self) {
+        if let Some(word) = self.held.word.take() {
+            self.put(word);
+        }
+        for _ in 0..std::mem::take(&mut self.held.ones) {
+            self.put(u32::MAX);
+        }
+    }
+
+    /// Takes a word that has left the interval.
+    #[inline(never)]
+    fn take(&mut self, word: u32) {
+        if word == u32::MAX && self.held.word.is_some() {
+            self.held.ones += 1;
+        } else {
+            self.release();
+            self.held.word = Some(word);
+        }
+    }
+
+    /// Ends the slice with as few bytes as name a number in the interval.
+    pub(super) fn finish(mut self) {
+        let Interval { low, range } = self.interval;
+        for kept in 0..=TAIL_BYTES {
+            let cut = if kept == TAIL_BYTES { 0 } else { u64::MAX >> (8 * kept) };
+            let (sum, carry) = low.overflowing_add(cut);
+            let number = sum & !cut;
+            if number.wrapping_sub(low) < range {
+                if carry {
+                    self.carry();
+                }
+                self.release();
+                self.output.extend_from_slice(&number.to_be_bytes()[..kept]);
+                return;
+            }
+        }
+    }
+}
+
+impl Bits for RangeEncoder<'_> {
+    type Hot = Interval;
+
+    fn hot(&self) -> Interval {
+        self.interval
+    }
+
+    fn set_hot(&mut self, hot: Interval) {
+        self.interval = hot;
+    }
+
+    #[inline(always)]
+    fn bit_in(&mut self, hot: &mut Interval, state: &mut State, bit: bool) -> bool {
+        let bound = (hot.range >> 16) * u64::from(state.one());
+        if bit {
+            hot.range = bound;
+        } else {
+            let (low, carry) = hot.low.overflowing_add(bound);
+            hot.low = low;
+            hot.range -= bound;
+            if carry {
+                self.carry();
+            }
+        }
+        state.learn(bit);
+        if high_word(hot.range) == 0 {
+            self.take(high_word(hot.low));
+            hot.low <<= 32;
+            hot.range <<= 32;
+        }
+        bit
+    }
+}
+
+/// The decoder's interval, which begins at 0.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Window {
+    code: u64,
+    range: u64,
+}
+
+/// Decodes what [`RangeEncoder`] made. Behind the slice's end it reads zeros, as far as one asks.
+#[derive(Debug)]
+pub(super) struct RangeDecoder<'a> {
+    window: Window,
+    rest: &'a [u8],
+    bytes: usize,
+    /// Bytes that have left the interval.
+    used: usize,
+}
+
+impl<'a> RangeDecoder<'a> {
+    pub(super) fn new(slice: &'a [u8]) -> Self {
+        let mut decoder =
+            Self { window: Window { code: 0, range: u64::MAX }, rest: slice, bytes: slice.len(), used: 0 };
+        decoder.window.code = u64::from(decoder.read()) << 32 | u64::from(decoder.read());
+        decoder
+    }
+
+    /// Whether an encoder can have made the slice so far: it writes every word that leaves the interval.
+    pub(super) const fn is_within(&self) -> bool {
+        self.used <= self.bytes
+    }
+
+    /// Whether nothing is left over.
+    pub(super) const fn is_at_end(&self) -> bool {
+        self.is_within() && self.bytes <= self.used + TAIL_BYTES
+    }
+
+    fn read(&mut self) -> u32 {
+        let mut word = [0; WORD_BYTES];
+        if let Some((first, rest)) = self.rest.split_first_chunk() {
+            word = *first;
+            self.rest = rest;
+        } else {
+            word[..self.rest.len()].copy_from_slice(self.rest);
+            self.rest = &[];
+        }
+        u32::from_be_bytes(word)
+    }
+
+    /// Reads the word that follows one that has left the interval.
+    #[inline(never)]
+    fn next(&mut self) -> u32 {
+        self.used += WORD_BYTES;
+        self.read()
+    }
+}
+
+impl Bits for RangeDecoder<'_> {
+    type Hot = Window;
+
+    fn hot(&self) -> Window {
+        self.window
+    }
+
+    fn set_hot(&mut self, hot: Window) {
+        self.window = hot;
+    }
+
+    #[inline(always)]
+    fn bit_in(&mut self, hot: &mut Window, state: &mut State, _: bool) -> bool {
+        let bound = (hot.range >> 16) * u64::from(state.one());
+        let bit = hot.code < bound;
+        if bit {
+            hot.range = bound;
+        } else {
+            hot.code -= bound;
+            hot.range -= bound;
+        }
+        state.learn(bit);
+        if high_word(hot.range) == 0 {
+            hot.range <<= 32;
+            hot.code = hot.code << 32 | u64::from(self.next());
+        }
+        bit
+    }
+}
+
+const fn high_word(value: u64) -> u32 {
+    (value >> 32) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EVEN: State = State::from_packed(0x8000);
+
+    /// Bits with very uneven and even probabilities, the first of which often drive the interval to its ends.
+    fn bits(seed: u64, count: usize) -> impl Iterator<Item = (usize, bool)> {
+        let mut state = seed;
+        (0..count).map(move |_| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let context = usize::from(state >> 60 != 0);
+            (context, if context == 0 { state >> 33 & 1 == 1 } else { state >> 33 & 0x3FF == 0 })
+        })
+    }
+
+    #[test]
+    fn bits_come_back_and_the_slice_is_used_up() {
+        for (seed, count) in (0..40).flat_map(|seed| [0, 1, 2, 50, 3000].map(|count| (seed, count))) {
+            let (mut output, mut states) = (vec![9], [EVEN; 2]);
+            let mut encoder = RangeEncoder::new(&mut output);
+            for (context, bit) in bits(seed, count) {
+                encoder.bit(&mut states[context], bit);
+            }
+            let most = encoder.most_bytes();
+            encoder.finish();
+            assert!(output.len() - 1 <= most);
+            let (mut decoder, mut states) = (RangeDecoder::new(&output[1..]), [EVEN; 2]);
+            for (context, bit) in bits(seed, count) {
+                assert_eq!(decoder.bit(&mut states[context], false), bit);
+            }
+            assert!(decoder.is_at_end());
+        }
+    }
+
+    #[test]
+    fn going_back_leaves_no_trace() {
+        for seed in 0..200 {
+            let encode = |count: usize, detour: usize| {
+                let (mut output, mut states) = (vec![], [EVEN; 2]);
+                let mut encoder = RangeEncoder::new(&mut output);
+                for (context, bit) in bits(seed, count) {
+                    encoder.bit(&mut states[context], bit);
+                }
+                let here = encoder.here();
+                for (context, bit) in bits(seed + 7, detour) {
+                    encoder.bit(&mut states[context], bit);
+                }
+                encoder.back_to(here);
+                encoder.finish();
+                output
+            };
+            assert_eq!(encode(300, 0), encode(300, 500));
+        }
+    }
+
+    /// All ones take the interval's lower end, all zeros its upper end: carries run through words of ones.
+    #[test]
+    fn a_carry_runs_through_words_of_ones() {
+        let certain = State::from_packed(0x000F);
+        let (mut output, mut state) = (vec![], certain);
+        let mut encoder = RangeEncoder::new(&mut output);
+        for _ in 0..200_000 {
+            encoder.bit(&mut state, false);
+        }
+        let mut even = EVEN;
+        for place in 0..64 {
+            encoder.bit(&mut even, place % 3 == 0);
+        }
+        encoder.finish();
+        let (mut decoder, mut state, mut even) = (RangeDecoder::new(&output), certain, EVEN);
+        assert!((0..200_000).all(|_| !decoder.bit(&mut state, true)));
+        assert!((0..64).all(|place| decoder.bit(&mut even, false) == (place % 3 == 0)));
+        assert!(decoder.is_at_end());
+        assert!(!RangeDecoder::new(&[0; 9]).is_at_end());
+    }
+}

@@ -1,0 +1,212 @@
+//! Under the `Slices` policy, whatever the network does to a stream of packets: what comes of a frame before it ends comes
+//! out, once, and decodes onto the mask before it.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
+
+mod common;
+
+use bytes::Bytes;
+use gnomon_protocol::{
+    codec::{CodecId, Decoder, Encoder},
+    header::PacketHeader,
+    ids::FrameNumber,
+    limits::MAX_PACKET_BYTES,
+    mask::{Mask, MaskShape},
+    packetizer::Packetizer,
+    reassembler::{IgnoredCause, PacketError, Policy, Progress, Reassembler},
+};
+use proptest::prelude::*;
+
+use crate::common::Random;
+
+/// What came out: the frame, its packets' sequence numbers as they came, and how many did not.
+type Out = (u32, Vec<u32>, u16);
+
+fn header(packet: &[u8]) -> PacketHeader {
+    PacketHeader::decode(packet).unwrap().0
+}
+
+/// The policy in the simplest words.
+fn model(arrived: &[Bytes]) -> Vec<Out> {
+    let (mut out, mut at_hand, mut settled) = (Vec::new(), None::<(u32, Vec<u32>, u16)>, None);
+    for header in arrived.iter().map(|packet| header(packet)) {
+        let frame = header.frame.unwrap().0;
+        let packets = header.frame_packets.unwrap().get();
+        if settled >= Some(frame) {
+            continue;
+        }
+        if at_hand.as_ref().is_some_and(|(older, ..)| *older < frame) {
+            // A frame that is whole at once takes the place of the part before it.
+            let ended = at_hand.take().unwrap();
+            settled = Some(ended.0);
+            if packets > 1 {
+                out.push(ended);
+            }
+        }
+        match &mut at_hand {
+            Some((older, ..)) if frame < *older => continue,
+            Some((_, came, missing)) => {
+                if came.contains(&header.sequence) {
+                    continue;
+                }
+                came.push(header.sequence);
+                *missing -= 1;
+            }
+            None => at_hand = Some((frame, vec![header.sequence], packets - 1)),
+        }
+        if at_hand.as_ref().is_some_and(|(.., missing)| *missing == 0) {
+            settled = Some(frame);
+            out.extend(at_hand.take());
+        }
+    }
+    out
+}
+
+/// Frames of 1 to 6 packets of one byte each, their last sequence numbers beyond the wrap.
+fn stream(frames: u32, random: &mut Random) -> Vec<Bytes> {
+    let (mut packets, mut sequence) = (Vec::new(), u32::MAX - frames);
+    for frame in 0..frames {
+        let body = vec![frame.to_le_bytes()[0]; 1 + random.index(6)];
+        for packet in Packetizer::new(17).packets(FrameNumber(frame), frame, &body).unwrap() {
+            let header = PacketHeader { sequence, ..header(&packet) };
+            // The data says which packet it was.
+            packets.push(Bytes::from([&header.encode()[..], &sequence.to_le_bytes()[..1]].concat()));
+            sequence = sequence.wrapping_add(1);
+        }
+    }
+    packets
+}
+
+/// Loses one in `n`, doubles one in `n`, and puts one in `n` some places later.
+fn network(packets: &[Bytes], n: u64, random: &mut Random) -> Vec<Bytes> {
+    let mut arriving = Vec::new();
+    for (place, packet) in packets.iter().enumerate() {
+        let mut late = || if random.one_in(n) { random.index(24) } else { 0 };
+        let times = [place * 2 + late(), place * 2 + late() + 1];
+        let copies = if random.one_in(n) { 0 } else { 1 + usize::from(random.one_in(n)) };
+        arriving.extend(times[..copies].iter().map(|time| (*time, packet.clone())));
+    }
+    arriving.sort_by_key(|(time, _)| *time);
+    arriving.into_iter().map(|(_, packet)| packet).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn what_came_comes_out(frames in 1u32..30, n in 2u64..30, seed in any::<u64>()) {
+        let mut random = Random(seed);
+        let packets = stream(frames, &mut random);
+        let arrived = network(&packets, n, &mut random);
+        let mut reassembler = Reassembler::new(Policy::Slices);
+        let mut out = Vec::new();
+        for packet in &arrived {
+            let progress = reassembler.push(packet).unwrap();
+            let frame = reassembler.frame();
+            prop_assert_eq!(frame.is_some(), matches!(progress, Progress::Complete | Progress::Partial));
+            out.extend(frame.map(|frame| (frame.frame.0, frame.body.to_vec(), frame.missing)));
+            prop_assert!(frame.is_none_or(|frame| frame.body.len() == usize::from(frame.packets)));
+        }
+        let expected: Vec<_> = model(&arrived)
+            .into_iter()
+            .map(|(frame, came, missing)| (frame, came.iter().map(|one| one.to_le_bytes()[0]).collect::<Vec<u8>>(), missing))
+            .collect();
+        prop_assert_eq!(out, expected);
+    }
+}
+
+fn disc(shape: MaskShape, step: u32) -> Mask {
+    let mut mask = Mask::new(shape);
+    for light in 0..shape.lights() {
+        for (x, y) in (0..shape.height()).flat_map(|y| (0..shape.width()).map(move |x| (x, y))) {
+            let from_centre = x.abs_diff(150 + step * 9).pow(2) + y.abs_diff(90 + light * 20).pow(2);
+            mask.set(light, x, y, from_centre > 4900 + (x * 7 + y * 13) % 900);
+        }
+    }
+    mask
+}
+
+/// Of each frame another packet is lost: the picture keeps the tiles before, and is right where packets came.
+#[test]
+fn tiles_that_do_not_come_keep_their_value() {
+    let shape = MaskShape::new(500, 300, 3).unwrap();
+    for codec in [CodecId::TilesSmall, CodecId::TilesFast] {
+        let mut encoder = Encoder::new(codec).for_packets_of(150);
+        let (mut packetizer, mut reassembler) = (Packetizer::new(MAX_PACKET_BYTES), Reassembler::new(Policy::Slices));
+        let (mut decoder, mut shown, mut body) = (Decoder::new(), Mask::new(shape), Vec::new());
+        let mut before = Mask::new(shape);
+        for step in 0..12 {
+            let sent = disc(shape, step);
+            encoder.encode(&sent, &mut body).unwrap();
+            let packets: Vec<_> = packetizer.packets(FrameNumber(step), step, &body).unwrap().collect();
+            assert!(packets.len() > 2, "{}", packets.len());
+            let lost = step as usize % (packets.len() + 1);
+            for (_, packet) in packets.iter().enumerate().filter(|(index, _)| *index != lost) {
+                reassembler.push(packet).unwrap();
+            }
+            let whole = lost == packets.len();
+            assert_eq!(reassembler.end(), !whole);
+            let Some(frame) = reassembler.frame() else {
+                assert!(whole, "a whole frame has come out with its last packet");
+                shown = sent.clone();
+                before = sent;
+                continue;
+            };
+            assert_eq!((frame.frame, frame.missing), (FrameNumber(step), 1));
+            decoder.decode_onto(frame.body, &mut shown).unwrap();
+            let words = || shown.words().iter().zip(before.words()).zip(sent.words());
+            assert!(words().all(|((shown, before), sent)| shown == sent || shown == before));
+            assert!(words().any(|((shown, _), sent)| shown != sent), "{codec}: nothing was missing in frame {step}");
+            let right = words().filter(|((shown, _), sent)| shown == sent).count();
+            assert!(right * 2 > shape.words(), "{right}");
+            before = shown.clone();
+        }
+        assert_eq!(reassembler.stats().frames_complete + reassembler.stats().frames_partial, 12);
+    }
+}
+
+#[test]
+fn a_packet_that_contradicts_its_frame_drops_it() {
+    let body = [1; 5];
+    let honest: Vec<_> = Packetizer::new(17).packets(FrameNumber(7), 9, &body).unwrap().collect();
+    let bent = |index: usize, change: fn(&mut PacketHeader)| {
+        let mut header = header(&honest[index]);
+        change(&mut header);
+        [&header.encode()[..], &[1]].concat()
+    };
+    let contradictions = [
+        bent(2, |header| header.timestamp_ms = Some(8)),
+        bent(2, |header| header.frame_packets = std::num::NonZeroU16::new(6)),
+        bent(2, |header| header.first = true),
+        bent(0, |header| header.first = false),
+        bent(4, |header| header.sequence = 5),
+        bent(4, |header| header.sequence = u32::MAX),
+    ];
+    for bad in contradictions {
+        let mut reassembler = Reassembler::new(Policy::Slices);
+        for index in [1, 0, 3] {
+            assert_eq!(reassembler.push(&honest[index]), Ok(Progress::Stored));
+        }
+        assert!(matches!(reassembler.push(&bad), Err(PacketError::Contradiction { .. })));
+        assert_eq!(reassembler.push(&honest[2]), Ok(Progress::Ignored(IgnoredCause::Old)));
+        assert!(!reassembler.end());
+        assert_eq!(reassembler.stats().frames_incomplete, 1);
+    }
+}
+
+#[test]
+fn a_frame_that_gets_too_long_is_dropped_and_ends_the_one_before() {
+    let mut reassembler = Reassembler::with_max_frame_bytes(Policy::Slices, 4);
+    let packets = |frame, bytes: &[u8]| -> Vec<Bytes> {
+        Packetizer::new(18).packets(FrameNumber(frame), 0, bytes).unwrap().collect()
+    };
+    assert_eq!(reassembler.push(&packets(1, &[1; 6])[2]), Ok(Progress::Stored));
+    assert_eq!(reassembler.push(&packets(1, &[1; 6])[0]), Ok(Progress::Stored));
+    assert!(matches!(reassembler.push(&packets(1, &[1; 6])[1]), Err(PacketError::TooLong { limit: 4, .. })));
+    assert_eq!(reassembler.push(&packets(2, &[2; 6])[1]), Ok(Progress::Stored));
+    let long = Packetizer::new(30).packets(FrameNumber(3), 0, &[3; 5]).unwrap().next().unwrap();
+    assert!(matches!(reassembler.push(&long), Err(PacketError::TooLong { limit: 4, .. })));
+    let ended = reassembler.frame().unwrap();
+    assert_eq!((ended.frame, ended.packets, ended.missing, ended.body), (FrameNumber(2), 1, 2, &[2, 2][..]));
+    assert!(reassembler.buffer_bytes() <= 8);
+}

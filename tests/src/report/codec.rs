@@ -1,0 +1,198 @@
+//! `lab codec`: what each codec makes of the masks along a camera path, in bytes and in time.
+//!
+//! The cpu back end traces the masks. Every codec has to give each of them back bit by bit, and is timed on one core: the
+//! least of some rounds, since other programs only ever make it longer. Bytes are what crosses the network: headers of
+//! packets and frames are counted. zstd compresses the same planes that `planes-lz4` does; it is no codec of the product.
+
+use std::time::Instant;
+
+use anyhow::{Context, Result, ensure};
+use gnomon_protocol::{
+    codec::{CodecId, Decoder, Encoder},
+    limits::MAX_PACKET_BYTES,
+    mask::{Mask, MaskShape},
+    packetizer::Packetizer,
+};
+
+use super::{scene_args::SceneArgs, table::Table};
+use crate::backends::BackendName;
+
+/// Columns of `codec.csv`.
+const HEAD: [&str; 11] = [
+    "scene",
+    "path",
+    "lights",
+    "codec",
+    "reference",
+    "mean_bytes",
+    "p99_bytes",
+    "packets_mean",
+    "encode_ms",
+    "decode_ms",
+    "wrong_relevant_bits",
+];
+
+/// Level of zstd, its own default.
+const ZSTD_LEVEL: i32 = 3;
+
+/// What to measure.
+#[derive(Debug, Clone, clap::Args)]
+pub struct CodecOptions {
+    /// Scene, path, size, and how many frames of the path are measured.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// Times that each mask is coded.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    pub rounds: u32,
+    /// Adds the rows to those that are in codec.csv, for a table of several scenes.
+    #[arg(long)]
+    pub append: bool,
+}
+
+/// A codec under test.
+enum Subject {
+    Own(Box<Encoder>, Box<Decoder>),
+    Zstd(Box<Zstd>),
+}
+
+struct Zstd {
+    compressor: zstd::bulk::Compressor<'static>,
+    decompressor: zstd::bulk::Decompressor<'static>,
+    planes: Vec<u8>,
+}
+
+impl Subject {
+    fn all() -> Result<Vec<Self>> {
+        let own = CodecId::ALL.into_iter().map(|codec| Self::Own(Box::new(Encoder::new(codec)), Box::default()));
+        let zstd = Zstd {
+            compressor: zstd::bulk::Compressor::new(ZSTD_LEVEL)?,
+            decompressor: zstd::bulk::Decompressor::new()?,
+            planes: Vec::new(),
+        };
+        Ok(own.chain([Self::Zstd(Box::new(zstd))]).collect())
+    }
+
+    fn name(&self) -> String {
+        match self {
+            Self::Own(encoder, _) => encoder.codec().to_string(),
+            Self::Zstd(_) => format!("planes-zstd-{ZSTD_LEVEL}"),
+        }
+    }
+
+    fn encode(&mut self, mask: &Mask, body: &mut Vec<u8>) -> Result<()> {
+        match self {
+            Self::Own(encoder, _) => encoder.encode(mask, body)?,
+            Self::Zstd(zstd) => {
+                zstd.planes.clear();
+                zstd.planes.extend(mask.words().iter().flat_map(|word| word.to_le_bytes()));
+                body.resize(zstd::zstd_safe::compress_bound(zstd.planes.len()), 0);
+                let bytes = zstd.compressor.compress_to_buffer(&zstd.planes, &mut body[..])?;
+                body.truncate(bytes);
+            }
+        }
+        Ok(())
+    }
+
+    fn decode(&mut self, body: &[u8], mask: &mut Mask) -> Result<()> {
+        match self {
+            Self::Own(_, decoder) => drop(decoder.decode(body, mask)?),
+            Self::Zstd(zstd) => {
+                zstd.planes.resize(mask.words().len() * 8, 0);
+                let bytes = zstd.decompressor.decompress_to_buffer(body, &mut zstd.planes[..])?;
+                ensure!(bytes == zstd.planes.len(), "zstd gave {bytes} bytes back");
+                for (word, bytes) in mask.words_mut().iter_mut().zip(zstd.planes.as_chunks().0) {
+                    *word = u64::from_le_bytes(*bytes);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What a codec has done so far, a value a frame.
+#[derive(Default)]
+struct Tally {
+    bytes: Vec<f64>,
+    packets: Vec<f64>,
+    encode_ms: Vec<f64>,
+    decode_ms: Vec<f64>,
+    wrong_bits: u64,
+}
+
+impl Tally {
+    fn add(&mut self, subject: &mut Subject, mask: &Mask, rounds: u32) -> Result<()> {
+        let (mut body, mut decoded) = (Vec::new(), Mask::new(mask.shape()));
+        let (mut encode_ms, mut decode_ms) = (f64::INFINITY, f64::INFINITY);
+        for _ in 0..rounds {
+            let begun = Instant::now();
+            subject.encode(mask, &mut body)?;
+            encode_ms = encode_ms.min(begun.elapsed().as_secs_f64() * 1e3);
+            let begun = Instant::now();
+            subject.decode(&body, &mut decoded)?;
+            decode_ms = decode_ms.min(begun.elapsed().as_secs_f64() * 1e3);
+        }
+        let packetizer = Packetizer::new(MAX_PACKET_BYTES);
+        self.bytes.push(packetizer.wire_bytes(&body) as f64);
+        self.packets.push(packetizer.packet_count(&body) as f64);
+        self.encode_ms.push(encode_ms);
+        self.decode_ms.push(decode_ms);
+        let differ = mask.words().iter().zip(decoded.words()).map(|(a, b)| u64::from((a ^ b).count_ones()));
+        self.wrong_bits += differ.sum::<u64>();
+        Ok(())
+    }
+
+    fn cells(&mut self) -> [String; 6] {
+        self.bytes.sort_by(f64::total_cmp);
+        let p99 = self.bytes[(self.bytes.len() * 99).div_ceil(100) - 1];
+        [
+            format!("{:.0}", mean(&self.bytes)),
+            format!("{p99:.0}"),
+            format!("{:.1}", mean(&self.packets)),
+            format!("{:.2}", mean(&self.encode_ms)),
+            format!("{:.2}", mean(&self.decode_ms)),
+            // Of all bits: so of the relevant ones as well.
+            self.wrong_bits.to_string(),
+        ]
+    }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Measures, writes `codec.csv`, tells `progress` where it is, and gives this scene's rows.
+///
+/// # Errors
+/// When the scene or the path cannot be read, a codec fails, or the table cannot be written.
+pub fn measure(options: &CodecOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
+    let CodecOptions { scene: args, rounds, append } = options;
+    let (scene, path) = (args.load_scene()?, args.load_path()?);
+    let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
+    let (width, height) = args.size;
+    let mut trace = BackendName::Cpu.open(&scene)?;
+    let mut mask = Mask::new(MaskShape::new(width, height, lights)?);
+    let mut tallied: Vec<_> = Subject::all()?.into_iter().map(|subject| (subject, Tally::default())).collect();
+    for frame in 0..args.frames {
+        let time_s = path.duration_s() * f64::from(frame) / f64::from(args.frames);
+        trace(&path.camera(time_s, width, height), &mut mask)?;
+        for (subject, tally) in &mut tallied {
+            tally.add(subject, &mask, *rounds).with_context(|| format!("{} at {time_s:.3} s", subject.name()))?;
+        }
+        progress(&format!("frame {} of {}", frame + 1, args.frames));
+    }
+
+    let mut table = Table::new(&HEAD);
+    for (subject, mut tally) in tallied {
+        let first = [args.scene_name(), path.name().to_owned(), lights.to_string(), subject.name(), "none".into()];
+        table.rows.push(first.into_iter().chain(tally.cells()).collect());
+    }
+    let mut text = table.csv();
+    if *append {
+        let before = std::fs::read_to_string(args.result("codec.csv")?).context("reading the table to append to")?;
+        let head = Table::new(&HEAD).csv();
+        ensure!(before.starts_with(&head), "codec.csv has other columns");
+        text.replace_range(..head.len(), &before);
+    }
+    args.write("codec.csv", &text)?;
+    Ok(table)
+}

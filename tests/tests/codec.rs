@@ -1,0 +1,57 @@
+//! Promise: `lab codec` has a row for every codec, none changes a bit, and ours beat what a user would pick instead.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use std::collections::HashMap;
+
+use gnomon_tests::{
+    report::{
+        codec::{CodecOptions, measure},
+        scene_args::SceneArgs,
+    },
+    scenes::real,
+};
+
+const HEAD: &str =
+    "scene,path,lights,codec,reference,mean_bytes,p99_bytes,packets_mean,encode_ms,decode_ms,wrong_relevant_bits";
+
+#[test]
+fn tiles_take_fewer_bytes_than_anything_else_and_change_no_bit() {
+    let out = tempfile::tempdir().unwrap();
+    let sponza = real::folder().unwrap().join("sponza");
+    let mut options = CodecOptions {
+        scene: SceneArgs {
+            scene: sponza.join("sponza_lights.gltf"),
+            lights_from: None,
+            lights: Some(4),
+            path: Some(sponza.join("lights_camera.json#A_atrium_dolly").into()),
+            size: (320, 180),
+            frames: 5,
+            out: out.path().to_owned(),
+        },
+        rounds: 1,
+        append: false,
+    };
+    let table = measure(&options, |_| ()).unwrap();
+    let csv = std::fs::read_to_string(out.path().join("codec.csv")).unwrap();
+    assert_eq!(csv, table.csv());
+    assert_eq!(csv.lines().next().unwrap(), HEAD);
+    let column = |name: &str| HEAD.split(',').position(|column| column == name).unwrap();
+    assert!(table.rows.iter().all(|row| row[column("wrong_relevant_bits")] == "0"), "{csv}");
+    let bytes: HashMap<&str, f64> = table
+        .rows
+        .iter()
+        .map(|row| (row[column("codec")].as_str(), row[column("mean_bytes")].parse().unwrap()))
+        .collect();
+    let of = |codec: &str| bytes[codec];
+    assert!(of("tiles-small") < 0.7 * of("planes-zstd-3"), "{bytes:?}");
+    assert!(of("tiles-fast") < of("planes-zstd-3") && of("tiles-fast") < 2.0 * of("tiles-small"), "{bytes:?}");
+    assert!(of("planes-zstd-3") < of("planes-lz4") && of("planes-lz4") < of("words-lz4"), "{bytes:?}");
+
+    options.append = true;
+    options.scene.lights = Some(1);
+    measure(&options, |_| ()).unwrap();
+    let both = std::fs::read_to_string(out.path().join("codec.csv")).unwrap();
+    assert!(both.starts_with(&csv));
+    assert_eq!(both.lines().count(), 1 + 2 * table.rows.len());
+    assert!(both.lines().last().unwrap().starts_with("sponza_lights,A_atrium_dolly,1,planes-zstd-3,none,"));
+}
