@@ -1,5 +1,7 @@
 //! One adapter, one device: chosen the same way at both ends, and never software by accident.
 
+use std::sync::OnceLock;
+
 use thiserror::Error;
 
 /// Which adapter to take.
@@ -58,11 +60,7 @@ impl Gpu {
     /// # Errors
     /// When no adapter fits, only a disallowed software adapter does, or the driver refuses a device.
     pub async fn open(options: &GpuOptions) -> Result<Self, GpuError> {
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
-            backends: wgpu::Backends::PRIMARY,
-            ..wgpu::InstanceDescriptor::new_without_display_handle_from_env()
-        });
-        Self::from_adapters(instance.enumerate_adapters(wgpu::Backends::PRIMARY).await, options).await
+        Self::from_adapters(drivers().enumerate_adapters(wgpu::Backends::PRIMARY).await, options).await
     }
 
     /// As [`Self::open`], of the given adapters.
@@ -108,6 +106,18 @@ impl Gpu {
     pub fn is_software(&self) -> bool {
         self.info.device_type == wgpu::DeviceType::Cpu
     }
+}
+
+/// The drivers of this process. They are loaded once: a process that has loaded and left a driver often enough is not let in
+/// again (seen with NVIDIA's, after some dozens of times), and devices are opened anew whenever one was lost.
+fn drivers() -> &'static wgpu::Instance {
+    static DRIVERS: OnceLock<wgpu::Instance> = OnceLock::new();
+    DRIVERS.get_or_init(|| {
+        wgpu::Instance::new(wgpu::InstanceDescriptor {
+            backends: wgpu::Backends::PRIMARY,
+            ..wgpu::InstanceDescriptor::new_without_display_handle_from_env()
+        })
+    })
 }
 
 /// The consent that wgpu wants before it enables an experimental feature.

@@ -22,6 +22,9 @@ use crate::reference::Reference;
 /// A client's frame, in seconds: what lag is counted in.
 const FRAME_S: f64 = 1.0 / 60.0;
 
+/// What clients ask for unless told otherwise.
+const CODEC: CodecId = CodecId::PlanesLz4;
+
 /// Where on a path scenes are judged, as shares of its duration.
 const STOPS: [f64; 2] = [0.2, 0.6];
 
@@ -86,7 +89,7 @@ impl<'a> Bench<'a> {
     pub(super) fn resolutions(&mut self, backend: &str, is_automatic: bool) -> Result<bool> {
         for (value, sampling) in SAMPLINGS {
             let Some(mut tracer) = self.open(backend, sampling)? else { return Ok(false) };
-            let (traced, masks) = self.trace(&mut tracer, CodecId::PlanesLz4, |stop| stop.camera)?;
+            let (traced, masks) = self.trace(&mut tracer, CODEC, |stop| stop.camera)?;
             let nodes = node_visits(backend, self.scene, sampling, &self.stops[0].camera)?;
             let verdict = self.show(&masks, Predictor::Surface)?;
             let is_default = is_automatic && sampling == Sampling::All;
@@ -98,7 +101,7 @@ impl<'a> Bench<'a> {
             height: stop.camera.height.div_ceil(2),
             ..stop.camera
         };
-        let (traced, masks) = self.trace(&mut tracer, CodecId::PlanesLz4, half)?;
+        let (traced, masks) = self.trace(&mut tracer, CODEC, half)?;
         let nodes = node_visits(backend, self.scene, Sampling::All, &half(&self.stops[0]))?;
         let verdict = self.show(&masks, Predictor::Surface)?;
         let knob = Knob { backend, knob: "resolution", value: "half-mask".into(), is_default: false };
@@ -111,7 +114,7 @@ impl<'a> Bench<'a> {
         for roundings in [1, 16, 256, 4096] {
             let options = KernelOptions { offset_roundings: Some(roundings), ..KernelOptions::default() };
             let mut tracer = Tracer::open(backend, self.scene, options)?.context("the back end was there before")?;
-            let (traced, masks) = self.trace(&mut tracer, CodecId::PlanesLz4, |stop| stop.camera)?;
+            let (traced, masks) = self.trace(&mut tracer, CODEC, |stop| stop.camera)?;
             let verdict = self.show(&masks, Predictor::Surface)?;
             let knob = Knob { backend, knob: "offset", value: format!("{roundings} roundings"), is_default: false };
             self.push(knob, &traced, None, &verdict);
@@ -122,7 +125,7 @@ impl<'a> Bench<'a> {
     /// The codecs, all of which give every bit back.
     pub(super) fn codecs(&mut self, backend: &str) -> Result<()> {
         let mut tracer = self.open(backend, Sampling::All)?.context("the back end was there before")?;
-        for codec in CodecId::ALL.into_iter().filter(|codec| *codec != CodecId::PlanesLz4) {
+        for codec in CodecId::ALL.into_iter().filter(|codec| *codec != CODEC) {
             let (traced, masks) = self.trace(&mut tracer, codec, |stop| stop.camera)?;
             let verdict = self.show(&masks, Predictor::Surface)?;
             let knob = Knob { backend, knob: "codec", value: codec.to_string(), is_default: false };
@@ -140,7 +143,7 @@ impl<'a> Bench<'a> {
             let late_s = f64::from(lag) * FRAME_S;
             let path = self.path;
             let late = |stop: &Stop| path.camera(stop.time_s - late_s, stop.camera.width, stop.camera.height);
-            let (mut traced, masks) = self.trace(&mut tracer, CodecId::PlanesLz4, late)?;
+            let (mut traced, masks) = self.trace(&mut tracer, CODEC, late)?;
             traced.iter_mut().for_each(|traced| traced.ms = (traced.ms - late_s * 1e3).max(0.0));
             let waits = traced.iter().filter(|traced| traced.ms > 0.0).count() * 2 > traced.len();
             let predictors: &[Predictor] = match lag {
@@ -173,8 +176,8 @@ impl<'a> Bench<'a> {
         });
         let mut all = self.open(backend, Sampling::All)?.context("the back end was there before")?;
         let mut bright = Tracer::open(backend, &bright_scene, KernelOptions::default())?.context("and still is")?;
-        let (every, masks) = self.trace(&mut all, CodecId::PlanesLz4, |stop| stop.camera)?;
-        let (between, _) = self.trace(&mut bright, CodecId::PlanesLz4, |stop| stop.camera)?;
+        let (every, masks) = self.trace(&mut all, CODEC, |stop| stop.camera)?;
+        let (between, _) = self.trace(&mut bright, CODEC, |stop| stop.camera)?;
         for period in [2_u32, 4] {
             let mut verdict = Verdict::default();
             for age in 0..period {
@@ -182,7 +185,7 @@ impl<'a> Bench<'a> {
                 let late = |stop: &Stop| path.camera(stop.time_s - late_s, stop.camera.width, stop.camera.height);
                 for (stop, (now, _)) in self.stops.iter().zip(&masks) {
                     let (camera, mut old) = (late(stop), all.mask_for(&stop.camera)?);
-                    all.trace(&camera, &mut old, CodecId::PlanesLz4)?;
+                    all.trace(&camera, &mut old, CODEC)?;
                     let predicted = self.viewer.show(&stop.camera, (&old, &camera), Predictor::Surface)?.bits;
                     let mut both = now.clone();
                     let tiles = both.shape().tiles();

@@ -66,13 +66,14 @@ impl Tracer {
 
     /// Traces and encodes one frame.
     pub(super) fn trace(&mut self, camera: &Camera, mask: &mut Mask, codec: CodecId) -> Result<Traced> {
-        let mut body = Vec::new();
+        // Sessions keep their encoder.
+        let (mut encoder, mut body) = (Encoder::new(codec), Vec::new());
         let begun = Instant::now();
         let cost = match &mut self.kind {
             Kind::Cpu(backend) => backend.trace(camera, mask),
             Kind::Device(backend) => backend.trace(camera, mask)?,
         };
-        Encoder::new(codec).encode(mask, &mut body)?;
+        encoder.encode(mask, &mut body)?;
         let ms = begun.elapsed().as_secs_f64() * 1e3;
         Ok(Traced { ms, rays: cost.primary_rays + cost.shadow_rays, bytes: body.len() as u64 })
     }
