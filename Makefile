@@ -16,7 +16,8 @@ demo: setup
 	deploy/demo
 
 # The ray-query back end wants an adapter that few machines have, so a driver is laid beside the system for its tests.
-test: setup
+test:
+	@deploy/setup tests
 	@driver=$$(deploy/ray-query-driver) || echo 'make test: THE RAY-QUERY BACK END IS NOT TESTED, unless the machine has ray queries of its own: see above' >&2; \
 	[ -z "$$driver" ] || export GNOMON_RAY_QUERY_DRIVER="$$driver"; \
 	echo cargo test --workspace --locked; cargo test --workspace --locked

@@ -18,6 +18,7 @@ use gnomon_tests::{
         pipeline::{self, PipelineOptions},
         predict_cost::{self, PredictCostOptions},
         trace_error::{self, TraceErrorOptions},
+        video::{self, VideoOptions},
     },
 };
 
@@ -59,6 +60,8 @@ enum Command {
     Pareto(ParetoOptions),
     /// Compares the back ends' masks with the f64 referee's, directly.
     TraceError(TraceErrorOptions),
+    /// Compares sending visibility with sending the picture as video: writes video.csv and plots.
+    Video(VideoOptions),
 }
 
 fn run(arguments: Arguments) -> Result<()> {
@@ -95,6 +98,7 @@ fn run(arguments: Arguments) -> Result<()> {
             print!("{}", network::measure(&options, |line| eprintln!("{line}"))?.markdown());
         }
         Command::Pareto(options) => pareto::measure(&options, |line| eprintln!("{line}"))?,
+        Command::Video(options) => print!("{}", video::measure(&options, |line| eprintln!("{line}"))?.markdown()),
         Command::TraceError(options) => trace_error::compare(&options, |line| println!("{line}"))?,
     }
     Ok(())

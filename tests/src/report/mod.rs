@@ -18,3 +18,4 @@ pub mod prediction_error;
 pub mod scene_args;
 pub mod table;
 pub mod trace_error;
+pub mod video;

@@ -28,6 +28,9 @@ enum Kind {
 pub(super) struct Tracer {
     kind: Kind,
     lights: u32,
+    /// Kept from frame to frame, as sessions do.
+    encoder: Encoder,
+    body: Vec<u8>,
 }
 
 /// What a frame took.
@@ -56,7 +59,8 @@ impl Tracer {
             _ => bail!("{name:?} is no back end: {}", BACKENDS.join(", ")),
         };
         let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
-        Ok(kind.map(|kind| Self { kind, lights }))
+        let encoder = Encoder::new(CodecId::PlanesLz4);
+        Ok(kind.map(|kind| Self { kind, lights, encoder, body: Vec::new() }))
     }
 
     /// A mask for what `camera` sees.
@@ -66,16 +70,17 @@ impl Tracer {
 
     /// Traces and encodes one frame.
     pub(super) fn trace(&mut self, camera: &Camera, mask: &mut Mask, codec: CodecId) -> Result<Traced> {
-        // Sessions keep their encoder.
-        let (mut encoder, mut body) = (Encoder::new(codec), Vec::new());
+        if self.encoder.codec() != codec {
+            self.encoder = Encoder::new(codec);
+        }
         let begun = Instant::now();
         let cost = match &mut self.kind {
             Kind::Cpu(backend) => backend.trace(camera, mask),
             Kind::Device(backend) => backend.trace(camera, mask)?,
         };
-        encoder.encode(mask, &mut body)?;
+        self.encoder.encode(mask, &mut self.body)?;
         let ms = begun.elapsed().as_secs_f64() * 1e3;
-        Ok(Traced { ms, rays: cost.primary_rays + cost.shadow_rays, bytes: body.len() as u64 })
+        Ok(Traced { ms, rays: cost.primary_rays + cost.shadow_rays, bytes: self.body.len() as u64 })
     }
 }
 

@@ -1,0 +1,336 @@
+//! `lab video`: the same walk sent as pictures, and as visibility that the client shades itself.
+//!
+//! What a viewer sees at each moment is compared with the picture of that moment without any network. A video shows the picture
+//! of one round trip ago; our client draws the newest pose with the visibility of one round trip ago, carried over. There is no
+//! network and no clock: lag is counted in frames, and nothing is lost, which favours video.
+
+mod stream;
+
+pub use self::stream::VideoCodec;
+
+use std::{num::NonZero, path::PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use gnomon_client::{camera_path::CameraPath, predictor::Predictor};
+use gnomon_protocol::{
+    codec::{CodecId, Encoder},
+    limits::MAX_PACKET_BYTES,
+    mask::Mask,
+    packetizer::Packetizer,
+};
+use gnomon_shaders::{
+    camera::Camera,
+    motion::{Extrapolation, Motion},
+};
+use image::RgbImage;
+use rayon::prelude::*;
+
+use self::stream::Stream;
+use super::{
+    plot::{Axis, Plot, Series},
+    predict_rig::PredictRig,
+    scene_args::SceneArgs,
+    table::Table,
+};
+use crate::metrics::{image::compare, vmaf::vmaf};
+
+/// Poses before a mask's that the server's extrapolation has seen.
+const POSES_BEFORE: u32 = 12;
+
+/// What to compare.
+#[derive(Debug, Clone, clap::Args)]
+pub struct VideoOptions {
+    /// Scene, path, size, and how many frames that follow each other are measured.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// Frames a second.
+    #[arg(long, default_value_t = NonZero::<u32>::MIN.saturating_add(59))]
+    pub fps: NonZero<u32>,
+    /// Round trips, in milliseconds.
+    #[arg(long, value_delimiter = ',', default_value = "0,60")]
+    pub rtt: Vec<u32>,
+    /// Video codecs: x264, x265.
+    #[arg(long, value_delimiter = ',', default_value = "x264,x265")]
+    pub video: Vec<VideoCodec>,
+    /// Rates of the video, in Mbit/s.
+    #[arg(long, value_delimiter = ',', default_value = "2,5,10,20,40")]
+    pub rates: Vec<f64>,
+    /// Preset of the video encoders: how hard they work.
+    #[arg(long, default_value = "veryfast")]
+    pub preset: String,
+    /// Codecs of visibility.
+    #[arg(long, value_delimiter = ',', default_value = "planes-lz4,tiles-fast,tiles-small")]
+    pub codecs: Vec<CodecId>,
+    /// Frames of video before the first measured one: its first picture is coded from nothing, within the same rate.
+    #[arg(long, default_value_t = 30)]
+    pub warm: u32,
+    /// The ffmpeg that codes video. For VMAF it wants libvmaf.
+    #[arg(long, env = crate::metrics::vmaf::FFMPEG_VARIABLE, default_value = "ffmpeg")]
+    pub ffmpeg: PathBuf,
+    /// Lets the client run on a software adapter.
+    #[arg(long)]
+    pub allow_software: bool,
+}
+
+impl VideoOptions {
+    /// Frames that a round trip takes, rounded up.
+    fn lag(&self, rtt_ms: u32) -> u32 {
+        (rtt_ms * self.fps.get()).div_ceil(1000)
+    }
+}
+
+/// One way of sending, at one rate and round trip.
+#[derive(Debug, Clone)]
+struct Row {
+    method: &'static str,
+    setting: String,
+    rtt_ms: u32,
+    lag: u32,
+    frame_bytes: f64,
+    mbit_per_s: f64,
+    quality: Quality,
+}
+
+/// How near what was shown is to what was to be seen, over all frames.
+#[derive(Debug, Clone)]
+struct Quality {
+    /// Of the mean square error of all frames; infinite when all are as they should be.
+    psnr_db: f64,
+    ssim: f64,
+    flip: f64,
+    vmaf: Option<f64>,
+}
+
+impl Quality {
+    fn of(shown: &[RgbImage], truths: &[RgbImage], fps: f64) -> Result<Self> {
+        let errors: Vec<_> = shown.par_iter().zip(truths).map(|(shown, truth)| compare(shown, truth)).collect();
+        #[expect(clippy::cast_precision_loss, reason = "some frames")]
+        let mean = |of: &dyn Fn(usize) -> f64| (0..errors.len()).map(of).sum::<f64>() / errors.len() as f64;
+        Ok(Self {
+            psnr_db: -10.0 * mean(&|i| 10.0_f64.powf(-errors[i].psnr_db / 10.0)).log10(),
+            ssim: mean(&|i| errors[i].ssim),
+            flip: mean(&|i| errors[i].flip),
+            vmaf: vmaf(shown, truths, fps)?,
+        })
+    }
+}
+
+/// Measures, writes `video.csv` and its plots, and tells `progress` each row as it comes.
+///
+/// # Errors
+/// When the scene or the path cannot be read, there is no adapter, the ffmpeg lacks an encoder or fails, or a file cannot be
+/// written.
+pub fn measure(options: &VideoOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
+    ensure!(!options.rtt.is_empty(), "--rtt needs a value");
+    for codec in &options.video {
+        stream::check(&options.ffmpeg, *codec)?;
+    }
+    let mut bench = Bench::new(options)?;
+    progress(&format!("{} frames drawn without a network", bench.truths.len()));
+    let mut rows = Vec::new();
+    for &codec in &options.video {
+        for &rate in &options.rates {
+            rows.extend(bench.video(codec, rate)?);
+            progress(&format!("{codec} at {rate} Mbit/s"));
+        }
+    }
+    for &rtt_ms in &options.rtt {
+        rows.extend(bench.split(rtt_ms)?);
+        progress(&format!("visibility, {rtt_ms} ms"));
+    }
+    rows.push(bench.without_server()?);
+    let table = table(options, bench.path.name(), &rows);
+    options.scene.write("video.csv", &table.csv())?;
+    draw(options, &rows)?;
+    Ok(table)
+}
+
+/// The walk, and what is to be seen on it.
+struct Bench<'a> {
+    options: &'a VideoOptions,
+    rig: PredictRig,
+    path: CameraPath,
+    /// Every frame of the video, measured or not, as it should be seen.
+    truths: Vec<RgbImage>,
+    /// The first measured frame.
+    first: u32,
+}
+
+impl<'a> Bench<'a> {
+    fn new(options: &'a VideoOptions) -> Result<Self> {
+        let path = options.scene.load_path()?;
+        let lag = options.rtt.iter().map(|&rtt| options.lag(rtt)).max().unwrap_or(0);
+        let first = options.warm.max(POSES_BEFORE) + lag;
+        let frames = first + options.scene.frames;
+        let duration_s = f64::from(frames) / f64::from(options.fps.get());
+        ensure!(
+            duration_s <= path.duration_s(),
+            "{frames} frames (--warm, the lag and --frames) take {duration_s:.2} s, camera path {:?} only {:.2} s",
+            path.name(),
+            path.duration_s()
+        );
+        let mut rig = PredictRig::new(&options.scene.load_scene()?, options.scene.size, options.allow_software)?;
+        let camera = |frame: u32| camera(&path, options, frame);
+        let truths = (0..frames).map(|frame| rig.true_picture(&camera(frame))).collect::<Result<_>>()?;
+        Ok(Self { options, rig, path, truths, first })
+    }
+
+    fn fps(&self) -> f64 {
+        f64::from(self.options.fps.get())
+    }
+
+    fn measured(&self) -> std::ops::Range<usize> {
+        self.first as usize..self.truths.len()
+    }
+
+    /// The walk as video, seen after each round trip.
+    fn video(&self, codec: VideoCodec, rate: f64) -> Result<Vec<Row>> {
+        let options = self.options;
+        let stream = Stream::encode(&options.ffmpeg, codec, (rate, &options.preset), self.fps(), &self.truths)?;
+        let frames = stream.decode()?;
+        let measured = self.measured();
+        let bytes = &stream.frame_bytes()[measured.clone()];
+        #[expect(clippy::cast_precision_loss, reason = "bytes of a frame")]
+        let bytes = bytes.iter().map(|&bytes| bytes as f64).sum::<f64>() / bytes.len() as f64;
+        let seen = |rtt_ms: u32| {
+            let lag = options.lag(rtt_ms);
+            let shown = &frames[measured.start - lag as usize..measured.end - lag as usize];
+            let quality = Quality::of(shown, &self.truths[measured.clone()], self.fps())?;
+            Ok(self.row("video", format!("{codec} {rate} Mbit/s"), rtt_ms, bytes, quality))
+        };
+        options.rtt.iter().map(|&rtt_ms| seen(rtt_ms)).collect()
+    }
+
+    /// The walk with visibility from a server one round trip away: what is seen is the same for every codec.
+    fn split(&mut self, rtt_ms: u32) -> Result<Vec<Row>> {
+        let options = self.options;
+        let lag = options.lag(rtt_ms);
+        let mut encoders: Vec<Encoder> = options.codecs.iter().map(|&codec| Encoder::new(codec)).collect();
+        let mut bytes = vec![0.0; encoders.len()];
+        let (mut shown, mut body) = (Vec::new(), Vec::new());
+        let packetizer = Packetizer::new(MAX_PACKET_BYTES);
+        for frame in self.first..self.first + options.scene.frames {
+            let traced_for = self.traced_for(frame, lag);
+            let mask: Mask = self.rig.trace(&traced_for)?;
+            for (encoder, bytes) in encoders.iter_mut().zip(&mut bytes) {
+                encoder.encode(&mask, &mut body)?;
+                #[expect(clippy::cast_precision_loss, reason = "bytes of a frame")]
+                let sent = packetizer.wire_bytes(&body) as f64;
+                *bytes += sent / f64::from(options.scene.frames);
+            }
+            let camera = camera(&self.path, options, frame);
+            shown.push(self.rig.draw(&camera, Predictor::Surface, Some((&mask, &traced_for)))?.0);
+        }
+        let quality = Quality::of(&shown, &self.truths[self.measured()], self.fps())?;
+        let row =
+            |(codec, bytes): (&CodecId, f64)| self.row("visibility", codec.to_string(), rtt_ms, bytes, quality.clone());
+        Ok(options.codecs.iter().zip(bytes).map(row).collect())
+    }
+
+    /// The walk with what the client knows by itself.
+    fn without_server(&mut self) -> Result<Row> {
+        let mut shown = Vec::new();
+        for frame in self.first..self.first + self.options.scene.frames {
+            let camera = camera(&self.path, self.options, frame);
+            shown.push(self.rig.draw(&camera, Predictor::Surface, None)?.0);
+        }
+        let quality = Quality::of(&shown, &self.truths[self.measured()], self.fps())?;
+        Ok(self.row("no server", "shadow maps".to_owned(), 0, 0.0, quality))
+    }
+
+    /// What the server traces for the client that will show it in `frame`: where it expects the camera then, by the poses
+    /// that it knew `lag` frames before.
+    fn traced_for(&self, frame: u32, lag: u32) -> Camera {
+        let time_s = |frame: u32| f64::from(frame) / self.fps();
+        let mut motion = Motion::default();
+        for frame in frame - lag - POSES_BEFORE..=frame - lag {
+            motion.push(time_s(frame), camera(&self.path, self.options, frame));
+        }
+        let expected = motion.at(time_s(frame), Extrapolation::Velocity);
+        expected.unwrap_or_else(|| camera(&self.path, self.options, frame - lag))
+    }
+
+    fn row(&self, method: &'static str, setting: String, rtt_ms: u32, frame_bytes: f64, quality: Quality) -> Row {
+        let lag = self.options.lag(rtt_ms);
+        Row { method, setting, rtt_ms, lag, frame_bytes, mbit_per_s: frame_bytes * 8e-6 * self.fps(), quality }
+    }
+}
+
+fn camera(path: &CameraPath, options: &VideoOptions, frame: u32) -> Camera {
+    let (width, height) = options.scene.size;
+    path.camera(f64::from(frame) / f64::from(options.fps.get()), width, height)
+}
+
+fn table(options: &VideoOptions, path: &str, rows: &[Row]) -> Table {
+    let mut table = Table::new(&[
+        "scene",
+        "path",
+        "size",
+        "fps",
+        "method",
+        "setting",
+        "rtt_ms",
+        "lag",
+        "frame_bytes",
+        "mbit_per_s",
+        "psnr",
+        "ssim",
+        "flip",
+        "vmaf",
+    ]);
+    table.rows.extend(rows.iter().map(|row| {
+        vec![
+            options.scene.scene_name(),
+            path.to_owned(),
+            format!("{}x{}", options.scene.size.0, options.scene.size.1),
+            options.fps.to_string(),
+            row.method.to_owned(),
+            row.setting.clone(),
+            row.rtt_ms.to_string(),
+            row.lag.to_string(),
+            format!("{:.0}", row.frame_bytes),
+            format!("{:.2}", row.mbit_per_s),
+            format!("{:.2}", row.quality.psnr_db),
+            format!("{:.4}", row.quality.ssim),
+            format!("{:.4}", row.quality.flip),
+            row.quality.vmaf.map(|vmaf| format!("{vmaf:.2}")).unwrap_or_default(),
+        ]
+    }));
+    table
+}
+
+/// Draws `video_*.svg`: quality against rate, a line for each codec and round trip.
+fn draw(options: &VideoOptions, rows: &[Row]) -> Result<()> {
+    type Quantity = (&'static str, &'static str, fn(&Quality) -> f64);
+    let quantities: [Quantity; 4] = [
+        ("psnr", "PSNR, dB", |quality| quality.psnr_db),
+        ("ssim", "SSIM", |quality| quality.ssim),
+        ("flip", "FLIP", |quality| quality.flip),
+        ("vmaf", "VMAF", |quality| quality.vmaf.unwrap_or(f64::NAN)),
+    ];
+    for (name, label, value) in quantities {
+        let line = |title: String, wanted: &dyn Fn(&Row) -> bool| {
+            let points = rows.iter().filter(|row| wanted(row)).map(|row| (row.mbit_per_s, value(&row.quality)));
+            Series::line(&title, points.filter(|(_, quality)| quality.is_finite()).collect())
+        };
+        let mut series = Vec::new();
+        for &rtt_ms in &options.rtt {
+            for codec in &options.video {
+                series.push(line(format!("{codec}, RTT {rtt_ms} ms"), &|row| {
+                    row.rtt_ms == rtt_ms && row.method == "video" && row.setting.starts_with(&codec.to_string())
+                }));
+            }
+            series.push(line(format!("visibility, RTT {rtt_ms} ms"), &|row| {
+                row.rtt_ms == rtt_ms && row.method == "visibility"
+            }));
+        }
+        series.retain(|series| !series.points.is_empty());
+        if series.is_empty() {
+            continue;
+        }
+        let title = format!("{}: {name} against rate", options.scene.scene_name());
+        let plot = Plot::new(&title, Axis::log("Mbit/s"), Axis::linear(label), series);
+        options.scene.write(&format!("video_{name}.svg"), &plot.svg()?).context("the plot")?;
+    }
+    Ok(())
+}

@@ -1,0 +1,182 @@
+//! A video stream by ffmpeg, coded as hosts of streamed games do it: no frame waits for a later one, and none may be larger
+//! than its share of the rate.
+
+use std::{
+    fmt,
+    fs::{self, File},
+    io::Write as _,
+    path::{Path, PathBuf},
+    process::{Command, Output, Stdio},
+};
+
+use anyhow::{Context, Result, bail, ensure};
+use image::RgbImage;
+use tempfile::TempDir;
+
+const FILE: &str = "stream.mkv";
+const ERRORS: &str = "errors";
+
+/// Quiet, and no questions.
+const QUIET: [&str; 4] = ["-hide_banner", "-nostats", "-loglevel", "error"];
+
+/// Pictures are sRGB; streams are 8-bit 4:2:0 of BT.709, as every hardware decoder takes them.
+const TO_VIDEO: &str = "scale=out_color_matrix=bt709:out_range=tv:flags=accurate_rnd+full_chroma_int,format=yuv420p";
+const FROM_VIDEO: &str =
+    "scale=in_color_matrix=bt709:in_range=tv:flags=accurate_rnd+full_chroma_int+full_chroma_inp,format=rgb24";
+
+/// An encoder of ffmpeg's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum VideoCodec {
+    /// H.264.
+    X264,
+    /// H.265.
+    X265,
+}
+
+impl VideoCodec {
+    fn encoder(self) -> &'static str {
+        match self {
+            Self::X264 => "libx264",
+            Self::X265 => "libx265",
+        }
+    }
+
+    /// No key frames but the first, and one slice buffer of a frame: what the encoder does not do by `-tune` and `-b:v`.
+    fn arguments(self) -> [&'static str; 2] {
+        match self {
+            Self::X264 => ["-x264-params", "keyint=infinite:scenecut=0"],
+            Self::X265 => ["-x265-params", "keyint=-1:scenecut=0:log-level=error"],
+        }
+    }
+}
+
+impl fmt::Display for VideoCodec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::X264 => "x264",
+            Self::X265 => "x265",
+        })
+    }
+}
+
+/// Whether this ffmpeg has what a codec needs.
+///
+/// # Errors
+/// When it does not run, or has no such encoder.
+pub(super) fn check(ffmpeg: &Path, codec: VideoCodec) -> Result<()> {
+    let listed = Command::new(ffmpeg).args(["-hide_banner", "-encoders"]).stdin(Stdio::null()).output();
+    let listed = listed.with_context(|| format!("running {} (Debian: ffmpeg)", ffmpeg.display()))?;
+    let has = String::from_utf8_lossy(&listed.stdout).split_whitespace().any(|word| word == codec.encoder());
+    ensure!(has, "{} has no encoder {}", ffmpeg.display(), codec.encoder());
+    Ok(())
+}
+
+/// A coded stream.
+pub(super) struct Stream {
+    ffmpeg: PathBuf,
+    folder: TempDir,
+    size: (u32, u32),
+    frame_bytes: Vec<u64>,
+}
+
+impl Stream {
+    /// Codes `pictures`, of one size, at `fps` and so many Mbit/s.
+    ///
+    /// # Errors
+    /// When there is no picture, or ffmpeg fails.
+    pub(super) fn encode(
+        ffmpeg: &Path,
+        codec: VideoCodec,
+        (mbit_per_s, preset): (f64, &str),
+        fps: f64,
+        pictures: &[RgbImage],
+    ) -> Result<Self> {
+        let size = pictures.first().context("a video of nothing")?.dimensions();
+        let folder = tempfile::tempdir().context("making a temporary folder")?;
+        let kbit = |value: f64| format!("{:.0}k", value * 1e3);
+        let errors = File::create(folder.path().join(ERRORS)).context("creating a log")?;
+        let mut child = Command::new(ffmpeg)
+            .args(QUIET)
+            .args(["-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", &format!("{}x{}", size.0, size.1)])
+            .args(["-framerate", &fps.to_string(), "-i", "pipe:0", "-vf", TO_VIDEO])
+            .args(["-c:v", codec.encoder(), "-preset", preset, "-tune", "zerolatency"])
+            .args(["-b:v", &kbit(mbit_per_s), "-maxrate", &kbit(mbit_per_s), "-bufsize", &kbit(mbit_per_s / fps)])
+            .args(codec.arguments())
+            .arg(FILE)
+            .current_dir(folder.path())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(errors)
+            .spawn()
+            .with_context(|| format!("starting {}", ffmpeg.display()))?;
+        let mut stdin = child.stdin.take().context("ffmpeg has no input")?;
+        let written = pictures.iter().try_for_each(|picture| stdin.write_all(picture.as_raw()));
+        drop(stdin);
+        let status = child.wait().context("waiting for ffmpeg")?;
+        let said = fs::read_to_string(folder.path().join(ERRORS)).unwrap_or_default();
+        if let Err(error) = written {
+            bail!("ffmpeg takes no more: {error}: {said}");
+        }
+        ensure!(status.success(), "ffmpeg ended with {status}: {said}");
+        let mut stream = Self { ffmpeg: ffmpeg.to_owned(), folder, size, frame_bytes: Vec::new() };
+        let listed = stream.read(&["-c", "copy", "-f", "framecrc", "pipe:1"])?;
+        stream.frame_bytes = packet_sizes(&String::from_utf8_lossy(&listed))?;
+        let coded = stream.frame_bytes.len();
+        ensure!(coded == pictures.len(), "{} pictures became {coded} coded ones", pictures.len());
+        Ok(stream)
+    }
+
+    /// Size of each coded picture, in bytes.
+    pub(super) fn frame_bytes(&self) -> &[u64] {
+        &self.frame_bytes
+    }
+
+    /// All pictures, as a viewer gets them.
+    ///
+    /// # Errors
+    /// When ffmpeg fails, or gives another number of pictures.
+    pub(super) fn decode(&self) -> Result<Vec<RgbImage>> {
+        let raw = self.read(&["-vf", FROM_VIDEO, "-f", "rawvideo", "pipe:1"])?;
+        let (width, height) = self.size;
+        let bytes = 3 * width as usize * height as usize;
+        ensure!(raw.len() == bytes * self.frame_bytes.len(), "{} bytes of decoded video", raw.len());
+        let picture = |raw: &[u8]| RgbImage::from_raw(width, height, raw.to_vec()).context("a picture of another size");
+        raw.chunks_exact(bytes).map(picture).collect()
+    }
+
+    /// What ffmpeg prints when it reads the stream.
+    fn read(&self, arguments: &[&str]) -> Result<Vec<u8>> {
+        let mut command = Command::new(&self.ffmpeg);
+        command.args(QUIET).args(["-i", FILE]).args(arguments).current_dir(self.folder.path()).stdin(Stdio::null());
+        let Output { status, stdout, stderr } = command.output().context("running ffmpeg")?;
+        ensure!(status.success(), "ffmpeg ended with {status}: {}", String::from_utf8_lossy(&stderr));
+        Ok(stdout)
+    }
+}
+
+/// The sizes in ffmpeg's list of packets: `stream, dts, pts, duration, size, checksum`.
+fn packet_sizes(list: &str) -> Result<Vec<u64>> {
+    let size = |line: &str| line.split(',').nth(4)?.trim().parse().ok();
+    let lines = list.lines().filter(|line| !line.starts_with('#') && !line.trim().is_empty());
+    lines.map(|line| size(line).with_context(|| format!("ffmpeg's list of packets has {line:?}"))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packets_are_told_from_what_stands_around_them() {
+        let list = "#software: Lavf\n#tb 0: 1/1000\n0,  0,  0,  16,  8011, 0x1\n0, 17, 17, 16, 402, 0x2, S=1, 8\n";
+        assert_eq!(packet_sizes(list).unwrap(), [8011, 402]);
+        assert!(packet_sizes("0, 0, 0").unwrap_err().to_string().contains("0, 0, 0"));
+        assert!(packet_sizes("").unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_program_without_the_encoder_is_refused() {
+        assert!(check(Path::new("/no/such/ffmpeg"), VideoCodec::X264).unwrap_err().to_string().contains("ffmpeg"));
+        let error = check(Path::new("/bin/true"), VideoCodec::X265).unwrap_err().to_string();
+        assert!(error.contains("libx265"), "{error}");
+    }
+}

@@ -1,0 +1,90 @@
+//! Promise: `lab video` compares both ways of sending over the same walk, and visibility does not grow old with the network.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use std::{num::NonZero, path::Path};
+
+use gnomon_protocol::codec::CodecId;
+use gnomon_tests::report::{
+    scene_args::SceneArgs,
+    video::{VideoCodec, VideoOptions, measure},
+};
+
+const HEAD: &str = "scene,path,size,fps,method,setting,rtt_ms,lag,frame_bytes,mbit_per_s,psnr,ssim,flip,vmaf";
+
+#[test]
+fn both_ways_are_measured_and_only_video_grows_old() {
+    let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets");
+    let out = tempfile::tempdir().unwrap();
+    let options = VideoOptions {
+        scene: SceneArgs {
+            scene: assets.join("cloister.glb"),
+            lights_from: None,
+            lights: Some(2),
+            path: Some(format!("{}#walk", assets.join("cloister.json").display()).into()),
+            size: (160, 90),
+            frames: 4,
+            out: out.path().to_owned(),
+        },
+        fps: NonZero::new(60).unwrap(),
+        rtt: vec![0, 60],
+        video: vec![VideoCodec::X264, VideoCodec::X265],
+        rates: vec![0.5, 4.0],
+        preset: "ultrafast".to_owned(),
+        codecs: vec![CodecId::TilesFast],
+        warm: 12,
+        ffmpeg: "ffmpeg".into(),
+        allow_software: true,
+    };
+    let table = measure(&options, |_| ()).unwrap();
+    let csv = std::fs::read_to_string(out.path().join("video.csv")).unwrap();
+    assert_eq!(csv, table.csv());
+    assert_eq!(csv.lines().next().unwrap(), HEAD);
+    let column = |name: &str| HEAD.split(',').position(|column| column == name).unwrap();
+    let number = |setting: &str, rtt_ms: &str, name: &str| -> f64 {
+        let wanted = |row: &&Vec<String>| row[column("setting")] == setting && row[column("rtt_ms")] == rtt_ms;
+        let rows: Vec<_> = table.rows.iter().filter(wanted).collect();
+        assert_eq!(rows.len(), 1, "{setting} at {rtt_ms} ms: {csv}");
+        rows[0][column(name)].parse().unwrap()
+    };
+    for codec in ["x264", "x265"] {
+        let (low, high) = (format!("{codec} 0.5 Mbit/s"), format!("{codec} 4 Mbit/s"));
+        assert!(number(&low, "0", "psnr") < number(&high, "0", "psnr"), "{csv}");
+        assert!(number(&low, "0", "mbit_per_s") < number(&high, "0", "mbit_per_s"), "{csv}");
+        // Four frames of a walk cost a picture more than any of these rates does.
+        assert!(number(&high, "60", "psnr") + 3.0 < number(&high, "0", "psnr"), "{csv}");
+        assert!(number(&high, "60", "psnr") < number("tiles-fast", "60", "psnr"), "{csv}");
+    }
+    assert_eq!(number("x264 4 Mbit/s", "60", "lag") as u32, 4);
+    // With no lag the client shows the very pictures that it is judged by.
+    assert!(number("tiles-fast", "0", "psnr").is_infinite(), "{csv}");
+    assert!(number("tiles-fast", "60", "psnr") > number("shadow maps", "0", "psnr"), "{csv}");
+    assert!(out.path().join("video_psnr.svg").is_file());
+}
+
+#[test]
+fn a_walk_that_is_too_short_is_refused_before_anything_is_drawn() {
+    let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets");
+    let out = tempfile::tempdir().unwrap();
+    let options = VideoOptions {
+        scene: SceneArgs {
+            scene: assets.join("cloister.glb"),
+            lights_from: None,
+            lights: Some(1),
+            path: Some(format!("{}#walk", assets.join("cloister.json").display()).into()),
+            size: (64, 36),
+            frames: 1_000_000,
+            out: out.path().to_owned(),
+        },
+        fps: NonZero::new(60).unwrap(),
+        rtt: vec![0],
+        video: Vec::new(),
+        rates: Vec::new(),
+        preset: "ultrafast".to_owned(),
+        codecs: Vec::new(),
+        warm: 0,
+        ffmpeg: "ffmpeg".into(),
+        allow_software: true,
+    };
+    let error = measure(&options, |_| ()).unwrap_err().to_string();
+    assert!(error.contains("1000012 frames") && error.contains("walk"), "{error}");
+}
