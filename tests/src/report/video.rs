@@ -37,6 +37,11 @@ use crate::metrics::{image::compare, vmaf::vmaf};
 /// Poses before a mask's that the server's extrapolation has seen.
 const POSES_BEFORE: u32 = 12;
 
+/// Visibility of the view that the server expects, which is what it does on a GPU.
+const AHEAD: &str = "visibility";
+/// Visibility of the newest view that the server knows.
+const BEHIND: &str = "visibility, not looking ahead";
+
 /// What to compare.
 #[derive(Debug, Clone, clap::Args)]
 pub struct VideoOptions {
@@ -135,7 +140,10 @@ pub fn measure(options: &VideoOptions, mut progress: impl FnMut(&str)) -> Result
         }
     }
     for &rtt_ms in &options.rtt {
-        rows.extend(bench.split(rtt_ms)?);
+        rows.extend(bench.split(rtt_ms, Extrapolation::Velocity)?);
+        if options.lag(rtt_ms) > 0 {
+            rows.extend(bench.split(rtt_ms, Extrapolation::Still)?);
+        }
         progress(&format!("visibility, {rtt_ms} ms"));
     }
     rows.push(bench.without_server()?);
@@ -202,7 +210,7 @@ impl<'a> Bench<'a> {
     }
 
     /// The walk with visibility from a server one round trip away: what is seen is the same for every codec.
-    fn split(&mut self, rtt_ms: u32) -> Result<Vec<Row>> {
+    fn split(&mut self, rtt_ms: u32, extrapolation: Extrapolation) -> Result<Vec<Row>> {
         let options = self.options;
         let lag = options.lag(rtt_ms);
         let mut encoders: Vec<Encoder> = options.codecs.iter().map(|&codec| Encoder::new(codec)).collect();
@@ -210,7 +218,7 @@ impl<'a> Bench<'a> {
         let (mut shown, mut body) = (Vec::new(), Vec::new());
         let packetizer = Packetizer::new(MAX_PACKET_BYTES);
         for frame in self.first..self.first + options.scene.frames {
-            let traced_for = self.traced_for(frame, lag);
+            let traced_for = self.traced_for(frame, lag, extrapolation);
             let mask: Mask = self.rig.trace(&traced_for)?;
             for (encoder, bytes) in encoders.iter_mut().zip(&mut bytes) {
                 encoder.encode(&mask, &mut body)?;
@@ -222,8 +230,8 @@ impl<'a> Bench<'a> {
             shown.push(self.rig.draw(&camera, Predictor::Surface, Some((&mask, &traced_for)))?.0);
         }
         let quality = Quality::of(&shown, &self.truths[self.measured()], self.fps())?;
-        let row =
-            |(codec, bytes): (&CodecId, f64)| self.row("visibility", codec.to_string(), rtt_ms, bytes, quality.clone());
+        let method = if extrapolation == Extrapolation::Still { BEHIND } else { AHEAD };
+        let row = |(codec, bytes): (&CodecId, f64)| self.row(method, codec.to_string(), rtt_ms, bytes, quality.clone());
         Ok(options.codecs.iter().zip(bytes).map(row).collect())
     }
 
@@ -240,13 +248,13 @@ impl<'a> Bench<'a> {
 
     /// What the server traces for the client that will show it in `frame`: where it expects the camera then, by the poses
     /// that it knew `lag` frames before.
-    fn traced_for(&self, frame: u32, lag: u32) -> Camera {
+    fn traced_for(&self, frame: u32, lag: u32, extrapolation: Extrapolation) -> Camera {
         let time_s = |frame: u32| f64::from(frame) / self.fps();
         let mut motion = Motion::default();
         for frame in frame - lag - POSES_BEFORE..=frame - lag {
             motion.push(time_s(frame), camera(&self.path, self.options, frame));
         }
-        let expected = motion.at(time_s(frame), Extrapolation::Velocity);
+        let expected = motion.at(time_s(frame), extrapolation);
         expected.unwrap_or_else(|| camera(&self.path, self.options, frame - lag))
     }
 
@@ -320,9 +328,11 @@ fn draw(options: &VideoOptions, rows: &[Row]) -> Result<()> {
                     row.rtt_ms == rtt_ms && row.method == "video" && row.setting.starts_with(&codec.to_string())
                 }));
             }
-            series.push(line(format!("visibility, RTT {rtt_ms} ms"), &|row| {
-                row.rtt_ms == rtt_ms && row.method == "visibility"
-            }));
+            for method in [AHEAD, BEHIND] {
+                series.push(line(format!("{method}, RTT {rtt_ms} ms"), &|row| {
+                    row.rtt_ms == rtt_ms && row.method == method
+                }));
+            }
         }
         series.retain(|series| !series.points.is_empty());
         if series.is_empty() {
