@@ -8,9 +8,13 @@ use gnomon_protocol::mask::{Mask, MaskShape, TILE_PX};
 use gnomon_server::visibility::backend::{compute::ComputeBackend, cpu::CpuBackend};
 use gnomon_shaders::{
     camera::Camera,
-    scene::{AlphaMode, Scene, Wrap},
+    scene::{AlphaMode, LoadOptions, Scene, Wrap},
 };
-use gnomon_tests::{backends::BackendName, reference::Reference, scenes::builder::SceneBuilder};
+use gnomon_tests::{
+    backends::BackendName,
+    reference::Reference,
+    scenes::{builder::SceneBuilder, real},
+};
 
 const SIZE: (u32, u32) = (96, 64);
 
@@ -104,5 +108,24 @@ fn masks_and_what_is_kept_for_them_grow_with_the_lights() {
             let pixels = u64::from(SIZE.0 * SIZE.1);
             assert_eq!(traced(backend, &scene).0, pixels * u64::from(lights), "{}", backend.name());
         }
+    }
+}
+
+/// The reason why meshes that are used twice have no hierarchy of their own under another one: of what an instance costs, that
+/// would save the small part only. Triangles stay one by one, since their places in space decide ties.
+#[test]
+fn hierarchies_are_a_small_part_of_what_a_scene_takes() {
+    let folder = real::folder().unwrap();
+    for scene in &real::JUDGED {
+        let lights_from = scene.lights_from_json.then(|| scene.json_in(&folder));
+        let options = LoadOptions { lights_from, ..LoadOptions::default() };
+        let loaded = Scene::load(&folder.join(scene.file), &options).unwrap();
+        let kept = ComputeBackend::open(&loaded, None, true).unwrap().kept();
+        let share = kept.hierarchy_bytes as f64 / (kept.hierarchy_bytes + kept.triangle_bytes) as f64;
+        println!(
+            "{}: hierarchy {} bytes, triangles {}: {share:.3}",
+            scene.name, kept.hierarchy_bytes, kept.triangle_bytes
+        );
+        assert!((0.01..0.15).contains(&share), "{}: {kept:?}", scene.name);
     }
 }

@@ -75,9 +75,13 @@ pub struct ComputeBackend {
     failure: Failure,
 }
 
-/// What a device keeps that depends on the scene's lights and its holes.
+/// What a device keeps of a scene, and for its masks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Kept {
+    /// Nodes of our hierarchy, in bytes; 0 where the adapter has its own.
+    pub hierarchy_bytes: u64,
+    /// Triangles and their normals, in bytes.
+    pub triangle_bytes: u64,
     /// The lights, in bytes.
     pub lights_bytes: u64,
     /// Alpha materials, their pictures, and texture coordinates, in bytes.
@@ -198,6 +202,8 @@ impl ComputeBackend {
         let geometry = Geometry::build(scene, traversal)?;
         let tests_alpha = !geometry.alpha_materials.is_empty();
         let kept = Kept {
+            hierarchy_bytes: size_of_val(&*geometry.nodes) as u64,
+            triangle_bytes: (size_of_val(&*geometry.triangles) + size_of_val(&*geometry.normals)) as u64,
             lights_bytes: (size_of::<TracedLight>() * scene.lights.len()) as u64,
             alpha_bytes: geometry.alpha_bytes(),
             mask_bytes: 0,
