@@ -65,6 +65,7 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
                 lights: services.scene.lights,
                 backend: shortened(services.engine.description()),
                 data_port: link.data.port(),
+                resume: admitted.slot.resume,
             };
             link.writer.write(&ServerMessage::Welcome(welcome)).await?;
             Ok(admitted)
@@ -113,7 +114,7 @@ fn admit(hello: Hello, services: &Services) -> Result<Admitted, Refusal> {
     }
     let shape = MaskShape::new(hello.width, hello.height, services.scene.lights)
         .map_err(|error| Refusal::Unsupported(error.to_string()))?;
-    let slot = services.admission.admit()?;
+    let slot = services.admission.admit(hello.resume)?;
     let port = services.engine.open_session(shape).map_err(|error| match error {
         OpenError::Full(_) | OpenError::Busy => services.admission.full(),
         _ => Refusal::Unsupported(shortened(&error.to_string())),
@@ -141,6 +142,8 @@ mod tests {
                 width: 1,
                 height: 1,
                 codec: CodecId::PlanesLz4,
+                rate_hz: 60,
+                resume: None,
             };
             let bytes = message::encode(&ClientMessage::Hello(hello)).unwrap();
             assert_eq!(peek_version(&bytes[4..]), Some(version));

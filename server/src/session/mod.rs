@@ -144,7 +144,10 @@ pub(crate) async fn run(link: Link, admitted: Admitted, services: Arc<Services>)
         ledger: Arc::clone(&ledger),
         services,
     };
-    let end = session.converse().await;
+    let end = tokio::select! {
+        end = session.converse() => end,
+        () = slot.superseded() => End::Lost("the client went on over another connection".to_owned()),
+    };
     if matches!(end, End::Stopping) {
         session.finish_frames().await;
     }
