@@ -115,8 +115,10 @@ fn admit(hello: Hello, services: &Services) -> Result<Admitted, Refusal> {
     let shape = MaskShape::new(hello.width, hello.height, services.scene.lights)
         .map_err(|error| Refusal::Unsupported(error.to_string()))?;
     let slot = services.admission.admit(hello.resume)?;
-    let port = services.engine.open_session(shape).map_err(|error| match error {
+    let rate_hz = (hello.rate_hz > 0).then(|| f64::from(hello.rate_hz));
+    let port = services.engine.open(shape, rate_hz).map_err(|error| match error {
         OpenError::Full(_) | OpenError::Busy => services.admission.full(),
+        OpenError::TooMuch(reason) => services.admission.busy(shortened(&reason.to_string())),
         _ => Refusal::Unsupported(shortened(&error.to_string())),
     })?;
     Ok(Admitted { slot, port, shape, codec: hello.codec, client: hello.client })

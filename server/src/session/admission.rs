@@ -112,6 +112,11 @@ impl Admission {
         }
     }
 
+    /// What a client hears that would disturb the others.
+    pub(crate) fn busy(&self, reason: String) -> Refusal {
+        Refusal::Busy { reason, retry_after_ms: u32::try_from(RETRY_AFTER.as_millis()).unwrap_or(u32::MAX) }
+    }
+
     /// Admits nobody any more. Slots that are taken stay.
     pub(crate) fn close(&self) {
         self.slots.close();
