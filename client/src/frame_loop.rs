@@ -68,8 +68,10 @@ pub(crate) struct Outcome {
     pub(crate) rejections: Rejections,
     pub(crate) round_trip: Option<Duration>,
     pub(crate) duration: Duration,
-    /// Why the server was lost on the way.
+    /// Why the server was lost on the way, the first time.
     pub(crate) lost: Option<String>,
+    /// How often a server was found again.
+    pub(crate) reconnects: u32,
 }
 
 /// What the loop remembers from frame to frame.
@@ -96,8 +98,10 @@ impl FrameLoop<'_> {
         self.progress.finish();
         let mut outcome = memory.outcome;
         outcome.duration = memory.started.elapsed();
-        if let Some(Live { runtime, session, masks, rejections, poses_repeated, .. }) = self.live.take() {
-            outcome.received = session.received();
+        if let Some(live) = self.live.take() {
+            outcome.received = live.received();
+            outcome.reconnects = live.reconnects;
+            let Live { runtime, session, masks, rejections, poses_repeated, .. } = live;
             outcome.rejections = rejections;
             // Most are found out before a mask is made of them.
             outcome.rejections.future += outcome.received.future;
@@ -171,7 +175,7 @@ impl FrameLoop<'_> {
 
         let known_share = self.renderer.known_share();
         let current = self.live.as_ref().and_then(|live| live.current);
-        let lag = current.map(|current| frame.0.saturating_sub(current.asked.frame.0));
+        let lag = current.map(|current| current.lag(frame));
         let response_ms = taken.response.map(millis);
         let outcome = &mut memory.outcome;
         outcome.frames += 1;
@@ -185,6 +189,7 @@ impl FrameLoop<'_> {
             frame: frame.0,
             t_ms: millis(begun.duration_since(memory.started)),
             state: decision.state,
+            link: self.live.as_ref().map_or("offline", |live| live.link_state().name()),
             visibility_share: decision.visibility_share,
             known_share,
             mask_frame: current.map(|current| current.asked.frame.0),
@@ -210,15 +215,16 @@ impl FrameLoop<'_> {
 
     /// Remembers a frame, and asks the server for its mask. How far ahead that is wanted is the answer, in milliseconds.
     fn ask(&mut self, frame: FrameNumber, camera: &Camera, begun: Instant, memory: &mut Memory) -> u16 {
-        let lost = memory.outcome.lost.is_some();
-        let live = self.live.as_ref().filter(|_| !lost);
+        if let Some(live) = self.live.as_mut().filter(|_| !self.wait) {
+            live.tend(frame, &mut memory.history);
+        }
         let turn_px = memory.before.map_or((0.0, 0.0), |(before, _)| turn_px(&before, camera));
         let current = self.live.as_ref().and_then(|live| live.current);
-        let lag = current.map_or(0, |current| frame.0.saturating_sub(current.asked.frame.0));
+        let lag = current.map_or(0, |current| current.lag(frame));
         let wide = camera.widened(self.guard.next(f64::from(lag), turn_px).per_side());
         // A mask that is shown with its own frame is wanted for exactly that.
         let looks_ahead = self.predict_pose && !self.wait && memory.state != Some(State::Sequential);
-        let look_ahead_ms = live.filter(|_| looks_ahead).map_or(0, Live::look_ahead_ms);
+        let look_ahead_ms = self.live.as_ref().filter(|_| looks_ahead).map_or(0, Live::look_ahead_ms);
         // It wraps after 49 days, as the pose says.
         #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³²")]
         let client_time_ms = begun.duration_since(memory.started).as_millis() as u32;
@@ -232,16 +238,20 @@ impl FrameLoop<'_> {
             mask_px: [wide.width, wide.height].map(|side| u16::try_from(side).unwrap_or(u16::MAX)),
             look_ahead_ms,
         };
-        let sent_at = live.map(|live| {
-            live.session.send_pose(frame, pose);
-            begun
+        let wait = self.wait;
+        let sent_at = self.live.as_mut().and_then(|live| {
+            let ask = live.should_ask(frame, &wide, begun) || wait;
+            ask.then(|| {
+                live.session.send_pose(frame, pose);
+                begun
+            })
         });
         memory.history.remember(Asked { frame, camera: *camera, mask_camera: wide, pose, sent_at });
         look_ahead_ms
     }
 
     /// Gives the renderer the mask that has come. A server that is gone ends a run that waits, or that it never answered;
-    /// others go on with what they have.
+    /// others go on with what they have, and look for it.
     fn take_mask(&mut self, shown_at: Instant, memory: &mut Memory) -> Result<Taken, ClientError> {
         let Some(live) = &mut self.live else { return Ok(Taken::default()) };
         let taken = if self.wait {
@@ -273,7 +283,7 @@ impl FrameLoop<'_> {
         if self.wait || self.live.is_none() {
             return (*camera, Decision { state: State::Concurrent, visibility_share: 1.0 });
         }
-        let lag = current.map(|current| frame.0.saturating_sub(current.asked.frame.0));
+        let lag = current.map(|current| current.lag(frame));
         let jumped = current.is_some_and(|current| has_jumped(&current.asked.camera, camera, lag.unwrap_or(0)));
         let decision = self.machine.step(Observation { lag, jumped, step_s });
         if memory.state.replace(decision.state) != Some(decision.state) {

@@ -18,7 +18,8 @@ use crate::{
     live::Live,
     mode::{Mode, ModeMachine, Thresholds},
     net::{
-        session::{Admitted, Introduction, admit},
+        reconnect::admit_patiently,
+        session::{Admitted, Introduction, rate_hz},
         url::ServerUrl,
     },
     occluders::Occluders,
@@ -295,11 +296,13 @@ fn get_scene(options: &HeadlessOptions, progress: &Progress) -> Result<(Scene, O
                 width,
                 height,
                 codec: options.codec,
+                rate_hz: rate_hz(options.fps),
+                resume: None,
                 connect_timeout: options.connect_timeout,
             };
             let cache = SceneCache::new(options.cache_dir.clone());
             let (admitted, packed) = runtime.block_on(async {
-                let mut admitted = admit(url, &introduction).await?;
+                let mut admitted = admit_patiently(url, &introduction).await?;
                 let packed = admitted.scene(&cache, |have, length| progress.fetching(have, length)).await?;
                 Ok::<_, ClientError>((admitted, packed))
             })?;
@@ -391,6 +394,7 @@ fn summary(
         guard: options.guard.to_string(),
         predict_pose: options.looks_ahead(gpu),
         connection_lost: outcome.lost.clone(),
+        reconnects: outcome.reconnects,
         exposure_ev: exposure.ev(),
         path: path.name().to_owned(),
     }

@@ -1,4 +1,5 @@
-//! The server's end of a run: poses go out, masks come in and are matched with what was asked for.
+//! The server's end of a run: poses go out, masks come in and are matched with what was asked for. A server that is lost is
+//! looked for while the client draws on.
 
 use std::{
     sync::Arc,
@@ -12,7 +13,7 @@ use tokio::runtime::Runtime;
 use crate::{
     error::ClientError,
     mask_buffer::{MaskReader, Waited},
-    net::session::Session,
+    net::{link_state::LinkState, receive::Received, reconnect::Redial, session::Session},
     pose_history::{Asked, PoseHistory, Rejections},
     render::{FrameRenderer, RenderError, predict::MaskView},
 };
@@ -25,6 +26,10 @@ const LEAST_PATIENCE: Duration = Duration::from_millis(250);
 
 /// How long one frame is waited for in all.
 const GIVE_UP: Duration = Duration::from_secs(120);
+
+/// How often a mask is asked for while the camera stands still and its mask is there: often enough that the server stays warm, and
+/// seldom enough that standing still costs nothing.
+const REFRESH: Duration = Duration::from_secs(1);
 
 /// A server that masks come from.
 pub(crate) struct Live {
@@ -41,12 +46,23 @@ pub(crate) struct Live {
     repeated: Option<FrameNumber>,
     /// From a pose's departure until the frame that showed its mask, smoothed.
     pub(crate) way: Option<Duration>,
+    /// When a pose left last.
+    asked_at: Option<Instant>,
+    redial: Option<Redial>,
+    /// What earlier connections have brought.
+    received_before: Received,
+    /// How often a server was found again.
+    pub(crate) reconnects: u32,
 }
 
 /// The mask that the renderer has, and what it was asked for with.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Current {
     pub(crate) asked: Asked,
+    /// What it was traced for.
+    view: Camera,
+    /// The newest frame that it is the whole answer to: its own, or a later one of a camera that has not moved since.
+    as_of: FrameNumber,
     /// Bytes of its frame on the wire, packet headers not counted.
     pub(crate) bytes: usize,
     pub(crate) packets: u16,
@@ -61,6 +77,13 @@ pub(crate) struct Taken {
     pub(crate) upload: Duration,
 }
 
+impl Current {
+    /// Frames since this mask was the answer.
+    pub(crate) fn lag(&self, frame: FrameNumber) -> u32 {
+        frame.0.saturating_sub(self.as_of.0)
+    }
+}
+
 impl Live {
     pub(crate) fn new(runtime: Arc<Runtime>, session: Session, masks: MaskReader) -> Self {
         Self {
@@ -73,7 +96,85 @@ impl Live {
             slowest_response: None,
             repeated: None,
             way: None,
+            asked_at: None,
+            redial: None,
+            received_before: Received::default(),
+            reconnects: 0,
         }
+    }
+
+    /// How the client stands with its server.
+    pub(crate) fn link_state(&self) -> LinkState {
+        let health = self.session.health();
+        match (&self.redial, self.masks.ended(), health.draining) {
+            (None, Some(reason), _) => LinkState::Lost { reason, retry_at: None },
+            (Some(redial), Some(_), _) => redial.state(),
+            (Some(redial), None, _) if health.silent => redial.state(),
+            (_, None, Some(notice)) => LinkState::Draining {
+                reason: notice.reason,
+                deadline: notice.deadline,
+                alternative: notice.alternative,
+            },
+            (_, None, None) => LinkState::Live,
+        }
+    }
+
+    /// Looks after the connection, before `frame` is asked for: when the server is lost, silent, or about to stop and has named
+    /// another one, a new connection is looked for, and taken when it is there. The old one serves for as long as it can.
+    pub(crate) fn tend(&mut self, frame: FrameNumber, history: &mut PoseHistory) {
+        let health = self.session.health();
+        let lost = self.masks.ended().or_else(|| health.silent.then(|| "the server is silent".to_owned()));
+        let elsewhere = health.draining.and_then(|notice| {
+            let url = notice.alternative?;
+            url.parse().inspect_err(|error| tracing::warn!(%error, url, "the server names no server")).ok()
+        });
+        match (&mut self.redial, lost, elsewhere) {
+            (None, None, None) => {}
+            (None, lost, elsewhere) => {
+                let reason = lost.unwrap_or_else(|| "the server stops".to_owned());
+                let (runtime, again) = (self.runtime.handle(), self.session.again().clone());
+                self.redial = Some(Redial::start(runtime, again, elsewhere, reason));
+            }
+            // It was an outage, and it is over.
+            (Some(_), None, None) => self.redial = None,
+            (Some(redial), _, _) => {
+                if let Some((session, masks)) = redial.take_found() {
+                    tracing::info!(server = %session.again().url, "connected again");
+                    self.redial = None;
+                    self.received_before = sum(self.received_before, self.session.received());
+                    self.masks = masks;
+                    let old = std::mem::replace(&mut self.session, session);
+                    self.runtime.spawn(old.leave());
+                    self.asked_at = None;
+                    self.reconnects += 1;
+                    history.reconnected(frame);
+                }
+            }
+        }
+    }
+
+    /// Whether a frame that is looked at from `view` should be asked for: not when there is nobody to ask, and not when the mask
+    /// that is there is the answer, except now and then.
+    pub(crate) fn should_ask(&mut self, frame: FrameNumber, view: &Camera, now: Instant) -> bool {
+        if self.masks.ended().is_some() {
+            return false;
+        }
+        let answered = self.current.as_mut().filter(|current| current.view == *view);
+        let idle = answered.is_some();
+        if let Some(current) = answered {
+            current.as_of = frame;
+        }
+        let recent = self.asked_at.is_some_and(|asked| now.saturating_duration_since(asked) < REFRESH);
+        let ask = !idle || !recent;
+        if ask {
+            self.asked_at = Some(now);
+        }
+        ask
+    }
+
+    /// What has come over all connections.
+    pub(crate) fn received(&self) -> Received {
+        sum(self.received_before, self.session.received())
     }
 
     /// How far ahead masks should be traced, in milliseconds.
@@ -172,7 +273,10 @@ impl Live {
         renderer.set_mask(Some(MaskView { mask: &received.mask, traced_for: &traced_for }))?;
         let upload = begun.elapsed();
         let response = asked.sent_at.map(|sent| received.received_at.saturating_duration_since(sent));
-        self.current = Some(Current { asked, bytes: received.payload_bytes, packets: received.packets });
+        let before = self.current.filter(|before| before.view == traced_for);
+        let as_of = before.map_or(asked.frame, |before| before.as_of.max(asked.frame));
+        self.current =
+            Some(Current { asked, view: traced_for, as_of, bytes: received.payload_bytes, packets: received.packets });
         // What a repeated pose took says nothing about the server (Karn's rule for round trips): taken for a response, a
         // lost frame would make the next loss cost twice as much.
         if self.repeated != Some(asked.frame) {
@@ -183,4 +287,16 @@ impl Live {
         }
         Ok(Taken { response, upload })
     }
+}
+
+/// What has come in two connections' lives.
+fn sum(mut all: Received, more: Received) -> Received {
+    all.frames += more.frames;
+    all.partial += more.partial;
+    all.incomplete += more.incomplete;
+    all.future += more.future;
+    all.bad += more.bad;
+    all.payload_bytes += more.payload_bytes;
+    all.packets += more.packets;
+    all
 }

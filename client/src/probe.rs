@@ -13,7 +13,7 @@ use crate::{
     error::ClientError,
     mask_buffer::{MaskReader, Waited},
     net::{
-        session::{Introduction, Session, admit},
+        session::{Introduction, Session, admit, rate_hz},
         url::ServerUrl,
     },
     stats::millis,
@@ -74,6 +74,8 @@ pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) ->
         width: options.width,
         height: options.height,
         codec: options.codec,
+        rate_hz: rate_hz(options.fps),
+        resume: None,
         connect_timeout: PATIENCE,
     };
     let admitted = runtime.block_on(admit(&options.url, &introduction))?;

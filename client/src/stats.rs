@@ -24,6 +24,8 @@ pub struct FrameStats {
     pub t_ms: f64,
     /// What the client was doing: `sequential`, `concurrent` or `degraded`.
     pub state: State,
+    /// How it stood with the server: `live`, `draining`, `lost` or `refused`; `offline` without one.
+    pub link: &'static str,
     /// How much received visibility counted, 0 to 1, against what the client knows by itself.
     pub visibility_share: f32,
     /// Share of a picture's pixels whose visibility a mask said something of (the sky counts); of the latest picture whose count
@@ -128,6 +130,8 @@ pub struct Summary {
     pub predict_pose: bool,
     /// Why the server was lost on the way, if it was.
     pub connection_lost: Option<String>,
+    /// How often a lost server, or the one that it named, was found again.
+    pub reconnects: u32,
     /// The exposure, as `--exposure` takes it.
     pub exposure_ev: f32,
     /// The camera path's name.
@@ -262,6 +266,7 @@ mod tests {
             guard: "0x0".into(),
             predict_pose: false,
             connection_lost: None,
+            reconnects: 0,
             exposure_ev: 3.5,
             path: "default".into(),
         }
@@ -315,6 +320,7 @@ mod tests {
                 frame,
                 t_ms: 1.5,
                 state: State::Degraded,
+                link: "live",
                 visibility_share: 0.5,
                 known_share: None,
                 mask_frame: None,

@@ -11,7 +11,7 @@ mod stage;
 use std::path::Path;
 
 use gnomon_client::{HeadlessOptions, Summary, mode::Mode, run_headless};
-use gnomon_protocol::message::ServerMessage;
+use gnomon_protocol::{ids::ResumeToken, message::ServerMessage};
 use serde_json::Value;
 use stage::{Script, Stage, mask_for};
 
@@ -73,10 +73,11 @@ fn an_outage_fades_out_and_back_in() {
 
 #[test]
 fn a_server_that_leaves_does_not_end_a_run_that_it_has_answered() {
-    let stage = Stage::start("lab-tcp", Script { close_at: Some(30), ..Script::default() });
+    let stage = Stage::start("lab-tcp", Script { close_at: Some(30), gone: true, ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     let (summary, lines) = run(&options(&stage, folder.path(), 80));
-    assert_eq!((summary.frames_rendered, lines.len()), (80, 80));
+    assert_eq!((summary.frames_rendered, lines.len(), summary.reconnects), (80, 80, 0));
+    assert_eq!(lines[79]["link"], "lost");
     assert!(summary.connection_lost.unwrap().contains("curtain"));
     assert_no_pop(&lines);
     let last = lines.last().unwrap();
@@ -86,6 +87,60 @@ fn a_server_that_leaves_does_not_end_a_run_that_it_has_answered() {
     let stage = Stage::start("lab-tcp", Script { answer: Some(answer), ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     run_headless(&options(&stage, folder.path(), 10)).unwrap_err();
+}
+
+#[test]
+fn a_server_that_comes_back_is_found_and_resumed() {
+    let stage = Stage::start("lab-tcp", Script { close_at: Some(30), ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    // Long enough for a second attempt on a busy machine.
+    let (summary, lines) = run(&options(&stage, folder.path(), 300));
+    assert_eq!((summary.frames_rendered, lines.len(), summary.reconnects), (300, 300, 1));
+    assert!(summary.connection_lost.unwrap().contains("curtain"));
+    assert_eq!(summary.masks_rejected.before_reconnect, 0);
+    assert_no_pop(&lines);
+    let last = lines.last().unwrap();
+    assert_eq!(
+        (&last["state"], &last["link"], last["visibility_share"].as_f64()),
+        (&"concurrent".into(), &"live".into(), Some(1.0))
+    );
+    assert!(last["mask_frame"].as_u64() > Some(30), "{last}");
+    assert_eq!(stage.resumed()[..2], [None, Some(ResumeToken([7; 16]))]);
+    assert_eq!(stage.scene_fetches(), [0], "the scene is there already");
+}
+
+#[test]
+fn a_draining_server_sends_its_clients_elsewhere() {
+    let elsewhere = Stage::start("lab-tcp", Script::default());
+    let script = Script { drain_at: Some((20, elsewhere.url())), ..Script::default() };
+    let stage = Stage::start("lab-tcp", script);
+    let folder = tempfile::tempdir().unwrap();
+    let (summary, lines) = run(&options(&stage, folder.path(), 200));
+    assert_eq!((summary.frames_rendered, summary.reconnects, summary.connection_lost), (200, 1, None));
+    assert_eq!(elsewhere.resumed(), [None], "the session's name is not told to others");
+    assert!(
+        lines.iter().all(|line| line["link"] == "live" || line["link"] == "draining"),
+        "no frame was without a server"
+    );
+    assert!(lines.last().unwrap()["mask_frame"].as_u64() > Some(150), "{:?}", lines.last());
+    assert!(stage.heard_bye());
+}
+
+#[test]
+fn a_camera_that_stands_still_asks_seldom_and_is_not_taken_for_an_outage() {
+    let stage = Stage::start("lab-tcp", Script::default());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("still.json");
+    let still = r#"{"camera_path": {"keyframes": [{"t": 0, "pos": [0, 1, 1], "target": [0, 0, 0]}]}}"#;
+    std::fs::write(&path, still).unwrap();
+    let mut options = options(&stage, folder.path(), 150);
+    options.path = Some(path.to_str().unwrap().parse().unwrap());
+    let (summary, lines) = run(&options);
+    // 2.5 s: some until the first mask is there, and then one a second.
+    assert!(summary.frames_received < 75, "{}", summary.frames_received);
+    assert_eq!(summary.lag_frames_p50, Some(0.0));
+    let settled = &lines[100..];
+    assert!(settled.iter().all(|line| line["state"] == "concurrent" && line["lag"] == 0), "{settled:?}");
 }
 
 #[test]

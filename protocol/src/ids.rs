@@ -24,6 +24,16 @@ impl fmt::Display for SessionId {
     }
 }
 
+/// What a client that comes back names its session by: whoever knows it takes the session's place over. Secret, so it is never shown.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct ResumeToken(pub [u8; 16]);
+
+impl fmt::Debug for ResumeToken {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("ResumeToken")
+    }
+}
+
 /// BLAKE3 digest of a packed scene: both ends render and trace the scene with this name, or none.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct SceneDigest(pub [u8; 32]);

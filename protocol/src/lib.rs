@@ -19,4 +19,4 @@ pub mod pose;
 pub mod reassembler;
 
 /// Version of everything in this crate that a peer can see. Peers with different versions refuse each other.
-pub const PROTOCOL_VERSION: u16 = 3;
+pub const PROTOCOL_VERSION: u16 = 4;

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! client                                    server
-//! Hello (version, token, size, codec)  →
+//! Hello (version, token, size, …)      →
 //!                                      ←    Welcome (session, scene digest and length, …)   or Refused (reason), end
 //! FetchScene (offset), unless cached   →
 //!                                      ←    SceneChunk … until all bytes are there
@@ -14,12 +14,14 @@
 //!
 //! A message is its length (u32, little-endian) and its postcard bytes, at most [`MAX_MESSAGE_BYTES`].
 
+use std::time::Duration;
+
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use thiserror::Error;
 
 use crate::{
     codec::CodecId,
-    ids::{SceneDigest, SessionId},
+    ids::{ResumeToken, SceneDigest, SessionId},
     limits::{MAX_MESSAGE_BYTES, MAX_TEXT_BYTES, MAX_TOKEN_BYTES, SCENE_CHUNK_BYTES},
 };
 
@@ -56,6 +58,10 @@ pub struct Hello {
     pub height: u32,
     /// Codec that it wants.
     pub codec: CodecId,
+    /// Masks a second that it wants, at most; 0 for as many as it can get. The server plans with it.
+    pub rate_hz: u16,
+    /// [`Welcome::resume`] of the session that this one goes on with, after its connection was lost.
+    pub resume: Option<ResumeToken>,
 }
 
 /// What a server says.
@@ -105,6 +111,8 @@ pub struct Welcome {
     pub backend: String,
     /// Local port for poses and packets, on the lab transports only.
     pub data_port: Option<u16>,
+    /// With it, a client whose connection was lost takes its own place over.
+    pub resume: ResumeToken,
 }
 
 /// Why a client is not admitted.
@@ -135,6 +143,27 @@ pub enum Refusal {
     /// The server admits nobody any more.
     #[error("the server is draining: connect to another one")]
     Draining,
+    /// The sessions that are admitted leave too little of the server's time, or would be disturbed.
+    #[error("the server is too busy ({reason}): try again in {retry_after_ms} ms")]
+    Busy {
+        /// What there is too little of, with numbers.
+        reason: String,
+        /// Time after which asking again makes sense, in milliseconds.
+        retry_after_ms: u32,
+    },
+}
+
+impl Refusal {
+    /// Time after which asking the same server again makes sense; `None` where it never does.
+    #[must_use]
+    pub fn retry_after(&self) -> Option<Duration> {
+        match self {
+            Self::Full { retry_after_ms, .. } | Self::Busy { retry_after_ms, .. } => {
+                Some(Duration::from_millis(u64::from(*retry_after_ms)))
+            }
+            Self::Version { .. } | Self::Token | Self::Unsupported(_) | Self::Draining => None,
+        }
+    }
 }
 
 /// Why bytes are no message.
@@ -223,7 +252,9 @@ impl CheckText for ServerMessage {
     fn check_text(&self) -> Result<(), MessageError> {
         match self {
             Self::Welcome(welcome) => check("backend", &welcome.backend, MAX_TEXT_BYTES),
-            Self::Refused(Refusal::Unsupported(text)) => check("refusal", text, MAX_TEXT_BYTES),
+            Self::Refused(Refusal::Unsupported(text) | Refusal::Busy { reason: text, .. }) => {
+                check("refusal", text, MAX_TEXT_BYTES)
+            }
             Self::Draining { reason, alternative, .. } => {
                 check("reason", reason, MAX_TEXT_BYTES)?;
                 check("alternative", alternative.as_deref().unwrap_or_default(), MAX_TEXT_BYTES)
@@ -241,7 +272,16 @@ mod tests {
 
     fn hello() -> Hello {
         let client = "gnomon-client 0.1.0".to_owned();
-        Hello { version: 1, token: None, client, width: 8, height: 8, codec: CodecId::PlanesLz4 }
+        Hello {
+            version: 1,
+            token: None,
+            client,
+            width: 8,
+            height: 8,
+            codec: CodecId::PlanesLz4,
+            rate_hz: 60,
+            resume: None,
+        }
     }
 
     fn decoded<M: Serialize + DeserializeOwned + CheckText>(message: &M) -> Result<M, MessageError> {
@@ -284,10 +324,12 @@ mod tests {
         };
         let chunk = |bytes| ServerMessage::SceneChunk { offset: 0, bytes: vec![0; bytes] };
         let closing = |bytes| ServerMessage::Closing { reason: text(bytes) };
+        let busy = |bytes| ServerMessage::Refused(Refusal::Busy { reason: text(bytes), retry_after_ms: 5 });
         let unsupported = |bytes| ServerMessage::Refused(Refusal::Unsupported(text(bytes)));
         for (good, bad, field, limit) in [
             (closing(1024), closing(1025), "reason", 1024),
             (unsupported(1024), unsupported(1025), "refusal", 1024),
+            (busy(1024), busy(1025), "refusal", 1024),
             (draining(1024, 0), draining(1025, 0), "reason", 1024),
             (draining(0, 1024), draining(0, 1025), "alternative", 1024),
             (chunk(SCENE_CHUNK_BYTES), chunk(SCENE_CHUNK_BYTES + 1), "scene chunk", SCENE_CHUNK_BYTES),

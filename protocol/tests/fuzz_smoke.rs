@@ -9,7 +9,7 @@ use gnomon_protocol::{
     codec::{CodecId, Encoder},
     fuzzing,
     header::PacketHeader,
-    ids::{FrameNumber, SceneDigest, SessionId},
+    ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
     mask::{Mask, MaskShape},
     message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
     pose::{Pose, encode_pose_packet},
@@ -91,8 +91,9 @@ fn pose() {
 #[test]
 fn message() {
     let text = || "a reason".to_owned();
-    let hello =
-        Hello { version: 1, token: Some(text()), client: text(), width: 1920, height: 1080, codec: CodecId::PlanesLz4 };
+    let (codec, resume) = (CodecId::PlanesLz4, Some(ResumeToken([9; 16])));
+    let (width, height, rate_hz) = (1920, 1080, 60);
+    let hello = Hello { version: 1, token: Some(text()), client: text(), width, height, codec, rate_hz, resume };
     let welcome = Welcome {
         session: SessionId(u64::MAX),
         scene_digest: SceneDigest([7; 32]),
@@ -100,6 +101,7 @@ fn message() {
         lights: 4,
         backend: text(),
         data_port: Some(4433),
+        resume: ResumeToken([7; 16]),
     };
     let client = [
         ClientMessage::Hello(hello),
@@ -113,6 +115,7 @@ fn message() {
         ServerMessage::Refused(Refusal::Version { server: 1, client: 2 }),
         ServerMessage::Refused(Refusal::Full { sessions: 8, retry_after_ms: 1000 }),
         ServerMessage::Refused(Refusal::Unsupported(text())),
+        ServerMessage::Refused(Refusal::Busy { reason: text(), retry_after_ms: 1000 }),
         ServerMessage::SceneChunk { offset: 65_536, bytes: vec![1; 100] },
         ServerMessage::Pong(300),
         ServerMessage::Draining { reason: text(), deadline_ms: 5000, alternative: Some(text()) },

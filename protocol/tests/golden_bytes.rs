@@ -8,7 +8,7 @@ use gnomon_protocol::{
     PROTOCOL_VERSION,
     codec::{CodecId, Decoder, Encoder},
     header::PacketHeader,
-    ids::{FrameNumber, SceneDigest, SessionId},
+    ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
     mask::{Mask, MaskShape},
     message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
     packetizer::Packetizer,
@@ -23,7 +23,7 @@ fn hex(text: &str) -> Vec<u8> {
 
 #[test]
 fn version() {
-    assert_eq!(PROTOCOL_VERSION, 3);
+    assert_eq!(PROTOCOL_VERSION, 4);
 }
 
 #[test]
@@ -79,12 +79,25 @@ fn frame_packets() {
 fn client_messages() {
     let hello = |token: Option<&str>, codec| {
         let (token, client) = (token.map(str::to_owned), "c/1".to_owned());
-        ClientMessage::Hello(Hello { version: 1, token, client, width: 1920, height: 1080, codec })
+        let resume = token.as_ref().map(|_| ResumeToken([0xA5; 16]));
+        ClientMessage::Hello(Hello {
+            version: 1,
+            token,
+            client,
+            width: 1920,
+            height: 1080,
+            codec,
+            rate_hz: 300,
+            resume,
+        })
     };
     for (message, bytes) in [
-        (hello(Some("key"), CodecId::PlanesLz4), "10000000 | 00 01 01'03'6b6579 03'632f31 800f b808 02"),
-        (hello(None, CodecId::WordsLz4), "0c000000 | 00 01 00 03'632f31 800f b808 01"),
-        (hello(None, CodecId::Words), "0c000000 | 00 01 00 03'632f31 800f b808 00"),
+        (
+            hello(Some("key"), CodecId::PlanesLz4),
+            "23000000 | 00 01 01'03'6b6579 03'632f31 800f b808 02 ac02 01'a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5",
+        ),
+        (hello(None, CodecId::WordsLz4), "0f000000 | 00 01 00 03'632f31 800f b808 01 ac02 00"),
+        (hello(None, CodecId::Words), "0f000000 | 00 01 00 03'632f31 800f b808 00 ac02 00"),
         (ClientMessage::FetchScene { offset: 300 }, "03000000 | 01 ac02"),
         (ClientMessage::Start, "01000000 | 02"),
         (ClientMessage::Ping(5), "02000000 | 03 05"),
@@ -99,6 +112,7 @@ fn client_messages() {
 fn server_messages() {
     let digest: [u8; 32] = std::array::from_fn(|place| u8::try_from(place).unwrap());
     let digest_hex = "000102030405060708090a0b0c0d0e0f101112131415161718191a1b1c1d1e1f";
+    let resume = "5a".repeat(16);
     let welcome = |data_port| {
         ServerMessage::Welcome(Welcome {
             session: SessionId(1),
@@ -107,6 +121,7 @@ fn server_messages() {
             lights: 4,
             backend: "cpu".to_owned(),
             data_port,
+            resume: ResumeToken([0x5A; 16]),
         })
     };
     let draining = |alternative: Option<&str>| ServerMessage::Draining {
@@ -115,8 +130,8 @@ fn server_messages() {
         alternative: alternative.map(str::to_owned),
     };
     for (message, bytes) in [
-        (welcome(None), format!("2b000000 | 00 01 {digest_hex} 808004 04 03'637075 00")),
-        (welcome(Some(4433)), format!("2d000000 | 00 01 {digest_hex} 808004 04 03'637075 01'd122")),
+        (welcome(None), format!("3b000000 | 00 01 {digest_hex} 808004 04 03'637075 00 {resume}")),
+        (welcome(Some(4433)), format!("3d000000 | 00 01 {digest_hex} 808004 04 03'637075 01'd122 {resume}")),
         (ServerMessage::Refused(Refusal::Version { server: 1, client: 2 }), "04000000 | 01 00 01 02".to_owned()),
         (ServerMessage::Refused(Refusal::Token), "02000000 | 01 01".to_owned()),
         (
@@ -125,6 +140,10 @@ fn server_messages() {
         ),
         (ServerMessage::Refused(Refusal::Unsupported("no".to_owned())), "05000000 | 01 03 02'6e6f".to_owned()),
         (ServerMessage::Refused(Refusal::Draining), "02000000 | 01 04".to_owned()),
+        (
+            ServerMessage::Refused(Refusal::Busy { reason: "no".to_owned(), retry_after_ms: 1000 }),
+            "07000000 | 01 05 02'6e6f e807".to_owned(),
+        ),
         (
             ServerMessage::SceneChunk { offset: 65_536, bytes: vec![0xAA, 0xBB] },
             "07000000 | 02 808004 02'aabb".to_owned(),

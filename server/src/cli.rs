@@ -61,6 +61,12 @@ pub struct Flags {
     /// Threads of the cpu back end [default: all cores]
     #[arg(long, env = "GNOMON_THREADS", value_name = "N")]
     pub threads: Option<NonZeroUsize>,
+    /// Devices to trace on [default: all adapters of the best kind]
+    #[arg(long, env = "GNOMON_DEVICES", value_name = "N")]
+    pub devices: Option<NonZeroUsize>,
+    /// Time of each device that admitted sessions may need in a second; whoever would need more is refused [default: 900]
+    #[arg(long, env = "GNOMON_DEVICE_BUDGET_MS", value_name = "MS")]
+    pub device_budget_ms: Option<u32>,
     /// Admit only clients with a token of this file: one a line, # for comments
     #[arg(long, env = "GNOMON_TOKEN_FILE", value_name = "FILE")]
     pub token_file: Option<PathBuf>,
@@ -125,6 +131,8 @@ impl Flags {
         set_some(&mut config.adapter, &self.adapter);
         set(&mut config.allow_software, &self.allow_software);
         set_some(&mut config.threads, &self.threads);
+        set_some(&mut config.devices, &self.devices);
+        set(&mut config.device_budget_ms, &self.device_budget_ms);
         set_some(&mut config.token_file, &self.token_file);
         set(&mut config.max_sessions, &self.max_sessions);
         set(&mut config.idle_timeout_ms, &self.idle_timeout_ms);
@@ -174,6 +182,8 @@ mod tests {
             "--adapter=H100",
             "--allow-software",
             "--threads=2",
+            "--devices=3",
+            "--device-budget-ms=600",
             "--token-file=t",
             "--max-sessions=5",
             "--idle-timeout-ms=700",
@@ -195,6 +205,8 @@ mod tests {
             adapter: Some("H100".into()),
             allow_software: true,
             threads: NonZeroUsize::new(2),
+            devices: NonZeroUsize::new(3),
+            device_budget_ms: 600,
             token_file: Some("t".into()),
             max_sessions: 5,
             idle_timeout_ms: 700,

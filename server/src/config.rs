@@ -39,6 +39,10 @@ pub struct ServerConfig {
     pub allow_software: bool,
     /// Threads of the `cpu` back end; all cores without it.
     pub threads: Option<NonZeroUsize>,
+    /// Devices to trace on; all adapters of the best kind without a number, and one for the `cpu` back end.
+    pub devices: Option<NonZeroUsize>,
+    /// Time of each device that admitted sessions may need in a second, in milliseconds. A client that would need more is refused.
+    pub device_budget_ms: u32,
     /// File with the tokens that admit a client, one a line; without it everybody is admitted.
     pub token_file: Option<PathBuf>,
     /// Sessions that are served at once.
@@ -72,6 +76,8 @@ impl Default for ServerConfig {
             adapter: None,
             allow_software: false,
             threads: None,
+            devices: None,
+            device_budget_ms: 900,
             token_file: None,
             max_sessions: 64,
             idle_timeout_ms: 10_000,
@@ -233,6 +239,10 @@ impl ServerConfig {
         if let Some(threads) = self.threads {
             range("threads", threads.get() as u64, 1, 1024)?;
         }
+        if let Some(devices) = self.devices {
+            range("devices", devices.get() as u64, 1, limits::MAX_DEVICES)?;
+        }
+        range("device_budget_ms", self.device_budget_ms.into(), 1, 1_000_000)?;
         let text = |key, text: &Option<String>| {
             let most = gnomon_protocol::limits::MAX_TEXT_BYTES;
             match text {

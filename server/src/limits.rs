@@ -71,5 +71,8 @@ pub const MAX_SMALL_FILE_BYTES: u64 = 256 * 1024;
 /// Sessions that the engine has room for beyond the admitted ones: they have ended, and it has not looked yet.
 pub const SPARE_SEATS: usize = 16;
 
+/// Most devices that may be configured.
+pub const MAX_DEVICES: u64 = 64;
+
 /// Most sessions that may be configured.
 pub const MAX_SESSIONS: usize = 4096;

@@ -29,7 +29,7 @@ use crate::{
     },
     session::{self, Phase, SceneAsset, Services, admission::Admission},
     tokens::Tokens,
-    visibility::engine::{Engine, EngineOptions},
+    visibility::{engine::EngineOptions, fleet::Fleet},
 };
 
 /// Starts servers.
@@ -76,7 +76,7 @@ impl Server {
         let options = load_options(&config);
         let (scene, asset) = blocking(move || load(&scene_path, &options)).await??;
         let engine_options = engine_options(&config);
-        let engine = blocking(move || Engine::start(scene, &engine_options))
+        let engine = blocking(move || Fleet::start(&scene, &engine_options))
             .await?
             .map_err(|error| StartError::Engine(Box::new(error)))?;
 
@@ -162,6 +162,12 @@ impl RunningServer {
     #[must_use]
     pub fn sessions(&self) -> usize {
         self.services.admission.taken()
+    }
+
+    /// The engines, one a device.
+    #[must_use]
+    pub fn engines(&self) -> &[crate::visibility::engine::Engine] {
+        self.services.engine.engines()
     }
 
     /// Waits until the server can trace no more, and says why: its device is lost, for example. It still listens then, but
@@ -267,6 +273,8 @@ fn engine_options(config: &ServerConfig) -> EngineOptions {
         threads: config.threads,
         // A session's seat in the engine comes free a moment after its slot: the slots are what counts.
         max_sessions: config.max_sessions + limits::SPARE_SEATS,
+        budget_ms: f64::from(config.device_budget_ms),
+        devices: config.devices,
     }
 }
 

@@ -7,7 +7,8 @@ use thiserror::Error;
 /// Which adapter to take.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GpuOptions {
-    /// Part of the adapter's name, in any case; `None` takes the first real GPU, or else the first adapter.
+    /// Part of the adapter's name, in any case; `None` takes the first real GPU, or else the first adapter. `#2` at its end is the
+    /// second of those that fit, best first.
     pub adapter: Option<String>,
     /// Features to ask for where the adapter has them.
     pub wanted: wgpu::Features,
@@ -69,19 +70,10 @@ impl Gpu {
     /// As [`Self::open`].
     pub async fn from_adapters(adapters: Vec<wgpu::Adapter>, options: &GpuOptions) -> Result<Self, GpuError> {
         let found = adapters.iter().map(|adapter| adapter.get_info().name).collect();
-        let wanted = options.adapter.as_ref().map(|name| name.to_lowercase());
-        let adapter = adapters
+        let (name, place) = named(options.adapter.as_deref());
+        let adapter = fitting(adapters, name)
             .into_iter()
-            .filter(|adapter| {
-                wanted.as_ref().is_none_or(|name| adapter.get_info().name.to_lowercase().contains(name.as_str()))
-            })
-            .min_by_key(|adapter| match adapter.get_info().device_type {
-                wgpu::DeviceType::DiscreteGpu => 0,
-                wgpu::DeviceType::IntegratedGpu => 1,
-                wgpu::DeviceType::VirtualGpu => 2,
-                wgpu::DeviceType::Other => 3,
-                wgpu::DeviceType::Cpu => 4,
-            })
+            .nth(place)
             .ok_or(GpuError::NoAdapter { wanted: options.adapter.clone(), found })?;
         let info = adapter.get_info();
         if info.device_type == wgpu::DeviceType::Cpu && !options.allow_software {
@@ -101,10 +93,49 @@ impl Gpu {
         Ok(Self { info, device, queue })
     }
 
+    /// How many real GPUs there are, of the best kind that there is, whose name has this in it.
+    #[must_use]
+    pub async fn count(name: Option<&str>) -> usize {
+        let all = drivers().enumerate_adapters(wgpu::Backends::PRIMARY).await;
+        let kinds: Vec<_> = fitting(all, named(name).0).iter().map(|adapter| rank(&adapter.get_info())).collect();
+        let best = kinds.first().copied().unwrap_or(SOFTWARE);
+        if best == SOFTWARE { 0 } else { kinds.iter().filter(|kind| **kind == best).count() }
+    }
+
     /// Whether a CPU pretends to be the adapter.
     #[must_use]
     pub fn is_software(&self) -> bool {
         self.info.device_type == wgpu::DeviceType::Cpu
+    }
+}
+
+/// The rank of software that pretends to be an adapter.
+const SOFTWARE: u8 = 4;
+
+/// Real GPUs first.
+fn rank(info: &wgpu::AdapterInfo) -> u8 {
+    match info.device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => SOFTWARE,
+    }
+}
+
+/// The adapters whose name has this in it, best first; equals keep the order of the drivers.
+fn fitting(mut adapters: Vec<wgpu::Adapter>, name: &str) -> Vec<wgpu::Adapter> {
+    adapters.retain(|adapter| adapter.get_info().name.to_lowercase().contains(&name.to_lowercase()));
+    adapters.sort_by_key(|adapter| rank(&adapter.get_info()));
+    adapters
+}
+
+/// A name and the place, from 0, in `NAME#PLACE`, which counts from 1.
+fn named(wanted: Option<&str>) -> (&str, usize) {
+    let wanted = wanted.unwrap_or_default();
+    match wanted.rsplit_once('#').map(|(name, place)| (name, place.parse::<usize>())) {
+        Some((name, Ok(place @ 1..))) => (name, place - 1),
+        _ => (wanted, 0),
     }
 }
 
@@ -130,5 +161,24 @@ fn experimental(features: wgpu::Features) -> wgpu::ExperimentalFeatures {
     #[expect(unsafe_code, reason = "the only way to ray queries")]
     unsafe {
         wgpu::ExperimentalFeatures::enabled()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_adapter_is_named_by_a_part_of_its_name_and_its_place() {
+        for (wanted, expected) in [
+            (None, ("", 0)),
+            (Some("H100"), ("H100", 0)),
+            (Some("H100#2"), ("H100", 1)),
+            (Some("#3"), ("", 2)),
+            (Some("odd#name"), ("odd#name", 0)),
+            (Some("a#0"), ("a#0", 0)),
+        ] {
+            assert_eq!(named(wanted), expected, "{wanted:?}");
+        }
     }
 }

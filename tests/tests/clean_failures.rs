@@ -272,6 +272,8 @@ fn hello() -> Hello {
         width: 64,
         height: 48,
         codec: CodecId::PlanesLz4,
+        rate_hz: 0,
+        resume: None,
     }
 }
 

@@ -52,7 +52,19 @@ enum Receiver {
     Tcp { stream: lab::TcpReceiver, packet: Bytes },
 }
 
+/// Counts what comes in over a link.
+#[derive(Debug)]
+pub(crate) struct Watcher(Option<quinn::Connection>);
+
+impl Watcher {
+    /// UDP datagrams that have come, whatever was in them; `None` where the link ends by itself when the server does.
+    pub(crate) fn arrived(&self) -> Option<u64> {
+        self.0.as_ref().map(|connection| connection.stats().udp_rx.datagrams)
+    }
+}
+
 /// What is left of a link when its data is in other hands.
+#[derive(Debug)]
 pub(crate) struct Closer(Option<(quinn::Endpoint, quinn::Connection)>);
 
 impl Link {
@@ -203,6 +215,11 @@ impl DataReceiver {
 }
 
 impl Closer {
+    /// Counts what comes in.
+    pub(crate) fn watcher(&self) -> Watcher {
+        Watcher(self.0.as_ref().map(|(_, connection)| connection.clone()))
+    }
+
     /// QUIC's own measure of the round trip.
     pub(crate) fn rtt(&self) -> Option<Duration> {
         self.0.as_ref().map(|(_, connection)| connection.rtt())

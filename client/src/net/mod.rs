@@ -1,11 +1,15 @@
 //! The client's side of the network: connect, introduce itself, fetch the scene, then poses out and masks in.
 
+mod backoff;
 mod congestion;
 pub(crate) mod control;
+pub(crate) mod health;
 mod lab;
 pub(crate) mod link;
+pub mod link_state;
 mod quic;
 pub(crate) mod receive;
+pub(crate) mod reconnect;
 mod send;
 pub(crate) mod session;
 pub mod url;

@@ -28,6 +28,9 @@ pub(crate) const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 /// How often an idle connection says that it is alive.
 const KEEP_ALIVE: Duration = Duration::from_secs(2);
 
+/// What the round trip is taken for before it is measured: a lost first packet is sent again after three times as long.
+const INITIAL_RTT: Duration = Duration::from_millis(100);
+
 /// Packets of some frames of words at 1920×1080, 8 MB each: the receive task may be busy decoding.
 const DATAGRAM_RECEIVE_BYTES: usize = 32 << 20;
 
@@ -147,6 +150,7 @@ fn config(
     transport
         .max_idle_timeout(Some(IDLE_TIMEOUT.try_into()?))
         .keep_alive_interval(Some(KEEP_ALIVE))
+        .initial_rtt(INITIAL_RTT)
         // Under loss the black-hole detector falls back and drops queued datagrams.
         .mtu_discovery_config(None)
         .datagram_receive_buffer_size(Some(DATAGRAM_RECEIVE_BYTES))

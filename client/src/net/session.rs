@@ -9,7 +9,7 @@ use std::{
 use gnomon_protocol::{
     PROTOCOL_VERSION,
     codec::CodecId,
-    ids::FrameNumber,
+    ids::{FrameNumber, ResumeToken},
     mask::MaskShape,
     message::{ClientMessage, Hello, ServerMessage, Welcome},
     pose::Pose,
@@ -22,8 +22,10 @@ use tokio::{
 
 use super::{
     control::{ControlError, ControlReader, ControlWriter},
+    health::{Draining, Health, HealthCell, watch_silence},
     link::{Closer, Link, root_cause},
     receive::{Counters, ReceiveTask, Received, Requested},
+    reconnect::Again,
     send::{Outgoing, send_poses},
     url::ServerUrl,
 };
@@ -49,13 +51,24 @@ pub(crate) struct Introduction {
     pub(crate) width: u32,
     pub(crate) height: u32,
     pub(crate) codec: CodecId,
+    /// Masks a second, at most; 0 for as many as it can get.
+    pub(crate) rate_hz: u16,
+    /// The session that this one goes on with.
+    pub(crate) resume: Option<ResumeToken>,
     pub(crate) connect_timeout: Duration,
+}
+
+/// Frames a second as the Hello says them: `None` is as many as can be had.
+pub(crate) fn rate_hz(fps: Option<f64>) -> u16 {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the range")]
+    fps.map_or(0, |fps| fps.ceil().clamp(1.0, f64::from(u16::MAX)) as u16)
 }
 
 /// An admitted client.
 pub(crate) struct Admitted {
     url: ServerUrl,
     link: Link,
+    introduction: Introduction,
     pub(crate) welcome: Welcome,
 }
 
@@ -69,6 +82,8 @@ pub(crate) async fn admit(url: &ServerUrl, introduction: &Introduction) -> Resul
         width: introduction.width,
         height: introduction.height,
         codec: introduction.codec,
+        rate_hz: introduction.rate_hz,
+        resume: introduction.resume,
     });
     let url = url.clone();
     let said = async {
@@ -76,7 +91,7 @@ pub(crate) async fn admit(url: &ServerUrl, introduction: &Introduction) -> Resul
         link.reader.next_within(ANSWER_TIMEOUT).await
     };
     match said.await {
-        Ok(ServerMessage::Welcome(welcome)) => Ok(Admitted { url, link, welcome }),
+        Ok(ServerMessage::Welcome(welcome)) => Ok(Admitted { url, link, introduction: introduction.clone(), welcome }),
         Ok(ServerMessage::Refused(refusal)) => Err(ClientError::Refused(refusal)),
         Ok(ServerMessage::Closing { reason } | ServerMessage::Draining { reason, .. }) => {
             Err(ClientError::Connect { url: Box::new(url), reason })
@@ -152,6 +167,10 @@ impl Admitted {
     ) -> Result<(Session, MaskReader), ClientError> {
         let started = self.link.writer.write(&ClientMessage::Start).await;
         started.map_err(|source| broken(self.url.clone(), &self.link, source))?;
+        let introduction = Introduction { resume: Some(self.welcome.resume), ..self.introduction };
+        let scene_digest = self.welcome.scene_digest;
+        let again =
+            Again { url: self.url.clone(), introduction, scene_digest, shape, policy, save_masks: save_masks.clone() };
         let url = Box::new(self.url);
         let (reader, writer, sender, receiver, closer) = (self.link.open_data(&self.welcome).await)
             .map_err(|error| ClientError::Connect { url, reason: format!("data: {error}") })?;
@@ -167,24 +186,28 @@ impl Admitted {
             requested: requested.clone(),
             save_masks,
         };
-        let round_trip = Arc::new(Mutex::new(None));
+        let (round_trip, health) = (Arc::new(Mutex::new(None)), HealthCell::default());
         let (leave, left) = oneshot::channel();
-        let tasks =
-            tokio::spawn(tasks(reader, writer, task, send_poses(sender, outgoing), Arc::clone(&round_trip), left));
-        let session = Session { poses, counters, requested, round_trip, closer, leave, tasks };
+        let conversation = Conversation { reader, writer, round_trip: Arc::clone(&round_trip), health: health.clone() };
+        let silence = watch_silence(closer.watcher(), health.clone());
+        let tasks = tokio::spawn(tasks(conversation, task, send_poses(sender, outgoing), silence, left));
+        let session = Session { poses, counters, requested, round_trip, health, closer, leave, tasks, again };
         Ok((session, mask_reader))
     }
 }
 
 /// A session that runs.
+#[derive(Debug)]
 pub(crate) struct Session {
     poses: watch::Sender<Outgoing>,
     counters: Counters,
     requested: Requested,
     round_trip: Arc<Mutex<Option<Duration>>>,
+    health: HealthCell,
     closer: Closer,
     leave: oneshot::Sender<()>,
     tasks: JoinHandle<()>,
+    again: Again,
 }
 
 impl Session {
@@ -204,6 +227,16 @@ impl Session {
         *self.counters.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// How the link does.
+    pub(crate) fn health(&self) -> Health {
+        self.health.get()
+    }
+
+    /// What it takes to start this session again.
+    pub(crate) fn again(&self) -> &Again {
+        &self.again
+    }
+
     /// The smoothed round trip of pings, or what the transport measured before the first one was answered.
     pub(crate) fn round_trip(&self) -> Option<Duration> {
         self.round_trip.lock().unwrap_or_else(PoisonError::into_inner).or_else(|| self.closer.rtt())
@@ -220,11 +253,10 @@ impl Session {
 
 /// Runs the session's tasks until the client leaves or any of them ends.
 async fn tasks(
-    reader: ControlReader,
-    mut writer: ControlWriter,
+    mut conversation: Conversation,
     receive: ReceiveTask,
     send: impl Future<Output = std::io::Result<std::convert::Infallible>> + Send + 'static,
-    round_trip: Arc<Mutex<Option<Duration>>>,
+    silence: impl Future<Output = ()> + Send,
     left: oneshot::Receiver<()>,
 ) {
     let renderer = receive.writer.ender();
@@ -233,7 +265,7 @@ async fn tasks(
     let mut sending = tokio::spawn(send);
     // A dropped writer ends the masks with a reason of its own, so it lives until the right one is said.
     let (reason, _masks) = {
-        let mut conversation = std::pin::pin!(converse(reader, &mut writer, &round_trip));
+        let mut conversation = std::pin::pin!(conversation.run());
         let data = async {
             tokio::select! {
                 ended = &mut receiving => match ended {
@@ -249,6 +281,8 @@ async fn tasks(
         };
         tokio::select! {
             _ = left => (None, None),
+            // It never ends before the others.
+            () = silence => (None, None),
             reason = &mut conversation => (Some(reason), None),
             // Data and control end together, and the control stream says why.
             (reason, masks) = data => {
@@ -260,53 +294,62 @@ async fn tasks(
     match reason {
         Some(reason) => renderer.end(reason),
         None => {
-            let _ = writer.write(&ClientMessage::Bye).await;
-            writer.finish().await;
+            let _ = conversation.writer.write(&ClientMessage::Bye).await;
+            conversation.writer.finish().await;
         }
     }
     receiving.abort();
     sending.abort();
 }
 
-/// Pings, and listens for what ends the session, which is given back.
-async fn converse(
-    mut reader: ControlReader,
-    writer: &mut ControlWriter,
-    round_trip: &Mutex<Option<Duration>>,
-) -> String {
-    let mut interval = tokio::time::interval(PING_INTERVAL);
-    interval.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    let mut next = 0_u64;
-    let mut waiting: Option<(u64, Instant)> = None;
-    loop {
-        tokio::select! {
-            _ = interval.tick() => {
-                // One at a time: a late answer is a long round trip, not a reason for more questions.
-                if waiting.is_none() {
-                    waiting = Some((next, Instant::now()));
-                    if let Err(error) = writer.write(&ClientMessage::Ping(next)).await {
-                        return format!("connection lost: {}", root_cause(&error));
+/// The control conversation of a session that runs.
+struct Conversation {
+    reader: ControlReader,
+    writer: ControlWriter,
+    round_trip: Arc<Mutex<Option<Duration>>>,
+    health: HealthCell,
+}
+
+impl Conversation {
+    /// Pings, and listens for what ends the session, which is given back.
+    async fn run(&mut self) -> String {
+        let mut interval = tokio::time::interval(PING_INTERVAL);
+        interval.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let mut next = 0_u64;
+        let mut waiting: Option<(u64, Instant)> = None;
+        loop {
+            tokio::select! {
+                _ = interval.tick() => {
+                    // One at a time: a late answer is a long round trip, not a reason for more questions.
+                    if waiting.is_none() {
+                        waiting = Some((next, Instant::now()));
+                        if let Err(error) = self.writer.write(&ClientMessage::Ping(next)).await {
+                            return format!("connection lost: {}", root_cause(&error));
+                        }
+                        next += 1;
                     }
-                    next += 1;
                 }
+                message = self.reader.next() => match message {
+                    Ok(ServerMessage::Pong(number)) => {
+                        if let Some((_, sent)) = waiting.take_if(|(waited, _)| *waited == number) {
+                            let mut place = self.round_trip.lock().unwrap_or_else(PoisonError::into_inner);
+                            *place = Some(smoothed(*place, sent.elapsed()));
+                        }
+                    }
+                    Ok(ServerMessage::Draining { reason, deadline_ms, alternative }) => {
+                        let elsewhere = alternative.as_ref().map(|url| format!("; go on at {url}")).unwrap_or_default();
+                        tracing::warn!("the server stops in {deadline_ms} ms: {reason}{elsewhere}");
+                        let deadline = Instant::now() + Duration::from_millis(deadline_ms.into());
+                        self.health.change(|health| health.draining = Some(Draining { reason, deadline, alternative }));
+                    }
+                    Ok(ServerMessage::Closing { reason }) => return format!("the server closed it: {reason}"),
+                    Ok(message @ (ServerMessage::Welcome(_) | ServerMessage::Refused(_) | ServerMessage::SceneChunk { .. })) => {
+                        let surprise = format!("the server does not keep to the protocol: {message:?}");
+                        return surprise.chars().take(200).collect();
+                    }
+                    Err(error) => return format!("connection lost: {}", root_cause(&error)),
+                },
             }
-            message = reader.next() => match message {
-                Ok(ServerMessage::Pong(number)) => {
-                    if let Some((_, sent)) = waiting.take_if(|(waited, _)| *waited == number) {
-                        let mut place = round_trip.lock().unwrap_or_else(PoisonError::into_inner);
-                        *place = Some(smoothed(*place, sent.elapsed()));
-                    }
-                }
-                Ok(ServerMessage::Draining { reason, deadline_ms, alternative }) => {
-                    let elsewhere = alternative.map(|url| format!("; go on at {url}")).unwrap_or_default();
-                    tracing::warn!("the server stops in {deadline_ms} ms: {reason}{elsewhere}");
-                }
-                Ok(ServerMessage::Closing { reason }) => return format!("the server closed it: {reason}"),
-                Ok(message @ (ServerMessage::Welcome(_) | ServerMessage::Refused(_) | ServerMessage::SceneChunk { .. })) => {
-                    return format!("the server does not keep to the protocol: {message:?}").chars().take(200).collect();
-                }
-                Err(error) => return format!("connection lost: {}", root_cause(&error)),
-            },
         }
     }
 }

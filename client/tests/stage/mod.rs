@@ -13,7 +13,7 @@ use glam::{DVec3, Vec2, Vec3, Vec4};
 use gnomon_client::{HeadlessOptions, Source};
 use gnomon_protocol::{
     codec::{CodecId, Encoder},
-    ids::{FrameNumber, SceneDigest, SessionId},
+    ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
     limits::{MAX_PACKET_BYTES, SCENE_CHUNK_BYTES},
     mask::{Mask, MaskShape},
     message::{self, ClientMessage, ServerMessage, Welcome},
@@ -40,6 +40,10 @@ pub(crate) struct Script {
     pub(crate) late: Vec<u32>,
     /// Closes the session in place of this frame.
     pub(crate) close_at: Option<u32>,
+    /// The frame at which the clients are told to go to this URL.
+    pub(crate) drain_at: Option<(u32, String)>,
+    /// Whether the server is gone for good after its first session.
+    pub(crate) gone: bool,
     /// Said in place of Welcome.
     pub(crate) answer: Option<ServerMessage>,
     /// Whether the scene that is sent is another one.
@@ -48,6 +52,7 @@ pub(crate) struct Script {
 
 #[derive(Debug, Default)]
 struct Heard {
+    resumed: Vec<Option<ResumeToken>>,
     fetches: Vec<u64>,
     bye: bool,
 }
@@ -123,6 +128,9 @@ impl Stage {
             for stream in listener.incoming() {
                 let session = Session { stream: stream.unwrap(), packed: &for_thread, heard: &said };
                 session.serve(transport, script.clone());
+                if script.gone {
+                    break;
+                }
             }
         });
         Self { transport, address, packed, heard }
@@ -130,11 +138,15 @@ impl Stage {
 
     /// Options of a run against this server: four frames of 64×36, with a cache of its own.
     pub(crate) fn options(&self, folder: &Path) -> HeadlessOptions {
-        let url = format!("gnomon+{}://{}", self.transport, self.address).parse().unwrap();
+        let url = self.url().parse().unwrap();
         let mut options = HeadlessOptions::new(Source::Server(url));
         (options.width, options.height, options.frames) = (64, 36, Some(4));
         options.cache_dir = Some(folder.join("cache"));
         options
+    }
+
+    pub(crate) fn url(&self) -> String {
+        format!("gnomon+{}://{}", self.transport, self.address)
     }
 
     pub(crate) fn digest(&self) -> SceneDigest {
@@ -144,6 +156,11 @@ impl Stage {
     /// Offsets from which the scene was fetched.
     pub(crate) fn scene_fetches(&self) -> Vec<u64> {
         self.heard.lock().unwrap().fetches.clone()
+    }
+
+    /// What each Hello named as the session that it goes on with.
+    pub(crate) fn resumed(&self) -> Vec<Option<ResumeToken>> {
+        self.heard.lock().unwrap().resumed.clone()
     }
 
     pub(crate) fn heard_bye(&self) -> bool {
@@ -168,7 +185,13 @@ struct Session<'a> {
 
 impl Session<'_> {
     fn serve(mut self, transport: &str, script: Script) {
-        let Some(ClientMessage::Hello(hello)) = self.next() else { panic!("no Hello") };
+        let hello = match self.next() {
+            Some(ClientMessage::Hello(hello)) => hello,
+            // An attempt to connect that was overtaken by another one.
+            None => return,
+            Some(other) => panic!("no Hello: {other:?}"),
+        };
+        self.heard.lock().unwrap().resumed.push(hello.resume);
         assert_eq!((hello.width, hello.height), (64, 36));
         if let Some(answer) = script.answer {
             return self.say(&answer);
@@ -188,6 +211,7 @@ impl Session<'_> {
             lights: 1,
             backend: "stage".into(),
             data_port: Some(port),
+            resume: ResumeToken([7; 16]),
         }));
         let mut started = false;
         let mut data = Some(data);
@@ -248,6 +272,11 @@ fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: Co
             let closing = ServerMessage::Closing { reason: "the curtain falls".into() };
             let _ = control.write_all(&message::encode(&closing).unwrap());
             return;
+        }
+        if let Some((_, alternative)) = script.drain_at.take_if(|(at, _)| *at == frame) {
+            let (reason, alternative) = ("the house is sold".into(), Some(alternative));
+            let draining = ServerMessage::Draining { reason, deadline_ms: 60_000, alternative };
+            let _ = control.write_all(&message::encode(&draining).unwrap());
         }
         if let Some(place) = script.late.iter().position(|wanted| *wanted == frame) {
             script.late.remove(place);

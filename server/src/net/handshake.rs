@@ -65,6 +65,7 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
                 lights: services.scene.lights,
                 backend: shortened(services.engine.description()),
                 data_port: link.data.port(),
+                resume: admitted.slot.resume,
             };
             link.writer.write(&ServerMessage::Welcome(welcome)).await?;
             Ok(admitted)
@@ -113,9 +114,11 @@ fn admit(hello: Hello, services: &Services) -> Result<Admitted, Refusal> {
     }
     let shape = MaskShape::new(hello.width, hello.height, services.scene.lights)
         .map_err(|error| Refusal::Unsupported(error.to_string()))?;
-    let slot = services.admission.admit()?;
-    let port = services.engine.open_session(shape).map_err(|error| match error {
+    let slot = services.admission.admit(hello.resume)?;
+    let rate_hz = (hello.rate_hz > 0).then(|| f64::from(hello.rate_hz));
+    let port = services.engine.open(shape, rate_hz).map_err(|error| match error {
         OpenError::Full(_) | OpenError::Busy => services.admission.full(),
+        OpenError::TooMuch(reason) => services.admission.busy(shortened(&reason.to_string())),
         _ => Refusal::Unsupported(shortened(&error.to_string())),
     })?;
     Ok(Admitted { slot, port, shape, codec: hello.codec, client: hello.client })
@@ -141,6 +144,8 @@ mod tests {
                 width: 1,
                 height: 1,
                 codec: CodecId::PlanesLz4,
+                rate_hz: 60,
+                resume: None,
             };
             let bytes = message::encode(&ClientMessage::Hello(hello)).unwrap();
             assert_eq!(peek_version(&bytes[4..]), Some(version));

@@ -38,7 +38,7 @@ use crate::{
         link::{CloseCode, DataLink, Link},
     },
     tokens::Tokens,
-    visibility::{engine::Engine, port::SessionPort},
+    visibility::{fleet::Fleet, port::SessionPort},
 };
 
 /// How far the server's end has come.
@@ -72,7 +72,7 @@ pub(crate) struct SceneAsset {
 /// What all sessions share.
 pub(crate) struct Services {
     pub(crate) scene: SceneAsset,
-    pub(crate) engine: Engine,
+    pub(crate) engine: Fleet,
     pub(crate) tokens: Option<Tokens>,
     pub(crate) admission: Admission,
     pub(crate) phase: watch::Receiver<Phase>,
@@ -144,7 +144,10 @@ pub(crate) async fn run(link: Link, admitted: Admitted, services: Arc<Services>)
         ledger: Arc::clone(&ledger),
         services,
     };
-    let end = session.converse().await;
+    let end = tokio::select! {
+        end = session.converse() => end,
+        () = slot.superseded() => End::Lost("the client went on over another connection".to_owned()),
+    };
     if matches!(end, End::Stopping) {
         session.finish_frames().await;
     }
@@ -259,7 +262,7 @@ impl Session {
         let (services, ledger) = (Arc::clone(&self.services), Arc::clone(&self.ledger));
         let work = async move {
             let (receiver, sender) = data.open(services.handshake_timeout).await?;
-            let SessionPort { requests, masks } = port;
+            let SessionPort { requests, masks, .. } = port;
             let sender = FrameSender::new(sender, codec, Arc::clone(&services.encoders));
             let mut phase = services.phase.clone();
             let poses = async {

@@ -3,7 +3,11 @@
 //! A client that says how long its masks are under way gets them traced for where its camera will be by then ([`ahead`]). Only the
 //! client sees the whole way, from its pose to the frame that shows the mask, so it measures and the server extrapolates.
 
-use std::{convert::Infallible, io, time::Instant};
+use std::{
+    convert::Infallible,
+    io,
+    time::{Duration, Instant},
+};
 
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose, pose::Pose};
 use gnomon_shaders::{
@@ -46,6 +50,7 @@ pub(super) async fn receive(
 ) -> io::Result<Infallible> {
     let mut newest = Newest::default();
     let mut ahead = Ahead::default();
+    let mut interval = Interval::new(Instant::now());
     loop {
         let datagram = receiver.receive().await?;
         let received_at = Instant::now();
@@ -72,7 +77,31 @@ pub(super) async fn receive(
         ledger.set_newest_requested(frame);
         let predicted = ahead.of(&pose);
         let camera = camera(predicted.as_ref().unwrap_or(&pose));
-        requests.request(TraceRequest { frame, camera, ahead: predicted, received_at });
+        let interval = interval.since_last(received_at);
+        requests.request(TraceRequest { frame, camera, ahead: predicted, received_at, interval });
+    }
+}
+
+/// The time between poses, smoothed: how soon a mask is due.
+#[derive(Debug)]
+struct Interval {
+    last: Instant,
+    smoothed: Duration,
+}
+
+impl Interval {
+    /// Of a client that sends a pose seldom, or has paused.
+    const LONGEST: Duration = Duration::from_millis(250);
+
+    fn new(now: Instant) -> Self {
+        Self { last: now, smoothed: Self::LONGEST }
+    }
+
+    fn since_last(&mut self, now: Instant) -> Duration {
+        let sample = now.saturating_duration_since(self.last).min(Self::LONGEST);
+        self.last = now;
+        self.smoothed = (self.smoothed * 7 + sample) / 8;
+        self.smoothed
     }
 }
 
@@ -131,7 +160,7 @@ impl Clock {
         // More than half a wrap back is a wrap; anything less is a late pose, or a clock that began anew.
         let time_ms = if here + WRAP_MS / 2 < self.newest_ms { here + WRAP_MS } else { here };
         self.newest_ms = time_ms;
-        std::time::Duration::from_millis(time_ms).as_secs_f64()
+        Duration::from_millis(time_ms).as_secs_f64()
     }
 }
 
@@ -155,6 +184,18 @@ mod tests {
         ] {
             assert_eq!(newest.take(FrameNumber(frame), sequence), taken, "frame {frame}, sequence {sequence}");
         }
+    }
+
+    #[test]
+    fn the_time_between_poses_is_learnt_and_bounded() {
+        let start = Instant::now();
+        let mut interval = Interval::new(start);
+        let mut found = Duration::ZERO;
+        for pose in 1..=60 {
+            found = interval.since_last(start + Duration::from_millis(16) * pose);
+        }
+        assert!(found > Duration::from_millis(16) && found < Duration::from_millis(17), "{found:?}");
+        assert!(interval.since_last(start + Duration::from_secs(3600)) <= Interval::LONGEST);
     }
 
     fn pose(x: f64, client_time_ms: u32, look_ahead_ms: u16) -> Pose {

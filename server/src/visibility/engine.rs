@@ -1,35 +1,36 @@
-//! The engine: one thread owns the back end, traces for all sessions in turn, and is the only one to wait for a device.
+//! The engine: one thread owns one device, traces for all of its sessions in turn, and is the only one to wait for the device.
 
 use std::{
     io,
     num::NonZeroUsize,
     sync::{
         Arc, Mutex, PoisonError,
-        atomic::{AtomicBool, AtomicUsize, Ordering},
+        atomic::Ordering,
         mpsc::{SyncSender, TrySendError, sync_channel},
     },
-    thread::JoinHandle,
+    thread::{JoinHandle, Thread},
 };
 
 use gnomon_protocol::mask::MaskShape;
-use gnomon_shaders::{gpu::GpuError, scene::Scene};
+use gnomon_shaders::{camera::Camera, scene::Scene};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-use tokio::sync::watch;
 
 use super::{
-    backend::{
-        BackendError,
-        compute::{ComputeBackend, PictureLimit},
-        cpu::CpuBackend,
-        ray_query,
-    },
-    port::{EngineWaker, SessionPort, session_port},
-    worker::{Backend, Opening, Worker},
+    backend::{BackendError, compute::PictureLimit},
+    capacity::{Need, TooMuch, judge},
+    costs::SessionCosts,
+    open::open_backend,
+    port::{SessionPort, session_port},
+    shared::{Peer, Seat, Shared},
+    worker::{Opening, Worker},
 };
 
 /// Sessions that may wait to be taken up by the engine's thread.
 const WAITING_OPENINGS: usize = 64;
+
+/// Size of the masks that are traced for nobody before the first session comes, in pixels.
+const WARM_UP_PX: (u32, u32) = (320, 180);
 
 /// Stack of the engine's thread. obvhs builds hierarchies recursively.
 const STACK_BYTES: usize = 16 << 20;
@@ -50,7 +51,7 @@ pub enum BackendChoice {
 }
 
 /// How to trace, and for how many.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct EngineOptions {
     /// What traces.
     pub backend: BackendChoice,
@@ -62,6 +63,15 @@ pub struct EngineOptions {
     pub threads: Option<NonZeroUsize>,
     /// Sessions that may be open at a time.
     pub max_sessions: usize,
+    /// Time of each device that sessions may need in a second, in milliseconds.
+    pub budget_ms: f64,
+    /// Devices; as many as there are adapters of the best kind, without a number. More than there are share them.
+    pub devices: Option<NonZeroUsize>,
+}
+
+impl EngineOptions {
+    /// Of nearly all of a device's time: the rest is for what is not measured.
+    pub const DEFAULT_BUDGET_MS: f64 = 900.0;
 }
 
 /// Why the engine does not start.
@@ -84,6 +94,9 @@ pub enum OpenError {
     /// All sessions are taken.
     #[error("all {0} sessions are taken")]
     Full(usize),
+    /// The device does not bear one more.
+    #[error("{0}")]
+    TooMuch(TooMuch),
     /// So many sessions are opened at once that they queue up.
     #[error("{WAITING_OPENINGS} sessions wait to be opened already")]
     Busy,
@@ -103,67 +116,23 @@ pub enum OpenError {
     Stopped(String),
 }
 
-/// What the engine and its thread both know.
-#[derive(Debug, Default)]
-pub(super) struct Shared {
-    /// The thread shall end.
-    pub(super) stop: AtomicBool,
-    /// Open sessions.
-    pub(super) sessions: AtomicUsize,
-    /// Why the thread has ended.
-    ended: watch::Sender<Option<String>>,
-}
-
-impl Shared {
-    pub(super) fn end(&self, reason: String) {
-        // The first reason stays.
-        self.ended.send_if_modified(|ended| {
-            let is_first = ended.is_none();
-            ended.get_or_insert(reason);
-            is_first
-        });
-    }
-
-    pub(super) fn end_reason(&self) -> Option<String> {
-        self.ended.borrow().clone()
-    }
-}
-
-/// A place among the sessions, free again when it is dropped.
-#[derive(Debug)]
-pub(super) struct Seat(Arc<Shared>);
-
-impl Seat {
-    /// One of `seats`, if there is one left.
-    pub(super) fn take(shared: &Arc<Shared>, seats: usize) -> Option<Self> {
-        let take = |taken: usize| (taken < seats).then_some(taken + 1);
-        shared.sessions.fetch_update(Ordering::AcqRel, Ordering::Acquire, take).ok()?;
-        Some(Self(Arc::clone(shared)))
-    }
-}
-
-impl Drop for Seat {
-    fn drop(&mut self) {
-        self.0.sessions.fetch_sub(1, Ordering::AcqRel);
-    }
-}
-
 /// A running engine. Dropping it stops it; both wait for the thread to end, so neither belongs on an async worker.
 #[derive(Debug)]
 pub struct Engine {
     description: String,
     lights: usize,
     max_sessions: usize,
+    budget_ms: f64,
     limit: Option<PictureLimit>,
     openings: SyncSender<Opening>,
-    waker: EngineWaker,
+    its_thread: Thread,
     shared: Arc<Shared>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl Engine {
     /// Prepares the scene for tracing and starts the thread. Takes as long as building the hierarchy and compiling the
-    /// kernels, so it does not belong on an async worker.
+    /// kernels, so it does not belong on an async worker. The scene is kept, because a device that is lost is made anew from it.
     ///
     /// # Errors
     /// When the back end cannot be had for this scene.
@@ -176,13 +145,19 @@ impl Engine {
             let (options, shared) = (options.clone(), Arc::clone(&shared));
             move || {
                 let guard = EndGuard(Arc::clone(&shared));
-                let backend = open_backend(&scene, &options);
-                // Back ends keep what they need; the server's scene may go.
-                drop(scene);
-                match backend {
-                    Ok((backend, about)) => {
+                let started = open_backend(&scene, &options).and_then(|(backend, about)| {
+                    let warm_up = warm_up(&scene);
+                    let reopen = Box::new(move || open_backend(&scene, &options).map(|(backend, _)| backend));
+                    let mut worker = Worker::new(backend, reopen, openings_end, shared);
+                    if let Some((camera, shape)) = warm_up {
+                        worker.warm_up(&camera, shape)?;
+                    }
+                    Ok((worker, about))
+                });
+                match started {
+                    Ok((worker, about)) => {
                         if ready.send(Ok(about)).is_ok() {
-                            Worker::new(backend, openings_end, shared).run();
+                            worker.run();
                         }
                     }
                     // Nobody waits for the answer any more when this fails.
@@ -192,19 +167,34 @@ impl Engine {
             }
         });
         let thread = thread.map_err(EngineError::Thread)?;
-        let waker = EngineWaker(thread.thread().clone());
+        let its_thread = thread.thread().clone();
         let about = ready_end.recv().map_err(|_| EngineError::Died)??;
         tracing::info!(backend = about.description, lights, "engine started");
         Ok(Self {
             description: about.description,
             lights,
             max_sessions: options.max_sessions,
+            budget_ms: options.budget_ms,
             limit: about.limit,
             openings,
-            waker,
+            its_thread,
             shared,
             thread: Mutex::new(Some(thread)),
         })
+    }
+
+    /// Makes engines that take each other's sessions over when a device is lost.
+    pub(super) fn introduce(engines: &[Self]) {
+        for engine in engines {
+            let others = engines.iter().filter(|other| !Arc::ptr_eq(&other.shared, &engine.shared));
+            let peers = others.map(|other| Peer {
+                shared: Arc::downgrade(&other.shared),
+                openings: other.openings.clone(),
+                thread: other.its_thread.clone(),
+            });
+            // Nobody introduces them twice.
+            let _ = engine.shared.peers.set(peers.collect());
+        }
     }
 
     /// What traces, for people: `compute on …`, `cpu: …`.
@@ -216,15 +206,58 @@ impl Engine {
     /// Sessions whose ports are open.
     #[must_use]
     pub fn sessions(&self) -> usize {
-        self.shared.sessions.load(Ordering::Acquire)
+        self.shared.sessions().len()
     }
 
-    /// Opens a session for masks of this shape. Returns at once; when the device turns out to have no memory for it the
-    /// port closes.
+    /// What its sessions need in a second, in milliseconds of the device.
+    #[must_use]
+    pub fn load_ms(&self) -> f64 {
+        self.shared.load_ms()
+    }
+
+    /// How often its device was lost.
+    #[must_use]
+    pub fn losses(&self) -> u64 {
+        self.shared.losses.load(Ordering::Relaxed)
+    }
+
+    /// Whether its device can trace now.
+    #[must_use]
+    pub fn is_well(&self) -> bool {
+        self.shared.is_well()
+    }
+
+    /// Has something go wrong.
+    #[cfg(any(test, feature = "faults"))]
+    pub fn inject(&self, fault: super::faults::Fault) {
+        self.shared.faults.add(fault);
+        self.its_thread.unpark();
+    }
+
+    /// As [`Self::open`], for a session that takes what it gets and that is always borne.
     ///
     /// # Errors
-    /// When there are too many sessions, the shape is not this scene's or too large, or the engine has stopped.
+    /// As [`Self::open`].
     pub fn open_session(&self, shape: MaskShape) -> Result<SessionPort, OpenError> {
+        self.open_if(shape, None, |_, _| Ok(()))
+    }
+
+    /// Opens a session for masks of this shape, so many a second at most. Returns at once; when the device turns out to have no
+    /// memory for it the port closes.
+    ///
+    /// # Errors
+    /// When there are too many sessions, the device does not bear another of this kind, the shape is not this scene's or too large,
+    /// or the engine has stopped.
+    pub fn open(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<SessionPort, OpenError> {
+        self.open_if(shape, rate_hz, |needs, new| judge(needs.iter().copied(), new, self.budget_ms))
+    }
+
+    fn open_if(
+        &self,
+        shape: MaskShape,
+        rate_hz: Option<f64>,
+        bears: impl FnOnce(&[Need], Need) -> Result<(), TooMuch>,
+    ) -> Result<SessionPort, OpenError> {
         if shape.lights() as usize != self.lights {
             return Err(OpenError::Lights { expected: self.lights, found: shape.lights() });
         }
@@ -234,15 +267,24 @@ impl Engine {
         if let Some(reason) = self.shared.end_reason() {
             return Err(OpenError::Stopped(reason));
         }
-        let seat = Seat::take(&self.shared, self.max_sessions).ok_or(OpenError::Full(self.max_sessions))?;
-        let (port, engine_port) = session_port(self.waker.clone());
-        self.openings.try_send(Opening { shape, port: engine_port, seat }).map_err(|error| match error {
+        let known: Vec<Arc<SessionCosts>> = self.shared.sessions().clone();
+        let expected_ms = self.shared.model.expected_ms(shape.pixels(), known.iter().map(AsRef::as_ref));
+        let costs = Arc::new(SessionCosts::new(shape, rate_hz, expected_ms));
+        let seat = Seat::take(&self.shared, &costs, |needs| {
+            if needs.len() >= self.max_sessions {
+                return Err(OpenError::Full(self.max_sessions));
+            }
+            bears(needs, costs.need()).map_err(OpenError::TooMuch)
+        })?;
+        let (port, engine_port) = session_port(self.its_thread.clone(), Arc::clone(&costs));
+        let opening = Opening { shape, port: engine_port, costs, seat, retry: None };
+        self.openings.try_send(opening).map_err(|error| match error {
             TrySendError::Full(_) => OpenError::Busy,
             TrySendError::Disconnected(_) => {
                 OpenError::Stopped(self.shared.end_reason().unwrap_or_else(|| "its thread is gone".to_owned()))
             }
         })?;
-        self.waker.wake();
+        self.its_thread.unpark();
         Ok(port)
     }
 
@@ -257,12 +299,21 @@ impl Engine {
     /// Stops tracing, closes all sessions' ports, and waits for the thread to end.
     pub fn shutdown(&self) {
         self.shared.stop.store(true, Ordering::Release);
-        self.waker.wake();
+        self.its_thread.unpark();
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         if thread.is_some_and(|thread| thread.join().is_err()) {
             tracing::error!("the engine's thread had panicked");
         }
     }
+}
+
+/// What to trace for nobody: the scene from its middle.
+fn warm_up(scene: &Scene) -> Option<(Camera, MaskShape)> {
+    let (width, height) = WARM_UP_PX;
+    let shape = MaskShape::new(width, height, u32::try_from(scene.lights.len()).ok()?).ok()?;
+    let middle = scene.origin_m + scene.bounds.min.midpoint(scene.bounds.max).as_dvec3();
+    let camera = Camera::looking_at(middle, middle + glam::DVec3::X, 1.0, width, height);
+    Some((camera, shape))
 }
 
 impl Drop for Engine {
@@ -282,42 +333,5 @@ impl Drop for EndGuard {
         } else {
             self.0.end("it was shut down".to_owned());
         }
-    }
-}
-
-/// What the engine tells about its back end.
-struct About {
-    description: String,
-    limit: Option<PictureLimit>,
-}
-
-fn open_backend(scene: &Scene, options: &EngineOptions) -> Result<(Backend, About), BackendError> {
-    let adapter = || options.adapter.clone();
-    let on_device = |backend: ComputeBackend| {
-        let about = About { description: backend.describe(), limit: Some(backend.picture_limit()) };
-        (Backend::Compute(Box::new(backend)), about)
-    };
-    let cpu = || {
-        let backend = CpuBackend::new(scene, options.threads)?;
-        let about = About { description: backend.describe(), limit: None };
-        Ok((Backend::Cpu(Box::new(backend)), about))
-    };
-    match options.backend {
-        BackendChoice::RayQuery => ray_query::open(scene, adapter(), options.allow_software).map(on_device),
-        BackendChoice::Compute => ComputeBackend::open(scene, adapter(), options.allow_software).map(on_device),
-        BackendChoice::Cpu => cpu(),
-        BackendChoice::Auto => match ray_query::open_preferred(scene, adapter(), false) {
-            Ok(backend) => Ok(on_device(backend)),
-            // Who names an adapter wants that one, or to hear that it is not there.
-            Err(error @ BackendError::Gpu(GpuError::NoAdapter { wanted: Some(_), .. })) => Err(error),
-            Err(BackendError::Gpu(error @ (GpuError::NoAdapter { .. } | GpuError::SoftwareOnly(_)))) => {
-                tracing::info!(reason = %error, "tracing on the processor");
-                cpu()
-            }
-            Err(error) => {
-                tracing::warn!(reason = %error, "the graphics adapter cannot trace this scene: tracing on the processor");
-                cpu()
-            }
-        },
     }
 }

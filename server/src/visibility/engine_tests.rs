@@ -20,8 +20,13 @@ use gnomon_shaders::{
 use super::{
     TraceRequest,
     backend::{BackendError, compute::ComputeBackend, cpu::CpuBackend},
-    engine::{BackendChoice, Engine, EngineError, EngineOptions, OpenError, Seat, Shared},
-    port::{EngineWaker, OUTSTANDING_MASKS, SessionPort, session_port},
+    capacity::TooMuch,
+    costs::SessionCosts,
+    engine::{BackendChoice, Engine, EngineError, EngineOptions, OpenError},
+    faults::Fault,
+    fleet::Fleet,
+    port::{OUTSTANDING_MASKS, SessionPort, session_port},
+    shared::{Seat, Shared},
     test_scenes::room,
     worker::{Backend, Opening, Worker},
 };
@@ -29,7 +34,15 @@ use super::{
 const BACKENDS: [BackendChoice; 2] = [BackendChoice::Cpu, BackendChoice::Compute];
 
 fn options(backend: BackendChoice) -> EngineOptions {
-    EngineOptions { backend, adapter: None, allow_software: true, threads: None, max_sessions: 20 }
+    EngineOptions {
+        backend,
+        adapter: None,
+        allow_software: true,
+        threads: None,
+        max_sessions: 20,
+        budget_ms: EngineOptions::DEFAULT_BUDGET_MS,
+        devices: None,
+    }
 }
 
 fn engine(backend: BackendChoice) -> (Engine, Arc<Scene>) {
@@ -50,6 +63,7 @@ fn request(frame: u32, width: u32, height: u32) -> TraceRequest {
         camera: camera(frame, width, height),
         ahead: None,
         received_at: Instant::now(),
+        interval: Duration::from_millis(16),
     }
 }
 
@@ -142,7 +156,7 @@ fn a_session_that_closes_in_mid_frame_disturbs_nobody() {
             leaver.request(request(round, 80 + 8 * round, 60));
             reader.request(request(round, 40, 40));
             // Either end's drop closes the session.
-            let SessionPort { requests, masks } = leaver;
+            let SessionPort { requests, masks, .. } = leaver;
             if round % 2 == 0 {
                 drop(requests);
             } else {
@@ -226,26 +240,130 @@ fn auto_takes_the_processor_where_only_software_is_an_adapter() {
     assert!(engine.description().starts_with("cpu") || !engine.description().contains("llvmpipe"));
 }
 
-#[test]
-fn a_lost_device_closes_all_ports_and_leaves_its_reason() {
+/// A worker on a device of its own, which the test may destroy, with one session, and what the worker says of itself.
+fn worker_on(gpu: &Gpu, reopened: u32) -> (SessionPort, Arc<Shared>, std::thread::JoinHandle<()>) {
     let scene = room();
-    let wanted = wgpu::Features::IMMEDIATES;
-    let options = GpuOptions { adapter: None, wanted, allow_software: true };
-    let gpu = pollster::block_on(Gpu::open(&options)).unwrap();
-    let backend = Backend::Compute(Box::new(ComputeBackend::new(&scene, gpu.clone()).unwrap()));
+    let backend = |gpu: Gpu| Backend::Compute(Box::new(ComputeBackend::new(&scene, gpu).unwrap()));
+    let first = backend(gpu.clone());
     let (openings, openings_end) = std::sync::mpsc::sync_channel(4);
     let shared = Arc::new(Shared::default());
+    let mut left = reopened;
+    let reopen = Box::new(move || {
+        left = left.checked_sub(1).ok_or_else(|| BackendError::Setup("no more devices".into()))?;
+        Ok(Backend::Compute(Box::new(ComputeBackend::new(&room(), open_gpu()).unwrap())))
+    });
     let thread = std::thread::spawn({
         let shared = Arc::clone(&shared);
-        move || Worker::new(backend, openings_end, shared).run()
+        move || Worker::new(first, reopen, openings_end, shared).run()
     });
-    let (mut port, engine_port) = session_port(EngineWaker(thread.thread().clone()));
-    openings.send(Opening { shape: shape(64, 64), port: engine_port, seat: Seat::take(&shared, 1).unwrap() }).unwrap();
+    let costs = Arc::new(SessionCosts::new(shape(64, 64), None, 0.0));
+    let (port, engine_port) = session_port(thread.thread().clone(), Arc::clone(&costs));
+    let seat = Seat::take(&shared, &costs, |_| Ok::<_, ()>(())).unwrap();
+    openings.send(Opening { shape: shape(64, 64), port: engine_port, costs, seat, retry: None }).unwrap();
+    (port, shared, thread)
+}
+
+fn open_gpu() -> Gpu {
+    let wanted = wgpu::Features::IMMEDIATES;
+    pollster::block_on(Gpu::open(&GpuOptions { adapter: None, wanted, allow_software: true })).unwrap()
+}
+
+#[test]
+fn a_device_that_is_lost_for_good_closes_all_ports_and_leaves_its_reason() {
+    let gpu = open_gpu();
+    let (mut port, shared, thread) = worker_on(&gpu, 0);
     port.request(request(1, 64, 64));
     assert_eq!(next_mask(&mut port).frame, FrameNumber(1));
     gpu.device.destroy();
     port.request(request(2, 64, 64));
     assert!(port.masks.blocking_recv().is_none(), "a mask from a destroyed device");
     thread.join().unwrap();
-    assert!(shared.end_reason().is_some_and(|reason| reason.contains("device failed")));
+    assert!(shared.end_reason().is_some_and(|reason| reason.contains("no more devices")));
+}
+
+#[test]
+fn sessions_outlive_their_device_and_their_poses_too() {
+    let gpu = open_gpu();
+    let (mut port, shared, thread) = worker_on(&gpu, 1);
+    port.request(request(1, 64, 64));
+    let before = next_mask(&mut port);
+    gpu.device.destroy();
+    // Nobody asks again: the pose that was lost with the device is traced on the new one.
+    port.request(request(2, 64, 64));
+    assert_eq!(next_mask(&mut port).frame, FrameNumber(2));
+    port.request(request(1, 64, 64));
+    assert_eq!(next_mask(&mut port).mask, before.mask);
+    assert!(shared.is_well());
+    shared.stop.store(true, std::sync::atomic::Ordering::Release);
+    drop(port);
+    thread.join().unwrap();
+}
+
+#[test]
+fn losses_are_survived_as_long_as_masks_come_between_them() {
+    for backend in BACKENDS {
+        let (engine, _) = engine(backend);
+        let mut port = engine.open_session(shape(40, 40)).unwrap();
+        for frame in 0..6 {
+            engine.inject(Fault::DeviceLost);
+            port.request(request(frame, 40, 40));
+            assert_eq!(next_mask(&mut port).frame, FrameNumber(frame));
+        }
+        eventually("six losses", || engine.losses() == 6);
+        assert!(engine.is_well());
+    }
+}
+
+#[test]
+fn a_panic_closes_its_session_and_no_other() {
+    for backend in BACKENDS {
+        let (engine, _) = engine(backend);
+        let mut stays = engine.open_session(shape(40, 40)).unwrap();
+        for frame in 0..20 {
+            let mut leaves = engine.open_session(shape(32, 32)).unwrap();
+            engine.inject(Fault::Panic);
+            leaves.request(request(frame, 32, 32));
+            assert!(leaves.masks.blocking_recv().is_none(), "a mask in spite of a panic");
+            stays.request(request(frame, 40, 40));
+            assert_eq!(next_mask(&mut stays).frame, FrameNumber(frame));
+        }
+        assert_eq!((engine.losses(), engine.sessions()), (0, 1));
+    }
+}
+
+#[test]
+fn sessions_are_spread_over_devices_and_move_when_one_is_lost() {
+    let two = EngineOptions { devices: std::num::NonZeroUsize::new(2), ..options(BackendChoice::Compute) };
+    let fleet = Fleet::start(&Arc::new(room()), &two).unwrap();
+    let mut ports: Vec<SessionPort> = (0..4).map(|_| fleet.open(shape(40, 40), Some(10.0)).unwrap()).collect();
+    let sessions = || fleet.engines().iter().map(Engine::sessions).collect::<Vec<_>>();
+    assert_eq!(sessions(), [2, 2]);
+    for frame in 0..3 {
+        for port in &mut ports {
+            port.request(request(frame, 40, 40));
+            assert_eq!(next_mask(port).frame, FrameNumber(frame));
+        }
+        if frame == 0 {
+            fleet.engines()[0].inject(Fault::DeviceLost);
+            eventually("the move", || sessions() == [0, 4]);
+        }
+    }
+    // The lost device came back, and takes new sessions.
+    eventually("its return", || fleet.engines()[0].is_well());
+    let _new = fleet.open(shape(40, 40), Some(10.0)).unwrap();
+    assert_eq!(sessions(), [1, 4]);
+    fleet.shutdown();
+    assert!(pollster::block_on(fleet.ended()).contains("shut down"));
+}
+
+#[test]
+fn a_session_that_the_device_does_not_bear_is_refused() {
+    let (engine, _) = engine(BackendChoice::Cpu);
+    // The first is always borne, and asks for more than there is.
+    let first = engine.open(shape(400, 300), Some(60_000.0)).unwrap();
+    let refused = engine.open(shape(400, 300), Some(1.0)).unwrap_err();
+    assert!(matches!(refused, OpenError::TooMuch(TooMuch::Time { .. })), "{refused}");
+    drop(first);
+    eventually("its end", || engine.sessions() == 0);
+    engine.open(shape(400, 300), Some(1.0)).unwrap();
 }

@@ -25,16 +25,23 @@ pub mod backend;
 mod balance;
 mod binary;
 pub mod bvh;
+pub mod capacity;
+pub mod costs;
 pub mod engine;
 #[cfg(test)]
 mod engine_tests;
+#[cfg(any(test, feature = "faults"))]
+pub mod faults;
+pub mod fleet;
+mod open;
 pub mod port;
 pub mod scheduler;
+mod shared;
 #[cfg(test)]
 mod test_scenes;
 mod worker;
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use gnomon_protocol::{ids::FrameNumber, mask::Mask, pose::Pose};
 use gnomon_shaders::camera::Camera;
@@ -50,6 +57,8 @@ pub struct TraceRequest {
     pub ahead: Option<Pose>,
     /// When its pose arrived.
     pub received_at: Instant,
+    /// Time between this session's poses of late: by then the mask is due.
+    pub interval: Duration,
 }
 
 /// A traced mask, and what it cost.
@@ -80,4 +89,12 @@ pub struct TraceCost {
     pub primary_rays: u64,
     /// Shadow rays: relevant bits that the surface does not hide from itself.
     pub shadow_rays: u64,
+}
+
+impl TraceCost {
+    /// Time of the device, in milliseconds.
+    #[must_use]
+    pub fn device_ms(&self) -> f64 {
+        self.primary_ms + self.shadow_ms
+    }
 }

@@ -5,14 +5,17 @@
 //! unread nothing is traced for it, and the pose that waits stays the newest.
 
 use std::{
-    sync::mpsc::{SyncSender, TrySendError, sync_channel},
+    sync::{
+        Arc, Mutex, PoisonError,
+        mpsc::{SyncSender, TrySendError, sync_channel},
+    },
     thread::Thread,
 };
 
 use gnomon_protocol::mask::Mask;
 use tokio::sync::{mpsc, watch};
 
-use super::{TraceRequest, TracedMask};
+use super::{TraceRequest, TracedMask, costs::SessionCosts};
 
 /// Masks of one session that are being traced or wait to be read. Two: one is encoded while the next is traced.
 pub const OUTSTANDING_MASKS: usize = 2;
@@ -24,6 +27,8 @@ pub struct SessionPort {
     pub requests: RequestSender,
     /// Traced masks.
     pub masks: MaskReceiver,
+    /// What they have cost.
+    pub costs: Arc<SessionCosts>,
 }
 
 /// Where a session hands over its newest pose.
@@ -41,9 +46,9 @@ pub struct MaskReceiver {
     waker: EngineWaker,
 }
 
-/// Wakes the engine's thread when it is parked; costs next to nothing when it is not.
+/// Wakes the thread of the engine that a session is with, when it is parked; costs next to nothing when it is not.
 #[derive(Debug, Clone)]
-pub(super) struct EngineWaker(pub(super) Thread);
+pub(super) struct EngineWaker(Arc<Mutex<Thread>>);
 
 /// The engine's ends of one [`SessionPort`].
 #[derive(Debug)]
@@ -51,16 +56,29 @@ pub(super) struct EnginePort {
     pub(super) newest: watch::Receiver<Option<TraceRequest>>,
     pub(super) masks: mpsc::Sender<TracedMask>,
     pub(super) used: std::sync::mpsc::Receiver<Mask>,
+    /// The session's own.
+    pub(super) waker: EngineWaker,
 }
 
 impl EngineWaker {
+    pub(super) fn new(thread: Thread) -> Self {
+        Self(Arc::new(Mutex::new(thread)))
+    }
+
     pub(super) fn wake(&self) {
-        self.0.unpark();
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).unpark();
+    }
+
+    /// The session is with the engine of that thread now.
+    pub(super) fn move_to(&self, thread: Thread) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = thread;
+        self.wake();
     }
 }
 
 /// The two halves of a new session.
-pub(super) fn session_port(waker: EngineWaker) -> (SessionPort, EnginePort) {
+pub(super) fn session_port(thread: Thread, costs: Arc<SessionCosts>) -> (SessionPort, EnginePort) {
+    let waker = EngineWaker::new(thread);
     let (newest, newest_end) = watch::channel(None);
     let (masks_end, masks) = mpsc::channel(OUTSTANDING_MASKS);
     // One more than can be outstanding: a session may hold its last mask while it gives older ones back.
@@ -68,9 +86,10 @@ pub(super) fn session_port(waker: EngineWaker) -> (SessionPort, EnginePort) {
     (
         SessionPort {
             requests: RequestSender { newest, used, waker: waker.clone() },
-            masks: MaskReceiver { masks, waker },
+            masks: MaskReceiver { masks, waker: waker.clone() },
+            costs,
         },
-        EnginePort { newest: newest_end, masks: masks_end, used: used_end },
+        EnginePort { newest: newest_end, masks: masks_end, used: used_end, waker },
     )
 }
 

@@ -28,6 +28,8 @@ pub(crate) fn hello() -> Hello {
         width: WIDTH,
         height: HEIGHT,
         codec: CodecId::PlanesLz4,
+        rate_hz: 0,
+        resume: None,
     }
 }
 

@@ -291,6 +291,12 @@ impl ComputeBackend {
         Ok(())
     }
 
+    /// Destroys the device: whatever is asked of it next fails, as after a real loss.
+    #[cfg(any(test, feature = "faults"))]
+    pub fn lose(&self) {
+        self.gpu.device.destroy();
+    }
+
     /// Frames submitted and not collected.
     #[must_use]
     pub fn in_flight(&self) -> usize {

@@ -1,0 +1,54 @@
+//! How long to wait between attempts to reach a server: quickly at first, then calmly, and never in step with everybody else.
+
+use std::time::Duration;
+
+/// The first pause.
+const FIRST: Duration = Duration::from_millis(250);
+
+/// The longest pause. A server that comes back is found within it and a handshake: clients are to be back within 3 s.
+const LONGEST: Duration = Duration::from_millis(1800);
+
+/// Pauses that double up to [`LONGEST`], each shortened by up to a quarter.
+#[derive(Debug)]
+pub(crate) struct Backoff {
+    next: Duration,
+    state: u64,
+}
+
+impl Backoff {
+    /// `seed` sets this client apart from others that have lost the same server.
+    pub(crate) fn new(seed: u64) -> Self {
+        Self { next: FIRST, state: seed }
+    }
+
+    /// The next pause.
+    pub(crate) fn pause(&mut self) -> Duration {
+        // SplitMix64: how far apart clients are matters, not how well the numbers are mixed.
+        self.state = self.state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut mixed = (self.state ^ (self.state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        let quarter_ns = u64::try_from(self.next.as_nanos() / 4).unwrap_or(u64::MAX).max(1);
+        let pause = self.next - Duration::from_nanos((mixed ^ (mixed >> 31)) % quarter_ns);
+        self.next = (self.next * 2).min(LONGEST);
+        pause
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pauses_grow_to_their_bound_and_differ_between_clients() {
+        let pauses = |seed| {
+            let mut backoff = Backoff::new(seed);
+            std::array::from_fn::<Duration, 8, _>(|_| backoff.pause())
+        };
+        let ours = pauses(1);
+        for (index, pause) in ours.iter().enumerate() {
+            let full = (FIRST * (1 << index)).min(LONGEST);
+            assert!(*pause <= full && *pause >= full * 3 / 4, "{index}: {pause:?}");
+        }
+        assert_ne!(ours, pauses(2));
+    }
+}

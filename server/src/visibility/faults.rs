@@ -1,0 +1,38 @@
+//! Faults on demand, for tests and `lab chaos`: compiled in by the feature `faults` only, and by tests.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// What goes wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fault {
+    /// The work on the next mask panics.
+    Panic,
+    /// The device is lost.
+    DeviceLost,
+}
+
+/// Faults that wait to happen in one engine.
+#[derive(Debug, Default)]
+pub(super) struct Faults {
+    panics: AtomicU32,
+    losses: AtomicU32,
+}
+
+impl Faults {
+    pub(super) fn add(&self, fault: Fault) {
+        self.of(fault).fetch_add(1, Ordering::AcqRel);
+    }
+
+    /// Whether one is due, which it is not any more then.
+    pub(super) fn take(&self, fault: Fault) -> bool {
+        let less = |count: u32| count.checked_sub(1);
+        self.of(fault).fetch_update(Ordering::AcqRel, Ordering::Acquire, less).is_ok()
+    }
+
+    fn of(&self, fault: Fault) -> &AtomicU32 {
+        match fault {
+            Fault::Panic => &self.panics,
+            Fault::DeviceLost => &self.losses,
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! The engines of a server, one a device: sessions are placed where the measured load is least, and one that loses its device leaves
+//! its sessions to the others.
+
+use std::{num::NonZeroUsize, sync::Arc};
+
+use gnomon_protocol::mask::MaskShape;
+use gnomon_shaders::{gpu::Gpu, scene::Scene};
+
+use super::{
+    engine::{BackendChoice, Engine, EngineError, EngineOptions, OpenError},
+    port::SessionPort,
+};
+
+/// Running engines, at least one. Dropping them stops them; that waits for their threads, so it does not belong on an async worker.
+#[derive(Debug)]
+pub struct Fleet {
+    engines: Vec<Engine>,
+    description: String,
+}
+
+impl Fleet {
+    /// Starts an engine on each device, all at once.
+    ///
+    /// # Errors
+    /// When one of them does not start.
+    pub fn start(scene: &Arc<Scene>, options: &EngineOptions) -> Result<Self, EngineError> {
+        let wanted = options.adapter.as_deref();
+        let adapters = match options.backend {
+            BackendChoice::Cpu => 1,
+            // Software that pretends to be an adapter is one device, whatever it says.
+            BackendChoice::Auto | BackendChoice::Compute | BackendChoice::RayQuery => {
+                pollster::block_on(Gpu::count(wanted)).max(1)
+            }
+        };
+        let devices = options.devices.map_or(adapters, NonZeroUsize::get);
+        let named = wanted.unwrap_or_default();
+        let of_device = |device: usize| {
+            let adapter = match devices {
+                1 => options.adapter.clone(),
+                _ => Some(format!("{named}#{}", device % adapters + 1)),
+            };
+            EngineOptions { adapter, ..options.clone() }
+        };
+        let started: Vec<Result<Engine, EngineError>> = std::thread::scope(|scope| {
+            let starting: Vec<_> = (0..devices)
+                .map(|device| scope.spawn(move || Engine::start(Arc::clone(scene), &of_device(device))))
+                .collect();
+            starting.into_iter().map(|started| started.join().unwrap_or(Err(EngineError::Died))).collect()
+        });
+        let engines = started.into_iter().collect::<Result<Vec<_>, _>>()?;
+        Engine::introduce(&engines);
+        let description = match engines.as_slice() {
+            [only] => only.description().to_owned(),
+            [first, ..] => format!("{devices} devices: {}, …", first.description()),
+            [] => return Err(EngineError::Died),
+        };
+        Ok(Self { engines, description })
+    }
+
+    /// What traces, for people.
+    #[must_use]
+    pub fn description(&self) -> &str {
+        &self.description
+    }
+
+    /// The engines, one a device.
+    #[must_use]
+    pub fn engines(&self) -> &[Engine] {
+        &self.engines
+    }
+
+    /// Sessions whose ports are open.
+    #[must_use]
+    pub fn sessions(&self) -> usize {
+        self.engines.iter().map(Engine::sessions).sum()
+    }
+
+    /// Opens a session on the least loaded device that bears it; `rate_hz` is the most masks a second that it wants.
+    ///
+    /// # Errors
+    /// What the least loaded device says, when there is none.
+    pub fn open(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<SessionPort, OpenError> {
+        let mut by_load: Vec<(bool, f64, usize, &Engine)> = (self.engines.iter())
+            .map(|engine| (!engine.is_well(), engine.load_ms(), engine.sessions(), engine))
+            .collect();
+        by_load.sort_by(|(a_ill, a, a_sessions, _), (b_ill, b, b_sessions, _)| {
+            a_ill.cmp(b_ill).then(a.total_cmp(b)).then(a_sessions.cmp(b_sessions))
+        });
+        let mut first = None;
+        for (.., engine) in by_load {
+            match engine.open(shape, rate_hz) {
+                Ok(port) => return Ok(port),
+                Err(error) => _ = first.get_or_insert(error),
+            }
+        }
+        Err(first.unwrap_or(OpenError::Busy))
+    }
+
+    /// Waits until no engine traces any more, and says why the last one does not.
+    pub async fn ended(&self) -> String {
+        let mut reason = String::new();
+        for engine in &self.engines {
+            reason = engine.ended().await;
+        }
+        reason
+    }
+
+    /// Stops tracing, closes all sessions' ports, and waits for the threads to end.
+    pub fn shutdown(&self) {
+        for engine in &self.engines {
+            engine.shutdown();
+        }
+    }
+}
