@@ -143,6 +143,33 @@ fn what_comes_of_a_sliced_frame_is_shown() {
 }
 
 #[test]
+fn masks_come_against_earlier_ones_and_never_against_wrong_ones() {
+    let pictures = |codec: CodecId, script: Script, save: bool| {
+        let stage = Stage::start("lab-udp", script);
+        let folder = tempfile::tempdir().unwrap();
+        let mut options = stage.options(folder.path());
+        (options.wait, options.codec, options.frames) = (true, codec, Some(8));
+        options.out = Some(folder.path().join("pictures"));
+        options.save_masks = save.then(|| folder.path().join("masks"));
+        let summary = run_headless(&options).unwrap();
+        assert_eq!((summary.frames_rendered, summary.frames_with_mask), (8, 8), "{codec}");
+        let picture = |frame: u32| std::fs::read(folder.path().join(format!("pictures/frame_{frame:06}.png"))).unwrap();
+        let pictures: Vec<Vec<u8>> = (0..8).map(picture).collect();
+        (pictures, stage.referenced(), summary.frames_bad)
+    };
+    let (expected, without, _) = pictures(CodecId::PlanesLz4, Script::default(), false);
+    assert_eq!(without, 0);
+    let (shown, referenced, bad) = pictures(CodecId::TilesSmall, Script::default(), false);
+    assert!(shown == expected && referenced >= 5 && bad == 0, "{referenced} frames with references, {bad} bad");
+    // The client says that it has no such mask, and the next one comes without.
+    let foreign = Script { foreign: vec![3], ..Script::default() };
+    let (shown, referenced, bad) = pictures(CodecId::TilesSmall, foreign, false);
+    assert!(shown == expected && referenced >= 3 && bad == 1, "{referenced} frames with references, {bad} bad");
+    // Masks that are to be kept stand alone.
+    assert_eq!(pictures(CodecId::TilesSmall, Script::default(), true).1, 0);
+}
+
+#[test]
 fn frames_that_are_no_masks_of_this_session_are_counted_and_passed_over() {
     let stage = Stage::start("lab-udp", Script { wrong_shape: vec![1], ..Script::default() });
     let folder = tempfile::tempdir().unwrap();

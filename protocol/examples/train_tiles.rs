@@ -4,8 +4,8 @@
 //! cargo run --release -p gnomon-protocol --example train_tiles protocol/src/codec/tiles FRAME.body …
 //! ```
 //!
-//! The frames are as `gnomon-client --save-masks` writes them, in any codec. The files, `prior.bin` and `codes.bin`, are
-//! part of the protocol.
+//! The frames are as `gnomon-client --save-masks` writes them, in any codec. One that has the same name as the one before it but for
+//! its number is taken with that as its reference. The files, `prior.bin`, `codes.bin` and `refine.bin`, are part of the protocol.
 
 use std::{env, fs, path::PathBuf};
 
@@ -19,13 +19,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = PathBuf::from(arguments.next().ok_or("give the folder to write into, and frames")?);
     let masks = arguments.map(|file| {
         let mut mask = Mask::new(MaskShape::new(1, 1, 1)?);
-        Decoder::new().decode(&fs::read(file)?, &mut mask)?;
-        Ok(mask)
+        Decoder::new().decode(&fs::read(&file)?, &mut mask)?;
+        Ok((
+            file.trim_end_matches(|letter: char| !letter.is_ascii_digit())
+                .trim_end_matches(|letter: char| letter.is_ascii_digit())
+                .to_owned(),
+            mask,
+        ))
     });
     let masks = masks.collect::<Result<Vec<_>, Box<dyn std::error::Error>>>()?;
-    let [prior, codes] = train_tiles(&masks);
-    fs::write(folder.join("prior.bin"), prior)?;
-    fs::write(folder.join("codes.bin"), codes)?;
+    let before = |place: usize| masks[..place].last().filter(|(name, _)| *name == masks[place].0).map(|(_, mask)| mask);
+    let [prior, codes, refine] = train_tiles(masks.iter().enumerate().map(|(place, (_, mask))| (mask, before(place))));
+    for (name, bytes) in [("prior.bin", prior), ("codes.bin", codes), ("refine.bin", refine)] {
+        fs::write(folder.join(name), bytes)?;
+    }
     println!("{} masks", masks.len());
     Ok(())
 }

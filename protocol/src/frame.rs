@@ -5,9 +5,10 @@
 //! | 0 | codec ([`CodecId`]'s number) |
 //! | 1–2 | width in pixels |
 //! | 3–4 | height in pixels |
-//! | 5 | lights; the highest bit says that a pose follows |
+//! | 5 | lights; the highest bit says that a pose follows, the next one that a reference does |
 //! | 6–7 | number of slices n |
 //! | 82 more, if so | the pose that the mask was traced for ([`crate::pose`]), where it is not the client's own |
+//! | 8 more, if so | the reference that the slices are coded against: its frame, u32, and its digest, u32 |
 //! | 4n more | length of each slice in bytes, u32 |
 //! | to the end | the slices, one after the other |
 //!
@@ -21,7 +22,8 @@ use std::ops::Range;
 use thiserror::Error;
 
 use crate::{
-    codec::CodecId,
+    codec::{CodecId, ReferenceName},
+    ids::FrameNumber,
     limits::{MAX_FRAME_BYTES, MAX_FRAME_SLICES},
     mask::{MaskShape, ShapeError},
     pose::{POSE_BYTES, Pose, PoseError},
@@ -33,6 +35,12 @@ pub const FRAME_HEAD_BYTES: usize = 8;
 /// The bit beside the number of lights that says that a pose follows.
 const POSE_FOLLOWS: u8 = 0x80;
 
+/// The bit that says that a reference follows.
+const REFERENCE_FOLLOWS: u8 = 0x40;
+
+/// Bytes of a reference's name.
+const REFERENCE_BYTES: usize = 8;
+
 /// What a frame is: how it is coded, the shape of its mask, and what it was traced for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameHead {
@@ -42,6 +50,8 @@ pub struct FrameHead {
     pub shape: MaskShape,
     /// The pose that the mask was traced for, where the server has looked ahead; the client's own pose of this frame without.
     pub traced_for: Option<Pose>,
+    /// What the slices are coded against; only of codecs that [have references](CodecId::has_references).
+    pub reference: Option<ReferenceName>,
 }
 
 /// Why bytes are no frame.
@@ -64,6 +74,9 @@ pub enum FrameError {
     /// No mask can have the frame's shape.
     #[error("the frame's shape: {0}")]
     Shape(#[from] ShapeError),
+    /// A codec that has no references names one.
+    #[error("{0} has no references, and the frame names one")]
+    Reference(CodecId),
     /// The pose in the head is none.
     #[error("the frame's pose: {0}")]
     Pose(#[from] PoseError),
@@ -97,7 +110,8 @@ impl FrameHead {
 
     /// Bytes before the table of slice lengths.
     pub(crate) fn bytes(&self) -> usize {
-        FRAME_HEAD_BYTES + if self.traced_for.is_some() { POSE_BYTES } else { 0 }
+        let pose = if self.traced_for.is_some() { POSE_BYTES } else { 0 };
+        FRAME_HEAD_BYTES + pose + if self.reference.is_some() { REFERENCE_BYTES } else { 0 }
     }
 
     /// Bytes of a part that are not its slice.
@@ -117,11 +131,16 @@ impl FrameHead {
         body.push(self.codec.number());
         body.extend_from_slice(&low_u16(width).to_le_bytes());
         body.extend_from_slice(&low_u16(height).to_le_bytes());
-        let follows = if self.traced_for.is_some() { POSE_FOLLOWS } else { 0 };
-        body.push(low_u16(lights).to_le_bytes()[0] | follows);
+        let pose = if self.traced_for.is_some() { POSE_FOLLOWS } else { 0 };
+        let reference = if self.reference.is_some() { REFERENCE_FOLLOWS } else { 0 };
+        body.push(low_u16(lights).to_le_bytes()[0] | pose | reference);
         body.extend_from_slice(&slices.to_le_bytes());
         if let Some(pose) = &self.traced_for {
             body.extend_from_slice(&pose.encode());
+        }
+        if let Some(ReferenceName { frame, digest }) = self.reference {
+            body.extend_from_slice(&frame.0.to_le_bytes());
+            body.extend_from_slice(&digest.to_le_bytes());
         }
         body.resize(body.len() + usize::from(slices) * 4, 0);
     }
@@ -183,7 +202,7 @@ impl<'a> Frame<'a> {
         let [codec, w0, w1, h0, h1, lights, n0, n1] = *head;
         let codec = CodecId::from_number(codec).ok_or(FrameError::Codec(codec))?;
         let [width, height] = [[w0, w1], [h0, h1]].map(|side| u32::from(u16::from_le_bytes(side)));
-        let shape = MaskShape::new(width, height, u32::from(lights & !POSE_FOLLOWS))?;
+        let shape = MaskShape::new(width, height, u32::from(lights & !(POSE_FOLLOWS | REFERENCE_FOLLOWS)))?;
         let (traced_for, rest) = if lights & POSE_FOLLOWS == 0 {
             (None, rest)
         } else {
@@ -192,7 +211,19 @@ impl<'a> Frame<'a> {
                 rest.split_at_checked(POSE_BYTES).ok_or(FrameError::TooShort { needed, found: body.len() })?;
             (Some(Pose::decode(pose)?), rest)
         };
-        let head = FrameHead { codec, shape, traced_for };
+        let (reference, rest) = if lights & REFERENCE_FOLLOWS == 0 {
+            (None, rest)
+        } else if !codec.has_references() {
+            return Err(FrameError::Reference(codec));
+        } else {
+            let needed = body.len() - rest.len() + REFERENCE_BYTES;
+            let Some((&[f0, f1, f2, f3, d0, d1, d2, d3], rest)) = rest.split_first_chunk() else {
+                return Err(FrameError::TooShort { needed, found: body.len() });
+            };
+            let frame = FrameNumber(u32::from_le_bytes([f0, f1, f2, f3]));
+            (Some(ReferenceName { frame, digest: u32::from_le_bytes([d0, d1, d2, d3]) }), rest)
+        };
+        let head = FrameHead { codec, shape, traced_for, reference };
         let count = usize::from(u16::from_le_bytes([n0, n1]));
         if count == 0 || count > head.max_slices() {
             return Err(FrameError::Slices { found: count, most: head.max_slices() });
@@ -253,7 +284,8 @@ mod tests {
     use super::*;
 
     fn head() -> FrameHead {
-        FrameHead { codec: CodecId::PlanesLz4, shape: MaskShape::new(10, 20, 2).unwrap(), traced_for: None }
+        let shape = MaskShape::new(10, 20, 2).unwrap();
+        FrameHead { codec: CodecId::PlanesLz4, shape, traced_for: None, reference: None }
     }
 
     /// A planes frame of 10×20 pixels and 2 lights whose slices have these lengths.
@@ -303,6 +335,29 @@ mod tests {
         }
         body[8..16].copy_from_slice(&f64::NAN.to_le_bytes());
         assert_eq!(Frame::parse(&body), Err(FrameError::Pose(PoseError::Range("position_m"))));
+    }
+
+    #[test]
+    fn a_reference_in_the_head_comes_back_or_is_refused() {
+        let reference = Some(ReferenceName { frame: FrameNumber(0x0102_0304), digest: 0xA0B0_C0D0 });
+        let sliced = FrameHead { codec: CodecId::TilesSmall, reference, ..head() };
+        let mut body = Vec::new();
+        sliced.begin(1, &mut body);
+        assert_eq!(body[5..16], [2 | 0x40, 1, 0, 4, 3, 2, 1, 0xD0, 0xC0, 0xB0, 0xA0]);
+        assert_eq!(Frame::parse(&body).unwrap().head, sliced);
+        for length in 8..16 {
+            assert_eq!(Frame::parse(&body[..length]), Err(FrameError::TooShort { needed: 16, found: length }));
+        }
+        for codec in [CodecId::PlanesLz4, CodecId::TilesFast] {
+            body[0] = codec.number();
+            assert_eq!(Frame::parse(&body), Err(FrameError::Reference(codec)));
+        }
+        // Parts that are coded against different masks are no frame.
+        body[0] = CodecId::TilesSmall.number();
+        let mut other = body.clone();
+        other[12] ^= 1;
+        let both = [body, other].concat();
+        assert_eq!(Frame::parts(&both).last(), Some(Err(FrameError::Parts)));
     }
 
     #[test]

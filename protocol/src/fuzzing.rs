@@ -8,8 +8,9 @@ use std::num::NonZeroU16;
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
-    codec::{CodecId, Decoder, Encoder},
-    frame::Frame,
+    acknowledgement::Acknowledgement,
+    codec::{CodecId, Decoder, Encoder, Reference},
+    frame::{Frame, FrameHead},
     header::{HEADER_BYTES, PacketHeader},
     ids::FrameNumber,
     limits::{MAX_LIGHTS, MAX_MESSAGE_BYTES, MAX_PIXELS},
@@ -77,6 +78,43 @@ pub fn codec(bytes: &[u8]) {
         }
     }
     gives_back(CodecId::PlanesLz4, &tiny, &mut decoder);
+}
+
+/// Bits of a slice that is coded against a reference decode to some mask or to nothing, and what they decode to comes back bit by
+/// bit, against the same reference. The first byte picks one of some shapes.
+pub fn moved(bytes: &[u8]) {
+    let Some((&pick, bits)) = bytes.split_first() else { return };
+    let (width, height, lights) = [(1, 1, 1), (64, 8, 3), (130, 20, 2), (300, 33, 1)][usize::from(pick) % 4];
+    let Ok(shape) = MaskShape::new(width, height, lights) else { return };
+    let mut mask = Mask::new(shape);
+    for (word, place) in mask.words_mut().iter_mut().zip(1u64..) {
+        *word = place.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    }
+    let (mut encoder, mut decoder, mut body) = (Encoder::new(CodecId::TilesSmall), Decoder::new(), Vec::new());
+    let mut reference = Reference::new();
+    assert_eq!(encoder.encode(&mask, &mut body), Ok(()));
+    assert!(encoder.keep(FrameNumber(5), &mut reference));
+    let blocks = width.div_ceil(64) * height.div_ceil(8) * lights;
+    let head = FrameHead { codec: CodecId::TilesSmall, shape, traced_for: None, reference: Some(reference.name()) };
+    let slice = [&[0, 0, 0], &blocks.to_le_bytes()[..2], bits].concat();
+    body.clear();
+    head.begin(1, &mut body);
+    head.set_slice_length(&mut body, 0, u32::try_from(slice.len()).unwrap_or(u32::MAX));
+    body.extend_from_slice(&slice);
+    if decoder.decode_against(Some(&reference), &body, &mut mask).is_ok() {
+        let mut again = Mask::new(tiny_shape());
+        assert_eq!(encoder.encode_for(None, Some(&reference), &mask, &mut body), Ok(()));
+        assert!(decoder.decode_against(Some(&reference), &body, &mut again).is_ok());
+        assert!(again == mask, "a mask changes on its way from its reference");
+    }
+}
+
+/// An acknowledgement that decodes encodes to the same bytes, but for the digest of no frame.
+pub fn acknowledgement(bytes: &[u8]) {
+    if let Ok(acknowledgement) = Acknowledgement::decode(bytes) {
+        let compared = if acknowledgement.mask.is_some() { bytes.len() } else { HEADER_BYTES };
+        assert_eq!(acknowledgement.encode()[..compared], bytes[..compared]);
+    }
 }
 
 fn gives_back(codec: CodecId, mask: &Mask, decoder: &mut Decoder) {

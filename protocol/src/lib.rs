@@ -4,6 +4,7 @@
 //! One frame's way through this crate: [`mask`] → [`codec`] → [`frame`] → [`packetizer`] → (the network)
 //! → [`reassembler`] → [`frame`] → [`codec`] → [`mask`].
 
+pub mod acknowledgement;
 pub mod codec;
 pub mod congestion;
 pub mod frame;
@@ -17,6 +18,7 @@ pub mod message;
 pub mod packetizer;
 pub mod pose;
 pub mod reassembler;
+pub mod references;
 
 /// Version of everything in this crate that a peer can see. Peers with different versions refuse each other.
 pub const PROTOCOL_VERSION: u16 = 4;

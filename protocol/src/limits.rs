@@ -25,6 +25,12 @@ pub const MAX_FRAME_SLICES: usize = 4096;
 /// Largest encoded frame: what uncompressed words of the largest mask take, and room for the frame's head.
 pub const MAX_FRAME_BYTES: usize = MAX_PIXELS as usize * 4 + 64 * 1024;
 
+/// Masks that either end keeps as references: a quarter second at 60 frames a second may be on its way.
+pub const MAX_REFERENCES: usize = 16;
+
+/// Bytes of memory that either end keeps them in.
+pub const MAX_REFERENCE_BYTES: usize = 32 << 20;
+
 /// Largest control message, its length prefix not counted.
 pub const MAX_MESSAGE_BYTES: usize = 128 * 1024;
 

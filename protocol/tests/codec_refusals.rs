@@ -164,7 +164,7 @@ fn parts_that_are_not_of_one_frame_are_refused() {
     assert!(matches!(error(cut), DecodeError::Frame(FrameError::TooShort { needed: 8, found: 3 })));
     // Onto a mask of another shape, or where there are no parts.
     let mut mask = Mask::new(MaskShape::new(200, 21, 3).unwrap());
-    let mut onto = |body: &[u8]| Decoder::new().decode_onto(body, &mut mask);
+    let mut onto = |body: &[u8]| Decoder::new().decode_onto(None, body, &mut mask);
     assert!(matches!(onto(&part(3, 0)), Err(DecodeError::NoParts)));
     assert!(matches!(onto(&body(2, (200, 21, 3), &[0])), Err(DecodeError::NoParts)));
 }

@@ -113,11 +113,11 @@ proptest! {
             let mut received = before.clone();
             for (count, part) in (1..).zip(&parts) {
                 let old = received.clone();
-                prop_assert_eq!(decoder.decode_onto(part, &mut received).unwrap(), codec);
+                prop_assert_eq!(decoder.decode_onto(None, part, &mut received).unwrap(), codec);
                 let places = || old.words().iter().zip(received.words()).zip(sent.words());
                 prop_assert!(places().all(|((old, new), sent)| new == old || new == sent));
                 let mut all_so_far = before.clone();
-                decoder.decode_onto(&parts[..count].concat(), &mut all_so_far).unwrap();
+                decoder.decode_onto(None, &parts[..count].concat(), &mut all_so_far).unwrap();
                 prop_assert_eq!(&all_so_far, &received);
             }
             prop_assert_eq!(&received, &sent);

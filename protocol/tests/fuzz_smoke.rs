@@ -6,7 +6,8 @@ mod common;
 use std::num::NonZeroU16;
 
 use gnomon_protocol::{
-    codec::{CodecId, Encoder},
+    acknowledgement::Acknowledgement,
+    codec::{CodecId, Encoder, ReferenceName},
     fuzzing,
     header::PacketHeader,
     ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
@@ -145,6 +146,21 @@ fn codec() {
         }
     }
     drive(fuzzing::codec, &seeds, 4_000);
+}
+
+#[test]
+fn moved() {
+    let mut random = Random(3);
+    let seeds: Vec<Vec<u8>> =
+        (0..40).map(|pick| [vec![pick], (0..4000).map(|_| random.byte()).collect()].concat()).collect();
+    drive(fuzzing::moved, &seeds, 4_000);
+}
+
+#[test]
+fn acknowledgement() {
+    let mask = Some(ReferenceName { frame: FrameNumber(9), digest: 0xFEED });
+    let seeds = [mask, None].map(|mask| Acknowledgement { sequence: 3, mask }.encode().to_vec());
+    drive(fuzzing::acknowledgement, &seeds, 20_000);
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::num::NonZeroU16;
 
 use gnomon_protocol::{
     PROTOCOL_VERSION,
-    codec::{CodecId, Decoder, Encoder},
+    codec::{CodecId, Decoder, Encoder, Reference},
     header::PacketHeader,
     ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
     mask::{Mask, MaskShape},
@@ -228,17 +228,29 @@ fn frames_of_tiles() {
     frame(CodecId::TilesFast, 1, &wide(), fast);
 }
 
-/// What the codecs know beforehand is a part of the protocol as well: discs meet most of its contexts.
-#[test]
-fn frames_of_many_tiles() {
+/// Discs that meet most of the codecs' contexts, moved by so many pixels.
+fn discs(moved: u32) -> Mask {
     let mut mask = Mask::new(MaskShape::new(700, 300, 3).unwrap());
     for light in 0..3 {
         for (x, y) in (0..300_u32).flat_map(|y| (0..700_u32).map(move |x| (x, y))) {
-            let from_centre = (x % 90).abs_diff(40 + light).pow(2) + (y % 70).abs_diff(30).pow(2);
+            let (dx, dy) = ((x + moved) % 90, (y + moved) % 70);
+            let from_centre = dx.abs_diff(40 + light).pow(2) + dy.abs_diff(30).pow(2);
             mask.set(light, x, y, from_centre > (x / 90 + y / 70 * 8) * 17 + ((x * 7) ^ (y * 3)) % 40);
         }
     }
-    for (codec, length, digest) in
+    mask
+}
+
+/// FNV-1a.
+fn digest(body: &[u8]) -> u64 {
+    body.iter().fold(0xCBF2_9CE4_8422_2325_u64, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3))
+}
+
+/// What the codecs know beforehand is a part of the protocol as well.
+#[test]
+fn frames_of_many_tiles() {
+    let mask = discs(0);
+    for (codec, length, expected) in
         [(CodecId::TilesSmall, 2672, 13_754_718_524_727_062_367), (CodecId::TilesFast, 4177, 6_906_329_456_205_663_627)]
     {
         let mut body = Vec::new();
@@ -246,10 +258,24 @@ fn frames_of_many_tiles() {
         let mut decoded = Mask::new(MaskShape::new(1, 1, 1).unwrap());
         Decoder::new().decode(&body, &mut decoded).unwrap();
         assert_eq!(decoded, mask);
-        // FNV-1a.
-        let found = body
-            .iter()
-            .fold(0xCBF2_9CE4_8422_2325_u64, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3));
-        assert_eq!((body.len(), found), (length, digest), "{codec}");
+        assert_eq!((body.len(), digest(&body)), (length, expected), "{codec}");
     }
+}
+
+#[test]
+fn frames_with_a_reference() {
+    let (mut encoder, mut reference, mut body) = (Encoder::new(CodecId::TilesSmall), Reference::new(), Vec::new());
+    encoder.encode(&wide(), &mut body).unwrap();
+    assert!(encoder.keep(FrameNumber(0x0102), &mut reference));
+    encoder.encode_for(None, Some(&reference), &wide(), &mut body).unwrap();
+    // Nothing has changed: that takes no bits at all. The digest is of the mask's.
+    assert_eq!(body, hex("03 0a00 0900 42 0100 | 02010000 cadf674f | 05000000 | 000000 0400"));
+
+    encoder.encode(&discs(3), &mut body).unwrap();
+    assert!(encoder.keep(FrameNumber(1), &mut reference));
+    encoder.encode_for(None, Some(&reference), &discs(0), &mut body).unwrap();
+    let mut decoded = Mask::new(MaskShape::new(1, 1, 1).unwrap());
+    Decoder::new().decode_against(Some(&reference), &body, &mut decoded).unwrap();
+    assert_eq!(decoded, discs(0));
+    assert_eq!((reference.name().digest, body.len(), digest(&body)), (2_380_633_871, 1868, 10_801_691_807_630_683_231));
 }

@@ -9,10 +9,12 @@ use std::{
 
 use gnomon_protocol::{
     codec::{CodecId, Decoder, Encoder},
+    frame::Frame,
     ids::FrameNumber,
     mask::{Mask, MaskShape},
     packetizer::Packetizer,
     reassembler::{Policy, Progress, Reassembler},
+    references::{KeptMasks, SentMasks},
 };
 
 /// The system's allocator, counting what each thread asks it for.
@@ -54,6 +56,30 @@ fn mask(shape: MaskShape, step: u32) -> Mask {
         }
     }
     mask
+}
+
+#[test]
+fn a_warm_session_with_references_takes_no_memory() {
+    let shape = MaskShape::new(333, 222, 4).unwrap();
+    let masks = [0, 5, 9].map(|step| mask(shape, step));
+    let (mut encoder, mut decoder) = (Encoder::new(CodecId::TilesSmall), Decoder::new());
+    let (mut sent_masks, mut kept_masks) = (SentMasks::default(), KeptMasks::default());
+    let (mut body, mut received, mut counts) = (Vec::new(), Mask::new(shape), Vec::new());
+    for frame in 0..24 {
+        let sent = &masks[frame as usize % 3];
+        let before = COUNT.get();
+        encoder.encode_for(None, sent_masks.reference(), sent, &mut body).unwrap();
+        sent_masks.keep(&encoder, FrameNumber(frame));
+        let named = Frame::parse(&body).unwrap().head.reference;
+        assert_eq!(named.is_some(), frame > 0);
+        let reference = named.and_then(|name| kept_masks.reference(name));
+        decoder.decode_onto(reference, &body, &mut received).unwrap();
+        sent_masks.acknowledge(kept_masks.keep(&decoder, FrameNumber(frame)).unwrap());
+        counts.push(COUNT.get() - before);
+        assert!(received == *sent);
+    }
+    assert!(counts[0] > 0, "{counts:?}");
+    assert_eq!(counts[8..], [0; 16], "{counts:?}");
 }
 
 #[test]

@@ -14,14 +14,17 @@ use std::{
 };
 
 use gnomon_protocol::{
+    acknowledgement::Acknowledgement,
     codec::{DecodeError, Decoder},
-    frame::Frame,
+    frame::{Frame, FrameHead},
     header::PacketHeader,
     ids::FrameNumber,
     limits::MAX_FRAME_BYTES,
     mask::{Mask, MaskShape},
     reassembler::{CompleteFrame, IgnoredCause, PacketError, Policy, Progress, Reassembler},
+    references::KeptMasks,
 };
+use tokio::sync::watch;
 
 use super::link::{DataReceiver, root_cause};
 use crate::mask_buffer::MaskWriter;
@@ -40,7 +43,7 @@ pub(crate) struct Received {
     pub(crate) incomplete: u64,
     /// Frames whose pose had not been sent when their first packet came.
     pub(crate) future: u64,
-    /// Frames that did not decode, or have another shape than was agreed on.
+    /// Frames that did not decode, are coded against a mask that is not here, or have another shape than was agreed on.
     pub(crate) bad: u64,
     /// Bytes of the whole frames, packet headers not counted.
     pub(crate) payload_bytes: u64,
@@ -102,6 +105,8 @@ pub(crate) struct ReceiveTask {
     pub(crate) shape: MaskShape,
     /// Which packets make a frame.
     pub(crate) policy: Policy,
+    /// Where it says which masks later ones can be coded against.
+    pub(crate) acknowledge: watch::Sender<Option<Acknowledgement>>,
     pub(crate) counters: Counters,
     pub(crate) requested: Requested,
     /// Folder that every whole frame's body is written to.
@@ -122,7 +127,8 @@ impl ReceiveTask {
         let policy = self.policy;
         let fresh = || Reassembler::with_max_frame_bytes(policy, limit);
         let mut reassembler = fresh();
-        let mut decoder = FrameDecoder::new(policy, self.shape);
+        // Masks that are written down stand alone.
+        let mut decoder = FrameDecoder::new(policy, self.shape, self.save_masks.is_none());
         // When the frame at hand comes out as it is.
         let mut deadline = None;
         // Of the reassemblers before this one.
@@ -196,7 +202,11 @@ impl ReceiveTask {
         let decoded = match Frame::parse(complete.body).map(|frame| frame.head) {
             Ok(head) if is_within(self.shape, head.shape) => {
                 back.traced_for = head.traced_for;
-                decoder.decode(&complete, head.shape, &mut back.mask).map_err(|error| error.to_string())
+                let (decoded, said) = decoder.decode(&complete, &head, &mut back.mask);
+                if said.is_some() {
+                    self.acknowledge.send_replace(said);
+                }
+                decoded.map_err(|error| error.to_string())
             }
             Ok(head) => Err(format!("its shape is {:?}, {:?} is the largest agreed on", head.shape, self.shape)),
             Err(error) => Err(error.to_string()),
@@ -241,29 +251,51 @@ async fn within<T>(
     }
 }
 
-/// Decodes frames, and knows the tiles that frames in part leave out.
+/// Decodes frames, knows the tiles that frames in part leave out, and keeps the masks that later ones may be coded against.
 struct FrameDecoder {
     decoder: Decoder,
     /// The newest value of each tile, where frames come in part.
     newest: Option<Mask>,
+    /// Nothing where frames are to stand alone.
+    kept: Option<KeptMasks>,
 }
 
 impl FrameDecoder {
-    fn new(policy: Policy, shape: MaskShape) -> Self {
-        Self { decoder: Decoder::new(), newest: (policy == Policy::Slices).then(|| Mask::new(shape)) }
+    fn new(policy: Policy, shape: MaskShape, with_references: bool) -> Self {
+        Self {
+            decoder: Decoder::new(),
+            newest: (policy == Policy::Slices).then(|| Mask::new(shape)),
+            kept: with_references.then(KeptMasks::default),
+        }
     }
 
-    /// Decodes a frame whose head says `shape`.
-    fn decode(&mut self, frame: &CompleteFrame<'_>, shape: MaskShape, mask: &mut Mask) -> Result<(), DecodeError> {
+    /// Decodes a frame with this head, and says what the server is to hear of it.
+    fn decode(
+        &mut self,
+        frame: &CompleteFrame<'_>,
+        head: &FrameHead,
+        mask: &mut Mask,
+    ) -> (Result<(), DecodeError>, Option<Acknowledgement>) {
+        let decoded = self.decode_into(frame, head, mask);
+        let said = self.kept.as_mut().and_then(|kept| match decoded {
+            Ok(()) => kept.keep(&self.decoder, frame.frame),
+            Err(DecodeError::Reference(_)) => Some(kept.lose()),
+            Err(_) => None,
+        });
+        (decoded, said)
+    }
+
+    fn decode_into(&mut self, frame: &CompleteFrame<'_>, head: &FrameHead, mask: &mut Mask) -> Result<(), DecodeError> {
+        let reference = head.reference.zip(self.kept.as_mut()).and_then(|(name, kept)| kept.reference(name));
         let Some(newest) = &mut self.newest else {
-            return self.decoder.decode(frame.body, mask).map(drop);
+            return self.decoder.decode_against(reference, frame.body, mask).map(drop);
         };
-        if newest.shape() != shape {
-            newest.reset(shape);
+        if newest.shape() != head.shape {
+            newest.reset(head.shape);
         }
-        self.decoder.decode_onto(frame.body, newest)?;
-        if mask.shape() != shape {
-            mask.reset(shape);
+        self.decoder.decode_onto(reference, frame.body, newest)?;
+        if mask.shape() != head.shape {
+            mask.reset(head.shape);
         }
         mask.words_mut().copy_from_slice(newest.words());
         Ok(())

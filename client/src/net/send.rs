@@ -1,8 +1,10 @@
-//! The send task: the newest pose goes out; poses that were overtaken before their turn are not sent.
+//! The send task: the newest pose goes out, and the newest that is to be said of the masks that came; what was overtaken before its
+//! turn is not sent.
 
 use std::{convert::Infallible, io};
 
 use gnomon_protocol::{
+    acknowledgement::Acknowledgement,
     ids::FrameNumber,
     pose::{Pose, encode_pose_packet},
 };
@@ -17,11 +19,27 @@ pub(crate) type Outgoing = Option<(FrameNumber, Pose)>;
 pub(crate) async fn send_poses(
     mut sender: DataSender,
     mut newest: watch::Receiver<Outgoing>,
+    mut acknowledged: watch::Receiver<Option<Acknowledgement>>,
 ) -> io::Result<Infallible> {
     let mut sequence = 0_u32;
     loop {
-        if newest.changed().await.is_err() {
-            return std::future::pending().await;
+        // What is said of masks first: the next one is coded against it.
+        tokio::select! {
+            biased;
+            changed = acknowledged.changed() => {
+                // When the receive task is gone, so is the session.
+                if changed.is_err() {
+                    return std::future::pending().await;
+                }
+                let said = *acknowledged.borrow_and_update();
+                if let Some(said) = said {
+                    sender.send(&said.encode()).await?;
+                }
+                continue;
+            }
+            changed = newest.changed() => if changed.is_err() {
+                return std::future::pending().await;
+            },
         }
         // Copied, so that the renderer can hand over the next one while this one is sent.
         let outgoing = *newest.borrow_and_update();

@@ -176,12 +176,14 @@ impl Admitted {
             .map_err(|error| ClientError::Connect { url, reason: format!("data: {error}") })?;
         let (mask_writer, mask_reader) = mask_buffer(shape);
         let (poses, outgoing) = watch::channel(None);
+        let (acknowledge, acknowledged) = watch::channel(None);
         let (counters, requested) = (Counters::default(), Requested::default());
         let task = ReceiveTask {
             receiver,
             writer: mask_writer,
             shape,
             policy,
+            acknowledge,
             counters: Arc::clone(&counters),
             requested: requested.clone(),
             save_masks,
@@ -190,7 +192,7 @@ impl Admitted {
         let (leave, left) = oneshot::channel();
         let conversation = Conversation { reader, writer, round_trip: Arc::clone(&round_trip), health: health.clone() };
         let silence = watch_silence(closer.watcher(), health.clone());
-        let tasks = tokio::spawn(tasks(conversation, task, send_poses(sender, outgoing), silence, left));
+        let tasks = tokio::spawn(tasks(conversation, task, send_poses(sender, outgoing, acknowledged), silence, left));
         let session = Session { poses, counters, requested, round_trip, health, closer, leave, tasks, again };
         Ok((session, mask_reader))
     }

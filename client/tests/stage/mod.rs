@@ -12,13 +12,15 @@ use std::{
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use gnomon_client::{HeadlessOptions, Source};
 use gnomon_protocol::{
-    codec::{CodecId, Encoder},
+    acknowledgement::Acknowledgement,
+    codec::{CodecId, Encoder, Reference},
     ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
     limits::{MAX_PACKET_BYTES, SCENE_CHUNK_BYTES},
     mask::{Mask, MaskShape},
     message::{self, ClientMessage, ServerMessage, Welcome},
     packetizer::Packetizer,
     pose::decode_pose_packet,
+    references::SentMasks,
 };
 use gnomon_shaders::scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene};
 
@@ -38,6 +40,8 @@ pub(crate) struct Script {
     pub(crate) strays: Vec<(u32, u32)>,
     /// Frames that are answered only when they are asked for again, and then for each time.
     pub(crate) late: Vec<u32>,
+    /// Frames that are first coded against a mask that the client does not have.
+    pub(crate) foreign: Vec<u32>,
     /// Closes the session in place of this frame.
     pub(crate) close_at: Option<u32>,
     /// The frame at which the clients are told to go to this URL.
@@ -55,6 +59,8 @@ struct Heard {
     resumed: Vec<Option<ResumeToken>>,
     fetches: Vec<u64>,
     bye: bool,
+    /// Frames that were coded against a mask that the client had.
+    referenced: u32,
 }
 
 /// A running server.
@@ -126,7 +132,7 @@ impl Stage {
         let (for_thread, said) = (Arc::clone(&packed), Arc::clone(&heard));
         std::thread::spawn(move || {
             for stream in listener.incoming() {
-                let session = Session { stream: stream.unwrap(), packed: &for_thread, heard: &said };
+                let session = Session { stream: stream.unwrap(), packed: &for_thread, heard: Arc::clone(&said) };
                 session.serve(transport, script.clone());
                 if script.gone {
                     break;
@@ -163,6 +169,11 @@ impl Stage {
         self.heard.lock().unwrap().resumed.clone()
     }
 
+    /// Frames that were coded against a mask that the client had.
+    pub(crate) fn referenced(&self) -> u32 {
+        self.heard.lock().unwrap().referenced
+    }
+
     pub(crate) fn heard_bye(&self) -> bool {
         // The client has left before the server's thread has read its farewell.
         (0..500).any(|_| {
@@ -180,7 +191,7 @@ enum Data {
 struct Session<'a> {
     stream: TcpStream,
     packed: &'a [u8],
-    heard: &'a Mutex<Heard>,
+    heard: Arc<Mutex<Heard>>,
 }
 
 impl Session<'_> {
@@ -221,8 +232,9 @@ impl Session<'_> {
                 ClientMessage::Start if !started => {
                     started = true;
                     let (control, script) = (self.stream.try_clone().unwrap(), script.clone());
+                    let heard = Arc::clone(&self.heard);
                     let data = data.take().unwrap();
-                    std::thread::spawn(move || send_frames(data, control, script, hello.codec));
+                    std::thread::spawn(move || send_frames(data, control, script, hello.codec, &heard));
                 }
                 ClientMessage::Ping(number) => self.say(&ServerMessage::Pong(number)),
                 ClientMessage::Bye => self.heard.lock().unwrap().bye = true,
@@ -259,12 +271,16 @@ impl Session<'_> {
 }
 
 /// Answers every pose with its mask, in the packets that the network would carry.
-fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: CodecId) {
+fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: CodecId, heard: &Mutex<Heard>) {
     let mut link = Link::open(data);
     let (mut encoder, mut packetizer, mut body) =
         (Encoder::new(codec).for_packets_of(PACKET_BYTES), Packetizer::new(PACKET_BYTES), Vec::new());
-    let (mut latest, mut owed) = (None, false);
+    let (mut latest, mut owed, mut references) = (None, false, SentMasks::default());
     while let Some(packet) = link.receive() {
+        if let Ok(said) = Acknowledgement::decode(&packet) {
+            references.acknowledge(said);
+            continue;
+        }
         let (sequence, FrameNumber(frame), _) = decode_pose_packet(&packet).unwrap();
         assert!(latest.is_none_or(|latest| latest < (frame, sequence)), "poses grow");
         latest = Some((frame, sequence));
@@ -299,7 +315,19 @@ fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: Co
             encoder.encode(&mask, &mut body).unwrap();
             packetizer.packets(stray, 0, &body).unwrap().for_each(|packet| link.send(&packet));
         }
-        encoder.encode(&mask, &mut body).unwrap();
+        let foreign = script.foreign.iter().position(|wanted| *wanted == frame).map(|place| {
+            script.foreign.remove(place);
+            let mut other = Reference::new();
+            encoder.encode(&mask, &mut body).unwrap();
+            assert!(encoder.keep(FrameNumber(frame), &mut other));
+            other
+        });
+        let reference = foreign.as_ref().or(references.reference());
+        heard.lock().unwrap().referenced += u32::from(foreign.is_none() && reference.is_some());
+        encoder.encode_for(None, reference, &mask, &mut body).unwrap();
+        if foreign.is_none() {
+            references.keep(&encoder, FrameNumber(frame));
+        }
         let lost = script.lose.iter().position(|(wanted, _)| *wanted == frame).map(|place| script.lose.remove(place).1);
         for _ in 0..1 + u8::from(std::mem::take(&mut owed)) {
             for (index, packet) in packetizer.packets(FrameNumber(frame), 0, &body).unwrap().enumerate() {

@@ -49,6 +49,12 @@ impl CodecId {
         matches!(self, Self::TilesSmall | Self::TilesFast)
     }
 
+    /// Whether slices may be coded against a mask that both ends have. What is saved then is bytes, and not time.
+    #[must_use]
+    pub const fn has_references(self) -> bool {
+        matches!(self, Self::TilesSmall)
+    }
+
     /// Number in a frame's head.
     #[must_use]
     pub const fn number(self) -> u8 {

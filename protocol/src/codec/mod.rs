@@ -28,9 +28,11 @@ use thiserror::Error;
 pub use self::id::{CodecId, UnknownCodec};
 #[doc(hidden)]
 pub use self::tiles::train as train_tiles;
+pub use self::tiles::{Reference, ReferenceName};
 use crate::{
     frame::{Frame, FrameError, FrameHead, slice_tile_rows},
     header::HEADER_BYTES,
+    ids::FrameNumber,
     limits::{MAX_FRAME_BYTES, MAX_PACKET_BYTES},
     mask::{Mask, MaskShape},
     pose::Pose,
@@ -96,6 +98,9 @@ pub enum DecodeError {
         /// The tile's place in its plane.
         tile: usize,
     },
+    /// The frame is coded against a mask that is not at hand.
+    #[error("frame {frame} with digest {digest:#010x} is needed, and not at hand", frame = .0.frame, digest = .0.digest)]
+    Reference(ReferenceName),
     /// The frame is not sliced, or has another shape than the mask that it is to be put into.
     #[error("the frame has no parts, or another shape")]
     NoParts,
@@ -176,20 +181,29 @@ impl Encoder {
     /// # Errors
     /// When the frame would be longer than [`MAX_FRAME_BYTES`].
     pub fn encode(&mut self, mask: &Mask, body: &mut Vec<u8>) -> Result<(), EncodeError> {
-        self.encode_for(None, mask, body)
+        self.encode_for(None, None, mask, body)
     }
 
-    /// As [`Self::encode`], of a mask that was traced for another pose than the client's own.
+    /// As [`Self::encode`], of a mask that was traced for another pose than the client's own, and against a reference that the
+    /// client has. The codecs that know none do without, and so does a mask of another shape.
     ///
     /// # Errors
     /// As [`Self::encode`].
-    pub fn encode_for(&mut self, traced_for: Option<Pose>, mask: &Mask, body: &mut Vec<u8>) -> Result<(), EncodeError> {
+    pub fn encode_for(
+        &mut self,
+        traced_for: Option<Pose>,
+        reference: Option<&Reference>,
+        mask: &Mask,
+        body: &mut Vec<u8>,
+    ) -> Result<(), EncodeError> {
         body.clear();
+        self.tiles.begin(None);
         let shape = mask.shape();
-        let head = FrameHead { codec: self.codec, shape, traced_for };
+        let reference = reference.filter(|known| self.codec.has_references() && known.shape() == Some(shape));
+        let head = FrameHead { codec: self.codec, shape, traced_for, reference: reference.map(Reference::name) };
         let form = match Form::of(self.codec) {
             Form::Rows(form) => form,
-            Form::Tiles(profile) => return self.encode_sliced(&head, profile, mask, body),
+            Form::Tiles(profile) => return self.encode_sliced(&head, profile, reference, mask, body),
         };
         let count = u16::try_from(head.max_slices()).unwrap_or(u16::MAX).min(self.slices.get());
         head.begin(count, body);
@@ -203,11 +217,18 @@ impl Encoder {
         if body.len() > MAX_FRAME_BYTES { Err(EncodeError::TooLong(body.len())) } else { Ok(()) }
     }
 
+    /// Makes a reference of the mask that was encoded last, as `frame`. Says no, and leaves `reference` as it is, where its codec
+    /// has no references.
+    pub fn keep(&self, frame: FrameNumber, reference: &mut Reference) -> bool {
+        self.tiles.keep(frame, reference)
+    }
+
     /// A part for each slice.
     fn encode_sliced(
         &mut self,
         head: &FrameHead,
         profile: tiles::Profile,
+        reference: Option<&Reference>,
         mask: &Mask,
         body: &mut Vec<u8>,
     ) -> Result<(), EncodeError> {
@@ -215,7 +236,7 @@ impl Encoder {
         let open = |body: &mut Vec<u8>| head.begin(1, body);
         // No slice is longer than its blocks' bits at 12 bits each.
         let close = |part: &mut [u8], bytes| head.set_slice_length(part, 0, u32::try_from(bytes).unwrap_or(u32::MAX));
-        self.tiles.encode(profile, mask, slice_bytes, body, open, close);
+        self.tiles.encode(tiles::Way::new(profile, reference), mask, slice_bytes, body, open, close);
         if body.len() > MAX_FRAME_BYTES { Err(EncodeError::TooLong(body.len())) } else { Ok(()) }
     }
 }
@@ -266,11 +287,26 @@ impl Decoder {
 
     /// Decodes a frame into `mask`, which takes the frame's shape: whoever expects a certain one looks at it after,
     /// or at [`Frame::parse`]'s head before. All sizes are checked before memory is taken, which is never more than
-    /// the mask and the raw bytes of one slice, or twice the mask where frames are sliced.
+    /// the mask and the raw bytes of one slice, or some times the mask where frames are sliced.
     ///
     /// # Errors
-    /// When the body is not exactly one frame. The mask is then one of some shape, with bits of no meaning.
+    /// When the body is not exactly one frame, or is coded against a reference. The mask is then one of some shape, with bits
+    /// of no meaning.
     pub fn decode(&mut self, body: &[u8], mask: &mut Mask) -> Result<CodecId, DecodeError> {
+        self.decode_against(None, body, mask)
+    }
+
+    /// As [`Self::decode`], of a frame that may be coded against this reference.
+    ///
+    /// # Errors
+    /// As [`Self::decode`], or when the frame is coded against another reference.
+    pub fn decode_against(
+        &mut self,
+        reference: Option<&Reference>,
+        body: &[u8],
+        mask: &mut Mask,
+    ) -> Result<CodecId, DecodeError> {
+        self.tiles.begin(None);
         let frame = Frame::parse(body)?;
         let FrameHead { codec, shape, .. } = frame.head;
         match Form::of(codec) {
@@ -287,10 +323,11 @@ impl Decoder {
             }
             Form::Tiles(profile) => {
                 check_cover(shape, body)?;
+                let reference = named(&frame.head, reference)?;
                 if mask.shape() != shape {
                     mask.reset(shape);
                 }
-                self.decode_parts(profile, body, mask)?;
+                self.decode_parts(profile, reference, body, mask)?;
             }
         }
         Ok(codec)
@@ -299,24 +336,55 @@ impl Decoder {
     /// Decodes those parts of a sliced frame that have come, in any order; the rest of `mask` stays as it is.
     ///
     /// # Errors
-    /// When the body does not consist of parts of one frame with the mask's shape. Some tiles of `mask` may have
-    /// changed.
-    pub fn decode_onto(&mut self, body: &[u8], mask: &mut Mask) -> Result<CodecId, DecodeError> {
-        let FrameHead { codec, shape, .. } = Frame::parse(body)?.head;
-        match Form::of(codec) {
-            Form::Tiles(profile) if shape == mask.shape() => self.decode_parts(profile, body, mask).map(|()| codec),
+    /// When the body does not consist of parts of one frame with the mask's shape, or is coded against another reference. Some
+    /// tiles of `mask` may have changed, but none where it is the reference that is missing.
+    pub fn decode_onto(
+        &mut self,
+        reference: Option<&Reference>,
+        body: &[u8],
+        mask: &mut Mask,
+    ) -> Result<CodecId, DecodeError> {
+        self.tiles.begin(None);
+        let head = Frame::parse(body)?.head;
+        match Form::of(head.codec) {
+            Form::Tiles(profile) if head.shape == mask.shape() => {
+                let reference = named(&head, reference)?;
+                self.decode_parts(profile, reference, body, mask).map(|()| head.codec)
+            }
             Form::Tiles(_) | Form::Rows(_) => Err(DecodeError::NoParts),
         }
     }
 
-    fn decode_parts(&mut self, profile: tiles::Profile, body: &[u8], mask: &mut Mask) -> Result<(), DecodeError> {
+    fn decode_parts(
+        &mut self,
+        profile: tiles::Profile,
+        reference: Option<&Reference>,
+        body: &[u8],
+        mask: &mut Mask,
+    ) -> Result<(), DecodeError> {
+        let way = tiles::Way::new(profile, reference);
+        self.tiles.begin(way.is_kept().then_some(mask.shape()));
         for (slice, part) in Frame::parts(body).enumerate() {
             for (_, bytes) in part?.slices() {
-                self.tiles.decode(profile, bytes, mask).map_err(|failure| DecodeError::of_tiles(slice, failure))?;
+                let decoded = self.tiles.decode(way, bytes, mask);
+                decoded.map_err(|failure| DecodeError::of_tiles(slice, failure))?;
             }
         }
         Ok(())
     }
+
+    /// Makes a reference of the mask that was decoded last, as `frame`. Says no, and leaves `reference` as it is, where not all
+    /// of it had come, or its codec has no references.
+    pub fn keep(&self, frame: FrameNumber, reference: &mut Reference) -> bool {
+        self.tiles.keep(frame, reference)
+    }
+}
+
+/// The reference that a frame names, which must be the one at hand.
+fn named<'a>(head: &FrameHead, reference: Option<&'a Reference>) -> Result<Option<&'a Reference>, DecodeError> {
+    let Some(name) = head.reference else { return Ok(None) };
+    let known = reference.filter(|known| known.name() == name && known.shape() == Some(head.shape));
+    known.map(Some).ok_or(DecodeError::Reference(name))
 }
 
 /// Whether the parts hold the picture's blocks one after the other.

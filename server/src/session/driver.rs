@@ -4,12 +4,14 @@
 use std::{io, sync::Arc, time::Instant};
 
 use gnomon_protocol::{
+    acknowledgement::Acknowledgement,
     codec::{CodecId, EncodeError, Encoder},
     header::HEADER_BYTES,
     ids::FrameNumber,
     mask::Mask,
     packetizer::Packetizer,
     pose::Pose,
+    references::SentMasks,
 };
 use thiserror::Error;
 use tokio::sync::{Semaphore, watch};
@@ -79,24 +81,33 @@ pub(super) struct FrameSender {
     packetizer: Packetizer,
     workspace: Option<Workspace>,
     encoders: Arc<Semaphore>,
+    /// The newest that the client has said about the masks that it has.
+    acknowledged: watch::Receiver<Option<Acknowledgement>>,
     first_frame_at: Option<Instant>,
 }
 
 struct Workspace {
     encoder: Encoder,
+    references: SentMasks,
     body: Vec<u8>,
 }
 
 impl FrameSender {
     /// Of frames in `codec`; `encoders` bounds how many sessions encode at once.
-    pub(super) fn new(sender: DataSender, codec: CodecId, encoders: Arc<Semaphore>) -> Self {
+    pub(super) fn new(
+        sender: DataSender,
+        codec: CodecId,
+        encoders: Arc<Semaphore>,
+        acknowledged: watch::Receiver<Option<Acknowledgement>>,
+    ) -> Self {
         let packet_bytes = sender.max_packet_bytes();
         let encoder = Encoder::new(codec).for_packets_of(packet_bytes);
         Self {
             packetizer: Packetizer::new(packet_bytes),
             sender,
-            workspace: Some(Workspace { encoder, body: Vec::new() }),
+            workspace: Some(Workspace { encoder, references: SentMasks::default(), body: Vec::new() }),
             encoders,
+            acknowledged,
             first_frame_at: None,
         }
     }
@@ -140,6 +151,9 @@ impl FrameSender {
             }
         }
         self.sender.flush().await?;
+        if let Some(Workspace { encoder, references, .. }) = &mut self.workspace {
+            references.keep(encoder, frame);
+        }
         ledger.frames_sent.one();
         ledger.packets.add(packets as u64);
         ledger.bytes.add(bytes as u64);
@@ -153,9 +167,14 @@ impl FrameSender {
         let broken = |reason: &str| DriveError::Encoding(reason.to_owned());
         let mut workspace = self.workspace.take().ok_or_else(|| broken("its memory is gone"))?;
         let permit = Arc::clone(&self.encoders).acquire_owned().await.map_err(|_| broken("the server has stopped"))?;
+        let acknowledged = *self.acknowledged.borrow_and_update();
         let job = tokio::task::spawn_blocking(move || {
             let _permit = permit;
-            let result = workspace.encoder.encode_for(ahead, &mask, &mut workspace.body);
+            let Workspace { encoder, references, body } = &mut workspace;
+            if let Some(acknowledged) = acknowledged {
+                references.acknowledge(acknowledged);
+            }
+            let result = encoder.encode_for(ahead, references.reference(), &mask, body);
             (workspace, mask, result)
         });
         let (workspace, mask, result) = job.await.map_err(|error| broken(&error.to_string()))?;

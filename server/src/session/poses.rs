@@ -1,4 +1,4 @@
-//! Poses in: each newer one becomes the session's only request, anything else is counted and dropped.
+//! Poses and acknowledgements in: each newer one becomes the session's only request, anything else is counted and dropped.
 //!
 //! A client that says how long its masks are under way gets them traced for where its camera will be by then ([`ahead`]). Only the
 //! client sees the whole way, from its pose to the frame that shows the mask, so it measures and the server extrapolates.
@@ -9,11 +9,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose, pose::Pose};
+use gnomon_protocol::{acknowledgement::Acknowledgement, ids::FrameNumber, mask::MaskShape, pose, pose::Pose};
 use gnomon_shaders::{
     camera::Camera,
     motion::{Extrapolation, Motion},
 };
+use tokio::sync::watch;
 
 use super::ledger::Ledger;
 use crate::{
@@ -38,13 +39,14 @@ impl Newest {
     }
 }
 
-/// Receives poses until the link is gone.
+/// Receives poses, and what the client says of the masks that it has, until the link is gone.
 ///
 /// # Errors
 /// When the link is gone.
 pub(super) async fn receive(
     mut receiver: DataReceiver,
     requests: &RequestSender,
+    acknowledged: &watch::Sender<Option<Acknowledgement>>,
     shape: MaskShape,
     ledger: &Ledger,
 ) -> io::Result<Infallible> {
@@ -54,6 +56,16 @@ pub(super) async fn receive(
     loop {
         let datagram = receiver.receive().await?;
         let received_at = Instant::now();
+        if let Ok(heard) = Acknowledgement::decode(&datagram) {
+            acknowledged.send_if_modified(|newest| {
+                let newer = newest.is_none_or(|newest| heard.is_after(&newest));
+                if newer {
+                    *newest = Some(heard);
+                }
+                newer
+            });
+            continue;
+        }
         let (sequence, frame, pose) = match pose::decode_pose_packet(&datagram) {
             Ok(decoded) => decoded,
             Err(error) => {

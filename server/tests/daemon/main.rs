@@ -5,6 +5,7 @@ mod admission;
 mod client;
 mod frames;
 mod lab;
+mod references;
 #[path = "../support/scene.rs"]
 mod scene;
 mod stopping;

@@ -126,7 +126,7 @@ impl Viewer {
         let Some(frame) = self.reassembler.frame() else { return Ok(()) };
         match self.policy {
             Policy::WholeFrame => drop(self.decoder.decode(frame.body, &mut self.shown)?),
-            Policy::Slices => drop(self.decoder.decode_onto(frame.body, &mut self.shown)?),
+            Policy::Slices => drop(self.decoder.decode_onto(None, frame.body, &mut self.shown)?),
         }
         self.outcome.frames_whole += u32::from(frame.missing == 0);
         self.outcome.packets_used += u64::from(frame.packets);

@@ -6,22 +6,27 @@
 //! | 3–4 | its number of blocks, at least one |
 //! | to the end | the blocks' bits: of `tiles-small` as [`small`]'s model codes them with [`range`]'s coder, of `tiles-fast` as [`fast`] puts them into [`codes`] |
 //!
-//! All little-endian. A slice knows nothing of the others: its contexts end at its first block, and its probabilities begin with
+//! All little-endian. A frame of `tiles-small` whose head names a reference says what has moved how, and what is not as it was: [`moved`]. A slice knows nothing of the others: its contexts end at its first block, and its probabilities begin with
 //! [`prior`]. So it can be lost alone, and slices can be coded on several cores.
 
 mod bits;
 mod block;
 mod codes;
 mod fast;
+mod motion;
+mod moved;
 mod near;
 mod order;
 mod prior;
 mod range;
+mod reference;
+mod refine;
 mod small;
 mod state;
 
 use std::ops::Range;
 
+pub use self::reference::{Reference, ReferenceName};
 use self::{
     bits::{BitReader, BitWriter},
     block::{Kind, Known},
@@ -33,7 +38,10 @@ use self::{
     range::{RangeDecoder, RangeEncoder},
     small::States,
 };
-use crate::mask::{Mask, MaskShape};
+use crate::{
+    ids::FrameNumber,
+    mask::{Mask, MaskShape},
+};
 
 /// Bytes before a slice's bits.
 pub(super) const SLICE_HEAD_BYTES: usize = 5;
@@ -43,6 +51,30 @@ pub(super) const SLICE_HEAD_BYTES: usize = 5;
 pub(super) enum Profile {
     Small,
     Fast,
+}
+
+/// How blocks are coded.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Way<'a> {
+    Small,
+    Fast,
+    /// Against a mask of the same shape.
+    Moved(&'a Reference),
+}
+
+impl<'a> Way<'a> {
+    pub(super) fn new(profile: Profile, reference: Option<&'a Reference>) -> Self {
+        match (profile, reference) {
+            (Profile::Small, Some(reference)) => Self::Moved(reference),
+            (Profile::Small, None) => Self::Small,
+            (Profile::Fast, _) => Self::Fast,
+        }
+    }
+
+    /// Whether what is coded may serve as a reference.
+    pub(super) const fn is_kept(self) -> bool {
+        !matches!(self, Self::Fast)
+    }
 }
 
 /// Why bytes are no slice.
@@ -72,11 +104,49 @@ pub(super) struct Workspace {
     /// All blocks, in their order.
     blocks: Vec<Known>,
     states: Box<States>,
+    /// Of slices with a reference.
+    moved: moved::Memory,
+    /// Shape of the frame at hand, and a bit for each of its blocks that has been coded.
+    shape: Option<MaskShape>,
+    seen: Vec<u64>,
 }
 
 impl Workspace {
     pub(super) fn new() -> Self {
-        Self { blocks: Vec::new(), states: Box::new(PRIOR.clone()) }
+        Self {
+            blocks: Vec::new(),
+            states: Box::new(PRIOR.clone()),
+            moved: moved::Memory::new(),
+            shape: None,
+            seen: Vec::new(),
+        }
+    }
+
+    /// Makes a reference of the frame that was encoded or decoded last. Says no, and leaves `reference` as it is, where there is none
+    /// or not all of its blocks were there.
+    pub(super) fn keep(&self, frame: FrameNumber, reference: &mut Reference) -> bool {
+        let Some(shape) = self.shape else { return false };
+        let blocks = self.seen.iter().map(|bits| bits.count_ones() as usize).sum::<usize>();
+        let whole = blocks == block_count(shape);
+        if whole {
+            reference.fill(frame, shape, &self.blocks);
+        }
+        whole
+    }
+
+    /// Begins another frame, or one of another codec, of which nothing is seen here.
+    pub(super) fn begin(&mut self, shape: Option<MaskShape>) {
+        self.shape = shape;
+        self.seen.clear();
+        self.seen.resize(shape.map_or(0, |shape| block_count(shape).div_ceil(64)), 0);
+    }
+
+    fn see(&mut self, blocks: Range<usize>) {
+        for number in blocks {
+            if let Some(bits) = self.seen.get_mut(number / 64) {
+                *bits |= 1 << (number % 64);
+            }
+        }
     }
 
     /// Makes room for the blocks of a picture.
@@ -89,18 +159,7 @@ impl Workspace {
     /// What is known around block `number` of a slice that begins with block `first`, and the memory of the model.
     #[inline(always)]
     fn near(&mut self, order: &Order, place: Place, first: usize, number: usize) -> (Near<'_>, &mut States) {
-        let before = &self.blocks[first..number];
-        let known = |number: Option<usize>| number.and_then(|number| before.get(number.wrapping_sub(first)));
-        let around = order.around(number, place);
-        let near = Near {
-            above: known(around.above),
-            above_left: known(around.above_left),
-            above_right: known(around.above_right),
-            left: known(around.left),
-            other: known(around.other),
-            tiles: order.tiles(place).len(),
-        };
-        (near, &mut self.states)
+        (Near::new(&self.blocks, order, place, first, number), &mut self.states)
     }
 
     /// The value that block `number` of a slice that begins with block `first` has if it goes on as it is to the left, or
@@ -120,7 +179,7 @@ impl Workspace {
     /// longer. What `open` appends comes before each of them, and `close` gets both and the slice's length.
     pub(super) fn encode(
         &mut self,
-        profile: Profile,
+        way: Way<'_>,
         mask: &Mask,
         slice_bytes: usize,
         output: &mut Vec<u8>,
@@ -129,6 +188,7 @@ impl Workspace {
     ) {
         let order = Order::new(mask.shape());
         self.make_room(order.blocks());
+        self.begin(way.is_kept().then_some(mask.shape()));
         let bits_bytes = slice_bytes.saturating_sub(SLICE_HEAD_BYTES);
         let mut first = 0;
         while first < order.blocks() {
@@ -137,14 +197,16 @@ impl Workspace {
             let start = output.len();
             output.extend_from_slice(&[0; SLICE_HEAD_BYTES]);
             let blocks = first..order.blocks().min(first + usize::from(u16::MAX));
-            let next = match profile {
-                Profile::Small => self.encode_small(mask, &order, blocks, bits_bytes, output),
-                Profile::Fast => self.encode_fast(mask, &order, blocks, bits_bytes, output),
+            let next = match way {
+                Way::Moved(reference) => self.encode_moved(reference, mask, &order, blocks, bits_bytes, output),
+                Way::Small => self.encode_small(mask, &order, blocks, bits_bytes, output),
+                Way::Fast => self.encode_fast(mask, &order, blocks, bits_bytes, output),
             };
             output[start..start + 3].copy_from_slice(&first.to_le_bytes()[..3]);
             output[start + 3..start + 5].copy_from_slice(&(next - first).to_le_bytes()[..2]);
             let bytes = output.len() - start;
             close(&mut output[part..], bytes);
+            self.see(first..next);
             first = next;
         }
     }
@@ -217,15 +279,19 @@ impl Workspace {
 
     /// Decodes a slice into `mask`, and says which blocks it held. Of a slice that fails, some blocks may have been
     /// written.
-    pub(super) fn decode(&mut self, profile: Profile, slice: &[u8], mask: &mut Mask) -> Result<Range<usize>, Failure> {
+    pub(super) fn decode(&mut self, way: Way<'_>, slice: &[u8], mask: &mut Mask) -> Result<Range<usize>, Failure> {
         let (shape, order) = (mask.shape(), Order::new(mask.shape()));
         let blocks = blocks_of(shape, slice).ok_or(Failure::Blocks)?;
         self.make_room(order.blocks());
         let bits = &slice[SLICE_HEAD_BYTES..];
-        let done = match profile {
-            Profile::Small => self.decode_small(&order, blocks.clone(), bits, mask),
-            Profile::Fast => self.decode_fast(&order, blocks.clone(), bits, mask),
+        let done = match way {
+            Way::Moved(reference) => self.decode_moved(reference, &order, blocks.clone(), bits, mask),
+            Way::Small => self.decode_small(&order, blocks.clone(), bits, mask),
+            Way::Fast => self.decode_fast(&order, blocks.clone(), bits, mask),
         };
+        if done {
+            self.see(blocks.clone());
+        }
         done.then_some(blocks).ok_or(Failure::Bits)
     }
 
@@ -296,14 +362,22 @@ impl Symbols for Reading<'_, '_> {
     }
 }
 
-/// Counts what these masks teach both models: the bytes of `prior.bin` and `codes.bin`.
+/// Counts what masks teach the models, each with one that may serve it as a reference: the bytes of `prior.bin`, `codes.bin`
+/// and `refine.bin`.
 #[must_use]
-pub fn train<'a>(masks: impl IntoIterator<Item = &'a Mask>) -> [Vec<u8>; 2] {
-    let mut workspace = Workspace { blocks: Vec::new(), states: prior::uncounted() };
-    let mut counts = vec![[0; 256]; fast::CONTEXTS];
-    for mask in masks {
+pub fn train<'a>(masks: impl IntoIterator<Item = (&'a Mask, Option<&'a Mask>)>) -> [Vec<u8>; 3] {
+    let mut workspace = Workspace { states: prior::uncounted(), ..Workspace::new() };
+    let (mut counts, mut reference) = (vec![[0; 256]; fast::CONTEXTS], Reference::new());
+    for (mask, before) in masks {
         let order = Order::new(mask.shape());
         workspace.make_room(order.blocks());
+        if let Some(before) = before.filter(|before| before.shape() == mask.shape()) {
+            for (number, place) in order.walk(0..order.blocks()) {
+                workspace.blocks[number] = block::gather(before, &order, place);
+            }
+            reference.fill(FrameNumber(0), mask.shape(), &workspace.blocks);
+            workspace.count_moved(&mut prior::Counter, &reference, mask);
+        }
         for (number, place) in order.walk(0..order.blocks()) {
             let block = block::gather(mask, &order, place);
             let expected = workspace.expected(&order, place, 0, number);
@@ -315,7 +389,7 @@ pub fn train<'a>(masks: impl IntoIterator<Item = &'a Mask>) -> [Vec<u8>; 2] {
             workspace.blocks[number] = block;
         }
     }
-    [prior::pack(&workspace.states), codes::pack(&counts)]
+    [prior::pack(&workspace.states), codes::pack(&counts), prior::pack_refined(&mut workspace.moved.states)]
 }
 
 struct Counting<'a>(&'a mut [[u64; 256]]);

@@ -1,6 +1,9 @@
 //! What is around a block and around a part of a row, and the walk over the rows: what the models have in common.
 
-use super::block::{Block, Known};
+use super::{
+    block::{Block, Known},
+    order::{Order, Place},
+};
 
 /// The context of a tile whose neighbour is not in the slice.
 pub(super) const UNKNOWN: usize = 3;
@@ -16,6 +19,24 @@ pub(super) struct Near<'a> {
     pub(super) other: Option<&'a Known>,
     /// Tiles of the block that lie in the picture.
     pub(super) tiles: usize,
+}
+
+impl<'a> Near<'a> {
+    /// What is known around block `number` of a slice that begins with block `first`.
+    #[inline(always)]
+    pub(super) fn new(blocks: &'a [Known], order: &Order, place: Place, first: usize, number: usize) -> Self {
+        let before = &blocks[first..number];
+        let known = |number: Option<usize>| number.and_then(|number| before.get(number.wrapping_sub(first)));
+        let around = order.around(number, place);
+        Self {
+            above: known(around.above),
+            above_left: known(around.above_left),
+            above_right: known(around.above_right),
+            left: known(around.left),
+            other: known(around.other),
+            tiles: order.tiles(place).len(),
+        }
+    }
 }
 
 /// 0 or 1 when the lowest eight bits all are, and 2 when they differ.

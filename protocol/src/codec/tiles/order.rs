@@ -56,13 +56,18 @@ impl Order {
         self.blocks_x * self.tiles_y * self.lights
     }
 
+    /// Blocks in a row.
+    pub(super) const fn blocks_across(&self) -> usize {
+        self.blocks_x
+    }
+
     /// Blocks across the stripe that begins at block `x`.
     fn across(&self, x: usize) -> usize {
         STRIPE_BLOCKS.min(self.blocks_x - x)
     }
 
     /// Place of block `number`, which is below [`Self::blocks`].
-    fn place(&self, number: usize) -> Place {
+    pub(super) fn place(&self, number: usize) -> Place {
         let (at, light) = (number / self.lights, number % self.lights);
         let stripe = at / (STRIPE_BLOCKS * self.tiles_y);
         let first_x = stripe * STRIPE_BLOCKS;

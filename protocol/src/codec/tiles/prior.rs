@@ -3,7 +3,9 @@
 //! They are the averages over masks of several scenes, two bytes a context; the example `train_tiles` counts them anew.
 //! A change of them is a change of the protocol.
 
-use super::{range::Bits, small::States, state::State};
+use std::sync::LazyLock;
+
+use super::{range::Bits, refine::RefineStates, small::States, state::State};
 
 /// Contexts of the model.
 const CONTEXTS: usize = 32 + 2 * 384 + 128 + 4096 + 1024;
@@ -26,6 +28,17 @@ pub(super) static PRIOR: States = {
     assert!(next == CONTEXTS);
     states
 };
+
+static REFINE_PACKED: &[u8] = include_bytes!("refine.bin");
+
+/// The states at the beginning of a slice with a reference.
+pub(super) static REFINE_PRIOR: LazyLock<RefineStates> = LazyLock::new(|| {
+    let mut states = RefineStates::blank();
+    for (state, packed) in states.all().zip(REFINE_PACKED.as_chunks().0) {
+        *state = State::from_packed(u16::from_le_bytes(*packed));
+    }
+    states
+});
 
 const fn blank() -> States {
     let none = State::NONE;
@@ -61,6 +74,11 @@ impl Bits for Counter {
 /// States to count in.
 pub(super) fn uncounted() -> Box<States> {
     Box::new(blank())
+}
+
+/// The file of what was counted with references.
+pub(super) fn pack_refined(counted: &mut RefineStates) -> Vec<u8> {
+    counted.all().flat_map(|state| state.packed_count().to_le_bytes()).collect()
 }
 
 /// The file of what was counted.

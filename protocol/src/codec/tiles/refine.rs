@@ -1,0 +1,218 @@
+//! The model of what differs from a reference that has been moved: which bits it takes, and in what contexts.
+//!
+//! For each place first whether all lights are as expected with the expected vector. If not, the vector, and for each light
+//! whether its block is as expected; of the others which tiles are not, and the rows of these: one bit where nothing changes
+//! around, and its pixels otherwise. A pixel's context is the three above, the one to the left, the nine around it in the reference:
+//! JBIG2's refinement template (ITU-T T.88, §6.3.5.3); and what in the light before was not as expected here.
+
+use super::{
+    block::{Block, Kind, Known},
+    motion::{AxisStates, MotionStates},
+    near::Near,
+    range::Bits,
+    reference::Line,
+    state::State,
+};
+
+/// Probabilities, for every context.
+#[derive(Debug, Clone)]
+pub(super) struct RefineStates {
+    pub(super) place: [State; 18],
+    pub(super) motion: MotionStates,
+    pub(super) block: [State; 54],
+    pub(super) tile: [State; 162],
+    pub(super) kind: [[State; 2]; 12],
+    pub(super) still: [State; 24],
+    pub(super) pixel: [State; PIXELS],
+}
+
+/// Contexts of a pixel.
+const PIXELS: usize = 1 << 15;
+
+/// The context of what is not in the slice.
+pub(super) const UNKNOWN: usize = 2;
+
+/// What is known around a block beside the blocks themselves: which of its tiles are as expected.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Agreement {
+    pub(super) above: Option<u8>,
+    pub(super) left: Option<u8>,
+    /// In the light before this one.
+    pub(super) other: Option<u8>,
+}
+
+fn whole(tiles: Option<u8>) -> usize {
+    tiles.map_or(UNKNOWN, |tiles| usize::from(tiles == u8::MAX))
+}
+
+/// Codes whether a block is as expected.
+pub(super) fn code_block(
+    bits: &mut impl Bits,
+    states: &mut RefineStates,
+    agreement: Agreement,
+    expected: &Known,
+    truth: bool,
+) -> bool {
+    let Agreement { above, left, other } = agreement;
+    let mixed = usize::from(expected.extent.value().is_none());
+    let context = ((whole(above) * 3 + whole(left)) * 3 + whole(other)) * 2 + mixed;
+    bits.bit(&mut states.block[context], truth)
+}
+
+/// What a block is expected to be.
+pub(super) struct Guess<'a> {
+    /// Its rows, from the one above it to the one below it.
+    pub(super) lines: [Line; 10],
+    pub(super) block: &'a Known,
+    /// Pixels that are not as expected in the light before this one.
+    pub(super) wrong: Option<&'a Block>,
+}
+
+/// Codes a block that is not as expected, and gives it back with its tiles that are; a decoder is given any block.
+pub(super) fn code(
+    bits: &mut impl Bits,
+    states: &mut RefineStates,
+    near: &Near<'_>,
+    agreement: Agreement,
+    guess: &Guess<'_>,
+    block: &Known,
+) -> (Known, u8) {
+    let &Guess { lines, block: expected, wrong } = guess;
+    let bit_of = |tiles: Option<u8>, tile: usize| tiles.map_or(UNKNOWN, |tiles| usize::from(tiles >> tile & 1));
+    let (mut equal, mut mixed, mut filled) = (u8::MAX, 0_u64, 0_u64);
+    let mut before = bit_of(agreement.left, 7);
+    for tile in 0..near.tiles {
+        let byte = 0xFF << (tile * 8);
+        let from = expected.extent.kind(tile);
+        let context = (bit_of(agreement.above, tile) * 3 + before) * 3 + bit_of(agreement.other, tile);
+        let differs = expected.rows.iter().zip(&block.rows).any(|(expected, own)| (expected ^ own) & byte != 0);
+        before = usize::from(bits.bit(&mut states.tile[context * 3 + from as usize], !differs));
+        if before == 1 {
+            continue;
+        }
+        equal &= !(1 << tile);
+        let beyond = bit_of(agreement.above, (tile + 1).min(7)).min(1) + 2 * bit_of(agreement.other, tile).min(1);
+        let states = &mut states.kind[from as usize * 4 + beyond];
+        let kind = block.extent.kind(tile);
+        if bits.bit(&mut states[0], kind == Kind::Mixed) {
+            mixed |= byte;
+        } else {
+            let lit = match from {
+                Kind::Dark => true,
+                Kind::Lit => false,
+                Kind::Mixed => bits.bit(&mut states[1], kind == Kind::Lit),
+            };
+            filled |= if lit { byte } else { 0 };
+        }
+    }
+    // Bits of tiles that are not as expected.
+    let differing = (0..8).filter(|tile| equal >> tile & 1 == 0).fold(0_u64, |bits, tile| bits | 0xFF << (tile * 8));
+
+    let mut rows = [0; 8];
+    let mut above = near.above.map_or(lines[0], |above| {
+        let [left, right] = lines[0].ends();
+        Line::new(
+            near.above_left.map_or(left, |above| above.rows[7] >> 63),
+            above.rows[7],
+            near.above_right.map_or(right, |above| above.rows[7]),
+        )
+    });
+    for (place, row) in rows.iter_mut().enumerate() {
+        let [line_left, line_right] = lines[place + 1].ends();
+        let left = near.left.map_or(line_left, |left| left.rows[place] >> 63);
+        let beside = wrong.map_or(0, |wrong| wrong[place]);
+        let (mut coded, mut rest) = (lines[place + 1].row() & !differing | filled, mixed);
+        while rest != 0 {
+            let shift = rest.trailing_zeros() & 0x38;
+            rest &= !(0xFF << shift);
+            let template = Template {
+                above: above.window(shift),
+                lines: [place, place + 1, place + 2].map(|line| lines[line].window(shift)),
+                before: byte_of((coded << 1 | left) >> shift) & 1,
+                other: byte_of(beside >> shift) | byte_of(beside >> 1 >> shift) << 8,
+            };
+            let own = byte_of(block.rows[place] >> shift);
+            let still = template.stillness().map(|value| {
+                let beside = wrong.map_or(UNKNOWN, |_| usize::from(template.other & 0xFF != 0));
+                (place * 3 + beside, value)
+            });
+            let byte = match still {
+                Some((context, value)) if bits.bit(&mut states.still[context], own == value) => value,
+                _ => template.code(bits, &mut states.pixel, own),
+            };
+            coded |= u64::from(byte) << shift;
+        }
+        *row = coded;
+        above = Line::new(left, coded, line_right);
+    }
+    (Known::new(rows), equal)
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "the lowest byte is wanted")]
+const fn byte_of(word: u64) -> u32 {
+    word as u32 & 0xFF
+}
+
+/// What is known around eight pixels.
+struct Template {
+    /// The row above, from a pixel to the left to one to the right.
+    above: u32,
+    /// The row above, the row itself and the row below in the reference.
+    lines: [u32; 3],
+    /// The pixel to the left.
+    before: u32,
+    /// Which of the pixels are not as expected in the light before this one, and which of those to the right of each.
+    other: u32,
+}
+
+impl Template {
+    /// The value of all pixels around, if it is one.
+    fn stillness(&self) -> Option<u32> {
+        let [over, same, under] = self.lines;
+        let all = self.before.wrapping_neg() & 0x3FF;
+        (over == all && same == all && under == all && self.above == all).then_some(all & 0xFF)
+    }
+
+    #[inline(always)]
+    fn code(&self, bits: &mut impl Bits, states: &mut [State; PIXELS], truth: u32) -> u32 {
+        let [over, same, under] = self.lines;
+        let (mut coded, mut before, mut hot) = (0, self.before, bits.hot());
+        for x in 0..8 {
+            let three = |window: u32| window >> x & 7;
+            let around = three(over) | three(same) << 3 | three(under) << 6 | three(self.above) << 9 | before << 12;
+            let context = around | (self.other >> x & 1) << 13 | (self.other >> (x + 8) & 1) << 14;
+            let state = &mut states[context as usize % PIXELS];
+            before = u32::from(bits.bit_in(&mut hot, state, truth >> x & 1 == 1));
+            coded |= before << x;
+        }
+        bits.set_hot(hot);
+        coded
+    }
+}
+
+impl RefineStates {
+    /// All states, in the order of their file.
+    pub(super) fn all(&mut self) -> impl Iterator<Item = &mut State> {
+        let Self { place, motion: MotionStates { own, axes }, block, tile, kind, still, pixel } = self;
+        let axes = axes.iter_mut().flat_map(|AxisStates { differs, negative, longer, rest }| {
+            differs.iter_mut().chain([negative]).chain(longer).chain(rest)
+        });
+        let few = place.iter_mut().chain(own).chain(axes).chain(block).chain(tile);
+        few.chain(kind.as_flattened_mut()).chain(still).chain(pixel)
+    }
+
+    /// States that have counted nothing.
+    pub(super) const fn blank() -> Self {
+        let none = State::NONE;
+        let axis = AxisStates { differs: [none; 2], negative: none, longer: [none; 12], rest: [none; 12] };
+        Self {
+            place: [none; 18],
+            motion: MotionStates { own: [none; 2], axes: [axis; 2] },
+            block: [none; 54],
+            tile: [none; 162],
+            kind: [[none; 2]; 12],
+            still: [none; 24],
+            pixel: [none; PIXELS],
+        }
+    }
+}
