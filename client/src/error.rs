@@ -14,7 +14,7 @@ use crate::{
     scene_cache::SceneFetchError,
 };
 
-/// Why a headless run failed.
+/// Why a run failed.
 #[derive(Debug, Error)]
 pub enum ClientError {
     /// The size is not to be had.
@@ -81,6 +81,9 @@ pub enum ClientError {
     /// There is no graphics adapter.
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    /// There can be no window.
+    #[error("no window: {0}; --headless draws into files instead")]
+    Window(String),
     /// The picture cannot be drawn.
     #[error(transparent)]
     Render(#[from] RenderError),
