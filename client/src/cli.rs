@@ -53,6 +53,9 @@ pub struct Arguments {
     /// File for a JSON line a frame
     #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
     pub stats: Option<PathBuf>,
+    /// File for a recording, which `lab replay` draws again
+    #[arg(long, value_name = "FILE", help_heading = "What is shown")]
+    pub record: Option<PathBuf>,
     /// File for the summary, which is printed as well
     #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
     pub summary: Option<PathBuf>,

@@ -204,6 +204,7 @@ fn resolve_run(arguments: Arguments, file: FileConfig) -> Result<HeadlessOptions
         height: size.height,
         out: arguments.out.or(file.out),
         stats: arguments.stats.or(file.stats),
+        record: arguments.record,
         summary: arguments.summary.or(file.summary),
         save_masks: arguments.save_masks.or(file.save_masks),
         token: arguments.token.or(file.token),
@@ -290,7 +291,7 @@ mod tests {
         for (file, line, expected) in [
             ("", "--headless", "which server?"),
             ("", "gnomon+lab-udp://127.0.0.1:5 --wait", "--headless"),
-            ("", "gnomon+lab-udp://127.0.0.1:5 --exit-after -1", "exit-after"),
+            ("", "gnomon+lab-udp://127.0.0.1:5 --exit-after 1e12", "exit-after"),
             ("", "gnomon+lab-udp://127.0.0.1:5 --headless --offline a.gltf", "choose one"),
             ("colour = 1", "--headless", "colour"),
             ("guard = \"63x36\"", "--headless", "even"),

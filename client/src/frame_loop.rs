@@ -16,6 +16,7 @@ use crate::{
     mode::{Decision, ModeMachine, Observation, State},
     net::receive::Received,
     pose_history::{Asked, PoseHistory, Rejections},
+    record::{Record, Recorder},
     render::FrameRenderer,
     stats::{FrameStats, millis},
 };
@@ -49,6 +50,7 @@ pub(crate) struct FrameLoop {
     pub(crate) predict_pose: bool,
     pub(crate) machine: ModeMachine,
     pub(crate) guard: GuardChoice,
+    pub(crate) recorder: Option<Recorder>,
     pub(crate) memory: Memory,
 }
 
@@ -136,6 +138,7 @@ impl FrameLoop {
             wait = clock.lap();
         }
         let taken = self.take_mask(begun)?;
+        self.record_mask(&taken)?;
         let _upload = clock.lap();
         let (shown, decision) = self.decide(frame, &camera, begun);
         if !self.wait {
@@ -150,7 +153,7 @@ impl FrameLoop {
         let response_ms = taken.response.map(millis);
         self.memory.frames += 1;
         let [mask_width, mask_height] = self.memory.history.get(frame).map_or([0, 0], |asked| asked.pose.mask_px);
-        Ok(FrameStats {
+        let stats = FrameStats {
             frame: frame.0,
             t_ms: millis(begun.duration_since(self.memory.started)),
             state: decision.state,
@@ -170,7 +173,35 @@ impl FrameLoop {
             readback_ms: millis(readback),
             bytes: current.map(|current| current.bytes),
             packets: current.map(|current| current.packets),
-        })
+        };
+        if let Some(recorder) = &mut self.recorder {
+            recorder.write(&Record::Frame {
+                frame: frame.0,
+                asked: (&camera).into(),
+                shown: (&shown).into(),
+                visibility_share: decision.visibility_share,
+                timing: (&stats).into(),
+            })?;
+        }
+        Ok(stats)
+    }
+
+    /// Writes down something about the network.
+    fn record_event(&mut self, text: &str) -> Result<(), ClientError> {
+        let frame = self.memory.frames;
+        let Some(recorder) = &mut self.recorder else { return Ok(()) };
+        recorder.write(&Record::Event { frame, text: text.to_owned() })
+    }
+
+    /// Writes down the mask that the renderer has just been given.
+    fn record_mask(&mut self, taken: &Taken) -> Result<(), ClientError> {
+        let (Some(recorder), Some(live), Some(_)) = (&mut self.recorder, &self.live, taken.response) else {
+            return Ok(());
+        };
+        let (Some(received), Some(traced_for)) = (live.masks.front(), self.renderer.mask_view()) else {
+            return Ok(());
+        };
+        recorder.mask(received.frame.0, &traced_for, &received.mask)
     }
 
     /// Remembers a frame, and asks the server for its mask. How far ahead that is wanted is the answer, in milliseconds.
@@ -226,7 +257,9 @@ impl FrameLoop {
                 return Err(ClientError::Ended { rendered: memory.frames, wanted: memory.wanted, reason });
             }
             tracing::warn!(%reason, "the server is gone: drawing on without it");
+            let text = format!("the server is gone: {reason}");
             memory.lost = Some(reason);
+            self.record_event(&text)?;
         }
         Ok(taken)
     }

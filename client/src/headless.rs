@@ -19,6 +19,7 @@ use crate::{
     options::MAX_FRAMES,
     pictures::PictureWriter,
     progress::Progress,
+    record::{Recorder, Start},
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, readback::PictureReader},
     stats::{FrameStats, StatsFile, Summary, mean, percentile},
 };
@@ -79,6 +80,7 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         predict_pose: options.looks_ahead(&gpu),
         machine: ModeMachine::new(options.mode, options.thresholds),
         guard: options.guard_choice(),
+        recorder: recorder(options, (options.width, options.height), welcome.as_ref(), exposure, &gpu)?,
         memory: Memory::new(timing.frames),
     };
     let mut files = Files { reader, pictures, stats };
@@ -96,11 +98,31 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     let served = frames.leave();
     drawn?;
     files.finish()?;
+    frames.recorder.take().map_or(Ok(()), Recorder::finish)?;
     let summary = summary(options, (&tally, &served), welcome.as_ref(), lights, exposure, &camera_path, &gpu);
     if let Some(path) = &options.summary {
         summary.write(path)?;
     }
     Ok(summary)
+}
+
+/// The recording that is wanted, if one is, of pictures of this size.
+pub(crate) fn recorder(
+    options: &HeadlessOptions,
+    (width, height): (u32, u32),
+    welcome: Option<&Welcome>,
+    exposure: Exposure,
+    gpu: &Gpu,
+) -> Result<Option<Recorder>, ClientError> {
+    let Some(path) = &options.record else { return Ok(None) };
+    let start = Start {
+        scene_digest: welcome.map(|welcome| welcome.scene_digest.to_string()),
+        size_px: [width, height],
+        exposure: exposure.into(),
+        predictor: options.predictor,
+        adapter: gpu.info.name.clone(),
+    };
+    Recorder::create(path, start).map(Some)
 }
 
 /// When frames are, and where on the path.

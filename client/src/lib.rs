@@ -25,6 +25,7 @@ pub mod pose_history;
 pub mod predictor;
 pub mod probe;
 mod progress;
+pub mod record;
 pub mod render;
 pub mod scene_cache;
 pub mod settings;

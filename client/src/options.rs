@@ -55,6 +55,8 @@ pub struct HeadlessOptions {
     pub out: Option<PathBuf>,
     /// File for a JSON line a frame.
     pub stats: Option<PathBuf>,
+    /// File for a recording.
+    pub record: Option<PathBuf>,
     /// File for the summary.
     pub summary: Option<PathBuf>,
     /// Folder for the encoded masks.
@@ -105,6 +107,7 @@ impl HeadlessOptions {
             height: 720,
             out: None,
             stats: None,
+            record: None,
             summary: None,
             save_masks: None,
             token: None,

@@ -4,13 +4,14 @@ use std::fmt;
 
 use bytemuck::{Pod, Zeroable};
 use gnomon_shaders::shading::View;
+use serde::{Deserialize, Serialize};
 
 use super::{
     RenderError, cleared, covering_pipeline, predict::depth_history::DepthHistory, shader, targets::Targets, uniform,
 };
 
 /// What is shown.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum DebugView {
     /// The picture.
     #[default]

@@ -253,6 +253,12 @@ impl FrameRenderer {
         Ok(used)
     }
 
+    /// What the mask that is carried over was traced for.
+    #[must_use]
+    pub fn mask_view(&self) -> Option<Camera> {
+        self.predict.traced_for()
+    }
+
     /// How visibility is carried over from the mask's view, from the next picture on.
     pub fn set_predictor(&mut self, predictor: Predictor) {
         self.predict.predictor = predictor;

@@ -10,11 +10,13 @@ use crate::{
     error::ClientError,
     frame_loop::{FrameLoop, Memory},
     guard::{Guard, GuardChoice, GuardSize},
+    headless::recorder,
     input::fly::{Fly, Motion},
     mode::ModeMachine,
     net::receive::Received,
     options::HeadlessOptions,
     overlay::figures::Figures,
+    record::{Record, Recorder},
     render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView},
     settings::Settings,
     stats::{FrameStats, StatsFile},
@@ -41,6 +43,7 @@ pub(crate) struct Play {
     path_s: f64,
     next: u32,
     applied: Settings,
+    view: DebugView,
     /// Largest picture, in pixels.
     largest: (u32, u32),
     /// A size that the window has, and since when.
@@ -94,6 +97,7 @@ impl Play {
             predict_pose: options.looks_ahead(&screen.gpu),
             machine: ModeMachine::new(settings.mode, options.thresholds),
             guard: GuardChoice::new(settings.guard, size),
+            recorder: recorder(options, size, welcome.as_ref(), exposure, &screen.gpu)?,
             memory: Memory::new(u32::MAX),
         };
         let first = camera_path.camera(options.start_time_s, size.0, size.1);
@@ -106,7 +110,9 @@ impl Play {
             on_path_s: None,
             path_s: options.start_time_s,
             next: 0,
-            applied: Settings { predictor: settings.predictor, ..settings.clone() },
+            // Chosen while the scene came: the renderer knows of none of it.
+            applied: Settings { split: false, ..settings.clone() },
+            view: DebugView::Picture,
             largest,
             wanted: (size, Instant::now()),
             stats: options.stats.as_deref().map(StatsFile::create).transpose()?,
@@ -135,7 +141,7 @@ impl Play {
         step_s: f64,
     ) -> Result<FrameStats, ClientError> {
         self.follow(screen.size())?;
-        self.apply(screen, settings);
+        self.apply(screen, settings)?;
         let (width, height) = self.frames.renderer.size();
         let camera = match &mut self.on_path_s {
             Some(time_s) => {
@@ -176,7 +182,13 @@ impl Play {
     /// Leaves the server and writes what is still to be written.
     pub(crate) fn finish(mut self) -> Result<(), ClientError> {
         self.frames.leave();
+        self.frames.recorder.take().map_or(Ok(()), Recorder::finish)?;
         self.stats.map_or(Ok(()), StatsFile::finish)
+    }
+
+    /// Writes down what the renderer is told.
+    fn record(&mut self, record: &Record) -> Result<(), ClientError> {
+        self.frames.recorder.as_mut().map_or(Ok(()), |recorder| recorder.write(record))
     }
 
     /// Follows the window's size.
@@ -187,37 +199,51 @@ impl Play {
         }
         if size != self.size() && self.wanted.1.elapsed() >= SETTLED {
             self.frames.renderer.resize(size)?;
+            self.record(&Record::Size([size.0, size.1]))?;
             self.frames.guard = GuardChoice::new(self.applied.guard, size);
-            self.frames.renderer.set_split(self.applied.split.then_some(size.0 / 2));
+            self.set_split(self.applied.split)?;
         }
         Ok(())
     }
 
+    fn set_split(&mut self, split: bool) -> Result<(), ClientError> {
+        let split_px = split.then_some(self.size().0 / 2);
+        self.frames.renderer.set_split(split_px);
+        self.record(&Record::Split(split_px))
+    }
+
     /// Does what has been chosen since the frame before.
-    fn apply(&mut self, screen: &mut Screen, settings: &Settings) {
-        let renderer = &mut self.frames.renderer;
+    fn apply(&mut self, screen: &mut Screen, settings: &Settings) -> Result<(), ClientError> {
         if settings.predictor != self.applied.predictor {
-            renderer.set_predictor(settings.predictor);
+            self.frames.renderer.set_predictor(settings.predictor);
+            self.record(&Record::Predictor(settings.predictor))?;
         }
         if settings.mode != self.applied.mode {
             self.frames.machine.set_mode(settings.mode);
         }
         if settings.guard != self.applied.guard {
-            self.frames.guard = GuardChoice::new(settings.guard, renderer.size());
+            self.frames.guard = GuardChoice::new(settings.guard, self.size());
         }
         if settings.lights_on != self.applied.lights_on {
-            renderer.set_lights_on(settings.lights_on);
+            self.frames.renderer.set_lights_on(settings.lights_on);
+            self.record(&Record::LightsOn(settings.lights_on))?;
         }
         if settings.split != self.applied.split {
-            renderer.set_split(settings.split.then_some(renderer.size().0 / 2));
+            self.set_split(settings.split)?;
         }
         let lag = self.figures.now().and_then(|now| now.lag).unwrap_or(0);
-        renderer.set_debug_view(match settings.view {
+        let view = match settings.view {
             DebugView::Age { .. } => DebugView::Age { lag },
             view => view,
-        });
+        };
+        if view != self.view {
+            self.view = view;
+            self.frames.renderer.set_debug_view(view);
+            self.record(&Record::View(view))?;
+        }
         screen.set_vsync(settings.vsync);
         self.applied.clone_from(settings);
+        Ok(())
     }
 }
 

@@ -188,6 +188,11 @@ impl PredictPass {
         Ok(true)
     }
 
+    /// The view of the mask, when there is one.
+    pub(crate) fn traced_for(&self) -> Option<Camera> {
+        self.traced_for
+    }
+
     /// The picture in the history that the mask refers to, which must not be drawn over.
     pub(crate) fn kept(&self) -> Option<usize> {
         match self.depth {
