@@ -15,6 +15,7 @@ use crate::{
     live::{Live, Taken},
     mode::{Decision, ModeMachine, Observation, State},
     net::receive::Received,
+    overlay::link::in_words,
     pose_history::{Asked, PoseHistory, Rejections},
     record::{Record, Recorder},
     render::FrameRenderer,
@@ -79,6 +80,8 @@ pub(crate) struct Memory {
     /// Frames that shall be drawn, where that is known.
     wanted: u32,
     lost: Option<String>,
+    /// How it stood with the server when that was written down last.
+    link: Option<&'static str>,
 }
 
 impl Memory {
@@ -92,6 +95,7 @@ impl Memory {
             frames: 0,
             wanted,
             lost: None,
+            link: None,
         }
     }
 }
@@ -183,14 +187,19 @@ impl FrameLoop {
                 timing: (&stats).into(),
             })?;
         }
+        self.record_link(stats.link)?;
         Ok(stats)
     }
 
-    /// Writes down something about the network.
-    fn record_event(&mut self, text: &str) -> Result<(), ClientError> {
-        let frame = self.memory.frames;
-        let Some(recorder) = &mut self.recorder else { return Ok(()) };
-        recorder.write(&Record::Event { frame, text: text.to_owned() })
+    /// Writes down how it stands with the server, when that has changed.
+    fn record_link(&mut self, link: &'static str) -> Result<(), ClientError> {
+        let (Some(recorder), Some(live)) = (&mut self.recorder, &self.live) else { return Ok(()) };
+        if self.memory.link.replace(link) == Some(link) {
+            return Ok(());
+        }
+        let words = in_words(&live.link_state(), Instant::now());
+        let text = words.map_or_else(|| link.to_owned(), |words| format!("{link}: {words}"));
+        recorder.write(&Record::Event { frame: self.memory.frames - 1, text })
     }
 
     /// Writes down the mask that the renderer has just been given.
@@ -257,9 +266,7 @@ impl FrameLoop {
                 return Err(ClientError::Ended { rendered: memory.frames, wanted: memory.wanted, reason });
             }
             tracing::warn!(%reason, "the server is gone: drawing on without it");
-            let text = format!("the server is gone: {reason}");
             memory.lost = Some(reason);
-            self.record_event(&text)?;
         }
         Ok(taken)
     }

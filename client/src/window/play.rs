@@ -15,7 +15,7 @@ use crate::{
     mode::ModeMachine,
     net::receive::Received,
     options::HeadlessOptions,
-    overlay::figures::Figures,
+    overlay::{figures::Figures, link::in_words},
     record::{Record, Recorder},
     render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView},
     settings::Settings,
@@ -160,7 +160,7 @@ impl Play {
             .frames
             .live
             .as_ref()
-            .map_or((Received::default(), None), |live| (live.session.received(), live.session.round_trip()));
+            .map_or((Received::default(), None), |live| (live.received(), live.session.round_trip()));
         self.figures.push(Instant::now(), &drawn, received, round_trip);
         if let Some(file) = &mut self.stats {
             file.write(&drawn)?;
@@ -175,8 +175,7 @@ impl Play {
 
     /// Something about the server that the person should know.
     pub(crate) fn notice(&self) -> Option<String> {
-        let reason = self.frames.live.as_ref()?.masks.ended()?;
-        Some(format!("server lost: {reason}. Drawing on without it"))
+        in_words(&self.frames.live.as_ref()?.link_state(), Instant::now())
     }
 
     /// Leaves the server and writes what is still to be written.
