@@ -19,6 +19,7 @@ use crate::{
     net::url::ServerUrl,
     options::{HeadlessOptions, Source, WindowOptions},
     predictor::Predictor,
+    servers::KnownServers,
 };
 
 /// Largest configuration file that is read, in bytes.
@@ -152,7 +153,9 @@ pub fn resolve(arguments: Arguments) -> Result<Run, ConfigError> {
             _ => Err(ConfigError::ExitAfter(after_s)),
         })
         .transpose()?;
-    let run = resolve_run(arguments, file)?;
+    let demo = arguments.demo;
+    let mut run = resolve_run(arguments, file)?;
+    run.remember = !headless && !demo;
     if headless {
         return Ok(Run::Headless(run));
     }
@@ -179,7 +182,11 @@ fn resolve_run(arguments: Arguments, file: FileConfig) -> Result<HeadlessOptions
     let source = match (arguments.offline, arguments.url.or(file.url)) {
         (Some(scene), None) => Source::Offline { scene, lights_from: arguments.lights_from, lights: arguments.lights },
         (None, Some(url)) => Source::Server(url),
-        (None, None) => return Err(ConfigError::NoSource),
+        // In a window, the server of the last time.
+        (None, None) => match KnownServers::load().servers().first() {
+            Some(url) if !arguments.headless && !arguments.check_config => Source::Server(url.clone()),
+            _ => return Err(ConfigError::NoSource),
+        },
         (Some(_), Some(_)) => return Err(ConfigError::TwoSources),
     };
     let default = HeadlessOptions::new(source);

@@ -10,11 +10,14 @@ use crate::{
     error::ClientError,
     live::Live,
     net::{
+        first_use::certificate_of,
         reconnect::admit_patiently,
         session::{Admitted, Introduction, rate_hz},
+        url::{ServerUrl, Transport},
     },
     options::{HeadlessOptions, Source},
     scene_cache::SceneCache,
+    servers::{KnownServers, fingerprint},
 };
 
 /// Threads for the network: one can decode while another one sends.
@@ -22,6 +25,7 @@ const NETWORK_THREADS: usize = 3;
 
 /// What the server agreed to, and the runtime that its tasks run on.
 pub(crate) struct Connected {
+    url: ServerUrl,
     runtime: Runtime,
     admitted: Admitted,
 }
@@ -65,26 +69,50 @@ pub(crate) fn get_scene(
                 resume: None,
                 connect_timeout: options.connect_timeout,
             };
+            let mut known = KnownServers::load();
             let cache = SceneCache::new(options.cache_dir.clone());
-            let (admitted, packed) = runtime.block_on(async {
-                let mut admitted = admit_patiently(url, &introduction).await?;
+            let (url, admitted, packed) = runtime.block_on(async {
+                let pinned = known.certificate_of(url);
+                let first_use = url.transport == Transport::Quic && url.certificate.is_none();
+                let url = match pinned {
+                    None if first_use => {
+                        let digest = certificate_of(url, options.connect_timeout).await?;
+                        tracing::warn!(server = %url, certificate = fingerprint(&digest), "first visit: pinned");
+                        ServerUrl { certificate: Some(digest), ..url.clone() }
+                    }
+                    Some(digest) if first_use => ServerUrl { certificate: Some(digest), ..url.clone() },
+                    _ => url.clone(),
+                };
+                let admitted = admit_patiently(&url, &introduction).await;
+                let mut admitted = admitted.map_err(|error| match error {
+                    ClientError::Certificate(url) if first_use => ClientError::CertificateChanged(url),
+                    error => error,
+                })?;
+                if first_use || options.remember {
+                    known.remember(&url);
+                }
                 progress(Step::Admitted(&admitted.welcome));
                 let packed = admitted.scene(&cache, |have, length| progress(Step::Fetching { have, length })).await?;
-                Ok::<_, ClientError>((admitted, packed))
+                Ok::<_, ClientError>((url, admitted, packed))
             })?;
             progress(Step::Unpacking);
             let scene = Scene::unpack(&packed)?;
             let (lights, said) = (scene.lights.len(), admitted.welcome.lights);
             if lights != said as usize {
                 let reason = format!("it says {said} lights, and its scene has {lights}");
-                return Err(ClientError::Protocol { url: Box::new(url.clone()), reason });
+                return Err(ClientError::Protocol { url: Box::new(url), reason });
             }
-            Ok((scene, Some(Connected { runtime, admitted })))
+            Ok((scene, Some(Connected { url, runtime, admitted })))
         }
     }
 }
 
 impl Connected {
+    /// Where the server is, with the certificate that it has to show.
+    pub(crate) fn url(&self) -> &ServerUrl {
+        &self.url
+    }
+
     /// What the server said of itself and the scene.
     pub(crate) fn welcome(&self) -> &Welcome {
         &self.admitted.welcome
@@ -97,7 +125,7 @@ impl Connected {
         policy: Policy,
         save_masks: Option<PathBuf>,
     ) -> Result<Live, ClientError> {
-        let Self { runtime, admitted } = self;
+        let Self { runtime, admitted, .. } = self;
         let (session, masks) = runtime.block_on(admitted.start(shape, policy, save_masks))?;
         Ok(Live::new(Arc::new(runtime), session, masks))
     }

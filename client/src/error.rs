@@ -53,6 +53,11 @@ pub enum ClientError {
     /// The server has another certificate than the URL says.
     #[error("{0} has another certificate than this URL's: use the URL that the server printed when it started")]
     Certificate(Box<ServerUrl>),
+    /// The server has another certificate than when this client came first.
+    #[error(
+        "{0} has another certificate than on the first visit: use the URL that the server printed, if it is still that server"
+    )]
+    CertificateChanged(Box<ServerUrl>),
     /// The server does not admit this client.
     #[error(transparent)]
     Refused(Refusal),

@@ -28,6 +28,7 @@ mod progress;
 pub mod record;
 pub mod render;
 pub mod scene_cache;
+pub mod servers;
 pub mod settings;
 pub mod stats;
 pub mod window;

@@ -87,6 +87,8 @@ pub struct HeadlessOptions {
     pub exposure_ev: Option<f32>,
     /// Folder for cached scenes; the platform's without.
     pub cache_dir: Option<PathBuf>,
+    /// Whether the server is remembered.
+    pub remember: bool,
     /// How long the server may take to answer at first.
     pub connect_timeout: Duration,
     /// Whether a progress bar is drawn when standard error is a terminal.
@@ -122,6 +124,7 @@ impl HeadlessOptions {
             predict_pose: None,
             exposure_ev: None,
             cache_dir: None,
+            remember: false,
             connect_timeout: Duration::from_secs(5),
             progress: false,
         }

@@ -81,7 +81,7 @@ impl<'a> Window<'a> {
         let mut all =
             vec!["--size", &size, "--out", pictures, "--allow-software", "--vsync=false", "--exit-after", "300"];
         all.extend(arguments);
-        let environment = [("DISPLAY", display.name.as_str()), ("WAYLAND_DISPLAY", ""), ("GNOMON_LOG", "info")];
+        let environment = [("DISPLAY", display.name.as_str()), ("WAYLAND_DISPLAY", "")];
         let mut client = Program::start(&find("gnomon-client").unwrap(), &all, &environment).unwrap();
         let id = display.person("search --sync --name Gnomon");
         let id = id.lines().next().unwrap().to_owned();
@@ -167,9 +167,7 @@ fn standing(folder: &Path) -> PathBuf {
 fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     let (display, folder, certificate) = (Display::start(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let path = standing(folder.path());
-    let arguments = ["--backend", "cpu", "--cert-dir", certificate.path().to_str().unwrap()];
-    let server = ServerProcess::start(&asset("cloister.glb"), &arguments).unwrap();
-    let url = server.url().to_owned();
+    let (server, url) = serve("127.0.0.1:0", certificate.path());
     let mut window = Window::open(&display, folder.path(), &[&url, "--path", path.to_str().unwrap()]);
     let first = window.still_picture();
     assert_eq!(first.dimensions(), SIZE);
@@ -214,13 +212,94 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     assert!(window.still_picture() == looked, "a window that was larger shows something else");
 
     // The server dies; the client draws on by itself, and answers its person.
-    drop(server);
+    server.kill().unwrap();
     let alone = window.picture_that("is drawn alone", |picture| *picture != looked);
     window.person("keydown s");
     std::thread::sleep(Duration::from_millis(400));
     window.person("keyup s");
-    assert!(difference(&alone, &window.still_picture()) > 1.0, "nothing moves without a server");
+    let moved = window.still_picture();
+    assert!(difference(&alone, &moved) > 1.0, "nothing moves without a server");
+
+    // Another one comes in its place, and is found.
+    let address = url.split_once("://").unwrap().1.split_once('/').unwrap().0;
+    let (_server, again) = serve(address, certificate.path());
+    assert_eq!(again, url);
+    window.picture_that("is lit by the new server", |picture| *picture != moved);
     window.leave();
+}
+
+/// A server at this address, and its URL.
+fn serve(address: &str, certificate: &Path) -> (Program, String) {
+    let scene = asset("cloister.glb");
+    let arguments = ["--scene", scene.to_str().unwrap(), "--listen", address, "--backend", "cpu", "--cert-dir"];
+    let mut all = arguments.to_vec();
+    all.push(certificate.to_str().unwrap());
+    let mut server = Program::start(&find("gnomon-server").unwrap(), &all, &[]).unwrap();
+    let url = server.wait_for(PATIENCE, |said| {
+        let whole = said.get(..said.rfind('\n')? + 1)?;
+        whole.split_whitespace().find(|word| word.starts_with("gnomon://")).map(str::to_owned)
+    });
+    (server, url.unwrap())
+}
+
+/// Processes whose command line has this text.
+fn processes_with(text: &str) -> Vec<String> {
+    let entries = fs::read_dir("/proc").unwrap().flatten();
+    let lines = entries.filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
+    let lines = lines.map(|line| String::from_utf8_lossy(&line).replace('\0', " "));
+    lines.filter(|line| line.contains("gnomon-server") && line.contains(text)).collect()
+}
+
+#[test]
+fn the_demo_brings_its_server_and_takes_it_away() {
+    let (display, folder) = (Display::start(), tempfile::tempdir().unwrap());
+    let place = folder.path().to_str().unwrap();
+    let environment = [("DISPLAY", display.name.as_str()), ("WAYLAND_DISPLAY", ""), ("TMPDIR", place)];
+    let client = find("gnomon-client").unwrap();
+    let start = |seconds: &str| {
+        let arguments = ["--demo", "--size", "160x90", "--allow-software", "--exit-after", seconds];
+        Program::start(&client, &arguments, &environment).unwrap()
+    };
+    start("1").finish(PATIENCE).unwrap().success().unwrap();
+    assert_eq!((processes_with(place), fs::read_dir(place).unwrap().count()), (Vec::new(), 0));
+
+    // A client that is killed has no time to stop anything.
+    let killed = start("300");
+    let begun = Instant::now();
+    display.person("search --sync --name Gnomon");
+    assert_eq!(processes_with(place).len(), 1, "no server runs");
+    killed.kill().unwrap();
+    if Path::new("/usr/bin/setpriv").is_file() {
+        while !processes_with(place).is_empty() {
+            assert!(begun.elapsed() < PATIENCE, "the server outlives its client");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+#[test]
+fn a_certificate_is_pinned_on_the_first_visit_and_no_other_is_taken_for_it() {
+    let (folder, certificate) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (server, url) = serve("127.0.0.1:0", certificate.path());
+    let address = url.split_once("://").unwrap().1.split_once('/').unwrap().0.to_owned();
+    let first_use = format!("gnomon://{address}/?cert=first-use");
+    let state = folder.path().join("state");
+    let run = |url: &str| {
+        let arguments = [url, "--headless", "--frames", "1", "--size", "64x36", "--allow-software"];
+        let environment = [("XDG_STATE_HOME", state.to_str().unwrap()), ("RUST_LOG", "warn")];
+        let program = Program::start(&find("gnomon-client").unwrap(), &arguments, &environment).unwrap();
+        program.finish(PATIENCE).unwrap()
+    };
+    let first = run(&first_use).success().unwrap();
+    let pin = &url.rsplit_once('=').unwrap().1[..4];
+    assert!(first.stderr.contains("first visit") && first.stderr.contains(pin), "{}", first.stderr);
+    let second = run(&first_use).success().unwrap();
+    assert!(!second.stderr.contains("first visit"), "{}", second.stderr);
+    server.kill().unwrap();
+    let other = tempfile::tempdir().unwrap();
+    let (_server, _) = serve(&address, other.path());
+    let third = run(&first_use);
+    assert!(!third.status.success() && third.stderr.contains("than on the first visit"), "{}", third.stderr);
 }
 
 #[test]

@@ -87,12 +87,14 @@ impl Figures {
     pub(crate) fn now(&self) -> Option<Now> {
         let (latest, newest) = (self.latest?, self.frames.back()?);
         let recent = |frame: &&Figure| newest.at.saturating_duration_since(frame.at) < RATE_SPAN;
+        // A frame that takes a second still has a rate.
         let first = self.frames.iter().find(recent)?;
+        let first = if first.at == newest.at { self.frames.iter().rev().nth(1).unwrap_or(first) } else { first };
         let span_s = newest.at.saturating_duration_since(first.at).as_secs_f64();
         let per_s = |count: f64| if span_s > 0.0 { count / span_s } else { 0.0 };
         // The first frame begins the span; what came with it came before.
-        let frames = self.frames.iter().rev().take_while(recent).count().saturating_sub(1);
-        let later = || self.frames.iter().rev().take_while(recent).take(frames);
+        let later = || self.frames.iter().rev().take_while(|frame| frame.at > first.at);
+        let frames = later().count();
         let whole = newest.received.frames.saturating_sub(first.received.frames);
         let lost = |of: fn(&Received) -> u64| of(&newest.received).saturating_sub(of(&first.received));
         let lost = lost(|received| received.incomplete) + lost(|received| received.partial);

@@ -111,16 +111,17 @@ fn rows(ui: &mut egui::Ui, now: &Now, about: &About<'_>) {
     let or_none = |value: Option<String>| value.unwrap_or_else(|| "–".to_owned());
     let ms = |value: Option<f64>| or_none(value.map(|ms| format!("{ms:.1} ms")));
     let lag = now.lag.map(|lag| if lag == 1 { "1 frame".to_owned() } else { format!("{lag} frames") });
+    let rate = |per_s: f64| if per_s < 9.95 { format!("{per_s:.1} frames/s") } else { format!("{per_s:.0} frames/s") };
     let percent = |share: f64| format!("{:.1} %", share * 100.0);
     let (width, height) = about.picture_px;
     let mut rows = vec![
-        ("picture", format!("{:.0} frames/s, {width}×{height}", now.client_fps)),
+        ("picture", format!("{}, {width}×{height}", rate(now.client_fps))),
         ("speed", format!("{:.2} m/s", about.speed_m_per_s)),
         ("client", about.adapter.to_owned()),
     ];
     if let Some(backend) = about.backend {
         rows.extend([
-            ("visibility", format!("{:.0} frames/s", now.visibility_fps)),
+            ("visibility", rate(now.visibility_fps)),
             ("lag", format!("{}, response {}", or_none(lag), ms(now.response_ms))),
             ("round trip", ms(now.round_trip_ms)),
             ("loss", or_none(now.loss.map(percent))),

@@ -37,7 +37,7 @@ use crate::{
     error::ClientError,
     input::{Controls, gamepad::Gamepad, keys::Command},
     options::{Source, WindowOptions},
-    overlay,
+    overlay, servers,
     settings::Settings,
 };
 
@@ -286,7 +286,7 @@ fn show(
     adapter: &str,
 ) -> bool {
     let (server, fingerprint) = match source {
-        Source::Server(url) => (url.to_string(), url.certificate.map(|digest| fingerprint(&digest))),
+        Source::Server(url) => (url.to_string(), url.certificate.map(|digest| servers::fingerprint(&digest))),
         Source::Offline { scene, .. } => (scene.display().to_string(), None),
     };
     match stage {
@@ -298,8 +298,11 @@ fn show(
         Stage::Failed(reason) => return overlay::failure(context, reason),
         Stage::Playing(play) => {
             let about = play.notice();
+            // A first visit has only now found out.
+            let pinned = play.server.as_ref().and_then(|(url, _)| url.certificate);
+            let fingerprint = pinned.map(|digest| servers::fingerprint(&digest));
             let about = overlay::About {
-                backend: play.welcome.as_ref().map(|welcome| welcome.backend.as_str()),
+                backend: play.server.as_ref().map(|(_, welcome)| welcome.backend.as_str()),
                 adapter,
                 server: &server,
                 fingerprint: fingerprint.as_deref(),
@@ -311,11 +314,6 @@ fn show(
         }
     }
     false
-}
-
-/// The first bytes of a certificate's SHA-256, as people compare them.
-fn fingerprint(digest: &[u8; 32]) -> String {
-    digest[..8].chunks(2).map(|pair| format!("{:02x}{:02x}", pair[0], pair[1])).collect::<Vec<_>>().join(" ")
 }
 
 impl ApplicationHandler for App {

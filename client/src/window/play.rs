@@ -13,7 +13,7 @@ use crate::{
     headless::recorder,
     input::fly::{Fly, Motion},
     mode::ModeMachine,
-    net::receive::Received,
+    net::{receive::Received, url::ServerUrl},
     options::HeadlessOptions,
     overlay::{figures::Figures, link::in_words},
     record::{Record, Recorder},
@@ -34,7 +34,8 @@ const SETTLED: Duration = Duration::from_millis(150);
 /// The scene and whoever looks at it.
 pub(crate) struct Play {
     frames: FrameLoop,
-    pub(crate) welcome: Option<Welcome>,
+    /// Where the server is, and what it said of itself.
+    pub(crate) server: Option<(ServerUrl, Welcome)>,
     pub(crate) figures: Figures,
     pub(crate) fly: Fly,
     camera_path: CameraPath,
@@ -86,7 +87,7 @@ impl Play {
         let speed = (extent_m / CROSSING_S).clamp(FIRST_SPEEDS_M_PER_S.0, FIRST_SPEEDS_M_PER_S.1);
         let (width, height) = largest_mask(largest);
         let shape = MaskShape::new(width, height, lights)?;
-        let welcome = connected.as_ref().map(|connected| connected.welcome().clone());
+        let server = connected.as_ref().map(|connected| (connected.url().clone(), connected.welcome().clone()));
         let live = connected
             .map(|connected| connected.start(shape, options.policy(), options.save_masks.clone()))
             .transpose()?;
@@ -97,13 +98,13 @@ impl Play {
             predict_pose: options.looks_ahead(&screen.gpu),
             machine: ModeMachine::new(settings.mode, options.thresholds),
             guard: GuardChoice::new(settings.guard, size),
-            recorder: recorder(options, size, welcome.as_ref(), exposure, &screen.gpu)?,
+            recorder: recorder(options, size, server.as_ref().map(|(_, welcome)| welcome), exposure, &screen.gpu)?,
             memory: Memory::new(u32::MAX),
         };
         let first = camera_path.camera(options.start_time_s, size.0, size.1);
         Ok(Self {
             frames,
-            welcome,
+            server,
             figures: Figures::default(),
             fly: Fly::from_camera(&first, speed),
             camera_path,
