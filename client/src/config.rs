@@ -6,6 +6,7 @@ use std::{
     time::Duration,
 };
 
+use etcetera::BaseStrategy as _;
 use gnomon_protocol::codec::CodecId;
 use serde::Deserialize;
 use thiserror::Error;
@@ -14,10 +15,11 @@ use crate::{
     camera_path::PathSpec,
     cli::{Arguments, Size},
     guard::Guard,
-    headless::{HeadlessOptions, Source},
     mode::{Mode, Thresholds},
     net::url::ServerUrl,
+    options::{HeadlessOptions, Source, WindowOptions},
     predictor::Predictor,
+    servers::KnownServers,
 };
 
 /// Largest configuration file that is read, in bytes.
@@ -56,6 +58,17 @@ pub struct FileConfig {
     exposure: Option<f32>,
     cache_dir: Option<PathBuf>,
     connect_timeout: Option<f64>,
+    vsync: Option<bool>,
+    full_screen: Option<bool>,
+}
+
+/// What is to be done.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Run {
+    /// Draw into files.
+    Headless(HeadlessOptions),
+    /// Draw into a window.
+    Window(WindowOptions),
 }
 
 /// Why there is nothing to run.
@@ -78,14 +91,19 @@ pub enum ConfigError {
         reason: String,
     },
     /// Neither a server nor a scene.
-    #[error("which server? Pass the URL that gnomon-server printed, or --offline SCENE to draw without one")]
+    #[error(
+        "which server? Pass the URL that gnomon-server printed, --demo to start one here, or --offline SCENE to draw without one"
+    )]
     NoSource,
     /// Both a server and a scene.
     #[error("a URL and --offline: choose one")]
     TwoSources,
-    /// Without `--headless`.
-    #[error("this version has no window yet: pass --headless")]
-    NoWindow,
+    /// Something that a window does not do.
+    #[error("--{0}: with --headless only")]
+    HeadlessOnly(&'static str),
+    /// A time to leave that is none.
+    #[error("--exit-after: {0} s: 0 to 1e9 are possible")]
+    ExitAfter(f64),
     /// A timeout that is none.
     #[error("--connect-timeout: {0} s: 0.001 to 3600 are possible")]
     Timeout(f64),
@@ -120,15 +138,55 @@ impl FileConfig {
 ///
 /// # Errors
 /// When the configuration file is wrong, or it is not clear what to draw.
-pub fn resolve(arguments: Arguments) -> Result<HeadlessOptions, ConfigError> {
-    let file = arguments.config.as_deref().map(FileConfig::load).transpose()?.unwrap_or_default();
-    if !arguments.headless && !arguments.check_config {
-        return Err(ConfigError::NoWindow);
+pub fn resolve(arguments: Arguments) -> Result<Run, ConfigError> {
+    let file = match arguments.config.clone().or_else(own_file) {
+        Some(file) => FileConfig::load(&file)?,
+        None => FileConfig::default(),
+    };
+    let headless = arguments.headless;
+    let vsync = arguments.vsync.or(file.vsync).unwrap_or(true);
+    let full_screen = arguments.full_screen || file.full_screen.unwrap_or(false);
+    let exit_after = arguments.exit_after;
+    let exit_after = exit_after
+        .map(|after_s| match after_s {
+            0.0..=1e9 => Ok(Duration::from_secs_f64(after_s)),
+            _ => Err(ConfigError::ExitAfter(after_s)),
+        })
+        .transpose()?;
+    let demo = arguments.demo;
+    let mut run = resolve_run(arguments, file)?;
+    run.remember = !headless && !demo;
+    if headless {
+        return Ok(Run::Headless(run));
     }
+    for (given, name) in [
+        (run.wait, "wait"),
+        (run.frames.is_some(), "frames"),
+        (run.fps.is_some(), "fps"),
+        (run.summary.is_some(), "summary"),
+    ] {
+        if given {
+            return Err(ConfigError::HeadlessOnly(name));
+        }
+    }
+    Ok(Run::Window(WindowOptions { run, vsync, full_screen, exit_after }))
+}
+
+/// The file in the platform's place, if there is one.
+fn own_file() -> Option<PathBuf> {
+    let folder = etcetera::choose_base_strategy().ok()?.config_dir().join("gnomon");
+    Some(folder.join("client.toml")).filter(|file| file.is_file())
+}
+
+fn resolve_run(arguments: Arguments, file: FileConfig) -> Result<HeadlessOptions, ConfigError> {
     let source = match (arguments.offline, arguments.url.or(file.url)) {
         (Some(scene), None) => Source::Offline { scene, lights_from: arguments.lights_from, lights: arguments.lights },
         (None, Some(url)) => Source::Server(url),
-        (None, None) => return Err(ConfigError::NoSource),
+        // In a window, the server of the last time.
+        (None, None) => match KnownServers::load().servers().first() {
+            Some(url) if !arguments.headless && !arguments.check_config => Source::Server(url.clone()),
+            _ => return Err(ConfigError::NoSource),
+        },
         (Some(_), Some(_)) => return Err(ConfigError::TwoSources),
     };
     let default = HeadlessOptions::new(source);
@@ -153,6 +211,7 @@ pub fn resolve(arguments: Arguments) -> Result<HeadlessOptions, ConfigError> {
         height: size.height,
         out: arguments.out.or(file.out),
         stats: arguments.stats.or(file.stats),
+        record: arguments.record,
         summary: arguments.summary.or(file.summary),
         save_masks: arguments.save_masks.or(file.save_masks),
         token: arguments.token.or(file.token),
@@ -179,13 +238,32 @@ mod tests {
 
     use super::*;
 
-    fn resolve_with(file: &str, line: &str) -> Result<HeadlessOptions, ConfigError> {
+    fn run_with(file: &str, line: &str) -> Result<Run, ConfigError> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("client.toml");
         std::fs::write(&path, file).unwrap();
         let mut arguments = Arguments::parse_from(format!("gnomon-client {line}").trim().split(' '));
         arguments.config = Some(path);
         resolve(arguments)
+    }
+
+    fn resolve_with(file: &str, line: &str) -> Result<HeadlessOptions, ConfigError> {
+        run_with(file, line).map(|run| match run {
+            Run::Headless(options) => options,
+            Run::Window(options) => options.run,
+        })
+    }
+
+    #[test]
+    fn without_headless_there_is_a_window() {
+        let Run::Window(options) =
+            run_with("vsync = false\n", &format!("{URL} --exit-after 2.5 --full-screen")).unwrap()
+        else {
+            panic!("no window");
+        };
+        assert_eq!((options.vsync, options.full_screen), (false, true));
+        assert_eq!(options.exit_after, Some(Duration::from_millis(2500)));
+        assert!(matches!(run_with("", &format!("{URL} --headless")), Ok(Run::Headless(_))));
     }
 
     const URL: &str = "gnomon+lab-udp://127.0.0.1:5";
@@ -219,7 +297,8 @@ mod tests {
     fn mistakes_say_what_to_do() {
         for (file, line, expected) in [
             ("", "--headless", "which server?"),
-            ("", "gnomon+lab-udp://127.0.0.1:5", "--headless"),
+            ("", "gnomon+lab-udp://127.0.0.1:5 --wait", "--headless"),
+            ("", "gnomon+lab-udp://127.0.0.1:5 --exit-after 1e12", "exit-after"),
             ("", "gnomon+lab-udp://127.0.0.1:5 --headless --offline a.gltf", "choose one"),
             ("colour = 1", "--headless", "colour"),
             ("guard = \"63x36\"", "--headless", "even"),

@@ -14,7 +14,7 @@ use crate::{
     scene_cache::SceneFetchError,
 };
 
-/// Why a headless run failed.
+/// Why a run failed.
 #[derive(Debug, Error)]
 pub enum ClientError {
     /// The size is not to be had.
@@ -53,6 +53,11 @@ pub enum ClientError {
     /// The server has another certificate than the URL says.
     #[error("{0} has another certificate than this URL's: use the URL that the server printed when it started")]
     Certificate(Box<ServerUrl>),
+    /// The server has another certificate than when this client came first.
+    #[error(
+        "{0} has another certificate than on the first visit: use the URL that the server printed, if it is still that server"
+    )]
+    CertificateChanged(Box<ServerUrl>),
     /// The server does not admit this client.
     #[error(transparent)]
     Refused(Refusal),
@@ -81,6 +86,9 @@ pub enum ClientError {
     /// There is no graphics adapter.
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    /// There can be no window.
+    #[error("no window: {0}; --headless draws into files instead")]
+    Window(String),
     /// The picture cannot be drawn.
     #[error(transparent)]
     Render(#[from] RenderError),

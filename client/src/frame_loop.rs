@@ -1,4 +1,7 @@
-//! The frames of a headless run, one after the other: pose out, surfaces, mask in, shading, picture to disk.
+//! One frame after the other: pose out, surfaces, mask in, shading, picture shown.
+//!
+//! A headless run and a window share all of it. They differ in where poses come from, which they pass to [`FrameLoop::draw`], and in
+//! where pictures go, which is a [`Sink`].
 
 use std::time::{Duration, Instant};
 
@@ -7,67 +10,58 @@ use gnomon_protocol::{ids::FrameNumber, pose::Pose};
 use gnomon_shaders::camera::Camera;
 
 use crate::{
-    camera_path::CameraPath,
     error::ClientError,
     guard::GuardChoice,
     live::{Live, Taken},
     mode::{Decision, ModeMachine, Observation, State},
     net::receive::Received,
-    pictures::PictureWriter,
+    overlay::link::in_words,
     pose_history::{Asked, PoseHistory, Rejections},
-    progress::Progress,
-    render::{FrameRenderer, readback::PictureReader},
-    stats::{FrameStats, StatsFile, millis},
+    record::{Record, Recorder},
+    render::FrameRenderer,
+    stats::{FrameStats, millis},
 };
 
-/// When frames are, and where on the path.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Timing {
-    pub(crate) frames: u32,
-    pub(crate) start_s: f64,
-    pub(crate) step_s: f64,
-    /// Whether a step also takes that long.
-    pub(crate) paced: bool,
+/// Where pictures go.
+pub(crate) trait Sink {
+    /// Shades the surfaces that `renderer` has drawn for `camera` ([`FrameRenderer::shade`]) and shows the picture.
+    fn show(
+        &mut self,
+        frame: FrameNumber,
+        renderer: &mut FrameRenderer,
+        camera: &Camera,
+        visibility_share: f32,
+    ) -> Result<Shown, ClientError>;
 }
 
-impl Timing {
-    /// Where on the path the frame is, in seconds.
-    pub(crate) fn time_s(&self, frame: u32) -> f64 {
-        self.start_s + f64::from(frame) * self.step_s
-    }
+/// What showing a picture took.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Shown {
+    /// Handing over the passes.
+    pub(crate) shade: Duration,
+    /// Waiting for the adapter, or for the screen.
+    pub(crate) readback: Duration,
 }
 
 /// Everything that frames need.
-pub(crate) struct FrameLoop<'a> {
+pub(crate) struct FrameLoop {
     pub(crate) renderer: FrameRenderer,
-    pub(crate) picture_reader: PictureReader,
-    pub(crate) camera_path: &'a CameraPath,
-    pub(crate) timing: Timing,
-    pub(crate) size: (u32, u32),
     pub(crate) live: Option<Live>,
     pub(crate) wait: bool,
     pub(crate) predict_pose: bool,
     pub(crate) machine: ModeMachine,
     pub(crate) guard: GuardChoice,
-    pub(crate) pictures: Option<PictureWriter>,
-    pub(crate) stats: Option<StatsFile>,
-    pub(crate) progress: &'a Progress,
+    pub(crate) recorder: Option<Recorder>,
+    pub(crate) memory: Memory,
 }
 
-/// What a run's frames came to.
+/// What the server's end came to, at the end.
 #[derive(Debug, Default)]
-pub(crate) struct Outcome {
-    pub(crate) frames: u32,
-    pub(crate) frames_with_mask: u32,
-    pub(crate) frames_degraded: u32,
+pub(crate) struct Served {
     pub(crate) poses_repeated: u32,
-    pub(crate) lags: Vec<f64>,
-    pub(crate) known_shares: Vec<f64>,
-    pub(crate) responses_ms: Vec<f64>,
     pub(crate) received: Received,
     pub(crate) rejections: Rejections,
     pub(crate) round_trip: Option<Duration>,
-    pub(crate) duration: Duration,
     /// Why the server was lost on the way, the first time.
     pub(crate) lost: Option<String>,
     /// How often a server was found again.
@@ -75,119 +69,97 @@ pub(crate) struct Outcome {
 }
 
 /// What the loop remembers from frame to frame.
-struct Memory {
-    started: Instant,
+pub(crate) struct Memory {
+    pub(crate) started: Instant,
     history: PoseHistory,
     /// The frame before: its camera, and when it began.
     before: Option<(Camera, Instant)>,
     state: Option<State>,
-    outcome: Outcome,
+    /// Frames drawn.
+    frames: u32,
+    /// Frames that shall be drawn, where that is known.
+    wanted: u32,
+    lost: Option<String>,
+    /// How it stood with the server when that was written down last.
+    link: Option<&'static str>,
 }
 
-impl FrameLoop<'_> {
-    /// Draws all frames, writes all files, and leaves the server.
-    pub(crate) fn run(mut self) -> Result<Outcome, ClientError> {
-        let mut memory = Memory {
+impl Memory {
+    /// Before the first of `wanted` frames.
+    pub(crate) fn new(wanted: u32) -> Self {
+        Self {
             started: Instant::now(),
             history: PoseHistory::default(),
             before: None,
             state: None,
-            outcome: Outcome::default(),
-        };
-        let drawn = self.draw_all(&mut memory);
-        self.progress.finish();
-        let mut outcome = memory.outcome;
-        outcome.duration = memory.started.elapsed();
+            frames: 0,
+            wanted,
+            lost: None,
+            link: None,
+        }
+    }
+}
+
+impl FrameLoop {
+    /// Leaves the server, and says how it was.
+    pub(crate) fn leave(&mut self) -> Served {
+        let mut served = Served { lost: self.memory.lost.take(), ..Served::default() };
         if let Some(live) = self.live.take() {
-            outcome.received = live.received();
-            outcome.reconnects = live.reconnects;
+            served.received = live.received();
+            served.reconnects = live.reconnects;
             let Live { runtime, session, masks, rejections, poses_repeated, .. } = live;
-            outcome.rejections = rejections;
+            served.rejections = rejections;
             // Most are found out before a mask is made of them.
-            outcome.rejections.future += outcome.received.future;
-            outcome.poses_repeated = poses_repeated;
-            outcome.round_trip = session.round_trip();
+            served.rejections.future += served.received.future;
+            served.poses_repeated = poses_repeated;
+            served.round_trip = session.round_trip();
             drop(masks);
             runtime.block_on(session.leave());
         }
-        drawn?;
-        if let Some(pictures) = self.pictures {
-            pictures.finish()?;
-        }
-        if let Some(stats) = self.stats {
-            stats.finish()?;
-        }
-        Ok(outcome)
+        served
     }
 
-    fn draw_all(&mut self, memory: &mut Memory) -> Result<(), ClientError> {
-        for index in 0..self.timing.frames {
-            if self.timing.paced {
-                let due = Duration::from_secs_f64(f64::from(index) * self.timing.step_s);
-                std::thread::sleep(due.saturating_sub(memory.started.elapsed()));
-            }
-            let stats = self.draw(FrameNumber(index), memory)?;
-            if let Some(file) = &mut self.stats {
-                file.write(&stats)?;
-            }
-            self.progress.drawing(index + 1, self.timing.frames);
-        }
-        while self.keep_oldest_picture()? {}
-        Ok(())
-    }
-
-    fn draw(&mut self, frame: FrameNumber, memory: &mut Memory) -> Result<FrameStats, ClientError> {
+    /// Draws a frame that is looked at from `camera`, at `scene_time_s`, into `sink`. Frames are numbered in their order.
+    pub(crate) fn draw(
+        &mut self,
+        frame: FrameNumber,
+        camera: Camera,
+        scene_time_s: f64,
+        sink: &mut dyn Sink,
+    ) -> Result<FrameStats, ClientError> {
         let begun = Instant::now();
         let mut clock = Clock(begun);
-        let camera = self.camera(frame);
-        let look_ahead_ms = self.ask(frame, &camera, begun, memory);
+        let look_ahead_ms = self.ask(frame, &camera, scene_time_s, begun);
         let (mut surfaces, mut wait) = (Duration::ZERO, Duration::ZERO);
         if self.wait {
             // The surfaces are drawn while the mask is on its way.
             self.renderer.draw_surfaces(&camera)?;
             surfaces = clock.lap();
             if let Some(live) = &mut self.live {
-                let (rendered, wanted) = (memory.outcome.frames, self.timing.frames);
-                live.wait_for(frame, &memory.history, |reason| ClientError::Ended { rendered, wanted, reason })?;
+                let (rendered, wanted) = (self.memory.frames, self.memory.wanted);
+                live.wait_for(frame, &self.memory.history, |reason| ClientError::Ended { rendered, wanted, reason })?;
             }
             wait = clock.lap();
         }
-        let taken = self.take_mask(begun, memory)?;
+        let taken = self.take_mask(begun)?;
+        self.record_mask(&taken)?;
         let _upload = clock.lap();
-        let (shown, decision) = self.decide(frame, &camera, begun, memory);
+        let (shown, decision) = self.decide(frame, &camera, begun);
         if !self.wait {
             self.renderer.draw_surfaces(&shown)?;
             surfaces = clock.lap();
         }
-        let target = self.picture_reader.target();
-        let copied = self.pictures.is_some();
-        let submission = self.renderer.shade(&shown, decision.visibility_share, &target, |encoder| {
-            if copied {
-                self.picture_reader.copy(encoder);
-            }
-        })?;
-        self.picture_reader.submitted(frame.0.into(), submission, copied);
-        let shade = clock.lap();
-        while self.picture_reader.is_full() {
-            self.keep_oldest_picture()?;
-        }
-        let readback = clock.lap();
+        let Shown { shade, readback } = sink.show(frame, &mut self.renderer, &shown, decision.visibility_share)?;
 
         let known_share = self.renderer.known_share();
         let current = self.live.as_ref().and_then(|live| live.current);
         let lag = current.map(|current| current.lag(frame));
         let response_ms = taken.response.map(millis);
-        let outcome = &mut memory.outcome;
-        outcome.frames += 1;
-        outcome.frames_with_mask += u32::from(current.is_some());
-        outcome.frames_degraded += u32::from(self.live.is_some() && decision.state == State::Degraded);
-        outcome.lags.extend(lag.map(f64::from));
-        outcome.responses_ms.extend(response_ms);
-        outcome.known_shares.extend(known_share);
-        let [mask_width, mask_height] = memory.history.get(frame).map_or([0, 0], |asked| asked.pose.mask_px);
-        Ok(FrameStats {
+        self.memory.frames += 1;
+        let [mask_width, mask_height] = self.memory.history.get(frame).map_or([0, 0], |asked| asked.pose.mask_px);
+        let stats = FrameStats {
             frame: frame.0,
-            t_ms: millis(begun.duration_since(memory.started)),
+            t_ms: millis(begun.duration_since(self.memory.started)),
             state: decision.state,
             link: self.live.as_ref().map_or("offline", |live| live.link_state().name()),
             visibility_share: decision.visibility_share,
@@ -205,16 +177,45 @@ impl FrameLoop<'_> {
             readback_ms: millis(readback),
             bytes: current.map(|current| current.bytes),
             packets: current.map(|current| current.packets),
-        })
+        };
+        if let Some(recorder) = &mut self.recorder {
+            recorder.write(&Record::Frame {
+                frame: frame.0,
+                asked: (&camera).into(),
+                shown: (&shown).into(),
+                visibility_share: decision.visibility_share,
+                timing: (&stats).into(),
+            })?;
+        }
+        self.record_link(stats.link)?;
+        Ok(stats)
     }
 
-    /// The picture's camera in a frame.
-    fn camera(&self, frame: FrameNumber) -> Camera {
-        self.camera_path.camera(self.timing.time_s(frame.0), self.size.0, self.size.1)
+    /// Writes down how it stands with the server, when that has changed.
+    fn record_link(&mut self, link: &'static str) -> Result<(), ClientError> {
+        let (Some(recorder), Some(live)) = (&mut self.recorder, &self.live) else { return Ok(()) };
+        if self.memory.link.replace(link) == Some(link) {
+            return Ok(());
+        }
+        let words = in_words(&live.link_state(), Instant::now());
+        let text = words.map_or_else(|| link.to_owned(), |words| format!("{link}: {words}"));
+        recorder.write(&Record::Event { frame: self.memory.frames - 1, text })
+    }
+
+    /// Writes down the mask that the renderer has just been given.
+    fn record_mask(&mut self, taken: &Taken) -> Result<(), ClientError> {
+        let (Some(recorder), Some(live), Some(_)) = (&mut self.recorder, &self.live, taken.response) else {
+            return Ok(());
+        };
+        let (Some(received), Some(traced_for)) = (live.masks.front(), self.renderer.mask_view()) else {
+            return Ok(());
+        };
+        recorder.mask(received.frame.0, &traced_for, &received.mask)
     }
 
     /// Remembers a frame, and asks the server for its mask. How far ahead that is wanted is the answer, in milliseconds.
-    fn ask(&mut self, frame: FrameNumber, camera: &Camera, begun: Instant, memory: &mut Memory) -> u16 {
+    fn ask(&mut self, frame: FrameNumber, camera: &Camera, scene_time_s: f64, begun: Instant) -> u16 {
+        let memory = &mut self.memory;
         if let Some(live) = self.live.as_mut().filter(|_| !self.wait) {
             live.tend(frame, &mut memory.history);
         }
@@ -232,7 +233,7 @@ impl FrameLoop<'_> {
             position_m: wide.position_m.to_array(),
             orientation: wide.orientation.to_array(),
             yfov_rad: wide.yfov_rad,
-            scene_time_s: self.timing.time_s(frame.0),
+            scene_time_s,
             client_time_ms,
             // Sides are at most 4096.
             mask_px: [wide.width, wide.height].map(|side| u16::try_from(side).unwrap_or(u16::MAX)),
@@ -252,31 +253,27 @@ impl FrameLoop<'_> {
 
     /// Gives the renderer the mask that has come. A server that is gone ends a run that waits, or that it never answered;
     /// others go on with what they have, and look for it.
-    fn take_mask(&mut self, shown_at: Instant, memory: &mut Memory) -> Result<Taken, ClientError> {
+    fn take_mask(&mut self, shown_at: Instant) -> Result<Taken, ClientError> {
+        let memory = &mut self.memory;
         let Some(live) = &mut self.live else { return Ok(Taken::default()) };
         let taken = if self.wait {
             live.take_front(&memory.history, &mut self.renderer, shown_at)?
         } else {
             live.take_newest(&memory.history, &mut self.renderer, shown_at)?
         };
-        if let Some(reason) = live.masks.ended().filter(|_| !self.wait && memory.outcome.lost.is_none()) {
+        if let Some(reason) = live.masks.ended().filter(|_| !self.wait && memory.lost.is_none()) {
             if live.current.is_none() {
-                return Err(ClientError::Ended { rendered: memory.outcome.frames, wanted: self.timing.frames, reason });
+                return Err(ClientError::Ended { rendered: memory.frames, wanted: memory.wanted, reason });
             }
             tracing::warn!(%reason, "the server is gone: drawing on without it");
-            memory.outcome.lost = Some(reason);
+            memory.lost = Some(reason);
         }
         Ok(taken)
     }
 
     /// What is drawn in this frame: from where, and with how much received visibility.
-    fn decide(
-        &mut self,
-        frame: FrameNumber,
-        camera: &Camera,
-        begun: Instant,
-        memory: &mut Memory,
-    ) -> (Camera, Decision) {
+    fn decide(&mut self, frame: FrameNumber, camera: &Camera, begun: Instant) -> (Camera, Decision) {
+        let memory = &mut self.memory;
         let current = self.live.as_ref().and_then(|live| live.current);
         let step_s = memory.before.map_or(0.0, |(_, before)| begun.duration_since(before).as_secs_f64());
         memory.before = Some((*camera, begun));
@@ -297,15 +294,6 @@ impl FrameLoop<'_> {
             _ => *camera,
         };
         (shown, decision)
-    }
-
-    /// Waits for the oldest picture under way and hands it to the writers; whether there was one is the answer.
-    fn keep_oldest_picture(&mut self) -> Result<bool, ClientError> {
-        let Some(picture) = self.picture_reader.take_oldest()? else { return Ok(false) };
-        if let (Some(picture), Some(writer)) = (picture, &self.pictures) {
-            writer.write(picture)?;
-        }
-        Ok(true)
     }
 }
 

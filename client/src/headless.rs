@@ -1,222 +1,36 @@
 //! A headless run, from options to summary: open the adapter, get the scene, draw the frames, say how it went.
 
-use std::{path::PathBuf, sync::Arc, time::Duration};
+use std::time::{Duration, Instant};
 
-use gnomon_protocol::{codec::CodecId, mask::MaskShape, message::Welcome, reassembler::Policy};
+use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, message::Welcome};
 use gnomon_shaders::{
+    camera::Camera,
     gpu::{Gpu, GpuOptions},
-    scene::{LoadOptions, Scene},
 };
-use tokio::runtime::Runtime;
 
 use crate::{
-    camera_path::{CameraPath, PathSpec},
+    camera_path::CameraPath,
+    connect::{Step, get_scene},
     default_path::default_path,
     error::ClientError,
-    frame_loop::{FrameLoop, Outcome, Timing},
-    guard::{Guard, GuardChoice},
-    live::Live,
-    mode::{Mode, ModeMachine, Thresholds},
-    net::{
-        reconnect::admit_patiently,
-        session::{Admitted, Introduction, rate_hz},
-        url::ServerUrl,
-    },
+    frame_loop::{FrameLoop, Memory, Served, Shown, Sink},
+    mode::{ModeMachine, State},
     occluders::Occluders,
+    options::MAX_FRAMES,
     pictures::PictureWriter,
-    pose_history::HISTORY_FRAMES,
-    predictor::Predictor,
     progress::Progress,
+    record::{Recorder, Start},
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, readback::PictureReader},
-    scene_cache::SceneCache,
-    stats::{StatsFile, Summary, mean, percentile},
+    stats::{FrameStats, StatsFile, Summary, mean, percentile},
 };
 
-/// Most frames of a run.
-pub const MAX_FRAMES: u32 = 10_000_000;
+pub use crate::options::{HeadlessOptions, Source};
 
 /// Frames a second that a path is cut into when neither `--frames` nor `--fps` says otherwise.
 const DEFAULT_STEPS_PER_S: f64 = 30.0;
 
 /// Pictures that may be under way on the adapter.
 const PICTURES_AHEAD: usize = 2;
-
-/// Threads for the network: one can decode while another one sends.
-const NETWORK_THREADS: usize = 3;
-
-/// Where the scene and its visibility come from.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Source {
-    /// A server.
-    Server(ServerUrl),
-    /// A local file, drawn without visibility: every light reaches everything.
-    Offline {
-        /// The glTF file.
-        scene: PathBuf,
-        /// File whose lights are added.
-        lights_from: Option<PathBuf>,
-        /// Keep the first lights only.
-        lights: Option<u32>,
-    },
-}
-
-/// Everything that a headless run can be told.
-#[derive(Debug, Clone, PartialEq)]
-pub struct HeadlessOptions {
-    /// Where the scene and its visibility come from.
-    pub source: Source,
-    /// The camera path; one that suits the scene without.
-    pub path: Option<PathSpec>,
-    /// Frames to draw; once along the path without.
-    pub frames: Option<u32>,
-    /// Frames a second, in real time. Without, frames follow each other as fast as they can, and divide the path evenly.
-    pub fps: Option<f64>,
-    /// Where on the path the first frame is, in seconds.
-    pub start_time_s: f64,
-    /// Width of the pictures, in pixels.
-    pub width: u32,
-    /// Height of the pictures, in pixels.
-    pub height: u32,
-    /// Folder for a PNG a frame.
-    pub out: Option<PathBuf>,
-    /// File for a JSON line a frame.
-    pub stats: Option<PathBuf>,
-    /// File for the summary.
-    pub summary: Option<PathBuf>,
-    /// Folder for the encoded masks.
-    pub save_masks: Option<PathBuf>,
-    /// Token for servers that want one.
-    pub token: Option<String>,
-    /// Codec of the masks.
-    pub codec: CodecId,
-    /// Part of the graphics adapter's name.
-    pub adapter: Option<String>,
-    /// Whether a software adapter will do.
-    pub allow_software: bool,
-    /// Whether each frame waits for its own mask.
-    pub wait: bool,
-    /// How visibility is carried over to frames that it was not traced for.
-    pub predictor: Predictor,
-    /// How the pose to draw is chosen.
-    pub mode: Mode,
-    /// When that choice changes.
-    pub thresholds: Thresholds,
-    /// The guard band around each picture that masks have.
-    pub guard: Guard,
-    /// Whether the server traces for where the camera will be when the mask is shown. Without a choice it does unless the adapter
-    /// is software: such a mask is of a view that was never drawn, so its depth has to be drawn for the prediction, which costs a
-    /// GPU little and a processor a tenth of its frame and more (`lab predict-cost`).
-    pub predict_pose: Option<bool>,
-    /// Exposure that replaces the scene's own: 1 lux is shown as 2^−EV.
-    pub exposure_ev: Option<f32>,
-    /// Folder for cached scenes; the platform's without.
-    pub cache_dir: Option<PathBuf>,
-    /// How long the server may take to answer at first.
-    pub connect_timeout: Duration,
-    /// Whether a progress bar is drawn when standard error is a terminal.
-    pub progress: bool,
-}
-
-impl HeadlessOptions {
-    /// The options' defaults, for this source.
-    #[must_use]
-    pub fn new(source: Source) -> Self {
-        Self {
-            source,
-            path: None,
-            frames: None,
-            fps: None,
-            start_time_s: 0.0,
-            width: 1280,
-            height: 720,
-            out: None,
-            stats: None,
-            summary: None,
-            save_masks: None,
-            token: None,
-            codec: CodecId::PlanesLz4,
-            adapter: None,
-            allow_software: true,
-            wait: false,
-            predictor: Predictor::default(),
-            mode: Mode::default(),
-            thresholds: Thresholds::default(),
-            guard: Guard::default(),
-            predict_pose: None,
-            exposure_ev: None,
-            cache_dir: None,
-            connect_timeout: Duration::from_secs(5),
-            progress: false,
-        }
-    }
-
-    /// How each mask's guard band is chosen.
-    fn guard_choice(&self) -> GuardChoice {
-        GuardChoice::new(self.guard, (self.width, self.height))
-    }
-
-    fn looks_ahead(&self, gpu: &Gpu) -> bool {
-        self.predict_pose.unwrap_or(!gpu.is_software())
-    }
-
-    /// Which packets make a frame: a client that waits for its own mask wants all of it.
-    const fn policy(&self) -> Policy {
-        if self.codec.is_sliced() && !self.wait { Policy::Slices } else { Policy::WholeFrame }
-    }
-
-    /// Width and height of the largest mask that is asked for.
-    fn largest_mask(&self) -> (u32, u32) {
-        let band = self.guard_choice().largest();
-        (self.width + band.width, self.height + band.height)
-    }
-
-    /// Checks what can be checked before anything is opened.
-    ///
-    /// # Errors
-    /// When a number is out of range.
-    pub fn validate(&self) -> Result<(), ClientError> {
-        let wrong = |option, reason| Err(ClientError::Option { option, reason });
-        MaskShape::new(self.width, self.height, 1)?;
-        if self.frames.is_some_and(|frames| !(1..=MAX_FRAMES).contains(&frames)) {
-            return wrong("frames", format!("{} frames: 1 to {MAX_FRAMES} can be drawn", self.frames.unwrap_or(0)));
-        }
-        if let Some(fps) = self.fps.filter(|fps| !(0.001..=100_000.0).contains(fps)) {
-            return wrong("fps", format!("{fps} frames a second: 0.001 to 100000 are possible"));
-        }
-        if !(0.0..=1e9).contains(&self.start_time_s) {
-            return wrong("start-time", format!("{} s: 0 to 1e9 are possible", self.start_time_s));
-        }
-        if let Some(ev) = self.exposure_ev.filter(|ev| !(-40.0..=40.0).contains(ev)) {
-            return wrong("exposure", format!("{ev} EV: −40 to 40 are possible"));
-        }
-        let fade_s = self.thresholds.fade_s;
-        if !(0.0..=60.0).contains(&fade_s) {
-            return wrong("fade", format!("{fade_s} s: 0 to 60 are possible"));
-        }
-        let most = HISTORY_FRAMES - 1;
-        if self.thresholds.prediction_lag > most {
-            return wrong(
-                "prediction-lag",
-                format!("{} frames: the client remembers {most}", self.thresholds.prediction_lag),
-            );
-        }
-        if self.thresholds.sequential_lag > self.thresholds.prediction_lag {
-            let reason =
-                format!("more than --prediction-lag {} is too late for any mode", self.thresholds.prediction_lag);
-            return wrong("sequential-lag", reason);
-        }
-        if self.wait && matches!(self.source, Source::Offline { .. }) {
-            return wrong("wait", "there is no mask to wait for without a server".to_owned());
-        }
-        Ok(())
-    }
-}
-
-/// What the server agreed to, and the runtime that its tasks run on.
-struct Connected {
-    runtime: Runtime,
-    admitted: Admitted,
-}
 
 /// Runs from start to end. Blocks; inside an asynchronous program, call it where blocking is allowed.
 ///
@@ -237,7 +51,11 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         ..GpuOptions::default()
     }))?;
     let progress = Progress::new(options.progress);
-    let (scene, connected) = get_scene(options, &progress)?;
+    let (scene, connected) = get_scene(options, options.largest_mask(), |step| {
+        if let Step::Fetching { have, length } = step {
+            progress.fetching(have, length);
+        }
+    })?;
     let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
     let (width, height) = options.largest_mask();
     let shape = MaskShape::new(width, height, lights)?;
@@ -248,84 +66,176 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     let exposure = options.exposure_ev.map_or(exposure, |ev| exposure.at_ev(ev));
     let renderer =
         FrameRenderer::new(&gpu, &scene, (options.width, options.height), exposure, PICTURE_FORMAT, options.predictor)?;
-    let picture_reader = PictureReader::new(&gpu, options.width, options.height, PICTURES_AHEAD);
+    let reader = PictureReader::new(&gpu, options.width, options.height, PICTURES_AHEAD);
     drop(scene);
 
-    let welcome = connected.as_ref().map(|connected| connected.admitted.welcome.clone());
+    let welcome = connected.as_ref().map(|connected| connected.welcome().clone());
     let live =
-        connected.map(|connected| start(connected, shape, options.policy(), options.save_masks.clone())).transpose()?;
+        connected.map(|connected| connected.start(shape, options.policy(), options.save_masks.clone())).transpose()?;
     let timing = timing(options, &camera_path);
-    let frame_loop = FrameLoop {
+    let mut frames = FrameLoop {
         renderer,
-        picture_reader,
-        camera_path: &camera_path,
-        timing,
-        size: (options.width, options.height),
         live,
         wait: options.wait,
         predict_pose: options.looks_ahead(&gpu),
         machine: ModeMachine::new(options.mode, options.thresholds),
         guard: options.guard_choice(),
-        pictures,
-        stats,
-        progress: &progress,
+        recorder: recorder(options, (options.width, options.height), welcome.as_ref(), exposure, &gpu)?,
+        memory: Memory::new(timing.frames),
     };
-    let outcome = frame_loop.run()?;
-    let summary = summary(options, &outcome, welcome.as_ref(), lights, exposure, &camera_path, &gpu);
+    let mut files = Files { reader, pictures, stats };
+    let mut tally = Tally::default();
+    let drawn = draw_all(
+        &mut frames,
+        &mut files,
+        &timing,
+        &mut tally,
+        |frame| camera_path.camera(timing.time_s(frame), options.width, options.height),
+        &progress,
+    );
+    progress.finish();
+    tally.duration = frames.memory.started.elapsed();
+    let served = frames.leave();
+    drawn?;
+    files.finish()?;
+    frames.recorder.take().map_or(Ok(()), Recorder::finish)?;
+    let summary = summary(options, (&tally, &served), welcome.as_ref(), lights, exposure, &camera_path, &gpu);
     if let Some(path) = &options.summary {
         summary.write(path)?;
     }
     Ok(summary)
 }
 
-fn get_scene(options: &HeadlessOptions, progress: &Progress) -> Result<(Scene, Option<Connected>), ClientError> {
-    match &options.source {
-        Source::Offline { scene, lights_from, lights } => {
-            let load = LoadOptions { lights_from: lights_from.clone(), max_lights: *lights };
-            Ok((Scene::load(scene, &load)?, None))
-        }
-        Source::Server(url) => {
-            let runtime = tokio::runtime::Builder::new_multi_thread()
-                .worker_threads(NETWORK_THREADS)
-                .thread_name("network")
-                .enable_all()
-                .build()?;
-            let (width, height) = options.largest_mask();
-            let introduction = Introduction {
-                token: options.token.clone(),
-                width,
-                height,
-                codec: options.codec,
-                rate_hz: rate_hz(options.fps),
-                resume: None,
-                connect_timeout: options.connect_timeout,
-            };
-            let cache = SceneCache::new(options.cache_dir.clone());
-            let (admitted, packed) = runtime.block_on(async {
-                let mut admitted = admit_patiently(url, &introduction).await?;
-                let packed = admitted.scene(&cache, |have, length| progress.fetching(have, length)).await?;
-                Ok::<_, ClientError>((admitted, packed))
-            })?;
-            let scene = Scene::unpack(&packed)?;
-            let (lights, said) = (scene.lights.len(), admitted.welcome.lights);
-            if lights != said as usize {
-                let reason = format!("it says {said} lights, and its scene has {lights}");
-                return Err(ClientError::Protocol { url: Box::new(url.clone()), reason });
-            }
-            Ok((scene, Some(Connected { runtime, admitted })))
-        }
+/// The recording that is wanted, if one is, of pictures of this size.
+pub(crate) fn recorder(
+    options: &HeadlessOptions,
+    (width, height): (u32, u32),
+    welcome: Option<&Welcome>,
+    exposure: Exposure,
+    gpu: &Gpu,
+) -> Result<Option<Recorder>, ClientError> {
+    let Some(path) = &options.record else { return Ok(None) };
+    let start = Start {
+        scene_digest: welcome.map(|welcome| welcome.scene_digest.to_string()),
+        size_px: [width, height],
+        exposure: exposure.into(),
+        predictor: options.predictor,
+        adapter: gpu.info.name.clone(),
+    };
+    Recorder::create(path, start).map(Some)
+}
+
+/// When frames are, and where on the path.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Timing {
+    frames: u32,
+    start_s: f64,
+    step_s: f64,
+    /// Whether a step also takes that long.
+    paced: bool,
+}
+
+impl Timing {
+    /// Where on the path the frame is, in seconds.
+    fn time_s(&self, frame: u32) -> f64 {
+        self.start_s + f64::from(frame) * self.step_s
     }
 }
 
-fn start(
-    connected: Connected,
-    shape: MaskShape,
-    policy: Policy,
-    save_masks: Option<PathBuf>,
-) -> Result<Live, ClientError> {
-    let Connected { runtime, admitted } = connected;
-    let (session, masks) = runtime.block_on(admitted.start(shape, policy, save_masks))?;
-    Ok(Live::new(Arc::new(runtime), session, masks))
+/// What a run leaves on disk.
+struct Files {
+    reader: PictureReader,
+    pictures: Option<PictureWriter>,
+    stats: Option<StatsFile>,
+}
+
+/// What a run's frames came to.
+#[derive(Debug, Default)]
+struct Tally {
+    frames: u32,
+    frames_with_mask: u32,
+    frames_degraded: u32,
+    lags: Vec<f64>,
+    known_shares: Vec<f64>,
+    responses_ms: Vec<f64>,
+    duration: Duration,
+}
+
+impl Tally {
+    fn add(&mut self, frame: &FrameStats, served: bool) {
+        self.frames += 1;
+        self.frames_with_mask += u32::from(frame.mask_frame.is_some());
+        self.frames_degraded += u32::from(served && frame.state == State::Degraded);
+        self.lags.extend(frame.lag.map(f64::from));
+        self.responses_ms.extend(frame.response_ms);
+        self.known_shares.extend(frame.known_share);
+    }
+}
+
+fn draw_all(
+    frames: &mut FrameLoop,
+    files: &mut Files,
+    timing: &Timing,
+    tally: &mut Tally,
+    camera: impl Fn(u32) -> Camera,
+    progress: &Progress,
+) -> Result<(), ClientError> {
+    frames.memory.started = Instant::now();
+    for index in 0..timing.frames {
+        if timing.paced {
+            let due = Duration::from_secs_f64(f64::from(index) * timing.step_s);
+            std::thread::sleep(due.saturating_sub(frames.memory.started.elapsed()));
+        }
+        let drawn = frames.draw(FrameNumber(index), camera(index), timing.time_s(index), files)?;
+        tally.add(&drawn, frames.live.is_some());
+        if let Some(file) = &mut files.stats {
+            file.write(&drawn)?;
+        }
+        progress.drawing(index + 1, timing.frames);
+    }
+    while files.keep_oldest()? {}
+    Ok(())
+}
+
+impl Files {
+    /// Waits for the oldest picture under way and hands it to the writers; whether there was one is the answer.
+    fn keep_oldest(&mut self) -> Result<bool, ClientError> {
+        let Some(picture) = self.reader.take_oldest()? else { return Ok(false) };
+        if let (Some(picture), Some(writer)) = (picture, &self.pictures) {
+            writer.write(picture)?;
+        }
+        Ok(true)
+    }
+
+    fn finish(self) -> Result<(), ClientError> {
+        self.pictures.map_or(Ok(()), PictureWriter::finish)?;
+        self.stats.map_or(Ok(()), StatsFile::finish)
+    }
+}
+
+impl Sink for Files {
+    fn show(
+        &mut self,
+        frame: FrameNumber,
+        renderer: &mut FrameRenderer,
+        camera: &Camera,
+        visibility_share: f32,
+    ) -> Result<Shown, ClientError> {
+        let begun = Instant::now();
+        let target = self.reader.target();
+        let copied = self.pictures.is_some();
+        let submission = renderer.shade(camera, visibility_share, &target, |encoder| {
+            if copied {
+                self.reader.copy(encoder);
+            }
+        })?;
+        self.reader.submitted(frame.0.into(), submission, copied);
+        let shade = begun.elapsed();
+        while self.reader.is_full() {
+            self.keep_oldest()?;
+        }
+        Ok(Shown { shade, readback: begun.elapsed().saturating_sub(shade) })
+    }
 }
 
 fn timing(options: &HeadlessOptions, path: &CameraPath) -> Timing {
@@ -345,41 +255,41 @@ fn timing(options: &HeadlessOptions, path: &CameraPath) -> Timing {
 
 fn summary(
     options: &HeadlessOptions,
-    outcome: &Outcome,
+    (tally, served): (&Tally, &Served),
     welcome: Option<&Welcome>,
     lights: u32,
     exposure: Exposure,
     path: &CameraPath,
     gpu: &Gpu,
 ) -> Summary {
-    let duration_s = outcome.duration.as_secs_f64().max(1e-9);
-    let received = outcome.received;
+    let duration_s = tally.duration.as_secs_f64().max(1e-9);
+    let received = served.received;
     let of_each = |sum: u64| (received.frames > 0).then(|| sum as f64 / received.frames as f64);
     let transport = match &options.source {
         Source::Server(url) => url.transport.name(),
         Source::Offline { .. } => "offline",
     };
     Summary {
-        frames_rendered: outcome.frames,
-        frames_with_mask: outcome.frames_with_mask,
+        frames_rendered: tally.frames,
+        frames_with_mask: tally.frames_with_mask,
         frames_received: received.frames,
         frames_partial: received.partial,
         frames_incomplete: received.incomplete,
         frames_bad: received.bad,
-        poses_repeated: outcome.poses_repeated,
-        masks_rejected: outcome.rejections,
-        degraded_share: welcome.map(|_| f64::from(outcome.frames_degraded) / f64::from(outcome.frames.max(1))),
-        known_share_mean: mean(&outcome.known_shares),
-        lag_frames_mean: mean(&outcome.lags),
-        lag_frames_p50: percentile(&outcome.lags, 0.5),
-        lag_frames_p99: percentile(&outcome.lags, 0.99),
-        response_ms_mean: mean(&outcome.responses_ms),
-        response_ms_p99: percentile(&outcome.responses_ms, 0.99),
-        client_fps: f64::from(outcome.frames) / duration_s,
+        poses_repeated: served.poses_repeated,
+        masks_rejected: served.rejections,
+        degraded_share: welcome.map(|_| f64::from(tally.frames_degraded) / f64::from(tally.frames.max(1))),
+        known_share_mean: mean(&tally.known_shares),
+        lag_frames_mean: mean(&tally.lags),
+        lag_frames_p50: percentile(&tally.lags, 0.5),
+        lag_frames_p99: percentile(&tally.lags, 0.99),
+        response_ms_mean: mean(&tally.responses_ms),
+        response_ms_p99: percentile(&tally.responses_ms, 0.99),
+        client_fps: f64::from(tally.frames) / duration_s,
         visibility_fps: welcome.map(|_| (received.frames + received.partial) as f64 / duration_s),
         payload_bytes_mean: of_each(received.payload_bytes),
         packets_mean: of_each(received.packets),
-        rtt_ms: outcome.round_trip.map(crate::stats::millis),
+        rtt_ms: served.round_trip.map(crate::stats::millis),
         duration_s,
         size: format!("{}x{}", options.width, options.height),
         lights,
@@ -393,8 +303,8 @@ fn summary(
         mode: options.mode,
         guard: options.guard.to_string(),
         predict_pose: options.looks_ahead(gpu),
-        connection_lost: outcome.lost.clone(),
-        reconnects: outcome.reconnects,
+        connection_lost: served.lost.clone(),
+        reconnects: served.reconnects,
         exposure_ev: exposure.ev(),
         path: path.name().to_owned(),
     }

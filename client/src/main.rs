@@ -1,10 +1,17 @@
 //! The thin client's program.
 
+mod demo;
+
 use std::{io::Write as _, process::ExitCode};
 
 use anyhow::Context as _;
-use clap::Parser as _;
-use gnomon_client::{cli::Arguments, config::resolve, headless::run_headless};
+use clap::{CommandFactory as _, Parser as _};
+use gnomon_client::{
+    cli::Arguments,
+    config::{Run, resolve},
+    headless::run_headless,
+    window::run_window,
+};
 use tracing_subscriber::EnvFilter;
 
 fn main() -> ExitCode {
@@ -40,18 +47,40 @@ fn one_line(error: &anyhow::Error) -> String {
     })
 }
 
-fn run(arguments: Arguments) -> anyhow::Result<()> {
+fn run(mut arguments: Arguments) -> anyhow::Result<()> {
+    if let Some(shell) = arguments.completions {
+        clap_complete::generate(shell, &mut Arguments::command(), "gnomon-client", &mut std::io::stdout());
+        return Ok(());
+    }
+    if arguments.man {
+        return clap_mangen::Man::new(Arguments::command()).render(&mut std::io::stdout()).context("--man");
+    }
     let filter = EnvFilter::try_new(&arguments.log).with_context(|| format!("--log {:?}", arguments.log))?;
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     let check_only = arguments.check_config;
-    let options = resolve(arguments)?;
-    options.validate()?;
+    let demo = (arguments.demo && !check_only).then(demo::Demo::start).transpose()?;
+    if let Some(demo) = &demo {
+        arguments.url = Some(demo.url().parse()?);
+        if arguments.path.is_none() {
+            arguments.path = Some(demo.path().parse()?);
+        }
+    }
+    let run = resolve(arguments)?;
+    match &run {
+        Run::Headless(options) => options.validate()?,
+        Run::Window(options) => options.run.validate()?,
+    }
     if check_only {
         println!("the configuration is good");
         return Ok(());
     }
-    let summary = run_headless(&options)?;
-    // A reader that has gone away does not make the run a failure.
-    let _ = writeln!(std::io::stdout(), "{}", summary.to_json());
+    match run {
+        Run::Headless(options) => {
+            let summary = run_headless(&options)?;
+            // A reader that has gone away does not make the run a failure.
+            let _ = writeln!(std::io::stdout(), "{}", summary.to_json());
+        }
+        Run::Window(options) => run_window(options)?,
+    }
     Ok(())
 }

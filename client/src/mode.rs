@@ -119,6 +119,12 @@ impl ModeMachine {
         Self { mode, thresholds, state: State::Degraded, calm_frames: 0, share: 0.0 }
     }
 
+    /// Goes on in another mode. What fades fades on.
+    pub fn set_mode(&mut self, mode: Mode) {
+        self.mode = mode;
+        self.calm_frames = 0;
+    }
+
     /// One frame.
     pub fn step(&mut self, seen: Observation) -> Decision {
         let Thresholds { sequential_lag, calm_frames, prediction_lag, fade_s } = self.thresholds;

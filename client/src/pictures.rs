@@ -105,7 +105,8 @@ fn write_all(folder: &Path, pictures: &Mutex<Receiver<Picture>>, failure: &Mutex
     }
 }
 
-fn write(path: &Path, picture: &Picture) -> std::io::Result<()> {
+/// Writes a picture as PNG.
+pub(crate) fn write(path: &Path, picture: &Picture) -> std::io::Result<()> {
     let mut file = BufWriter::new(File::create(path)?);
     // The fourth channel is always 255: a third of the file, and of the time, for nothing.
     let rgb: Vec<u8> = picture.rgba.chunks_exact(4).flat_map(|texel| [texel[0], texel[1], texel[2]]).collect();

@@ -198,8 +198,8 @@ pub struct Lighting {
     pub count: u32,
     /// Ambient irradiance from below, exposed.
     pub ambient_below: Vec3,
-    /// Fills a row.
-    pub unused_0: f32,
+    /// First column of the picture in which every light reaches everything.
+    pub lit_from_px: u32,
     /// Radiance of the sky at the zenith, exposed.
     pub zenith: Vec3,
     /// Fills a row.
@@ -291,14 +291,14 @@ mod tests {
         assert_layout!(
             "shading/shade.wgsl",
             Lighting,
-            [ambient_above, count, ambient_below, unused_0, zenith, unused_1, horizon, unused_2, lights]
+            [ambient_above, count, ambient_below, lit_from_px, zenith, unused_1, horizon, unused_2, lights]
         );
         assert_layout!("shading/tone.wgsl", Tone, [contrast, shoulder, b, c]);
     }
 
     #[test]
     fn every_shading_shader_is_valid() {
-        for name in ["gbuffer", "depth", "mask_words", "predict", "shade", "blend", "tone"] {
+        for name in ["gbuffer", "depth", "mask_words", "predict", "shade", "blend", "tone", "debug_view", "present"] {
             let text = splice(&format!("shading/{name}.wgsl")).unwrap();
             let module = naga::front::wgsl::parse_str(&text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
             naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())

@@ -7,6 +7,7 @@ use thiserror::Error;
 /// Every WGSL file: its path under `wgsl/`, and its text.
 pub const FILES: &[(&str, &str)] = &[
     ("shading/blend.wgsl", include_str!("../wgsl/shading/blend.wgsl")),
+    ("shading/debug_view.wgsl", include_str!("../wgsl/shading/debug_view.wgsl")),
     ("shading/depth.wgsl", include_str!("../wgsl/shading/depth.wgsl")),
     ("shading/gbuffer.wgsl", include_str!("../wgsl/shading/gbuffer.wgsl")),
     ("shading/inputs.wgsl", include_str!("../wgsl/shading/inputs.wgsl")),
@@ -14,6 +15,7 @@ pub const FILES: &[(&str, &str)] = &[
     ("shading/mask_words.wgsl", include_str!("../wgsl/shading/mask_words.wgsl")),
     ("shading/material.wgsl", include_str!("../wgsl/shading/material.wgsl")),
     ("shading/predict.wgsl", include_str!("../wgsl/shading/predict.wgsl")),
+    ("shading/present.wgsl", include_str!("../wgsl/shading/present.wgsl")),
     ("shading/shade.wgsl", include_str!("../wgsl/shading/shade.wgsl")),
     ("shading/shadow_map.wgsl", include_str!("../wgsl/shading/shadow_map.wgsl")),
     ("shading/tone.wgsl", include_str!("../wgsl/shading/tone.wgsl")),

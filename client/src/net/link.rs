@@ -100,13 +100,14 @@ impl Link {
                 let Some(digest) = url.certificate else {
                     return Err(failed("the URL names no certificate".to_owned()));
                 };
-                let (endpoint, connection) = quic::connect(server, digest).await.map_err(|error| match error {
-                    QuicError::Certificate => ClientError::Certificate(Box::new(url.clone())),
-                    QuicError::TimedOut => {
-                        ClientError::Unreachable { url: Box::new(url.clone()), after: quic::IDLE_TIMEOUT }
-                    }
-                    QuicError::Other(reason) => failed(reason),
-                })?;
+                let (endpoint, connection) =
+                    quic::connect(server, Some(digest)).await.map_err(|error| match error {
+                        QuicError::Certificate => ClientError::Certificate(Box::new(url.clone())),
+                        QuicError::TimedOut => {
+                            ClientError::Unreachable { url: Box::new(url.clone()), after: quic::IDLE_TIMEOUT }
+                        }
+                        QuicError::Other(reason) => failed(reason),
+                    })?;
                 let (writer, reader) = connection.open_bi().await.map_err(|error| failed(error.to_string()))?;
                 let kind = LinkKind::Quic(endpoint, connection);
                 return Ok(Self {

@@ -3,6 +3,7 @@
 mod backoff;
 mod congestion;
 pub(crate) mod control;
+pub(crate) mod first_use;
 pub(crate) mod health;
 mod lab;
 pub(crate) mod link;

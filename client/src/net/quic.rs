@@ -40,11 +40,11 @@ const SOCKET_RECEIVE_BYTES: usize = 8 << 20;
 /// Poses that may wait: quinn drops the oldest when there are more.
 const DATAGRAM_SEND_BYTES: usize = 1024;
 
-/// Accepts exactly one certificate: the one with the digest that the URL has. Its names and dates do not matter, since
+/// Accepts exactly one certificate: the one with the digest that the URL has; any, where there is no digest to hold it to. Its names and dates do not matter, since
 /// whoever holds its key is the server that printed the URL.
 #[derive(Debug)]
 struct Pinned {
-    digest: [u8; 32],
+    digest: Option<[u8; 32]>,
     provider: Arc<CryptoProvider>,
     /// Whether another certificate was shown.
     refused: Arc<AtomicBool>,
@@ -59,7 +59,7 @@ impl ServerCertVerifier for Pinned {
         _ocsp_response: &[u8],
         _now: UnixTime,
     ) -> Result<ServerCertVerified, TlsError> {
-        if sha256(end_entity) == Some(self.digest) {
+        if self.digest.is_none_or(|digest| sha256(end_entity) == Some(digest)) {
             Ok(ServerCertVerified::assertion())
         } else {
             self.refused.store(true, Ordering::Relaxed);
@@ -101,10 +101,10 @@ pub(crate) enum QuicError {
     Other(String),
 }
 
-/// Connects to the server at `address`, whose certificate has this SHA-256.
+/// Connects to the server at `address`, whose certificate has this SHA-256, if one is known.
 pub(crate) async fn connect(
     address: SocketAddr,
-    digest: [u8; 32],
+    digest: Option<[u8; 32]>,
 ) -> Result<(quinn::Endpoint, quinn::Connection), QuicError> {
     let other = |error: &dyn std::fmt::Display| QuicError::Other(error.to_string());
     let local: SocketAddr =
@@ -125,6 +125,12 @@ pub(crate) async fn connect(
     Ok((endpoint, connection))
 }
 
+/// SHA-256 of the certificate that the server has shown.
+pub(crate) fn certificate_of(connection: &quinn::Connection) -> Option<[u8; 32]> {
+    let chain = connection.peer_identity()?.downcast::<Vec<CertificateDer<'static>>>().ok()?;
+    sha256(chain.first()?)
+}
+
 /// A socket whose kernel buffer takes a burst of packets.
 fn socket(local: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
     let socket = socket2::Socket::new(socket2::Domain::for_address(local), socket2::Type::DGRAM, None)?;
@@ -135,7 +141,7 @@ fn socket(local: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
 }
 
 fn config(
-    digest: [u8; 32],
+    digest: Option<[u8; 32]>,
     refused: Arc<AtomicBool>,
 ) -> Result<quinn::ClientConfig, Box<dyn std::error::Error + Send + Sync>> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());
@@ -190,7 +196,8 @@ mod tests {
             accepted
         };
         let digest = sha256(b"abc").unwrap();
-        assert!(verify(digest));
-        assert!(!verify(digest.map(|byte| byte ^ 1)));
+        assert!(verify(Some(digest)));
+        assert!(!verify(Some(digest.map(|byte| byte ^ 1))));
+        assert!(verify(None), "a first visit");
     }
 }

@@ -47,7 +47,7 @@ pub struct ServerUrl {
     pub host: String,
     /// UDP port (QUIC), or TCP port of the control conversation (lab transports).
     pub port: u16,
-    /// SHA-256 of the certificate that the server has to show; always there for QUIC.
+    /// SHA-256 of the certificate that the server has to show. QUIC has none on a first visit only: `?cert=first-use`.
     pub certificate: Option<[u8; 32]>,
 }
 
@@ -102,15 +102,16 @@ impl FromStr for ServerUrl {
         if !url.username().is_empty() || url.fragment().is_some() {
             return Err(UrlError::Surplus(url.fragment().unwrap_or(url.username()).to_owned()));
         }
-        let mut certificate = None;
+        let (mut certificate, mut first_use) = (None, false);
         for (key, value) in url.query_pairs() {
             match key.as_ref() {
+                "cert" if value == "first-use" => first_use = true,
                 "cert" => certificate = Some(digest(&value)?),
                 _ => return Err(UrlError::Surplus(format!("{key}={value}"))),
             }
         }
         match transport {
-            Transport::Quic if certificate.is_none() => return Err(UrlError::NoCertificate),
+            Transport::Quic if certificate.is_none() && !first_use => return Err(UrlError::NoCertificate),
             Transport::LabUdp | Transport::LabTcp if !is_loopback(&host) => return Err(UrlError::NotLoopback(host)),
             Transport::Quic | Transport::LabUdp | Transport::LabTcp => {}
         }
@@ -163,6 +164,8 @@ mod tests {
         assert_eq!(url.to_string(), "gnomon://edge.example:4433");
         let url: ServerUrl = format!("gnomon://[::1]:5?cert={}", cert.to_uppercase()).parse().unwrap();
         assert_eq!((url.host.as_str(), url.to_string().as_str()), ("::1", "gnomon://[::1]:5"));
+        let url: ServerUrl = "gnomon://edge.example:4433/?cert=first-use".parse().unwrap();
+        assert_eq!((url.transport, url.certificate), (Transport::Quic, None));
         let url: ServerUrl = "gnomon+lab-udp://127.0.0.1:7".parse().unwrap();
         assert_eq!((url.transport, url.certificate), (Transport::LabUdp, None));
         let url: ServerUrl = "gnomon+lab-tcp://localhost:8/".parse().unwrap();

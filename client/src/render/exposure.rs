@@ -82,6 +82,7 @@ impl Exposure {
         let mut lighting = Lighting {
             ambient_above: AMBIENT_ABOVE * ambient,
             ambient_below: AMBIENT_BELOW * ambient,
+            lit_from_px: u32::MAX,
             zenith: ZENITH,
             horizon: HORIZON,
             ..bytemuck::Zeroable::zeroed()

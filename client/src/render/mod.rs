@@ -3,9 +3,11 @@
 //! It draws into whatever view it is given and knows nothing of files, windows or the network.
 
 mod blend;
+pub mod debug_view;
 pub mod exposure;
 mod gbuffer;
 pub mod predict;
+pub(crate) mod present;
 pub mod readback;
 mod scene_upload;
 mod shade;
@@ -23,7 +25,7 @@ use gnomon_shaders::{
     camera::Camera,
     gpu::Gpu,
     scene::Scene,
-    shading::View,
+    shading::{Lighting, View},
     splice::{SpliceError, splice},
 };
 use thiserror::Error;
@@ -31,6 +33,7 @@ use wgpu::util::DeviceExt as _;
 
 use self::{
     blend::BlendPass,
+    debug_view::{DebugPass, DebugView},
     exposure::Exposure,
     gbuffer::GbufferPass,
     predict::{MaskView, PredictPass, depth_history::DepthHistory},
@@ -90,6 +93,14 @@ pub struct FrameRenderer {
     shade: ShadePass,
     blend: BlendPass,
     tone: TonePass,
+    debug: DebugPass,
+    debug_view: DebugView,
+    lighting: wgpu::Buffer,
+    lights: Lighting,
+    /// A bit for each light that is on.
+    lights_on: u32,
+    /// First column in which every light reaches everything, if any does.
+    split_px: Option<u32>,
     failure: Arc<Mutex<Option<String>>>,
 }
 
@@ -109,12 +120,7 @@ impl FrameRenderer {
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
         let failure = watch(device);
-        let limits = device.limits();
-        let side = width.max(height);
-        if side > limits.max_texture_dimension_2d {
-            let limit = limits.max_texture_dimension_2d.into();
-            return Err(RenderError::TooLarge { what: "picture side", needed: side.into(), limit });
-        }
+        check_side(device, width.max(height))?;
         // Anisotropic filtering is nearly free on a GPU and costs several times the rest of the frame in software.
         let scene_upload = SceneUpload::new(device, &gpu.queue, scene, if gpu.is_software() { 1 } else { 8 })?;
         let targets = Targets::new(device, width, height);
@@ -126,12 +132,18 @@ impl FrameRenderer {
             mapped_at_creation: false,
         });
         let gbuffer = GbufferPass::new(device, &view, &scene_upload.material_layout)?;
-        let lighting = constant(device, "lighting", &exposure.lighting(&scene.lights));
+        let lights = exposure.lighting(&scene.lights);
+        let lighting = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("lighting"),
+            contents: bytemuck::bytes_of(&lights),
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        });
         let constants = (&view, &lighting);
         let predict = PredictPass::new(gpu, scene, &scene_upload, &targets, &history, constants, predictor)?;
         let shade = ShadePass::new(device, constants, &targets, &history, scene)?;
         let blend = BlendPass::new(device, shade.layout(), &scene_upload)?;
         let tone = TonePass::new(device, &targets, format)?;
+        let debug = DebugPass::new(device, &view, &targets, &history, format)?;
         let renderer = Self {
             gpu: gpu.clone(),
             origin_m: scene.origin_m,
@@ -145,10 +157,66 @@ impl FrameRenderer {
             shade,
             blend,
             tone,
+            debug,
+            debug_view: DebugView::Picture,
+            lighting,
+            lights,
+            lights_on: u32::MAX,
+            split_px: None,
             failure,
         };
         renderer.check()?;
         Ok(renderer)
+    }
+
+    /// Goes on with pictures of another size, in the same scene and with the mask that is there.
+    ///
+    /// # Errors
+    /// When the picture is too large for the adapter, or it fails.
+    pub fn resize(&mut self, (width, height): (u32, u32)) -> Result<(), RenderError> {
+        let device = &self.gpu.device;
+        check_side(device, width.max(height))?;
+        self.targets = Targets::new(device, width, height);
+        self.history = DepthHistory::new(device, width, height);
+        self.predict.resize(device, &self.targets, &self.history);
+        self.shade.resize(device, &self.targets, &self.history);
+        self.tone.resize(device, &self.targets);
+        self.debug.resize(device, &self.targets, &self.history);
+        self.check()
+    }
+
+    /// Width and height of the pictures, in pixels.
+    #[must_use]
+    pub fn size(&self) -> (u32, u32) {
+        (self.targets.width, self.targets.height)
+    }
+
+    /// What pictures show, from the next one on.
+    pub fn set_debug_view(&mut self, view: DebugView) {
+        self.debug_view = view;
+    }
+
+    /// Which lights shine, a bit each, from the next picture on: the others send nothing, whatever they reach.
+    pub fn set_lights_on(&mut self, lights_on: u32) {
+        self.lights_on = lights_on;
+        self.write_lighting();
+    }
+
+    /// From which column on, if any, every light reaches everything: what the picture would be without visibility.
+    pub fn set_split(&mut self, split_px: Option<u32>) {
+        self.split_px = split_px;
+        self.write_lighting();
+    }
+
+    fn write_lighting(&self) {
+        let mut lights = self.lights;
+        lights.lit_from_px = self.split_px.unwrap_or(u32::MAX);
+        for (k, light) in lights.lights.iter_mut().enumerate() {
+            if self.lights_on & (1 << k) == 0 {
+                light.intensity = glam::Vec3::ZERO;
+            }
+        }
+        self.gpu.queue.write_buffer(&self.lighting, 0, bytemuck::bytes_of(&lights));
     }
 
     /// The exposure that pictures are shown with.
@@ -185,6 +253,12 @@ impl FrameRenderer {
         Ok(used)
     }
 
+    /// What the mask that is carried over was traced for.
+    #[must_use]
+    pub fn mask_view(&self) -> Option<Camera> {
+        self.predict.traced_for()
+    }
+
     /// How visibility is carried over from the mask's view, from the next picture on.
     pub fn set_predictor(&mut self, predictor: Predictor) {
         self.predict.predictor = predictor;
@@ -212,7 +286,10 @@ impl FrameRenderer {
         let eye = (camera.position_m - self.origin_m).as_vec3();
         let group = self.shade.group(&self.history);
         self.blend.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene, group, eye);
-        self.tone.encode(&mut encoder, target);
+        match self.debug_view {
+            DebugView::Picture => self.tone.encode(&mut encoder, target),
+            view => self.debug.encode(&self.gpu.queue, &mut encoder, view, &self.history, target),
+        }
         more(&mut encoder);
         let submission = self.gpu.queue.submit([encoder.finish()]);
         self.check().map(|()| submission)
@@ -255,6 +332,14 @@ impl FrameRenderer {
         let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone();
         failure.map_or(Ok(()), |reason| Err(RenderError::Device(reason)))
     }
+}
+
+fn check_side(device: &wgpu::Device, side: u32) -> Result<(), RenderError> {
+    let limit = device.limits().max_texture_dimension_2d;
+    if side > limit {
+        return Err(RenderError::TooLarge { what: "picture side", needed: side.into(), limit: limit.into() });
+    }
+    Ok(())
 }
 
 /// Keeps the device's first failure, which wgpu would otherwise panic about.

@@ -46,7 +46,10 @@ impl PictureReader {
     #[must_use]
     pub fn new(gpu: &Gpu, width: u32, height: u32, ahead: usize) -> Self {
         let slot = || {
-            let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
+            // A window shows the very picture that can be copied.
+            let usage = wgpu::TextureUsages::RENDER_ATTACHMENT
+                | wgpu::TextureUsages::COPY_SRC
+                | wgpu::TextureUsages::TEXTURE_BINDING;
             let texture = targets::texture(&gpu.device, "picture", (width, height), PICTURE_FORMAT, usage);
             let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("picture"),
@@ -58,6 +61,12 @@ impl PictureReader {
         };
         let slots = (0..ahead.max(1)).map(|_| slot()).collect();
         Self { gpu: gpu.clone(), width, height, slots, next: 0, under_way: VecDeque::new() }
+    }
+
+    /// Width and height of the pictures, in pixels.
+    #[must_use]
+    pub fn size(&self) -> (u32, u32) {
+        (self.width, self.height)
     }
 
     /// Where the next picture is to be drawn. There is room once [`Self::is_full`] is false.

@@ -20,6 +20,10 @@ use super::{
 #[derive(Debug)]
 pub(crate) struct ShadePass {
     layout: wgpu::BindGroupLayout,
+    view: wgpu::Buffer,
+    lighting: wgpu::Buffer,
+    /// Emitted light of every material.
+    emitted: wgpu::Buffer,
     /// By the place of the picture's depth in the history.
     groups: Vec<wgpu::BindGroup>,
     pipeline: wgpu::RenderPipeline,
@@ -43,13 +47,23 @@ impl ShadePass {
             usage: wgpu::BufferUsages::STORAGE,
         });
         let layout = layout(device);
+        let module = shader(device, "shading/shade.wgsl")?;
+        let pipeline = covering_pipeline(device, &module, &[&layout], "shade", LIGHT);
+        let (view, lighting) = (view.clone(), lighting.clone());
+        let mut pass = Self { layout, view, lighting, emitted, groups: Vec::new(), pipeline };
+        pass.resize(device, targets, history);
+        Ok(pass)
+    }
+
+    /// Goes on with pictures of another size.
+    pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
         let picture = wgpu::BindingResource::TextureView;
         let group = |depth| {
             let resources = [
-                view.as_entire_binding(),
-                lighting.as_entire_binding(),
+                self.view.as_entire_binding(),
+                self.lighting.as_entire_binding(),
                 picture(&targets.visibility),
-                emitted.as_entire_binding(),
+                self.emitted.as_entire_binding(),
                 picture(depth),
                 picture(&targets.color),
                 picture(&targets.normal_material),
@@ -58,14 +72,11 @@ impl ShadePass {
                 (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
             device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some("shading"),
-                layout: &layout,
+                layout: &self.layout,
                 entries: &entries,
             })
         };
-        let groups = history.views().map(group).collect();
-        let module = shader(device, "shading/shade.wgsl")?;
-        let pipeline = covering_pipeline(device, &module, &[&layout], "shade", LIGHT);
-        Ok(Self { layout, groups, pipeline })
+        self.groups = history.views().map(group).collect();
     }
 
     pub(crate) fn layout(&self) -> &wgpu::BindGroupLayout {

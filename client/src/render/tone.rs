@@ -7,6 +7,8 @@ use super::{RenderError, cleared, constant, covering_pipeline, exposure, shader,
 /// The pass.
 #[derive(Debug)]
 pub(crate) struct TonePass {
+    layout: wgpu::BindGroupLayout,
+    tone: wgpu::Buffer,
     group: wgpu::BindGroup,
     pipeline: wgpu::RenderPipeline,
 }
@@ -38,17 +40,15 @@ impl TonePass {
             ],
         });
         let tone = constant(device, "tone", &exposure::tone());
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("tone"),
-            layout: &layout,
-            entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: tone.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&targets.light) },
-            ],
-        });
+        let group = group(device, &layout, &tone, targets);
         let module = shader(device, "shading/tone.wgsl")?;
         let pipeline = covering_pipeline(device, &module, &[&layout], "show", format);
-        Ok(Self { group, pipeline })
+        Ok(Self { layout, tone, group, pipeline })
+    }
+
+    /// Goes on with pictures of another size.
+    pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets) {
+        self.group = group(device, &self.layout, &self.tone, targets);
     }
 
     pub(crate) fn encode(&self, encoder: &mut wgpu::CommandEncoder, target: &wgpu::TextureView) {
@@ -61,4 +61,20 @@ impl TonePass {
         pass.set_bind_group(0, &self.group, &[]);
         pass.draw(0..3, 0..1);
     }
+}
+
+fn group(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    tone: &wgpu::Buffer,
+    targets: &Targets,
+) -> wgpu::BindGroup {
+    device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("tone"),
+        layout,
+        entries: &[
+            wgpu::BindGroupEntry { binding: 0, resource: tone.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&targets.light) },
+        ],
+    })
 }

@@ -33,7 +33,7 @@ fn reached_behind(k: u32, pixel: vec2u) -> f32 {
     if dot(unpack_normal(behind.x), light.toward) <= 0.0 || all(light.irradiance <= vec3f(0.0)) {
         return 1.0;
     }
-    return reached(k, textureLoad(visibility_picture, pixel, 0).xy);
+    return reached(k, visibility_of(pixel));
 }
 
 @fragment

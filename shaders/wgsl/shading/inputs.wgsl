@@ -14,6 +14,11 @@
 @group(0) @binding(5) var color_picture: texture_2d<f32>;
 @group(0) @binding(6) var normal_material_picture: texture_2d<u32>;
 
+// What is known of a pixel's lights; in columns that show the scene without visibility, that all of them reach it.
+fn visibility_of(pixel: vec2u) -> vec2u {
+    return select(textureLoad(visibility_picture, pixel, 0).xy, vec2u(0xffffffffu), pixel.x >= lighting.lit_from_px);
+}
+
 // How much of light k reaches the surface in a pixel: 0 or 1, and in between while the one source fades into the other.
 fn reached(k: u32, visibility: vec2u) -> f32 {
     return mix(f32((visibility.y >> k) & 1u), f32((visibility.x >> k) & 1u), view.visibility_share);

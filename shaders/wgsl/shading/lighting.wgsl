@@ -31,7 +31,8 @@ struct Lighting {
     count: u32,
     // Ambient irradiance from below, times the exposure.
     ambient_below: vec3f,
-    unused_0: f32,
+    // First column of the picture in which every light reaches everything.
+    lit_from_px: u32,
     // Radiance of the sky at the zenith and at the horizon, exposed.
     zenith: vec3f,
     unused_1: f32,

@@ -21,7 +21,7 @@ fn shade(@builtin(position) place: vec4f) -> @location(0) vec4f {
     }
     let point = surface_point(pixel);
     let normal = unpack_normal(normal_material.x);
-    let visibility = textureLoad(visibility_picture, pixel, 0).xy;
+    let visibility = visibility_of(pixel);
     var irradiance = ambient(lighting.ambient_above, lighting.ambient_below, normal);
     for (var k = 0u; k < lighting.count; k++) {
         let light = arrival(lighting.lights[k], point);

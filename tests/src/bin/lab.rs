@@ -17,6 +17,7 @@ use gnomon_tests::{
         pareto::{self, ParetoOptions},
         pipeline::{self, PipelineOptions},
         predict_cost::{self, PredictCostOptions},
+        replay::{self, ReplayOptions},
         trace_error::{self, TraceErrorOptions},
         video::{self, VideoOptions},
     },
@@ -58,6 +59,8 @@ enum Command {
     Network(NetworkOptions),
     /// Turns every knob that trades speed for error, over the real scenes: writes pareto.csv and a plot of each scene.
     Pareto(ParetoOptions),
+    /// Draws a client's recording again: the same pictures to the last bit on the same adapter.
+    Replay(ReplayOptions),
     /// Compares the back ends' masks with the f64 referee's, directly.
     TraceError(TraceErrorOptions),
     /// Compares sending visibility with sending the picture as video: writes video.csv and plots.
@@ -98,8 +101,12 @@ fn run(arguments: Arguments) -> Result<()> {
             print!("{}", network::measure(&options, |line| eprintln!("{line}"))?.markdown());
         }
         Command::Pareto(options) => pareto::measure(&options, |line| eprintln!("{line}"))?,
-        Command::Video(options) => print!("{}", video::measure(&options, |line| eprintln!("{line}"))?.markdown()),
+        Command::Replay(options) => {
+            let done = replay::run(&options, |line| println!("{line}"))?;
+            println!("{} pictures, {} masks, {} network events", done.frames, done.masks, done.events);
+        }
         Command::TraceError(options) => trace_error::compare(&options, |line| println!("{line}"))?,
+        Command::Video(options) => print!("{}", video::measure(&options, |line| eprintln!("{line}"))?.markdown()),
     }
     Ok(())
 }

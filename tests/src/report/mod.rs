@@ -15,6 +15,7 @@ pub mod plot;
 pub mod predict_cost;
 mod predict_rig;
 pub mod prediction_error;
+pub mod replay;
 pub mod scene_args;
 pub mod table;
 pub mod trace_error;

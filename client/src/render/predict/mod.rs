@@ -52,6 +52,7 @@ pub(crate) struct PredictPass {
     pub(crate) predictor: Predictor,
     pipeline: wgpu::RenderPipeline,
     scene_group: wgpu::BindGroup,
+    surface_layout: wgpu::BindGroupLayout,
     mask_layout: wgpu::BindGroupLayout,
     /// The picture's own surfaces, by the place of its depth in the history.
     surface_groups: Vec<wgpu::BindGroup>,
@@ -122,10 +123,7 @@ impl PredictPass {
                 unknown.binding(),
             ],
         );
-        let surface_groups = history
-            .views()
-            .map(|depth| group(device, &surface_layout, &[picture(depth), picture(&targets.normal_material)]))
-            .collect();
+        let surface_groups = surface_groups(device, &surface_layout, targets, history);
         let module = shader(device, "shading/predict.wgsl")?;
         let layouts = [&scene_layout, &surface_layout, &mask_layout];
         let pipeline = covering_pipeline(device, &module, &layouts, "predict", VISIBILITY);
@@ -139,6 +137,7 @@ impl PredictPass {
             predictor,
             pipeline,
             scene_group,
+            surface_layout,
             mask_layout,
             surface_groups,
             nearest: device.create_sampler(&wgpu::SamplerDescriptor::default()),
@@ -153,6 +152,14 @@ impl PredictPass {
             depth: None,
             drawn: None,
         })
+    }
+
+    /// Goes on with pictures of another size. The mask stays: it is carried over.
+    pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
+        self.surface_groups = surface_groups(device, &self.surface_layout, targets, history);
+        self.pixels = targets.width * targets.height;
+        // What the history held is gone.
+        self.depth = self.depth.filter(|depth| *depth == MaskDepth::Drawn);
     }
 
     /// Takes another mask, or none. Whether it can be used is the answer: its lights must be the scene's, and its size the
@@ -179,6 +186,11 @@ impl PredictPass {
         }
         self.words.write(&self.words_pass, &gpu.queue, encoder, mask);
         Ok(true)
+    }
+
+    /// The view of the mask, when there is one.
+    pub(crate) fn traced_for(&self) -> Option<Camera> {
+        self.traced_for
     }
 
     /// The picture in the history that the mask refers to, which must not be drawn over.
@@ -294,6 +306,17 @@ impl PredictPass {
             MaskDepth::Drawn => drawn.clone(),
         }
     }
+}
+
+/// The picture's own surfaces, by the place of its depth in the history.
+fn surface_groups(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    targets: &Targets,
+    history: &DepthHistory,
+) -> Vec<wgpu::BindGroup> {
+    let picture = wgpu::BindingResource::TextureView;
+    history.views().map(|depth| group(device, layout, &[picture(depth), picture(&targets.normal_material)])).collect()
 }
 
 /// The layouts of the pass's three groups: the scene and its lights, the picture's surfaces, the mask.

@@ -1,0 +1,181 @@
+//! Which key does what. Walking goes by where a key is, commands by what is written on it.
+
+use winit::keyboard::{Key, KeyCode, NamedKey};
+
+/// A direction, for as long as its key is held.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MoveKey {
+    /// Along the view.
+    Forward,
+    /// Against it.
+    Back,
+    /// To the left.
+    Left,
+    /// To the right.
+    Right,
+    /// Up in the world.
+    Up,
+    /// Down in the world.
+    Down,
+    /// Any way, faster.
+    Fast,
+}
+
+/// Something that a key does once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Command {
+    /// The camera path instead of the person, or the person again.
+    Path,
+    /// The whole screen, or a window again.
+    FullScreen,
+    /// Keep a picture.
+    Picture,
+    /// What the keys do.
+    Help,
+    /// Figures and choices.
+    Overlay,
+    /// The next way to predict.
+    Predictor,
+    /// The next mode.
+    Mode,
+    /// The next guard band.
+    Guard,
+    /// The next debug view.
+    View,
+    /// With and without visibility, side by side.
+    Split,
+    /// Wait for the screen or not.
+    Vsync,
+    /// This light, on or off.
+    Light(u32),
+    /// The end.
+    Leave,
+}
+
+/// Every command's key and what it does, for whoever asks.
+pub const HELP: [(&str, &str); 15] = [
+    ("W A S D, arrows", "walk"),
+    ("Q E", "down and up"),
+    ("Shift", "faster while held"),
+    ("drag", "look; with two fingers walk"),
+    ("wheel", "speed"),
+    ("Tab", "camera path"),
+    ("F", "full screen"),
+    ("P", "picture to a PNG file"),
+    ("O", "figures and choices"),
+    ("V", "next debug view"),
+    ("B", "split: without visibility on the right"),
+    ("1 to 9", "each light on and off"),
+    ("R M G", "predictor, mode, guard band"),
+    ("X", "wait for the screen (vsync)"),
+    ("H, Esc", "this help, leave"),
+];
+
+/// Keys that are down, a bit each.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Held(u8);
+
+impl Held {
+    /// Notes a key's press or release.
+    pub fn set(&mut self, key: MoveKey, down: bool) {
+        let bit = 1 << key as u8;
+        self.0 = if down { self.0 | bit } else { self.0 & !bit };
+    }
+
+    fn has(self, key: MoveKey) -> bool {
+        self.0 & (1 << key as u8) != 0
+    }
+
+    fn between(self, positive: MoveKey, negative: MoveKey) -> f64 {
+        f64::from(i8::from(self.has(positive)) - i8::from(self.has(negative)))
+    }
+
+    pub(crate) fn forward(self) -> f64 {
+        self.between(MoveKey::Forward, MoveKey::Back)
+    }
+
+    pub(crate) fn right(self) -> f64 {
+        self.between(MoveKey::Right, MoveKey::Left)
+    }
+
+    pub(crate) fn up(self) -> f64 {
+        self.between(MoveKey::Up, MoveKey::Down)
+    }
+
+    pub(crate) fn fast(self) -> bool {
+        self.has(MoveKey::Fast)
+    }
+}
+
+/// The direction of a key, if it has one.
+#[must_use]
+pub fn move_key(code: KeyCode) -> Option<MoveKey> {
+    Some(match code {
+        KeyCode::KeyW | KeyCode::ArrowUp => MoveKey::Forward,
+        KeyCode::KeyS | KeyCode::ArrowDown => MoveKey::Back,
+        KeyCode::KeyA | KeyCode::ArrowLeft => MoveKey::Left,
+        KeyCode::KeyD | KeyCode::ArrowRight => MoveKey::Right,
+        KeyCode::KeyE | KeyCode::PageUp => MoveKey::Up,
+        KeyCode::KeyQ | KeyCode::PageDown => MoveKey::Down,
+        KeyCode::ShiftLeft | KeyCode::ShiftRight => MoveKey::Fast,
+        _ => return None,
+    })
+}
+
+/// The command of a key, if it has one.
+#[must_use]
+pub fn command(key: &Key) -> Option<Command> {
+    match key {
+        Key::Named(NamedKey::Tab) => Some(Command::Path),
+        Key::Named(NamedKey::Escape) => Some(Command::Leave),
+        Key::Named(NamedKey::F11) => Some(Command::FullScreen),
+        Key::Named(NamedKey::F1) => Some(Command::Help),
+        Key::Character(text) => Some(match text.to_lowercase().as_str() {
+            "f" => Command::FullScreen,
+            "p" => Command::Picture,
+            "h" | "?" => Command::Help,
+            "o" => Command::Overlay,
+            "r" => Command::Predictor,
+            "m" => Command::Mode,
+            "g" => Command::Guard,
+            "v" => Command::View,
+            "b" => Command::Split,
+            "x" => Command::Vsync,
+            digit => Command::Light(digit.parse::<u32>().ok().filter(|digit| (1..=9).contains(digit))? - 1),
+        }),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn letters_and_digits_are_commands_whatever_their_case() {
+        let of = |text: &str| command(&Key::Character(text.into()));
+        assert_eq!(
+            (of("f"), of("P"), of("H")),
+            (Some(Command::FullScreen), Some(Command::Picture), Some(Command::Help))
+        );
+        assert_eq!(
+            (of("1"), of("9"), of("0"), of("w")),
+            (Some(Command::Light(0)), Some(Command::Light(8)), None, None)
+        );
+        assert_eq!(command(&Key::Named(NamedKey::Tab)), Some(Command::Path));
+        assert_eq!(command(&Key::Named(NamedKey::Escape)), Some(Command::Leave));
+    }
+
+    #[test]
+    fn arrows_walk_as_letters_do() {
+        for (letter, arrow) in [
+            (KeyCode::KeyW, KeyCode::ArrowUp),
+            (KeyCode::KeyA, KeyCode::ArrowLeft),
+            (KeyCode::KeyS, KeyCode::ArrowDown),
+            (KeyCode::KeyD, KeyCode::ArrowRight),
+        ] {
+            assert!(move_key(letter).is_some() && move_key(letter) == move_key(arrow));
+        }
+        assert_eq!(move_key(KeyCode::KeyF), None);
+    }
+}

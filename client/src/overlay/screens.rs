@@ -1,0 +1,48 @@
+//! What is shown where there is no picture yet, or no more.
+
+use egui::{Align2, RichText};
+
+use super::{BLUE, frame};
+
+/// The scene is on its way: `text` says how far, `share` how much of it is there.
+pub(crate) fn loading(
+    context: &egui::Context,
+    server: &str,
+    fingerprint: Option<&str>,
+    text: &str,
+    share: Option<f32>,
+) {
+    egui::Area::new(egui::Id::unique("loading")).anchor(Align2::CENTER_CENTER, [0.0, 0.0]).show(context, |ui| {
+        frame().show(ui, |ui| {
+            ui.set_width(420.0);
+            ui.label(RichText::new("Gnomon").size(26.0).strong());
+            ui.label(RichText::new(server).color(BLUE).size(16.0));
+            if let Some(fingerprint) = fingerprint {
+                ui.label(format!("certificate {fingerprint}…"));
+            }
+            ui.add_space(8.0);
+            if let Some(share) = share {
+                ui.add(egui::ProgressBar::new(share).desired_width(400.0).show_percentage());
+            }
+            ui.label(RichText::new(text).size(15.0));
+        });
+    });
+}
+
+/// There is nothing to show, and why. Whether the person wants to try again is the answer.
+pub(crate) fn failure(context: &egui::Context, reason: &str) -> bool {
+    let mut again = false;
+    egui::Area::new(egui::Id::unique("failure")).anchor(Align2::CENTER_CENTER, [0.0, 0.0]).show(context, |ui| {
+        frame().show(ui, |ui| {
+            ui.set_width(460.0);
+            ui.label(RichText::new("No picture").size(22.0).strong());
+            ui.add(egui::Label::new(RichText::new(reason).size(15.0)).wrap());
+            ui.add_space(8.0);
+            ui.horizontal(|ui| {
+                again = ui.button(RichText::new("try again (Enter)").size(15.0)).clicked();
+                ui.label("or leave with Esc");
+            });
+        });
+    });
+    again || context.input(|input| input.key_pressed(egui::Key::Enter))
+}

@@ -1,0 +1,131 @@
+//! What a person can change while the window is open.
+
+use crate::{
+    guard::{Guard, GuardSize},
+    input::keys::Command,
+    mode::Mode,
+    predictor::Predictor,
+    render::debug_view::DebugView,
+};
+
+/// The choices.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// How visibility is carried over.
+    pub predictor: Predictor,
+    /// Which pose is drawn.
+    pub mode: Mode,
+    /// The guard band.
+    pub guard: Guard,
+    /// What is shown.
+    pub view: DebugView,
+    /// Whether the right half is drawn without visibility.
+    pub split: bool,
+    /// Lights of the scene.
+    pub lights: u32,
+    /// A bit for each light that is on.
+    pub lights_on: u32,
+    /// Whether pictures wait for the screen.
+    pub vsync: bool,
+    /// Whether figures and choices are shown.
+    pub overlay: bool,
+    /// Whether the keys are explained.
+    pub help: bool,
+}
+
+/// The guard bands that a key goes through.
+pub const GUARDS: [Guard; 4] = [
+    Guard::Fixed(GuardSize { width: 0, height: 0 }),
+    Guard::Fixed(GuardSize { width: 64, height: 36 }),
+    Guard::Fixed(GuardSize { width: 128, height: 72 }),
+    Guard::Auto,
+];
+
+/// The modes that a key goes through.
+pub const MODES: [Mode; 3] = [Mode::Auto, Mode::Concurrent, Mode::Sequential];
+
+fn after<T: Copy + PartialEq>(all: &[T], now: T) -> T {
+    let place = all.iter().position(|one| *one == now).map_or(0, |place| (place + 1) % all.len().max(1));
+    all.get(place).copied().unwrap_or(now)
+}
+
+impl Settings {
+    /// All that can be shown, in the order in which a key goes through it.
+    pub fn views(&self) -> impl Iterator<Item = DebugView> {
+        let lights = (0..self.lights).map(DebugView::Light);
+        [DebugView::Picture, DebugView::Unknown, DebugView::Age { lag: 0 }, DebugView::Depth, DebugView::Normals]
+            .into_iter()
+            .chain(lights)
+    }
+
+    /// Does what a key says, if it is about a choice.
+    pub fn apply(&mut self, command: Command) {
+        match command {
+            Command::Help => self.help = !self.help,
+            Command::Overlay => self.overlay = !self.overlay,
+            Command::Predictor => {
+                let all = Predictor::ALL.map(|(_, predictor)| predictor);
+                self.predictor = after(&all, self.predictor);
+            }
+            Command::Mode => self.mode = after(&MODES, self.mode),
+            Command::Guard => self.guard = after(&GUARDS, self.guard),
+            Command::View => {
+                let all: Vec<_> = self.views().collect();
+                self.view = after(&all, self.view);
+            }
+            Command::Split => self.split = !self.split,
+            Command::Vsync => self.vsync = !self.vsync,
+            Command::Light(k) if k < self.lights => self.lights_on ^= 1 << k,
+            Command::Light(_) | Command::Path | Command::FullScreen | Command::Picture | Command::Leave => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings() -> Settings {
+        Settings {
+            predictor: Predictor::default(),
+            mode: Mode::default(),
+            guard: Guard::default(),
+            view: DebugView::default(),
+            split: false,
+            lights: 3,
+            lights_on: 0b111,
+            vsync: true,
+            overlay: true,
+            help: false,
+        }
+    }
+
+    #[test]
+    fn keys_go_through_every_choice_and_come_back() {
+        for (command, steps) in
+            [(Command::Predictor, 5), (Command::Mode, 3), (Command::Guard, 4), (Command::View, 8), (Command::Split, 2)]
+        {
+            let mut changed = settings();
+            for step in 1..=steps {
+                changed.apply(command);
+                assert_eq!(changed == settings(), step == steps, "{command:?} after {step}: {changed:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_light_that_is_not_there_is_no_light() {
+        let mut changed = settings();
+        changed.apply(Command::Light(1));
+        assert_eq!(changed.lights_on, 0b101);
+        changed.apply(Command::Light(3));
+        assert_eq!(changed.lights_on, 0b101);
+    }
+
+    #[test]
+    fn a_guard_band_of_the_command_line_leads_to_the_first_of_the_list() {
+        let mut changed = Settings { guard: "640x360".parse().unwrap(), ..settings() };
+        changed.apply(Command::Guard);
+        assert_eq!(changed.guard, GUARDS[0]);
+    }
+}

@@ -1,0 +1,357 @@
+//! The client in a window: what happens in it, from the first event to the last.
+//!
+//! The window shares every pass with headless runs: it is another source of poses ([`play`]) and another place for pictures
+//! ([`screen`]). Everything runs on the thread that the system wants windows to live on; only getting the scene ([`loading`]) and the
+//! network have their own.
+
+mod events;
+mod loading;
+mod painter;
+mod play;
+mod screen;
+#[cfg(test)]
+mod tests;
+
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use gnomon_shaders::gpu::GpuOptions;
+use winit::{
+    application::ApplicationHandler,
+    dpi::PhysicalSize,
+    event::WindowEvent,
+    event_loop::{ActiveEventLoop, ControlFlow, EventLoop},
+    window::{Fullscreen, Window, WindowId},
+};
+
+use self::{
+    loading::Loading,
+    play::{Play, largest_mask},
+    screen::Screen,
+};
+use crate::{
+    camera_path::CameraPath,
+    error::ClientError,
+    input::{Controls, gamepad::Gamepad, keys::Command},
+    options::{Source, WindowOptions},
+    overlay, servers,
+    settings::Settings,
+};
+
+/// How long a notice stays.
+const NOTICE: Duration = Duration::from_secs(4);
+
+/// How often a window that nobody sees is looked after.
+const UNSEEN: Duration = Duration::from_millis(100);
+
+/// Smallest window, in pixels.
+const SMALLEST: PhysicalSize<u32> = PhysicalSize::new(160, 90);
+
+/// Opens a window and lives in it until it is closed.
+///
+/// # Errors
+/// When there can be no window or no picture in it, or, where it leaves by itself, when there was none.
+pub fn run_window(options: WindowOptions) -> Result<(), ClientError> {
+    options.run.validate()?;
+    let camera_path = options.run.path.as_ref().map(CameraPath::load).transpose()?;
+    let event_loop = EventLoop::new().map_err(|error| ClientError::Window(error.to_string()))?;
+    let settings = play::settings(&options.run, options.vsync);
+    let mut app = App {
+        began: Instant::now(),
+        camera_path,
+        settings,
+        controls: Controls::default(),
+        gamepad: Gamepad::open(),
+        commands: Vec::new(),
+        opened: None,
+        stage: Stage::Closed,
+        notice: None,
+        last_frame: None,
+        unseen: false,
+        largest: (0, 0),
+        result: Ok(()),
+        options,
+    };
+    event_loop.run_app(&mut app).map_err(|error| ClientError::Window(error.to_string()))?;
+    app.close()
+}
+
+/// The window and what draws in it.
+struct Opened {
+    window: Arc<Window>,
+    screen: Screen,
+    egui: egui_winit::State,
+}
+
+/// Where the client is.
+enum Stage {
+    Closed,
+    Loading(Loading),
+    Playing(Box<Play>),
+    Failed(String),
+}
+
+struct App {
+    options: WindowOptions,
+    began: Instant,
+    camera_path: Option<CameraPath>,
+    settings: Settings,
+    controls: Controls,
+    gamepad: Gamepad,
+    /// What keys have asked for since the frame before; a frame's worth of keys at most.
+    commands: Vec<Command>,
+    opened: Option<Opened>,
+    stage: Stage,
+    notice: Option<(String, Instant)>,
+    last_frame: Option<Instant>,
+    /// Whether the window is minimised or covered.
+    unseen: bool,
+    /// Largest picture that there will be, in pixels.
+    largest: (u32, u32),
+    result: Result<(), ClientError>,
+}
+
+impl App {
+    fn open(&mut self, event_loop: &ActiveEventLoop) -> Result<(), ClientError> {
+        let run = &self.options.run;
+        let full_screen = self.options.full_screen.then_some(Fullscreen::Borderless(None));
+        let attributes = Window::default_attributes()
+            .with_title("Gnomon")
+            .with_inner_size(PhysicalSize::new(run.width, run.height))
+            .with_min_inner_size(SMALLEST)
+            .with_fullscreen(full_screen);
+        let window = event_loop.create_window(attributes).map_err(|error| ClientError::Window(error.to_string()))?;
+        let window = Arc::new(window);
+        let adapter =
+            GpuOptions { adapter: run.adapter.clone(), allow_software: run.allow_software, ..GpuOptions::default() };
+        let screen = Screen::open(&window, &adapter, self.options.vsync)?;
+        let context = egui::Context::default();
+        overlay::style(&context);
+        let side = usize::try_from(screen.gpu.device.limits().max_texture_dimension_2d).ok();
+        let scale = egui_winit::pixels_per_point(&context, &window);
+        let egui = egui_winit::State::new(context, egui::ViewportId::ROOT, &*window, Some(scale), None, side);
+        // Full screen may come later, and the server is told the largest size at first.
+        let monitors = event_loop.available_monitors().map(|monitor| monitor.size());
+        let largest = monitors
+            .chain([window.inner_size()])
+            .fold((1, 1), |(width, height): (u32, u32), size| (width.max(size.width), height.max(size.height)));
+        self.largest = play::fitted(largest, largest);
+        self.opened = Some(Opened { window, screen, egui });
+        self.load()
+    }
+
+    fn load(&mut self) -> Result<(), ClientError> {
+        let loading = Loading::start(self.options.run.clone(), largest_mask(self.largest), self.camera_path.clone())?;
+        self.stage = Stage::Loading(loading);
+        Ok(())
+    }
+
+    fn say(&mut self, text: impl Into<String>) {
+        self.notice = Some((text.into(), Instant::now()));
+    }
+
+    fn redraw(&mut self, event_loop: &ActiveEventLoop) -> Result<(), ClientError> {
+        let Self { gamepad, controls, commands, .. } = self;
+        gamepad.poll(&mut controls.sticks, |command| commands.push(command));
+        for command in std::mem::take(&mut self.commands) {
+            self.obey(command, event_loop);
+        }
+        if let Stage::Loading(loading) = &self.stage
+            && let Some(loaded) = loading.take()
+            && let Some(Opened { screen, .. }) = &self.opened
+        {
+            let playing = loaded
+                .and_then(|loaded| Play::start(screen, loaded, &self.options.run, self.largest, &mut self.settings));
+            match playing {
+                Ok(play) => {
+                    tracing::info!(after_ms = self.began.elapsed().as_millis(), "the scene is there");
+                    self.stage = Stage::Playing(Box::new(play));
+                    self.say("H: help     O: figures and choices     Tab: camera path");
+                }
+                Err(error) => self.fail(error),
+            }
+        }
+        let now = Instant::now();
+        let step_s = self.last_frame.replace(now).map_or(0.0, |before| (now - before).as_secs_f64());
+        let Some(Opened { window, screen, egui }) = &mut self.opened else { return Ok(()) };
+        if let Some(kept) = screen.kept_picture() {
+            let text = kept.map_or_else(|error| error, |file| format!("picture: {}", file.display()));
+            self.notice = Some((text, now));
+        }
+        let again = {
+            let input = egui.take_egui_input(window);
+            let context = egui.egui_ctx().clone();
+            let mut again = false;
+            let notice = self.notice.as_ref().filter(|(_, since)| now - *since < NOTICE);
+            let (stage, settings) = (&self.stage, &mut self.settings);
+            let adapter = screen.gpu.info.name.clone();
+            let output = context.run_ui(input, |ui| {
+                again = show(ui.ctx(), stage, settings, &self.options.run.source, notice, &adapter);
+            });
+            egui.handle_platform_output(window, output.platform_output);
+            screen.shapes.textures.append(output.textures_delta);
+            screen.shapes.triangles = context.tessellate(output.shapes, output.pixels_per_point);
+            screen.shapes.pixels_per_point = output.pixels_per_point;
+            again
+        };
+        let drawn = match &mut self.stage {
+            Stage::Playing(play) => {
+                let motion = self.controls.take(step_s, f64::from(screen.size().1));
+                let first = play.figures.now().is_none();
+                let drawn = play.frame(screen, &self.settings, &motion, step_s).map(drop);
+                if first {
+                    tracing::info!(after_ms = self.began.elapsed().as_millis(), "the first picture is shown");
+                }
+                drawn
+            }
+            Stage::Closed | Stage::Loading(_) | Stage::Failed(_) => {
+                screen.show_shapes();
+                Ok(())
+            }
+        };
+        if let Err(error) = drawn {
+            self.fail(error);
+        }
+        if again {
+            self.load()?;
+        }
+        Ok(())
+    }
+
+    /// There is no picture any more, and the person is told why.
+    fn fail(&mut self, error: ClientError) {
+        tracing::warn!(%error, "no picture");
+        if let Stage::Playing(play) = std::mem::replace(&mut self.stage, Stage::Failed(error.to_string())) {
+            // What led here is the better reason.
+            let _ = play.finish();
+        }
+        self.result = Err(error);
+    }
+
+    fn obey(&mut self, command: Command, event_loop: &ActiveEventLoop) {
+        match command {
+            Command::Leave => event_loop.exit(),
+            Command::FullScreen => {
+                if let Some(Opened { window, .. }) = &self.opened {
+                    let full = window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));
+                    window.set_fullscreen(full);
+                }
+            }
+            Command::Path => {
+                if let Stage::Playing(play) = &mut self.stage {
+                    play.toggle_path();
+                }
+            }
+            Command::Picture => {
+                if let (Stage::Playing(_), Some(Opened { screen, .. })) = (&self.stage, &mut self.opened)
+                    && let Some(file) = free_name(self.options.run.out.as_deref().unwrap_or(Path::new("")))
+                {
+                    screen.keep_picture(file);
+                }
+            }
+            command => self.settings.apply(command),
+        }
+    }
+
+    /// Leaves the server, and says how it went.
+    fn close(mut self) -> Result<(), ClientError> {
+        if let Some(Opened { screen, .. }) = &mut self.opened
+            && let Some(Err(error)) = screen.finish()
+        {
+            tracing::error!(error, "the last picture");
+        }
+        match std::mem::replace(&mut self.stage, Stage::Closed) {
+            Stage::Playing(play) => play.finish(),
+            Stage::Failed(_) | Stage::Closed => std::mem::replace(&mut self.result, Ok(())),
+            Stage::Loading(_) => Ok(()),
+        }
+    }
+}
+
+/// A file in `folder` that is not there yet.
+fn free_name(folder: &Path) -> Option<PathBuf> {
+    (1..100_000).map(|number| folder.join(format!("gnomon_{number:05}.png"))).find(|file| !file.exists())
+}
+
+/// Everything that stands over the picture, or in its place. Whether the person wants to try again is the answer.
+fn show(
+    context: &egui::Context,
+    stage: &Stage,
+    settings: &mut Settings,
+    source: &Source,
+    notice: Option<&(String, Instant)>,
+    adapter: &str,
+) -> bool {
+    let (server, fingerprint) = match source {
+        Source::Server(url) => (url.to_string(), url.certificate.map(|digest| servers::fingerprint(&digest))),
+        Source::Offline { scene, .. } => (scene.display().to_string(), None),
+    };
+    match stage {
+        Stage::Closed => {}
+        Stage::Loading(loading) => {
+            let stage = loading.stage();
+            overlay::loading(context, &server, fingerprint.as_deref(), &stage.text(Instant::now()), stage.share());
+        }
+        Stage::Failed(reason) => return overlay::failure(context, reason),
+        Stage::Playing(play) => {
+            let about = play.notice();
+            // A first visit has only now found out.
+            let pinned = play.server.as_ref().and_then(|(url, _)| url.certificate);
+            let fingerprint = pinned.map(|digest| servers::fingerprint(&digest));
+            let about = overlay::About {
+                backend: play.server.as_ref().map(|(_, welcome)| welcome.backend.as_str()),
+                adapter,
+                server: &server,
+                fingerprint: fingerprint.as_deref(),
+                picture_px: play.size(),
+                speed_m_per_s: play.fly.speed_m_per_s(),
+                notice: about.as_deref().or(notice.map(|(text, _)| text.as_str())),
+            };
+            overlay::show(context, settings, &play.figures, &about);
+        }
+    }
+    false
+}
+
+impl ApplicationHandler for App {
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if self.opened.is_none()
+            && let Err(error) = self.open(event_loop)
+        {
+            self.result = Err(error);
+            self.stage = Stage::Closed;
+            event_loop.exit();
+        }
+    }
+
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+        if matches!(event, WindowEvent::RedrawRequested) {
+            if let Err(error) = self.redraw(event_loop) {
+                self.fail(error);
+            }
+            return;
+        }
+        if matches!(event, WindowEvent::CloseRequested) {
+            event_loop.exit();
+            return;
+        }
+        self.note(&event);
+    }
+
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        if self.options.exit_after.is_some_and(|after| self.began.elapsed() >= after) {
+            event_loop.exit();
+            return;
+        }
+        let Some(Opened { window, .. }) = &self.opened else { return };
+        if self.unseen {
+            event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + UNSEEN));
+        } else {
+            event_loop.set_control_flow(ControlFlow::Poll);
+            window.request_redraw();
+        }
+    }
+}

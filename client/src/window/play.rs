@@ -1,0 +1,289 @@
+//! A scene that is being looked at: poses from a person or from the camera path, frames from the loop that headless runs use.
+
+use std::time::{Duration, Instant};
+
+use gnomon_protocol::{ids::FrameNumber, limits::MAX_PIXELS, mask::MaskShape, message::Welcome};
+
+use super::{loading::Loaded, screen::Screen};
+use crate::{
+    camera_path::CameraPath,
+    error::ClientError,
+    frame_loop::{FrameLoop, Memory},
+    guard::{Guard, GuardChoice, GuardSize},
+    headless::recorder,
+    input::fly::{Fly, Motion},
+    mode::ModeMachine,
+    net::{receive::Received, url::ServerUrl},
+    options::HeadlessOptions,
+    overlay::{figures::Figures, link::in_words},
+    record::{Record, Recorder},
+    render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView},
+    settings::Settings,
+    stats::{FrameStats, StatsFile},
+};
+
+/// Time in which a person crosses the scene at first, in seconds.
+const CROSSING_S: f64 = 12.0;
+
+/// Speeds to begin with, in metres a second: from a stroll to a drive.
+const FIRST_SPEEDS_M_PER_S: (f64, f64) = (0.3, 20.0);
+
+/// A window that has not changed its size for so long gets pictures of its new size; until then they are stretched.
+const SETTLED: Duration = Duration::from_millis(150);
+
+/// The scene and whoever looks at it.
+pub(crate) struct Play {
+    frames: FrameLoop,
+    /// Where the server is, and what it said of itself.
+    pub(crate) server: Option<(ServerUrl, Welcome)>,
+    pub(crate) figures: Figures,
+    pub(crate) fly: Fly,
+    camera_path: CameraPath,
+    /// Where on the path the camera is, in seconds, while it follows the path.
+    on_path_s: Option<f64>,
+    path_s: f64,
+    next: u32,
+    applied: Settings,
+    view: DebugView,
+    /// Largest picture, in pixels.
+    largest: (u32, u32),
+    /// A size that the window has, and since when.
+    wanted: ((u32, u32), Instant),
+    stats: Option<StatsFile>,
+}
+
+/// The largest mask that will ever be asked for around pictures of at most `picture` pixels.
+pub(crate) fn largest_mask(picture: (u32, u32)) -> (u32, u32) {
+    // Guard bands can be chosen later.
+    let band = GuardSize { width: 640, height: 360 }.around(picture);
+    (picture.0 + band.width, picture.1 + band.height)
+}
+
+/// `size`, made smaller where it is larger than pictures may be; its shape is kept.
+pub(crate) fn fitted((width, height): (u32, u32), largest: (u32, u32)) -> (u32, u32) {
+    let (width, height) = (f64::from(width.max(1)), f64::from(height.max(1)));
+    let side = (f64::from(largest.0) / width).min(f64::from(largest.1) / height);
+    let scale = side.min((f64::from(MAX_PIXELS) / (width * height)).sqrt()).min(1.0);
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "not larger than before")]
+    let scaled = |side: f64| (side * scale).floor().max(1.0) as u32;
+    (scaled(width), scaled(height))
+}
+
+impl Play {
+    /// Begins with what has been loaded, in pictures as large as the screen.
+    pub(crate) fn start(
+        screen: &Screen,
+        loaded: Loaded,
+        options: &HeadlessOptions,
+        largest: (u32, u32),
+        settings: &mut Settings,
+    ) -> Result<Self, ClientError> {
+        let Loaded { scene, connected, camera_path, exposure } = loaded;
+        let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
+        (settings.lights, settings.lights_on) = (lights, u32::MAX.checked_shr(32 - lights.min(32)).unwrap_or(0));
+        let size = fitted(screen.size(), largest);
+        let renderer = FrameRenderer::new(&screen.gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predictor)?;
+        let extent_m = f64::from((scene.bounds.max - scene.bounds.min).length());
+        let speed = (extent_m / CROSSING_S).clamp(FIRST_SPEEDS_M_PER_S.0, FIRST_SPEEDS_M_PER_S.1);
+        let (width, height) = largest_mask(largest);
+        let shape = MaskShape::new(width, height, lights)?;
+        let server = connected.as_ref().map(|connected| (connected.url().clone(), connected.welcome().clone()));
+        let live = connected
+            .map(|connected| connected.start(shape, options.policy(), options.save_masks.clone()))
+            .transpose()?;
+        let frames = FrameLoop {
+            renderer,
+            live,
+            wait: false,
+            predict_pose: options.looks_ahead(&screen.gpu),
+            machine: ModeMachine::new(settings.mode, options.thresholds),
+            guard: GuardChoice::new(settings.guard, size),
+            recorder: recorder(options, size, server.as_ref().map(|(_, welcome)| welcome), exposure, &screen.gpu)?,
+            memory: Memory::new(u32::MAX),
+        };
+        let first = camera_path.camera(options.start_time_s, size.0, size.1);
+        Ok(Self {
+            frames,
+            server,
+            figures: Figures::default(),
+            fly: Fly::from_camera(&first, speed),
+            camera_path,
+            on_path_s: None,
+            path_s: options.start_time_s,
+            next: 0,
+            // Chosen while the scene came: the renderer knows of none of it.
+            applied: Settings { split: false, ..settings.clone() },
+            view: DebugView::Picture,
+            largest,
+            wanted: (size, Instant::now()),
+            stats: options.stats.as_deref().map(StatsFile::create).transpose()?,
+        })
+    }
+
+    /// The camera path instead of the person, or the person again, from where the camera is.
+    pub(crate) fn toggle_path(&mut self) {
+        let (width, height) = self.frames.renderer.size();
+        match self.on_path_s.take() {
+            None => self.on_path_s = Some(self.path_s),
+            Some(time_s) => {
+                let camera = self.camera_path.camera(time_s, width, height);
+                self.fly = Fly::from_camera(&camera, self.fly.speed_m_per_s());
+                self.path_s = time_s;
+            }
+        }
+    }
+
+    /// Draws the next frame, `step_s` seconds after the one before.
+    pub(crate) fn frame(
+        &mut self,
+        screen: &mut Screen,
+        settings: &Settings,
+        motion: &Motion,
+        step_s: f64,
+    ) -> Result<FrameStats, ClientError> {
+        self.follow(screen.size())?;
+        self.apply(screen, settings)?;
+        let (width, height) = self.frames.renderer.size();
+        let camera = match &mut self.on_path_s {
+            Some(time_s) => {
+                *time_s += step_s;
+                self.camera_path.camera(*time_s, width, height)
+            }
+            None => {
+                self.fly.step(motion, step_s);
+                self.fly.camera(width, height)
+            }
+        };
+        let scene_time_s = self.frames.memory.started.elapsed().as_secs_f64();
+        let drawn = self.frames.draw(FrameNumber(self.next), camera, scene_time_s, screen)?;
+        self.next = self.next.wrapping_add(1);
+        let (received, round_trip) = self
+            .frames
+            .live
+            .as_ref()
+            .map_or((Received::default(), None), |live| (live.received(), live.session.round_trip()));
+        self.figures.push(Instant::now(), &drawn, received, round_trip);
+        if let Some(file) = &mut self.stats {
+            file.write(&drawn)?;
+        }
+        Ok(drawn)
+    }
+
+    /// Width and height of the pictures, in pixels.
+    pub(crate) fn size(&self) -> (u32, u32) {
+        self.frames.renderer.size()
+    }
+
+    /// Something about the server that the person should know.
+    pub(crate) fn notice(&self) -> Option<String> {
+        in_words(&self.frames.live.as_ref()?.link_state(), Instant::now())
+    }
+
+    /// Leaves the server and writes what is still to be written.
+    pub(crate) fn finish(mut self) -> Result<(), ClientError> {
+        self.frames.leave();
+        self.frames.recorder.take().map_or(Ok(()), Recorder::finish)?;
+        self.stats.map_or(Ok(()), StatsFile::finish)
+    }
+
+    /// Writes down what the renderer is told.
+    fn record(&mut self, record: &Record) -> Result<(), ClientError> {
+        self.frames.recorder.as_mut().map_or(Ok(()), |recorder| recorder.write(record))
+    }
+
+    /// Follows the window's size.
+    fn follow(&mut self, screen: (u32, u32)) -> Result<(), ClientError> {
+        let size = fitted(screen, self.largest);
+        if self.wanted.0 != size {
+            self.wanted = (size, Instant::now());
+        }
+        if size != self.size() && self.wanted.1.elapsed() >= SETTLED {
+            self.frames.renderer.resize(size)?;
+            self.record(&Record::Size([size.0, size.1]))?;
+            self.frames.guard = GuardChoice::new(self.applied.guard, size);
+            self.set_split(self.applied.split)?;
+        }
+        Ok(())
+    }
+
+    fn set_split(&mut self, split: bool) -> Result<(), ClientError> {
+        let split_px = split.then_some(self.size().0 / 2);
+        self.frames.renderer.set_split(split_px);
+        self.record(&Record::Split(split_px))
+    }
+
+    /// Does what has been chosen since the frame before.
+    fn apply(&mut self, screen: &mut Screen, settings: &Settings) -> Result<(), ClientError> {
+        if settings.predictor != self.applied.predictor {
+            self.frames.renderer.set_predictor(settings.predictor);
+            self.record(&Record::Predictor(settings.predictor))?;
+        }
+        if settings.mode != self.applied.mode {
+            self.frames.machine.set_mode(settings.mode);
+        }
+        if settings.guard != self.applied.guard {
+            self.frames.guard = GuardChoice::new(settings.guard, self.size());
+        }
+        if settings.lights_on != self.applied.lights_on {
+            self.frames.renderer.set_lights_on(settings.lights_on);
+            self.record(&Record::LightsOn(settings.lights_on))?;
+        }
+        if settings.split != self.applied.split {
+            self.set_split(settings.split)?;
+        }
+        let lag = self.figures.now().and_then(|now| now.lag).unwrap_or(0);
+        let view = match settings.view {
+            DebugView::Age { .. } => DebugView::Age { lag },
+            view => view,
+        };
+        if view != self.view {
+            self.view = view;
+            self.frames.renderer.set_debug_view(view);
+            self.record(&Record::View(view))?;
+        }
+        screen.set_vsync(settings.vsync);
+        self.applied.clone_from(settings);
+        Ok(())
+    }
+}
+
+/// What can be changed, as the command line has it.
+pub(crate) fn settings(options: &HeadlessOptions, vsync: bool) -> Settings {
+    Settings {
+        predictor: options.predictor,
+        mode: options.mode,
+        guard: match options.guard {
+            Guard::Fixed(size) => Guard::Fixed(GuardSize { width: size.width.min(640), height: size.height.min(360) }),
+            Guard::Auto => Guard::Auto,
+        },
+        view: DebugView::Picture,
+        split: false,
+        lights: 0,
+        lights_on: 0,
+        vsync,
+        overlay: false,
+        help: false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_are_as_large_as_the_window_and_never_larger_than_agreed() {
+        for (window, largest, picture) in [
+            ((1280, 720), (1920, 1080), (1280, 720)),
+            ((3840, 2160), (1920, 1080), (1920, 1080)),
+            ((800, 2160), (1920, 1080), (400, 1080)),
+            ((5, 3), (1920, 1080), (5, 3)),
+            ((4000, 1), (1920, 1080), (1920, 1)),
+        ] {
+            assert_eq!(fitted(window, largest), picture, "{window:?}");
+        }
+        let (width, height) = fitted((4096, 4096), (4096, 4096));
+        assert!(MaskShape::new(width, height, 1).is_ok(), "{width}×{height}");
+        let (width, height) = largest_mask((width, height));
+        assert!(MaskShape::new(width, height, 32).is_ok(), "{width}×{height}");
+    }
+}

@@ -1,0 +1,427 @@
+//! Promise: a person can use the client in a window: walk, look, resize, choose, keep a picture, and lose the server; and what the
+//! window shows is what a headless run writes.
+//!
+//! The window is a real one, under Xvfb, and its person is xdotool: `deploy/setup` installs both.
+#![cfg(target_os = "linux")]
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use std::{
+    fs,
+    io::{BufRead as _, BufReader},
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    time::{Duration, Instant},
+};
+
+use gnomon_tests::{
+    link::{Link, LinkSettings},
+    report::replay::{self, ReplayOptions},
+    rig::{
+        ClientJob, PATIENCE, ServerProcess,
+        program::{Program, find},
+    },
+};
+use image::RgbImage;
+
+const SIZE: (u32, u32) = (320, 180);
+
+fn asset(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name)
+}
+
+/// A display of its own, which goes when it is dropped.
+struct Display {
+    server: Child,
+    name: String,
+}
+
+impl Display {
+    fn start() -> Self {
+        let mut server = Command::new("Xvfb")
+            .args(["-displayfd", "1", "-screen", "0", "800x600x24", "-nolisten", "tcp"])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("the window is tested under Xvfb: run deploy/setup, which installs xvfb and xdotool");
+        let mut line = String::new();
+        BufReader::new(server.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let name = format!(":{}", line.trim().parse::<u32>().expect("Xvfb names no display"));
+        Self { server, name }
+    }
+
+    /// Does something as a person at this display would. What xdotool says is the answer.
+    fn person(&self, does: &str) -> String {
+        let output = Command::new("xdotool").args(does.split(' ')).env("DISPLAY", &self.name).output();
+        let output = output.expect("the window's person is xdotool: run deploy/setup");
+        assert!(output.status.success(), "xdotool {does}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8_lossy(&output.stdout).trim().to_owned()
+    }
+}
+
+impl Drop for Display {
+    fn drop(&mut self) {
+        let _ = self.server.kill();
+        let _ = self.server.wait();
+    }
+}
+
+/// A client in a window.
+struct Window<'a> {
+    display: &'a Display,
+    client: Program,
+    id: String,
+    folder: &'a Path,
+    kept: u32,
+}
+
+impl<'a> Window<'a> {
+    fn open(display: &'a Display, folder: &'a Path, arguments: &[&str]) -> Self {
+        let size = format!("{}x{}", SIZE.0, SIZE.1);
+        let pictures = folder.to_str().unwrap();
+        let mut all =
+            vec!["--size", &size, "--out", pictures, "--allow-software", "--vsync=false", "--exit-after", "300"];
+        all.extend(arguments);
+        let environment = [("DISPLAY", display.name.as_str()), ("WAYLAND_DISPLAY", "")];
+        let mut client = Program::start(&find("gnomon-client").unwrap(), &all, &environment).unwrap();
+        let id = display.person("search --sync --name Gnomon");
+        let id = id.lines().next().unwrap().to_owned();
+        display.person(&format!("windowfocus {id}"));
+        assert!(client.is_running().unwrap());
+        Self { display, client, id, folder, kept: 0 }
+    }
+
+    fn person(&self, does: &str) {
+        self.display.person(does);
+    }
+
+    /// Presses P and waits for the picture. Before there is a scene P does nothing, so it is pressed again now and then.
+    fn picture(&mut self) -> RgbImage {
+        self.kept += 1;
+        let file = self.folder.join(format!("gnomon_{:05}.png", self.kept));
+        let begun = Instant::now();
+        loop {
+            self.person("key p");
+            let pressed = Instant::now();
+            while pressed.elapsed() < Duration::from_secs(3) {
+                // A picture that is still being written does not open.
+                if let Ok(picture) = image::open(&file) {
+                    return picture.to_rgb8();
+                }
+                assert!(self.client.is_running().unwrap(), "{:?}", self.client.said());
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            assert!(begun.elapsed() < PATIENCE, "no picture: {:?}", self.client.said());
+            // A second press may have made the next one.
+            self.kept += u32::from(self.folder.join(format!("gnomon_{:05}.png", self.kept + 1)).exists());
+        }
+    }
+
+    /// Keeps pictures until one is `wanted`.
+    fn picture_that(&mut self, what: &str, wanted: impl Fn(&RgbImage) -> bool) -> RgbImage {
+        let begun = Instant::now();
+        loop {
+            let picture = self.picture();
+            if wanted(&picture) {
+                return picture;
+            }
+            assert!(begun.elapsed() < Duration::from_secs(60), "no picture that {what}: {:?}", self.client.said());
+        }
+    }
+
+    /// Waits until nothing changes any more: masks have come, and fades are over.
+    fn still_picture(&mut self) -> RgbImage {
+        let mut before = self.picture();
+        for _ in 0..100 {
+            std::thread::sleep(Duration::from_millis(150));
+            let picture = self.picture();
+            if picture == before {
+                return picture;
+            }
+            before = picture;
+        }
+        panic!("it never stands still");
+    }
+
+    fn leave(self) {
+        self.person("key Escape");
+        self.client.finish(PATIENCE).unwrap().success().unwrap();
+    }
+}
+
+/// Mean difference of two pictures' bytes.
+fn difference(one: &RgbImage, other: &RgbImage) -> f64 {
+    assert_eq!(one.dimensions(), other.dimensions());
+    let sum: u64 = one.as_raw().iter().zip(other.as_raw()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+    sum as f64 / one.as_raw().len() as f64
+}
+
+/// A path of one place, at which a run without a window can be as well.
+fn standing(folder: &Path) -> PathBuf {
+    let file = folder.join("standing.json");
+    let text = r#"{"camera_path": {"keyframes": [{"t": 0, "pos": [-8.6, 1.6, -9.8], "target": [-2.0, 1.5, -9.2]}]}}"#;
+    fs::write(&file, text).unwrap();
+    file
+}
+
+#[test]
+fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
+    let (display, folder, certificate) = (Display::start(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let path = standing(folder.path());
+    let (server, url) = serve("127.0.0.1:0", certificate.path());
+    let mut window = Window::open(&display, folder.path(), &[&url, "--path", path.to_str().unwrap()]);
+    let first = window.still_picture();
+    assert_eq!(first.dimensions(), SIZE);
+
+    window.person("keydown w");
+    std::thread::sleep(Duration::from_millis(400));
+    window.person("keyup w");
+    let walked = window.still_picture();
+    assert!(difference(&first, &walked) > 1.0, "W does not walk");
+
+    window.person(&format!("mousemove --window {} 160 90 mousedown 1", window.id));
+    window.person(&format!("mousemove --window {} 220 100 mouseup 1", window.id));
+    let looked = window.still_picture();
+    assert!(difference(&walked, &looked) > 1.0, "a drag does not look");
+
+    // A light, off and on again.
+    window.person("key 1");
+    let darker = window.still_picture();
+    assert!(difference(&looked, &darker) > 0.2, "a light does not go off");
+    window.person("key 1");
+    assert!(window.still_picture() == looked, "the light does not come back");
+
+    // Choices that are only looked at, once around.
+    window.person("key o");
+    window.person("key v");
+    let unknown = window.still_picture();
+    assert!(difference(&looked, &unknown) > 5.0, "V shows nothing else");
+    let views = 5 + 6;
+    (1..views).for_each(|_| window.person("key v"));
+    window.person("key h");
+    assert!(window.still_picture() == looked, "overlay, help or a debug view stay in the picture");
+    window.person("key b");
+    let split = window.still_picture();
+    assert!(difference(&looked, &split) > 1.0, "B splits nothing");
+    window.person("key b");
+    window.person("key h");
+
+    window.person(&format!("windowsize --sync {} 400 240", window.id));
+    window.picture_that("is as large as the window", |picture| picture.dimensions() == (400, 240));
+    window.person(&format!("windowsize --sync {} {} {}", window.id, SIZE.0, SIZE.1));
+    window.picture_that("is small again", |picture| picture.dimensions() == SIZE);
+    assert!(window.still_picture() == looked, "a window that was larger shows something else");
+
+    // The server dies; the client draws on by itself, and answers its person.
+    server.kill().unwrap();
+    let alone = window.picture_that("is drawn alone", |picture| *picture != looked);
+    window.person("keydown s");
+    std::thread::sleep(Duration::from_millis(400));
+    window.person("keyup s");
+    let moved = window.still_picture();
+    assert!(difference(&alone, &moved) > 1.0, "nothing moves without a server");
+
+    // Another one comes in its place, and is found.
+    let address = url.split_once("://").unwrap().1.split_once('/').unwrap().0;
+    let (_server, again) = serve(address, certificate.path());
+    assert_eq!(again, url);
+    window.picture_that("is lit by the new server", |picture| *picture != moved);
+    window.leave();
+}
+
+/// A server at this address, and its URL.
+fn serve(address: &str, certificate: &Path) -> (Program, String) {
+    let scene = asset("cloister.glb");
+    let arguments = ["--scene", scene.to_str().unwrap(), "--listen", address, "--backend", "cpu", "--cert-dir"];
+    let mut all = arguments.to_vec();
+    all.push(certificate.to_str().unwrap());
+    let mut server = Program::start(&find("gnomon-server").unwrap(), &all, &[]).unwrap();
+    let url = server.wait_for(PATIENCE, |said| {
+        let whole = said.get(..said.rfind('\n')? + 1)?;
+        whole.split_whitespace().find(|word| word.starts_with("gnomon://")).map(str::to_owned)
+    });
+    (server, url.unwrap())
+}
+
+/// Processes whose command line has this text.
+fn processes_with(text: &str) -> Vec<String> {
+    let entries = fs::read_dir("/proc").unwrap().flatten();
+    let lines = entries.filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
+    let lines = lines.map(|line| String::from_utf8_lossy(&line).replace('\0', " "));
+    lines.filter(|line| line.contains("gnomon-server") && line.contains(text)).collect()
+}
+
+#[test]
+fn the_demo_brings_its_server_and_takes_it_away() {
+    let (display, folder) = (Display::start(), tempfile::tempdir().unwrap());
+    let place = folder.path().to_str().unwrap();
+    let environment = [("DISPLAY", display.name.as_str()), ("WAYLAND_DISPLAY", ""), ("TMPDIR", place)];
+    let client = find("gnomon-client").unwrap();
+    let start = |seconds: &str| {
+        let arguments = ["--demo", "--size", "160x90", "--allow-software", "--exit-after", seconds];
+        Program::start(&client, &arguments, &environment).unwrap()
+    };
+    start("1").finish(PATIENCE).unwrap().success().unwrap();
+    assert_eq!((processes_with(place), fs::read_dir(place).unwrap().count()), (Vec::new(), 0));
+
+    // A client that is killed has no time to stop anything.
+    let killed = start("300");
+    let begun = Instant::now();
+    display.person("search --sync --name Gnomon");
+    assert_eq!(processes_with(place).len(), 1, "no server runs");
+    killed.kill().unwrap();
+    if Path::new("/usr/bin/setpriv").is_file() {
+        while !processes_with(place).is_empty() {
+            assert!(begun.elapsed() < PATIENCE, "the server outlives its client");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+#[test]
+fn a_certificate_is_pinned_on_the_first_visit_and_no_other_is_taken_for_it() {
+    let (folder, certificate) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (server, url) = serve("127.0.0.1:0", certificate.path());
+    let address = url.split_once("://").unwrap().1.split_once('/').unwrap().0.to_owned();
+    let first_use = format!("gnomon://{address}/?cert=first-use");
+    let state = folder.path().join("state");
+    let run = |url: &str| {
+        let arguments = [url, "--headless", "--frames", "1", "--size", "64x36", "--allow-software"];
+        let environment = [("XDG_STATE_HOME", state.to_str().unwrap()), ("RUST_LOG", "warn")];
+        let program = Program::start(&find("gnomon-client").unwrap(), &arguments, &environment).unwrap();
+        program.finish(PATIENCE).unwrap()
+    };
+    let first = run(&first_use).success().unwrap();
+    let pin = &url.rsplit_once('=').unwrap().1[..4];
+    assert!(first.stderr.contains("first visit") && first.stderr.contains(pin), "{}", first.stderr);
+    let second = run(&first_use).success().unwrap();
+    assert!(!second.stderr.contains("first visit"), "{}", second.stderr);
+    server.kill().unwrap();
+    let other = tempfile::tempdir().unwrap();
+    let (_server, _) = serve(&address, other.path());
+    let third = run(&first_use);
+    assert!(!third.status.success() && third.stderr.contains("than on the first visit"), "{}", third.stderr);
+}
+
+#[test]
+fn a_window_shows_the_bytes_that_a_headless_run_writes() {
+    let (display, folder) = (Display::start(), tempfile::tempdir().unwrap());
+    let path = standing(folder.path());
+    let server = ServerProcess::start(&asset("cloister.glb"), &["--backend", "cpu"]).unwrap();
+    let pictures = folder.path().join("headless");
+    let job = ClientJob {
+        url: Some(server.url()),
+        path: path.clone().into(),
+        frames: 1,
+        size: SIZE,
+        folder: folder.path(),
+        wait: true,
+        save_masks: false,
+        arguments: vec!["--allow-software".into(), "--out".into(), pictures.clone().into()],
+    };
+    job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
+    let headless = image::open(pictures.join("frame_000000.png")).unwrap().to_rgb8();
+
+    let url = server.url().to_owned();
+    let mut window = Window::open(&display, folder.path(), &[&url, "--path", path.to_str().unwrap()]);
+    window.picture();
+    // On the path, so that not even the last bit of the camera is the person's.
+    window.person("key Tab");
+    window.picture_that("has the headless run's bytes", |picture| *picture == headless);
+    window.leave();
+}
+
+#[test]
+fn a_marked_pose_is_in_the_same_frame_whatever_the_network_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("marked.json");
+    // The camera stands, and in the middle of the run it looks the other way from one frame to the next.
+    let key = |t: f64, z: f64| format!(r#"{{"t": {t}, "pos": [0, 1.6, -9.7], "target": [{z}, 1.6, -9.7]}}"#);
+    let keys = [key(0.0, 1.0), key(1.49, 1.0), key(1.51, -1.0), key(3.0, -1.0)].join(", ");
+    fs::write(&path, format!(r#"{{"camera_path": {{"keyframes": [{keys}]}}}}"#)).unwrap();
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let server = ServerProcess::start(&asset("cloister.glb"), &["--backend", "cpu"]).unwrap();
+    for one_way in ["0ms", "100ms"] {
+        let mut settings = LinkSettings::default();
+        settings.up.set(&format!("delay={one_way}")).unwrap();
+        settings.down.set(&format!("delay={one_way}")).unwrap();
+        let link = runtime.block_on(Link::start("127.0.0.1:0".parse().unwrap(), server.url(), settings)).unwrap();
+        let out = folder.path().join(one_way);
+        let url = link.url(server.url()).unwrap();
+        let job = ClientJob {
+            url: Some(&url),
+            path: path.clone().into(),
+            frames: 90,
+            size: (96, 54),
+            folder: folder.path(),
+            wait: false,
+            save_masks: false,
+            arguments: ["--allow-software", "--fps", "30", "--out", out.to_str().unwrap()].map(Into::into).to_vec(),
+        };
+        job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
+        let picture = |frame: u32| image::open(out.join(format!("frame_{frame:06}.png"))).unwrap().to_rgb8();
+        // The mark is the pose of frame 46, the first after 1.51 s: 46 / 30 s. Frame 45 is half-way around.
+        let (before, middle, marked, last) = (picture(44), picture(45), picture(46), picture(89));
+        assert!(difference(&before, &middle) > 10.0, "RTT of twice {one_way}: the pose of frame 45 is not in frame 45");
+        assert!(difference(&middle, &marked) > 10.0, "RTT of twice {one_way}: the pose of frame 46 is not in frame 46");
+        // Nothing but light changes after it.
+        assert!(difference(&marked, &last) < difference(&before, &last) / 2.0, "RTT of twice {one_way}");
+        let lags: Vec<u64> = job.stats().unwrap().iter().filter_map(|line| line["lag"].as_u64()).collect();
+        let largest = *lags.iter().max().unwrap();
+        assert!(one_way == "0ms" || largest >= 6, "the network was not slow: {largest}");
+    }
+}
+
+#[test]
+fn a_recording_draws_the_same_pictures_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (out, recording) = (folder.path().join("run"), folder.path().join("run.rec"));
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let server = ServerProcess::start(&asset("cloister.glb"), &["--backend", "cpu"]).unwrap();
+    let mut settings = LinkSettings::default();
+    settings.down.set("delay=120ms").unwrap();
+    let link = runtime.block_on(Link::start("127.0.0.1:0".parse().unwrap(), server.url(), settings)).unwrap();
+    let url = link.url(server.url()).unwrap();
+    let arguments: [&str; 7] =
+        ["--allow-software", "--fps", "30", "--out", out.to_str().unwrap(), "--record", recording.to_str().unwrap()];
+    let job = ClientJob {
+        url: Some(&url),
+        path: format!("{}#walk", asset("cloister.json").display()).into(),
+        frames: 60,
+        size: (160, 90),
+        folder: folder.path(),
+        wait: false,
+        save_masks: false,
+        arguments: arguments.map(Into::into).to_vec(),
+    };
+    job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
+    let again = folder.path().join("again");
+    let options = ReplayOptions {
+        recording: recording.clone(),
+        scene: asset("cloister.glb"),
+        lights_from: None,
+        lights: None,
+        out: Some(again.clone()),
+        adapter: None,
+    };
+    let done = replay::run(&options, |line| println!("{line}")).unwrap();
+    assert_eq!(done.frames, 60);
+    let masks = job.stats().unwrap().iter().filter(|line| line["response_ms"].is_number()).count();
+    assert!(masks > 3 && done.masks == masks as u64, "{done:?}, {masks} in the statistics");
+    let read = |folder: &Path, frame: u32| image::open(folder.join(format!("frame_{frame:06}.png"))).unwrap().to_rgb8();
+    for frame in 0..60 {
+        assert!(read(&out, frame) == read(&again, frame), "frame {frame} is another picture");
+    }
+    assert!(read(&out, 0) != read(&out, 59));
+
+    // Another scene is refused, and a file that breaks off is whole up to there.
+    let other = ReplayOptions { lights: Some(2), ..options.clone() };
+    assert!(replay::run(&other, |_| ()).unwrap_err().to_string().contains("is of the scene"));
+    let bytes = fs::read(&recording).unwrap();
+    fs::write(&recording, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let cut = replay::run(&ReplayOptions { out: None, ..options.clone() }, |_| ()).unwrap();
+    assert!(cut.frames > 0 && cut.frames < 60, "{cut:?}");
+    fs::write(&recording, "gnomon recording 0\n").unwrap();
+    assert!(
+        replay::run(&options, |_| ()).unwrap_err().root_cause().to_string().contains("no recording of this version")
+    );
+}
