@@ -41,6 +41,13 @@ pub struct ProbeOptions {
     pub fps: Option<f64>,
     /// Where on the path the first pose is, in seconds.
     pub start_time_s: f64,
+    /// How long the server may take to answer at first.
+    pub connect_timeout: Duration,
+}
+
+impl ProbeOptions {
+    /// How long a server may take to answer when nothing else is said.
+    pub const CONNECT_TIMEOUT: Duration = PATIENCE;
 }
 
 /// What a probe saw.
@@ -76,7 +83,7 @@ pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) ->
         codec: options.codec,
         rate_hz: rate_hz(options.fps),
         resume: None,
-        connect_timeout: PATIENCE,
+        connect_timeout: options.connect_timeout,
     };
     let admitted = runtime.block_on(admit(&options.url, &introduction))?;
     let backend = admitted.welcome.backend.clone();

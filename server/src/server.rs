@@ -164,6 +164,12 @@ impl RunningServer {
         self.services.admission.taken()
     }
 
+    /// Lights of the scene.
+    #[must_use]
+    pub fn lights(&self) -> u32 {
+        self.services.scene.lights
+    }
+
     /// The engines, one a device.
     #[must_use]
     pub fn engines(&self) -> &[crate::visibility::engine::Engine] {

@@ -33,7 +33,7 @@ pub(crate) async fn certificate_of(url: &ServerUrl, patience: Duration) -> Resul
                 }
                 Err(QuicError::TimedOut) => last = unreachable(),
                 Err(QuicError::Certificate) => last = failed("its certificate is no certificate".to_owned()),
-                Err(QuicError::Other(reason)) => last = failed(reason),
+                Err(QuicError::Spoilt(reason) | QuicError::Other(reason)) => last = failed(reason),
             }
         }
         Err(last)

@@ -106,7 +106,7 @@ impl Link {
                         QuicError::TimedOut => {
                             ClientError::Unreachable { url: Box::new(url.clone()), after: quic::IDLE_TIMEOUT }
                         }
-                        QuicError::Other(reason) => failed(reason),
+                        QuicError::Spoilt(reason) | QuicError::Other(reason) => failed(reason),
                     })?;
                 let (writer, reader) = connection.open_bi().await.map_err(|error| failed(error.to_string()))?;
                 let kind = LinkKind::Quic(endpoint, connection);

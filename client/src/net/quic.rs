@@ -97,12 +97,56 @@ pub(crate) enum QuicError {
     Certificate,
     /// The server does not answer.
     TimedOut,
+    /// A packet came that no server of ours sends, or an answer to one that this client has not sent: it was spoilt on its way.
+    Spoilt(String),
     /// Anything else.
     Other(String),
 }
 
-/// Connects to the server at `address`, whose certificate has this SHA-256, if one is known.
+impl QuicError {
+    /// Whether another handshake would end like this one.
+    const fn is_final(&self) -> bool {
+        match self {
+            Self::Certificate | Self::Other(_) => true,
+            Self::TimedOut | Self::Spoilt(_) => false,
+        }
+    }
+}
+
+/// A handshake that has not succeeded for so long is helped by another one beside it: each lost packet makes it wait twice as long.
+const HELP_AFTER: Duration = Duration::from_millis(1500);
+
+/// Handshakes with one server, one after the other has not succeeded.
+const HANDSHAKES: usize = 6;
+
+/// Connects to the server at `address`, whose certificate has this SHA-256, if one is known. On a network that loses or spoils many packets
+/// one handshake may fail, so the first of several wins.
 pub(crate) async fn connect(
+    address: SocketAddr,
+    digest: Option<[u8; 32]>,
+) -> Result<(quinn::Endpoint, quinn::Connection), QuicError> {
+    let mut attempts = tokio::task::JoinSet::new();
+    let (mut begun, mut next_at) = (0, tokio::time::Instant::now());
+    loop {
+        let ended = tokio::select! {
+            () = tokio::time::sleep_until(next_at), if begun < HANDSHAKES => {
+                attempts.spawn(handshake(address, digest));
+                begun += 1;
+                next_at += HELP_AFTER;
+                continue;
+            }
+            Some(ended) = attempts.join_next() => ended,
+        };
+        match ended {
+            Ok(Ok(connected)) => return Ok(connected),
+            Ok(Err(error)) if begun == HANDSHAKES && attempts.is_empty() || error.is_final() => return Err(error),
+            Ok(Err(_)) => {}
+            Err(broken) => return Err(QuicError::Other(broken.to_string())),
+        }
+    }
+}
+
+async fn handshake(
     address: SocketAddr,
     digest: Option<[u8; 32]>,
 ) -> Result<(quinn::Endpoint, quinn::Connection), QuicError> {
@@ -119,6 +163,14 @@ pub(crate) async fn connect(
     let connecting = endpoint.connect(address, "gnomon").map_err(|error| other(&error))?;
     let connection = connecting.await.map_err(|error| match error {
         quinn::ConnectionError::TimedOut => QuicError::TimedOut,
+        quinn::ConnectionError::VersionMismatch
+        | quinn::ConnectionError::TransportError(_)
+        | quinn::ConnectionError::ConnectionClosed(_)
+        | quinn::ConnectionError::Reset
+            if !refused.load(Ordering::Relaxed) =>
+        {
+            QuicError::Spoilt(error.to_string())
+        }
         _ if refused.load(Ordering::Relaxed) => QuicError::Certificate,
         error => other(&error),
     })?;

@@ -172,6 +172,8 @@ fn transport_config(config: &ServerConfig) -> Result<quinn::TransportConfig, qui
         .max_idle_timeout(Some(config.idle_timeout().try_into()?))
         // A client whose picture stands still stays; a client that is gone answers nothing.
         .keep_alive_interval(Some(config.idle_timeout() / 3))
+        // Until it is measured. A lost packet of a handshake is sent again after three times as long.
+        .initial_rtt(limits::INITIAL_RTT)
         // Under loss its black-hole detector falls back and drops queued datagrams. Packets fit every path anyway.
         .mtu_discovery_config(None)
         .datagram_receive_buffer_size(Some(limits::DATAGRAM_RECEIVE_BUFFER_BYTES))

@@ -234,6 +234,12 @@ impl Engine {
         self.its_thread.unpark();
     }
 
+    /// Lets no panic happen that has not happened yet.
+    #[cfg(any(test, feature = "faults"))]
+    pub fn forget_faults(&self) {
+        while self.shared.faults.take(super::faults::Fault::Panic) {}
+    }
+
     /// As [`Self::open`], for a session that takes what it gets and that is always borne.
     ///
     /// # Errors

@@ -8,6 +8,7 @@ use gnomon_tests::{
     cloister,
     report::{
         accuracy::{self, AccuracyOptions},
+        chaos::{self, ChaosOptions},
         codec::{self, CodecOptions},
         lag::{self, LagOptions},
         link::{self, LinkOptions},
@@ -35,6 +36,8 @@ enum Command {
     /// Judges the back ends by the f64 referee on the real scenes and on hard cases: writes accuracy.csv, hard_cases.csv
     /// and pictures, prints Markdown.
     Accuracy(AccuracyOptions),
+    /// Puts a server under load and through faults: prints what was promised and what was measured, and writes it as CSV.
+    Chaos(ChaosOptions),
     /// Measures what each codec makes of a path's masks, in bytes and in time: writes codec.csv.
     Codec(CodecOptions),
     /// Writes Gnomon's own scene: cloister.glb and its camera paths, cloister.json.
@@ -73,6 +76,7 @@ fn run(arguments: Arguments) -> Result<()> {
             let judged = accuracy::measure(&options, |line| eprintln!("{line}"))?;
             print!("{}\n{}", judged.scenes.markdown(), judged.cases.markdown());
         }
+        Command::Chaos(options) => print!("{}", chaos::run(&options, |line| eprintln!("{line}"))?.markdown()),
         Command::Codec(options) => print!("{}", codec::measure(&options, |line| eprintln!("{line}"))?.markdown()),
         Command::MakeScene { out } => {
             let made = cloister::generate(&out)?;

@@ -92,6 +92,7 @@ pub fn run(options: &LoadOptions) -> Result<LoadReport> {
                     codec: CodecId::PlanesLz4,
                     frames: options.frames,
                     fps: options.fps,
+                    connect_timeout: ProbeOptions::CONNECT_TIMEOUT,
                     start_time_s: path.duration_s() * f64::from(client) / f64::from(options.clients),
                 };
                 let path = &path;

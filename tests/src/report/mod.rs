@@ -1,6 +1,7 @@
 //! Reports of the `lab`: tables that are measured by running the real programs.
 
 pub mod accuracy;
+pub mod chaos;
 pub mod codec;
 pub mod lag;
 mod lag_plots;

@@ -28,14 +28,21 @@ pub struct ServerProcess {
 }
 
 impl ServerProcess {
-    /// Starts a server on a free loopback port, with a certificate of its own, and waits until it has printed its URL.
+    /// Starts a server on a free loopback port, with a certificate of its own, unless the arguments say otherwise, and waits until it
+    /// has printed its URL.
     ///
     /// # Errors
     /// When it is not built, ends, or does not get ready.
     pub fn start<A: AsRef<OsStr>>(scene: &Path, arguments: &[A]) -> Result<Self> {
         let certificate = tempfile::tempdir().context("making a temporary folder")?;
-        let mut all: Vec<OsString> = vec!["--scene".into(), scene.into(), "--listen".into(), "127.0.0.1:0".into()];
-        all.extend(["--cert-dir".into(), certificate.path().into()]);
+        let mut all: Vec<OsString> = vec!["--scene".into(), scene.into()];
+        let says = |flag: &str| arguments.iter().any(|argument| argument.as_ref() == flag);
+        if !says("--listen") {
+            all.extend(["--listen".into(), "127.0.0.1:0".into()]);
+        }
+        if !says("--cert-dir") {
+            all.extend(["--cert-dir".into(), certificate.path().into()]);
+        }
         all.extend(arguments.iter().map(|argument| argument.as_ref().to_owned()));
         let mut program = Program::start(&program::find("gnomon-server")?, &all, &[])?;
         let url = program.wait_for(PATIENCE, url_in)?;
@@ -51,6 +58,22 @@ impl ServerProcess {
     /// The process.
     pub fn program(&mut self) -> &mut Program {
         &mut self.program
+    }
+
+    /// Kills it at once (SIGKILL).
+    ///
+    /// # Errors
+    /// When the operating system refuses.
+    pub fn kill(self) -> Result<()> {
+        self.program.kill()
+    }
+
+    /// Waits for its end, whatever that is.
+    ///
+    /// # Errors
+    /// When it does not end in time.
+    pub fn wait(self, patience: Duration) -> Result<Outcome> {
+        self.program.finish(patience)
     }
 
     /// Asks it to stop (SIGTERM) and waits for its end.

@@ -1,0 +1,101 @@
+//! Clients that come and go for a long time: what stays behind of them.
+
+use std::{
+    sync::atomic::{AtomicU32, Ordering},
+    thread::sleep,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result};
+
+use super::{
+    Finding, ServerArgs,
+    rig::{Ask, Probes, Usage, mib, usage},
+};
+
+/// Options of `lab chaos soak`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct SoakPart {
+    /// The server.
+    #[command(flatten)]
+    pub server: ServerArgs,
+    /// Sessions that begin in a second.
+    #[arg(long, default_value_t = 10.0)]
+    pub rate: f64,
+    /// How long, in seconds.
+    #[arg(long, default_value_t = 1800)]
+    pub seconds: u32,
+}
+
+/// Sizes of the masks, in turn, so that buffers come and go too.
+const SIZES: [(u32, u32); 4] = [(64, 36), (160, 90), (96, 96), (320, 180)];
+
+/// Probes at a time. When all are busy the next one waits: the rate is the aim, not a flood.
+const MOST: u32 = 64;
+
+/// Runs it.
+///
+/// # Errors
+/// When the server cannot be started.
+pub fn measure(part: &SoakPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>> {
+    let mut server = part.server.start(&[])?;
+    let process = server.program().id();
+    let probes = Probes::of(&part.server, server.url())?;
+    let (running, done, failed) = (AtomicU32::new(0), AtomicU32::new(0), AtomicU32::new(0));
+    let length = Duration::from_secs(part.seconds.into());
+    let warm = length / 5;
+    let (early, late) = std::thread::scope(|scope| {
+        let (begun, mut early) = (Instant::now(), None::<Usage>);
+        let mut number = 0_u32;
+        while begun.elapsed() < length {
+            let due = Duration::from_secs_f64(f64::from(number) / part.rate);
+            sleep(due.saturating_sub(begun.elapsed()));
+            if running.load(Ordering::Acquire) < MOST {
+                running.fetch_add(1, Ordering::AcqRel);
+                let ask = Ask { size: SIZES[number as usize % SIZES.len()], fps: Some(10.0), frames: 5 };
+                let (running, done, failed, probes) = (&running, &done, &failed, &probes);
+                scope.spawn(move || {
+                    let ran = probes.run(ask, number);
+                    if ran.is_ok() { done } else { failed }.fetch_add(1, Ordering::Relaxed);
+                    running.fetch_sub(1, Ordering::AcqRel);
+                });
+            }
+            number += 1;
+            if early.is_none() && begun.elapsed() >= warm {
+                early = Some(usage(process)?);
+                progress("warm");
+            }
+        }
+        while running.load(Ordering::Acquire) > 0 {
+            sleep(Duration::from_millis(20));
+        }
+        // What the last sessions leave is gone after the server's farewells.
+        sleep(Duration::from_secs(3));
+        Ok::<_, anyhow::Error>((early.context("it was too short")?, usage(process)?))
+    })?;
+    let (done, failed) = (done.into_inner(), failed.into_inner());
+    let growth = mib(late.resident_bytes) - mib(early.resident_bytes);
+    let outcome = server.stop().context("stopping the server")?;
+    // Cores of a machine are lent to others now and then; the sessions that were, count.
+    let sessions = outcome.stderr.matches("session ended").count();
+    Ok(vec![
+        Finding::new(
+            &format!(
+                "{} s of {} sessions a second: memory and files stay flat after a fifth of the time",
+                part.seconds, part.rate
+            ),
+            format!(
+                "{:.1} MiB then {growth:+.1}, {} files then {:+}",
+                mib(early.resident_bytes),
+                early.files,
+                i64::try_from(late.files)? - i64::try_from(early.files)?
+            ),
+            growth.abs() <= 16.0 && late.files <= early.files + 4,
+        ),
+        Finding::new(
+            "every session is served and ends",
+            format!("{done} served, {failed} not; the server counted {sessions} ends"),
+            failed == 0 && sessions == done as usize,
+        ),
+    ])
+}

@@ -1,0 +1,80 @@
+//! Promise: what `lab chaos` measures for minutes holds in seconds as well: sessions beside one too many, faults of networks, devices
+//! and sessions, and a server that stops while it serves. What a busy machine decides, such as rates and times, is not judged here.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+#[path = "../../server/tests/support/scene.rs"]
+mod scene;
+
+use std::path::Path;
+
+use clap::Parser;
+use gnomon_tests::report::chaos::{ChaosOptions, run};
+
+#[derive(Debug, Parser)]
+struct Line {
+    #[command(flatten)]
+    options: ChaosOptions,
+}
+
+/// Runs a part, and gives what was measured of the promise that has these words in it.
+fn chaos(part: &str, more: &str) -> impl Fn(&str) -> (bool, String) + use<> {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = scene::write(folder.path());
+    let path = folder.path().join("lights_camera.json");
+    let text = r#"{"camera_path": {"keyframes": [{"t": 0, "pos": [0, 2.5, 3], "target": [0, 0, 0]},
+        {"t": 60, "pos": [3, 2.5, 0], "target": [0, 0, 0]}]}}"#;
+    std::fs::write(path, text).unwrap();
+    let as_text = |path: &Path| path.to_str().unwrap().to_owned();
+    let mut line = vec!["chaos".to_owned(), part.to_owned(), "--scene".to_owned(), as_text(&scene)];
+    line.extend(["--out".to_owned(), as_text(&folder.path().join("out"))]);
+    line.extend(more.split_whitespace().map(str::to_owned));
+    let table = run(&Line::try_parse_from(line).unwrap().options, |_| {}).unwrap();
+    move |words| {
+        let row = table.rows.iter().find(|row| row[0].contains(words)).unwrap_or_else(|| panic!("{words}: {table:?}"));
+        (row[2] == "yes", row[1].clone())
+    }
+}
+
+#[track_caller]
+fn assert_met(found: impl Fn(&str) -> (bool, String), promises: &[&str]) {
+    for promise in promises {
+        let (met, measured) = found(promise);
+        assert!(met, "{promise}: {measured}");
+    }
+}
+
+#[test]
+fn one_session_too_many_is_refused_and_the_others_are_not_cut_off() {
+    let found = chaos("load", "--backend cpu --light 8 --heavy 1 --heavy-fps 5 --seconds 6");
+    assert_met(found, &["one session too many", "nobody who was admitted"]);
+}
+
+#[test]
+fn bad_networks_and_a_killed_server_end_no_session() {
+    let found = chaos("faults", "--backend cpu --handshakes 2 --rebindings 5 --black-holes 1");
+    assert_met(&found, &["at loss=30%", "at corrupt=30%", "changes of the client's port", "black holes"]);
+    let (_, measured) = found("after SIGKILL");
+    assert!(measured.contains("480 of 480 frames drawn") && !measured.contains(" 0 reconnect"), "{measured}");
+}
+
+#[test]
+fn panics_and_lost_devices_cost_nobody_else_a_session() {
+    for backend in ["cpu", "compute --allow-software --devices 2 --seconds 1"] {
+        let found = chaos("devices", &format!("--panics 5 --losses 4 --backend {backend}"));
+        assert_met(&found, &["panics in sessions' work", "a client's sessions outlive them"]);
+        let (_, measured) = found("lost devices: serving again");
+        assert!(measured.contains("4 masks came from new devices"), "{measured}");
+    }
+}
+
+#[test]
+fn a_server_that_stops_sends_its_clients_on() {
+    let found = chaos("drain", "--backend cpu --clients 2");
+    assert_met(found, &["every client is told", "half sent", "nobody is admitted", "it exits with 0"]);
+}
+
+#[test]
+fn clients_that_come_and_go_are_all_counted() {
+    let found = chaos("soak", "--backend cpu --rate 4 --seconds 8");
+    assert_met(found, &["every session is served and ends"]);
+}
