@@ -29,6 +29,7 @@ fn tiles_take_fewer_bytes_than_anything_else_and_change_no_bit() {
             out: out.path().to_owned(),
         },
         rounds: 1,
+        lags: vec![1, 3],
         append: false,
     };
     let table = measure(&options, |_| ()).unwrap();
@@ -37,12 +38,18 @@ fn tiles_take_fewer_bytes_than_anything_else_and_change_no_bit() {
     assert_eq!(csv.lines().next().unwrap(), HEAD);
     let column = |name: &str| HEAD.split(',').position(|column| column == name).unwrap();
     assert!(table.rows.iter().all(|row| row[column("wrong_relevant_bits")] == "0"), "{csv}");
-    let bytes: HashMap<&str, f64> = table
+    let bytes: HashMap<(&str, &str), f64> = table
         .rows
         .iter()
-        .map(|row| (row[column("codec")].as_str(), row[column("mean_bytes")].parse().unwrap()))
+        .map(|row| {
+            let of = |name: &str| row[column(name)].as_str();
+            ((of("codec"), of("reference")), of("mean_bytes").parse().unwrap())
+        })
         .collect();
-    let of = |codec: &str| bytes[codec];
+    let with = |codec, reference| bytes[&(codec, reference)];
+    let of = |codec| with(codec, "none");
+    assert!(with("tiles-small", "1") < with("tiles-small", "3"), "{bytes:?}");
+    assert!(with("tiles-small", "3") < of("tiles-small"), "{bytes:?}");
     assert!(of("tiles-small") < 0.7 * of("planes-zstd-3"), "{bytes:?}");
     assert!(of("tiles-fast") < of("planes-zstd-3") && of("tiles-fast") < 2.0 * of("tiles-small"), "{bytes:?}");
     assert!(of("planes-zstd-3") < of("planes-lz4") && of("planes-lz4") < of("words-lz4"), "{bytes:?}");

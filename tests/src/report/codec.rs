@@ -3,12 +3,16 @@
 //! The cpu back end traces the masks. Every codec has to give each of them back bit by bit, and is timed on one core: the
 //! least of some rounds, since other programs only ever make it longer. Bytes are what crosses the network: headers of
 //! packets and frames are counted. zstd compresses the same planes that `planes-lz4` does; it is no codec of the product.
+//!
+//! Codecs that have references are measured without, and with the mask of so many frames before at 60 frames a second: 1 is the least
+//! that there can be, and 3 what a round trip of 40 ms leaves.
 
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder},
+    codec::{CodecId, Decoder, Encoder, Reference},
+    ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
     mask::{Mask, MaskShape},
     packetizer::Packetizer,
@@ -44,6 +48,9 @@ pub struct CodecOptions {
     /// Times that each mask is coded.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub rounds: u32,
+    /// Ages of the references, in frames at 60 frames a second.
+    #[arg(long, value_delimiter = ',', default_value = "1,3")]
+    pub lags: Vec<u32>,
     /// Adds the rows to those that are in codec.csv, for a table of several scenes.
     #[arg(long)]
     pub append: bool,
@@ -51,8 +58,22 @@ pub struct CodecOptions {
 
 /// A codec under test.
 enum Subject {
-    Own(Box<Encoder>, Box<Decoder>),
+    Own(Box<Own>),
     Zstd(Box<Zstd>),
+}
+
+struct Own {
+    encoder: Encoder,
+    decoder: Decoder,
+    /// Age in frames of what is coded against, and that.
+    reference: Option<(u32, Reference)>,
+}
+
+impl Own {
+    fn new(codec: CodecId, lag: Option<u32>) -> Self {
+        let reference = lag.map(|lag| (lag, Reference::new()));
+        Self { encoder: Encoder::new(codec), decoder: Decoder::new(), reference }
+    }
 }
 
 struct Zstd {
@@ -62,8 +83,11 @@ struct Zstd {
 }
 
 impl Subject {
-    fn all() -> Result<Vec<Self>> {
-        let own = CodecId::ALL.into_iter().map(|codec| Self::Own(Box::new(Encoder::new(codec)), Box::default()));
+    fn all(lags: &[u32]) -> Result<Vec<Self>> {
+        let own = CodecId::ALL.into_iter().flat_map(|codec| {
+            let lags = lags.iter().filter(move |_| codec.has_references()).map(|lag| Some(*lag));
+            [None].into_iter().chain(lags).map(move |lag| Self::Own(Box::new(Own::new(codec, lag))))
+        });
         let zstd = Zstd {
             compressor: zstd::bulk::Compressor::new(ZSTD_LEVEL)?,
             decompressor: zstd::bulk::Decompressor::new()?,
@@ -74,14 +98,35 @@ impl Subject {
 
     fn name(&self) -> String {
         match self {
-            Self::Own(encoder, _) => encoder.codec().to_string(),
+            Self::Own(own) => own.encoder.codec().to_string(),
             Self::Zstd(_) => format!("planes-zstd-{ZSTD_LEVEL}"),
         }
     }
 
+    /// What the table calls its reference.
+    fn reference(&self) -> String {
+        match self {
+            Self::Own(own) => own.reference.as_ref().map_or("none".into(), |(lag, _)| lag.to_string()),
+            Self::Zstd(_) => "none".into(),
+        }
+    }
+
+    /// Takes these masks of earlier frames, with their ages, for references.
+    fn refer(&mut self, earlier: &[(u32, Mask)]) -> Result<()> {
+        let Self::Own(own) = self else { return Ok(()) };
+        let Own { encoder, reference: Some((lag, reference)), .. } = &mut **own else { return Ok(()) };
+        let (_, mask) = earlier.iter().find(|(age, _)| age == lag).context("no mask of this age")?;
+        encoder.encode(mask, &mut Vec::new())?;
+        ensure!(encoder.keep(FrameNumber(0), reference), "the mask is no reference");
+        Ok(())
+    }
+
     fn encode(&mut self, mask: &Mask, body: &mut Vec<u8>) -> Result<()> {
         match self {
-            Self::Own(encoder, _) => encoder.encode(mask, body)?,
+            Self::Own(own) => {
+                let reference = own.reference.as_ref().map(|(_, reference)| reference);
+                own.encoder.encode_for(None, reference, mask, body)?;
+            }
             Self::Zstd(zstd) => {
                 zstd.planes.clear();
                 zstd.planes.extend(mask.words().iter().flat_map(|word| word.to_le_bytes()));
@@ -95,7 +140,10 @@ impl Subject {
 
     fn decode(&mut self, body: &[u8], mask: &mut Mask) -> Result<()> {
         match self {
-            Self::Own(_, decoder) => drop(decoder.decode(body, mask)?),
+            Self::Own(own) => {
+                let reference = own.reference.as_ref().map(|(_, reference)| reference);
+                own.decoder.decode_against(reference, body, mask)?;
+            }
             Self::Zstd(zstd) => {
                 zstd.planes.resize(mask.words().len() * 8, 0);
                 let bytes = zstd.decompressor.decompress_to_buffer(body, &mut zstd.planes[..])?;
@@ -165,17 +213,25 @@ fn mean(values: &[f64]) -> f64 {
 /// # Errors
 /// When the scene or the path cannot be read, a codec fails, or the table cannot be written.
 pub fn measure(options: &CodecOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
-    let CodecOptions { scene: args, rounds, append } = options;
+    let CodecOptions { scene: args, rounds, lags, append } = options;
     let (scene, path) = (args.load_scene()?, args.load_path()?);
     let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
     let (width, height) = args.size;
     let mut trace = BackendName::Cpu.open(&scene)?;
     let mut mask = Mask::new(MaskShape::new(width, height, lights)?);
-    let mut tallied: Vec<_> = Subject::all()?.into_iter().map(|subject| (subject, Tally::default())).collect();
+    let mut tallied: Vec<_> = Subject::all(lags)?.into_iter().map(|subject| (subject, Tally::default())).collect();
     for frame in 0..args.frames {
-        let time_s = path.duration_s() * f64::from(frame) / f64::from(args.frames);
+        // In the middles of equal parts: before the path begins nothing moves.
+        let time_s = path.duration_s() * (f64::from(frame) + 0.5) / f64::from(args.frames);
+        let mut earlier = Vec::new();
+        for &lag in lags {
+            let mut mask = Mask::new(mask.shape());
+            trace(&path.camera(time_s - f64::from(lag) / 60.0, width, height), &mut mask)?;
+            earlier.push((lag, mask));
+        }
         trace(&path.camera(time_s, width, height), &mut mask)?;
         for (subject, tally) in &mut tallied {
+            subject.refer(&earlier)?;
             tally.add(subject, &mask, *rounds).with_context(|| format!("{} at {time_s:.3} s", subject.name()))?;
         }
         progress(&format!("frame {} of {}", frame + 1, args.frames));
@@ -183,7 +239,8 @@ pub fn measure(options: &CodecOptions, mut progress: impl FnMut(&str)) -> Result
 
     let mut table = Table::new(&HEAD);
     for (subject, mut tally) in tallied {
-        let first = [args.scene_name(), path.name().to_owned(), lights.to_string(), subject.name(), "none".into()];
+        let first =
+            [args.scene_name(), path.name().to_owned(), lights.to_string(), subject.name(), subject.reference()];
         table.rows.push(first.into_iter().chain(tally.cells()).collect());
     }
     let mut text = table.csv();

@@ -2,18 +2,23 @@
 //!
 //! A model of one session, on a clock of its own: 60 poses a second go up, the mask of each comes down, as packets of
 //! 1161 bytes through [`Impairment`], and the client shows the newest that it has. There is no tracing time, no pacing and no
-//! prediction, so that what differs between rows is loss alone. Losses are seeded: a second run gives the same figures.
+//! prediction, so that what differs between rows is loss alone. What the client says of the masks that it has is lost as often.
+//! Losses are seeded: a second run gives the same figures.
 
-use std::time::Duration;
+use std::{collections::VecDeque, time::Duration};
 
 use anyhow::{Context, Result, ensure};
+use bytes::Bytes;
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder},
+    acknowledgement::Acknowledgement,
+    codec::{CodecId, DecodeError, Decoder, Encoder},
+    frame::Frame,
     ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
     mask::{Mask, MaskShape},
     packetizer::Packetizer,
     reassembler::{Policy, Progress, Reassembler},
+    references::{KeptMasks, SentMasks},
 };
 
 use super::{scene_args::SceneArgs, table::Table};
@@ -67,18 +72,16 @@ struct Outcome {
     packets: u64,
     wrong_bits: u64,
     bits: u64,
-}
-
-/// A frame on its way to the client.
-struct Arriving {
-    deliveries: Vec<Delivery>,
-    packets: u64,
+    /// Bytes of all packets.
+    bytes: u64,
 }
 
 /// The client's side.
 struct Viewer {
     reassembler: Reassembler,
     decoder: Decoder,
+    references: KeptMasks,
+    said: Option<Acknowledgement>,
     policy: Policy,
     shown: Mask,
     /// When the frame at hand comes out as it is.
@@ -91,6 +94,8 @@ impl Viewer {
         Self {
             reassembler: Reassembler::new(policy),
             decoder: Decoder::new(),
+            references: KeptMasks::default(),
+            said: None,
             policy,
             shown: Mask::new(shape),
             deadline: None,
@@ -124,10 +129,20 @@ impl Viewer {
     /// Shows the frame that has come out, if one has.
     fn take(&mut self) -> Result<()> {
         let Some(frame) = self.reassembler.frame() else { return Ok(()) };
-        match self.policy {
-            Policy::WholeFrame => drop(self.decoder.decode(frame.body, &mut self.shown)?),
-            Policy::Slices => drop(self.decoder.decode_onto(None, frame.body, &mut self.shown)?),
-        }
+        let named = Frame::parse(frame.body)?.head.reference;
+        let reference = named.and_then(|name| self.references.reference(name));
+        let decoded = match self.policy {
+            Policy::WholeFrame => self.decoder.decode_against(reference, frame.body, &mut self.shown),
+            Policy::Slices => self.decoder.decode_onto(reference, frame.body, &mut self.shown),
+        };
+        match decoded {
+            Err(DecodeError::Reference(_)) => {
+                self.said = Some(self.references.lose());
+                return Ok(());
+            }
+            decoded => decoded?,
+        };
+        self.said = self.references.keep(&self.decoder, frame.frame).or(self.said);
         self.outcome.frames_whole += u32::from(frame.missing == 0);
         self.outcome.packets_used += u64::from(frame.packets);
         Ok(())
@@ -140,25 +155,42 @@ impl Viewer {
     }
 }
 
-/// Cuts every mask into packets and sends them through the link.
-fn send(masks: &[Mask], codec: CodecId, settings: Settings, seed: u64, rtt: Duration) -> Result<Vec<Arriving>> {
-    let (mut encoder, mut packetizer) = (Encoder::new(codec), Packetizer::new(MAX_PACKET_BYTES));
-    let (mut link, mut counts) = (Impairment::new(settings, seed, Direction::Down), Counts::default());
-    let mut body = Vec::new();
-    (0..)
-        .zip(masks)
-        .map(|(number, mask)| {
-            encoder.encode(mask, &mut body)?;
-            let mut now = moment(number) + rtt / 2;
-            let (mut deliveries, mut packets) = (Vec::new(), 0);
-            for packet in packetizer.packets(FrameNumber(number), number, &body)? {
-                deliveries.extend(link.push(now, packet, &mut counts).into_iter().flatten());
-                now += PACKET_GAP;
-                packets += 1;
-            }
-            Ok(Arriving { deliveries, packets })
-        })
-        .collect()
+/// The server's side, and the link between both.
+struct Sender {
+    encoder: Encoder,
+    packetizer: Packetizer,
+    references: SentMasks,
+    down: Impairment,
+    up: Impairment,
+    counts: Counts,
+    body: Vec<u8>,
+}
+
+impl Sender {
+    fn new(codec: CodecId, settings: &Settings, seed: u64) -> Self {
+        Self {
+            encoder: Encoder::new(codec),
+            packetizer: Packetizer::new(MAX_PACKET_BYTES),
+            references: SentMasks::default(),
+            down: Impairment::new(settings.clone(), seed, Direction::Down),
+            up: Impairment::new(settings.clone(), seed, Direction::Up),
+            counts: Counts::default(),
+            body: Vec::new(),
+        }
+    }
+
+    /// Cuts a mask into packets and sends them through the link.
+    fn send(&mut self, number: u32, mut now: Duration, mask: &Mask, outcome: &mut Outcome) -> Result<Vec<Delivery>> {
+        self.encoder.encode_for(None, self.references.reference(), mask, &mut self.body)?;
+        self.references.keep(&self.encoder, FrameNumber(number));
+        let mut deliveries = Vec::new();
+        for packet in self.packetizer.packets(FrameNumber(number), number, &self.body)? {
+            (outcome.packets, outcome.bytes) = (outcome.packets + 1, outcome.bytes + packet.len() as u64);
+            deliveries.extend(self.down.push(now, packet, &mut self.counts).into_iter().flatten());
+            now += PACKET_GAP;
+        }
+        Ok(deliveries)
+    }
 }
 
 /// When the pose of a frame leaves, and the client shows the newest mask that it has.
@@ -166,29 +198,40 @@ fn moment(frame: u32) -> Duration {
     Duration::from_secs_f64(f64::from(frame) / FPS)
 }
 
-fn watch(masks: &[Mask], arriving: &[Arriving], policy: Policy, rtt: Duration) -> Result<Outcome> {
+fn run(masks: &[Mask], codec: CodecId, policy: Policy, link: (&Settings, u64), rtt: Duration) -> Result<Outcome> {
     let first = masks.first().context("no frames")?;
-    let mut viewer = Viewer::new(policy, first.shape());
-    let mut deliveries = arriving.iter().flat_map(|frame| &frame.deliveries).peekable();
+    let (mut viewer, mut sender) = (Viewer::new(policy, first.shape()), Sender::new(codec, link.0, link.1));
+    let (mut deliveries, mut said) = (VecDeque::<Delivery>::new(), VecDeque::<Delivery>::new());
     // Until masks come there is nothing to compare.
     let begins = rtt + REST_PATIENCE + moment(2);
-    for (frame, truth) in (0..).zip(masks) {
-        let now = moment(frame);
-        while let Some(delivery) = deliveries.next_if(|delivery| delivery.due <= now) {
-            viewer.receive(delivery)?;
+    // A frame is shown, and asked for; half a round trip later its mask is sent.
+    let shown = (0..).zip(masks).map(|(frame, mask)| (moment(frame), frame, mask, false));
+    let sent = (0..).zip(masks).map(|(frame, mask)| (moment(frame) + rtt / 2, frame, mask, true));
+    let mut events: Vec<_> = shown.chain(sent).collect();
+    events.sort_by_key(|(time, ..)| *time);
+    for (now, frame, mask, is_sent) in events {
+        while let Some(delivery) = deliveries.pop_front_if(|delivery| delivery.due <= now) {
+            viewer.receive(&delivery)?;
+            if let Some(word) = viewer.said.take() {
+                let word = Bytes::copy_from_slice(&word.encode());
+                said.extend(sender.up.push(delivery.due, word, &mut sender.counts).into_iter().flatten());
+            }
         }
         viewer.wait_until(now)?;
-        if now >= begins {
-            viewer.compare(truth);
+        if is_sent {
+            while let Some(heard) = said.pop_front_if(|heard| heard.due <= now) {
+                sender.references.acknowledge(Acknowledgement::decode(&heard.bytes)?);
+            }
+            deliveries.extend(sender.send(frame, now, mask, &mut viewer.outcome)?);
+        } else if now >= begins {
+            viewer.compare(mask);
         }
     }
     for delivery in deliveries {
-        viewer.receive(delivery)?;
+        viewer.receive(&delivery)?;
     }
     viewer.wait_until(Duration::MAX)?;
-    let mut outcome = viewer.outcome;
-    outcome.packets = arriving.iter().map(|frame| frame.packets).sum();
-    Ok(outcome)
+    Ok(viewer.outcome)
 }
 
 /// Measures, writes `loss.csv`, and tells `progress` where it is.
@@ -223,6 +266,7 @@ pub fn measure(options: &LossOptions, mut progress: impl FnMut(&str)) -> Result<
         "frames_whole",
         "tiles_in_time",
         "bit_error",
+        "mean_bytes",
     ]);
     for &codec in &options.codecs {
         for (&loss, &burst) in options.loss.iter().flat_map(|loss| options.burst.iter().map(move |burst| (loss, burst)))
@@ -237,12 +281,11 @@ pub fn measure(options: &LossOptions, mut progress: impl FnMut(&str)) -> Result<
                 burst: (burst > 1.0).then_some(Burst { share, length: burst, loss: 1.0 }),
                 ..Settings::default()
             };
-            let arriving = send(&masks, codec, settings, options.seed, rtt)?;
             for policy in [Policy::WholeFrame, Policy::Slices] {
                 if policy == Policy::Slices && !codec.is_sliced() {
                     continue;
                 }
-                let outcome = watch(&masks, &arriving, policy, rtt)?;
+                let outcome = run(&masks, codec, policy, (&settings, options.seed), rtt)?;
                 let policy = if policy == Policy::Slices { "slices" } else { "whole-frame" };
                 table.rows.push(vec![
                     "model".into(),
@@ -255,6 +298,7 @@ pub fn measure(options: &LossOptions, mut progress: impl FnMut(&str)) -> Result<
                     share_of(outcome.frames_whole.into(), masks.len() as u64),
                     share_of(outcome.packets_used, outcome.packets),
                     share_of(outcome.wrong_bits, outcome.bits),
+                    (outcome.bytes / masks.len() as u64).to_string(),
                 ]);
             }
         }

@@ -144,18 +144,13 @@ impl Reference {
         self.name = ReferenceName { frame, digest: digest.finish() };
     }
 
-    /// Where the row `y` of a plane has the pixel `x`, as far as there are such: its word, and the bit in it.
-    #[inline(always)]
-    fn at(&self, light: usize, x: i32, y: i32) -> [u64; 2] {
-        let (row, word) = (clamped(y, self.rows), x >> 6);
-        let start = (light * self.rows + row) * self.stride;
-        [word + 1, word + 2].map(|word| self.words[start + clamped(word, self.stride)])
-    }
-
-    /// The 64 pixels from `x` on.
+    /// The 64 pixels of a row of a plane from `x` on, as far as there are such; its ends go on for ever.
     #[inline(always)]
     fn row(&self, light: usize, x: i32, y: i32) -> u64 {
-        let ([low, high], shift) = (self.at(light, x, y), x & 63);
+        let start = (light * self.rows + clamped(y, self.rows)) * self.stride;
+        let row = &self.words[start..start + self.stride];
+        let (word, shift) = (x >> 6, x & 63);
+        let (low, high) = (row[clamped(word + 1, row.len())], row[clamped(word + 2, row.len())]);
         // In two steps: a shift by 64 is none.
         low >> shift | high << 1 << (63 - shift)
     }
@@ -190,6 +185,7 @@ fn corner(place: Place, vector: Vector) -> [i32; 2] {
 
 /// The index nearest to `index` that there is of `count`.
 #[expect(clippy::cast_sign_loss, reason = "negative indices are 0")]
+#[inline(always)]
 fn clamped(index: i32, count: usize) -> usize {
     (index.max(0) as usize).min(count - 1)
 }

@@ -127,7 +127,7 @@ pub(super) fn code(
             rest &= !(0xFF << shift);
             let template = Template {
                 above: above.window(shift),
-                lines: [place, place + 1, place + 2].map(|line| lines[line].window(shift)),
+                lines: [lines[place].window(shift), lines[place + 1].window(shift), lines[place + 2].window(shift)],
                 before: byte_of((coded << 1 | left) >> shift) & 1,
                 other: byte_of(beside >> shift) | byte_of(beside >> 1 >> shift) << 8,
             };
