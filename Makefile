@@ -1,8 +1,9 @@
 # Everything a person does with a clone. `make demo` and `make test` do their own set-up.
-.PHONY: help setup demo test lint deny fuzz
+.PHONY: help setup demo window test lint deny fuzz
 
 help:
 	@echo 'make demo   real server, real client, loopback: pictures in target/demo  (SCENE=… LIGHTS=… CAMERA=… SIZE=… FRAMES=…)'
+	@echo 'make window the same in a window, to walk around in'
 	@echo 'make test   the whole suite; wants GNOMON_SCENES=DIR, the folder with the real scenes'
 	@echo 'make lint   fmt and clippy, warnings denied'
 	@echo 'make deny   licences, bans and sources of every dependency'
@@ -14,6 +15,10 @@ setup:
 demo: setup
 	cargo build --release --locked -p gnomon-server -p gnomon-client
 	deploy/demo
+
+window: setup
+	cargo build --release --locked -p gnomon-server -p gnomon-client
+	target/release/gnomon-client --demo
 
 # The ray-query back end wants an adapter that few machines have, so a driver is laid beside the system for its tests.
 test:

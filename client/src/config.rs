@@ -154,21 +154,22 @@ pub fn resolve(arguments: Arguments) -> Result<Run, ConfigError> {
         })
         .transpose()?;
     let demo = arguments.demo;
+    let only = [
+        (arguments.wait, "wait"),
+        (arguments.frames.is_some(), "frames"),
+        (arguments.fps.is_some(), "fps"),
+        (arguments.summary.is_some(), "summary"),
+    ];
     let mut run = resolve_run(arguments, file)?;
-    run.remember = !headless && !demo;
     if headless {
         return Ok(Run::Headless(run));
     }
-    for (given, name) in [
-        (run.wait, "wait"),
-        (run.frames.is_some(), "frames"),
-        (run.fps.is_some(), "fps"),
-        (run.summary.is_some(), "summary"),
-    ] {
-        if given {
-            return Err(ConfigError::HeadlessOnly(name));
-        }
+    if let Some((_, name)) = only.into_iter().find(|(given, _)| *given) {
+        return Err(ConfigError::HeadlessOnly(name));
     }
+    // What the file says of headless runs is not about this one.
+    (run.wait, run.frames, run.fps, run.summary) = (false, None, None, None);
+    run.remember = !demo;
     Ok(Run::Window(WindowOptions { run, vsync, full_screen, exit_after }))
 }
 
@@ -264,6 +265,8 @@ mod tests {
         assert_eq!((options.vsync, options.full_screen), (false, true));
         assert_eq!(options.exit_after, Some(Duration::from_millis(2500)));
         assert!(matches!(run_with("", &format!("{URL} --headless")), Ok(Run::Headless(_))));
+        let Run::Window(options) = run_with("wait = true\nframes = 7\n", URL).unwrap() else { panic!("no window") };
+        assert_eq!((options.run.wait, options.run.frames, options.run.remember), (false, None, true));
     }
 
     const URL: &str = "gnomon+lab-udp://127.0.0.1:5";

@@ -2,6 +2,8 @@
 //!
 //! One frame's way: [`camera_path`] → pose out (`net/send.rs`) → G-buffer ([`render`]) → mask in (`net/receive.rs`) →
 //! [`mask_buffer`] → shading → picture ([`pictures`]) and statistics ([`stats`]). `frame_loop.rs` is where they meet.
+//!
+//! In a [`window`], poses come from what a person does ([`input`]) and pictures go to the screen, with an overlay; the rest is the same.
 
 pub mod camera_path;
 pub mod cli;

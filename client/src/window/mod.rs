@@ -233,6 +233,7 @@ impl App {
 
     fn obey(&mut self, command: Command, event_loop: &ActiveEventLoop) {
         match command {
+            Command::Leave if self.settings.help => self.settings.help = false,
             Command::Leave => event_loop.exit(),
             Command::FullScreen => {
                 if let Some(Opened { window, .. }) = &self.opened {
@@ -258,6 +259,7 @@ impl App {
 
     /// Leaves the server, and says how it went.
     fn close(mut self) -> Result<(), ClientError> {
+        tracing::info!(peak_memory_mib = peak_memory_mib(), "leaving");
         if let Some(Opened { screen, .. }) = &mut self.opened
             && let Some(Err(error)) = screen.finish()
         {
@@ -269,6 +271,13 @@ impl App {
             Stage::Loading(_) => Ok(()),
         }
     }
+}
+
+/// The most memory that this process has had, where the system says so. On a software adapter the adapter's own is among it.
+fn peak_memory_mib() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.split_whitespace().next()?.parse::<u64>().ok().map(|kib| kib / 1024)
 }
 
 /// A file in `folder` that is not there yet.
