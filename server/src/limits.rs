@@ -1,4 +1,24 @@
 //! Every bound of the daemon that is not configured, in one place. What a peer may send is in `gnomon_protocol::limits`.
+//!
+//! What one client can take, and what takes it back:
+//!
+//! | what | bound | beyond it |
+//! |---|---|---|
+//! | an address that did not prove itself | a Retry of 108 bytes | nothing more |
+//! | handshakes under way | [`MAX_HANDSHAKES`], of one address [`MAX_HANDSHAKES_PER_ADDRESS`], `handshake_timeout_ms` each | refused, `gnomon_refusals_total{cause="handshakes"}`, `"silent"` |
+//! | bytes before admission | [`INCOMING_BUFFER_BYTES`] a connection, [`INCOMING_BUFFER_TOTAL_BYTES`] in all | dropped by quinn |
+//! | a message | [`MAX_CLIENT_MESSAGE_BYTES`] | the session ends |
+//! | messages a second | [`MAX_MESSAGES_PER_SECOND`] | the session ends |
+//! | streams | [`MAX_BIDI_STREAMS`], [`MAX_UNI_STREAMS`], [`STREAM_RECEIVE_WINDOW_BYTES`] unread | flow control |
+//! | sessions | `max_sessions`, of one address `max_sessions_per_address` | refused, `cause="full"`, `"address"` |
+//! | the devices' time, of all | `device_budget_ms` | refused with the reason, `cause="budget"` |
+//! | poses a second | [`MAX_POSES_PER_SECOND`] | dropped, `outcome="over_rate"` |
+//! | unread poses | [`DATAGRAM_RECEIVE_BUFFER_BYTES`] | the oldest are dropped, `outcome="unread"` |
+//! | bytes a second | [`MAX_CLIENT_BYTES_PER_SECOND`] | its next mask waits |
+//! | device time a second | [`MAX_CLIENT_GPU_PER_SECOND`] | its next mask waits |
+//! | frames that it does not read | [`SEND_BACKLOG_FRAMES`] | skipped, `outcome="gated"` |
+//! | scene bytes in flight, fetches | [`SEND_WINDOW_BYTES`], [`MAX_SCENE_FETCHES`] | back-pressure; the session ends |
+//! | silence | [`WRITE_TIMEOUT`], [`SETUP_TIMEOUT`], [`SILENCE_TIMEOUT`], `idle_timeout_ms` | the session ends |
 
 use std::time::Duration;
 

@@ -202,7 +202,12 @@ impl Ledger {
 impl Totals {
     /// Datagrams that came in and are accounted for: taken, or dropped with a cause.
     pub(crate) const fn datagrams_in(&self) -> u64 {
-        self.poses + self.acknowledgements + self.poses_bad + self.poses_stale + self.poses_over_rate + self.poses_unread
+        self.poses
+            + self.acknowledgements
+            + self.poses_bad
+            + self.poses_stale
+            + self.poses_over_rate
+            + self.poses_unread
     }
 
     /// Traced frames that are accounted for: sent, or dropped with a cause.
