@@ -124,6 +124,9 @@ pub struct Flags {
     /// Address for /live, /ready, /metrics and /sessions; a port alone is on loopback [default: none]
     #[arg(long, env = "GNOMON_ADMIN", value_name = "[ADDR:]PORT")]
     pub admin: Option<AdminAddress>,
+    /// Tell Agones' sidecar how the server is; wants a server built with --features agones
+    #[arg(long, env = "GNOMON_AGONES", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub agones: Option<bool>,
     /// Folder where the certificate is kept [default: the user's state folder]
     #[arg(long, env = "GNOMON_CERT_DIR", value_name = "DIR")]
     pub cert_dir: Option<PathBuf>,
@@ -183,6 +186,7 @@ impl Flags {
         set(&mut config.log, &self.log);
         set_some(&mut config.log_file, &self.log_file);
         set_some(&mut config.admin, &self.admin);
+        set(&mut config.agones, &self.agones);
         set_some(&mut config.cert_dir, &self.cert_dir);
         set_some(&mut config.cert_file, &self.cert_file);
         set_some(&mut config.key_file, &self.key_file);
@@ -239,6 +243,7 @@ mod tests {
             "--log=json",
             "--log-file=l",
             "--admin=9",
+            "--agones=false",
             "--cert-dir=c",
             "--cert-file=f",
             "--key-file=k",
@@ -267,6 +272,7 @@ mod tests {
             log: LogFormat::Json,
             log_file: Some("l".into()),
             admin: Some("127.0.0.1:9".parse().unwrap()),
+            agones: false,
             cert_dir: Some("c".into()),
             cert_file: Some("f".into()),
             key_file: Some("k".into()),

@@ -65,6 +65,8 @@ pub struct ServerConfig {
     pub log_file: Option<PathBuf>,
     /// Address for `/live`, `/ready`, `/metrics` and `/sessions`; without it there is none.
     pub admin: Option<AdminAddress>,
+    /// Whether Agones' sidecar is told how the server is; wants the cargo feature of that name.
+    pub agones: bool,
     /// Folder where the certificate and its key are kept; the user's state folder without it.
     pub cert_dir: Option<PathBuf>,
     /// Certificate chain in PEM, of a name that a CA vouches for; without it the server makes its own, which clients pin.
@@ -99,6 +101,7 @@ impl Default for ServerConfig {
             log: LogFormat::Pretty,
             log_file: None,
             admin: None,
+            agones: false,
             cert_dir: None,
             cert_file: None,
             key_file: None,
@@ -207,6 +210,9 @@ pub enum ConfigError {
         /// What it may be.
         allowed: String,
     },
+    /// The program does not know Agones.
+    #[error("--agones wants a gnomon-server that was built with --features agones")]
+    NoAgones,
     /// A certificate without its key, or the other way round.
     #[error("--cert-file and --key-file belong together")]
     HalfACertificate,
@@ -317,6 +323,9 @@ impl ServerConfig {
         text("alternative", &self.alternative)?;
         if self.cert_file.is_some() != self.key_file.is_some() {
             return Err(ConfigError::HalfACertificate);
+        }
+        if self.agones && !cfg!(feature = "agones") {
+            return Err(ConfigError::NoAgones);
         }
         if self.transport != Transport::Quic && !self.listen.ip().is_loopback() {
             return Err(ConfigError::LabBeyondLoopback { transport: self.transport, listen: self.listen });

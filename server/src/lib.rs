@@ -4,6 +4,8 @@
 //! and sends. [`Server::start`] boots the daemon inside any tokio runtime; the binary adds flags, logs and signals.
 
 mod admin;
+#[cfg(feature = "agones")]
+mod agones;
 pub mod cli;
 pub mod config;
 pub mod error;

@@ -53,6 +53,8 @@ pub struct RunningServer {
     accepting: Task,
     readiness: Readiness,
     admin: Option<Admin>,
+    #[cfg(feature = "agones")]
+    agones: Option<Task>,
 }
 
 /// A task that ends with its owner.
@@ -138,7 +140,23 @@ impl Server {
         });
         let accepting = Task(tokio::spawn(accept(Arc::clone(&endpoint), Arc::clone(&services))));
         readiness.set(Stage::Ready);
-        Ok(RunningServer { local_addr, url, certificates, services, phase, endpoint, accepting, readiness, admin })
+        #[cfg(feature = "agones")]
+        let agones = config
+            .agones
+            .then(|| Task(tokio::spawn(crate::agones::run(readiness.clone(), Arc::clone(&services.metrics)))));
+        Ok(RunningServer {
+            local_addr,
+            url,
+            certificates,
+            services,
+            phase,
+            endpoint,
+            accepting,
+            readiness,
+            admin,
+            #[cfg(feature = "agones")]
+            agones,
+        })
     }
 
     /// Loads and packs the configured scene, and says what it found, a line each.
@@ -233,7 +251,17 @@ impl RunningServer {
     /// Stops admitting, tells the clients, gives them `drain_ms` to leave while they are still served, finishes the
     /// frames on their way, and ends.
     pub async fn shutdown(self) {
-        let Self { services, phase, endpoint, mut accepting, readiness, admin, .. } = self;
+        let Self {
+            services,
+            phase,
+            endpoint,
+            mut accepting,
+            readiness,
+            admin,
+            #[cfg(feature = "agones")]
+            agones,
+            ..
+        } = self;
         readiness.set(Stage::Draining);
         services.admission.close();
         tracing::info!(sessions = services.admission.taken(), drain_ms = services.drain_ms, "draining");
@@ -256,6 +284,10 @@ impl RunningServer {
         // It waits for a thread, so it may not run on a worker.
         if let Err(error) = tokio::task::spawn_blocking(move || services.engine.shutdown()).await {
             tracing::error!(%error, "the engine broke off");
+        }
+        #[cfg(feature = "agones")]
+        if agones.is_some() {
+            crate::agones::shutdown().await;
         }
         drop(admin);
         tracing::info!("stopped");
