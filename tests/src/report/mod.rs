@@ -2,6 +2,7 @@
 
 pub mod accuracy;
 pub mod codec;
+pub mod hostile;
 pub mod lag;
 mod lag_plots;
 pub mod link;
