@@ -192,6 +192,12 @@ fn with(entry: &Value, place: &str, value: Value) -> Value {
     changed
 }
 
+/// Everything that looks like one of our metrics in a text.
+fn metric_names(text: &str) -> BTreeSet<String> {
+    let words = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').filter(|word| word.starts_with("gnomon_"));
+    words.map(|word| word.trim_end_matches("_bucket").to_owned()).collect()
+}
+
 #[test]
 fn a_full_disk_stops_nobody() {
     let folder = tempfile::tempdir().unwrap();
@@ -201,6 +207,12 @@ fn a_full_disk_stops_nobody() {
     let page = metrics(&server.admin);
     assert!(value(&page, "gnomon_log_lines_lost_total") > 60, "{page}");
     assert_eq!(value(&page, "gnomon_sessions_opened_total"), 1);
+    // What alerts and dashboard ask for is there.
+    let there = metric_names(&page);
+    for file in ["deploy/prometheus/alerts.yml", "deploy/grafana/gnomon.json"] {
+        let asked = metric_names(&fs::read_to_string(project(file)).unwrap());
+        assert!(asked.len() > 5 && asked.is_subset(&there), "{file} asks for {:?}", asked.difference(&there));
+    }
     server.program.terminate().unwrap();
     server.program.finish(PATIENCE).unwrap().success().unwrap();
 }
