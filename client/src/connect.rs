@@ -73,7 +73,7 @@ pub(crate) fn get_scene(
             let cache = SceneCache::new(options.cache_dir.clone());
             let (url, admitted, packed) = runtime.block_on(async {
                 let pinned = known.certificate_of(url);
-                let first_use = url.transport == Transport::Quic && url.certificate.is_none();
+                let first_use = url.transport == Transport::Quic && url.certificate.is_none() && url.ca.is_none();
                 let url = match pinned {
                     None if first_use => {
                         let digest = certificate_of(url, options.connect_timeout).await?;

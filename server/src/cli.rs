@@ -4,7 +4,8 @@ use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf};
 
 use clap::Parser;
 
-use crate::config::{Backend, ConfigError, LogFormat, ServerConfig, Transport};
+use crate::config::{AdminAddress, Backend, ConfigError, LogFormat, ServerConfig, Transport};
+use crate::tokens::Scope;
 
 /// Ray-traces visibility at the edge, for thin clients that render their own frames.
 ///
@@ -23,9 +24,32 @@ pub struct Cli {
     /// Load the configuration, print it whole, and exit
     #[arg(long, conflicts_with = "check")]
     pub check_config: bool,
+    /// What to do instead of serving.
+    #[command(subcommand)]
+    pub command: Option<Command>,
     /// Everything that overrides the file.
     #[command(flatten)]
     pub flags: Flags,
+}
+
+/// What to do instead of serving.
+#[derive(Debug, clap::Subcommand)]
+pub enum Command {
+    /// Make a bearer token: the first line is the client's secret, what follows is its entry for --token-file
+    Token {
+        /// Whose it is, for people
+        #[arg(long, default_value = "")]
+        name: String,
+        /// Days until it ends [default: never]
+        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=36_500))]
+        days: Option<u32>,
+        /// What it is good for
+        #[arg(long, value_enum, default_values = ["session"])]
+        scope: Vec<Scope>,
+        /// It admits one session, and then nobody
+        #[arg(long)]
+        once: bool,
+    },
 }
 
 /// What a flag or a variable overrides.
@@ -67,12 +91,15 @@ pub struct Flags {
     /// Time of each device that admitted sessions may need in a second; whoever would need more is refused [default: 900]
     #[arg(long, env = "GNOMON_DEVICE_BUDGET_MS", value_name = "MS")]
     pub device_budget_ms: Option<u32>,
-    /// Admit only clients with a token of this file: one a line, # for comments
+    /// Admit only clients with a token that this file lists; `gnomon-server token` makes its entries
     #[arg(long, env = "GNOMON_TOKEN_FILE", value_name = "FILE")]
     pub token_file: Option<PathBuf>,
     /// Sessions at once [default: 64]
     #[arg(long, env = "GNOMON_MAX_SESSIONS", value_name = "N")]
     pub max_sessions: Option<usize>,
+    /// Sessions of one address at once, loopback excepted [default: 16]
+    #[arg(long, env = "GNOMON_MAX_SESSIONS_PER_ADDRESS", value_name = "N")]
+    pub max_sessions_per_address: Option<usize>,
     /// Silence after which a session is gone [default: 10000]
     #[arg(long, env = "GNOMON_IDLE_TIMEOUT_MS", value_name = "MS")]
     pub idle_timeout_ms: Option<u64>,
@@ -88,12 +115,27 @@ pub struct Flags {
     /// Bytes in flight that a connection starts with: at least four frames [default: 524288]
     #[arg(long, env = "GNOMON_INITIAL_WINDOW_BYTES", value_name = "BYTES")]
     pub initial_window_bytes: Option<u64>,
-    /// Form of the logs on standard error; RUST_LOG filters them [default: pretty]
+    /// Form of the logs; RUST_LOG filters them [default: pretty]
     #[arg(long, env = "GNOMON_LOG", value_enum)]
     pub log: Option<LogFormat>,
+    /// File to append the logs to, opened anew on SIGHUP [default: standard error]
+    #[arg(long, env = "GNOMON_LOG_FILE", value_name = "FILE")]
+    pub log_file: Option<PathBuf>,
+    /// Address for /live, /ready, /metrics and /sessions; a port alone is on loopback [default: none]
+    #[arg(long, env = "GNOMON_ADMIN", value_name = "[ADDR:]PORT")]
+    pub admin: Option<AdminAddress>,
+    /// Tell Agones' sidecar how the server is; wants a server built with --features agones
+    #[arg(long, env = "GNOMON_AGONES", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub agones: Option<bool>,
     /// Folder where the certificate is kept [default: the user's state folder]
     #[arg(long, env = "GNOMON_CERT_DIR", value_name = "DIR")]
     pub cert_dir: Option<PathBuf>,
+    /// Certificate chain in PEM, read again on SIGHUP [default: a self-made one, which clients pin]
+    #[arg(long, env = "GNOMON_CERT_FILE", value_name = "FILE")]
+    pub cert_file: Option<PathBuf>,
+    /// Private key of the certificate in PEM, read again on SIGHUP
+    #[arg(long, env = "GNOMON_KEY_FILE", value_name = "FILE")]
+    pub key_file: Option<PathBuf>,
 }
 
 impl Cli {
@@ -135,13 +177,19 @@ impl Flags {
         set(&mut config.device_budget_ms, &self.device_budget_ms);
         set_some(&mut config.token_file, &self.token_file);
         set(&mut config.max_sessions, &self.max_sessions);
+        set(&mut config.max_sessions_per_address, &self.max_sessions_per_address);
         set(&mut config.idle_timeout_ms, &self.idle_timeout_ms);
         set(&mut config.handshake_timeout_ms, &self.handshake_timeout_ms);
         set(&mut config.drain_ms, &self.drain_ms);
         set_some(&mut config.alternative, &self.alternative);
         set(&mut config.initial_window_bytes, &self.initial_window_bytes);
         set(&mut config.log, &self.log);
+        set_some(&mut config.log_file, &self.log_file);
+        set_some(&mut config.admin, &self.admin);
+        set(&mut config.agones, &self.agones);
         set_some(&mut config.cert_dir, &self.cert_dir);
+        set_some(&mut config.cert_file, &self.cert_file);
+        set_some(&mut config.key_file, &self.key_file);
     }
 }
 
@@ -186,13 +234,19 @@ mod tests {
             "--device-budget-ms=600",
             "--token-file=t",
             "--max-sessions=5",
+            "--max-sessions-per-address=4",
             "--idle-timeout-ms=700",
             "--handshake-timeout-ms=800",
             "--drain-ms=900",
             "--alternative=gnomon://b:1/",
             "--initial-window-bytes=100000",
             "--log=json",
+            "--log-file=l",
+            "--admin=9",
+            "--agones=false",
             "--cert-dir=c",
+            "--cert-file=f",
+            "--key-file=k",
         ];
         let expected = ServerConfig {
             scene: Some("a.glb".into()),
@@ -209,13 +263,19 @@ mod tests {
             device_budget_ms: 600,
             token_file: Some("t".into()),
             max_sessions: 5,
+            max_sessions_per_address: 4,
             idle_timeout_ms: 700,
             handshake_timeout_ms: 800,
             drain_ms: 900,
             alternative: Some("gnomon://b:1/".into()),
             initial_window_bytes: 100_000,
             log: LogFormat::Json,
+            log_file: Some("l".into()),
+            admin: Some("127.0.0.1:9".parse().unwrap()),
+            agones: false,
             cert_dir: Some("c".into()),
+            cert_file: Some("f".into()),
+            key_file: Some("k".into()),
         };
         assert_eq!(Cli::try_parse_from(arguments).unwrap().resolve().unwrap(), expected);
     }

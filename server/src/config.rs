@@ -47,6 +47,8 @@ pub struct ServerConfig {
     pub token_file: Option<PathBuf>,
     /// Sessions that are served at once.
     pub max_sessions: usize,
+    /// Sessions of one address at once. Loopback is exempt: behind a proxy on this machine everybody has its address.
+    pub max_sessions_per_address: usize,
     /// Silence of a peer after which its session is gone, in milliseconds.
     pub idle_timeout_ms: u64,
     /// Time from a peer's first packet to its Hello, in milliseconds.
@@ -59,8 +61,18 @@ pub struct ServerConfig {
     pub initial_window_bytes: u64,
     /// Form of the logs.
     pub log: LogFormat,
+    /// File that the logs are appended to, opened anew on SIGHUP; standard error without it.
+    pub log_file: Option<PathBuf>,
+    /// Address for `/live`, `/ready`, `/metrics` and `/sessions`; without it there is none.
+    pub admin: Option<AdminAddress>,
+    /// Whether Agones' sidecar is told how the server is; wants the cargo feature of that name.
+    pub agones: bool,
     /// Folder where the certificate and its key are kept; the user's state folder without it.
     pub cert_dir: Option<PathBuf>,
+    /// Certificate chain in PEM, of a name that a CA vouches for; without it the server makes its own, which clients pin.
+    pub cert_file: Option<PathBuf>,
+    /// Private key of `cert_file`, in PEM.
+    pub key_file: Option<PathBuf>,
 }
 
 impl Default for ServerConfig {
@@ -80,14 +92,48 @@ impl Default for ServerConfig {
             device_budget_ms: 900,
             token_file: None,
             max_sessions: 64,
+            max_sessions_per_address: 16,
             idle_timeout_ms: 10_000,
             handshake_timeout_ms: 5_000,
             drain_ms: 1_000,
             alternative: None,
             initial_window_bytes: 512 * 1024,
             log: LogFormat::Pretty,
+            log_file: None,
+            admin: None,
+            agones: false,
             cert_dir: None,
+            cert_file: None,
+            key_file: None,
         }
+    }
+}
+
+/// Where the admin address is: `ADDR:PORT`, or a port alone, which is on loopback.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct AdminAddress(pub SocketAddr);
+
+impl FromStr for AdminAddress {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let on_loopback = text.parse().map(|port| SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), port));
+        on_loopback.or_else(|_| text.parse()).map(Self).map_err(|_| format!("{text:?} is neither ADDR:PORT nor a port"))
+    }
+}
+
+impl TryFrom<String> for AdminAddress {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
+}
+
+impl From<AdminAddress> for String {
+    fn from(address: AdminAddress) -> Self {
+        address.0.to_string()
     }
 }
 
@@ -164,6 +210,12 @@ pub enum ConfigError {
         /// What it may be.
         allowed: String,
     },
+    /// The program does not know Agones.
+    #[error("--agones wants a gnomon-server that was built with --features agones")]
+    NoAgones,
+    /// A certificate without its key, or the other way round.
+    #[error("--cert-file and --key-file belong together")]
+    HalfACertificate,
     /// A lab transport on an address that others can reach.
     #[error(
         "--transport {transport} sends everything unencrypted and unauthenticated, so it listens on loopback only, \
@@ -189,9 +241,14 @@ impl FromStr for ServerConfig {
 /// A TOML error on one line: the parser's own message draws a picture of several.
 fn one_line(error: &toml::de::Error, text: &str) -> String {
     let reason = error.message().trim().replace('\n', " ");
+    format!("{}: {reason}", place_of(error, text))
+}
+
+/// Where a TOML error is, without a word of what is there.
+pub(crate) fn place_of(error: &toml::de::Error, text: &str) -> String {
     match error.span().and_then(|span| text.get(..span.start)) {
-        Some(before) => format!("line {}: {reason}", before.matches('\n').count() + 1),
-        None => reason,
+        Some(before) => format!("line {}", before.matches('\n').count() + 1),
+        None => "some line".to_owned(),
     }
 }
 
@@ -207,7 +264,15 @@ impl ServerConfig {
             .parse()
             .map_err(|message| ConfigError::Parse { path: path.to_owned(), message })?;
         if let Some(folder) = path.parent() {
-            let paths = [&mut config.scene, &mut config.lights_from, &mut config.token_file, &mut config.cert_dir];
+            let paths = [
+                &mut config.scene,
+                &mut config.lights_from,
+                &mut config.token_file,
+                &mut config.log_file,
+                &mut config.cert_dir,
+                &mut config.cert_file,
+                &mut config.key_file,
+            ];
             for path in paths.into_iter().flatten() {
                 *path = folder.join(&*path);
             }
@@ -229,6 +294,7 @@ impl ServerConfig {
             }
         };
         range("max_sessions", self.max_sessions as u64, 1, limits::MAX_SESSIONS as u64)?;
+        range("max_sessions_per_address", self.max_sessions_per_address as u64, 1, limits::MAX_SESSIONS as u64)?;
         range("idle_timeout_ms", self.idle_timeout_ms, 100, 600_000)?;
         range("handshake_timeout_ms", self.handshake_timeout_ms, 100, 60_000)?;
         range("drain_ms", self.drain_ms.into(), 0, 3_600_000)?;
@@ -255,6 +321,12 @@ impl ServerConfig {
         };
         text("advertise", &self.advertise)?;
         text("alternative", &self.alternative)?;
+        if self.cert_file.is_some() != self.key_file.is_some() {
+            return Err(ConfigError::HalfACertificate);
+        }
+        if self.agones && !cfg!(feature = "agones") {
+            return Err(ConfigError::NoAgones);
+        }
         if self.transport != Transport::Quic && !self.listen.ip().is_loopback() {
             return Err(ConfigError::LabBeyondLoopback { transport: self.transport, listen: self.listen });
         }
@@ -306,6 +378,15 @@ mod tests {
     }
 
     #[test]
+    fn an_admin_port_alone_is_on_loopback() {
+        for (text, expected) in [("9464", "127.0.0.1:9464"), ("0.0.0.0:80", "0.0.0.0:80"), ("[::1]:0", "[::1]:0")] {
+            let config: ServerConfig = format!("admin = \"{text}\"").parse().unwrap();
+            assert_eq!(config.admin.unwrap().0, expected.parse().unwrap());
+        }
+        "admin = \"everywhere\"".parse::<ServerConfig>().unwrap_err();
+    }
+
+    #[test]
     fn ranges_are_checked_and_named() {
         let bad = |change: fn(&mut ServerConfig)| {
             let mut config = ServerConfig::default();
@@ -314,6 +395,7 @@ mod tests {
         };
         assert_eq!(bad(|c| c.max_sessions = 0), "max_sessions is 0: it must be 1 to 4096");
         assert_eq!(bad(|c| c.lights = Some(33)), "lights is 33: it must be 1 to 32");
+        assert_eq!(bad(|c| c.key_file = Some("k".into())), "--cert-file and --key-file belong together");
         assert!(bad(|c| c.idle_timeout_ms = 1).starts_with("idle_timeout_ms is 1:"));
         assert!(bad(|c| c.advertise = Some("a b".into())).starts_with("advertise is \"a b\":"));
         ServerConfig::default().validate().unwrap();

@@ -7,12 +7,16 @@ use thiserror::Error;
 
 use crate::visibility::engine::EngineError;
 pub use crate::{
-    config::ConfigError, net::certificate::CertificateError, net::endpoint::ListenError, tokens::TokenError,
+    admin::AdminError, config::ConfigError, net::certificate::CertificateError, net::endpoint::ListenError,
+    tokens::TokenError,
 };
 
 /// Why a server does not start.
 #[derive(Debug, Error)]
 pub enum StartError {
+    /// The admin address cannot be used.
+    #[error(transparent)]
+    Admin(#[from] AdminError),
     /// A value of the configuration is wrong.
     #[error("configuration: {0}")]
     Config(#[from] ConfigError),

@@ -3,17 +3,21 @@
 //! A pose's way: `net` receives it → `session` keeps the newest → [`visibility`] traces it → `session` encodes
 //! and sends. [`Server::start`] boots the daemon inside any tokio runtime; the binary adds flags, logs and signals.
 
+mod admin;
+#[cfg(feature = "agones")]
+mod agones;
 pub mod cli;
 pub mod config;
 pub mod error;
 mod files;
 pub mod limits;
+mod metrics;
 mod net;
 mod server;
 mod session;
 pub mod shutdown;
 pub mod telemetry;
-mod tokens;
+pub mod tokens;
 pub mod visibility;
 
 pub use server::{RunningServer, Server};

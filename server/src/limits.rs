@@ -1,4 +1,24 @@
 //! Every bound of the daemon that is not configured, in one place. What a peer may send is in `gnomon_protocol::limits`.
+//!
+//! What one client can take, and what takes it back:
+//!
+//! | what | bound | beyond it |
+//! |---|---|---|
+//! | an address that did not prove itself | a Retry of 108 bytes | nothing more |
+//! | handshakes under way | [`MAX_HANDSHAKES`], of one address [`MAX_HANDSHAKES_PER_ADDRESS`], `handshake_timeout_ms` each | refused, `gnomon_refusals_total{cause="handshakes"}`, `"silent"` |
+//! | bytes before admission | [`INCOMING_BUFFER_BYTES`] a connection, [`INCOMING_BUFFER_TOTAL_BYTES`] in all | dropped by quinn |
+//! | a message | [`MAX_CLIENT_MESSAGE_BYTES`] | the session ends |
+//! | messages a second | [`MAX_MESSAGES_PER_SECOND`] | the session ends |
+//! | streams | [`MAX_BIDI_STREAMS`], [`MAX_UNI_STREAMS`], [`STREAM_RECEIVE_WINDOW_BYTES`] unread | flow control |
+//! | sessions | `max_sessions`, of one address `max_sessions_per_address` | refused, `cause="full"`, `"address"` |
+//! | the devices' time, of all | `device_budget_ms` | refused with the reason, `cause="budget"` |
+//! | poses a second | [`MAX_POSES_PER_SECOND`] | dropped, `outcome="over_rate"` |
+//! | unread poses | [`DATAGRAM_RECEIVE_BUFFER_BYTES`] | the oldest are dropped, `outcome="unread"` |
+//! | bytes a second | [`MAX_CLIENT_BYTES_PER_SECOND`] | its next mask waits |
+//! | device time a second | [`MAX_CLIENT_GPU_PER_SECOND`] | its next mask waits |
+//! | frames that it does not read | [`SEND_BACKLOG_FRAMES`] | skipped, `outcome="gated"` |
+//! | scene bytes in flight, fetches | [`SEND_WINDOW_BYTES`], [`MAX_SCENE_FETCHES`] | back-pressure; the session ends |
+//! | silence | [`WRITE_TIMEOUT`], [`SETUP_TIMEOUT`], [`SILENCE_TIMEOUT`], `idle_timeout_ms` | the session ends |
 
 use std::time::Duration;
 
@@ -7,6 +27,9 @@ pub const MAX_CLIENT_MESSAGE_BYTES: usize = 4096;
 
 /// Connections that may be between their first packet and their admission. More are refused at once.
 pub const MAX_HANDSHAKES: usize = 128;
+
+/// Of those, how many one address may have: whoever floods the server with them leaves half of them to others.
+pub const MAX_HANDSHAKES_PER_ADDRESS: usize = MAX_HANDSHAKES / 2;
 
 /// Bytes that quinn buffers for one connection, and for all, before it is accepted (defaults: 10 and 100 MiB).
 pub const INCOMING_BUFFER_BYTES: u64 = 16 * 1024;
@@ -37,6 +60,16 @@ pub const MAX_SCENE_FETCHES: u32 = 4;
 
 /// Control messages, over twice the frame rate, that a session answers in a second.
 pub const MAX_MESSAGES_PER_SECOND: u64 = 1000;
+
+/// Datagrams, poses most of them, that a client may send in a second; more are dropped. No screen shows so many frames.
+pub const MAX_POSES_PER_SECOND: u32 = 2000;
+
+/// Bytes of frames that a client may be sent in a second, and as many again at once: words at 1920×1080, 60 times a second.
+pub const MAX_CLIENT_BYTES_PER_SECOND: u64 = 500_000_000;
+
+/// Device time that a client may use in a second, and as much again at once. One client alone may have the whole device: this bounds what
+/// it takes from several, and the scheduler shares one.
+pub const MAX_CLIENT_GPU_PER_SECOND: Duration = Duration::from_secs(1);
 
 /// Datagrams that may wait to be sent, in frames: beyond this a new frame is skipped.
 pub const SEND_BACKLOG_FRAMES: f64 = 1.6;
@@ -79,3 +112,15 @@ pub const MAX_DEVICES: u64 = 64;
 
 /// Most sessions that may be configured.
 pub const MAX_SESSIONS: usize = 4096;
+
+/// Connections to the admin address that are served at once; others wait.
+pub const MAX_ADMIN_CONNECTIONS: usize = 16;
+
+/// Longest time for an admin request and its answer.
+pub const ADMIN_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Log lines that wait to be written; more are counted and lost.
+pub const MAX_WAITING_LOG_LINES: usize = 8192;
+
+/// Tokens that one file may list.
+pub const MAX_TOKENS: usize = 10_000;

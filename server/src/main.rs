@@ -4,7 +4,14 @@ use std::{io::Write as _, process::ExitCode};
 
 use anyhow::Context as _;
 use clap::Parser as _;
-use gnomon_server::{Server, cli::Cli, config::ServerConfig, shutdown::Signals, telemetry};
+use gnomon_server::{
+    Server,
+    cli::{Cli, Command},
+    config::ServerConfig,
+    shutdown::{Hangups, Signals},
+    telemetry::{self, Logs},
+    tokens,
+};
 
 /// Threads for encoding beside the workers; as many again as encode at once is plenty.
 const MAX_BLOCKING_THREADS: usize = 64;
@@ -23,12 +30,17 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: &Cli) -> anyhow::Result<()> {
+    if let Some(Command::Token { name, days, scope, once }) = &cli.command {
+        let (token, entry) = tokens::make(name, *days, scope, *once)?;
+        return print_line(&format!("{token}\n{}", entry.trim_end()));
+    }
     let config = cli.resolve()?;
     if cli.check_config {
         let text = serde_json::to_string_pretty(&config).context("cannot print the configuration")?;
         return print_line(&text);
     }
-    telemetry::init(config.log).map_err(|error| anyhow::anyhow!("logs: {error}"))?;
+    let logs =
+        telemetry::init(config.log, config.log_file.as_deref()).map_err(|error| anyhow::anyhow!("logs: {error}"))?;
     if cli.check {
         let found = Server::check(&config)?;
         return print_line(&found);
@@ -38,13 +50,14 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         .max_blocking_threads(MAX_BLOCKING_THREADS)
         .build()
         .context("cannot start the runtime")?;
-    let served = runtime.block_on(serve(config));
+    let served = runtime.block_on(serve(config, &logs));
     runtime.shutdown_background();
     served
 }
 
-async fn serve(config: ServerConfig) -> anyhow::Result<()> {
+async fn serve(config: ServerConfig, logs: &Logs) -> anyhow::Result<()> {
     let mut signals = Signals::listen().context("cannot listen for signals")?;
+    let mut hangups = Hangups::listen().context("cannot listen for signals")?;
     let server = tokio::select! {
         started = Server::start(config) => started?,
         signal = signals.next() => {
@@ -53,7 +66,15 @@ async fn serve(config: ServerConfig) -> anyhow::Result<()> {
         }
     };
     print_line(&server.url())?;
+    let reloading = async {
+        loop {
+            hangups.next().await;
+            logs.reopen();
+            server.reload();
+        }
+    };
     let failure = tokio::select! {
+        () = reloading => None,
         signal = signals.next() => {
             tracing::info!(signal, "stopping; a second signal stops at once");
             None

@@ -4,7 +4,7 @@ use std::{
     net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
     num::NonZeroUsize,
     path::Path,
-    sync::Arc,
+    sync::{Arc, OnceLock},
     time::Duration,
 };
 
@@ -12,23 +12,29 @@ use bytes::Bytes;
 use gnomon_protocol::ids::SceneDigest;
 use gnomon_shaders::scene::{LoadOptions, LoadReport, Scene};
 use tokio::{
-    sync::{Semaphore, watch},
+    sync::{OwnedSemaphorePermit, Semaphore, watch},
     task::{JoinHandle, JoinSet},
     time::timeout,
 };
 use tracing::Instrument as _;
 
 use crate::{
+    admin::{
+        Admin, Sources,
+        readiness::{self, Readiness, Stage},
+    },
     config::{ServerConfig, Transport},
     error::StartError,
     limits,
+    metrics::{Metrics, RefusalCause},
     net::{
+        addresses::{Addresses, Held},
         certificate::Certificates,
         endpoint::{self, Arrival, Endpoint},
-        handshake,
+        handshake::{self, HandshakeError},
     },
     session::{self, Phase, SceneAsset, Services, admission::Admission},
-    tokens::Tokens,
+    tokens::TokenStore,
     visibility::{engine::EngineOptions, fleet::Fleet},
 };
 
@@ -45,6 +51,10 @@ pub struct RunningServer {
     phase: watch::Sender<Phase>,
     endpoint: Arc<Endpoint>,
     accepting: Task,
+    readiness: Readiness,
+    admin: Option<Admin>,
+    #[cfg(feature = "agones")]
+    agones: Option<Task>,
 }
 
 /// A task that ends with its owner.
@@ -65,13 +75,27 @@ impl Server {
         config.validate()?;
         // What is quick to check comes before what takes seconds.
         let scene_path = config.scene.clone().ok_or(StartError::NoScene)?;
-        let tokens = config.token_file.as_deref().map(Tokens::read).transpose()?;
+        let tokens = config.token_file.as_deref().map(TokenStore::read).transpose()?.map(Arc::new);
         let provider = Arc::new(rustls::crypto::ring::default_provider());
         let certificates = match config.transport {
-            Transport::Quic => Some(Arc::new(Certificates::open(config.cert_dir.as_deref(), Arc::clone(&provider))?)),
+            Transport::Quic => Some(Arc::new(Certificates::open(&config, Arc::clone(&provider))?)),
             Transport::LabUdp | Transport::LabTcp => None,
         };
         let bound = endpoint::bind(&config)?;
+        let local_addr = bound.local_addr().map_err(|reason| StartError::Broken(reason.to_string()))?;
+        let (metrics, readiness) = (Arc::new(Metrics::default()), Readiness::default());
+        let sources = Arc::new(Sources {
+            metrics: Arc::clone(&metrics),
+            readiness: readiness.clone(),
+            backend: OnceLock::new(),
+            capacity: config.max_sessions,
+            socket: (config.transport == Transport::Quic).then_some(local_addr),
+            tokens: tokens.clone(),
+        });
+        let admin = match config.admin {
+            Some(address) => Some(Admin::start(address.0, Arc::clone(&sources)).await?),
+            None => None,
+        };
 
         let options = load_options(&config);
         let (scene, asset) = blocking(move || load(&scene_path, &options)).await??;
@@ -79,10 +103,14 @@ impl Server {
         let engine = blocking(move || Fleet::start(&scene, &engine_options))
             .await?
             .map_err(|error| StartError::Engine(Box::new(error)))?;
+        for device in engine.engines() {
+            readiness::warm_up(device, asset.lights).await.map_err(StartError::Broken)?;
+        }
+        // Nobody else writes it.
+        let _ = sources.backend.set(engine.description().to_owned());
 
-        let local_addr = bound.local_addr().map_err(|reason| StartError::Broken(reason.to_string()))?;
         let url = url(&config, local_addr, certificates.as_deref());
-        let endpoint = Arc::new(bound.open(&config, certificates.clone(), &provider)?);
+        let endpoint = Arc::new(bound.open(&config, certificates.clone(), &provider, &metrics)?);
         let (phase, phase_seen) = watch::channel(Phase::Running);
         let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
         tracing::info!(
@@ -101,6 +129,8 @@ impl Server {
             scene: asset,
             engine,
             tokens,
+            addresses: Addresses::new(config.max_sessions_per_address, false),
+            metrics,
             admission: Admission::new(config.max_sessions),
             phase: phase_seen,
             encoders: Arc::new(Semaphore::new(cores)),
@@ -109,7 +139,24 @@ impl Server {
             alternative: config.alternative.clone(),
         });
         let accepting = Task(tokio::spawn(accept(Arc::clone(&endpoint), Arc::clone(&services))));
-        Ok(RunningServer { local_addr, url, certificates, services, phase, endpoint, accepting })
+        readiness.set(Stage::Ready);
+        #[cfg(feature = "agones")]
+        let agones = config
+            .agones
+            .then(|| Task(tokio::spawn(crate::agones::run(readiness.clone(), Arc::clone(&services.metrics)))));
+        Ok(RunningServer {
+            local_addr,
+            url,
+            certificates,
+            services,
+            phase,
+            endpoint,
+            accepting,
+            readiness,
+            admin,
+            #[cfg(feature = "agones")]
+            agones,
+        })
     }
 
     /// Loads and packs the configured scene, and says what it found, a line each.
@@ -119,7 +166,7 @@ impl Server {
     pub fn check(config: &ServerConfig) -> Result<String, StartError> {
         config.validate()?;
         let path = config.scene.as_deref().ok_or(StartError::NoScene)?;
-        let tokens = config.token_file.as_deref().map(Tokens::read).transpose()?;
+        let tokens = config.token_file.as_deref().map(TokenStore::read).transpose()?;
         let (scene, asset) = load(path, &load_options(config))?;
         let tokens = if tokens.is_some() { "required" } else { "none: everybody is admitted" };
         Ok(format!(
@@ -176,16 +223,52 @@ impl RunningServer {
         self.services.engine.engines()
     }
 
+    /// Where its admin address is, if it has one.
+    #[must_use]
+    pub fn admin_addr(&self) -> Option<SocketAddr> {
+        self.admin.as_ref().map(Admin::local_addr)
+    }
+
+    /// Reads the token file and the certificate again. Sessions that are open stay; a file that cannot be used changes nothing, which
+    /// the log says.
+    pub fn reload(&self) {
+        if let Some(tokens) = &self.services.tokens {
+            match tokens.reload() {
+                Ok(listed) => tracing::info!(listed, "tokens read again"),
+                Err(error) => tracing::error!(%error, "the tokens stay as they were"),
+            }
+        }
+        if let Some(certificates) = &self.certificates {
+            match certificates.reload() {
+                Ok(sha256) => tracing::info!(sha256, "certificate read again"),
+                Err(error) => tracing::error!(%error, "the certificate stays as it was"),
+            }
+        }
+    }
+
     /// Waits until the server can trace no more, and says why: its device is lost, for example. It still listens then, but
     /// refuses everybody, so whoever started it should end it.
     pub async fn failed(&self) -> String {
-        self.services.engine.ended().await
+        let reason = self.services.engine.ended().await;
+        self.readiness.set(Stage::Failed(reason.clone()));
+        reason
     }
 
     /// Stops admitting, tells the clients, gives them `drain_ms` to leave while they are still served, finishes the
     /// frames on their way, and ends.
     pub async fn shutdown(self) {
-        let Self { services, phase, endpoint, mut accepting, .. } = self;
+        let Self {
+            services,
+            phase,
+            endpoint,
+            mut accepting,
+            readiness,
+            admin,
+            #[cfg(feature = "agones")]
+            agones,
+            ..
+        } = self;
+        readiness.set(Stage::Draining);
         services.admission.close();
         tracing::info!(sessions = services.admission.taken(), drain_ms = services.drain_ms, "draining");
         phase.send_replace(Phase::Draining);
@@ -208,6 +291,11 @@ impl RunningServer {
         if let Err(error) = tokio::task::spawn_blocking(move || services.engine.shutdown()).await {
             tracing::error!(%error, "the engine broke off");
         }
+        #[cfg(feature = "agones")]
+        if agones.is_some() {
+            crate::agones::shutdown().await;
+        }
+        drop(admin);
         tracing::info!("stopped");
     }
 }
@@ -215,18 +303,23 @@ impl RunningServer {
 /// Turns peers into sessions, until the server stops; then waits for the sessions.
 async fn accept(endpoint: Arc<Endpoint>, services: Arc<Services>) {
     let handshakes = Arc::new(Semaphore::new(limits::MAX_HANDSHAKES));
+    let addresses = Addresses::new(limits::MAX_HANDSHAKES_PER_ADDRESS, true);
     let mut phase = services.phase.clone();
     let mut sessions = JoinSet::new();
     loop {
         tokio::select! {
             arrival = endpoint.accept() => {
                 let Some(arrival) = arrival else { break };
-                match Arc::clone(&handshakes).try_acquire_owned() {
-                    Ok(permit) => {
+                let permit = Arc::clone(&handshakes).try_acquire_owned().ok();
+                match permit.zip(addresses.take(arrival.peer().ip())) {
+                    Some(handshake) => {
                         let span = tracing::info_span!("peer", address = %arrival.peer());
-                        sessions.spawn(serve(arrival, permit, Arc::clone(&services)).instrument(span));
+                        sessions.spawn(serve(arrival, handshake, Arc::clone(&services)).instrument(span));
                     }
-                    Err(_) => arrival.refuse(),
+                    None => {
+                        services.metrics.refused(RefusalCause::Handshakes);
+                        arrival.refuse();
+                    }
                 }
             }
             Some(ended) = sessions.join_next() => log_panic(ended),
@@ -245,11 +338,11 @@ fn log_panic(ended: Result<(), tokio::task::JoinError>) {
 }
 
 /// One peer, from its first packet to its end.
-async fn serve(arrival: Arrival, handshake: tokio::sync::OwnedSemaphorePermit, services: Arc<Services>) {
+async fn serve(arrival: Arrival, handshake: (OwnedSemaphorePermit, Held), services: Arc<Services>) {
     let greeting = async {
-        let mut link = arrival.into_link().await.map_err(|error| error.to_string())?;
-        let admitted = handshake::greet(&mut link, &services).await.map_err(|error| error.to_string())?;
-        Ok::<_, String>((link, admitted))
+        let mut link = arrival.into_link().await.map_err(|error| HandshakeError::Arrival(error.to_string()))?;
+        let admitted = handshake::greet(&mut link, &services).await?;
+        Ok::<_, HandshakeError>((link, admitted))
     };
     let mut phase = services.phase.clone();
     let greeted = tokio::select! {
@@ -259,8 +352,17 @@ async fn serve(arrival: Arrival, handshake: tokio::sync::OwnedSemaphorePermit, s
     };
     let (link, admitted) = match greeted {
         Ok(Ok(greeted)) => greeted,
-        Ok(Err(reason)) => return tracing::info!(reason, "not admitted"),
-        Err(_) => return tracing::info!(reason = "no Hello in time", "not admitted"),
+        Ok(Err(error)) => {
+            // A refusal has been counted, with its cause, where it was made.
+            if !matches!(error, HandshakeError::Refused(_)) {
+                services.metrics.refused(RefusalCause::Broken);
+            }
+            return tracing::info!(reason = %error, "not admitted");
+        }
+        Err(_) => {
+            services.metrics.refused(RefusalCause::Silent);
+            return tracing::info!(reason = "no Hello in time", "not admitted");
+        }
     };
     drop(handshake);
     let span = tracing::info_span!("session", id = admitted.slot.id.0, carrier = link.carrier);

@@ -1,6 +1,34 @@
-//! Signals: the first asks the server to drain, the second ends it at once.
+//! Signals: the first asks the server to drain, the second ends it at once; SIGHUP has it read its files again.
 
 use std::io;
+
+/// SIGHUP, which asks a daemon to read its files again.
+pub struct Hangups {
+    #[cfg(unix)]
+    hangup: tokio::signal::unix::Signal,
+}
+
+impl Hangups {
+    /// Starts to listen for SIGHUP. From now on it does not end the process.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn listen() -> io::Result<Self> {
+        #[cfg(unix)]
+        return Ok(Self { hangup: tokio::signal::unix::signal(tokio::signal::unix::SignalKind::hangup())? });
+        #[cfg(not(unix))]
+        Ok(Self {})
+    }
+
+    /// Waits for the next one.
+    pub async fn next(&mut self) {
+        #[cfg(unix)]
+        if self.hangup.recv().await.is_some() {
+            return;
+        }
+        std::future::pending::<()>().await;
+    }
+}
 
 /// The signals that ask a daemon to stop.
 pub struct Signals {

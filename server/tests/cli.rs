@@ -79,7 +79,7 @@ fn every_failure_is_one_line_that_says_what_to_do() {
     let good = scene::write(folder.path()).to_str().unwrap().to_owned();
     let broken = path("broken.gltf", "{\"asset\": {\"version\": \"2.0\"}, \"meshes\": 7}");
     let unknown_key = path("unknown.toml", "max_session = 3\n");
-    let bad_tokens = path("tokens", "two words\n");
+    let bad_tokens = path("tokens", "a-bare-token\n");
     let in_the_way = path("file", "");
     for (arguments, part) in [
         (vec![], "--scene FILE"),
@@ -88,7 +88,7 @@ fn every_failure_is_one_line_that_says_what_to_do() {
         (vec!["--scene", &broken, "--check"], "broken.gltf"),
         (vec!["--config", &unknown_key], "unknown field `max_session`"),
         (vec!["--config", "/nowhere.toml"], "/nowhere.toml"),
-        (vec!["--scene", &good, "--token-file", &bad_tokens], "tokens:1"),
+        (vec!["--scene", &good, "--token-file", &bad_tokens], "tokens: line 1"),
         (vec!["--scene", &good, "--cert-dir", &in_the_way], "--cert-dir"),
         (vec!["--scene", &good, "--listen", "127.0.0.1:1", "--transport", "lab-tcp", "--lights", "33"], "1 to 32"),
         (vec!["--scene", &good, "--listen", "0.0.0.0:0", "--transport", "lab-udp"], "loopback only"),

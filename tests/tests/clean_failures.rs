@@ -19,6 +19,7 @@ use gnomon_protocol::{
     limits::{MAX_LIGHTS, MAX_SIDE_PX},
     message::{self, ClientMessage, Hello, Refusal, ServerMessage},
 };
+use gnomon_server::tokens::{self, Scope};
 use gnomon_tests::rig::{
     PATIENCE, ServerProcess,
     program::{Outcome, Program, find},
@@ -236,12 +237,13 @@ fn wrong_certificate() {
 #[test]
 fn wrong_token() {
     let stage = Stage::new(1);
-    fs::write(stage.file("tokens"), "# ours\nopen-sesame\n").unwrap();
+    let (ours, entry) = tokens::make("ours", None, &[Scope::Session], false).unwrap();
+    fs::write(stage.file("tokens"), &entry).unwrap();
     let server = stage.serve(&["--token-file", text(&stage.file("tokens"))]);
-    for arguments in [&[][..], &["--token", "open-sesam"], &["--token", "# ours"]] {
+    for arguments in [&[][..], &["--token", &ours[..63]], &["--token", "ours"]] {
         assert_says(&stage.client_fails(server.url(), arguments, &[]), &["token", "--token"]);
     }
-    stage.client(server.url(), &["--token", "open-sesame"], &[]).success().unwrap();
+    stage.client(server.url(), &["--token", &ours], &[]).success().unwrap();
     server.stop().unwrap();
 }
 

@@ -14,7 +14,7 @@ use tokio::net::{TcpStream, UdpSocket, lookup_host, tcp::OwnedWriteHalf};
 use super::{
     control::{ControlReader, ControlWriter},
     lab,
-    quic::{self, QuicError},
+    quic::{self, QuicError, Trust},
     url::{ServerUrl, Transport},
 };
 use crate::error::ClientError;
@@ -97,17 +97,18 @@ impl Link {
         let failed = |reason: String| ClientError::Connect { url: Box::new(url.clone()), reason };
         let kind = match url.transport {
             Transport::Quic => {
-                let Some(digest) = url.certificate else {
-                    return Err(failed("the URL names no certificate".to_owned()));
+                let trust = match (url.certificate, &url.ca) {
+                    (Some(digest), _) => Trust::Pinned(digest),
+                    (None, Some(file)) => Trust::Authority { file, name: &url.host },
+                    (None, None) => return Err(failed("the URL names no certificate".to_owned())),
                 };
-                let (endpoint, connection) =
-                    quic::connect(server, Some(digest)).await.map_err(|error| match error {
-                        QuicError::Certificate => ClientError::Certificate(Box::new(url.clone())),
-                        QuicError::TimedOut => {
-                            ClientError::Unreachable { url: Box::new(url.clone()), after: quic::IDLE_TIMEOUT }
-                        }
-                        QuicError::Spoilt(reason) | QuicError::Other(reason) => failed(reason),
-                    })?;
+                let (endpoint, connection) = quic::connect(server, trust).await.map_err(|error| match error {
+                    QuicError::Certificate => ClientError::Certificate(Box::new(url.clone())),
+                    QuicError::TimedOut => {
+                        ClientError::Unreachable { url: Box::new(url.clone()), after: quic::IDLE_TIMEOUT }
+                    }
+                    QuicError::Spoilt(reason) | QuicError::Other(reason) => failed(reason),
+                })?;
                 let (writer, reader) = connection.open_bi().await.map_err(|error| failed(error.to_string()))?;
                 let kind = LinkKind::Quic(endpoint, connection);
                 return Ok(Self {

@@ -2,6 +2,7 @@
 
 use std::{
     net::{Ipv4Addr, Ipv6Addr, SocketAddr},
+    path::Path,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -14,7 +15,7 @@ use rustls::{
     CertificateError, DigitallySignedStruct, Error as TlsError, SignatureScheme,
     client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier},
     crypto::{CryptoProvider, verify_tls12_signature, verify_tls13_signature},
-    pki_types::{CertificateDer, ServerName, UnixTime},
+    pki_types::{CertificateDer, ServerName, UnixTime, pem::PemObject as _},
 };
 
 use super::congestion::DelayControllerFactory;
@@ -119,18 +120,38 @@ const HELP_AFTER: Duration = Duration::from_millis(1500);
 /// Handshakes with one server, one after the other has not succeeded.
 const HANDSHAKES: usize = 6;
 
-/// Connects to the server at `address`, whose certificate has this SHA-256, if one is known. On a network that loses or spoils many packets
-/// one handshake may fail, so the first of several wins.
+/// Whose certificate is believed.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Trust<'a> {
+    /// The one with this SHA-256, whatever it says.
+    Pinned([u8; 32]),
+    /// Any: a first visit looks which one is there.
+    FirstUse,
+    /// One for this name that an authority of the PEM file vouches for.
+    Authority {
+        /// The file.
+        file: &'a Path,
+        /// The server's name.
+        name: &'a str,
+    },
+}
+
+/// Connects to the server at `address`, whose certificate has to be what `trust` says. On a network that loses or spoils many packets one
+/// handshake may fail, so the first of several wins.
 pub(crate) async fn connect(
     address: SocketAddr,
-    digest: Option<[u8; 32]>,
+    trust: Trust<'_>,
 ) -> Result<(quinn::Endpoint, quinn::Connection), QuicError> {
+    let refused = Arc::new(AtomicBool::new(false));
+    let config = config(trust, Arc::clone(&refused)).map_err(|error| QuicError::Other(error.to_string()))?;
+    // Where a digest is pinned the name is not looked at, and need not be one that a certificate can have.
+    let name = if let Trust::Authority { name, .. } = trust { name } else { "gnomon" };
     let mut attempts = tokio::task::JoinSet::new();
     let (mut begun, mut next_at) = (0, tokio::time::Instant::now());
     loop {
         let ended = tokio::select! {
             () = tokio::time::sleep_until(next_at), if begun < HANDSHAKES => {
-                attempts.spawn(handshake(address, digest));
+                attempts.spawn(handshake(address, name.to_owned(), config.clone(), Arc::clone(&refused)));
                 begun += 1;
                 next_at += HELP_AFTER;
                 continue;
@@ -148,7 +169,9 @@ pub(crate) async fn connect(
 
 async fn handshake(
     address: SocketAddr,
-    digest: Option<[u8; 32]>,
+    name: String,
+    config: quinn::ClientConfig,
+    refused: Arc<AtomicBool>,
 ) -> Result<(quinn::Endpoint, quinn::Connection), QuicError> {
     let other = |error: &dyn std::fmt::Display| QuicError::Other(error.to_string());
     let local: SocketAddr =
@@ -157,10 +180,8 @@ async fn handshake(
     let runtime = Arc::new(quinn::TokioRuntime);
     let mut endpoint =
         quinn::Endpoint::new(quinn::EndpointConfig::default(), None, socket, runtime).map_err(|error| other(&error))?;
-    let refused = Arc::new(AtomicBool::new(false));
-    endpoint.set_default_client_config(config(digest, Arc::clone(&refused)).map_err(|error| other(&error))?);
-    // The name is not looked at: the certificate is known by its digest.
-    let connecting = endpoint.connect(address, "gnomon").map_err(|error| other(&error))?;
+    endpoint.set_default_client_config(config);
+    let connecting = endpoint.connect(address, &name).map_err(|error| other(&error))?;
     let connection = connecting.await.map_err(|error| match error {
         quinn::ConnectionError::TimedOut => QuicError::TimedOut,
         quinn::ConnectionError::VersionMismatch
@@ -193,15 +214,20 @@ fn socket(local: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
 }
 
 fn config(
-    digest: Option<[u8; 32]>,
+    trust: Trust<'_>,
     refused: Arc<AtomicBool>,
 ) -> Result<quinn::ClientConfig, Box<dyn std::error::Error + Send + Sync>> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let mut tls = rustls::ClientConfig::builder_with_provider(Arc::clone(&provider))
-        .with_protocol_versions(&[&rustls::version::TLS13])?
-        .dangerous()
-        .with_custom_certificate_verifier(Arc::new(Pinned { digest, provider, refused }))
-        .with_no_client_auth();
+    let builder = rustls::ClientConfig::builder_with_provider(Arc::clone(&provider))
+        .with_protocol_versions(&[&rustls::version::TLS13])?;
+    let mut tls = match trust {
+        Trust::Authority { file, .. } => builder.with_root_certificates(authorities(file)?).with_no_client_auth(),
+        Trust::Pinned(_) | Trust::FirstUse => {
+            let digest = if let Trust::Pinned(digest) = trust { Some(digest) } else { None };
+            let pinned = Arc::new(Pinned { digest, provider, refused });
+            builder.dangerous().with_custom_certificate_verifier(pinned).with_no_client_auth()
+        }
+    };
     tls.alpn_protocols = vec![ALPN.to_vec()];
     let mut config = quinn::ClientConfig::new(Arc::new(QuicClientConfig::try_from(tls)?));
     let mut transport = quinn::TransportConfig::default();
@@ -218,6 +244,16 @@ fn config(
         .congestion_controller_factory(Arc::new(DelayControllerFactory));
     config.transport_config(Arc::new(transport));
     Ok(config)
+}
+
+/// The authorities in a PEM file.
+fn authorities(path: &Path) -> Result<rustls::RootCertStore, Box<dyn std::error::Error + Send + Sync>> {
+    let unreadable = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
+    let mut roots = rustls::RootCertStore::empty();
+    for certificate in CertificateDer::pem_file_iter(path).map_err(|error| unreadable(&error))? {
+        roots.add(certificate.map_err(|error| unreadable(&error))?).map_err(|error| unreadable(&error))?;
+    }
+    if roots.is_empty() { Err(unreadable(&"it holds no certificate").into()) } else { Ok(roots) }
 }
 
 /// SHA-256, by the library that makes the handshake's own digests; `None` only if it has another name for it one day.

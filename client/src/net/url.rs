@@ -1,6 +1,6 @@
 //! Server URLs: where, over what, and whose certificate is expected there.
 
-use std::{fmt, str::FromStr};
+use std::{fmt, path::PathBuf, str::FromStr};
 
 use serde::Deserialize;
 use thiserror::Error;
@@ -47,8 +47,10 @@ pub struct ServerUrl {
     pub host: String,
     /// UDP port (QUIC), or TCP port of the control conversation (lab transports).
     pub port: u16,
-    /// SHA-256 of the certificate that the server has to show. QUIC has none on a first visit only: `?cert=first-use`.
+    /// SHA-256 of the certificate that the server has to show. QUIC has none where `ca` is there, and on a first visit: `?cert=first-use`.
     pub certificate: Option<[u8; 32]>,
+    /// PEM file, on the client's machine, with the authorities that may vouch for the server's name.
+    pub ca: Option<PathBuf>,
 }
 
 /// Why a text is no server URL.
@@ -67,7 +69,10 @@ pub enum UrlError {
     #[error("the URL names no port: use the line that the server printed, gnomon://HOST:PORT/?cert=SHA256")]
     Port,
     /// No certificate.
-    #[error("the URL lacks ?cert=SHA256, by which the client knows the server: use the line that the server printed")]
+    #[error(
+        "the URL lacks ?cert=SHA256, by which the client knows the server: use the line that the server printed, or name the PEM file of \
+         its authority as ?ca=FILE"
+    )]
     NoCertificate,
     /// A certificate that is no SHA-256.
     #[error("cert={0:?} is no SHA-256: 64 hexadecimal digits are expected")]
@@ -102,20 +107,23 @@ impl FromStr for ServerUrl {
         if !url.username().is_empty() || url.fragment().is_some() {
             return Err(UrlError::Surplus(url.fragment().unwrap_or(url.username()).to_owned()));
         }
-        let (mut certificate, mut first_use) = (None, false);
+        let (mut certificate, mut ca, mut first_use) = (None, None, false);
         for (key, value) in url.query_pairs() {
             match key.as_ref() {
                 "cert" if value == "first-use" => first_use = true,
                 "cert" => certificate = Some(digest(&value)?),
+                "ca" if !value.is_empty() => ca = Some(PathBuf::from(value.as_ref())),
                 _ => return Err(UrlError::Surplus(format!("{key}={value}"))),
             }
         }
         match transport {
-            Transport::Quic if certificate.is_none() && !first_use => return Err(UrlError::NoCertificate),
+            Transport::Quic if certificate.is_none() && ca.is_none() && !first_use => {
+                return Err(UrlError::NoCertificate);
+            }
             Transport::LabUdp | Transport::LabTcp if !is_loopback(&host) => return Err(UrlError::NotLoopback(host)),
             Transport::Quic | Transport::LabUdp | Transport::LabTcp => {}
         }
-        Ok(Self { transport, host, port, certificate })
+        Ok(Self { transport, host, port, certificate, ca })
     }
 }
 
@@ -166,6 +174,8 @@ mod tests {
         assert_eq!((url.host.as_str(), url.to_string().as_str()), ("::1", "gnomon://[::1]:5"));
         let url: ServerUrl = "gnomon://edge.example:4433/?cert=first-use".parse().unwrap();
         assert_eq!((url.transport, url.certificate), (Transport::Quic, None));
+        let url: ServerUrl = "gnomon://edge.example:4433/?ca=%2Fetc%2Fca.pem".parse().unwrap();
+        assert_eq!((url.certificate, url.ca), (None, Some("/etc/ca.pem".into())));
         let url: ServerUrl = "gnomon+lab-udp://127.0.0.1:7".parse().unwrap();
         assert_eq!((url.transport, url.certificate), (Transport::LabUdp, None));
         let url: ServerUrl = "gnomon+lab-tcp://localhost:8/".parse().unwrap();

@@ -1,7 +1,9 @@
-//! Who the server is: one self-signed certificate that is kept, and one for browsers that is not.
+//! Who the server is: one certificate that is kept, and one for browsers that is not.
 //!
-//! A native client pins the SHA-256 of the certificate that the server's URL names, as SSH pins a host key. So that
-//! certificate is made once, never expires, and stays in `identity.pem`; delete the file to get another one.
+//! The kept one is the operator's, from `cert_file` and `key_file`, or self-made. A native client trusts the CA of the one, or pins
+//! the other: it pins the SHA-256 of the certificate that the server's URL names, as SSH pins a host key. So that
+//! certificate is made once, never expires, and stays in `identity.pem`; delete the file to get another one. SIGHUP reads the files again, and
+//! the next handshake shows what is in them; sessions keep the keys that they have agreed on.
 //!
 //! A browser accepts a pinned certificate (`serverCertificateHashes`) only when it lives for at most 14 days and has a
 //! P-256 key. So a handshake that offers `h3` gets a second certificate, which lives in memory for 13 days and is
@@ -23,7 +25,7 @@ use rustls::{
 };
 use thiserror::Error;
 
-use crate::{files, limits};
+use crate::{config::ServerConfig, files, limits};
 
 /// The file of the kept certificate and its key.
 const IDENTITY_FILE: &str = "identity.pem";
@@ -69,9 +71,36 @@ pub enum CertificateError {
 /// The certificates of a server, by what a client's handshake offers.
 #[derive(Debug)]
 pub(crate) struct Certificates {
-    kept: Arc<CertifiedKey>,
+    files: Files,
+    kept: Mutex<Arc<CertifiedKey>>,
     browser: Mutex<BrowserCertificate>,
     provider: Arc<CryptoProvider>,
+}
+
+/// Where the kept certificate comes from.
+#[derive(Debug)]
+enum Files {
+    /// The operator's.
+    Given { certificate: PathBuf, key: PathBuf },
+    /// Ours, made where there is none.
+    Made(PathBuf),
+}
+
+impl Files {
+    fn read(&self, provider: &CryptoProvider) -> Result<CertifiedKey, CertificateError> {
+        match self {
+            Self::Given { certificate, key } => read(certificate, key, provider),
+            Self::Made(path) => {
+                if !path.exists() {
+                    let (certificate, key) = make(forever)?;
+                    let pem = certificate.pem() + &key.serialize_pem();
+                    files::create_private(path, pem.as_bytes())
+                        .map_err(|reason| CertificateError::File { path: path.clone(), reason })?;
+                }
+                read(path, path, provider)
+            }
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -85,24 +114,38 @@ impl Certificates {
     ///
     /// # Errors
     /// When the folder or file cannot be used, or its content is damaged.
-    pub(crate) fn open(folder: Option<&Path>, provider: Arc<CryptoProvider>) -> Result<Self, CertificateError> {
-        let folder = folder.map(Path::to_owned).or_else(default_folder).ok_or(CertificateError::NoFolder)?;
-        std::fs::create_dir_all(&folder).map_err(|reason| CertificateError::File { path: folder.clone(), reason })?;
-        let path = folder.join(IDENTITY_FILE);
-        if !path.exists() {
-            let (certificate, key) = make(forever)?;
-            let pem = certificate.pem() + &key.serialize_pem();
-            files::create_private(&path, pem.as_bytes())
-                .map_err(|reason| CertificateError::File { path: path.clone(), reason })?;
-        }
-        let kept = read(&path, &provider)?;
+    pub(crate) fn open(config: &ServerConfig, provider: Arc<CryptoProvider>) -> Result<Self, CertificateError> {
+        let files = match (&config.cert_file, &config.key_file) {
+            (Some(certificate), Some(key)) => Files::Given { certificate: certificate.clone(), key: key.clone() },
+            _ => {
+                let folder = config.cert_dir.clone().or_else(default_folder).ok_or(CertificateError::NoFolder)?;
+                std::fs::create_dir_all(&folder)
+                    .map_err(|reason| CertificateError::File { path: folder.clone(), reason })?;
+                Files::Made(folder.join(IDENTITY_FILE))
+            }
+        };
+        let kept = Mutex::new(Arc::new(files.read(&provider)?));
         let browser = Mutex::new(BrowserCertificate::make(&provider, SystemTime::now())?);
-        Ok(Self { kept: Arc::new(kept), browser, provider })
+        Ok(Self { files, kept, browser, provider })
+    }
+
+    /// Reads the kept certificate again, for the handshakes to come; says its SHA-256. One that cannot be used changes nothing.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub(crate) fn reload(&self) -> Result<String, CertificateError> {
+        let read = Arc::new(self.files.read(&self.provider)?);
+        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = read;
+        Ok(self.kept_sha256())
+    }
+
+    fn kept(&self) -> Arc<CertifiedKey> {
+        Arc::clone(&self.kept.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// SHA-256 of the kept certificate, in hexadecimal.
     pub(crate) fn kept_sha256(&self) -> String {
-        self.sha256(&self.kept)
+        self.sha256(&self.kept())
     }
 
     /// SHA-256 of the certificate that browsers see now, in hexadecimal.
@@ -133,7 +176,7 @@ impl Certificates {
 impl ResolvesServerCert for Certificates {
     fn resolve(&self, hello: ClientHello<'_>) -> Option<Arc<CertifiedKey>> {
         let native = hello.alpn().is_some_and(|mut offered| offered.any(|alpn| alpn == ALPN_NATIVE));
-        Some(if native { Arc::clone(&self.kept) } else { self.browser_key(SystemTime::now()) })
+        Some(if native { self.kept() } else { self.browser_key(SystemTime::now()) })
     }
 }
 
@@ -175,17 +218,21 @@ fn forever(params: &mut CertificateParams) {
     params.not_after = date_time_ymd(9999, 12, 31);
 }
 
-fn read(path: &Path, provider: &CryptoProvider) -> Result<CertifiedKey, CertificateError> {
-    let damaged = |reason: String| CertificateError::Damaged { path: path.to_owned(), reason };
-    let pem = files::read_small(path, limits::MAX_SMALL_FILE_BYTES)
-        .map_err(|reason| CertificateError::File { path: path.to_owned(), reason })?;
+/// A chain and its key, from two files or from one.
+fn read(certificate: &Path, key: &Path, provider: &CryptoProvider) -> Result<CertifiedKey, CertificateError> {
+    let damaged = |reason: String| CertificateError::Damaged { path: certificate.to_owned(), reason };
+    let read = |path: &Path| {
+        files::read_small(path, limits::MAX_SMALL_FILE_BYTES)
+            .map_err(|reason| CertificateError::File { path: path.to_owned(), reason })
+    };
+    let (pem, key_pem) = (read(certificate)?, read(key)?);
     let chain: Vec<_> = CertificateDer::pem_slice_iter(&pem)
         .collect::<Result<_, _>>()
         .map_err(|error| damaged(format!("certificate: {error}")))?;
     if chain.is_empty() {
         return Err(damaged("no certificate in it".to_owned()));
     }
-    let key = PrivateKeyDer::from_pem_slice(&pem).map_err(|error| damaged(format!("key: {error}")))?;
+    let key = PrivateKeyDer::from_pem_slice(&key_pem).map_err(|error| damaged(format!("key: {error}")))?;
     // This also checks that the key belongs to the certificate.
     CertifiedKey::from_der(chain, key, provider).map_err(|error| damaged(error.to_string()))
 }
@@ -204,12 +251,41 @@ mod tests {
         Arc::new(rustls::crypto::ring::default_provider())
     }
 
+    fn open(folder: &Path) -> Result<Certificates, CertificateError> {
+        let config = ServerConfig { cert_dir: Some(folder.to_owned()), ..ServerConfig::default() };
+        Certificates::open(&config, provider())
+    }
+
+    #[test]
+    fn given_files_are_shown_and_read_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let [chain, key] = ["chain.pem", "key.pem"].map(|name| folder.path().join(name));
+        let write = || {
+            let (certificate, private) = make(forever).unwrap();
+            std::fs::write(&chain, certificate.pem()).unwrap();
+            std::fs::write(&key, private.serialize_pem()).unwrap();
+        };
+        write();
+        let config =
+            ServerConfig { cert_file: Some(chain.clone()), key_file: Some(key.clone()), ..ServerConfig::default() };
+        let certificates = Certificates::open(&config, provider()).unwrap();
+        let first = certificates.kept_sha256();
+        assert_eq!(certificates.reload().unwrap(), first);
+        write();
+        let second = certificates.reload().unwrap();
+        assert_ne!(first, second);
+        // The key of another certificate: half a rotation, which the next SIGHUP completes.
+        std::fs::write(&key, KeyPair::generate().unwrap().serialize_pem()).unwrap();
+        assert!(matches!(certificates.reload(), Err(CertificateError::Damaged { .. })));
+        assert_eq!(certificates.kept_sha256(), second);
+    }
+
     #[test]
     fn the_certificate_is_kept_and_its_key_is_private() {
         let folder = tempfile::tempdir().unwrap();
         let nested = folder.path().join("a/b");
-        let first = Certificates::open(Some(&nested), provider()).unwrap();
-        let second = Certificates::open(Some(&nested), provider()).unwrap();
+        let first = open(&nested).unwrap();
+        let second = open(&nested).unwrap();
         assert_eq!(first.kept_sha256(), second.kept_sha256());
         assert_eq!(first.kept_sha256().len(), 64);
         assert_ne!(first.browser_sha256(), second.browser_sha256());
@@ -220,7 +296,7 @@ mod tests {
             assert_eq!(mode & 0o777, 0o600);
         }
         std::fs::remove_file(nested.join(IDENTITY_FILE)).unwrap();
-        let third = Certificates::open(Some(&nested), provider()).unwrap();
+        let third = open(&nested).unwrap();
         assert_ne!(first.kept_sha256(), third.kept_sha256());
     }
 
@@ -238,18 +314,18 @@ mod tests {
             certificate.pem() + &other.serialize_pem(),
         ] {
             std::fs::write(&path, &text).unwrap();
-            let error = Certificates::open(Some(folder.path()), provider()).unwrap_err();
+            let error = open(folder.path()).unwrap_err();
             assert!(matches!(error, CertificateError::Damaged { .. }), "{text:?}: {error}");
             assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
         }
         std::fs::write(&path, certificate.pem() + &key.serialize_pem()).unwrap();
-        Certificates::open(Some(folder.path()), provider()).unwrap();
+        open(folder.path()).unwrap();
     }
 
     #[test]
     fn the_browsers_certificate_is_renewed_while_the_server_runs() {
         let folder = tempfile::tempdir().unwrap();
-        let certificates = Certificates::open(Some(folder.path()), provider()).unwrap();
+        let certificates = open(folder.path()).unwrap();
         let now = SystemTime::now();
         let first = certificates.browser_key(now);
         assert!(Arc::ptr_eq(&first, &certificates.browser_key(now + BROWSER_LIFE / 3)));

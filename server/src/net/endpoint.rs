@@ -19,10 +19,12 @@ use super::{
     congestion::DelayControllerConfig,
     control::{ControlReader, ControlWriter},
     link::{DataLink, LabTcpData, LabUdpData, Link, QuicData},
+    socket::{CountingSocket, SocketCounts},
 };
 use crate::{
     config::{ServerConfig, Transport},
     limits,
+    metrics::Metrics,
 };
 
 /// What quinn may hold of datagrams that wait. It never fills: the frame gate stops at 1.6 frames, whatever their size.
@@ -59,7 +61,7 @@ pub(crate) enum Bound {
 
 /// Where peers arrive.
 pub(crate) enum Endpoint {
-    Quic(quinn::Endpoint),
+    Quic { endpoint: quinn::Endpoint, counts: Arc<SocketCounts> },
     Lab { listener: TcpListener, transport: Transport },
 }
 
@@ -121,6 +123,7 @@ impl Bound {
         config: &ServerConfig,
         certificates: Option<Arc<Certificates>>,
         provider: &Arc<CryptoProvider>,
+        metrics: &Metrics,
     ) -> Result<Endpoint, ListenError> {
         let socket_error = |reason| ListenError::Socket { address: config.listen, reason };
         match (self, certificates) {
@@ -131,13 +134,17 @@ impl Bound {
             (Self::Quic(_), None) => Err(ListenError::Tls("no certificate".to_owned())),
             (Self::Quic(socket), Some(certificates)) => {
                 let server = quic_config(config, certificates, provider)?;
-                quinn::Endpoint::new(
+                let runtime = Arc::new(quinn::TokioRuntime);
+                let counts = Arc::clone(&metrics.socket);
+                let socket = quinn::Runtime::wrap_udp_socket(&*runtime, socket).map_err(socket_error)?;
+                let socket = Arc::new(CountingSocket::new(socket, Arc::clone(&counts)));
+                quinn::Endpoint::new_with_abstract_socket(
                     quinn::EndpointConfig::default(),
                     Some(server),
                     socket,
-                    Arc::new(quinn::TokioRuntime),
+                    runtime,
                 )
-                .map(Endpoint::Quic)
+                .map(|endpoint| Endpoint::Quic { endpoint, counts })
                 .map_err(socket_error)
             }
         }
@@ -215,11 +222,12 @@ impl Endpoint {
     pub(crate) async fn accept(&self) -> Option<Arrival> {
         loop {
             match self {
-                Self::Quic(endpoint) => {
+                Self::Quic { endpoint, counts } => {
                     let incoming = endpoint.accept().await?;
                     if incoming.remote_address_validated() {
                         return Some(Arrival::Quic(Box::new(incoming)));
                     }
+                    counts.retried();
                     // Always: a spoofed first packet of 1200 bytes would draw 3738 bytes of certificate onto somebody
                     // else, a Retry is 108. It costs an honest client one round trip.
                     if let Err(error) = incoming.retry() {
@@ -240,7 +248,7 @@ impl Endpoint {
 
     /// Ends every connection, and waits until the peers have been told, for a moment.
     pub(crate) async fn close(&self) {
-        if let Self::Quic(endpoint) = self {
+        if let Self::Quic { endpoint, .. } = self {
             endpoint.close(0u32.into(), b"the server stops");
             // Peers that are gone do not acknowledge; they find out by their idle timeout.
             let _ = tokio::time::timeout(limits::LINGER, endpoint.wait_idle()).await;
@@ -270,6 +278,7 @@ impl Arrival {
     /// # Errors
     /// When the peer breaks off or speaks something else.
     pub(crate) async fn into_link(self) -> Result<Link, ArrivalError> {
+        let peer = self.peer();
         match self {
             Self::Quic(incoming) => {
                 let connection = incoming.accept()?.await?;
@@ -284,6 +293,7 @@ impl Arrival {
                 let (send, receive) = session.accept_bi().await?;
                 Ok(Link {
                     carrier,
+                    peer,
                     reader: ControlReader::new(Box::new(receive)),
                     writer: ControlWriter::new(Box::new(send)),
                     data: DataLink::Quic(QuicData::new(session, DATAGRAM_SEND_BUFFER_BYTES)),
@@ -300,7 +310,7 @@ impl Arrival {
                 let (receive, send) = stream.into_split();
                 let (reader, writer) = (ControlReader::new(Box::new(receive)), ControlWriter::new(Box::new(send)));
                 let carrier = if transport == Transport::LabTcp { "lab-tcp" } else { "lab-udp" };
-                Ok(Link { carrier, reader, writer, data })
+                Ok(Link { carrier, peer, reader, writer, data })
             }
         }
     }

@@ -1,5 +1,7 @@
 //! The first exchange: Hello in, Welcome or a refusal out. Nothing of the scene leaves before it is done.
 
+use std::net::SocketAddr;
+
 use gnomon_protocol::{
     PROTOCOL_VERSION,
     codec::CodecId,
@@ -16,7 +18,10 @@ use super::{
 };
 use crate::{
     limits::LINGER,
+    metrics::RefusalCause,
+    net::addresses::Held,
     session::{Services, admission::Slot},
+    tokens::{Scope, TokenProblem},
     visibility::{engine::OpenError, port::SessionPort},
 };
 
@@ -32,11 +37,15 @@ pub(crate) struct Admitted {
     pub(crate) codec: CodecId,
     /// Name of the client program.
     pub(crate) client: String,
+    /// Its share of what its address may have.
+    pub(crate) held: Held,
 }
 
 /// Why a peer was not admitted.
 #[derive(Debug, Error)]
 pub(crate) enum HandshakeError {
+    #[error("{0}")]
+    Arrival(String),
     #[error("refused: {0}")]
     Refused(Refusal),
     #[error(transparent)]
@@ -53,8 +62,8 @@ pub(crate) enum HandshakeError {
 /// When the client is refused, which it has then been told, or breaks off.
 pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitted, HandshakeError> {
     let admitted = match read_hello(&mut link.reader).await? {
-        Ok(hello) => admit(hello, services),
-        Err(refusal) => Err(refusal),
+        Ok(hello) => admit(hello, link.peer, services),
+        Err(refusal) => Err((RefusalCause::Unsupported, refusal)),
     };
     match admitted {
         Ok(admitted) => {
@@ -70,7 +79,8 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
             link.writer.write(&ServerMessage::Welcome(welcome)).await?;
             Ok(admitted)
         }
-        Err(refusal) => {
+        Err((cause, refusal)) => {
+            services.metrics.refused(cause);
             link.writer.write(&ServerMessage::Refused(refusal.clone())).await?;
             link.writer.finish().await;
             // Closing at once would overtake the refusal: the client leaves when it has read it.
@@ -108,20 +118,42 @@ fn peek_version(bytes: &[u8]) -> Option<u16> {
     None
 }
 
-fn admit(hello: Hello, services: &Services) -> Result<Admitted, Refusal> {
-    if services.tokens.as_ref().is_some_and(|tokens| !tokens.admits(hello.token.as_deref())) {
-        return Err(Refusal::Token);
+fn admit(hello: Hello, peer: SocketAddr, services: &Services) -> Result<Admitted, (RefusalCause, Refusal)> {
+    // First: a stranger learns nothing, not even whether there is room.
+    let token = hello.token.as_deref();
+    let refuse = |problem: TokenProblem| {
+        tracing::info!(%problem, "token refused");
+        (RefusalCause::Token, Refusal::Token)
+    };
+    let resumes = hello.resume.is_some_and(|secret| services.admission.knows(secret));
+    if let Some(tokens) = &services.tokens {
+        match tokens.check(token, Scope::Session) {
+            // It was this client who spent it.
+            Err(TokenProblem::Spent) if resumes => {}
+            checked => checked.map_err(refuse)?,
+        }
     }
     let shape = MaskShape::new(hello.width, hello.height, services.scene.lights)
-        .map_err(|error| Refusal::Unsupported(error.to_string()))?;
-    let slot = services.admission.admit(hello.resume)?;
+        .map_err(|error| (RefusalCause::Unsupported, Refusal::Unsupported(error.to_string())))?;
+    // Who comes back takes the place of a session over, whose share comes free in a moment.
+    let addresses = &services.addresses;
+    let held = if resumes { addresses.take_over(peer.ip()) } else { addresses.take(peer.ip()) };
+    let held = held.ok_or_else(|| (RefusalCause::Address, services.admission.full()))?;
+    let slot = services.admission.admit(hello.resume).map_err(|refusal| {
+        let draining = refusal == Refusal::Draining;
+        (if draining { RefusalCause::Draining } else { RefusalCause::Full }, refusal)
+    })?;
     let rate_hz = (hello.rate_hz > 0).then(|| f64::from(hello.rate_hz));
     let port = services.engine.open(shape, rate_hz).map_err(|error| match error {
-        OpenError::Full(_) | OpenError::Busy => services.admission.full(),
-        OpenError::TooMuch(reason) => services.admission.busy(shortened(&reason.to_string())),
-        _ => Refusal::Unsupported(shortened(&error.to_string())),
+        OpenError::Full(_) | OpenError::Busy => (RefusalCause::Full, services.admission.full()),
+        OpenError::TooMuch(reason) => (RefusalCause::Budget, services.admission.busy(shortened(&reason.to_string()))),
+        _ => (RefusalCause::Unsupported, Refusal::Unsupported(shortened(&error.to_string()))),
     })?;
-    Ok(Admitted { slot, port, shape, codec: hello.codec, client: hello.client })
+    // Last, so that a token for one use is not spent in vain.
+    if let Some(tokens) = services.tokens.as_ref().filter(|_| !resumes) {
+        tokens.admit(token, Scope::Session).map_err(refuse)?;
+    }
+    Ok(Admitted { slot, port, shape, codec: hello.codec, client: hello.client, held })
 }
 
 /// At most as much of a text as a message may carry.

@@ -1,8 +1,10 @@
 //! The network: endpoints that accept peers, the links that carry a session, and the conversation on its control stream.
 
+pub(crate) mod addresses;
 pub(crate) mod certificate;
 pub(crate) mod congestion;
 pub(crate) mod control;
 pub(crate) mod endpoint;
 pub(crate) mod handshake;
 pub(crate) mod link;
+pub(crate) mod socket;

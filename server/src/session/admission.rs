@@ -97,6 +97,11 @@ impl Admission {
         })
     }
 
+    /// Whether a session has this secret.
+    pub(crate) fn knows(&self, token: ResumeToken) -> bool {
+        self.lock().contains_key(&token)
+    }
+
     /// The place of the session with this secret, which is told to end.
     fn take_over(&self, token: ResumeToken) -> Option<Arc<Place>> {
         let entry = self.lock().remove(&token)?;

@@ -17,7 +17,7 @@ use thiserror::Error;
 use tokio::sync::{Semaphore, watch};
 use tracing::Instrument as _;
 
-use super::{Phase, ledger::Ledger};
+use super::{Phase, budget::Budget, ledger::Ledger};
 use crate::{
     net::link::DataSender,
     visibility::{
@@ -49,22 +49,23 @@ pub(super) async fn drive(
     mut phase: watch::Receiver<Phase>,
 ) -> Result<(), DriveError> {
     let mut last_traced = None;
+    let mut budget = Budget::new();
     loop {
         let stopping = *phase.borrow_and_update() == Phase::Stopping;
         if stopping && last_traced == ledger.newest_requested() {
             return Ok(());
         }
         let mut traced = tokio::select! {
-            traced = masks.recv() => traced.ok_or(DriveError::EngineStopped)?,
+            traced = budget.within(ledger, masks.recv()) => traced.ok_or(DriveError::EngineStopped)?,
             changed = phase.changed(), if !stopping => match changed {
                 Ok(()) => continue,
                 // The server is gone, and with it everybody who could say when to stop.
                 Err(_) => return Ok(()),
             },
         };
-        ledger.frames_traced.one();
+        ledger.traced(&traced.cost);
         while let Ok(newer) = masks.try_recv() {
-            ledger.frames_traced.one();
+            ledger.traced(&newer.cost);
             ledger.frames_superseded.one();
             requests.recycle(std::mem::replace(&mut traced, newer).mask);
         }
@@ -117,7 +118,7 @@ impl FrameSender {
         let started = Instant::now();
         let (mask, encoded) = self.encode(mask, ahead).await?;
         let encoding = started.elapsed();
-        ledger.encode_us.add_us(encoding);
+        ledger.stages.encode.record(encoding);
         let body = match (encoded, &self.workspace) {
             (Ok(()), Some(workspace)) => &workspace.body,
             (Err(error), _) => {
@@ -127,6 +128,7 @@ impl FrameSender {
             }
             (Ok(()), None) => return Err(DriveError::Encoding("its memory is gone".to_owned())),
         };
+        let sending = Instant::now();
         let packets = self.packetizer.packet_count(body);
         let bytes = body.len() + packets * HEADER_BYTES;
         if !self.sender.has_room(packets, bytes) {
@@ -157,7 +159,8 @@ impl FrameSender {
         ledger.frames_sent.one();
         ledger.packets.add(packets as u64);
         ledger.bytes.add(bytes as u64);
-        ledger.latency_us.add_us(received_at.elapsed());
+        ledger.stages.send.record(sending.elapsed());
+        ledger.stages.pose_to_sent.record(received_at.elapsed());
         log_frame(frame, bytes, packets, encoding.as_secs_f64() * 1e3, &cost);
         Ok(mask)
     }

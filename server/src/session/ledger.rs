@@ -7,12 +7,20 @@ use std::{
 
 use gnomon_protocol::ids::FrameNumber;
 
+use crate::{
+    metrics::times::{Counts, Times},
+    net::link::Wire,
+    visibility::TraceCost,
+};
+
 macro_rules! ledger {
     ($($(#[$doc:meta])* $name:ident,)*) => {
         /// Counters of one session, shared by its tasks.
         #[derive(Debug, Default)]
         pub(crate) struct Ledger {
             $($(#[$doc])* pub(crate) $name: Counter,)*
+            /// How long the stages of frames took.
+            pub(crate) stages: Stages,
             newest_requested: AtomicU64,
         }
 
@@ -34,6 +42,11 @@ macro_rules! ledger {
             pub(crate) fn since(&self, earlier: &Self) -> Self {
                 Self { $($name: self.$name.saturating_sub(earlier.$name),)* }
             }
+
+            /// Adds another session's.
+            pub(crate) fn add(&mut self, other: &Self) {
+                $(self.$name += other.$name;)*
+            }
         }
     };
 }
@@ -43,10 +56,16 @@ ledger! {
     messages,
     /// Poses taken.
     poses,
+    /// Datagrams that say which masks the client has.
+    acknowledgements,
     /// Datagrams that are no pose, or not a valid one.
     poses_bad,
     /// Poses that are not newer than one that was taken.
     poses_stale,
+    /// Poses dropped: more came in a second than a client may send.
+    poses_over_rate,
+    /// Datagrams dropped: the session had not read them when newer ones needed their place, or when it ended.
+    poses_unread,
     /// Masks that the engine traced.
     frames_traced,
     /// Frames sent whole.
@@ -57,14 +76,66 @@ ledger! {
     frames_gated,
     /// Frames dropped: too long for the header, or not to be encoded.
     frames_unsendable,
-    /// Packets sent.
+    /// Frames dropped: the session ended before they were sent.
+    frames_abandoned,
+    /// Packets handed to the transport.
     packets,
+    /// Packets that the transport dropped before they were sent: the session ended, or the link was too slow.
+    packets_unsent,
     /// Bytes sent in packets, headers included.
     bytes,
-    /// Microseconds spent on encoding.
-    encode_us,
-    /// Microseconds from a pose's arrival until its frame was handed to the network, summed.
-    latency_us,
+    /// Microseconds of the device, or of the processor that traces.
+    gpu_us,
+    /// UDP datagrams received, of any kind.
+    udp_received,
+    /// UDP datagrams sent, of any kind.
+    udp_sent,
+    /// QUIC packets that were sent and never acknowledged.
+    quic_lost,
+}
+
+/// What a frame goes through.
+#[derive(Debug, Default)]
+pub(crate) struct Stages {
+    /// Tracing: primary rays and shadow rays.
+    pub(crate) trace: Times,
+    /// From the end of tracing until the bits are in host memory.
+    pub(crate) readback: Times,
+    /// Encoding, with the wait for a core.
+    pub(crate) encode: Times,
+    /// Cutting into packets, and handing them to the transport.
+    pub(crate) send: Times,
+    /// All of it: from the pose's arrival until its frame is with the transport.
+    pub(crate) pose_to_sent: Times,
+}
+
+/// [`Stages`] at one moment.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct StageCounts(pub(crate) [Counts; 5]);
+
+impl StageCounts {
+    /// What the stages are called in logs and metrics.
+    pub(crate) const NAMES: [&str; 5] = ["trace", "readback", "encode", "send", "pose_to_sent"];
+
+    /// What was counted since `earlier`.
+    pub(crate) fn since(&self, earlier: &Self) -> Self {
+        Self(std::array::from_fn(|stage| self.0[stage].since(&earlier.0[stage])))
+    }
+
+    /// Adds another session's.
+    pub(crate) fn add(&mut self, other: &Self) {
+        for (mine, others) in self.0.iter_mut().zip(&other.0) {
+            mine.add(others);
+        }
+    }
+}
+
+impl Stages {
+    /// What has been counted until now.
+    pub(crate) fn counts(&self) -> StageCounts {
+        let Self { trace, readback, encode, send, pose_to_sent } = self;
+        StageCounts([trace, readback, encode, send, pose_to_sent].map(Times::counts))
+    }
 }
 
 /// A number that only grows.
@@ -93,6 +164,29 @@ impl Counter {
 }
 
 impl Ledger {
+    /// Counts a mask that the engine has traced.
+    pub(crate) fn traced(&self, cost: &TraceCost) {
+        self.frames_traced.one();
+        let spent = Duration::try_from_secs_f64((cost.primary_ms + cost.shadow_ms) * 1e-3).unwrap_or_default();
+        self.gpu_us.add_us(spent);
+        self.stages.trace.record(spent);
+        self.stages.readback.record_ms(cost.readback_ms);
+    }
+
+    /// Closes the books at the session's end: what came and was never read, and what was traced and never sent. `wire` is what the
+    /// transport counted, where it counts.
+    pub(crate) fn close(&self, wire: Option<Wire>) {
+        let totals = self.totals();
+        if let Some(wire) = wire {
+            self.poses_unread.add(wire.datagrams_received.saturating_sub(totals.datagrams_in()));
+            self.packets_unsent.add(totals.packets.saturating_sub(wire.datagrams_sent));
+            self.udp_received.add(wire.udp_received);
+            self.udp_sent.add(wire.udp_sent);
+            self.quic_lost.add(wire.quic_lost);
+        }
+        self.frames_abandoned.add(totals.frames_traced.saturating_sub(totals.frames_out()));
+    }
+
     /// Notes the frame that the engine has been asked for last.
     pub(crate) fn set_newest_requested(&self, frame: FrameNumber) {
         self.newest_requested.store(u64::from(frame.0) + 1, Ordering::Release);
@@ -106,10 +200,25 @@ impl Ledger {
 }
 
 impl Totals {
+    /// Datagrams that came in and are accounted for: taken, or dropped with a cause.
+    pub(crate) const fn datagrams_in(&self) -> u64 {
+        self.poses
+            + self.acknowledgements
+            + self.poses_bad
+            + self.poses_stale
+            + self.poses_over_rate
+            + self.poses_unread
+    }
+
+    /// Traced frames that are accounted for: sent, or dropped with a cause.
+    pub(crate) const fn frames_out(&self) -> u64 {
+        self.frames_sent + self.frames_superseded + self.frames_gated + self.frames_unsendable + self.frames_abandoned
+    }
+
     /// The line of the last second.
-    pub(crate) fn log_rates(&self, seconds: f64) {
+    pub(crate) fn log_rates(&self, stages: &StageCounts, seconds: f64) {
         let rate = |count: u64| (as_f64(count) / seconds * 10.0).round() / 10.0;
-        let mean_ms = |us: u64, count: u64| if count == 0 { 0.0 } else { (as_f64(us) / as_f64(count)).round() / 1e3 };
+        let [trace, _, encode, send, pose_to_sent] = &stages.0;
         tracing::info!(
             poses_per_s = rate(self.poses),
             traced_per_s = rate(self.frames_traced),
@@ -118,8 +227,15 @@ impl Totals {
             superseded_per_s = rate(self.frames_superseded),
             packets_per_s = rate(self.packets),
             kbit_per_s = rate(self.bytes * 8 / 1000),
-            encode_ms_mean = mean_ms(self.encode_us, self.frames_sent + self.frames_gated),
-            pose_to_sent_ms_mean = mean_ms(self.latency_us, self.frames_sent),
+            gpu_ms_per_s = rate(self.gpu_us / 1000),
+            trace_ms_p50 = trace.quantile_ms(0.5),
+            trace_ms_p99 = trace.quantile_ms(0.99),
+            encode_ms_p50 = encode.quantile_ms(0.5),
+            encode_ms_p99 = encode.quantile_ms(0.99),
+            send_ms_p50 = send.quantile_ms(0.5),
+            send_ms_p99 = send.quantile_ms(0.99),
+            pose_to_sent_ms_p50 = pose_to_sent.quantile_ms(0.5),
+            pose_to_sent_ms_p99 = pose_to_sent.quantile_ms(0.99),
             "rates"
         );
     }
@@ -131,15 +247,24 @@ impl Totals {
             seconds = lasted.as_secs_f64(),
             messages = self.messages,
             poses = self.poses,
+            acknowledgements = self.acknowledgements,
             poses_bad = self.poses_bad,
             poses_stale = self.poses_stale,
+            poses_over_rate = self.poses_over_rate,
+            poses_unread = self.poses_unread,
             frames_traced = self.frames_traced,
             frames_sent = self.frames_sent,
             frames_superseded = self.frames_superseded,
             frames_gated = self.frames_gated,
             frames_unsendable = self.frames_unsendable,
+            frames_abandoned = self.frames_abandoned,
             packets = self.packets,
+            packets_unsent = self.packets_unsent,
             bytes = self.bytes,
+            gpu_ms = as_f64(self.gpu_us) / 1e3,
+            udp_received = self.udp_received,
+            udp_sent = self.udp_sent,
+            quic_lost = self.quic_lost,
             reason,
             "session ended"
         );
@@ -147,7 +272,7 @@ impl Totals {
 }
 
 #[expect(clippy::cast_precision_loss, reason = "rates and means for people")]
-fn as_f64(count: u64) -> f64 {
+pub(crate) fn as_f64(count: u64) -> f64 {
     count as f64
 }
 
@@ -161,8 +286,8 @@ mod tests {
         ledger.poses.add(3);
         let earlier = ledger.totals();
         ledger.poses.one();
-        ledger.encode_us.add_us(Duration::from_millis(2));
-        let expected = Totals { poses: 1, encode_us: 2000, ..Totals::default() };
+        ledger.gpu_us.add_us(Duration::from_millis(2));
+        let expected = Totals { poses: 1, gpu_us: 2000, ..Totals::default() };
         assert_eq!(ledger.totals().since(&earlier), expected);
     }
 

@@ -1,8 +1,9 @@
 //! One admitted client, from Welcome to its end: the control conversation, and beside it poses in and frames out.
 
 pub(crate) mod admission;
+mod budget;
 mod driver;
-mod ledger;
+pub(crate) mod ledger;
 mod outbox;
 mod poses;
 
@@ -27,17 +28,19 @@ use tokio::{
 use self::{
     admission::Admission,
     driver::{DriveError, FrameSender},
-    ledger::Ledger,
+    ledger::{Ledger, StageCounts},
     outbox::Outbox,
 };
 use crate::{
     limits,
+    metrics::{About, EndCause, Metrics},
     net::{
+        addresses::Addresses,
         control::ControlReader,
         handshake::Admitted,
         link::{CloseCode, DataLink, Link},
     },
-    tokens::Tokens,
+    tokens::TokenStore,
     visibility::{fleet::Fleet, port::SessionPort},
 };
 
@@ -73,7 +76,9 @@ pub(crate) struct SceneAsset {
 pub(crate) struct Services {
     pub(crate) scene: SceneAsset,
     pub(crate) engine: Fleet,
-    pub(crate) tokens: Option<Tokens>,
+    pub(crate) tokens: Option<Arc<TokenStore>>,
+    pub(crate) addresses: Arc<Addresses>,
+    pub(crate) metrics: Arc<Metrics>,
     pub(crate) admission: Admission,
     pub(crate) phase: watch::Receiver<Phase>,
     pub(crate) encoders: Arc<Semaphore>,
@@ -119,6 +124,16 @@ impl End {
         }
     }
 
+    const fn cause(&self) -> EndCause {
+        match self {
+            Self::Left => EndCause::Left,
+            Self::Stopping => EndCause::Stopping,
+            Self::Lost(_) => EndCause::Lost,
+            Self::Violation(_) => EndCause::Violation,
+            Self::Failed(_) => EndCause::Failed,
+        }
+    }
+
     fn reason(&self) -> &str {
         match self {
             Self::Left => "the client left",
@@ -131,10 +146,19 @@ impl End {
 /// Serves an admitted client until it leaves, is lost, or the server stops. Its slot is free afterwards.
 pub(crate) async fn run(link: Link, admitted: Admitted, services: Arc<Services>) {
     let started_at = Instant::now();
-    let Admitted { slot, port, shape, codec, client } = admitted;
+    let Admitted { slot, port, shape, codec, client, held } = admitted;
     tracing::info!(client, width = shape.width(), height = shape.height(), %codec, "session started");
     let closer = link.data.closer();
     let ledger = Arc::new(Ledger::default());
+    let about = About {
+        id: slot.id.0,
+        client: client.clone(),
+        peer: link.peer,
+        carrier: link.carrier,
+        size_px: [shape.width(), shape.height()],
+        codec: codec.to_string(),
+    };
+    let mut opened = services.metrics.open(about, Arc::clone(&ledger), closer.clone());
     let mut session = Session {
         reader: link.reader,
         outbox: Outbox::start(link.writer),
@@ -151,7 +175,8 @@ pub(crate) async fn run(link: Link, admitted: Admitted, services: Arc<Services>)
     if matches!(end, End::Stopping) {
         session.finish_frames().await;
     }
-    session.frames.abort_all();
+    // Waits for their end: the books are closed below.
+    session.frames.shutdown().await;
     if !matches!(end, End::Left | End::Lost(_)) {
         session.outbox.notify(ServerMessage::Closing { reason: end.reason().to_owned() });
         // Closing at once would overtake the message: the client leaves when it has read it.
@@ -159,8 +184,11 @@ pub(crate) async fn run(link: Link, admitted: Admitted, services: Arc<Services>)
         let _ = timeout(limits::LINGER, session.reader.drain()).await;
     }
     closer.close(end.code(), end.reason());
-    drop(slot);
+    opened.ends(end.cause());
+    // It closes the ledger.
+    drop(opened);
     ledger.totals().log_end(&client, started_at.elapsed(), end.reason());
+    drop((slot, held));
 }
 
 /// What frames need, until the client says Start.
@@ -305,12 +333,19 @@ struct Books {
     heard_at: Instant,
     at: Instant,
     totals: ledger::Totals,
+    stages: Box<StageCounts>,
 }
 
 impl Books {
     fn open(ledger: &Ledger) -> Self {
         let now = Instant::now();
-        Self { opened_at: now, heard_at: now, at: now, totals: ledger.totals() }
+        Self {
+            opened_at: now,
+            heard_at: now,
+            at: now,
+            totals: ledger.totals(),
+            stages: Box::new(ledger.stages.counts()),
+        }
     }
 
     /// Writes the line of the last second, and ends a session whose client has been silent or noisy for too long.
@@ -320,7 +355,9 @@ impl Books {
         let latest = totals.since(&self.totals);
         (self.at, self.totals) = (now, totals);
         if started {
-            latest.log_rates(seconds);
+            let stages = ledger.stages.counts();
+            latest.log_rates(&stages.since(&self.stages), seconds);
+            *self.stages = stages;
         } else if now.duration_since(self.opened_at) > limits::SETUP_TIMEOUT {
             return Err(End::Violation(format!("no Start in {} s", limits::SETUP_TIMEOUT.as_secs())));
         }

@@ -18,6 +18,7 @@ use tokio::sync::watch;
 
 use super::ledger::Ledger;
 use crate::{
+    limits::MAX_POSES_PER_SECOND,
     net::link::DataReceiver,
     visibility::{TraceRequest, port::RequestSender},
 };
@@ -39,6 +40,30 @@ impl Newest {
     }
 }
 
+/// How many poses a client may send.
+#[derive(Debug)]
+struct Rate {
+    /// When the count began anew.
+    since: Instant,
+    left: u32,
+}
+
+impl Rate {
+    const fn new(now: Instant) -> Self {
+        Self { since: now, left: MAX_POSES_PER_SECOND }
+    }
+
+    /// Counts a datagram, and says whether it is within the bound.
+    fn allows(&mut self, now: Instant) -> bool {
+        if now.saturating_duration_since(self.since) >= Duration::from_secs(1) {
+            *self = Self::new(now);
+        }
+        let allowed = self.left > 0;
+        self.left = self.left.saturating_sub(1);
+        allowed
+    }
+}
+
 /// Receives poses, and what the client says of the masks that it has, until the link is gone.
 ///
 /// # Errors
@@ -53,10 +78,16 @@ pub(super) async fn receive(
     let mut newest = Newest::default();
     let mut ahead = Ahead::default();
     let mut interval = Interval::new(Instant::now());
+    let mut rate = Rate::new(Instant::now());
     loop {
         let datagram = receiver.receive().await?;
         let received_at = Instant::now();
+        if !rate.allows(received_at) {
+            ledger.poses_over_rate.one();
+            continue;
+        }
         if let Ok(heard) = Acknowledgement::decode(&datagram) {
+            ledger.acknowledgements.one();
             acknowledged.send_if_modified(|newest| {
                 let newer = newest.is_none_or(|newest| heard.is_after(&newest));
                 if newer {
@@ -208,6 +239,16 @@ mod tests {
         }
         assert!(found > Duration::from_millis(16) && found < Duration::from_millis(17), "{found:?}");
         assert!(interval.since_last(start + Duration::from_secs(3600)) <= Interval::LONGEST);
+    }
+
+    #[test]
+    fn a_client_may_send_so_many_poses_a_second_and_no_more() {
+        let start = Instant::now();
+        let mut rate = Rate::new(start);
+        let within = |rate: &mut Rate, at| (0..2 * MAX_POSES_PER_SECOND).filter(|_| rate.allows(at)).count();
+        assert_eq!(within(&mut rate, start), MAX_POSES_PER_SECOND as usize);
+        assert_eq!(within(&mut rate, start + Duration::from_millis(999)), 0);
+        assert_eq!(within(&mut rate, start + Duration::from_secs(1)), MAX_POSES_PER_SECOND as usize);
     }
 
     fn pose(x: f64, client_time_ms: u32, look_ahead_ms: u16) -> Pose {

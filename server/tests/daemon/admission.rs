@@ -4,7 +4,12 @@ use gnomon_protocol::{
     PROTOCOL_VERSION,
     message::{self, ClientMessage, Hello, Refusal, ServerMessage},
 };
-use gnomon_server::{Server, config::Transport, error::StartError};
+use gnomon_server::{
+    Server,
+    config::Transport,
+    error::StartError,
+    tokens::{self, Scope},
+};
 
 use super::{
     Rig,
@@ -25,13 +30,15 @@ async fn refusal(control: &mut Control, hello: Hello) -> Refusal {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn strangers_get_no_byte_of_the_scene() {
+    let (ours, entry) = tokens::make("ours", None, &[Scope::Session], false).unwrap();
     let rig = Rig::start(|config, folder| {
         let tokens = folder.join("tokens");
-        std::fs::write(&tokens, "# ours\nopen-sesame\n").unwrap();
+        std::fs::write(&tokens, &entry).unwrap();
         config.token_file = Some(tokens);
     })
     .await;
-    for token in [None, Some("open-sesam".to_owned()), Some(String::new()), Some("# ours".to_owned())] {
+    let digest = entry.split('"').find(|part| part.len() == 64).unwrap().to_owned();
+    for token in [None, Some(ours[..63].to_owned()), Some(String::new()), Some(digest)] {
         let mut client = Native::connect(rig.address(), rig.folder.path()).await;
         // Asking for the scene in the same breath does not help.
         let mut eager = message::encode(&ClientMessage::Hello(Hello { token, ..hello() })).unwrap();
@@ -42,7 +49,7 @@ async fn strangers_get_no_byte_of_the_scene() {
         assert!(client.control.received_bytes < 100);
     }
     let mut client = Native::connect(rig.address(), rig.folder.path()).await;
-    client.control.welcome(Hello { token: Some("open-sesame".to_owned()), ..hello() }).await;
+    client.control.welcome(Hello { token: Some(ours), ..hello() }).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -5,6 +5,7 @@ mod admission;
 mod client;
 mod frames;
 mod lab;
+mod operator;
 mod references;
 #[path = "../support/scene.rs"]
 mod scene;

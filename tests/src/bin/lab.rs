@@ -10,6 +10,7 @@ use gnomon_tests::{
         accuracy::{self, AccuracyOptions},
         chaos::{self, ChaosOptions},
         codec::{self, CodecOptions},
+        hostile::{self, HostileOptions},
         lag::{self, LagOptions},
         link::{self, LinkOptions},
         load::{self, LoadOptions},
@@ -40,6 +41,8 @@ enum Command {
     Chaos(ChaosOptions),
     /// Measures what each codec makes of a path's masks, in bytes and in time: writes codec.csv.
     Codec(CodecOptions),
+    /// Throws bad traffic at a server of its own, and says what that costs: prints Markdown, and fails where a goal is missed.
+    Hostile(HostileOptions),
     /// Writes Gnomon's own scene: cloister.glb and its camera paths, cloister.json.
     MakeScene {
         /// Folder to write into.
@@ -99,6 +102,11 @@ fn run(arguments: Arguments) -> Result<()> {
             print!("{}", predict_cost::measure(&options, |line| eprintln!("{line}"))?.markdown());
         }
         Command::Link(options) => link::run(&options, |line| println!("{line}")).map(drop)?,
+        Command::Hostile(options) => {
+            let report = hostile::run(&options)?;
+            print!("{}", report.table.markdown());
+            anyhow::ensure!(report.holds, "a goal is missed");
+        }
         Command::Load(options) => println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?),
         Command::Loss(options) => print!("{}", loss::measure(&options, |line| eprintln!("{line}"))?.markdown()),
         Command::Network(options) => {

@@ -3,6 +3,7 @@
 pub mod accuracy;
 pub mod chaos;
 pub mod codec;
+pub mod hostile;
 pub mod lag;
 mod lag_plots;
 pub mod link;

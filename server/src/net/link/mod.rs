@@ -3,7 +3,7 @@
 mod lab;
 mod quic;
 
-use std::{io, time::Duration};
+use std::{io, net::SocketAddr, time::Duration};
 
 use bytes::Bytes;
 pub(crate) use lab::{LabTcpData, LabUdpData};
@@ -15,6 +15,8 @@ use super::control::{ControlReader, ControlWriter};
 pub(crate) struct Link {
     /// What carries it, for the logs.
     pub(crate) carrier: &'static str,
+    /// Where the peer was when it came.
+    pub(crate) peer: SocketAddr,
     /// What the client says.
     pub(crate) reader: ControlReader,
     /// What the server says.
@@ -70,7 +72,8 @@ impl DataLink {
     }
 }
 
-/// Ends a link's connection. Lab links end when their sockets are dropped.
+/// Ends a link's connection, and knows what it has carried. Lab links end when their sockets are dropped.
+#[derive(Clone)]
 pub(crate) struct Closer(Option<QuicData>);
 
 impl Closer {
@@ -80,6 +83,32 @@ impl Closer {
             data.close(code, reason);
         }
     }
+
+    /// Of no link.
+    #[cfg(test)]
+    pub(crate) const fn none() -> Self {
+        Self(None)
+    }
+
+    /// What the transport has counted; `None` on lab links, whose sockets belong to their tasks.
+    pub(crate) fn wire(&self) -> Option<Wire> {
+        self.0.as_ref().map(QuicData::wire)
+    }
+}
+
+/// What a transport has counted for one link.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Wire {
+    /// Datagrams of ours that came in.
+    pub(crate) datagrams_received: u64,
+    /// Datagrams of ours that went out.
+    pub(crate) datagrams_sent: u64,
+    /// UDP datagrams that came in, whatever was in them.
+    pub(crate) udp_received: u64,
+    /// UDP datagrams that went out.
+    pub(crate) udp_sent: u64,
+    /// Packets that were declared lost.
+    pub(crate) quic_lost: u64,
 }
 
 /// Application error codes of closed connections.

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use gnomon_protocol::limits::MAX_PACKET_BYTES;
 use web_transport_quinn::Session;
 
-use super::CloseCode;
+use super::{CloseCode, Wire};
 use crate::limits::{SEND_BACKLOG_FLOOR_BYTES, SEND_BACKLOG_FRAMES};
 
 /// The datagrams of a connection.
@@ -44,6 +44,19 @@ impl QuicData {
         let space = self.session.datagram_send_buffer_space();
         let frame = bytes.saturating_add(packets.saturating_mul(QUEUED_OVERHEAD_BYTES));
         frame_fits(self.buffer_bytes.saturating_sub(space), frame, space)
+    }
+
+    pub(super) fn wire(&self) -> Wire {
+        // Not the session's own, which knows less.
+        let connection: &quinn::Connection = &self.session;
+        let stats = connection.stats();
+        Wire {
+            datagrams_received: stats.frame_rx.datagram,
+            datagrams_sent: stats.frame_tx.datagram,
+            udp_received: stats.udp_rx.datagrams,
+            udp_sent: stats.udp_tx.datagrams,
+            quic_lost: stats.path.lost_packets,
+        }
     }
 
     pub(super) fn close(&self, code: CloseCode, reason: &str) {

@@ -1,0 +1,93 @@
+//! What an operator's tools ask over HTTP: is it alive, is it ready, what does it count, whom does it serve.
+//!
+//! `GET /live`, `/ready`, `/metrics` (Prometheus text), `/sessions` (JSON). It listens on loopback unless told otherwise, apart from the
+//! clients' port, and from the start: a server that still loads its scene is alive and not ready.
+
+mod answer;
+pub(crate) mod readiness;
+
+use std::{io, net::SocketAddr, sync::Arc};
+
+use hyper::{server::conn::http1, service::service_fn};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use thiserror::Error;
+use tokio::{
+    net::{TcpListener, TcpStream},
+    sync::{OwnedSemaphorePermit, Semaphore},
+    task::JoinHandle,
+    time::timeout,
+};
+
+pub(crate) use self::answer::Sources;
+use crate::limits::{ADMIN_TIMEOUT, MAX_ADMIN_CONNECTIONS};
+
+/// Why the admin address cannot be listened on.
+#[derive(Debug, Error)]
+#[error("cannot listen on the admin address {address}: {reason}; pass another --admin ADDR:PORT, or --admin off")]
+pub struct AdminError {
+    address: SocketAddr,
+    reason: io::Error,
+}
+
+/// A listening admin address. It ends with its owner.
+#[derive(Debug)]
+pub(crate) struct Admin {
+    local_addr: SocketAddr,
+    task: JoinHandle<()>,
+}
+
+impl Drop for Admin {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+impl Admin {
+    /// Listens.
+    ///
+    /// # Errors
+    /// When the address is taken or cannot be used.
+    pub(crate) async fn start(address: SocketAddr, sources: Arc<Sources>) -> Result<Self, AdminError> {
+        let failed = |reason| AdminError { address, reason };
+        let listener = TcpListener::bind(address).await.map_err(failed)?;
+        let local_addr = listener.local_addr().map_err(failed)?;
+        tracing::info!(%local_addr, "admin address");
+        Ok(Self { local_addr, task: tokio::spawn(accept(listener, sources)) })
+    }
+
+    /// Where it listens.
+    pub(crate) const fn local_addr(&self) -> SocketAddr {
+        self.local_addr
+    }
+}
+
+async fn accept(listener: TcpListener, sources: Arc<Sources>) {
+    let seats = Arc::new(Semaphore::new(MAX_ADMIN_CONNECTIONS));
+    loop {
+        // Whoever comes while all are taken waits in the kernel's queue, which has a bound.
+        let Ok(seat) = Arc::clone(&seats).acquire_owned().await else { return };
+        match listener.accept().await {
+            Ok((stream, _)) => drop(tokio::spawn(serve(stream, seat, Arc::clone(&sources)))),
+            Err(error) => {
+                tracing::warn!(%error, "cannot accept an admin connection");
+                tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+            }
+        }
+    }
+}
+
+/// One connection, for a few seconds: whoever scrapes comes again.
+async fn serve(stream: TcpStream, _seat: OwnedSemaphorePermit, sources: Arc<Sources>) {
+    let service = service_fn(move |request| {
+        let sources = Arc::clone(&sources);
+        async move { Ok::<_, std::convert::Infallible>(answer::answer(&request, &sources)) }
+    });
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(ADMIN_TIMEOUT)
+        .max_buf_size(16 * 1024)
+        .keep_alive(false)
+        .serve_connection(TokioIo::new(stream), service);
+    // A peer that breaks off, or never reads, has no one to be told.
+    let _ = timeout(ADMIN_TIMEOUT, connection).await;
+}

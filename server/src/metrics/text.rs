@@ -1,0 +1,210 @@
+//! The counters as Prometheus reads them. `deploy/alerts.yml`, the dashboard and the runbook use these names.
+
+use std::fmt;
+
+use prometheus_client::{
+    collector::Collector,
+    encoding::{DescriptorEncoder, EncodeLabelSet, MetricEncoder, NoLabelSet, prometheus_text},
+    metrics::MetricType,
+    registry::Registry,
+};
+
+use super::{EndCause, RefusalCause, Snapshot, process::ProcessFacts};
+use crate::session::ledger::{StageCounts, as_f64};
+
+/// Everything that is shown at one moment.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Page {
+    pub(crate) ready: bool,
+    pub(crate) draining: bool,
+    pub(crate) version: &'static str,
+    pub(crate) backend: String,
+    pub(crate) capacity: usize,
+    pub(crate) retries: u64,
+    pub(crate) log_lines_lost: u64,
+    pub(crate) process: ProcessFacts,
+    pub(crate) counts: Snapshot,
+}
+
+/// What the page's Content-Type is.
+pub(crate) const CONTENT_TYPE: &str = prometheus_text::CONTENT_TYPE;
+
+impl Page {
+    /// The page's text.
+    ///
+    /// # Errors
+    /// Never: writing to a string does not fail.
+    pub(crate) fn text(self) -> Result<String, fmt::Error> {
+        let mut registry = Registry::with_prefix("gnomon");
+        registry.register_collector(Box::new(self));
+        let mut text = String::new();
+        prometheus_text::encode(&mut text, &registry)?;
+        Ok(text)
+    }
+}
+
+/// One label.
+type Label = [(&'static str, &'static str); 1];
+
+struct Writer<'a>(DescriptorEncoder<'a>);
+
+impl Writer<'_> {
+    fn counter(&mut self, name: &str, help: &str, value: u64) -> fmt::Result {
+        let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Counter)?;
+        metric.encode_counter::<NoLabelSet, _, u64>(&value, None)
+    }
+
+    fn gauge(&mut self, name: &str, help: &str, value: u64) -> fmt::Result {
+        let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Gauge)?;
+        metric.encode_gauge(&i64::try_from(value).unwrap_or(i64::MAX))
+    }
+
+    fn family(
+        &mut self,
+        name: &str,
+        help: &str,
+        label: &'static str,
+        values: impl IntoIterator<Item = (&'static str, u64)>,
+    ) -> fmt::Result {
+        let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Counter)?;
+        for (label_value, value) in values {
+            let labels: Label = [(label, label_value)];
+            metric.encode_family(&labels)?.encode_counter::<NoLabelSet, _, u64>(&value, None)?;
+        }
+        Ok(())
+    }
+
+    fn seconds(&mut self, name: &str, help: &str, us: u64) -> fmt::Result {
+        let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Counter)?;
+        metric.encode_counter::<NoLabelSet, _, u64>(&(as_f64(us) * 1e-6), None)
+    }
+
+    fn stages(&mut self, stages: &StageCounts) -> fmt::Result {
+        let help = "Time of a frame by stage; pose_to_sent is all of it";
+        let mut metric = self.0.encode_descriptor("stage_seconds", help, None, MetricType::Histogram)?;
+        for (name, counts) in StageCounts::NAMES.into_iter().zip(&stages.0) {
+            let labels: Label = [("stage", name)];
+            let sum_s = as_f64(counts.sum_us) * 1e-6;
+            metric.encode_family(&labels)?.encode_histogram::<NoLabelSet>(
+                sum_s,
+                counts.count(),
+                &counts.histogram(),
+                None,
+            )?;
+        }
+        Ok(())
+    }
+}
+
+fn info(metric: &mut MetricEncoder<'_>, labels: &impl EncodeLabelSet) -> fmt::Result {
+    metric.encode_family(labels)?.encode_gauge(&1_i64)
+}
+
+impl Collector for Page {
+    fn encode(&self, encoder: DescriptorEncoder<'_>) -> fmt::Result {
+        let mut page = Writer(encoder);
+        let (counts, totals) = (&self.counts, &self.counts.sum.totals);
+        {
+            let help = "The program and what traces";
+            let mut metric = page.0.encode_descriptor("build_info", help, None, MetricType::Gauge)?;
+            info(&mut metric, &[("version", self.version), ("backend", self.backend.as_str())])?;
+        }
+        page.gauge("ready", "Whether new clients are admitted", self.ready.into())?;
+        page.gauge("draining", "Whether the server asks its clients to leave", self.draining.into())?;
+        page.gauge("sessions", "Sessions that are open", counts.open as u64)?;
+        page.gauge("sessions_capacity", "Sessions that may be open", self.capacity as u64)?;
+        page.counter("sessions_opened", "Sessions that were admitted", counts.opened)?;
+        let ended = EndCause::LABELS.iter().copied().zip(counts.closed);
+        page.family("sessions_closed", "Sessions that ended, by cause", "cause", ended)?;
+        let refused = RefusalCause::LABELS.iter().copied().zip(counts.refusals);
+        page.family("refusals", "Peers that got no session, by cause", "cause", refused)?;
+        page.counter("retries", "Peers that were asked to prove their address", self.retries)?;
+        page.family(
+            "datagrams_received",
+            "Datagrams of sessions that came in, by what became of them",
+            "outcome",
+            [
+                ("taken", totals.poses),
+                ("acknowledgement", totals.acknowledgements),
+                ("stale", totals.poses_stale),
+                ("bad", totals.poses_bad),
+                ("over_rate", totals.poses_over_rate),
+                ("unread", totals.poses_unread),
+            ],
+        )?;
+        page.family(
+            "datagrams_sent",
+            "Datagrams of frames, by what became of them",
+            "outcome",
+            [("sent", totals.packets.saturating_sub(totals.packets_unsent)), ("unsent", totals.packets_unsent)],
+        )?;
+        let help = "UDP datagrams that came in, by whom they belonged to: a session, or none";
+        let received = [("session", totals.udp_received), ("none", counts.unowned_received)];
+        page.family("udp_received", help, "owner", received)?;
+        let help = "UDP datagrams that went out, by whom they belonged to: a session, or none";
+        page.family("udp_sent", help, "owner", [("session", totals.udp_sent), ("none", counts.unowned_sent)])?;
+        if let Some(drops) = self.process.kernel_drops {
+            page.counter("udp_kernel_drops", "UDP datagrams that found the socket's buffer full", drops)?;
+        }
+        page.counter("quic_lost", "QUIC packets that were never acknowledged", totals.quic_lost)?;
+        page.counter("frames_traced", "Masks that were traced", totals.frames_traced)?;
+        page.family(
+            "frames",
+            "Traced masks, by what became of them",
+            "outcome",
+            [
+                ("sent", totals.frames_sent),
+                ("superseded", totals.frames_superseded),
+                ("gated", totals.frames_gated),
+                ("unsendable", totals.frames_unsendable),
+                ("abandoned", totals.frames_abandoned),
+            ],
+        )?;
+        page.counter("frame_bytes", "Bytes of frames that were sent, headers included", totals.bytes)?;
+        page.counter("messages", "Control messages that came in", totals.messages)?;
+        page.seconds("gpu_seconds", "Time that tracing took, of the device or the processor", totals.gpu_us)?;
+        page.stages(&counts.sum.stages)?;
+        page.counter("log_lines_lost", "Log lines that could not be written", self.log_lines_lost)?;
+        if let Some(bytes) = self.process.resident_bytes {
+            page.gauge("resident_memory_bytes", "Memory of the process", bytes)?;
+        }
+        if let Some(files) = self.process.open_files {
+            page.gauge("open_files", "File descriptors of the process", files)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_is_what_prometheus_reads() {
+        let mut page = Page { ready: true, version: "1", backend: "a \"b\"\n".to_owned(), ..Page::default() };
+        page.counts.closed = [1, 2, 3, 4, 5];
+        page.counts.sum.totals.poses = 9;
+        page.counts.sum.totals.gpu_us = 1_500_000;
+        page.process.kernel_drops = Some(6);
+        let text = page.text().unwrap();
+        for line in [
+            "gnomon_build_info{version=\"1\",backend=\"a \\\"b\\\"\\n\"} 1",
+            "gnomon_ready 1",
+            "gnomon_sessions_closed_total{cause=\"stopping\"} 5",
+            "gnomon_datagrams_received_total{outcome=\"taken\"} 9",
+            "gnomon_udp_kernel_drops_total 6",
+            "gnomon_gpu_seconds_total 1.5",
+            "gnomon_stage_seconds_bucket{stage=\"encode\",le=\"+Inf\"} 0",
+            "gnomon_stage_seconds_count{stage=\"send\"} 0",
+        ] {
+            assert!(text.lines().any(|found| found == line), "no {line} in\n{text}");
+        }
+        // Without a label set Prometheus would refuse to read two lines of one name.
+        let mut names: Vec<_> =
+            text.lines().filter(|line| !line.starts_with('#')).map(|line| line.rsplit_once(' ').unwrap().0).collect();
+        let all = names.len();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), all);
+    }
+}

@@ -1,0 +1,237 @@
+//! Where log lines go: a thread writes them, so that a full disk, a slow one or a reader that has stopped holds up nobody who logs.
+//!
+//! A line that cannot be written is counted and lost; the next one that can be written is preceded by the count.
+
+use std::{
+    fs::{File, OpenOptions},
+    io::{self, Write},
+    path::{Path, PathBuf},
+    sync::{
+        atomic::{AtomicU64, Ordering},
+        mpsc::{Receiver, SyncSender, sync_channel},
+    },
+    thread::JoinHandle,
+    time::Duration,
+};
+
+use tracing_subscriber::fmt::MakeWriter;
+
+use crate::limits::MAX_WAITING_LOG_LINES;
+
+/// Time that the last lines get to be written at the end.
+const LAST_LINES_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// One process, one log.
+static LOST: AtomicU64 = AtomicU64::new(0);
+
+/// Lines that could not be written since the start.
+pub(crate) fn lines_lost() -> u64 {
+    LOST.load(Ordering::Relaxed)
+}
+
+enum Order {
+    Write(Vec<u8>),
+    Reopen,
+    End(SyncSender<()>),
+}
+
+/// The thread that writes. Dropping it writes what is left.
+pub struct Logs {
+    orders: SyncSender<Order>,
+    // It ends with the last sender; nobody waits for one that hangs in a write.
+    _thread: JoinHandle<()>,
+}
+
+/// Makes lines for the thread.
+#[derive(Clone)]
+pub(super) struct Lines(SyncSender<Order>);
+
+/// One line in the making. It is handed over whole when it is dropped.
+pub(super) struct Line {
+    text: Vec<u8>,
+    orders: SyncSender<Order>,
+}
+
+impl Logs {
+    pub(super) fn open(file: Option<&Path>) -> io::Result<(Self, Lines)> {
+        let target = Target::open(file)?;
+        let (orders, waiting) = sync_channel(MAX_WAITING_LOG_LINES);
+        let thread =
+            std::thread::Builder::new().name("gnomon-logs".to_owned()).spawn(move || write_all(target, &waiting))?;
+        Ok((Self { orders: orders.clone(), _thread: thread }, Lines(orders)))
+    }
+
+    /// Opens the file anew: whoever rotates logs has moved the old one away. Standard error stays as it is.
+    pub fn reopen(&self) {
+        // A queue that is full has lines for the old file; the next SIGHUP finds room.
+        let _ = self.orders.try_send(Order::Reopen);
+    }
+}
+
+impl Drop for Logs {
+    fn drop(&mut self) {
+        let (done, wait) = sync_channel(1);
+        if self.orders.try_send(Order::End(done)).is_ok() {
+            let _ = wait.recv_timeout(LAST_LINES_TIMEOUT);
+        }
+    }
+}
+
+impl<'a> MakeWriter<'a> for Lines {
+    type Writer = Line;
+
+    fn make_writer(&'a self) -> Line {
+        Line { text: Vec::with_capacity(512), orders: self.0.clone() }
+    }
+}
+
+impl Write for Line {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.text.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        if !self.text.is_empty() && self.orders.try_send(Order::Write(std::mem::take(&mut self.text))).is_err() {
+            LOST.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+fn write_all(mut target: Target, orders: &Receiver<Order>) {
+    while let Ok(order) = orders.recv() {
+        match order {
+            Order::Write(line) => target.write_line(&line),
+            Order::Reopen => target.reopen(),
+            // A receiver that has given up waiting needs no answer.
+            Order::End(done) => drop(done.try_send(())),
+        }
+    }
+}
+
+struct Target {
+    out: Box<dyn Write + Send>,
+    path: Option<PathBuf>,
+    /// A line was cut off: the next one must not be glued to it.
+    torn: bool,
+    lost_before: u64,
+}
+
+impl Target {
+    fn open(file: Option<&Path>) -> io::Result<Self> {
+        let out: Box<dyn Write + Send> = match file {
+            Some(path) => Box::new(append(path)?),
+            None => Box::new(io::stderr()),
+        };
+        Ok(Self { out, path: file.map(Path::to_owned), torn: false, lost_before: 0 })
+    }
+
+    fn reopen(&mut self) {
+        let Some(path) = &self.path else { return };
+        match append(path) {
+            Ok(file) => (self.out, self.torn) = (Box::new(file), false),
+            // The old file is better than none.
+            Err(error) => tracing::error!(%error, path = %path.display(), "cannot reopen the log file"),
+        }
+    }
+
+    fn write_line(&mut self, line: &[u8]) {
+        let mut text = Vec::new();
+        if self.torn {
+            text.push(b'\n');
+        }
+        text.extend_from_slice(line);
+        let mut rest = text.as_slice();
+        while !rest.is_empty() {
+            match self.out.write(rest) {
+                Ok(0) => break,
+                Ok(written) => rest = &rest[written..],
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(_) => break,
+            }
+        }
+        if rest.is_empty() {
+            self.torn = false;
+            let lost = lines_lost();
+            if lost > self.lost_before {
+                tracing::warn!(lines = lost - self.lost_before, "log lines were lost");
+                self.lost_before = lost;
+            }
+        } else {
+            self.torn |= rest.len() < text.len();
+            LOST.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+fn append(path: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    options.create(true).append(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o640);
+    options.open(path).map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", path.display())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Takes so many bytes in all until it is emptied.
+    #[derive(Clone, Default)]
+    struct Disk(std::sync::Arc<std::sync::Mutex<(Vec<u8>, usize)>>);
+
+    impl Write for Disk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let (content, room) = &mut *self.0.lock().unwrap();
+            let taken = bytes.len().min(*room);
+            if taken == 0 {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            content.extend_from_slice(&bytes[..taken]);
+            *room -= taken;
+            Ok(taken)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_full_disk_costs_lines_and_never_glues_two_together() {
+        let disk = Disk::default();
+        disk.0.lock().unwrap().1 = 10;
+        let mut target = Target { out: Box::new(disk.clone()), path: None, torn: false, lost_before: 0 };
+        let before = lines_lost();
+        target.write_line(b"first\n");
+        target.write_line(b"second\n");
+        target.write_line(b"third\n");
+        assert_eq!(lines_lost() - before, 2);
+        disk.0.lock().unwrap().1 = 100;
+        target.write_line(b"fourth\n");
+        assert_eq!(disk.0.lock().unwrap().0, b"first\nseco\nfourth\n");
+    }
+
+    #[test]
+    fn a_moved_file_is_left_alone_after_reopening() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, old) = (folder.path().join("log"), folder.path().join("log.1"));
+        let (logs, lines) = Logs::open(Some(&path)).unwrap();
+        let write = |text: &str| lines.make_writer().write_all(text.as_bytes()).unwrap();
+        write("one\n");
+        // Whether the thread has written yet or not, the line goes to the file that is open.
+        std::fs::rename(&path, &old).unwrap();
+        write("two\n");
+        logs.reopen();
+        write("three\n");
+        drop(logs);
+        assert_eq!(std::fs::read_to_string(&old).unwrap(), "one\ntwo\n");
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "three\n");
+    }
+}

@@ -1,0 +1,103 @@
+//! Tests of the token file.
+
+use super::*;
+
+fn store(text: &str) -> Result<(tempfile::TempDir, TokenStore), String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("tokens.toml");
+    std::fs::write(&path, text).unwrap();
+    let store = TokenStore::read(&path).map_err(|error| error.to_string())?;
+    Ok((folder, store))
+}
+
+fn entry(token: &str, more: &str) -> String {
+    format!("[[token]]\nsha256 = \"{}\"\n{more}\n", hex(&sha256(token.as_bytes())))
+}
+
+#[test]
+fn listed_tokens_and_no_others_are_admitted() {
+    let text =
+        entry("first", "name = \"staff\"") + &entry("second", "") + "# " + &entry("third", "").replace('\n', "\n# ");
+    let (_folder, store) = store(&text).unwrap();
+    for (token, expected) in [
+        (Some("first"), Ok(())),
+        (Some("second"), Ok(())),
+        (Some("third"), Err(TokenProblem::Unknown)),
+        (Some("firs"), Err(TokenProblem::Unknown)),
+        (Some(""), Err(TokenProblem::Unknown)),
+        (None, Err(TokenProblem::Missing)),
+    ] {
+        assert_eq!(store.admit(token, Scope::Session), expected, "{token:?}");
+    }
+    // The digest in the file is no token: who reads the file cannot connect.
+    let digest = hex(&sha256(b"first"));
+    assert_eq!(store.admit(Some(&digest), Scope::Session), Err(TokenProblem::Unknown));
+}
+
+#[test]
+fn a_token_ends_when_it_says_and_serves_only_its_scopes() {
+    let text = entry("a", "expires = 2030-01-01T01:00:00+01:00") + &entry("b", "scopes = [\"admin\"]");
+    let (_folder, store) = store(&text).unwrap();
+    // 2030-01-01T00:00:00Z
+    let end = 1_893_456_000;
+    assert_eq!(store.examine(Some("a"), Scope::Session, end - 1, true), Ok(()));
+    assert_eq!(store.examine(Some("a"), Scope::Session, end, true), Err(TokenProblem::Expired));
+    assert_eq!(store.examine(Some("a"), Scope::Admin, 0, true), Err(TokenProblem::Scope));
+    assert_eq!(store.examine(Some("b"), Scope::Session, 0, true), Err(TokenProblem::Scope));
+    assert_eq!(store.examine(Some("b"), Scope::Admin, 0, true), Ok(()));
+    assert!(store.has(Scope::Admin));
+}
+
+#[test]
+fn a_token_for_one_use_is_spent_across_reloads() {
+    let (folder, store) = store(&(entry("a", "once = true") + &entry("b", ""))).unwrap();
+    let path = folder.path().join("tokens.toml");
+    assert_eq!(store.check(Some("a"), Scope::Session), Ok(()));
+    assert_eq!(store.admit(Some("a"), Scope::Session), Ok(()));
+    assert_eq!(store.admit(Some("a"), Scope::Session), Err(TokenProblem::Spent));
+    assert_eq!(store.check(Some("a"), Scope::Session), Err(TokenProblem::Spent));
+    assert_eq!(store.reload().unwrap(), 2);
+    assert_eq!(store.admit(Some("a"), Scope::Session), Err(TokenProblem::Spent));
+    std::fs::write(&path, entry("c", "")).unwrap();
+    assert_eq!(store.reload().unwrap(), 1);
+    assert!(store.state().spent.is_empty(), "what is not listed needs no memory");
+    assert_eq!(store.admit(Some("b"), Scope::Session), Err(TokenProblem::Unknown), "withdrawn");
+    // A broken file changes nothing.
+    std::fs::write(&path, "[[token]]\n").unwrap();
+    store.reload().unwrap_err();
+    assert_eq!(store.admit(Some("c"), Scope::Session), Ok(()));
+}
+
+#[test]
+fn a_file_that_cannot_be_meant_is_an_error_that_quotes_no_token() {
+    for (text, part) in [
+        (String::new(), "lists no token with the scope session"),
+        (entry("a", "scopes = [\"admin\"]"), "lists no token with the scope session"),
+        ("open-sesame\n".to_owned(), "line 1"),
+        ("# ok\n[[token]]\nsha256 = \"00\"\n".to_owned(), "token 1: sha256 has 64"),
+        (entry("a", "expires = 2030-01-01"), "token 1: expires has a date, a time and an offset"),
+        (entry("a", "expires = 2030-01-01T00:00:00"), "token 1: expires"),
+        (entry("a", "scopes = [\"root\"]"), "line 3"),
+        (entry("a", "secret = \"open-sesame\""), "line 3"),
+    ] {
+        let message = store(&text).map(|_| ()).unwrap_err();
+        assert!(
+            message.contains(part) && !message.contains("sesame") && !message.contains('\n'),
+            "{text:?} gives {message}"
+        );
+    }
+    assert!(TokenStore::read(Path::new("/nowhere/tokens")).unwrap_err().to_string().contains("/nowhere/tokens"));
+}
+
+#[test]
+fn what_is_made_is_admitted() {
+    let (token, text) = make("al\"ice\n", Some(30), &[Scope::Session, Scope::Admin], true).unwrap();
+    let (other, _) = make("", None, &[Scope::Session], false).unwrap();
+    assert!(token != other && token.len() == 64 && !text.contains(&token), "{text}");
+    let (_folder, store) = store(&text).unwrap();
+    let day = 24 * 3600;
+    let now = unix_s(SystemTime::now());
+    assert_eq!(store.examine(Some(&token), Scope::Session, now + 31 * day, true), Err(TokenProblem::Expired));
+    assert_eq!(store.examine(Some(&token), Scope::Session, now + 29 * day, true), Ok(()));
+    assert_eq!(store.examine(Some(&token), Scope::Session, now, true), Err(TokenProblem::Spent));
+}

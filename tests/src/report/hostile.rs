@@ -1,0 +1,271 @@
+//! `lab hostile`: bad traffic on a real server, and what it costs those who behave.
+//!
+//! Garbage (random, long headers with random content, mutated and replayed first packets), first packets from addresses that never answer, a flood of
+//! handshakes that never say Hello, and tokens that are wrong, expired or used before. Beside garbage a client goes on getting its masks.
+
+mod flood;
+mod packets;
+
+use std::{
+    fs,
+    io::{Read as _, Write as _},
+    net::{Ipv4Addr, SocketAddr, TcpStream},
+    path::Path,
+    sync::atomic::{AtomicBool, Ordering},
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result};
+use gnomon_client::{
+    camera_path::{CameraPath, PathSpec},
+    net::url::ServerUrl,
+    probe::{ProbeOptions, ProbeReport, run_probe},
+    stats::percentile,
+};
+use gnomon_protocol::codec::CodecId;
+use gnomon_server::tokens::{self, Scope};
+
+use super::table::Table;
+use crate::rig::ServerProcess;
+
+/// Memory that garbage may cost the server.
+const MEMORY_GROWTH_BYTES: u64 = 16 << 20;
+
+/// Reply over request that an address which never answers may draw.
+const AMPLIFICATION: f64 = 0.1;
+
+/// Time in which a good client has to be in while handshakes flood the server.
+const JOINS_WITHIN: Duration = Duration::from_secs(2);
+
+/// What to throw at a server.
+#[derive(Debug, Clone, clap::Args)]
+pub struct HostileOptions {
+    /// Scene to trace: .gltf or .glb.
+    #[arg(long)]
+    pub scene: std::path::PathBuf,
+    /// Camera path of the good client, FILE or FILE#NAME.
+    #[arg(long)]
+    pub path: PathSpec,
+    /// Packets of garbage.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub packets: u32,
+    /// Handshakes of the flood.
+    #[arg(long, default_value_t = 2_000)]
+    pub handshakes: u32,
+    /// Longest time that garbage is sent, in seconds: what is not sent by then is missing from the figures.
+    #[arg(long, default_value_t = 300)]
+    pub seconds: u64,
+    /// Shows times, but lets none of them decide: for machines that have more to do.
+    #[arg(long)]
+    pub ignore_times: bool,
+}
+
+/// What came of it, a row a goal.
+#[derive(Debug, Clone)]
+pub struct HostileReport {
+    /// Goal, measured, wanted, whether it holds.
+    pub table: Table,
+    /// Whether every goal is met.
+    pub holds: bool,
+}
+
+/// Runs all of it on a server of its own.
+///
+/// # Errors
+/// When the server cannot be started, or something but a goal fails.
+#[expect(clippy::cast_precision_loss, reason = "counts as shares")]
+pub fn run(options: &HostileOptions) -> Result<HostileReport> {
+    let folder = tempfile::tempdir().context("making a temporary folder")?;
+    let tokens = Tokens::write(folder.path())?;
+    let path = CameraPath::load(&options.path)?;
+    let arguments = [
+        "--backend=cpu".to_owned(),
+        "--admin=0".to_owned(),
+        "--log=json".to_owned(),
+        format!("--token-file={}", folder.path().join("tokens").display()),
+    ];
+    let mut server = ServerProcess::start(&options.scene, &arguments)?;
+    let url: ServerUrl = server.url().parse()?;
+    let address: SocketAddr = (Ipv4Addr::LOCALHOST, url.port).into();
+    let admin = server.program().wait_for(Duration::from_secs(10), admin_in)?;
+    let runtime = tokio::runtime::Runtime::new().context("starting a runtime")?;
+    let id = server.program().id();
+    let probe = |token: &str, frames, fps| {
+        let options = ProbeOptions {
+            url: url.clone(),
+            token: Some(token.to_owned()),
+            width: 96,
+            height: 54,
+            codec: CodecId::PlanesLz4,
+            frames,
+            fps,
+            start_time_s: 0.0,
+        };
+        run_probe(runtime.handle(), &options, &path)
+    };
+    let patience = Duration::from_secs(options.seconds);
+    let mut goals = Goals(Table::new(&["goal", "measured", "wanted", "holds"]), true);
+
+    // Garbage, beside a client.
+    let quiet = probe(&tokens.good, 200, Some(20.0))?;
+    let first = packets::first(runtime.handle(), &path)?;
+    let before = resident_bytes(id)?;
+    let unowned_before = metric(&admin, "gnomon_udp_received_total{owner=\"none\"}")?;
+    let done = AtomicBool::new(false);
+    let (sent, disturbed) = std::thread::scope(|scope| {
+        let client = scope.spawn(|| {
+            let mut found = Vec::new();
+            while !done.load(Ordering::Relaxed) {
+                found.push(probe(&tokens.good, 200, Some(20.0)));
+            }
+            found
+        });
+        let sent = packets::garbage(address, &first, options.packets, patience);
+        done.store(true, Ordering::Relaxed);
+        (sent, client.join())
+    });
+    let sent = sent?;
+    let disturbed: Vec<ProbeReport> =
+        disturbed.map_err(|_| anyhow::anyhow!("the client panicked"))?.into_iter().collect::<Result<_, _>>()?;
+    let grown = resident_bytes(id)?.saturating_sub(before);
+    let counted = metric(&admin, "gnomon_udp_received_total{owner=\"none\"}")? - unowned_before
+        + metric(&admin, "gnomon_udp_kernel_drops_total")?;
+    goals.add("packets of garbage sent", &sent.to_string(), &options.packets.to_string(), sent == options.packets);
+    goals.add(
+        "of them counted by the server or dropped by the kernel, per cent",
+        &format!("{:.2}", counted as f64 / f64::from(sent) * 100.0),
+        "100 or more",
+        counted >= u64::from(sent),
+    );
+    goals.add(
+        "memory growth, bytes",
+        &grown.to_string(),
+        &format!("{MEMORY_GROWTH_BYTES} at most"),
+        grown <= MEMORY_GROWTH_BYTES,
+    );
+    let share = |reports: &[ProbeReport]| {
+        let (masks, poses) =
+            reports.iter().fold((0, 0), |(masks, poses), one| (masks + one.masks, poses + u64::from(one.poses)));
+        masks as f64 / poses as f64 * 100.0
+    };
+    let p99 = |reports: &[ProbeReport]| {
+        let mut all: Vec<f64> = reports.iter().flat_map(|report| report.responses_ms.iter().copied()).collect();
+        all.sort_by(f64::total_cmp);
+        percentile(&all, 0.99).unwrap_or(f64::NAN)
+    };
+    let least = if options.ignore_times { 50.0 } else { 95.0 };
+    let alone = std::slice::from_ref(&quiet);
+    goals.note(
+        "client alone: masks per pose, per cent; response p99, ms",
+        &format!("{:.1}; {:.1}", share(alone), p99(alone)),
+    );
+    goals.note("client beside garbage: response p99, ms", &format!("{:.1}", p99(&disturbed)));
+    goals.add(
+        "client beside garbage: masks per pose, per cent",
+        &format!("{:.1}", share(&disturbed)),
+        "95 at least",
+        share(&disturbed) >= 95.0,
+    );
+
+    // Addresses that never answer.
+    let (asked, answered) = packets::amplification(address, &first)?;
+    let factor = answered as f64 / asked as f64;
+    goals.add(
+        "bytes to an address that never answers, over bytes from it",
+        &format!("{factor:.3}"),
+        &format!("{AMPLIFICATION} at most"),
+        factor <= AMPLIFICATION,
+    );
+
+    // Handshakes that never say Hello, from another address than the good client's.
+    let flooding = AtomicBool::new(true);
+    let (opened, joined) = std::thread::scope(|scope| {
+        let flood = scope.spawn(|| flood::run(runtime.handle(), address, options.handshakes, &flooding));
+        std::thread::sleep(Duration::from_secs(1));
+        let begun = Instant::now();
+        let joined = probe(&tokens.good, 1, None).map(|_| begun.elapsed());
+        flooding.store(false, Ordering::Relaxed);
+        (flood.join(), joined)
+    });
+    let opened = opened.map_err(|_| anyhow::anyhow!("the flood panicked"))??;
+    goals.note("handshakes of the flood until a good client was in", &opened.to_string());
+    match joined {
+        Ok(took) => goals.add(
+            "a good client has its first mask after, s",
+            &format!("{:.2}", took.as_secs_f64()),
+            "2 at most",
+            took <= JOINS_WITHIN,
+        ),
+        Err(error) => goals.add("a good client has its first mask after, s", &error.to_string(), "2 at most", false),
+    }
+
+    // Tokens.
+    let once = probe(&tokens.once, 1, None).is_ok();
+    goals.add("a token for one use admits", if once { "yes" } else { "no" }, "yes", once);
+    for (what, token) in [
+        ("a wrong token", "wrong"),
+        ("an expired token", &tokens.expired),
+        ("a token for one use, replayed", &tokens.once),
+    ] {
+        let admitted = probe(token, 1, None).is_ok();
+        goals.add(&format!("{what} admits"), if admitted { "yes" } else { "no" }, "no", !admitted);
+    }
+    server.stop()?;
+    Ok(HostileReport { table: goals.0, holds: goals.1 })
+}
+
+struct Goals(Table, bool);
+
+impl Goals {
+    fn add(&mut self, goal: &str, measured: &str, wanted: &str, holds: bool) {
+        let verdict = if holds { "yes" } else { "NO" };
+        self.0.rows.push([goal, measured, wanted, verdict].map(str::to_owned).to_vec());
+        self.1 &= holds;
+    }
+
+    fn note(&mut self, what: &str, measured: &str) {
+        self.0.rows.push([what, measured, "", ""].map(str::to_owned).to_vec());
+    }
+}
+
+struct Tokens {
+    good: String,
+    expired: String,
+    once: String,
+}
+
+impl Tokens {
+    fn write(folder: &Path) -> Result<Self> {
+        let make = |once| tokens::make("", Some(1), &[Scope::Session], once).context("making a token");
+        let [(good, good_entry), (expired, expired_entry), (once, once_entry)] =
+            [make(false)?, make(false)?, make(true)?];
+        let ended = expired_entry
+            .lines()
+            .map(|line| if line.starts_with("expires") { "expires = 2020-01-01T00:00:00Z" } else { line });
+        let ended: Vec<_> = ended.collect();
+        fs::write(folder.join("tokens"), format!("{good_entry}{}\n{once_entry}", ended.join("\n")))?;
+        Ok(Self { good, expired, once })
+    }
+}
+
+fn admin_in(said: &str) -> Option<String> {
+    let line = said.lines().find(|line| line.contains("\"admin address\""))?;
+    let entry: serde_json::Value = serde_json::from_str(line).ok()?;
+    Some(entry["fields"]["local_addr"].as_str()?.to_owned())
+}
+
+fn metric(admin: &str, name: &str) -> Result<u64> {
+    let mut stream = TcpStream::connect(admin)?;
+    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: edge\r\n\r\n")?;
+    let mut page = String::new();
+    stream.read_to_string(&mut page)?;
+    let line =
+        page.lines().find_map(|line| line.strip_prefix(name)).with_context(|| format!("no {name} in the metrics"))?;
+    Ok(line.trim().parse()?)
+}
+
+fn resident_bytes(id: u32) -> Result<u64> {
+    let status = fs::read_to_string(format!("/proc/{id}/status"))?;
+    let kib = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("no VmRSS")?;
+    Ok(kib.trim().trim_end_matches("kB").trim().parse::<u64>()? * 1024)
+}

@@ -1,0 +1,91 @@
+//! Promise: a client trusts the certificate that its URL pins, or one that its URL's authority vouches for, and no other; the operator replaces
+//! certificate and key while the server runs, and who trusts the authority notices nothing.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+#[path = "../../server/tests/support/scene.rs"]
+mod scene;
+
+use std::{fs, path::Path, process::Command};
+
+use gnomon_client::{
+    camera_path::CameraPath,
+    probe::{ProbeOptions, run_probe},
+};
+use gnomon_protocol::codec::CodecId;
+use gnomon_tests::rig::{
+    PATIENCE,
+    program::{Program, find},
+};
+use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
+
+/// An authority: its certificate in `NAME.pem`, and what signs for it.
+fn authority(folder: &Path, name: &str) -> Issuer<'static, KeyPair> {
+    let mut params = CertificateParams::new(Vec::new()).unwrap();
+    params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+    let key = KeyPair::generate().unwrap();
+    fs::write(folder.join(name).with_extension("pem"), params.self_signed(&key).unwrap().pem()).unwrap();
+    Issuer::new(params, key)
+}
+
+/// A new certificate for localhost.
+fn issue(folder: &Path, authority: &Issuer<'_, KeyPair>) {
+    let key = KeyPair::generate().unwrap();
+    let leaf = CertificateParams::new(["localhost".to_owned()]).unwrap().signed_by(&key, authority).unwrap();
+    fs::write(folder.join("chain.pem"), leaf.pem()).unwrap();
+    fs::write(folder.join("key.pem"), key.serialize_pem()).unwrap();
+}
+
+#[test]
+fn an_authority_vouches_for_a_server_across_rotations() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let ours = authority(folder, "ours");
+    authority(folder, "theirs");
+    issue(folder, &ours);
+    let scene = scene::write(folder);
+    let arguments = [
+        format!("--scene={}", scene.display()),
+        "--backend=cpu".to_owned(),
+        "--listen=127.0.0.1:0".to_owned(),
+        format!("--cert-file={}", folder.join("chain.pem").display()),
+        format!("--key-file={}", folder.join("key.pem").display()),
+    ];
+    let mut server = Program::start(&find("gnomon-server").unwrap(), &arguments, &[]).unwrap();
+    let pinning = server
+        .wait_for(PATIENCE, |said| said.lines().find(|line| line.starts_with("gnomon://")).map(str::to_owned))
+        .unwrap();
+    let port = pinning.strip_prefix("gnomon://127.0.0.1:").unwrap().split('/').next().unwrap();
+    let trusting = |host: &str, ca: &str| format!("gnomon://{host}:{port}/?ca={}", folder.join(ca).display());
+
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let keyframe = |t: f64| serde_json::json!({ "t": t, "pos": [0.0, 2.5, 0.5], "target": [0.0, 0.0, 0.0] });
+    let path = serde_json::json!({ "yfov_deg": 60.0, "camera_path": { "keyframes": [keyframe(0.0), keyframe(1.0)] } });
+    fs::write(folder.join("path.json"), path.to_string()).unwrap();
+    let path = CameraPath::load(&folder.join("path.json").display().to_string().parse().unwrap()).unwrap();
+    let masks = |url: &str| {
+        let options = ProbeOptions {
+            url: url.parse().unwrap(),
+            token: None,
+            width: 32,
+            height: 32,
+            codec: CodecId::PlanesLz4,
+            frames: 1,
+            fps: None,
+            start_time_s: 0.0,
+        };
+        run_probe(runtime.handle(), &options, &path).map(|report| report.masks)
+    };
+    assert_eq!(masks(&pinning).unwrap(), 1);
+    assert_eq!(masks(&trusting("localhost", "ours.pem")).unwrap(), 1);
+    masks(&trusting("localhost", "theirs.pem")).unwrap_err();
+    masks(&trusting("127.0.0.1", "ours.pem")).unwrap_err();
+    masks(&trusting("localhost", "none.pem")).unwrap_err();
+
+    issue(folder, &ours);
+    assert!(Command::new("kill").args(["-HUP", &server.id().to_string()]).status().unwrap().success());
+    server.wait_for(PATIENCE, |said| said.contains("certificate read again").then_some(())).unwrap();
+    assert_eq!(masks(&trusting("localhost", "ours.pem")).unwrap(), 1);
+    masks(&pinning).unwrap_err();
+    server.terminate().unwrap();
+    server.finish(PATIENCE).unwrap().success().unwrap();
+}

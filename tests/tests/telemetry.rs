@@ -1,0 +1,218 @@
+//! Promise: what the server logs is what `deploy/logs.schema.json` says, in a file that can be rotated, and a full disk stops nobody.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+#[path = "../../server/tests/support/scene.rs"]
+mod scene;
+
+use std::{
+    collections::BTreeSet,
+    fs,
+    io::{Read as _, Write as _},
+    net::TcpStream,
+    path::{Path, PathBuf},
+    process::Command,
+    time::{Duration, Instant},
+};
+
+use gnomon_tests::rig::{
+    ClientJob, PATIENCE,
+    program::{Program, find},
+};
+use serde_json::{Value, json};
+
+fn project(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)
+}
+
+fn schema() -> jsonschema::Validator {
+    let text = fs::read_to_string(project("deploy/logs.schema.json")).unwrap();
+    let schema: Value = serde_json::from_str(&text).unwrap();
+    jsonschema::draft202012::meta::validate(&schema).unwrap();
+    jsonschema::validator_for(&schema).unwrap()
+}
+
+struct Server {
+    program: Program,
+    url: String,
+    admin: String,
+}
+
+/// A server on free ports that logs JSON into `log`.
+fn start(folder: &Path, log: &Path) -> Server {
+    let arguments = [
+        "--scene".into(),
+        scene::write(folder).display().to_string(),
+        "--backend=cpu".into(),
+        "--listen=127.0.0.1:0".into(),
+        "--admin=0".into(),
+        "--log=json".into(),
+        format!("--cert-dir={}", folder.join("cert").display()),
+        format!("--log-file={}", log.display()),
+    ];
+    let environment = [("RUST_LOG", "warn,gnomon_server=debug")];
+    let mut program = Program::start(&find("gnomon-server").unwrap(), &arguments, &environment).unwrap();
+    let url = program.wait_for(PATIENCE, |said| said.strip_suffix('\n').map(str::to_owned)).unwrap();
+    // Only its log names the port that was free; a disk that is full names none, and the system does.
+    let admin = listening_tcp(program.id());
+    Server { program, url, admin }
+}
+
+/// The address on which a process listens for TCP.
+fn listening_tcp(id: u32) -> String {
+    let sockets: BTreeSet<String> = fs::read_dir(format!("/proc/{id}/fd"))
+        .unwrap()
+        .filter_map(|file| fs::read_link(file.unwrap().path()).ok())
+        .filter_map(|link| Some(link.to_str()?.strip_prefix("socket:[")?.strip_suffix(']')?.to_owned()))
+        .collect();
+    let table = fs::read_to_string(format!("/proc/{id}/net/tcp")).unwrap();
+    let port = table.lines().skip(1).find_map(|line| {
+        let columns: Vec<_> = line.split_ascii_whitespace().collect();
+        let listens = columns[3] == "0A" && sockets.contains(columns[9]);
+        listens.then(|| u16::from_str_radix(columns[1].rsplit_once(':').unwrap().1, 16).unwrap())
+    });
+    format!("127.0.0.1:{}", port.expect("it listens"))
+}
+
+fn client(url: &str, folder: &Path) -> Value {
+    let keyframe = |t: f64| json!({ "t": t, "pos": [0.1 * t, 2.5, 0.5], "target": [0.0, 0.0, 0.0] });
+    let path = json!({ "yfov_deg": 60.0, "camera_path": { "keyframes": [keyframe(0.0), keyframe(3.0)] } });
+    fs::write(folder.join("path.json"), path.to_string()).unwrap();
+    let job = ClientJob {
+        url: Some(url),
+        path: folder.join("path.json").into(),
+        frames: 60,
+        size: (96, 54),
+        folder,
+        wait: true,
+        save_masks: false,
+        arguments: vec!["--fps".into(), "20".into()],
+    };
+    job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
+    job.summary().unwrap()
+}
+
+fn metrics(admin: &str) -> String {
+    let mut stream = TcpStream::connect(admin).unwrap();
+    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: edge\r\n\r\n").unwrap();
+    let mut page = String::new();
+    stream.read_to_string(&mut page).unwrap();
+    page
+}
+
+fn value(page: &str, name: &str) -> u64 {
+    let line = page.lines().find(|line| line.rsplit_once(' ').is_some_and(|(found, _)| found == name));
+    line.unwrap_or_else(|| panic!("no {name} in\n{page}")).rsplit_once(' ').unwrap().1.parse().unwrap()
+}
+
+fn wait_until(mut done: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !done() {
+        assert!(start.elapsed() < PATIENCE);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn the_log_is_what_its_schema_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let [log, rotated] = ["log", "log.1"].map(|name| folder.path().join(name));
+    let server = start(folder.path(), &log);
+    client(&server.url, folder.path());
+    fs::rename(&log, &rotated).unwrap();
+    assert!(Command::new("kill").args(["-HUP", &server.program.id().to_string()]).status().unwrap().success());
+    wait_until(|| log.exists());
+    client(&server.url, folder.path());
+    server.program.terminate().unwrap();
+    server.program.finish(PATIENCE).unwrap().success().unwrap();
+
+    let schema = schema();
+    let mut seen = BTreeSet::new();
+    let mut ended = Vec::new();
+    for file in [&rotated, &log] {
+        let text = fs::read_to_string(file).unwrap();
+        assert!(text.ends_with('\n'));
+        for line in text.lines() {
+            let entry: Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
+            if let Err(error) = schema.validate(&entry) {
+                panic!("{error} at {}: {line}", error.instance_path());
+            }
+            let message = entry["fields"]["message"].as_str().unwrap_or_default().to_owned();
+            if message == "session ended" {
+                ended.push(entry.clone());
+            }
+            // A schema that takes anything would prove nothing.
+            for broken in [with(&entry, "/level", json!("LOUD")), with(&entry, "/timestamp", json!("yesterday"))] {
+                assert!(!schema.is_valid(&broken), "{broken}");
+            }
+            seen.insert(message);
+        }
+    }
+    for message in [
+        "admin address",
+        "engine started",
+        "warm",
+        "listening",
+        "session started",
+        "sent",
+        "rates",
+        "session ended",
+        "certificate read again",
+        "draining",
+        "stopped",
+    ] {
+        assert!(seen.contains(message), "no {message:?} among {seen:?}");
+    }
+    assert_eq!(ended.len(), 2, "a session before the rotation, and one after it");
+    for entry in &ended {
+        let fields = &entry["fields"];
+        let count = |name: &str| fields[name].as_u64().unwrap();
+        assert!(
+            count("frames_sent") >= 60 && count("bytes") > 0 && fields["gpu_ms"].as_f64().unwrap() > 0.0,
+            "{entry}"
+        );
+        let dropped: u64 = ["superseded", "gated", "unsendable", "abandoned"]
+            .iter()
+            .map(|cause| count(&format!("frames_{cause}")))
+            .sum();
+        assert_eq!(count("frames_traced"), count("frames_sent") + dropped, "{entry}");
+        let mut short = entry.clone();
+        short["fields"].as_object_mut().unwrap().remove("gpu_ms");
+        let long = {
+            let mut long = entry.clone();
+            long["fields"]["mood"] = json!("fine");
+            long
+        };
+        assert!(!schema.is_valid(&short) && !schema.is_valid(&long), "fields are exactly those of the contract");
+    }
+}
+
+fn with(entry: &Value, place: &str, value: Value) -> Value {
+    let mut changed = entry.clone();
+    *changed.pointer_mut(place).unwrap() = value;
+    changed
+}
+
+/// Everything that looks like one of our metrics in a text.
+fn metric_names(text: &str) -> BTreeSet<String> {
+    let words = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').filter(|word| word.starts_with("gnomon_"));
+    words.map(|word| word.trim_end_matches("_bucket").to_owned()).collect()
+}
+
+#[test]
+fn a_full_disk_stops_nobody() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = start(folder.path(), Path::new("/dev/full"));
+    let summary = client(&server.url, folder.path());
+    assert_eq!(summary["frames_received"], 60, "{summary}");
+    let page = metrics(&server.admin);
+    assert!(value(&page, "gnomon_log_lines_lost_total") > 60, "{page}");
+    assert_eq!(value(&page, "gnomon_sessions_opened_total"), 1);
+    // What alerts and dashboard ask for is there.
+    let there = metric_names(&page);
+    for file in ["deploy/prometheus/alerts.yml", "deploy/grafana/gnomon.json"] {
+        let asked = metric_names(&fs::read_to_string(project(file)).unwrap());
+        assert!(asked.len() > 5 && asked.is_subset(&there), "{file} asks for {:?}", asked.difference(&there));
+    }
+    server.program.terminate().unwrap();
+    server.program.finish(PATIENCE).unwrap().success().unwrap();
+}
