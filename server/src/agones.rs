@@ -117,7 +117,7 @@ pub(crate) async fn run(readiness: Readiness, metrics: Arc<Metrics>) {
 
 /// Asks for the pod to be taken away: the last session is gone.
 pub(crate) async fn shutdown() {
-    went_well("shutdown", Sidecar::here().post("/shutdown").await);
+    went_well("shutdown", &Sidecar::here().post("/shutdown").await);
 }
 
 /// What the last beat saw.
@@ -143,10 +143,10 @@ async fn keep(sidecar: Sidecar, readiness: Readiness, metrics: Arc<Metrics>, bea
 impl Seen {
     async fn beat(&mut self, sidecar: Sidecar, stage: &Stage, now: &Snapshot) {
         if *stage == Stage::Ready && !self.told_ready {
-            self.told_ready = went_well("ready", sidecar.post("/ready").await);
+            self.told_ready = went_well("ready", &sidecar.post("/ready").await);
         }
         let ended: u64 = now.closed.iter().sum();
-        while self.counted_down < ended && went_well("counter", sidecar.count_down().await) {
+        while self.counted_down < ended && went_well("counter", &sidecar.count_down().await) {
             self.counted_down += 1;
         }
         // Clients that send poses and get no frames have a server that is not healthy, whatever its process says.
@@ -154,13 +154,13 @@ impl Seen {
         let stuck = now.open > 0 && poses > self.poses && frames == self.frames;
         (self.poses, self.frames) = (poses, frames);
         if matches!(stage, Stage::Ready | Stage::Draining) && !stuck {
-            went_well("health", sidecar.post("/health").await);
+            went_well("health", &sidecar.post("/health").await);
         }
     }
 }
 
-fn went_well(what: &str, called: Result<(), CallError>) -> bool {
-    if let Err(error) = &called {
+fn went_well(what: &str, called: &Result<(), CallError>) -> bool {
+    if let Err(error) = called {
         tracing::warn!(what, %error, "agones");
     }
     called.is_ok()
