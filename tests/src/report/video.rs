@@ -8,12 +8,13 @@ mod stream;
 
 pub use self::stream::VideoCodec;
 
-use std::{num::NonZero, path::PathBuf};
+use std::{collections::VecDeque, num::NonZero, path::PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use gnomon_client::{camera_path::CameraPath, predictor::Predictor};
 use gnomon_protocol::{
-    codec::{CodecId, Encoder},
+    codec::{CodecId, Encoder, Reference},
+    ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
     mask::Mask,
     packetizer::Packetizer,
@@ -153,6 +154,42 @@ pub fn measure(options: &VideoOptions, mut progress: impl FnMut(&str)) -> Result
     Ok(table)
 }
 
+/// A session's encoder, and the masks that its client has not acknowledged yet.
+struct Sender {
+    encoder: Encoder,
+    packetizer: Packetizer,
+    body: Vec<u8>,
+    /// Masks under way, the oldest first; the client has that one when they are as many as a round trip takes and one more.
+    sent: VecDeque<Reference>,
+    acknowledged_after: usize,
+}
+
+impl Sender {
+    fn new(codec: CodecId, lag: u32) -> Self {
+        Self {
+            encoder: Encoder::new(codec),
+            packetizer: Packetizer::new(MAX_PACKET_BYTES),
+            body: Vec::new(),
+            sent: VecDeque::new(),
+            acknowledged_after: lag as usize + 1,
+        }
+    }
+
+    /// Bytes that a mask takes on the wire, headers included.
+    fn send(&mut self, frame: FrameNumber, mask: &Mask) -> Result<f64> {
+        let reference = self.sent.front().filter(|_| self.sent.len() == self.acknowledged_after);
+        self.encoder.encode_for(None, reference, mask, &mut self.body)?;
+        let mut reference =
+            if self.sent.len() == self.acknowledged_after { self.sent.pop_front() } else { None }.unwrap_or_default();
+        if self.encoder.keep(frame, &mut reference) {
+            self.sent.push_back(reference);
+        }
+        #[expect(clippy::cast_precision_loss, reason = "bytes of a frame")]
+        let bytes = self.packetizer.wire_bytes(&self.body) as f64;
+        Ok(bytes)
+    }
+}
+
 /// The walk, and what is to be seen on it.
 struct Bench<'a> {
     options: &'a VideoOptions,
@@ -213,18 +250,14 @@ impl<'a> Bench<'a> {
     fn split(&mut self, rtt_ms: u32, extrapolation: Extrapolation) -> Result<Vec<Row>> {
         let options = self.options;
         let lag = options.lag(rtt_ms);
-        let mut encoders: Vec<Encoder> = options.codecs.iter().map(|&codec| Encoder::new(codec)).collect();
-        let mut bytes = vec![0.0; encoders.len()];
-        let (mut shown, mut body) = (Vec::new(), Vec::new());
-        let packetizer = Packetizer::new(MAX_PACKET_BYTES);
+        let mut senders: Vec<Sender> = options.codecs.iter().map(|&codec| Sender::new(codec, lag)).collect();
+        let mut bytes = vec![0.0; senders.len()];
+        let mut shown = Vec::new();
         for frame in self.first..self.first + options.scene.frames {
             let traced_for = self.traced_for(frame, lag, extrapolation);
             let mask: Mask = self.rig.trace(&traced_for)?;
-            for (encoder, bytes) in encoders.iter_mut().zip(&mut bytes) {
-                encoder.encode(&mask, &mut body)?;
-                #[expect(clippy::cast_precision_loss, reason = "bytes of a frame")]
-                let sent = packetizer.wire_bytes(&body) as f64;
-                *bytes += sent / f64::from(options.scene.frames);
+            for (sender, bytes) in senders.iter_mut().zip(&mut bytes) {
+                *bytes += sender.send(FrameNumber(frame), &mask)? / f64::from(options.scene.frames);
             }
             let camera = camera(&self.path, options, frame);
             shown.push(self.rig.draw(&camera, Predictor::Surface, Some((&mask, &traced_for)))?.0);
