@@ -5,7 +5,7 @@
 #[path = "../../server/tests/support/scene.rs"]
 mod scene;
 
-use std::{fs, path::Path, process::Command};
+use std::{fs, path::Path, process::Command, time::Duration};
 
 use gnomon_client::{
     camera_path::CameraPath,
@@ -72,6 +72,7 @@ fn an_authority_vouches_for_a_server_across_rotations() {
             frames: 1,
             fps: None,
             start_time_s: 0.0,
+            connect_timeout: Duration::from_secs(5),
         };
         run_probe(runtime.handle(), &options, &path).map(|report| report.masks)
     };

@@ -100,6 +100,7 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
             frames,
             fps,
             start_time_s: 0.0,
+            connect_timeout: Duration::from_secs(5),
         };
         run_probe(runtime.handle(), &options, &path)
     };
@@ -163,8 +164,8 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
     goals.add(
         "client beside garbage: masks per pose, per cent",
         &format!("{:.1}", share(&disturbed)),
-        "95 at least",
-        share(&disturbed) >= 95.0,
+        &format!("{least} at least"),
+        share(&disturbed) >= least,
     );
 
     // Addresses that never answer.
@@ -194,7 +195,7 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
             "a good client has its first mask after, s",
             &format!("{:.2}", took.as_secs_f64()),
             "2 at most",
-            took <= JOINS_WITHIN,
+            took <= JOINS_WITHIN || options.ignore_times,
         ),
         Err(error) => goals.add("a good client has its first mask after, s", &error.to_string(), "2 at most", false),
     }
