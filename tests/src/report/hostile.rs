@@ -92,6 +92,7 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
     let id = server.program().id();
     let probe = |token: &str, frames, fps| {
         let options = ProbeOptions {
+            connect_timeout: ProbeOptions::CONNECT_TIMEOUT,
             url: url.clone(),
             token: Some(token.to_owned()),
             width: 96,

@@ -55,6 +55,7 @@ pub(super) fn first(runtime: &Handle, path: &CameraPath) -> Result<Vec<u8>> {
     ear.set_read_timeout(Some(Duration::from_secs(5)))?;
     let url: ServerUrl = format!("gnomon://{}/?cert={}", ear.local_addr()?, "00".repeat(32)).parse()?;
     let options = ProbeOptions {
+        connect_timeout: ProbeOptions::CONNECT_TIMEOUT,
         url,
         token: None,
         width: 64,
