@@ -365,9 +365,11 @@ fn a_marked_pose_is_in_the_same_frame_whatever_the_network_does() {
         assert!(difference(&middle, &marked) > 10.0, "RTT of twice {one_way}: the pose of frame 46 is not in frame 46");
         // Nothing but light changes after it.
         assert!(difference(&marked, &last) < difference(&before, &last) / 2.0, "RTT of twice {one_way}");
-        let lags: Vec<u64> = job.stats().unwrap().iter().filter_map(|line| line["lag"].as_u64()).collect();
-        let largest = *lags.iter().max().unwrap();
-        assert!(one_way == "0ms" || largest >= 6, "the network was not slow: {largest}");
+        let stats = job.stats().unwrap();
+        let responses: Vec<f64> = stats.iter().filter_map(|line| line["response_ms"].as_f64()).collect();
+        let soonest = responses.iter().copied().fold(f64::INFINITY, f64::min);
+        // No mask comes sooner than the network lets it, however busy the machine is.
+        assert!(!responses.is_empty() && (one_way == "0ms" || soonest >= 200.0), "the network was not slow: {soonest}");
     }
 }
 
