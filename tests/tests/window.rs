@@ -23,7 +23,7 @@ use gnomon_tests::{
 };
 use image::RgbImage;
 
-const SIZE: (u32, u32) = (192, 108);
+const SIZE: (u32, u32) = (320, 180);
 
 fn asset(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name)
@@ -132,7 +132,7 @@ impl<'a> Window<'a> {
     fn still_picture(&mut self) -> RgbImage {
         let mut before = self.picture();
         for _ in 0..100 {
-            std::thread::sleep(Duration::from_millis(100));
+            std::thread::sleep(Duration::from_millis(150));
             let picture = self.picture();
             if picture == before {
                 return picture;
@@ -178,8 +178,8 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     let walked = window.still_picture();
     assert!(difference(&first, &walked) > 1.0, "W does not walk");
 
-    window.person(&format!("mousemove --window {} 90 50 mousedown 1", window.id));
-    window.person(&format!("mousemove --window {} 130 60 mouseup 1", window.id));
+    window.person(&format!("mousemove --window {} 160 90 mousedown 1", window.id));
+    window.person(&format!("mousemove --window {} 220 100 mouseup 1", window.id));
     let looked = window.still_picture();
     assert!(difference(&walked, &looked) > 1.0, "a drag does not look");
 
@@ -205,8 +205,8 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     window.person("key b");
     window.person("key h");
 
-    window.person(&format!("windowsize --sync {} 240 160", window.id));
-    window.picture_that("is as large as the window", |picture| picture.dimensions() == (240, 160));
+    window.person(&format!("windowsize --sync {} 400 240", window.id));
+    window.picture_that("is as large as the window", |picture| picture.dimensions() == (400, 240));
     window.person(&format!("windowsize --sync {} {} {}", window.id, SIZE.0, SIZE.1));
     window.picture_that("is small again", |picture| picture.dimensions() == SIZE);
     assert!(window.still_picture() == looked, "a window that was larger shows something else");
@@ -365,9 +365,11 @@ fn a_marked_pose_is_in_the_same_frame_whatever_the_network_does() {
         assert!(difference(&middle, &marked) > 10.0, "RTT of twice {one_way}: the pose of frame 46 is not in frame 46");
         // Nothing but light changes after it.
         assert!(difference(&marked, &last) < difference(&before, &last) / 2.0, "RTT of twice {one_way}");
-        let lags: Vec<u64> = job.stats().unwrap().iter().filter_map(|line| line["lag"].as_u64()).collect();
-        let largest = *lags.iter().max().unwrap();
-        assert!(one_way == "0ms" || largest >= 6, "the network was not slow: {largest}");
+        let stats = job.stats().unwrap();
+        let responses: Vec<f64> = stats.iter().filter_map(|line| line["response_ms"].as_f64()).collect();
+        let soonest = responses.iter().copied().fold(f64::INFINITY, f64::min);
+        // No mask comes sooner than the network lets it, however busy the machine is.
+        assert!(!responses.is_empty() && (one_way == "0ms" || soonest >= 200.0), "the network was not slow: {soonest}");
     }
 }
 
