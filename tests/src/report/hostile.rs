@@ -101,7 +101,6 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
             frames,
             fps,
             start_time_s: 0.0,
-            connect_timeout: Duration::from_secs(5),
         };
         run_probe(runtime.handle(), &options, &path)
     };

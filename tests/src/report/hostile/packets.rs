@@ -64,7 +64,6 @@ pub(super) fn first(runtime: &Handle, path: &CameraPath) -> Result<Vec<u8>> {
         frames: 1,
         fps: None,
         start_time_s: 0.0,
-        connect_timeout: Duration::from_secs(5),
     };
     let mut packet = vec![0; 2048];
     std::thread::scope(|scope| {
