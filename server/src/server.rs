@@ -326,8 +326,12 @@ async fn accept(endpoint: Arc<Endpoint>, services: Arc<Services>) {
             () = session::stopping(&mut phase) => break,
         }
     }
-    while let Some(ended) = sessions.join_next().await {
-        log_panic(ended);
+    // Whoever comes while they end hears so at once.
+    while !sessions.is_empty() {
+        tokio::select! {
+            Some(ended) = sessions.join_next() => log_panic(ended),
+            Some(arrival) = endpoint.accept() => arrival.refuse(),
+        }
     }
 }
 

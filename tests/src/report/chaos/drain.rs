@@ -58,9 +58,11 @@ pub fn measure(part: &DrainPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>
         let begun = Instant::now();
         first.program().terminate()?;
         sleep(Duration::from_millis(100));
-        let newcomer = probes.run(Ask { size: (64, 36), fps: Some(10.0), frames: 1 }, 0).map(drop);
+        // Beside the wait for the server's end: a newcomer to a server that has gone already hears nothing for seconds.
+        let newcomer = scope.spawn(|| probes.run(Ask { size: (64, 36), fps: Some(10.0), frames: 1 }, 0).map(drop));
         let ended = first.wait(PATIENCE)?;
         let took = begun.elapsed();
+        let newcomer = newcomer.join().map_err(|_| anyhow::anyhow!("the newcomer's thread panicked"))?;
         let summaries: Vec<_> = running
             .into_iter()
             .map(|client| client.join().map_err(|_| anyhow::anyhow!("a client's thread panicked")))
