@@ -144,7 +144,8 @@ fn sessions_outlive_an_outage() {
         let mut settings = LinkSettings::default();
         settings.up.set("outage=2s+2s").unwrap();
         settings.down.set("outage=2s+2s").unwrap();
-        let run = run(transport, settings, 240);
+        // Enough frames after the outage for a client that looks for its server anew: it may take three seconds.
+        let run = run(transport, settings, 330);
         assert!(run.counts.up.outage > 0, "{transport}: {:?}", run.counts);
         let lags: Vec<u64> = run.stats.iter().filter_map(|line| line["lag"].as_u64()).collect();
         let (longest, last) = (*lags.iter().max().unwrap(), *lags.last().unwrap());
