@@ -300,7 +300,7 @@ impl RunningServer {
     }
 }
 
-/// Turns peers into sessions, until the server stops; then waits for the sessions.
+/// Turns peers into sessions, until the server stops; then waits for the sessions, and sends away at once whoever comes.
 async fn accept(endpoint: Arc<Endpoint>, services: Arc<Services>) {
     let handshakes = Arc::new(Semaphore::new(limits::MAX_HANDSHAKES));
     let addresses = Addresses::new(limits::MAX_HANDSHAKES_PER_ADDRESS, true);
@@ -326,7 +326,6 @@ async fn accept(endpoint: Arc<Endpoint>, services: Arc<Services>) {
             () = session::stopping(&mut phase) => break,
         }
     }
-    // Whoever comes while they end hears so at once.
     while !sessions.is_empty() {
         tokio::select! {
             Some(ended) = sessions.join_next() => log_panic(ended),

@@ -11,19 +11,18 @@ use gnomon_tests::report::{
 
 const HEAD: &str = "scene,path,size,fps,method,setting,rtt_ms,lag,frame_bytes,mbit_per_s,psnr,ssim,flip,vmaf";
 
-#[test]
-fn both_ways_are_measured_and_only_video_grows_old() {
+/// The cloister's walk, as it is drawn here.
+fn walk(out: &Path, size: (u32, u32), frames: u32) -> VideoOptions {
     let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets");
-    let out = tempfile::tempdir().unwrap();
-    let options = VideoOptions {
+    VideoOptions {
         scene: SceneArgs {
             scene: assets.join("cloister.glb"),
             lights_from: None,
             lights: Some(2),
             path: Some(format!("{}#walk", assets.join("cloister.json").display()).into()),
-            size: (160, 90),
-            frames: 4,
-            out: out.path().to_owned(),
+            size,
+            frames,
+            out: out.to_owned(),
         },
         fps: NonZero::new(60).unwrap(),
         rtt: vec![0, 60],
@@ -34,7 +33,13 @@ fn both_ways_are_measured_and_only_video_grows_old() {
         warm: 12,
         ffmpeg: "ffmpeg".into(),
         allow_software: true,
-    };
+    }
+}
+
+#[test]
+fn both_ways_are_measured_and_only_video_grows_old() {
+    let out = tempfile::tempdir().unwrap();
+    let options = walk(out.path(), (160, 90), 4);
     let table = measure(&options, |_| ()).unwrap();
     let csv = std::fs::read_to_string(out.path().join("video.csv")).unwrap();
     assert_eq!(csv, table.csv());
@@ -69,28 +74,8 @@ fn both_ways_are_measured_and_only_video_grows_old() {
 
 #[test]
 fn a_walk_that_is_too_short_is_refused_before_anything_is_drawn() {
-    let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets");
     let out = tempfile::tempdir().unwrap();
-    let options = VideoOptions {
-        scene: SceneArgs {
-            scene: assets.join("cloister.glb"),
-            lights_from: None,
-            lights: Some(1),
-            path: Some(format!("{}#walk", assets.join("cloister.json").display()).into()),
-            size: (64, 36),
-            frames: 1_000_000,
-            out: out.path().to_owned(),
-        },
-        fps: NonZero::new(60).unwrap(),
-        rtt: vec![0],
-        video: Vec::new(),
-        rates: Vec::new(),
-        preset: "ultrafast".to_owned(),
-        codecs: Vec::new(),
-        warm: 0,
-        ffmpeg: "ffmpeg".into(),
-        allow_software: true,
-    };
+    let options = VideoOptions { rtt: vec![0], ..walk(out.path(), (64, 36), 1_000_000) };
     let error = measure(&options, |_| ()).unwrap_err().to_string();
     assert!(error.contains("1000012 frames") && error.contains("walk"), "{error}");
 }
