@@ -16,6 +16,7 @@ pub mod guard;
 pub mod headless;
 pub mod input;
 mod live;
+pub mod local_server;
 pub mod mask_buffer;
 pub mod mode;
 pub mod net;

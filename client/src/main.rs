@@ -47,20 +47,31 @@ fn one_line(error: &anyhow::Error) -> String {
     })
 }
 
+/// Writes to standard output. A reader that has gone away, as `head` does, makes no failure.
+fn print(text: &[u8]) -> anyhow::Result<()> {
+    match std::io::stdout().write_all(text) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error).context("standard output"),
+        _ => Ok(()),
+    }
+}
+
 fn run(mut arguments: Arguments) -> anyhow::Result<()> {
     if let Some(shell) = arguments.completions {
-        clap_complete::generate(shell, &mut Arguments::command(), "gnomon-client", &mut std::io::stdout());
-        return Ok(());
+        let mut text = Vec::new();
+        clap_complete::generate(shell, &mut Arguments::command(), "gnomon-client", &mut text);
+        return print(&text);
     }
     if arguments.man {
-        return clap_mangen::Man::new(Arguments::command()).render(&mut std::io::stdout()).context("--man");
+        let mut text = Vec::new();
+        clap_mangen::Man::new(Arguments::command()).render(&mut text).context("--man")?;
+        return print(&text);
     }
     let filter = EnvFilter::try_new(&arguments.log).with_context(|| format!("--log {:?}", arguments.log))?;
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     let check_only = arguments.check_config;
     let demo = (arguments.demo && !check_only).then(demo::Demo::start).transpose()?;
     if let Some(demo) = &demo {
-        arguments.url = Some(demo.url().parse()?);
+        arguments.url = Some(demo.url().clone());
         if arguments.path.is_none() {
             arguments.path = Some(demo.path().parse()?);
         }
@@ -77,8 +88,7 @@ fn run(mut arguments: Arguments) -> anyhow::Result<()> {
     match run {
         Run::Headless(options) => {
             let summary = run_headless(&options)?;
-            // A reader that has gone away does not make the run a failure.
-            let _ = writeln!(std::io::stdout(), "{}", summary.to_json());
+            print(format!("{}\n", summary.to_json()).as_bytes())?;
         }
         Run::Window(options) => run_window(options)?,
     }

@@ -55,7 +55,7 @@ pub enum Command {
 /// What a flag or a variable overrides.
 #[derive(Debug, Default, clap::Args)]
 pub struct Flags {
-    /// Scene to trace: .gltf or .glb
+    /// Scene to trace: .gltf, .glb, or a packed scene from a client's cache
     #[arg(long, env = "GNOMON_SCENE", value_name = "FILE")]
     pub scene: Option<PathBuf>,
     /// JSON file with lights, for a scene that has none

@@ -154,6 +154,12 @@ fn every_small_scene_has_its_triangles_and_bounds() {
         }
         let packed = scene.pack().unwrap_or_else(|error| panic!("{file}: {error}"));
         assert!(Scene::unpack(&packed).unwrap() == scene, "{file} changed on its way");
+        let kept = folder.path().join("kept.scene");
+        std::fs::write(&kept, &packed).unwrap();
+        assert!(Scene::load(&kept, &LoadOptions::default()).unwrap() == scene, "{file} is another scene from its pack");
+        std::fs::write(&kept, &packed[..packed.len() / 2]).unwrap();
+        let error = Scene::load(&kept, &LoadOptions::default()).unwrap_err();
+        assert!(matches!(error, SceneError::Packed { .. }), "{file}: {error}");
     }
 }
 

@@ -4,7 +4,7 @@ use std::{io, path::PathBuf};
 
 use thiserror::Error;
 
-use super::limits::MAX_LIGHTS;
+use super::{limits::MAX_LIGHTS, pack::PackError};
 
 /// Why a scene could not be loaded. Every message names the file or the object, and the numbers that are wrong.
 #[derive(Debug, Error)]
@@ -34,6 +34,15 @@ pub enum SceneError {
         path: PathBuf,
         /// What is wrong with it.
         fault: String,
+    },
+    /// The file is a packed scene that cannot be used.
+    #[error("{}: {fault}", path.display())]
+    Packed {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        #[source]
+        fault: PackError,
     },
     /// A count goes beyond `limits`.
     #[error("{what}: {count}, but at most {limit} are allowed")]

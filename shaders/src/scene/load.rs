@@ -1,11 +1,17 @@
-//! Loading a scene from files: its geometry from glTF, its lights from there or from a lights file.
+//! Loading a scene from files: glTF or a packed scene, and a lights file where its own lights are not wanted.
 
 use std::{
     fmt,
     path::{Path, PathBuf},
 };
 
-use super::{Scene, error::SceneError, gltf, lights_file, limits::MAX_LIGHTS};
+use super::{
+    Scene,
+    error::SceneError,
+    gltf, lights_file,
+    limits::{MAX_LIGHTS, MAX_PACKED_BYTES},
+    pack,
+};
 
 /// What to load besides the scene file.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -41,7 +47,7 @@ impl fmt::Display for LoadReport {
 }
 
 impl Scene {
-    /// Loads a `.gltf` or `.glb` file.
+    /// Loads a `.gltf` or `.glb` file, or one that holds what [`Self::pack`] made.
     ///
     /// # Errors
     /// See [`SceneError`].
@@ -49,12 +55,18 @@ impl Scene {
         Self::load_with_report(path, options).map(|(scene, _)| scene)
     }
 
-    /// Loads a `.gltf` or `.glb` file, and says what was left out.
+    /// Loads the same files, and says what was left out.
     ///
     /// # Errors
     /// See [`SceneError`].
     pub fn load_with_report(path: &Path, options: &LoadOptions) -> Result<(Self, LoadReport), SceneError> {
-        let (mut scene, report) = gltf::load(path)?;
+        let (mut scene, report) = if gltf::read_start(path, pack::MAGIC.len() as u64)? == pack::MAGIC {
+            let fault = |fault| SceneError::Packed { path: path.to_owned(), fault };
+            let packed = gltf::read_file(path, MAX_PACKED_BYTES)?;
+            (Self::unpack(&packed).map_err(fault)?, LoadReport::default())
+        } else {
+            gltf::load(path)?
+        };
         if let Some(file) = &options.lights_from {
             scene.lights = lights_file::read(file, scene.origin_m)?;
         }

@@ -20,7 +20,7 @@ use super::{
 };
 
 /// First bytes of a packed scene.
-const MAGIC: [u8; 8] = *b"GNOMSCNE";
+pub(super) const MAGIC: [u8; 8] = *b"GNOMSCNE";
 
 /// Version of the format. A reader takes its own only: scenes travel between programs of one release.
 const VERSION: u32 = 1;

@@ -41,7 +41,7 @@ pub(in crate::scene) fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, Sc
 ///
 /// # Errors
 /// When it cannot be read, or is no regular file.
-pub(super) fn read_start(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
+pub(in crate::scene) fn read_start(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
     let expected = file_bytes(path)?.min(most);
     let mut bytes = Vec::with_capacity(usize::try_from(expected).unwrap_or(0));
     File::open(path).and_then(|file| file.take(most).read_to_end(&mut bytes)).map_err(|source| failed(path, source))?;

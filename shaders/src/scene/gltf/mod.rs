@@ -24,7 +24,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-pub(super) use container::read_file;
+pub(super) use container::{read_file, read_start};
 
 use self::{buffers::Buffers, document::Document, material::Materials};
 use super::{Aabb, LoadReport, Scene, error::SceneError, limits::MAX_FILE_BYTES};
