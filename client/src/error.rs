@@ -10,8 +10,8 @@ use gnomon_shaders::{
 use thiserror::Error;
 
 use crate::{
-    camera_path::PathError, net::control::ControlError, net::url::ServerUrl, render::RenderError,
-    scene_cache::SceneFetchError,
+    camera_path::PathError, local_server::LocalServerError, net::control::ControlError, net::url::ServerUrl,
+    render::RenderError, scene_cache::SceneFetchError,
 };
 
 /// Why a run failed.
@@ -92,6 +92,9 @@ pub enum ClientError {
     /// The picture cannot be drawn.
     #[error(transparent)]
     Render(#[from] RenderError),
+    /// There is no local server.
+    #[error("the local server: {0}")]
+    LocalServer(#[from] LocalServerError),
     /// A result cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     Write {

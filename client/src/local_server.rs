@@ -1,12 +1,14 @@
 //! The server that lies beside this program, as a child on loopback: for the demo, and as the reference of a split picture.
 
 use std::{
+    convert::Infallible,
     ffi::OsString,
     fs,
     io::{BufRead as _, BufReader},
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
-    sync::mpsc::sync_channel,
+    sync::mpsc::{Receiver, SyncSender, sync_channel},
+    thread::JoinHandle,
     time::{Duration, Instant},
 };
 
@@ -34,6 +36,9 @@ pub enum LocalServerError {
         /// Why not.
         source: std::io::Error,
     },
+    /// The scene that it should trace is not on this machine.
+    #[error("the scene is not kept: {} cannot be written", .0.display())]
+    NotKept(PathBuf),
     /// It ended, or said nothing, before it listened.
     #[error("it does not start: {0}")]
     Silent(String),
@@ -84,10 +89,25 @@ impl Drop for Folder {
 /// A running server. Dropping it stops it.
 #[derive(Debug)]
 pub struct LocalServer {
-    child: Child,
     url: ServerUrl,
+    _keeper: Keeper,
     /// Its files, which go after it.
     _folder: Folder,
+}
+
+/// The thread whose child the server is: the system ends a child with the thread that started it ([`command`]).
+#[derive(Debug)]
+struct Keeper {
+    /// Dropping it stops the server.
+    stop: Option<SyncSender<Infallible>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Keeper {
+    fn drop(&mut self) {
+        self.stop = None;
+        self.thread.take().map(JoinHandle::join);
+    }
 }
 
 impl LocalServer {
@@ -117,28 +137,29 @@ impl LocalServer {
         if let Some(lights) = scene.lights {
             arguments.extend(["--lights".into(), lights.to_string().into()]);
         }
-        let mut child = command(&program)
+        let mut command = command(&program);
+        command
             .args(["--listen", "127.0.0.1:0"])
             .args(arguments)
             .arg("--cert-dir")
             .arg(folder.0.join("certificate"))
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
-            .stderr(errors)
-            .spawn()
-            .map_err(failed)?;
-        let output = child.stdout.take();
-        let (send, said) = sync_channel(1);
-        std::thread::spawn(move || {
-            let mut line = String::new();
-            let read = output.map(|output| BufReader::new(output).read_line(&mut line));
-            let _ = send.send(read.and_then(Result::ok).map(|_| line));
-        });
-        let line = said.recv_timeout(PATIENCE).ok().flatten().unwrap_or_default();
+            .stderr(errors);
+        let ((say, said), (stop, stopped)) = (sync_channel(1), sync_channel(0));
+        let keeper = std::thread::Builder::new().name("local server".to_owned());
+        let keeper = keeper.spawn(move || keep(&mut command, say, &stopped)).map_err(failed)?;
+        // From here on it is stopped however this ends.
+        let keeper = Keeper { stop: Some(stop), thread: Some(keeper) };
+        let line = match said.recv_timeout(PATIENCE) {
+            Ok(Err(error)) => return Err(failed(error)),
+            Ok(Ok(line)) => line,
+            Err(_) => String::new(),
+        };
         match line.split_whitespace().find_map(|word| word.parse().ok()) {
-            Some(url) => Ok(Self { child, url, _folder: folder }),
+            Some(url) => Ok(Self { url, _keeper: keeper, _folder: folder }),
             None => {
-                stop(&mut child);
+                drop(keeper);
                 let log = fs::read_to_string(&log).unwrap_or_default();
                 Err(LocalServerError::Silent(log.lines().last().unwrap_or("it says nothing").to_owned()))
             }
@@ -163,10 +184,24 @@ fn command(program: &Path) -> Command {
     Command::new(program)
 }
 
-impl Drop for LocalServer {
-    fn drop(&mut self) {
-        stop(&mut self.child);
+/// Starts the server, says its first line, or why there is none, and stops it when `stopped` ends.
+fn keep(command: &mut Command, say: SyncSender<std::io::Result<String>>, stopped: &Receiver<Infallible>) {
+    let mut child = match command.spawn() {
+        Ok(child) => child,
+        Err(error) => {
+            let _ = say.send(Err(error));
+            return;
+        }
+    };
+    if let Some(output) = child.stdout.take() {
+        // Reading ends with the server.
+        std::thread::spawn(move || {
+            let mut line = String::new();
+            let _ = say.send(BufReader::new(output).read_line(&mut line).map(|_| line));
+        });
     }
+    let _ = stopped.recv();
+    stop(&mut child);
 }
 
 /// Asks the server to stop, where the system has a way to ask, and ends it when it does not.

@@ -88,6 +88,12 @@ impl SceneCache {
         &self.folder
     }
 
+    /// The file of a scene that has been looked up or fetched, if it is kept.
+    #[must_use]
+    pub fn kept(&self, digest: SceneDigest) -> Option<PathBuf> {
+        Some(self.scene_file(digest)).filter(|file| file.is_file())
+    }
+
     /// Looks for the scene of this digest and length. One whose bytes are not the digest's is removed.
     ///
     /// # Errors

@@ -3,11 +3,12 @@
 use std::{
     fs,
     io::Read as _,
-    path::{Path, PathBuf},
+    path::{self, Path, PathBuf},
 };
 
 use etcetera::BaseStrategy as _;
 use serde::{Deserialize, Serialize};
+use url::form_urlencoded;
 
 use crate::net::url::ServerUrl;
 
@@ -92,10 +93,18 @@ fn same_place(one: &ServerUrl, other: &ServerUrl) -> bool {
     (&one.host, one.port, one.transport) == (&other.host, other.port, other.transport)
 }
 
-/// The URL as the server printed it, with its certificate.
+/// The URL with whatever the server is known by, wherever this client is started from the next time. A path that is no text
+/// cannot stand in a URL.
 fn full(url: &ServerUrl) -> String {
-    let hex = |digest: [u8; 32]| digest.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
-    url.certificate.map_or_else(|| url.to_string(), |digest| format!("{url}/?cert={}", hex(digest)))
+    let mut query = form_urlencoded::Serializer::new(String::new());
+    if let Some(digest) = url.certificate {
+        query.append_pair("cert", &digest.iter().map(|byte| format!("{byte:02x}")).collect::<String>());
+    }
+    if let Some(ca) = url.ca.as_deref().and_then(|ca| path::absolute(ca).ok()?.into_os_string().into_string().ok()) {
+        query.append_pair("ca", &ca);
+    }
+    let query = query.finish();
+    if query.is_empty() { url.to_string() } else { format!("{url}/?{query}") }
 }
 
 /// The first bytes of a certificate's SHA-256, as people compare them.
@@ -128,6 +137,22 @@ mod tests {
         let first_use = |port: u16| format!("gnomon://edge.example:{port}/?cert=first-use").parse().unwrap();
         assert_eq!(again.certificate_of(&first_use(20)), Some([0xbb; 32]));
         assert_eq!(again.certificate_of(&first_use(443)), None);
+    }
+
+    #[test]
+    fn a_server_with_an_authority_keeps_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("servers.json");
+        let remembered = |text: &str| {
+            KnownServers::load_from(&file).remember(&text.parse().unwrap());
+            KnownServers::load_from(&file).servers()[0].clone()
+        };
+        let url = "gnomon://edge.example:1/?ca=%2Fetc%2Four+own%2Fca%26b.pem";
+        assert_eq!(remembered(url), url.parse().unwrap());
+        let ca = remembered("gnomon://edge.example:2/?ca=ca.pem").ca.unwrap();
+        assert!(ca.is_absolute() && ca.ends_with("ca.pem"), "{}", ca.display());
+        let lab = "gnomon+lab-tcp://localhost:8/";
+        assert_eq!(remembered(lab), lab.parse().unwrap());
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! What a person can change while the window is open.
 
+use std::fmt;
+
 use crate::{
     guard::{Guard, GuardSize},
     input::keys::Command,
@@ -7,6 +9,31 @@ use crate::{
     predictor::Predictor,
     render::debug_view::DebugView,
 };
+
+/// What stands in the right half of the picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Split {
+    /// The same as in the left.
+    #[default]
+    Off,
+    /// Every light reaches everything.
+    Unlit,
+    /// Visibility that a server on this machine has traced for exactly this picture.
+    Reference,
+}
+
+impl fmt::Display for Split {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Off => "off",
+            Self::Unlit => "without visibility",
+            Self::Reference => "local reference",
+        })
+    }
+}
+
+/// Lights that digits mean at a time.
+pub const LIGHTS_AT_A_TIME: u32 = 9;
 
 /// The choices.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,12 +46,16 @@ pub struct Settings {
     pub guard: Guard,
     /// What is shown.
     pub view: DebugView,
-    /// Whether the right half is drawn without visibility.
-    pub split: bool,
+    /// What stands in the right half.
+    pub split: Split,
+    /// Whether there is a server beside this program that could trace a reference.
+    pub reference: bool,
     /// Lights of the scene.
     pub lights: u32,
     /// A bit for each light that is on.
     pub lights_on: u32,
+    /// The light that the digit 1 means.
+    pub first_digit: u32,
     /// Whether pictures wait for the screen.
     pub vsync: bool,
     /// Whether figures and choices are shown.
@@ -58,6 +89,19 @@ impl Settings {
             .chain(lights)
     }
 
+    /// What can stand in the right half.
+    #[must_use]
+    pub const fn splits(&self) -> &'static [Split] {
+        const SPLITS: [Split; 3] = [Split::Off, Split::Unlit, Split::Reference];
+        if self.reference { &SPLITS } else { SPLITS.split_at(2).0 }
+    }
+
+    /// The lights that digits mean, counted from 1.
+    #[must_use]
+    pub fn digits(&self) -> (u32, u32) {
+        (self.first_digit + 1, (self.first_digit + LIGHTS_AT_A_TIME).min(self.lights).max(1))
+    }
+
     /// Does what a key says, if it is about a choice.
     pub fn apply(&mut self, command: Command) {
         match command {
@@ -73,10 +117,19 @@ impl Settings {
                 let all: Vec<_> = self.views().collect();
                 self.view = after(&all, self.view);
             }
-            Command::Split => self.split = !self.split,
+            Command::Split => self.split = after(self.splits(), self.split),
             Command::Vsync => self.vsync = !self.vsync,
-            Command::Light(k) if k < self.lights => self.lights_on ^= 1 << k,
-            Command::Light(_) | Command::Path | Command::FullScreen | Command::Picture | Command::Leave => {}
+            Command::Digit(digit) => {
+                let light = self.first_digit + digit;
+                if light < self.lights {
+                    self.lights_on ^= 1 << light;
+                }
+            }
+            Command::NextLights => {
+                let next = self.first_digit + LIGHTS_AT_A_TIME;
+                self.first_digit = if next < self.lights { next } else { 0 };
+            }
+            Command::Path | Command::FullScreen | Command::Picture | Command::Leave => {}
         }
     }
 }
@@ -91,9 +144,11 @@ mod tests {
             mode: Mode::default(),
             guard: Guard::default(),
             view: DebugView::default(),
-            split: false,
+            split: Split::Off,
+            reference: true,
             lights: 3,
             lights_on: 0b111,
+            first_digit: 0,
             vsync: true,
             overlay: true,
             help: false,
@@ -103,7 +158,7 @@ mod tests {
     #[test]
     fn keys_go_through_every_choice_and_come_back() {
         for (command, steps) in
-            [(Command::Predictor, 5), (Command::Mode, 3), (Command::Guard, 4), (Command::View, 8), (Command::Split, 2)]
+            [(Command::Predictor, 5), (Command::Mode, 3), (Command::Guard, 4), (Command::View, 8), (Command::Split, 3)]
         {
             let mut changed = settings();
             for step in 1..=steps {
@@ -116,10 +171,32 @@ mod tests {
     #[test]
     fn a_light_that_is_not_there_is_no_light() {
         let mut changed = settings();
-        changed.apply(Command::Light(1));
+        changed.apply(Command::Digit(1));
         assert_eq!(changed.lights_on, 0b101);
-        changed.apply(Command::Light(3));
+        changed.apply(Command::Digit(3));
         assert_eq!(changed.lights_on, 0b101);
+    }
+
+    #[test]
+    fn every_light_has_its_digit() {
+        let mut changed = Settings { lights: 32, lights_on: 0, ..settings() };
+        for expected in [(1, 9), (10, 18), (19, 27), (28, 32)] {
+            assert_eq!(changed.digits(), expected);
+            (0..LIGHTS_AT_A_TIME).for_each(|digit| changed.apply(Command::Digit(digit)));
+            changed.apply(Command::NextLights);
+        }
+        assert_eq!((changed.lights_on, changed.digits()), (u32::MAX, (1, 9)));
+        let mut few = settings();
+        few.apply(Command::NextLights);
+        assert_eq!(few.digits(), (1, 3));
+    }
+
+    #[test]
+    fn a_reference_needs_a_server_beside_the_client() {
+        let mut alone = Settings { reference: false, ..settings() };
+        alone.apply(Command::Split);
+        alone.apply(Command::Split);
+        assert_eq!(alone.split, Split::Off);
     }
 
     #[test]

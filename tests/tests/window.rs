@@ -1,7 +1,8 @@
 //! Promise: a person can use the client in a window: walk, look, resize, choose, keep a picture, and lose the server; and what the
 //! window shows is what a headless run writes.
 //!
-//! The window is a real one, under Xvfb, and its person is xdotool: `deploy/setup` installs both.
+//! The window is a real one, under Xvfb, its person is xdotool, and openbox manages it where that matters: `deploy/setup` installs all
+//! three.
 #![cfg(target_os = "linux")]
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
@@ -81,7 +82,7 @@ impl<'a> Window<'a> {
         let mut all =
             vec!["--size", &size, "--out", pictures, "--allow-software", "--vsync=false", "--exit-after", "300"];
         all.extend(arguments);
-        let environment = [("DISPLAY", display.name.as_str()), ("WAYLAND_DISPLAY", "")];
+        let environment = [("DISPLAY", display.name.as_str()), ("WAYLAND_DISPLAY", ""), ("TMPDIR", pictures)];
         let mut client = Program::start(&find("gnomon-client").unwrap(), &all, &environment).unwrap();
         let id = display.person("search --sync --name Gnomon");
         let id = id.lines().next().unwrap().to_owned();
@@ -142,6 +143,14 @@ impl<'a> Window<'a> {
         panic!("it never stands still");
     }
 
+    /// Holds a key until the picture is `wanted`, and waits until it stands still.
+    fn hold(&mut self, key: &str, wanted: impl Fn(&RgbImage) -> bool) -> RgbImage {
+        self.person(&format!("keydown {key}"));
+        self.picture_that(&format!("{key} leads to"), wanted);
+        self.person(&format!("keyup {key}"));
+        self.still_picture()
+    }
+
     fn leave(self) {
         self.person("key Escape");
         self.client.finish(PATIENCE).unwrap().success().unwrap();
@@ -172,11 +181,7 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     let first = window.still_picture();
     assert_eq!(first.dimensions(), SIZE);
 
-    window.person("keydown w");
-    std::thread::sleep(Duration::from_millis(400));
-    window.person("keyup w");
-    let walked = window.still_picture();
-    assert!(difference(&first, &walked) > 1.0, "W does not walk");
+    let walked = window.hold("w", |picture| difference(&first, picture) > 1.0);
 
     window.person(&format!("mousemove --window {} 160 90 mousedown 1", window.id));
     window.person(&format!("mousemove --window {} 220 100 mouseup 1", window.id));
@@ -188,7 +193,7 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     let darker = window.still_picture();
     assert!(difference(&looked, &darker) > 0.2, "a light does not go off");
     window.person("key 1");
-    assert!(window.still_picture() == looked, "the light does not come back");
+    window.picture_that("has its light again", |picture| *picture == looked);
 
     // Choices that are only looked at, once around.
     window.person("key o");
@@ -198,27 +203,23 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     let views = 5 + 6;
     (1..views).for_each(|_| window.person("key v"));
     window.person("key h");
-    assert!(window.still_picture() == looked, "overlay, help or a debug view stay in the picture");
+    window.picture_that("has nothing of overlay, help and debug views", |picture| *picture == looked);
     window.person("key b");
     let split = window.still_picture();
     assert!(difference(&looked, &split) > 1.0, "B splits nothing");
-    window.person("key b");
+    // Past the local reference, which another test waits for.
+    (0..2).for_each(|_| window.person("key b"));
     window.person("key h");
 
     window.person(&format!("windowsize --sync {} 400 240", window.id));
     window.picture_that("is as large as the window", |picture| picture.dimensions() == (400, 240));
     window.person(&format!("windowsize --sync {} {} {}", window.id, SIZE.0, SIZE.1));
-    window.picture_that("is small again", |picture| picture.dimensions() == SIZE);
-    assert!(window.still_picture() == looked, "a window that was larger shows something else");
+    window.picture_that("is as it was before the window was larger", |picture| *picture == looked);
 
     // The server dies; the client draws on by itself, and answers its person.
     server.kill().unwrap();
     let alone = window.picture_that("is drawn alone", |picture| *picture != looked);
-    window.person("keydown s");
-    std::thread::sleep(Duration::from_millis(400));
-    window.person("keyup s");
-    let moved = window.still_picture();
-    assert!(difference(&alone, &moved) > 1.0, "nothing moves without a server");
+    let moved = window.hold("s", |picture| difference(&alone, picture) > 1.0);
 
     // Another one comes in its place, and is found.
     let address = url.split_once("://").unwrap().1.split_once('/').unwrap().0;
@@ -226,6 +227,63 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     assert_eq!(again, url);
     window.picture_that("is lit by the new server", |picture| *picture != moved);
     window.leave();
+}
+
+#[test]
+fn the_right_half_can_be_what_a_server_of_this_machine_traces() {
+    let (display, folder, certificate) = (Display::start(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let path = standing(folder.path());
+    let (server, url) = serve("127.0.0.1:0", certificate.path());
+    let mut window = Window::open(&display, folder.path(), &[&url, "--path", path.to_str().unwrap()]);
+    let lit = window.still_picture();
+    server.kill().unwrap();
+    window.picture_that("is drawn alone", |picture| *picture != lit);
+    let alone = window.still_picture();
+    assert!(!alone.enumerate_pixels().filter(|(x, ..)| x * 2 >= SIZE.0).all(|(x, y, p)| p == lit.get_pixel(x, y)));
+    // Without visibility, then as it should be.
+    (0..2).for_each(|_| window.person("key b"));
+    window.picture_that("is right on the right", |picture| {
+        picture.enumerate_pixels().all(|(x, y, pixel)| {
+            let same_as = if x * 2 < SIZE.0 { &alone } else { &lit };
+            pixel == same_as.get_pixel(x, y)
+        })
+    });
+    let place = folder.path().to_str().unwrap().to_owned();
+    assert_eq!(processes_with(&place).len(), 1);
+    window.leave();
+    assert_eq!(processes_with(&place), Vec::<String>::new());
+    assert!(!fs::read_dir(&place).unwrap().flatten().any(|entry| entry.path().is_dir()), "something is left");
+}
+
+#[test]
+fn it_can_fill_the_screen_and_be_hidden() {
+    let (display, folder) = (Display::start(), tempfile::tempdir().unwrap());
+    let environment = [("DISPLAY", display.name.as_str()), ("HOME", folder.path().to_str().unwrap())];
+    let _manager = Program::start(Path::new("openbox"), &["--sm-disable"], &environment)
+        .expect("the window is managed by openbox: run deploy/setup");
+    let (path, scene, stats) = (standing(folder.path()), asset("cloister.glb"), folder.path().join("stats.jsonl"));
+    let arguments = ["--offline", scene.to_str().unwrap(), "--path", path.to_str().unwrap()];
+    let more = ["--stats", stats.to_str().unwrap()];
+    let mut window = Window::open(&display, folder.path(), &[arguments.as_slice(), &more].concat());
+    let first = window.still_picture();
+    window.person("key f");
+    window.picture_that("fills the screen", |picture| picture.dimensions() == (800, 600));
+    window.person("key f");
+    window.picture_that("is as small as before", |picture| picture.dimensions() == SIZE);
+
+    let id = window.id.clone();
+    window.person(&format!("windowminimize --sync {id}"));
+    std::thread::sleep(Duration::from_millis(1500));
+    window.person(&format!("windowactivate --sync {id}"));
+    window.picture_that("is as it was before it was hidden", |picture| *picture == first);
+    window.leave();
+    // Nothing is drawn for nobody.
+    let lines = fs::read_to_string(&stats).unwrap();
+    let times: Vec<f64> = lines
+        .lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap()["t_ms"].as_f64().unwrap())
+        .collect();
+    assert!(times.windows(2).any(|pair| pair[1] - pair[0] > 1000.0), "it is drawn while it is hidden");
 }
 
 /// A server at this address, and its URL.
@@ -322,12 +380,28 @@ fn a_window_shows_the_bytes_that_a_headless_run_writes() {
     let headless = image::open(pictures.join("frame_000000.png")).unwrap().to_rgb8();
 
     let url = server.url().to_owned();
-    let mut window = Window::open(&display, folder.path(), &[&url, "--path", path.to_str().unwrap()]);
+    let recording = folder.path().join("window.rec");
+    let arguments = [&url, "--path", path.to_str().unwrap(), "--record", recording.to_str().unwrap()];
+    let mut window = Window::open(&display, folder.path(), &arguments);
     window.picture();
     // On the path, so that not even the last bit of the camera is the person's.
     window.person("key Tab");
     window.picture_that("has the headless run's bytes", |picture| *picture == headless);
     window.leave();
+
+    // And so does what was recorded meanwhile.
+    let again = folder.path().join("again");
+    let options = ReplayOptions {
+        recording,
+        scene: asset("cloister.glb"),
+        lights_from: None,
+        lights: None,
+        out: Some(again.clone()),
+        adapter: None,
+    };
+    replay::run(&options, |line| println!("{line}")).unwrap();
+    let pictures = fs::read_dir(&again).unwrap().map(|entry| image::open(entry.unwrap().path()).unwrap().to_rgb8());
+    assert!(pictures.into_iter().any(|picture| picture == headless), "no frame of the recording is the picture");
 }
 
 #[test]

@@ -42,18 +42,20 @@ pub enum Command {
     Guard,
     /// The next debug view.
     View,
-    /// With and without visibility, side by side.
+    /// The next thing for the right half of the picture.
     Split,
     /// Wait for the screen or not.
     Vsync,
-    /// This light, on or off.
-    Light(u32),
+    /// The light that this digit means, counted from 0, on or off.
+    Digit(u32),
+    /// Digits mean the next lights.
+    NextLights,
     /// The end.
     Leave,
 }
 
 /// Every command's key and what it does, for whoever asks.
-pub const HELP: [(&str, &str); 15] = [
+pub const HELP: [(&str, &str); 16] = [
     ("W A S D, arrows", "walk"),
     ("Q E", "down and up"),
     ("Shift", "faster while held"),
@@ -64,8 +66,9 @@ pub const HELP: [(&str, &str); 15] = [
     ("P", "picture to a PNG file"),
     ("O", "figures and choices"),
     ("V", "next debug view"),
-    ("B", "split: without visibility on the right"),
+    ("B", "split: on the right without visibility, or a local reference"),
     ("1 to 9", "each light on and off"),
+    ("0", "1 to 9 mean the next nine lights"),
     ("R M G", "predictor, mode, guard band"),
     ("X", "wait for the screen (vsync)"),
     ("H, Esc", "this help, leave"),
@@ -141,7 +144,8 @@ pub fn command(key: &Key) -> Option<Command> {
             "v" => Command::View,
             "b" => Command::Split,
             "x" => Command::Vsync,
-            digit => Command::Light(digit.parse::<u32>().ok().filter(|digit| (1..=9).contains(digit))? - 1),
+            "0" => Command::NextLights,
+            digit => Command::Digit(digit.parse::<u32>().ok().filter(|digit| (1..=9).contains(digit))? - 1),
         }),
         _ => None,
     }
@@ -160,7 +164,7 @@ mod tests {
         );
         assert_eq!(
             (of("1"), of("9"), of("0"), of("w")),
-            (Some(Command::Light(0)), Some(Command::Light(8)), None, None)
+            (Some(Command::Digit(0)), Some(Command::Digit(8)), Some(Command::NextLights), None)
         );
         assert_eq!(command(&Key::Named(NamedKey::Tab)), Some(Command::Path));
         assert_eq!(command(&Key::Named(NamedKey::Escape)), Some(Command::Leave));

@@ -16,7 +16,7 @@ use crate::{
     mode::State,
     predictor::Predictor,
     render::debug_view::DebugView,
-    settings::{GUARDS, MODES, Settings},
+    settings::{GUARDS, LIGHTS_AT_A_TIME, MODES, Settings, Split},
 };
 
 pub(crate) use screens::{failure, loading};
@@ -38,6 +38,8 @@ pub(crate) struct About<'a> {
     pub(crate) fingerprint: Option<&'a str>,
     pub(crate) picture_px: (u32, u32),
     pub(crate) speed_m_per_s: f64,
+    /// Whether a local reference is there to be shown.
+    pub(crate) has_reference: bool,
     /// Something that the person should know: about the server, or a picture that was kept.
     pub(crate) notice: Option<&'a str>,
 }
@@ -81,11 +83,17 @@ pub(crate) fn show(context: &egui::Context, settings: &mut Settings, figures: &F
             frame().show(ui, |ui| ui.label(RichText::new(notice).size(16.0).strong()));
         });
     }
-    if settings.split {
+    if settings.split != Split::Off {
         let middle = context.content_rect().center();
+        let right = match settings.split {
+            Split::Reference if !about.has_reference => "the local reference is not there yet".to_owned(),
+            split => split.to_string(),
+        };
         let painter = context.layer_painter(egui::LayerId::background());
         painter.vline(middle.x, context.content_rect().y_range(), egui::Stroke::new(2.0, TEXT));
-        for (align, x, text) in [(Align2::RIGHT_TOP, -10.0, "with visibility"), (Align2::LEFT_TOP, 10.0, "without")] {
+        for (align, x, text) in
+            [(Align2::RIGHT_TOP, -10.0, "with visibility"), (Align2::LEFT_TOP, 10.0, right.as_str())]
+        {
             let at = egui::pos2(middle.x + x, 12.0);
             let font = egui::FontId::proportional(16.0);
             let galley = painter.layout_no_wrap(text.to_owned(), font, TEXT);
@@ -156,7 +164,14 @@ fn choices(ui: &mut egui::Ui, settings: &mut Settings) {
     choice(ui, "guard band (G)", &mut settings.guard, &GUARDS);
     let views: Vec<DebugView> = settings.views().collect();
     choice(ui, "view (V)", &mut settings.view, &views);
-    ui.label(RichText::new("lights (1 to 9)").color(BLUE));
+    let splits = settings.splits();
+    choice(ui, "split (B)", &mut settings.split, splits);
+    let (first, last) = settings.digits();
+    let lights = match settings.lights {
+        0..=LIGHTS_AT_A_TIME => "lights (1 to 9)".to_owned(),
+        _ => format!("lights (1 to 9: {first} to {last}; 0: the next)"),
+    };
+    ui.label(RichText::new(lights).color(BLUE));
     ui.horizontal_wrapped(|ui| {
         for k in 0..settings.lights.min(32) {
             let mut on = settings.lights_on & (1 << k) != 0;
@@ -166,7 +181,6 @@ fn choices(ui: &mut egui::Ui, settings: &mut Settings) {
         }
     });
     ui.horizontal_wrapped(|ui| {
-        ui.checkbox(&mut settings.split, "split (B)");
         ui.checkbox(&mut settings.vsync, "vsync (X)");
         ui.checkbox(&mut settings.help, "help (H)");
     });

@@ -49,6 +49,7 @@ impl PictureReader {
             // A window shows the very picture that can be copied.
             let usage = wgpu::TextureUsages::RENDER_ATTACHMENT
                 | wgpu::TextureUsages::COPY_SRC
+                | wgpu::TextureUsages::COPY_DST
                 | wgpu::TextureUsages::TEXTURE_BINDING;
             let texture = targets::texture(&gpu.device, "picture", (width, height), PICTURE_FORMAT, usage);
             let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -73,6 +74,18 @@ impl PictureReader {
     #[must_use]
     pub fn target(&self) -> wgpu::TextureView {
         self.slots[self.next].view.clone()
+    }
+
+    /// Puts `other`'s columns from `first_px` on into the picture in [`Self::target`]. Both are of the same size.
+    pub(crate) fn replace_from(&self, encoder: &mut wgpu::CommandEncoder, other: &wgpu::Texture, first_px: u32) {
+        let origin = wgpu::Origin3d { x: first_px, ..wgpu::Origin3d::ZERO };
+        let place = |texture| wgpu::TexelCopyTextureInfo { origin, ..wgpu::Texture::as_image_copy(texture) };
+        let size = wgpu::Extent3d {
+            width: self.width.saturating_sub(first_px),
+            height: self.height,
+            depth_or_array_layers: 1,
+        };
+        encoder.copy_texture_to_texture(place(other), place(&self.slots[self.next].texture), size);
     }
 
     /// Whether every slot holds a picture that has not been taken.

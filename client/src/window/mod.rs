@@ -8,6 +8,7 @@ mod events;
 mod loading;
 mod painter;
 mod play;
+mod reference;
 mod screen;
 #[cfg(test)]
 mod tests;
@@ -107,7 +108,7 @@ struct App {
     stage: Stage,
     notice: Option<(String, Instant)>,
     last_frame: Option<Instant>,
-    /// Whether the window is minimised or covered.
+    /// Whether the window is covered, or has no area.
     unseen: bool,
     /// Largest picture that there will be, in pixels.
     largest: (u32, u32),
@@ -201,7 +202,10 @@ impl App {
             Stage::Playing(play) => {
                 let motion = self.controls.take(step_s, f64::from(screen.size().1));
                 let first = play.figures.now().is_none();
-                let drawn = play.frame(screen, &self.settings, &motion, step_s).map(drop);
+                let drawn = play.frame(screen, &mut self.settings, &motion, step_s).map(drop);
+                if let Some(text) = play.said.take() {
+                    self.notice = Some((text, now));
+                }
                 if first {
                     tracing::info!(after_ms = self.began.elapsed().as_millis(), "the first picture is shown");
                 }
@@ -317,6 +321,7 @@ fn show(
                 fingerprint: fingerprint.as_deref(),
                 picture_px: play.size(),
                 speed_m_per_s: play.fly.speed_m_per_s(),
+                has_reference: play.has_reference(),
                 notice: about.as_deref().or(notice.map(|(text, _)| text.as_str())),
             };
             overlay::show(context, settings, &play.figures, &about);
@@ -356,7 +361,8 @@ impl ApplicationHandler for App {
             return;
         }
         let Some(Opened { window, .. }) = &self.opened else { return };
-        if self.unseen {
+        // X tells of covering, and has to be asked about hiding.
+        if self.unseen || window.is_minimized() == Some(true) {
             event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + UNSEEN));
         } else {
             event_loop.set_control_flow(ControlFlow::Poll);

@@ -3,8 +3,13 @@
 use std::time::{Duration, Instant};
 
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_PIXELS, mask::MaskShape, message::Welcome};
+use gnomon_shaders::{camera::Camera, gpu::Gpu};
 
-use super::{loading::Loaded, screen::Screen};
+use super::{
+    loading::Loaded,
+    reference::{Reference, Starting, local_scene},
+    screen::Screen,
+};
 use crate::{
     camera_path::CameraPath,
     error::ClientError,
@@ -12,13 +17,14 @@ use crate::{
     guard::{Guard, GuardChoice, GuardSize},
     headless::recorder,
     input::fly::{Fly, Motion},
+    local_server::LocalServer,
     mode::ModeMachine,
     net::{receive::Received, url::ServerUrl},
     options::HeadlessOptions,
     overlay::{figures::Figures, link::in_words},
     record::{Record, Recorder},
     render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView},
-    settings::Settings,
+    settings::{Settings, Split},
     stats::{FrameStats, StatsFile},
 };
 
@@ -50,6 +56,17 @@ pub(crate) struct Play {
     /// A size that the window has, and since when.
     wanted: ((u32, u32), Instant),
     stats: Option<StatsFile>,
+    options: HeadlessOptions,
+    reference: Beside,
+    /// Something that the person should know, once.
+    pub(crate) said: Option<String>,
+}
+
+/// How it is with the local reference.
+enum Beside {
+    Unwanted,
+    Starting(Starting),
+    Drawing(Box<Reference>),
 }
 
 /// The largest mask that will ever be asked for around pictures of at most `picture` pixels.
@@ -112,11 +129,14 @@ impl Play {
             path_s: options.start_time_s,
             next: 0,
             // Chosen while the scene came: the renderer knows of none of it.
-            applied: Settings { split: false, ..settings.clone() },
+            applied: Settings { split: Split::Off, ..settings.clone() },
             view: DebugView::Picture,
             largest,
             wanted: (size, Instant::now()),
             stats: options.stats.as_deref().map(StatsFile::create).transpose()?,
+            options: options.clone(),
+            reference: Beside::Unwanted,
+            said: None,
         })
     }
 
@@ -137,7 +157,7 @@ impl Play {
     pub(crate) fn frame(
         &mut self,
         screen: &mut Screen,
-        settings: &Settings,
+        settings: &mut Settings,
         motion: &Motion,
         step_s: f64,
     ) -> Result<FrameStats, ClientError> {
@@ -155,6 +175,17 @@ impl Play {
             }
         };
         let scene_time_s = self.frames.memory.started.elapsed().as_secs_f64();
+        if settings.split == Split::Reference {
+            match self.draw_reference(&screen.gpu, (camera, scene_time_s)) {
+                Ok(drawn) => screen.beside = drawn.map(|picture| (picture, width / 2)),
+                Err(error) => {
+                    tracing::warn!(%error, "no local reference");
+                    self.reference = Beside::Unwanted;
+                    self.said = Some(format!("no local reference: {error}"));
+                    settings.split = Split::Off;
+                }
+            }
+        }
         let drawn = self.frames.draw(FrameNumber(self.next), camera, scene_time_s, screen)?;
         self.next = self.next.wrapping_add(1);
         let (received, round_trip) = self
@@ -174,9 +205,40 @@ impl Play {
         self.frames.renderer.size()
     }
 
+    /// Whether there is a local reference to be shown.
+    pub(crate) fn has_reference(&self) -> bool {
+        matches!(self.reference, Beside::Drawing(_))
+    }
+
     /// Something about the server that the person should know.
     pub(crate) fn notice(&self) -> Option<String> {
         in_words(&self.frames.live.as_ref()?.link_state(), Instant::now())
+    }
+
+    /// The whole picture as it should be, once there is a server beside the client that knows.
+    fn draw_reference(&mut self, gpu: &Gpu, looked_at: (Camera, f64)) -> Result<Option<wgpu::Texture>, ClientError> {
+        let (size, largest) = (self.size(), largest_mask(self.largest));
+        match &mut self.reference {
+            Beside::Unwanted => {
+                let welcome = self.server.as_ref().map(|(_, welcome)| welcome);
+                let scene = local_scene(&self.options, welcome)?;
+                let digest = welcome.map(|welcome| welcome.scene_digest);
+                self.reference = Beside::Starting(Starting::begin(scene, digest, &self.options, largest)?);
+                self.said = Some("a server on this machine is started for the reference".to_owned());
+                Ok(None)
+            }
+            Beside::Starting(starting) => {
+                if let Some(ready) = starting.take() {
+                    let exposure = self.frames.renderer.exposure();
+                    let reference = Reference::new(gpu, ready?, size, exposure, largest)?;
+                    self.reference = Beside::Drawing(Box::new(reference));
+                }
+                Ok(None)
+            }
+            Beside::Drawing(reference) => {
+                reference.draw(gpu, size, looked_at, (self.applied.lights_on, self.view)).map(Some)
+            }
+        }
     }
 
     /// Leaves the server and writes what is still to be written.
@@ -206,10 +268,16 @@ impl Play {
         Ok(())
     }
 
-    fn set_split(&mut self, split: bool) -> Result<(), ClientError> {
-        let split_px = split.then_some(self.size().0 / 2);
-        self.frames.renderer.set_split(split_px);
-        self.record(&Record::Split(split_px))
+    fn set_split(&mut self, split: Split) -> Result<(), ClientError> {
+        let unlit_from_px = (split == Split::Unlit).then_some(self.size().0 / 2);
+        self.frames.renderer.set_split(unlit_from_px);
+        self.record(&Record::Split(unlit_from_px))?;
+        if split == Split::Reference {
+            // Its server's masks are in no recording.
+            let text = "the right half is a local reference, and is not drawn again".to_owned();
+            self.record(&Record::Event { frame: self.next, text })?;
+        }
+        Ok(())
     }
 
     /// Does what has been chosen since the frame before.
@@ -257,9 +325,11 @@ pub(crate) fn settings(options: &HeadlessOptions, vsync: bool) -> Settings {
             Guard::Auto => Guard::Auto,
         },
         view: DebugView::Picture,
-        split: false,
+        split: Split::Off,
+        reference: LocalServer::program().is_ok(),
         lights: 0,
         lights_on: 0,
+        first_digit: 0,
         vsync,
         overlay: false,
         help: false,

@@ -28,6 +28,8 @@ pub(crate) struct Screen {
     config: wgpu::SurfaceConfiguration,
     painter: Painter,
     reader: Option<PictureReader>,
+    /// A picture of the same size, whose columns from this one on stand in the next picture.
+    pub(crate) beside: Option<(wgpu::Texture, u32)>,
     pub(crate) shapes: Shapes,
     /// Where the next picture shall be kept, and the frame whose picture is on its way there.
     keep: Option<PathBuf>,
@@ -73,6 +75,7 @@ impl Screen {
             config,
             painter,
             reader: None,
+            beside: None,
             shapes: Shapes::default(),
             keep: None,
             kept: None,
@@ -184,7 +187,11 @@ impl Sink for Screen {
         let Some(reader) = &mut self.reader else { return Ok(Shown::default()) };
         let target = reader.target();
         let keep = self.keep.take();
+        let beside = self.beside.take();
         let submission = renderer.shade(camera, visibility_share, &target, |encoder| {
+            if let Some((other, first_px)) = &beside {
+                reader.replace_from(encoder, other, *first_px);
+            }
             if keep.is_some() {
                 reader.copy(encoder);
             }
