@@ -5,6 +5,7 @@ use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf};
 use clap::Parser;
 
 use crate::config::{AdminAddress, Backend, ConfigError, LogFormat, ServerConfig, Transport};
+use crate::telemetry::otlp::Collector;
 use crate::tokens::Scope;
 
 /// Ray-traces visibility at the edge, for thin clients that render their own frames.
@@ -124,6 +125,9 @@ pub struct Flags {
     /// Address for /live, /ready, /metrics and /sessions; a port alone is on loopback [default: none]
     #[arg(long, env = "GNOMON_ADMIN", value_name = "[ADDR:]PORT")]
     pub admin: Option<AdminAddress>,
+    /// OpenTelemetry collector to send metrics to, as OTLP over HTTP [default: none]
+    #[arg(long, env = "GNOMON_OTLP", value_name = "http://HOST[:4318]")]
+    pub otlp: Option<Collector>,
     /// Tell Agones' sidecar how the server is; wants a server built with --features agones
     #[arg(long, env = "GNOMON_AGONES", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub agones: Option<bool>,
@@ -186,6 +190,7 @@ impl Flags {
         set(&mut config.log, &self.log);
         set_some(&mut config.log_file, &self.log_file);
         set_some(&mut config.admin, &self.admin);
+        set_some(&mut config.otlp, &self.otlp);
         set(&mut config.agones, &self.agones);
         set_some(&mut config.cert_dir, &self.cert_dir);
         set_some(&mut config.cert_file, &self.cert_file);
@@ -243,6 +248,7 @@ mod tests {
             "--log=json",
             "--log-file=l",
             "--admin=9",
+            "--otlp=http://collector",
             "--agones=false",
             "--cert-dir=c",
             "--cert-file=f",
@@ -272,6 +278,7 @@ mod tests {
             log: LogFormat::Json,
             log_file: Some("l".into()),
             admin: Some("127.0.0.1:9".parse().unwrap()),
+            otlp: Some("http://collector".parse().unwrap()),
             agones: false,
             cert_dir: Some("c".into()),
             cert_file: Some("f".into()),

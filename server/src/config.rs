@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 pub use crate::visibility::engine::BackendChoice as Backend;
-use crate::{files, limits};
+use crate::{files, limits, telemetry::otlp::Collector};
 
 /// Everything that an operator can choose. A key that is not listed here is an error.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -65,6 +65,8 @@ pub struct ServerConfig {
     pub log_file: Option<PathBuf>,
     /// Address for `/live`, `/ready`, `/metrics` and `/sessions`; without it there is none.
     pub admin: Option<AdminAddress>,
+    /// OpenTelemetry collector that is sent what `/metrics` shows; without it none is.
+    pub otlp: Option<Collector>,
     /// Whether Agones' sidecar is told how the server is; wants the cargo feature of that name.
     pub agones: bool,
     /// Folder where the certificate and its key are kept; the user's state folder without it.
@@ -101,6 +103,7 @@ impl Default for ServerConfig {
             log: LogFormat::Pretty,
             log_file: None,
             admin: None,
+            otlp: None,
             agones: false,
             cert_dir: None,
             cert_file: None,

@@ -5,7 +5,7 @@
 //! | what | bound | beyond it |
 //! |---|---|---|
 //! | an address that did not prove itself | a Retry of 108 bytes | nothing more |
-//! | handshakes under way | [`MAX_HANDSHAKES`], of one address [`MAX_HANDSHAKES_PER_ADDRESS`], `handshake_timeout_ms` each | refused, `gnomon_refusals_total{cause="handshakes"}`, `"silent"` |
+//! | handshakes under way | [`MAX_HANDSHAKES`], of one address [`MAX_HANDSHAKES_PER_ADDRESS`], `handshake_timeout_ms` each, [`UNHURRIED_LIMITS`] times that while at most [`MAX_UNHURRIED_HANDSHAKES`] are | refused, `gnomon_refusals_total{cause="handshakes"}`, `"silent"` |
 //! | bytes before admission | [`INCOMING_BUFFER_BYTES`] a connection, [`INCOMING_BUFFER_TOTAL_BYTES`] in all | dropped by quinn |
 //! | a message | [`MAX_CLIENT_MESSAGE_BYTES`] | the session ends |
 //! | messages a second | [`MAX_MESSAGES_PER_SECOND`] | the session ends |
@@ -30,6 +30,12 @@ pub const MAX_HANDSHAKES: usize = 128;
 
 /// Of those, how many one address may have: whoever floods the server with them leaves half of them to others.
 pub const MAX_HANDSHAKES_PER_ADDRESS: usize = MAX_HANDSHAKES / 2;
+
+/// Handshakes under way beside which none is hurried.
+pub const MAX_UNHURRIED_HANDSHAKES: usize = MAX_HANDSHAKES / 4;
+
+/// How often `handshake_timeout_ms` an unhurried handshake may take: 20 s hold six tries of a packet, each after twice the time.
+pub const UNHURRIED_LIMITS: u32 = 4;
 
 /// Bytes that quinn buffers for one connection, and for all, before it is accepted (defaults: 10 and 100 MiB).
 pub const INCOMING_BUFFER_BYTES: u64 = 16 * 1024;
@@ -118,6 +124,9 @@ pub const MAX_ADMIN_CONNECTIONS: usize = 16;
 
 /// Longest time for an admin request and its answer.
 pub const ADMIN_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Of a collector's answer to a report, what is read.
+pub const MAX_OTLP_ANSWER_BYTES: usize = 64 * 1024;
 
 /// Log lines that wait to be written; more are counted and lost.
 pub const MAX_WAITING_LOG_LINES: usize = 8192;

@@ -41,6 +41,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
     }
     let logs =
         telemetry::init(config.log, config.log_file.as_deref()).map_err(|error| anyhow::anyhow!("logs: {error}"))?;
+    telemetry::log_panics();
     if cli.check {
         let found = Server::check(&config)?;
         return print_line(&found);

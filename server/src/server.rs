@@ -52,7 +52,7 @@ pub struct RunningServer {
     endpoint: Arc<Endpoint>,
     accepting: Task,
     readiness: Readiness,
-    admin: Option<Admin>,
+    admin: Admin,
     #[cfg(feature = "agones")]
     agones: Option<Task>,
 }
@@ -92,10 +92,7 @@ impl Server {
             socket: (config.transport == Transport::Quic).then_some(local_addr),
             tokens: tokens.clone(),
         });
-        let admin = match config.admin {
-            Some(address) => Some(Admin::start(address.0, Arc::clone(&sources)).await?),
-            None => None,
-        };
+        let admin = Admin::start(&config, &sources).await?;
 
         let options = load_options(&config);
         let (scene, asset) = blocking(move || load(&scene_path, &options)).await??;
@@ -226,7 +223,7 @@ impl RunningServer {
     /// Where its admin address is, if it has one.
     #[must_use]
     pub fn admin_addr(&self) -> Option<SocketAddr> {
-        self.admin.as_ref().map(Admin::local_addr)
+        self.admin.local_addr()
     }
 
     /// Reads the token file and the certificate again. Sessions that are open stay; a file that cannot be used changes nothing, which
@@ -349,20 +346,20 @@ async fn serve(arrival: Arrival, handshake: (OwnedSemaphorePermit, Held), servic
     };
     let mut phase = services.phase.clone();
     let greeted = tokio::select! {
-        greeted = timeout(services.handshake_timeout, greeting) => greeted,
+        greeted = crate::net::patience::within(services.handshake_timeout, &handshake.0, greeting) => greeted,
         // Whoever has not said Hello by now does not hold up the end.
         () = session::stopping(&mut phase) => return tracing::info!(reason = "the server stops", "not admitted"),
     };
     let (link, admitted) = match greeted {
-        Ok(Ok(greeted)) => greeted,
-        Ok(Err(error)) => {
+        Some(Ok(greeted)) => greeted,
+        Some(Err(error)) => {
             // A refusal has been counted, with its cause, where it was made.
             if !matches!(error, HandshakeError::Refused(_)) {
                 services.metrics.refused(RefusalCause::Broken);
             }
             return tracing::info!(reason = %error, "not admitted");
         }
-        Err(_) => {
+        None => {
             services.metrics.refused(RefusalCause::Silent);
             return tracing::info!(reason = "no Hello in time", "not admitted");
         }

@@ -34,11 +34,14 @@ pub struct TracedView {
     pub up: [f32; 3],
     /// Nodes of the bounding volume hierarchy, or triangles where the adapter walks its own; 0 when nothing stops a ray.
     pub nodes: u32,
+    /// Row of tiles at which this part of the frame begins.
+    pub first_row: u32,
+    unused: [u32; 3],
 }
 
 impl TracedView {
     /// Its size in bytes, which every device offers as immediate data.
-    pub const BYTES: u32 = 64;
+    pub const BYTES: u32 = 80;
 
     /// The view of a camera with this basis, whose picture has `width`×`height` pixels.
     #[must_use]
@@ -52,6 +55,8 @@ impl TracedView {
             lights,
             up: basis.up.to_array(),
             nodes,
+            first_row: 0,
+            unused: [0; 3],
         }
     }
 }
@@ -195,7 +200,7 @@ mod tests {
     #[test]
     fn host_types_lie_as_wgsl_lays_them() {
         let primary = module("visibility/primary.wgsl");
-        assert_layout!(&primary, TracedView, [origin, width, forward, height, right, lights, up, nodes]);
+        assert_layout!(&primary, TracedView, [origin, width, forward, height, right, lights, up, nodes, first_row]);
         assert_eq!(size_of::<TracedView>(), TracedView::BYTES as usize);
         assert_layout!(
             &primary,

@@ -216,3 +216,34 @@ fn a_full_disk_stops_nobody() {
     server.program.terminate().unwrap();
     server.program.finish(PATIENCE).unwrap().success().unwrap();
 }
+
+/// Set in the process that is to panic.
+const PANIC: &str = "GNOMON_TEST_PANIC";
+
+#[test]
+fn a_panic_is_one_line_of_the_log() {
+    const NAME: &str = "a_panic_is_one_line_of_the_log";
+    if std::env::var_os(PANIC).is_some() {
+        let logs = gnomon_server::telemetry::init(gnomon_server::config::LogFormat::Json, None).unwrap();
+        gnomon_server::telemetry::log_panics();
+        let thread = std::thread::Builder::new().name("unlucky".into());
+        let ended = thread.spawn(|| panic!("of {} lines,\n\tand\n\"quotes\"", 3)).unwrap().join();
+        assert!(ended.is_err());
+        drop(logs);
+        return;
+    }
+    let me = std::env::current_exe().unwrap();
+    let ran = Command::new(me).args(["--exact", NAME, "--nocapture"]).env(PANIC, "1").env_remove("RUST_LOG").output();
+    let ran = ran.unwrap();
+    let said = String::from_utf8(ran.stderr).unwrap();
+    assert!(ran.status.success(), "{said}");
+    let lines: Vec<&str> = said.lines().collect();
+    assert_eq!(lines.len(), 1, "{said}");
+    let entry: Value = serde_json::from_str(lines[0]).unwrap();
+    assert!(schema().is_valid(&entry), "{entry}");
+    assert_eq!(entry["fields"]["message"], "panicked");
+    assert_eq!(entry["fields"]["reason"], "of 3 lines, and \"quotes\"");
+    assert_eq!(entry["fields"]["thread"], "unlucky");
+    assert!(entry["fields"]["place"].as_str().unwrap().contains("telemetry.rs:"), "{entry}");
+    assert!(!schema().is_valid(&with(&entry, "/fields/reason", json!("two\nlines"))));
+}

@@ -83,20 +83,26 @@ fn ready(sources: &Sources) -> Answer {
     plain(status, JSON, body.to_string())
 }
 
+impl Sources {
+    /// All that is counted, now.
+    pub(crate) fn page(&self) -> text::Page {
+        let stage = self.readiness.get();
+        text::Page {
+            ready: stage == Stage::Ready,
+            draining: stage == Stage::Draining,
+            version: env!("CARGO_PKG_VERSION"),
+            backend: self.backend.get().cloned().unwrap_or_default(),
+            capacity: self.capacity,
+            retries: self.metrics.socket.retries(),
+            log_lines_lost: telemetry::lines_lost(),
+            process: process::read(self.socket),
+            counts: self.metrics.snapshot(),
+        }
+    }
+}
+
 fn metrics(sources: &Sources) -> Answer {
-    let stage = sources.readiness.get();
-    let page = text::Page {
-        ready: stage == Stage::Ready,
-        draining: stage == Stage::Draining,
-        version: env!("CARGO_PKG_VERSION"),
-        backend: sources.backend.get().cloned().unwrap_or_default(),
-        capacity: sources.capacity,
-        retries: sources.metrics.socket.retries(),
-        log_lines_lost: telemetry::lines_lost(),
-        process: process::read(sources.socket),
-        counts: sources.metrics.snapshot(),
-    };
-    match page.text() {
+    match sources.page().text() {
         Ok(page) => plain(StatusCode::OK, text::CONTENT_TYPE, page),
         Err(error) => plain(StatusCode::INTERNAL_SERVER_ERROR, TEXT, format!("{error}\n")),
     }

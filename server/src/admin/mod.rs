@@ -19,7 +19,11 @@ use tokio::{
 };
 
 pub(crate) use self::answer::Sources;
-use crate::limits::{ADMIN_TIMEOUT, MAX_ADMIN_CONNECTIONS};
+use crate::{
+    config::{AdminAddress, ServerConfig},
+    limits::{ADMIN_TIMEOUT, MAX_ADMIN_CONNECTIONS},
+    telemetry::otlp,
+};
 
 /// Why the admin address cannot be listened on.
 #[derive(Debug, Error)]
@@ -29,34 +33,44 @@ pub struct AdminError {
     reason: io::Error,
 }
 
-/// A listening admin address. It ends with its owner.
+/// The admin address that listens, and the collector that is reported to, if they are wanted. Both end with their owner.
 #[derive(Debug)]
 pub(crate) struct Admin {
-    local_addr: SocketAddr,
-    task: JoinHandle<()>,
+    local_addr: Option<SocketAddr>,
+    tasks: Vec<JoinHandle<()>>,
 }
 
 impl Drop for Admin {
     fn drop(&mut self) {
-        self.task.abort();
+        for task in &self.tasks {
+            task.abort();
+        }
     }
 }
 
 impl Admin {
-    /// Listens.
+    /// Listens, and reports.
     ///
     /// # Errors
     /// When the address is taken or cannot be used.
-    pub(crate) async fn start(address: SocketAddr, sources: Arc<Sources>) -> Result<Self, AdminError> {
-        let failed = |reason| AdminError { address, reason };
-        let listener = TcpListener::bind(address).await.map_err(failed)?;
-        let local_addr = listener.local_addr().map_err(failed)?;
-        tracing::info!(%local_addr, "admin address");
-        Ok(Self { local_addr, task: tokio::spawn(accept(listener, sources)) })
+    pub(crate) async fn start(config: &ServerConfig, sources: &Arc<Sources>) -> Result<Self, AdminError> {
+        let mut admin = Self { local_addr: None, tasks: Vec::new() };
+        if let Some(AdminAddress(address)) = config.admin {
+            let failed = |reason| AdminError { address, reason };
+            let listener = TcpListener::bind(address).await.map_err(failed)?;
+            let local_addr = listener.local_addr().map_err(failed)?;
+            tracing::info!(%local_addr, "admin address");
+            admin.local_addr = Some(local_addr);
+            admin.tasks.push(tokio::spawn(accept(listener, Arc::clone(sources))));
+        }
+        if let Some(collector) = &config.otlp {
+            admin.tasks.push(tokio::spawn(otlp::run(collector.clone(), Arc::clone(sources))));
+        }
+        Ok(admin)
     }
 
-    /// Where it listens.
-    pub(crate) const fn local_addr(&self) -> SocketAddr {
+    /// Where it listens, if it does.
+    pub(crate) const fn local_addr(&self) -> Option<SocketAddr> {
         self.local_addr
     }
 }

@@ -7,4 +7,5 @@ pub(crate) mod control;
 pub(crate) mod endpoint;
 pub(crate) mod handshake;
 pub(crate) mod link;
+pub(crate) mod patience;
 pub(crate) mod socket;

@@ -1,10 +1,12 @@
 //! Whether a device bears one more session: pure arithmetic over what its sessions cost.
 //!
-//! A device serves its sessions' rates when the time that they need in a second is within its budget, and when the longest frame, which
-//! cannot be interrupted, leaves each of them time for its own before that is due (the test for non-preemptive deadline scheduling of
-//! Jeffay, Stanat and Martel 1991, made simple).
+//! A device serves its sessions' rates when the time that they need in a second is within its budget, and when the longest part of a
+//! frame, which cannot be interrupted, leaves each of them time for its own before that is due (the test for non-preemptive deadline
+//! scheduling of Jeffay, Stanat and Martel 1991, made simple).
 
 use std::fmt;
+
+use super::parts::stretch_ms;
 
 /// Masks a second that a session is planned with which did not say how many it wants: it takes what others leave.
 const LEAST_HZ: f64 = 1.0;
@@ -42,7 +44,7 @@ pub enum TooMuch {
         /// What is left of the budget.
         left_ms: f64,
     },
-    /// One of its frames would make another session late.
+    /// Its frames are so long that even a part of one would make another session late.
     LongFrame {
         /// What a frame takes, in milliseconds.
         frame_ms: f64,
@@ -88,7 +90,7 @@ pub fn judge(sessions: impl IntoIterator<Item = Need>, new: Need, budget_ms: f64
     if used_ms + needed_ms > budget_ms {
         return Err(TooMuch::Time { needed_ms, left_ms: budget_ms - used_ms });
     }
-    if new.cost_ms > shortest_ms {
+    if stretch_ms(new.cost_ms) > shortest_ms {
         return Err(TooMuch::LongFrame { frame_ms: new.cost_ms, bearable_ms: shortest_ms });
     }
     Ok(())
@@ -122,9 +124,10 @@ mod tests {
         let modest = need(1.0, 60.0);
         let greedy = Need { cost_ms: 40.0, rate_hz: None, active: true };
         assert_eq!(judge([], Need { cost_ms: 5000.0, ..greedy }, 900.0), Ok(()));
-        let refused = judge([modest], greedy, 900.0).unwrap_err();
-        assert!(refused.to_string().contains("40.0 ms"), "{refused}");
-        assert_eq!(judge([modest], Need { cost_ms: 12.0, ..greedy }, 900.0), Ok(()));
+        assert_eq!(judge([modest], greedy, 900.0), Ok(()), "it can be interrupted");
+        // The hundredth part of it is longer than a period.
+        let refused = judge([modest], Need { cost_ms: 3000.0, ..greedy }, 9000.0).unwrap_err();
+        assert!(refused.to_string().contains("3000.0 ms"), "{refused}");
         // Who takes what it gets is no reason to refuse others.
         assert_eq!(judge([greedy], modest, 900.0), Ok(()));
     }

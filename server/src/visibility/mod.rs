@@ -34,6 +34,7 @@ mod engine_tests;
 pub mod faults;
 pub mod fleet;
 mod open;
+pub mod parts;
 pub mod port;
 pub mod scheduler;
 mod shared;
@@ -92,6 +93,18 @@ pub struct TraceCost {
 }
 
 impl TraceCost {
+    /// Of two parts of a mask.
+    #[must_use]
+    pub fn plus(self, other: Self) -> Self {
+        Self {
+            primary_ms: self.primary_ms + other.primary_ms,
+            shadow_ms: self.shadow_ms + other.shadow_ms,
+            readback_ms: self.readback_ms + other.readback_ms,
+            primary_rays: self.primary_rays + other.primary_rays,
+            shadow_rays: self.shadow_rays + other.shadow_rays,
+        }
+    }
+
     /// Time of the device, in milliseconds.
     #[must_use]
     pub fn device_ms(&self) -> f64 {

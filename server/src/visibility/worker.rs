@@ -1,23 +1,26 @@
-//! The engine's thread: takes up sessions, starts frames in turn, and hands masks out. A panic ends the session whose frame it was;
-//! what happens when the device fails is in [`recovery`].
+//! The engine's thread: takes up sessions, and lets them have the device in turn ([`work`]). A panic ends the session whose frame it
+//! was; what happens when the device fails is in [`recovery`].
 
 mod recovery;
+#[cfg(test)]
+mod tests;
+mod work;
 
 use std::{
     collections::{HashMap, VecDeque},
-    panic::{AssertUnwindSafe, catch_unwind},
     sync::{Arc, atomic::Ordering, mpsc::Receiver},
     time::{Duration, Instant},
 };
 
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_shaders::camera::Camera;
-use tokio::sync::mpsc::OwnedPermit;
+
+use self::work::{Begun, Job, LongestWhole};
 
 #[cfg(any(test, feature = "faults"))]
 use super::faults::Fault;
 use super::{
-    TraceCost, TraceRequest, TracedMask,
+    TraceRequest,
     backend::{
         BackendError,
         compute::{ComputeBackend, RING_FRAMES},
@@ -64,15 +67,14 @@ struct Seated {
     opening: Opening,
     /// When the mask is due for which it waits.
     due: Option<Instant>,
+    /// Its frame that is traced in parts.
+    begun: Option<Begun>,
 }
 
-/// A frame that is being traced.
-struct Job {
-    session: SessionKey,
-    request: TraceRequest,
-    mask: Mask,
-    /// The place in the session's channel that the mask will take.
-    place: OwnedPermit<TracedMask>,
+impl Seated {
+    fn new(opening: Opening) -> Self {
+        Self { opening, due: None, begun: None }
+    }
 }
 
 pub(super) struct Worker {
@@ -83,7 +85,9 @@ pub(super) struct Worker {
     sessions: HashMap<SessionKey, Seated>,
     next_key: SessionKey,
     scheduler: Scheduler,
+    /// Frames wholly submitted to the device, oldest first.
     flying: VecDeque<Job>,
+    longest_whole: LongestWhole,
     /// Times that the device was lost since it last traced a mask.
     losses: u32,
 }
@@ -99,6 +103,7 @@ impl Worker {
             next_key: 0,
             scheduler: Scheduler::new(OUTSTANDING_MASKS),
             flying: VecDeque::with_capacity(RING_FRAMES),
+            longest_whole: LongestWhole::default(),
             losses: 0,
         }
     }
@@ -146,43 +151,32 @@ impl Worker {
         self.lose_device_if_told()?;
         self.remove_closed();
         self.take_up_openings()?;
-        let mut started = false;
-        while let Some(job) = self.next_job() {
-            started = true;
-            let (camera, shape) = (job.request.camera, job.mask.shape());
-            match &mut self.backend {
-                Backend::Compute(backend) => {
-                    let submitted = catch_unwind(AssertUnwindSafe(|| backend.submit(&camera, shape)));
-                    let session = job.session;
-                    self.flying.push_back(job);
-                    match submitted {
-                        Ok(submitted) => submitted?,
-                        // Nobody knows what state it left the device's queue in.
-                        Err(_) => return Err(self.panicked(session)),
-                    }
-                }
-                Backend::Cpu(backend) => {
-                    let mut job = job;
-                    // It changes nothing of its own while it traces, so a panic leaves nothing half done.
-                    match catch_unwind(AssertUnwindSafe(|| backend.trace(&camera, &mut job.mask))) {
-                        Ok(cost) => self.finish(job, cost),
-                        Err(_) => drop(self.panicked(job.session)),
-                    }
-                    // Sessions come, go and are stopped between two masks.
-                    break;
-                }
-                Backend::Gone => return Err(BackendError::Device("it is not there".to_owned())),
+        let mut worked = false;
+        while self.work()? {
+            worked = true;
+            // The processor has done it by now: sessions come, go and are stopped between two parts.
+            if !matches!(self.backend, Backend::Compute(_)) {
+                return Ok(());
             }
         }
-        if self.flying.is_empty() {
-            if !started {
+        let (flying, submitted) = (self.flying.len(), self.submitted());
+        if flying == 0 && submitted == 0 {
+            if !worked {
                 self.give_back_memory()?;
                 std::thread::park();
             }
             return Ok(());
         }
-        let patience = if self.flying.len() < RING_FRAMES { GLANCE } else { FULL_RING_WAIT };
+        let patience = if flying < RING_FRAMES { GLANCE } else { FULL_RING_WAIT };
         self.land(patience)
+    }
+
+    /// What the device has not done of what it was given.
+    fn submitted(&mut self) -> usize {
+        match &mut self.backend {
+            Backend::Compute(backend) => backend.submissions_open(),
+            Backend::Cpu(_) | Backend::Gone => 0,
+        }
     }
 
     /// Closes the session whose frame panicked, and says what became of the device.
@@ -196,16 +190,18 @@ impl Worker {
     fn close(&mut self, session: SessionKey) {
         self.scheduler.remove(session);
         self.sessions.remove(&session);
+        self.longest_whole.forget();
     }
 
     /// Forgets sessions whose ports were dropped.
     fn remove_closed(&mut self) {
-        let scheduler = &mut self.scheduler;
+        let (scheduler, longest_whole) = (&mut self.scheduler, &mut self.longest_whole);
         self.sessions.retain(|&key, session| {
             let open = !session.opening.port.is_closed();
             if !open {
                 tracing::debug!(engine_session = key, "session closed");
                 scheduler.remove(key);
+                longest_whole.forget();
             }
             open
         });
@@ -220,6 +216,7 @@ impl Worker {
             let needs_room = matches!(&self.backend, Backend::Compute(backend) if !backend.fits(opening.shape));
             if needs_room {
                 // Larger buffers replace the ring, so it must be empty.
+                self.begin_anew();
                 while !self.flying.is_empty() {
                     self.land(FULL_RING_WAIT)?;
                 }
@@ -234,7 +231,8 @@ impl Worker {
             }
             tracing::debug!(engine_session = self.next_key, shape = ?opening.shape, "session opened");
             self.scheduler.insert(self.next_key, opening.costs.expected_ms());
-            self.sessions.insert(self.next_key, Seated { opening, due: None });
+            self.sessions.insert(self.next_key, Seated::new(opening));
+            self.longest_whole.forget();
             self.next_key += 1;
         }
         Ok(())
@@ -242,80 +240,6 @@ impl Worker {
 
     fn shapes(&self) -> impl Iterator<Item = MaskShape> {
         self.sessions.values().map(|session| session.opening.shape)
-    }
-
-    /// The newest pose of the session whose turn it is, if there is room in the ring.
-    fn next_job(&mut self) -> Option<Job> {
-        while self.flying.len() < RING_FRAMES {
-            let sessions = &mut self.sessions;
-            let key = self.scheduler.next(|key| sessions.get_mut(&key).and_then(Seated::due))?;
-            match catch_unwind(AssertUnwindSafe(|| self.job(key))) {
-                Ok(Some(job)) => {
-                    self.scheduler.started(key);
-                    return Some(job);
-                }
-                Ok(None) => {}
-                Err(_) => drop(self.panicked(key)),
-            }
-        }
-        None
-    }
-
-    /// The work on a session's newest pose, unless there is nothing to be done after all.
-    fn job(&mut self, key: SessionKey) -> Option<Job> {
-        #[cfg(any(test, feature = "faults"))]
-        self.panic_if_told();
-        let session = self.sessions.get_mut(&key)?;
-        session.due = None;
-        let Opening { shape: largest, port, costs, retry, .. } = &mut session.opening;
-        // Only this thread takes places, so the one that was there just now still is, unless the port closed.
-        let place = port.masks.clone().try_reserve_owned();
-        let lost = retry.take().filter(|_| !port.newest.has_changed().unwrap_or(false));
-        let newest = *port.newest.borrow_and_update();
-        let (Ok(place), Some(request)) = (place, lost.or(newest)) else { return None };
-        let Some(shape) = within(*largest, &request.camera) else {
-            tracing::warn!(engine_session = key, camera = ?request.camera, ?largest, "a pose of a larger size is dropped");
-            return None;
-        };
-        costs.begins(request.received_at.elapsed());
-        let used = port.used.try_iter().find(|mask| mask.shape() == shape);
-        Some(Job { session: key, request, mask: used.unwrap_or_else(|| Mask::new(shape)), place })
-    }
-
-    /// Waits up to `patience` for the oldest frame in flight, then hands out all that have landed.
-    fn land(&mut self, mut patience: Duration) -> Result<(), BackendError> {
-        while let (Some(job), Backend::Compute(backend)) = (self.flying.front_mut(), &mut self.backend) {
-            let session = job.session;
-            let landed = catch_unwind(AssertUnwindSafe(|| backend.collect(patience, &mut job.mask)));
-            let Ok(landed) = landed else { return Err(self.panicked(session)) };
-            let Some(cost) = landed? else { break };
-            patience = Duration::ZERO;
-            if let Some(job) = self.flying.pop_front() {
-                self.finish(job, cost);
-            }
-        }
-        Ok(())
-    }
-
-    fn finish(&mut self, job: Job, cost: TraceCost) {
-        self.losses = 0;
-        self.scheduler.finished(job.session, cost.device_ms());
-        self.shared.model.learn(job.mask.shape().pixels(), &cost);
-        if let Some(session) = self.sessions.get(&job.session) {
-            session.opening.costs.ends(&cost);
-        }
-        let TraceRequest { frame, ahead, received_at, .. } = job.request;
-        tracing::debug!(
-            engine_session = job.session,
-            frame = frame.0,
-            primary_ms = cost.primary_ms,
-            shadow_ms = cost.shadow_ms,
-            readback_ms = cost.readback_ms,
-            shadow_rays = cost.shadow_rays,
-            age_ms = received_at.elapsed().as_secs_f64() * 1e3,
-            "mask traced"
-        );
-        job.place.send(TracedMask { frame, mask: job.mask, ahead, received_at, cost });
     }
 
     /// Before a sleep: buffers no larger than the open sessions need.
@@ -345,23 +269,4 @@ impl Worker {
             panic!("told to");
         }
     }
-}
-
-impl Seated {
-    /// When its mask is due, if it waits for one and can take it. That stays so when a newer pose takes the older one's place.
-    fn due(&mut self) -> Option<Instant> {
-        let port = &self.opening.port;
-        let newest = port.newest.has_changed().unwrap_or(false);
-        if (!newest && self.opening.retry.is_none()) || port.masks.capacity() == 0 {
-            return None;
-        }
-        let request = port.newest.borrow().or(self.opening.retry)?;
-        Some(*self.due.get_or_insert(request.received_at + request.interval))
-    }
-}
-
-/// The shape of a mask for this camera, when it is no larger than the session's.
-fn within(largest: MaskShape, camera: &Camera) -> Option<MaskShape> {
-    let fits = camera.width <= largest.width() && camera.height <= largest.height();
-    MaskShape::new(camera.width, camera.height, largest.lights()).ok().filter(|_| fits)
 }

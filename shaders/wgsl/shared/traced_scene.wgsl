@@ -18,6 +18,8 @@ struct TracedView {
     up: vec3f,
     // Nodes of the bounding volume hierarchy; 0 when nothing stops a ray.
     nodes: u32,
+    // Row of tiles at which this part of the frame begins.
+    first_row: u32,
 }
 
 // What decides about a light's relevance, and where its shadow rays end.

@@ -76,7 +76,8 @@ fn primary(
     @builtin(num_workgroups) tiles: vec3u,
     @builtin(local_invocation_id) local: vec3u,
 ) {
-    let pixel = place.xy * TILE_PX + local.xy;
+    let row = view.first_row + place.y;
+    let pixel = vec2u(place.x, row) * TILE_PX + local.xy;
     let bit = mask_bit(local.xy);
     var seen = vec4u(0u);
     if pixel.x < view.width && pixel.y < view.height {
@@ -87,7 +88,7 @@ fn primary(
             seen = surface(found);
         }
     }
-    let tile = place.y * tiles.x + place.x;
+    let tile = row * tiles.x + place.x;
     surfaces[tile * 64u + bit] = seen;
 
     atomicAdd(&tile_rays, countOneBits(seen.w));

@@ -35,7 +35,7 @@ fn shadow(
     @builtin(local_invocation_id) local: vec3u,
 ) {
     let bit = mask_bit(local.xy);
-    let tile = place.y * tiles.x + place.x;
+    let tile = (view.first_row + place.y) * tiles.x + place.x;
     let seen = surfaces[tile * 64u + bit];
     let start = bitcast<vec3f>(seen.xyz);
     let light = lights[place.z];
@@ -75,6 +75,8 @@ fn shadow(
         atomicAdd(&work[WORK_NODES], node_visits);
     }
     if bit < 2u {
-        mask[mask_word(place.z, tiles.x * tiles.y, tile, bit * 32u)] = words[bit];
+        // A plane is as large as the picture, of which this may be a part.
+        let plane = tiles.x * ((view.height + TILE_PX - 1u) / TILE_PX);
+        mask[mask_word(place.z, plane, tile, bit * 32u)] = words[bit];
     }
 }

@@ -54,6 +54,7 @@ impl Worker {
 
     /// Frames in flight are lost; the poses that they were for are not, unless there are newer ones.
     fn keep_lost_requests(&mut self) {
+        self.begin_anew();
         self.scheduler.lost_all();
         for job in self.flying.drain(..) {
             if let Some(session) = self.sessions.get_mut(&job.session) {
@@ -75,7 +76,7 @@ impl Worker {
         for opening in all {
             if let Some(opening) = self.shared.hand_over(opening) {
                 self.scheduler.insert(self.next_key, opening.costs.expected_ms());
-                self.sessions.insert(self.next_key, super::Seated { opening, due: None });
+                self.sessions.insert(self.next_key, super::Seated::new(opening));
                 self.next_key += 1;
             }
         }

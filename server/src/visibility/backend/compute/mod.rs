@@ -1,5 +1,6 @@
 //! Tracing on a graphics adapter, with kernels in WGSL: runs on every adapter that has compute shaders.
 
+mod frame;
 mod geometry;
 mod kernels;
 mod ring;
@@ -10,28 +11,29 @@ mod timing;
 use std::{
     collections::VecDeque,
     sync::{Arc, Mutex, PoisonError},
-    time::{Duration, Instant},
 };
 
 use glam::DVec3;
-use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_protocol::mask::MaskShape;
 use gnomon_shaders::{
-    camera::Camera,
     gpu::{Gpu, GpuOptions},
-    host::{TracedLight, TracedView},
+    host::TracedLight,
     scene::Scene,
 };
 use wgpu::util::DeviceExt as _;
 
-pub use self::ring::RING_FRAMES;
+pub use self::{
+    frame::Rest,
+    ring::{RING_FRAMES, SLOTS},
+};
 use self::{
+    frame::{InFlight, Submissions},
     geometry::Geometry,
     kernels::{Kernels, SCENE_BUFFERS},
     ring::{Capacity, Ring},
-    timing::{QUERIES, Stages, Timing},
+    timing::Timing,
 };
 use super::{BackendError, ray_query, sampling::Sampling};
-use crate::visibility::TraceCost;
 
 /// How the kernels find the triangles on a ray's way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,7 +55,7 @@ pub struct KernelOptions {
     pub offset_roundings: Option<u16>,
 }
 
-/// Traces masks on one device. Frames are submitted and collected in the same order, up to [`RING_FRAMES`] at a time.
+/// Traces masks on one device. Frames are collected in the order in which their last parts were submitted.
 #[derive(Debug)]
 pub struct ComputeBackend {
     gpu: Gpu,
@@ -71,7 +73,7 @@ pub struct ComputeBackend {
     nodes: u32,
     ring: Option<Ring>,
     in_flight: VecDeque<InFlight>,
-    next_slot: usize,
+    submissions: Submissions,
     failure: Failure,
 }
 
@@ -88,14 +90,6 @@ pub struct Kept {
     pub alpha_bytes: u64,
     /// The words of one mask, in bytes; 0 before there are buffers.
     pub mask_bytes: u64,
-}
-
-#[derive(Debug)]
-struct InFlight {
-    slot: usize,
-    shape: MaskShape,
-    submission: wgpu::SubmissionIndex,
-    submitted_at: Instant,
 }
 
 /// The first thing that the device complained about and nobody has asked about yet.
@@ -221,7 +215,7 @@ impl ComputeBackend {
         };
         let buffers = upload(&gpu, scene, geometry)?;
         let scene_group = kernels.bind_scene(&gpu.device, &buffers, structure.as_ref());
-        let timing = Timing::new(&gpu.device, &gpu.queue, u32::try_from(RING_FRAMES).unwrap_or(u32::MAX));
+        let timing = Timing::new(&gpu.device, &gpu.queue, u32::try_from(SLOTS).unwrap_or(u32::MAX));
         if let Some(reason) = failure.take() {
             return Err(BackendError::Setup(reason));
         }
@@ -239,7 +233,7 @@ impl ComputeBackend {
             nodes,
             ring: None,
             in_flight: VecDeque::with_capacity(RING_FRAMES),
-            next_slot: 0,
+            submissions: Submissions::default(),
             failure,
             gpu,
         })
@@ -279,7 +273,6 @@ impl ComputeBackend {
             return Ok(());
         }
         self.in_flight.clear();
-        self.next_slot = 0;
         self.ring = None;
         if needed != Capacity::default() {
             let ring = Ring::new(&self.gpu.device, &self.kernels, needed);
@@ -295,110 +288,6 @@ impl ComputeBackend {
     #[cfg(any(test, feature = "faults"))]
     pub fn lose(&self) {
         self.gpu.device.destroy();
-    }
-
-    /// Frames submitted and not collected.
-    #[must_use]
-    pub fn in_flight(&self) -> usize {
-        self.in_flight.len()
-    }
-
-    /// Starts to trace a frame: returns at once. There must be fewer than [`RING_FRAMES`] in flight, and [`Self::fit`]
-    /// must have been told of the shape.
-    ///
-    /// # Errors
-    /// When one of these is not so, or the device has failed.
-    pub fn submit(&mut self, camera: &Camera, shape: MaskShape) -> Result<(), BackendError> {
-        if self.in_flight.len() >= RING_FRAMES {
-            return Err(BackendError::Device(format!("{RING_FRAMES} frames are in flight already")));
-        }
-        if (camera.width, camera.height, self.lights) != (shape.width(), shape.height(), shape.lights()) {
-            return Err(BackendError::Device(format!(
-                "a camera of {}×{} pixels and {} lights for {shape:?}",
-                camera.width, camera.height, self.lights
-            )));
-        }
-        let Some(ring) = self.ring.as_ref().filter(|ring| ring.capacity.holds(shape)) else {
-            return Err(BackendError::Device(format!("no buffers for {shape:?}")));
-        };
-        let slot = &ring.slots[self.next_slot];
-        let first_query = QUERIES * u32::try_from(self.next_slot).unwrap_or_default();
-        let basis = camera.ray_basis(self.origin_m);
-        let view = TracedView::new(&basis, shape.width(), shape.height(), shape.lights(), self.nodes);
-
-        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        slot.clear(&mut encoder);
-        for (stage, (kernel, planes)) in (0..).zip([(&self.kernels.primary, 1), (&self.kernels.shadow, shape.lights())])
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: None,
-                timestamp_writes: self.timing.as_ref().map(|timing| timing.writes(first_query, stage)),
-            });
-            pass.set_pipeline(kernel);
-            pass.set_bind_group(0, &self.scene, &[]);
-            pass.set_bind_group(1, &slot.group, &[]);
-            pass.set_immediates(0, bytemuck::bytes_of(&view));
-            pass.dispatch_workgroups(shape.tiles_x(), shape.tiles_y(), planes);
-        }
-        slot.copy_mask(&mut encoder, shape);
-        if let Some(timing) = &self.timing {
-            timing.note_end(&mut encoder, first_query);
-            slot.copy_timestamps(&mut encoder, &timing.queries, first_query);
-        }
-        let submission = self.gpu.queue.submit([encoder.finish()]);
-        slot.map(shape);
-        if let Some(reason) = self.failure.take() {
-            return Err(BackendError::Device(reason));
-        }
-        self.in_flight.push_back(InFlight { slot: self.next_slot, shape, submission, submitted_at: Instant::now() });
-        self.next_slot = (self.next_slot + 1) % RING_FRAMES;
-        Ok(())
-    }
-
-    /// Collects the oldest frame in flight, waiting for it up to `patience`. `None` when there is none, or not in time.
-    /// `mask` takes the frame's shape, and every word of it is written.
-    ///
-    /// # Errors
-    /// When the device has failed: it cannot be used any more.
-    pub fn collect(&mut self, patience: Duration, mask: &mut Mask) -> Result<Option<TraceCost>, BackendError> {
-        let (Some(ring), Some(oldest)) = (&self.ring, self.in_flight.front()) else { return Ok(None) };
-        let slot = &ring.slots[oldest.slot];
-        let waiting = if patience.is_zero() {
-            wgpu::PollType::Poll
-        } else {
-            let submission_index = Some(oldest.submission.clone());
-            wgpu::PollType::Wait { submission_index, timeout: Some(patience) }
-        };
-        match self.gpu.device.poll(waiting) {
-            Ok(_) | Err(wgpu::PollError::Timeout) => {}
-            Err(error) => return Err(BackendError::Device(error.to_string())),
-        }
-        if let Some(reason) = self.failure.take() {
-            return Err(BackendError::Device(reason));
-        }
-        if !slot.is_ready().map_err(BackendError::Device)? {
-            return Ok(None);
-        }
-        let seen_at = Instant::now();
-        if mask.shape() != oldest.shape {
-            mask.reset(oldest.shape);
-        }
-        let (ticks, work) = slot.read(mask).map_err(BackendError::Device)?;
-        let stages = match &self.timing {
-            Some(timing) => timing.stages(ticks),
-            // Without a clock on the device, all of it counts as tracing.
-            None => Stages { shadow_ms: (seen_at - oldest.submitted_at).as_secs_f64() * 1e3, ..Stages::default() },
-        };
-        let cost = TraceCost {
-            primary_ms: stages.primary_ms,
-            shadow_ms: stages.shadow_ms,
-            readback_ms: stages.copy_ms + seen_at.elapsed().as_secs_f64() * 1e3,
-            primary_rays: oldest.shape.pixels() as u64,
-            shadow_rays: if self.sampling == Sampling::All { work.wanted } else { work.traced },
-        };
-        self.node_visits = work.nodes;
-        self.in_flight.pop_front();
-        Ok(Some(cost))
     }
 
     /// Nodes that the rays of the last frame collected visited; 0 unless they are counted ([`KernelOptions`]).
@@ -417,28 +306,6 @@ impl ComputeBackend {
     #[must_use]
     pub fn kept(&self) -> Kept {
         Kept { mask_bytes: self.ring.as_ref().map_or(0, |ring| ring.capacity.mask_bytes), ..self.kept }
-    }
-
-    /// Traces one mask and waits for it; for tests and measurements. `mask` must have the camera's size and a plane for
-    /// each light of the scene.
-    ///
-    /// # Errors
-    /// When the shape does not fit, frames are in flight, or the device has failed.
-    pub fn trace(&mut self, camera: &Camera, mask: &mut Mask) -> Result<TraceCost, BackendError> {
-        if !self.in_flight.is_empty() {
-            return Err(BackendError::Device(format!("{} frames are in flight", self.in_flight.len())));
-        }
-        let shape = mask.shape();
-        if !self.fits(shape) {
-            self.picture_limit().check(shape)?;
-            self.fit([shape])?;
-        }
-        self.submit(camera, shape)?;
-        loop {
-            if let Some(cost) = self.collect(Duration::from_secs(1), mask)? {
-                return Ok(cost);
-            }
-        }
     }
 }
 

@@ -1,15 +1,20 @@
 //! What the device says that a frame took, stage by stage.
 
-/// Timestamps of a frame: begin and end of the primary kernel, of the shadow kernel, and the end of the copy.
-pub(super) const QUERIES: u32 = 5;
+use crate::visibility::parts::MAX_PARTS;
+
+/// Timestamps of a part: begin and end of the primary kernel, and of the shadow kernel.
+pub(super) const PART_QUERIES: u32 = 4;
+
+/// Timestamps of a frame at most: those of its parts, and the end of the copy.
+pub(super) const SLOT_QUERIES: u32 = PART_QUERIES * MAX_PARTS + 1;
 
 /// Bytes of those timestamps.
-pub(super) const QUERY_BYTES: u64 = 8 * QUERIES as u64;
+pub(super) const QUERY_BYTES: u64 = 8 * SLOT_QUERIES as u64;
 
 /// The device's clock.
 #[derive(Debug)]
 pub(super) struct Timing {
-    /// [`QUERIES`] for each frame in flight.
+    /// [`SLOT_QUERIES`] for each frame in flight.
     pub(super) queries: wgpu::QuerySet,
     tick_ns: f64,
 }
@@ -24,12 +29,12 @@ pub(super) struct Stages {
 
 impl Timing {
     /// The clock of a device that has one.
-    pub(super) fn new(device: &wgpu::Device, queue: &wgpu::Queue, frames: u32) -> Option<Self> {
+    pub(super) fn new(device: &wgpu::Device, queue: &wgpu::Queue, slots: u32) -> Option<Self> {
         device.features().contains(super::kernels::TIMING).then(|| Self {
             queries: device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("stages"),
                 ty: wgpu::QueryType::Timestamp,
-                count: QUERIES * frames,
+                count: SLOT_QUERIES * slots,
             }),
             tick_ns: f64::from(queue.get_timestamp_period()),
         })
@@ -44,22 +49,29 @@ impl Timing {
         }
     }
 
-    /// Notes the end of the copy.
-    pub(super) fn note_end(&self, encoder: &mut wgpu::CommandEncoder, first: u32) {
-        encoder.write_timestamp(&self.queries, first + QUERIES - 1);
+    /// Notes the time when all that was encoded before is done.
+    pub(super) fn note(&self, encoder: &mut wgpu::CommandEncoder, query: u32) {
+        encoder.write_timestamp(&self.queries, query);
     }
 
-    /// Milliseconds between a frame's timestamps.
-    pub(super) fn stages(&self, ticks: [u64; QUERIES as usize]) -> Stages {
+    /// Milliseconds between a frame's timestamps: [`PART_QUERIES`] for each part, and the end of the copy.
+    pub(super) fn stages(&self, ticks: &[u64]) -> Stages {
         stages(ticks, self.tick_ns)
     }
 }
 
-fn stages(ticks: [u64; QUERIES as usize], tick_ns: f64) -> Stages {
+fn stages(ticks: &[u64], tick_ns: f64) -> Stages {
     // A clock that stepped back, or was reset by power management, counts as no time rather than as centuries.
     #[expect(clippy::cast_precision_loss, reason = "2^53 ns are 104 days")]
-    let ms = |from: usize, to: usize| ticks[to].saturating_sub(ticks[from]) as f64 * tick_ns / 1e6;
-    Stages { primary_ms: ms(0, 1), shadow_ms: ms(2, 3), copy_ms: ms(3, 4) }
+    let ms = |from: u64, to: u64| to.saturating_sub(from) as f64 * tick_ns / 1e6;
+    let (parts, end) = ticks.as_chunks::<{ PART_QUERIES as usize }>();
+    let sum = |of: fn(&[u64; 4]) -> (u64, u64)| parts.iter().map(of).map(|(from, to)| ms(from, to)).sum();
+    let traced = parts.last().map_or(0, |part| part[3]);
+    Stages {
+        primary_ms: sum(|part| (part[0], part[1])),
+        shadow_ms: sum(|part| (part[2], part[3])),
+        copy_ms: end.first().map_or(0.0, |end| ms(traced, *end)),
+    }
 }
 
 #[cfg(test)]
@@ -68,12 +80,17 @@ mod tests {
 
     #[test]
     fn stages_are_differences_in_milliseconds() {
-        let stages = stages([1_000_000, 3_000_000, 3_100_000, 8_100_000, 8_200_000], 0.5);
-        assert_eq!(stages, Stages { primary_ms: 1.0, shadow_ms: 2.5, copy_ms: 0.05 });
+        let whole = [1_000_000, 3_000_000, 3_100_000, 8_100_000, 8_200_000];
+        assert_eq!(stages(&whole, 0.5), Stages { primary_ms: 1.0, shadow_ms: 2.5, copy_ms: 0.05 });
+        // What came between two parts is others' time.
+        let parts =
+            [1_000_000, 3_000_000, 3_100_000, 8_100_000, 50_000_000, 52_000_000, 52_000_000, 53_000_000, 53_100_000];
+        assert_eq!(stages(&parts, 0.5), Stages { primary_ms: 2.0, shadow_ms: 3.0, copy_ms: 0.05 });
     }
 
     #[test]
     fn a_clock_that_steps_back_counts_as_no_time() {
-        assert_eq!(stages([9, 4, 3, 3, 2], 1.0), Stages::default());
+        assert_eq!(stages(&[9, 4, 3, 3, 2], 1.0), Stages::default());
+        assert_eq!(stages(&[], 1.0), Stages::default());
     }
 }

@@ -9,9 +9,9 @@
 //! masks are the same from run to run and for any number of threads. They may differ in single bits between
 //! processors with and without AVX2 (see [`simd`]).
 
-use std::num::NonZeroUsize;
+use std::{num::NonZeroUsize, ops::Range};
 
-use gnomon_protocol::mask::Mask;
+use gnomon_protocol::mask::{Mask, TILE_PX};
 use gnomon_shaders::{
     camera::Camera,
     scene::{AlphaMode, Scene},
@@ -135,7 +135,16 @@ impl CpuBackend {
     /// # Panics
     /// When the mask's shape is not the camera's and the scene's.
     pub fn trace(&self, camera: &Camera, mask: &mut Mask) -> TraceCost {
-        self.run::<Silent>(camera, mask).0
+        let rows = 0..mask.shape().tiles_y();
+        self.run::<Silent>(camera, mask, rows).0
+    }
+
+    /// [`Self::trace`] of these rows of tiles only: writes their words, and no others.
+    ///
+    /// # Panics
+    /// When the mask's shape is not the camera's and the scene's.
+    pub fn trace_rows(&self, camera: &Camera, mask: &mut Mask, rows: Range<u32>) -> TraceCost {
+        self.run::<Silent>(camera, mask, rows).0
     }
 
     /// [`Self::trace`], and what traversal did for camera rays and for shadow rays. Slower.
@@ -143,7 +152,8 @@ impl CpuBackend {
     /// # Panics
     /// When the mask's shape is not the camera's and the scene's.
     pub fn trace_counted(&self, camera: &Camera, mask: &mut Mask) -> (TraceCost, [Work; 2]) {
-        let (cost, costs) = self.run::<Work>(camera, mask);
+        let rows = 0..mask.shape().tiles_y();
+        let (cost, costs) = self.run::<Work>(camera, mask, rows);
         let mut work = [Work::default(); 2];
         for cost in &costs {
             work[0].add(&cost.primary_work);
@@ -152,7 +162,7 @@ impl CpuBackend {
         (cost, work)
     }
 
-    fn run<C: Counter>(&self, camera: &Camera, mask: &mut Mask) -> (TraceCost, Vec<TileCost<C>>) {
+    fn run<C: Counter>(&self, camera: &Camera, mask: &mut Mask, rows: Range<u32>) -> (TraceCost, Vec<TileCost<C>>) {
         let shape = mask.shape();
         assert_eq!(
             (shape.width(), shape.height(), shape.lights() as usize),
@@ -160,7 +170,8 @@ impl CpuBackend {
             "the mask's width, height and lights"
         );
         let picture = Picture { basis: camera.ray_basis(self.origin_m), width: camera.width, height: camera.height };
-        let runs = share_out(mask);
+        let lines = (rows.start * TILE_PX).min(camera.height)..(rows.end * TILE_PX).min(camera.height);
+        let runs = share_out(mask, rows);
         let level = self.level;
         let costs: Vec<TileCost<C>> = self.pool.install(|| {
             runs.into_par_iter()
@@ -181,7 +192,7 @@ impl CpuBackend {
             primary_ms: sum(|cost| cost.primary.as_secs_f64()),
             shadow_ms: sum(|cost| cost.shadow.as_secs_f64()),
             readback_ms: 0.0,
-            primary_rays: u64::from(camera.width) * u64::from(camera.height),
+            primary_rays: u64::from(camera.width) * lines.len() as u64,
             shadow_rays: costs.iter().map(|cost| cost.shadow_rays).sum(),
         };
         (cost, costs)
@@ -195,18 +206,19 @@ struct Run<'a> {
     words: Vec<&'a mut [u64]>,
 }
 
-/// Shares the mask's words out, so that threads write to where they belong.
-fn share_out(mask: &mut Mask) -> Vec<Run<'_>> {
+/// Shares the words of these rows of the mask out, so that threads write to where they belong.
+fn share_out(mask: &mut Mask, rows: Range<u32>) -> Vec<Run<'_>> {
     let shape = mask.shape();
     let (tiles_x, lights) = (shape.tiles_x() as usize, shape.lights() as usize);
-    let mut runs = Vec::with_capacity(shape.tiles_y() as usize * tiles_x.div_ceil(RUN_TILES));
-    for tile_y in 0..shape.tiles_y() {
+    let mut runs = Vec::with_capacity(rows.len() * tiles_x.div_ceil(RUN_TILES));
+    let rows = rows.start..rows.end.min(shape.tiles_y());
+    for tile_y in rows.clone() {
         for tile_x in (0..shape.tiles_x()).step_by(RUN_TILES) {
             runs.push(Run { tile_x, tile_y, words: Vec::with_capacity(lights) });
         }
     }
     for plane in mask.words_mut().chunks_mut(shape.tiles()) {
-        let pieces = plane.chunks_mut(tiles_x).flat_map(|row| row.chunks_mut(RUN_TILES));
+        let pieces = plane.chunks_mut(tiles_x).skip(rows.start as usize).flat_map(|row| row.chunks_mut(RUN_TILES));
         for (run, piece) in runs.iter_mut().zip(pieces) {
             run.words.push(piece);
         }

@@ -1,0 +1,179 @@
+//! `--otlp URL`: what `/metrics` shows, sent to an OpenTelemetry collector every few seconds as OTLP over HTTP in JSON
+//! (opentelemetry.io/docs/specs/otlp, and the JSON mapping of `opentelemetry/proto/metrics/v1/metrics.proto`).
+//!
+//! The page that Prometheus reads is translated, so both show the same and nothing is counted twice. That takes the HTTP crate of the
+//! admin address and no SDK. Logs stay lines, which collectors read as they are (`deploy/logs/`). A collector that does not answer costs
+//! its reports and nothing else: counters are cumulative, so the next one has all.
+
+mod page;
+
+use std::{
+    fmt,
+    str::FromStr,
+    sync::Arc,
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+
+use http_body_util::{BodyExt as _, Full, Limited};
+use hyper::{
+    Request, StatusCode,
+    body::Bytes,
+    client::conn::http1,
+    header::{CONTENT_TYPE, HOST},
+};
+use hyper_util::rt::TokioIo;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use thiserror::Error;
+use tokio::{
+    net::TcpStream,
+    time::{MissedTickBehavior, timeout},
+};
+
+use crate::{admin::Sources, limits::MAX_OTLP_ANSWER_BYTES};
+
+/// Time between reports.
+const PERIOD: Duration = Duration::from_secs(10);
+
+/// Longest time that a collector may take for a report.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Where a collector listens: `http://HOST[:PORT][/PATH]`, 4318 and `/v1/metrics` where nothing else is said. Without TLS: a collector runs
+/// beside the server, and speaks TLS to whatever is farther away.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Collector {
+    host: String,
+    port: u16,
+    path: String,
+}
+
+impl FromStr for Collector {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let url = url::Url::parse(text).map_err(|error| format!("{text:?} is no URL: {error}"))?;
+        let host = url.host_str().filter(|_| url.scheme() == "http" && url.username().is_empty());
+        let host = host.ok_or_else(|| format!("{text:?} is not of the form http://HOST:4318"))?.to_owned();
+        let path = if url.path() == "/" { "/v1/metrics" } else { url.path() };
+        // `url` forgets a port that is the scheme's own: whoever means 80 has written it.
+        let authority = text.trim_start_matches("http://").split('/').next().unwrap_or_default();
+        let port = url.port().unwrap_or(if authority.ends_with(":80") { 80 } else { 4318 });
+        Ok(Self { host, port, path: path.to_owned() })
+    }
+}
+
+impl TryFrom<String> for Collector {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<Collector> for String {
+    fn from(collector: Collector) -> Self {
+        collector.to_string()
+    }
+}
+
+impl fmt::Display for Collector {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "http://{}:{}{}", self.host, self.port, self.path)
+    }
+}
+
+/// Why a report was not taken.
+#[derive(Debug, Error)]
+enum ReportError {
+    #[error("it cannot be reached: {0}")]
+    Reach(#[from] std::io::Error),
+    #[error("HTTP: {0}")]
+    Http(#[from] hyper::Error),
+    #[error("no request can be made for it: {0}")]
+    Request(#[from] hyper::http::Error),
+    #[error("it said {0}")]
+    Status(StatusCode),
+    #[error("no answer in {} s", PATIENCE.as_secs())]
+    Silent,
+}
+
+/// Reports until its task ends.
+pub(crate) async fn run(collector: Collector, sources: Arc<Sources>) {
+    report_every(PERIOD, collector, sources).await;
+}
+
+async fn report_every(period: Duration, collector: Collector, sources: Arc<Sources>) {
+    let started_at = unix_ns();
+    let mut tick = tokio::time::interval(period);
+    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut taken = true;
+    loop {
+        tick.tick().await;
+        let Ok(page) = sources.page().text() else { continue };
+        let sent = collector.send(request(&page, started_at, unix_ns()).to_string()).await;
+        // Once for each time that it goes and comes back.
+        match &sent {
+            Ok(()) if !taken => tracing::info!(%collector, "the collector takes reports again"),
+            Err(error) if taken => tracing::warn!(%collector, %error, "the collector takes no reports"),
+            Ok(()) | Err(_) => {}
+        }
+        taken = sent.is_ok();
+    }
+}
+
+impl Collector {
+    async fn send(&self, body: String) -> Result<(), ReportError> {
+        let exchange = async {
+            let stream = TcpStream::connect((self.host.trim_matches(['[', ']']), self.port)).await?;
+            let (mut sender, connection) = http1::handshake(TokioIo::new(stream)).await?;
+            let request = Request::post(&self.path)
+                .header(HOST, format!("{}:{}", self.host, self.port))
+                .header(CONTENT_TYPE, "application/json")
+                .body(Full::new(Bytes::from(body)))?;
+            let answer = async {
+                let response = sender.send_request(request).await?;
+                let status = response.status();
+                // What it says is not needed, but a connection is only done when it is read.
+                let _ = Limited::new(response.into_body(), MAX_OTLP_ANSWER_BYTES).collect().await;
+                if status.is_success() { Ok(()) } else { Err(ReportError::Status(status)) }
+            };
+            tokio::pin!(connection);
+            tokio::pin!(answer);
+            tokio::select! {
+                biased;
+                answer = &mut answer => answer,
+                ended = &mut connection => {
+                    ended?;
+                    answer.await
+                }
+            }
+        };
+        timeout(PATIENCE, exchange).await.map_err(|_| ReportError::Silent)?
+    }
+}
+
+/// Nanoseconds since 1970 by the wall clock, which may step: a collector takes points as they are stamped.
+fn unix_ns() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// The body of an `ExportMetricsServiceRequest`.
+fn request(page: &str, started_at: u64, now: u64) -> Value {
+    let attribute = |key: &str, value: &str| json!({ "key": key, "value": { "stringValue": value } });
+    json!({ "resourceMetrics": [{
+        "resource": { "attributes": [
+            attribute("service.name", "gnomon-server"),
+            attribute("service.version", env!("CARGO_PKG_VERSION")),
+        ] },
+        "scopeMetrics": [{
+            "scope": { "name": "gnomon_server", "version": env!("CARGO_PKG_VERSION") },
+            // A clock that was set back since the start must not make a span of negative length.
+            "metrics": page::metrics(page, started_at.min(now), now),
+        }],
+    }] })
+}
+
+#[cfg(test)]
+mod tests;

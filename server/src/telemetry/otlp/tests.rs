@@ -1,0 +1,127 @@
+//! A collector in miniature, which takes what the server reports.
+
+use std::sync::{Mutex, OnceLock};
+
+use hyper::{Response, body::Incoming, server, service::service_fn};
+use tokio::net::TcpListener;
+
+use super::*;
+use crate::{admin::readiness::Readiness, metrics::Metrics};
+
+fn sources() -> Arc<Sources> {
+    let backend = OnceLock::new();
+    backend.set("cpu: a \"quoted\" name".to_owned()).unwrap();
+    Arc::new(Sources {
+        metrics: Arc::new(Metrics::default()),
+        readiness: Readiness::default(),
+        backend,
+        capacity: 7,
+        socket: None,
+        tokens: None,
+    })
+}
+
+/// Metric `name` of a report.
+fn metric<'a>(report: &'a Value, name: &str) -> &'a Value {
+    let metrics = report["resourceMetrics"][0]["scopeMetrics"][0]["metrics"].as_array().unwrap();
+    metrics.iter().find(|metric| metric["name"] == name).unwrap_or_else(|| panic!("no {name} in {report}"))
+}
+
+/// Takes reports, refuses the first one, and keeps the others.
+async fn collect(listener: TcpListener, reports: Arc<Mutex<Vec<Value>>>) {
+    let mut refused = false;
+    loop {
+        let (stream, _) = listener.accept().await.unwrap();
+        let refuses = !std::mem::replace(&mut refused, true);
+        let reports = Arc::clone(&reports);
+        let service = service_fn(move |request: Request<Incoming>| {
+            let reports = Arc::clone(&reports);
+            async move {
+                assert_eq!((request.method().as_str(), request.uri().path()), ("POST", "/v1/metrics"));
+                assert_eq!(request.headers()[CONTENT_TYPE], "application/json");
+                let body = request.into_body().collect().await.unwrap().to_bytes();
+                let status = if refuses { StatusCode::SERVICE_UNAVAILABLE } else { StatusCode::OK };
+                if !refuses {
+                    reports.lock().unwrap().push(serde_json::from_slice(&body).unwrap());
+                }
+                let answer = Response::builder().status(status).body(Full::new(Bytes::from_static(b"{}")));
+                Ok::<_, std::convert::Infallible>(answer.unwrap())
+            }
+        });
+        server::conn::http1::Builder::new().serve_connection(TokioIo::new(stream), service).await.unwrap();
+    }
+}
+
+#[tokio::test]
+async fn a_collector_gets_what_the_page_shows_also_after_it_was_away() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let collector: Collector = format!("http://{}", listener.local_addr().unwrap()).parse().unwrap();
+    let (reports, sources) = (Arc::new(Mutex::new(Vec::new())), sources());
+    let collecting = tokio::spawn(collect(listener, Arc::clone(&reports)));
+    sources.metrics.refused(crate::metrics::RefusalCause::Full);
+    let reporting = tokio::spawn(report_every(Duration::from_millis(20), collector, Arc::clone(&sources)));
+    let waiting = async {
+        while reports.lock().unwrap().len() < 2 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    };
+    timeout(Duration::from_secs(60), waiting).await.unwrap();
+    reporting.abort();
+    collecting.abort();
+    let reports = reports.lock().unwrap();
+    for report in reports.iter() {
+        let refusals = &metric(report, "gnomon_refusals_total")["sum"];
+        assert_eq!((&refusals["isMonotonic"], &refusals["aggregationTemporality"]), (&json!(true), &json!(2)));
+        let full = refusals["dataPoints"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|point| point["attributes"] == json!([{ "key": "cause", "value": { "stringValue": "full" } }]));
+        assert_eq!(full.unwrap()["asInt"], "1");
+        assert_eq!(metric(report, "gnomon_sessions_capacity")["gauge"]["dataPoints"][0]["asInt"], "7");
+        let info = &metric(report, "gnomon_build_info")["gauge"]["dataPoints"][0]["attributes"];
+        assert_eq!(info[1]["value"]["stringValue"], "cpu: a \"quoted\" name");
+    }
+    // Every metric of the page is there.
+    let page = sources.page().text().unwrap();
+    let named = page.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split_once(' ')).count();
+    let sent = reports[0]["resourceMetrics"][0]["scopeMetrics"][0]["metrics"].as_array().unwrap().len();
+    assert!(sent == named && sent > 20, "{sent} of {named}");
+}
+
+#[test]
+fn a_histogram_is_taken_apart_into_its_own_buckets() {
+    let page = "# HELP t_seconds Time.\n# TYPE t_seconds histogram\n\
+        t_seconds_sum{stage=\"a\"} 1.5\nt_seconds_count{stage=\"a\"} 9\n\
+        t_seconds_bucket{stage=\"a\",le=\"0.5\"} 2\nt_seconds_bucket{stage=\"a\",le=\"1.0\"} 7\nt_seconds_bucket{stage=\"a\",le=\"+Inf\"} 9\n\
+        t_seconds_sum{stage=\"b\"} 0.0\nt_seconds_count{stage=\"b\"} 0\n\
+        t_seconds_bucket{stage=\"b\",le=\"0.5\"} 0\nt_seconds_bucket{stage=\"b\",le=\"+Inf\"} 0\n# EOF\n";
+    let found = page::metrics(page, 5, 8);
+    let [metric] = found.as_slice() else { panic!("{found:?}") };
+    assert_eq!((&metric["name"], &metric["description"]), (&json!("t_seconds"), &json!("Time.")));
+    let points = metric["histogram"]["dataPoints"].as_array().unwrap();
+    assert_eq!(points.len(), 2);
+    let first = &points[0];
+    assert_eq!((&first["count"], &first["sum"]), (&json!("9"), &json!(1.5)));
+    assert_eq!(first["explicitBounds"], json!([0.5, 1.0]));
+    assert_eq!(first["bucketCounts"], json!(["2", "5", "2"]));
+    assert_eq!(first["attributes"], json!([{ "key": "stage", "value": { "stringValue": "a" } }]));
+    assert_eq!((&first["startTimeUnixNano"], &first["timeUnixNano"]), (&json!("5"), &json!("8")));
+    assert_eq!(points[1]["bucketCounts"], json!(["0", "0"]));
+}
+
+#[test]
+fn a_collectors_url_is_understood_or_refused() {
+    for (text, meant) in [
+        ("http://127.0.0.1:4318", "http://127.0.0.1:4318/v1/metrics"),
+        ("http://collector", "http://collector:4318/v1/metrics"),
+        ("http://[::1]:80/x/v1/metrics", "http://[::1]:80/x/v1/metrics"),
+    ] {
+        let collector: Collector = text.parse().unwrap();
+        assert_eq!(collector.to_string(), meant);
+        assert_eq!(meant.parse::<Collector>().unwrap(), collector);
+    }
+    for text in ["", "collector:4318", "https://collector", "http://user@collector", "grpc://collector:4317"] {
+        assert!(text.parse::<Collector>().is_err(), "{text}");
+    }
+}
