@@ -18,9 +18,17 @@ use gnomon_protocol::{
 
 use crate::common::Random;
 
-/// Noise, the seeds, and damaged seeds, `rounds` of each.
+/// Noise, the seeds, and damaged seeds, `rounds` of each. With `GNOMON_FUZZ_SEEDS=FOLDER` the seeds are written there for the targets.
 fn drive(entry: fn(&[u8]), seeds: &[Vec<u8>], rounds: u32) {
     let mut random = Random(1);
+    if let Some(folder) = std::env::var_os("GNOMON_FUZZ_SEEDS") {
+        // A test is called as its target is.
+        let folder = std::path::Path::new(&folder).join(std::thread::current().name().unwrap());
+        std::fs::create_dir_all(&folder).unwrap();
+        for (index, seed) in seeds.iter().enumerate() {
+            std::fs::write(folder.join(index.to_string()), seed).unwrap();
+        }
+    }
     for seed in seeds {
         entry(seed);
         // Every prefix, where there are not too many.

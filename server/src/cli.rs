@@ -92,6 +92,12 @@ pub struct Flags {
     /// Time of each device that admitted sessions may need in a second; whoever would need more is refused [default: 900]
     #[arg(long, env = "GNOMON_DEVICE_BUDGET_MS", value_name = "MS")]
     pub device_budget_ms: Option<u32>,
+    /// Time of all cores that sessions' encoding may need in a second; whoever would need more is refused [default: 800 a core]
+    #[arg(long, env = "GNOMON_CORES_BUDGET_MS", value_name = "MS")]
+    pub cores_budget_ms: Option<u32>,
+    /// What sessions may be sent in a second; whoever would need more is refused [default: no bound]
+    #[arg(long, env = "GNOMON_NETWORK_BUDGET_MBIT", value_name = "MBIT")]
+    pub network_budget_mbit: Option<u32>,
     /// Admit only clients with a token that this file lists; `gnomon-server token` makes its entries
     #[arg(long, env = "GNOMON_TOKEN_FILE", value_name = "FILE")]
     pub token_file: Option<PathBuf>,
@@ -179,6 +185,8 @@ impl Flags {
         set_some(&mut config.threads, &self.threads);
         set_some(&mut config.devices, &self.devices);
         set(&mut config.device_budget_ms, &self.device_budget_ms);
+        set_some(&mut config.cores_budget_ms, &self.cores_budget_ms);
+        set_some(&mut config.network_budget_mbit, &self.network_budget_mbit);
         set_some(&mut config.token_file, &self.token_file);
         set(&mut config.max_sessions, &self.max_sessions);
         set(&mut config.max_sessions_per_address, &self.max_sessions_per_address);
@@ -237,6 +245,8 @@ mod tests {
             "--threads=2",
             "--devices=3",
             "--device-budget-ms=600",
+            "--cores-budget-ms=500",
+            "--network-budget-mbit=400",
             "--token-file=t",
             "--max-sessions=5",
             "--max-sessions-per-address=4",
@@ -267,6 +277,8 @@ mod tests {
             threads: NonZeroUsize::new(2),
             devices: NonZeroUsize::new(3),
             device_budget_ms: 600,
+            cores_budget_ms: Some(500),
+            network_budget_mbit: Some(400),
             token_file: Some("t".into()),
             max_sessions: 5,
             max_sessions_per_address: 4,

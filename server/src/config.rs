@@ -43,6 +43,10 @@ pub struct ServerConfig {
     pub devices: Option<NonZeroUsize>,
     /// Time of each device that admitted sessions may need in a second, in milliseconds. A client that would need more is refused.
     pub device_budget_ms: u32,
+    /// Time of all cores together that admitted sessions' encoding may need in a second, in milliseconds; 800 of each core without it.
+    pub cores_budget_ms: Option<u32>,
+    /// What admitted sessions may be sent in a second, in Mbit; without it the network is not budgeted.
+    pub network_budget_mbit: Option<u32>,
     /// File with the tokens that admit a client, one a line; without it everybody is admitted.
     pub token_file: Option<PathBuf>,
     /// Sessions that are served at once.
@@ -92,6 +96,8 @@ impl Default for ServerConfig {
             threads: None,
             devices: None,
             device_budget_ms: 900,
+            cores_budget_ms: None,
+            network_budget_mbit: None,
             token_file: None,
             max_sessions: 64,
             max_sessions_per_address: 16,
@@ -312,6 +318,8 @@ impl ServerConfig {
             range("devices", devices.get() as u64, 1, limits::MAX_DEVICES)?;
         }
         range("device_budget_ms", self.device_budget_ms.into(), 1, 1_000_000)?;
+        range("cores_budget_ms", self.cores_budget_ms.unwrap_or(1).into(), 1, 1_000_000)?;
+        range("network_budget_mbit", self.network_budget_mbit.unwrap_or(1).into(), 1, 10_000_000)?;
         let text = |key, text: &Option<String>| {
             let most = gnomon_protocol::limits::MAX_TEXT_BYTES;
             match text {

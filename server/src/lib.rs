@@ -7,9 +7,12 @@ mod admin;
 #[cfg(feature = "agones")]
 mod agones;
 pub mod cli;
+pub mod clock;
 pub mod config;
 pub mod error;
 mod files;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod limits;
 mod metrics;
 mod net;

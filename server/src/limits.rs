@@ -11,7 +11,7 @@
 //! | messages a second | [`MAX_MESSAGES_PER_SECOND`] | the session ends |
 //! | streams | [`MAX_BIDI_STREAMS`], [`MAX_UNI_STREAMS`], [`STREAM_RECEIVE_WINDOW_BYTES`] unread | flow control |
 //! | sessions | `max_sessions`, of one address `max_sessions_per_address` | refused, `cause="full"`, `"address"` |
-//! | the devices' time, of all | `device_budget_ms` | refused with the reason, `cause="budget"` |
+//! | the devices' time, the cores' and the network's, of all | `device_budget_ms`, `cores_budget_ms`, `network_budget_mbit` | refused with the reason, `cause="budget"` |
 //! | poses a second | [`MAX_POSES_PER_SECOND`] | dropped, `outcome="over_rate"` |
 //! | unread poses | [`DATAGRAM_RECEIVE_BUFFER_BYTES`] | the oldest are dropped, `outcome="unread"` |
 //! | bytes a second | [`MAX_CLIENT_BYTES_PER_SECOND`] | its next mask waits |

@@ -129,6 +129,7 @@ impl Server {
             addresses: Addresses::new(config.max_sessions_per_address, false),
             metrics,
             admission: Admission::new(config.max_sessions),
+            plan: session::plan::Plan::new(&config, cores),
             phase: phase_seen,
             encoders: Arc::new(Semaphore::new(cores)),
             handshake_timeout: config.handshake_timeout(),

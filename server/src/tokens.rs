@@ -29,7 +29,7 @@ use subtle::ConstantTimeEq as _;
 use thiserror::Error;
 use time::{Date, Month, Time, UtcOffset};
 
-use crate::{config, files, limits};
+use crate::{clock, config, files, limits};
 
 /// SHA-256 of a token.
 type Digest = [u8; 32];
@@ -72,7 +72,7 @@ fn session_only() -> Vec<Scope> {
 
 /// A listed token, checked.
 #[derive(Debug, Clone)]
-struct Listed {
+pub(crate) struct Listed {
     digest: Digest,
     expires_unix_s: Option<i64>,
     scopes: Vec<Scope>,
@@ -174,7 +174,7 @@ impl TokenStore {
     /// # Errors
     /// Says why it is not.
     pub(crate) fn admit(&self, token: Option<&str>, scope: Scope) -> Result<(), TokenProblem> {
-        self.examine(token, scope, unix_s(SystemTime::now()), true)
+        self.examine(token, scope, unix_s(clock::wall()), true)
     }
 
     /// As [`Self::admit`], but spends nothing.
@@ -182,7 +182,7 @@ impl TokenStore {
     /// # Errors
     /// Says why it is not good.
     pub(crate) fn check(&self, token: Option<&str>, scope: Scope) -> Result<(), TokenProblem> {
-        self.examine(token, scope, unix_s(SystemTime::now()), false)
+        self.examine(token, scope, unix_s(clock::wall()), false)
     }
 
     fn examine(&self, token: Option<&str>, scope: Scope, now_unix_s: i64, spend: bool) -> Result<(), TokenProblem> {
@@ -209,9 +209,17 @@ impl TokenStore {
 }
 
 fn read(path: &Path) -> Result<Vec<Listed>, TokenError> {
-    let malformed = |reason: String| TokenError::Malformed { path: path.to_owned(), reason };
     let bytes = files::read_small(path, limits::MAX_TOKEN_FILE_BYTES)
         .map_err(|reason| TokenError::Read { path: path.to_owned(), reason })?;
+    parse(path, bytes)
+}
+
+/// The tokens that these bytes of a file list.
+///
+/// # Errors
+/// When they are malformed, or list no token for sessions.
+pub(crate) fn parse(path: &Path, bytes: Vec<u8>) -> Result<Vec<Listed>, TokenError> {
+    let malformed = |reason: String| TokenError::Malformed { path: path.to_owned(), reason };
     let text = String::from_utf8(bytes).map_err(|_| malformed("it is no UTF-8".to_owned()))?;
     // The parser quotes what it cannot read, which may be a bare token: only the place is told.
     let file: File = toml::from_str(&text).map_err(|error| malformed(config::place_of(&error, &text)))?;
@@ -238,7 +246,7 @@ pub fn make(name: &str, days: Option<u32>, scopes: &[Scope], once: bool) -> Resu
     let mut secret = [0; 32];
     SystemRandom::new().fill(&mut secret).map_err(|_| TokenError::Random)?;
     let token = hex(&secret);
-    let expires = days.and_then(|days| datetime(unix_s(SystemTime::now()) + i64::from(days) * 24 * 3600));
+    let expires = days.and_then(|days| datetime(unix_s(clock::wall()) + i64::from(days) * 24 * 3600));
     let entry =
         Entry { name: name.to_owned(), sha256: hex(&sha256(token.as_bytes())), expires, scopes: scopes.to_vec(), once };
     debug_assert!(token.len() <= MAX_TOKEN_BYTES);

@@ -4,6 +4,8 @@
 //! [`camera::Camera`] and splice their WGSL from the same shared parts, so that a pixel means the same point at both ends.
 
 pub mod camera;
+#[doc(hidden)]
+pub mod fuzzing;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod host;

@@ -25,7 +25,7 @@ use rustls::{
 };
 use thiserror::Error;
 
-use crate::{config::ServerConfig, files, limits};
+use crate::{clock, config::ServerConfig, files, limits};
 
 /// The file of the kept certificate and its key.
 const IDENTITY_FILE: &str = "identity.pem";
@@ -106,6 +106,8 @@ impl Files {
 #[derive(Debug)]
 struct BrowserCertificate {
     key: Arc<CertifiedKey>,
+    /// It is not valid yet before, as when the clock was set back.
+    begins_at: SystemTime,
     renew_at: SystemTime,
 }
 
@@ -125,7 +127,7 @@ impl Certificates {
             }
         };
         let kept = Mutex::new(Arc::new(files.read(&provider)?));
-        let browser = Mutex::new(BrowserCertificate::make(&provider, SystemTime::now())?);
+        let browser = Mutex::new(BrowserCertificate::make(&provider, clock::wall())?);
         Ok(Self { files, kept, browser, provider })
     }
 
@@ -150,7 +152,7 @@ impl Certificates {
 
     /// SHA-256 of the certificate that browsers see now, in hexadecimal.
     pub(crate) fn browser_sha256(&self) -> String {
-        self.sha256(&self.browser_key(SystemTime::now()))
+        self.sha256(&self.browser_key(clock::wall()))
     }
 
     fn sha256(&self, key: &CertifiedKey) -> String {
@@ -162,7 +164,7 @@ impl Certificates {
 
     fn browser_key(&self, now: SystemTime) -> Arc<CertifiedKey> {
         let mut browser = self.browser.lock().unwrap_or_else(PoisonError::into_inner);
-        if now >= browser.renew_at {
+        if now >= browser.renew_at || now < browser.begins_at {
             match BrowserCertificate::make(&self.provider, now) {
                 Ok(renewed) => *browser = renewed,
                 // The old one is still good for days, and the next handshake tries again.
@@ -176,7 +178,7 @@ impl Certificates {
 impl ResolvesServerCert for Certificates {
     fn resolve(&self, hello: ClientHello<'_>) -> Option<Arc<CertifiedKey>> {
         let native = hello.alpn().is_some_and(|mut offered| offered.any(|alpn| alpn == ALPN_NATIVE));
-        Some(if native { self.kept() } else { self.browser_key(SystemTime::now()) })
+        Some(if native { self.kept() } else { self.browser_key(clock::wall()) })
     }
 }
 
@@ -195,7 +197,7 @@ impl BrowserCertificate {
         let key = PrivateKeyDer::Pkcs8(PrivatePkcs8KeyDer::from(key.serialize_der()));
         let key = CertifiedKey::from_der(vec![certificate.der().clone()], key, provider)
             .map_err(|error| CertificateError::Make(error.to_string()))?;
-        Ok(Self { key: Arc::new(key), renew_at: now + BROWSER_LIFE / 2 })
+        Ok(Self { key: Arc::new(key), begins_at: now - BROWSER_BACKDATE, renew_at: now + BROWSER_LIFE / 2 })
     }
 }
 
@@ -331,6 +333,9 @@ mod tests {
         assert!(Arc::ptr_eq(&first, &certificates.browser_key(now + BROWSER_LIFE / 3)));
         let renewed = certificates.browser_key(now + BROWSER_LIFE / 2 + Duration::from_secs(60));
         assert!(!Arc::ptr_eq(&first, &renewed));
+        // The clock was set back: a browser would say that it is not valid yet. A little is within its age.
+        assert!(Arc::ptr_eq(&renewed, &certificates.browser_key(now + BROWSER_LIFE / 2)));
+        assert!(!Arc::ptr_eq(&renewed, &certificates.browser_key(now)));
         assert!(BROWSER_LIFE <= Duration::from_secs(14 * 24 * 3600), "browsers refuse longer lives");
     }
 }

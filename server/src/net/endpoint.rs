@@ -22,6 +22,7 @@ use super::{
     socket::{CountingSocket, SocketCounts},
 };
 use crate::{
+    clock::SteadyClock,
     config::{ServerConfig, Transport},
     limits,
     metrics::Metrics,
@@ -168,6 +169,8 @@ fn quic_config(
     server
         .max_incoming(limits::MAX_HANDSHAKES)
         .incoming_buffer_size(limits::INCOMING_BUFFER_BYTES)
+        // How old a Retry token is does not change because somebody sets the clock.
+        .time_source(Arc::new(SteadyClock::new()))
         .incoming_buffer_size_total(limits::INCOMING_BUFFER_TOTAL_BYTES)
         .transport_config(Arc::new(transport_config(config).map_err(|error| tls_error(&error))?));
     Ok(server)

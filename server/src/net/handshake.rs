@@ -20,7 +20,7 @@ use crate::{
     limits::LINGER,
     metrics::RefusalCause,
     net::addresses::Held,
-    session::{Services, admission::Slot},
+    session::{Services, admission::Slot, plan::Share},
     tokens::{Scope, TokenProblem},
     visibility::{engine::OpenError, port::SessionPort},
 };
@@ -39,6 +39,8 @@ pub(crate) struct Admitted {
     pub(crate) client: String,
     /// Its share of what its address may have.
     pub(crate) held: Held,
+    /// Its part of what cores and network bear.
+    pub(crate) share: Share,
 }
 
 /// Why a peer was not admitted.
@@ -149,11 +151,13 @@ fn admit(hello: Hello, peer: SocketAddr, services: &Services) -> Result<Admitted
         OpenError::TooMuch(reason) => (RefusalCause::Budget, services.admission.busy(shortened(&reason.to_string()))),
         _ => (RefusalCause::Unsupported, Refusal::Unsupported(shortened(&error.to_string()))),
     })?;
+    let share = services.plan.take(shape, rate_hz);
+    let share = share.map_err(|scarce| (RefusalCause::Budget, services.admission.busy(scarce.to_string())))?;
     // Last, so that a token for one use is not spent in vain.
     if let Some(tokens) = services.tokens.as_ref().filter(|_| !resumes) {
         tokens.admit(token, Scope::Session).map_err(refuse)?;
     }
-    Ok(Admitted { slot, port, shape, codec: hello.codec, client: hello.client, held })
+    Ok(Admitted { slot, port, shape, codec: hello.codec, client: hello.client, held, share })
 }
 
 /// At most as much of a text as a message may carry.

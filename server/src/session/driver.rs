@@ -116,7 +116,7 @@ impl FrameSender {
     async fn send(&mut self, traced: TracedMask, ledger: &Ledger) -> Result<Mask, DriveError> {
         let TracedMask { frame, mask, ahead, received_at, cost } = traced;
         let started = Instant::now();
-        let (mask, encoded) = self.encode(mask, ahead).await?;
+        let (mask, encoded) = self.encode(mask, ahead, ledger).await?;
         let encoding = started.elapsed();
         ledger.stages.encode.record(encoding);
         let body = match (encoded, &self.workspace) {
@@ -166,21 +166,28 @@ impl FrameSender {
     }
 
     /// Encodes on a thread where it disturbs no other session's packets.
-    async fn encode(&mut self, mask: Mask, ahead: Option<Pose>) -> Result<(Mask, Result<(), EncodeError>), DriveError> {
+    async fn encode(
+        &mut self,
+        mask: Mask,
+        ahead: Option<Pose>,
+        ledger: &Ledger,
+    ) -> Result<(Mask, Result<(), EncodeError>), DriveError> {
         let broken = |reason: &str| DriveError::Encoding(reason.to_owned());
         let mut workspace = self.workspace.take().ok_or_else(|| broken("its memory is gone"))?;
         let permit = Arc::clone(&self.encoders).acquire_owned().await.map_err(|_| broken("the server has stopped"))?;
         let acknowledged = *self.acknowledged.borrow_and_update();
         let job = tokio::task::spawn_blocking(move || {
-            let _permit = permit;
+            let (_permit, begun) = (permit, Instant::now());
             let Workspace { encoder, references, body } = &mut workspace;
             if let Some(acknowledged) = acknowledged {
                 references.acknowledge(acknowledged);
             }
             let result = encoder.encode_for(ahead, references.reference(), &mask, body);
-            (workspace, mask, result)
+            (workspace, mask, result, begun.elapsed())
         });
-        let (workspace, mask, result) = job.await.map_err(|error| broken(&error.to_string()))?;
+        let (workspace, mask, result, took) = job.await.map_err(|error| broken(&error.to_string()))?;
+        ledger.frames_encoded.one();
+        ledger.encode_us.add_us(took);
         self.workspace = Some(workspace);
         Ok((mask, result))
     }

@@ -68,6 +68,10 @@ ledger! {
     poses_unread,
     /// Masks that the engine traced.
     frames_traced,
+    /// Masks that were encoded, or could not be.
+    frames_encoded,
+    /// Microseconds of a core that this took.
+    encode_us,
     /// Frames sent whole.
     frames_sent,
     /// Frames dropped: a newer mask was there before they were encoded.
@@ -158,7 +162,7 @@ impl Counter {
         self.add(u64::try_from(spent.as_micros()).unwrap_or(u64::MAX));
     }
 
-    fn get(&self) -> u64 {
+    pub(super) fn get(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 }

@@ -5,6 +5,7 @@ mod budget;
 mod driver;
 pub(crate) mod ledger;
 mod outbox;
+pub(crate) mod plan;
 mod poses;
 
 use std::{
@@ -80,6 +81,7 @@ pub(crate) struct Services {
     pub(crate) addresses: Arc<Addresses>,
     pub(crate) metrics: Arc<Metrics>,
     pub(crate) admission: Admission,
+    pub(crate) plan: plan::Plan,
     pub(crate) phase: watch::Receiver<Phase>,
     pub(crate) encoders: Arc<Semaphore>,
     pub(crate) handshake_timeout: Duration,
@@ -146,10 +148,10 @@ impl End {
 /// Serves an admitted client until it leaves, is lost, or the server stops. Its slot is free afterwards.
 pub(crate) async fn run(link: Link, admitted: Admitted, services: Arc<Services>) {
     let started_at = Instant::now();
-    let Admitted { slot, port, shape, codec, client, held } = admitted;
+    let Admitted { slot, port, shape, codec, client, held, share } = admitted;
     tracing::info!(client, width = shape.width(), height = shape.height(), %codec, "session started");
     let closer = link.data.closer();
-    let ledger = Arc::new(Ledger::default());
+    let ledger = share.ledger();
     let about = About {
         id: slot.id.0,
         client: client.clone(),
@@ -188,7 +190,7 @@ pub(crate) async fn run(link: Link, admitted: Admitted, services: Arc<Services>)
     // It closes the ledger.
     drop(opened);
     ledger.totals().log_end(&client, started_at.elapsed(), end.reason());
-    drop((slot, held));
+    drop((slot, held, share));
 }
 
 /// What frames need, until the client says Start.

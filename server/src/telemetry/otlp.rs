@@ -11,7 +11,7 @@ use std::{
     fmt,
     str::FromStr,
     sync::Arc,
-    time::{Duration, SystemTime, UNIX_EPOCH},
+    time::{Duration, UNIX_EPOCH},
 };
 
 use http_body_util::{BodyExt as _, Full, Limited};
@@ -30,7 +30,7 @@ use tokio::{
     time::{MissedTickBehavior, timeout},
 };
 
-use crate::{admin::Sources, limits::MAX_OTLP_ANSWER_BYTES};
+use crate::{admin::Sources, clock, limits::MAX_OTLP_ANSWER_BYTES};
 
 /// Time between reports.
 const PERIOD: Duration = Duration::from_secs(10);
@@ -155,7 +155,7 @@ impl Collector {
 
 /// Nanoseconds since 1970 by the wall clock, which may step: a collector takes points as they are stamped.
 fn unix_ns() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let since = clock::wall().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
 }
 

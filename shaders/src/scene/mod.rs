@@ -12,7 +12,7 @@ mod lights_file;
 pub mod limits;
 mod load;
 mod normals;
-mod pack;
+pub(crate) mod pack;
 mod picture;
 mod summary;
 

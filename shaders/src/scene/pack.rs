@@ -111,10 +111,7 @@ impl Scene {
             |what, bytes, limit| if bytes <= limit { Ok(()) } else { Err(PackError::Size { what, bytes, limit }) };
         size("before compression", raw.len() as u64, MAX_UNPACKED_BYTES)?;
 
-        let mut packed = MAGIC.to_vec();
-        packed.extend(VERSION.to_le_bytes());
-        packed.extend((raw.len() as u64).to_le_bytes());
-        packed.extend(block::compress(&raw));
+        let packed = seal(&raw);
         size("packed", packed.len() as u64, MAX_PACKED_BYTES)?;
         Ok(packed)
     }
@@ -174,6 +171,15 @@ impl Scene {
         scene.check()?;
         Ok(scene)
     }
+}
+
+/// The header, and the compressed bytes behind it.
+pub(crate) fn seal(raw: &[u8]) -> Vec<u8> {
+    let mut packed = MAGIC.to_vec();
+    packed.extend(VERSION.to_le_bytes());
+    packed.extend((raw.len() as u64).to_le_bytes());
+    packed.extend(block::compress(raw));
+    packed
 }
 
 fn decompress(bytes: &[u8]) -> Result<Vec<u8>, PackError> {

@@ -1,0 +1,10 @@
+//! See `gnomon_shaders::fuzzing::gltf` for the properties.
+
+#![no_main]
+
+use std::{path::PathBuf, sync::LazyLock};
+
+static FILE: LazyLock<PathBuf> =
+    LazyLock::new(|| std::env::temp_dir().join(format!("gnomon-fuzz-{}.glb", std::process::id())));
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| gnomon_shaders::fuzzing::gltf(bytes, &FILE));

@@ -1,0 +1,112 @@
+//! Promise: somebody sets the wall clock by hours, forwards and back, while sessions run. They go on, tokens and certificates end as the
+//! clock says, and no time in the log is negative.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+#[path = "../../server/tests/support/scene.rs"]
+mod scene;
+
+use std::{fs, net::Ipv4Addr, path::Path, time::Duration};
+
+use gnomon_client::{
+    ClientError,
+    camera_path::CameraPath,
+    probe::{ProbeOptions, ProbeReport, run_probe},
+};
+use gnomon_protocol::codec::CodecId;
+use gnomon_server::{
+    RunningServer, Server,
+    clock::step,
+    config::{Backend, LogFormat, ServerConfig},
+    telemetry,
+    tokens::{self, Scope},
+};
+use serde_json::{Value, json};
+use tokio::runtime::Runtime;
+
+const HOUR_S: i64 = 3600;
+const DAY_S: i64 = 24 * HOUR_S;
+
+fn start(runtime: &Runtime, folder: &Path, tokens: &str) -> RunningServer {
+    fs::write(folder.join("tokens.toml"), tokens).unwrap();
+    let config = ServerConfig {
+        scene: Some(scene::write(folder)),
+        listen: (Ipv4Addr::LOCALHOST, 0).into(),
+        backend: Backend::Cpu,
+        cert_dir: Some(folder.join("cert")),
+        token_file: Some(folder.join("tokens.toml")),
+        drain_ms: 0,
+        ..ServerConfig::default()
+    };
+    runtime.block_on(Server::start(config)).unwrap()
+}
+
+fn path(folder: &Path) -> CameraPath {
+    let keyframe = |t: f64| json!({ "t": t, "pos": [0.1 * t, 2.5, 0.5], "target": [0.0, 0.0, 0.0] });
+    let path = json!({ "yfov_deg": 60.0, "camera_path": { "keyframes": [keyframe(0.0), keyframe(30.0)] } });
+    let file = folder.join("path.json");
+    fs::write(&file, path.to_string()).unwrap();
+    CameraPath::load(&file.to_str().unwrap().parse().unwrap()).unwrap()
+}
+
+#[test]
+fn sessions_go_on_and_what_has_an_end_ends_as_the_clock_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log");
+    let logs = telemetry::init(LogFormat::Json, Some(&log)).unwrap();
+    let runtime = Runtime::new().unwrap();
+    let (for_a_day, day_entry) = tokens::make("day", Some(1), &[Scope::Session], false).unwrap();
+    let (for_ever, ever_entry) = tokens::make("ever", None, &[Scope::Session], false).unwrap();
+    let server = start(&runtime, folder.path(), &(day_entry + &ever_entry));
+    let path = path(folder.path());
+    let run = |token: &str, frames: u32| -> Result<ProbeReport, ClientError> {
+        let options = ProbeOptions {
+            url: server.url().parse().unwrap(),
+            token: Some(token.to_owned()),
+            width: 64,
+            height: 36,
+            codec: CodecId::PlanesLz4,
+            frames,
+            fps: Some(20.0),
+            start_time_s: 0.0,
+            connect_timeout: ProbeOptions::CONNECT_TIMEOUT,
+        };
+        run_probe(runtime.handle(), &options, &path)
+    };
+    let refused = |token: &str| run(token, 1).unwrap_err().to_string();
+    let browsers = server.browser_certificate_sha256().unwrap();
+    std::thread::scope(|scope| {
+        let long = scope.spawn(|| run(&for_a_day, 120));
+        while server.sessions() == 0 {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        // Forwards beyond the token's end and the browsers' certificate's: the session that it opened goes on.
+        step::set(14 * DAY_S);
+        assert!(refused(&for_a_day).contains("token"), "{}", refused(&for_a_day));
+        assert_eq!(run(&for_ever, 5).unwrap().poses, 5);
+        let renewed = server.browser_certificate_sha256().unwrap();
+        assert_ne!(renewed, browsers);
+        // Back before its beginning, when what was renewed is not valid yet.
+        step::set(-6 * HOUR_S);
+        assert_eq!(run(&for_a_day, 5).unwrap().poses, 5);
+        assert_ne!(server.browser_certificate_sha256().unwrap(), renewed);
+        let session = long.join().unwrap().unwrap();
+        assert!(session.masks * 2 > u64::from(session.poses), "{} of {} masks", session.masks, session.poses);
+    });
+    step::set(0);
+    runtime.block_on(server.shutdown());
+    drop(logs);
+    let text = fs::read_to_string(&log).unwrap();
+    let mut ended = 0;
+    for line in text.lines() {
+        let entry: Value = serde_json::from_str(line).unwrap();
+        for (name, value) in entry["fields"].as_object().unwrap() {
+            assert!(value.as_f64().is_none_or(|value| value >= 0.0), "{name} in {line}");
+        }
+        if entry["fields"]["message"] == "session ended" {
+            ended += 1;
+            let seconds = entry["fields"]["seconds"].as_f64().unwrap();
+            assert!(seconds < 3600.0, "it lasted as long as it did, whatever the clock said: {line}");
+        }
+    }
+    assert_eq!(ended, 3, "{text}");
+}
