@@ -7,7 +7,7 @@ help:
 	@echo 'make test   the whole suite; wants GNOMON_SCENES=DIR, the folder with the real scenes'
 	@echo 'make lint   fmt and clippy, warnings denied'
 	@echo 'make deny   licences, bans and sources of every dependency'
-	@echo 'make fuzz   every fuzz target for SECONDS=60; wants nightly Rust and cargo-fuzz'
+	@echo 'make fuzz   every fuzz target for SECONDS=60, on all cores; wants a C++ compiler'
 
 setup:
 	@deploy/setup
@@ -36,5 +36,6 @@ deny:
 
 SECONDS ?= 60
 fuzz:
-	cd protocol && for target in $$(cargo +nightly fuzz list); do \
-	  cargo +nightly fuzz run $$target -- -max_total_time=$(SECONDS) -rss_limit_mb=1024 || exit 1; done
+	GNOMON_FUZZ_SEEDS=$(CURDIR)/target/fuzz-run/seeds cargo test -p gnomon-protocol -p gnomon-shaders --test fuzz_smoke
+	protocol/fuzz/build target/fuzz-run --features server
+	target/fuzz-run/run $(SECONDS) target/fuzz-run/out

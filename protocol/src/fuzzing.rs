@@ -1,12 +1,15 @@
 //! Properties that hold for any bytes. The fuzz targets (`protocol/fuzz`) and the stable smoke test
 //! (`tests/fuzz_smoke.rs`) call these; nothing else should. Each panics when its property does not hold.
 //!
-//! One target, for a minute, in `protocol/`: `cargo +nightly fuzz run reassembler -- -max_total_time=60`.
+//! All targets, for a minute, with the stable toolchain: `make fuzz` (`protocol/fuzz/build` and `run`).
+
+mod slices;
 
 use std::num::NonZeroU16;
 
 use serde::{Serialize, de::DeserializeOwned};
 
+pub use self::slices::slices;
 use crate::{
     acknowledgement::Acknowledgement,
     codec::{CodecId, Decoder, Encoder, Reference},

@@ -1,5 +1,5 @@
 //! The fuzz targets' entry points on the stable toolchain: noise, valid inputs, and valid inputs that were damaged.
-//! Seeded, so that a failure comes again. The targets themselves run under `cargo fuzz` (see `protocol/fuzz`).
+//! Seeded, so that a failure comes again. The targets themselves run by `make fuzz` (see `protocol/fuzz`).
 
 mod common;
 
@@ -154,6 +154,14 @@ fn codec() {
         }
     }
     drive(fuzzing::codec, &seeds, 4_000);
+}
+
+#[test]
+fn slices() {
+    let mut random = Random(4);
+    let seeds: Vec<Vec<u8>> =
+        (0..40).map(|pick| [vec![pick, pick / 5], (0..200).map(|_| random.byte()).collect()].concat()).collect();
+    drive(fuzzing::slices, &seeds, 4_000);
 }
 
 #[test]
