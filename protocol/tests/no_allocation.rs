@@ -4,7 +4,10 @@
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
-    cell::Cell,
+    sync::{
+        Mutex,
+        atomic::{AtomicU64, Ordering},
+    },
 };
 
 use gnomon_protocol::{
@@ -17,17 +20,22 @@ use gnomon_protocol::{
     references::{KeptMasks, SentMasks},
 };
 
-/// The system's allocator, counting what each thread asks it for.
+/// The system's allocator, counting what it is asked for by any thread, since frames are coded on several.
 struct Counting;
 
-thread_local! {
-    static COUNT: Cell<u64> = const { Cell::new(0) };
+static COUNT: AtomicU64 = AtomicU64::new(0);
+
+/// One test at a time, so that none counts what another takes.
+static TURN: Mutex<()> = Mutex::new(());
+
+fn count() -> u64 {
+    COUNT.load(Ordering::Relaxed)
 }
 
 // SAFETY: all calls go to the system's allocator as they are; counting touches no memory of theirs.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        COUNT.set(COUNT.get() + 1);
+        COUNT.fetch_add(1, Ordering::Relaxed);
         // SAFETY: the caller's promises are the same.
         unsafe { System.alloc(layout) }
     }
@@ -38,7 +46,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        COUNT.set(COUNT.get() + 1);
+        COUNT.fetch_add(1, Ordering::Relaxed);
         // SAFETY: the caller's promises are the same.
         unsafe { System.realloc(pointer, layout, size) }
     }
@@ -60,6 +68,7 @@ fn mask(shape: MaskShape, step: u32) -> Mask {
 
 #[test]
 fn a_warm_session_with_references_takes_no_memory() {
+    let _turn = TURN.lock();
     let shape = MaskShape::new(333, 222, 4).unwrap();
     let masks = [0, 5, 9].map(|step| mask(shape, step));
     let (mut encoder, mut decoder) = (Encoder::new(CodecId::TilesSmall), Decoder::new());
@@ -67,7 +76,7 @@ fn a_warm_session_with_references_takes_no_memory() {
     let (mut body, mut received, mut counts) = (Vec::new(), Mask::new(shape), Vec::new());
     for frame in 0..24 {
         let sent = &masks[frame as usize % 3];
-        let before = COUNT.get();
+        let before = count();
         encoder.encode_for(None, sent_masks.reference(), sent, &mut body).unwrap();
         sent_masks.keep(&encoder, FrameNumber(frame));
         let named = Frame::parse(&body).unwrap().head.reference;
@@ -75,7 +84,7 @@ fn a_warm_session_with_references_takes_no_memory() {
         let reference = named.and_then(|name| kept_masks.reference(name));
         decoder.decode_onto(reference, &body, &mut received).unwrap();
         sent_masks.acknowledge(kept_masks.keep(&decoder, FrameNumber(frame)).unwrap());
-        counts.push(COUNT.get() - before);
+        counts.push(count() - before);
         assert!(received == *sent);
     }
     assert!(counts[0] > 0, "{counts:?}");
@@ -84,6 +93,7 @@ fn a_warm_session_with_references_takes_no_memory() {
 
 #[test]
 fn a_warm_session_takes_no_memory() {
+    let _turn = TURN.lock();
     let shape = MaskShape::new(333, 222, 4).unwrap();
     let masks = [0, 5, 9].map(|step| mask(shape, step));
     for codec in CodecId::ALL {
@@ -94,7 +104,7 @@ fn a_warm_session_takes_no_memory() {
         let mut counts = Vec::new();
         for frame in 0..12 {
             let sent = &masks[frame as usize % 3];
-            let before = COUNT.get();
+            let before = count();
             encoder.encode(sent, &mut body).unwrap();
             let mut complete = false;
             for packet in packetizer.packets(FrameNumber(frame), frame, &body).unwrap() {
@@ -102,11 +112,39 @@ fn a_warm_session_takes_no_memory() {
             }
             assert!(complete);
             decoder.decode(reassembler.frame().unwrap().body, &mut received).unwrap();
-            counts.push(COUNT.get() - before);
+            counts.push(count() - before);
             assert!(received == *sent);
         }
         // Warm after all masks have been seen once; that counting works, the first frame shows.
         assert!(counts[0] > 0, "{codec}: {counts:?}");
         assert_eq!(counts[3..], [0; 9], "{codec}: {counts:?}");
     }
+}
+
+/// Within the pool: rayon's queue of what comes from outside takes memory of its own now and then.
+#[test]
+fn a_warm_session_whose_frames_are_shared_out_to_cores_takes_no_memory() {
+    let _turn = TURN.lock();
+    let shape = MaskShape::new(1280, 720, 3).unwrap();
+    let masks = [0, 5, 9].map(|step| mask(shape, step));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+    let counts = pool.install(|| {
+        let (mut encoder, mut decoder) = (Encoder::new(CodecId::TilesSmall), Decoder::new());
+        let (mut sent_masks, mut kept_masks) = (SentMasks::default(), KeptMasks::default());
+        let (mut body, mut received, mut counts) = (Vec::with_capacity(1 << 20), Mask::new(shape), Vec::new());
+        for frame in 0..24 {
+            let sent = &masks[frame as usize % 3];
+            let before = count();
+            encoder.encode_for(None, sent_masks.reference(), sent, &mut body).unwrap();
+            sent_masks.keep(&encoder, FrameNumber(frame));
+            let named = Frame::parse(&body).unwrap().head.reference;
+            let reference = named.and_then(|name| kept_masks.reference(name));
+            decoder.decode_onto(reference, &body, &mut received).unwrap();
+            sent_masks.acknowledge(kept_masks.keep(&decoder, FrameNumber(frame)).unwrap());
+            counts.push(count() - before);
+            assert!(received == *sent);
+        }
+        counts
+    });
+    assert_eq!(counts[12..], [0; 12], "{counts:?}");
 }

@@ -364,13 +364,13 @@ impl Decoder {
     ) -> Result<(), DecodeError> {
         let way = tiles::Way::new(profile, reference);
         self.tiles.begin(way.is_kept().then_some(mask.shape()));
-        for (slice, part) in Frame::parts(body).enumerate() {
-            for (_, bytes) in part?.slices() {
-                let decoded = self.tiles.decode(way, bytes, mask);
-                decoded.map_err(|failure| DecodeError::of_tiles(slice, failure))?;
-            }
-        }
-        Ok(())
+        Frame::parts(body).try_for_each(|part| part.map(drop))?;
+        let slices = || {
+            let parts = Frame::parts(body).map_while(Result::ok).enumerate();
+            parts.flat_map(|(slice, part)| part.slices().map(move |(_, bytes)| (slice, bytes)))
+        };
+        let decoded = self.tiles.decode(way, slices, mask);
+        decoded.map_err(|(slice, failure)| DecodeError::of_tiles(slice, failure))
     }
 
     /// Makes a reference of the mask that was decoded last, as `frame`. Says no, and leaves `reference` as it is, where not all

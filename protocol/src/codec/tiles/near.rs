@@ -22,10 +22,9 @@ pub(super) struct Near<'a> {
 }
 
 impl<'a> Near<'a> {
-    /// What is known around block `number` of a slice that begins with block `first`.
+    /// What is known around block `number` of a slice that begins with block `first`; `before` are the blocks between.
     #[inline(always)]
-    pub(super) fn new(blocks: &'a [Known], order: &Order, place: Place, first: usize, number: usize) -> Self {
-        let before = &blocks[first..number];
+    pub(super) fn new(before: &'a [Known], order: &Order, place: Place, first: usize, number: usize) -> Self {
         let known = |number: Option<usize>| number.and_then(|number| before.get(number.wrapping_sub(first)));
         let around = order.around(number, place);
         Self {
