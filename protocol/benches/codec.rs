@@ -4,12 +4,14 @@
 //! cargo bench -p gnomon-protocol --bench codec
 //! ```
 //!
+//! What shares a frame out to several cores is timed on one, two and four threads, as far as there are so many.
+//!
 //! The mask is made up: 1920×1080 pixels, four lights, shadows of discs, one light in four with edges as ragged as leaves have
 //! them. The reference is the same mask three pixels earlier.
 
 #![allow(missing_docs, clippy::unwrap_used, reason = "a benchmark that fails has nothing to say")]
 
-use std::hint::black_box;
+use std::{hint::black_box, num::NonZeroUsize};
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use gnomon_protocol::{
@@ -54,14 +56,24 @@ fn codecs(criterion: &mut Criterion) {
     let with_reference = [(CodecId::TilesSmall, Some(&reference))];
     for (codec, reference) in plain.chain(with_reference) {
         let name = if reference.is_some() { format!("{codec} with a reference") } else { codec.to_string() };
-        let (mut encoder, mut decoder, mut decoded) = (Encoder::new(codec), Decoder::new(), mask.clone());
-        criterion.bench_function(&format!("encode/{name}"), |bencher| {
-            bencher.iter(|| encoder.encode_for(None, reference, black_box(&mask), &mut body).unwrap());
-        });
-        criterion.bench_function(&format!("decode/{name}"), |bencher| {
-            bencher.iter(|| decoder.decode_against(reference, black_box(&body), &mut decoded).unwrap());
-        });
-        assert!(decoded == mask, "{name} changes the mask");
+        let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
+        for threads in [1, 2, 4].into_iter().filter(|threads| *threads == 1 || (codec.is_sliced() && *threads <= cores))
+        {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let name = if codec.is_sliced() { format!("{name}, threads: {threads}") } else { name.clone() };
+            let (mut encoder, mut decoder, mut decoded) = (Encoder::new(codec), Decoder::new(), mask.clone());
+            criterion.bench_function(&format!("encode/{name}"), |bencher| {
+                pool.install(|| {
+                    bencher.iter(|| encoder.encode_for(None, reference, black_box(&mask), &mut body).unwrap())
+                });
+            });
+            criterion.bench_function(&format!("decode/{name}"), |bencher| {
+                pool.install(|| {
+                    bencher.iter(|| decoder.decode_against(reference, black_box(&body), &mut decoded).unwrap());
+                });
+            });
+            assert!(decoded == mask, "{name} changes the mask");
+        }
     }
     let planes: Vec<u8> = mask.words().iter().flat_map(|word| word.to_le_bytes()).collect();
     let mut compressed = vec![0; lz4_flex::block::get_maximum_output_size(planes.len())];

@@ -21,4 +21,4 @@ pub mod reassembler;
 pub mod references;
 
 /// Version of everything in this crate that a peer can see. Peers with different versions refuse each other.
-pub const PROTOCOL_VERSION: u16 = 4;
+pub const PROTOCOL_VERSION: u16 = 5;

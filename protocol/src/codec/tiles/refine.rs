@@ -2,7 +2,7 @@
 //!
 //! For each place first whether all lights are as expected with the expected vector. If not, the vector, and for each light
 //! whether its block is as expected; of the others which tiles are not, and the rows of these: one bit where nothing changes
-//! around, and its pixels otherwise. A pixel's context is the three above, the one to the left, the nine around it in the reference:
+//! around, or else one for those pixels around which nothing changes, and each of the others. A pixel's context is the three above, the one to the left, the nine around it in the reference:
 //! JBIG2's refinement template (ITU-T T.88, §6.3.5.3); and what in the light before was not as expected here.
 
 use super::{
@@ -23,6 +23,8 @@ pub(super) struct RefineStates {
     pub(super) tile: [State; 162],
     pub(super) kind: [[State; 2]; 12],
     pub(super) still: [State; 24],
+    /// Whether the steady pixels of a row are as what is around them.
+    pub(super) steady: [State; 16],
     pub(super) pixel: [State; PIXELS],
 }
 
@@ -138,7 +140,8 @@ pub(super) fn code(
             });
             let byte = match still {
                 Some((context, value)) if bits.bit(&mut states.still[context], own == value) => value,
-                _ => template.code(bits, &mut states.pixel, own),
+                Some(_) => template.code(bits, &mut states.pixel, own),
+                None => template.code_changing(bits, states, own),
             };
             coded |= u64::from(byte) << shift;
         }
@@ -151,6 +154,15 @@ pub(super) fn code(
 #[expect(clippy::cast_possible_truncation, reason = "the lowest byte is wanted")]
 const fn byte_of(word: u64) -> u32 {
     word as u32 & 0xFF
+}
+
+/// Pixels of eight around which nothing changes: nearly always they are as what is around them.
+#[derive(Debug, Clone, Copy)]
+struct Steady {
+    /// Which of the pixels they are.
+    pixels: u32,
+    /// Those that should be lit.
+    lit: u32,
 }
 
 /// What is known around eight pixels.
@@ -173,15 +185,56 @@ impl Template {
         (over == all && same == all && under == all && self.above == all).then_some(all & 0xFF)
     }
 
+    /// The pixels around which nothing changes, neither above nor in the reference, and where the light before was as expected.
+    #[inline(always)]
+    fn steady(&self) -> Steady {
+        let [over, same, under] = self.lines;
+        let three = |row: u32| row & row >> 1 & row >> 2 & !self.other & 0xFF;
+        let lit = three(over & same & under & self.above);
+        Steady { pixels: lit | three(!(over | same | under | self.above)), lit }
+    }
+
+    /// One bit says of all steady pixels that they are as they should, which are about half of the pixels.
+    fn code_changing(&self, bits: &mut impl Bits, states: &mut RefineStates, truth: u32) -> u32 {
+        let steady = self.steady();
+        if steady.pixels != 0 {
+            let beside = self.other & 0xFF != 0;
+            let of = (steady.pixels.count_ones() - 1) << 1 | u32::from(beside);
+            if bits.bit(&mut states.steady[of as usize % 16], (truth ^ steady.lit) & steady.pixels == 0) {
+                return self.code_unsteady(bits, &mut states.pixel, truth, steady);
+            }
+        }
+        self.code(bits, &mut states.pixel, truth)
+    }
+
+    #[inline(always)]
+    fn code_unsteady(&self, bits: &mut impl Bits, states: &mut [State; PIXELS], truth: u32, steady: Steady) -> u32 {
+        // With the pixel to the left.
+        let (mut coded, mut rest, mut hot) = (steady.lit << 1 | self.before, !steady.pixels & 0xFF, bits.hot());
+        while rest != 0 {
+            let x = rest.trailing_zeros();
+            rest &= rest - 1;
+            let state = &mut states[self.context(x, coded >> x & 1) as usize % PIXELS];
+            coded |= u32::from(bits.bit_in(&mut hot, state, truth >> x & 1 == 1)) << (x + 1);
+        }
+        bits.set_hot(hot);
+        coded >> 1
+    }
+
+    /// Of pixel `x`, with the one to its left.
+    #[inline(always)]
+    fn context(&self, x: u32, before: u32) -> u32 {
+        let [over, same, under] = self.lines;
+        let three = |window: u32| window >> x & 7;
+        let around = three(over) | three(same) << 3 | three(under) << 6 | three(self.above) << 9 | before << 12;
+        around | (self.other >> x & 1) << 13 | (self.other >> (x + 8) & 1) << 14
+    }
+
     #[inline(always)]
     fn code(&self, bits: &mut impl Bits, states: &mut [State; PIXELS], truth: u32) -> u32 {
-        let [over, same, under] = self.lines;
         let (mut coded, mut before, mut hot) = (0, self.before, bits.hot());
         for x in 0..8 {
-            let three = |window: u32| window >> x & 7;
-            let around = three(over) | three(same) << 3 | three(under) << 6 | three(self.above) << 9 | before << 12;
-            let context = around | (self.other >> x & 1) << 13 | (self.other >> (x + 8) & 1) << 14;
-            let state = &mut states[context as usize % PIXELS];
+            let state = &mut states[self.context(x, before) as usize % PIXELS];
             before = u32::from(bits.bit_in(&mut hot, state, truth >> x & 1 == 1));
             coded |= before << x;
         }
@@ -193,12 +246,12 @@ impl Template {
 impl RefineStates {
     /// All states, in the order of their file.
     pub(super) fn all(&mut self) -> impl Iterator<Item = &mut State> {
-        let Self { place, motion: MotionStates { own, axes }, block, tile, kind, still, pixel } = self;
+        let Self { place, motion: MotionStates { own, axes }, block, tile, kind, still, steady, pixel } = self;
         let axes = axes.iter_mut().flat_map(|AxisStates { differs, negative, longer, rest }| {
             differs.iter_mut().chain([negative]).chain(longer).chain(rest)
         });
         let few = place.iter_mut().chain(own).chain(axes).chain(block).chain(tile);
-        few.chain(kind.as_flattened_mut()).chain(still).chain(pixel)
+        few.chain(kind.as_flattened_mut()).chain(still).chain(steady).chain(pixel)
     }
 
     /// States that have counted nothing.
@@ -212,6 +265,7 @@ impl RefineStates {
             tile: [none; 162],
             kind: [[none; 2]; 12],
             still: [none; 24],
+            steady: [none; 16],
             pixel: [none; PIXELS],
         }
     }
