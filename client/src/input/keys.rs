@@ -66,7 +66,7 @@ pub const HELP: [(&str, &str); 16] = [
     ("P", "picture to a PNG file"),
     ("O", "figures and choices"),
     ("V", "next debug view"),
-    ("B", "split: on the right without visibility, or a local reference"),
+    ("B", "right half: without visibility, or a local reference"),
     ("1 to 9", "each light on and off"),
     ("0", "1 to 9 mean the next nine lights"),
     ("R M G", "predictor, mode, guard band"),

@@ -66,9 +66,7 @@ pub(crate) fn show(context: &egui::Context, settings: &mut Settings, figures: &F
         egui::Area::new(egui::Id::unique("overlay")).anchor(Align2::LEFT_TOP, [8.0, 8.0]).show(context, |ui| {
             frame().show(ui, |ui| {
                 ui.set_width(252.0);
-                // As high as it takes, unless the window is lower.
-                let most = (height - 40.0).max(60.0);
-                egui::ScrollArea::vertical().max_height(most).min_scrolled_height(most).show(ui, |ui| {
+                scrolled(ui, height, |ui| {
                     if let Some(now) = figures.now() {
                         rows(ui, &now, about);
                     }
@@ -105,6 +103,12 @@ pub(crate) fn show(context: &egui::Context, settings: &mut Settings, figures: &F
     if settings.help {
         help(context);
     }
+}
+
+/// As high as it takes, unless the window is lower.
+fn scrolled(ui: &mut egui::Ui, window: f32, add: impl FnOnce(&mut egui::Ui)) {
+    let most = (window - 40.0).max(60.0);
+    egui::ScrollArea::vertical().max_height(most).min_scrolled_height(most).show(ui, add);
 }
 
 fn state_name(state: State) -> &'static str {
@@ -200,17 +204,20 @@ fn choice<T: Copy + PartialEq + std::fmt::Display>(ui: &mut egui::Ui, name: &str
 }
 
 fn help(context: &egui::Context) {
+    let height = context.content_rect().height();
     egui::Area::new(egui::Id::unique("help")).anchor(Align2::CENTER_CENTER, [0.0, 0.0]).show(context, |ui| {
         frame().show(ui, |ui| {
-            ui.label(RichText::new("Keys").size(18.0).strong());
-            egui::Grid::new("keys").num_columns(2).spacing([18.0, 4.0]).show(ui, |ui| {
-                for (keys, meaning) in HELP {
-                    ui.label(RichText::new(keys).color(ORANGE).strong());
-                    ui.label(meaning);
-                    ui.end_row();
-                }
+            scrolled(ui, height, |ui| {
+                ui.label(RichText::new("Keys").size(18.0).strong());
+                egui::Grid::new("keys").num_columns(2).spacing([18.0, 4.0]).show(ui, |ui| {
+                    for (keys, meaning) in HELP {
+                        ui.label(RichText::new(keys).color(ORANGE).strong());
+                        ui.label(meaning);
+                        ui.end_row();
+                    }
+                });
+                ui.label("Gamepad: sticks walk and look, triggers climb.");
             });
-            ui.label("Gamepad: sticks walk and look, triggers climb.");
         });
     });
 }
