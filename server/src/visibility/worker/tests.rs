@@ -162,3 +162,19 @@ fn an_interrupted_frame_ends_with_its_session_and_begins_anew_when_buffers_grow(
         }
     }
 }
+
+#[test]
+fn a_long_frame_begins_while_as_many_short_ones_fly_as_may() {
+    let mut rig = Rig::new(compute());
+    let modest: Vec<SessionPort> = (0..4).map(|_| rig.open(SHORT)).collect();
+    let mut greedy = rig.open(LONG);
+    for port in &modest {
+        ask(port, 5, SHORT);
+    }
+    while rig.worker.work().unwrap() {}
+    assert_eq!(rig.worker.flying.len(), RING_FRAMES, "the fourth has no room");
+    ask(&greedy, 6, LONG);
+    assert!(rig.worker.work().unwrap());
+    assert_eq!(rig.interrupted(), 1);
+    assert_eq!(rig.mask(&mut greedy).frame, FrameNumber(6));
+}

@@ -134,11 +134,11 @@ impl Worker {
         let longest_whole_ms = self.longest_whole.get(active.map(|need| need.cost_ms));
         match &mut self.backend {
             Backend::Compute(backend) => {
-                let slots = backend.free_slots();
+                let (slots, flying) = (backend.free_slots(), self.flying.len());
                 Room {
-                    whole: self.flying.len() < RING_FRAMES && slots > 0,
-                    // Slots are left for the frames that overtake it.
-                    begin: slots > RING_FRAMES,
+                    whole: flying < RING_FRAMES && slots > 0,
+                    // As many as may fly at once find a slot, however many are interrupted.
+                    begin: slots > 0 && slots + flying > RING_FRAMES,
                     part: backend.submissions_open() < PARTS_IN_FLIGHT,
                     longest_whole_ms,
                 }
@@ -250,6 +250,8 @@ impl Worker {
     /// Waits up to `patience` for the oldest submission, then hands out all frames that have landed.
     pub(super) fn land(&mut self, patience: Duration) -> Result<(), BackendError> {
         if let Backend::Compute(backend) = &mut self.backend {
+            // A long mask is read a piece at a time, and not waited for in between.
+            let patience = if backend.has_landed()? { Duration::ZERO } else { patience };
             backend.wait(patience)?;
         }
         while let (Some(job), Backend::Compute(backend)) = (self.flying.front_mut(), &mut self.backend) {

@@ -217,19 +217,26 @@ impl ComputeBackend {
         self.failure.take().map_or(Ok(()), |reason| Err(BackendError::Device(reason)))
     }
 
+    /// Whether the frame that was wholly submitted first has been seen to be in the host's memory.
+    ///
+    /// # Errors
+    /// When the device has failed to bring it there.
+    pub fn has_landed(&self) -> Result<bool, BackendError> {
+        match (&self.ring, self.in_flight.front()) {
+            (Some(ring), Some(oldest)) => ring.slots[oldest.lease.slot()].is_ready().map_err(BackendError::Device),
+            _ => Ok(false),
+        }
+    }
+
     /// Collects the frame that was wholly submitted first, waiting for the device up to `patience`. `None` when there is none, or not in
     /// time, or when a long one has been read in part only: ask again. `mask` takes the frame's shape, and every word of it is written.
     ///
     /// # Errors
     /// When the device has failed: it cannot be used any more.
     pub fn collect(&mut self, patience: Duration, mask: &mut Mask) -> Result<Option<TraceCost>, BackendError> {
-        let is_ready = |backend: &Self| match (&backend.ring, backend.in_flight.front()) {
-            (Some(ring), Some(oldest)) => ring.slots[oldest.lease.slot()].is_ready().map_err(BackendError::Device),
-            _ => Ok(false),
-        };
-        if !is_ready(self)? {
+        if !self.has_landed()? {
             self.wait(patience)?;
-            if !is_ready(self)? {
+            if !self.has_landed()? {
                 return Ok(None);
             }
         }
