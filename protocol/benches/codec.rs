@@ -64,7 +64,7 @@ fn codecs(criterion: &mut Criterion) {
             let (mut encoder, mut decoder, mut decoded) = (Encoder::new(codec), Decoder::new(), mask.clone());
             criterion.bench_function(&format!("encode/{name}"), |bencher| {
                 pool.install(|| {
-                    bencher.iter(|| encoder.encode_for(None, reference, black_box(&mask), &mut body).unwrap())
+                    bencher.iter(|| encoder.encode_for(None, reference, black_box(&mask), &mut body).unwrap());
                 });
             });
             criterion.bench_function(&format!("decode/{name}"), |bencher| {

@@ -12,7 +12,7 @@ use super::{
 };
 
 /// Bits that a vector of its own is thought to cost, in wrong pixels.
-const OWN_COST: u32 = 3;
+const OWN_COST: u32 = 2;
 
 /// Wrong pixels for each light from which on far steps are tried.
 const FAR_COST: u32 = 24;

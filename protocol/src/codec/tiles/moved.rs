@@ -186,7 +186,10 @@ impl Memory {
 
         let certain = above.zip(left).is_some_and(|(above, left)| run.vectors[above] == run.vectors[left]);
         let best = if truth.is_some() {
-            let near = [left, above, Some(number), Some(number + 1), Some(number + 4)];
+            // Also those that a decoder of this slice does not know.
+            let within = |block: Option<usize>| Some(block?.checked_sub(from)? / order.lights);
+            let (left, above) = (within(around.left), within(around.above));
+            let near = [left, above, number.checked_sub(1), Some(number), Some(number + 1), Some(number + 4)];
             let known = near.into_iter().flatten().filter_map(|place| run.vectors.get(place).copied());
             Search { reference, place, own, expected: guess }.best(known.chain([Vector::default()]), thorough)
         } else {
