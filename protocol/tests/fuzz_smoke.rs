@@ -1,6 +1,8 @@
 //! The fuzz targets' entry points on the stable toolchain: noise, valid inputs, and valid inputs that were damaged.
 //! Seeded, so that a failure comes again. The targets themselves run by `make fuzz` (see `protocol/fuzz`).
 
+#![allow(clippy::unwrap_used, reason = "helpers outside the test functions use it too")]
+
 mod common;
 
 use std::num::NonZeroU16;

@@ -160,7 +160,7 @@ impl Workspace {
         let order = Order::new(mask.shape());
         self.blocks.make_room(&order, way);
         self.begin(way.is_kept().then_some(mask.shape()));
-        let cuts = self.shares.of_mask(&order, mask);
+        let cuts = self.shares.of_mask(way, &order, mask);
         make_lanes(&mut self.lanes, cuts.runs());
         let bits_bytes = slice_bytes.saturating_sub(SLICE_HEAD_BYTES);
         let lanes = &mut self.lanes[..cuts.runs()];

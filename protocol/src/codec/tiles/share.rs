@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::order::Order;
+use super::{Way, order::Order};
 use crate::mask::Mask;
 
 /// Runs at most: what each of them ends with is a slice that is not full.
@@ -10,6 +10,9 @@ const MAX_RUNS: usize = 4;
 
 /// Mixed tiles that are worth a run of their own. A frame of so few takes half a millisecond.
 const RUN_MIXED_TILES: u32 = 2000;
+
+/// The same where most of them are as in the reference.
+const RUN_MOVED_TILES: u32 = 5000;
 
 /// Bytes of slices that are worth a core of their own.
 const RUN_BYTES: usize = 3000;
@@ -82,7 +85,7 @@ pub(super) struct Shares {
 
 impl Shares {
     /// Shares as many mixed tiles out to each run.
-    pub(super) fn of_mask(&mut self, order: &Order, mask: &Mask) -> Cuts {
+    pub(super) fn of_mask(&mut self, way: Way<'_>, order: &Order, mask: &Mask) -> Cuts {
         let tiles = mask.shape().tiles();
         let mut sum = 0;
         self.mixed.clear();
@@ -95,7 +98,8 @@ impl Shares {
         }
         let mut cuts = Cuts::WHOLE;
         let most = u32::try_from(MAX_RUNS).unwrap_or(1);
-        let runs = (sum / RUN_MIXED_TILES).clamp(1, most);
+        let worth = if let Way::Moved(_) = way { RUN_MOVED_TILES } else { RUN_MIXED_TILES };
+        let runs = (sum / worth).clamp(1, most);
         for run in 1..runs {
             let place = self
                 .mixed
