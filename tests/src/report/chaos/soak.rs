@@ -1,7 +1,11 @@
 //! Clients that come and go for a long time: what stays behind of them.
 
 use std::{
-    sync::atomic::{AtomicU32, Ordering},
+    collections::BTreeMap,
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicU32, Ordering},
+    },
     thread::sleep,
     time::{Duration, Instant},
 };
@@ -41,7 +45,7 @@ pub fn measure(part: &SoakPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>>
     let mut server = part.server.start(&[])?;
     let process = server.program().id();
     let probes = Probes::of(&part.server, server.url())?;
-    let (running, done, failed) = (AtomicU32::new(0), AtomicU32::new(0), AtomicU32::new(0));
+    let (running, done, failed) = (AtomicU32::new(0), AtomicU32::new(0), Mutex::new(BTreeMap::<String, u32>::new()));
     let length = Duration::from_secs(part.seconds.into());
     let warm = length / 5;
     let (early, late) = std::thread::scope(|scope| {
@@ -55,8 +59,13 @@ pub fn measure(part: &SoakPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>>
                 let ask = Ask { size: SIZES[number as usize % SIZES.len()], fps: Some(10.0), frames: 5 };
                 let (running, done, failed, probes) = (&running, &done, &failed, &probes);
                 scope.spawn(move || {
-                    let ran = probes.run(ask, number);
-                    if ran.is_ok() { done } else { failed }.fetch_add(1, Ordering::Relaxed);
+                    match probes.run(ask, number) {
+                        Ok(_) => _ = done.fetch_add(1, Ordering::Relaxed),
+                        Err(error) => {
+                            let mut failed = failed.lock().unwrap_or_else(PoisonError::into_inner);
+                            *failed.entry(error.to_string()).or_default() += 1;
+                        }
+                    }
                     running.fetch_sub(1, Ordering::AcqRel);
                 });
             }
@@ -73,7 +82,10 @@ pub fn measure(part: &SoakPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>>
         sleep(Duration::from_secs(3));
         Ok::<_, anyhow::Error>((early.context("it was too short")?, usage(process)?))
     })?;
-    let (done, failed) = (done.into_inner(), failed.into_inner());
+    let (done, reasons) = (done.into_inner(), failed.into_inner().unwrap_or_else(PoisonError::into_inner));
+    let failed: u32 = reasons.values().sum();
+    // Addresses make many of one; a few tell enough.
+    let reasons: String = reasons.iter().take(3).map(|(reason, times)| format!("; {times} × {reason}")).collect();
     let growth = mib(late.resident_bytes) - mib(early.resident_bytes);
     let outcome = server.stop().context("stopping the server")?;
     // Cores of a machine are lent to others now and then; the sessions that were, count.
@@ -94,7 +106,7 @@ pub fn measure(part: &SoakPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>>
         ),
         Finding::new(
             "every session is served and ends",
-            format!("{done} served, {failed} not; the server counted {sessions} ends"),
+            format!("{done} served, {failed} not; the server counted {sessions} ends{reasons}"),
             failed == 0 && sessions == done as usize,
         ),
     ])
