@@ -275,11 +275,13 @@ impl Live {
         let response = asked.sent_at.map(|sent| received.received_at.saturating_duration_since(sent));
         let before = self.current.filter(|before| before.view == traced_for);
         let as_of = before.map_or(asked.frame, |before| before.as_of.max(asked.frame));
+        // More of the mask that there was: how long that took has been measured.
+        let more = self.current.is_some_and(|current| current.asked.frame == asked.frame);
         self.current =
             Some(Current { asked, view: traced_for, as_of, bytes: received.payload_bytes, packets: received.packets });
         // What a repeated pose took says nothing about the server (Karn's rule for round trips): taken for a response, a
         // lost frame would make the next loss cost twice as much.
-        if self.repeated != Some(asked.frame) {
+        if self.repeated != Some(asked.frame) && !more {
             let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
             self.slowest_response = response.map(|response| response.max(faded)).or(self.slowest_response);
             let way = asked.sent_at.map(|sent| shown_at.saturating_duration_since(sent));

@@ -8,7 +8,7 @@
 
 mod stage;
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, time::Duration};
 
 use gnomon_client::{ClientError, run_headless};
 use gnomon_protocol::{
@@ -140,6 +140,22 @@ fn what_comes_of_a_sliced_frame_is_shown() {
         // A mask of which something is missing is not one to keep.
         assert_eq!(saved_masks(&folder.path().join("masks")), BTreeMap::new());
     }
+}
+
+/// The frame has come out without it by then: nothing waits for a packet longer than 25 ms.
+#[test]
+fn a_slice_that_is_late_is_still_taken_up() {
+    let script = Script { held: Some((1, Duration::from_millis(60))), ..Script::default() };
+    let stage = Stage::start("lab-udp", script);
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = stage.options(folder.path());
+    (options.codec, options.frames, options.fps) = (CodecId::TilesSmall, Some(12), Some(4.0));
+    let summary = run_headless(&options).unwrap();
+    assert_eq!((summary.frames_bad, summary.frames_incomplete), (0, 0));
+    // The last one may not have come yet.
+    assert!(summary.frames_received >= 8 && summary.frames_partial <= 1, "{summary:?}");
+    // Whole masks are acknowledged, also those that were shown in part before.
+    assert!(stage.referenced() >= 6, "{} frames with references", stage.referenced());
 }
 
 #[test]

@@ -260,8 +260,8 @@ impl<'a> Frame<'a> {
 
 /// What the packets of a frame carry, at most `most` bytes each: all but the last are full, and of a frame that is sliced
 /// each carries one part. A body that is no frame, or whose parts are too long, is cut anywhere.
-pub fn pieces(body: &[u8], most: usize) -> impl Iterator<Item = &[u8]> {
-    let parts = || {
+pub fn pieces(body: &[u8], most: usize) -> impl Iterator<Item = &[u8]> + Clone + use<'_> {
+    let parts = move || {
         let mut rest = body;
         std::iter::from_fn(move || {
             let (_, after) = Frame::parse_part(rest).ok().filter(|(part, _)| part.head.codec.is_sliced())?;

@@ -13,12 +13,15 @@ pub use self::slices::slices;
 use crate::{
     acknowledgement::Acknowledgement,
     codec::{CodecId, Decoder, Encoder, Reference},
+    fec::ParityEncoder,
     frame::{Frame, FrameHead},
     header::{HEADER_BYTES, PacketHeader},
     ids::FrameNumber,
-    limits::{MAX_LIGHTS, MAX_MESSAGE_BYTES, MAX_PIXELS},
+    limits::{MAX_LIGHTS, MAX_MESSAGE_BYTES, MAX_PACKET_BYTES, MAX_PIXELS},
+    loss::LossFeedback,
     mask::{Mask, MaskShape},
     message::{self, CheckText, ClientMessage, ServerMessage},
+    packetizer::Packetizer,
     pose::{Pose, decode_pose_packet, encode_pose_packet},
     reassembler::{Policy, Progress, Reassembler},
 };
@@ -112,8 +115,13 @@ pub fn moved(bytes: &[u8]) {
     }
 }
 
-/// An acknowledgement that decodes encodes to the same bytes, but for the digest of no frame.
+/// An acknowledgement that decodes encodes to the same bytes, but for the digest of no frame; what is told of losses does too, and
+/// neither is the other.
 pub fn acknowledgement(bytes: &[u8]) {
+    if let Ok(feedback) = LossFeedback::decode(bytes) {
+        assert_eq!(feedback.encode(), bytes);
+        assert!(Acknowledgement::decode(bytes).is_err());
+    }
     if let Ok(acknowledgement) = Acknowledgement::decode(bytes) {
         let compared = if acknowledgement.mask.is_some() { bytes.len() } else { HEADER_BYTES };
         assert_eq!(acknowledgement.encode()[..compared], bytes[..compared]);
@@ -175,8 +183,10 @@ fn reassemble(policy: Policy, bytes: &[u8]) {
         }
         if let Some(frame) = frame {
             complete += u64::from(frame.missing == 0);
-            assert!(newest < Some(frame.frame), "{newest:?}, then {frame:?}");
-            newest = Some(frame.frame);
+            // A frame that came out in part comes out again with more of it.
+            assert!(newest < Some((frame.frame, frame.packets)), "{newest:?}, then {frame:?}");
+            assert!(frame.known_bytes < frame.body.len());
+            newest = Some((frame.frame, frame.packets));
             assert!((1..=MAX_BODY_BYTES).contains(&frame.body.len()));
             assert!(frame.body.len() >= usize::from(frame.packets));
             assert!(frame.missing == 0 || policy == Policy::Slices);
@@ -190,11 +200,57 @@ fn reassemble(policy: Policy, bytes: &[u8]) {
                 }
             }
         }
+        if rest.len() % 3 == 0 && reassembler.so_far() {
+            let frame = reassembler.frame().map(|frame| (frame.frame, frame.packets));
+            assert!(frame.is_some() && newest < frame, "{newest:?}, then {frame:?}");
+            newest = frame;
+        }
         assert!(reassembler.buffer_bytes() <= if policy == Policy::Slices { 2 } else { 1 } * MAX_BODY_BYTES);
     }
     let stats = reassembler.stats();
     assert_eq!((stats.packets, stats.frames_complete), (packets, complete));
     assert_eq!(stats.stored + stats.ignored() + stats.malformed, packets);
+}
+
+/// Whatever parity comes beside a frame's packets, what has come of these stays as it is, in order, and memory is bounded.
+///
+/// The first byte says how many packets (low four bits) and parity packets the frame has. Then each three bytes send one of them: its
+/// place, a place in it, and what that byte is changed by, of parity only.
+pub fn parity(bytes: &[u8]) {
+    let Some((&counts, steps)) = bytes.split_first() else { return };
+    let body: Vec<u8> = (0..=counts & 15).flat_map(|piece| [piece + 1; 9]).collect();
+    let (mut packetizer, mut encoder) = (Packetizer::new(HEADER_BYTES + 9), ParityEncoder::default());
+    let mut packets: Vec<Vec<u8>> = Vec::new();
+    if let Ok(honest) = packetizer.packets(FrameNumber(1), 1, &body) {
+        packets.extend(honest.map(Vec::from));
+    }
+    let honest = packets.len();
+    let parity = encoder.encode(packetizer.pieces(&body), counts >> 4);
+    packets.extend(packetizer.parity_packets(FrameNumber(1), 1, parity).map(Vec::from));
+    let mut reassembler = Reassembler::with_max_frame_bytes(Policy::Slices, 4 * MAX_BODY_BYTES);
+    let mut came = Vec::new();
+    for &[place, at, change] in steps.as_chunks::<3>().0 {
+        let place = usize::from(place) % packets.len();
+        let mut packet = packets[place].clone();
+        // The frame's number stays, and that it is parity.
+        let at = usize::from(at) % packet.len();
+        if place >= honest && !(4..12).contains(&at) {
+            packet[at] ^= change;
+        }
+        let progress = reassembler.push(&packet);
+        if place < honest {
+            match progress {
+                Ok(Progress::Stored | Progress::Complete) => came.extend_from_slice(&packets[place][HEADER_BYTES..]),
+                progress => assert!(matches!(progress, Ok(Progress::Ignored(_))), "{progress:?}"),
+            }
+        }
+        if let Some(frame) = reassembler.frame() {
+            assert!(frame.body.starts_with(&came) && frame.missing == 0);
+            // Where only parity has come, there is nothing that contradicts it.
+            assert!(came.is_empty() || usize::from(frame.packets) == honest);
+        }
+        assert!(reassembler.parity_bytes() <= 2 * 255 * MAX_PACKET_BYTES);
+    }
 }
 
 /// Packets of an honest frame: 1 to 7.

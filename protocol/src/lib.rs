@@ -7,12 +7,14 @@
 pub mod acknowledgement;
 pub mod codec;
 pub mod congestion;
+pub mod fec;
 pub mod frame;
 #[doc(hidden)]
 pub mod fuzzing;
 pub mod header;
 pub mod ids;
 pub mod limits;
+pub mod loss;
 pub mod mask;
 pub mod message;
 pub mod packetizer;

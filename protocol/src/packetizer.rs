@@ -6,6 +6,7 @@ use bytes::{Bytes, BytesMut};
 use thiserror::Error;
 
 use crate::{
+    fec::Parity,
     frame::pieces,
     header::{HEADER_BYTES, PacketHeader},
     ids::FrameNumber,
@@ -70,6 +71,17 @@ impl Packetizer {
         body.len() + self.packet_count(body) * HEADER_BYTES
     }
 
+    /// What each of a body's packets carries.
+    pub fn pieces<'a>(&self, body: &'a [u8]) -> impl Iterator<Item = &'a [u8]> + Clone + use<'a> {
+        pieces(body, self.payload_bytes)
+    }
+
+    /// The most that a packet carries, for who cuts bodies elsewhere.
+    #[must_use]
+    pub const fn payload_bytes(&self) -> usize {
+        self.payload_bytes
+    }
+
     /// Sequence number of the next packet.
     #[must_use]
     pub const fn next_sequence(&self) -> u32 {
@@ -116,6 +128,32 @@ impl Packetizer {
             buffer.extend_from_slice(payload);
             buffer.split().freeze()
         }))
+    }
+
+    /// The parity packets of the frame whose [`Self::packets`] were made last, all of them.
+    pub fn parity_packets<'a>(
+        &'a mut self,
+        frame: FrameNumber,
+        timestamp_ms: u32,
+        parity: Parity<'a>,
+    ) -> impl Iterator<Item = Bytes> + 'a {
+        self.buffer.reserve(parity.bytes() + parity.count() * HEADER_BYTES);
+        let Self { next_sequence, buffer, .. } = self;
+        parity.data().map(move |data| {
+            let header = PacketHeader {
+                sequence: *next_sequence,
+                frame: Some(frame),
+                // Parity is made of packets that were not longer.
+                data_bytes: u16::try_from(data.len()).unwrap_or(u16::MAX),
+                frame_packets: None,
+                first: false,
+                timestamp_ms: Some(timestamp_ms.min(u32::MAX - 1)),
+            };
+            *next_sequence = next_sequence.wrapping_add(1);
+            buffer.extend_from_slice(&header.encode());
+            buffer.extend_from_slice(data);
+            buffer.split().freeze()
+        })
     }
 }
 

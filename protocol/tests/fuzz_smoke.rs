@@ -199,3 +199,18 @@ fn reassembler() {
     let bent: Vec<u8> = bent.collect();
     drive(fuzzing::reassembler, &[all, some, mixed, bent], 10_000);
 }
+
+#[test]
+fn parity() {
+    // All but some packets, honest or not, and everything twice.
+    let seeds = [
+        [
+            &[0x3A][..],
+            &[0, 0, 0, 2, 0, 0, 3, 0, 0, 4, 0, 0, 5, 0, 0, 7, 0, 0, 8, 0, 0, 9, 0, 0, 11, 0, 0, 12, 0, 0, 13, 0, 0],
+        ]
+        .concat(),
+        [&[0x20][..], &[1, 16, 3, 2, 0, 1, 0, 0, 0]].concat(),
+        [&[0x11][..], &[2, 18, 4, 2, 20, 9, 1, 0, 0, 0, 0, 0]].concat(),
+    ];
+    drive(fuzzing::parity, &seeds, 20_000);
+}

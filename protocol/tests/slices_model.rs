@@ -1,5 +1,5 @@
-//! Under the `Slices` policy, whatever the network does to a stream of packets: what comes of a frame before it ends comes
-//! out, once, and decodes onto the mask before it.
+//! Under the `Slices` policy, whatever the network does to a stream of packets and whenever somebody looks: what comes of a frame
+//! before it ends comes out, each packet's data as new once, and decodes onto the mask before it.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -7,7 +7,7 @@ mod common;
 
 use bytes::Bytes;
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder},
+    codec::{CodecId, Decoder, Encoder, Reference},
     header::PacketHeader,
     ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
@@ -19,17 +19,27 @@ use proptest::prelude::*;
 
 use crate::common::Random;
 
-/// What came out: the frame, its packets' sequence numbers as they came, and how many did not.
-type Out = (u32, Vec<u32>, u16);
+/// What came out: the frame, its packets' sequence numbers as they came, how many did not, and how many were known.
+type Out = (u32, Vec<u32>, u16, usize);
 
 fn header(packet: &[u8]) -> PacketHeader {
     PacketHeader::decode(packet).unwrap().0
 }
 
-/// The policy in the simplest words.
-fn model(arrived: &[Bytes]) -> Vec<Out> {
-    let (mut out, mut at_hand, mut settled) = (Vec::new(), None::<(u32, Vec<u32>, u16)>, None);
-    for header in arrived.iter().map(|packet| header(packet)) {
+/// The policy in the simplest words. Nothing instead of a packet stands for a look at what there is so far.
+fn model(arrived: &[Option<Bytes>]) -> Vec<Out> {
+    let (mut out, mut at_hand, mut settled) = (Vec::new(), None::<Out>, None);
+    for packet in arrived {
+        let Some(header) = packet.as_ref().map(|packet| header(packet)) else {
+            if let Some((_, came, _, known)) = &mut at_hand
+                && came.len() > *known
+            {
+                let given = came.len();
+                out.extend(at_hand.clone());
+                at_hand.as_mut().unwrap().3 = given;
+            }
+            continue;
+        };
         let frame = header.frame.unwrap().0;
         let packets = header.frame_packets.unwrap().get();
         if settled >= Some(frame) {
@@ -39,22 +49,22 @@ fn model(arrived: &[Bytes]) -> Vec<Out> {
             // A frame that is whole at once takes the place of the part before it.
             let ended = at_hand.take().unwrap();
             settled = Some(ended.0);
-            if packets > 1 {
+            if packets > 1 && ended.1.len() > ended.3 {
                 out.push(ended);
             }
         }
         match &mut at_hand {
             Some((older, ..)) if frame < *older => continue,
-            Some((_, came, missing)) => {
+            Some((_, came, missing, _)) => {
                 if came.contains(&header.sequence) {
                     continue;
                 }
                 came.push(header.sequence);
                 *missing -= 1;
             }
-            None => at_hand = Some((frame, vec![header.sequence], packets - 1)),
+            None => at_hand = Some((frame, vec![header.sequence], packets - 1, 0)),
         }
-        if at_hand.as_ref().is_some_and(|(.., missing)| *missing == 0) {
+        if at_hand.as_ref().is_some_and(|(_, _, missing, _)| *missing == 0) {
             settled = Some(frame);
             out.extend(at_hand.take());
         }
@@ -94,24 +104,34 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn what_came_comes_out(frames in 1u32..30, n in 2u64..30, seed in any::<u64>()) {
+    fn what_came_comes_out(frames in 1u32..30, n in 2u64..30, looks in 1u64..20, seed in any::<u64>()) {
         let mut random = Random(seed);
         let packets = stream(frames, &mut random);
-        let arrived = network(&packets, n, &mut random);
+        let mut events = Vec::new();
+        for packet in network(&packets, n, &mut random) {
+            events.push(Some(packet));
+            events.extend(random.one_in(looks).then_some(None));
+        }
         let mut reassembler = Reassembler::new(Policy::Slices);
         let mut out = Vec::new();
-        for packet in &arrived {
-            let progress = reassembler.push(packet).unwrap();
+        for event in &events {
+            let given = match event {
+                Some(packet) => matches!(reassembler.push(packet).unwrap(), Progress::Complete | Progress::Partial),
+                None => reassembler.so_far(),
+            };
             let frame = reassembler.frame();
-            prop_assert_eq!(frame.is_some(), matches!(progress, Progress::Complete | Progress::Partial));
-            out.extend(frame.map(|frame| (frame.frame.0, frame.body.to_vec(), frame.missing)));
+            prop_assert_eq!(frame.is_some(), given);
+            out.extend(frame.map(|frame| (frame.frame.0, frame.body.to_vec(), frame.missing, frame.known_bytes)));
             prop_assert!(frame.is_none_or(|frame| frame.body.len() == usize::from(frame.packets)));
         }
-        let expected: Vec<_> = model(&arrived)
+        let byte = |sequence: &u32| sequence.to_le_bytes()[0];
+        let expected: Vec<_> = model(&events)
             .into_iter()
-            .map(|(frame, came, missing)| (frame, came.iter().map(|one| one.to_le_bytes()[0]).collect::<Vec<u8>>(), missing))
+            .map(|(frame, came, missing, known)| (frame, came.iter().map(byte).collect::<Vec<u8>>(), missing, known))
             .collect();
         prop_assert_eq!(out, expected);
+        let stats = reassembler.stats();
+        prop_assert_eq!(stats.stored + stats.ignored() + stats.malformed, stats.packets);
     }
 }
 
@@ -135,6 +155,7 @@ fn tiles_that_do_not_come_keep_their_value() {
         let (mut packetizer, mut reassembler) = (Packetizer::new(MAX_PACKET_BYTES), Reassembler::new(Policy::Slices));
         let (mut decoder, mut shown, mut body) = (Decoder::new(), Mask::new(shape), Vec::new());
         let mut before = Mask::new(shape);
+        let mut open = false;
         for step in 0..12 {
             let sent = disc(shape, step);
             encoder.encode(&sent, &mut body).unwrap();
@@ -145,13 +166,16 @@ fn tiles_that_do_not_come_keep_their_value() {
                 reassembler.push(packet).unwrap();
             }
             let whole = lost == packets.len();
-            assert_eq!(reassembler.end(), !whole);
-            let Some(frame) = reassembler.frame() else {
-                assert!(whole, "a whole frame has come out with its last packet");
+            open = !whole && step % 3 != 1;
+            if whole {
+                assert_eq!(reassembler.frame().unwrap().missing, 0, "it comes out with its last packet");
                 shown = sent.clone();
                 before = sent;
+                assert!(!reassembler.so_far());
                 continue;
-            };
+            }
+            assert!(reassembler.so_far());
+            let frame = reassembler.frame().unwrap();
             assert_eq!((frame.frame, frame.missing), (FrameNumber(step), 1));
             decoder.decode_onto(None, frame.body, &mut shown).unwrap();
             let words = || shown.words().iter().zip(before.words()).zip(sent.words());
@@ -160,8 +184,20 @@ fn tiles_that_do_not_come_keep_their_value() {
             let right = words().filter(|((shown, _), sent)| shown == sent).count();
             assert!(right * 2 > shape.words(), "{right}");
             before = shown.clone();
+            if step % 3 == 1 {
+                // What was late completes it, and only that is new.
+                let known = frame.body.len();
+                assert_eq!(reassembler.push(&packets[lost]), Ok(Progress::Complete));
+                let frame = reassembler.frame().unwrap();
+                assert_eq!((frame.frame, frame.missing, frame.known_bytes), (FrameNumber(step), 0, known));
+                decoder.decode_more(None, &frame.body[known..], &mut shown).unwrap();
+                assert!(shown == sent);
+                assert_eq!(decoder.keep(frame.frame, &mut Reference::new()), codec.has_references());
+                before = shown.clone();
+            }
         }
-        assert_eq!(reassembler.stats().frames_complete + reassembler.stats().frames_partial, 12);
+        // One that came in part is counted when the next one begins.
+        assert_eq!(reassembler.stats().frames_complete + reassembler.stats().frames_partial, 12 - u64::from(open));
     }
 }
 
@@ -189,7 +225,7 @@ fn a_packet_that_contradicts_its_frame_drops_it() {
         }
         assert!(matches!(reassembler.push(&bad), Err(PacketError::Contradiction { .. })));
         assert_eq!(reassembler.push(&honest[2]), Ok(Progress::Ignored(IgnoredCause::Old)));
-        assert!(!reassembler.end());
+        assert!(!reassembler.so_far());
         assert_eq!(reassembler.stats().frames_incomplete, 1);
     }
 }

@@ -1,7 +1,7 @@
 //! The receive task: packets → reassembler → decoder → back buffer → swap.
 //!
-//! Where each packet of a frame stands alone, a frame comes out in part when a newer one begins, or when what is missing of it
-//! has taken too long: tiles that did not come keep the value that they had.
+//! Where each packet of a frame stands alone, a frame comes out in part when what is missing of it takes longer than packets take
+//! of late, or a newer one begins, and once more when more of it has come: tiles that did not come keep the value that they had.
 
 use std::{
     convert::Infallible,
@@ -10,7 +10,7 @@ use std::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
     },
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use gnomon_protocol::{
@@ -20,17 +20,15 @@ use gnomon_protocol::{
     header::PacketHeader,
     ids::FrameNumber,
     limits::MAX_FRAME_BYTES,
+    loss::{FEEDBACK_INTERVAL, LossFeedback, LossMeter},
     mask::{Mask, MaskShape},
-    reassembler::{CompleteFrame, IgnoredCause, PacketError, Policy, Progress, Reassembler},
+    reassembler::{CompleteFrame, Deadline, IgnoredCause, PacketError, Policy, Progress, Reassembler},
     references::KeptMasks,
 };
 use tokio::sync::watch;
 
 use super::link::{DataReceiver, root_cause};
 use crate::mask_buffer::MaskWriter;
-
-/// How long the rest of a frame may take after its first packet: at 60 frames a second the next one comes before.
-const REST_PATIENCE: Duration = Duration::from_millis(25);
 
 /// What has come in so far.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -107,6 +105,8 @@ pub(crate) struct ReceiveTask {
     pub(crate) policy: Policy,
     /// Where it says which masks later ones can be coded against.
     pub(crate) acknowledge: watch::Sender<Option<Acknowledgement>>,
+    /// Where it tells how many packets are missing.
+    pub(crate) tell_losses: watch::Sender<Option<LossFeedback>>,
     pub(crate) counters: Counters,
     pub(crate) requested: Requested,
     /// Folder that every whole frame's body is written to.
@@ -130,7 +130,8 @@ impl ReceiveTask {
         // Masks that are written down stand alone.
         let mut decoder = FrameDecoder::new(policy, self.shape, self.save_masks.is_none());
         // When the frame at hand comes out as it is.
-        let mut deadline = None;
+        let mut deadline = Deadline::default();
+        let mut losses = Losses::default();
         // Of the reassemblers before this one.
         let mut incomplete_before = 0;
         // Whether a frame is begun, which the reassembler counts as incomplete only when it gives it up.
@@ -138,9 +139,9 @@ impl ReceiveTask {
         // The newest mask.
         let mut whole = None;
         loop {
-            let Ok(packet) = within(deadline, self.receiver.receive()).await else {
-                (deadline, begun) = (None, false);
-                reassembler.end();
+            let Ok(packet) = within(deadline.due(), self.receiver.receive()).await else {
+                deadline.given();
+                reassembler.so_far();
                 let incomplete = incomplete_before + reassembler.stats().frames_incomplete;
                 whole = self.take_frame(&reassembler, &mut decoder, incomplete)?.or(whole);
                 continue;
@@ -157,18 +158,17 @@ impl ReceiveTask {
                 incomplete_before += reassembler.stats().frames_incomplete + u64::from(begun);
                 reassembler = fresh();
             }
+            let now = Instant::now();
+            if let Some(header) = header.filter(|_| policy == Policy::Slices) {
+                self.tell_losses.send_if_modified(|told| losses.take(&header, now, told));
+            }
             let progress = reassembler.push(packet);
             let incomplete = incomplete_before + reassembler.stats().frames_incomplete;
             match progress {
-                Ok(Progress::Complete) => {
-                    begun = false;
-                    deadline = None;
-                }
-                Ok(Progress::Partial) => deadline = Some(Instant::now() + REST_PATIENCE),
-                Ok(Progress::Stored) => {
-                    begun = true;
-                    if policy == Policy::Slices {
-                        deadline = deadline.or_else(|| Some(Instant::now() + REST_PATIENCE));
+                Ok(progress @ (Progress::Stored | Progress::Partial | Progress::Complete)) => {
+                    begun = progress != Progress::Complete;
+                    if let Some(frame) = header.and_then(|header| header.frame).filter(|_| policy == Policy::Slices) {
+                        deadline.stored(now, frame, !begun);
                     }
                 }
                 Ok(Progress::Ignored(cause)) => {
@@ -218,14 +218,20 @@ impl ReceiveTask {
             tracing::warn!(frame = complete.frame.0, %reason, "a frame is no mask");
             return Ok(None);
         }
+        // What comes out once more has been counted.
+        let in_part = (complete.missing > 0).then_some(complete.frame);
+        let again = std::mem::replace(&mut decoder.in_part, in_part) == Some(complete.frame);
         if complete.missing == 0 {
             counters.frames += 1;
+            counters.partial -= u64::from(again);
             counters.payload_bytes += complete.body.len() as u64;
             counters.packets += u64::from(complete.packets);
         } else {
-            counters.partial += 1;
+            counters.partial += u64::from(!again);
         }
         drop(counters);
+        let CompleteFrame { frame, packets, restored, missing, .. } = complete;
+        tracing::debug!(frame = frame.0, packets, restored, missing, known_bytes = complete.known_bytes, "came");
         if let Some(folder) = self.save_masks.as_ref().filter(|_| complete.missing == 0) {
             let file = folder.join(format!("frame_{:06}.body", complete.frame.0));
             std::fs::write(&file, complete.body)
@@ -237,6 +243,27 @@ impl ReceiveTask {
         back.received_at = received_at;
         self.writer.publish();
         Ok(Some(complete.frame))
+    }
+}
+
+/// Counts what is missing, and tells it now and then.
+#[derive(Default)]
+struct Losses {
+    meter: LossMeter,
+    told_at: Option<Instant>,
+}
+
+impl Losses {
+    /// Counts a packet, and says whether it is time to tell `told`.
+    fn take(&mut self, header: &PacketHeader, now: Instant, told: &mut Option<LossFeedback>) -> bool {
+        self.meter.take(header.sequence);
+        let due = self.told_at.is_none_or(|at| now.saturating_duration_since(at) >= FEEDBACK_INTERVAL);
+        if due {
+            self.told_at = Some(now);
+            let sequence = told.map_or(0, |before| before.sequence.wrapping_add(1));
+            *told = Some(LossFeedback { sequence, totals: self.meter.totals() });
+        }
+        due
     }
 }
 
@@ -256,6 +283,8 @@ struct FrameDecoder {
     decoder: Decoder,
     /// The newest value of each tile, where frames come in part.
     newest: Option<Mask>,
+    /// The frame that has come out last, if it was counted as one in part.
+    in_part: Option<FrameNumber>,
     /// Nothing where frames are to stand alone.
     kept: Option<KeptMasks>,
 }
@@ -265,6 +294,7 @@ impl FrameDecoder {
         Self {
             decoder: Decoder::new(),
             newest: (policy == Policy::Slices).then(|| Mask::new(shape)),
+            in_part: None,
             kept: with_references.then(KeptMasks::default),
         }
     }
@@ -293,7 +323,11 @@ impl FrameDecoder {
         if newest.shape() != head.shape {
             newest.reset(head.shape);
         }
-        self.decoder.decode_onto(reference, frame.body, newest)?;
+        if frame.known_bytes == 0 {
+            self.decoder.decode_onto(reference, frame.body, newest)?;
+        } else {
+            self.decoder.decode_more(reference, &frame.body[frame.known_bytes..], newest)?;
+        }
         if mask.shape() != head.shape {
             mask.reset(head.shape);
         }

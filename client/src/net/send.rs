@@ -1,4 +1,4 @@
-//! The send task: the newest pose goes out, and the newest that is to be said of the masks that came; what was overtaken before its
+//! The send task: the newest pose goes out, and the newest that is to be said of the masks and packets that came; what was overtaken before its
 //! turn is not sent.
 
 use std::{convert::Infallible, io};
@@ -6,6 +6,7 @@ use std::{convert::Infallible, io};
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
     ids::FrameNumber,
+    loss::LossFeedback,
     pose::{Pose, encode_pose_packet},
 };
 use tokio::sync::watch;
@@ -20,6 +21,7 @@ pub(crate) async fn send_poses(
     mut sender: DataSender,
     mut newest: watch::Receiver<Outgoing>,
     mut acknowledged: watch::Receiver<Option<Acknowledgement>>,
+    mut losses: watch::Receiver<Option<LossFeedback>>,
 ) -> io::Result<Infallible> {
     let mut sequence = 0_u32;
     loop {
@@ -34,6 +36,16 @@ pub(crate) async fn send_poses(
                 let said = *acknowledged.borrow_and_update();
                 if let Some(said) = said {
                     sender.send(&said.encode()).await?;
+                }
+                continue;
+            }
+            changed = losses.changed() => {
+                if changed.is_err() {
+                    return std::future::pending().await;
+                }
+                let told = *losses.borrow_and_update();
+                if let Some(told) = told {
+                    sender.send(&told.encode()).await?;
                 }
                 continue;
             }

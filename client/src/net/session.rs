@@ -177,6 +177,7 @@ impl Admitted {
         let (mask_writer, mask_reader) = mask_buffer(shape);
         let (poses, outgoing) = watch::channel(None);
         let (acknowledge, acknowledged) = watch::channel(None);
+        let (tell_losses, losses) = watch::channel(None);
         let (counters, requested) = (Counters::default(), Requested::default());
         let task = ReceiveTask {
             receiver,
@@ -184,6 +185,7 @@ impl Admitted {
             shape,
             policy,
             acknowledge,
+            tell_losses,
             counters: Arc::clone(&counters),
             requested: requested.clone(),
             save_masks,
@@ -192,7 +194,8 @@ impl Admitted {
         let (leave, left) = oneshot::channel();
         let conversation = Conversation { reader, writer, round_trip: Arc::clone(&round_trip), health: health.clone() };
         let silence = watch_silence(closer.watcher(), health.clone());
-        let tasks = tokio::spawn(tasks(conversation, task, send_poses(sender, outgoing, acknowledged), silence, left));
+        let tasks =
+            tokio::spawn(tasks(conversation, task, send_poses(sender, outgoing, acknowledged, losses), silence, left));
         let session = Session { poses, counters, requested, round_trip, health, closer, leave, tasks, again };
         Ok((session, mask_reader))
     }

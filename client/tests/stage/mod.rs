@@ -7,6 +7,7 @@ use std::{
     net::{SocketAddr, TcpListener, TcpStream, UdpSocket},
     path::Path,
     sync::{Arc, Mutex},
+    time::Duration,
 };
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
@@ -16,6 +17,7 @@ use gnomon_protocol::{
     codec::{CodecId, Encoder, Reference},
     ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
     limits::{MAX_PACKET_BYTES, SCENE_CHUNK_BYTES},
+    loss::LossFeedback,
     mask::{Mask, MaskShape},
     message::{self, ClientMessage, ServerMessage, Welcome},
     packetizer::Packetizer,
@@ -32,6 +34,8 @@ const PACKET_BYTES: usize = MAX_PACKET_BYTES / 4;
 pub(crate) struct Script {
     /// Frames that lose this packet, or all of them; each entry once.
     pub(crate) lose: Vec<(u32, Option<usize>)>,
+    /// The packet that comes so long after the others of its frame, in every frame.
+    pub(crate) held: Option<(usize, Duration)>,
     /// Frames whose mask first comes in another shape.
     pub(crate) wrong_shape: Vec<u32>,
     /// Frames whose mask first comes smaller than it was asked for.
@@ -177,7 +181,7 @@ impl Stage {
     pub(crate) fn heard_bye(&self) -> bool {
         // The client has left before the server's thread has read its farewell.
         (0..500).any(|_| {
-            std::thread::sleep(std::time::Duration::from_millis(10));
+            std::thread::sleep(Duration::from_millis(10));
             self.heard.lock().unwrap().bye
         })
     }
@@ -281,6 +285,9 @@ fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: Co
             references.acknowledge(said);
             continue;
         }
+        if LossFeedback::decode(&packet).is_ok() {
+            continue;
+        }
         let (sequence, FrameNumber(frame), _) = decode_pose_packet(&packet).unwrap();
         assert!(latest.is_none_or(|latest| latest < (frame, sequence)), "poses grow");
         latest = Some((frame, sequence));
@@ -330,10 +337,17 @@ fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: Co
         }
         let lost = script.lose.iter().position(|(wanted, _)| *wanted == frame).map(|place| script.lose.remove(place).1);
         for _ in 0..1 + u8::from(std::mem::take(&mut owed)) {
+            let mut held = None;
             for (index, packet) in packetizer.packets(FrameNumber(frame), 0, &body).unwrap().enumerate() {
-                if lost.is_none_or(|lost| lost.is_some_and(|lost| lost != index)) {
+                if script.held.is_some_and(|(place, _)| place == index) {
+                    held = Some(packet);
+                } else if lost.is_none_or(|lost| lost.is_some_and(|lost| lost != index)) {
                     link.send(&packet);
                 }
+            }
+            if let Some((packet, (_, delay))) = held.zip(script.held) {
+                std::thread::sleep(delay);
+                link.send(&packet);
             }
         }
     }

@@ -345,6 +345,20 @@ impl Decoder {
         mask: &mut Mask,
     ) -> Result<CodecId, DecodeError> {
         self.tiles.begin(None);
+        self.decode_more(reference, body, mask)
+    }
+
+    /// As [`Self::decode_onto`], of further parts of the frame of which others were decoded last: the mask can be
+    /// [kept](Self::keep) when all have come, one after the other.
+    ///
+    /// # Errors
+    /// As [`Self::decode_onto`].
+    pub fn decode_more(
+        &mut self,
+        reference: Option<&Reference>,
+        body: &[u8],
+        mask: &mut Mask,
+    ) -> Result<CodecId, DecodeError> {
         let head = Frame::parse(body)?.head;
         match Form::of(head.codec) {
             Form::Tiles(profile) if head.shape == mask.shape() => {
@@ -363,7 +377,7 @@ impl Decoder {
         mask: &mut Mask,
     ) -> Result<(), DecodeError> {
         let way = tiles::Way::new(profile, reference);
-        self.tiles.begin(way.is_kept().then_some(mask.shape()));
+        self.tiles.go_on(way.is_kept().then_some(mask.shape()));
         Frame::parts(body).try_for_each(|part| part.map(drop))?;
         let slices = || {
             let parts = Frame::parts(body).map_while(Result::ok).enumerate();

@@ -2,23 +2,26 @@
 //!
 //! Data goes straight to its place in one buffer, which is kept from frame to frame and never grows beyond its limit; a
 //! second one of that kind holds a frame that came in part.
-//! Frames come out in strictly increasing order. Which packets are taken is the [`Policy`]'s business.
+//! Frames come out in increasing order; one that came out in part may come out once more with more of it, and never with less.
+//! Which packets are taken is the [`Policy`]'s business.
 //!
 //! The reassembler believes what the packets say, as the dissertation's does: that nobody but the peer can send them
 //! is the transport's duty. (A forged frame number near 2³² would make it ignore all that follows.)
 
+mod deadline;
 mod slices;
 mod stats;
 mod whole_frame;
 
 use thiserror::Error;
 
+pub use self::{deadline::Deadline, stats::ReassemblerStats, whole_frame::IgnoredCause};
 use self::{
     slices::Slices,
     whole_frame::{FramePacket, Verdict, WholeFrame},
 };
-pub use self::{stats::ReassemblerStats, whole_frame::IgnoredCause};
 use crate::{
+    fec::{ParityPacket, Recovered, Recovery},
     header::{HeaderError, PacketHeader},
     ids::FrameNumber,
     limits::MAX_FRAME_BYTES,
@@ -30,8 +33,8 @@ pub enum Policy {
     /// All packets of a frame, in order, or none (dissertation §3.2, Figure 2).
     #[default]
     WholeFrame,
-    /// Those that come, in any order: for frames whose packets can each be read alone
-    /// ([`CodecId::is_sliced`](crate::codec::CodecId::is_sliced)).
+    /// Those that come, in any order, and those that [parity](crate::fec) stands in for: for frames whose packets can each be
+    /// read alone ([`CodecId::is_sliced`](crate::codec::CodecId::is_sliced)).
     Slices,
 }
 
@@ -44,8 +47,8 @@ pub enum Progress {
     Stored,
     /// Its data is in the buffer, and the frame is complete: [`Reassembler::frame`] has it until the next packet.
     Complete,
-    /// Its data is in the buffer, and the frame before its own ends in part: [`Reassembler::frame`] has that until the next
-    /// packet.
+    /// Its data is in the buffer, and the frame before its own ends in part, of which something has not come out yet:
+    /// [`Reassembler::frame`] has that until the next packet.
     Partial,
 }
 
@@ -75,6 +78,9 @@ pub enum PacketError {
         /// Its frame.
         frame: FrameNumber,
     },
+    /// It says that it is parity, and has numbers out of their bounds, or others than its frame's packets. The frame goes on.
+    #[error("packet {0} is no parity of its frame")]
+    Parity(u32),
     /// The frame has become longer than allowed. It is dropped.
     #[error("frame {frame} has more than {limit} bytes")]
     TooLong {
@@ -92,13 +98,17 @@ pub struct CompleteFrame<'a> {
     pub frame: FrameNumber,
     /// When its sender made it, in ms since the sender's first frame.
     pub timestamp_ms: u32,
-    /// Packets that came.
+    /// Packets that came, or were put together.
     pub packets: u16,
+    /// Of these, packets that were put together from parity.
+    pub restored: u16,
     /// Packets that did not: none but under [`Policy::Slices`].
     pub missing: u16,
     /// Its bytes, as far as they came: in the packets' own order where none is missing and [`Policy::Slices`] does not
     /// hold, and otherwise in the order in which they came.
     pub body: &'a [u8],
+    /// Bytes at the body's beginning that came out before, with the same frame in part.
+    pub known_bytes: usize,
 }
 
 /// Puts frames together. See the module.
@@ -106,11 +116,46 @@ pub struct CompleteFrame<'a> {
 pub struct Reassembler {
     state: State,
     body: Vec<u8>,
-    /// A frame that ended in part, and its data.
-    ended: Option<slices::Current>,
+    /// Data of a frame that ended in part.
     ended_body: Vec<u8>,
+    /// The frame that has come out.
+    out: Option<Out>,
+    /// What stands in for missing packets of the frame at hand.
+    recovery: Recovery,
     max_frame_bytes: usize,
     stats: ReassemblerStats,
+}
+
+/// A [`CompleteFrame`] without its body.
+#[derive(Debug, Clone, Copy)]
+struct Out {
+    frame: FrameNumber,
+    timestamp_ms: u32,
+    packets: u16,
+    restored: u16,
+    missing: u16,
+    known_bytes: usize,
+    /// Whether the body is that of a frame which has ended.
+    ended: bool,
+}
+
+impl Out {
+    fn of_slices(current: &slices::Current, ended: bool) -> Self {
+        Self {
+            frame: current.begun_by.frame,
+            timestamp_ms: current.begun_by.timestamp_ms,
+            packets: current.taken,
+            restored: current.restored,
+            missing: current.missing(),
+            known_bytes: current.given_bytes,
+            ended,
+        }
+    }
+
+    fn of_whole(current: &whole_frame::Current) -> Self {
+        let FramePacket { frame, timestamp_ms, .. } = current.first;
+        Self { frame, timestamp_ms, packets: current.taken, restored: 0, missing: 0, known_bytes: 0, ended: false }
+    }
 }
 
 #[derive(Debug)]
@@ -135,8 +180,9 @@ impl Reassembler {
                 Policy::Slices => State::Slices(Slices::new(max_frame_bytes)),
             },
             body: Vec::new(),
-            ended: None,
             ended_body: Vec::new(),
+            out: None,
+            recovery: Recovery::default(),
             max_frame_bytes,
             stats: ReassemblerStats::default(),
         }
@@ -150,7 +196,7 @@ impl Reassembler {
     pub fn push(&mut self, datagram: &[u8]) -> Result<Progress, PacketError> {
         self.stats.packets += 1;
         self.stats.bytes += datagram.len() as u64;
-        self.ended = None;
+        self.out = None;
         match &mut self.state {
             State::WholeFrame(state) => state.leave_complete(),
             State::Slices(state) => state.leave_complete(),
@@ -165,17 +211,14 @@ impl Reassembler {
         progress
     }
 
-    /// Waits no longer for the frame at hand: what came of it comes out, and [`Self::frame`] has it until the next packet.
-    /// Says whether there is one. Under [`Policy::WholeFrame`] there never is.
-    pub fn end(&mut self) -> bool {
+    /// Gives out what has come of the frame at hand, which goes on: [`Self::frame`] has it until the next packet. Says whether
+    /// anything has come since it was given out last. Under [`Policy::WholeFrame`] nothing ever has.
+    pub fn so_far(&mut self) -> bool {
+        self.out = None;
         let State::Slices(state) = &mut self.state else { return false };
         state.leave_complete();
-        self.ended = state.end();
-        if self.ended.is_some() {
-            std::mem::swap(&mut self.body, &mut self.ended_body);
-        }
-        self.count_frames();
-        self.ended.is_some()
+        self.out = state.so_far().map(|current| Out::of_slices(&current, false));
+        self.out.is_some()
     }
 
     fn count_frames(&mut self) {
@@ -193,20 +236,12 @@ impl Reassembler {
         }
     }
 
-    /// The frame that the last packet completed or ended, if it did; the newer one, if it did both.
+    /// The frame that the last packet completed or ended, or [`Self::so_far`] gave out; the newer one, if a packet did both.
     #[must_use]
     pub fn frame(&self) -> Option<CompleteFrame<'_>> {
-        let (first, packets, missing, body) = match &self.state {
-            State::WholeFrame(state) => {
-                state.complete().map(|complete| (complete.first, complete.taken, 0, &self.body))
-            }
-            State::Slices(state) => match (state.complete(), self.ended) {
-                (Some(complete), _) => Some((complete.begun_by, complete.taken, 0, &self.body)),
-                (None, Some(ended)) => Some((ended.begun_by, ended.taken, ended.missing(), &self.ended_body)),
-                (None, None) => None,
-            },
-        }?;
-        Some(CompleteFrame { frame: first.frame, timestamp_ms: first.timestamp_ms, packets, missing, body })
+        let Out { frame, timestamp_ms, packets, restored, missing, known_bytes, ended } = self.out?;
+        let body = if ended { &self.ended_body } else { &self.body };
+        Some(CompleteFrame { frame, timestamp_ms, packets, restored, missing, body, known_bytes })
     }
 
     /// What has happened so far.
@@ -221,8 +256,18 @@ impl Reassembler {
         self.body.capacity() + self.ended_body.capacity()
     }
 
+    /// Bytes of memory that parity is kept in.
+    #[must_use]
+    pub const fn parity_bytes(&self) -> usize {
+        self.recovery.memory_bytes()
+    }
+
     fn take(&mut self, datagram: &[u8]) -> Result<Progress, PacketError> {
         let (header, data) = PacketHeader::decode(datagram)?;
+        if matches!(self.state, State::Slices(_)) && ParityPacket::is_one(&header) {
+            let parity = ParityPacket::parse(&header, data).ok_or(PacketError::Parity(header.sequence))?;
+            return self.take_parity(header.sequence, &parity);
+        }
         let packet = frame_packet(&header, data)?;
         if data.is_empty() {
             return Err(PacketError::Empty(packet.sequence));
@@ -230,8 +275,8 @@ impl Reassembler {
         let verdict = match &mut self.state {
             State::WholeFrame(state) => state.packet(&packet),
             State::Slices(state) => {
-                if state.is_newer(&packet) {
-                    self.ended = state.end();
+                if state.is_newer(packet.frame) {
+                    self.out = state.end().map(|ended| Out::of_slices(&ended, true));
                     std::mem::swap(&mut self.body, &mut self.ended_body);
                 }
                 state.packet(&packet)
@@ -245,19 +290,76 @@ impl Reassembler {
             Verdict::TooLong => {
                 return Err(PacketError::TooLong { frame: packet.frame, limit: self.max_frame_bytes });
             }
-            Verdict::Begin => self.body.clear(),
+            Verdict::Begin => {
+                self.body.clear();
+                self.recovery.begin();
+            }
             Verdict::Append => {}
         }
+        self.recovery.came(packet.sequence, self.body.len(), data.len());
         self.append(data);
-        let complete = match &self.state {
-            State::WholeFrame(state) => state.complete().is_some(),
-            State::Slices(state) => state.complete().is_some(),
+        self.recover();
+        Ok(self.progress())
+    }
+
+    fn take_parity(&mut self, sequence: u32, parity: &ParityPacket<'_>) -> Result<Progress, PacketError> {
+        let State::Slices(state) = &mut self.state else { return Err(PacketError::Parity(sequence)) };
+        if state.is_newer(parity.frame) {
+            self.out = state.end().map(|ended| Out::of_slices(&ended, true));
+            std::mem::swap(&mut self.body, &mut self.ended_body);
+        }
+        let first = FramePacket {
+            sequence: parity.first_sequence,
+            frame: parity.frame,
+            packets: parity.packets,
+            first: true,
+            timestamp_ms: parity.timestamp_ms,
+            data_bytes: 0,
         };
-        Ok(match (complete, self.ended) {
-            (true, _) => Progress::Complete,
-            (false, Some(_)) => Progress::Partial,
-            (false, None) => Progress::Stored,
-        })
+        match state.parity(&first) {
+            Verdict::Ignore(cause) => return Ok(Progress::Ignored(cause)),
+            Verdict::Contradiction | Verdict::TooLong => return Err(PacketError::Parity(sequence)),
+            Verdict::Begin => {
+                self.body.clear();
+                self.recovery.begin();
+            }
+            Verdict::Append => {}
+        }
+        match self.recovery.parity(parity) {
+            None => return Err(PacketError::Parity(sequence)),
+            Some(false) => return Ok(Progress::Ignored(IgnoredCause::Duplicate)),
+            Some(true) => {}
+        }
+        self.recover();
+        Ok(self.progress())
+    }
+
+    /// Puts together what is missing of the frame at hand, if that is possible.
+    fn recover(&mut self) {
+        let State::Slices(state) = &mut self.state else { return };
+        let before = self.body.len();
+        match self.recovery.recover(&mut self.body, self.max_frame_bytes) {
+            Recovered::Nothing => {}
+            Recovered::Contradiction => self.stats.parity_contradicted += 1,
+            Recovered::All(packets) => {
+                state.restored(packets, self.body.len() - before);
+                self.stats.restored += u64::from(packets);
+            }
+        }
+    }
+
+    fn progress(&mut self) -> Progress {
+        let complete = match &self.state {
+            State::WholeFrame(state) => state.complete().as_ref().map(Out::of_whole),
+            State::Slices(state) => state.complete().map(|complete| Out::of_slices(&complete, false)),
+        };
+        let progress = match (complete, self.out) {
+            (Some(_), _) => Progress::Complete,
+            (None, Some(_)) => Progress::Partial,
+            (None, None) => Progress::Stored,
+        };
+        self.out = complete.or(self.out);
+        progress
     }
 
     /// Appends, and grows the buffer by doubling, but not beyond the limit.

@@ -1,8 +1,8 @@
 //! The `Slices` policy: every packet carries a part of its frame that can be read alone, so what comes is kept.
 //!
-//! A frame begins with whichever of its packets comes first, and takes the others in any order. It ends when all have come,
-//! when a packet of a newer frame comes, or when whoever waits for it has waited long enough; then it comes out with what
-//! is there. It is settled after that, and so are all older ones: frames come out in strictly increasing order.
+//! A frame begins with whichever of its packets comes first, and takes the others in any order. It ends when all have come or
+//! when a packet of a newer frame comes; then it comes out with what is there, unless that has come out already, because whoever
+//! waits for it had waited long enough. It is settled after that, and so are all older ones.
 
 use super::{
     IgnoredCause,
@@ -13,19 +13,43 @@ use crate::ids::FrameNumber;
 /// The frame at hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Current {
-    /// The packet that came first, whichever it was.
+    /// The packet that came first, whichever it was; where only parity has come, what that says of the frame's first one.
     pub(super) begun_by: FramePacket,
-    /// Packets taken, at least one.
+    /// Packets taken, those put together from parity among them.
     pub(super) taken: u16,
+    pub(super) restored: u16,
     /// Their data.
     bytes: usize,
     /// Places of the outermost packets that came, and of the frame's first once it has, counted from the one that came first.
     lowest: i64,
     highest: i64,
     first: Option<i64>,
+    /// Packets that have come out, and their data.
+    given: u16,
+    pub(super) given_bytes: usize,
+}
+
+/// Whether two packets say the same of their frame.
+fn is_alike(one: &FramePacket, other: &FramePacket) -> bool {
+    one.packets == other.packets && one.timestamp_ms == other.timestamp_ms
 }
 
 impl Current {
+    /// A frame of which `taken` packets have come: this one or none.
+    fn begun_by(packet: &FramePacket, taken: u16) -> Self {
+        Self {
+            begun_by: *packet,
+            taken,
+            restored: 0,
+            bytes: packet.data_bytes,
+            lowest: 0,
+            highest: 0,
+            first: packet.first.then_some(0),
+            given: 0,
+            given_bytes: 0,
+        }
+    }
+
     /// Packets that have not come.
     pub(super) fn missing(&self) -> u16 {
         self.begun_by.packets.get() - self.taken
@@ -42,8 +66,7 @@ impl Current {
         let first = if packet.first { Some(place) } else { self.first };
         let (lowest, highest) = (self.lowest.min(place), self.highest.max(place));
         let packets = i64::from(self.begun_by.packets.get());
-        let agrees = packet.packets == self.begun_by.packets
-            && packet.timestamp_ms == self.begun_by.timestamp_ms
+        let agrees = is_alike(&self.begun_by, packet)
             && packet.first == (first == Some(place))
             && highest - first.unwrap_or(lowest) < packets
             && first.is_none_or(|first| first <= lowest);
@@ -84,11 +107,19 @@ impl Slices {
         self.current.filter(|current| current.missing() == 0)
     }
 
-    /// The frame at hand ends here, in part.
+    /// The frame at hand, if something has come of it that has not come out.
+    pub(super) fn so_far(&mut self) -> Option<Current> {
+        let current = self.current.as_mut().filter(|current| current.taken > current.given)?;
+        let out = *current;
+        (current.given, current.given_bytes) = (current.taken, current.bytes);
+        Some(out)
+    }
+
+    /// The frame at hand ends here, in part. It comes out if something of it has not yet.
     pub(super) fn end(&mut self) -> Option<Current> {
         let ended = self.current.take()?;
-        self.frames_partial += 1;
-        Some(ended)
+        *(if ended.taken > 0 { &mut self.frames_partial } else { &mut self.frames_incomplete }) += 1;
+        Some(ended).filter(|ended| ended.taken > ended.given)
     }
 
     /// Makes room for what follows: a frame that is complete is at hand no more.
@@ -96,9 +127,37 @@ impl Slices {
         self.current = self.current.filter(|current| current.missing() > 0);
     }
 
-    /// Whether a packet ends the frame at hand by belonging to a newer one.
-    pub(super) fn is_newer(&self, packet: &FramePacket) -> bool {
-        self.current.is_some_and(|current| packet.frame > current.begun_by.frame)
+    /// Whether a packet of this frame ends the one at hand, because that is older.
+    pub(super) fn is_newer(&self, frame: FrameNumber) -> bool {
+        self.current.is_some_and(|current| frame > current.begun_by.frame)
+    }
+
+    /// Decides about parity of a frame that is not newer than the one at hand, by what it says of the frame's first packet.
+    pub(super) fn parity(&mut self, first: &FramePacket) -> Verdict {
+        match self.current.filter(|current| current.begun_by.frame == first.frame) {
+            Some(Current { begun_by, .. }) if is_alike(&begun_by, first) => Verdict::Append,
+            Some(_) => Verdict::Contradiction,
+            None if self.is_settled(first.frame) => Verdict::Ignore(IgnoredCause::Old),
+            None => {
+                self.settled = Some(first.frame);
+                self.current = Some(Current::begun_by(first, 0));
+                Verdict::Begin
+            }
+        }
+    }
+
+    /// So many packets have been put together, all that were missing.
+    pub(super) fn restored(&mut self, packets: u16, bytes: usize) {
+        if let Some(current) = &mut self.current {
+            current.taken += packets;
+            current.restored += packets;
+            current.bytes += bytes;
+        }
+        self.count_if_complete();
+    }
+
+    fn is_settled(&self, frame: FrameNumber) -> bool {
+        self.settled.is_some_and(|settled| frame <= settled)
     }
 
     /// Decides about a packet that is not newer than the frame at hand.
@@ -106,6 +165,12 @@ impl Slices {
         let Some(current) = self.current.filter(|current| current.begun_by.frame == packet.frame) else {
             return self.begin(packet);
         };
+        if current.taken == 0 {
+            // So far there was parity only, which counts for less than what it stands in for.
+            let alike = is_alike(&current.begun_by, packet);
+            let verdict = self.start(packet);
+            return if alike && verdict == Verdict::Begin { Verdict::Append } else { verdict };
+        }
         let place = current.place(packet);
         let Some(extended) = current.extended(packet, place) else {
             self.drop_current();
@@ -125,17 +190,16 @@ impl Slices {
     }
 
     fn begin(&mut self, packet: &FramePacket) -> Verdict {
-        if self.settled.is_some_and(|settled| packet.frame <= settled) {
-            return Verdict::Ignore(IgnoredCause::Old);
-        }
+        if self.is_settled(packet.frame) { Verdict::Ignore(IgnoredCause::Old) } else { self.start(packet) }
+    }
+
+    fn start(&mut self, packet: &FramePacket) -> Verdict {
         self.settled = Some(packet.frame);
         if packet.data_bytes > self.max_frame_bytes {
-            self.frames_incomplete += 1;
+            self.drop_current();
             return Verdict::TooLong;
         }
-        let first = packet.first.then_some(0);
-        self.current =
-            Some(Current { begun_by: *packet, taken: 1, bytes: packet.data_bytes, lowest: 0, highest: 0, first });
+        self.current = Some(Current::begun_by(packet, 1));
         self.seen.clear();
         self.seen.resize((usize::from(packet.packets.get()) * 2).div_ceil(64), 0);
         self.see(0, packet.packets.get());

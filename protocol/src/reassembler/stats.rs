@@ -8,7 +8,7 @@ pub struct ReassemblerStats {
     pub packets: u64,
     /// Their bytes, headers included.
     pub bytes: u64,
-    /// Packets whose data was stored. The frame may still have been dropped later.
+    /// Packets whose data was stored, parity among them. The frame may still have been dropped later.
     pub stored: u64,
     /// Frames that came out whole.
     pub frames_complete: u64,
@@ -32,6 +32,10 @@ pub struct ReassemblerStats {
     pub ignored_newer: u64,
     /// Packets that were no frame packet, or contradicted their frame.
     pub malformed: u64,
+    /// Packets that never came and were put together from parity.
+    pub restored: u64,
+    /// Times that parity did not fit what had come, and was forgotten.
+    pub parity_contradicted: u64,
 }
 
 impl ReassemblerStats {

@@ -4,8 +4,9 @@
 use std::{io, sync::Arc, time::Instant};
 
 use gnomon_protocol::{
-    acknowledgement::Acknowledgement,
     codec::{CodecId, EncodeError, Encoder},
+    fec::{PARITY_ROOM_BYTES, ParityEncoder, parity_packets},
+    frame::pieces,
     header::HEADER_BYTES,
     ids::FrameNumber,
     mask::Mask,
@@ -17,7 +18,7 @@ use thiserror::Error;
 use tokio::sync::{Semaphore, watch};
 use tracing::Instrument as _;
 
-use super::{Phase, budget::Budget, ledger::Ledger};
+use super::{Phase, budget::Budget, heard::Heard, ledger::Ledger};
 use crate::{
     net::link::DataSender,
     visibility::{
@@ -82,8 +83,8 @@ pub(super) struct FrameSender {
     packetizer: Packetizer,
     workspace: Option<Workspace>,
     encoders: Arc<Semaphore>,
-    /// The newest that the client has said about the masks that it has.
-    acknowledged: watch::Receiver<Option<Acknowledgement>>,
+    /// The newest that the client has said about its masks and packets.
+    heard: watch::Receiver<Heard>,
     first_frame_at: Option<Instant>,
 }
 
@@ -91,6 +92,7 @@ struct Workspace {
     encoder: Encoder,
     references: SentMasks,
     body: Vec<u8>,
+    parity: ParityEncoder,
 }
 
 impl FrameSender {
@@ -99,16 +101,18 @@ impl FrameSender {
         sender: DataSender,
         codec: CodecId,
         encoders: Arc<Semaphore>,
-        acknowledged: watch::Receiver<Option<Acknowledgement>>,
+        heard: watch::Receiver<Heard>,
     ) -> Self {
         let packet_bytes = sender.max_packet_bytes();
-        let encoder = Encoder::new(codec).for_packets_of(packet_bytes);
+        // Parity of the packets has to fit one as well.
+        let encoder = Encoder::new(codec).for_packets_of(packet_bytes.saturating_sub(PARITY_ROOM_BYTES));
+        let references = SentMasks::default();
         Self {
             packetizer: Packetizer::new(packet_bytes),
             sender,
-            workspace: Some(Workspace { encoder, references: SentMasks::default(), body: Vec::new() }),
+            workspace: Some(Workspace { encoder, references, body: Vec::new(), parity: ParityEncoder::default() }),
             encoders,
-            acknowledged,
+            heard,
             first_frame_at: None,
         }
     }
@@ -119,8 +123,8 @@ impl FrameSender {
         let (mask, encoded) = self.encode(mask, ahead, ledger).await?;
         let encoding = started.elapsed();
         ledger.stages.encode.record(encoding);
-        let body = match (encoded, &self.workspace) {
-            (Ok(()), Some(workspace)) => &workspace.body,
+        let (body, parity) = match (encoded, &self.workspace) {
+            (Ok(()), Some(workspace)) => (&workspace.body, workspace.parity.last()),
             (Err(error), _) => {
                 ledger.frames_unsendable.one();
                 tracing::warn!(%error, "a mask cannot be encoded");
@@ -129,8 +133,8 @@ impl FrameSender {
             (Ok(()), None) => return Err(DriveError::Encoding("its memory is gone".to_owned())),
         };
         let sending = Instant::now();
-        let packets = self.packetizer.packet_count(body);
-        let bytes = body.len() + packets * HEADER_BYTES;
+        let packets = self.packetizer.packet_count(body) + parity.count();
+        let bytes = body.len() + parity.bytes() + packets * HEADER_BYTES;
         if !self.sender.has_room(packets, bytes) {
             ledger.frames_gated.one();
             tracing::debug!(bytes, packets, "skipped: earlier frames still wait");
@@ -152,7 +156,11 @@ impl FrameSender {
                 return Ok(mask);
             }
         }
+        for packet in self.packetizer.parity_packets(frame, timestamp_ms, parity) {
+            self.sender.send(packet).await?;
+        }
         self.sender.flush().await?;
+        let counts = [packets - parity.count(), parity.count()];
         if let Some(Workspace { encoder, references, .. }) = &mut self.workspace {
             references.keep(encoder, frame);
         }
@@ -161,7 +169,7 @@ impl FrameSender {
         ledger.bytes.add(bytes as u64);
         ledger.stages.send.record(sending.elapsed());
         ledger.stages.pose_to_sent.record(received_at.elapsed());
-        log_frame(frame, bytes, packets, encoding.as_secs_f64() * 1e3, &cost);
+        log_frame(frame, bytes, counts, encoding.as_secs_f64() * 1e3, &cost);
         Ok(mask)
     }
 
@@ -175,14 +183,18 @@ impl FrameSender {
         let broken = |reason: &str| DriveError::Encoding(reason.to_owned());
         let mut workspace = self.workspace.take().ok_or_else(|| broken("its memory is gone"))?;
         let permit = Arc::clone(&self.encoders).acquire_owned().await.map_err(|_| broken("the server has stopped"))?;
-        let acknowledged = *self.acknowledged.borrow_and_update();
+        let Heard { acknowledged, losses } = *self.heard.borrow_and_update();
+        let payload_bytes = self.packetizer.payload_bytes();
         let job = tokio::task::spawn_blocking(move || {
             let (_permit, begun) = (permit, Instant::now());
-            let Workspace { encoder, references, body } = &mut workspace;
+            let Workspace { encoder, references, body, parity } = &mut workspace;
             if let Some(acknowledged) = acknowledged {
                 references.acknowledge(acknowledged);
             }
             let result = encoder.encode_for(ahead, references.reference(), &mask, body);
+            let pieces = pieces(body, payload_bytes);
+            let count = parity_packets(losses.model(), pieces.clone().count());
+            parity.encode(pieces, count);
             (workspace, mask, result, begun.elapsed())
         });
         let (workspace, mask, result, took) = job.await.map_err(|error| broken(&error.to_string()))?;
@@ -193,11 +205,19 @@ impl FrameSender {
     }
 }
 
-fn log_frame(frame: FrameNumber, bytes: usize, packets: usize, encode_ms: f64, cost: &crate::visibility::TraceCost) {
+/// `counts` are the packets that carry the frame, and those of parity.
+fn log_frame(
+    frame: FrameNumber,
+    bytes: usize,
+    [packets, parity]: [usize; 2],
+    encode_ms: f64,
+    cost: &crate::visibility::TraceCost,
+) {
     tracing::debug!(
         %frame,
         bytes,
         packets,
+        parity,
         encode_ms,
         primary_ms = cost.primary_ms,
         shadow_ms = cost.shadow_ms,

@@ -3,6 +3,7 @@
 pub(crate) mod admission;
 mod budget;
 mod driver;
+mod heard;
 pub(crate) mod ledger;
 mod outbox;
 pub(crate) mod plan;
@@ -293,12 +294,12 @@ impl Session {
         let work = async move {
             let (receiver, sender) = data.open(services.handshake_timeout).await?;
             let SessionPort { requests, masks, .. } = port;
-            let (acknowledged, acknowledgements) = watch::channel(None);
-            let sender = FrameSender::new(sender, codec, Arc::clone(&services.encoders), acknowledgements);
+            let (heard, said) = watch::channel(heard::Heard::default());
+            let sender = FrameSender::new(sender, codec, Arc::clone(&services.encoders), said);
             let mut phase = services.phase.clone();
             let poses = async {
                 tokio::select! {
-                    lost = poses::receive(receiver, &requests, &acknowledged, shape, &ledger) => lost.map(|never| match never {}),
+                    lost = poses::receive(receiver, &requests, &heard, shape, &ledger) => lost.map(|never| match never {}),
                     // Stopping takes no more poses, but frames on their way need their session.
                     () = stopping(&mut phase) => std::future::pending().await,
                 }

@@ -1,4 +1,4 @@
-//! Poses and acknowledgements in: each newer one becomes the session's only request, anything else is counted and dropped.
+//! Poses in, and what is said beside them ([`heard`]): each newer one becomes the session's only request, anything else is counted and dropped.
 //!
 //! A client that says how long its masks are under way gets them traced for where its camera will be by then ([`ahead`]). Only the
 //! client sees the whole way, from its pose to the frame that shows the mask, so it measures and the server extrapolates.
@@ -9,14 +9,17 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_protocol::{acknowledgement::Acknowledgement, ids::FrameNumber, mask::MaskShape, pose, pose::Pose};
+use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose, pose::Pose};
 use gnomon_shaders::{
     camera::Camera,
     motion::{Extrapolation, Motion},
 };
 use tokio::sync::watch;
 
-use super::ledger::Ledger;
+use super::{
+    heard::{self, Heard},
+    ledger::Ledger,
+};
 use crate::{
     limits::MAX_POSES_PER_SECOND,
     net::link::DataReceiver,
@@ -64,14 +67,14 @@ impl Rate {
     }
 }
 
-/// Receives poses, and what the client says of the masks that it has, until the link is gone.
+/// Receives poses, and what the client says beside them, until the link is gone.
 ///
 /// # Errors
 /// When the link is gone.
 pub(super) async fn receive(
     mut receiver: DataReceiver,
     requests: &RequestSender,
-    acknowledged: &watch::Sender<Option<Acknowledgement>>,
+    heard: &watch::Sender<Heard>,
     shape: MaskShape,
     ledger: &Ledger,
 ) -> io::Result<Infallible> {
@@ -86,15 +89,7 @@ pub(super) async fn receive(
             ledger.poses_over_rate.one();
             continue;
         }
-        if let Ok(heard) = Acknowledgement::decode(&datagram) {
-            ledger.acknowledgements.one();
-            acknowledged.send_if_modified(|newest| {
-                let newer = newest.is_none_or(|newest| heard.is_after(&newest));
-                if newer {
-                    *newest = Some(heard);
-                }
-                newer
-            });
+        if heard::hear(&datagram, received_at, heard, ledger) {
             continue;
         }
         let (sequence, frame, pose) = match pose::decode_pose_packet(&datagram) {

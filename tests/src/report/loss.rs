@@ -5,7 +5,10 @@
 //! prediction, so that what differs between rows is loss alone. What the client says of the masks that it has is lost as often.
 //! Losses are seeded: a second run gives the same figures.
 
-use std::{collections::VecDeque, time::Duration};
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
 
 use anyhow::{Context, Result, ensure};
 use bytes::Bytes;
@@ -13,11 +16,12 @@ use gnomon_protocol::{
     acknowledgement::Acknowledgement,
     codec::{CodecId, DecodeError, Decoder, Encoder},
     frame::Frame,
+    header::PacketHeader,
     ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
     mask::{Mask, MaskShape},
     packetizer::Packetizer,
-    reassembler::{Policy, Progress, Reassembler},
+    reassembler::{Deadline, Policy, Progress, Reassembler},
     references::{KeptMasks, SentMasks},
 };
 
@@ -36,9 +40,6 @@ const FPS: f64 = 60.0;
 
 /// Between two packets of a frame.
 const PACKET_GAP: Duration = Duration::from_micros(50);
-
-/// How long the rest of a frame may take after its first packet, as in the client.
-const REST_PATIENCE: Duration = Duration::from_millis(25);
 
 /// What to measure.
 #[derive(Debug, Clone, clap::Args)]
@@ -84,8 +85,11 @@ struct Viewer {
     said: Option<Acknowledgement>,
     policy: Policy,
     shown: Mask,
-    /// When the frame at hand comes out as it is.
-    deadline: Option<Duration>,
+    /// When the frame at hand comes out as it is, on a clock that began then.
+    deadline: Deadline,
+    begun: Instant,
+    /// The frame that came out last, and its packets.
+    counted: Option<(FrameNumber, u16)>,
     outcome: Outcome,
 }
 
@@ -98,16 +102,18 @@ impl Viewer {
             said: None,
             policy,
             shown: Mask::new(shape),
-            deadline: None,
+            deadline: Deadline::default(),
+            begun: Instant::now(),
+            counted: None,
             outcome: Outcome::default(),
         }
     }
 
     /// Lets time pass.
     fn wait_until(&mut self, now: Duration) -> Result<()> {
-        if self.deadline.is_some_and(|deadline| deadline <= now) {
-            self.deadline = None;
-            if self.reassembler.end() {
+        if self.deadline.due().is_some_and(|due| due <= self.begun + now) {
+            self.deadline.given();
+            if self.reassembler.so_far() {
                 self.take()?;
             }
         }
@@ -116,12 +122,11 @@ impl Viewer {
 
     fn receive(&mut self, delivery: &Delivery) -> Result<()> {
         self.wait_until(delivery.due)?;
-        let later = delivery.due + REST_PATIENCE;
-        match self.reassembler.push(&delivery.bytes)? {
-            Progress::Complete => self.deadline = None,
-            Progress::Partial => self.deadline = Some(later),
-            Progress::Stored => self.deadline = self.deadline.or(Some(later)),
-            Progress::Ignored(_) => {}
+        let progress = self.reassembler.push(&delivery.bytes)?;
+        if let (Some(frame), Policy::Slices) = (PacketHeader::decode(&delivery.bytes)?.0.frame, self.policy)
+            && !matches!(progress, Progress::Ignored(_))
+        {
+            self.deadline.stored(self.begun + delivery.due, frame, progress == Progress::Complete);
         }
         self.take()
     }
@@ -133,7 +138,10 @@ impl Viewer {
         let reference = named.and_then(|name| self.references.reference(name));
         let decoded = match self.policy {
             Policy::WholeFrame => self.decoder.decode_against(reference, frame.body, &mut self.shown),
-            Policy::Slices => self.decoder.decode_onto(reference, frame.body, &mut self.shown),
+            Policy::Slices if frame.known_bytes == 0 => {
+                self.decoder.decode_onto(reference, frame.body, &mut self.shown)
+            }
+            Policy::Slices => self.decoder.decode_more(reference, &frame.body[frame.known_bytes..], &mut self.shown),
         };
         match decoded {
             Err(DecodeError::Reference(_)) => {
@@ -144,7 +152,10 @@ impl Viewer {
         };
         self.said = self.references.keep(&self.decoder, frame.frame).or(self.said);
         self.outcome.frames_whole += u32::from(frame.missing == 0);
-        self.outcome.packets_used += u64::from(frame.packets);
+        // Of a frame that comes out once more, what is new.
+        let before = self.counted.filter(|(number, _)| *number == frame.frame).map_or(0, |(_, packets)| packets);
+        self.outcome.packets_used += u64::from(frame.packets - before);
+        self.counted = Some((frame.frame, frame.packets));
         Ok(())
     }
 
@@ -203,7 +214,7 @@ fn run(masks: &[Mask], codec: CodecId, policy: Policy, link: (&Settings, u64), r
     let (mut viewer, mut sender) = (Viewer::new(policy, first.shape()), Sender::new(codec, link.0, link.1));
     let (mut deliveries, mut said) = (VecDeque::<Delivery>::new(), VecDeque::<Delivery>::new());
     // Until masks come there is nothing to compare.
-    let begins = rtt + REST_PATIENCE + moment(2);
+    let begins = rtt + moment(3);
     // A frame is shown, and asked for; half a round trip later its mask is sent.
     let shown = (0..).zip(masks).map(|(frame, mask)| (moment(frame), frame, mask, false));
     let sent = (0..).zip(masks).map(|(frame, mask)| (moment(frame) + rtt / 2, frame, mask, true));
@@ -230,7 +241,7 @@ fn run(masks: &[Mask], codec: CodecId, policy: Policy, link: (&Settings, u64), r
     for delivery in deliveries {
         viewer.receive(&delivery)?;
     }
-    viewer.wait_until(Duration::MAX)?;
+    viewer.wait_until(moment(masks.len().try_into()?) + rtt * 2)?;
     Ok(viewer.outcome)
 }
 

@@ -138,6 +138,13 @@ impl Workspace {
         self.seen.resize(shape.map_or(0, |shape| block_count(shape).div_ceil(64)), 0);
     }
 
+    /// Goes on with the frame that has begun, or begins it where it has another shape.
+    pub(super) fn go_on(&mut self, shape: Option<MaskShape>) {
+        if self.shape != shape {
+            self.begin(shape);
+        }
+    }
+
     fn see(&mut self, blocks: Range<usize>) {
         for number in blocks {
             if let Some(bits) = self.seen.get_mut(number / 64) {

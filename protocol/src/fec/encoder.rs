@@ -1,0 +1,98 @@
+//! Makes a frame's parity.
+
+use reed_solomon_simd::ReedSolomonEncoder;
+
+use super::{LENGTH_BYTES, MAX_PROTECTED_PACKETS, PARITY_HEAD_BYTES, fill_shard};
+
+/// Makes parity; keeps its memory from frame to frame.
+#[derive(Default)]
+pub struct ParityEncoder {
+    coder: Option<ReedSolomonEncoder>,
+    shard: Vec<u8>,
+    /// Data of the parity packets, one after the other.
+    output: Vec<u8>,
+}
+
+impl std::fmt::Debug for ParityEncoder {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ParityEncoder").field("output_bytes", &self.output.len()).finish_non_exhaustive()
+    }
+}
+
+/// The parity of one frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Parity<'a> {
+    packet_bytes: usize,
+    data: &'a [u8],
+}
+
+impl<'a> Parity<'a> {
+    /// Number of parity packets.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.data.len() / self.packet_bytes.max(1)
+    }
+
+    /// Their data, which every parity packet has as much of.
+    pub(crate) fn data(&self) -> impl Iterator<Item = &'a [u8]> + use<'a> {
+        self.data.chunks(self.packet_bytes.max(1))
+    }
+
+    /// Bytes of data of all of them.
+    #[must_use]
+    pub const fn bytes(&self) -> usize {
+        self.data.len()
+    }
+}
+
+impl ParityEncoder {
+    /// The parity that was made last.
+    #[must_use]
+    pub fn last(&self) -> Parity<'_> {
+        let packet_bytes = PARITY_HEAD_BYTES + self.shard.len();
+        Parity { packet_bytes, data: &self.output }
+    }
+
+    /// Makes `parity` parity packets of a frame whose packets carry these pieces, as [`pieces`](crate::frame::pieces) cuts them. There
+    /// are none where the frame has more than [`MAX_PROTECTED_PACKETS`].
+    pub fn encode<'a>(&mut self, pieces: impl Iterator<Item = &'a [u8]> + Clone, parity: u8) -> Parity<'_> {
+        self.output.clear();
+        let (packets, longest) =
+            pieces.clone().fold((0, 0), |(count, most), piece: &[u8]| (count + 1, piece.len().max(most)));
+        if parity > 0 && (1..=MAX_PROTECTED_PACKETS).contains(&packets) && longest <= usize::from(u16::MAX) {
+            let shard_bytes = (LENGTH_BYTES + longest).next_multiple_of(2);
+            self.shard.resize(shard_bytes, 0);
+            if self.make(pieces, packets, parity, shard_bytes).is_err() {
+                // The bounds above are all that the coder asks for.
+                self.output.clear();
+            }
+        }
+        self.last()
+    }
+
+    fn make<'a>(
+        &mut self,
+        pieces: impl Iterator<Item = &'a [u8]>,
+        packets: usize,
+        parity: u8,
+        shard_bytes: usize,
+    ) -> Result<(), reed_solomon_simd::Error> {
+        let coder = match &mut self.coder {
+            Some(coder) => {
+                coder.reset(packets, parity.into(), shard_bytes)?;
+                coder
+            }
+            none => none.insert(ReedSolomonEncoder::new(packets, parity.into(), shard_bytes)?),
+        };
+        for piece in pieces {
+            fill_shard(&mut self.shard, piece);
+            coder.add_original_shard(&self.shard)?;
+        }
+        let [n0, n1, ..] = packets.to_le_bytes();
+        for (place, shard) in (0..parity).zip(coder.encode()?.recovery_iter()) {
+            self.output.extend_from_slice(&[n0, n1, parity, place]);
+            self.output.extend_from_slice(shard);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,101 @@
+//! Forward error correction over a frame's packets: parity packets, any of which stands in for any packet that is lost.
+//!
+//! Nothing is sent twice: it would come too late. Instead a frame of n packets, each of which stands alone, gets m more, and any n
+//! of the n + m are enough (Reed and Solomon's code, by `reed-solomon-simd`). How many there are follows from the loss that the
+//! client measured ([`parity_packets`]); without loss there are none.
+//!
+//! A parity packet has the frame number and timestamp of its frame, no number of packets, by which it is known, and no
+//! first-packet flag. Its sequence number is that of the frame's first packet, and n, and its place among the m. Its data:
+//!
+//! | bytes | field |
+//! |---|---|
+//! | 0–1 | packets of the frame that it stands in for, n |
+//! | 2 | parity packets of the frame, m |
+//! | 3 | its place among them, from 0 |
+//! | to the end | the shard, an even number of bytes |
+//!
+//! All little-endian. The n shards that the code works on are the data of the frame's packets, each after its length (u16) and
+//! before as many zeros as make all equally long.
+//!
+//! A packet that is put together from wrong parity is wrong, and may be read as tiles that it was not: parity is as
+//! trustworthy as the packets. But parity never touches what has come itself.
+
+mod encoder;
+mod recovery;
+mod share;
+
+use std::num::NonZeroU16;
+
+pub(crate) use self::recovery::{Recovered, Recovery};
+pub use self::{
+    encoder::{Parity, ParityEncoder},
+    share::{LossModel, parity_packets},
+};
+use crate::{header::PacketHeader, ids::FrameNumber, limits::MAX_PACKET_BYTES};
+
+/// Bytes before a parity packet's shard.
+pub(crate) const PARITY_HEAD_BYTES: usize = 4;
+
+/// Bytes before a packet's data in its shard.
+const LENGTH_BYTES: usize = 2;
+
+/// What the packets of a frame leave free, so that parity of them fits a packet: head, length, and an odd byte.
+pub const PARITY_ROOM_BYTES: usize = PARITY_HEAD_BYTES + LENGTH_BYTES + 1;
+
+/// Most packets of a frame that can have parity: half a megabyte.
+pub const MAX_PROTECTED_PACKETS: usize = 512;
+
+/// A parity packet, its numbers within their bounds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct ParityPacket<'a> {
+    pub(crate) frame: FrameNumber,
+    pub(crate) timestamp_ms: u32,
+    /// Sequence number of the frame's first packet.
+    pub(crate) first_sequence: u32,
+    pub(crate) packets: NonZeroU16,
+    pub(crate) parity: u8,
+    pub(crate) place: u8,
+    pub(crate) shard: &'a [u8],
+}
+
+impl<'a> ParityPacket<'a> {
+    /// Whether a packet with this header says that it is parity.
+    pub(crate) const fn is_one(header: &PacketHeader) -> bool {
+        header.frame_packets.is_none() && header.frame.is_some() && header.timestamp_ms.is_some() && !header.first
+    }
+
+    /// The packet from its parts, unless a number is out of its bounds.
+    pub(crate) fn parse(header: &PacketHeader, data: &'a [u8]) -> Option<Self> {
+        let (&[n0, n1, parity, place], shard) = data.split_first_chunk()?;
+        let packets = NonZeroU16::new(u16::from_le_bytes([n0, n1]))?;
+        let fits = usize::from(packets.get()) <= MAX_PROTECTED_PACKETS
+            && place < parity
+            && shard.len() % 2 == 0
+            && (LENGTH_BYTES + 1..=MAX_PACKET_BYTES).contains(&shard.len());
+        fits.then_some(Self {
+            frame: header.frame?,
+            timestamp_ms: header.timestamp_ms?,
+            first_sequence: header.sequence.wrapping_sub(u32::from(packets.get()) + u32::from(place)),
+            packets,
+            parity,
+            place,
+            shard,
+        })
+    }
+}
+
+/// Puts a packet's data into a shard.
+fn fill_shard(shard: &mut [u8], data: &[u8]) {
+    let (length, rest) = shard.split_at_mut(LENGTH_BYTES);
+    // No packet is longer than 64 KiB.
+    length.copy_from_slice(&u16::try_from(data.len()).unwrap_or(u16::MAX).to_le_bytes());
+    rest[..data.len()].copy_from_slice(data);
+    rest[data.len()..].fill(0);
+}
+
+/// The data in a shard, if it is one that [`fill_shard`] makes.
+fn shard_data(shard: &[u8]) -> Option<&[u8]> {
+    let (length, rest) = shard.split_first_chunk::<LENGTH_BYTES>()?;
+    let (data, zeros) = rest.split_at_checked(usize::from(u16::from_le_bytes(*length)))?;
+    (!data.is_empty() && zeros.iter().all(|byte| *byte == 0)).then_some(data)
+}
