@@ -5,7 +5,13 @@ use std::{path::PathBuf, str::FromStr};
 use clap::Parser;
 use gnomon_protocol::codec::CodecId;
 
-use crate::{camera_path::PathSpec, guard::Guard, mode::Mode, net::url::ServerUrl, predictor::Predictor};
+use crate::{
+    camera_path::PathSpec,
+    guard::Guard,
+    mode::Mode,
+    net::{reception::Packets, url::ServerUrl},
+    predictor::Predictor,
+};
 
 /// The version, and the commit that the program is made of.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), env!("GNOMON_COMMIT"));
@@ -62,12 +68,18 @@ pub struct Arguments {
     /// Folder for the encoded masks, a file a frame
     #[arg(long, value_name = "DIR", help_heading = "Headless runs")]
     pub save_masks: Option<PathBuf>,
+    /// Folder for the masks as they are shown, also in part, and how each came
+    #[arg(long, value_name = "DIR", help_heading = "Headless runs")]
+    pub save_shown: Option<PathBuf>,
     /// Token, for a server that wants one
     #[arg(long, env = "GNOMON_TOKEN", hide_env_values = true, value_name = "TOKEN", help_heading = "Server")]
     pub token: Option<String>,
     /// Codec of the masks: words, words-lz4, planes-lz4, tiles-small or tiles-fast [default: planes-lz4]
     #[arg(long, env = "GNOMON_CODEC", value_name = "CODEC", help_heading = "Server")]
     pub codec: Option<CodecId>,
+    /// What is done about lost packets of tiles-small and tiles-fast: whole-frame, slices or parity [default: parity]
+    #[arg(long, env = "GNOMON_PACKETS", value_name = "WAY", help_heading = "Late visibility")]
+    pub packets: Option<Packets>,
     /// Part of the graphics adapter's name [default: the first real GPU, or else software]
     #[arg(long, env = "GNOMON_ADAPTER", value_name = "NAME", help_heading = "Program")]
     pub adapter: Option<String>,

@@ -1,8 +1,8 @@
 //! From options to a scene: a local file, or what a server sends, and the session behind it.
 
-use std::{path::PathBuf, sync::Arc};
+use std::sync::Arc;
 
-use gnomon_protocol::{mask::MaskShape, message::Welcome, reassembler::Policy};
+use gnomon_protocol::{mask::MaskShape, message::Welcome};
 use gnomon_shaders::scene::{LoadOptions, Scene};
 use tokio::runtime::Runtime;
 
@@ -11,6 +11,7 @@ use crate::{
     live::Live,
     net::{
         first_use::certificate_of,
+        reception::Reception,
         reconnect::admit_patiently,
         session::{Admitted, Introduction, rate_hz},
         url::{ServerUrl, Transport},
@@ -119,14 +120,9 @@ impl Connected {
     }
 
     /// Lets frames begin, with masks of at most `shape`.
-    pub(crate) fn start(
-        self,
-        shape: MaskShape,
-        policy: Policy,
-        save_masks: Option<PathBuf>,
-    ) -> Result<Live, ClientError> {
+    pub(crate) fn start(self, shape: MaskShape, reception: Reception) -> Result<Live, ClientError> {
         let Self { runtime, admitted, .. } = self;
-        let (session, masks) = runtime.block_on(admitted.start(shape, policy, save_masks))?;
+        let (session, masks) = runtime.block_on(admitted.start(shape, reception))?;
         Ok(Live::new(Arc::new(runtime), session, masks))
     }
 }

@@ -42,7 +42,7 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     let camera_path = options.path.as_ref().map(CameraPath::load).transpose()?;
     let pictures = options.out.as_deref().map(PictureWriter::start).transpose()?;
     let stats = options.stats.as_deref().map(StatsFile::create).transpose()?;
-    if let Some(folder) = &options.save_masks {
+    for folder in options.save_masks.iter().chain(&options.save_shown) {
         std::fs::create_dir_all(folder).map_err(|source| ClientError::Write { path: folder.clone(), source })?;
     }
     let gpu = pollster::block_on(Gpu::open(&GpuOptions {
@@ -70,8 +70,7 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     drop(scene);
 
     let welcome = connected.as_ref().map(|connected| connected.welcome().clone());
-    let live =
-        connected.map(|connected| connected.start(shape, options.policy(), options.save_masks.clone())).transpose()?;
+    let live = connected.map(|connected| connected.start(shape, options.reception())).transpose()?;
     let timing = timing(options, &camera_path);
     let mut frames = FrameLoop {
         renderer,

@@ -10,7 +10,10 @@ use crate::{
     error::ClientError,
     guard::{Guard, GuardChoice},
     mode::{Mode, Thresholds},
-    net::url::ServerUrl,
+    net::{
+        reception::{Packets, Reception},
+        url::ServerUrl,
+    },
     pose_history::HISTORY_FRAMES,
     predictor::Predictor,
 };
@@ -61,10 +64,14 @@ pub struct HeadlessOptions {
     pub summary: Option<PathBuf>,
     /// Folder for the encoded masks.
     pub save_masks: Option<PathBuf>,
+    /// Folder for the masks as they are shown, and how they came.
+    pub save_shown: Option<PathBuf>,
     /// Token for servers that want one.
     pub token: Option<String>,
     /// Codec of the masks.
     pub codec: CodecId,
+    /// What is done about lost packets.
+    pub packets: Packets,
     /// Part of the graphics adapter's name.
     pub adapter: Option<String>,
     /// Whether a software adapter will do.
@@ -112,8 +119,10 @@ impl HeadlessOptions {
             record: None,
             summary: None,
             save_masks: None,
+            save_shown: None,
             token: None,
             codec: CodecId::PlanesLz4,
+            packets: Packets::default(),
             adapter: None,
             allow_software: true,
             wait: false,
@@ -139,9 +148,15 @@ impl HeadlessOptions {
         self.predict_pose.unwrap_or(!gpu.is_software())
     }
 
-    /// Which packets make a frame: a client that waits for its own mask wants all of it.
-    pub(crate) const fn policy(&self) -> Policy {
-        if self.codec.is_sliced() && !self.wait { Policy::Slices } else { Policy::WholeFrame }
+    /// How frames are taken: a client that waits for its own mask wants all of it.
+    pub(crate) fn reception(&self) -> Reception {
+        let in_part = self.codec.is_sliced() && !self.wait && self.packets != Packets::WholeFrame;
+        Reception {
+            policy: if in_part { Policy::Slices } else { Policy::WholeFrame },
+            tells_losses: in_part && self.packets == Packets::Parity,
+            save_masks: self.save_masks.clone(),
+            save_shown: self.save_shown.clone(),
+        }
     }
 
     /// Width and height of the largest mask that is asked for.

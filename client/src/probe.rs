@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_protocol::{codec::CodecId, ids::FrameNumber, mask::MaskShape, pose::Pose, reassembler::Policy};
+use gnomon_protocol::{codec::CodecId, ids::FrameNumber, mask::MaskShape, pose::Pose};
 use tokio::runtime::Handle;
 
 use crate::{
@@ -13,6 +13,7 @@ use crate::{
     error::ClientError,
     mask_buffer::{MaskReader, Waited},
     net::{
+        reception::Reception,
         session::{Introduction, Session, admit, rate_hz},
         url::ServerUrl,
     },
@@ -88,7 +89,7 @@ pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) ->
     let admitted = runtime.block_on(admit(&options.url, &introduction))?;
     let backend = admitted.welcome.backend.clone();
     let shape = MaskShape::new(options.width, options.height, admitted.welcome.lights)?;
-    let (session, masks) = runtime.block_on(admitted.start(shape, Policy::WholeFrame, None))?;
+    let (session, masks) = runtime.block_on(admitted.start(shape, Reception::default()))?;
     let mut probe = Probe { session, masks, awaited: VecDeque::new(), responses_ms: Vec::new() };
     let begun = Instant::now();
     let ran = probe.run(options, path, begun);

@@ -10,6 +10,7 @@ pub(crate) mod link;
 pub mod link_state;
 mod quic;
 pub(crate) mod receive;
+pub mod reception;
 pub(crate) mod reconnect;
 mod send;
 pub(crate) mod session;

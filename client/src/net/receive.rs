@@ -5,7 +5,9 @@
 
 use std::{
     convert::Infallible,
-    path::PathBuf,
+    fs::File,
+    io::{self, Write as _},
+    path::Path,
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
@@ -15,7 +17,7 @@ use std::{
 
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
-    codec::{DecodeError, Decoder},
+    codec::{CodecId, DecodeError, Decoder, Encoder},
     frame::{Frame, FrameHead},
     header::PacketHeader,
     ids::FrameNumber,
@@ -27,7 +29,10 @@ use gnomon_protocol::{
 };
 use tokio::sync::watch;
 
-use super::link::{DataReceiver, root_cause};
+use super::{
+    link::{DataReceiver, root_cause},
+    reception::{CAME, Reception},
+};
 use crate::mask_buffer::MaskWriter;
 
 /// What has come in so far.
@@ -101,16 +106,13 @@ pub(crate) struct ReceiveTask {
     pub(crate) writer: MaskWriter,
     /// The largest shape that a mask may have.
     pub(crate) shape: MaskShape,
-    /// Which packets make a frame.
-    pub(crate) policy: Policy,
+    pub(crate) reception: Reception,
     /// Where it says which masks later ones can be coded against.
     pub(crate) acknowledge: watch::Sender<Option<Acknowledgement>>,
     /// Where it tells how many packets are missing.
     pub(crate) tell_losses: watch::Sender<Option<LossFeedback>>,
     pub(crate) counters: Counters,
     pub(crate) requested: Requested,
-    /// Folder that every whole frame's body is written to.
-    pub(crate) save_masks: Option<PathBuf>,
 }
 
 impl ReceiveTask {
@@ -124,11 +126,11 @@ impl ReceiveTask {
 
     async fn receive(&mut self) -> Result<Infallible, String> {
         let limit = max_frame_bytes(self.shape);
-        let policy = self.policy;
+        let Reception { policy, tells_losses, .. } = self.reception;
         let fresh = || Reassembler::with_max_frame_bytes(policy, limit);
         let mut reassembler = fresh();
         // Masks that are written down stand alone.
-        let mut decoder = FrameDecoder::new(policy, self.shape, self.save_masks.is_none());
+        let mut decoder = FrameDecoder::new(policy, self.shape, self.reception.save_masks.is_none());
         // When the frame at hand comes out as it is.
         let mut deadline = Deadline::default();
         let mut losses = Losses::default();
@@ -159,7 +161,7 @@ impl ReceiveTask {
                 reassembler = fresh();
             }
             let now = Instant::now();
-            if let Some(header) = header.filter(|_| policy == Policy::Slices) {
+            if let Some(header) = header.filter(|_| tells_losses) {
                 self.tell_losses.send_if_modified(|told| losses.take(&header, now, told));
             }
             let progress = reassembler.push(packet);
@@ -230,12 +232,13 @@ impl ReceiveTask {
             counters.partial += u64::from(!again);
         }
         drop(counters);
-        let CompleteFrame { frame, packets, restored, missing, .. } = complete;
-        tracing::debug!(frame = frame.0, packets, restored, missing, known_bytes = complete.known_bytes, "came");
-        if let Some(folder) = self.save_masks.as_ref().filter(|_| complete.missing == 0) {
+        if let Some(folder) = self.reception.save_masks.as_ref().filter(|_| complete.missing == 0) {
             let file = folder.join(format!("frame_{:06}.body", complete.frame.0));
             std::fs::write(&file, complete.body)
                 .map_err(|error| format!("cannot write {}: {error}", file.display()))?;
+        }
+        if let Some(folder) = &self.reception.save_shown {
+            save_shown(folder, &complete, &back.mask)?;
         }
         back.frame = complete.frame;
         back.payload_bytes = complete.body.len();
@@ -244,6 +247,18 @@ impl ReceiveTask {
         self.writer.publish();
         Ok(Some(complete.frame))
     }
+}
+
+/// Writes a mask down as it is shown now, and a line of how it came.
+fn save_shown(folder: &Path, frame: &CompleteFrame<'_>, mask: &Mask) -> Result<(), String> {
+    let mut body = Vec::new();
+    let encoded = Encoder::new(CodecId::PlanesLz4).encode(mask, &mut body).map_err(io::Error::other);
+    let CompleteFrame { frame: FrameNumber(number), packets, restored, missing, .. } = *frame;
+    let written = encoded
+        .and_then(|()| std::fs::write(folder.join(format!("frame_{number:06}.body")), &body))
+        .and_then(|()| File::options().create(true).append(true).open(folder.join(CAME)))
+        .and_then(|mut file| writeln!(file, "{number} {packets} {restored} {missing}"));
+    written.map_err(|error| format!("cannot write to {}: {error}", folder.display()))
 }
 
 /// Counts what is missing, and tells it now and then.

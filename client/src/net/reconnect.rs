@@ -3,9 +3,9 @@
 //! Attempts follow each other with growing pauses, and an older one is not given up when the next begins: on a long path a handshake
 //! takes longer than the pause. The first that leads to the same scene wins.
 
-use std::{path::PathBuf, time::Duration};
+use std::time::Duration;
 
-use gnomon_protocol::{ids::SceneDigest, mask::MaskShape, message::Refusal, reassembler::Policy};
+use gnomon_protocol::{ids::SceneDigest, mask::MaskShape, message::Refusal};
 use tokio::{
     runtime::Handle,
     sync::{oneshot, watch},
@@ -16,6 +16,7 @@ use tokio::{
 use super::{
     backoff::Backoff,
     link_state::LinkState,
+    reception::Reception,
     session::{Admitted, Introduction, Session, admit},
     url::ServerUrl,
 };
@@ -37,8 +38,7 @@ pub(crate) struct Again {
     pub(crate) introduction: Introduction,
     pub(crate) scene_digest: SceneDigest,
     pub(crate) shape: MaskShape,
-    pub(crate) policy: Policy,
-    pub(crate) save_masks: Option<PathBuf>,
+    pub(crate) reception: Reception,
 }
 
 /// A search for a server, in the background. Dropping it ends it.
@@ -180,7 +180,7 @@ async fn attempt(again: Again, target: ServerUrl) -> Result<(Session, MaskReader
             let reason = format!("it has another scene now ({found}): start the client again");
             return Err(ClientError::Protocol { url: Box::new(target.clone()), reason });
         }
-        admitted.start(again.shape, again.policy, again.save_masks.clone()).await
+        admitted.start(again.shape, again.reception.clone()).await
     };
     match tokio::time::timeout(PATIENCE, connect).await {
         Ok(Ok(session)) => Ok(session),

@@ -1,7 +1,6 @@
 //! A session: introduced, given the scene, started; then three tasks until either side leaves.
 
 use std::{
-    path::PathBuf,
     sync::{Arc, Mutex, PoisonError},
     time::{Duration, Instant},
 };
@@ -13,7 +12,6 @@ use gnomon_protocol::{
     mask::MaskShape,
     message::{ClientMessage, Hello, ServerMessage, Welcome},
     pose::Pose,
-    reassembler::Policy,
 };
 use tokio::{
     sync::{oneshot, watch},
@@ -25,6 +23,7 @@ use super::{
     health::{Draining, Health, HealthCell, watch_silence},
     link::{Closer, Link, root_cause},
     receive::{Counters, ReceiveTask, Received, Requested},
+    reception::Reception,
     reconnect::Again,
     send::{Outgoing, send_poses},
     url::ServerUrl,
@@ -162,15 +161,13 @@ impl Admitted {
     pub(crate) async fn start(
         mut self,
         shape: MaskShape,
-        policy: Policy,
-        save_masks: Option<PathBuf>,
+        reception: Reception,
     ) -> Result<(Session, MaskReader), ClientError> {
         let started = self.link.writer.write(&ClientMessage::Start).await;
         started.map_err(|source| broken(self.url.clone(), &self.link, source))?;
         let introduction = Introduction { resume: Some(self.welcome.resume), ..self.introduction };
         let scene_digest = self.welcome.scene_digest;
-        let again =
-            Again { url: self.url.clone(), introduction, scene_digest, shape, policy, save_masks: save_masks.clone() };
+        let again = Again { url: self.url.clone(), introduction, scene_digest, shape, reception: reception.clone() };
         let url = Box::new(self.url);
         let (reader, writer, sender, receiver, closer) = (self.link.open_data(&self.welcome).await)
             .map_err(|error| ClientError::Connect { url, reason: format!("data: {error}") })?;
@@ -183,12 +180,11 @@ impl Admitted {
             receiver,
             writer: mask_writer,
             shape,
-            policy,
+            reception,
             acknowledge,
             tell_losses,
             counters: Arc::clone(&counters),
             requested: requested.clone(),
-            save_masks,
         };
         let (round_trip, health) = (Arc::new(Mutex::new(None)), HealthCell::default());
         let (leave, left) = oneshot::channel();

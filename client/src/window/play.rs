@@ -105,9 +105,7 @@ impl Play {
         let (width, height) = largest_mask(largest);
         let shape = MaskShape::new(width, height, lights)?;
         let server = connected.as_ref().map(|connected| (connected.url().clone(), connected.welcome().clone()));
-        let live = connected
-            .map(|connected| connected.start(shape, options.policy(), options.save_masks.clone()))
-            .transpose()?;
+        let live = connected.map(|connected| connected.start(shape, options.reception())).transpose()?;
         let frames = FrameLoop {
             renderer,
             live,

@@ -141,7 +141,7 @@ impl Reference {
         let options = HeadlessOptions::new(Source::Server(server.url().clone()));
         let renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, options.predictor)?;
         let lights = connected.welcome().lights;
-        let live = connected.start(MaskShape::new(largest.0, largest.1, lights)?, Default::default(), None)?;
+        let live = connected.start(MaskShape::new(largest.0, largest.1, lights)?, Default::default())?;
         let no_band = Guard::Fixed(GuardSize { width: 0, height: 0 });
         let frames = FrameLoop {
             renderer,

@@ -1,9 +1,11 @@
-//! `lab loss`: what lost packets do to the masks that a client shows, under either policy of the reassembler.
+//! `lab loss`: what lost packets do to the masks that a client shows, by what is done about them.
 //!
-//! A model of one session, on a clock of its own: 60 poses a second go up, the mask of each comes down, as packets of
+//! `model` is a model of one session, on a clock of its own: 60 poses a second go up, the mask of each comes down, as packets of
 //! 1161 bytes through [`Impairment`], and the client shows the newest that it has. There is no tracing time, no pacing and no
-//! prediction, so that what differs between rows is loss alone. What the client says of the masks that it has is lost as often.
-//! Losses are seeded: a second run gives the same figures.
+//! prediction, so that what differs between rows is loss alone. What the client says of its masks and packets is lost as often.
+//! Losses are seeded: a second run gives the same figures. `quic` is the real server and the real client ([`transport`]).
+
+mod transport;
 
 use std::{
     collections::VecDeque,
@@ -15,15 +17,19 @@ use bytes::Bytes;
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
     codec::{CodecId, DecodeError, Decoder, Encoder},
+    fec::{PARITY_ROOM_BYTES, ParityEncoder, parity_packets},
     frame::Frame,
     header::PacketHeader,
     ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
+    loss::{FEEDBACK_INTERVAL, LossEstimate, LossFeedback, LossMeter},
     mask::{Mask, MaskShape},
     packetizer::Packetizer,
     reassembler::{Deadline, Policy, Progress, Reassembler},
     references::{KeptMasks, SentMasks},
 };
+
+use gnomon_client::net::reception::Packets;
 
 use super::{scene_args::SceneArgs, table::Table};
 use crate::{
@@ -37,6 +43,9 @@ use crate::{
 
 /// Poses a second.
 const FPS: f64 = 60.0;
+
+/// The transport that is none.
+const MODEL: &str = "model";
 
 /// Between two packets of a frame.
 const PACKET_GAP: Duration = Duration::from_micros(50);
@@ -56,7 +65,25 @@ pub struct LossOptions {
     /// Round trip, in milliseconds.
     #[arg(long, default_value_t = 40.0)]
     pub rtt_ms: f64,
-    /// Codecs; those whose frames are sliced are measured under both policies.
+    /// What carries the masks: model, quic or lab-udp.
+    #[arg(long, value_delimiter = ',', default_value = "model")]
+    pub transport: Vec<String>,
+    /// What is done about lost packets: whole-frame, slices, parity. Codecs whose frames are not sliced know whole frames only.
+    #[arg(long, value_delimiter = ',', default_value = "whole-frame,slices,parity")]
+    pub packets: Vec<Packets>,
+    /// Frames at the beginning that do not count: what is lost has to be measured first.
+    #[arg(long, default_value_t = 120)]
+    pub warm_up: u32,
+    /// The real server's back end: auto, compute or cpu.
+    #[arg(long, default_value = "auto")]
+    pub backend: String,
+    /// Pictures of each real run that the referee judges.
+    #[arg(long, default_value_t = 40)]
+    pub samples: usize,
+    /// Lets the real programs use a software adapter.
+    #[arg(long)]
+    pub allow_software: bool,
+    /// Codecs.
     #[arg(long, value_delimiter = ',', default_value = "planes-lz4,tiles-small,tiles-fast")]
     pub codecs: Vec<CodecId>,
     /// Seed of the losses.
@@ -67,6 +94,7 @@ pub struct LossOptions {
 /// What a session came to.
 #[derive(Debug, Default)]
 struct Outcome {
+    frames: u32,
     frames_whole: u32,
     /// Packets' worth of tiles that were shown in time, and all.
     packets_used: u64,
@@ -83,7 +111,11 @@ struct Viewer {
     decoder: Decoder,
     references: KeptMasks,
     said: Option<Acknowledgement>,
-    policy: Policy,
+    packets: Packets,
+    losses: LossMeter,
+    /// When it told of losses last, and how often it did.
+    told: (Duration, u32),
+    warm_up: u32,
     shown: Mask,
     /// When the frame at hand comes out as it is, on a clock that began then.
     deadline: Deadline,
@@ -94,13 +126,17 @@ struct Viewer {
 }
 
 impl Viewer {
-    fn new(policy: Policy, shape: MaskShape) -> Self {
+    fn new(packets: Packets, warm_up: u32, shape: MaskShape) -> Self {
+        let whole = packets == Packets::WholeFrame;
         Self {
-            reassembler: Reassembler::new(policy),
+            reassembler: Reassembler::new(if whole { Policy::WholeFrame } else { Policy::Slices }),
             decoder: Decoder::new(),
             references: KeptMasks::default(),
             said: None,
-            policy,
+            packets,
+            losses: LossMeter::default(),
+            told: (Duration::ZERO, 0),
+            warm_up,
             shown: Mask::new(shape),
             deadline: Deadline::default(),
             begun: Instant::now(),
@@ -123,7 +159,10 @@ impl Viewer {
     fn receive(&mut self, delivery: &Delivery) -> Result<()> {
         self.wait_until(delivery.due)?;
         let progress = self.reassembler.push(&delivery.bytes)?;
-        if let (Some(frame), Policy::Slices) = (PacketHeader::decode(&delivery.bytes)?.0.frame, self.policy)
+        let header = PacketHeader::decode(&delivery.bytes)?.0;
+        self.losses.take(header.sequence);
+        if let Some(frame) = header.frame
+            && self.packets != Packets::WholeFrame
             && !matches!(progress, Progress::Ignored(_))
         {
             self.deadline.stored(self.begun + delivery.due, frame, progress == Progress::Complete);
@@ -136,12 +175,10 @@ impl Viewer {
         let Some(frame) = self.reassembler.frame() else { return Ok(()) };
         let named = Frame::parse(frame.body)?.head.reference;
         let reference = named.and_then(|name| self.references.reference(name));
-        let decoded = match self.policy {
-            Policy::WholeFrame => self.decoder.decode_against(reference, frame.body, &mut self.shown),
-            Policy::Slices if frame.known_bytes == 0 => {
-                self.decoder.decode_onto(reference, frame.body, &mut self.shown)
-            }
-            Policy::Slices => self.decoder.decode_more(reference, &frame.body[frame.known_bytes..], &mut self.shown),
+        let decoded = match self.packets {
+            Packets::WholeFrame => self.decoder.decode_against(reference, frame.body, &mut self.shown),
+            _ if frame.known_bytes == 0 => self.decoder.decode_onto(reference, frame.body, &mut self.shown),
+            _ => self.decoder.decode_more(reference, &frame.body[frame.known_bytes..], &mut self.shown),
         };
         match decoded {
             Err(DecodeError::Reference(_)) => {
@@ -151,12 +188,24 @@ impl Viewer {
             decoded => decoded?,
         };
         self.said = self.references.keep(&self.decoder, frame.frame).or(self.said);
+        if frame.frame.0 < self.warm_up {
+            return Ok(());
+        }
         self.outcome.frames_whole += u32::from(frame.missing == 0);
         // Of a frame that comes out once more, what is new.
         let before = self.counted.filter(|(number, _)| *number == frame.frame).map_or(0, |(_, packets)| packets);
         self.outcome.packets_used += u64::from(frame.packets - before);
         self.counted = Some((frame.frame, frame.packets));
         Ok(())
+    }
+
+    /// What it tells of losses, when it is time.
+    fn tells(&mut self, now: Duration) -> Option<LossFeedback> {
+        let due = self.packets == Packets::Parity && now.saturating_sub(self.told.0) >= FEEDBACK_INTERVAL;
+        due.then(|| {
+            self.told = (now, self.told.1 + 1);
+            LossFeedback { sequence: self.told.1, totals: self.losses.totals() }
+        })
     }
 
     fn compare(&mut self, truth: &Mask) {
@@ -171,6 +220,9 @@ struct Sender {
     encoder: Encoder,
     packetizer: Packetizer,
     references: SentMasks,
+    losses: LossEstimate,
+    parity: ParityEncoder,
+    begun: Instant,
     down: Impairment,
     up: Impairment,
     counts: Counts,
@@ -180,9 +232,12 @@ struct Sender {
 impl Sender {
     fn new(codec: CodecId, settings: &Settings, seed: u64) -> Self {
         Self {
-            encoder: Encoder::new(codec),
+            encoder: Encoder::new(codec).for_packets_of(MAX_PACKET_BYTES - PARITY_ROOM_BYTES),
             packetizer: Packetizer::new(MAX_PACKET_BYTES),
             references: SentMasks::default(),
+            losses: LossEstimate::default(),
+            parity: ParityEncoder::default(),
+            begun: Instant::now(),
             down: Impairment::new(settings.clone(), seed, Direction::Down),
             up: Impairment::new(settings.clone(), seed, Direction::Up),
             counts: Counts::default(),
@@ -190,13 +245,29 @@ impl Sender {
         }
     }
 
-    /// Cuts a mask into packets and sends them through the link.
+    /// Hears what the client says.
+    fn hear(&mut self, heard: &Delivery) -> Result<()> {
+        if let Ok(feedback) = LossFeedback::decode(&heard.bytes) {
+            self.losses.hear(self.begun + heard.due, feedback);
+        } else {
+            self.references.acknowledge(Acknowledgement::decode(&heard.bytes)?);
+        }
+        Ok(())
+    }
+
+    /// Cuts a mask into packets, adds parity, and sends them through the link.
     fn send(&mut self, number: u32, mut now: Duration, mask: &Mask, outcome: &mut Outcome) -> Result<Vec<Delivery>> {
         self.encoder.encode_for(None, self.references.reference(), mask, &mut self.body)?;
         self.references.keep(&self.encoder, FrameNumber(number));
         let mut deliveries = Vec::new();
-        for packet in self.packetizer.packets(FrameNumber(number), number, &self.body)? {
-            (outcome.packets, outcome.bytes) = (outcome.packets + 1, outcome.bytes + packet.len() as u64);
+        let mut packets: Vec<Bytes> = self.packetizer.packets(FrameNumber(number), number, &self.body)?.collect();
+        outcome.frames += 1;
+        outcome.packets += packets.len() as u64;
+        let parity = parity_packets(self.losses.model(), packets.len());
+        let parity = self.parity.encode(self.packetizer.pieces(&self.body), parity);
+        packets.extend(self.packetizer.parity_packets(FrameNumber(number), number, parity));
+        for packet in packets {
+            outcome.bytes += packet.len() as u64;
             deliveries.extend(self.down.push(now, packet, &mut self.counts).into_iter().flatten());
             now += PACKET_GAP;
         }
@@ -209,9 +280,15 @@ fn moment(frame: u32) -> Duration {
     Duration::from_secs_f64(f64::from(frame) / FPS)
 }
 
-fn run(masks: &[Mask], codec: CodecId, policy: Policy, link: (&Settings, u64), rtt: Duration) -> Result<Outcome> {
+/// Runs a session of these masks, of which the first `warm_up` do not count.
+fn run(
+    masks: &[Mask],
+    (codec, packets, warm_up): (CodecId, Packets, u32),
+    link: (&Settings, u64),
+    rtt: Duration,
+) -> Result<Outcome> {
     let first = masks.first().context("no frames")?;
-    let (mut viewer, mut sender) = (Viewer::new(policy, first.shape()), Sender::new(codec, link.0, link.1));
+    let (mut viewer, mut sender) = (Viewer::new(packets, warm_up, first.shape()), Sender::new(codec, link.0, link.1));
     let (mut deliveries, mut said) = (VecDeque::<Delivery>::new(), VecDeque::<Delivery>::new());
     // Until masks come there is nothing to compare.
     let begins = rtt + moment(3);
@@ -223,18 +300,21 @@ fn run(masks: &[Mask], codec: CodecId, policy: Policy, link: (&Settings, u64), r
     for (now, frame, mask, is_sent) in events {
         while let Some(delivery) = deliveries.pop_front_if(|delivery| delivery.due <= now) {
             viewer.receive(&delivery)?;
-            if let Some(word) = viewer.said.take() {
-                let word = Bytes::copy_from_slice(&word.encode());
+            let acknowledged = viewer.said.take().map(|word| Bytes::copy_from_slice(&word.encode()));
+            let told = viewer.tells(delivery.due).map(|word| Bytes::copy_from_slice(&word.encode()));
+            for word in acknowledged.into_iter().chain(told) {
                 said.extend(sender.up.push(delivery.due, word, &mut sender.counts).into_iter().flatten());
             }
         }
         viewer.wait_until(now)?;
         if is_sent {
             while let Some(heard) = said.pop_front_if(|heard| heard.due <= now) {
-                sender.references.acknowledge(Acknowledgement::decode(&heard.bytes)?);
+                sender.hear(&heard)?;
             }
-            deliveries.extend(sender.send(frame, now, mask, &mut viewer.outcome)?);
-        } else if now >= begins {
+            let mut before = Outcome::default();
+            let outcome = if frame < warm_up { &mut before } else { &mut viewer.outcome };
+            deliveries.extend(sender.send(frame, now, mask, outcome)?);
+        } else if now >= begins && frame >= warm_up {
             viewer.compare(mask);
         }
     }
@@ -253,12 +333,14 @@ pub fn measure(options: &LossOptions, mut progress: impl FnMut(&str)) -> Result<
     let args = &options.scene;
     ensure!(options.loss.iter().all(|loss| (0.0..100.0).contains(loss)), "a loss is 0 to below 100 per cent");
     ensure!(options.burst.iter().all(|length| *length >= 1.0), "a burst is at least 1 packet long");
+    ensure!(options.warm_up < args.frames, "--warm-up leaves nothing of {} frames", args.frames);
     let (scene, path) = (args.load_scene()?, args.load_path()?);
     let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
     let (width, height) = args.size;
     let mut trace = BackendName::Cpu.open(&scene)?;
     let mut masks = Vec::new();
-    for frame in 0..args.frames {
+    let modelled = if options.transport.iter().any(|name| name == MODEL) { args.frames } else { 0 };
+    for frame in 0..modelled {
         let mut mask = Mask::new(MaskShape::new(width, height, lights)?);
         trace(&path.camera(f64::from(frame) / FPS, width, height), &mut mask)?;
         masks.push(mask);
@@ -279,38 +361,51 @@ pub fn measure(options: &LossOptions, mut progress: impl FnMut(&str)) -> Result<
         "bit_error",
         "mean_bytes",
     ]);
-    for &codec in &options.codecs {
-        for (&loss, &burst) in options.loss.iter().flat_map(|loss| options.burst.iter().map(move |burst| (loss, burst)))
-        {
-            if loss == 0.0 && burst > 1.0 {
-                continue;
-            }
-            let share = loss / 100.0;
-            let settings = Settings {
-                delay: rtt / 2,
-                loss: if burst > 1.0 { 0.0 } else { share },
-                burst: (burst > 1.0).then_some(Burst { share, length: burst, loss: 1.0 }),
-                ..Settings::default()
-            };
-            for policy in [Policy::WholeFrame, Policy::Slices] {
-                if policy == Policy::Slices && !codec.is_sliced() {
+    for transport in &options.transport {
+        let mut real = if transport == MODEL { None } else { Some(transport::Stage::new(options, transport)?) };
+        for &codec in &options.codecs {
+            for (&loss, &burst) in
+                options.loss.iter().flat_map(|loss| options.burst.iter().map(move |burst| (loss, burst)))
+            {
+                if loss == 0.0 && burst > 1.0 {
                     continue;
                 }
-                let outcome = run(&masks, codec, policy, (&settings, options.seed), rtt)?;
-                let policy = if policy == Policy::Slices { "slices" } else { "whole-frame" };
-                table.rows.push(vec![
-                    "model".into(),
-                    codec.to_string(),
-                    policy.into(),
-                    "none".into(),
-                    format!("{loss}"),
-                    format!("{burst}"),
-                    format!("{}", options.rtt_ms),
-                    share_of(outcome.frames_whole.into(), masks.len() as u64),
-                    share_of(outcome.packets_used, outcome.packets),
-                    share_of(outcome.wrong_bits, outcome.bits),
-                    (outcome.bytes / masks.len() as u64).to_string(),
-                ]);
+                let share = loss / 100.0;
+                let settings = Settings {
+                    delay: rtt / 2,
+                    loss: if burst > 1.0 { 0.0 } else { share },
+                    burst: (burst > 1.0).then_some(Burst { share, length: burst, loss: 1.0 }),
+                    ..Settings::default()
+                };
+                for &packets in &options.packets {
+                    if packets != Packets::WholeFrame && !codec.is_sliced() {
+                        continue;
+                    }
+                    let outcome = match &mut real {
+                        None => run(&masks, (codec, packets, options.warm_up), (&settings, options.seed), rtt)?,
+                        Some(stage) => stage.run(codec, packets, &settings)?,
+                    };
+                    let [policy, fec] = match packets {
+                        Packets::WholeFrame => ["whole-frame", "none"],
+                        Packets::Slices => ["slices", "none"],
+                        Packets::Parity => ["slices", "parity"],
+                    };
+                    let row = vec![
+                        transport.clone(),
+                        codec.to_string(),
+                        policy.into(),
+                        fec.into(),
+                        format!("{loss}"),
+                        format!("{burst}"),
+                        format!("{}", options.rtt_ms),
+                        share_of(outcome.frames_whole.into(), outcome.frames.into()),
+                        share_of(outcome.packets_used, outcome.packets),
+                        share_of(outcome.wrong_bits, outcome.bits),
+                        (outcome.bytes / u64::from(outcome.frames.max(1))).to_string(),
+                    ];
+                    progress(&row.join(","));
+                    table.rows.push(row);
+                }
             }
         }
     }

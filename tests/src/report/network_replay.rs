@@ -3,6 +3,7 @@
 
 use anyhow::{Context, Result};
 use gnomon_client::{camera_path::CameraPath, mode::State, predictor::Predictor};
+use gnomon_protocol::mask::Mask;
 use gnomon_shaders::{
     camera::Camera,
     motion::{Extrapolation, Motion},
@@ -45,10 +46,22 @@ impl Replay {
     /// Wrong bits in per cent of the relevant ones, over `samples` pictures spread evenly over a run. A picture in the middle of
     /// a fade counts as what it shows more of.
     pub(super) fn bit_error(&mut self, run: &[Shown], samples: usize) -> Result<f64> {
+        self.error_of(run, 0, samples, |_| Ok(None)).map(|error| error.wrong_percent())
+    }
+
+    /// As [`Self::bit_error`], of the pictures from `first` on, with the masks that were kept of the run.
+    pub(super) fn error_of(
+        &mut self,
+        run: &[Shown],
+        first: usize,
+        samples: usize,
+        kept: impl Fn(u32) -> Result<Option<Mask>>,
+    ) -> Result<PredictionError> {
         let mut error = PredictionError::default();
-        let samples = samples.min(run.len());
+        let pictures = run.len().saturating_sub(first);
+        let samples = samples.min(pictures);
         for sample in 0..samples {
-            let place = (2 * sample + 1) * run.len() / (2 * samples);
+            let place = first + (2 * sample + 1) * pictures / (2 * samples);
             let shown = &run[place];
             let mask_frame = shown.mask_frame.and_then(|frame| usize::try_from(frame).ok());
             let frame = mask_frame.filter(|_| shown.state == State::Sequential).unwrap_or(place);
@@ -56,7 +69,11 @@ impl Replay {
             let mask = match mask_frame.filter(|_| shown.visibility_share >= 0.5) {
                 Some(frame) => {
                     let traced_for = self.traced_for(run, frame)?;
-                    Some((self.rig.trace(&traced_for)?, traced_for))
+                    let mask = match shown.mask_frame.map(&kept).transpose()?.flatten() {
+                        Some(mask) => mask,
+                        None => self.rig.trace(&traced_for)?,
+                    };
+                    Some((mask, traced_for))
                 }
                 None => None,
             };
@@ -64,7 +81,7 @@ impl Replay {
             let (_, visibility) = self.rig.draw(&camera, Predictor::Surface, mask)?;
             error.add(&visibility, &self.rig.truth(&camera));
         }
-        Ok(error.wrong_percent())
+        Ok(error)
     }
 
     fn camera(&self, frame: usize) -> Result<Camera> {

@@ -34,6 +34,14 @@ impl ServerProcess {
     /// # Errors
     /// When it is not built, ends, or does not get ready.
     pub fn start<A: AsRef<OsStr>>(scene: &Path, arguments: &[A]) -> Result<Self> {
+        Self::start_in(scene, arguments, &[])
+    }
+
+    /// As [`Self::start`], in an environment with these variables.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn start_in<A: AsRef<OsStr>>(scene: &Path, arguments: &[A], environment: &[(&str, &str)]) -> Result<Self> {
         let certificate = tempfile::tempdir().context("making a temporary folder")?;
         let mut all: Vec<OsString> = vec!["--scene".into(), scene.into()];
         let says = |flag: &str| arguments.iter().any(|argument| argument.as_ref() == flag);
@@ -44,7 +52,7 @@ impl ServerProcess {
             all.extend(["--cert-dir".into(), certificate.path().into()]);
         }
         all.extend(arguments.iter().map(|argument| argument.as_ref().to_owned()));
-        let mut program = Program::start(&program::find("gnomon-server")?, &all, &[])?;
+        let mut program = Program::start(&program::find("gnomon-server")?, &all, environment)?;
         let url = program.wait_for(PATIENCE, url_in)?;
         Ok(Self { program, url, _certificate: certificate })
     }
