@@ -1,0 +1,166 @@
+//! Which parts of a frame are sent when not all of it may be: those that change most of what the client shows, and none never.
+//!
+//! A frame whose packets stand alone may leave some out: their tiles keep the value that they have at the client, as those of lost
+//! packets do. So a byte budget decides nothing but which tiles are fresh. A part weighs as many bits as differ from what was sent
+//! of its tiles last, times the frames since then: large changes come first, and what waits gains weight. Unchanged parts come last,
+//! in turns, for what was lost of them.
+//!
+//! A frame that is not sent whole is nobody's reference: neither end keeps it.
+
+use std::{ops::Range, time::Duration};
+
+use crate::{
+    codec::part_words,
+    frame::{Frame, pieces},
+    header::HEADER_BYTES,
+    mask::{Mask, MaskShape},
+};
+
+/// What is known of a path.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct PathState {
+    /// Bytes that may be in flight.
+    pub window_bytes: u64,
+    /// Round trip, queues counted.
+    pub round_trip: Duration,
+    /// Bytes that wait to be sent.
+    pub waiting_bytes: u64,
+}
+
+impl PathState {
+    /// Bytes that a frame may have on the wire when the next one follows after `interval`: what the window lets through until then, less
+    /// what still waits.
+    #[must_use]
+    pub fn frame_budget(&self, interval: Duration) -> usize {
+        let share =
+            u128::from(self.window_bytes).saturating_mul(interval.as_micros()) / self.round_trip.as_micros().max(1);
+        usize::try_from(share.saturating_sub(self.waiting_bytes.into())).unwrap_or(usize::MAX)
+    }
+}
+
+/// A part of the frame at hand.
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    /// Where it begins in the body, and its bytes.
+    start: usize,
+    bytes: usize,
+    weight: u64,
+    chosen: bool,
+}
+
+/// What the client was sent, and when; its memory serves every frame.
+#[derive(Debug, Default)]
+pub struct Refresh {
+    /// What was sent of each tile last.
+    sent: Option<Mask>,
+    /// The frame that each run of tiles was sent in last, by its first tile, and the frame at hand.
+    sent_in: Vec<u32>,
+    frame: u32,
+    parts: Vec<Part>,
+    order: Vec<usize>,
+    /// Tiles of the parts that were chosen, unless all were.
+    chosen: Vec<Range<usize>>,
+    whole: bool,
+}
+
+impl Refresh {
+    /// Takes parts out of the frame of a mask until it fits `budget_bytes`, its packets' headers counted; one part always stays. Says whether
+    /// all of them did. A body that is not sliced stays as it is.
+    pub fn choose(&mut self, mask: &Mask, body: &mut Vec<u8>, budget_bytes: usize) -> bool {
+        self.begin(mask.shape());
+        self.parts.clear();
+        let mut start = 0;
+        for part in pieces(body, usize::MAX) {
+            self.parts.push(Part { start, bytes: part.len(), weight: 0, chosen: false });
+            start += part.len();
+        }
+        let wire_bytes = body.len() + self.parts.len() * HEADER_BYTES;
+        let sliced = Frame::parse(body).is_ok_and(|frame| frame.head.codec.is_sliced());
+        self.whole = !sliced || wire_bytes <= budget_bytes;
+        if self.whole {
+            return true;
+        }
+        let mut parts = std::mem::take(&mut self.parts);
+        for part in &mut parts {
+            part.weight = self.weight(mask, &body[part.start..part.start + part.bytes]);
+        }
+        self.order.clear();
+        self.order.extend(0..parts.len());
+        // Equal weights in the picture's order.
+        self.order.sort_by_key(|index| std::cmp::Reverse(parts[*index].weight));
+        let mut left = budget_bytes;
+        for (place, index) in self.order.iter().enumerate() {
+            let needed = parts[*index].bytes + HEADER_BYTES;
+            if place == 0 || needed <= left {
+                left = left.saturating_sub(needed);
+                parts[*index].chosen = true;
+            }
+        }
+        let mut end = 0;
+        for part in parts.iter().filter(|part| part.chosen) {
+            self.chosen.extend(part_words(mask.shape(), &body[part.start..part.start + part.bytes]));
+            body.copy_within(part.start..part.start + part.bytes, end);
+            end += part.bytes;
+        }
+        body.truncate(end);
+        self.parts = parts;
+        false
+    }
+
+    fn begin(&mut self, shape: MaskShape) {
+        self.chosen.clear();
+        self.frame = self.frame.wrapping_add(1);
+        if self.sent.as_ref().is_none_or(|sent| sent.shape() != shape) {
+            // The client begins dark as well.
+            self.sent = Some(Mask::new(shape));
+            self.sent_in.clear();
+            self.sent_in.resize(shape.words(), self.frame);
+        }
+    }
+
+    fn weight(&self, mask: &Mask, part: &[u8]) -> u64 {
+        let Some(sent) = &self.sent else { return 0 };
+        let (mut changed, mut age) = (0, 0);
+        for words in part_words(mask.shape(), part) {
+            age = self.frame.wrapping_sub(self.sent_in[words.start]).max(age);
+            let bits = mask.words()[words.clone()].iter().zip(&sent.words()[words]);
+            changed += bits.map(|(now, then)| u64::from((now ^ then).count_ones())).sum::<u64>();
+        }
+        changed * (1 + u64::from(age)) + u64::from(age)
+    }
+
+    /// The mask's frame has been sent, as it was chosen.
+    pub fn sent(&mut self, mask: &Mask) {
+        let Some(sent) = self.sent.as_mut().filter(|sent| sent.shape() == mask.shape()) else { return };
+        if self.whole {
+            sent.words_mut().copy_from_slice(mask.words());
+            self.sent_in.fill(self.frame);
+        }
+        for words in self.chosen.drain(..) {
+            self.sent_in[words.start] = self.frame;
+            sent.words_mut()[words.clone()].copy_from_slice(&mask.words()[words]);
+        }
+    }
+
+    /// Whether the frame at hand is sent with all of its parts.
+    #[must_use]
+    pub const fn is_whole(&self) -> bool {
+        self.whole
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frames_budget_is_its_share_of_the_window() {
+        let ms = Duration::from_millis;
+        let path = PathState { window_bytes: 60_000, round_trip: ms(40), ..PathState::default() };
+        assert_eq!(path.frame_budget(ms(20)), 30_000);
+        assert_eq!(PathState { waiting_bytes: 12_000, ..path }.frame_budget(ms(20)), 18_000);
+        assert_eq!(PathState { waiting_bytes: 90_000, ..path }.frame_budget(ms(20)), 0);
+        assert_eq!(PathState { round_trip: Duration::ZERO, ..path }.frame_budget(ms(20)), 1_200_000_000);
+        assert_eq!(PathState { window_bytes: u64::MAX, ..path }.frame_budget(Duration::MAX), usize::MAX);
+    }
+}
