@@ -34,13 +34,14 @@ fn slices_keep_what_whole_frames_throw_away() {
         warm_up: 20,
         backend: "cpu".to_owned(),
         samples: 1,
+        link: String::new(),
         allow_software: true,
         seed: 1,
     };
     let table = measure(&options, |_| ()).unwrap();
     let csv = std::fs::read_to_string(out.path().join("loss.csv")).unwrap();
     assert_eq!(csv, table.csv());
-    let head = "transport,codec,policy,fec,loss,burst,rtt_ms,frames_whole,tiles_in_time,bit_error,mean_bytes";
+    let head = "transport,codec,policy,fec,loss,burst,rtt_ms,frames_whole,tiles_in_time,bit_error,mean_bytes,lag_p99,queue_dropped";
     assert_eq!(csv.lines().next().unwrap(), head);
     // Loss 0, 5 % each for itself, 5 % in bursts of 8; each in whole frames, slices, and slices with parity.
     let figures = |row: usize| -> [f64; 3] { std::array::from_fn(|place| table.rows[row][7 + place].parse().unwrap()) };

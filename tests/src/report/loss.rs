@@ -77,6 +77,9 @@ pub struct LossOptions {
     /// The real server's back end: auto, compute or cpu.
     #[arg(long, default_value = "auto")]
     pub backend: String,
+    /// More of the link, both ways, as `lab link` takes it: rate=10Mbit queue=100ms for instance.
+    #[arg(long, default_value = "", hide_default_value = true)]
+    pub link: String,
     /// Pictures of each real run that the referee judges.
     #[arg(long, default_value_t = 40)]
     pub samples: usize,
@@ -103,6 +106,10 @@ struct Outcome {
     bits: u64,
     /// Bytes of all packets.
     bytes: u64,
+    /// Of real runs: frames that masks were older than their pictures, 99 times of 100, and datagrams that the link's queue dropped
+    /// of those that came to it.
+    lag_p99: Option<f64>,
+    dropped: [u64; 2],
 }
 
 /// The client's side.
@@ -360,6 +367,8 @@ pub fn measure(options: &LossOptions, mut progress: impl FnMut(&str)) -> Result<
         "tiles_in_time",
         "bit_error",
         "mean_bytes",
+        "lag_p99",
+        "queue_dropped",
     ]);
     for transport in &options.transport {
         let mut real = if transport == MODEL { None } else { Some(transport::Stage::new(options, transport)?) };
@@ -371,12 +380,13 @@ pub fn measure(options: &LossOptions, mut progress: impl FnMut(&str)) -> Result<
                     continue;
                 }
                 let share = loss / 100.0;
-                let settings = Settings {
+                let mut settings = Settings {
                     delay: rtt / 2,
                     loss: if burst > 1.0 { 0.0 } else { share },
                     burst: (burst > 1.0).then_some(Burst { share, length: burst, loss: 1.0 }),
                     ..Settings::default()
                 };
+                settings.set(&options.link).context("--link")?;
                 for &packets in &options.packets {
                     if packets != Packets::WholeFrame && !codec.is_sliced() {
                         continue;
@@ -402,6 +412,8 @@ pub fn measure(options: &LossOptions, mut progress: impl FnMut(&str)) -> Result<
                         share_of(outcome.packets_used, outcome.packets),
                         share_of(outcome.wrong_bits, outcome.bits),
                         (outcome.bytes / u64::from(outcome.frames.max(1))).to_string(),
+                        outcome.lag_p99.map(|lag| lag.to_string()).unwrap_or_default(),
+                        share_of(outcome.dropped[0], outcome.dropped[1]),
                     ];
                     progress(&row.join(","));
                     table.rows.push(row);

@@ -7,7 +7,10 @@
 use std::{collections::BTreeMap, fs, net::SocketAddr, path::PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use gnomon_client::net::reception::{CAME, Packets};
+use gnomon_client::{
+    net::reception::{CAME, Packets},
+    stats::percentile,
+};
 use gnomon_protocol::{
     codec::{CodecId, Decoder},
     mask::{Mask, MaskShape},
@@ -100,6 +103,10 @@ impl<'a> Stage<'a> {
         let error = self.replay.error_of(&pictures, options.warm_up as usize, options.samples, kept)?;
         outcome.wrong_bits = error.known_edge + error.known_inside + error.unknown;
         outcome.bits = error.relevant;
+        let late = pictures.iter().skip(options.warm_up as usize).filter_map(|picture| picture.lag.map(f64::from));
+        outcome.lag_p99 = percentile(&late.collect::<Vec<_>>(), 0.99);
+        let down = link.counts().down;
+        outcome.dropped = [down.queue_dropped, down.arrived];
         Ok(outcome)
     }
 
