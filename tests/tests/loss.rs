@@ -53,7 +53,7 @@ fn slices_keep_what_whole_frames_throw_away() {
     assert_eq!(table.rows[2][10], table.rows[1][10], "parity without loss: {csv}");
     for row in [3, 6] {
         let [thrown_away, kept, mended] = [row, row + 1, row + 2].map(figures);
-        assert!(kept[1] > 90.0 && kept[1] > thrown_away[1] && mended[1] > kept[1], "{csv}");
+        assert!(kept[1] > 90.0 && kept[1] > thrown_away[1] && mended[1] >= kept[1], "{csv}");
         assert!(kept[2] <= thrown_away[2] && mended[2] <= kept[2] && mended[2] < 1.1 * error, "{csv}");
     }
     // Losses each for itself are mended nearly all.
