@@ -1,11 +1,7 @@
 //! Masks out: take the newest, encode it, cut it into packets, and send it whole or not at all. The engine traces the
 //! next mask in the meantime, because its channel has room for it.
 
-use std::{
-    io,
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{io, sync::Arc, time::Instant};
 
 use gnomon_protocol::{
     codec::{CodecId, EncodeError, Encoder},
@@ -17,7 +13,6 @@ use gnomon_protocol::{
     packetizer::Packetizer,
     pose::Pose,
     references::SentMasks,
-    refresh::Refresh,
 };
 use thiserror::Error;
 use tokio::sync::{Semaphore, watch};
@@ -91,30 +86,6 @@ pub(super) struct FrameSender {
     /// The newest that the client has said about its masks and packets.
     heard: watch::Receiver<Heard>,
     first_frame_at: Option<Instant>,
-    pace: Pace,
-}
-
-/// How soon one mask follows the other, smoothed.
-#[derive(Debug)]
-struct Pace {
-    last: Option<Instant>,
-    interval: Duration,
-}
-
-impl Pace {
-    /// A longer pause is no pace.
-    const LONGEST: Duration = Duration::from_millis(100);
-
-    const fn new() -> Self {
-        Self { last: None, interval: Duration::from_millis(16) }
-    }
-
-    fn step(&mut self, now: Instant) -> Duration {
-        if let Some(last) = self.last.replace(now) {
-            self.interval = (self.interval * 7 + now.saturating_duration_since(last).min(Self::LONGEST)) / 8;
-        }
-        self.interval
-    }
 }
 
 struct Workspace {
@@ -122,9 +93,6 @@ struct Workspace {
     references: SentMasks,
     body: Vec<u8>,
     parity: ParityEncoder,
-    refresh: Refresh,
-    /// Whether the frame at hand has all of its parts.
-    whole: bool,
 }
 
 impl FrameSender {
@@ -142,28 +110,17 @@ impl FrameSender {
         Self {
             packetizer: Packetizer::new(packet_bytes),
             sender,
-            workspace: Some(Workspace {
-                encoder,
-                references,
-                body: Vec::new(),
-                parity: ParityEncoder::default(),
-                refresh: Refresh::default(),
-                whole: true,
-            }),
+            workspace: Some(Workspace { encoder, references, body: Vec::new(), parity: ParityEncoder::default() }),
             encoders,
             heard,
             first_frame_at: None,
-            pace: Pace::new(),
         }
     }
 
     async fn send(&mut self, traced: TracedMask, ledger: &Ledger) -> Result<Mask, DriveError> {
         let TracedMask { frame, mask, ahead, received_at, cost } = traced;
         let started = Instant::now();
-        // Who takes frames in part gets them cut down to what the path bears.
-        let in_part = self.heard.borrow().losses.is_told();
-        let budget = self.sender.frame_budget(self.pace.step(started)).filter(|_| in_part);
-        let (mask, encoded) = self.encode(mask, ahead, budget, ledger).await?;
+        let (mask, encoded) = self.encode(mask, ahead, ledger).await?;
         let encoding = started.elapsed();
         ledger.stages.encode.record(encoding);
         let (body, parity) = match (encoded, &self.workspace) {
@@ -204,12 +161,8 @@ impl FrameSender {
         }
         self.sender.flush().await?;
         let counts = [packets - parity.count(), parity.count()];
-        if let Some(Workspace { encoder, references, refresh, whole, .. }) = &mut self.workspace {
-            // What the client has not whole is no reference.
-            if *whole {
-                references.keep(encoder, frame);
-            }
-            refresh.sent(&mask);
+        if let Some(Workspace { encoder, references, .. }) = &mut self.workspace {
+            references.keep(encoder, frame);
         }
         ledger.frames_sent.one();
         ledger.packets.add(packets as u64);
@@ -225,7 +178,6 @@ impl FrameSender {
         &mut self,
         mask: Mask,
         ahead: Option<Pose>,
-        budget: Option<usize>,
         ledger: &Ledger,
     ) -> Result<(Mask, Result<(), EncodeError>), DriveError> {
         let broken = |reason: &str| DriveError::Encoding(reason.to_owned());
@@ -235,22 +187,14 @@ impl FrameSender {
         let payload_bytes = self.packetizer.payload_bytes();
         let job = tokio::task::spawn_blocking(move || {
             let (_permit, begun) = (permit, Instant::now());
-            let Workspace { encoder, references, body, parity, refresh, whole } = &mut workspace;
+            let Workspace { encoder, references, body, parity } = &mut workspace;
             if let Some(acknowledged) = acknowledged {
                 references.acknowledge(acknowledged);
             }
             let result = encoder.encode_for(ahead, references.reference(), &mask, body);
-            let parity_of = |body: &[u8]| {
-                let packets = pieces(body, payload_bytes).count();
-                (packets, parity_packets(losses.model(), packets))
-            };
-            *whole = budget.is_none_or(|budget| {
-                // Parity takes its share.
-                let (packets, count) = parity_of(body);
-                let share = packets + usize::from(count);
-                refresh.choose(&mask, body, budget / share.max(1) * packets)
-            });
-            parity.encode(pieces(body, payload_bytes), parity_of(body).1);
+            let pieces = pieces(body, payload_bytes);
+            let count = parity_packets(losses.model(), pieces.clone().count());
+            parity.encode(pieces, count);
             (workspace, mask, result, begun.elapsed())
         });
         let (workspace, mask, result, took) = job.await.map_err(|error| broken(&error.to_string()))?;
