@@ -74,7 +74,7 @@ pub struct Arguments {
     /// Token, for a server that wants one
     #[arg(long, env = "GNOMON_TOKEN", hide_env_values = true, value_name = "TOKEN", help_heading = "Server")]
     pub token: Option<String>,
-    /// Codec of the masks: words, words-lz4, planes-lz4, tiles-small or tiles-fast [default: planes-lz4]
+    /// Codec of the masks: words, words-lz4, planes-lz4, tiles-small or tiles-fast [default: tiles-fast]
     #[arg(long, env = "GNOMON_CODEC", value_name = "CODEC", help_heading = "Server")]
     pub codec: Option<CodecId>,
     /// What is done about lost packets of tiles-small and tiles-fast: whole-frame, slices or parity [default: parity]

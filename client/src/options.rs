@@ -121,7 +121,7 @@ impl HeadlessOptions {
             save_masks: None,
             save_shown: None,
             token: None,
-            codec: CodecId::PlanesLz4,
+            codec: CodecId::TilesFast,
             packets: Packets::default(),
             adapter: None,
             allow_software: true,

@@ -22,7 +22,7 @@ use crate::reference::Reference;
 /// A client's frame, in seconds: what lag is counted in.
 const FRAME_S: f64 = 1.0 / 60.0;
 
-/// What clients ask for unless told otherwise.
+/// The quickest to code: what is compared here is tracing.
 const CODEC: CodecId = CodecId::PlanesLz4;
 
 /// Where on a path scenes are judged, as shares of its duration.
