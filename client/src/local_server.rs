@@ -12,6 +12,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use tempfile::TempDir;
 use thiserror::Error;
 
 use crate::net::url::ServerUrl;
@@ -55,9 +56,10 @@ pub struct LocalScene {
     pub lights: Option<u32>,
 }
 
-/// A folder in the system's temporary folder that no other process has. Dropping it takes it away.
+/// A folder in the system's temporary folder, with a name that nobody can guess and for this user only: the server's key lies in it.
+/// Dropping it takes it away.
 #[derive(Debug)]
-pub struct Folder(PathBuf);
+pub struct Folder(TempDir);
 
 impl Folder {
     /// Makes it. `purpose` is part of its name.
@@ -65,24 +67,14 @@ impl Folder {
     /// # Errors
     /// When it cannot be made.
     pub fn make(purpose: &str) -> Result<Self, LocalServerError> {
-        let folder = std::env::temp_dir().join(format!("gnomon-{purpose}-{}", std::process::id()));
-        match fs::create_dir_all(&folder) {
-            Ok(()) => Ok(Self(folder)),
-            Err(source) => Err(LocalServerError::Start { folder, source }),
-        }
+        let made = tempfile::Builder::new().prefix(&format!("gnomon-{purpose}-")).tempdir();
+        made.map(Self).map_err(|source| LocalServerError::Start { folder: std::env::temp_dir(), source })
     }
 
     /// Where it is.
     #[must_use]
     pub fn path(&self) -> &Path {
-        &self.0
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        // What is left of it is in the system's temporary folder.
-        let _ = fs::remove_dir_all(&self.0);
+        self.0.path()
     }
 }
 
@@ -127,8 +119,8 @@ impl LocalServer {
     /// When there is no server, or it does not start; its last words are in the error.
     pub fn start(folder: Folder, scene: &LocalScene) -> Result<Self, LocalServerError> {
         let program = Self::program()?;
-        let failed = |source| LocalServerError::Start { folder: folder.0.clone(), source };
-        let log = folder.0.join("server.log");
+        let failed = |source| LocalServerError::Start { folder: folder.path().to_owned(), source };
+        let log = folder.path().join("server.log");
         let errors = fs::File::create(&log).map_err(failed)?;
         let mut arguments: Vec<OsString> = vec!["--scene".into(), scene.file.clone().into()];
         if let Some(file) = &scene.lights_from {
@@ -142,7 +134,7 @@ impl LocalServer {
             .args(["--listen", "127.0.0.1:0"])
             .args(arguments)
             .arg("--cert-dir")
-            .arg(folder.0.join("certificate"))
+            .arg(folder.path().join("certificate"))
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(errors);

@@ -227,7 +227,7 @@ impl LossEstimate {
     #[must_use]
     pub fn model(&self) -> LossModel {
         if self.lossy {
-            LossModel { loss: self.share(), run: self.lost / self.runs.max(1.0) }
+            LossModel { loss: self.share(), run: self.lost / self.runs.max(f64::MIN_POSITIVE) }
         } else {
             LossModel::default()
         }

@@ -140,7 +140,13 @@ impl SentMasks {
 pub struct KeptMasks {
     ring: Ring,
     sequence: u32,
+    /// Times in a row that there was no room.
+    full: u32,
 }
+
+/// Times in a row that the client finds no room before it begins anew. The server goes to newer masks long before that, unless it has let
+/// go of all those that the client has: then neither end would move again.
+const MOST_FULL: u32 = 64;
 
 impl KeptMasks {
     /// The mask that a frame is coded against, if it is kept. Older ones are not needed any more: the server does not go back.
@@ -151,12 +157,18 @@ impl KeptMasks {
     }
 
     /// Keeps what was decoded last, as `frame`, and says what to tell the server: nothing when not all of the frame had come. When
-    /// as much is kept as may be, that the newest of it is there.
+    /// as much is kept as may be, that the newest of it is there, or, when that goes on, that nothing is.
     pub fn keep(&mut self, decoder: &Decoder, frame: FrameNumber) -> Option<Acknowledgement> {
         if self.ring.is_full() {
+            self.full += 1;
+            if self.full > MOST_FULL {
+                self.full = 0;
+                return Some(self.lose());
+            }
             let newest = self.ring.kept.back()?.name();
             return Some(self.say(Some(newest)));
         }
+        self.full = 0;
         let mask = Some(self.ring.keep(|reference| decoder.keep(frame, reference))?.name());
         Some(self.say(mask))
     }

@@ -96,7 +96,7 @@ impl Requested {
         let refused = again % 2 == 1;
         header.first
             && header.frame.is_some_and(|frame| u64::from(frame.0) + 1 == again / 2)
-            && (refused || whole != header.frame)
+            && (whole < header.frame || refused && whole == header.frame)
     }
 }
 

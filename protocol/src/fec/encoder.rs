@@ -2,7 +2,8 @@
 
 use reed_solomon_simd::ReedSolomonEncoder;
 
-use super::{LENGTH_BYTES, MAX_PROTECTED_PACKETS, PARITY_HEAD_BYTES, fill_shard};
+use super::{LENGTH_BYTES, MAX_PROTECTED_PACKETS, PARITY_HEAD_BYTES, PARITY_ROOM_BYTES, fill_shard};
+use crate::{header::HEADER_BYTES, limits::MAX_PACKET_BYTES};
 
 /// Makes parity; keeps its memory from frame to frame.
 #[derive(Default)]
@@ -54,12 +55,15 @@ impl ParityEncoder {
     }
 
     /// Makes `parity` parity packets of a frame whose packets carry these pieces, as [`pieces`](crate::frame::pieces) cuts them. There
-    /// are none where the frame has more than [`MAX_PROTECTED_PACKETS`].
+    /// are none where the frame has more than [`MAX_PROTECTED_PACKETS`], or its pieces leave no room for parity's own head.
     pub fn encode<'a>(&mut self, pieces: impl Iterator<Item = &'a [u8]> + Clone, parity: u8) -> Parity<'_> {
         self.output.clear();
         let (packets, longest) =
             pieces.clone().fold((0, 0), |(count, most), piece: &[u8]| (count + 1, piece.len().max(most)));
-        if parity > 0 && (1..=MAX_PROTECTED_PACKETS).contains(&packets) && longest <= usize::from(u16::MAX) {
+        if parity > 0
+            && (1..=MAX_PROTECTED_PACKETS).contains(&packets)
+            && longest + PARITY_ROOM_BYTES + HEADER_BYTES <= MAX_PACKET_BYTES
+        {
             let shard_bytes = (LENGTH_BYTES + longest).next_multiple_of(2);
             self.shard.resize(shard_bytes, 0);
             if self.make(pieces, packets, parity, shard_bytes).is_err() {

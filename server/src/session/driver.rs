@@ -5,7 +5,7 @@ use std::{io, sync::Arc, time::Instant};
 
 use gnomon_protocol::{
     codec::{CodecId, EncodeError, Encoder},
-    fec::{PARITY_ROOM_BYTES, ParityEncoder, parity_packets},
+    fec::{MAX_PROTECTED_PACKETS, PARITY_ROOM_BYTES, ParityEncoder, parity_packets},
     frame::pieces,
     header::HEADER_BYTES,
     ids::FrameNumber,
@@ -193,7 +193,9 @@ impl FrameSender {
             }
             let result = encoder.encode_for(ahead, references.reference(), &mask, body);
             let pieces = pieces(body, payload_bytes);
-            let count = parity_packets(losses.model(), pieces.clone().count());
+            let packets = pieces.clone().count();
+            let protected = encoder.codec().is_sliced() && packets <= MAX_PROTECTED_PACKETS;
+            let count = if protected { parity_packets(losses.model(), packets) } else { 0 };
             parity.encode(pieces, count);
             (workspace, mask, result, begun.elapsed())
         });

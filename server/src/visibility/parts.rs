@@ -7,7 +7,7 @@
 use gnomon_protocol::mask::MaskShape;
 
 /// What a part is expected to take, in milliseconds of the device: long enough that its own overhead of some 20 µs is small.
-pub const PART_MS: f64 = 0.15;
+pub const PART_MS: f64 = 0.5;
 
 /// Parts of a frame at most. The device notes the times of each.
 pub const MAX_PARTS: u32 = 128;

@@ -81,7 +81,7 @@ impl Scheduler {
         let mut waiting: Vec<(usize, Instant)> = Vec::new();
         for (index, turn) in self.sessions.iter_mut().enumerate() {
             let wish = wish(turn.key);
-            if wish.is_some() && !turn.waited {
+            if wish.is_none() || !turn.waited {
                 // Time that it did not ask for is not owed to it.
                 turn.used_ms = turn.used_ms.max(clock_ms - SAVED_MS);
             }

@@ -131,7 +131,9 @@ async fn every_datagram_and_every_frame_is_accounted_for() {
     // The client's first packet and its answer to the Retry come before the session, its last after it.
     let total =
         owner("received", "session") + owner("received", "none") + value(&found, "gnomon_udp_kernel_drops_total");
-    assert_eq!(total, sent.udp_tx.datagrams + 50, "{found}");
+    // A client that has closed answers what still comes to it, and does not count that.
+    let counted = sent.udp_tx.datagrams + 50;
+    assert!((counted..=counted + 2).contains(&total), "{counted}: {found}");
     assert!(owner("received", "none") >= 50, "{found}");
     assert_eq!(
         value(&found, "gnomon_sessions_closed_total{cause=\"left\"}")

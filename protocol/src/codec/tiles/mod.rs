@@ -196,6 +196,10 @@ impl Workspace {
             return Err((slice, Failure::Blocks));
         }
         let held = || slices().filter_map(|(slice, bytes)| Some((slice, blocks_of(shape, bytes)?, bytes)));
+        // No honest frame says anything twice. One that does may, once; more is somebody who wants our time.
+        if held().map(|(_, blocks, _)| blocks.len()).sum::<usize>() > 2 * order.blocks() {
+            return Err((0, Failure::Blocks));
+        }
         let cuts = Cuts::between_slices(&order, || held().map(|(_, blocks, bytes)| (blocks, bytes.len())));
         make_lanes(&mut self.lanes, cuts.runs());
         let lanes = &mut self.lanes[..cuts.runs()];

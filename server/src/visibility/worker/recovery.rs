@@ -56,9 +56,10 @@ impl Worker {
     fn keep_lost_requests(&mut self) {
         self.begin_anew();
         self.scheduler.lost_all();
-        for job in self.flying.drain(..) {
+        // The newest first: what had begun is newer still.
+        for job in self.flying.drain(..).rev() {
             if let Some(session) = self.sessions.get_mut(&job.session) {
-                session.opening.retry = Some(job.request);
+                session.opening.retry.get_or_insert(job.request);
             }
         }
     }

@@ -135,11 +135,15 @@ impl Worker {
         match &mut self.backend {
             Backend::Compute(backend) => {
                 let (slots, flying) = (backend.free_slots(), self.flying.len());
+                let part = backend.submissions_open() < PARTS_IN_FLIGHT;
+                let interrupted = self.sessions.values().any(|session| session.begun.is_some());
                 Room {
-                    whole: flying < RING_FRAMES && slots > 0,
+                    // Whole frames wait for the same room as the parts of one that has begun, so that it is the scheduler who
+                    // chooses: with more room than parts have they would go past it for ever.
+                    whole: flying < RING_FRAMES && slots > 0 && (part || !interrupted),
                     // As many as may fly at once find a slot, however many are interrupted.
                     begin: slots > 0 && slots + flying > RING_FRAMES,
-                    part: backend.submissions_open() < PARTS_IN_FLIGHT,
+                    part,
                     longest_whole_ms,
                 }
             }
