@@ -14,7 +14,7 @@ use crate::visibility::{
     test_scenes::room,
 };
 
-/// Expected to take 12 ms, and so cut into parts of two of its 90 rows beside short ones.
+/// Expected to take 12 ms, and so cut into parts of four of its 90 rows beside short ones.
 const LONG: (u32, u32, f64) = (1280, 720, 12.0);
 const SHORT: (u32, u32, f64) = (64, 40, 0.05);
 
@@ -159,6 +159,29 @@ fn an_interrupted_frame_ends_with_its_session_and_begins_anew_when_buffers_grow(
         assert!(traced.frame == FrameNumber(3) && traced.mask == whole(&mut open(), 3, LONG));
         if let Backend::Compute(backend) = &rig.worker.backend {
             assert_eq!(backend.free_slots(), crate::visibility::backend::compute::SLOTS, "none is lost");
+        }
+    }
+}
+
+#[test]
+fn short_frames_that_always_wait_do_not_keep_a_long_one_from_its_end() {
+    for open in [cpu, compute] {
+        let mut rig = Rig::new(open());
+        let mut short: Vec<SessionPort> = (0..3).map(|_| rig.open(SHORT)).collect();
+        let mut long = rig.open(LONG);
+        ask(&long, 1, LONG);
+        short.iter().for_each(|port| ask(port, 2, SHORT));
+        let mut masks = 0;
+        while long.masks.try_recv().is_err() {
+            for port in &mut short {
+                if let Ok(traced) = port.masks.try_recv() {
+                    port.recycle(traced.mask);
+                    ask(port, 3, SHORT);
+                    masks += 1;
+                }
+            }
+            assert!(masks < 5000, "it starves");
+            rig.step();
         }
     }
 }
