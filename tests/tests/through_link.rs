@@ -48,7 +48,8 @@ fn job<'a>(url: &'a str, folder: &'a Path, frames: u32) -> ClientJob<'a> {
         folder,
         wait: false,
         save_masks: true,
-        arguments: ["--fps", "30", "--allow-software"].map(Into::into).to_vec(),
+        // Whole masks, each of which stands in one file, and nothing but poses on the way up.
+        arguments: ["--fps", "30", "--allow-software", "--codec", "planes-lz4"].map(Into::into).to_vec(),
     }
 }
 

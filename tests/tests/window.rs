@@ -1,8 +1,7 @@
 //! Promise: a person can use the client in a window: walk, look, resize, choose, keep a picture, and lose the server; and what the
 //! window shows is what a headless run writes.
 //!
-//! The window is a real one, under Xvfb, its person is xdotool, and openbox manages it where that matters: `deploy/setup` installs all
-//! three.
+//! The window is a real one, under Xvfb, its person is xdotool, and openbox manages it where that matters (`deploy/setup tests`).
 #![cfg(target_os = "linux")]
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
@@ -279,10 +278,8 @@ fn it_can_fill_the_screen_and_be_hidden() {
     window.leave();
     // Nothing is drawn for nobody.
     let lines = fs::read_to_string(&stats).unwrap();
-    let times: Vec<f64> = lines
-        .lines()
-        .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap()["t_ms"].as_f64().unwrap())
-        .collect();
+    let time_ms = |line: &str| serde_json::from_str::<serde_json::Value>(line).unwrap()["t_ms"].as_f64().unwrap();
+    let times: Vec<f64> = lines.lines().map(time_ms).collect();
     assert!(times.windows(2).any(|pair| pair[1] - pair[0] > 1000.0), "it is drawn while it is hidden");
 }
 
