@@ -11,7 +11,7 @@ pub(crate) mod present;
 pub mod readback;
 mod scene_upload;
 mod shade;
-mod targets;
+pub(crate) mod targets;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]

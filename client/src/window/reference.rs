@@ -21,7 +21,7 @@ use crate::{
     local_server::{Folder, LocalScene, LocalServer, LocalServerError},
     mode::ModeMachine,
     options::{HeadlessOptions, Source},
-    render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView, exposure::Exposure},
+    render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView, exposure::Exposure, targets},
     scene_cache::SceneCache,
 };
 
@@ -189,17 +189,9 @@ impl Drop for Reference {
     }
 }
 
-fn picture(gpu: &Gpu, (width, height): (u32, u32)) -> (wgpu::Texture, wgpu::TextureView) {
-    let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
-        label: Some("reference"),
-        size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format: PICTURE_FORMAT,
-        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
-        view_formats: &[],
-    });
+fn picture(gpu: &Gpu, size: (u32, u32)) -> (wgpu::Texture, wgpu::TextureView) {
+    let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
+    let texture = targets::texture(&gpu.device, "reference", size, PICTURE_FORMAT, usage);
     let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
     (texture, view)
 }
