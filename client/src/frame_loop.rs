@@ -12,7 +12,7 @@ use gnomon_shaders::camera::Camera;
 use crate::{
     error::ClientError,
     guard::GuardChoice,
-    live::{Live, Taken},
+    live::{Live, Taken, view_of},
     mode::{Decision, ModeMachine, Observation, State},
     net::receive::Received,
     overlay::link::in_words,
@@ -142,7 +142,7 @@ impl FrameLoop {
             wait = clock.lap();
         }
         let taken = self.take_mask(begun)?;
-        self.record_mask(&taken)?;
+        self.record_masks(&taken)?;
         let _upload = clock.lap();
         let (shown, decision) = self.decide(frame, &camera, begun);
         if !self.wait {
@@ -202,15 +202,17 @@ impl FrameLoop {
         recorder.write(&Record::Event { frame: self.memory.frames - 1, text })
     }
 
-    /// Writes down the mask that the renderer has just been given.
-    fn record_mask(&mut self, taken: &Taken) -> Result<(), ClientError> {
+    /// Writes down the masks that the renderer has just been given.
+    fn record_masks(&mut self, taken: &Taken) -> Result<(), ClientError> {
         let (Some(recorder), Some(live), Some(_)) = (&mut self.recorder, &self.live, taken.response) else {
             return Ok(());
         };
-        let (Some(received), Some(traced_for)) = (live.masks.front(), self.renderer.mask_view()) else {
-            return Ok(());
-        };
-        recorder.mask(received.frame.0, &traced_for, &received.mask)
+        for received in live.masks.taken() {
+            if let Ok((_, traced_for)) = view_of(received, &self.memory.history) {
+                recorder.mask(received.frame.0, &traced_for, (&received.mask, &received.coverage))?;
+            }
+        }
+        Ok(())
     }
 
     /// Remembers a frame, and asks the server for its mask. How far ahead that is wanted is the answer, in milliseconds.

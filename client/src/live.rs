@@ -12,9 +12,9 @@ use tokio::runtime::Runtime;
 
 use crate::{
     error::ClientError,
-    mask_buffer::{MaskReader, Waited},
+    mask_buffer::{MaskReader, ReceivedMask, Waited},
     net::{link_state::LinkState, receive::Received, reconnect::Redial, session::Session},
-    pose_history::{Asked, PoseHistory, Rejections},
+    pose_history::{Asked, PoseHistory, Rejection, Rejections},
     render::{FrameRenderer, RenderError, predict::MaskView},
 };
 
@@ -68,10 +68,10 @@ pub(crate) struct Current {
     pub(crate) packets: u16,
 }
 
-/// A mask that the renderer has just been given.
+/// What the renderer has just been given: the newest mask, and those before it that it lies over.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Taken {
-    /// From its pose's departure until it was whole.
+    /// From its pose's departure until it came.
     pub(crate) response: Option<Duration>,
     /// What handing it to the renderer took.
     pub(crate) upload: Duration,
@@ -249,46 +249,61 @@ impl Live {
         }
     }
 
-    /// Gives the renderer the mask in the front buffer. One that answers nothing is counted and passed over: the renderer keeps
-    /// the one it has.
+    /// Gives the renderer the masks that were taken last. One that answers nothing is counted and passed over: the renderer keeps
+    /// what it has.
     pub(crate) fn take_front(
         &mut self,
         history: &PoseHistory,
         renderer: &mut FrameRenderer,
         shown_at: Instant,
     ) -> Result<Taken, RenderError> {
-        let Some(received) = self.masks.front() else { return Ok(Taken::default()) };
-        let asked = match history.answered(received.frame, received.mask.shape()) {
-            Ok(asked) => *asked,
-            Err(rejection) => {
-                tracing::debug!(frame = received.frame.0, ?rejection, "a mask that answers nothing");
-                self.rejections.count(rejection);
-                return Ok(Taken::default());
+        let mut all = Taken::default();
+        for received in self.masks.taken() {
+            let (asked, traced_for) = match view_of(received, history) {
+                Ok(view) => view,
+                Err(rejection) => {
+                    tracing::debug!(frame = received.frame.0, ?rejection, "a mask that answers nothing");
+                    self.rejections.count(rejection);
+                    continue;
+                }
+            };
+            let begun = Instant::now();
+            let (mask, coverage) = (&received.mask, Some(&received.coverage));
+            renderer.set_mask(Some(MaskView { mask, coverage, traced_for: &traced_for }))?;
+            all.upload += begun.elapsed();
+            let response = asked.sent_at.map(|sent| received.received_at.saturating_duration_since(sent));
+            all.response = response;
+            let before = self.current.filter(|before| before.view == traced_for);
+            let as_of = before.map_or(asked.frame, |before| before.as_of.max(asked.frame));
+            // More of the mask that there was: how long that took has been measured.
+            let more = self.current.is_some_and(|current| current.asked.frame == asked.frame);
+            self.current = Some(Current {
+                asked,
+                view: traced_for,
+                as_of,
+                bytes: received.payload_bytes,
+                packets: received.packets,
+            });
+            // What a repeated pose took says nothing about the server (Karn's rule for round trips): taken for a response, a
+            // lost frame would make the next loss cost twice as much.
+            if self.repeated != Some(asked.frame) && !more {
+                let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
+                self.slowest_response = response.map(|response| response.max(faded)).or(self.slowest_response);
+                let way = asked.sent_at.map(|sent| shown_at.saturating_duration_since(sent));
+                self.way = way.map(|way| self.way.map_or(way, |before| (before * 7 + way) / 8)).or(self.way);
             }
-        };
-        let begun = Instant::now();
-        let traced_for = received.traced_for.map_or(asked.mask_camera, |pose| {
-            Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, asked.pose.mask_px)
-        });
-        renderer.set_mask(Some(MaskView { mask: &received.mask, traced_for: &traced_for }))?;
-        let upload = begun.elapsed();
-        let response = asked.sent_at.map(|sent| received.received_at.saturating_duration_since(sent));
-        let before = self.current.filter(|before| before.view == traced_for);
-        let as_of = before.map_or(asked.frame, |before| before.as_of.max(asked.frame));
-        // More of the mask that there was: how long that took has been measured.
-        let more = self.current.is_some_and(|current| current.asked.frame == asked.frame);
-        self.current =
-            Some(Current { asked, view: traced_for, as_of, bytes: received.payload_bytes, packets: received.packets });
-        // What a repeated pose took says nothing about the server (Karn's rule for round trips): taken for a response, a
-        // lost frame would make the next loss cost twice as much.
-        if self.repeated != Some(asked.frame) && !more {
-            let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
-            self.slowest_response = response.map(|response| response.max(faded)).or(self.slowest_response);
-            let way = asked.sent_at.map(|sent| shown_at.saturating_duration_since(sent));
-            self.way = way.map(|way| self.way.map_or(way, |before| (before * 7 + way) / 8)).or(self.way);
         }
-        Ok(Taken { response, upload })
+        Ok(all)
     }
+}
+
+/// What a mask was asked for with, and the view that it was traced for, if it answers something.
+pub(crate) fn view_of(received: &ReceivedMask, history: &PoseHistory) -> Result<(Asked, Camera), Rejection> {
+    let asked = *history.answered(received.frame, received.mask.shape())?;
+    let traced_for = received.traced_for.map_or(asked.mask_camera, |pose| {
+        Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, asked.pose.mask_px)
+    });
+    Ok((asked, traced_for))
 }
 
 /// What has come in two connections' lives.

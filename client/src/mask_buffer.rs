@@ -1,17 +1,23 @@
-//! The double buffer between the receive task and the renderer.
+//! The buffer between the receive task and the renderer.
 //!
-//! The receive task decodes into its back buffer, and the renderer reads its front buffer; neither is shared. When a
-//! mask is whole, the back buffer changes places with the one in the middle, and the renderer changes its front buffer
-//! for that one when it wants a newer mask. These two swaps, of pointers, are all that is ever done under the lock: the
-//! dissertation's client holds its mutex while it copies to the GPU (§3.3), so its receiver waits for the renderer.
+//! The receive task decodes into its back buffer, and the renderer reads its front buffers; neither is shared. When a mask is
+//! there, the back buffer changes places with one in the middle, and the renderer takes what is in the middle when it wants newer
+//! masks. These swaps, of pointers, are all that is ever done under the lock: the dissertation's client holds its mutex while it
+//! copies to the GPU (§3.3), so its receiver waits for the renderer.
+//!
+//! A whole mask replaces those before it that the renderer has not taken. A mask of which parts are missing does not: what it lacks is
+//! looked up in them. [`MAX_LAYERS`] wait at most.
 
 use std::{
+    collections::VecDeque,
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     time::Instant,
 };
 
 use gnomon_protocol::{
+    coverage::Coverage,
     ids::FrameNumber,
+    limits::MAX_LAYERS,
     mask::{Mask, MaskShape},
     pose::Pose,
 };
@@ -23,6 +29,8 @@ pub struct ReceivedMask {
     pub frame: FrameNumber,
     /// The mask.
     pub mask: Mask,
+    /// What of it has come.
+    pub coverage: Coverage,
     /// The pose that it was traced for, where the server has looked ahead; that of its frame without.
     pub traced_for: Option<Pose>,
     /// Bytes that the encoded frame had, packet headers not counted.
@@ -35,17 +43,36 @@ pub struct ReceivedMask {
 
 #[derive(Debug)]
 struct Middle {
-    buffer: ReceivedMask,
-    /// Whether the buffer holds a mask that the renderer has not seen.
-    fresh: bool,
+    /// Masks that the renderer has not seen, in the order of their coming.
+    fresh: VecDeque<ReceivedMask>,
+    /// Memory for those to come.
+    spare: Vec<ReceivedMask>,
     /// Whether a frame was lost since the last mask.
     lost: bool,
     /// Why no more masks will come.
     ended: Option<String>,
 }
 
+impl Middle {
+    /// Takes another mask in.
+    fn push(&mut self, mask: ReceivedMask) {
+        if mask.coverage.is_whole() {
+            self.spare.extend(self.fresh.drain(..));
+        }
+        // More of the newest mask stands in its place.
+        if self.fresh.back().is_some_and(|newest| newest.frame == mask.frame) {
+            self.spare.extend(self.fresh.pop_back());
+        }
+        if self.fresh.len() == MAX_LAYERS {
+            self.spare.extend(self.fresh.pop_front());
+        }
+        self.fresh.push_back(mask);
+    }
+}
+
 #[derive(Debug)]
 struct Shared {
+    shape: MaskShape,
     middle: Mutex<Middle>,
     changed: Condvar,
 }
@@ -68,9 +95,8 @@ pub struct MaskWriter {
 #[derive(Debug)]
 pub struct MaskReader {
     shared: Arc<Shared>,
-    front: ReceivedMask,
-    /// Whether the front buffer holds a mask at all.
-    filled: bool,
+    /// Masks that were taken last, in the order of their coming.
+    front: VecDeque<ReceivedMask>,
 }
 
 /// How waiting for a mask ended.
@@ -89,17 +115,22 @@ pub enum Waited {
 /// A buffer for masks of `shape`.
 #[must_use]
 pub fn mask_buffer(shape: MaskShape) -> (MaskWriter, MaskReader) {
-    let buffer = || ReceivedMask {
+    let middle = Middle { fresh: VecDeque::new(), spare: Vec::new(), lost: false, ended: None };
+    let shared = Arc::new(Shared { shape, middle: Mutex::new(middle), changed: Condvar::new() });
+    let reader = MaskReader { shared: Arc::clone(&shared), front: VecDeque::new() };
+    (MaskWriter { shared, back: blank(shape) }, reader)
+}
+
+fn blank(shape: MaskShape) -> ReceivedMask {
+    ReceivedMask {
         frame: FrameNumber(0),
         mask: Mask::new(shape),
+        coverage: Coverage::whole(shape),
         traced_for: None,
         payload_bytes: 0,
         packets: 0,
         received_at: Instant::now(),
-    };
-    let middle = Mutex::new(Middle { buffer: buffer(), fresh: false, lost: false, ended: None });
-    let shared = Arc::new(Shared { middle, changed: Condvar::new() });
-    (MaskWriter { shared: Arc::clone(&shared), back: buffer() }, MaskReader { shared, front: buffer(), filled: false })
+    }
 }
 
 impl MaskWriter {
@@ -108,11 +139,12 @@ impl MaskWriter {
         &mut self.back
     }
 
-    /// Hands the back buffer over. A mask that the renderer has not taken yet is replaced.
+    /// Hands the back buffer over. Whole masks replace those that the renderer has not taken yet.
     pub fn publish(&mut self) {
         let mut middle = self.shared.lock();
-        std::mem::swap(&mut middle.buffer, &mut self.back);
-        middle.fresh = true;
+        // Memory is made when the buffers are fewer than the masks that wait, and then serves for ever.
+        let next = middle.spare.pop().unwrap_or_else(|| blank(self.shared.shape));
+        middle.push(std::mem::replace(&mut self.back, next));
         middle.lost = false;
         drop(middle);
         self.shared.changed.notify_all();
@@ -161,13 +193,18 @@ impl MaskReader {
     pub fn newest(&mut self) -> Option<(&ReceivedMask, bool)> {
         let shared = Arc::clone(&self.shared);
         let changed = self.take(&mut shared.lock());
-        self.filled.then_some((&self.front, changed))
+        self.front().map(|front| (front, changed))
     }
 
-    /// The mask in the front buffer.
+    /// The newest of the masks that were taken last.
     #[must_use]
     pub fn front(&self) -> Option<&ReceivedMask> {
-        self.filled.then_some(&self.front)
+        self.front.back()
+    }
+
+    /// All masks that were taken last, in the order of their coming: what the later ones lack may be in the earlier ones.
+    pub fn taken(&self) -> impl Iterator<Item = &ReceivedMask> {
+        self.front.iter()
     }
 
     /// Waits for the mask of exactly this frame, but not beyond `deadline`. Others that come are passed over.
@@ -190,7 +227,7 @@ impl MaskReader {
         let mut middle = shared.lock();
         loop {
             let fresh = self.take(&mut middle);
-            if self.filled && is_it(&self.front, fresh) {
+            if self.front().is_some_and(|front| is_it(front, fresh)) {
                 return Waited::Arrived;
             }
             if let Some(reason) = &middle.ended {
@@ -214,12 +251,12 @@ impl MaskReader {
     }
 
     fn take(&mut self, middle: &mut Middle) -> bool {
-        let fresh = std::mem::take(&mut middle.fresh);
-        if fresh {
-            std::mem::swap(&mut middle.buffer, &mut self.front);
-            self.filled = true;
+        if middle.fresh.is_empty() {
+            return false;
         }
-        fresh
+        middle.spare.extend(self.front.drain(..));
+        std::mem::swap(&mut middle.fresh, &mut self.front);
+        true
     }
 }
 
@@ -237,6 +274,14 @@ mod tests {
         let back = writer.back();
         back.frame = FrameNumber(frame);
         back.mask.words_mut().fill(u64::from(frame));
+        back.coverage.set_whole(back.mask.shape());
+        writer.publish();
+    }
+
+    fn fill_in_part(writer: &mut MaskWriter, frame: u32) {
+        let back = writer.back();
+        back.frame = FrameNumber(frame);
+        back.coverage.set_none(back.mask.shape());
         writer.publish();
     }
 
@@ -253,6 +298,29 @@ mod tests {
         assert!(!reader.newest().unwrap().1);
         fill(&mut writer, 3);
         assert_eq!(reader.newest().unwrap().0.mask.words(), [3; 4]);
+    }
+
+    #[test]
+    fn masks_in_part_replace_nothing_but_themselves() {
+        let (mut writer, mut reader) = mask_buffer(shape());
+        let taken = |reader: &MaskReader| reader.taken().map(|mask| mask.frame.0).collect::<Vec<_>>();
+        fill(&mut writer, 1);
+        for frame in [2, 2, 3] {
+            fill_in_part(&mut writer, frame);
+        }
+        assert_eq!(reader.newest().unwrap().0.frame, FrameNumber(3));
+        assert_eq!(taken(&reader), [1, 2, 3]);
+        fill_in_part(&mut writer, 4);
+        fill(&mut writer, 5);
+        assert!(reader.newest().unwrap().1);
+        assert_eq!(taken(&reader), [5]);
+        (6..26).for_each(|frame| fill_in_part(&mut writer, frame));
+        assert!(reader.newest().unwrap().1 && !reader.newest().unwrap().1);
+        assert_eq!(taken(&reader), (18..26).collect::<Vec<_>>());
+        // Buffers go round.
+        (26..99).for_each(|frame| fill_in_part(&mut writer, frame));
+        reader.newest();
+        assert!(reader.shared.lock().spare.len() <= 2 * MAX_LAYERS);
     }
 
     #[test]

@@ -7,6 +7,7 @@
 pub mod acknowledgement;
 pub mod codec;
 pub mod congestion;
+pub mod coverage;
 pub mod fec;
 pub mod frame;
 #[doc(hidden)]

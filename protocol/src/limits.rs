@@ -31,6 +31,12 @@ pub const MAX_REFERENCES: usize = 16;
 /// Bytes of memory that either end keeps them in.
 pub const MAX_REFERENCE_BYTES: usize = 32 << 20;
 
+/// Masks that a client looks things up in, the newest first, where parts of them are missing.
+pub const MAX_LAYERS: usize = 8;
+
+/// Bytes of memory that it keeps them in, at 8 bytes a pixel; two are kept in any case.
+pub const MAX_LAYER_BYTES: usize = 133 << 20;
+
 /// Largest control message, its length prefix not counted.
 pub const MAX_MESSAGE_BYTES: usize = 128 * 1024;
 

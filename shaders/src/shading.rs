@@ -58,14 +58,33 @@ impl View {
     }
 }
 
+/// Masks that prediction looks things up in at most.
+pub const MAX_MASK_LAYERS: usize = 8;
+
+/// A mask that prediction looks things up in. Twin of `MaskLayer` in `predict.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct MaskLayer {
+    /// The view that it was traced for, with the mask's size.
+    pub view: View,
+    /// Layer of the textures that it lies in.
+    pub slot: u32,
+    /// 1 if it was traced for the picture's own view.
+    pub same_view: u32,
+    /// 1 if all of it has come.
+    pub whole: u32,
+    /// Nothing.
+    pub unused: u32,
+}
+
 /// What prediction works from. Twin of `Prediction` in `predict.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct Prediction {
-    /// The view that the mask was traced for, with the mask's size.
-    pub mask_view: View,
-    /// What the mask says of the picture's view: 0 nothing, 1 it was traced for this very view, 2 for another one.
-    pub source: u32,
+    /// The masks, the newest first.
+    pub layers: [MaskLayer; MAX_MASK_LAYERS],
+    /// How many they are.
+    pub count: u32,
     /// 0 none, 1 the dissertation's, 2 by surface.
     pub predictor: u32,
     /// What the dissertation's predictor does with unknown points: 0 lights them, 1 shadows them, 2 copies.
@@ -280,7 +299,8 @@ mod tests {
             View,
             [clip_from_local, origin, near_m, forward, width, right, height, up, visibility_share]
         );
-        assert_layout!("shading/predict.wgsl", Prediction, [mask_view, source, predictor, unknown, lights]);
+        assert_layout!("shading/predict.wgsl", Prediction, [layers, count, predictor, unknown, lights]);
+        assert_layout!("shading/predict.wgsl", MaskLayer, [view, slot, same_view, whole]);
         assert_layout!("shading/predict.wgsl", ShadowView, [clip_from_local, left, top, side, texel_m]);
         assert_layout!("shading/gbuffer.wgsl", Material, [base_color, alpha_cutoff, index, wrap_u, wrap_v]);
         assert_layout!(

@@ -1,7 +1,8 @@
 //! The receive task: packets → reassembler → decoder → back buffer → swap.
 //!
 //! Where each packet of a frame stands alone, a frame comes out in part when what is missing of it takes longer than packets take
-//! of late, or a newer one begins, and once more when more of it has come: tiles that did not come keep the value that they had.
+//! of late, or a newer one begins, and once more when more of it has come. The mask says which of its tiles have come
+//! ([`gnomon_protocol::coverage`]); the others keep the value that they had.
 
 use std::{
     convert::Infallible,
@@ -205,6 +206,7 @@ impl ReceiveTask {
             Ok(head) if is_within(self.shape, head.shape) => {
                 back.traced_for = head.traced_for;
                 let (decoded, said) = decoder.decode(&complete, &head, &mut back.mask);
+                decoder.decoder.coverage(head.shape, &mut back.coverage);
                 if said.is_some() {
                     self.acknowledge.send_replace(said);
                 }

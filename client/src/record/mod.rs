@@ -14,6 +14,7 @@ use std::{
 
 use gnomon_protocol::{
     codec::{CodecId, Encoder},
+    coverage::Coverage,
     mask::Mask,
 };
 use gnomon_shaders::camera::Camera;
@@ -27,7 +28,7 @@ use crate::{
 };
 
 /// First line of a recording.
-pub const FIRST_LINE: &str = "gnomon recording 1\n";
+pub const FIRST_LINE: &str = "gnomon recording 2\n";
 
 /// Longest record, in bytes: a mask of noise as large as masks get.
 pub const MAX_RECORD_BYTES: u32 = 128 << 20;
@@ -101,6 +102,8 @@ pub enum Record {
         traced_for: RecordedCamera,
         /// The mask, as `planes-lz4` codes it.
         body: Vec<u8>,
+        /// What of it had come, as [`Coverage::words`] has it; nothing is all.
+        came: Option<Vec<u32>>,
     },
     /// A frame was drawn.
     Frame {
@@ -190,14 +193,20 @@ impl Recorder {
     }
 
     /// Adds a mask.
-    pub(crate) fn mask(&mut self, frame: u32, traced_for: &Camera, mask: &Mask) -> Result<(), ClientError> {
+    pub(crate) fn mask(
+        &mut self,
+        frame: u32,
+        traced_for: &Camera,
+        (mask, coverage): (&Mask, &Coverage),
+    ) -> Result<(), ClientError> {
         if self.full {
             return Ok(());
         }
         let mut body = Vec::new();
         let encoded = self.encoder.encode(mask, &mut body);
         encoded.map_err(|error| self.failed(std::io::Error::other(error)))?;
-        self.write(&Record::Mask { frame, traced_for: traced_for.into(), body })
+        let came = (!coverage.is_whole()).then(|| coverage.words().to_vec());
+        self.write(&Record::Mask { frame, traced_for: traced_for.into(), body, came })
     }
 
     /// Adds a record. Beyond the largest size nothing is added any more.

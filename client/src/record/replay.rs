@@ -8,6 +8,7 @@ use std::{
 
 use gnomon_protocol::{
     codec::{DecodeError, Decoder},
+    coverage::Coverage,
     mask::{Mask, MaskShape, ShapeError},
 };
 use gnomon_shaders::{camera::Camera, gpu::Gpu, scene::Scene};
@@ -148,13 +149,20 @@ pub fn replay<E: From<ReplayError>>(
             Record::LightsOn(lights) => renderer.set_lights_on(*lights),
             Record::Split(split) => renderer.set_split(*split),
             Record::View(view) => renderer.set_debug_view(*view),
-            Record::Mask { traced_for, body, .. } => {
+            Record::Mask { traced_for, body, came, .. } => {
                 let traced_for = Camera::from(traced_for);
                 let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
                 let shape = MaskShape::new(traced_for.width, traced_for.height, lights).map_err(ReplayError::from);
                 let mut mask = Mask::new(shape.map_err(E::from)?);
                 decoder.decode(body, &mut mask).map_err(|error| E::from(ReplayError::from(error)))?;
-                renderer.set_mask(Some(MaskView { mask: &mask, traced_for: &traced_for })).map_err(render)?;
+                let coverage = came.clone().map(|words| {
+                    let reason = "a mask with more or fewer places than it has".to_owned();
+                    Coverage::from_words(mask.shape(), words)
+                        .ok_or(ReplayError::Malformed { number: records.number - 1, reason })
+                });
+                let coverage = coverage.transpose()?;
+                let view = MaskView { mask: &mask, coverage: coverage.as_ref(), traced_for: &traced_for };
+                renderer.set_mask(Some(view)).map_err(render)?;
             }
             Record::Frame { frame, shown, visibility_share, .. } => {
                 let shown = Camera::from(shown);

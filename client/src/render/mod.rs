@@ -233,7 +233,7 @@ impl FrameRenderer {
     pub fn draw_surfaces(&mut self, camera: &Camera) -> Result<(), RenderError> {
         let camera = self.sized(camera);
         self.write_view(&camera, 1.0);
-        self.history.begin(&camera, self.predict.kept());
+        self.history.begin(&camera);
         let mut encoder = self.encoder();
         self.gbuffer.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene);
         self.gpu.queue.submit([encoder.finish()]);

@@ -30,6 +30,7 @@ pub use self::id::{CodecId, UnknownCodec};
 pub use self::tiles::train as train_tiles;
 pub use self::tiles::{Reference, ReferenceName};
 use crate::{
+    coverage::Coverage,
     frame::{Frame, FrameError, FrameHead, slice_tile_rows},
     header::HEADER_BYTES,
     ids::FrameNumber,
@@ -377,7 +378,7 @@ impl Decoder {
         mask: &mut Mask,
     ) -> Result<(), DecodeError> {
         let way = tiles::Way::new(profile, reference);
-        self.tiles.go_on(way.is_kept().then_some(mask.shape()));
+        self.tiles.go_on(way, mask.shape());
         Frame::parts(body).try_for_each(|part| part.map(drop))?;
         let slices = || {
             let parts = Frame::parts(body).map_while(Result::ok).enumerate();
@@ -385,6 +386,11 @@ impl Decoder {
         };
         let decoded = self.tiles.decode(way, slices, mask);
         decoded.map_err(|(slice, failure)| DecodeError::of_tiles(slice, failure))
+    }
+
+    /// Says what of the frame that was decoded last, which had this shape, has come.
+    pub fn coverage(&self, shape: MaskShape, coverage: &mut Coverage) {
+        self.tiles.coverage(shape, coverage);
     }
 
     /// Makes a reference of the mask that was decoded last, as `frame`. Says no, and leaves `reference` as it is, where not all

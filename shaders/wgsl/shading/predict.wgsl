@@ -6,29 +6,38 @@
 // a sample counts only when its own point lies in the plane of the surface that is asked about: nothing bleeds across edges, and
 // what was hidden is found to be unknown. Where the samples around the point disagree about a light, a shadow's edge runs between
 // them, and a wider kernel places it between the samples instead of along their borders (the dissertation's Figure 20).
+//
+// Masks can come in part. What has not come of the newest one is looked up in those before it, each in its own view.
 
 #import "shading/view.wgsl"
 #import "shading/lighting.wgsl"
 #import "shading/shadow_map.wgsl"
 
+// Twin: `shading::MaskLayer`.
+struct MaskLayer {
+    // The view that the mask was traced for, with the mask's size.
+    view: View,
+    // Layer of the textures.
+    slot: u32,
+    // 1 if the mask was traced for the picture's own view.
+    same_view: u32,
+    // 1 if all of it has come.
+    whole: u32,
+    unused_0: u32,
+}
+
 // Twin: `shading::Prediction`.
 struct Prediction {
-    // The view that the mask was traced for, with the mask's size.
-    mask_view: View,
-    // What the mask says of this view.
-    source: u32,
+    // The newest first.
+    layers: array<MaskLayer, 8>,
+    // How many there are; where there is none, everything is unknown.
+    count: u32,
     predictor: u32,
     // What the dissertation's predictor does with unknown points.
     unknown: u32,
     // A bit for each light.
     lights: u32,
 }
-
-// No mask: everything is unknown.
-const SOURCE_NONE: u32 = 0u;
-// The mask was traced for this very view.
-const SOURCE_SAME_VIEW: u32 = 1u;
-const SOURCE_OTHER_VIEW: u32 = 2u;
 
 const PREDICT_NOTHING: u32 = 0u;
 const PREDICT_DISSERTATION: u32 = 1u;
@@ -46,9 +55,11 @@ const UNKNOWN_COPY: u32 = 2u;
 @group(0) @binding(5) var<storage, read_write> unknown_pixels: atomic<u32>;
 @group(1) @binding(0) var depth_picture: texture_depth_2d;
 @group(1) @binding(1) var normal_material_picture: texture_2d<u32>;
-@group(2) @binding(0) var mask_words: texture_2d<u32>;
-@group(2) @binding(1) var mask_depth: texture_depth_2d;
-@group(2) @binding(2) var nearest_texel: sampler;
+@group(2) @binding(0) var mask_words: texture_2d_array<u32>;
+// Lights that have come, a texel for 64×8 pixels.
+@group(2) @binding(1) var mask_coverage: texture_2d_array<u32>;
+@group(2) @binding(2) var mask_depth: texture_depth_2d_array;
+@group(2) @binding(3) var nearest_texel: sampler;
 
 @vertex
 fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
@@ -57,6 +68,7 @@ fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
 
 // A surface point, as the mask's view sees it.
 struct Place {
+    layer: u32,
     point: vec3f,
     normal: vec3f,
     // In pixels of the mask, whole numbers at their centres.
@@ -65,19 +77,29 @@ struct Place {
     footprint_m: f32,
 }
 
-// What the mask says: a bit for each light, when it says something.
+// What a mask says: a bit for each light that it says something of, and whether that reaches the point.
 struct Found {
-    known: bool,
+    known: u32,
     word: u32,
 }
+
+const NOTHING = Found(0u, 0u);
 
 // Four samples of the mask that form a square, in textureGather's order: lower left, lower right, upper right, upper left.
 struct Quad {
     // Whether the sample's own point lies on the surface that is asked about.
     on_surface: vec4<bool>,
     words: vec4u,
+    // Lights of each sample that have come.
+    came: vec4u,
     // Squared distance from the place, in pixels of the mask.
     distance_2: vec4f,
+}
+
+// The lights whose bits have come at a sample of the mask.
+fn came_at(layer: u32, sample: vec2i) -> u32 {
+    let texel = clamp(sample, vec2i(0), vec2i(vec2u(prediction.layers[layer].view.width, prediction.layers[layer].view.height)) - 1);
+    return textureLoad(mask_coverage, texel / vec2i(64, 8), prediction.layers[layer].slot, 0).x;
 }
 
 // The square whose upper left sample is `corner`.
@@ -85,20 +107,31 @@ struct Quad {
 // A sample's point is up to a few footprints away within the plane. The packed normal is off by up to 1/100, and a curved surface
 // by less than a fifth of a footprint unless it bends by more than 20° from one sample to the next.
 fn quad_at(place: Place, corner: vec2f) -> Quad {
-    let size = vec2f(vec2u(prediction.mask_view.width, prediction.mask_view.height));
+    let size = vec2f(vec2u(prediction.layers[place.layer].view.width, prediction.layers[place.layer].view.height));
     let middle = (corner + 1.0) / size;
-    let depth = textureGather(mask_depth, nearest_texel, middle);
-    let words = textureGather(0, mask_words, nearest_texel, middle);
+    let slot = prediction.layers[place.layer].slot;
+    let depth = textureGather(mask_depth, nearest_texel, middle, slot);
+    let words = textureGather(0, mask_words, nearest_texel, middle, slot);
+    var came = vec4u(prediction.lights);
+    if prediction.layers[place.layer].whole == 0u {
+        let sample = vec2i(corner);
+        came = vec4u(
+            came_at(place.layer, sample + vec2i(0, 1)),
+            came_at(place.layer, sample + vec2i(1, 1)),
+            came_at(place.layer, sample + vec2i(1, 0)),
+            came_at(place.layer, sample),
+        );
+    }
     let across = corner.x + vec4f(0.0, 1.0, 1.0, 0.0);
     let down = corner.y + vec4f(1.0, 1.0, 0.0, 0.0);
     // The four points less the place's own, as `point_at_depth` has them; where there is no surface the depth is 0.
     let view_x = (2.0 * across + 1.0) / size.x - 1.0;
     let view_y = 1.0 - (2.0 * down + 1.0) / size.y;
-    let distance = prediction.mask_view.near_m / max(depth, vec4f(1e-30));
-    let eye = prediction.mask_view.origin - place.point;
-    let forward = prediction.mask_view.forward;
-    let right = prediction.mask_view.right;
-    let up = prediction.mask_view.up;
+    let distance = prediction.layers[place.layer].view.near_m / max(depth, vec4f(1e-30));
+    let eye = prediction.layers[place.layer].view.origin - place.point;
+    let forward = prediction.layers[place.layer].view.forward;
+    let right = prediction.layers[place.layer].view.right;
+    let up = prediction.layers[place.layer].view.up;
     let x = eye.x + distance * (forward.x + view_x * right.x + view_y * up.x);
     let y = eye.y + distance * (forward.y + view_x * right.y + view_y * up.y);
     let z = eye.z + distance * (forward.z + view_x * right.z + view_y * up.z);
@@ -108,7 +141,7 @@ fn quad_at(place: Place, corner: vec2f) -> Quad {
     let in_mask = (across >= vec4f(0.0)) & (across < vec4f(size.x)) & (down >= vec4f(0.0)) & (down < vec4f(size.y));
     let away_x = across - place.at.x;
     let away_y = down - place.at.y;
-    return Quad((depth > vec4f(0.0)) & in_mask & in_plane, words, away_x * away_x + away_y * away_y);
+    return Quad((depth > vec4f(0.0)) & in_mask & in_plane, words & came, came, away_x * away_x + away_y * away_y);
 }
 
 // How close to a sample's centre a place counts as being there, in pixels of the mask.
@@ -120,9 +153,13 @@ fn edge_weights(quad: Quad) -> vec4f {
     return select(vec4f(0.0), exp(-0.85 * quad.distance_2), quad.on_surface);
 }
 
-// The weight of the samples that a light reaches.
-fn reached(quad: Quad, weights: vec4f, light: u32) -> f32 {
-    return dot(weights, vec4f((quad.words >> vec4u(light)) & vec4u(1u)));
+// The weight of the samples that a light reaches, and of those that tell whether it does.
+fn reached(quad: Quad, weights: vec4f, light: u32) -> vec2f {
+    let here = vec4u(light);
+    return vec2f(
+        dot(weights, vec4f((quad.words >> here) & vec4u(1u))),
+        dot(weights, vec4f((quad.came >> here) & vec4u(1u))),
+    );
 }
 
 // The lights of `disputed` that reach the place, by the weighted majority of the 16 samples around it.
@@ -136,12 +173,11 @@ fn edge_word(place: Place, disputed: u32) -> u32 {
     let of_b = edge_weights(b);
     let of_c = edge_weights(c);
     let of_d = edge_weights(d);
-    let half = 0.5 * dot(of_a + of_b + of_c + of_d, vec4f(1.0));
     var word = 0u;
     for (var rest = disputed; rest != 0u; rest &= rest - 1u) {
         let light = firstTrailingBit(rest);
         let all = reached(a, of_a, light) + reached(b, of_b, light) + reached(c, of_c, light) + reached(d, of_d, light);
-        word |= select(0u, 1u << light, all > half);
+        word |= select(0u, 1u << light, all.x > 0.5 * all.y);
     }
     return word;
 }
@@ -153,49 +189,78 @@ fn any_of(words: vec4u) -> u32 {
 fn by_surface(place: Place) -> Found {
     let quad = quad_at(place, floor(place.at));
     let some = any_of(select(vec4u(0u), quad.words, quad.on_surface));
-    let not_every = any_of(select(vec4u(0u), ~quad.words, quad.on_surface));
+    let not_every = any_of(select(vec4u(0u), quad.came & ~quad.words, quad.on_surface));
+    let known = (some | not_every) & prediction.lights;
     let disputed = some & not_every & prediction.lights;
     if disputed == 0u {
-        return Found(any(quad.on_surface), some);
+        return Found(known, some);
     }
     // Next to a sample's centre that sample is right, and a kernel would round corners off: a mask that was traced for nearly this
     // view has such centres everywhere.
     let on_centre = quad.on_surface & (quad.distance_2 < vec4f(ON_CENTRE_PX * ON_CENTRE_PX));
-    if any(on_centre) {
-        return Found(true, any_of(select(vec4u(0u), quad.words, on_centre)));
+    let certain = any_of(select(vec4u(0u), quad.came, on_centre)) & disputed;
+    var word = (some & ~not_every) | (any_of(select(vec4u(0u), quad.words, on_centre)) & certain);
+    if (disputed & ~certain) != 0u {
+        word |= edge_word(place, disputed & ~certain);
     }
-    return Found(true, (some & ~not_every) | edge_word(place, disputed));
+    return Found(known, word);
 }
 
-fn in_mask(sample: vec2i) -> bool {
-    return all(sample >= vec2i(0)) && all(sample < vec2i(vec2u(prediction.mask_view.width, prediction.mask_view.height)));
+fn in_mask(layer: u32, sample: vec2i) -> bool {
+    let size = vec2u(prediction.layers[layer].view.width, prediction.layers[layer].view.height);
+    return all(sample >= vec2i(0)) && all(sample < vec2i(size));
 }
 
 fn by_dissertation(place: Place) -> Found {
     let sample = vec2i(round(place.at));
-    if !in_mask(sample) {
-        return Found(false, 0u);
+    if !in_mask(place.layer, sample) {
+        return NOTHING;
     }
-    return Found(true, textureLoad(mask_words, sample, 0).x);
+    return Found(prediction.lights, textureLoad(mask_words, sample, prediction.layers[place.layer].slot, 0).x);
 }
 
-// What the mask says of the surface point.
-fn from_mask(point: vec3f, normal: vec3f) -> Found {
-    let mask = prediction.mask_view;
-    let clip = mask.clip_from_local * vec4f(point, 1.0);
-    if clip.w < mask.near_m {
-        return Found(false, 0u);
+// What a mask says of a pixel of the view that it was traced for.
+fn from_same_view(layer: u32, pixel: vec2u) -> Found {
+    let word = textureLoad(mask_words, pixel, prediction.layers[layer].slot, 0).x;
+    if prediction.layers[layer].whole == 1u {
+        return Found(prediction.lights, word);
     }
-    let size = vec2f(vec2u(mask.width, mask.height));
+    return Found(came_at(layer, vec2i(pixel)), word);
+}
+
+// What a mask says of the surface point.
+fn from_other_view(layer: u32, point: vec3f, normal: vec3f) -> Found {
+    let clip = prediction.layers[layer].view.clip_from_local * vec4f(point, 1.0);
+    if clip.w < prediction.layers[layer].view.near_m {
+        return NOTHING;
+    }
+    let size = vec2f(vec2u(prediction.layers[layer].view.width, prediction.layers[layer].view.height));
     let at = (clip.xy / clip.w * vec2f(0.5, -0.5) + 0.5) * size - 0.5;
     if any(at < vec2f(-0.5)) || any(at > size - 0.5) {
-        return Found(false, 0u);
+        return NOTHING;
     }
-    let place = Place(point, normal, at, clip.w * 2.0 * length(mask.up) / size.y);
+    let footprint_m = clip.w * 2.0 * length(prediction.layers[layer].view.up) / size.y;
+    let place = Place(layer, point, normal, at, footprint_m);
     if prediction.predictor == PREDICT_DISSERTATION {
         return by_dissertation(place);
     }
     return by_surface(place);
+}
+
+// What the masks say of the surface point that a pixel shows: of each light, what the newest one says that says something.
+fn from_masks(pixel: vec2u, point: vec3f, normal: vec3f) -> Found {
+    var found = NOTHING;
+    for (var layer = 0u; layer < prediction.count && found.known != prediction.lights; layer++) {
+        var more = NOTHING;
+        if prediction.layers[layer].same_view == 1u {
+            more = from_same_view(layer, pixel);
+        } else {
+            more = from_other_view(layer, point, normal);
+        }
+        let fresh = more.known & ~found.known;
+        found = Found(found.known | fresh, found.word | (more.word & fresh));
+    }
+    return found;
 }
 
 // What the client knows by itself of the surface point.
@@ -215,13 +280,13 @@ fn by_itself(pixel: vec2u, point: vec3f, normal: vec3f) -> u32 {
     if prediction.predictor == PREDICT_SURFACE {
         return from_shadow_map(point, normal);
     }
-    if prediction.predictor == PREDICT_DISSERTATION && prediction.source != SOURCE_NONE {
+    if prediction.predictor == PREDICT_DISSERTATION && prediction.count != 0u {
         if prediction.unknown == UNKNOWN_SHADOW {
             return 0u;
         }
         let sample = vec2i(pixel);
-        if prediction.unknown == UNKNOWN_COPY && in_mask(sample) {
-            return textureLoad(mask_words, sample, 0).x;
+        if prediction.unknown == UNKNOWN_COPY && in_mask(0u, sample) {
+            return textureLoad(mask_words, sample, prediction.layers[0].slot, 0).x;
         }
     }
     return 0xffffffffu;
@@ -237,20 +302,17 @@ fn predict(@builtin(position) place: vec4f) -> @location(0) vec2u {
     }
     let point = point_at_depth(view, pixel, textureLoad(depth_picture, pixel, 0));
     let normal = unpack_plane_normal(packed);
-    var found = Found(false, 0u);
-    if prediction.source == SOURCE_SAME_VIEW {
-        found = Found(true, textureLoad(mask_words, pixel, 0).x);
-    } else if prediction.source == SOURCE_OTHER_VIEW {
-        found = from_mask(point, normal);
-    }
-    if found.known && view.visibility_share >= 1.0 {
+    let found = from_masks(pixel, point, normal);
+    let unknown = prediction.lights & ~found.known;
+    if unknown == 0u && view.visibility_share >= 1.0 {
         // Nothing reads y now, and in unknown pixels it equals x: its complement tells a measuring reader that x was known.
         return vec2u(found.word, ~found.word);
     }
     let own = by_itself(pixel, point, normal);
-    if found.known {
+    if unknown == 0u {
         return vec2u(found.word, own);
     }
     atomicAdd(&unknown_pixels, 1u);
-    return vec2u(own, own);
+    let word = found.word | (own & unknown);
+    return vec2u(word, select(own, word, view.visibility_share >= 1.0));
 }

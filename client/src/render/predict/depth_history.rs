@@ -12,7 +12,7 @@ use crate::render::targets::{DEPTH, texture};
 /// Memory for the ring, in bytes: 64 pictures of 640×360, 16 of 1920×1080.
 const BUDGET_BYTES: u64 = 133 << 20;
 
-/// Pictures of a ring, whatever they take: the one that is drawn, one that a mask refers to, and two on the way.
+/// Pictures of a ring, whatever they take: the one that is drawn, and three that masks are on the way for.
 const LEAST_PICTURES: u64 = 4;
 
 /// Most pictures of a ring: as many as poses are remembered.
@@ -63,11 +63,9 @@ impl DepthHistory {
         self.current
     }
 
-    /// Goes on to the texture for a new picture, past `kept`, which is still needed.
-    pub(crate) fn begin(&mut self, camera: &Camera, kept: Option<usize>) {
-        let next = |place: usize| (place + 1) % self.slots.len();
-        let place = next(self.current);
-        self.current = if Some(place) == kept { next(place) } else { place };
+    /// Goes on to the texture for a new picture.
+    pub(crate) fn begin(&mut self, camera: &Camera) {
+        self.current = (self.current + 1) % self.slots.len();
         self.slots[self.current].camera = Some(*camera);
     }
 
@@ -95,23 +93,16 @@ mod tests {
     }
 
     #[test]
-    fn pictures_are_found_until_they_are_overwritten_and_a_kept_one_stays() {
+    fn pictures_are_found_until_they_are_overwritten() {
         let gpu = gpu();
         let mut history = DepthHistory::new(&gpu.device, 3840, 2160);
-        let at = |yfov_rad: f64| Camera { yfov_rad, ..camera(3840, 2160) };
-        let mut kept = None;
-        for frame in 0..20_u32 {
-            history.begin(&at(1.0 + f64::from(frame) * 0.01), kept);
-            if frame == 2 {
-                kept = history.find(&at(1.02));
-                assert!(kept.is_some());
-            }
-            assert_eq!(history.find(&at(1.0 + f64::from(frame) * 0.01)), Some(history.current()));
+        let at = |frame: u32| Camera { yfov_rad: 1.0 + f64::from(frame) * 0.01, ..camera(3840, 2160) };
+        for frame in 0..20 {
+            history.begin(&at(frame));
+            assert_eq!(history.find(&at(frame)), Some(history.current()));
         }
-        assert_eq!(history.find(&at(1.02)), kept);
-        // Of the other three places, all hold the latest pictures.
-        for (frame, there) in [(19, true), (18, true), (17, true), (16, false), (3, false)] {
-            assert_eq!(history.find(&at(1.0 + f64::from(frame) * 0.01)).is_some(), there, "{frame}");
+        for (frame, there) in [(19, true), (16, true), (15, false), (3, false)] {
+            assert_eq!(history.find(&at(frame)).is_some(), there, "{frame}");
         }
     }
 }

@@ -1,11 +1,11 @@
-//! The newest mask on the adapter: bit planes, as they came, and one word of all lights for each of its pixels.
+//! From a mask as it came, bit planes, to one word of all lights for each of its pixels, on the adapter.
 
 use gnomon_protocol::mask::{Mask, MaskShape};
 
-use crate::render::{RenderError, covering_pipeline, shader, targets::texture, uniform};
+use crate::render::{RenderError, cleared, constant, covering_pipeline, shader, uniform};
 
 /// What a mask's words are kept in.
-const WORDS: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+pub(crate) const WORDS: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 
 /// Twin of `MaskSize` in `mask_words.wgsl`.
 #[repr(C)]
@@ -24,12 +24,10 @@ pub(crate) struct WordsPass {
     pipeline: wgpu::RenderPipeline,
 }
 
-/// Memory for masks of one shape, and what it holds.
+/// Memory for the planes of masks of one shape.
 #[derive(Debug)]
-pub(crate) struct MaskWords {
-    shape: MaskShape,
+pub(crate) struct MaskPlanes {
     planes: wgpu::Buffer,
-    words: wgpu::TextureView,
     group: wgpu::BindGroup,
 }
 
@@ -59,15 +57,10 @@ impl WordsPass {
     ///
     /// # Errors
     /// When the adapter cannot bind that much.
-    pub(crate) fn memory(&self, device: &wgpu::Device, shape: MaskShape) -> Result<MaskWords, RenderError> {
-        let limits = device.limits();
-        let (needed, limit) = (shape.words() as u64 * 8, limits.max_storage_buffer_binding_size);
+    pub(crate) fn memory(&self, device: &wgpu::Device, shape: MaskShape) -> Result<MaskPlanes, RenderError> {
+        let (needed, limit) = (shape.words() as u64 * 8, device.limits().max_storage_buffer_binding_size);
         if needed > limit {
             return Err(RenderError::TooLarge { what: "visibility mask", needed, limit });
-        }
-        let (side, limit) = (shape.width().max(shape.height()), limits.max_texture_dimension_2d);
-        if side > limit {
-            return Err(RenderError::TooLarge { what: "mask side", needed: side.into(), limit: limit.into() });
         }
         let planes = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("visibility mask"),
@@ -75,11 +68,8 @@ impl WordsPass {
             usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-        let words = texture(device, "mask words", (shape.width(), shape.height()), WORDS, usage)
-            .create_view(&wgpu::TextureViewDescriptor::default());
         let size = MaskSize { width: shape.width(), height: shape.height(), lights: shape.lights(), unused: 0 };
-        let size = crate::render::constant(device, "mask size", &size);
+        let size = constant(device, "mask size", &size);
         let resources = [size.as_entire_binding(), planes.as_entire_binding()];
         let entries: Vec<_> =
             (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
@@ -88,32 +78,28 @@ impl WordsPass {
             layout: &self.layout,
             entries: &entries,
         });
-        Ok(MaskWords { shape, planes, words, group })
-    }
-}
-
-impl MaskWords {
-    pub(crate) fn shape(&self) -> MaskShape {
-        self.shape
+        Ok(MaskPlanes { planes, group })
     }
 
-    pub(crate) fn words(&self) -> &wgpu::TextureView {
-        &self.words
-    }
-
-    /// Sends a mask of [`Self::shape`] to the adapter; the commands in `encoder` make words of it.
-    pub(crate) fn write(&self, pass: &WordsPass, queue: &wgpu::Queue, encoder: &mut wgpu::CommandEncoder, mask: &Mask) {
+    /// Sends a mask to the adapter; the commands in `encoder` make words of it in `words`. `planes` are of its shape.
+    pub(crate) fn write(
+        &self,
+        queue: &wgpu::Queue,
+        encoder: &mut wgpu::CommandEncoder,
+        (planes, mask): (&MaskPlanes, &Mask),
+        words: &wgpu::TextureView,
+    ) {
         // A u64 in little-endian order is the low u32 first, which is how the shader indexes it.
         #[cfg(target_endian = "big")]
         compile_error!("masks are uploaded as they lie in memory");
-        queue.write_buffer(&self.planes, 0, bytemuck::cast_slice(mask.words()));
+        queue.write_buffer(&planes.planes, 0, bytemuck::cast_slice(mask.words()));
         let mut render = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("mask words"),
-            color_attachments: &[crate::render::cleared(&self.words)],
+            color_attachments: &[cleared(words)],
             ..wgpu::RenderPassDescriptor::default()
         });
-        render.set_pipeline(&pass.pipeline);
-        render.set_bind_group(0, &self.group, &[]);
+        render.set_pipeline(&self.pipeline);
+        render.set_bind_group(0, &planes.group, &[]);
         render.draw(0..3, 0..1);
     }
 }

@@ -1,47 +1,55 @@
-//! The prediction pass: from a mask that was traced for another view to the visibility of every pixel of this one.
+//! The prediction pass: from masks that were traced for other views to the visibility of every pixel of this one.
 //!
-//! [`mask_words`] turns the received bit planes into a word a pixel, [`depth_history`] tells what the mask's view saw, or
-//! [`depth_pass`] draws it anew, [`shadow_map`] fills in what it did not see, and [`known`] counts how much that was. The shading
+//! [`mask_words`] turns the received bit planes into a word a pixel, [`layers`] keeps the newest masks, [`depth_history`] tells what
+//! their views saw, or [`depth_pass`] draws it anew, [`shadow_map`] fills in what it did not see, and [`known`] counts how much that was. The shading
 //! passes read the result: two words a pixel (`wgsl/shading/predict.wgsl`).
 
 pub(crate) mod depth_history;
 pub(crate) mod depth_pass;
 mod known;
+mod layers;
 mod mask_words;
 pub(crate) mod shadow_map;
 #[cfg(test)]
 mod tests;
 
+use bytemuck::Zeroable as _;
 use glam::DVec3;
-use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_protocol::{
+    coverage::Coverage,
+    limits::MAX_LAYERS,
+    mask::{Mask, MaskShape},
+};
 use gnomon_shaders::{
     camera::Camera,
     gpu::Gpu,
     scene::Scene,
-    shading::{Lighting, Prediction, View},
+    shading::{Lighting, MAX_MASK_LAYERS, MaskLayer, Prediction, View},
 };
 
 use self::{
-    depth_history::DepthHistory,
-    depth_pass::{DepthPass, Faces},
-    known::UnknownCount,
-    mask_words::{MaskWords, WordsPass},
+    depth_history::DepthHistory, depth_pass::DepthPass, known::UnknownCount, layers::Layers, mask_words::WordsPass,
     shadow_map::ShadowMap,
 };
 use super::{
     RenderError, cleared, covering_pipeline,
     scene_upload::SceneUpload,
     shader,
-    targets::{DEPTH, Targets, VISIBILITY, texture},
+    targets::{Targets, VISIBILITY},
     uniform,
 };
 use crate::predictor::{Predictor, Unknown};
 
+// `shaders` knows nothing of the protocol.
+const _: () = assert!(MAX_LAYERS == MAX_MASK_LAYERS);
+
 /// A mask, and the view that it was traced for.
 #[derive(Debug, Clone, Copy)]
 pub struct MaskView<'a> {
-    /// The mask.
+    /// The mask. Bits that have not come have the value that the mask before had, if that was for the same view.
     pub mask: &'a Mask,
+    /// What of it has come; nothing is all.
+    pub coverage: Option<&'a Coverage>,
     /// The camera that it was traced for, with the mask's own width, height and field of view.
     pub traced_for: &'a Camera,
 }
@@ -64,29 +72,7 @@ pub(crate) struct PredictPass {
     unknown: UnknownCount,
     lights: u32,
     pixels: u32,
-    words: MaskWords,
-    /// The view of the mask in `words`, when there is one.
-    traced_for: Option<Camera>,
-    /// Where the depth of that view is, once it was needed.
-    depth: Option<MaskDepth>,
-    /// Memory for depth that is drawn anew.
-    drawn: Option<wgpu::TextureView>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum MaskDepth {
-    /// Place in the history.
-    Kept(usize),
-    /// It was drawn anew.
-    Drawn,
-}
-
-/// What the shader is told of the mask. Twin of the constants in `predict.wgsl`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Source {
-    None = 0,
-    SameView = 1,
-    OtherView = 2,
+    layers: Layers,
 }
 
 impl PredictPass {
@@ -132,7 +118,7 @@ impl PredictPass {
         // A picture without a mask still binds one.
         let smallest =
             MaskShape::new(1, 1, lights.clamp(1, 32)).map_err(|error| RenderError::Device(error.to_string()))?;
-        let words = words_pass.memory(device, smallest)?;
+        let layers = Layers::new(device, &words_pass, smallest)?;
         Ok(Self {
             predictor,
             pipeline,
@@ -147,10 +133,7 @@ impl PredictPass {
             unknown,
             lights,
             pixels: targets.width * targets.height,
-            words,
-            traced_for: None,
-            depth: None,
-            drawn: None,
+            layers,
         })
     }
 
@@ -158,12 +141,10 @@ impl PredictPass {
     pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
         self.surface_groups = surface_groups(device, &self.surface_layout, targets, history);
         self.pixels = targets.width * targets.height;
-        // What the history held is gone.
-        self.depth = self.depth.filter(|depth| *depth == MaskDepth::Drawn);
     }
 
     /// Takes another mask, or none. Whether it can be used is the answer: its lights must be the scene's, and its size the
-    /// camera's.
+    /// camera's. One that has not come whole lies over those before it.
     ///
     /// # Errors
     /// When the adapter cannot hold a mask of this size.
@@ -178,27 +159,20 @@ impl PredictPass {
             (shape.width(), shape.height(), shape.lights())
                 == (view.traced_for.width, view.traced_for.height, self.lights)
         };
-        self.depth = None;
-        self.traced_for = view.filter(fits).map(|view| *view.traced_for);
-        let Some(MaskView { mask, .. }) = view.filter(fits) else { return Ok(false) };
-        if self.words.shape() != mask.shape() {
-            self.words = self.words_pass.memory(&gpu.device, mask.shape())?;
+        let Some(view) = view.filter(fits) else {
+            self.layers.clear();
+            return Ok(false);
+        };
+        if self.layers.shape() != view.mask.shape() {
+            self.layers = Layers::new(&gpu.device, &self.words_pass, view.mask.shape())?;
         }
-        self.words.write(&self.words_pass, &gpu.queue, encoder, mask);
+        self.layers.push(gpu, encoder, &self.words_pass, view);
         Ok(true)
     }
 
-    /// The view of the mask, when there is one.
+    /// The view of the newest mask, when there is one.
     pub(crate) fn traced_for(&self) -> Option<Camera> {
-        self.traced_for
-    }
-
-    /// The picture in the history that the mask refers to, which must not be drawn over.
-    pub(crate) fn kept(&self) -> Option<usize> {
-        match self.depth {
-            Some(MaskDepth::Kept(place)) => Some(place),
-            Some(MaskDepth::Drawn) | None => None,
-        }
+        self.layers.stack().first().map(|layer| layer.traced_for)
     }
 
     /// Predicts into the visibility picture. The G-buffer holds what `camera` sees.
@@ -209,8 +183,6 @@ impl PredictPass {
         (camera, origin_m): (&Camera, DVec3),
         (targets, history, upload): (&Targets, &DepthHistory, &SceneUpload),
     ) {
-        let source = self.source(camera);
-        let traced_for = self.traced_for.unwrap_or(*camera);
         let (predictor, unknown) = match self.predictor {
             Predictor::None => (0, 0),
             Predictor::Dissertation(unknown) => (
@@ -223,26 +195,21 @@ impl PredictPass {
             ),
             Predictor::Surface => (2, 0),
         };
+        let (layers, count) = self.looked_up_in(camera, origin_m);
         let prediction = Prediction {
-            mask_view: View::new(&traced_for, origin_m, 1.0),
-            source: source as u32,
+            layers,
+            // At most `MAX_LAYERS`.
+            count: u32::try_from(count).unwrap_or(0),
             predictor,
             unknown,
             lights: u32::MAX.checked_shr(32 - self.lights.min(32)).unwrap_or(0),
         };
         gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&prediction));
-        // Only prediction by surface reads what the mask's view saw.
-        let depth = if source == Source::OtherView && self.predictor == Predictor::Surface {
-            self.mask_depth(gpu, encoder, &traced_for, history, upload)
-        } else {
-            history.view().clone()
-        };
-        let picture = wgpu::BindingResource::TextureView;
-        let mask_group = group(
-            &gpu.device,
-            &self.mask_layout,
-            &[picture(self.words.words()), picture(&depth), wgpu::BindingResource::Sampler(&self.nearest)],
-        );
+        // Only prediction by surface reads what the masks' views saw.
+        if self.predictor == Predictor::Surface && layers[..count].iter().any(|layer| layer.same_view == 0) {
+            self.layers.need_depth(gpu, encoder, (count, origin_m), &self.depth_pass, (history, upload));
+        }
+        let mask_group = self.mask_group(&gpu.device);
         self.unknown.clear(encoder);
         {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -264,47 +231,35 @@ impl PredictPass {
         self.unknown.newest().map(|unknown| 1.0 - f64::from(unknown) / f64::from(self.pixels))
     }
 
-    fn source(&self, camera: &Camera) -> Source {
-        let Some(traced_for) = &self.traced_for else { return Source::None };
-        let same_size = (traced_for.width, traced_for.height) == (camera.width, camera.height);
-        match self.predictor {
-            Predictor::None if same_size => Source::SameView,
-            Predictor::None => Source::None,
-            _ if traced_for == camera => Source::SameView,
-            Predictor::Dissertation(_) | Predictor::Surface => Source::OtherView,
+    /// The masks that a picture is predicted from, and how many they are.
+    fn looked_up_in(&self, camera: &Camera, origin_m: DVec3) -> ([MaskLayer; MAX_LAYERS], usize) {
+        let mut layers = [MaskLayer::zeroed(); MAX_LAYERS];
+        let size = |camera: &Camera| (camera.width, camera.height);
+        // Those before it are looked at by surface only; otherwise what has not come is taken as it was.
+        let most = if self.predictor == Predictor::Surface { MAX_LAYERS } else { 1 };
+        let stack = self.layers.stack().iter().take(most);
+        let usable = stack.filter(|layer| self.predictor != Predictor::None || size(&layer.traced_for) == size(camera));
+        let mut count = 0;
+        for (place, layer) in layers.iter_mut().zip(usable) {
+            let same_view = self.predictor == Predictor::None || layer.traced_for == *camera;
+            *place = MaskLayer {
+                view: View::new(&layer.traced_for, origin_m, 1.0),
+                slot: layer.slot,
+                same_view: same_view.into(),
+                whole: u32::from(layer.coverage.is_none() || most == 1),
+                unused: 0,
+            };
+            count += 1;
         }
+        (layers, count)
     }
 
-    /// The depth of the mask's view, which is drawn when nothing has it.
-    fn mask_depth(
-        &mut self,
-        gpu: &Gpu,
-        encoder: &mut wgpu::CommandEncoder,
-        traced_for: &Camera,
-        history: &DepthHistory,
-        upload: &SceneUpload,
-    ) -> wgpu::TextureView {
-        let device = &gpu.device;
-        let size = (traced_for.width, traced_for.height);
-        let drawn = self.drawn.take().filter(|view| (view.texture().width(), view.texture().height()) == size);
-        let drawn = self.drawn.insert(drawn.unwrap_or_else(|| {
-            let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-            texture(device, "depth of the mask's view", size, DEPTH, usage)
-                .create_view(&wgpu::TextureViewDescriptor::default())
-        }));
-        let depth = *self.depth.get_or_insert_with(|| {
-            if let Some(place) = history.find(traced_for) {
-                return MaskDepth::Kept(place);
-            }
-            let matrix = self.depth_pass.group(device, self.uniform.as_entire_binding());
-            let mut pass = depth_pass::begin(encoder, "depth of the mask's view", drawn);
-            self.depth_pass.draw(&mut pass, &matrix, upload, Faces::Seen);
-            MaskDepth::Drawn
-        });
-        match depth {
-            MaskDepth::Kept(place) => history.view_at(place).clone(),
-            MaskDepth::Drawn => drawn.clone(),
-        }
+    fn mask_group(&self, device: &wgpu::Device) -> wgpu::BindGroup {
+        let picture = wgpu::BindingResource::TextureView;
+        let [words, coverage, depth] = self.layers.pictures();
+        let resources =
+            [picture(&words), picture(&coverage), picture(&depth), wgpu::BindingResource::Sampler(&self.nearest)];
+        group(device, &self.mask_layout, &resources)
     }
 }
 
@@ -326,12 +281,14 @@ fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 3] {
         has_dynamic_offset: false,
         min_binding_size: None,
     };
-    let picture = |sample_type| wgpu::BindingType::Texture {
-        sample_type,
-        view_dimension: wgpu::TextureViewDimension::D2,
-        multisampled: false,
+    let texture =
+        |view_dimension, sample_type| wgpu::BindingType::Texture { sample_type, view_dimension, multisampled: false };
+    let pictures = |dimension| {
+        [wgpu::TextureSampleType::Depth, wgpu::TextureSampleType::Uint].map(|sample| texture(dimension, sample))
     };
-    let (depth, words) = (picture(wgpu::TextureSampleType::Depth), picture(wgpu::TextureSampleType::Uint));
+    let [depth, words] = pictures(wgpu::TextureViewDimension::D2);
+    let [depths, all_words] = pictures(wgpu::TextureViewDimension::D2Array);
+    let nearest = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering);
     let layout = |label, bindings: &[wgpu::BindingType]| {
         let entries: Vec<_> = (0..)
             .zip(bindings)
@@ -350,7 +307,7 @@ fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 3] {
             &[uniform::<View>(), uniform::<Lighting>(), depth, storage(true), uniform::<Prediction>(), storage(false)],
         ),
         layout("prediction: surfaces", &[depth, words]),
-        layout("prediction: mask", &[words, depth, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering)]),
+        layout("prediction: masks", &[all_words, all_words, depths, nearest]),
     ]
 }
 

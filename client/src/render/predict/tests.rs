@@ -3,7 +3,11 @@
 use std::f64::consts::PI;
 
 use glam::{DVec3, Vec3};
-use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_protocol::{
+    coverage::Coverage,
+    limits::MAX_LAYERS,
+    mask::{Mask, MaskShape},
+};
 use gnomon_shaders::{
     camera::{Camera, NEAR_M},
     gpu::Gpu,
@@ -100,9 +104,21 @@ fn predict(
     mask: &Mask,
     traced_for: &Camera,
 ) -> Vec<PixelVisibility> {
+    predict_from(gpu, renderer, camera, &[MaskView { mask, coverage: None, traced_for }])
+}
+
+/// Draws `camera` after these masks have come.
+fn predict_from(
+    gpu: &Gpu,
+    renderer: &mut FrameRenderer,
+    camera: &Camera,
+    masks: &[MaskView<'_>],
+) -> Vec<PixelVisibility> {
     let mut reader = PictureReader::new(gpu, SIZE.0, SIZE.1, 1);
     renderer.draw_surfaces(camera).unwrap();
-    assert!(renderer.set_mask(Some(MaskView { mask, traced_for })).unwrap());
+    for mask in masks {
+        assert!(renderer.set_mask(Some(*mask)).unwrap());
+    }
     let target = reader.target();
     let submission = renderer.shade(camera, 1.0, &target, |encoder| reader.copy(encoder)).unwrap();
     reader.submitted(0, submission, true);
@@ -265,9 +281,10 @@ fn depth_that_was_kept_and_depth_that_is_drawn_anew_say_the_same() {
     let mask = mask_of(&scene, &then, |_, word| word);
     let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
     let anew = predict(&gpu, &mut renderer, &now, &mask, &then);
+    let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
     renderer.draw_surfaces(&then).unwrap();
     let kept = predict(&gpu, &mut renderer, &now, &mask, &then);
-    assert!(renderer.predict.kept().is_some());
+    assert!(renderer.history.find(&then).is_some());
     assert!(anew == kept);
 }
 
@@ -309,4 +326,120 @@ fn without_any_mask_the_client_shows_what_its_shadow_maps_know() {
         shadowed += usize::from(word != 0b11);
     });
     assert!(shadowed > 100, "{shadowed} shadowed");
+}
+
+/// A mask whose bits are all these, of which that much has come: `came` is asked for each place.
+fn in_part(word: u32, came: impl Fn(u32, u32) -> u32) -> (Mask, Coverage) {
+    let shape = MaskShape::new(SIZE.0, SIZE.1, 2).unwrap();
+    let mut mask = Mask::new(shape);
+    for (y, x) in (0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (y, x))) {
+        (0..2).for_each(|light| mask.set(light, x, y, word >> light & 1 == 1));
+    }
+    let [across, down] = Coverage::places(shape);
+    let words = (0..down).flat_map(|y| (0..across).map(move |x| (x, y))).map(|(x, y)| came(x, y)).collect();
+    (mask, Coverage::from_words(shape, words).unwrap())
+}
+
+/// Where a point is in a view, in pixels; nothing where something stands before it, or near its edge.
+fn place_in(scene: &Scene, camera: &Camera, draw: usize, point: DVec3) -> Option<(f64, f64)> {
+    let eye = camera.position_m - scene.origin_m;
+    let place = camera.orientation.inverse() * (point - eye);
+    let pixels = f64::from(SIZE.1) / 2.0 / (camera.yfov_rad / 2.0).tan() / -place.z;
+    let (x, y) = (f64::from(SIZE.0) / 2.0 + place.x * pixels, f64::from(SIZE.1) / 2.0 - place.y * pixels);
+    let visible = (0..9).all(|number| {
+        let (dx, dy) = (f64::from(number % 3 - 1), f64::from(number / 3 - 1));
+        let there = point + camera.orientation * DVec3::new(dx, dy, 0.0) * EDGE_PX / pixels;
+        first_hit(scene, eye, there - eye, 0.0).is_some_and(|(hit, _)| hit == draw)
+    });
+    let inside = |at: f64, side: u32| at > EDGE_PX && at < f64::from(side) - EDGE_PX;
+    (visible && inside(x, SIZE.0) && inside(y, SIZE.1)).then_some((x, y))
+}
+
+/// The newest mask has the upper half of one light and the lower half of the other one; the one before has the left two thirds of both,
+/// and the one before that has all. Each point is what the newest mask says that has it; bits that have not come are never seen.
+#[test]
+fn what_has_not_come_is_looked_up_in_the_masks_before() {
+    let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
+    let views = [0.6, 0.3, 0.1].map(|left| Camera { position_m: now.position_m - DVec3::X * left, ..now });
+    let (oldest, all) = in_part(0b00, |_, _| 0b11);
+    let (middle, left) = in_part(0b01, |x, _| if x < 2 { 0b11 } else { 0 });
+    let (newest, halves) = in_part(0b11, |_, y| if y < 6 { 0b01 } else { 0b10 });
+    let masks = [(&oldest, &all), (&middle, &left), (&newest, &halves)];
+    let masks: Vec<_> = masks
+        .iter()
+        .zip(&views)
+        .map(|((mask, coverage), traced_for)| MaskView { mask, coverage: Some(coverage), traced_for })
+        .collect();
+    let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
+    let shown = predict_from(&gpu, &mut renderer, &now, &masks);
+    let mut seen_in = [0; 3];
+    each_calm_pixel(&scene, &now, |pixel, draw, point, _| {
+        let places = views.each_ref().map(|view| place_in(&scene, view, draw, point));
+        let [_, Some((x, _)), Some((_, y))] = places else { return };
+        // Not where what has come ends.
+        if (x - 128.0).abs() < 2.0 || (y - 48.0).abs() < 2.0 {
+            return;
+        }
+        let upper = y < 48.0;
+        let newest = if upper { 0b01 } else { 0b10 };
+        let expected = if x < 128.0 {
+            newest | 0b01
+        } else if places[0].is_some() {
+            seen_in[0] += 1;
+            newest
+        } else {
+            return;
+        };
+        seen_in[1 + usize::from(upper)] += 1;
+        assert_eq!((shown[pixel].word, shown[pixel].known), (expected, true), "pixel {pixel}: {places:?}");
+    });
+    assert!(seen_in.iter().all(|pixels| *pixels > 300), "{seen_in:?}");
+    // A whole mask puts the others out of use.
+    let view = masks[0];
+    let shown = predict_from(&gpu, &mut renderer, &now, &[view]);
+    assert!(shown.iter().all(|pixel| !pixel.known || pixel.word == 0b00));
+    assert_eq!(renderer.predict.layers.stack().len(), 1);
+}
+
+/// More masks than there are layers, each with its own row of places, from the lowest up: the newest eight are found, and what only
+/// older ones had is unknown.
+#[test]
+fn there_are_so_many_layers_and_no_more() {
+    let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
+    let rows = 11;
+    let views: Vec<Camera> = (0..rows)
+        .map(|n| Camera { position_m: now.position_m - DVec3::X * (0.001 * f64::from(rows - n)), ..now })
+        .collect();
+    let parts: Vec<_> = (0..rows).map(|row| in_part(0b11, move |_, y| if y + row == 10 { 0b11 } else { 0 })).collect();
+    let masks: Vec<_> = parts
+        .iter()
+        .zip(&views)
+        .map(|((mask, coverage), traced_for)| MaskView { mask, coverage: Some(coverage), traced_for })
+        .collect();
+    let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
+    // One after the other, so that pictures are drawn from few layers and from many.
+    let mut shown = Vec::new();
+    for mask in &masks {
+        shown = predict_from(&gpu, &mut renderer, &now, &[*mask]);
+    }
+    assert_eq!(renderer.predict.layers.stack().len(), MAX_LAYERS);
+    let mut known = [0; 2];
+    each_calm_pixel(&scene, &now, |pixel, _, _, _| {
+        let row = u32::try_from(pixel).unwrap() / SIZE.0;
+        if matches!(row % 8, 2..6) && row / 8 < rows {
+            let kept = row / 8 < 8;
+            known[usize::from(kept)] += 1;
+            assert_eq!(shown[pixel].known, kept, "pixel {pixel}");
+        }
+    });
+    assert!(known[0] > 100 && known[1] > 1000, "{known:?}");
+    // The camera stands still: what has come for the same view adds up.
+    let masks =
+        [&parts[3], &parts[4]].map(|(mask, coverage)| MaskView { mask, coverage: Some(coverage), traced_for: &now });
+    renderer.set_mask(None).unwrap();
+    let shown = predict_from(&gpu, &mut renderer, &now, &masks);
+    assert_eq!(renderer.predict.layers.stack().len(), 1);
+    let known =
+        |row: u32| shown[(row * 8 * SIZE.0) as usize..][..(8 * SIZE.0) as usize].iter().any(|pixel| pixel.known);
+    assert!(known(7) && known(6) && !known(5));
 }

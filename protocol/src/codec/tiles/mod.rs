@@ -44,6 +44,7 @@ pub use self::{
     training::train,
 };
 use crate::{
+    coverage::Coverage,
     ids::FrameNumber,
     mask::{Mask, MaskShape},
 };
@@ -109,26 +110,49 @@ pub(super) struct Workspace {
     blocks: Blocks,
     lanes: Vec<Lane>,
     shares: Shares,
-    /// Shape of the frame at hand, and a bit for each of its blocks that has been coded.
+    /// Shape of the frame at hand, whether it may serve as a reference, and a bit for each of its blocks that has been coded.
     shape: Option<MaskShape>,
+    is_kept: bool,
     seen: Vec<u64>,
 }
 
 impl Workspace {
     pub(super) fn new() -> Self {
-        Self { blocks: Blocks::default(), lanes: Vec::new(), shares: Shares::default(), shape: None, seen: Vec::new() }
+        Self {
+            blocks: Blocks::default(),
+            lanes: Vec::new(),
+            shares: Shares::default(),
+            shape: None,
+            is_kept: false,
+            seen: Vec::new(),
+        }
     }
 
     /// Makes a reference of the frame that was encoded or decoded last. Says no, and leaves `reference` as it is, where there is none
     /// or not all of its blocks were there.
     pub(super) fn keep(&self, frame: FrameNumber, reference: &mut Reference) -> bool {
-        let Some(shape) = self.shape else { return false };
+        let Some(shape) = self.shape.filter(|_| self.is_kept) else { return false };
         let blocks = self.seen.iter().map(|bits| bits.count_ones() as usize).sum::<usize>();
         let whole = blocks == block_count(shape);
         if whole {
             reference.fill(frame, shape, &self.blocks.known);
         }
         whole
+    }
+
+    /// Says what of the frame that was decoded last has come: all of it where it is none of these codecs'.
+    pub(super) fn coverage(&self, shape: MaskShape, coverage: &mut Coverage) {
+        if self.shape != Some(shape) {
+            coverage.set_whole(shape);
+            return;
+        }
+        coverage.set_none(shape);
+        let order = Order::new(shape);
+        for (number, place) in order.walk(0..order.blocks()) {
+            if self.seen[number / 64] >> (number % 64) & 1 == 1 {
+                coverage.add(place.x, place.y, place.light);
+            }
+        }
     }
 
     /// Begins another frame, or one of another codec, of which nothing is seen here.
@@ -139,10 +163,11 @@ impl Workspace {
     }
 
     /// Goes on with the frame that has begun, or begins it where it has another shape.
-    pub(super) fn go_on(&mut self, shape: Option<MaskShape>) {
-        if self.shape != shape {
-            self.begin(shape);
+    pub(super) fn go_on(&mut self, way: Way<'_>, shape: MaskShape) {
+        if self.shape != Some(shape) {
+            self.begin(Some(shape));
         }
+        self.is_kept = way.is_kept();
     }
 
     fn see(&mut self, blocks: Range<usize>) {
@@ -166,7 +191,8 @@ impl Workspace {
     ) {
         let order = Order::new(mask.shape());
         self.blocks.make_room(&order, way);
-        self.begin(way.is_kept().then_some(mask.shape()));
+        self.begin(None);
+        self.go_on(way, mask.shape());
         let cuts = self.shares.of_mask(way, &order, mask);
         make_lanes(&mut self.lanes, cuts.runs());
         let bits_bytes = slice_bytes.saturating_sub(SLICE_HEAD_BYTES);

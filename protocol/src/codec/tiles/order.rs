@@ -6,10 +6,10 @@
 
 use std::ops::Range;
 
-use crate::mask::MaskShape;
+use crate::{coverage::PLACE_TILES, mask::MaskShape};
 
 /// Tiles of a block.
-pub(super) const BLOCK_TILES: usize = 8;
+pub(super) const BLOCK_TILES: usize = PLACE_TILES as usize;
 
 /// Blocks across a stripe.
 const STRIPE_BLOCKS: usize = 4;

@@ -1,0 +1,232 @@
+//! The masks that visibility is looked up in, the newest first: what has not come of one may have come of the one before.
+//!
+//! A whole mask stands alone. One of which parts are missing lies over those before it; each has its own view and the depth that was
+//! seen in it, so what is found in any of them was traced for that very point, and nothing is resampled twice. All are layers of
+//! the same textures: 8 bytes a pixel each, one layer until a mask comes in part.
+
+use glam::DVec3;
+use gnomon_protocol::{
+    coverage::{Coverage, max_layers},
+    limits::MAX_LAYERS,
+    mask::MaskShape,
+};
+use gnomon_shaders::{camera::Camera, gpu::Gpu, shading::View};
+
+use super::{
+    MaskView,
+    depth_history::DepthHistory,
+    depth_pass::{self, DepthPass, Faces},
+    mask_words::{MaskPlanes, WORDS, WordsPass},
+};
+use crate::render::{RenderError, check_side, scene_upload::SceneUpload, targets::DEPTH};
+
+/// The layers.
+#[derive(Debug)]
+pub(crate) struct Layers {
+    shape: MaskShape,
+    planes: MaskPlanes,
+    words: wgpu::Texture,
+    /// Lights that have come, a texel a place.
+    coverage: wgpu::Texture,
+    /// Of one texel until it is needed: most pictures of clients that wait need none.
+    depth: wgpu::Texture,
+    /// The newest first.
+    stack: Vec<Layer>,
+}
+
+/// A mask.
+#[derive(Debug, Clone)]
+pub(crate) struct Layer {
+    /// Layer of the textures.
+    pub(crate) slot: u32,
+    /// The view that it was traced for.
+    pub(crate) traced_for: Camera,
+    /// Nothing where all has come.
+    pub(crate) coverage: Option<Coverage>,
+    /// Whether the view's depth is there.
+    has_depth: bool,
+}
+
+impl Layers {
+    /// No mask yet, and memory for one of this shape.
+    ///
+    /// # Errors
+    /// When the adapter cannot hold one.
+    pub(crate) fn new(device: &wgpu::Device, pass: &WordsPass, shape: MaskShape) -> Result<Self, RenderError> {
+        check_side(device, shape.width().max(shape.height()))?;
+        let planes = pass.memory(device, shape)?;
+        let (words, coverage) = (words(device, shape, 1), coverage(device, shape, 1));
+        let depth = depth(device, [1; 3]);
+        Ok(Self { shape, planes, words, coverage, depth, stack: Vec::with_capacity(MAX_LAYERS) })
+    }
+
+    pub(crate) fn shape(&self) -> MaskShape {
+        self.shape
+    }
+
+    /// The masks, the newest first.
+    pub(crate) fn stack(&self) -> &[Layer] {
+        &self.stack
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.stack.clear();
+    }
+
+    /// Lays a mask of [`Self::shape`] over the others, or in their place if all of it has come.
+    pub(crate) fn push(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        pass: &WordsPass,
+        MaskView { mask, coverage, traced_for }: MaskView<'_>,
+    ) {
+        let mut coverage = coverage.filter(|coverage| !coverage.is_whole()).cloned();
+        // More of the newest mask, or another one for the same view: what has come of either has come.
+        let again = self.stack.first().is_some_and(|newest| newest.traced_for == *traced_for);
+        let newest = if again { Some(self.stack.remove(0)) } else { None };
+        if let Some(newest) = &newest {
+            coverage = coverage.zip(newest.coverage.as_ref()).map(|(one, other)| one.or(other));
+            coverage = coverage.filter(|coverage| !coverage.is_whole());
+        }
+        if coverage.is_none() {
+            self.stack.clear();
+        }
+        let has_depth = newest.as_ref().is_some_and(|newest| newest.has_depth);
+        let slot = newest.map_or_else(|| self.free_slot(&gpu.device, encoder), |newest| newest.slot);
+        pass.write(&gpu.queue, encoder, (&self.planes, mask), &layer_of(&self.words, slot));
+        if let Some(coverage) = &coverage {
+            self.write_coverage(&gpu.queue, slot, coverage);
+        }
+        self.stack.insert(0, Layer { slot, traced_for: *traced_for, coverage, has_depth });
+    }
+
+    /// A slot that no mask lies in: the oldest one's when there is no other.
+    fn free_slot(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder) -> u32 {
+        let most = max_layers(self.shape);
+        self.stack.truncate(most - 1);
+        // At most `MAX_LAYERS`.
+        let most = u32::try_from(most).unwrap_or(1);
+        let slot = (0..most).find(|slot| self.stack.iter().all(|layer| layer.slot != *slot)).unwrap_or(0);
+        if slot >= self.words.depth_or_array_layers() {
+            self.grow(device, encoder, (slot + 1).next_power_of_two().min(most));
+        }
+        slot
+    }
+
+    /// Goes on in larger textures.
+    fn grow(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder, count: u32) {
+        let move_over = |encoder: &mut wgpu::CommandEncoder, old: &mut wgpu::Texture, new: wgpu::Texture| {
+            encoder.copy_texture_to_texture(old.as_image_copy(), new.as_image_copy(), old.size());
+            *old = new;
+        };
+        move_over(encoder, &mut self.words, words(device, self.shape, count));
+        move_over(encoder, &mut self.coverage, coverage(device, self.shape, count));
+        if self.stack.iter().any(|layer| layer.has_depth) {
+            move_over(encoder, &mut self.depth, depth(device, [self.shape.width(), self.shape.height(), count]));
+        }
+    }
+
+    fn write_coverage(&self, queue: &wgpu::Queue, slot: u32, coverage: &Coverage) {
+        let [width, height] = Coverage::places(self.shape);
+        queue.write_texture(
+            wgpu::TexelCopyTextureInfo {
+                origin: wgpu::Origin3d { x: 0, y: 0, z: slot },
+                ..self.coverage.as_image_copy()
+            },
+            bytemuck::cast_slice(coverage.words()),
+            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * 4), rows_per_image: None },
+            wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+        );
+    }
+
+    /// Sees to it that the depth of the newest `count` masks' views is there: it is drawn when no picture has it.
+    pub(crate) fn need_depth(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        (count, origin_m): (usize, DVec3),
+        pass: &DepthPass,
+        (history, upload): (&DepthHistory, &SceneUpload),
+    ) {
+        let wanted = [self.shape.width(), self.shape.height(), self.words.depth_or_array_layers()];
+        let had = self.depth.size();
+        if [had.width, had.height, had.depth_or_array_layers] != wanted {
+            self.depth = depth(&gpu.device, wanted);
+            self.stack.iter_mut().for_each(|layer| layer.has_depth = false);
+        }
+        let depth = &self.depth;
+        for layer in self.stack.iter_mut().take(count).filter(|layer| !layer.has_depth) {
+            layer.has_depth = true;
+            if let Some(place) = history.find(&layer.traced_for) {
+                let seen = history.view_at(place).texture();
+                let mut to = depth.as_image_copy();
+                to.origin.z = layer.slot;
+                encoder.copy_texture_to_texture(seen.as_image_copy(), to, seen.size());
+                continue;
+            }
+            let view = View::new(&layer.traced_for, origin_m, 1.0);
+            let view = crate::render::constant(&gpu.device, "mask's view", &view);
+            let matrix = pass.group(&gpu.device, view.as_entire_binding());
+            let drawn = layer_of(depth, layer.slot);
+            let mut render = depth_pass::begin(encoder, "depth of the mask's view", &drawn);
+            pass.draw(&mut render, &matrix, upload, Faces::Seen);
+        }
+    }
+
+    /// Words, coverage and depth of all layers. The depth is of no meaning before it was [needed](Self::need_depth).
+    pub(crate) fn pictures(&self) -> [wgpu::TextureView; 3] {
+        [&self.words, &self.coverage, &self.depth].map(|texture| {
+            texture.create_view(&wgpu::TextureViewDescriptor {
+                dimension: Some(wgpu::TextureViewDimension::D2Array),
+                ..wgpu::TextureViewDescriptor::default()
+            })
+        })
+    }
+}
+
+fn words(device: &wgpu::Device, shape: MaskShape, count: u32) -> wgpu::Texture {
+    let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | MOVED;
+    array(device, "mask words", [shape.width(), shape.height(), count], WORDS, usage)
+}
+
+fn coverage(device: &wgpu::Device, shape: MaskShape, count: u32) -> wgpu::Texture {
+    let [across, down] = Coverage::places(shape);
+    array(device, "mask coverage", [across, down, count], WORDS, MOVED)
+}
+
+fn depth(device: &wgpu::Device, size: [u32; 3]) -> wgpu::Texture {
+    array(device, "depth of the masks' views", size, DEPTH, wgpu::TextureUsages::RENDER_ATTACHMENT | MOVED)
+}
+
+/// Layers are read, and moved to larger textures.
+const MOVED: wgpu::TextureUsages =
+    wgpu::TextureUsages::TEXTURE_BINDING.union(wgpu::TextureUsages::COPY_SRC).union(wgpu::TextureUsages::COPY_DST);
+
+fn array(
+    device: &wgpu::Device,
+    label: &'static str,
+    [width, height, depth_or_array_layers]: [u32; 3],
+    format: wgpu::TextureFormat,
+    usage: wgpu::TextureUsages,
+) -> wgpu::Texture {
+    device.create_texture(&wgpu::TextureDescriptor {
+        label: Some(label),
+        size: wgpu::Extent3d { width, height, depth_or_array_layers },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format,
+        usage,
+        view_formats: &[],
+    })
+}
+
+fn layer_of(texture: &wgpu::Texture, slot: u32) -> wgpu::TextureView {
+    texture.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2),
+        base_array_layer: slot,
+        array_layer_count: Some(1),
+        ..wgpu::TextureViewDescriptor::default()
+    })
+}
