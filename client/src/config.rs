@@ -41,7 +41,7 @@ pub struct FileConfig {
     stats: Option<PathBuf>,
     summary: Option<PathBuf>,
     save_masks: Option<PathBuf>,
-    save_shown: Option<PathBuf>,
+    came: Option<PathBuf>,
     token: Option<String>,
     #[serde(default, deserialize_with = "parsed")]
     codec: Option<CodecId>,
@@ -217,7 +217,7 @@ fn resolve_run(arguments: Arguments, file: FileConfig) -> Result<HeadlessOptions
         record: arguments.record,
         summary: arguments.summary.or(file.summary),
         save_masks: arguments.save_masks.or(file.save_masks),
-        save_shown: arguments.save_shown.or(file.save_shown),
+        came: arguments.came.or(file.came),
         token: arguments.token.or(file.token),
         codec: arguments.codec.or(file.codec).unwrap_or(default.codec),
         packets: arguments.packets.or(file.packets).unwrap_or(default.packets),

@@ -42,8 +42,11 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     let camera_path = options.path.as_ref().map(CameraPath::load).transpose()?;
     let pictures = options.out.as_deref().map(PictureWriter::start).transpose()?;
     let stats = options.stats.as_deref().map(StatsFile::create).transpose()?;
-    for folder in options.save_masks.iter().chain(&options.save_shown) {
+    if let Some(folder) = &options.save_masks {
         std::fs::create_dir_all(folder).map_err(|source| ClientError::Write { path: folder.clone(), source })?;
+    }
+    if let Some(file) = &options.came {
+        std::fs::File::create(file).map_err(|source| ClientError::Write { path: file.clone(), source })?;
     }
     let gpu = pollster::block_on(Gpu::open(&GpuOptions {
         adapter: options.adapter.clone(),
@@ -263,7 +266,8 @@ fn summary(
 ) -> Summary {
     let duration_s = tally.duration.as_secs_f64().max(1e-9);
     let received = served.received;
-    let of_each = |sum: u64| (received.frames > 0).then(|| sum as f64 / received.frames as f64);
+    let came = received.frames + received.cut;
+    let of_each = |sum: u64| (came > 0).then(|| sum as f64 / came as f64);
     let transport = match &options.source {
         Source::Server(url) => url.transport.name(),
         Source::Offline { .. } => "offline",
@@ -272,6 +276,7 @@ fn summary(
         frames_rendered: tally.frames,
         frames_with_mask: tally.frames_with_mask,
         frames_received: received.frames,
+        frames_cut: received.cut,
         frames_partial: received.partial,
         frames_incomplete: received.incomplete,
         frames_bad: received.bad,
@@ -285,7 +290,7 @@ fn summary(
         response_ms_mean: mean(&tally.responses_ms),
         response_ms_p99: percentile(&tally.responses_ms, 0.99),
         client_fps: f64::from(tally.frames) / duration_s,
-        visibility_fps: welcome.map(|_| (received.frames + received.partial) as f64 / duration_s),
+        visibility_fps: welcome.map(|_| (came + received.partial) as f64 / duration_s),
         payload_bytes_mean: of_each(received.payload_bytes),
         packets_mean: of_each(received.packets),
         rtt_ms: served.round_trip.map(crate::stats::millis),

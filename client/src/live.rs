@@ -309,6 +309,7 @@ pub(crate) fn view_of(received: &ReceivedMask, history: &PoseHistory) -> Result<
 /// What has come in two connections' lives.
 fn sum(mut all: Received, more: Received) -> Received {
     all.frames += more.frames;
+    all.cut += more.cut;
     all.partial += more.partial;
     all.incomplete += more.incomplete;
     all.future += more.future;

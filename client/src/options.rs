@@ -64,8 +64,8 @@ pub struct HeadlessOptions {
     pub summary: Option<PathBuf>,
     /// Folder for the encoded masks.
     pub save_masks: Option<PathBuf>,
-    /// Folder for the masks as they are shown, and how they came.
-    pub save_shown: Option<PathBuf>,
+    /// File for how the masks came.
+    pub came: Option<PathBuf>,
     /// Token for servers that want one.
     pub token: Option<String>,
     /// Codec of the masks.
@@ -119,7 +119,7 @@ impl HeadlessOptions {
             record: None,
             summary: None,
             save_masks: None,
-            save_shown: None,
+            came: None,
             token: None,
             codec: CodecId::TilesFast,
             packets: Packets::default(),
@@ -155,7 +155,7 @@ impl HeadlessOptions {
             policy: if in_part { Policy::Slices } else { Policy::WholeFrame },
             tells_losses: in_part && self.packets == Packets::Parity,
             save_masks: self.save_masks.clone(),
-            save_shown: self.save_shown.clone(),
+            came: self.came.clone(),
         }
     }
 

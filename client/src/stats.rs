@@ -68,6 +68,8 @@ pub struct Summary {
     pub frames_with_mask: u32,
     /// Masks that came whole.
     pub frames_received: u64,
+    /// Masks of which the server left parts out, because the network bore no more.
+    pub frames_cut: u64,
     /// Masks that were shown although some of their tiles did not come.
     pub frames_partial: u64,
     /// Masks of which something came, but not all, and which were not shown.
@@ -235,6 +237,7 @@ mod tests {
             frames_rendered: 3,
             frames_with_mask: 2,
             frames_received: 2,
+            frames_cut: 0,
             frames_partial: 0,
             frames_incomplete: 1,
             frames_bad: 0,
@@ -281,6 +284,7 @@ mod tests {
         for name in [
             "frames_rendered",
             "frames_received",
+            "frames_cut",
             "frames_partial",
             "frames_incomplete",
             "lag_frames_mean",

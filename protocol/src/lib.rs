@@ -22,6 +22,7 @@ pub mod packetizer;
 pub mod pose;
 pub mod reassembler;
 pub mod references;
+pub mod refresh;
 
 /// Version of everything in this crate that a peer can see. Peers with different versions refuse each other.
-pub const PROTOCOL_VERSION: u16 = 5;
+pub const PROTOCOL_VERSION: u16 = 6;

@@ -7,8 +7,7 @@
 use std::{
     convert::Infallible,
     fs::File,
-    io::{self, Write as _},
-    path::Path,
+    io::Write as _,
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
@@ -18,7 +17,7 @@ use std::{
 
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
-    codec::{CodecId, DecodeError, Decoder, Encoder},
+    codec::{DecodeError, Decoder},
     frame::{Frame, FrameHead},
     header::PacketHeader,
     ids::FrameNumber,
@@ -32,7 +31,7 @@ use tokio::sync::watch;
 
 use super::{
     link::{DataReceiver, root_cause},
-    reception::{CAME, Reception},
+    reception::Reception,
 };
 use crate::mask_buffer::MaskWriter;
 
@@ -41,6 +40,8 @@ use crate::mask_buffer::MaskWriter;
 pub(crate) struct Received {
     /// Whole frames that decoded.
     pub(crate) frames: u64,
+    /// Frames that the server had left parts out of, and of which the others decoded.
+    pub(crate) cut: u64,
     /// Frames that were shown although something of them was missing.
     pub(crate) partial: u64,
     /// Frames of which something came, but not all, and which were not shown.
@@ -49,9 +50,9 @@ pub(crate) struct Received {
     pub(crate) future: u64,
     /// Frames that did not decode, are coded against a mask that is not here, or have another shape than was agreed on.
     pub(crate) bad: u64,
-    /// Bytes of the whole frames, packet headers not counted.
+    /// Bytes of the whole frames and of those that were cut, packet headers not counted.
     pub(crate) payload_bytes: u64,
-    /// Packets of the whole frames.
+    /// Their packets.
     pub(crate) packets: u64,
 }
 
@@ -225,8 +226,10 @@ impl ReceiveTask {
         // What comes out once more has been counted.
         let in_part = (complete.missing > 0).then_some(complete.frame);
         let again = std::mem::replace(&mut decoder.in_part, in_part) == Some(complete.frame);
+        let whole = complete.missing == 0 && back.coverage.is_whole();
         if complete.missing == 0 {
-            counters.frames += 1;
+            counters.frames += u64::from(whole);
+            counters.cut += u64::from(!whole);
             counters.partial -= u64::from(again);
             counters.payload_bytes += complete.body.len() as u64;
             counters.packets += u64::from(complete.packets);
@@ -234,13 +237,18 @@ impl ReceiveTask {
             counters.partial += u64::from(!again);
         }
         drop(counters);
-        if let Some(folder) = self.reception.save_masks.as_ref().filter(|_| complete.missing == 0) {
+        if let Some(folder) = self.reception.save_masks.as_ref().filter(|_| whole) {
             let file = folder.join(format!("frame_{:06}.body", complete.frame.0));
             std::fs::write(&file, complete.body)
                 .map_err(|error| format!("cannot write {}: {error}", file.display()))?;
         }
-        if let Some(folder) = &self.reception.save_shown {
-            save_shown(folder, &complete, &back.mask)?;
+        if let Some(file) = &self.reception.came {
+            let CompleteFrame { frame: FrameNumber(number), packets, restored, missing, .. } = complete;
+            File::options()
+                .append(true)
+                .open(file)
+                .and_then(|mut file| writeln!(file, "{number} {packets} {restored} {missing}"))
+                .map_err(|error| format!("cannot write to {}: {error}", file.display()))?;
         }
         back.frame = complete.frame;
         back.payload_bytes = complete.body.len();
@@ -249,18 +257,6 @@ impl ReceiveTask {
         self.writer.publish();
         Ok(Some(complete.frame))
     }
-}
-
-/// Writes a mask down as it is shown now, and a line of how it came.
-fn save_shown(folder: &Path, frame: &CompleteFrame<'_>, mask: &Mask) -> Result<(), String> {
-    let mut body = Vec::new();
-    let encoded = Encoder::new(CodecId::PlanesLz4).encode(mask, &mut body).map_err(io::Error::other);
-    let CompleteFrame { frame: FrameNumber(number), packets, restored, missing, .. } = *frame;
-    let written = encoded
-        .and_then(|()| std::fs::write(folder.join(format!("frame_{number:06}.body")), &body))
-        .and_then(|()| File::options().create(true).append(true).open(folder.join(CAME)))
-        .and_then(|mut file| writeln!(file, "{number} {packets} {restored} {missing}"));
-    written.map_err(|error| format!("cannot write to {}: {error}", folder.display()))
 }
 
 /// Counts what is missing, and tells it now and then.

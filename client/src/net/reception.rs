@@ -45,10 +45,6 @@ impl FromStr for Packets {
     }
 }
 
-/// File beside the masks that were shown: a line for each time that a mask came out, with its frame, packets that had come or were
-/// restored, those restored, and those missing.
-pub const CAME: &str = "came.txt";
-
 /// How a session takes its frames.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Reception {
@@ -58,6 +54,7 @@ pub(crate) struct Reception {
     pub(crate) tells_losses: bool,
     /// Folder that every whole frame's body is written to.
     pub(crate) save_masks: Option<PathBuf>,
-    /// Folder that each mask is written to as it is shown, and how it came.
-    pub(crate) save_shown: Option<PathBuf>,
+    /// File to which a line is added for each time that a mask comes out: its frame, packets that had come or were restored, those
+    /// restored, and those missing.
+    pub(crate) came: Option<PathBuf>,
 }

@@ -95,9 +95,9 @@ impl Figures {
         // The first frame begins the span; what came with it came before.
         let later = || self.frames.iter().rev().take_while(|frame| frame.at > first.at);
         let frames = later().count();
-        let whole = newest.received.frames.saturating_sub(first.received.frames);
-        let lost = |of: fn(&Received) -> u64| of(&newest.received).saturating_sub(of(&first.received));
-        let lost = lost(|received| received.incomplete) + lost(|received| received.partial);
+        let more = |of: fn(&Received) -> u64| of(&newest.received).saturating_sub(of(&first.received));
+        let whole = more(|received| received.frames) + more(|received| received.cut);
+        let lost = more(|received| received.incomplete) + more(|received| received.partial);
         Some(Now {
             client_fps: per_s(frames as f64),
             visibility_fps: per_s(later().filter(|frame| frame.bits > 0.0).count() as f64),

@@ -112,12 +112,21 @@ fn read_whole(file: &mut impl Read, bytes: &mut [u8]) -> Result<bool, std::io::E
 /// What a replay hands out.
 pub enum Replayed<'a> {
     /// A frame's picture.
-    Picture(Picture),
+    Picture {
+        /// The picture.
+        picture: Picture,
+        /// The view that it shows.
+        shown: Camera,
+        /// How much received visibility counts.
+        visibility_share: f32,
+        /// What has just drawn it.
+        renderer: &'a FrameRenderer,
+    },
     /// A record that draws nothing.
     Record(&'a Record),
 }
 
-/// Draws all frames of `records`, and hands out each picture and every other record.
+/// Draws those frames of `records` that are `wanted`, by their numbers, and hands out each picture and every record.
 ///
 /// # Errors
 /// When the recording breaks a rule, the adapter fails, or `take` does.
@@ -126,6 +135,7 @@ pub fn replay<E: From<ReplayError>>(
     scene: &Scene,
     start: &Start,
     records: &mut Records,
+    wanted: impl Fn(u32) -> bool,
     mut take: impl FnMut(Replayed<'_>) -> Result<(), E>,
 ) -> Result<(), E> {
     let render = |error: RenderError| E::from(ReplayError::Render(error));
@@ -164,6 +174,7 @@ pub fn replay<E: From<ReplayError>>(
                 let view = MaskView { mask: &mask, coverage: coverage.as_ref(), traced_for: &traced_for };
                 renderer.set_mask(Some(view)).map_err(render)?;
             }
+            Record::Frame { frame, .. } if !wanted(*frame) => {}
             Record::Frame { frame, shown, visibility_share, .. } => {
                 let shown = Camera::from(shown);
                 renderer.draw_surfaces(&shown).map_err(render)?;
@@ -171,7 +182,8 @@ pub fn replay<E: From<ReplayError>>(
                 let shaded = renderer.shade(&shown, *visibility_share, &target, |encoder| reader.copy(encoder));
                 reader.submitted((*frame).into(), shaded.map_err(render)?, true);
                 if let Some(picture) = reader.take_oldest().map_err(render)?.flatten() {
-                    take(Replayed::Picture(picture))?;
+                    let visibility_share = *visibility_share;
+                    take(Replayed::Picture { picture, shown, visibility_share, renderer: &renderer })?;
                 }
             }
             Record::Event { .. } => {}

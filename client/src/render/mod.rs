@@ -73,9 +73,11 @@ pub enum RenderError {
 pub struct PixelVisibility {
     /// Bit k is 1 when light k reaches the pixel.
     pub word: u32,
-    /// Whether the mask said so; the client knew nothing better otherwise. Told for a visibility share of 1 only, and false
-    /// where there is no surface.
+    /// Whether the masks said so of every light; the client knew nothing better of some otherwise. Told for a visibility share of 1
+    /// only, and false where there is no surface.
     pub known: bool,
+    /// What the client alone would say; told for smaller shares only.
+    pub own: u32,
 }
 
 /// Draws frames of one scene at one size.
@@ -310,7 +312,7 @@ impl FrameRenderer {
         let words = readback::texels(&self.gpu, &self.targets.visibility, wgpu::TextureAspect::All)?;
         let pixel = |[a, b, c, d, e, f, g, h]: &[u8; 8]| {
             let (word, own) = (u32::from_le_bytes([*a, *b, *c, *d]), u32::from_le_bytes([*e, *f, *g, *h]));
-            PixelVisibility { word, known: word != own }
+            PixelVisibility { word, known: word != own, own }
         };
         Ok(words.as_chunks().0.iter().map(pixel).collect())
     }

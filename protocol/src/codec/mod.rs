@@ -20,7 +20,7 @@ mod rows;
 mod tiles;
 mod words;
 
-use std::{fmt, num::NonZeroU16};
+use std::{fmt, num::NonZeroU16, ops::Range};
 
 use lz4_flex::block::DecompressError;
 use thiserror::Error;
@@ -398,6 +398,15 @@ impl Decoder {
     pub fn keep(&self, frame: FrameNumber, reference: &mut Reference) -> bool {
         self.tiles.keep(frame, reference)
     }
+}
+
+/// Places, in a mask's words, of the tiles that a part of a sliced frame holds; none of any other bytes.
+pub fn part_words(shape: MaskShape, part: &[u8]) -> impl Iterator<Item = Range<usize>> + use<> {
+    let blocks = Frame::parse(part)
+        .ok()
+        .filter(|frame| frame.head.codec.is_sliced() && frame.head.shape == shape)
+        .and_then(|frame| tiles::blocks_of(shape, frame.slices().next()?.1));
+    tiles::words_of(shape, blocks.unwrap_or(0..0))
 }
 
 /// The reference that a frame names, which must be the one at hand.

@@ -160,6 +160,8 @@ impl Collector for Page {
                 ("abandoned", totals.frames_abandoned),
             ],
         )?;
+        let help = "Frames sent of which parts were left out, because the network carried no more";
+        page.counter("frames_cut", help, totals.frames_cut)?;
         page.counter("frame_bytes", "Bytes of frames that were sent, headers included", totals.bytes)?;
         page.counter("messages", "Control messages that came in", totals.messages)?;
         page.seconds("gpu_seconds", "Time that tracing took, of the device or the processor", totals.gpu_us)?;

@@ -1,7 +1,11 @@
 //! Masks out: take the newest, encode it, cut it into packets, and send it whole or not at all. The engine traces the
 //! next mask in the meantime, because its channel has room for it.
 
-use std::{io, sync::Arc, time::Instant};
+use std::{
+    io,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use gnomon_protocol::{
     codec::{CodecId, EncodeError, Encoder},
@@ -13,6 +17,7 @@ use gnomon_protocol::{
     packetizer::Packetizer,
     pose::Pose,
     references::SentMasks,
+    refresh::{Choice, Refresh},
 };
 use thiserror::Error;
 use tokio::sync::{Semaphore, watch};
@@ -86,6 +91,40 @@ pub(super) struct FrameSender {
     /// The newest that the client has said about its masks and packets.
     heard: watch::Receiver<Heard>,
     first_frame_at: Option<Instant>,
+    pace: Pace,
+}
+
+/// How soon one frame follows the other.
+#[derive(Debug)]
+struct Pace {
+    last: Option<Instant>,
+    /// From one mask to the next, smoothed.
+    interval: Duration,
+    /// Masks since the last one of which something was sent.
+    left_out: u32,
+}
+
+impl Pace {
+    /// A longer pause is no pace.
+    const LONGEST: Duration = Duration::from_millis(100);
+
+    const fn new() -> Self {
+        Self { last: None, interval: Duration::from_millis(16), left_out: 0 }
+    }
+
+    /// Another mask is there: for how long its frame has the path.
+    fn step(&mut self, now: Instant) -> Duration {
+        if let Some(last) = self.last.replace(now) {
+            self.interval = (self.interval * 7 + now.saturating_duration_since(last).min(Self::LONGEST)) / 8;
+        }
+        self.interval * (self.left_out + 1)
+    }
+
+    /// Nothing of the mask's frame was sent, because its share of the path was too small.
+    fn leave_out(&mut self) {
+        // At the floor of the congestion window, a frame of the largest size takes no longer.
+        self.left_out = (self.left_out + 1).min(600);
+    }
 }
 
 struct Workspace {
@@ -93,6 +132,9 @@ struct Workspace {
     references: SentMasks,
     body: Vec<u8>,
     parity: ParityEncoder,
+    refresh: Refresh,
+    /// What is sent of the frame at hand.
+    choice: Choice,
 }
 
 impl FrameSender {
@@ -110,20 +152,37 @@ impl FrameSender {
         Self {
             packetizer: Packetizer::new(packet_bytes),
             sender,
-            workspace: Some(Workspace { encoder, references, body: Vec::new(), parity: ParityEncoder::default() }),
+            workspace: Some(Workspace {
+                encoder,
+                references,
+                body: Vec::new(),
+                parity: ParityEncoder::default(),
+                refresh: Refresh::default(),
+                choice: Choice::Whole,
+            }),
             encoders,
             heard,
             first_frame_at: None,
+            pace: Pace::new(),
         }
     }
 
     async fn send(&mut self, traced: TracedMask, ledger: &Ledger) -> Result<Mask, DriveError> {
         let TracedMask { frame, mask, ahead, received_at, cost } = traced;
         let started = Instant::now();
-        let (mask, encoded) = self.encode(mask, ahead, ledger).await?;
+        // Who takes frames in part gets them cut down to what the path bears.
+        let in_part = self.heard.borrow().losses.is_told();
+        let budget = self.sender.frame_budget(self.pace.step(started)).filter(|_| in_part);
+        let (mask, encoded) = self.encode(mask, ahead, budget, ledger).await?;
         let encoding = started.elapsed();
         ledger.stages.encode.record(encoding);
         let (body, parity) = match (encoded, &self.workspace) {
+            (Ok(()), Some(Workspace { choice: Choice::Nothing, .. })) => {
+                self.pace.leave_out();
+                ledger.frames_gated.one();
+                tracing::debug!("skipped: the path bears too little of it");
+                return Ok(mask);
+            }
             (Ok(()), Some(workspace)) => (&workspace.body, workspace.parity.last()),
             (Err(error), _) => {
                 ledger.frames_unsendable.one();
@@ -140,7 +199,7 @@ impl FrameSender {
             tracing::debug!(bytes, packets, "skipped: earlier frames still wait");
             return Ok(mask);
         }
-        let since_first = self.first_frame_at.get_or_insert(started).elapsed();
+        let since_first = sending.duration_since(*self.first_frame_at.get_or_insert(sending));
         // It wraps after 49 days, as the header says.
         #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³²")]
         let timestamp_ms = since_first.as_millis() as u32;
@@ -161,8 +220,15 @@ impl FrameSender {
         }
         self.sender.flush().await?;
         let counts = [packets - parity.count(), parity.count()];
-        if let Some(Workspace { encoder, references, .. }) = &mut self.workspace {
-            references.keep(encoder, frame);
+        self.pace.left_out = 0;
+        if let Some(Workspace { encoder, references, refresh, choice, .. }) = &mut self.workspace {
+            // What the client has not whole is no reference.
+            if *choice == Choice::Whole {
+                references.keep(encoder, frame);
+            } else {
+                ledger.frames_cut.one();
+            }
+            refresh.sent(&mask);
         }
         ledger.frames_sent.one();
         ledger.packets.add(packets as u64);
@@ -178,6 +244,7 @@ impl FrameSender {
         &mut self,
         mask: Mask,
         ahead: Option<Pose>,
+        budget: Option<usize>,
         ledger: &Ledger,
     ) -> Result<(Mask, Result<(), EncodeError>), DriveError> {
         let broken = |reason: &str| DriveError::Encoding(reason.to_owned());
@@ -187,16 +254,23 @@ impl FrameSender {
         let payload_bytes = self.packetizer.payload_bytes();
         let job = tokio::task::spawn_blocking(move || {
             let (_permit, begun) = (permit, Instant::now());
-            let Workspace { encoder, references, body, parity } = &mut workspace;
+            let Workspace { encoder, references, body, parity, refresh, choice } = &mut workspace;
             if let Some(acknowledged) = acknowledged {
                 references.acknowledge(acknowledged);
             }
             let result = encoder.encode_for(ahead, references.reference(), &mask, body);
-            let pieces = pieces(body, payload_bytes);
-            let packets = pieces.clone().count();
-            let protected = encoder.codec().is_sliced() && packets <= MAX_PROTECTED_PACKETS;
-            let count = if protected { parity_packets(losses.model(), packets) } else { 0 };
-            parity.encode(pieces, count);
+            let parity_of = |body: &[u8], codec: CodecId| {
+                let packets = pieces(body, payload_bytes).count();
+                let protected = codec.is_sliced() && packets <= MAX_PROTECTED_PACKETS;
+                (packets, if protected { parity_packets(losses.model(), packets) } else { 0 })
+            };
+            let codec = encoder.codec();
+            *choice = budget.map_or(Choice::Whole, |budget| {
+                // Parity takes its share.
+                let (packets, count) = parity_of(body, codec);
+                refresh.choose(&mask, body, budget / (packets + usize::from(count)).max(1) * packets)
+            });
+            parity.encode(pieces(body, payload_bytes), parity_of(body, codec).1);
             (workspace, mask, result, begun.elapsed())
         });
         let (workspace, mask, result, took) = job.await.map_err(|error| broken(&error.to_string()))?;

@@ -72,8 +72,10 @@ ledger! {
     frames_encoded,
     /// Microseconds of a core that this took.
     encode_us,
-    /// Frames sent whole.
+    /// Frames sent.
     frames_sent,
+    /// Frames of these that parts were left out of: the network carried no more.
+    frames_cut,
     /// Frames dropped: a newer mask was there before they were encoded.
     frames_superseded,
     /// Frames dropped: earlier ones still waited for the network.
@@ -258,6 +260,7 @@ impl Totals {
             poses_unread = self.poses_unread,
             frames_traced = self.frames_traced,
             frames_sent = self.frames_sent,
+            frames_cut = self.frames_cut,
             frames_superseded = self.frames_superseded,
             frames_gated = self.frames_gated,
             frames_unsendable = self.frames_unsendable,

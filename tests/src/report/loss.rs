@@ -82,7 +82,7 @@ pub struct LossOptions {
     pub link: String,
     /// Pictures of each real run that the referee judges.
     #[arg(long, default_value_t = 40)]
-    pub samples: usize,
+    pub samples: u32,
     /// Lets the real programs use a software adapter.
     #[arg(long)]
     pub allow_software: bool,

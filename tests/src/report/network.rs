@@ -3,7 +3,7 @@
 //! The promise is that no network slows the client down, and that its pictures stay nearly right. So client and server get a core each, the link sits on the
 //! server's, and every run behind a network is set against a run without a server right before it.
 
-use std::{ffi::OsString, net::SocketAddr};
+use std::{ffi::OsString, net::SocketAddr, path::Path};
 
 use anyhow::{Context, Result, ensure};
 use core_affinity::CoreId;
@@ -16,9 +16,10 @@ use serde_json::Value;
 use tokio::runtime::Runtime;
 
 use super::{
-    network_replay::{Replay, Shown},
     plot::{Axis, Plot, Series},
+    recorded_error::Judge,
     scene_args::SceneArgs,
+    shown::Shown,
     table::{Table, median},
 };
 use crate::{
@@ -44,9 +45,9 @@ pub struct NetworkOptions {
     /// Modes of the client: sequential, concurrent, auto.
     #[arg(long, value_delimiter = ',', default_value = "auto")]
     pub mode: Vec<Mode>,
-    /// Pictures of each network's last run that the referee judges.
+    /// Pictures that the referee judges of a further run behind each network, which is recorded.
     #[arg(long, default_value_t = 8)]
-    pub samples: usize,
+    pub samples: u32,
     /// What carries the data: quic or lab-udp.
     #[arg(long, default_value = "quic")]
     pub transport: String,
@@ -174,11 +175,13 @@ impl<'a> Stage<'a> {
         self.client(None, arguments, scene.frames).context("without a server")
     }
 
-    fn behind(&self, settings: LinkSettings, mode: Mode) -> Result<(Run, LinkCounts)> {
+    fn behind(&self, settings: LinkSettings, mode: Mode, recording: Option<&Path>) -> Result<(Run, LinkCounts)> {
         let free = SocketAddr::from(([127, 0, 0, 1], 0));
         let link = self.runtime.block_on(Link::start(free, self.server.url(), settings))?;
         let url = link.url(self.server.url())?;
-        let run = self.client(Some(&url), self.online_arguments(mode), self.options.scene.frames)?;
+        let mut arguments = self.online_arguments(mode);
+        arguments.extend(recording.into_iter().flat_map(|file| ["--record".into(), file.into()]));
+        let run = self.client(Some(&url), arguments, self.options.scene.frames)?;
         Ok((run, link.counts()))
     }
 
@@ -224,7 +227,7 @@ pub fn measure(options: &NetworkOptions, mut progress: impl FnMut(&str)) -> Resu
         for ((profile, mode), runs) in ways.iter().zip(&mut runs) {
             alone = stage.offline()?;
             let (run, counts) = stage
-                .behind(profile.settings(options.seed)?, *mode)
+                .behind(profile.settings(options.seed)?, *mode, None)
                 .with_context(|| format!("behind {}", profile.name))?;
             let ratio = run.client_fps / alone.client_fps;
             let (alone_fps, fps, down) = (alone.client_fps, run.client_fps, counts.down);
@@ -235,9 +238,17 @@ pub fn measure(options: &NetworkOptions, mut progress: impl FnMut(&str)) -> Resu
             runs.push((run, ratio));
         }
     }
+    // Recording takes time of the client's, so what is recorded is not timed.
+    progress("recording a run behind each network, and judging pictures of it");
+    let judge = Judge::new(&options.scene, options.allow_software)?;
+    let mut errors = Vec::new();
+    for (profile, mode) in &ways {
+        let recording = stage.cache.path().join("recording");
+        stage.behind(profile.settings(options.seed)?, *mode, Some(&recording))?;
+        let error = judge.error_of(&recording, (0, options.scene.frames), options.samples)?;
+        errors.push(error.wrong_percent());
+    }
     stage.server.stop()?;
-    progress("judging pictures of the last runs");
-    let mut replay = Replay::new(&options.scene, options.fps, options.allow_software)?;
     let mut table = Table::new(&[
         "profile",
         "mode",
@@ -249,8 +260,7 @@ pub fn measure(options: &NetworkOptions, mut progress: impl FnMut(&str)) -> Resu
         "degraded_share",
         "fps_ratio_to_offline",
     ]);
-    for ((profile, mode), runs) in ways.iter().zip(&runs) {
-        let error = runs.last().map(|(run, _)| replay.bit_error(&run.frames, options.samples)).transpose()?;
+    for (((profile, mode), runs), error) in ways.iter().zip(&runs).zip(errors) {
         table.rows.push(cells(profile.name, *mode, runs, error));
     }
     options.scene.write("network.csv", &table.csv())?;
@@ -267,7 +277,7 @@ pub fn measure(options: &NetworkOptions, mut progress: impl FnMut(&str)) -> Resu
     Ok(table)
 }
 
-fn cells(profile: &str, mode: Mode, runs: &[(Run, f64)], bit_error: Option<f64>) -> Vec<String> {
+fn cells(profile: &str, mode: Mode, runs: &[(Run, f64)], bit_error: f64) -> Vec<String> {
     let figure = |of: fn(&Run) -> Option<f64>, decimals: usize| {
         let values: Vec<f64> = runs.iter().filter_map(|(run, _)| of(run)).collect();
         median(&values).map(|value| format!("{value:.decimals$}")).unwrap_or_default()
@@ -280,7 +290,7 @@ fn cells(profile: &str, mode: Mode, runs: &[(Run, f64)], bit_error: Option<f64>)
         figure(|run| run.visibility_fps, 1),
         figure(|run| run.lag(0.5), 1),
         figure(|run| run.lag(0.99), 1),
-        bit_error.map(|error| format!("{error:.4}")).unwrap_or_default(),
+        format!("{bit_error:.4}"),
         figure(Run::degraded_share, 4),
         median(&ratios).map(|ratio| format!("{ratio:.3}")).unwrap_or_default(),
     ]
@@ -326,11 +336,11 @@ mod tests {
         assert!(Run::read(&json!({}), &[]).unwrap_err().to_string().contains("client_fps"));
         assert!(Run::read(&json!({ "client_fps": 1.0 }), &[json!({ "t_ms": 0 })]).is_err());
         let slower = Run { client_fps: 40.0, ..run.clone() };
-        let row = cells("wifi", Mode::Auto, &[(run.clone(), 1.0), (slower, 0.8)], Some(0.25));
+        let row = cells("wifi", Mode::Auto, &[(run.clone(), 1.0), (slower, 0.8)], 0.25);
         assert_eq!(row, ["wifi", "auto", "45.0", "30.0", "3.0", "4.0", "0.2500", "0.2500", "0.900"]);
         // What is not known is no zero.
-        let row = cells("lan", Mode::Sequential, &[(Run { client_fps: 1.0, ..Run::default() }, 1.0)], None);
-        assert_eq!(row, ["lan", "sequential", "1.0", "", "", "", "", "", "1.000"]);
+        let row = cells("lan", Mode::Sequential, &[(Run { client_fps: 1.0, ..Run::default() }, 1.0)], 0.5);
+        assert_eq!(row, ["lan", "sequential", "1.0", "", "", "", "0.5000", "", "1.000"]);
     }
 
     #[test]

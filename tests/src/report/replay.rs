@@ -4,7 +4,7 @@ use std::{fs, io::BufWriter, path::PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use gnomon_client::record::{
-    Record,
+    Record, Start,
     replay::{Records, Replayed, replay},
 };
 use gnomon_protocol::ids::SceneDigest;
@@ -56,16 +56,7 @@ pub fn run(options: &ReplayOptions, mut say: impl FnMut(&str)) -> Result<Replay>
         Records::open(&options.recording).with_context(|| format!("opening {}", options.recording.display()))?;
     let load = LoadOptions { lights_from: options.lights_from.clone(), max_lights: options.lights };
     let loaded = Scene::load(&options.scene, &load).with_context(|| format!("loading {}", options.scene.display()))?;
-    let scene = match &start.scene_digest {
-        // A server's scene comes packed.
-        Some(wanted) => {
-            let packed = loaded.pack()?;
-            let found = SceneDigest(*blake3::hash(&packed).as_bytes()).to_string();
-            ensure!(found == *wanted, "the recording is of the scene {wanted}, and this is {found}");
-            Scene::unpack(&packed)?
-        }
-        None => loaded,
-    };
+    let scene = recorded_scene(loaded, &start)?;
     let gpu = pollster::block_on(Gpu::open(&GpuOptions {
         adapter: options.adapter.clone(),
         allow_software: true,
@@ -78,28 +69,48 @@ pub fn run(options: &ReplayOptions, mut say: impl FnMut(&str)) -> Result<Replay>
         fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
     }
     let mut done = Replay::default();
-    replay::<anyhow::Error>(&gpu, &scene, &start, &mut records, |replayed| {
-        match replayed {
-            Replayed::Picture(picture) => {
-                done.frames += 1;
-                if let Some(folder) = &options.out {
-                    let file = folder.join(format!("frame_{:06}.png", picture.frame));
-                    let rgb: Vec<u8> =
-                        picture.rgba.as_chunks::<4>().0.iter().flat_map(|[r, g, b, _]| [*r, *g, *b]).collect();
-                    let written = BufWriter::new(fs::File::create(&file)?);
-                    PngEncoder::new(written)
-                        .write_image(&rgb, picture.width, picture.height, ExtendedColorType::Rgb8)
-                        .with_context(|| format!("writing {}", file.display()))?;
+    replay::<anyhow::Error>(
+        &gpu,
+        &scene,
+        &start,
+        &mut records,
+        |_| true,
+        |replayed| {
+            match replayed {
+                Replayed::Picture { picture, .. } => {
+                    done.frames += 1;
+                    if let Some(folder) = &options.out {
+                        let file = folder.join(format!("frame_{:06}.png", picture.frame));
+                        let rgb: Vec<u8> =
+                            picture.rgba.as_chunks::<4>().0.iter().flat_map(|[r, g, b, _]| [*r, *g, *b]).collect();
+                        let written = BufWriter::new(fs::File::create(&file)?);
+                        PngEncoder::new(written)
+                            .write_image(&rgb, picture.width, picture.height, ExtendedColorType::Rgb8)
+                            .with_context(|| format!("writing {}", file.display()))?;
+                    }
                 }
+                Replayed::Record(Record::Mask { .. }) => done.masks += 1,
+                Replayed::Record(Record::Event { frame, text }) => {
+                    done.events += 1;
+                    say(&format!("frame {frame}: {text}"));
+                }
+                Replayed::Record(_) => {}
             }
-            Replayed::Record(Record::Mask { .. }) => done.masks += 1,
-            Replayed::Record(Record::Event { frame, text }) => {
-                done.events += 1;
-                say(&format!("frame {frame}: {text}"));
-            }
-            Replayed::Record(_) => {}
-        }
-        Ok(())
-    })?;
+            Ok(())
+        },
+    )?;
     Ok(done)
+}
+
+/// The scene that a recording was made of, if it is this one.
+///
+/// # Errors
+/// When it is another one.
+pub(super) fn recorded_scene(loaded: Scene, start: &Start) -> Result<Scene> {
+    // A server's scene comes packed.
+    let Some(wanted) = &start.scene_digest else { return Ok(loaded) };
+    let packed = loaded.pack()?;
+    let found = SceneDigest(*blake3::hash(&packed).as_bytes()).to_string();
+    ensure!(found == *wanted, "the recording is of the scene {wanted}, and this is {found}");
+    Ok(Scene::unpack(&packed)?)
 }

@@ -100,6 +100,16 @@ pub(super) fn blocks_of(shape: MaskShape, slice: &[u8]) -> Option<Range<usize>> 
     (count > 0 && first + count <= Order::new(shape).blocks()).then_some(first..first + count)
 }
 
+/// Places of these blocks' tiles in a mask's words.
+pub(super) fn words_of(shape: MaskShape, blocks: Range<usize>) -> impl Iterator<Item = Range<usize>> {
+    let order = Order::new(shape);
+    order.walk(blocks).map(move |(_, place)| {
+        let tiles = order.tiles(place);
+        let plane = place.light * shape.tiles();
+        plane + tiles.start..plane + tiles.end
+    })
+}
+
 /// Number of blocks of a picture.
 pub(super) fn block_count(shape: MaskShape) -> usize {
     Order::new(shape).blocks()

@@ -171,6 +171,14 @@ impl DataSender {
         }
     }
 
+    /// Bytes that a frame may have when the next one follows after `interval`; `None` where a sender waits instead.
+    pub(crate) fn frame_budget(&self, interval: Duration) -> Option<usize> {
+        match self {
+            Self::Quic(data) => Some(data.frame_budget(interval)),
+            Self::LabUdp(_) | Self::LabTcp(_) => None,
+        }
+    }
+
     /// Sends one packet.
     ///
     /// # Errors

@@ -1,9 +1,9 @@
 //! A session over QUIC: native, or through WebTransport.
 
-use std::{io, mem::size_of, sync::Arc};
+use std::{io, mem::size_of, sync::Arc, time::Duration};
 
 use bytes::Bytes;
-use gnomon_protocol::limits::MAX_PACKET_BYTES;
+use gnomon_protocol::{limits::MAX_PACKET_BYTES, refresh::PathState};
 use web_transport_quinn::Session;
 
 use super::{CloseCode, Wire};
@@ -44,6 +44,18 @@ impl QuicData {
         let space = self.session.datagram_send_buffer_space();
         let frame = bytes.saturating_add(packets.saturating_mul(QUEUED_OVERHEAD_BYTES));
         frame_fits(self.buffer_bytes.saturating_sub(space), frame, space)
+    }
+
+    /// Bytes that a frame may have when the next one follows after `interval`.
+    pub(super) fn frame_budget(&self, interval: Duration) -> usize {
+        let connection: &quinn::Connection = &self.session;
+        let waiting = self.buffer_bytes.saturating_sub(self.session.datagram_send_buffer_space());
+        let path = PathState {
+            window_bytes: connection.stats().path.cwnd,
+            round_trip: connection.rtt(),
+            waiting_bytes: waiting as u64,
+        };
+        path.frame_budget(interval)
     }
 
     pub(super) fn wire(&self) -> Wire {

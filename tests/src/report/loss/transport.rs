@@ -1,5 +1,5 @@
 //! The real server and the real client behind a link that loses packets. The server's log says of every frame what was sent, the client
-//! keeps every mask as it shows it and says how it came, and the referee judges pictures that are put together from these masks.
+//! says how each mask came and records what it drew, and the referee judges pictures that are drawn again from the recording.
 //!
 //! A tile is in time when it is there before a newer frame takes its frame's place. The last frames of a run, which were under way when
 //! it ended, do not count.
@@ -7,14 +7,8 @@
 use std::{collections::BTreeMap, fs, net::SocketAddr, path::PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use gnomon_client::{
-    net::reception::{CAME, Packets},
-    stats::percentile,
-};
-use gnomon_protocol::{
-    codec::{CodecId, Decoder},
-    mask::{Mask, MaskShape},
-};
+use gnomon_client::{net::reception::Packets, stats::percentile};
+use gnomon_protocol::codec::CodecId;
 use serde::Deserialize as _;
 use serde_json::Value;
 use tokio::runtime::Runtime;
@@ -22,7 +16,7 @@ use tokio::runtime::Runtime;
 use super::{FPS, LossOptions, Outcome};
 use crate::{
     link::{Link, LinkSettings, Settings},
-    report::network_replay::{Replay, Shown},
+    report::{recorded_error::Judge, shown::Shown},
     rig::{ClientJob, PATIENCE, ServerProcess},
 };
 
@@ -35,7 +29,7 @@ pub(super) struct Stage<'a> {
     read: usize,
     runtime: Runtime,
     folder: tempfile::TempDir,
-    replay: Replay,
+    judge: Judge,
 }
 
 /// What the server said of a frame.
@@ -63,8 +57,8 @@ impl<'a> Stage<'a> {
         let environment = [("RUST_LOG", "warn,gnomon_server::session::driver=debug")];
         let server = ServerProcess::start_in(&options.scene.scene, &arguments, &environment)?;
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
-        let replay = Replay::new(&options.scene, Some(FPS), options.allow_software)?;
-        Ok(Self { options, server, log, read: 0, runtime, folder, replay })
+        let judge = Judge::new(&options.scene, options.allow_software)?;
+        Ok(Self { options, server, log, read: 0, runtime, folder, judge })
     }
 
     pub(super) fn run(&mut self, codec: CodecId, packets: Packets, settings: &Settings) -> Result<Outcome> {
@@ -74,10 +68,11 @@ impl<'a> Stage<'a> {
         let link = self.runtime.block_on(Link::start(free, self.server.url(), both))?;
         let url = link.url(self.server.url())?;
         let folder = tempfile::tempdir_in(self.folder.path()).context("making a temporary folder")?;
-        let shown = folder.path().join("shown");
+        let (came_in, recording) = (folder.path().join("came.txt"), folder.path().join("recording"));
         let mut arguments = vec!["--cache-dir".into(), self.folder.path().join("cache").into()];
         arguments.extend(["--fps".into(), FPS.to_string().into(), "--codec".into(), codec.to_string().into()]);
-        arguments.extend(["--packets".into(), packets.to_string().into(), "--save-shown".into(), (&shown).into()]);
+        arguments.extend(["--packets".into(), packets.to_string().into(), "--came".into(), (&came_in).into()]);
+        arguments.extend(["--record".into(), (&recording).into()]);
         arguments.extend(options.allow_software.then(|| "--allow-software".into()));
         let job = ClientJob {
             url: Some(&url),
@@ -90,17 +85,11 @@ impl<'a> Stage<'a> {
             arguments,
         };
         job.start()?.finish(PATIENCE)?.success()?;
-        let (sent, came) = (self.sent()?, came(&fs::read_to_string(shown.join(CAME)).unwrap_or_default())?);
+        let (sent, came) = (self.sent()?, came(&fs::read_to_string(&came_in)?)?);
         let mut outcome = counted(&sent, &came, options.warm_up);
         ensure!(outcome.frames > 0, "of {} frames that were sent and {} that came none counts", sent.len(), came.len());
         let pictures = job.stats()?.iter().map(Shown::deserialize).collect::<Result<Vec<_>, _>>()?;
-        let kept = |frame: u32| {
-            let Ok(body) = fs::read(shown.join(format!("frame_{frame:06}.body"))) else { return Ok(None) };
-            let mut mask = Mask::new(MaskShape::new(1, 1, 1)?);
-            Decoder::new().decode(&body, &mut mask)?;
-            Ok(Some(mask))
-        };
-        let error = self.replay.error_of(&pictures, options.warm_up as usize, options.samples, kept)?;
+        let error = self.judge.error_of(&recording, (options.warm_up, options.scene.frames), options.samples)?;
         outcome.wrong_bits = error.known_edge + error.known_inside + error.unknown;
         outcome.bits = error.relevant;
         let late = pictures.iter().skip(options.warm_up as usize).filter_map(|picture| picture.lag.map(f64::from));

@@ -1,0 +1,142 @@
+//! Byte budgets: a frame of which parts are left out stays within its budget, what is sent is right, what changes most comes first,
+//! and everything comes in the end.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
+
+mod common;
+
+use std::collections::VecDeque;
+
+use gnomon_protocol::{
+    codec::{CodecId, Decoder, Encoder, part_words},
+    coverage::{Coverage, max_layers},
+    frame::pieces,
+    header::HEADER_BYTES,
+    mask::{Mask, MaskShape},
+    refresh::{Choice, Refresh},
+};
+use proptest::prelude::*;
+
+use crate::common::Random;
+
+fn noise(shape: MaskShape, random: &mut Random) -> Mask {
+    let mut mask = Mask::new(shape);
+    for _ in 0..40 {
+        scribble(&mut mask, random);
+    }
+    mask
+}
+
+/// Turns some pixels of some rows over.
+fn scribble(mask: &mut Mask, random: &mut Random) {
+    let shape = mask.shape();
+    let (light, y) = (random.index(shape.lights() as usize), random.index(shape.height() as usize));
+    for x in 0..shape.width() {
+        if random.one_in(3) {
+            let (light, y) = (u32::try_from(light).unwrap(), u32::try_from(y).unwrap());
+            mask.set(light, x, y, random.one_in(2));
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Once all tiles have come, a client never misses one.
+    #[test]
+    fn what_is_sent_is_right_and_everything_comes_round(budget in 0usize..3000, fast in any::<bool>(), seed in any::<u64>()) {
+        let mut random = Random(seed);
+        let shape = MaskShape::new(300, 200, 2).unwrap();
+        let codec = if fast { CodecId::TilesFast } else { CodecId::TilesSmall };
+        let (mut encoder, mut decoder, mut refresh) = (Encoder::new(codec).for_packets_of(200), Decoder::new(), Refresh::default());
+        let (mut shown, mut body, mut mask) = (Mask::new(shape), Vec::new(), noise(shape, &mut random));
+        let (mut coverage, mut layers, mut unchanged) = (Coverage::whole(shape), VecDeque::new(), 0);
+        for frame in 0..40 {
+            if frame < 30 {
+                scribble(&mut mask, &mut random);
+            }
+            encoder.encode(&mask, &mut body).unwrap();
+            let all = body.len() + pieces(&body, usize::MAX).count() * HEADER_BYTES;
+            let before = body.len();
+            let choice = refresh.choose(&mask, &mut body, budget);
+            let count = pieces(&body, usize::MAX).count();
+            match choice {
+                Choice::Whole => prop_assert!(all <= budget),
+                Choice::Parts => prop_assert!(budget < all && body.len() + count * HEADER_BYTES <= budget),
+                Choice::Nothing => {
+                    prop_assert!(budget < all / (max_layers(shape) - 2) + 200 && body.len() == before);
+                    refresh.sent(&mask);
+                    continue;
+                }
+            }
+            let mut expected = shown.clone();
+            for words in pieces(&body, usize::MAX).flat_map(|part| part_words(shape, part).collect::<Vec<_>>()) {
+                expected.words_mut()[words.clone()].copy_from_slice(&mask.words()[words]);
+            }
+            decoder.decode_onto(None, &body, &mut shown).unwrap();
+            prop_assert!(shown == expected);
+            decoder.coverage(shape, &mut coverage);
+            prop_assert_eq!(coverage.is_whole(), choice == Choice::Whole);
+            refresh.sent(&mask);
+            layers.push_back(coverage.clone());
+            if layers.len() > max_layers(shape) {
+                layers.pop_front();
+            }
+            if layers.len() == max_layers(shape) {
+                let all = layers.iter().skip(1).fold(layers[0].clone(), Coverage::or);
+                prop_assert!(all.is_whole(), "frame {}, budget {}", frame, budget);
+            }
+            unchanged += usize::from(frame >= 30);
+        }
+        prop_assert!(unchanged < max_layers(shape) || shown == mask);
+    }
+}
+
+/// A sixth of the picture changes wholly, another one in a few pixels: the first one is sent, then the other, and what does not
+/// change when its time comes.
+#[test]
+fn large_changes_come_first_and_waiting_counts() {
+    let shape = MaskShape::new(1536, 256, 1).unwrap();
+    let mut random = Random(5);
+    let mut encoder = Encoder::new(CodecId::TilesFast).for_packets_of(400);
+    let (mut refresh, mut body, mut mask) = (Refresh::default(), Vec::new(), noise(shape, &mut random));
+    encoder.encode(&mask, &mut body).unwrap();
+    assert_eq!(refresh.choose(&mask, &mut body, usize::MAX), Choice::Whole);
+    refresh.sent(&mask);
+    for (x, y) in (0..256).flat_map(|x| (0..256).map(move |y| (x, y))) {
+        let lit = mask.get(0, x, y);
+        mask.set(0, x, y, !lit);
+        mask.set(0, 1280 + x, y, if x == y { !lit } else { mask.get(0, 1280 + x, y) });
+    }
+    // Stripes of blocks are 256 pixels wide: six of them.
+    let mut stripes = Vec::new();
+    for _ in 0..max_layers(shape) {
+        encoder.encode(&mask, &mut body).unwrap();
+        let budget = (body.len() + pieces(&body, usize::MAX).count() * HEADER_BYTES) / 4;
+        assert_eq!(refresh.choose(&mask, &mut body, budget), Choice::Parts);
+        let columns = pieces(&body, usize::MAX).flat_map(|part| part_words(shape, part));
+        let mut sent: Vec<_> = columns.map(|words| words.start % shape.tiles_x() as usize / 32).collect();
+        sent.sort_unstable();
+        sent.dedup();
+        stripes.push(sent);
+        refresh.sent(&mask);
+    }
+    assert!(stripes[0].contains(&0), "{stripes:?}");
+    let last = stripes.iter().position(|sent| sent.contains(&5)).unwrap();
+    let still = stripes.iter().position(|sent| sent.contains(&3)).unwrap();
+    assert!(last <= 2 && still >= last, "{stripes:?}");
+    assert!((0..6).all(|stripe| stripes.iter().any(|sent| sent.contains(&stripe))), "{stripes:?}");
+}
+
+#[test]
+fn frames_that_are_not_sliced_stay_whole() {
+    let mut random = Random(9);
+    let mask = noise(MaskShape::new(300, 200, 2).unwrap(), &mut random);
+    let mut body = Vec::new();
+    Encoder::new(CodecId::PlanesLz4).encode(&mask, &mut body).unwrap();
+    let before = body.clone();
+    assert_eq!(Refresh::default().choose(&mask, &mut body, 10), Choice::Whole);
+    assert_eq!(body, before);
+    assert_eq!(part_words(mask.shape(), &body).count(), 0);
+    assert_eq!(part_words(mask.shape(), &[1, 2, 3]).count(), 0);
+}

@@ -1,0 +1,58 @@
+//! How wrong the pictures of a recorded run were: each mask is taken as the client took it, in part where it came in part, the picture
+//! is drawn again, and the referee judges it.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use gnomon_client::record::replay::{Records, Replayed, replay};
+use gnomon_shaders::{
+    gpu::{Gpu, GpuOptions},
+    scene::Scene,
+};
+
+use super::{prediction_error::PredictionError, replay::recorded_scene, scene_args::SceneArgs};
+use crate::reference::Reference;
+
+/// Judges recordings of one scene.
+pub(super) struct Judge {
+    gpu: Gpu,
+    loaded: Scene,
+    reference: Reference,
+}
+
+impl Judge {
+    pub(super) fn new(scene: &SceneArgs, allow_software: bool) -> Result<Self> {
+        let gpu = pollster::block_on(Gpu::open(&GpuOptions { allow_software, ..GpuOptions::default() }))?;
+        let loaded = scene.load_scene()?;
+        Ok(Self { gpu, reference: Reference::new(&loaded), loaded })
+    }
+
+    /// The errors of `samples` of a run's pictures from `first` on, of `frames` in all. A picture in the middle of a fade counts as what
+    /// it shows more of.
+    pub(super) fn error_of(
+        &self,
+        recording: &Path,
+        (first, frames): (u32, u32),
+        samples: u32,
+    ) -> Result<PredictionError> {
+        let (start, mut records) =
+            Records::open(recording).with_context(|| format!("opening {}", recording.display()))?;
+        let scene = recorded_scene(self.loaded.clone(), &start)?;
+        let pictures = frames.saturating_sub(first);
+        let samples = samples.min(pictures);
+        let places: Vec<u32> = (0..samples).map(|sample| first + (2 * sample + 1) * pictures / (2 * samples)).collect();
+        let mut error = PredictionError::default();
+        let wanted = |frame: u32| places.contains(&frame);
+        replay::<anyhow::Error>(&self.gpu, &scene, &start, &mut records, wanted, |replayed| {
+            if let Replayed::Picture { shown, visibility_share, renderer, .. } = replayed {
+                let mut visibility = renderer.read_visibility()?;
+                if visibility_share < 0.5 {
+                    visibility.iter_mut().for_each(|pixel| (pixel.word, pixel.known) = (pixel.own, false));
+                }
+                error.add(&visibility, &self.reference.trace(&shown));
+            }
+            Ok(())
+        })?;
+        Ok(error)
+    }
+}
