@@ -6,7 +6,7 @@
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
-use gnomon_protocol::{ids::FrameNumber, pose::Pose};
+use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS, pose::Pose};
 use gnomon_shaders::camera::Camera;
 
 use crate::{
@@ -101,6 +101,12 @@ impl Memory {
 }
 
 impl FrameLoop {
+    /// Frames that the masks were older than the last picture that was drawn, the newest first.
+    pub(crate) fn mask_lags(&self) -> [u32; MAX_LAYERS] {
+        let frame = FrameNumber(self.memory.frames.saturating_sub(1));
+        self.live.as_ref().map_or([0; MAX_LAYERS], |live| live.lags(frame, self.renderer.mask_views()))
+    }
+
     /// Leaves the server, and says how it was.
     pub(crate) fn leave(&mut self) -> Served {
         let mut served = Served { lost: self.memory.lost.take(), ..Served::default() };

@@ -2,11 +2,12 @@
 //! looked for while the client draws on.
 
 use std::{
+    collections::VecDeque,
     sync::Arc,
     time::{Duration, Instant},
 };
 
-use gnomon_protocol::ids::FrameNumber;
+use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS};
 use gnomon_shaders::camera::Camera;
 use tokio::runtime::Runtime;
 
@@ -38,6 +39,8 @@ pub(crate) struct Live {
     pub(crate) masks: MaskReader,
     /// The mask that the renderer has.
     pub(crate) current: Option<Current>,
+    /// What it and those before it were traced for, and the frames that asked for them: as many as the renderer keeps.
+    views: VecDeque<(Camera, FrameNumber)>,
     pub(crate) rejections: Rejections,
     pub(crate) poses_repeated: u32,
     /// Longest response of late, to poses that were sent once: a maximum that fades.
@@ -91,6 +94,7 @@ impl Live {
             session,
             masks,
             current: None,
+            views: VecDeque::new(),
             rejections: Rejections::default(),
             poses_repeated: 0,
             slowest_response: None,
@@ -175,6 +179,20 @@ impl Live {
     /// What has come over all connections.
     pub(crate) fn received(&self) -> Received {
         sum(self.received_before, self.session.received())
+    }
+
+    /// Frames that the masks in the renderer are older than this frame's picture, the newest first.
+    pub(crate) fn lags<'a>(
+        &self,
+        frame: FrameNumber,
+        mut views: impl Iterator<Item = &'a Camera>,
+    ) -> [u32; MAX_LAYERS] {
+        let newest = views.next().zip(self.current).map_or(0, |(_, current)| current.lag(frame));
+        let asked = |view: &Camera| self.views.iter().find(|(known, _)| known == view).map(|(_, asked)| asked.0);
+        let before = views.map(|view| asked(view).map_or(newest, |asked| frame.0.saturating_sub(asked)));
+        let mut lags = [newest; MAX_LAYERS];
+        lags[1..].iter_mut().zip(before).for_each(|(lag, before)| *lag = before);
+        lags
     }
 
     /// How far ahead masks should be traced, in milliseconds.
@@ -284,6 +302,8 @@ impl Live {
                 bytes: received.payload_bytes,
                 packets: received.packets,
             });
+            self.views.truncate(MAX_LAYERS - 1);
+            self.views.push_front((traced_for, asked.frame));
             // What a repeated pose took says nothing about the server (Karn's rule for round trips): taken for a response, a
             // lost frame would make the next loss cost twice as much.
             if self.repeated != Some(asked.frame) && !more {

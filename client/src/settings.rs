@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use gnomon_protocol::limits::MAX_LAYERS;
+
 use crate::{
     guard::{Guard, GuardSize},
     input::keys::Command,
@@ -84,9 +86,15 @@ impl Settings {
     /// All that can be shown, in the order in which a key goes through it.
     pub fn views(&self) -> impl Iterator<Item = DebugView> {
         let lights = (0..self.lights).map(DebugView::Light);
-        [DebugView::Picture, DebugView::Unknown, DebugView::Age { lag: 0 }, DebugView::Depth, DebugView::Normals]
-            .into_iter()
-            .chain(lights)
+        [
+            DebugView::Picture,
+            DebugView::Unknown,
+            DebugView::Age { lags: [0; MAX_LAYERS] },
+            DebugView::Depth,
+            DebugView::Normals,
+        ]
+        .into_iter()
+        .chain(lights)
     }
 
     /// What can stand in the right half.

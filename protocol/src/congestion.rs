@@ -9,12 +9,12 @@
 //! 2. *Delay.* Queueing delay is the *standing* round trip above the base, and standing is the smallest one of the last
 //!    20 to 40 ms, or of half to one base round trip if that is longer. The smallest, because jitter, late
 //!    acknowledgements and a frame's own burst come and go in that time, and a queue that is too long does not. Above
-//!    [`TARGET_DELAY`] (25 ms) the window shrinks to 0.85 of itself, at most once a round trip.
+//!    [`TARGET_DELAY`] (12 ms) the window shrinks to 0.85 of itself, at most once a round trip.
 //! 3. *Loss.* Loss is judged in rounds of at least 200 datagrams and one round trip. A round that lost more than
 //!    [`MAX_LOSS_PERCENT`] (10 %) shrinks the window to 0.85; less loss changes nothing.
 //! 4. *Marks.* A congestion mark (ECN, reported as a loss of 0 bytes) counts as too much delay.
 //! 5. *Growth.* While the sender could use more than the window, and the delay is below the target, acknowledged bytes
-//!    open the window: byte for byte until it first shrinks or the delay passes half the target, after that by up to 8
+//!    open the window: by half of them until it first shrinks or the delay passes half the target, after that by up to 8
 //!    datagrams a round trip, less the nearer the delay is to the target.
 //! 6. *Drain.* A full window keeps a queue below the target standing, which rule 1 would in time take for the path
 //!    itself. So after a period in which no round trip came within 3 ms of the base, the window is three quarters of
@@ -23,9 +23,9 @@
 //! 7. *Outage.* When all packets were lost for longer than quinn's persistent-congestion period, the window falls to
 //!    the floor and grows as at the start.
 //!
-//! The window starts at what the caller says (four frames at least: quinn paces by window over round trip) and stays
+//! The window starts at what the caller says (quinn paces by window over round trip) and stays
 //! between [`FLOOR_DATAGRAMS`] datagrams and [`MAX_WINDOW_BYTES`]. Not known: how it shares a path with other kinds
-//! of traffic. A queue that overflows below 25 ms is only noticed when it loses more than 10 %.
+//! of traffic. A queue that overflows below 12 ms is only noticed when it loses more than 10 %.
 //!
 //! Behind quinn's trait: `on_ack` passes `now − sent` as the round trip, not `RttEstimator::get`, which is smoothed and so
 //! hides the smallest ones; `on_congestion_event` is [`DelayController::on_loss`], `on_mtu_update`
@@ -34,7 +34,7 @@
 use std::time::{Duration, Instant};
 
 /// Queueing delay above which the window shrinks.
-pub const TARGET_DELAY: Duration = Duration::from_millis(25);
+pub const TARGET_DELAY: Duration = Duration::from_millis(12);
 
 /// Share of lost bytes above which the window shrinks, in per cent.
 pub const MAX_LOSS_PERCENT: u64 = 10;
@@ -220,7 +220,7 @@ impl DelayController {
             self.starting = false;
         }
         let growth = if self.starting {
-            acked_bytes
+            acked_bytes / 2
         } else {
             let target_us = micros(TARGET_DELAY);
             let headroom_us = target_us.saturating_sub(micros(delay));

@@ -4,7 +4,8 @@
 //! A frame whose packets stand alone may leave some out: what it lacks the client looks up in the masks before it
 //! ([`crate::coverage`]). So a byte budget decides nothing but which tiles are fresh. A client keeps [`max_layers`] masks, so all tiles
 //! come round in two frames less than these: as much of a frame goes to those that were sent longest ago. The rest goes to the largest
-//! changes: a part weighs as many bits as differ from what was sent of its tiles last, times the frames since then. Where the
+//! changes: a part weighs as many bits as differ from what was sent of its tiles last, each as much as its light gives, times the frames
+//! since then. So where only dim lights change tiles are sent less often. Where the
 //! budget is too small for a round nothing is sent, and budgets add up until it is not: the frames become fewer.
 //!
 //! A frame that is not sent whole is nobody's reference: neither end keeps it.
@@ -41,6 +42,9 @@ impl PathState {
     }
 }
 
+/// Weight of a bit of the brightest light.
+pub const FULL_WEIGHT: u32 = 256;
+
 /// What is sent of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Choice {
@@ -74,6 +78,8 @@ struct Part {
 /// What the client was sent, and when; its memory serves every frame.
 #[derive(Debug, Default)]
 pub struct Refresh {
+    /// Of each light's bits; lights beyond have full weight.
+    weights: Vec<u32>,
     /// What was sent of each tile last.
     sent: Option<Mask>,
     /// The frame that each run of tiles was sent in last, by its first tile, and the frame at hand. Only frames that are sent count.
@@ -87,6 +93,12 @@ pub struct Refresh {
 }
 
 impl Refresh {
+    /// Of a scene whose lights' bits weigh so much, each at most [`FULL_WEIGHT`].
+    #[must_use]
+    pub fn new(weights: Vec<u32>) -> Self {
+        Self { weights, ..Self::default() }
+    }
+
     /// Takes parts out of the frame of a mask until it fits `budget_bytes`, its packets' headers counted. A body that is not sliced
     /// stays as it is, and so does one of which nothing is to be sent.
     pub fn choose(&mut self, mask: &Mask, body: &mut Vec<u8>, budget_bytes: usize) -> Choice {
@@ -164,8 +176,9 @@ impl Refresh {
         let (mut changed, mut age) = (0, 0);
         for words in part_words(mask.shape(), part) {
             age = self.frame.wrapping_sub(self.sent_in[words.start]).max(age);
+            let weight = self.weights.get(words.start / mask.shape().tiles()).copied().unwrap_or(FULL_WEIGHT);
             let bits = mask.words()[words.clone()].iter().zip(&sent.words()[words]);
-            changed += bits.map(|(now, then)| u64::from((now ^ then).count_ones())).sum::<u64>();
+            changed += bits.map(|(now, then)| u64::from((now ^ then).count_ones())).sum::<u64>() * u64::from(weight);
         }
         (age, changed * (1 + u64::from(age)) + u64::from(age))
     }

@@ -13,7 +13,7 @@ use gnomon_protocol::{
     frame::pieces,
     header::HEADER_BYTES,
     mask::{Mask, MaskShape},
-    refresh::{Choice, Refresh},
+    refresh::{Choice, FULL_WEIGHT, Refresh},
 };
 use proptest::prelude::*;
 
@@ -126,6 +126,42 @@ fn large_changes_come_first_and_waiting_counts() {
     let still = stripes.iter().position(|sent| sent.contains(&3)).unwrap();
     assert!(last <= 2 && still >= last, "{stripes:?}");
     assert!((0..6).all(|stripe| stripes.iter().any(|sent| sent.contains(&stripe))), "{stripes:?}");
+}
+
+/// As many bits change in a dim light as in a bright one, elsewhere: the bright one's come first.
+#[test]
+fn bits_of_dim_lights_count_less() {
+    let shape = MaskShape::new(1536, 256, 2).unwrap();
+    let mut random = Random(7);
+    let mut encoder = Encoder::new(CodecId::TilesFast).for_packets_of(400);
+    let changed = |mask: &mut Mask, light: u32, left: u32| {
+        (0..256).for_each(|y| {
+            (0..256).for_each(|x| {
+                let lit = mask.get(light, left + x, y);
+                mask.set(light, left + x, y, !lit);
+            });
+        });
+    };
+    for (dim, first) in [(0, 5), (1, 0)] {
+        let mut weights = vec![FULL_WEIGHT; 2];
+        weights[dim] = 3;
+        let (mut refresh, mut body, mut mask) = (Refresh::new(weights), Vec::new(), noise(shape, &mut random));
+        encoder.encode(&mask, &mut body).unwrap();
+        assert_eq!(refresh.choose(&mask, &mut body, usize::MAX), Choice::Whole);
+        refresh.sent(&mask);
+        // Light 0 changes in the leftmost stripe, light 1 in the rightmost.
+        changed(&mut mask, 0, 0);
+        changed(&mut mask, 1, 1280);
+        encoder.encode(&mask, &mut body).unwrap();
+        let budget = (body.len() + pieces(&body, usize::MAX).count() * HEADER_BYTES) / 4;
+        // A round's share may go anywhere, but the rest goes there.
+        assert_eq!(refresh.choose(&mask, &mut body, budget), Choice::Parts);
+        let mut bits = [0; 6];
+        for words in pieces(&body, usize::MAX).flat_map(|part| part_words(shape, part)) {
+            bits[words.start % shape.tiles() % shape.tiles_x() as usize / 32] += words.len();
+        }
+        assert!(bits[first] > bits[5 - first], "light {dim} is dim: {bits:?}");
+    }
 }
 
 #[test]

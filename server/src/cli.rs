@@ -119,7 +119,7 @@ pub struct Flags {
     /// Server to name to the clients of a draining one
     #[arg(long, env = "GNOMON_ALTERNATIVE", value_name = "URL")]
     pub alternative: Option<String>,
-    /// Bytes in flight that a connection starts with: at least four frames [default: 524288]
+    /// Bytes in flight that a connection starts with [default: 65536]
     #[arg(long, env = "GNOMON_INITIAL_WINDOW_BYTES", value_name = "BYTES")]
     pub initial_window_bytes: Option<u64>,
     /// Form of the logs; RUST_LOG filters them [default: pretty]

@@ -61,7 +61,7 @@ pub struct ServerConfig {
     pub drain_ms: u32,
     /// URL of a server to name to the clients of a draining one.
     pub alternative: Option<String>,
-    /// Bytes in flight that a connection starts with: at least four frames.
+    /// Bytes in flight that a connection starts with; more overflow narrow paths, and fewer take some round trips longer.
     pub initial_window_bytes: u64,
     /// Form of the logs.
     pub log: LogFormat,
@@ -105,7 +105,7 @@ impl Default for ServerConfig {
             handshake_timeout_ms: 5_000,
             drain_ms: 1_000,
             alternative: None,
-            initial_window_bytes: 512 * 1024,
+            initial_window_bytes: 64 * 1024,
             log: LogFormat::Pretty,
             log_file: None,
             admin: None,

@@ -402,7 +402,8 @@ fn load(path: &Path, options: &LoadOptions) -> Result<(Arc<Scene>, SceneAsset), 
     }
     let lights = u32::try_from(scene.lights.len()).map_err(|error| pack_error(error.to_string()))?;
     let digest = SceneDigest(*blake3::hash(&packed).as_bytes());
-    Ok((Arc::new(scene), SceneAsset { packed: Bytes::from(packed), digest, lights }))
+    let weights = session::brightness::weights(&scene);
+    Ok((Arc::new(scene), SceneAsset { packed: Bytes::from(packed), digest, lights, weights }))
 }
 
 async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, StartError> {

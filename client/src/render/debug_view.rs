@@ -3,6 +3,7 @@
 use std::fmt;
 
 use bytemuck::{Pod, Zeroable};
+use gnomon_protocol::limits::MAX_LAYERS;
 use gnomon_shaders::shading::View;
 use serde::{Deserialize, Serialize};
 
@@ -20,10 +21,10 @@ pub enum DebugView {
     Light(u32),
     /// Pixels that the mask says nothing of, while received visibility counts fully.
     Unknown,
-    /// The same, and how many frames old the mask is that told of the others.
+    /// The same, and how many frames old the masks are that told of the others.
     Age {
-        /// Frames that the mask is older than the picture.
-        lag: u32,
+        /// Frames that each mask is older than the picture, the newest first.
+        lags: [u32; MAX_LAYERS],
     },
     /// Distance along the view.
     Depth,
@@ -50,20 +51,21 @@ impl fmt::Display for DebugView {
 struct Choice {
     kind: u32,
     light: u32,
-    lag: u32,
     unused_0: u32,
+    unused_1: u32,
+    lags: [u32; MAX_LAYERS],
 }
 
 impl From<DebugView> for Choice {
     fn from(view: DebugView) -> Self {
-        let (kind, light, lag) = match view {
-            DebugView::Light(k) => (0, k.min(31), 0),
-            DebugView::Picture | DebugView::Unknown => (1, 0, 0),
-            DebugView::Age { lag } => (2, 0, lag),
-            DebugView::Depth => (3, 0, 0),
-            DebugView::Normals => (4, 0, 0),
+        let (kind, light, lags) = match view {
+            DebugView::Light(k) => (0, k.min(31), [0; MAX_LAYERS]),
+            DebugView::Picture | DebugView::Unknown => (1, 0, [0; MAX_LAYERS]),
+            DebugView::Age { lags } => (2, 0, lags),
+            DebugView::Depth => (3, 0, [0; MAX_LAYERS]),
+            DebugView::Normals => (4, 0, [0; MAX_LAYERS]),
         };
-        Self { kind, light, lag, unused_0: 0 }
+        Self { kind, light, unused_0: 0, unused_1: 0, lags }
     }
 }
 

@@ -255,10 +255,9 @@ impl FrameRenderer {
         Ok(used)
     }
 
-    /// What the mask that is carried over was traced for.
-    #[must_use]
-    pub fn mask_view(&self) -> Option<Camera> {
-        self.predict.traced_for()
+    /// What the masks that are carried over were traced for, the newest first.
+    pub fn mask_views(&self) -> impl Iterator<Item = &Camera> {
+        self.predict.mask_views()
     }
 
     /// How visibility is carried over from the mask's view, from the next picture on.

@@ -297,9 +297,8 @@ impl Play {
         if settings.split != self.applied.split {
             self.set_split(settings.split)?;
         }
-        let lag = self.figures.now().and_then(|now| now.lag).unwrap_or(0);
         let view = match settings.view {
-            DebugView::Age { .. } => DebugView::Age { lag },
+            DebugView::Age { .. } => DebugView::Age { lags: self.frames.mask_lags() },
             view => view,
         };
         if view != self.view {

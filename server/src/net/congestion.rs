@@ -1,6 +1,13 @@
 //! quinn's view of our congestion controller, `gnomon_protocol::congestion`.
 
-use std::{any::Any, sync::Arc, time::Instant};
+use std::{
+    any::Any,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Instant,
+};
 
 use gnomon_protocol::congestion::DelayController;
 use quinn::congestion::{Controller, ControllerFactory, ControllerMetrics};
@@ -9,35 +16,57 @@ use quinn_proto::RttEstimator;
 /// Makes a controller for each connection.
 #[derive(Debug)]
 pub(crate) struct DelayControllerConfig {
-    /// Bytes in flight that it starts with: at least four frames.
+    /// Bytes in flight that it starts with.
     pub(crate) initial_window_bytes: u64,
 }
 
 #[derive(Debug, Clone)]
-struct Adapter(DelayController);
+struct Adapter {
+    controller: DelayController,
+    held_back: HeldBack,
+}
+
+/// Whether the sender could send more than it does. Frames that are cut down to the window never fill it, so quinn takes their sender for one
+/// that has no more to send, and the window would not grow.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct HeldBack(Arc<AtomicBool>);
+
+impl HeldBack {
+    /// That of a connection's controller.
+    pub(crate) fn of(connection: &quinn::Connection) -> Self {
+        let adapter = connection.congestion_state().into_any().downcast::<Adapter>();
+        adapter.map(|adapter| adapter.held_back).unwrap_or_default()
+    }
+
+    pub(crate) fn set(&self, held_back: bool) {
+        self.0.store(held_back, Ordering::Relaxed);
+    }
+}
 
 impl ControllerFactory for DelayControllerConfig {
     fn build(self: Arc<Self>, _now: Instant, current_mtu: u16) -> Box<dyn Controller> {
-        Box::new(Adapter(DelayController::new(self.initial_window_bytes, current_mtu)))
+        let controller = DelayController::new(self.initial_window_bytes, current_mtu);
+        Box::new(Adapter { controller, held_back: HeldBack::default() })
     }
 }
 
 impl Controller for Adapter {
     fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, app_limited: bool, _rtt: &RttEstimator) {
         // The packet's own round trip: the smoothed one takes jitter for a standing queue.
-        self.0.on_ack(now, bytes, app_limited, now.saturating_duration_since(sent));
+        let app_limited = app_limited && !self.held_back.0.load(Ordering::Relaxed);
+        self.controller.on_ack(now, bytes, app_limited, now.saturating_duration_since(sent));
     }
 
     fn on_congestion_event(&mut self, now: Instant, _sent: Instant, is_persistent_congestion: bool, lost_bytes: u64) {
-        self.0.on_loss(now, lost_bytes, is_persistent_congestion);
+        self.controller.on_loss(now, lost_bytes, is_persistent_congestion);
     }
 
     fn on_mtu_update(&mut self, new_mtu: u16) {
-        self.0.on_datagram_bytes(new_mtu);
+        self.controller.on_datagram_bytes(new_mtu);
     }
 
     fn window(&self) -> u64 {
-        self.0.window_bytes()
+        self.controller.window_bytes()
     }
 
     fn metrics(&self) -> ControllerMetrics {
@@ -51,7 +80,7 @@ impl Controller for Adapter {
     }
 
     fn initial_window(&self) -> u64 {
-        self.0.initial_window_bytes()
+        self.controller.initial_window_bytes()
     }
 
     fn into_any(self: Box<Self>) -> Box<dyn Any> {

@@ -138,10 +138,11 @@ struct Workspace {
 }
 
 impl FrameSender {
-    /// Of frames in `codec`; `encoders` bounds how many sessions encode at once.
+    /// Of frames in `codec`, cut by `refresh`; `encoders` bounds how many sessions encode at once.
     pub(super) fn new(
         sender: DataSender,
         codec: CodecId,
+        refresh: Refresh,
         encoders: Arc<Semaphore>,
         heard: watch::Receiver<Heard>,
     ) -> Self {
@@ -157,7 +158,7 @@ impl FrameSender {
                 references,
                 body: Vec::new(),
                 parity: ParityEncoder::default(),
-                refresh: Refresh::default(),
+                refresh,
                 choice: Choice::Whole,
             }),
             encoders,
@@ -176,8 +177,10 @@ impl FrameSender {
         let (mask, encoded) = self.encode(mask, ahead, budget, ledger).await?;
         let encoding = started.elapsed();
         ledger.stages.encode.record(encoding);
+        let choice = self.workspace.as_ref().map_or(Choice::Whole, |workspace| workspace.choice);
+        self.sender.hold_back(choice != Choice::Whole);
         let (body, parity) = match (encoded, &self.workspace) {
-            (Ok(()), Some(Workspace { choice: Choice::Nothing, .. })) => {
+            (Ok(()), _) if choice == Choice::Nothing => {
                 self.pace.leave_out();
                 ledger.frames_gated.one();
                 tracing::debug!("skipped: the path bears too little of it");
@@ -221,9 +224,9 @@ impl FrameSender {
         self.sender.flush().await?;
         let counts = [packets - parity.count(), parity.count()];
         self.pace.left_out = 0;
-        if let Some(Workspace { encoder, references, refresh, choice, .. }) = &mut self.workspace {
+        if let Some(Workspace { encoder, references, refresh, .. }) = &mut self.workspace {
             // What the client has not whole is no reference.
-            if *choice == Choice::Whole {
+            if choice == Choice::Whole {
                 references.keep(encoder, frame);
             } else {
                 ledger.frames_cut.one();

@@ -1,6 +1,7 @@
 //! One admitted client, from Welcome to its end: the control conversation, and beside it poses in and frames out.
 
 pub(crate) mod admission;
+pub(crate) mod brightness;
 mod budget;
 mod driver;
 mod heard;
@@ -20,6 +21,7 @@ use gnomon_protocol::{
     ids::SceneDigest,
     mask::MaskShape,
     message::{ClientMessage, ServerMessage},
+    refresh::Refresh,
 };
 use tokio::{
     sync::{Semaphore, watch},
@@ -72,6 +74,8 @@ pub(crate) struct SceneAsset {
     pub(crate) digest: SceneDigest,
     /// Planes of a mask of it.
     pub(crate) lights: u32,
+    /// How much of each counts, as [`brightness::weights`] has it.
+    pub(crate) weights: Vec<u32>,
 }
 
 /// What all sessions share.
@@ -295,7 +299,13 @@ impl Session {
             let (receiver, sender) = data.open(services.handshake_timeout).await?;
             let SessionPort { requests, masks, .. } = port;
             let (heard, said) = watch::channel(heard::Heard::default());
-            let sender = FrameSender::new(sender, codec, Arc::clone(&services.encoders), said);
+            let sender = FrameSender::new(
+                sender,
+                codec,
+                Refresh::new(services.scene.weights.clone()),
+                Arc::clone(&services.encoders),
+                said,
+            );
             let mut phase = services.phase.clone();
             let poses = async {
                 tokio::select! {

@@ -9,9 +9,10 @@ struct Choice {
     kind: u32,
     // The light that is looked at.
     light: u32,
-    // Frames that the mask is older than the picture.
-    lag: u32,
     unused_0: u32,
+    unused_1: u32,
+    // Frames that each mask is older than the picture, the newest first.
+    lags: array<vec4u, 2>,
 }
 
 const LIGHT: u32 = 0u;
@@ -53,7 +54,7 @@ fn look(@builtin(position) place: vec4f) -> @location(0) vec4f {
     // How the surface lies, to make out shapes.
     let relief = 0.55 + 0.45 * abs(dot(normal, normalize(ray_of_pixel(view, pixel))));
     let visibility = textureLoad(visibility_picture, pixel, 0).xy;
-    // What the mask has told carries its own complement; `predict.wgsl` says why.
+    // What a mask has told carries its own complement, and which mask it was; `predict.wgsl` says why.
     let known = visibility.x != visibility.y;
     switch choice.kind {
         case LIGHT: {
@@ -63,7 +64,9 @@ fn look(@builtin(position) place: vec4f) -> @location(0) vec4f {
             return vec4f(relief * select(MISSING, vec3f(0.35), known), 1.0);
         }
         case AGE: {
-            return vec4f(relief * select(MISSING, ramp(log2(1.0 + f32(choice.lag)) / 6.0), known), 1.0);
+            let layer = ~(visibility.x ^ visibility.y) & 7u;
+            let lag = choice.lags[layer / 4u][layer % 4u];
+            return vec4f(relief * select(MISSING, ramp(log2(1.0 + f32(lag)) / 6.0), known), 1.0);
         }
         case DEPTH: {
             // A metre is a third of the way, ten are two, and a hundred all of it.

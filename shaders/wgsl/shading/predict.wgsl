@@ -85,6 +85,12 @@ struct Found {
 
 const NOTHING = Found(0u, 0u);
 
+// What all masks say, and the oldest of those that were asked.
+struct Told {
+    found: Found,
+    oldest: u32,
+}
+
 // Four samples of the mask that form a square, in textureGather's order: lower left, lower right, upper right, upper left.
 struct Quad {
     // Whether the sample's own point lies on the surface that is asked about.
@@ -248,8 +254,9 @@ fn from_other_view(layer: u32, point: vec3f, normal: vec3f) -> Found {
 }
 
 // What the masks say of the surface point that a pixel shows: of each light, what the newest one says that says something.
-fn from_masks(pixel: vec2u, point: vec3f, normal: vec3f) -> Found {
+fn from_masks(pixel: vec2u, point: vec3f, normal: vec3f) -> Told {
     var found = NOTHING;
+    var oldest = 0u;
     for (var layer = 0u; layer < prediction.count && found.known != prediction.lights; layer++) {
         var more = NOTHING;
         if prediction.layers[layer].same_view == 1u {
@@ -259,8 +266,9 @@ fn from_masks(pixel: vec2u, point: vec3f, normal: vec3f) -> Found {
         }
         let fresh = more.known & ~found.known;
         found = Found(found.known | fresh, found.word | (more.word & fresh));
+        oldest = select(oldest, layer, fresh != 0u);
     }
-    return found;
+    return Told(found, oldest);
 }
 
 // What the client knows by itself of the surface point.
@@ -302,11 +310,13 @@ fn predict(@builtin(position) place: vec4f) -> @location(0) vec2u {
     }
     let point = point_at_depth(view, pixel, textureLoad(depth_picture, pixel, 0));
     let normal = unpack_plane_normal(packed);
-    let found = from_masks(pixel, point, normal);
+    let told = from_masks(pixel, point, normal);
+    let found = told.found;
     let unknown = prediction.lights & ~found.known;
     if unknown == 0u && view.visibility_share >= 1.0 {
-        // Nothing reads y now, and in unknown pixels it equals x: its complement tells a measuring reader that x was known.
-        return vec2u(found.word, ~found.word);
+        // No shading reads y now, and in unknown pixels it equals x. The complement of x tells a measuring reader that x was known; of
+        // that, the lowest three bits by which mask.
+        return vec2u(found.word, ~found.word ^ told.oldest);
     }
     let own = by_itself(pixel, point, normal);
     if unknown == 0u {

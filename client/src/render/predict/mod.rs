@@ -170,9 +170,9 @@ impl PredictPass {
         Ok(true)
     }
 
-    /// The view of the newest mask, when there is one.
-    pub(crate) fn traced_for(&self) -> Option<Camera> {
-        self.layers.stack().first().map(|layer| layer.traced_for)
+    /// The views of the masks, the newest first.
+    pub(crate) fn mask_views(&self) -> impl Iterator<Item = &Camera> {
+        self.layers.stack().iter().map(|layer| &layer.traced_for)
     }
 
     /// Predicts into the visibility picture. The G-buffer holds what `camera` sees.

@@ -391,7 +391,10 @@ fn what_has_not_come_is_looked_up_in_the_masks_before() {
             return;
         };
         seen_in[1 + usize::from(upper)] += 1;
-        assert_eq!((shown[pixel].word, shown[pixel].known), (expected, true), "pixel {pixel}: {places:?}");
+        let shown = shown[pixel];
+        assert_eq!((shown.word, shown.known), (expected, true), "pixel {pixel}: {places:?}");
+        let oldest = !(shown.word ^ shown.own) & 7;
+        assert_eq!(oldest, if x < 128.0 { 1 } else { 2 }, "pixel {pixel}: {places:?}");
     });
     assert!(seen_in.iter().all(|pixels| *pixels > 300), "{seen_in:?}");
     // A whole mask puts the others out of use.

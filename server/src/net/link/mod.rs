@@ -179,6 +179,13 @@ impl DataSender {
         }
     }
 
+    /// Says whether frames would be larger if the path bore it.
+    pub(crate) fn hold_back(&self, held_back: bool) {
+        if let Self::Quic(data) = self {
+            data.hold_back(held_back);
+        }
+    }
+
     /// Sends one packet.
     ///
     /// # Errors

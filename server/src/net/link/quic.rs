@@ -8,12 +8,14 @@ use web_transport_quinn::Session;
 
 use super::{CloseCode, Wire};
 use crate::limits::{SEND_BACKLOG_FLOOR_BYTES, SEND_BACKLOG_FRAMES};
+use crate::net::congestion::HeldBack;
 
 /// The datagrams of a connection.
 #[derive(Clone)]
 pub(crate) struct QuicData {
     session: Arc<Session>,
     buffer_bytes: usize,
+    held_back: HeldBack,
 }
 
 /// What quinn counts for a queued datagram beside its bytes.
@@ -22,7 +24,8 @@ const QUEUED_OVERHEAD_BYTES: usize = size_of::<Bytes>();
 impl QuicData {
     /// Of a session whose datagram send buffer has `buffer_bytes`.
     pub(crate) fn new(session: Session, buffer_bytes: usize) -> Self {
-        Self { session: Arc::new(session), buffer_bytes }
+        let held_back = HeldBack::of(&session);
+        Self { session: Arc::new(session), buffer_bytes, held_back }
     }
 
     pub(super) async fn receive(&self) -> io::Result<Bytes> {
@@ -56,6 +59,11 @@ impl QuicData {
             waiting_bytes: waiting as u64,
         };
         path.frame_budget(interval)
+    }
+
+    /// Says whether frames would be larger if the path bore it.
+    pub(super) fn hold_back(&self, held_back: bool) {
+        self.held_back.set(held_back);
     }
 
     pub(super) fn wire(&self) -> Wire {

@@ -1,0 +1,57 @@
+//! How much each light gives: what changes in a dim one is seen less, so it is sent later when not all can be.
+
+use glam::Vec3;
+use gnomon_protocol::refresh::FULL_WEIGHT;
+use gnomon_shaders::{scene::Scene, shading::Light};
+
+/// A weight for each light: what it gives the scene's surfaces on average, shadows not counted, where the brightest light has
+/// [`FULL_WEIGHT`] and none has less than 1.
+pub(crate) fn weights(scene: &Scene) -> Vec<u32> {
+    let lights: Vec<Light> = scene.lights.iter().map(|light| Light::new(light, 1.0)).collect();
+    let mut given = vec![0.0_f64; lights.len()];
+    for corners in scene.tracing_triangles() {
+        let [a, b, c] = corners.map(|index| scene.positions[index as usize]);
+        let cross = (b - a).cross(c - a);
+        let (area, normal, middle) = (f64::from(cross.length()), cross.normalize_or_zero(), (a + b + c) / 3.0);
+        for (sum, light) in given.iter_mut().zip(&lights) {
+            let lux = f64::from(received_lux(light, middle, normal));
+            // A lamp within a surface is no measure of anything.
+            if lux.is_finite() {
+                *sum += area * lux;
+            }
+        }
+    }
+    let most = given.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "from 1 to the full weight")]
+    let weight = |sum: f64| (sum / most * f64::from(FULL_WEIGHT)).max(1.0) as u32;
+    given.into_iter().map(weight).collect()
+}
+
+/// Either side of a surface may be the one that is seen.
+fn received_lux(light: &Light, point: Vec3, normal: Vec3) -> f32 {
+    let (irradiance, toward) = light.arrival(point);
+    irradiance.max_element() * normal.dot(toward).abs()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::visibility::test_scenes;
+
+    #[test]
+    fn dim_lights_weigh_less_and_none_weighs_nothing() {
+        let mut scene = test_scenes::room();
+        let bright = scene.lights[0].clone();
+        let scaled = |factor: f32| {
+            let mut light = bright.clone();
+            light.intensity *= factor;
+            light
+        };
+        scene.lights = vec![scaled(0.5), scaled(1.0), scaled(1e-6), scaled(0.0)];
+        let [half, full, little, off] = weights(&scene)[..] else { panic!("four lights") };
+        assert_eq!((full, little, off), (FULL_WEIGHT, 1, 1));
+        assert!(half.abs_diff(FULL_WEIGHT / 2) <= 1, "{half}");
+        scene.lights.clear();
+        assert!(weights(&scene).is_empty());
+    }
+}
