@@ -37,6 +37,9 @@ pub const MAX_LAYERS: usize = 8;
 /// Bytes of memory that it keeps them in, at 8 bytes a pixel; two are kept in any case.
 pub const MAX_LAYER_BYTES: usize = 133 << 20;
 
+/// Most bits of a frame that a client may let be wrong, in parts of a million.
+pub const MAX_WRONG_PPM: u16 = 10_000;
+
 /// Largest control message, its length prefix not counted.
 pub const MAX_MESSAGE_BYTES: usize = 128 * 1024;
 

@@ -11,12 +11,15 @@
 //! gives exactly its raw bytes; bits of words that stand for no light of the frame, and bits of tiles that lie outside
 //! the picture, are 0 or the frame is refused. The encoder writes such bits as 0 whatever the mask has there.
 //!
+//! All codecs give every other bit back. Who wants fewer bytes for some wrong bits puts a [`Simplifier`] before them.
+//!
 //! Encoder and decoder keep their memory: once they have seen the largest frame, they take none.
 
 mod id;
 mod lz4;
 mod planes;
 mod rows;
+mod simplify;
 mod tiles;
 mod words;
 
@@ -26,6 +29,7 @@ use lz4_flex::block::DecompressError;
 use thiserror::Error;
 
 pub use self::id::{CodecId, UnknownCodec};
+pub use self::simplify::Simplifier;
 #[doc(hidden)]
 pub use self::tiles::train as train_tiles;
 pub use self::tiles::{Reference, ReferenceName};
