@@ -77,6 +77,9 @@ pub struct Arguments {
     /// Codec of the masks: words, words-lz4, planes-lz4, tiles-small or tiles-fast [default: tiles-fast]
     #[arg(long, env = "GNOMON_CODEC", value_name = "CODEC", help_heading = "Server")]
     pub codec: Option<CodecId>,
+    /// Bits of a mask that may be wrong where that spares bytes, in per cent, up to 1 [default: 0]
+    #[arg(long, env = "GNOMON_LOSSY", value_name = "PERCENT", help_heading = "Server")]
+    pub lossy: Option<f64>,
     /// What is done about lost packets of tiles-small and tiles-fast: whole-frame, slices or parity [default: parity]
     #[arg(long, env = "GNOMON_PACKETS", value_name = "WAY", help_heading = "Late visibility")]
     pub packets: Option<Packets>,

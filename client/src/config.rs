@@ -45,6 +45,7 @@ pub struct FileConfig {
     token: Option<String>,
     #[serde(default, deserialize_with = "parsed")]
     codec: Option<CodecId>,
+    lossy: Option<f64>,
     packets: Option<Packets>,
     adapter: Option<String>,
     allow_software: Option<bool>,
@@ -220,6 +221,7 @@ fn resolve_run(arguments: Arguments, file: FileConfig) -> Result<HeadlessOptions
         came: arguments.came.or(file.came),
         token: arguments.token.or(file.token),
         codec: arguments.codec.or(file.codec).unwrap_or(default.codec),
+        lossy_percent: arguments.lossy.or(file.lossy).unwrap_or(default.lossy_percent),
         packets: arguments.packets.or(file.packets).unwrap_or(default.packets),
         adapter: arguments.adapter.or(file.adapter),
         allow_software: arguments.allow_software.or(file.allow_software).unwrap_or(default.allow_software),

@@ -67,6 +67,7 @@ pub(crate) fn get_scene(
                 height,
                 codec: options.codec,
                 rate_hz: rate_hz(options.fps),
+                wrong_ppm: options.wrong_ppm(),
                 resume: None,
                 connect_timeout: options.connect_timeout,
             };

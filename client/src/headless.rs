@@ -342,6 +342,8 @@ mod tests {
             (change(|o| o.wait = true), "--wait"),
             (change(|o| o.thresholds.fade_s = -0.1), "--fade"),
             (change(|o| o.thresholds.fade_s = f64::NAN), "--fade"),
+            (change(|o| o.lossy_percent = 1.01), "--lossy"),
+            (change(|o| o.lossy_percent = f64::NAN), "--lossy"),
             (change(|o| o.thresholds.prediction_lag = 256), "--prediction-lag"),
             (change(|o| o.thresholds.sequential_lag = 101), "--sequential-lag"),
         ] {

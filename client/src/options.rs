@@ -2,7 +2,7 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use gnomon_protocol::{codec::CodecId, mask::MaskShape, reassembler::Policy};
+use gnomon_protocol::{codec::CodecId, limits::MAX_WRONG_PPM, mask::MaskShape, reassembler::Policy};
 use gnomon_shaders::gpu::Gpu;
 
 use crate::{
@@ -20,6 +20,9 @@ use crate::{
 
 /// Most frames of a headless run.
 pub const MAX_FRAMES: u32 = 10_000_000;
+
+/// Parts of a million in a per cent.
+const PPM_PER_PERCENT: f64 = 10_000.0;
 
 /// Where the scene and its visibility come from.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -70,6 +73,8 @@ pub struct HeadlessOptions {
     pub token: Option<String>,
     /// Codec of the masks.
     pub codec: CodecId,
+    /// Bits of a frame that may be wrong where that spares bytes, in per cent; at most 1.
+    pub lossy_percent: f64,
     /// What is done about lost packets.
     pub packets: Packets,
     /// Part of the graphics adapter's name.
@@ -122,6 +127,7 @@ impl HeadlessOptions {
             came: None,
             token: None,
             codec: CodecId::TilesFast,
+            lossy_percent: 0.0,
             packets: Packets::default(),
             adapter: None,
             allow_software: true,
@@ -146,6 +152,13 @@ impl HeadlessOptions {
 
     pub(crate) fn looks_ahead(&self, gpu: &Gpu) -> bool {
         self.predict_pose.unwrap_or(!gpu.is_software())
+    }
+
+    /// Bits of a frame that may be wrong, in parts of a million.
+    pub(crate) fn wrong_ppm(&self) -> u16 {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the range")]
+        let ppm = (self.lossy_percent * PPM_PER_PERCENT).round().clamp(0.0, f64::from(MAX_WRONG_PPM)) as u16;
+        ppm
     }
 
     /// How frames are taken: a client that waits for its own mask wants all of it.
@@ -199,6 +212,10 @@ impl HeadlessOptions {
             let reason =
                 format!("more than --prediction-lag {} is too late for any mode", self.thresholds.prediction_lag);
             return wrong("sequential-lag", reason);
+        }
+        let most_lossy = f64::from(MAX_WRONG_PPM) / PPM_PER_PERCENT;
+        if !(0.0..=most_lossy).contains(&self.lossy_percent) {
+            return wrong("lossy", format!("{} per cent: 0 to {most_lossy} are possible", self.lossy_percent));
         }
         if self.wait && matches!(self.source, Source::Offline { .. }) {
             return wrong("wait", "there is no mask to wait for without a server".to_owned());

@@ -83,6 +83,7 @@ pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) ->
         height: options.height,
         codec: options.codec,
         rate_hz: rate_hz(options.fps),
+        wrong_ppm: 0,
         resume: None,
         connect_timeout: options.connect_timeout,
     };

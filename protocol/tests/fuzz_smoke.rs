@@ -104,8 +104,9 @@ fn pose() {
 fn message() {
     let text = || "a reason".to_owned();
     let (codec, resume) = (CodecId::PlanesLz4, Some(ResumeToken([9; 16])));
-    let (width, height, rate_hz) = (1920, 1080, 60);
-    let hello = Hello { version: 1, token: Some(text()), client: text(), width, height, codec, rate_hz, resume };
+    let (width, height, rate_hz, wrong_ppm) = (1920, 1080, 60, 500);
+    let hello =
+        Hello { version: 1, token: Some(text()), client: text(), width, height, codec, rate_hz, wrong_ppm, resume };
     let welcome = Welcome {
         session: SessionId(u64::MAX),
         scene_digest: SceneDigest([7; 32]),

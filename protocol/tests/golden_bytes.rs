@@ -80,6 +80,7 @@ fn client_messages() {
     let hello = |token: Option<&str>, codec| {
         let (token, client) = (token.map(str::to_owned), "c/1".to_owned());
         let resume = token.as_ref().map(|_| ResumeToken([0xA5; 16]));
+        let wrong_ppm = if token.is_some() { 500 } else { 0 };
         ClientMessage::Hello(Hello {
             version: 1,
             token,
@@ -88,16 +89,17 @@ fn client_messages() {
             height: 1080,
             codec,
             rate_hz: 300,
+            wrong_ppm,
             resume,
         })
     };
     for (message, bytes) in [
         (
             hello(Some("key"), CodecId::PlanesLz4),
-            "23000000 | 00 01 01'03'6b6579 03'632f31 800f b808 02 ac02 01'a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5",
+            "25000000 | 00 01 01'03'6b6579 03'632f31 800f b808 02 ac02 f403 01'a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5",
         ),
-        (hello(None, CodecId::WordsLz4), "0f000000 | 00 01 00 03'632f31 800f b808 01 ac02 00"),
-        (hello(None, CodecId::Words), "0f000000 | 00 01 00 03'632f31 800f b808 00 ac02 00"),
+        (hello(None, CodecId::WordsLz4), "10000000 | 00 01 00 03'632f31 800f b808 01 ac02 00 00"),
+        (hello(None, CodecId::Words), "10000000 | 00 01 00 03'632f31 800f b808 00 ac02 00 00"),
         (ClientMessage::FetchScene { offset: 300 }, "03000000 | 01 ac02"),
         (ClientMessage::Start, "01000000 | 02"),
         (ClientMessage::Ping(5), "02000000 | 03 05"),

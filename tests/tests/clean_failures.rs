@@ -275,6 +275,7 @@ fn hello() -> Hello {
         height: 48,
         codec: CodecId::PlanesLz4,
         rate_hz: 0,
+        wrong_ppm: 0,
         resume: None,
     }
 }

@@ -52,6 +52,8 @@ pub(crate) struct Introduction {
     pub(crate) codec: CodecId,
     /// Masks a second, at most; 0 for as many as it can get.
     pub(crate) rate_hz: u16,
+    /// Bits of a frame that may be wrong, in parts of a million.
+    pub(crate) wrong_ppm: u16,
     /// The session that this one goes on with.
     pub(crate) resume: Option<ResumeToken>,
     pub(crate) connect_timeout: Duration,
@@ -82,6 +84,7 @@ pub(crate) async fn admit(url: &ServerUrl, introduction: &Introduction) -> Resul
         height: introduction.height,
         codec: introduction.codec,
         rate_hz: introduction.rate_hz,
+        wrong_ppm: introduction.wrong_ppm,
         resume: introduction.resume,
     });
     let url = url.clone();

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use gnomon_protocol::{
     PROTOCOL_VERSION,
     codec::CodecId,
-    limits::MAX_TEXT_BYTES,
+    limits::{MAX_TEXT_BYTES, MAX_WRONG_PPM},
     mask::MaskShape,
     message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
 };
@@ -33,14 +33,22 @@ pub(crate) struct Admitted {
     pub(crate) port: SessionPort,
     /// Size of its masks.
     pub(crate) shape: MaskShape,
-    /// Codec of its frames.
-    pub(crate) codec: CodecId,
+    /// How its frames are coded.
+    pub(crate) coding: Coding,
     /// Name of the client program.
     pub(crate) client: String,
     /// Its share of what its address may have.
     pub(crate) held: Held,
     /// Its part of what cores and network bear.
     pub(crate) share: Share,
+}
+
+/// How a session's frames are coded.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Coding {
+    pub(crate) codec: CodecId,
+    /// Bits of a frame that may be wrong, in parts of a million.
+    pub(crate) wrong_ppm: u16,
 }
 
 /// Why a peer was not admitted.
@@ -137,6 +145,11 @@ fn admit(hello: Hello, peer: SocketAddr, services: &Services) -> Result<Admitted
     }
     let shape = MaskShape::new(hello.width, hello.height, services.scene.lights)
         .map_err(|error| (RefusalCause::Unsupported, Refusal::Unsupported(error.to_string())))?;
+    if hello.wrong_ppm > MAX_WRONG_PPM {
+        let reason = format!("{} wrong bits in a million: at most {MAX_WRONG_PPM} are possible", hello.wrong_ppm);
+        return Err((RefusalCause::Unsupported, Refusal::Unsupported(reason)));
+    }
+    let coding = Coding { codec: hello.codec, wrong_ppm: hello.wrong_ppm };
     // Who comes back takes the place of a session over, whose share comes free in a moment.
     let addresses = &services.addresses;
     let held = if resumes { addresses.take_over(peer.ip()) } else { addresses.take(peer.ip()) };
@@ -157,7 +170,7 @@ fn admit(hello: Hello, peer: SocketAddr, services: &Services) -> Result<Admitted
     if let Some(tokens) = services.tokens.as_ref().filter(|_| !resumes) {
         tokens.admit(token, Scope::Session).map_err(refuse)?;
     }
-    Ok(Admitted { slot, port, shape, codec: hello.codec, client: hello.client, held, share })
+    Ok(Admitted { slot, port, shape, coding, client: hello.client, held, share })
 }
 
 /// At most as much of a text as a message may carry.
@@ -181,6 +194,7 @@ mod tests {
                 height: 1,
                 codec: CodecId::PlanesLz4,
                 rate_hz: 60,
+                wrong_ppm: 0,
                 resume: None,
             };
             let bytes = message::encode(&ClientMessage::Hello(hello)).unwrap();

@@ -8,7 +8,7 @@ use std::{
 };
 
 use gnomon_protocol::{
-    codec::{CodecId, EncodeError, Encoder},
+    codec::{EncodeError, Encoder, Simplifier},
     fec::{MAX_PROTECTED_PACKETS, PARITY_ROOM_BYTES, ParityEncoder, parity_packets},
     frame::pieces,
     header::HEADER_BYTES,
@@ -25,7 +25,7 @@ use tracing::Instrument as _;
 
 use super::{Phase, budget::Budget, heard::Heard, ledger::Ledger};
 use crate::{
-    net::link::DataSender,
+    net::{handshake::Coding, link::DataSender},
     visibility::{
         TracedMask,
         port::{MaskReceiver, RequestSender},
@@ -88,6 +88,7 @@ pub(super) struct FrameSender {
     packetizer: Packetizer,
     workspace: Option<Workspace>,
     encoders: Arc<Semaphore>,
+    wrong_ppm: u16,
     /// The newest that the client has said about its masks and packets.
     heard: watch::Receiver<Heard>,
     first_frame_at: Option<Instant>,
@@ -128,6 +129,7 @@ impl Pace {
 }
 
 struct Workspace {
+    simplifier: Simplifier,
     encoder: Encoder,
     references: SentMasks,
     body: Vec<u8>,
@@ -138,10 +140,10 @@ struct Workspace {
 }
 
 impl FrameSender {
-    /// Of frames in `codec`, cut by `refresh`; `encoders` bounds how many sessions encode at once.
+    /// Of frames coded like this, cut by `refresh`; `encoders` bounds how many sessions encode at once.
     pub(super) fn new(
         sender: DataSender,
-        codec: CodecId,
+        Coding { codec, wrong_ppm }: Coding,
         refresh: Refresh,
         encoders: Arc<Semaphore>,
         heard: watch::Receiver<Heard>,
@@ -154,6 +156,7 @@ impl FrameSender {
             packetizer: Packetizer::new(packet_bytes),
             sender,
             workspace: Some(Workspace {
+                simplifier: Simplifier::default(),
                 encoder,
                 references,
                 body: Vec::new(),
@@ -162,6 +165,7 @@ impl FrameSender {
                 choice: Choice::Whole,
             }),
             encoders,
+            wrong_ppm,
             heard,
             first_frame_at: None,
             pace: Pace::new(),
@@ -245,7 +249,7 @@ impl FrameSender {
     /// Encodes on a thread where it disturbs no other session's packets.
     async fn encode(
         &mut self,
-        mask: Mask,
+        mut mask: Mask,
         ahead: Option<Pose>,
         budget: Option<usize>,
         ledger: &Ledger,
@@ -254,13 +258,14 @@ impl FrameSender {
         let mut workspace = self.workspace.take().ok_or_else(|| broken("its memory is gone"))?;
         let permit = Arc::clone(&self.encoders).acquire_owned().await.map_err(|_| broken("the server has stopped"))?;
         let Heard { acknowledged, losses } = *self.heard.borrow_and_update();
-        let payload_bytes = self.packetizer.payload_bytes();
+        let (wrong_ppm, payload_bytes) = (self.wrong_ppm, self.packetizer.payload_bytes());
         let job = tokio::task::spawn_blocking(move || {
             let (_permit, begun) = (permit, Instant::now());
-            let Workspace { encoder, references, body, parity, refresh, choice } = &mut workspace;
+            let Workspace { simplifier, encoder, references, body, parity, refresh, choice } = &mut workspace;
             if let Some(acknowledged) = acknowledged {
                 references.acknowledge(acknowledged);
             }
+            simplifier.simplify(&mut mask, wrong_ppm);
             let result = encoder.encode_for(ahead, references.reference(), &mask, body);
             let parity_of = |body: &[u8], codec: CodecId| {
                 let packets = pieces(body, payload_bytes).count();

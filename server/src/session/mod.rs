@@ -17,7 +17,6 @@ use std::{
 
 use bytes::Bytes;
 use gnomon_protocol::{
-    codec::CodecId,
     ids::SceneDigest,
     mask::MaskShape,
     message::{ClientMessage, ServerMessage},
@@ -41,7 +40,7 @@ use crate::{
     net::{
         addresses::Addresses,
         control::ControlReader,
-        handshake::Admitted,
+        handshake::{Admitted, Coding},
         link::{CloseCode, DataLink, Link},
     },
     tokens::TokenStore,
@@ -153,7 +152,8 @@ impl End {
 /// Serves an admitted client until it leaves, is lost, or the server stops. Its slot is free afterwards.
 pub(crate) async fn run(link: Link, admitted: Admitted, services: Arc<Services>) {
     let started_at = Instant::now();
-    let Admitted { slot, port, shape, codec, client, held, share } = admitted;
+    let Admitted { slot, port, shape, coding, client, held, share } = admitted;
+    let codec = coding.codec;
     tracing::info!(client, width = shape.width(), height = shape.height(), %codec, "session started");
     let closer = link.data.closer();
     let ledger = share.ledger();
@@ -170,7 +170,7 @@ pub(crate) async fn run(link: Link, admitted: Admitted, services: Arc<Services>)
         reader: link.reader,
         outbox: Outbox::start(link.writer),
         frames: JoinSet::new(),
-        waiting: Some(Waiting { data: link.data, port, shape, codec }),
+        waiting: Some(Waiting { data: link.data, port, shape, coding }),
         fetches: 0,
         ledger: Arc::clone(&ledger),
         services,
@@ -203,7 +203,7 @@ struct Waiting {
     data: DataLink,
     port: SessionPort,
     shape: MaskShape,
-    codec: CodecId,
+    coding: Coding,
 }
 
 struct Session {
@@ -293,7 +293,7 @@ impl Session {
 
     /// Lets poses and frames flow, in a task of their own: its panic would end this session only.
     fn start(&mut self, waiting: Waiting) {
-        let Waiting { data, port, shape, codec } = waiting;
+        let Waiting { data, port, shape, coding } = waiting;
         let (services, ledger) = (Arc::clone(&self.services), Arc::clone(&self.ledger));
         let work = async move {
             let (receiver, sender) = data.open(services.handshake_timeout).await?;
@@ -301,7 +301,7 @@ impl Session {
             let (heard, said) = watch::channel(heard::Heard::default());
             let sender = FrameSender::new(
                 sender,
-                codec,
+                coding,
                 Refresh::new(services.scene.weights.clone()),
                 Arc::clone(&services.encoders),
                 said,

@@ -2,6 +2,7 @@
 
 use gnomon_protocol::{
     PROTOCOL_VERSION,
+    limits::MAX_WRONG_PPM,
     message::{self, ClientMessage, Hello, Refusal, ServerMessage},
 };
 use gnomon_server::{
@@ -66,6 +67,10 @@ async fn other_versions_and_impossible_sizes_are_refused_with_the_reason() {
             other => panic!("{other:?}"),
         }
     }
+    let wrong_ppm = MAX_WRONG_PPM + 1;
+    let mut native = Native::connect(rig.address(), rig.folder.path()).await;
+    let reason = "10001 wrong bits in a million: at most 10000 are possible".to_owned();
+    assert_eq!(refusal(&mut native.control, Hello { wrong_ppm, ..hello() }).await, Refusal::Unsupported(reason));
     assert_eq!(rig.server.sessions(), 0);
 }
 

@@ -29,6 +29,7 @@ pub(crate) fn hello() -> Hello {
         height: HEIGHT,
         codec: CodecId::PlanesLz4,
         rate_hz: 0,
+        wrong_ppm: 0,
         resume: None,
     }
 }

@@ -1,6 +1,10 @@
 //! A native client's whole way: Hello, scene, Start, poses, frames.
 
-use gnomon_protocol::message::{ClientMessage, ServerMessage};
+use gnomon_protocol::{
+    codec::Simplifier,
+    limits::MAX_WRONG_PPM,
+    message::{ClientMessage, Hello, ServerMessage},
+};
 use gnomon_shaders::scene::Scene;
 
 use super::{
@@ -80,6 +84,24 @@ async fn garbage_old_poses_and_duplicates_are_dropped_and_disturb_nothing() {
     });
     assert_eq!(ignored.await, 7, "a lost frame can be asked for again");
     assert_eq!(rig.server.sessions(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bits_are_wrong_only_where_the_client_lets_them_be() {
+    let rig = Rig::start(|_, _| {}).await;
+    let mut exact = Native::started(rig.address(), rig.folder.path()).await;
+    let mut lossy = Native::connect(rig.address(), rig.folder.path()).await;
+    lossy.control.welcome(Hello { wrong_ppm: MAX_WRONG_PPM, ..hello() }).await;
+    lossy.control.say(&ClientMessage::Start).await;
+    // Downwards and askew, so that some corner of a shadow is a pixel that stands out.
+    let (sin, cos) = 0.3_f64.sin_cos();
+    exact.pose.orientation = [-cos, sin, sin, cos].map(|part| part * std::f64::consts::FRAC_1_SQRT_2);
+    lossy.pose = exact.pose;
+    let mut expected = exact.frame(&mut Frames::new(), 0).await;
+    let received = lossy.frame(&mut Frames::new(), 0).await;
+    assert_ne!(received, expected);
+    assert!(Simplifier::default().simplify(&mut expected, MAX_WRONG_PPM) > 0);
+    assert_eq!(received, expected);
 }
 
 #[tokio::test(flavor = "multi_thread")]
