@@ -30,6 +30,7 @@ fn tiles_take_fewer_bytes_than_anything_else_and_change_no_bit() {
         },
         rounds: 1,
         lags: vec![1, 3],
+        wrong_ppm: vec![1000, 5000],
         append: false,
     };
     let table = measure(&options, |_| ()).unwrap();
@@ -37,7 +38,8 @@ fn tiles_take_fewer_bytes_than_anything_else_and_change_no_bit() {
     assert_eq!(csv, table.csv());
     assert_eq!(csv.lines().next().unwrap(), HEAD);
     let column = |name: &str| HEAD.split(',').position(|column| column == name).unwrap();
-    assert!(table.rows.iter().all(|row| row[column("wrong_relevant_bits")] == "0"), "{csv}");
+    let (lossy, exact): (Vec<_>, Vec<_>) = table.rows.iter().partition(|row| row[column("codec")].ends_with("ppm"));
+    assert!(exact.iter().all(|row| row[column("wrong_relevant_bits")] == "0"), "{csv}");
     let bytes: HashMap<(&str, &str), f64> = table
         .rows
         .iter()
@@ -53,6 +55,17 @@ fn tiles_take_fewer_bytes_than_anything_else_and_change_no_bit() {
     assert!(of("tiles-small") < 0.7 * of("planes-zstd-3"), "{bytes:?}");
     assert!(of("tiles-fast") < of("planes-zstd-3") && of("tiles-fast") < 2.0 * of("tiles-small"), "{bytes:?}");
     assert!(of("planes-zstd-3") < of("planes-lz4") && of("planes-lz4") < of("words-lz4"), "{bytes:?}");
+
+    // Wrong bits buy bytes, and there are no more than were allowed.
+    assert_eq!(lossy.len(), 8, "{csv}");
+    for row in lossy {
+        let [codec, reference, wrong] =
+            ["codec", "reference", "wrong_relevant_bits"].map(|name| row[column(name)].as_str());
+        let (exact, wrong_ppm) = codec.strip_suffix("ppm").unwrap().rsplit_once('-').unwrap();
+        assert!(with(codec, reference) < with(exact, reference), "{bytes:?}");
+        let most = u64::from(options.scene.frames) * 320 * 180 * 4 * wrong_ppm.parse::<u64>().unwrap() / 1_000_000;
+        assert!((1..=most).contains(&wrong.parse().unwrap()), "{row:?}");
+    }
 
     options.append = true;
     options.scene.lights = Some(1);

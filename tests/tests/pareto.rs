@@ -68,6 +68,16 @@ fn every_knob_has_its_row_and_says_what_it_saves_and_costs() {
     let default = rows.iter().find(|row| row[2] == "resolution" && row[column("is_default")] == "true").unwrap();
     let of = |knob: &str, value: &str| row(default[1], knob, value);
     assert!(number(of("codec", "words"), "bytes") > number(default, "bytes"));
+    for codec in ["tiles-small", "tiles-fast"] {
+        let rows = [of("codec", codec)]
+            .into_iter()
+            .chain([0.05, 0.2, 0.5].map(|share| of("lossy", &format!("{codec} {share} %"))));
+        let trades: Vec<_> = rows.map(|row| (number(row, "bytes"), number(row, "bit_error"))).collect();
+        assert!(
+            trades.is_sorted_by(|(more, fewer_wrong), (fewer, more_wrong)| more > fewer && fewer_wrong < more_wrong),
+            "{trades:?}"
+        );
+    }
     for period in ["every 2 frames", "every 4 frames"] {
         assert!(number(of("dim lights", period), "rays") < number(default, "rays"));
     }

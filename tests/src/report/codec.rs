@@ -6,12 +6,15 @@
 //!
 //! Codecs that have references are measured without, and with the mask of so many frames before at 60 frames a second: 1 is the least
 //! that there can be, and 3 what a round trip of 40 ms leaves.
+//!
+//! With `--wrong-ppm` codecs that are sliced are measured on simplified masks as well: what clients get that let so many bits be
+//! wrong. Simplifying counts as encoding, and irrelevant bits as relevant ones.
 
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder, Reference},
+    codec::{CodecId, Decoder, Encoder, Reference, Simplifier},
     ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
     mask::{Mask, MaskShape},
@@ -51,6 +54,9 @@ pub struct CodecOptions {
     /// Ages of the references, in frames at 60 frames a second.
     #[arg(long, value_delimiter = ',', default_value = "1,3")]
     pub lags: Vec<u32>,
+    /// Bits that may be wrong, in parts of a million; each makes rows of its own.
+    #[arg(long, value_delimiter = ',')]
+    pub wrong_ppm: Vec<u16>,
     /// Adds the rows to those that are in codec.csv, for a table of several scenes.
     #[arg(long)]
     pub append: bool,
@@ -67,12 +73,30 @@ struct Own {
     decoder: Decoder,
     /// Age in frames of what is coded against, and that.
     reference: Option<(u32, Reference)>,
+    /// Bits that may be wrong, in parts of a million.
+    wrong_ppm: u16,
+    simplifier: Simplifier,
+    /// What is to be encoded.
+    mask: Mask,
 }
 
 impl Own {
-    fn new(codec: CodecId, lag: Option<u32>) -> Self {
-        let reference = lag.map(|lag| (lag, Reference::new()));
-        Self { encoder: Encoder::new(codec), decoder: Decoder::new(), reference }
+    fn new(codec: CodecId, lag: Option<u32>, wrong_ppm: u16, shape: MaskShape) -> Self {
+        Self {
+            encoder: Encoder::new(codec),
+            decoder: Decoder::new(),
+            reference: lag.map(|lag| (lag, Reference::new())),
+            wrong_ppm,
+            simplifier: Simplifier::default(),
+            mask: Mask::new(shape),
+        }
+    }
+
+    /// Encodes [`Self::mask`].
+    fn encode(&mut self, body: &mut Vec<u8>, with_reference: bool) -> Result<()> {
+        self.simplifier.simplify(&mut self.mask, self.wrong_ppm);
+        let reference = self.reference.as_ref().filter(|_| with_reference).map(|(_, reference)| reference);
+        Ok(self.encoder.encode_for(None, reference, &self.mask, body)?)
     }
 }
 
@@ -83,10 +107,14 @@ struct Zstd {
 }
 
 impl Subject {
-    fn all(lags: &[u32]) -> Result<Vec<Self>> {
+    fn all(lags: &[u32], wrong_ppm: &[u16], shape: MaskShape) -> Result<Vec<Self>> {
         let own = CodecId::ALL.into_iter().flat_map(|codec| {
-            let lags = lags.iter().filter(move |_| codec.has_references()).map(|lag| Some(*lag));
-            [None].into_iter().chain(lags).map(move |lag| Self::Own(Box::new(Own::new(codec, lag))))
+            let lossy = wrong_ppm.iter().copied().filter(move |_| codec.is_sliced());
+            [0].into_iter().chain(lossy).flat_map(move |wrong_ppm| {
+                let lags = lags.iter().filter(move |_| codec.has_references()).map(|lag| Some(*lag));
+                let own = move |lag| Self::Own(Box::new(Own::new(codec, lag, wrong_ppm, shape)));
+                [None].into_iter().chain(lags).map(own)
+            })
         });
         let zstd = Zstd {
             compressor: zstd::bulk::Compressor::new(ZSTD_LEVEL)?,
@@ -98,6 +126,7 @@ impl Subject {
 
     fn name(&self) -> String {
         match self {
+            Self::Own(own) if own.wrong_ppm > 0 => format!("{}-{}ppm", own.encoder.codec(), own.wrong_ppm),
             Self::Own(own) => own.encoder.codec().to_string(),
             Self::Zstd(_) => format!("planes-zstd-{ZSTD_LEVEL}"),
         }
@@ -114,19 +143,26 @@ impl Subject {
     /// Takes these masks of earlier frames, with their ages, for references.
     fn refer(&mut self, earlier: &[(u32, Mask)]) -> Result<()> {
         let Self::Own(own) = self else { return Ok(()) };
-        let Own { encoder, reference: Some((lag, reference)), .. } = &mut **own else { return Ok(()) };
-        let (_, mask) = earlier.iter().find(|(age, _)| age == lag).context("no mask of this age")?;
-        encoder.encode(mask, &mut Vec::new())?;
+        let Some((lag, _)) = own.reference else { return Ok(()) };
+        let (_, mask) = earlier.iter().find(|(age, _)| *age == lag).context("no mask of this age")?;
+        own.mask.clone_from(mask);
+        own.encode(&mut Vec::new(), false)?;
+        let Own { encoder, reference: Some((_, reference)), .. } = &mut **own else { return Ok(()) };
         ensure!(encoder.keep(FrameNumber(0), reference), "the mask is no reference");
         Ok(())
     }
 
+    /// Takes a mask to encode, without counting the time of it.
+    fn take(&mut self, mask: &Mask) {
+        if let Self::Own(own) = self {
+            own.mask.clone_from(mask);
+        }
+    }
+
+    /// Encodes the mask that was taken.
     fn encode(&mut self, mask: &Mask, body: &mut Vec<u8>) -> Result<()> {
         match self {
-            Self::Own(own) => {
-                let reference = own.reference.as_ref().map(|(_, reference)| reference);
-                own.encoder.encode_for(None, reference, mask, body)?;
-            }
+            Self::Own(own) => own.encode(body, true)?,
             Self::Zstd(zstd) => {
                 zstd.planes.clear();
                 zstd.planes.extend(mask.words().iter().flat_map(|word| word.to_le_bytes()));
@@ -173,6 +209,7 @@ impl Tally {
         let (mut encode_ms, mut decode_ms) = (f64::INFINITY, f64::INFINITY);
         let packetizer = Packetizer::new(MAX_PACKET_BYTES);
         for round in 0..rounds {
+            subject.take(mask);
             let begun = Instant::now();
             subject.encode(mask, &mut body)?;
             encode_ms = encode_ms.min(begun.elapsed().as_secs_f64() * 1e3);
@@ -216,13 +253,14 @@ fn mean(values: &[f64]) -> f64 {
 /// # Errors
 /// When the scene or the path cannot be read, a codec fails, or the table cannot be written.
 pub fn measure(options: &CodecOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
-    let CodecOptions { scene: args, rounds, lags, append } = options;
+    let CodecOptions { scene: args, rounds, lags, wrong_ppm, append } = options;
     let (scene, path) = (args.load_scene()?, args.load_path()?);
     let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
     let (width, height) = args.size;
     let mut trace = BackendName::Cpu.open(&scene)?;
     let mut mask = Mask::new(MaskShape::new(width, height, lights)?);
-    let mut tallied: Vec<_> = Subject::all(lags)?.into_iter().map(|subject| (subject, Tally::default())).collect();
+    let subjects = Subject::all(lags, wrong_ppm, mask.shape())?.into_iter();
+    let mut tallied: Vec<_> = subjects.map(|subject| (subject, Tally::default())).collect();
     let one_core = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     for frame in 0..args.frames {
         // In the middles of equal parts: before the path begins nothing moves.

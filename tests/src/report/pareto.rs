@@ -5,7 +5,7 @@
 //! traced. `prediction` is how late a mask is and what the client makes of it. Milliseconds are what a frame waits for its
 //! visibility: tracing and encoding, less the lag that it is allowed. `half` and `checkerboard` trace that part of the shadow
 //! rays and ask neighbours for the rest, on the server; `half-mask` is a mask of half the size, which the client's predictor
-//! spreads over the picture. No codec is lossy.
+//! spreads over the picture. `lossy` is how many bits may be wrong so that the codec has less to code.
 
 mod front;
 mod judge;
@@ -149,6 +149,7 @@ pub fn measure(options: &ParetoOptions, mut progress: impl FnMut(&str)) -> Resul
             }
             if backend == automatic {
                 bench.codecs(backend)?;
+                bench.lossy(backend)?;
                 bench.dim_lights(backend)?;
                 bench.lags(backend)?;
             }

@@ -28,6 +28,9 @@ const CODEC: CodecId = CodecId::PlanesLz4;
 /// Where on a path scenes are judged, as shares of its duration.
 const STOPS: [f64; 2] = [0.2, 0.6];
 
+/// Bits that may be wrong, in parts of a million.
+const WRONG_PPM: [u16; 3] = [500, 2000, 5000];
+
 const SAMPLINGS: [(&str, Sampling); 5] = [
     ("full", Sampling::All),
     ("checkerboard", Sampling::Checkerboard { refine: false }),
@@ -122,7 +125,7 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// The codecs, all of which give every bit back.
+    /// The codecs, which give every bit back.
     pub(super) fn codecs(&mut self, backend: &str) -> Result<()> {
         let mut tracer = self.open(backend, Sampling::All)?.context("the back end was there before")?;
         for codec in CodecId::ALL.into_iter().filter(|codec| *codec != CODEC) {
@@ -130,6 +133,21 @@ impl<'a> Bench<'a> {
             let verdict = self.show(&masks, Predictor::Surface)?;
             let knob = Knob { backend, knob: "codec", value: codec.to_string(), is_default: false };
             self.push(knob, &traced, None, &verdict);
+        }
+        Ok(())
+    }
+
+    /// Wrong bits for fewer bytes; the rows of `codecs` are those without any.
+    pub(super) fn lossy(&mut self, backend: &str) -> Result<()> {
+        for codec in CodecId::ALL.into_iter().filter(|codec| codec.is_sliced()) {
+            for wrong_ppm in WRONG_PPM {
+                let tracer = self.open(backend, Sampling::All)?.context("the back end was there before")?;
+                let mut tracer = tracer.with_wrong_bits(wrong_ppm);
+                let (traced, masks) = self.trace(&mut tracer, codec, |stop| stop.camera)?;
+                let verdict = self.show(&masks, Predictor::Surface)?;
+                let value = format!("{codec} {} %", f64::from(wrong_ppm) / 1e4);
+                self.push(Knob { backend, knob: "lossy", value, is_default: false }, &traced, None, &verdict);
+            }
         }
         Ok(())
     }

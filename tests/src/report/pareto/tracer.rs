@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use gnomon_protocol::{
-    codec::{CodecId, Encoder},
+    codec::{CodecId, Encoder, Simplifier},
     mask::{Mask, MaskShape},
 };
 use gnomon_server::visibility::backend::{
@@ -31,6 +31,8 @@ pub(super) struct Tracer {
     /// Kept from frame to frame, as sessions do.
     encoder: Encoder,
     body: Vec<u8>,
+    simplifier: Simplifier,
+    wrong_ppm: u16,
 }
 
 /// What a frame took.
@@ -60,7 +62,13 @@ impl Tracer {
         };
         let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
         let encoder = Encoder::new(CodecId::PlanesLz4);
-        Ok(kind.map(|kind| Self { kind, lights, encoder, body: Vec::new() }))
+        let simplifier = Simplifier::default();
+        Ok(kind.map(|kind| Self { kind, lights, encoder, body: Vec::new(), simplifier, wrong_ppm: 0 }))
+    }
+
+    /// Lets so many bits be wrong, in parts of a million.
+    pub(super) fn with_wrong_bits(self, wrong_ppm: u16) -> Self {
+        Self { wrong_ppm, ..self }
     }
 
     /// A mask for what `camera` sees.
@@ -78,6 +86,7 @@ impl Tracer {
             Kind::Cpu(backend) => backend.trace(camera, mask),
             Kind::Device(backend) => backend.trace(camera, mask)?,
         };
+        self.simplifier.simplify(mask, self.wrong_ppm);
         self.encoder.encode(mask, &mut self.body)?;
         let ms = begun.elapsed().as_secs_f64() * 1e3;
         Ok(Traced { ms, rays: cost.primary_rays + cost.shadow_rays, bytes: self.body.len() as u64 })
