@@ -6,19 +6,16 @@
 
 use std::{net::Ipv4Addr, sync::Arc, time::Duration};
 
-use http_body_util::{BodyExt as _, Full, Limited};
+use http_body_util::Full;
 use hyper::{
-    Method, Request, StatusCode,
+    Method, Request,
     body::Bytes,
-    client::conn::http1,
     header::{CONTENT_TYPE, HOST},
 };
-use hyper_util::rt::TokioIo;
-use thiserror::Error;
-use tokio::{net::TcpStream, time::timeout};
 
 use crate::{
     admin::readiness::{Readiness, Stage},
+    http::{TellError, tell},
     metrics::{Metrics, Snapshot},
 };
 
@@ -31,26 +28,8 @@ const BEAT: Duration = Duration::from_secs(2);
 /// Longest time that the sidecar may take for an answer.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Longest answer that is read.
-const MAX_ANSWER_BYTES: usize = 64 * 1024;
-
 /// The counter's name in the fleet.
 const COUNTER: &str = "sessions";
-
-/// Why a call did not do what it should.
-#[derive(Debug, Error)]
-enum CallError {
-    #[error("the sidecar cannot be reached: {0}")]
-    Reach(#[from] std::io::Error),
-    #[error("HTTP: {0}")]
-    Http(#[from] hyper::Error),
-    #[error("the sidecar said {0}")]
-    Status(StatusCode),
-    #[error("no answer in {} s", PATIENCE.as_secs())]
-    Silent,
-    #[error("an answer that cannot be read: {0}")]
-    Answer(String),
-}
 
 /// The sidecar.
 #[derive(Debug, Clone, Copy)]
@@ -59,47 +38,24 @@ struct Sidecar {
 }
 
 impl Sidecar {
-    async fn call(self, method: Method, path: &str, body: &'static str) -> Result<Bytes, CallError> {
-        let exchange = async {
-            let stream = TcpStream::connect((Ipv4Addr::LOCALHOST, self.port)).await?;
-            let (mut sender, connection) = http1::handshake(TokioIo::new(stream)).await?;
-            let request = Request::builder()
-                .method(method)
-                .uri(path)
-                .header(HOST, "localhost")
-                .header(CONTENT_TYPE, "application/json")
-                .body(Full::new(Bytes::from_static(body.as_bytes())))
-                .map_err(|error| CallError::Answer(error.to_string()))?;
-            // Both ends here: the connection is dropped with the answer in hand.
-            let answer = async {
-                let response = sender.send_request(request).await?;
-                let status = response.status();
-                let body = Limited::new(response.into_body(), MAX_ANSWER_BYTES).collect().await;
-                let body = body.map_err(|error| CallError::Answer(error.to_string()))?.to_bytes();
-                if status.is_success() { Ok(body) } else { Err(CallError::Status(status)) }
-            };
-            tokio::pin!(connection);
-            tokio::pin!(answer);
-            tokio::select! {
-                biased;
-                answer = &mut answer => answer,
-                ended = &mut connection => {
-                    ended?;
-                    answer.await
-                }
-            }
-        };
-        timeout(PATIENCE, exchange).await.map_err(|_| CallError::Silent)?
+    async fn call(self, method: Method, path: &str, body: &'static str) -> Result<(), TellError> {
+        let request = Request::builder()
+            .method(method)
+            .uri(path)
+            .header(HOST, "localhost")
+            .header(CONTENT_TYPE, "application/json")
+            .body(Full::new(Bytes::from_static(body.as_bytes())))?;
+        tell((Ipv4Addr::LOCALHOST, self.port), request, PATIENCE).await
     }
 
-    async fn post(self, path: &str) -> Result<(), CallError> {
-        self.call(Method::POST, path, "{}").await.map(drop)
+    async fn post(self, path: &str) -> Result<(), TellError> {
+        self.call(Method::POST, path, "{}").await
     }
 
     /// A session has ended: its place may be allocated again. Allocation is what counts up.
-    async fn count_down(self) -> Result<(), CallError> {
+    async fn count_down(self) -> Result<(), TellError> {
         let path = format!("/v1beta1/counters/{COUNTER}");
-        self.call(Method::PATCH, &path, "{\"countDiff\":\"-1\"}").await.map(drop)
+        self.call(Method::PATCH, &path, "{\"countDiff\":\"-1\"}").await
     }
 }
 
@@ -159,7 +115,7 @@ impl Seen {
     }
 }
 
-fn went_well(what: &str, called: &Result<(), CallError>) -> bool {
+fn went_well(what: &str, called: &Result<(), TellError>) -> bool {
     if let Err(error) = called {
         tracing::warn!(what, %error, "agones");
     }
@@ -170,7 +126,9 @@ fn went_well(what: &str, called: &Result<(), CallError>) -> bool {
 mod tests {
     use std::sync::Mutex;
 
-    use hyper::{Response, server::conn::http1 as server, service::service_fn};
+    use http_body_util::BodyExt as _;
+    use hyper::{Response, StatusCode, server::conn::http1 as server, service::service_fn};
+    use hyper_util::rt::TokioIo;
     use tokio::net::TcpListener;
 
     use super::*;
@@ -262,6 +220,6 @@ mod tests {
         // Nobody listens there.
         let nobody = Sidecar { port: 9 };
         seen.beat(nobody, &Stage::Ready, &now).await;
-        assert!(matches!(nobody.post("/health").await, Err(CallError::Reach(_))));
+        assert!(matches!(nobody.post("/health").await, Err(TellError::Reach(_))));
     }
 }

@@ -13,6 +13,7 @@ pub mod error;
 mod files;
 #[doc(hidden)]
 pub mod fuzzing;
+mod http;
 pub mod limits;
 mod metrics;
 mod net;

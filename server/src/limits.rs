@@ -125,8 +125,8 @@ pub const MAX_ADMIN_CONNECTIONS: usize = 16;
 /// Longest time for an admin request and its answer.
 pub const ADMIN_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Of a collector's answer to a report, what is read.
-pub const MAX_OTLP_ANSWER_BYTES: usize = 64 * 1024;
+/// Of an answer of Agones' sidecar or of a collector, what is read.
+pub const MAX_HTTP_ANSWER_BYTES: usize = 64 * 1024;
 
 /// Log lines that wait to be written; more are counted and lost.
 pub const MAX_WAITING_LOG_LINES: usize = 8192;

@@ -14,23 +14,21 @@ use std::{
     time::{Duration, UNIX_EPOCH},
 };
 
-use http_body_util::{BodyExt as _, Full, Limited};
+use http_body_util::Full;
 use hyper::{
-    Request, StatusCode,
+    Request,
     body::Bytes,
-    client::conn::http1,
     header::{CONTENT_TYPE, HOST},
 };
-use hyper_util::rt::TokioIo;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use thiserror::Error;
-use tokio::{
-    net::TcpStream,
-    time::{MissedTickBehavior, timeout},
-};
+use tokio::time::MissedTickBehavior;
 
-use crate::{admin::Sources, clock, limits::MAX_OTLP_ANSWER_BYTES};
+use crate::{
+    admin::Sources,
+    clock,
+    http::{TellError, tell},
+};
 
 /// Time between reports.
 const PERIOD: Duration = Duration::from_secs(10);
@@ -83,21 +81,6 @@ impl fmt::Display for Collector {
     }
 }
 
-/// Why a report was not taken.
-#[derive(Debug, Error)]
-enum ReportError {
-    #[error("it cannot be reached: {0}")]
-    Reach(#[from] std::io::Error),
-    #[error("HTTP: {0}")]
-    Http(#[from] hyper::Error),
-    #[error("no request can be made for it: {0}")]
-    Request(#[from] hyper::http::Error),
-    #[error("it said {0}")]
-    Status(StatusCode),
-    #[error("no answer in {} s", PATIENCE.as_secs())]
-    Silent,
-}
-
 /// Reports until its task ends.
 pub(crate) async fn run(collector: Collector, sources: Arc<Sources>) {
     report_every(PERIOD, collector, sources).await;
@@ -123,33 +106,12 @@ async fn report_every(period: Duration, collector: Collector, sources: Arc<Sourc
 }
 
 impl Collector {
-    async fn send(&self, body: String) -> Result<(), ReportError> {
-        let exchange = async {
-            let stream = TcpStream::connect((self.host.trim_matches(['[', ']']), self.port)).await?;
-            let (mut sender, connection) = http1::handshake(TokioIo::new(stream)).await?;
-            let request = Request::post(&self.path)
-                .header(HOST, format!("{}:{}", self.host, self.port))
-                .header(CONTENT_TYPE, "application/json")
-                .body(Full::new(Bytes::from(body)))?;
-            let answer = async {
-                let response = sender.send_request(request).await?;
-                let status = response.status();
-                // What it says is not needed, but a connection is only done when it is read.
-                let _ = Limited::new(response.into_body(), MAX_OTLP_ANSWER_BYTES).collect().await;
-                if status.is_success() { Ok(()) } else { Err(ReportError::Status(status)) }
-            };
-            tokio::pin!(connection);
-            tokio::pin!(answer);
-            tokio::select! {
-                biased;
-                answer = &mut answer => answer,
-                ended = &mut connection => {
-                    ended?;
-                    answer.await
-                }
-            }
-        };
-        timeout(PATIENCE, exchange).await.map_err(|_| ReportError::Silent)?
+    async fn send(&self, body: String) -> Result<(), TellError> {
+        let request = Request::post(&self.path)
+            .header(HOST, format!("{}:{}", self.host, self.port))
+            .header(CONTENT_TYPE, "application/json")
+            .body(Full::new(Bytes::from(body)))?;
+        tell((self.host.trim_matches(['[', ']']), self.port), request, PATIENCE).await
     }
 }
 

@@ -2,8 +2,10 @@
 
 use std::sync::{Mutex, OnceLock};
 
-use hyper::{Response, body::Incoming, server, service::service_fn};
-use tokio::net::TcpListener;
+use http_body_util::BodyExt as _;
+use hyper::{Response, StatusCode, body::Incoming, server, service::service_fn};
+use hyper_util::rt::TokioIo;
+use tokio::{net::TcpListener, time::timeout};
 
 use super::*;
 use crate::{admin::readiness::Readiness, metrics::Metrics};
