@@ -30,6 +30,9 @@ use crate::{
     http::{TellError, tell},
 };
 
+/// Port of collectors that take HTTP.
+const DEFAULT_PORT: u16 = 4318;
+
 /// Time between reports.
 const PERIOD: Duration = Duration::from_secs(10);
 
@@ -51,12 +54,24 @@ impl FromStr for Collector {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let url = url::Url::parse(text).map_err(|error| format!("{text:?} is no URL: {error}"))?;
-        let host = url.host_str().filter(|_| url.scheme() == "http" && url.username().is_empty());
-        let host = host.ok_or_else(|| format!("{text:?} is not of the form http://HOST:4318"))?.to_owned();
+        let (host, authority) = url
+            .host_str()
+            .filter(|_| url.scheme() == "http")
+            .zip(text.split_once("://").map(|(_, rest)| rest.split(['/', '\\']).next().unwrap_or_default()))
+            .ok_or_else(|| format!("{text:?} is not of the form http://HOST:4318"))?;
+        let more = [
+            (!url.username().is_empty() || url.password().is_some(), "user or password"),
+            (url.query().is_some(), "query"),
+            (url.fragment().is_some(), "fragment"),
+        ];
+        if let Some((_, what)) = more.into_iter().find(|(there, _)| *there) {
+            return Err(format!("a collector's URL has no {what}: it would not be sent"));
+        }
         let path = if url.path() == "/" { "/v1/metrics" } else { url.path() };
         // `url` forgets a port that is the scheme's own: whoever means 80 has written it.
-        let authority = text.trim_start_matches("http://").split('/').next().unwrap_or_default();
-        let port = url.port().unwrap_or(if authority.ends_with(":80") { 80 } else { 4318 });
+        let written = authority.trim_end().rsplit_once(':').and_then(|(_, port)| port.parse().ok());
+        let port = url.port().or(written).unwrap_or(DEFAULT_PORT);
+        let host = host.to_owned();
         Ok(Self { host, port, path: path.to_owned() })
     }
 }

@@ -117,13 +117,27 @@ fn a_collectors_url_is_understood_or_refused() {
     for (text, meant) in [
         ("http://127.0.0.1:4318", "http://127.0.0.1:4318/v1/metrics"),
         ("http://collector", "http://collector:4318/v1/metrics"),
+        ("HTTP://collector:80", "http://collector:80/v1/metrics"),
+        ("http://collector:80\\x", "http://collector:80/x"),
+        ("http://[::80]", "http://[::80]:4318/v1/metrics"),
         ("http://[::1]:80/x/v1/metrics", "http://[::1]:80/x/v1/metrics"),
     ] {
         let collector: Collector = text.parse().unwrap();
         assert_eq!(collector.to_string(), meant);
         assert_eq!(meant.parse::<Collector>().unwrap(), collector);
     }
-    for text in ["", "collector:4318", "https://collector", "http://user@collector", "grpc://collector:4317"] {
-        assert!(text.parse::<Collector>().is_err(), "{text}");
+    for (text, why) in [
+        ("", "no URL"),
+        ("collector:4318", "not of the form http://HOST:4318"),
+        ("https://collector", "not of the form"),
+        ("http:collector:80", "not of the form"),
+        ("grpc://collector:4317", "not of the form"),
+        ("http://user@collector", "no user or password"),
+        ("http://:secret@collector", "no user or password"),
+        ("http://collector/v1/metrics?key=secret", "no query"),
+        ("http://collector#here", "no fragment"),
+    ] {
+        let error = text.parse::<Collector>().unwrap_err();
+        assert!(error.contains(why) && !error.contains("secret"), "{text}: {error}");
     }
 }
