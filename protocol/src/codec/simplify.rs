@@ -352,6 +352,25 @@ mod tests {
         }
     }
 
+    #[test]
+    fn memory_is_kept_from_frame_to_frame() {
+        let shape = MaskShape::new(333, 222, 4).unwrap();
+        let mut simplifier = Simplifier::default();
+        let held = |simplifier: &Simplifier| {
+            [&simplifier.mixed, &simplifier.found[0], &simplifier.found[1], &simplifier.found[2]]
+                .map(|words| (words.as_ptr(), words.capacity()))
+        };
+        let masks = [1, 2, 3, 5].map(|thin| noise(shape, thin, 1));
+        for mask in &masks {
+            simplifier.simplify(&mut mask.clone(), 5000);
+        }
+        let warm = held(&simplifier);
+        for mask in &masks {
+            assert!(simplifier.simplify(&mut mask.clone(), 5000) > 0);
+            assert_eq!(held(&simplifier), warm);
+        }
+    }
+
     /// As long as the arithmetic is that of whole numbers, this holds everywhere.
     #[test]
     fn the_result_is_the_same_on_any_machine() {
