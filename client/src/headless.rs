@@ -301,6 +301,7 @@ fn summary(
         adapter: gpu.info.name.clone(),
         backend: welcome.map(|welcome| welcome.backend.clone()),
         codec: welcome.map(|_| options.codec.to_string()),
+        lossy_percent: options.lossy_percent,
         transport: transport.to_owned(),
         wait: options.wait,
         predictor: options.predictor.to_string(),

@@ -118,6 +118,8 @@ pub struct Summary {
     pub backend: Option<String>,
     /// The codec of the masks.
     pub codec: Option<String>,
+    /// Bits of a mask that the server was allowed to send wrong, in per cent.
+    pub lossy_percent: f64,
     /// `quic`, `lab-udp`, `lab-tcp`, or `offline`.
     pub transport: String,
     /// Whether each frame waited for its own mask.
@@ -262,6 +264,7 @@ mod tests {
             adapter: "test".into(),
             backend: None,
             codec: None,
+            lossy_percent: 0.0,
             transport: "offline".into(),
             wait: false,
             predictor: "surface".into(),
@@ -305,6 +308,7 @@ mod tests {
             "scene_digest",
             "adapter",
             "codec",
+            "lossy_percent",
             "transport",
         ] {
             assert!(value.get(name).is_some(), "{name}");
