@@ -1,13 +1,11 @@
 //! Once warm, a frame's way from mask to packets and back to a mask takes no memory.
 
 #![allow(unsafe_code, reason = "counting allocations takes a global allocator, and that trait is unsafe")]
+#![allow(clippy::unwrap_used, reason = "helpers outside the test functions use it too")]
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
-    sync::{
-        Mutex,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::atomic::{AtomicU64, Ordering},
 };
 
 use gnomon_protocol::{
@@ -24,9 +22,6 @@ use gnomon_protocol::{
 struct Counting;
 
 static COUNT: AtomicU64 = AtomicU64::new(0);
-
-/// One test at a time, so that none counts what another takes.
-static TURN: Mutex<()> = Mutex::new(());
 
 fn count() -> u64 {
     COUNT.load(Ordering::Relaxed)
@@ -66,85 +61,56 @@ fn mask(shape: MaskShape, step: u32) -> Mask {
     mask
 }
 
-#[test]
-fn a_warm_session_with_references_takes_no_memory() {
-    let _turn = TURN.lock();
-    let shape = MaskShape::new(333, 222, 4).unwrap();
+/// How often a session asks for memory, frame by frame. Its masks come back every third frame; `body_bytes` is what the body has room for
+/// from the beginning. Where there are references, each mask is acknowledged at once.
+fn counts(codec: CodecId, shape: MaskShape, references: bool, frames: u32, body_bytes: usize) -> Vec<u64> {
     let masks = [0, 5, 9].map(|step| mask(shape, step));
-    let (mut encoder, mut decoder) = (Encoder::new(CodecId::TilesSmall), Decoder::new());
+    let (mut encoder, mut decoder) = (Encoder::new(codec), Decoder::new());
     let (mut sent_masks, mut kept_masks) = (SentMasks::default(), KeptMasks::default());
-    let (mut body, mut received, mut counts) = (Vec::new(), Mask::new(shape), Vec::new());
-    for frame in 0..24 {
-        let sent = &masks[frame as usize % 3];
+    let mut packetizer = Packetizer::new(1161);
+    let mut reassembler = Reassembler::new(Policy::WholeFrame);
+    let (mut body, mut received, mut counts) = (Vec::with_capacity(body_bytes), Mask::new(shape), Vec::new());
+    for (frame, sent) in (0..frames).zip(masks.iter().cycle()) {
         let before = count();
         encoder.encode_for(None, sent_masks.reference(), sent, &mut body).unwrap();
-        sent_masks.keep(&encoder, FrameNumber(frame));
-        let named = Frame::parse(&body).unwrap().head.reference;
-        assert_eq!(named.is_some(), frame > 0);
-        let reference = named.and_then(|name| kept_masks.reference(name));
-        decoder.decode_onto(reference, &body, &mut received).unwrap();
-        sent_masks.acknowledge(kept_masks.keep(&decoder, FrameNumber(frame)).unwrap());
+        let mut complete = false;
+        for packet in packetizer.packets(FrameNumber(frame), frame, &body).unwrap() {
+            complete = reassembler.push(&packet) == Ok(Progress::Complete);
+        }
+        assert!(complete);
+        let body = reassembler.frame().unwrap().body;
+        if references {
+            let named = Frame::parse(body).unwrap().head.reference;
+            assert_eq!(named.is_some(), frame > 0);
+            decoder.decode_onto(named.and_then(|name| kept_masks.reference(name)), body, &mut received).unwrap();
+            sent_masks.keep(&encoder, FrameNumber(frame));
+            sent_masks.acknowledge(kept_masks.keep(&decoder, FrameNumber(frame)).unwrap());
+        } else {
+            decoder.decode(body, &mut received).unwrap();
+        }
         counts.push(count() - before);
         assert!(received == *sent);
     }
-    assert!(counts[0] > 0, "{counts:?}");
-    assert_eq!(counts[8..], [0; 16], "{counts:?}");
+    counts
 }
 
+/// All in one test: when one ends beside another, the harness takes memory of its own. And within a pool, as rayon's queue of what
+/// comes from outside does now and then.
 #[test]
 fn a_warm_session_takes_no_memory() {
-    let _turn = TURN.lock();
-    let shape = MaskShape::new(333, 222, 4).unwrap();
-    let masks = [0, 5, 9].map(|step| mask(shape, step));
-    for codec in CodecId::ALL {
-        let (mut encoder, mut decoder) = (Encoder::new(codec), Decoder::new());
-        let mut packetizer = Packetizer::new(1161);
-        let mut reassembler = Reassembler::new(Policy::WholeFrame);
-        let (mut body, mut received) = (Vec::new(), Mask::new(shape));
-        let mut counts = Vec::new();
-        for frame in 0..12 {
-            let sent = &masks[frame as usize % 3];
-            let before = count();
-            encoder.encode(sent, &mut body).unwrap();
-            let mut complete = false;
-            for packet in packetizer.packets(FrameNumber(frame), frame, &body).unwrap() {
-                complete = reassembler.push(&packet) == Ok(Progress::Complete);
-            }
-            assert!(complete);
-            decoder.decode(reassembler.frame().unwrap().body, &mut received).unwrap();
-            counts.push(count() - before);
-            assert!(received == *sent);
+    let few_tiles = MaskShape::new(333, 222, 4).unwrap();
+    let shared_out = MaskShape::new(1280, 720, 3).unwrap();
+    rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap().install(|| {
+        for codec in CodecId::ALL {
+            // Warm after all masks have been seen once; that counting works, the first frame shows.
+            let counts = counts(codec, few_tiles, false, 12, 0);
+            assert!(counts[0] > 0, "{codec}: {counts:?}");
+            assert_eq!(counts[3..], [0; 9], "{codec}: {counts:?}");
         }
-        // Warm after all masks have been seen once; that counting works, the first frame shows.
-        assert!(counts[0] > 0, "{codec}: {counts:?}");
-        assert_eq!(counts[3..], [0; 9], "{codec}: {counts:?}");
-    }
-}
-
-/// Within the pool: rayon's queue of what comes from outside takes memory of its own now and then.
-#[test]
-fn a_warm_session_whose_frames_are_shared_out_to_cores_takes_no_memory() {
-    let _turn = TURN.lock();
-    let shape = MaskShape::new(1280, 720, 3).unwrap();
-    let masks = [0, 5, 9].map(|step| mask(shape, step));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-    let counts = pool.install(|| {
-        let (mut encoder, mut decoder) = (Encoder::new(CodecId::TilesSmall), Decoder::new());
-        let (mut sent_masks, mut kept_masks) = (SentMasks::default(), KeptMasks::default());
-        let (mut body, mut received, mut counts) = (Vec::with_capacity(1 << 20), Mask::new(shape), Vec::new());
-        for frame in 0..24 {
-            let sent = &masks[frame as usize % 3];
-            let before = count();
-            encoder.encode_for(None, sent_masks.reference(), sent, &mut body).unwrap();
-            sent_masks.keep(&encoder, FrameNumber(frame));
-            let named = Frame::parse(&body).unwrap().head.reference;
-            let reference = named.and_then(|name| kept_masks.reference(name));
-            decoder.decode_onto(reference, &body, &mut received).unwrap();
-            sent_masks.acknowledge(kept_masks.keep(&decoder, FrameNumber(frame)).unwrap());
-            counts.push(count() - before);
-            assert!(received == *sent);
-        }
-        counts
+        let references = counts(CodecId::TilesSmall, few_tiles, true, 24, 0);
+        assert!(references[0] > 0, "{references:?}");
+        assert_eq!(references[8..], [0; 16], "{references:?}");
+        let shared = counts(CodecId::TilesSmall, shared_out, true, 24, 1 << 20);
+        assert_eq!(shared[12..], [0; 12], "{shared:?}");
     });
-    assert_eq!(counts[12..], [0; 12], "{counts:?}");
 }
