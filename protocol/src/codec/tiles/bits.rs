@@ -74,7 +74,7 @@ pub(super) struct BitReader<'a> {
     /// How many of them have been read from the slice, or from behind its end.
     count: u32,
     rest: &'a [u8],
-    /// Bits that are left; negative when there were too few.
+    /// Bits of the slice that are not in the window; negative when it holds more than there were.
     left: i64,
 }
 
@@ -86,16 +86,23 @@ impl<'a> BitReader<'a> {
         reader
     }
 
+    /// Bits that are left; negative when there were too few.
+    const fn left(&self) -> i64 {
+        self.left + self.count as i64
+    }
+
     /// Whether there were as many bits as have been read.
+    #[inline(always)]
     pub(super) const fn is_within(&self) -> bool {
-        self.left >= 0
+        self.left() >= 0
     }
 
     /// Whether nothing is left over but zeros in the last byte.
     pub(super) const fn is_at_end(&self) -> bool {
-        matches!(self.left, 0..8) && self.window == 0
+        matches!(self.left(), 0..8) && self.window == 0
     }
 
+    #[inline(always)]
     fn fill(&mut self) {
         let mut word = [0; 4];
         if let Some((first, rest)) = self.rest.split_first_chunk() {
@@ -107,13 +114,14 @@ impl<'a> BitReader<'a> {
         }
         self.window |= u64::from(u32::from_be_bytes(word)) << (32 - self.count);
         self.count += 32;
+        self.left -= 32;
     }
 
-    /// The next `N` bits, which stay; at most 32.
+    /// The next bits, which stay; 1 to 32.
     #[inline(always)]
-    pub(super) fn peek<const N: u32>(&self) -> usize {
-        #[expect(clippy::cast_possible_truncation, reason = "N is at most 32")]
-        let bits = (self.window >> (64 - N)) as usize;
+    pub(super) const fn peek(&self, bits: u32) -> usize {
+        #[expect(clippy::cast_possible_truncation, reason = "at most 32 bits")]
+        let bits = (self.window >> (64 - bits)) as usize;
         bits
     }
 
@@ -122,7 +130,6 @@ impl<'a> BitReader<'a> {
     pub(super) fn skip(&mut self, count: u32) {
         self.window <<= count;
         self.count -= count;
-        self.left -= i64::from(count);
         if self.count < 32 {
             self.fill();
         }
@@ -163,7 +170,7 @@ mod tests {
         assert_eq!(output.len(), 1 + bytes);
         let mut reader = BitReader::new(&output[1..]);
         for (bits, count) in pieces {
-            assert_eq!(reader.peek::<20>() >> (20 - count), bits as usize);
+            assert_eq!(reader.peek(20) >> (20 - count), bits as usize);
             reader.skip(count);
         }
         for number in numbers {

@@ -3,7 +3,7 @@
 use super::order::{BLOCK_TILES, Order, Place};
 use crate::{
     codec::{planes::inside, words::transpose_bytes},
-    mask::{Mask, TILE_PX},
+    mask::{Mask, MaskShape, TILE_PX},
 };
 
 /// Rows from the top; bit x of a row is the pixel x from the left.
@@ -102,20 +102,41 @@ pub(super) fn gather(mask: &Mask, order: &Order, place: Place) -> Known {
     Known::new(rows)
 }
 
+/// The tiles of the block at a place, as [`gather`] has its rows.
+#[inline(always)]
+pub(super) fn gather_tiles(mask: &Mask, order: &Order, place: Place) -> Block {
+    let shape = mask.shape();
+    let words = &mask.words()[place.light * shape.tiles()..][order.tiles(place)];
+    match words.first_chunk() {
+        Some(tiles) if !is_at_edge(shape, place) => *tiles,
+        _ => transpose_bytes(gather(mask, order, place).rows),
+    }
+}
+
+/// Whether some of a block may lie outside the picture.
+const fn is_at_edge(shape: MaskShape, place: Place) -> bool {
+    shape.tiles_x() as usize <= (place.x + 1) * BLOCK_TILES || shape.tiles_y() as usize == place.y + 1
+}
+
 /// Writes the block's tiles to their places, without what lies outside the picture.
 pub(super) fn scatter(order: &Order, place: Place, known: &Known, mask: &mut Mask) {
+    let flat = known.extent.value().is_some();
+    let tiles = if flat { known.rows } else { transpose_bytes(known.rows) };
+    scatter_tiles(order, place, &tiles, mask);
+}
+
+/// The same, of tiles.
+#[inline(always)]
+pub(super) fn scatter_tiles(order: &Order, place: Place, tiles: &Block, mask: &mut Mask) {
     let shape = mask.shape();
     let plane = &mut mask.words_mut()[place.light * shape.tiles()..][order.tiles(place)];
-    if known.extent.value().is_some() {
-        plane.fill(known.rows[0]);
-    } else {
-        for (word, tile) in plane.iter_mut().zip(transpose_bytes(known.rows)) {
-            *word = tile;
-        }
+    if !is_at_edge(shape, place)
+        && let Some(plane) = plane.first_chunk_mut()
+    {
+        *plane = *tiles;
+        return;
     }
-    if shape.tiles_x() as usize <= (place.x + 1) * BLOCK_TILES || shape.tiles_y() as usize == place.y + 1 {
-        for (x, word) in (place.x * BLOCK_TILES..).zip(plane) {
-            *word &= inside(shape, x, place.y);
-        }
+    for ((x, word), tile) in (place.x * BLOCK_TILES..).zip(plane).zip(tiles) {
+        *word = tile & inside(shape, x, place.y);
     }
 }

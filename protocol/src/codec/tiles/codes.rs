@@ -1,4 +1,4 @@
-//! Prefix codes for `tiles-fast`: one for each context, fixed, and at most 7 bits long.
+//! Prefix codes for `tiles-fast`: one for each context, fixed, and at most 7 bits long, or 10.
 //!
 //! What was frequent has a code of its own; all else is an escape and 8 bits. The codes are canonical: `codes.bin` holds
 //! their lengths, as the example `train_tiles` counted them over masks of several scenes. A change of them is a change of
@@ -8,14 +8,8 @@ use std::sync::LazyLock;
 
 use super::{
     bits::{BitReader, BitWriter},
-    fast::CONTEXTS,
+    fast::{LONG_CONTEXTS, SHORT_CONTEXTS},
 };
-
-/// Longest code in bits.
-const MOST_BITS: u32 = 7;
-
-/// Places of a decoding table.
-const PLACES: usize = 1 << MOST_BITS;
 
 /// The symbol of the escape, behind all that it stands for.
 const ESCAPE: usize = 256;
@@ -25,7 +19,24 @@ static LENGTHS: &[u8] = include_bytes!("codes.bin");
 /// The codes of all contexts.
 pub(super) static CODES: LazyLock<Codes> = LazyLock::new(|| Codes::from_lengths(LENGTHS));
 
-/// What a decoder finds under the next 7 bits.
+/// Codes of every context.
+pub(super) struct Codes {
+    pub(super) short: Set<7>,
+    pub(super) long: Set<10>,
+}
+
+impl Codes {
+    /// From the lengths, those of the short codes first: for each context the number of symbols, each symbol with its length, and
+    /// the escape's length.
+    fn from_lengths(mut bytes: &[u8]) -> Self {
+        Self {
+            short: Set::from_lengths(SHORT_CONTEXTS, &mut bytes),
+            long: Set::from_lengths(LONG_CONTEXTS, &mut bytes),
+        }
+    }
+}
+
+/// What a decoder finds under the next bits.
 #[derive(Debug, Clone, Copy, Default)]
 struct Entry {
     symbol: u8,
@@ -33,32 +44,33 @@ struct Entry {
     escapes: bool,
 }
 
-/// Codes of every context.
-pub(super) struct Codes {
+/// Codes of at most so many bits.
+pub(super) struct Set<const MOST_BITS: u32> {
     /// Bits, and their number above them, by context and symbol.
     write: Box<[[u32; ESCAPE]]>,
-    read: Box<[[Entry; PLACES]]>,
+    /// By context and the next bits.
+    read: Box<[Entry]>,
 }
 
-impl Codes {
-    /// From the lengths: for each context the number of symbols, each symbol with its length, and the escape's length.
-    fn from_lengths(mut bytes: &[u8]) -> Self {
-        let (mut write, mut read) = (Vec::with_capacity(CONTEXTS), Vec::with_capacity(CONTEXTS));
+/// Where the number of bits is, above them.
+const COUNT_SHIFT: u32 = 24;
+
+impl<const MOST_BITS: u32> Set<MOST_BITS> {
+    fn from_lengths(contexts: usize, bytes: &mut &[u8]) -> Self {
+        let (mut write, mut read) = (Vec::with_capacity(contexts), Vec::new());
         let mut next = || {
             let (first, rest) = bytes.split_first().unwrap_or((&1, &[]));
-            bytes = rest;
+            *bytes = rest;
             *first
         };
-        for _ in 0..CONTEXTS {
+        for _ in 0..contexts {
             let mut lengths = [0; ESCAPE + 1];
-            for _ in 0..next() {
+            for _ in 0..u16::from_le_bytes([next(), next()]) {
                 let symbol = usize::from(next());
                 lengths[symbol] = next();
             }
             lengths[ESCAPE] = next();
-            let (writing, reading) = tables(&lengths);
-            write.push(writing);
-            read.push(reading);
+            write.push(tables(&lengths, MOST_BITS, &mut read));
         }
         Self { write: write.into(), read: read.into() }
     }
@@ -66,15 +78,15 @@ impl Codes {
     #[inline(always)]
     pub(super) fn write(&self, output: &mut BitWriter<'_>, context: usize, symbol: u8) {
         let code = self.write[context][usize::from(symbol)];
-        output.put(code & 0xFFFF, code >> 16);
+        output.put(code & ((1 << COUNT_SHIFT) - 1), code >> COUNT_SHIFT);
     }
 
     #[inline(always)]
     pub(super) fn read(&self, input: &mut BitReader<'_>, context: usize) -> u8 {
-        let entry = self.read[context][input.peek::<MOST_BITS>()];
+        let entry = self.read[context << MOST_BITS | input.peek(MOST_BITS)];
         input.skip(entry.bits.into());
         if entry.escapes {
-            let symbol = input.peek::<8>().to_le_bytes()[0];
+            let symbol = input.peek(8).to_le_bytes()[0];
             input.skip(8);
             return symbol;
         }
@@ -82,18 +94,20 @@ impl Codes {
     }
 }
 
-/// Canonical codes: shorter ones first, and among those of one length the lower symbols.
-fn tables(lengths: &[u8; ESCAPE + 1]) -> ([u32; ESCAPE], [Entry; PLACES]) {
-    let (mut codes, mut read) = ([0; ESCAPE + 1], [Entry::default(); PLACES]);
+/// Canonical codes: shorter ones first, and among those of one length the lower symbols. Those for reading go to the end of `read`.
+fn tables(lengths: &[u8; ESCAPE + 1], most_bits: u32, read: &mut Vec<Entry>) -> [u32; ESCAPE] {
+    let mut codes = [0; ESCAPE + 1];
+    let (start, places) = (read.len(), 1 << most_bits);
+    read.resize(start + places, Entry::default());
     // The first place that is free, and the same as a number for the codes.
-    let (mut place, mut code) = (0, 0_u32);
-    for bits in 1..=MOST_BITS {
+    let (mut place, mut code) = (start, 0_u32);
+    for bits in 1..=most_bits {
         code <<= 1;
         let symbols = (0..).zip(lengths).filter(|(_, length)| u32::from(**length) == bits);
         for (symbol, length) in symbols {
-            codes[symbol] = code | bits << 16;
+            codes[symbol] = code | bits << COUNT_SHIFT;
             let entry = Entry { symbol: symbol.to_le_bytes()[0], bits: *length, escapes: symbol == ESCAPE };
-            let next = place + (PLACES >> bits);
+            let next = place + (places >> bits);
             read[place..next].fill(entry);
             (place, code) = (next, code + 1);
         }
@@ -101,25 +115,49 @@ fn tables(lengths: &[u8; ESCAPE + 1]) -> ([u32; ESCAPE], [Entry; PLACES]) {
     let escape = codes[ESCAPE];
     let mut write = [0; ESCAPE];
     for ((symbol, write), code) in (0..).zip(&mut write).zip(codes) {
-        *write = if code == 0 { (escape & 0xFFFF) << 8 | symbol | ((escape >> 16) + 8) << 16 } else { code };
+        let escaped = (escape & 0xFFFF) << 8 | symbol | ((escape >> COUNT_SHIFT) + 8) << COUNT_SHIFT;
+        *write = if code == 0 { escaped } else { code };
     }
-    (write, read)
+    write
 }
 
-/// The file of the lengths, from how often each symbol came in each context.
-pub(super) fn pack(counts: &[[u64; ESCAPE]]) -> Vec<u8> {
+/// How often each symbol came in each context.
+pub(super) struct Counts {
+    pub(super) short: Vec<[u64; ESCAPE]>,
+    pub(super) long: Vec<[u64; ESCAPE]>,
+}
+
+impl Counts {
+    /// Nothing counted.
+    pub(super) fn new() -> Self {
+        Self { short: vec![[0; ESCAPE]; SHORT_CONTEXTS], long: vec![[0; ESCAPE]; LONG_CONTEXTS] }
+    }
+
+    /// The file of the lengths.
+    pub(super) fn pack(&self) -> Vec<u8> {
+        let mut bytes = pack(&self.short, 7);
+        bytes.extend(pack(&self.long, 10));
+        bytes
+    }
+}
+
+/// The lengths of codes of at most so many bits.
+fn pack(counts: &[[u64; ESCAPE]], most_bits: u32) -> Vec<u8> {
     let mut bytes = Vec::new();
     for counts in counts {
         let total: u64 = counts.iter().sum();
-        // A code of 7 bits and more is no better than the escape's 8 bits behind a short code, for what is rare.
-        let own = |symbol: &usize| counts[*symbol] * 500 > total;
-        let symbols: Vec<usize> = (0..ESCAPE).filter(own).collect();
+        // A code that is too long is no better than the escape's 8 bits behind a short code, for what is rare.
+        let mut symbols: Vec<usize> = (0..ESCAPE).filter(|symbol| counts[*symbol] << (most_bits + 2) > total).collect();
+        // Half of the places are enough, so that lengths can be found.
+        symbols.sort_by_key(|symbol| std::cmp::Reverse(counts[*symbol]));
+        symbols.truncate(1 << (most_bits - 1));
+        symbols.sort_unstable();
         let escaped = total - symbols.iter().map(|symbol| counts[*symbol]).sum::<u64>();
         let symbols = if symbols.is_empty() { vec![0] } else { symbols };
         let mut weights: Vec<u64> = symbols.iter().map(|symbol| counts[*symbol] + 1).collect();
         weights.push(escaped + 1);
-        let lengths = limited_lengths(weights);
-        bytes.push(symbols.len().to_le_bytes()[0]);
+        let lengths = limited_lengths(weights, most_bits);
+        bytes.extend(&symbols.len().to_le_bytes()[..2]);
         for (symbol, length) in symbols.iter().zip(&lengths) {
             bytes.extend([symbol.to_le_bytes()[0], *length]);
         }
@@ -129,7 +167,7 @@ pub(super) fn pack(counts: &[[u64; ESCAPE]]) -> Vec<u8> {
 }
 
 /// Huffman's lengths, after the weights have been brought together until no code is too long.
-fn limited_lengths(mut weights: Vec<u64>) -> Vec<u8> {
+fn limited_lengths(mut weights: Vec<u64>, most_bits: u32) -> Vec<u8> {
     loop {
         let mut lengths = vec![0; weights.len()];
         let mut trees: Vec<(u64, Vec<usize>)> = weights.iter().copied().zip((0..).map(|leaf| vec![leaf])).collect();
@@ -141,7 +179,7 @@ fn limited_lengths(mut weights: Vec<u64>) -> Vec<u8> {
                 trees.push((a + b, left));
             }
         }
-        if lengths.iter().all(|length| u32::from(*length) <= MOST_BITS) {
+        if lengths.iter().all(|length| u32::from(*length) <= most_bits) {
             return lengths;
         }
         weights.iter_mut().for_each(|weight| *weight = *weight / 2 + 1);
@@ -152,30 +190,32 @@ fn limited_lengths(mut weights: Vec<u64>) -> Vec<u8> {
 mod tests {
     use super::*;
 
+    fn check<const MOST_BITS: u32>(set: &Set<MOST_BITS>, contexts: usize) {
+        assert!(set.read.iter().all(|entry| entry.bits > 0));
+        assert_eq!(set.read.len(), contexts << MOST_BITS);
+        for (context, symbol) in (0..contexts).flat_map(|context| (0..=255).map(move |symbol| (context, symbol))) {
+            let mut output = Vec::new();
+            let mut writer = BitWriter::new(&mut output);
+            set.write(&mut writer, context, symbol);
+            writer.finish();
+            let mut reader = BitReader::new(&output);
+            assert_eq!(set.read(&mut reader, context), symbol);
+            assert!(reader.is_at_end());
+        }
+    }
+
     #[test]
     fn every_context_has_a_complete_code() {
-        let codes = &*CODES;
-        assert_eq!(codes.read.len(), CONTEXTS);
-        for (context, read) in codes.read.iter().enumerate() {
-            assert!(read.iter().all(|entry| entry.bits > 0), "context {context}");
-            for symbol in 0..=255 {
-                let mut output = Vec::new();
-                let mut writer = BitWriter::new(&mut output);
-                codes.write(&mut writer, context, symbol);
-                writer.finish();
-                let mut reader = BitReader::new(&output);
-                assert_eq!(codes.read(&mut reader, context), symbol);
-                assert!(reader.is_at_end());
-            }
-        }
+        check(&CODES.short, SHORT_CONTEXTS);
+        check(&CODES.long, LONG_CONTEXTS);
     }
 
     #[test]
     fn frequent_symbols_have_short_codes() {
         let mut counts = [0; ESCAPE];
         (counts[0], counts[7], counts[200]) = (1000, 200, 1);
-        assert_eq!(pack(&[counts]), [2, 0, 1, 7, 2, 2]);
-        let codes = limited_lengths((0..30).map(|n| 1 << n).collect());
+        assert_eq!(pack(&[counts], 7), [2, 0, 0, 1, 7, 2, 2]);
+        let codes = limited_lengths((0..30).map(|n| 1 << n).collect(), 7);
         assert!(codes.iter().all(|bits| *bits <= 7));
         assert_eq!(codes.iter().map(|bits| 1 << (7 - bits)).sum::<u32>(), 128);
     }

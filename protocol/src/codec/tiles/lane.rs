@@ -6,13 +6,13 @@ use std::ops::Range;
 use super::{
     Failure, NUMBER_BYTES, Reading, SLICE_HEAD_BYTES, Way, Writing,
     bits::{BitReader, BitWriter},
-    block::{self, Kind, Known},
+    block::{self, Block, Known},
     codes::CODES,
-    fast,
+    fast::{self, Beside},
     moved::Memory,
     near::Near,
     order::{Order, Place},
-    prior::PRIOR,
+    prior,
     range::{RangeDecoder, RangeEncoder},
     reference::Vector,
     small::{self, States},
@@ -101,24 +101,28 @@ impl<'a> Run<'a> {
         Near::new(&self.known[first - self.first..number - self.first], self.order, place, first, number)
     }
 
-    /// The value that block `number` of a slice that begins with block `first` has if it goes on as it is to the left, or
-    /// else above.
+    /// What `tiles-fast` knows around block `number` of a slice that begins with block `first`: its blocks are tiles, not rows.
     #[inline(always)]
-    pub(super) fn expected(&self, place: Place, first: usize, number: usize) -> bool {
+    pub(super) fn beside(&self, place: Place, first: usize, number: usize) -> Beside<'_> {
         let around = self.order.around(number, place);
         let known =
             |number: Option<usize>| number.filter(|number| *number >= first).map(|n| &self.known[n - self.first]);
-        match known(around.left).map(|left| left.extent.kind(7)) {
-            Some(Kind::Dark) => false,
-            Some(Kind::Lit) => true,
-            _ => known(around.above).is_some_and(|above| above.rows[7] & 1 == 1),
+        Beside {
+            above: known(around.above).map(|above| &above.rows),
+            left: known(around.left).map(|left| left.rows[7]),
         }
+    }
+
+    /// Takes over a block of tiles.
+    #[inline(always)]
+    pub(super) fn put_tiles(&mut self, number: usize, tiles: Block) {
+        self.known[number - self.first].rows = tiles;
     }
 }
 
 /// A thread's memory.
 pub(super) struct Lane {
-    pub(super) states: Box<States>,
+    pub(super) states: States,
     /// Of slices with a reference.
     pub(super) moved: Memory,
     /// The slices of a run.
@@ -127,7 +131,7 @@ pub(super) struct Lane {
 
 impl Lane {
     pub(super) fn new() -> Self {
-        Self { states: Box::new(PRIOR.clone()), moved: Memory::new(), output: Vec::new() }
+        Self { states: prior::states(), moved: Memory::new(), output: Vec::new() }
     }
 
     /// Makes slices of a run, in [`Self::output`]. `bits_bytes` is what the bits of each may take; only where that is too short for
@@ -174,8 +178,8 @@ impl Lane {
         bytes: usize,
         output: &mut Vec<u8>,
     ) -> usize {
-        let states = self.states.as_mut();
-        states.clone_from(&PRIOR);
+        let states = &mut self.states;
+        states.begin();
         let mut bits = RangeEncoder::new(output);
         let mut end = blocks.end;
         for (number, place) in run.order.walk(blocks.clone()) {
@@ -212,8 +216,8 @@ impl Lane {
 
     /// Whether the bits are those of these blocks.
     fn decode_small(&mut self, run: &mut Run<'_>, blocks: Range<usize>, bits: &[u8]) -> bool {
-        let states = self.states.as_mut();
-        states.clone_from(&PRIOR);
+        let states = &mut self.states;
+        states.begin();
         let mut bits = RangeDecoder::new(bits);
         for (number, place) in run.order.walk(blocks.clone()) {
             let near = run.near(place, blocks.start, number);
@@ -229,21 +233,22 @@ impl Lane {
 
 /// As [`Lane::encode_small`].
 fn encode_fast(mask: &Mask, run: &mut Run<'_>, blocks: Range<usize>, bytes: usize, output: &mut Vec<u8>) -> usize {
-    let codes = &*CODES;
     let mut bits = BitWriter::new(output);
     let (mut end, mut as_expected) = (blocks.end, 0);
     for (number, place) in run.order.walk(blocks.clone()) {
-        let own = block::gather(mask, run.order, place);
-        let expected = run.expected(place, blocks.start, number);
-        if own.extent.value() == Some(expected) {
+        let own = block::gather_tiles(mask, run.order, place);
+        let beside = run.beside(place, blocks.start, number);
+        let expected = fast::expected(beside);
+        if own.iter().fold(0, |differs, tile| differs | (tile ^ expected)) == 0 {
             as_expected += 1;
-            run.known[number - run.first] = own;
+            run.put_tiles(number, own);
             continue;
         }
-        let near = run.near(place, blocks.start, number);
         let here = bits.here();
         bits.put_number(as_expected);
-        run.known[number - run.first] = fast::code(&mut Writing(&mut bits), codes, &near, &own);
+        let tiles = run.order.tiles(place).len();
+        let own = fast::code(&mut Writing(&mut bits, &CODES), beside, tiles, &own);
+        run.put_tiles(number, own);
         // There must be room for the number at the end.
         if bits.bytes() + NUMBER_BYTES > bytes && number > blocks.start {
             bits.back_to(here);
@@ -261,27 +266,27 @@ fn encode_fast(mask: &Mask, run: &mut Run<'_>, blocks: Range<usize>, bytes: usiz
 
 /// As [`Lane::decode_small`].
 fn decode_fast(run: &mut Run<'_>, blocks: Range<usize>, bits: &[u8]) -> bool {
-    let codes = &*CODES;
     let mut bits = BitReader::new(bits);
     let mut as_expected = bits.number();
     for (number, place) in run.order.walk(blocks.clone()) {
-        let block = match as_expected {
+        let beside = run.beside(place, blocks.start, number);
+        let tiles = match as_expected {
             None => return false,
             Some(0) => {
-                let near = run.near(place, blocks.start, number);
-                let block = fast::code(&mut Reading(&mut bits), codes, &near, &Known::flat(false));
+                let tiles = run.order.tiles(place).len();
+                let tiles = fast::code(&mut Reading(&mut bits, &CODES), beside, tiles, &[0; 8]);
                 as_expected = if number + 1 < blocks.end { bits.number() } else { Some(0) };
-                block
+                tiles
             }
             Some(more) => {
                 as_expected = Some(more - 1);
-                Known::flat(run.expected(place, blocks.start, number))
+                [fast::expected(beside); 8]
             }
         };
         if !bits.is_within() {
             return false;
         }
-        run.known[number - run.first] = block;
+        run.put_tiles(number, tiles);
     }
     as_expected == Some(0) && bits.is_at_end()
 }

@@ -13,7 +13,9 @@
 
 mod bits;
 mod block;
+mod choice;
 mod codes;
+mod edges;
 mod fast;
 mod lane;
 mod motion;
@@ -27,6 +29,7 @@ mod refine;
 mod share;
 mod small;
 mod state;
+mod table;
 mod training;
 
 use std::{convert::Infallible, ops::Range};
@@ -248,7 +251,12 @@ impl Workspace {
         })?;
         for (_, blocks, _) in held() {
             for (number, place) in order.walk(blocks.clone()) {
-                block::scatter(&order, place, &self.blocks.known[number], mask);
+                let known = &self.blocks.known[number];
+                if way.is_kept() {
+                    block::scatter(&order, place, known, mask);
+                } else {
+                    block::scatter_tiles(&order, place, &known.rows, mask);
+                }
             }
             self.see(blocks);
         }
@@ -284,21 +292,32 @@ fn on_lanes<E: Send>(
 /// The most that a number of blocks takes.
 const NUMBER_BYTES: usize = 5;
 
-struct Writing<'a, 'b>(&'a mut BitWriter<'b>);
+struct Writing<'a, 'b>(&'a mut BitWriter<'b>, &'a Codes);
 
 impl Symbols for Writing<'_, '_> {
     #[inline(always)]
-    fn symbol(&mut self, codes: &Codes, context: usize, symbol: u8) -> u8 {
-        codes.write(self.0, context, symbol);
+    fn short(&mut self, context: usize, symbol: u8) -> u8 {
+        self.1.short.write(self.0, context, symbol);
+        symbol
+    }
+
+    #[inline(always)]
+    fn long(&mut self, context: usize, symbol: u8) -> u8 {
+        self.1.long.write(self.0, context, symbol);
         symbol
     }
 }
 
-struct Reading<'a, 'b>(&'a mut BitReader<'b>);
+struct Reading<'a, 'b>(&'a mut BitReader<'b>, &'a Codes);
 
 impl Symbols for Reading<'_, '_> {
     #[inline(always)]
-    fn symbol(&mut self, codes: &Codes, context: usize, _: u8) -> u8 {
-        codes.read(self.0, context)
+    fn short(&mut self, context: usize, _: u8) -> u8 {
+        self.1.short.read(self.0, context)
+    }
+
+    #[inline(always)]
+    fn long(&mut self, context: usize, _: u8) -> u8 {
+        self.1.long.read(self.0, context)
     }
 }

@@ -47,71 +47,102 @@ pub(super) const fn uniformity(row: u64) -> usize {
     }
 }
 
-/// A row with two pixels beyond either end.
-#[derive(Debug, Clone, Copy)]
-struct Wide {
-    /// All but the last four, the leftmost in bit 0.
-    low: u64,
-    /// The last four, where they are in the window of the last tile.
-    top: u64,
-}
+/// A row with eight pixels beyond either end, as bytes: they are read where they lie, four at once.
+#[derive(Debug, Clone, Copy, Default)]
+struct Wide([u8; 16]);
 
 impl Wide {
-    /// With the two lowest bits of `left` and of `right`.
-    const fn new(left: u64, row: u64, right: u64) -> Self {
-        Self { low: left & 3 | row << 2, top: (row >> 62 | (right & 3) << 2) << 8 }
+    /// With the rows to the left and to the right.
+    #[inline(always)]
+    fn new(left: u64, row: u64, right: u64) -> Self {
+        Self((u128::from(left >> 56) | u128::from(row) << 8 | u128::from(right & 0xFF) << 72).to_le_bytes())
     }
 
-    /// The tile that begins at pixel `shift`, from two pixels to the left to two to the right.
+    /// A row that goes on as it ends.
     #[inline(always)]
-    const fn window(self, shift: u32) -> u32 {
-        let top = if shift == 56 { self.top } else { 0 };
-        low_bits((self.low >> shift) & 0xFFF | top)
+    fn alone(row: u64) -> Self {
+        Self::new(on_and_on(row), row, on_and_on(row >> 63))
+    }
+
+    /// The tile that begins at pixel `shift`, from eight pixels to the left to eight to the right, and what is beyond.
+    #[inline(always)]
+    fn window(&self, shift: u32) -> u32 {
+        let tile = (shift / 8 % 8) as usize;
+        u32::from_le_bytes([self.0[tile], self.0[tile + 1], self.0[tile + 2], self.0[tile + 3]])
     }
 }
 
-/// A row of a block, and what is known around it.
-#[derive(Debug, Clone, Copy)]
-struct Line {
-    /// The same row, and the one above, of the light before this one.
-    other: [u64; 2],
-    place: usize,
+/// What a row's end goes on as, where nothing is known beyond it.
+const fn on_and_on(end: u64) -> u64 {
+    (end & 1).wrapping_neg()
+}
+
+/// Place of a window's first pixel in the tile: bit 8 of a window is the tile's first.
+pub(super) const BEYOND: u32 = 8;
+
+/// The rows of a block that are known so far, and what is known around them.
+pub(super) struct Rows {
+    /// From the third row above the block on.
+    own: [Wide; 11],
+    /// Of the light before this one, from the first row on, which is there twice.
+    other: [Wide; 9],
+    /// Whether there is one.
+    has_other: bool,
     mixed: u64,
     lit: u64,
 }
 
 /// Eight pixels of a row, and what is known around them.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy)]
 pub(super) struct Part<'a> {
-    line: &'a Line,
+    rows: &'a Rows,
     shift: u32,
-    /// The row above from two pixels to the left to two to the right, and the one above that, one less at either end.
-    pub(super) above: [u32; 2],
+    place: usize,
     /// The two pixels to the left.
     pub(super) before: u32,
 }
 
 impl Part<'_> {
+    /// The first row above, the second or the third, from [`BEYOND`] pixels to the left to as many to the right; higher bits mean nothing.
+    #[inline(always)]
+    pub(super) fn above(&self, nth: usize) -> u32 {
+        self.rows.own[(self.place % 8 + 3 - nth) % 11].window(self.shift)
+    }
+
+    /// The same row in the light before this one, as [`Self::above`].
+    #[inline(always)]
+    pub(super) fn other(&self) -> Option<u32> {
+        self.rows.has_other.then(|| self.rows.other[self.place % 8 + 1].window(self.shift))
+    }
+
     /// Where the light before this one changes, from the left and from above.
     #[inline(always)]
     pub(super) fn changes(&self) -> [u32; 2] {
-        let [other, above] = self.line.other;
-        [other ^ (other << 1 | other & 1), other ^ above].map(|change| low_bits(change >> self.shift & 0xFF))
+        let [above, row] = [0, 1].map(|below| self.rows.other[self.place % 8 + below].window(self.shift));
+        [row ^ row << 1, row ^ above].map(|change| change >> BEYOND & 0xFF)
+    }
+
+    /// Whether this is a tile's last row.
+    #[inline(always)]
+    pub(super) const fn is_last(&self) -> bool {
+        self.place == 7
     }
 
     /// Context of a part around which nothing changes: its row, whether the light before this one is of one value
     /// here, and what the tile to the right holds.
-    pub(super) const fn surroundings(&self) -> usize {
-        let Line { other: [other, _], place, mixed, lit, .. } = *self.line;
-        let other = matches!(other >> self.shift & 0xFF, 0 | 0xFF) as usize;
+    #[inline(always)]
+    pub(super) fn surroundings(&self) -> usize {
+        let Rows { mixed, lit, ref other, .. } = *self.rows;
+        let other = other[self.place % 8 + 1].window(self.shift) >> BEYOND;
+        let other = usize::from(matches!(other & 0xFF, 0 | 0xFF));
         let next = if self.shift == 56 {
             UNKNOWN
         } else if mixed >> (self.shift + 8) & 1 == 1 {
             2
         } else {
-            (lit >> (self.shift + 8) & 1) as usize
+            usize::from(lit >> (self.shift + 8) & 1 == 1)
         };
-        place | other << 3 | next << 4
+        self.place | other << 3 | next << 4
     }
 }
 
@@ -125,37 +156,37 @@ pub(super) fn code_rows(
     lit: u64,
     mut code: impl FnMut(&Part<'_>, u32) -> u32,
 ) -> Known {
-    let mut rows = [0; 8];
-    let last = |row: u64| (row >> 63).wrapping_neg();
-    let over = |place: usize| {
-        near.above.map_or(Wide::new(0, 0, 0), |above| {
-            let left = near.above_left.map_or(0, |left| left.rows[place] >> 62);
-            let right = near.above_right.map_or(last(above.rows[place]), |right| right.rows[place]);
-            Wide::new(left, above.rows[place], right)
-        })
-    };
-    let (mut second, mut first) = (over(6), over(7));
-    for (place, (row, truth)) in rows.iter_mut().zip(truth).enumerate() {
-        let left = near.left.map_or(0, |left| left.rows[place] >> 62);
-        let other = near.other.map_or([0; 2], |other| [other.rows[place], other.rows[place.max(1) - 1]]);
-        let line = Line { other, place, mixed, lit };
+    let mut block = [0; 8];
+    let mut rows = Rows { own: [Wide::default(); 11], other: [Wide::default(); 9], has_other: false, mixed, lit };
+    if let Some(above) = near.above {
+        for (place, wide) in (5..8).zip(&mut rows.own) {
+            let row = above.rows[place];
+            let left = near.above_left.map_or(0, |left| left.rows[place]);
+            let right = near.above_right.map_or(on_and_on(row >> 63), |right| right.rows[place]);
+            *wide = Wide::new(left, row, right);
+        }
+    }
+    if let Some(other) = near.other {
+        rows.has_other = true;
+        rows.other[0] = Wide::alone(other.rows[0]);
+        for (wide, row) in rows.other[1..].iter_mut().zip(other.rows) {
+            *wide = Wide::alone(row);
+        }
+    }
+    for place in 0..8 {
+        let left = near.left.map_or(0, |left| left.rows[place]);
         let (mut coded, mut rest) = (lit, mixed);
         while rest != 0 {
             let shift = rest.trailing_zeros() & 0x38;
             rest &= !(0xFF << shift);
-            let part = Part {
-                line: &line,
-                shift,
-                above: [first.window(shift), second.window(shift) >> 1 & 0x3FF],
-                before: low_bits((coded << 2 | left) >> shift & 3),
-            };
-            coded |= u64::from(code(&part, low_bits(truth >> shift & 0xFF))) << shift;
+            let before = low_bits((coded << 2 | left >> 62) >> shift & 3);
+            let part = Part { rows: &rows, shift, place, before };
+            coded |= u64::from(code(&part, low_bits(truth[place] >> shift & 0xFF))) << shift;
         }
-        *row = coded;
-        second = first;
-        first = Wide::new(left, coded, last(coded));
+        block[place] = coded;
+        rows.own[place + 3] = Wide::new(left, coded, on_and_on(coded >> 63));
     }
-    Known::new(rows)
+    Known::new(block)
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "what is wanted lies in the lowest bits")]

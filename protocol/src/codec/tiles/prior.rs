@@ -1,58 +1,69 @@
 //! What `tiles-small` knows before it has seen anything: the probabilities that it begins every slice with.
 //!
-//! They are the averages over masks of several scenes, two bytes a context; the example `train_tiles` counts them anew.
+//! They are the averages over masks of several scenes; the example `train_tiles` counts them anew. In `prior.bin` are the bits, two bytes a
+//! context, and then those choices that came, with their contexts; in `refine.bin` the bits of slices with a reference.
 //! A change of them is a change of the protocol.
 
 use std::sync::LazyLock;
 
-use super::{range::Bits, refine::RefineStates, small::States, state::State};
-
-/// Contexts of the model.
-const CONTEXTS: usize = 32 + 2 * 384 + 128 + 4096 + 1024;
-
-static PACKED: &[u8; CONTEXTS * 2] = include_bytes!("prior.bin");
-
-/// The states at the beginning of a slice.
-pub(super) static PRIOR: States = {
-    let mut states = blank();
-    let mut next = 0;
-    next = unpack(&mut states.block, next);
-    let mut tile = 0;
-    while tile < states.tile.len() {
-        next = unpack(&mut states.tile[tile], next);
-        tile += 1;
-    }
-    next = unpack(&mut states.flat, next);
-    next = unpack(&mut states.pixel, next);
-    next = unpack(&mut states.turn, next);
-    assert!(next == CONTEXTS);
-    states
+use super::{
+    choice::{Choice, SYMBOLS},
+    edges::CHOICE_CONTEXTS,
+    range::Bits,
+    refine::RefineStates,
+    small::{BIT_CONTEXTS, States},
+    state::State,
+    table::Table,
 };
 
-static REFINE_PACKED: &[u8] = include_bytes!("refine.bin");
+static PACKED: &[u8] = include_bytes!("prior.bin");
 
-/// The states at the beginning of a slice with a reference.
-pub(super) static REFINE_PRIOR: LazyLock<RefineStates> = LazyLock::new(|| {
-    let mut states = RefineStates::blank();
-    for (state, packed) in states.all().zip(REFINE_PACKED.as_chunks().0) {
-        *state = State::from_packed(u16::from_le_bytes(*packed));
+/// Bytes of a choice: its context, and its eight numbers.
+const CHOICE_BYTES: usize = 2 * (1 + SYMBOLS);
+
+/// The bits' states at the beginning of a slice.
+pub(super) static PRIOR_BITS: LazyLock<Box<[State; BIT_CONTEXTS]>> = LazyLock::new(|| {
+    let mut states = Box::new([State::from_packed(0x8000); BIT_CONTEXTS]);
+    for (state, packed) in states.iter_mut().zip(PACKED.as_chunks().0) {
+        *state = unpack(*packed);
     }
     states
 });
 
-const fn blank() -> States {
-    let none = State::NONE;
-    States { block: [none; 32], tile: [[none; 2]; 384], flat: [none; 128], pixel: [none; 4096], turn: [none; 1024] }
+static PRIOR_CHOICES: LazyLock<Box<[Choice; CHOICE_CONTEXTS]>> = LazyLock::new(|| {
+    let (packed, _) = PACKED.get(2 * BIT_CONTEXTS..).unwrap_or_default().as_chunks::<CHOICE_BYTES>();
+    let mut choices = Box::new([Choice::EVEN; CHOICE_CONTEXTS]);
+    for packed in packed {
+        let [context, numbers @ ..] = packed.as_chunks().0 else { continue };
+        let place = choices.get_mut(usize::from(u16::from_le_bytes(*context)));
+        if let (Some(place), Some(numbers)) = (place, numbers.first_chunk()) {
+            *place = Choice::from_packed(numbers.map(u16::from_le_bytes));
+        }
+    }
+    choices
+});
+
+/// The states at the beginning of a slice with a reference.
+pub(super) static REFINE_PRIOR: LazyLock<RefineStates> = LazyLock::new(|| {
+    let mut states = RefineStates::blank();
+    for (state, packed) in states.all().zip(include_bytes!("refine.bin").as_chunks().0) {
+        *state = unpack(*packed);
+    }
+    states
+});
+
+fn unpack(packed: [u8; 2]) -> State {
+    State::from_packed(u16::from_le_bytes(packed))
 }
 
-const fn unpack(states: &mut [State], first: usize) -> usize {
-    let mut index = 0;
-    while index < states.len() {
-        let at = (first + index) * 2;
-        states[index] = State::from_packed(u16::from_le_bytes([PACKED[at], PACKED[at + 1]]));
-        index += 1;
-    }
-    first + index
+/// States for slices.
+pub(super) fn states() -> States {
+    States { bits: PRIOR_BITS.clone(), choices: Table::new(&PRIOR_CHOICES) }
+}
+
+/// States to count in.
+pub(super) fn uncounted() -> States {
+    States { bits: Box::new([State::NONE; BIT_CONTEXTS]), choices: Table::blank(Choice::NONE) }
 }
 
 /// Counts instead of coding.
@@ -69,11 +80,11 @@ impl Bits for Counter {
         state.count(bit);
         bit
     }
-}
 
-/// States to count in.
-pub(super) fn uncounted() -> Box<States> {
-    Box::new(blank())
+    fn choice_in(&mut self, (): &mut (), choice: &mut Choice, symbol: usize) -> usize {
+        choice.count(symbol);
+        symbol
+    }
 }
 
 /// The file of what was counted with references.
@@ -83,7 +94,10 @@ pub(super) fn pack_refined(counted: &mut RefineStates) -> Vec<u8> {
 
 /// The file of what was counted.
 pub(super) fn pack(counted: &States) -> Vec<u8> {
-    let States { block, tile, flat, pixel, turn } = counted;
-    let states = block.iter().chain(tile.as_flattened()).chain(flat).chain(pixel).chain(turn);
-    states.flat_map(|state| state.packed_count().to_le_bytes()).collect()
+    let bits = counted.bits.iter().flat_map(|state| state.packed_count().to_le_bytes());
+    let choices = (0_u16..).zip(counted.choices.all()).filter_map(|(context, choice)| {
+        let packed = choice.packed_count()?;
+        Some(std::iter::once(context).chain(packed).flat_map(u16::to_le_bytes))
+    });
+    bits.chain(choices.flatten()).collect()
 }

@@ -3,7 +3,10 @@
 //! The interval is kept in 64 bits and leaves in words of 32. What has left is never touched again, because a word waits
 //! until no carry can reach it: so an encoder can go back to an earlier state and cut its output there.
 
-use super::state::State;
+use super::{
+    choice::{Choice, PARTS_BITS, SYMBOLS},
+    state::State,
+};
 
 /// Bytes that leave the coder at once.
 const WORD_BYTES: usize = 4;
@@ -31,6 +34,9 @@ pub(super) trait Bits {
         self.set_hot(hot);
         bit
     }
+
+    /// Codes one of eight symbols and gives it back, as [`Self::bit_in`] does.
+    fn choice_in(&mut self, hot: &mut Self::Hot, choice: &mut Choice, symbol: usize) -> usize;
 }
 
 /// The encoder's interval.
@@ -91,6 +97,26 @@ impl<'a> RangeEncoder<'a> {
         end - self.start + (usize::from(word.is_some()) + ones) * WORD_BYTES + TAIL_BYTES
     }
 
+    /// Moves the interval's lower end up.
+    #[inline(always)]
+    fn raise(&mut self, hot: &mut Interval, by: u64) {
+        let (low, carry) = hot.low.overflowing_add(by);
+        hot.low = low;
+        if carry {
+            self.carry();
+        }
+    }
+
+    /// Widens an interval that has become narrow. No bit and no symbol takes more than 12 bits, so once is enough.
+    #[inline(always)]
+    fn widen(&mut self, hot: &mut Interval) {
+        if high_word(hot.range) == 0 {
+            self.take(high_word(hot.low));
+            hot.low <<= 32;
+            hot.range <<= 32;
+        }
+    }
+
     fn put(&mut self, word: u32) {
         self.output.extend_from_slice(&word.to_be_bytes());
         self.held.end += WORD_BYTES;
@@ -119,6 +145,7 @@ impl<'a> RangeEncoder<'a> {
     }
 
     /// Takes a word that has left the interval.
+    #[cold]
     #[inline(never)]
     fn take(&mut self, word: u32) {
         if word == u32::MAX && self.held.word.is_some() {
@@ -165,20 +192,23 @@ impl Bits for RangeEncoder<'_> {
         if bit {
             hot.range = bound;
         } else {
-            let (low, carry) = hot.low.overflowing_add(bound);
-            hot.low = low;
+            self.raise(hot, bound);
             hot.range -= bound;
-            if carry {
-                self.carry();
-            }
         }
         state.learn(bit);
-        if high_word(hot.range) == 0 {
-            self.take(high_word(hot.low));
-            hot.low <<= 32;
-            hot.range <<= 32;
-        }
+        self.widen(hot);
         bit
+    }
+
+    #[inline(always)]
+    fn choice_in(&mut self, hot: &mut Interval, choice: &mut Choice, symbol: usize) -> usize {
+        let part = hot.range >> PARTS_BITS;
+        let [from, to] = choice.share(symbol);
+        self.raise(hot, part * u64::from(from));
+        hot.range = part * u64::from(to - from);
+        choice.learn(symbol);
+        self.widen(hot);
+        symbol
     }
 }
 
@@ -229,7 +259,17 @@ impl<'a> RangeDecoder<'a> {
         u32::from_be_bytes(word)
     }
 
+    /// As [`RangeEncoder::widen`].
+    #[inline(always)]
+    fn widen(&mut self, hot: &mut Window) {
+        if high_word(hot.range) == 0 {
+            hot.range <<= 32;
+            hot.code = hot.code << 32 | u64::from(self.next());
+        }
+    }
+
     /// Reads the word that follows one that has left the interval.
+    #[cold]
     #[inline(never)]
     fn next(&mut self) -> u32 {
         self.used += WORD_BYTES;
@@ -259,11 +299,22 @@ impl Bits for RangeDecoder<'_> {
             hot.range -= bound;
         }
         state.learn(bit);
-        if high_word(hot.range) == 0 {
-            hot.range <<= 32;
-            hot.code = hot.code << 32 | u64::from(self.next());
-        }
+        self.widen(hot);
         bit
+    }
+
+    #[inline(always)]
+    fn choice_in(&mut self, hot: &mut Window, choice: &mut Choice, _: usize) -> usize {
+        let part = hot.range >> PARTS_BITS;
+        // All symbols at once: a search would be guessed wrong too often.
+        let begins = |symbol: usize| hot.code >= part * u64::from(choice.share(symbol)[0]);
+        let symbol: usize = (1..SYMBOLS).map(|symbol| usize::from(begins(symbol))).sum();
+        let [from, to] = choice.share(symbol);
+        hot.code -= part * u64::from(from);
+        hot.range = part * u64::from(to - from);
+        choice.learn(symbol);
+        self.widen(hot);
+        symbol
     }
 }
 
@@ -274,8 +325,6 @@ const fn high_word(value: u64) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    const EVEN: State = State::from_packed(0x8000);
 
     /// Bits with very uneven and even probabilities, the first of which often drive the interval to its ends.
     fn bits(seed: u64, count: usize) -> impl Iterator<Item = (usize, bool)> {
@@ -290,7 +339,7 @@ mod tests {
     #[test]
     fn bits_come_back_and_the_slice_is_used_up() {
         for (seed, count) in (0..40).flat_map(|seed| [0, 1, 2, 50, 3000].map(|count| (seed, count))) {
-            let (mut output, mut states) = (vec![9], [EVEN; 2]);
+            let (mut output, mut states) = (vec![9], [State::EVEN; 2]);
             let mut encoder = RangeEncoder::new(&mut output);
             for (context, bit) in bits(seed, count) {
                 encoder.bit(&mut states[context], bit);
@@ -298,7 +347,7 @@ mod tests {
             let most = encoder.most_bytes();
             encoder.finish();
             assert!(output.len() - 1 <= most);
-            let (mut decoder, mut states) = (RangeDecoder::new(&output[1..]), [EVEN; 2]);
+            let (mut decoder, mut states) = (RangeDecoder::new(&output[1..]), [State::EVEN; 2]);
             for (context, bit) in bits(seed, count) {
                 assert_eq!(decoder.bit(&mut states[context], false), bit);
             }
@@ -310,7 +359,7 @@ mod tests {
     fn going_back_leaves_no_trace() {
         for seed in 0..200 {
             let encode = |count: usize, detour: usize| {
-                let (mut output, mut states) = (vec![], [EVEN; 2]);
+                let (mut output, mut states) = (vec![], [State::EVEN; 2]);
                 let mut encoder = RangeEncoder::new(&mut output);
                 for (context, bit) in bits(seed, count) {
                     encoder.bit(&mut states[context], bit);
@@ -336,12 +385,12 @@ mod tests {
         for _ in 0..200_000 {
             encoder.bit(&mut state, false);
         }
-        let mut even = EVEN;
+        let mut even = State::EVEN;
         for place in 0..64 {
             encoder.bit(&mut even, place % 3 == 0);
         }
         encoder.finish();
-        let (mut decoder, mut state, mut even) = (RangeDecoder::new(&output), certain, EVEN);
+        let (mut decoder, mut state, mut even) = (RangeDecoder::new(&output), certain, State::EVEN);
         assert!((0..200_000).all(|_| !decoder.bit(&mut state, true)));
         assert!((0..64).all(|place| decoder.bit(&mut even, false) == (place % 3 == 0)));
         assert!(decoder.is_at_end());

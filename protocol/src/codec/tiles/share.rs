@@ -91,7 +91,8 @@ impl Shares {
         self.mixed.clear();
         for (_, place) in order.walk(0..order.blocks()) {
             let words = &mask.words()[place.light * tiles..][order.tiles(place)];
-            sum += words.iter().map(|word| u32::from(!matches!(word, 0 | &u64::MAX))).sum::<u32>();
+            // Neither 0 nor all ones.
+            sum += words.iter().map(|word| u32::from(word.wrapping_add(1) > 1)).sum::<u32>();
             if place.light + 1 == order.lights {
                 self.mixed.push(sum);
             }

@@ -1,27 +1,41 @@
 //! The model of `tiles-small`: which bits a block takes, and in what contexts.
 //!
-//! First whether all of the block is as the tile before it, then what each tile holds, then each row of each mixed tile: one
-//! bit where nothing around it changes and it does not either, and its pixels otherwise. A pixel's context is JBIG2's
-//! 10-pixel template (ITU-T T.88, §6.2.5.3) and whether the light before this one changes here, since silhouettes
-//! are the same for all lights. Everything begins with what other masks have taught ([`super::prior`]).
+//! First whether all of the block is as the tile before it, then what each tile holds, then each row of each mixed tile as
+//! [`edges`] has it. Everything begins with what other masks have taught ([`super::prior`]).
 
 use super::{
     block::{Extent, Kind, Known},
-    near::{Near, Part, UNKNOWN, code_rows, uniformity},
+    choice::Choice,
+    edges,
+    near::{Near, UNKNOWN, code_rows, uniformity},
+    prior::PRIOR_BITS,
     range::Bits,
     state::State,
+    table::Table,
 };
 
-/// Probabilities, for every context.
-#[derive(Debug, Clone)]
+/// What is known in every context.
 pub(super) struct States {
-    pub(super) block: [State; 32],
-    pub(super) tile: [[State; 2]; 384],
-    pub(super) flat: [State; 128],
-    pub(super) pixel: [State; 4096],
-    /// Of rows that change where nothing around them does.
-    pub(super) turn: [State; 1024],
+    pub(super) bits: Box<[State; BIT_CONTEXTS]>,
+    pub(super) choices: Table<Choice, { edges::CHOICE_CONTEXTS }>,
 }
+
+impl States {
+    /// Begins a slice.
+    pub(super) fn begin(&mut self) {
+        self.bits.clone_from(&PRIOR_BITS);
+        self.choices.begin();
+    }
+}
+
+/// Contexts of the tiles' bits: whether one is mixed, and whether it is lit.
+const TILE: usize = 32;
+
+/// The first of the contexts of the rows' bits, behind those of blocks and tiles.
+const ROWS: usize = TILE + 2 * 384;
+
+/// Contexts of bits.
+pub(super) const BIT_CONTEXTS: usize = ROWS + edges::BIT_CONTEXTS;
 
 /// Codes a block, and gives it back; a decoder is given any block.
 pub(super) fn code(bits: &mut impl Bits, states: &mut States, near: &Near<'_>, block: &Known) -> Known {
@@ -42,7 +56,9 @@ pub(super) fn code(bits: &mut impl Bits, states: &mut States, near: &Near<'_>, b
         | usize::from(above.and_then(Extent::value) == Some(expected)) << 1
         | left.map_or(UNKNOWN, |kind| kind as usize) << 2
         | usize::from(other.is_some_and(|other| other.value().is_some())) << 4;
-    if bits.bit(&mut states.block[context], own.value() == Some(expected)) {
+    let mut hot = bits.hot();
+    if bits.bit_in(&mut hot, &mut states.bits[context], own.value() == Some(expected)) {
+        bits.set_hot(hot);
         return Known::flat(expected);
     }
 
@@ -60,60 +76,20 @@ pub(super) fn code(bits: &mut impl Bits, states: &mut States, near: &Near<'_>, b
             _ => UNKNOWN,
         };
         let beside = other.map_or(UNKNOWN, |other| other.kind(tile) as usize);
-        let states = &mut states.tile[((over * 4 + beyond) * 4 + before) * 4 + beside];
+        let context = TILE + 2 * (((over * 4 + beyond) * 4 + before) * 4 + beside);
         let byte = 0xFF << (tile * 8);
-        before = if bits.bit(&mut states[0], kind == Kind::Mixed) {
+        before = if bits.bit_in(&mut hot, &mut states.bits[context], kind == Kind::Mixed) {
             mixed |= byte;
             Kind::Mixed as usize
-        } else if bits.bit(&mut states[1], kind == Kind::Lit) {
+        } else if bits.bit_in(&mut hot, &mut states.bits[context + 1], kind == Kind::Lit) {
             lit |= byte;
             Kind::Lit as usize
         } else {
             Kind::Dark as usize
         };
     }
-    code_rows(near, &block.rows, mixed, lit, |part, truth| part.code(bits, states, truth))
-}
-
-impl Part<'_> {
-    fn code(&self, bits: &mut impl Bits, states: &mut States, truth: u32) -> u32 {
-        match (self.above, self.before) {
-            ([0, 0], 0) => self.code_flat(bits, states, truth, 0),
-            ([0xFFF, 0x3FF], 3) => self.code_flat(bits, states, truth, 0xFF),
-            _ => {
-                let other = self.changes();
-                self.code_pixels(bits, &mut states.pixel, truth, |x, template| {
-                    template | (other[0] >> x & 1) << 10 | (other[1] >> x & 1) << 11
-                })
-            }
-        }
-    }
-
-    fn code_flat(&self, bits: &mut impl Bits, states: &mut States, truth: u32, value: u32) -> u32 {
-        let state = &mut states.flat[self.surroundings() << 1 | usize::from(value != 0)];
-        if bits.bit(state, truth == value) {
-            return value;
-        }
-        self.code_pixels(bits, &mut states.turn, truth, |_, template| template)
-    }
-
-    #[inline(always)]
-    fn code_pixels<const CONTEXTS: usize>(
-        &self,
-        bits: &mut impl Bits,
-        states: &mut [State; CONTEXTS],
-        truth: u32,
-        context: impl Fn(u32, u32) -> u32,
-    ) -> u32 {
-        let (mut coded, mut before, mut hot) = (0, self.before, bits.hot());
-        for x in 0..8 {
-            let template = self.above[0] >> x & 0x1F | (self.above[1] >> x & 7) << 5 | before << 8;
-            let state = &mut states[context(x, template) as usize % CONTEXTS];
-            let bit = u32::from(bits.bit_in(&mut hot, state, truth >> x & 1 == 1));
-            coded |= bit << x;
-            before = before >> 1 | bit << 1;
-        }
-        bits.set_hot(hot);
-        coded
-    }
+    let known =
+        code_rows(near, &block.rows, mixed, lit, |part, truth| edges::code(bits, &mut hot, states, ROWS, part, truth));
+    bits.set_hot(hot);
+    known
 }

@@ -2,7 +2,7 @@
 
 use super::{
     Way, block,
-    codes::{self, CODES, Codes},
+    codes::Counts,
     fast::{self, Symbols},
     lane::{Blocks, Lane},
     order::Order,
@@ -18,7 +18,7 @@ use crate::{ids::FrameNumber, mask::Mask};
 pub fn train<'a>(masks: impl IntoIterator<Item = (&'a Mask, Option<&'a Mask>)>) -> [Vec<u8>; 3] {
     let mut blocks = Blocks::default();
     let mut lane = Lane { states: prior::uncounted(), ..Lane::new() };
-    let (mut counts, mut reference) = (vec![[0; 256]; fast::CONTEXTS], Reference::new());
+    let (mut counts, mut reference) = (Counts::new(), Reference::new());
     for (mask, before) in masks {
         let order = Order::new(mask.shape());
         blocks.make_room(&order, Way::Moved(&reference));
@@ -29,26 +29,33 @@ pub fn train<'a>(masks: impl IntoIterator<Item = (&'a Mask, Option<&'a Mask>)>) 
             reference.fill(FrameNumber(0), mask.shape(), &blocks.known);
             lane.count_moved(&mut prior::Counter, &reference, mask, &mut blocks.all(&order));
         }
-        let run = blocks.all(&order);
+        let mut run = blocks.all(&order);
         for (number, place) in order.walk(0..order.blocks()) {
             let block = block::gather(mask, &order, place);
-            let expected = run.expected(place, 0, number);
             let near = run.near(place, 0, number);
             small::code(&mut prior::Counter, &mut lane.states, &near, &block);
-            if block.extent.value() != Some(expected) {
-                fast::code(&mut Counting(&mut counts), &CODES, &near, &block);
-            }
             run.known[number] = block;
         }
+        for (number, place) in order.walk(0..order.blocks()) {
+            let tiles = block::gather_tiles(mask, &order, place);
+            let beside = run.beside(place, 0, number);
+            if tiles != [fast::expected(beside); 8] {
+                fast::code(&mut counts, beside, order.tiles(place).len(), &tiles);
+            }
+            run.put_tiles(number, tiles);
+        }
     }
-    [prior::pack(&lane.states), codes::pack(&counts), prior::pack_refined(&mut lane.moved.states)]
+    [prior::pack(&lane.states), counts.pack(), prior::pack_refined(&mut lane.moved.states)]
 }
 
-struct Counting<'a>(&'a mut [[u64; 256]]);
+impl Symbols for Counts {
+    fn short(&mut self, context: usize, symbol: u8) -> u8 {
+        self.short[context][usize::from(symbol)] += 1;
+        symbol
+    }
 
-impl Symbols for Counting<'_> {
-    fn symbol(&mut self, _: &Codes, context: usize, symbol: u8) -> u8 {
-        self.0[context][usize::from(symbol)] += 1;
+    fn long(&mut self, context: usize, symbol: u8) -> u8 {
+        self.long[context][usize::from(symbol)] += 1;
         symbol
     }
 }

@@ -1,0 +1,127 @@
+//! How likely each of eight symbols is, which learns: what a model asks where two answers are too few.
+
+use super::state::RATE;
+
+/// Symbols of a choice.
+pub(super) const SYMBOLS: usize = 8;
+
+/// Parts of the interval that are shared out by what was learnt.
+const TOP: i16 = 0x7FC0;
+
+/// Parts of the interval that each symbol has beside these, so that none takes more than 12 bits.
+const LEAST: u32 = 8;
+
+/// All parts of the interval, as a power of two.
+pub(super) const PARTS_BITS: u32 = 15;
+
+const _: () = assert!(TOP as u32 + 8 * LEAST == 1 << PARTS_BITS);
+
+/// Where the symbols' beginnings go when a symbol has come.
+const TARGETS: [[i16; SYMBOLS]; SYMBOLS] = {
+    let mut targets = [[TOP; SYMBOLS]; SYMBOLS];
+    let mut symbol = 0;
+    while symbol < SYMBOLS {
+        let mut bound = 0;
+        while bound <= symbol {
+            targets[symbol][bound] = 0;
+            bound += 1;
+        }
+        symbol += 1;
+    }
+    targets
+};
+
+/// What each symbol takes of the interval: where it begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Choice([i16; SYMBOLS]);
+
+impl Choice {
+    /// All symbols alike.
+    pub(super) const EVEN: Self = {
+        let step = TOP / 8;
+        Self([0, step, step * 2, step * 3, step * 4, step * 5, step * 6, step * 7])
+    };
+
+    /// Nothing counted: the numbers of [`Self::count`].
+    pub(super) const NONE: Self = Self([0; SYMBOLS]);
+
+    /// From the file of the priors.
+    pub(super) fn from_packed(packed: [u16; SYMBOLS]) -> Self {
+        Self(packed.map(u16::cast_signed))
+    }
+
+    /// Where a symbol's share begins and ends, in parts of the interval. Without a branch, which would be guessed wrong too often.
+    #[inline(always)]
+    pub(super) fn share(&self, symbol: usize) -> [u32; 2] {
+        #[expect(clippy::cast_possible_truncation, reason = "there are eight symbols")]
+        // Behind the last symbol comes the first one's 0.
+        let begins = |symbol: usize| u32::from(self.0[symbol % SYMBOLS].cast_unsigned()) + LEAST * (symbol as u32);
+        [begins(symbol), begins(symbol + 1) + u32::from(symbol == SYMBOLS - 1) * u32::from(TOP.cast_unsigned())]
+    }
+
+    #[inline(always)]
+    pub(super) fn learn(&mut self, symbol: usize) {
+        for (begins, target) in self.0.iter_mut().zip(&TARGETS[symbol % SYMBOLS]) {
+            *begins += (*target - *begins) >> RATE;
+        }
+    }
+
+    /// Counts a symbol, in a choice that is used for nothing else: the numbers are how often each came.
+    pub(super) fn count(&mut self, symbol: usize) {
+        self.0[symbol] += 1;
+        if self.0[symbol] == i16::MAX {
+            self.0.iter_mut().for_each(|count| *count /= 2);
+        }
+    }
+
+    /// What was counted, as [`Self::from_packed`] takes it, unless nothing was.
+    pub(super) fn packed_count(&self) -> Option<[u16; SYMBOLS]> {
+        let all: i64 = self.0.iter().map(|count| i64::from(*count)).sum();
+        // A twentieth of a symbol stands for what has not come yet.
+        let weight = |count: i64, symbols: i64| count * 20 + symbols;
+        let mut packed = [0; SYMBOLS];
+        let mut before = 0;
+        for ((bound, symbols), count) in packed[1..].iter_mut().zip(1..).zip(self.0) {
+            before += i64::from(count);
+            *bound = u16::try_from(weight(before, symbols) * i64::from(TOP) / weight(all, 8)).unwrap_or(0);
+        }
+        (all > 0).then_some(packed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_symbol_keeps_a_share_whatever_comes() {
+        let mut choice = Choice::EVEN;
+        for step in 0..5000_usize {
+            choice.learn(if step < 2000 {
+                0
+            } else if step < 4000 {
+                7
+            } else {
+                step * step % 11 % 8
+            });
+            let mut end = 0;
+            for symbol in 0..SYMBOLS {
+                let [from, to] = choice.share(symbol);
+                assert_eq!(from, end);
+                assert!(to >= from + LEAST, "step {step}, symbol {symbol}");
+                end = to;
+            }
+            assert_eq!(end, 1 << PARTS_BITS);
+        }
+    }
+
+    #[test]
+    fn counts_become_shares() {
+        let mut counted = Choice::NONE;
+        assert_eq!(counted.packed_count(), None);
+        (0..30).for_each(|step| counted.count(if step % 3 == 0 { 5 } else { 2 }));
+        let choice = Choice::from_packed(counted.packed_count().unwrap());
+        let parts = |symbol: usize| choice.share(symbol)[1] - choice.share(symbol)[0];
+        assert!((21_000..22_000).contains(&parts(2)) && (10_500..11_000).contains(&parts(5)), "{choice:?}");
+    }
+}

@@ -1,0 +1,74 @@
+//! What a model has learnt in a slice, over what it knew before: tables that begin anew without being written anew.
+//!
+//! A slice sees a tenth of the contexts. So each is taken over from the prior when the slice first comes to it.
+
+/// A state, and the slice in which it was taken over.
+#[derive(Debug, Clone, Copy)]
+struct Slot<S> {
+    state: S,
+    slice: u8,
+}
+
+/// States of one kind, one for each context.
+#[derive(Debug)]
+pub(super) struct Table<S: 'static, const CONTEXTS: usize> {
+    slots: Box<[Slot<S>; CONTEXTS]>,
+    slice: u8,
+    prior: Option<&'static [S; CONTEXTS]>,
+}
+
+impl<S: Copy, const CONTEXTS: usize> Table<S, CONTEXTS> {
+    /// One that begins every slice with `prior`.
+    pub(super) fn new(prior: &'static [S; CONTEXTS]) -> Self {
+        Self { slots: Box::new(prior.map(|state| Slot { state, slice: 0 })), slice: 0, prior: Some(prior) }
+    }
+
+    /// One that begins with `blank` and goes on for ever: for counting.
+    pub(super) fn blank(blank: S) -> Self {
+        Self { slots: Box::new([Slot { state: blank, slice: 0 }; CONTEXTS]), slice: 0, prior: None }
+    }
+
+    /// Begins a slice.
+    pub(super) fn begin(&mut self) {
+        self.slice = self.slice.wrapping_add(1);
+        if self.slice == 0 {
+            // Some of them may have been taken over when this number came last.
+            self.slots.iter_mut().for_each(|slot| slot.slice = 0);
+            self.slice = 1;
+        }
+    }
+
+    /// The state of a context.
+    #[inline(always)]
+    pub(super) fn at(&mut self, context: usize) -> &mut S {
+        let slot = &mut self.slots[context];
+        if slot.slice != self.slice
+            && let Some(prior) = self.prior
+        {
+            *slot = Slot { state: prior[context], slice: self.slice };
+        }
+        &mut slot.state
+    }
+
+    /// All that was counted.
+    pub(super) fn all(&self) -> impl Iterator<Item = &S> {
+        self.slots.iter().map(|slot| &slot.state)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_slice_begins_with_the_prior() {
+        let mut table = Table::new(&[1_u32, 2, 3]);
+        for slice in 0..1000 {
+            table.begin();
+            let context = slice % 3;
+            assert_eq!(*table.at(context), [1, 2, 3][context]);
+            *table.at(context) += 7;
+            assert_eq!(*table.at(context), [8, 9, 10][context]);
+        }
+    }
+}
