@@ -36,28 +36,46 @@ impl Codes {
     }
 }
 
-/// What a decoder finds under the next bits.
+/// What a decoder finds under the next bits: the symbol, above it the bits that it takes, and at the top whether it is the escape. In
+/// one small number, since the tables are to stay near the core.
 #[derive(Debug, Clone, Copy, Default)]
-struct Entry {
-    symbol: u8,
-    bits: u8,
-    escapes: bool,
+struct Entry(u16);
+
+/// The bit of the escape.
+const ESCAPES: u16 = 1 << 15;
+
+impl Entry {
+    fn new(symbol: usize, bits: u8) -> Self {
+        let [low, ..] = symbol.to_le_bytes();
+        Self(u16::from_le_bytes([low, bits]) | if symbol == ESCAPE { ESCAPES } else { 0 })
+    }
+
+    const fn bits(self) -> u32 {
+        (self.0 >> 8 & 0x7F) as u32
+    }
+
+    const fn symbol(self) -> u8 {
+        let [symbol, _] = self.0.to_le_bytes();
+        symbol
+    }
 }
 
 /// Codes of at most so many bits.
 pub(super) struct Set<const MOST_BITS: u32> {
-    /// Bits, and their number above them, by context and symbol.
-    write: Box<[[u32; ESCAPE]]>,
+    /// Bits, and their number above them, by context and symbol: 0 where a symbol has no code of its own.
+    write: Box<[[u16; ESCAPE]]>,
+    /// The escape's, by context.
+    escapes: Box<[u16]>,
     /// By context and the next bits.
     read: Box<[Entry]>,
 }
 
 /// Where the number of bits is, above them.
-const COUNT_SHIFT: u32 = 24;
+const COUNT_SHIFT: u32 = 12;
 
 impl<const MOST_BITS: u32> Set<MOST_BITS> {
     fn from_lengths(contexts: usize, bytes: &mut &[u8]) -> Self {
-        let (mut write, mut read) = (Vec::with_capacity(contexts), Vec::new());
+        let (mut write, mut escapes, mut read) = (Vec::with_capacity(contexts), Vec::new(), Vec::new());
         let mut next = || {
             let (first, rest) = bytes.split_first().unwrap_or((&1, &[]));
             *bytes = rest;
@@ -70,55 +88,56 @@ impl<const MOST_BITS: u32> Set<MOST_BITS> {
                 lengths[symbol] = next();
             }
             lengths[ESCAPE] = next();
-            write.push(tables(&lengths, MOST_BITS, &mut read));
+            let [codes @ .., escape] = tables(&lengths, MOST_BITS, &mut read);
+            write.push(codes);
+            escapes.push(escape);
         }
-        Self { write: write.into(), read: read.into() }
+        Self { write: write.into(), escapes: escapes.into(), read: read.into() }
     }
 
     #[inline(always)]
     pub(super) fn write(&self, output: &mut BitWriter<'_>, context: usize, symbol: u8) {
-        let code = self.write[context][usize::from(symbol)];
-        output.put(code & ((1 << COUNT_SHIFT) - 1), code >> COUNT_SHIFT);
+        let own = self.write[context][usize::from(symbol)];
+        let code = u32::from(if own == 0 { self.escapes[context] } else { own });
+        let (bits, count) = (code & ((1 << COUNT_SHIFT) - 1), code >> COUNT_SHIFT);
+        if own == 0 {
+            output.put(bits << 8 | u32::from(symbol), count + 8);
+        } else {
+            output.put(bits, count);
+        }
     }
 
     #[inline(always)]
     pub(super) fn read(&self, input: &mut BitReader<'_>, context: usize) -> u8 {
         let entry = self.read[context << MOST_BITS | input.peek(MOST_BITS)];
-        input.skip(entry.bits.into());
-        if entry.escapes {
+        input.skip(entry.bits());
+        if entry.0 & ESCAPES != 0 {
             let symbol = input.peek(8).to_le_bytes()[0];
             input.skip(8);
             return symbol;
         }
-        entry.symbol
+        entry.symbol()
     }
 }
 
 /// Canonical codes: shorter ones first, and among those of one length the lower symbols. Those for reading go to the end of `read`.
-fn tables(lengths: &[u8; ESCAPE + 1], most_bits: u32, read: &mut Vec<Entry>) -> [u32; ESCAPE] {
+fn tables(lengths: &[u8; ESCAPE + 1], most_bits: u32, read: &mut Vec<Entry>) -> [u16; ESCAPE + 1] {
     let mut codes = [0; ESCAPE + 1];
     let (start, places) = (read.len(), 1 << most_bits);
     read.resize(start + places, Entry::default());
     // The first place that is free, and the same as a number for the codes.
-    let (mut place, mut code) = (start, 0_u32);
+    let (mut place, mut code) = (start, 0_u16);
     for bits in 1..=most_bits {
         code <<= 1;
         let symbols = (0..).zip(lengths).filter(|(_, length)| u32::from(**length) == bits);
         for (symbol, length) in symbols {
-            codes[symbol] = code | bits << COUNT_SHIFT;
-            let entry = Entry { symbol: symbol.to_le_bytes()[0], bits: *length, escapes: symbol == ESCAPE };
+            codes[symbol] = code | u16::from(*length) << COUNT_SHIFT;
             let next = place + (places >> bits);
-            read[place..next].fill(entry);
+            read[place..next].fill(Entry::new(symbol, *length));
             (place, code) = (next, code + 1);
         }
     }
-    let escape = codes[ESCAPE];
-    let mut write = [0; ESCAPE];
-    for ((symbol, write), code) in (0..).zip(&mut write).zip(codes) {
-        let escaped = (escape & 0xFFFF) << 8 | symbol | ((escape >> COUNT_SHIFT) + 8) << COUNT_SHIFT;
-        *write = if code == 0 { escaped } else { code };
-    }
-    write
+    codes
 }
 
 /// How often each symbol came in each context.
@@ -191,7 +210,7 @@ mod tests {
     use super::*;
 
     fn check<const MOST_BITS: u32>(set: &Set<MOST_BITS>, contexts: usize) {
-        assert!(set.read.iter().all(|entry| entry.bits > 0));
+        assert!(set.read.iter().all(|entry| entry.bits() > 0));
         assert_eq!(set.read.len(), contexts << MOST_BITS);
         for (context, symbol) in (0..contexts).flat_map(|context| (0..=255).map(move |symbol| (context, symbol))) {
             let mut output = Vec::new();

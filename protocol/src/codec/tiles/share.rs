@@ -17,6 +17,9 @@ const RUN_MOVED_TILES: u32 = 5000;
 /// Bytes of slices that are worth a core of their own.
 const RUN_BYTES: usize = 3000;
 
+/// One row of tiles in so many is counted, and stands for the others: to look at all of them takes a seventh of what `tiles-fast` does.
+const COUNTED_ROWS: usize = 4;
+
 /// Where runs of blocks begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Cuts {
@@ -90,9 +93,12 @@ impl Shares {
         let mut sum = 0;
         self.mixed.clear();
         for (_, place) in order.walk(0..order.blocks()) {
-            let words = &mask.words()[place.light * tiles..][order.tiles(place)];
-            // Neither 0 nor all ones.
-            sum += words.iter().map(|word| u32::from(word.wrapping_add(1) > 1)).sum::<u32>();
+            if place.y % COUNTED_ROWS == 0 {
+                let words = &mask.words()[place.light * tiles..][order.tiles(place)];
+                // Neither 0 nor all ones.
+                let mixed: usize = words.iter().map(|word| usize::from(word.wrapping_add(1) > 1)).sum();
+                sum += u32::try_from(mixed * COUNTED_ROWS).unwrap_or(u32::MAX);
+            }
             if place.light + 1 == order.lights {
                 self.mixed.push(sum);
             }
