@@ -159,9 +159,21 @@ impl Reference {
     #[inline(always)]
     pub(super) fn block(&self, place: Place, vector: Vector) -> Block {
         let [x, y] = corner(place, vector);
+        let (word, shift) = (x >> 6, x & 63);
+        let (low, high) = (clamped(word + 1, self.stride), clamped(word + 2, self.stride));
         let mut block = [0; 8];
-        for (row, y) in block.iter_mut().zip(y..) {
-            *row = self.row(place.light, x, y);
+        if let Ok(first) = usize::try_from(y)
+            && first + block.len() <= self.rows
+        {
+            // Most blocks: no row lies beyond the picture.
+            let rows = self.words[(place.light * self.rows + first) * self.stride..].chunks_exact(self.stride);
+            for (own, row) in block.iter_mut().zip(rows) {
+                *own = row[low] >> shift | row[high] << 1 << (63 - shift);
+            }
+        } else {
+            for (row, y) in block.iter_mut().zip(y..) {
+                *row = self.row(place.light, x, y);
+            }
         }
         block
     }

@@ -210,31 +210,40 @@ impl Template {
     #[inline(always)]
     fn code_unsteady(&self, bits: &mut impl Bits, states: &mut [State; PIXELS], truth: u32, steady: Steady) -> u32 {
         // With the pixel to the left.
-        let (mut coded, mut rest, mut hot) = (steady.lit << 1 | self.before, !steady.pixels & 0xFF, bits.hot());
+        let (quarters, mut hot) = (self.quarters(), bits.hot());
+        let (mut coded, mut rest) = (steady.lit << 1 | self.before, !steady.pixels & 0xFF);
         while rest != 0 {
             let x = rest.trailing_zeros();
             rest &= rest - 1;
-            let state = &mut states[self.context(x, coded >> x & 1) as usize % PIXELS];
+            let state = &mut states[self.context(quarters, x, coded >> x & 1) % PIXELS];
             coded |= u32::from(bits.bit_in(&mut hot, state, truth >> x & 1 == 1)) << (x + 1);
         }
         bits.set_hot(hot);
         coded >> 1
     }
 
+    /// The rows, each in a quarter of a word: three pixels of each make a context.
+    #[inline(always)]
+    const fn quarters(&self) -> u64 {
+        let [over, same, under] = self.lines;
+        over as u64 | (same as u64) << 16 | (under as u64) << 32 | (self.above as u64) << 48
+    }
+
     /// Of pixel `x`, with the one to its left.
     #[inline(always)]
-    fn context(&self, x: u32, before: u32) -> u32 {
-        let [over, same, under] = self.lines;
-        let three = |window: u32| window >> x & 7;
-        let around = three(over) | three(same) << 3 | three(under) << 6 | three(self.above) << 9 | before << 12;
-        around | (self.other >> x & 1) << 13 | (self.other >> (x + 8) & 1) << 14
+    fn context(&self, quarters: u64, x: u32, before: u32) -> usize {
+        // The product brings the four triples together at its top.
+        let triples = (quarters >> x & 0x0007_0007_0007_0007).wrapping_mul(1 << 48 | 1 << 35 | 1 << 22 | 1 << 9) >> 48;
+        let other = self.other >> x & 0x101;
+        (triples as usize & 0xFFF) | (before << 12 | ((other | other >> 7) & 3) << 13) as usize
     }
 
     #[inline(always)]
     fn code(&self, bits: &mut impl Bits, states: &mut [State; PIXELS], truth: u32) -> u32 {
-        let (mut coded, mut before, mut hot) = (0, self.before, bits.hot());
+        let (quarters, mut hot) = (self.quarters(), bits.hot());
+        let (mut coded, mut before) = (0, self.before);
         for x in 0..8 {
-            let state = &mut states[self.context(x, before) as usize % PIXELS];
+            let state = &mut states[self.context(quarters, x, before) % PIXELS];
             before = u32::from(bits.bit_in(&mut hot, state, truth >> x & 1 == 1));
             coded |= before << x;
         }
