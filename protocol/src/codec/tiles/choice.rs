@@ -1,6 +1,6 @@
 //! How likely each of eight symbols is, which learns: what a model asks where two answers are too few.
 
-use super::state::RATE;
+use super::state::SLOW;
 
 /// Symbols of a choice.
 pub(super) const SYMBOLS: usize = 8;
@@ -62,7 +62,7 @@ impl Choice {
     #[inline(always)]
     pub(super) fn learn(&mut self, symbol: usize) {
         for (begins, target) in self.0.iter_mut().zip(&TARGETS[symbol % SYMBOLS]) {
-            *begins += (*target - *begins) >> RATE;
+            *begins += (*target - *begins) >> SLOW;
         }
     }
 

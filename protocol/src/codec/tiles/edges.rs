@@ -10,6 +10,7 @@ use super::{
     near::{BEYOND, Part},
     range::Bits,
     small::States,
+    state::{QUICK, SLOW},
 };
 
 // Contexts of bits.
@@ -157,7 +158,7 @@ struct Row<'a, 'p, B: Bits> {
 impl<B: Bits> Row<'_, '_, B> {
     #[inline(always)]
     fn bit(&mut self, context: usize, bit: bool) -> bool {
-        self.bits.bit_in(self.hot, &mut self.states.bits[self.first + context], bit)
+        self.bits.bit_in::<QUICK>(self.hot, &mut self.states.bits[self.first + context], bit)
     }
 
     #[inline(always)]
@@ -289,7 +290,7 @@ impl<B: Bits> Row<'_, '_, B> {
                 Some(expected) if x == 7 && differs == 0 => !expected >> 7 & 1,
                 _ => {
                     let state = &mut self.states.bits[self.first + first + context as usize];
-                    u32::from(self.bits.bit_in(&mut hot, state, self.truth >> x & 1 == 1))
+                    u32::from(self.bits.bit_in::<SLOW>(&mut hot, state, self.truth >> x & 1 == 1))
                 }
             };
             if let Some(expected) = expected {

@@ -76,7 +76,7 @@ impl Bits for Counter {
 
     fn set_hot(&mut self, (): ()) {}
 
-    fn bit_in(&mut self, (): &mut (), state: &mut State, bit: bool) -> bool {
+    fn bit_in<const RATE: u32>(&mut self, (): &mut (), state: &mut State, bit: bool) -> bool {
         state.count(bit);
         bit
     }

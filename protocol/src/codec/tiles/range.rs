@@ -5,7 +5,7 @@
 
 use super::{
     choice::{Choice, PARTS_BITS, SYMBOLS},
-    state::State,
+    state::{SLOW, State},
 };
 
 /// Bytes that leave the coder at once.
@@ -23,14 +23,14 @@ pub(super) trait Bits {
 
     fn set_hot(&mut self, hot: Self::Hot);
 
-    /// Codes `bit` and gives it back; a decoder gives the bit that was coded instead.
-    fn bit_in(&mut self, hot: &mut Self::Hot, state: &mut State, bit: bool) -> bool;
+    /// Codes `bit` and gives it back; a decoder gives the bit that was coded instead. The state learns at `RATE`.
+    fn bit_in<const RATE: u32>(&mut self, hot: &mut Self::Hot, state: &mut State, bit: bool) -> bool;
 
-    /// The same, of a bit outside any loop.
+    /// The same, of a bit outside any loop: there are few such.
     #[inline(always)]
     fn bit(&mut self, state: &mut State, bit: bool) -> bool {
         let mut hot = self.hot();
-        let bit = self.bit_in(&mut hot, state, bit);
+        let bit = self.bit_in::<SLOW>(&mut hot, state, bit);
         self.set_hot(hot);
         bit
     }
@@ -187,7 +187,7 @@ impl Bits for RangeEncoder<'_> {
     }
 
     #[inline(always)]
-    fn bit_in(&mut self, hot: &mut Interval, state: &mut State, bit: bool) -> bool {
+    fn bit_in<const RATE: u32>(&mut self, hot: &mut Interval, state: &mut State, bit: bool) -> bool {
         let bound = (hot.range >> 16) * u64::from(state.one());
         if bit {
             hot.range = bound;
@@ -195,7 +195,7 @@ impl Bits for RangeEncoder<'_> {
             self.raise(hot, bound);
             hot.range -= bound;
         }
-        state.learn(bit);
+        state.learn::<RATE>(bit);
         self.widen(hot);
         bit
     }
@@ -289,7 +289,7 @@ impl Bits for RangeDecoder<'_> {
     }
 
     #[inline(always)]
-    fn bit_in(&mut self, hot: &mut Window, state: &mut State, _: bool) -> bool {
+    fn bit_in<const RATE: u32>(&mut self, hot: &mut Window, state: &mut State, _: bool) -> bool {
         let bound = (hot.range >> 16) * u64::from(state.one());
         let bit = hot.code < bound;
         if bit {
@@ -298,7 +298,7 @@ impl Bits for RangeDecoder<'_> {
             hot.code -= bound;
             hot.range -= bound;
         }
-        state.learn(bit);
+        state.learn::<RATE>(bit);
         self.widen(hot);
         bit
     }

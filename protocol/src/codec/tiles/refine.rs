@@ -11,7 +11,7 @@ use super::{
     near::Near,
     range::Bits,
     reference::Line,
-    state::State,
+    state::{SLOW, State},
 };
 
 /// Probabilities, for every context.
@@ -216,7 +216,7 @@ impl Template {
             let x = rest.trailing_zeros();
             rest &= rest - 1;
             let state = &mut states[self.context(quarters, x, coded >> x & 1) % PIXELS];
-            coded |= u32::from(bits.bit_in(&mut hot, state, truth >> x & 1 == 1)) << (x + 1);
+            coded |= u32::from(bits.bit_in::<SLOW>(&mut hot, state, truth >> x & 1 == 1)) << (x + 1);
         }
         bits.set_hot(hot);
         coded >> 1
@@ -244,7 +244,7 @@ impl Template {
         let (mut coded, mut before) = (0, self.before);
         for x in 0..8 {
             let state = &mut states[self.context(quarters, x, before) % PIXELS];
-            before = u32::from(bits.bit_in(&mut hot, state, truth >> x & 1 == 1));
+            before = u32::from(bits.bit_in::<SLOW>(&mut hot, state, truth >> x & 1 == 1));
             coded |= before << x;
         }
         bits.set_hot(hot);

@@ -10,7 +10,7 @@ use super::{
     near::{Near, UNKNOWN, code_rows, uniformity},
     prior::PRIOR_BITS,
     range::Bits,
-    state::State,
+    state::{QUICK, State},
     table::Table,
 };
 
@@ -57,7 +57,7 @@ pub(super) fn code(bits: &mut impl Bits, states: &mut States, near: &Near<'_>, b
         | left.map_or(UNKNOWN, |kind| kind as usize) << 2
         | usize::from(other.is_some_and(|other| other.value().is_some())) << 4;
     let mut hot = bits.hot();
-    if bits.bit_in(&mut hot, &mut states.bits[context], own.value() == Some(expected)) {
+    if bits.bit_in::<QUICK>(&mut hot, &mut states.bits[context], own.value() == Some(expected)) {
         bits.set_hot(hot);
         return Known::flat(expected);
     }
@@ -78,10 +78,10 @@ pub(super) fn code(bits: &mut impl Bits, states: &mut States, near: &Near<'_>, b
         let beside = other.map_or(UNKNOWN, |other| other.kind(tile) as usize);
         let context = TILE + 2 * (((over * 4 + beyond) * 4 + before) * 4 + beside);
         let byte = 0xFF << (tile * 8);
-        before = if bits.bit_in(&mut hot, &mut states.bits[context], kind == Kind::Mixed) {
+        before = if bits.bit_in::<QUICK>(&mut hot, &mut states.bits[context], kind == Kind::Mixed) {
             mixed |= byte;
             Kind::Mixed as usize
-        } else if bits.bit_in(&mut hot, &mut states.bits[context + 1], kind == Kind::Lit) {
+        } else if bits.bit_in::<QUICK>(&mut hot, &mut states.bits[context + 1], kind == Kind::Lit) {
             lit |= byte;
             Kind::Lit as usize
         } else {

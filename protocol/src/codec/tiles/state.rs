@@ -5,7 +5,10 @@ const LEAST: u32 = 16;
 
 /// How far the probability moves at each bit, as a power of two: what it begins with was counted over many masks, so it need not
 /// move faster at first.
-pub(super) const RATE: u32 = 5;
+pub(super) const SLOW: u32 = 5;
+
+/// The same where there are few contexts, and masks differ more.
+pub(super) const QUICK: u32 = 4;
 
 /// How likely a bit is in some context: the probability of 1, of 2³².
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,10 +52,9 @@ impl State {
 
     /// Moves towards the probability 1 or 0, but not farther than [`LEAST`] from either.
     #[inline(always)]
-    pub(super) fn learn(&mut self, bit: bool) {
-        const UP: u32 = (0x1_0000 - LEAST) << (16 - RATE);
-        const DOWN: u32 = LEAST << (16 - RATE);
-        self.0 = self.0 - (self.0 >> RATE) + if bit { UP } else { DOWN };
+    pub(super) fn learn<const RATE: u32>(&mut self, bit: bool) {
+        let target = if bit { 0x1_0000 - LEAST } else { LEAST };
+        self.0 = self.0 - (self.0 >> RATE) + (target << (16 - RATE));
     }
 }
 
@@ -64,7 +66,7 @@ mod tests {
     fn no_bit_becomes_impossible() {
         let mut state = State::EVEN;
         for bit in [true, false] {
-            (0..10_000).for_each(|_| state.learn(bit));
+            (0..10_000).for_each(|_| state.learn::<SLOW>(bit));
             assert!((LEAST..=0x1_0000 - LEAST).contains(&state.one()));
             assert_eq!(state.one() > 65_000, bit);
         }
