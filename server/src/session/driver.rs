@@ -8,7 +8,7 @@ use std::{
 };
 
 use gnomon_protocol::{
-    codec::{EncodeError, Encoder, Simplifier},
+    codec::{CodecId, EncodeError, Encoder, Simplifier},
     fec::{MAX_PROTECTED_PACKETS, PARITY_ROOM_BYTES, ParityEncoder, parity_packets},
     frame::pieces,
     header::HEADER_BYTES,
