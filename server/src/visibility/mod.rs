@@ -39,7 +39,7 @@ pub mod port;
 pub mod scheduler;
 mod shared;
 #[cfg(test)]
-mod test_scenes;
+pub(crate) mod test_scenes;
 mod worker;
 
 use std::time::{Duration, Instant};
