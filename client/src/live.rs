@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS};
+use gnomon_protocol::{coverage::Coverage, ids::FrameNumber, limits::MAX_LAYERS};
 use gnomon_shaders::camera::Camera;
 use tokio::runtime::Runtime;
 
@@ -39,6 +39,8 @@ pub(crate) struct Live {
     pub(crate) masks: MaskReader,
     /// The mask that the renderer has.
     pub(crate) current: Option<Current>,
+    /// What has come for its view, of it and of those before it that were for the same.
+    covered: Option<Coverage>,
     /// What it and those before it were traced for, and the frames that asked for them: as many as the renderer keeps.
     views: VecDeque<(Camera, FrameNumber)>,
     pub(crate) rejections: Rejections,
@@ -94,6 +96,7 @@ impl Live {
             session,
             masks,
             current: None,
+            covered: None,
             views: VecDeque::new(),
             rejections: Rejections::default(),
             poses_repeated: 0,
@@ -157,13 +160,14 @@ impl Live {
         }
     }
 
-    /// Whether a frame that is looked at from `view` should be asked for: not when there is nobody to ask, and not when the mask
-    /// that is there is the answer, except now and then.
+    /// Whether a frame that is looked at from `view` should be asked for: not when there is nobody to ask, and not when all that
+    /// there is to see from there has come, except now and then.
     pub(crate) fn should_ask(&mut self, frame: FrameNumber, view: &Camera, now: Instant) -> bool {
         if self.masks.ended().is_some() {
             return false;
         }
-        let answered = self.current.as_mut().filter(|current| current.view == *view);
+        let whole = self.covered.as_ref().is_some_and(Coverage::is_whole);
+        let answered = self.current.as_mut().filter(|current| whole && current.view == *view);
         let idle = answered.is_some();
         if let Some(current) = answered {
             current.as_of = frame;
@@ -286,15 +290,18 @@ impl Live {
                 }
             };
             let begun = Instant::now();
+            // How long it took has been measured.
+            let more = self.current.is_some_and(|current| current.asked.frame == asked.frame);
             let (mask, coverage) = (&received.mask, Some(&received.coverage));
-            renderer.set_mask(Some(MaskView { mask, coverage, traced_for: &traced_for }))?;
+            renderer.set_mask(Some(MaskView { mask, coverage, more, traced_for: &traced_for }))?;
             all.upload += begun.elapsed();
             let response = asked.sent_at.map(|sent| received.received_at.saturating_duration_since(sent));
             all.response = response;
             let before = self.current.filter(|before| before.view == traced_for);
             let as_of = before.map_or(asked.frame, |before| before.as_of.max(asked.frame));
-            // More of the mask that there was: how long that took has been measured.
-            let more = self.current.is_some_and(|current| current.asked.frame == asked.frame);
+            let covered = self.covered.take().filter(|_| before.is_some());
+            self.covered =
+                Some(covered.map_or_else(|| received.coverage.clone(), |before| before.or(&received.coverage)));
             self.current = Some(Current {
                 asked,
                 view: traced_for,

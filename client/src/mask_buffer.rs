@@ -6,7 +6,7 @@
 //! copies to the GPU (§3.3), so its receiver waits for the renderer.
 //!
 //! A whole mask replaces those before it that the renderer has not taken. A mask of which parts are missing does not: what it lacks is
-//! looked up in them. [`MAX_LAYERS`] wait at most.
+//! looked up in them. As many wait as the renderer looks things up in ([`max_layers`]).
 
 use std::{
     collections::VecDeque,
@@ -15,9 +15,8 @@ use std::{
 };
 
 use gnomon_protocol::{
-    coverage::Coverage,
+    coverage::{Coverage, max_layers},
     ids::FrameNumber,
-    limits::MAX_LAYERS,
     mask::{Mask, MaskShape},
     pose::Pose,
 };
@@ -63,7 +62,7 @@ impl Middle {
         if self.fresh.back().is_some_and(|newest| newest.frame == mask.frame) {
             self.spare.extend(self.fresh.pop_back());
         }
-        if self.fresh.len() == MAX_LAYERS {
+        if self.fresh.len() >= max_layers(mask.mask.shape()) {
             self.spare.extend(self.fresh.pop_front());
         }
         self.fresh.push_back(mask);
@@ -320,7 +319,7 @@ mod tests {
         // Buffers go round.
         (26..99).for_each(|frame| fill_in_part(&mut writer, frame));
         reader.newest();
-        assert!(reader.shared.lock().spare.len() <= 2 * MAX_LAYERS);
+        assert!(reader.shared.lock().spare.len() <= 2 * max_layers(shape()));
     }
 
     #[test]

@@ -161,9 +161,13 @@ impl HeadlessOptions {
         ppm
     }
 
-    /// How frames are taken: a client that waits for its own mask wants all of it.
+    /// How frames are taken: a client that waits for its own mask wants all of it, and only prediction by surface looks up elsewhere what a
+    /// mask lacks.
     pub(crate) fn reception(&self) -> Reception {
-        let in_part = self.codec.is_sliced() && !self.wait && self.packets != Packets::WholeFrame;
+        let in_part = self.codec.is_sliced()
+            && !self.wait
+            && self.packets != Packets::WholeFrame
+            && self.predictor == Predictor::Surface;
         Reception {
             policy: if in_part { Policy::Slices } else { Policy::WholeFrame },
             tells_losses: in_part && self.packets == Packets::Parity,

@@ -3,7 +3,7 @@
 //!
 //! A frame whose packets stand alone may leave some out: what it lacks the client looks up in the masks before it
 //! ([`crate::coverage`]). So a byte budget decides nothing but which tiles are fresh. A client keeps [`max_layers`] masks, so all tiles
-//! come round in two frames less than these: as much of a frame goes to those that were sent longest ago. The rest goes to the largest
+//! come round before these are gone: as much of a frame goes to those that were sent longest ago. The rest goes to the largest
 //! changes: a part weighs as many bits as differ from what was sent of its tiles last, each as much as its light gives, times the frames
 //! since then. So where only dim lights change tiles are sent less often. Where the
 //! budget is too small for a round nothing is sent, and budgets add up until it is not: the frames become fewer.
@@ -57,9 +57,12 @@ pub enum Choice {
     Nothing,
 }
 
-/// Frames in which all tiles come round, or two more: parts do not begin with the same tiles in each.
-fn frames_of_round(shape: MaskShape) -> usize {
-    max_layers(shape).saturating_sub(2).max(1)
+/// Frames in which all tiles come round, or two more: parts do not begin with the same tiles in each. Where packets are lost, two rounds
+/// have to come before the client has forgotten what was there. A client that keeps but two masks, of more than 4.3 million pixels, has
+/// whole frames or none.
+fn frames_of_round(shape: MaskShape, lossy: bool) -> usize {
+    let layers = max_layers(shape);
+    if lossy { layers / 2 - 1 } else { layers - 2 }.max(1)
 }
 
 /// A part of the frame at hand.
@@ -100,8 +103,8 @@ impl Refresh {
     }
 
     /// Takes parts out of the frame of a mask until it fits `budget_bytes`, its packets' headers counted. A body that is not sliced
-    /// stays as it is, and so does one of which nothing is to be sent.
-    pub fn choose(&mut self, mask: &Mask, body: &mut Vec<u8>, budget_bytes: usize) -> Choice {
+    /// stays as it is, and so does one of which nothing is to be sent. `lossy` says that packets are lost on the way.
+    pub fn choose(&mut self, mask: &Mask, body: &mut Vec<u8>, budget_bytes: usize, lossy: bool) -> Choice {
         self.begin(mask.shape());
         let mut start = 0;
         for part in pieces(body, usize::MAX) {
@@ -111,7 +114,7 @@ impl Refresh {
         let wire_bytes = body.len() + self.parts.len() * HEADER_BYTES;
         let sliced = Frame::parse(body).is_ok_and(|frame| frame.head.codec.is_sliced());
         // As much of each frame as makes a round, and the part that goes beyond it.
-        let round_bytes = wire_bytes / frames_of_round(mask.shape());
+        let round_bytes = wire_bytes / frames_of_round(mask.shape(), lossy);
         let longest = self.parts.iter().map(|part| part.bytes + HEADER_BYTES).max().unwrap_or(0);
         self.choice = if !sliced || wire_bytes <= budget_bytes {
             Choice::Whole

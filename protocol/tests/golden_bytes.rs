@@ -23,7 +23,7 @@ fn hex(text: &str) -> Vec<u8> {
 
 #[test]
 fn version() {
-    assert_eq!(PROTOCOL_VERSION, 5);
+    assert_eq!(PROTOCOL_VERSION, 6);
 }
 
 #[test]

@@ -42,15 +42,16 @@ fn scribble(mask: &mut Mask, random: &mut Random) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Once all tiles have come, a client never misses one.
+    /// Once all tiles have come, a client never misses one, nor where a frame is lost now and then.
     #[test]
-    fn what_is_sent_is_right_and_everything_comes_round(budget in 0usize..3000, fast in any::<bool>(), seed in any::<u64>()) {
+    fn what_is_sent_is_right_and_everything_comes_round(budget in 0usize..3000, fast in any::<bool>(), lossy in any::<bool>(), seed in any::<u64>()) {
         let mut random = Random(seed);
         let shape = MaskShape::new(300, 200, 2).unwrap();
         let codec = if fast { CodecId::TilesFast } else { CodecId::TilesSmall };
         let (mut encoder, mut decoder, mut refresh) = (Encoder::new(codec).for_packets_of(200), Decoder::new(), Refresh::default());
         let (mut shown, mut body, mut mask) = (Mask::new(shape), Vec::new(), noise(shape, &mut random));
         let (mut coverage, mut layers, mut unchanged) = (Coverage::whole(shape), VecDeque::new(), 0);
+        let mut lost = false;
         for frame in 0..40 {
             if frame < 30 {
                 scribble(&mut mask, &mut random);
@@ -58,16 +59,23 @@ proptest! {
             encoder.encode(&mask, &mut body).unwrap();
             let all = body.len() + pieces(&body, usize::MAX).count() * HEADER_BYTES;
             let before = body.len();
-            let choice = refresh.choose(&mask, &mut body, budget);
+            let choice = refresh.choose(&mask, &mut body, budget, lossy);
             let count = pieces(&body, usize::MAX).count();
             match choice {
                 Choice::Whole => prop_assert!(all <= budget),
                 Choice::Parts => prop_assert!(budget < all && body.len() + count * HEADER_BYTES <= budget),
                 Choice::Nothing => {
-                    prop_assert!(budget < all / (max_layers(shape) - 2) + 200 && body.len() == before);
+                    let round = if lossy { max_layers(shape) / 2 - 1 } else { max_layers(shape) - 2 };
+                    prop_assert!(budget < all / round + 200 && body.len() == before);
                     refresh.sent(&mask);
                     continue;
                 }
+            }
+            // One frame in as many as a client keeps masks of is lost.
+            if lossy && frame % max_layers(shape) == 5 {
+                refresh.sent(&mask);
+                lost = true;
+                continue;
             }
             let mut expected = shown.clone();
             for words in pieces(&body, usize::MAX).flat_map(|part| part_words(shape, part).collect::<Vec<_>>()) {
@@ -88,7 +96,7 @@ proptest! {
             }
             unchanged += usize::from(frame >= 30);
         }
-        prop_assert!(unchanged < max_layers(shape) || shown == mask);
+        prop_assert!(unchanged < max_layers(shape) || lost || shown == mask);
     }
 }
 
@@ -101,7 +109,7 @@ fn large_changes_come_first_and_waiting_counts() {
     let mut encoder = Encoder::new(CodecId::TilesFast).for_packets_of(400);
     let (mut refresh, mut body, mut mask) = (Refresh::default(), Vec::new(), noise(shape, &mut random));
     encoder.encode(&mask, &mut body).unwrap();
-    assert_eq!(refresh.choose(&mask, &mut body, usize::MAX), Choice::Whole);
+    assert_eq!(refresh.choose(&mask, &mut body, usize::MAX, false), Choice::Whole);
     refresh.sent(&mask);
     for (x, y) in (0..256).flat_map(|x| (0..256).map(move |y| (x, y))) {
         let lit = mask.get(0, x, y);
@@ -113,7 +121,7 @@ fn large_changes_come_first_and_waiting_counts() {
     for _ in 0..max_layers(shape) {
         encoder.encode(&mask, &mut body).unwrap();
         let budget = (body.len() + pieces(&body, usize::MAX).count() * HEADER_BYTES) / 4;
-        assert_eq!(refresh.choose(&mask, &mut body, budget), Choice::Parts);
+        assert_eq!(refresh.choose(&mask, &mut body, budget, false), Choice::Parts);
         let columns = pieces(&body, usize::MAX).flat_map(|part| part_words(shape, part));
         let mut sent: Vec<_> = columns.map(|words| words.start % shape.tiles_x() as usize / 32).collect();
         sent.sort_unstable();
@@ -147,7 +155,7 @@ fn bits_of_dim_lights_count_less() {
         weights[dim] = 3;
         let (mut refresh, mut body, mut mask) = (Refresh::new(weights), Vec::new(), noise(shape, &mut random));
         encoder.encode(&mask, &mut body).unwrap();
-        assert_eq!(refresh.choose(&mask, &mut body, usize::MAX), Choice::Whole);
+        assert_eq!(refresh.choose(&mask, &mut body, usize::MAX, false), Choice::Whole);
         refresh.sent(&mask);
         // Light 0 changes in the leftmost stripe, light 1 in the rightmost.
         changed(&mut mask, 0, 0);
@@ -155,7 +163,7 @@ fn bits_of_dim_lights_count_less() {
         encoder.encode(&mask, &mut body).unwrap();
         let budget = (body.len() + pieces(&body, usize::MAX).count() * HEADER_BYTES) / 4;
         // A round's share may go anywhere, but the rest goes there.
-        assert_eq!(refresh.choose(&mask, &mut body, budget), Choice::Parts);
+        assert_eq!(refresh.choose(&mask, &mut body, budget, false), Choice::Parts);
         let mut bits = [0; 6];
         for words in pieces(&body, usize::MAX).flat_map(|part| part_words(shape, part)) {
             bits[words.start % shape.tiles() % shape.tiles_x() as usize / 32] += words.len();
@@ -171,7 +179,7 @@ fn frames_that_are_not_sliced_stay_whole() {
     let mut body = Vec::new();
     Encoder::new(CodecId::PlanesLz4).encode(&mask, &mut body).unwrap();
     let before = body.clone();
-    assert_eq!(Refresh::default().choose(&mask, &mut body, 10), Choice::Whole);
+    assert_eq!(Refresh::default().choose(&mask, &mut body, 10, false), Choice::Whole);
     assert_eq!(body, before);
     assert_eq!(part_words(mask.shape(), &body).count(), 0);
     assert_eq!(part_words(mask.shape(), &[1, 2, 3]).count(), 0);

@@ -145,6 +145,8 @@ pub fn replay<E: From<ReplayError>>(
     let mut renderer = renderer.map_err(render)?;
     let mut reader = PictureReader::new(gpu, width, height, 1);
     let mut decoder = Decoder::new();
+    // The frame of the newest mask.
+    let mut newest = None;
     while let Some(record) = records.next().map_err(E::from)? {
         match &record {
             Record::Start(_) => {
@@ -159,7 +161,7 @@ pub fn replay<E: From<ReplayError>>(
             Record::LightsOn(lights) => renderer.set_lights_on(*lights),
             Record::Split(split) => renderer.set_split(*split),
             Record::View(view) => renderer.set_debug_view(*view),
-            Record::Mask { traced_for, body, came, .. } => {
+            Record::Mask { frame, traced_for, body, came } => {
                 let traced_for = Camera::from(traced_for);
                 let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
                 let shape = MaskShape::new(traced_for.width, traced_for.height, lights).map_err(ReplayError::from);
@@ -171,7 +173,8 @@ pub fn replay<E: From<ReplayError>>(
                         .ok_or(ReplayError::Malformed { number: records.number - 1, reason })
                 });
                 let coverage = coverage.transpose()?;
-                let view = MaskView { mask: &mask, coverage: coverage.as_ref(), traced_for: &traced_for };
+                let more = newest.replace(*frame) == Some(*frame);
+                let view = MaskView { mask: &mask, coverage: coverage.as_ref(), more, traced_for: &traced_for };
                 renderer.set_mask(Some(view)).map_err(render)?;
             }
             Record::Frame { frame, .. } if !wanted(*frame) => {}

@@ -395,6 +395,17 @@ fn covering_pipeline(
     fragment: &'static str,
     format: wgpu::TextureFormat,
 ) -> wgpu::RenderPipeline {
+    covering_pipeline_with(device, module, layouts, (fragment, &[]), format)
+}
+
+/// The same, of a fragment shader whose overrides have these values.
+fn covering_pipeline_with(
+    device: &wgpu::Device,
+    module: &wgpu::ShaderModule,
+    layouts: &[&wgpu::BindGroupLayout],
+    (fragment, constants): (&'static str, &[(&str, f64)]),
+    format: wgpu::TextureFormat,
+) -> wgpu::RenderPipeline {
     let groups: Vec<_> = layouts.iter().copied().map(Some).collect();
     let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some(fragment),
@@ -416,7 +427,10 @@ fn covering_pipeline(
         fragment: Some(wgpu::FragmentState {
             module,
             entry_point: Some(fragment),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants,
+                ..wgpu::PipelineCompilationOptions::default()
+            },
             targets: &[Some(format.into())],
         }),
         multiview_mask: None,

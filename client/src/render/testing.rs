@@ -85,7 +85,12 @@ pub(crate) fn draw(gpu: &Gpu, renderer: &mut FrameRenderer, camera: &Camera, mas
     let mut reader = PictureReader::new(gpu, camera.width, camera.height, 1);
     renderer.draw_surfaces(camera).unwrap();
     let traced_for = mask.map(|mask| Camera { width: mask.shape().width(), height: mask.shape().height(), ..*camera });
-    let mask = mask.zip(traced_for.as_ref()).map(|(mask, traced_for)| MaskView { mask, coverage: None, traced_for });
+    let mask = mask.zip(traced_for.as_ref()).map(|(mask, traced_for)| MaskView {
+        mask,
+        coverage: None,
+        more: false,
+        traced_for,
+    });
     renderer.set_mask(mask).unwrap();
     let target = reader.target();
     let submission = renderer.shade(camera, 1.0, &target, |encoder| reader.copy(encoder)).unwrap();

@@ -62,7 +62,7 @@ fn a_picture_on_the_screen_has_every_byte_of_a_headless_one() {
     windowed.set_debug_view(DebugView::Picture);
     let reader = PictureReader::new(&gpu, SIZE.0, SIZE.1, 1);
     windowed.draw_surfaces(&camera).unwrap();
-    windowed.set_mask(Some(MaskView { mask: &mask, coverage: None, traced_for: &camera })).unwrap();
+    windowed.set_mask(Some(MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera })).unwrap();
     windowed.shade(&camera, 1.0, &reader.target(), |_| ()).unwrap();
     assert!(on_screen(&gpu, &reader.target(), SIZE) == headless.rgba, "the screen shows other bytes");
 

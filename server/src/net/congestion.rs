@@ -23,37 +23,29 @@ pub(crate) struct DelayControllerConfig {
 #[derive(Debug, Clone)]
 struct Adapter {
     controller: DelayController,
-    held_back: HeldBack,
+    held_back: Arc<AtomicBool>,
 }
 
-/// Whether the sender could send more than it does. Frames that are cut down to the window never fill it, so quinn takes their sender for one
-/// that has no more to send, and the window would not grow.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct HeldBack(Arc<AtomicBool>);
-
-impl HeldBack {
-    /// That of a connection's controller.
-    pub(crate) fn of(connection: &quinn::Connection) -> Self {
-        let adapter = connection.congestion_state().into_any().downcast::<Adapter>();
-        adapter.map(|adapter| adapter.held_back).unwrap_or_default()
-    }
-
-    pub(crate) fn set(&self, held_back: bool) {
-        self.0.store(held_back, Ordering::Relaxed);
+/// Says whether a connection's sender could send more than it does. Frames that are cut down to the window never fill it, so quinn takes
+/// their sender for one that has no more to send, and the window would not grow.
+pub(crate) fn hold_back(connection: &quinn::Connection, held_back: bool) {
+    // What comes is a copy of the controller, which shares this with it.
+    if let Ok(adapter) = connection.congestion_state().into_any().downcast::<Adapter>() {
+        adapter.held_back.store(held_back, Ordering::Relaxed);
     }
 }
 
 impl ControllerFactory for DelayControllerConfig {
     fn build(self: Arc<Self>, _now: Instant, current_mtu: u16) -> Box<dyn Controller> {
         let controller = DelayController::new(self.initial_window_bytes, current_mtu);
-        Box::new(Adapter { controller, held_back: HeldBack::default() })
+        Box::new(Adapter { controller, held_back: Arc::default() })
     }
 }
 
 impl Controller for Adapter {
     fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, app_limited: bool, _rtt: &RttEstimator) {
         // The packet's own round trip: the smoothed one takes jitter for a standing queue.
-        let app_limited = app_limited && !self.held_back.0.load(Ordering::Relaxed);
+        let app_limited = app_limited && !self.held_back.load(Ordering::Relaxed);
         self.controller.on_ack(now, bytes, app_limited, now.saturating_duration_since(sent));
     }
 

@@ -1,5 +1,5 @@
-//! Masks out: take the newest, encode it, cut it into packets, and send it whole or not at all. The engine traces the
-//! next mask in the meantime, because its channel has room for it.
+//! Masks out: take the newest, encode it, leave out what the path does not bear, cut the rest into packets, and send all of them or
+//! none. The engine traces the next mask in the meantime, because its channel has room for it.
 
 use std::{
     io,
@@ -8,7 +8,7 @@ use std::{
 };
 
 use gnomon_protocol::{
-    codec::{CodecId, EncodeError, Encoder, Simplifier},
+    codec::{EncodeError, Encoder, Simplifier},
     fec::{MAX_PROTECTED_PACKETS, PARITY_ROOM_BYTES, ParityEncoder, parity_packets},
     frame::pieces,
     header::HEADER_BYTES,
@@ -106,7 +106,7 @@ struct Pace {
 }
 
 impl Pace {
-    /// A longer pause is no pace.
+    /// A longer pause is no pace. After one, a frame has the path for so long.
     const LONGEST: Duration = Duration::from_millis(100);
 
     const fn new() -> Self {
@@ -115,9 +115,11 @@ impl Pace {
 
     /// Another mask is there: for how long its frame has the path.
     fn step(&mut self, now: Instant) -> Duration {
-        if let Some(last) = self.last.replace(now) {
-            self.interval = (self.interval * 7 + now.saturating_duration_since(last).min(Self::LONGEST)) / 8;
+        let gap = self.last.replace(now).map_or(self.interval, |last| now.saturating_duration_since(last));
+        if gap > Self::LONGEST {
+            return Self::LONGEST * (self.left_out + 1);
         }
+        self.interval = (self.interval * 7 + gap) / 8;
         self.interval * (self.left_out + 1)
     }
 
@@ -267,18 +269,19 @@ impl FrameSender {
             }
             simplifier.simplify(&mut mask, wrong_ppm);
             let result = encoder.encode_for(ahead, references.reference(), &mask, body);
-            let parity_of = |body: &[u8], codec: CodecId| {
-                let packets = pieces(body, payload_bytes).count();
-                let protected = codec.is_sliced() && packets <= MAX_PROTECTED_PACKETS;
-                (packets, if protected { parity_packets(losses.model(), packets) } else { 0 })
+            let sliced = encoder.codec().is_sliced();
+            let packets_of = |body: &[u8]| pieces(body, payload_bytes).count();
+            let parity_of = |packets: usize| {
+                let protected = sliced && packets <= MAX_PROTECTED_PACKETS;
+                if protected { parity_packets(losses.model(), packets) } else { 0 }
             };
-            let codec = encoder.codec();
-            *choice = budget.map_or(Choice::Whole, |budget| {
+            *choice = budget.filter(|_| result.is_ok()).map_or(Choice::Whole, |budget| {
                 // Parity takes its share.
-                let (packets, count) = parity_of(body, codec);
-                refresh.choose(&mask, body, budget / (packets + usize::from(count)).max(1) * packets)
+                let fit = packets_of(body).min(budget / payload_bytes.max(1)).max(1);
+                let budget = budget.saturating_mul(fit) / (fit + usize::from(parity_of(fit)));
+                refresh.choose(&mask, body, budget, losses.model().loss > 0.0)
             });
-            parity.encode(pieces(body, payload_bytes), parity_of(body, codec).1);
+            parity.encode(pieces(body, payload_bytes), parity_of(packets_of(body)));
             (workspace, mask, result, begun.elapsed())
         });
         let (workspace, mask, result, took) = job.await.map_err(|error| broken(&error.to_string()))?;

@@ -78,7 +78,7 @@ ledger! {
     frames_cut,
     /// Frames dropped: a newer mask was there before they were encoded.
     frames_superseded,
-    /// Frames dropped: earlier ones still waited for the network.
+    /// Frames dropped: earlier ones still waited for the network, or it carried too little of them.
     frames_gated,
     /// Frames dropped: too long for the header, or not to be encoded.
     frames_unsendable,

@@ -96,7 +96,12 @@ impl PredictRig {
     ) -> Result<Option<Picture>> {
         self.renderer.set_predictor(predictor);
         self.renderer.draw_surfaces(camera)?;
-        self.renderer.set_mask(mask.map(|(mask, traced_for)| MaskView { mask, coverage: None, traced_for }))?;
+        self.renderer.set_mask(mask.map(|(mask, traced_for)| MaskView {
+            mask,
+            coverage: None,
+            more: false,
+            traced_for,
+        }))?;
         let target = self.pictures.target();
         let submission = self.renderer.shade(camera, 1.0, &target, |encoder| {
             if copied {

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use gnomon_client::record::replay::{Records, Replayed, replay};
 use gnomon_shaders::{
     gpu::{Gpu, GpuOptions},
@@ -41,7 +41,7 @@ impl Judge {
         let pictures = frames.saturating_sub(first);
         let samples = samples.min(pictures);
         let places: Vec<u32> = (0..samples).map(|sample| first + (2 * sample + 1) * pictures / (2 * samples)).collect();
-        let mut error = PredictionError::default();
+        let (mut error, mut judged) = (PredictionError::default(), 0);
         let wanted = |frame: u32| places.contains(&frame);
         replay::<anyhow::Error>(&self.gpu, &scene, &start, &mut records, wanted, |replayed| {
             if let Replayed::Picture { shown, visibility_share, renderer, .. } = replayed {
@@ -49,10 +49,12 @@ impl Judge {
                 if visibility_share < 0.5 {
                     visibility.iter_mut().for_each(|pixel| (pixel.word, pixel.known) = (pixel.own, false));
                 }
+                judged += 1;
                 error.add(&visibility, &self.reference.trace(&shown));
             }
             Ok(())
         })?;
+        ensure!(judged == samples && error.relevant > 0, "{judged} of {samples} pictures are in the recording");
         Ok(error)
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! A whole mask stands alone. One of which parts are missing lies over those before it; each has its own view and the depth that was
 //! seen in it, so what is found in any of them was traced for that very point, and nothing is resampled twice. All are layers of
-//! the same textures: 8 bytes a pixel each, one layer until a mask comes in part.
+//! the same textures: 8 bytes a pixel each, one layer until a mask comes in part, and then as many as were needed at once.
 
 use glam::DVec3;
 use gnomon_protocol::{
@@ -79,18 +79,14 @@ impl Layers {
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         pass: &WordsPass,
-        MaskView { mask, coverage, traced_for }: MaskView<'_>,
+        MaskView { mask, coverage, more, traced_for }: MaskView<'_>,
     ) {
-        let mut coverage = coverage.filter(|coverage| !coverage.is_whole()).cloned();
-        // More of the newest mask, or another one for the same view: what has come of either has come.
-        let again = self.stack.first().is_some_and(|newest| newest.traced_for == *traced_for);
-        let newest = if again { Some(self.stack.remove(0)) } else { None };
-        if let Some(newest) = &newest {
-            coverage = coverage.zip(newest.coverage.as_ref()).map(|(one, other)| one.or(other));
-            coverage = coverage.filter(|coverage| !coverage.is_whole());
-        }
+        let coverage = coverage.filter(|coverage| !coverage.is_whole()).cloned();
+        let newest = self.stack.first().filter(|newest| more && newest.traced_for == *traced_for).cloned();
         if coverage.is_none() {
             self.stack.clear();
+        } else if newest.is_some() {
+            self.stack.remove(0);
         }
         let has_depth = newest.as_ref().is_some_and(|newest| newest.has_depth);
         let slot = newest.map_or_else(|| self.free_slot(&gpu.device, encoder), |newest| newest.slot);

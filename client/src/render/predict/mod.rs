@@ -32,7 +32,7 @@ use self::{
     shadow_map::ShadowMap,
 };
 use super::{
-    RenderError, cleared, covering_pipeline,
+    RenderError, cleared, covering_pipeline_with,
     scene_upload::SceneUpload,
     shader,
     targets::{Targets, VISIBILITY},
@@ -46,10 +46,12 @@ const _: () = assert!(MAX_LAYERS == MAX_MASK_LAYERS);
 /// A mask, and the view that it was traced for.
 #[derive(Debug, Clone, Copy)]
 pub struct MaskView<'a> {
-    /// The mask. Bits that have not come have the value that the mask before had, if that was for the same view.
+    /// The mask.
     pub mask: &'a Mask,
     /// What of it has come; nothing is all.
     pub coverage: Option<&'a Coverage>,
+    /// Whether it is the newest mask once more, of which more has come.
+    pub more: bool,
     /// The camera that it was traced for, with the mask's own width, height and field of view.
     pub traced_for: &'a Camera,
 }
@@ -58,7 +60,8 @@ pub struct MaskView<'a> {
 #[derive(Debug)]
 pub(crate) struct PredictPass {
     pub(crate) predictor: Predictor,
-    pipeline: wgpu::RenderPipeline,
+    /// For one whole mask, or none, and for several.
+    pipelines: [wgpu::RenderPipeline; 2],
     scene_group: wgpu::BindGroup,
     surface_layout: wgpu::BindGroupLayout,
     mask_layout: wgpu::BindGroupLayout,
@@ -112,7 +115,9 @@ impl PredictPass {
         let surface_groups = surface_groups(device, &surface_layout, targets, history);
         let module = shader(device, "shading/predict.wgsl")?;
         let layouts = [&scene_layout, &surface_layout, &mask_layout];
-        let pipeline = covering_pipeline(device, &module, &layouts, "predict", VISIBILITY);
+        let pipelines = [0.0, 1.0].map(|layered| {
+            covering_pipeline_with(device, &module, &layouts, ("predict", &[("layered", layered)]), VISIBILITY)
+        });
         let words_pass = WordsPass::new(device)?;
         let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
         // A picture without a mask still binds one.
@@ -121,7 +126,7 @@ impl PredictPass {
         let layers = Layers::new(device, &words_pass, smallest)?;
         Ok(Self {
             predictor,
-            pipeline,
+            pipelines,
             scene_group,
             surface_layout,
             mask_layout,
@@ -217,7 +222,8 @@ impl PredictPass {
                 color_attachments: &[cleared(&targets.visibility)],
                 ..wgpu::RenderPassDescriptor::default()
             });
-            pass.set_pipeline(&self.pipeline);
+            let layered = layers[..count].iter().any(|layer| layer.whole == 0);
+            pass.set_pipeline(&self.pipelines[usize::from(layered)]);
             pass.set_bind_group(0, &self.scene_group, &[]);
             pass.set_bind_group(1, &self.surface_groups[history.current()], &[]);
             pass.set_bind_group(2, &mask_group, &[]);

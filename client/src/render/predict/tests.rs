@@ -104,7 +104,7 @@ fn predict(
     mask: &Mask,
     traced_for: &Camera,
 ) -> Vec<PixelVisibility> {
-    predict_from(gpu, renderer, camera, &[MaskView { mask, coverage: None, traced_for }])
+    predict_from(gpu, renderer, camera, &[MaskView { mask, coverage: None, more: false, traced_for }])
 }
 
 /// Draws `camera` after these masks have come.
@@ -368,7 +368,7 @@ fn what_has_not_come_is_looked_up_in_the_masks_before() {
     let masks: Vec<_> = masks
         .iter()
         .zip(&views)
-        .map(|((mask, coverage), traced_for)| MaskView { mask, coverage: Some(coverage), traced_for })
+        .map(|((mask, coverage), traced_for)| MaskView { mask, coverage: Some(coverage), more: false, traced_for })
         .collect();
     let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
     let shown = predict_from(&gpu, &mut renderer, &now, &masks);
@@ -417,7 +417,7 @@ fn there_are_so_many_layers_and_no_more() {
     let masks: Vec<_> = parts
         .iter()
         .zip(&views)
-        .map(|((mask, coverage), traced_for)| MaskView { mask, coverage: Some(coverage), traced_for })
+        .map(|((mask, coverage), traced_for)| MaskView { mask, coverage: Some(coverage), more: false, traced_for })
         .collect();
     let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
     // One after the other, so that pictures are drawn from few layers and from many.
@@ -436,13 +436,20 @@ fn there_are_so_many_layers_and_no_more() {
         }
     });
     assert!(known[0] > 100 && known[1] > 1000, "{known:?}");
-    // The camera stands still: what has come for the same view adds up.
-    let masks =
-        [&parts[3], &parts[4]].map(|(mask, coverage)| MaskView { mask, coverage: Some(coverage), traced_for: &now });
-    renderer.set_mask(None).unwrap();
-    let shown = predict_from(&gpu, &mut renderer, &now, &masks);
-    assert_eq!(renderer.predict.layers.stack().len(), 1);
-    let known =
-        |row: u32| shown[(row * 8 * SIZE.0) as usize..][..(8 * SIZE.0) as usize].iter().any(|pixel| pixel.known);
-    assert!(known(7) && known(6) && !known(5));
+    // The camera stands still: what has come for the same view adds up, and more of the same mask stands in its place.
+    let masks = [&parts[3], &parts[4]].map(|(mask, coverage)| MaskView {
+        mask,
+        coverage: Some(coverage),
+        more: false,
+        traced_for: &now,
+    });
+    let known_rows = |masks: &[MaskView<'_>], renderer: &mut FrameRenderer| {
+        renderer.set_mask(None).unwrap();
+        let shown = predict_from(&gpu, renderer, &now, masks);
+        let row = |row: u32| &shown[(row * 8 * SIZE.0) as usize..][..(8 * SIZE.0) as usize];
+        (renderer.predict.layers.stack().len(), [7, 6, 5].map(|number| row(number).iter().any(|pixel| pixel.known)))
+    };
+    assert_eq!(known_rows(&masks, &mut renderer), (2, [true, true, false]));
+    let more = [masks[0], MaskView { more: true, ..masks[1] }];
+    assert_eq!(known_rows(&more, &mut renderer), (1, [false, true, false]));
 }

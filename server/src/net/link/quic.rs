@@ -8,14 +8,13 @@ use web_transport_quinn::Session;
 
 use super::{CloseCode, Wire};
 use crate::limits::{SEND_BACKLOG_FLOOR_BYTES, SEND_BACKLOG_FRAMES};
-use crate::net::congestion::HeldBack;
+use crate::net::congestion::hold_back;
 
 /// The datagrams of a connection.
 #[derive(Clone)]
 pub(crate) struct QuicData {
     session: Arc<Session>,
     buffer_bytes: usize,
-    held_back: HeldBack,
 }
 
 /// What quinn counts for a queued datagram beside its bytes.
@@ -24,8 +23,7 @@ const QUEUED_OVERHEAD_BYTES: usize = size_of::<Bytes>();
 impl QuicData {
     /// Of a session whose datagram send buffer has `buffer_bytes`.
     pub(crate) fn new(session: Session, buffer_bytes: usize) -> Self {
-        let held_back = HeldBack::of(&session);
-        Self { session: Arc::new(session), buffer_bytes, held_back }
+        Self { session: Arc::new(session), buffer_bytes }
     }
 
     pub(super) async fn receive(&self) -> io::Result<Bytes> {
@@ -63,7 +61,9 @@ impl QuicData {
 
     /// Says whether frames would be larger if the path bore it.
     pub(super) fn hold_back(&self, held_back: bool) {
-        self.held_back.set(held_back);
+        // A connection that comes from elsewhere has another controller.
+        let connection: &quinn::Connection = &self.session;
+        hold_back(connection, held_back);
     }
 
     pub(super) fn wire(&self) -> Wire {
