@@ -18,7 +18,11 @@ use super::{
     depth_pass::{self, DepthPass, Faces},
     mask_words::{MaskPlanes, WORDS, WordsPass},
 };
-use crate::render::{RenderError, check_side, scene_upload::SceneUpload, targets::DEPTH};
+use crate::render::{
+    RenderError, check_side,
+    scene_upload::SceneUpload,
+    targets::{DEPTH, layered_texture},
+};
 
 /// The layers.
 #[derive(Debug)]
@@ -183,40 +187,21 @@ impl Layers {
 
 fn words(device: &wgpu::Device, shape: MaskShape, count: u32) -> wgpu::Texture {
     let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | MOVED;
-    array(device, "mask words", [shape.width(), shape.height(), count], WORDS, usage)
+    layered_texture(device, "mask words", [shape.width(), shape.height(), count], WORDS, usage)
 }
 
 fn coverage(device: &wgpu::Device, shape: MaskShape, count: u32) -> wgpu::Texture {
     let [across, down] = Coverage::places(shape);
-    array(device, "mask coverage", [across, down, count], WORDS, MOVED)
+    layered_texture(device, "mask coverage", [across, down, count], WORDS, MOVED)
 }
 
 fn depth(device: &wgpu::Device, size: [u32; 3]) -> wgpu::Texture {
-    array(device, "depth of the masks' views", size, DEPTH, wgpu::TextureUsages::RENDER_ATTACHMENT | MOVED)
+    layered_texture(device, "depth of the masks' views", size, DEPTH, wgpu::TextureUsages::RENDER_ATTACHMENT | MOVED)
 }
 
 /// Layers are read, and moved to larger textures.
 const MOVED: wgpu::TextureUsages =
     wgpu::TextureUsages::TEXTURE_BINDING.union(wgpu::TextureUsages::COPY_SRC).union(wgpu::TextureUsages::COPY_DST);
-
-fn array(
-    device: &wgpu::Device,
-    label: &'static str,
-    [width, height, depth_or_array_layers]: [u32; 3],
-    format: wgpu::TextureFormat,
-    usage: wgpu::TextureUsages,
-) -> wgpu::Texture {
-    device.create_texture(&wgpu::TextureDescriptor {
-        label: Some(label),
-        size: wgpu::Extent3d { width, height, depth_or_array_layers },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format,
-        usage,
-        view_formats: &[],
-    })
-}
 
 fn layer_of(texture: &wgpu::Texture, slot: u32) -> wgpu::TextureView {
     texture.create_view(&wgpu::TextureViewDescriptor {
