@@ -8,7 +8,7 @@ use std::{collections::BTreeMap, fmt, io::Read as _, path::PathBuf, str::FromStr
 
 use glam::{DQuat, DVec3};
 use gnomon_protocol::limits::{MAX_POSITION_M, YFOV_RANGE_RAD};
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 use serde::Deserialize;
 use thiserror::Error;
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use gnomon_protocol::{mask::MaskShape, message::Welcome};
-use gnomon_shaders::scene::{LoadOptions, Scene};
+use gnomon_scene::{LoadOptions, Scene};
 use tokio::runtime::Runtime;
 
 use crate::{

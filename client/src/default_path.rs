@@ -6,7 +6,7 @@
 use std::f32::consts::{FRAC_PI_4, TAU};
 
 use glam::{DVec3, Vec3};
-use gnomon_shaders::scene::Scene;
+use gnomon_scene::Scene;
 
 use crate::{
     camera_path::{CameraPath, Keyframe},

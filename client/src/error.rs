@@ -3,10 +3,8 @@
 use std::{path::PathBuf, time::Duration};
 
 use gnomon_protocol::{ids::FrameNumber, mask::ShapeError, message::Refusal};
-use gnomon_shaders::{
-    gpu::GpuError,
-    scene::{PackError, SceneError},
-};
+use gnomon_scene::{PackError, SceneError};
+use gnomon_shaders::gpu::GpuError;
 use thiserror::Error;
 
 use crate::{

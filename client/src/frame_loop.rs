@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS, pose::Pose};
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 
 use crate::{
     error::ClientError,

@@ -3,10 +3,8 @@
 use std::time::{Duration, Instant};
 
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, message::Welcome};
-use gnomon_shaders::{
-    camera::Camera,
-    gpu::{Gpu, GpuOptions},
-};
+use gnomon_scene::camera::Camera;
+use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use crate::{
     camera_path::CameraPath,

@@ -8,7 +8,7 @@ use std::{
 };
 
 use gnomon_protocol::{coverage::Coverage, ids::FrameNumber, limits::MAX_LAYERS};
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 use tokio::runtime::Runtime;
 
 use crate::{

@@ -5,7 +5,7 @@
 //! lights reach a pixel is never asked here: that is the server's part.
 
 use glam::Vec3;
-use gnomon_shaders::scene::Scene;
+use gnomon_scene::Scene;
 
 /// Triangles that are kept.
 pub const MAX_OCCLUDERS: usize = 4096;

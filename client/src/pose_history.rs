@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose::Pose};
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 use serde::Serialize;
 
 /// Frames that are remembered: four seconds at 60 frames/s, and more than any lag that is worth predicting over.

@@ -16,16 +16,13 @@ use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use glam::DVec3;
 use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{LoadOptions, Scene, camera::Camera};
 use gnomon_server::visibility::{
     TraceCost,
     backend::{
         compute::{ComputeBackend, RING_FRAMES},
         cpu::CpuBackend,
     },
-};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{LoadOptions, Scene},
 };
 use serde::Serialize;
 

@@ -12,11 +12,8 @@ use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use glam::DVec3;
 use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{LoadOptions, Scene, camera::Camera};
 use gnomon_server::visibility::backend::cpu::{CpuBackend, Work};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{LoadOptions, Scene},
-};
 
 /// Traces a scene over and over and says how fast that was.
 #[derive(Debug, Parser)]

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use gnomon_shaders::scene::SceneError;
+use gnomon_scene::SceneError;
 use thiserror::Error;
 
 use crate::visibility::engine::EngineError;

@@ -10,7 +10,7 @@ use std::{
 
 use bytes::Bytes;
 use gnomon_protocol::ids::SceneDigest;
-use gnomon_shaders::scene::{LoadOptions, LoadReport, Scene};
+use gnomon_scene::{LoadOptions, LoadReport, Scene};
 use tokio::{
     sync::{OwnedSemaphorePermit, Semaphore, watch},
     task::{JoinHandle, JoinSet},

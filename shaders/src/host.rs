@@ -3,10 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
-use crate::{
-    camera::RayBasis,
-    scene::{Light, LightKind, Wrap},
-};
+use gnomon_scene::{Light, LightKind, Wrap, camera::RayBasis};
 
 /// Entries of the kernels' traversal stacks, and so the levels of the deepest hierarchy that they can follow.
 pub const TRAVERSAL_STACK: u32 = 32;

@@ -5,11 +5,12 @@
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Mat4, Vec3, Vec4};
 
-use crate::{
+use gnomon_scene::{
+    AlphaMode, Light as SceneLight, LightKind, Material as SceneMaterial,
     camera::{Camera, NEAR_M},
-    host::wrap,
-    scene::{AlphaMode, Light as SceneLight, LightKind, Material as SceneMaterial},
 };
+
+use crate::host::wrap;
 
 /// Lights that fit [`Lighting`]; as many as a visibility mask has planes.
 pub const MAX_LIGHTS: usize = 32;

@@ -2,11 +2,11 @@
 
 use anyhow::Result;
 use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{Scene, camera::Camera};
 use gnomon_server::visibility::{
     TraceCost,
     backend::{BackendError, compute::ComputeBackend, cpu::CpuBackend, ray_query},
 };
-use gnomon_shaders::{camera::Camera, scene::Scene};
 
 /// A back end that masks can be traced with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]

@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use gnomon_protocol::mask::Mask;
-use gnomon_shaders::scene::{LoadOptions, Scene};
+use gnomon_scene::{LoadOptions, Scene};
 use gnomon_tests::{
     metrics::RelevantError,
     reference::{Reference, Truth},

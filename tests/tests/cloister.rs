@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use glam::{DVec3, Vec3};
-use gnomon_shaders::scene::{AlphaMode, LightKind, LoadOptions, Scene};
+use gnomon_scene::{AlphaMode, LightKind, LoadOptions, Scene};
 use rayon::prelude::*;
 use serde_json::Value;
 

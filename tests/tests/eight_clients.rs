@@ -11,14 +11,11 @@ use std::{
 use glam::DVec3;
 use gnomon_client::camera_path::{CameraPath, PathSpec};
 use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{LoadOptions, Scene, camera::Camera};
 use gnomon_server::{
     RunningServer, Server,
     config::{Backend, ServerConfig},
     visibility::backend::cpu::CpuBackend,
-};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{LoadOptions, Scene},
 };
 use gnomon_tests::{
     rig::{ClientJob, PATIENCE, masks, program::Program},

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use gnomon_client::{guard::GuardSize, mode::Mode, predictor::Predictor};
-use gnomon_shaders::motion::Extrapolation;
+use gnomon_scene::motion::Extrapolation;
 use gnomon_tests::report::{
     lag::{self, LagOptions},
     network::{self, NetworkOptions},

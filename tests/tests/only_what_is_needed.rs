@@ -5,11 +5,8 @@
 
 use glam::{DVec3, Vec3};
 use gnomon_protocol::mask::{Mask, MaskShape, TILE_PX};
+use gnomon_scene::{AlphaMode, LoadOptions, Scene, Wrap, camera::Camera};
 use gnomon_server::visibility::backend::{compute::ComputeBackend, cpu::CpuBackend};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{AlphaMode, LoadOptions, Scene, Wrap},
-};
 use gnomon_tests::{
     backends::BackendName,
     reference::Reference,

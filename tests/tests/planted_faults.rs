@@ -4,11 +4,8 @@
 
 use glam::{DVec3, Vec3};
 use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{AlphaMode, Scene, camera::Camera};
 use gnomon_server::visibility::backend::compute::{ComputeBackend, KernelOptions};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{AlphaMode, Scene},
-};
 use gnomon_tests::{
     backends::BackendName,
     metrics::RelevantError,

@@ -7,6 +7,7 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{AlphaMode, Scene, Wrap, camera::Camera};
 use gnomon_server::visibility::{
     TraceCost,
     backend::{
@@ -15,11 +16,7 @@ use gnomon_server::visibility::{
         ray_query,
     },
 };
-use gnomon_shaders::{
-    camera::Camera,
-    gpu::{Gpu, GpuOptions},
-    scene::{AlphaMode, Scene, Wrap},
-};
+use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use gnomon_tests::{
     metrics::RelevantError,
     reference::Reference,

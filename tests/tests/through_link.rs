@@ -9,8 +9,8 @@ use std::{
 
 use gnomon_client::camera_path::{CameraPath, PathSpec};
 use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{LoadOptions, Scene};
 use gnomon_server::visibility::backend::cpu::CpuBackend;
-use gnomon_shaders::scene::{LoadOptions, Scene};
 use gnomon_tests::{
     link::{Counts, Link, LinkCounts, LinkSettings, profiles::Profile},
     rig::{

@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 
 use glam::{DQuat, DVec3};
 use gnomon_protocol::limits::MAX_POSITION_M;
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 
 /// Speeds that can be chosen, in metres a second.
 const SPEEDS_M_PER_S: (f64, f64) = (0.02, 2000.0);

@@ -17,7 +17,7 @@ use gnomon_protocol::{
     coverage::Coverage,
     mask::Mask,
 };
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 use serde::{Deserialize, Serialize};
 
 use crate::{

@@ -11,7 +11,8 @@ use gnomon_protocol::{
     coverage::Coverage,
     mask::{Mask, MaskShape, ShapeError},
 };
-use gnomon_shaders::{camera::Camera, gpu::Gpu, scene::Scene};
+use gnomon_scene::{Scene, camera::Camera};
+use gnomon_shaders::gpu::Gpu;
 use thiserror::Error;
 
 use super::{FIRST_LINE, MAX_RECORD_BYTES, Record, Start};

@@ -5,7 +5,7 @@
 //! visibility of what lies behind them (`blend.wgsl`).
 
 use glam::Vec3;
-use gnomon_shaders::scene::AlphaMode;
+use gnomon_scene::AlphaMode;
 
 use super::{
     RenderError,

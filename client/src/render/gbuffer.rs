@@ -1,6 +1,7 @@
 //! The G-buffer pass: depth, base colour, and packed normal with material, of the nearest surface in every pixel.
 
-use gnomon_shaders::{scene::AlphaMode, shading::View};
+use gnomon_scene::AlphaMode;
+use gnomon_shaders::shading::View;
 
 use super::{
     RenderError, cleared,

@@ -21,10 +21,9 @@ mod tone;
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use gnomon_scene::{Scene, camera::Camera};
 use gnomon_shaders::{
-    camera::Camera,
     gpu::Gpu,
-    scene::Scene,
     shading::{Lighting, View},
     splice::{SpliceError, splice},
 };

@@ -3,10 +3,8 @@
 use std::collections::HashMap;
 
 use glam::{Vec2, Vec3};
-use gnomon_shaders::{
-    scene::{AlphaMode, Scene, Texture, Wrap},
-    shading::Material,
-};
+use gnomon_scene::{AlphaMode, Scene, Texture, Wrap};
+use gnomon_shaders::shading::Material;
 use wgpu::util::DeviceExt as _;
 
 use super::{

@@ -1,10 +1,8 @@
 //! The shading pass: every light with its visibility, on every pixel's surface; the sky where there is none.
 
 use glam::Vec4;
-use gnomon_shaders::{
-    scene::Scene,
-    shading::{Lighting, View},
-};
+use gnomon_scene::Scene;
+use gnomon_shaders::shading::{Lighting, View};
 use wgpu::util::DeviceExt as _;
 
 use super::{

@@ -2,11 +2,8 @@
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_shaders::{
-    camera::Camera,
-    gpu::{Gpu, GpuOptions},
-    scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene},
-};
+use gnomon_scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene, camera::Camera};
+use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use super::{
     FrameRenderer, PICTURE_FORMAT,

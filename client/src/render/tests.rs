@@ -2,11 +2,11 @@
 
 use glam::{DVec3, Vec3, Vec4};
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_shaders::{
+use gnomon_scene::{
+    AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap,
     camera::{Camera, NEAR_M},
-    scene::{AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap},
-    shading,
 };
+use gnomon_shaders::shading;
 
 use super::{
     FrameRenderer, PICTURE_FORMAT,

@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_shaders::scene::Scene;
+use gnomon_scene::Scene;
 
 use crate::{
     camera_path::CameraPath,

@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_PIXELS, mask::MaskShape, message::Welcome};
-use gnomon_shaders::{camera::Camera, gpu::Gpu};
+use gnomon_scene::camera::Camera;
+use gnomon_shaders::gpu::Gpu;
 
 use super::{
     loading::Loaded,

@@ -11,7 +11,8 @@ use gnomon_protocol::{
     mask::MaskShape,
     message::Welcome,
 };
-use gnomon_shaders::{camera::Camera, gpu::Gpu, scene::Scene};
+use gnomon_scene::{Scene, camera::Camera};
+use gnomon_shaders::gpu::Gpu;
 
 use crate::{
     connect::{Connected, get_scene},

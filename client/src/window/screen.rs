@@ -3,10 +3,8 @@
 use std::{path::PathBuf, sync::Arc, thread::JoinHandle, time::Instant};
 
 use gnomon_protocol::ids::FrameNumber;
-use gnomon_shaders::{
-    camera::Camera,
-    gpu::{Gpu, GpuError, GpuOptions},
-};
+use gnomon_scene::camera::Camera;
+use gnomon_shaders::gpu::{Gpu, GpuError, GpuOptions};
 use winit::window::Window;
 
 use super::painter::{Painter, Shapes};

@@ -24,7 +24,7 @@ use gnomon_protocol::{
     pose::decode_pose_packet,
     references::SentMasks,
 };
-use gnomon_shaders::scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene};
+use gnomon_scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene};
 
 /// So short that every mask takes several.
 const PACKET_BYTES: usize = MAX_PACKET_BYTES / 4;

@@ -1,4 +1,4 @@
-//! See `gnomon_shaders::fuzzing::gltf` for the properties.
+//! See `gnomon_scene::fuzzing::gltf` for the properties.
 
 #![no_main]
 
@@ -7,4 +7,4 @@ use std::{path::PathBuf, sync::LazyLock};
 static FILE: LazyLock<PathBuf> =
     LazyLock::new(|| std::env::temp_dir().join(format!("gnomon-fuzz-{}.glb", std::process::id())));
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| gnomon_shaders::fuzzing::gltf(bytes, &FILE));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| gnomon_scene::fuzzing::gltf(bytes, &FILE));

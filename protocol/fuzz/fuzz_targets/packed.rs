@@ -1,5 +1,5 @@
-//! See `gnomon_shaders::fuzzing::packed` for the properties.
+//! See `gnomon_scene::fuzzing::packed` for the properties.
 
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| gnomon_shaders::fuzzing::packed(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| gnomon_scene::fuzzing::packed(bytes));

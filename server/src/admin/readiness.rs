@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Duration, time::Instant};
 
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape};
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 use tokio::sync::watch;
 
 use crate::visibility::{TraceRequest, engine::Engine};

@@ -2,7 +2,8 @@
 
 use glam::Vec3;
 use gnomon_protocol::refresh::FULL_WEIGHT;
-use gnomon_shaders::{scene::Scene, shading::Light};
+use gnomon_scene::Scene;
+use gnomon_shaders::shading::Light;
 
 /// A weight for each light: what it gives the scene's surfaces on average, shadows not counted, where the brightest light has
 /// [`FULL_WEIGHT`] and none has less than 1.

@@ -10,7 +10,7 @@ use std::{
 };
 
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose, pose::Pose};
-use gnomon_shaders::{
+use gnomon_scene::{
     camera::Camera,
     motion::{Extrapolation, Motion},
 };

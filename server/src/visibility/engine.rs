@@ -12,7 +12,7 @@ use std::{
 };
 
 use gnomon_protocol::mask::MaskShape;
-use gnomon_shaders::{camera::Camera, scene::Scene};
+use gnomon_scene::{Scene, camera::Camera};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 

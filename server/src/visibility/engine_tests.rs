@@ -11,11 +11,8 @@ use gnomon_protocol::{
     ids::FrameNumber,
     mask::{Mask, MaskShape},
 };
-use gnomon_shaders::{
-    camera::Camera,
-    gpu::{Gpu, GpuOptions},
-    scene::Scene,
-};
+use gnomon_scene::{Scene, camera::Camera};
+use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use super::{
     TraceRequest,

@@ -4,7 +4,8 @@
 use std::{num::NonZeroUsize, sync::Arc};
 
 use gnomon_protocol::mask::MaskShape;
-use gnomon_shaders::{gpu::Gpu, scene::Scene};
+use gnomon_scene::Scene;
+use gnomon_shaders::gpu::Gpu;
 
 use super::{
     engine::{BackendChoice, Engine, EngineError, EngineOptions, OpenError},

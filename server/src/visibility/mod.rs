@@ -2,7 +2,7 @@
 //!
 //! # The rules that every back end follows
 //!
-//! 1. **Surface point.** A pixel's ray (`gnomon_shaders::camera::RayBasis`) meets the nearest OPAQUE or MASK triangle.
+//! 1. **Surface point.** A pixel's ray (`gnomon_scene::camera::RayBasis`) meets the nearest OPAQUE or MASK triangle.
 //!    Back faces of single-sided materials are passed through. A MASK point is there when the bilinear sample of the
 //!    full-size alpha picture, times the factor, is at least the cutoff. BLEND triangles are never met, nor is a triangle
 //!    whose plane holds the camera as far as rounding can tell.
@@ -45,7 +45,7 @@ mod worker;
 use std::time::{Duration, Instant};
 
 use gnomon_protocol::{ids::FrameNumber, mask::Mask, pose::Pose};
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 
 /// A mask to trace: the newest that a session wants.
 #[derive(Debug, Clone, Copy)]

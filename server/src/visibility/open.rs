@@ -1,6 +1,7 @@
 //! Opens what traces: the back end that was chosen, on the adapter that was chosen.
 
-use gnomon_shaders::{gpu::GpuError, scene::Scene};
+use gnomon_scene::Scene;
+use gnomon_shaders::gpu::GpuError;
 
 use super::{
     backend::{

@@ -3,7 +3,7 @@
 use std::f32::consts::{PI, TAU};
 
 use glam::{DVec3, Quat, Vec2, Vec3, Vec4};
-use gnomon_shaders::scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
+use gnomon_scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
 
 /// Material of [`TestScene`] for each kind of surface.
 pub(crate) const DOUBLE_SIDED: u32 = 0;

@@ -13,7 +13,7 @@ use std::{
 };
 
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 
 use self::work::{Begun, Job, LongestWhole};
 

@@ -5,7 +5,7 @@ use gnomon_protocol::{
     limits::MAX_WRONG_PPM,
     message::{ClientMessage, Hello, ServerMessage},
 };
-use gnomon_shaders::scene::Scene;
+use gnomon_scene::Scene;
 
 use super::{
     LIGHTS, Rig,

@@ -1,10 +1,7 @@
 //! Lights in awkward places: grazing, in a wall's plane, on a surface, inside a mesh, very far away, and very many.
 
 use glam::{DVec3, Vec3};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{AlphaMode, Scene},
-};
+use gnomon_scene::{AlphaMode, Scene, camera::Camera};
 
 use super::{Case, Known, place::still_life};
 use crate::scenes::builder::SceneBuilder;

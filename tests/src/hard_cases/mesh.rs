@@ -4,10 +4,7 @@ use std::fmt::Write as _;
 
 use anyhow::{Context, Result};
 use glam::{DVec3, Vec2, Vec3};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{AlphaMode, LoadOptions, Scene},
-};
+use gnomon_scene::{AlphaMode, LoadOptions, Scene, camera::Camera};
 
 use super::{Case, Known, place::still_life};
 use crate::scenes::builder::SceneBuilder;

@@ -12,7 +12,7 @@ mod surface;
 
 use anyhow::Result;
 use gnomon_protocol::mask::Mask;
-use gnomon_shaders::{camera::Camera, scene::Scene};
+use gnomon_scene::{Scene, camera::Camera};
 
 use crate::{
     backends::BackendName,

@@ -1,10 +1,7 @@
 //! Where things are, and how large: far from the origin, tiny and huge, and cameras in odd places.
 
 use glam::{DVec3, Vec3};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{Aabb, AlphaMode, Scene},
-};
+use gnomon_scene::{Aabb, AlphaMode, Scene, camera::Camera};
 
 use super::{Case, Known};
 use crate::scenes::builder::SceneBuilder;

@@ -1,10 +1,7 @@
 //! What surfaces are made of: smooth normals on coarse meshes, alpha at its threshold, faces in one plane.
 
 use glam::{DVec3, Vec3};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{AlphaMode, Wrap},
-};
+use gnomon_scene::{AlphaMode, Wrap, camera::Camera};
 
 use super::{Case, Known};
 use crate::scenes::builder::SceneBuilder;

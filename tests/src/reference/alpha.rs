@@ -1,6 +1,6 @@
 //! Alpha of MASK surfaces in f64: the bilinear rule, and how sure its answer is.
 
-use gnomon_shaders::scene::{AlphaMode, Material, Scene, Wrap};
+use gnomon_scene::{AlphaMode, Material, Scene, Wrap};
 
 /// Alpha test of one material.
 #[derive(Debug, Clone)]

@@ -3,10 +3,7 @@
 use std::f64::consts::PI;
 
 use glam::{DVec3, Vec3};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{AlphaMode, Scene, Wrap},
-};
+use gnomon_scene::{AlphaMode, Scene, Wrap, camera::Camera};
 
 use super::{Reference, Truth, Verdict};
 use crate::scenes::builder::SceneBuilder;

@@ -26,10 +26,7 @@ mod pixel;
 mod triangle;
 
 use glam::DVec3;
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{Light, LightKind, Scene},
-};
+use gnomon_scene::{Light, LightKind, Scene, camera::Camera};
 use rayon::prelude::*;
 
 use alpha::AlphaTest;

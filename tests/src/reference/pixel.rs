@@ -1,10 +1,7 @@
 //! One pixel's judgement: the rules of `gnomon_server::visibility`, in f64, with doubts.
 
 use glam::DVec3;
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{Light, LightKind},
-};
+use gnomon_scene::{Light, LightKind, camera::Camera};
 
 use super::{
     Reference, Verdict,

@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::{Context, Result};
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_shaders::{camera::Camera, scene::LoadOptions, scene::Scene};
+use gnomon_scene::{LoadOptions, Scene, camera::Camera};
 
 use super::{scene_args, table::Table, trace_error::picture};
 use crate::{

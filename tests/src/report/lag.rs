@@ -7,10 +7,10 @@
 use anyhow::{Result, bail};
 use gnomon_client::{camera_path::CameraPath, guard::GuardSize, predictor::Predictor};
 use gnomon_protocol::mask::Mask;
-use gnomon_shaders::{
+use gnomon_scene::{
+    AlphaMode, Scene,
     camera::Camera,
     motion::{Extrapolation, Motion},
-    scene::{AlphaMode, Scene},
 };
 use image::RgbImage;
 

@@ -17,7 +17,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use gnomon_client::camera_path::CameraPath;
-use gnomon_shaders::scene::{LoadOptions, Scene};
+use gnomon_scene::{LoadOptions, Scene};
 
 use self::{
     front::{Trade, on_front},

@@ -8,7 +8,7 @@ use std::time::Instant;
 use anyhow::{Result, ensure};
 use glam::DVec3;
 use gnomon_client::predictor::Predictor;
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 
 use super::{
     predict_rig::PredictRig,

@@ -13,12 +13,9 @@ use gnomon_client::{
     },
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{Scene, camera::Camera};
 use gnomon_server::visibility::backend::cpu::CpuBackend;
-use gnomon_shaders::{
-    camera::Camera,
-    gpu::{Gpu, GpuOptions},
-    scene::Scene,
-};
+use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use image::RgbImage;
 
 use crate::reference::{Reference, Truth};

@@ -5,10 +5,8 @@ use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
 use gnomon_client::record::replay::{Records, Replayed, replay};
-use gnomon_shaders::{
-    gpu::{Gpu, GpuOptions},
-    scene::Scene,
-};
+use gnomon_scene::Scene;
+use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use super::{prediction_error::PredictionError, replay::recorded_scene, scene_args::SceneArgs};
 use crate::reference::Reference;

@@ -8,10 +8,8 @@ use gnomon_client::record::{
     replay::{Records, Replayed, replay},
 };
 use gnomon_protocol::ids::SceneDigest;
-use gnomon_shaders::{
-    gpu::{Gpu, GpuOptions},
-    scene::{LoadOptions, Scene},
-};
+use gnomon_scene::{LoadOptions, Scene};
+use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 
 /// What to draw again.

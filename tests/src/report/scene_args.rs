@@ -4,7 +4,7 @@ use std::{ffi::OsString, fs, path::PathBuf};
 
 use anyhow::{Context, Result};
 use gnomon_client::camera_path::{CameraPath, PathSpec};
-use gnomon_shaders::scene::{LoadOptions, Scene};
+use gnomon_scene::{LoadOptions, Scene};
 
 /// The options that all measuring subcommands share.
 #[derive(Debug, Clone, clap::Args)]

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 
 use super::scene_args::SceneArgs;
 use crate::{

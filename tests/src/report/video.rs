@@ -19,7 +19,7 @@ use gnomon_protocol::{
     mask::Mask,
     packetizer::Packetizer,
 };
-use gnomon_shaders::{
+use gnomon_scene::{
     camera::Camera,
     motion::{Extrapolation, Motion},
 };

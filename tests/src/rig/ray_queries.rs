@@ -13,7 +13,7 @@ use std::{
 };
 
 use anyhow::{Result, ensure};
-use gnomon_shaders::scene::Scene;
+use gnomon_scene::Scene;
 
 use crate::backends::BackendName;
 

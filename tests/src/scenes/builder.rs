@@ -1,7 +1,7 @@
 //! Scenes built in code, of rectangles, boxes and spheres: what closed forms can judge.
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
-use gnomon_shaders::scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
+use gnomon_scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
 
 /// Collects triangles of one material after another.
 #[derive(Debug)]

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use glam::DVec3;
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 use serde_json::Value;
 
 /// The variable that names the folder with the real scenes.

@@ -5,7 +5,7 @@
 //! pixel and picture. The ring is as long as [`BUDGET_BYTES`] allow. A mask that is older than the ring, or was traced for a view that
 //! was never drawn (a guard band, a pose that the server predicted), has its depth drawn anew ([`super::depth_pass`]).
 
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 
 use crate::render::targets::{DEPTH, texture};
 

@@ -1,6 +1,6 @@
 //! Depth alone, for views that no picture was drawn for: those that masks were traced for, and the lights' own.
 
-use gnomon_shaders::scene::AlphaMode;
+use gnomon_scene::AlphaMode;
 
 use crate::render::{
     RenderError,

@@ -10,7 +10,8 @@ use gnomon_protocol::{
     limits::MAX_LAYERS,
     mask::MaskShape,
 };
-use gnomon_shaders::{camera::Camera, gpu::Gpu, shading::View};
+use gnomon_scene::camera::Camera;
+use gnomon_shaders::{gpu::Gpu, shading::View};
 
 use super::{
     MaskView,

@@ -20,10 +20,9 @@ use gnomon_protocol::{
     limits::MAX_LAYERS,
     mask::{Mask, MaskShape},
 };
+use gnomon_scene::{Scene, camera::Camera};
 use gnomon_shaders::{
-    camera::Camera,
     gpu::Gpu,
-    scene::Scene,
     shading::{Lighting, MAX_MASK_LAYERS, MaskLayer, Prediction, View},
 };
 

@@ -5,10 +5,8 @@
 //! for a spot, and one of four times the texels for a directional light, which covers the whole scene.
 
 use glam::{DMat4, DVec3, DVec4, Mat4, Vec3};
-use gnomon_shaders::{
-    scene::{Aabb, Light, LightKind, Scene},
-    shading::ShadowView,
-};
+use gnomon_scene::{Aabb, Light, LightKind, Scene};
+use gnomon_shaders::shading::ShadowView;
 use wgpu::util::DeviceExt as _;
 
 use super::depth_pass::{self, DepthPass, Faces};

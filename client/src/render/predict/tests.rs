@@ -8,11 +8,11 @@ use gnomon_protocol::{
     limits::MAX_LAYERS,
     mask::{Mask, MaskShape},
 };
-use gnomon_shaders::{
+use gnomon_scene::{
+    LightKind, Scene,
     camera::{Camera, NEAR_M},
-    gpu::Gpu,
-    scene::{LightKind, Scene},
 };
+use gnomon_shaders::gpu::Gpu;
 
 use super::MaskView;
 use crate::{

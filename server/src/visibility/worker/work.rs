@@ -7,7 +7,7 @@ use std::{
 };
 
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_shaders::camera::Camera;
+use gnomon_scene::camera::Camera;
 use tokio::sync::mpsc::OwnedPermit;
 
 use super::{Backend, Opening, Seated, Worker};

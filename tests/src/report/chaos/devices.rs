@@ -183,7 +183,7 @@ fn each_loss(part: &DevicesPart, server: &RunningServer) -> Result<Vec<f64>> {
 /// Asks for a mask and waits for it.
 fn ask(port: &mut SessionPort, frame: u32) -> Result<()> {
     let to = glam::DVec3::new(0.3, 0.1, 1.0);
-    let camera = gnomon_shaders::camera::Camera::looking_at(glam::DVec3::ZERO, to, 1.0, 64, 36);
+    let camera = gnomon_scene::camera::Camera::looking_at(glam::DVec3::ZERO, to, 1.0, 64, 36);
     let request = TraceRequest {
         frame: FrameNumber(frame),
         camera,
@@ -278,7 +278,7 @@ fn several(part: &DevicesPart, server: &RunningServer, probes: &Probes) -> Resul
 
 fn ask_of(port: &mut SessionPort, shape: MaskShape, frame: u32) -> Result<()> {
     let to = glam::DVec3::new(0.3, 0.1, 1.0);
-    let camera = gnomon_shaders::camera::Camera::looking_at(glam::DVec3::ZERO, to, 1.0, shape.width(), shape.height());
+    let camera = gnomon_scene::camera::Camera::looking_at(glam::DVec3::ZERO, to, 1.0, shape.width(), shape.height());
     let interval = Duration::from_millis(16);
     port.request(TraceRequest {
         frame: FrameNumber(frame),

@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use gnomon_client::predictor::Predictor;
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_shaders::{camera::Camera, scene::Scene};
+use gnomon_scene::{Scene, camera::Camera};
 use image::RgbImage;
 
 use super::viewer::{Shown, Viewer};

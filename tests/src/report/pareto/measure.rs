@@ -5,11 +5,8 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use gnomon_client::{camera_path::CameraPath, predictor::Predictor};
 use gnomon_protocol::{codec::CodecId, mask::Mask};
+use gnomon_scene::{LightKind, Scene, camera::Camera};
 use gnomon_server::visibility::backend::{compute::KernelOptions, sampling::Sampling};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{LightKind, Scene},
-};
 
 use super::{
     Group, Row,

@@ -7,6 +7,7 @@ use gnomon_protocol::{
     codec::{CodecId, Encoder, Simplifier},
     mask::{Mask, MaskShape},
 };
+use gnomon_scene::{Scene, camera::Camera};
 use gnomon_server::visibility::backend::{
     BackendError,
     compute::{ComputeBackend, KernelOptions},
@@ -14,7 +15,6 @@ use gnomon_server::visibility::backend::{
     ray_query,
     sampling::Sampling,
 };
-use gnomon_shaders::{camera::Camera, scene::Scene};
 
 /// The back ends, by the names of `--backend`.
 pub(super) const BACKENDS: [&str; 3] = ["cpu", "compute", "ray-query"];

@@ -7,11 +7,8 @@ use gnomon_client::{
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, predict::MaskView, readback::PictureReader},
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_shaders::{
-    camera::Camera,
-    gpu::{Gpu, GpuOptions},
-    scene::Scene,
-};
+use gnomon_scene::{Scene, camera::Camera};
+use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use image::RgbImage;
 
 /// A client's renderer at one size.

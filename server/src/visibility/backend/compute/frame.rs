@@ -12,7 +12,8 @@ use std::{
 };
 
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_shaders::{camera::Camera, host::TracedView};
+use gnomon_scene::camera::Camera;
+use gnomon_shaders::host::TracedView;
 
 use super::{
     ComputeBackend,

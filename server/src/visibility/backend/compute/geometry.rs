@@ -3,10 +3,8 @@
 use std::collections::HashMap;
 
 use glam::{Vec2, Vec3, Vec3A};
-use gnomon_shaders::{
-    host::{AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedTriangle, wraps},
-    scene::{AlphaMode, Material, Scene, triangle_normal},
-};
+use gnomon_scene::{AlphaMode, Material, Scene, triangle_normal};
+use gnomon_shaders::host::{AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedTriangle, wraps};
 use obvhs::{
     Boundable,
     bvh2::Bvh2,

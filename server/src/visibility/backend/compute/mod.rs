@@ -15,10 +15,10 @@ use std::{
 
 use glam::DVec3;
 use gnomon_protocol::mask::MaskShape;
+use gnomon_scene::Scene;
 use gnomon_shaders::{
     gpu::{Gpu, GpuOptions},
     host::TracedLight,
-    scene::Scene,
 };
 use wgpu::util::DeviceExt as _;
 

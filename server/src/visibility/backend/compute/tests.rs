@@ -2,11 +2,8 @@
 
 use glam::{DVec3, Vec3, Vec3A};
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_shaders::{
-    camera::Camera,
-    gpu::Gpu,
-    scene::{LightKind, Scene},
-};
+use gnomon_scene::{LightKind, Scene, camera::Camera};
+use gnomon_shaders::gpu::Gpu;
 use obvhs::ray::{Ray, RayHit};
 
 use super::{ComputeBackend, KernelOptions, RING_FRAMES, Sampling, geometry};

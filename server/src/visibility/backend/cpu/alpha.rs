@@ -1,6 +1,6 @@
 //! Whether a point of a MASK triangle is there.
 
-use gnomon_shaders::scene::{AlphaMode, AlphaPicture, Scene, Wrap};
+use gnomon_scene::{AlphaMode, AlphaPicture, Scene, Wrap};
 
 use crate::visibility::backend::BackendError;
 

@@ -1,7 +1,7 @@
 //! Lights: at which surface points they matter, and how their shadow rays run.
 
 use glam::Vec3;
-use gnomon_shaders::scene::{Light, LightKind};
+use gnomon_scene::{Light, LightKind};
 
 use super::{
     group::PACKETS,

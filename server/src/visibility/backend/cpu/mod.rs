@@ -12,10 +12,7 @@
 use std::{num::NonZeroUsize, ops::Range};
 
 use gnomon_protocol::mask::{Mask, TILE_PX};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{AlphaMode, Scene},
-};
+use gnomon_scene::{AlphaMode, Scene, camera::Camera};
 use rayon::{
     ThreadPool, ThreadPoolBuilder,
     iter::{IntoParallelIterator, ParallelIterator},

@@ -1,7 +1,7 @@
 //! The surface points that camera rays met: where they are, how they face, and where shadow rays to them end.
 
 use glam::Vec3;
-use gnomon_shaders::scene::{Scene, triangle_normal};
+use gnomon_scene::{Scene, triangle_normal};
 
 use super::{
     group::PACKETS,

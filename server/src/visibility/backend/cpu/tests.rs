@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use gnomon_protocol::mask::MaskShape;
-use gnomon_shaders::scene::{Aabb, Draw, Image, Light, LightKind, Material, Texture, Wrap};
+use gnomon_scene::{Aabb, Draw, Image, Light, LightKind, Material, Texture, Wrap};
 
 use self::brute::Brute;
 use super::*;

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use glam::Vec3;
 use gnomon_protocol::mask::TILE_PX;
-use gnomon_shaders::camera::RayBasis;
+use gnomon_scene::camera::RayBasis;
 
 use super::{
     alpha::Alpha,

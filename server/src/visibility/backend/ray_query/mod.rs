@@ -9,7 +9,8 @@
 mod pad;
 
 use glam::Vec3;
-use gnomon_shaders::{gpu::Gpu, host::TracedTriangle, scene::Scene};
+use gnomon_scene::Scene;
+use gnomon_shaders::{gpu::Gpu, host::TracedTriangle};
 use wgpu::util::DeviceExt as _;
 
 use super::{

@@ -2,10 +2,7 @@
 //! of neighbouring triangles are skipped when the ray misses the box around them.
 
 use glam::{DVec2, DVec3};
-use gnomon_shaders::{
-    camera::Camera,
-    scene::{AlphaMode, Light, LightKind, Scene, Wrap},
-};
+use gnomon_scene::{AlphaMode, Light, LightKind, Scene, Wrap, camera::Camera};
 
 pub(super) struct Brute<'a> {
     scene: &'a Scene,

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
-use gnomon_shaders::scene::LoadOptions;
+use gnomon_scene::LoadOptions;
 use rayon::iter::{IndexedParallelIterator, ParallelIterator};
 
 use super::{super::*, brute::Brute, trace};

@@ -1,0 +1,268 @@
+//! What every [`Scene`] guarantees, checked: after loading, and again by whoever receives one.
+
+use std::f32::consts::FRAC_PI_2;
+
+use glam::Vec3;
+use thiserror::Error;
+
+use super::{
+    Aabb, AlphaMode, Image, Light, LightKind, Material, Scene,
+    limits::{
+        MAX_DRAWS, MAX_IMAGE_SIDE_PX, MAX_IMAGES, MAX_IMAGES_PIXELS, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_BYTES,
+        MAX_TRIANGLES, MAX_VERTICES, in_reach, is_legal_uv,
+    },
+    normals::triangle_normal,
+};
+
+/// How far a unit vector's squared length may lie from 1: rounding to f32 moves it by less than 1e-6.
+const UNIT_TOLERANCE: f32 = 1e-4;
+
+/// The first guarantee of [`Scene`] that one does not keep.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("{0}")]
+pub struct CheckError(String);
+
+fn ensure(holds: bool, fault: impl FnOnce() -> String) -> Result<(), CheckError> {
+    if holds { Ok(()) } else { Err(CheckError(fault())) }
+}
+
+/// Fails on the first element of which `holds` is not true.
+fn all<T: std::fmt::Debug>(what: &str, elements: &[T], holds: impl Fn(&T) -> bool) -> Result<(), CheckError> {
+    match elements.iter().enumerate().find(|(_, element)| !holds(element)) {
+        Some((index, element)) => Err(CheckError(format!("{what} {index} is {element:?}"))),
+        None => Ok(()),
+    }
+}
+
+fn at_most(what: &str, count: usize, limit: u64) -> Result<(), CheckError> {
+    ensure(count as u64 <= limit, || format!("{count} {what}, more than {limit}"))
+}
+
+/// Local coordinates are differences of two legal ones.
+fn is_local(position: Vec3) -> bool {
+    in_reach(position.as_dvec3() / 2.0)
+}
+
+fn is_unit(vector: Vec3) -> bool {
+    (vector.length_squared() - 1.0).abs() <= UNIT_TOLERANCE
+}
+
+impl Scene {
+    /// Checks everything that the type's documentation guarantees.
+    ///
+    /// # Errors
+    /// On the first guarantee that is not kept.
+    pub fn check(&self) -> Result<(), CheckError> {
+        self.check_geometry()?;
+        self.check_draws()?;
+        at_most("materials", self.materials.len(), MAX_MATERIALS as u64 + 1)?;
+        for (index, material) in self.materials.iter().enumerate() {
+            self.check_material(index, material)?;
+        }
+        at_most("images", self.images.len(), MAX_IMAGES as u64)?;
+        let pixels = |image: &Image| u64::from(image.width) * u64::from(image.height);
+        let sides = 1..=MAX_IMAGE_SIDE_PX;
+        for (index, image) in self.images.iter().enumerate() {
+            let whole = sides.contains(&image.width)
+                && sides.contains(&image.height)
+                && image.rgba.len() as u64 == pixels(image) * 4;
+            ensure(whole, || {
+                format!("image {index} of {}×{} pixels has {} bytes", image.width, image.height, image.rgba.len())
+            })?;
+        }
+        let pixels = self.images.iter().map(pixels).sum::<u64>();
+        ensure(pixels <= MAX_IMAGES_PIXELS, || format!("{pixels} pixels, more than {MAX_IMAGES_PIXELS}"))?;
+        ensure((1..=MAX_LIGHTS).contains(&self.lights.len()), || format!("{} lights", self.lights.len()))?;
+        all("light", &self.lights, is_legal_light)
+    }
+
+    fn check_geometry(&self) -> Result<(), CheckError> {
+        let vertices = self.positions.len();
+        at_most("vertices", vertices, MAX_VERTICES)?;
+        at_most("triangles", self.triangles.len(), MAX_TRIANGLES)?;
+        ensure(!self.triangles.is_empty(), || "no triangles".to_owned())?;
+        ensure(self.normals.len() == vertices && self.uvs.len() == vertices, || {
+            format!("{vertices} positions, {} normals and {} UVs", self.normals.len(), self.uvs.len())
+        })?;
+        let origin = self.origin_m;
+        ensure(in_reach(origin), || format!("the origin is {origin}"))?;
+        all("position", &self.positions, |p| is_local(*p))?;
+        all("normal", &self.normals, |normal| is_unit(*normal))?;
+        all("UV", &self.uvs, |uv| is_legal_uv(*uv))?;
+        all("triangle", &self.triangles, |corners| {
+            let [a, b, c] = corners.map(|corner| self.positions.get(corner as usize).copied());
+            a.zip(b).zip(c).is_some_and(|((a, b), c)| triangle_normal(a, b, c).is_some())
+        })?;
+        let bounds = Aabb::of(self);
+        ensure(self.bounds == bounds, || format!("bounds are {:?}, but say {:?}", bounds, self.bounds))
+    }
+
+    fn check_draws(&self) -> Result<(), CheckError> {
+        at_most("draws", self.draws.len(), MAX_DRAWS)?;
+        ensure(self.instances > 0, || "no instances".to_owned())?;
+        let (mut next, mut class) = (0_u64, 0);
+        for (index, draw) in self.draws.iter().enumerate() {
+            let of = match self.materials.get(draw.material as usize).map(|material| material.alpha) {
+                Some(AlphaMode::Opaque) => 0,
+                Some(AlphaMode::Mask { .. }) => 1,
+                Some(AlphaMode::Blend) => 2,
+                None => return Err(CheckError(format!("draw {index} names material {}", draw.material))),
+            };
+            let follows = u64::from(draw.first_triangle) == next && draw.triangles > 0 && of >= class;
+            ensure(follows, || format!("draw {index} is {draw:?}, after triangle {next} of class {class}"))?;
+            next += u64::from(draw.triangles);
+            class = of;
+        }
+        let triangles = self.triangles.len();
+        ensure(next == triangles as u64, || format!("draws cover {next} triangles of {triangles}"))
+    }
+
+    fn check_material(&self, index: usize, material: &Material) -> Result<(), CheckError> {
+        let cutoff = match material.alpha {
+            AlphaMode::Mask { cutoff } => cutoff,
+            AlphaMode::Opaque | AlphaMode::Blend => 0.0,
+        };
+        let legal = material.base_color.to_array().iter().all(|v| (0.0..=1.0).contains(v))
+            && material.emissive.to_array().iter().all(|v| *v >= 0.0 && v.is_finite())
+            && cutoff >= 0.0
+            && cutoff.is_finite()
+            && material.name.len() <= MAX_NAME_BYTES
+            && material.base_color_texture.is_none_or(|texture| (texture.image as usize) < self.images.len());
+        ensure(legal, || format!("material {index} is {material:?}, with {} images", self.images.len()))
+    }
+}
+
+fn is_legal_light(light: &Light) -> bool {
+    let cone = match light.kind {
+        LightKind::Directional | LightKind::Point => true,
+        LightKind::Spot { inner_cone_rad, outer_cone_rad } => {
+            inner_cone_rad >= 0.0 && inner_cone_rad <= outer_cone_rad && outer_cone_rad <= FRAC_PI_2 + 1e-6
+        }
+    };
+    cone && is_local(light.position)
+        && is_unit(light.direction)
+        && light.color.to_array().iter().all(|v| *v >= 0.0 && v.is_finite())
+        && light.intensity >= 0.0
+        && light.intensity.is_finite()
+        && light.range_m > 0.0
+        && light.name.len() <= MAX_NAME_BYTES
+}
+
+impl Aabb {
+    /// The bounds of a scene's triangles; all zeros when there are none, or where they name no vertex.
+    pub(super) fn of(scene: &Scene) -> Self {
+        let corners = scene.triangles.iter().flatten();
+        let mut positions = corners.filter_map(|corner| scene.positions.get(*corner as usize));
+        let Some(first) = positions.next() else { return Self { min: Vec3::ZERO, max: Vec3::ZERO } };
+        let (min, max) =
+            positions.fold((*first, *first), |(min, max), position| (min.min(*position), max.max(*position)));
+        Self { min, max }
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use glam::{DVec3, Vec2, Vec4};
+
+    use super::*;
+    use crate::{Draw, Texture, Wrap};
+
+    /// Two triangles: one OPAQUE, one MASK with a picture of 2 × 1 pixels; a point and a spot light.
+    pub(crate) fn scene() -> Scene {
+        let mut encoded = Vec::new();
+        let rgba = vec![255, 0, 0, 0, 0, 255, 0, 255];
+        let picture = image::RgbaImage::from_raw(2, 1, rgba.clone()).unwrap();
+        picture.write_to(&mut std::io::Cursor::new(&mut encoded), image::ImageFormat::Png).unwrap();
+        let material = |texture, alpha| Material {
+            name: "matter".to_owned(),
+            base_color: Vec4::ONE,
+            base_color_texture: texture,
+            emissive: Vec3::ZERO,
+            alpha,
+            double_sided: false,
+        };
+        let texture = Texture { image: 0, wrap_u: Wrap::Repeat, wrap_v: Wrap::ClampToEdge };
+        let light = |kind| Light {
+            name: "lamp".to_owned(),
+            kind,
+            position: Vec3::Y,
+            direction: Vec3::NEG_Y,
+            color: Vec3::ONE,
+            intensity: 5.0,
+            range_m: f32::INFINITY,
+        };
+        Scene {
+            origin_m: DVec3::new(1e6, 0.0, -0.5),
+            bounds: Aabb { min: Vec3::ZERO, max: Vec3::new(1.0, 1.0, 0.0) },
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::new(1.0, 1.0, 0.0)],
+            normals: vec![Vec3::Z; 4],
+            uvs: vec![Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::ONE],
+            triangles: vec![[0, 1, 2], [1, 3, 2]],
+            draws: vec![
+                Draw { first_triangle: 0, triangles: 1, material: 0 },
+                Draw { first_triangle: 1, triangles: 1, material: 1 },
+            ],
+            materials: vec![
+                material(None, AlphaMode::Opaque),
+                material(Some(texture), AlphaMode::Mask { cutoff: 0.5 }),
+            ],
+            images: vec![Image { encoded, width: 2, height: 1, rgba }],
+            lights: vec![
+                light(LightKind::Point),
+                light(LightKind::Spot { inner_cone_rad: 0.0, outer_cone_rad: FRAC_PI_2 }),
+            ],
+            instances: 2,
+        }
+    }
+
+    /// A change that breaks one guarantee, and a part of what the error says.
+    type Break = (&'static str, fn(&mut Scene));
+
+    const BREAKS: [Break; 34] = [
+        ("normals", |s| s.normals.truncate(3)),
+        ("UVs", |s| s.uvs.push(Vec2::ZERO)),
+        ("position 1", |s| s.positions[1].x = f32::NAN),
+        ("position 1", |s| s.positions[1].y = f32::INFINITY),
+        ("position 2", |s| s.positions[2].y = 3e9),
+        ("normal 3", |s| s.normals[3] = Vec3::ZERO),
+        ("normal 3", |s| s.normals[3].z = f32::NAN),
+        ("UV 0", |s| s.uvs[0].y = f32::NAN),
+        ("UV 0", |s| s.uvs[0].y = 1e6),
+        ("origin", |s| s.origin_m.x = f64::NAN),
+        ("triangle 1", |s| s.triangles[1][2] = 4),
+        ("triangle 1", |s| s.triangles[1][2] = 3),
+        ("no triangles", |s| s.triangles.clear()),
+        ("bounds", |s| s.bounds.max.x = 2.0),
+        ("bounds", |s| s.bounds.min.x = f32::NAN),
+        ("no instances", |s| s.instances = 0),
+        ("draws cover 1", |s| s.draws.truncate(1)),
+        ("draw 1", |s| s.draws[1].first_triangle = 0),
+        ("draw 1", |s| s.draws[1].triangles = 0),
+        ("draw 1 names material 2", |s| s.draws[1].material = 2),
+        ("draw 1", |s| s.materials.swap(0, 1)),
+        ("material 1", |s| s.images.clear()),
+        ("material 0", |s| s.materials[0].base_color.w = 1.5),
+        ("material 0", |s| s.materials[0].emissive.x = f32::INFINITY),
+        ("material 1", |s| s.materials[1].alpha = AlphaMode::Mask { cutoff: f32::NAN }),
+        ("material 0", |s| s.materials[0].name = "n".repeat(257)),
+        ("image 0", |s| s.images[0].rgba.truncate(7)),
+        ("image 0", |s| s.images[0].width = 0),
+        ("0 lights", |s| s.lights.clear()),
+        ("33 lights", |s| s.lights = vec![s.lights[0].clone(); 33]),
+        ("light 0", |s| s.lights[0].direction = Vec3::ZERO),
+        ("light 0", |s| s.lights[0].position.z = f32::NAN),
+        ("light 1", |s| s.lights[1].kind = LightKind::Spot { inner_cone_rad: 1.0, outer_cone_rad: 0.5 }),
+        ("light 0", |s| s.lights[0].range_m = f32::NAN),
+    ];
+
+    #[test]
+    fn every_broken_guarantee_is_found() {
+        assert_eq!(scene().check(), Ok(()));
+        for (index, (says, break_it)) in BREAKS.iter().enumerate() {
+            let mut scene = scene();
+            break_it(&mut scene);
+            let fault = scene.check().expect_err(&format!("break {index} ({says}) went unseen")).to_string();
+            assert!(fault.contains(says), "break {index}: {fault:?} does not say {says:?}");
+        }
+    }
+}

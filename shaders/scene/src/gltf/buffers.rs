@@ -1,0 +1,88 @@
+//! The bytes of a file's buffers (glTF 2.0, §3.6.1), each loaded from where its URI leads.
+
+use std::{borrow::Cow, path::Path};
+
+use super::{
+    container::read_start,
+    document::Document,
+    layout::view_range,
+    uri::{Target, follow},
+};
+use crate::{
+    error::{SceneError, place, within},
+    limits::MAX_BUFFER_BYTES,
+};
+
+/// Buffers, each exactly as long as the JSON says.
+pub(super) struct Buffers<'a>(Vec<Option<Cow<'a, [u8]>>>);
+
+impl<'a> Buffers<'a> {
+    /// Loads every buffer that has a URI, and takes the first without one from the `.glb`'s binary chunk.
+    ///
+    /// # Errors
+    /// When one cannot be read, is shorter than it says, or all together are too large.
+    pub(super) fn load(document: &Document<'_>, bin: Option<&'a [u8]>, folder: &Path) -> Result<Self, SceneError> {
+        let total = document.buffers.iter().try_fold(0_u64, |sum, buffer| sum.checked_add(buffer.byte_length));
+        within("bytes of all buffers", total.unwrap_or(u64::MAX), MAX_BUFFER_BYTES)?;
+        let mut buffers = Vec::with_capacity(document.buffers.len());
+        for (index, buffer) in document.buffers.iter().enumerate() {
+            let here = || place("buffer", index, None);
+            let data = match &buffer.uri {
+                Some(uri) => match follow(&uri.0, folder).map_err(|fault| SceneError::invalid(here(), fault))? {
+                    Target::Data(data) => Some(Cow::Owned(data)),
+                    // Only what the sum above has counted: many buffers may name one large file.
+                    Target::File(path) => Some(Cow::Owned(read_start(&path, buffer.byte_length)?)),
+                },
+                None if index == 0 => bin.map(Cow::Borrowed),
+                None => None,
+            };
+            let data = match data {
+                Some(data) => {
+                    let there = data.len();
+                    Some(cut(data, buffer.byte_length).ok_or_else(|| {
+                        let fault = format!("it says {} bytes, but has {there}", buffer.byte_length);
+                        SceneError::invalid(here(), fault)
+                    })?)
+                }
+                None => None,
+            };
+            buffers.push(data);
+        }
+        Ok(Self(buffers))
+    }
+
+    /// A buffer's bytes.
+    ///
+    /// # Errors
+    /// When it has none: no URI, and no binary chunk that it could be.
+    pub(super) fn get(&self, index: usize) -> Result<&[u8], SceneError> {
+        self.0.get(index).and_then(Option::as_deref).ok_or_else(|| {
+            SceneError::invalid(place("buffer", index, None), "it has no uri, and there is no GLB chunk with its bytes")
+        })
+    }
+
+    /// A buffer view's bytes.
+    ///
+    /// # Errors
+    /// As [`view_range`] and [`Self::get`].
+    pub(super) fn view(&self, document: &Document<'_>, index: u32) -> Result<&[u8], SceneError> {
+        let (buffer, start, bytes) = view_range(document, index as usize)?;
+        let data = self.get(buffer)?;
+        let range = usize::try_from(start).ok().zip(usize::try_from(start + bytes).ok());
+        range.and_then(|(start, end)| data.get(start..end)).ok_or_else(|| {
+            SceneError::invalid(place("buffer view", index as usize, None), "it reaches beyond its buffer")
+        })
+    }
+}
+
+/// The first `bytes` bytes, or None when there are fewer. A binary chunk may be padded.
+fn cut(data: Cow<'_, [u8]>, bytes: u64) -> Option<Cow<'_, [u8]>> {
+    let bytes = usize::try_from(bytes).ok().filter(|bytes| *bytes <= data.len())?;
+    Some(match data {
+        Cow::Borrowed(data) => Cow::Borrowed(data.get(..bytes)?),
+        Cow::Owned(mut data) => {
+            data.truncate(bytes);
+            Cow::Owned(data)
+        }
+    })
+}

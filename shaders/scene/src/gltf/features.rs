@@ -1,0 +1,133 @@
+//! Features that Gnomon does not read, each named in its error before any geometry is read.
+//!
+//! A required extension must be known. An optional one may be ignored unless that would show other geometry or another
+//! base colour than the file means: compressed meshes are refused even where they bring an uncompressed copy.
+
+use super::document::{Document, Primitive};
+use crate::error::{SceneError, place};
+
+/// Extensions that are read, or that only change the look in ways that Gnomon's shading does not have.
+const KNOWN: [&str; 19] = [
+    "KHR_lights_punctual",
+    "KHR_materials_anisotropy",
+    "KHR_materials_clearcoat",
+    "KHR_materials_diffuse_transmission",
+    "KHR_materials_dispersion",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_ior",
+    "KHR_materials_iridescence",
+    "KHR_materials_sheen",
+    "KHR_materials_specular",
+    "KHR_materials_transmission",
+    "KHR_materials_unlit",
+    "KHR_materials_variants",
+    "KHR_materials_volume",
+    "KHR_mesh_quantization",
+    "KHR_node_visibility",
+    "KHR_texture_transform",
+    "KHR_xmp",
+    "KHR_xmp_json_ld",
+];
+
+/// Fails on the first feature that is not supported.
+///
+/// # Errors
+/// [`SceneError::Unsupported`], with the feature's name.
+pub(super) fn check(document: &Document<'_>) -> Result<(), SceneError> {
+    for name in &document.extensions_required {
+        if !KNOWN.contains(&name.as_str()) {
+            return Err(SceneError::unsupported("the file", format!("the required extension {name:.100}")));
+        }
+    }
+    for (index, view) in document.buffer_views.iter().enumerate() {
+        let extension = if view.extensions.ext_meshopt.is_some() {
+            "EXT_meshopt_compression"
+        } else if view.extensions.khr_meshopt.is_some() {
+            "KHR_meshopt_compression"
+        } else {
+            continue;
+        };
+        return Err(SceneError::unsupported(place("buffer view", index, None), extension));
+    }
+    for (index, mesh) in document.meshes.iter().enumerate() {
+        for (number, primitive) in mesh.primitives.iter().enumerate() {
+            let here = || format!("{}, primitive {number}", place("mesh", index, mesh.name.as_deref()));
+            check_primitive(primitive, here)?;
+            if primitive.targets > 0 && mesh.weights.as_ref().is_some_and(|weights| weights.iter().any(|w| *w != 0.0)) {
+                return Err(SceneError::unsupported(here(), "morph targets with weights other than 0"));
+            }
+        }
+    }
+    for (index, node) in document.nodes.iter().enumerate() {
+        let here = || place("node", index, node.name.as_deref());
+        if node.extensions.instancing.is_some() {
+            return Err(SceneError::unsupported(here(), "EXT_mesh_gpu_instancing"));
+        }
+        if node.mesh.is_some() && node.skin.is_some() {
+            return Err(SceneError::unsupported(here(), "a skin"));
+        }
+        let morphs = |mesh: u32| {
+            document.meshes.get(mesh as usize).is_some_and(|mesh| mesh.primitives.iter().any(|p| p.targets > 0))
+        };
+        let weighted = node.weights.as_ref().is_some_and(|weights| weights.iter().any(|w| *w != 0.0));
+        if weighted && node.mesh.is_some_and(morphs) {
+            return Err(SceneError::unsupported(here(), "morph targets with weights other than 0"));
+        }
+    }
+    for (index, material) in document.materials.iter().enumerate() {
+        if material.extensions.specular_glossiness.is_some() {
+            let here = place("material", index, material.name.as_deref());
+            return Err(SceneError::unsupported(here, "KHR_materials_pbrSpecularGlossiness"));
+        }
+    }
+    Ok(())
+}
+
+fn check_primitive(primitive: &Primitive, here: impl Fn() -> String) -> Result<(), SceneError> {
+    if primitive.extensions.draco.is_some() {
+        return Err(SceneError::unsupported(here(), "KHR_draco_mesh_compression"));
+    }
+    if primitive.extensions.splats.is_some() {
+        return Err(SceneError::unsupported(here(), "KHR_gaussian_splatting"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use super::*;
+    use crate::gltf::document::parse;
+
+    fn fault(properties: Value) -> Option<String> {
+        let mut json = properties;
+        json["asset"] = json!({"version": "2.0"});
+        check(&parse(json.to_string().as_bytes()).unwrap()).err().map(|error| error.to_string())
+    }
+
+    #[test]
+    fn required_extensions_must_be_known_and_optional_ones_need_not() {
+        assert_eq!(fault(json!({"extensionsUsed": ["NEW_thing"], "extensions": {"NEW_thing": {}}})), None);
+        assert!(fault(json!({"extensionsRequired": ["NEW_thing"]})).unwrap().contains("NEW_thing"));
+        for name in KNOWN {
+            assert_eq!(fault(json!({"extensionsRequired": [name]})), None);
+        }
+    }
+
+    #[test]
+    fn morph_targets_matter_only_where_they_have_weight() {
+        let mesh = |weights: Value| json!({"primitives": [{"attributes": {}, "targets": [{}]}], "weights": weights});
+        let with = |mesh: Value, node: Value| fault(json!({"meshes": [mesh], "nodes": [node]}));
+        assert_eq!(with(mesh(json!([0])), json!({"mesh": 0})), None);
+        assert!(with(mesh(json!([0.5])), json!({"mesh": 0})).unwrap().contains("mesh 0, primitive 0 uses morph"));
+        assert!(with(mesh(json!([0])), json!({"mesh": 0, "weights": [1]})).unwrap().contains("node 0 uses morph"));
+    }
+
+    #[test]
+    fn skins_matter_only_where_they_move_a_mesh() {
+        assert_eq!(fault(json!({"skins": [{}], "nodes": [{"skin": 0}]})), None);
+        let both = json!({"nodes": [{"mesh": 0, "skin": 0, "name": "fox"}]});
+        assert_eq!(fault(both).unwrap(), "node 0 \"fox\" uses a skin, which is not supported");
+    }
+}

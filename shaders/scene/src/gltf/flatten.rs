@@ -1,0 +1,223 @@
+//! Flattens the placed meshes: transforms applied in f64, recentred, rounded once to f32.
+//!
+//! Two passes over the primitives, so that no f64 copy of the geometry is ever held: the first finds the bounds, and
+//! with them the origin; the second writes vertices relative to it.
+
+use glam::{DMat3, DMat4, DVec3, Vec3};
+
+use super::{
+    buffers::Buffers,
+    document::{Document, Primitive},
+    material::Materials,
+    nodes::Placed,
+    primitive::{self, Geometry, Mode},
+};
+use crate::{
+    AlphaMode, Draw, LoadReport, Scene,
+    error::{SceneError, place, within},
+    limits::{MAX_COORDINATE_M, MAX_DRAWS, MAX_TRIANGLES, MAX_VERTICES, in_reach},
+    normals::{repair, triangle_normal},
+};
+
+/// A primitive that is drawn, and where.
+struct Part<'a> {
+    primitive: &'a Primitive,
+    place: String,
+    mode: Mode,
+    material: u32,
+    /// World transforms of its mesh's instances.
+    instances: Vec<DMat4>,
+}
+
+/// Writes positions, normals, UVs, triangles, draws, materials, bounds and origin of `scene`.
+///
+/// # Errors
+/// When a primitive is malformed, or the flattened scene goes beyond `limits`.
+pub(super) fn flatten(
+    document: &Document<'_>,
+    buffers: &Buffers<'_>,
+    placed: &[Placed],
+    materials: &mut Materials,
+    scene: &mut Scene,
+    report: &mut LoadReport,
+) -> Result<(), SceneError> {
+    let parts = parts(document, placed, materials, scene, report)?;
+    scene.origin_m = origin(document, buffers, &parts)?;
+    // OPAQUE first, then MASK, then BLEND: a tracer reads a prefix, and a rasteriser sets each state once.
+    for class in 0..3 {
+        for part in &parts {
+            let alpha = materials.materials.get(part.material as usize).map(|material| material.alpha);
+            let of = match alpha {
+                Some(AlphaMode::Blend) => 2,
+                Some(AlphaMode::Mask { .. }) => 1,
+                _ => 0,
+            };
+            if of != class {
+                continue;
+            }
+            let geometry = read(document, buffers, part)?;
+            for world_from_node in &part.instances {
+                append(&geometry, world_from_node, part, scene, report)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// What is to be drawn, within `limits`.
+fn parts<'a>(
+    document: &'a Document<'_>,
+    placed: &[Placed],
+    materials: &mut Materials,
+    scene: &mut Scene,
+    report: &mut LoadReport,
+) -> Result<Vec<Part<'a>>, SceneError> {
+    let mut instances: Vec<Vec<DMat4>> = vec![Vec::new(); document.meshes.len()];
+    for at in placed {
+        let mesh = document.nodes.get(at.node).and_then(|node| node.mesh);
+        if let Some(list) = mesh.and_then(|mesh| instances.get_mut(mesh as usize)) {
+            list.push(at.world_from_node);
+            scene.instances = scene.instances.saturating_add(1);
+        }
+    }
+    let mut parts = Vec::new();
+    let (mut triangles, mut vertices, mut draws) = (0_u64, 0_u64, 0_u64);
+    for ((index, mesh), instances) in document.meshes.iter().enumerate().zip(instances) {
+        for (number, primitive) in mesh.primitives.iter().enumerate() {
+            let place = format!("{}, primitive {number}", place("mesh", index, mesh.name.as_deref()));
+            let times = instances.len() as u64;
+            let Some(mode) = Mode::of(primitive, &place)? else {
+                report.skipped_primitives += times;
+                continue;
+            };
+            let Some(size) = primitive::size(document, primitive, mode, &place)? else {
+                report.skipped_primitives += times;
+                continue;
+            };
+            if times == 0 {
+                continue;
+            }
+            report.ignored_morph_targets += primitive.targets as u64;
+            // Each is bounded, so that these products fit.
+            triangles += size.triangles * times;
+            vertices += size.vertices * times;
+            draws += times;
+            within("triangles of the scene, shared meshes counted for each instance", triangles, MAX_TRIANGLES)?;
+            within("vertices of the scene, shared meshes counted for each instance", vertices, MAX_VERTICES)?;
+            within("primitives of the scene, shared meshes counted for each instance", draws, MAX_DRAWS)?;
+            let material = materials.get(document, primitive.material)?;
+            parts.push(Part { primitive, place, mode, material, instances: instances.clone() });
+        }
+    }
+    let reserve = |count: u64| usize::try_from(count).unwrap_or(0);
+    scene.positions.reserve_exact(reserve(vertices));
+    scene.normals.reserve_exact(reserve(vertices));
+    scene.uvs.reserve_exact(reserve(vertices));
+    scene.triangles.reserve_exact(reserve(triangles));
+    Ok(parts)
+}
+
+fn read(document: &Document<'_>, buffers: &Buffers<'_>, part: &Part<'_>) -> Result<Geometry, SceneError> {
+    let material = part.primitive.material.and_then(|index| document.materials.get(index as usize));
+    let texture = material.and_then(|material| material.pbr_metallic_roughness.base_color_texture.as_ref());
+    primitive::read(document, buffers, part.primitive, part.mode, texture, &part.place)
+}
+
+/// The scene's origin: the centre of its bounds, rounded to a multiple of the smallest power of two that is larger than
+/// the bounds' longest side. So a scene that holds the world's origin, or has it in a corner, keeps its coordinates bit
+/// for bit, and one far away has local coordinates of at most one and a half times its size.
+fn origin(document: &Document<'_>, buffers: &Buffers<'_>, parts: &[Part<'_>]) -> Result<DVec3, SceneError> {
+    let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for part in parts {
+        let geometry = read(document, buffers, part)?;
+        for world_from_node in &part.instances {
+            for position in &geometry.positions {
+                let world = world_from_node.transform_point3(position.as_dvec3());
+                if !in_reach(world) {
+                    let fault = format!("position {position} lies at {world}, beyond ±{MAX_COORDINATE_M} m");
+                    return Err(SceneError::invalid(part.place.as_str(), fault));
+                }
+                min = min.min(world);
+                max = max.max(world);
+            }
+        }
+    }
+    let extent = (max - min).max_element();
+    // Negated so that an empty scene's infinities, and a scene of one point, end here.
+    if !(extent > 0.0 && extent.is_finite()) {
+        return Ok(if min.is_finite() { min.round() + DVec3::ZERO } else { DVec3::ZERO });
+    }
+    let step = (extent.log2().floor() + 1.0).exp2();
+    // Adding zero turns -0 into 0, which reads better.
+    Ok(((min + max) / 2.0 / step).round() * step + DVec3::ZERO)
+}
+
+/// Appends one instance of a primitive.
+fn append(
+    geometry: &Geometry,
+    world_from_node: &DMat4,
+    part: &Part<'_>,
+    scene: &mut Scene,
+    report: &mut LoadReport,
+) -> Result<(), SceneError> {
+    let index = |count: usize| {
+        let fault = || SceneError::Limit { what: "vertices".to_owned(), count: count as u64, limit: MAX_VERTICES };
+        u32::try_from(count).map_err(|_| fault())
+    };
+    let linear = DMat3::from_mat4(*world_from_node);
+    let mirrored = linear.determinant() < 0.0;
+    let local = |position: &Vec3| (world_from_node.transform_point3(position.as_dvec3()) - scene.origin_m).as_vec3();
+    let positions: Vec<Vec3> = geometry.positions.iter().map(local).collect();
+
+    let first_vertex = index(scene.positions.len())?;
+    let first_triangle = index(scene.triangles.len())?;
+    for triangle in &geometry.triangles {
+        // A mirror turns counter-clockwise into clockwise; swapping two corners turns it back (§3.7.4).
+        let [a, b, c] = if mirrored { [triangle[0], triangle[2], triangle[1]] } else { *triangle };
+        let [Some(pa), Some(pb), Some(pc)] = [a, b, c].map(|corner| positions.get(corner as usize).copied()) else {
+            continue;
+        };
+        let Some(normal) = triangle_normal(pa, pb, pc) else {
+            report.dropped_triangles += 1;
+            continue;
+        };
+        if geometry.normals.is_some() {
+            scene.triangles.push([a, b, c].map(|corner| first_vertex + corner));
+            continue;
+        }
+        let first = index(scene.positions.len())?;
+        scene.triangles.push([first, first + 1, first + 2]);
+        scene.positions.extend([pa, pb, pc]);
+        scene.normals.extend([rounded(normal); 3]);
+        scene.uvs.extend([a, b, c].map(|corner| geometry.uvs.get(corner as usize).copied().unwrap_or_default()));
+    }
+    let kept = scene.triangles.get(first_triangle as usize..).unwrap_or_default();
+    if kept.is_empty() {
+        return Ok(());
+    }
+    if let Some(normals) = &geometry.normals {
+        let turn = normal_matrix(&linear);
+        let world = |normal: &Vec3| (turn * normal.as_dvec3()).try_normalize().map_or(Vec3::ZERO, rounded);
+        let mut normals: Vec<Vec3> = normals.iter().map(world).collect();
+        report.repaired_normals += repair(&positions, &mut normals, kept, first_vertex);
+        scene.positions.extend(positions);
+        scene.normals.extend(normals);
+        scene.uvs.extend_from_slice(&geometry.uvs);
+    }
+    let triangles = index(scene.triangles.len())? - first_triangle;
+    scene.draws.push(Draw { first_triangle, triangles, material: part.material });
+    Ok(())
+}
+
+/// The inverse transpose of a transform, up to a positive factor: its cofactors, which exist even where a scale of 0
+/// leaves no inverse, with the sign of its determinant.
+fn normal_matrix(linear: &DMat3) -> DMat3 {
+    let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
+    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
+    if linear.determinant() < 0.0 { -cofactors } else { cofactors }
+}
+
+/// A unit vector, rounded to f32.
+fn rounded(unit: DVec3) -> Vec3 {
+    unit.as_vec3().normalize()
+}

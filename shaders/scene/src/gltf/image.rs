@@ -1,0 +1,60 @@
+//! The pictures of base colour textures: found, read and decoded.
+
+use std::path::Path;
+
+use super::{
+    buffers::Buffers,
+    container::read_file,
+    document::Document,
+    uri::{Target, follow},
+};
+use crate::{
+    Image,
+    error::{SceneError, place, within},
+    limits::{MAX_IMAGE_BYTES, MAX_IMAGES_BYTES, MAX_IMAGES_PIXELS},
+    picture::decode,
+};
+
+/// Loads the images with the given indices, in that order.
+///
+/// # Errors
+/// When one is missing, broken, or of a format that is not read, with the file's name; when all together are too large.
+pub(super) fn load(
+    document: &Document<'_>,
+    buffers: &Buffers<'_>,
+    folder: &Path,
+    wanted: &[u32],
+) -> Result<Vec<Image>, SceneError> {
+    let mut images = Vec::with_capacity(wanted.len());
+    let (mut bytes, mut pixels_left) = (0_u64, MAX_IMAGES_PIXELS);
+    for index in wanted {
+        let Some(source) = document.images.get(*index as usize) else {
+            return Err(SceneError::invalid(place("image", *index as usize, None), "there is no such image"));
+        };
+        let here = place("image", *index as usize, source.name.as_deref());
+        let mut name = "inside the file".to_owned();
+        let encoded = match (&source.uri, source.buffer_view) {
+            (Some(uri), _) => {
+                match follow(&uri.0, folder).map_err(|fault| SceneError::invalid(here.as_str(), fault))? {
+                    Target::Data(data) => data,
+                    Target::File(path) => {
+                        name = path.display().to_string();
+                        read_file(&path, MAX_IMAGE_BYTES)?
+                    }
+                }
+            }
+            (None, Some(view)) => {
+                let view = buffers.view(document, view)?;
+                within(format!("bytes of {here}"), view.len() as u64, MAX_IMAGE_BYTES)?;
+                view.to_vec()
+            }
+            (None, None) => return Err(SceneError::invalid(here, "it has neither a uri nor a buffer view")),
+        };
+        bytes += encoded.len() as u64;
+        within("bytes of all base colour pictures", bytes, MAX_IMAGES_BYTES)?;
+        let image = decode(encoded, pixels_left).map_err(|fault| SceneError::Picture { place: here, name, fault })?;
+        pixels_left -= u64::from(image.width) * u64::from(image.height);
+        images.push(image);
+    }
+    Ok(images)
+}

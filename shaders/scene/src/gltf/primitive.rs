@@ -1,0 +1,224 @@
+//! One primitive's geometry in its mesh's own space: lists, strips and fans, indexed or not, become lists of triangles.
+
+use glam::{DMat3, DVec2, Vec2, Vec3};
+
+use super::{
+    accessor,
+    buffers::Buffers,
+    document::{Document, Primitive, TextureInfo},
+    layout::Layout,
+};
+use crate::{
+    error::{SceneError, within},
+    limits::{MAX_TRIANGLES, MAX_UV, MAX_VERTICES, is_legal_uv},
+};
+
+/// How a primitive's vertices make triangles (§3.7.2.1).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Mode {
+    List,
+    Strip,
+    Fan,
+}
+
+/// What a primitive will take, known from the JSON alone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Size {
+    /// Triangles, zero-area ones included.
+    pub(super) triangles: u64,
+    /// Vertices that each instance takes.
+    pub(super) vertices: u64,
+}
+
+/// A primitive's geometry.
+pub(super) struct Geometry {
+    pub(super) positions: Vec<Vec3>,
+    /// Not normalised; None: flat ones are to be made, and every triangle has its own three vertices.
+    pub(super) normals: Option<Vec<Vec3>>,
+    /// Texture transform applied.
+    pub(super) uvs: Vec<Vec2>,
+    pub(super) triangles: Vec<[u32; 3]>,
+}
+
+impl Mode {
+    /// The mode of a primitive, or None for points and lines.
+    ///
+    /// # Errors
+    /// When there is no such mode.
+    pub(super) fn of(primitive: &Primitive, place: &str) -> Result<Option<Self>, SceneError> {
+        Ok(match primitive.mode {
+            None | Some(4) => Some(Self::List),
+            Some(5) => Some(Self::Strip),
+            Some(6) => Some(Self::Fan),
+            Some(0..=3) => None,
+            Some(mode) => return Err(SceneError::invalid(place, format!("its mode {mode} does not exist"))),
+        })
+    }
+
+    /// Triangles that `corners` vertices or indices make.
+    fn triangles(self, corners: usize) -> usize {
+        match self {
+            Self::List => corners / 3,
+            Self::Strip | Self::Fan => corners.saturating_sub(2),
+        }
+    }
+
+    /// Positions of triangle `number`'s corners in the list of indices, counter-clockwise. Every second triangle of a
+    /// strip is turned.
+    fn corners(self, number: usize) -> [usize; 3] {
+        match self {
+            Self::List => [number * 3, number * 3 + 1, number * 3 + 2],
+            Self::Strip => [number, number + 1 + number % 2, number + 2 - number % 2],
+            Self::Fan => [number + 1, number + 2, 0],
+        }
+    }
+}
+
+/// Checks a primitive's accessors against each other, and says what it will take.
+///
+/// # Errors
+/// When it has no positions, or its accessors' counts disagree.
+pub(super) fn size(
+    document: &Document<'_>,
+    primitive: &Primitive,
+    mode: Mode,
+    place: &str,
+) -> Result<Option<Size>, SceneError> {
+    // Legal (§3.7.2.1): an extension may bring the positions. None that is known does.
+    let Some(positions) = primitive.attributes.position else { return Ok(None) };
+    let attributes = &primitive.attributes;
+    let vertices = Layout::new(document, positions as usize)?.count;
+    within(format!("vertices of {place}"), vertices as u64, MAX_VERTICES)?;
+    for other in [attributes.normal].into_iter().chain((0..4).map(|set| attributes.texcoord(set))).flatten() {
+        let count = Layout::new(document, other as usize)?.count;
+        if count != vertices {
+            let fault = format!("it has {vertices} positions, but {count} elements in accessor {other}");
+            return Err(SceneError::invalid(place, fault));
+        }
+    }
+    let corners = match primitive.indices {
+        Some(indices) => Layout::new(document, indices as usize)?.count,
+        None => vertices,
+    };
+    if mode == Mode::List && corners % 3 != 0 {
+        return Err(SceneError::invalid(place, format!("{corners} corners make no whole number of triangles")));
+    }
+    let triangles = mode.triangles(corners) as u64;
+    within(format!("triangles of {place}"), triangles, MAX_TRIANGLES)?;
+    // All vertices are read, however few of them the triangles name; flat normals take three for each triangle.
+    let vertices = if attributes.normal.is_some() { vertices as u64 } else { (vertices as u64).max(triangles * 3) };
+    within(format!("vertices of {place}"), vertices, MAX_VERTICES)?;
+    Ok(Some(Size { triangles, vertices }))
+}
+
+/// Reads a primitive. `texture` is its material's base colour texture.
+///
+/// # Errors
+/// When an accessor is malformed, an index is out of range, or the texture's coordinates are missing.
+pub(super) fn read(
+    document: &Document<'_>,
+    buffers: &Buffers<'_>,
+    primitive: &Primitive,
+    mode: Mode,
+    texture: Option<&TextureInfo>,
+    place: &str,
+) -> Result<Geometry, SceneError> {
+    let attributes = &primitive.attributes;
+    let Some(positions) = attributes.position else {
+        return Err(SceneError::invalid(place, "it has no positions"));
+    };
+    let positions: Vec<Vec3> = accessor::vectors(document, buffers, positions)?.into_iter().map(Vec3::from).collect();
+    let normals = match attributes.normal {
+        Some(normals) => Some(accessor::vectors(document, buffers, normals)?.into_iter().map(Vec3::from).collect()),
+        None => None,
+    };
+    let uvs = match texture {
+        Some(texture) => read_uvs(document, buffers, primitive, texture, place)?,
+        None => vec![Vec2::ZERO; positions.len()],
+    };
+    let corners = match primitive.indices {
+        Some(indices) => accessor::indices(document, buffers, indices)?,
+        None => (0..).take(positions.len()).collect(),
+    };
+    if let Some(at) = corners.iter().position(|index| *index as usize >= positions.len()) {
+        let index = corners.get(at).copied().unwrap_or_default();
+        let fault = format!("index {at} is {index}, but there are {} vertices", positions.len());
+        return Err(SceneError::invalid(place, fault));
+    }
+    let triangle = |number| mode.corners(number).map(|corner| corners.get(corner).copied().unwrap_or_default());
+    let triangles: Vec<[u32; 3]> = (0..mode.triangles(corners.len())).map(triangle).collect();
+    if normals.is_some() {
+        return Ok(Geometry { positions, normals, uvs, triangles });
+    }
+    // Flat normals need vertices of their own for each triangle.
+    let order = || triangles.iter().flatten().map(|index| *index as usize);
+    Ok(Geometry {
+        positions: order().filter_map(|index| positions.get(index).copied()).collect(),
+        normals: None,
+        uvs: order().filter_map(|index| uvs.get(index).copied()).collect(),
+        triangles: (0..).step_by(3).map(|first| [first, first + 1, first + 2]).take(triangles.len()).collect(),
+    })
+}
+
+fn read_uvs(
+    document: &Document<'_>,
+    buffers: &Buffers<'_>,
+    primitive: &Primitive,
+    texture: &TextureInfo,
+    place: &str,
+) -> Result<Vec<Vec2>, SceneError> {
+    let transform = texture.extensions.transform.as_ref();
+    let set = transform.and_then(|transform| transform.tex_coord).unwrap_or(texture.tex_coord);
+    let Some(accessor) = primitive.attributes.texcoord(set) else {
+        let fault =
+            format!("its material's base colour needs TEXCOORD_{set}, which it does not have or which is not read");
+        return Err(SceneError::invalid(place, fault));
+    };
+    let mut uvs: Vec<Vec2> = accessor::vectors(document, buffers, accessor)?.into_iter().map(Vec2::from).collect();
+    if let Some(transform) = transform {
+        // KHR_texture_transform: translation * rotation * scale, rotation counter-clockwise with v pointing down.
+        let offset = transform.offset.map_or(DVec2::ZERO, DVec2::from_array);
+        let scale = transform.scale.map_or(DVec2::ONE, DVec2::from_array);
+        let (sin, cos) = transform.rotation.unwrap_or(0.0).sin_cos();
+        let matrix = DMat3::from_cols_array(&[
+            cos * scale.x,
+            -sin * scale.x,
+            0.0,
+            sin * scale.y,
+            cos * scale.y,
+            0.0,
+            offset.x,
+            offset.y,
+            1.0,
+        ]);
+        for uv in &mut uvs {
+            *uv = matrix.transform_point2(uv.as_dvec2()).as_vec2();
+        }
+    }
+    match uvs.iter().position(|uv| !is_legal_uv(*uv)) {
+        Some(at) => {
+            let uv = uvs.get(at).copied().unwrap_or_default();
+            Err(SceneError::invalid(place, format!("texture coordinate {at} is {uv}, beyond ±{MAX_UV}")))
+        }
+        None => Ok(uvs),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn triangles(mode: Mode, corners: usize) -> Vec<[usize; 3]> {
+        (0..mode.triangles(corners)).map(|number| mode.corners(number)).collect()
+    }
+
+    #[test]
+    fn modes_follow_the_specifications_formulas() {
+        assert_eq!(triangles(Mode::List, 7), [[0, 1, 2], [3, 4, 5]]);
+        assert_eq!(triangles(Mode::Strip, 5), [[0, 1, 2], [1, 3, 2], [2, 3, 4]]);
+        assert_eq!(triangles(Mode::Fan, 5), [[1, 2, 0], [2, 3, 0], [3, 4, 0]]);
+        for mode in [Mode::List, Mode::Strip, Mode::Fan] {
+            assert!((0..3).all(|corners| triangles(mode, corners).is_empty()));
+        }
+    }
+}

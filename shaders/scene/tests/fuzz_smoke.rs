@@ -1,0 +1,99 @@
+//! The fuzz targets' entry points on the stable toolchain: valid scenes, and valid scenes that were damaged. Seeded, so that a failure
+//! comes again. With `GNOMON_FUZZ_SEEDS=FOLDER` the valid ones are written there, as the targets' seeds.
+#![allow(missing_docs, clippy::unwrap_used, reason = "tests")]
+
+#[path = "../../../server/tests/support/scene.rs"]
+mod small;
+
+use std::fs;
+
+use gnomon_scene::{LoadOptions, Scene, fuzzing};
+
+/// The seed, and damaged ones.
+fn drive(target: &str, seed: &[u8], rounds: u32, mut entry: impl FnMut(&[u8])) {
+    if let Some(folder) = std::env::var_os("GNOMON_FUZZ_SEEDS") {
+        let folder = std::path::Path::new(&folder).join(target);
+        fs::create_dir_all(&folder).unwrap();
+        fs::write(folder.join("seed"), seed).unwrap();
+    }
+    let mut state = 7_u32;
+    let mut below = |most: usize| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as usize % most.max(1)
+    };
+    entry(seed);
+    for _ in 0..rounds {
+        let mut bytes = seed.to_vec();
+        for _ in 0..=below(3) {
+            let place = below(bytes.len());
+            match below(4) {
+                0 => bytes.truncate(place),
+                1 => bytes.insert(place, below(256).to_le_bytes()[0]),
+                2 => bytes[place..].rotate_left(1),
+                _ => bytes[place] ^= 1 << below(8),
+            }
+            if bytes.is_empty() {
+                break;
+            }
+        }
+        entry(&bytes);
+    }
+}
+
+/// The small scene with its buffer inside.
+fn whole_file(folder: &std::path::Path) -> Vec<u8> {
+    let text = fs::read_to_string(small::write(folder)).unwrap();
+    let mut gltf: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let bytes = fs::read(folder.join("scene.bin")).unwrap();
+    let inside = format!(
+        "data:application/octet-stream;base64,{}",
+        base64::Engine::encode(&base64::prelude::BASE64_STANDARD, bytes)
+    );
+    gltf["buffers"][0]["uri"] = inside.into();
+    gltf.to_string().into_bytes()
+}
+
+#[test]
+fn gltf() {
+    let folder = tempfile::tempdir().unwrap();
+    let seed = whole_file(folder.path());
+    let file = folder.path().join("damaged.gltf");
+    drive("gltf", &seed, 3_000, |bytes| fuzzing::gltf(bytes, &file));
+    assert!(Scene::load(&folder.path().join("scene.gltf"), &LoadOptions::default()).is_ok(), "the seed is a scene");
+}
+
+#[test]
+fn glb() {
+    let folder = tempfile::tempdir().unwrap();
+    small::write(folder.path());
+    let mut json = fs::read(folder.path().join("scene.gltf")).unwrap();
+    let mut gltf: serde_json::Value = serde_json::from_slice(&json).unwrap();
+    gltf["buffers"][0].as_object_mut().unwrap().remove("uri");
+    json = gltf.to_string().into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let binary = fs::read(folder.path().join("scene.bin")).unwrap();
+    let word = |value: usize| u32::try_from(value).unwrap().to_le_bytes();
+    let length = 12 + 8 + json.len() + 8 + binary.len();
+    let seed = [
+        &b"glTF"[..],
+        &word(2),
+        &word(length),
+        &word(json.len()),
+        b"JSON",
+        &json,
+        &word(binary.len()),
+        b"BIN\0",
+        &binary,
+    ];
+    let file = folder.path().join("damaged.glb");
+    drive("glb", &seed.concat(), 3_000, |bytes| fuzzing::gltf(bytes, &file));
+    fs::write(&file, seed.concat()).unwrap();
+    assert!(Scene::load(&file, &LoadOptions::default()).is_ok(), "the seed is a scene");
+}
+
+#[test]
+fn packed() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Scene::load(&small::write(folder.path()), &LoadOptions::default()).unwrap();
+    drive("packed", &scene.pack().unwrap(), 10_000, fuzzing::packed);
+}

@@ -1,0 +1,194 @@
+//! Broken, unsupported and hostile files: never a panic, a hang or a large allocation, and as strict as Khronos'
+//! validator about everything that is read.
+//!
+//! All in one process, whose peak of memory is read at the end; so this file holds nothing else.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod common;
+
+use std::{
+    path::{Path, PathBuf},
+    sync::mpsc,
+    thread,
+    time::Duration,
+};
+
+use common::{files, peak_kib, scenes};
+use gnomon_scene::{LoadOptions, Scene, SceneError};
+use serde_json::Value;
+
+/// Guards against hangs only: the slowest file takes milliseconds.
+const HANG: Duration = Duration::from_secs(120);
+
+/// Largest peak of memory, in KiB.
+const MAX_PEAK_KIB: u64 = 1 << 20;
+
+/// Errors of the validator that a file may have and yet load: code (empty: any), a part of the pointer to what is wrong
+/// (empty: anything), and why.
+const ALLOWED: [(&str, &str, &str); 38] = [
+    ("", "/animations", "animations are not read: the scene is shown at rest"),
+    ("", "/skins", "skins are not read; a mesh with one is refused"),
+    ("", "/cameras", "cameras are not read"),
+    ("", "/targets", "morph targets are not read; weights other than 0 are refused"),
+    ("", "KHR_materials_variants", "variants are not read: the default materials are shown"),
+    ("", "KHR_materials_anisotropy", "only base colour, emission and alpha are read"),
+    ("", "KHR_materials_specular", "only base colour, emission and alpha are read"),
+    ("", "KHR_materials_volume", "only base colour, emission and alpha are read"),
+    ("", "emissiveTexture", "only base colour textures are read"),
+    ("", "normalTexture", "only base colour textures are read"),
+    ("", "occlusionTexture", "only base colour textures are read"),
+    ("", "metallicRoughnessTexture", "only base colour textures are read"),
+    ("", "/attributes/COLOR_0", "vertex colours are not read"),
+    ("", "/attributes/TANGENT", "tangents are not read"),
+    ("ACCESSOR_ELEMENT_OUT_OF_MAX_BOUND", "", "bounds are computed, not believed"),
+    ("ACCESSOR_ELEMENT_OUT_OF_MIN_BOUND", "", "bounds are computed, not believed"),
+    ("ACCESSOR_MAX_MISMATCH", "", "bounds are computed, not believed"),
+    ("ACCESSOR_MIN_MISMATCH", "", "bounds are computed, not believed"),
+    ("MESH_PRIMITIVE_POSITION_ACCESSOR_WITHOUT_BOUNDS", "", "bounds are computed, not believed"),
+    ("GLB_CHUNK_LENGTH_UNALIGNED", "", "bytes are copied: nothing depends on alignment"),
+    ("BUFFER_VIEW_INVALID_BYTE_STRIDE", "", "targets of views are not read: an accessor's use decides"),
+    ("BUFFER_VIEW_TARGET_OVERRIDE", "", "targets of views are not read: an accessor's use decides"),
+    ("ACCESSOR_VECTOR3_NON_UNIT", "NORMAL", "normals are normalised"),
+    ("ACCESSOR_INDEX_OOB", "", "in a mesh that no node shows, which is not read"),
+    ("MESH_PRIMITIVE_TOO_FEW_TEXCOORDS", "", "of an emissive texture, which is not read"),
+    ("MESH_PRIMITIVE_NO_TANGENT_SPACE", "", "normal maps are not read"),
+    ("MESH_PRIMITIVE_JOINTS_WEIGHTS_MISMATCH", "", "skins are not read"),
+    ("EMPTY_ENTITY", "", "an empty list is as good as none"),
+    ("DUPLICATE_ELEMENTS", "", "a name listed twice is as good as once"),
+    ("UNDECLARED_EXTENSION", "", "the list of used extensions is not read"),
+    ("NON_REQUIRED_EXTENSION", "", "the list of used extensions is not read"),
+    ("UNEXPECTED_EXTENSION_OBJECT", "", "an extension in a place where it means nothing is ignored"),
+    ("UNSATISFIED_DEPENDENCY", "", "an offset of 0 without a view, a skin without a mesh"),
+    ("MESH_PRIMITIVES_UNEQUAL_TARGETS_COUNT", "", "morph targets are not read"),
+    ("INVALID_URI", "/buffers", "an empty parameter of a data URI is passed over"),
+    ("TEXTURE_INVALID_IMAGE_MIME_TYPE", "", "pictures are told by their first bytes"),
+    ("BUFFER_MISSING_GLB_DATA", "", "no accessor reads the buffer that is missing"),
+    ("", "/images", "no base colour uses the picture; the test of pictures covers those that one does"),
+];
+
+/// Legal files that are refused all the same: the file, and what the error says.
+const REFUSED: [(&str, &str); 7] = [
+    ("asset/min_version_valid.gltf", "2.1"),
+    ("mesh/valid.gltf", "morph targets"),
+    ("node/valid.gltf", "skin"),
+    ("root/named_objects.gltf", "skin"),
+    ("skin/ignored_animated_transform.gltf", "skin"),
+    ("skin/ignored_parent_transform.gltf", "skin"),
+    ("KHR_lights_punctual/data/light/unknown_type.gltf", "spherical"),
+];
+
+/// Loads with one light from a file, so that nothing fails for want of a light.
+fn load(path: &Path, lights: &Path) -> Result<Scene, SceneError> {
+    let options = LoadOptions { lights_from: Some(lights.to_owned()), max_lights: None };
+    let (sender, receiver) = mpsc::sync_channel(1);
+    let file = path.to_owned();
+    let worker = thread::spawn(move || sender.send(Scene::load(&file, &options)).is_ok());
+    let result = receiver.recv_timeout(HANG);
+    let result = result.unwrap_or_else(|error| panic!("{}: panicked or hung ({error})", path.display()));
+    assert!(worker.join().unwrap());
+    result
+}
+
+fn with_lights<T>(test: impl FnOnce(&Path) -> T) -> T {
+    let folder = tempfile::tempdir().unwrap();
+    let lights = folder.path().join("lights.json");
+    std::fs::write(&lights, r#"{"lights":[{"type":"point","position":[0,1,0]}]}"#).unwrap();
+    test(&lights)
+}
+
+/// The validator's errors about a file, as (code, pointer), or None where there is no report.
+fn reported(path: &Path) -> Option<Vec<(String, String)>> {
+    let mut report = path.as_os_str().to_owned();
+    report.push(".report.json");
+    let report: Value = serde_json::from_slice(&std::fs::read(PathBuf::from(report)).ok()?).unwrap();
+    let messages = report["issues"]["messages"].as_array().unwrap().iter();
+    let text = |message: &Value, key: &str| message[key].as_str().unwrap_or_default().to_owned();
+    Some(
+        messages
+            .filter(|message| message["severity"] == 0)
+            .map(|message| (text(message, "code"), text(message, "pointer")))
+            .collect(),
+    )
+}
+
+#[test]
+fn every_file_loads_or_fails_clearly() {
+    with_lights(|lights| {
+        let mut used = [false; ALLOWED.len()];
+        let (mut walked, mut judged, mut loaded, mut wrong) = (0, 0, 0, Vec::new());
+        for path in files(&scenes().join("invalid")) {
+            walked += 1;
+            let result = load(&path, lights);
+            loaded += usize::from(result.is_ok());
+            let Some(errors) = reported(&path) else { continue };
+            judged += 1;
+            match result {
+                // No triangles to show says nothing about whether the fault was seen.
+                Ok(_) | Err(SceneError::NoTriangles { .. }) => {
+                    for (code, pointer) in errors {
+                        let allowed =
+                            ALLOWED.iter().position(|(c, p, _)| (c.is_empty() || *c == code) && pointer.contains(p));
+                        match allowed {
+                            Some(index) => used[index] = true,
+                            None => wrong.push(format!("{} has {code} at {pointer}, but loads", path.display())),
+                        }
+                    }
+                }
+                Err(error) if errors.is_empty() => {
+                    let known =
+                        REFUSED.iter().any(|(file, says)| path.ends_with(file) && error.to_string().contains(says));
+                    if !known {
+                        wrong.push(format!("{} is legal, but: {error}", path.display()));
+                    }
+                }
+                Err(_) => {}
+            }
+        }
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+        let stale: Vec<_> = ALLOWED.iter().zip(used).filter(|(_, used)| !used).collect();
+        assert!(stale.is_empty(), "allowances that nothing needs: {stale:?}");
+        assert!(walked > 500 && judged > 200 && loaded > 0, "{walked} files, {judged} reports, {loaded} loaded");
+        println!("{walked} files, {judged} judged by their reports, {loaded} loaded");
+    });
+    let peak = peak_kib();
+    println!("peak of memory: {peak} KiB");
+    assert!(peak < MAX_PEAK_KIB, "peak of memory: {peak} KiB");
+}
+
+/// A part of the path, and what its error must name.
+const UNSUPPORTED: [(&str, &str); 11] = [
+    ("skin-morph/SimpleMorph/", "morph targets"),
+    ("skin-morph/MorphPrimitivesTest/", "morph targets"),
+    ("skin-morph/", "skin"),
+    ("draco/", "KHR_draco_mesh_compression"),
+    ("instancing/", "EXT_mesh_gpu_instancing"),
+    ("meshopt/KHR_meshopt_compression/", "KHR_meshopt_compression"),
+    ("meshopt/", "EXT_meshopt_compression"),
+    ("other/BoxTextured-glTF-pbrSpecularGlossiness/", "KHR_materials_pbrSpecularGlossiness"),
+    ("other/batched.glb", "CESIUM_RTC"),
+    ("other/basic.glb", "KHR_gaussian_splatting"),
+    ("textures/", "WebP"),
+];
+
+#[test]
+fn unsupported_features_are_named() {
+    with_lights(|lights| {
+        let folder = scenes().join("unsupported");
+        let mut count = 0;
+        for path in files(&folder) {
+            if !path.extension().is_some_and(|extension| extension == "gltf" || extension == "glb") {
+                continue;
+            }
+            let name = path.strip_prefix(&folder).unwrap().display().to_string();
+            let feature = match name.as_str() {
+                "textures/CesiumBalloonKTX2.glb" => "KHR_texture_basisu",
+                _ => UNSUPPORTED.iter().find(|(part, _)| name.starts_with(part)).map(|(_, feature)| *feature).unwrap(),
+            };
+            let error = load(&path, lights).expect_err(&name).to_string();
+            assert!(error.contains(feature) && error.contains("not supported"), "{name}: {error}");
+            count += 1;
+        }
+        assert_eq!(count, 22);
+    });
+}
