@@ -36,7 +36,7 @@ deny:
 
 SECONDS ?= 60
 fuzz:
-	GNOMON_FUZZ_SEEDS=$(CURDIR)/target/fuzz-run/seeds cargo test -p gnomon-protocol -p gnomon-shaders --test fuzz_smoke
+	GNOMON_FUZZ_SEEDS=$(CURDIR)/target/fuzz-run/seeds cargo test -p gnomon-protocol -p gnomon-scene --test fuzz_smoke
 	GNOMON_FUZZ_SEEDS=$(CURDIR)/target/fuzz-run/seeds cargo test -p gnomon-server --lib fuzzing
-	protocol/fuzz/build target/fuzz-run --features server
+	tests/fuzz/build target/fuzz-run --features server
 	target/fuzz-run/run $(SECONDS) target/fuzz-run/out

@@ -1,7 +1,7 @@
-//! Properties that hold for any bytes. The fuzz targets (`protocol/fuzz`) and the stable smoke test
+//! Properties that hold for any bytes. The fuzz targets (`tests/fuzz`) and the stable smoke test
 //! (`tests/fuzz_smoke.rs`) call these; nothing else should. Each panics when its property does not hold.
 //!
-//! All targets, for a minute, with the stable toolchain: `make fuzz` (`protocol/fuzz/build` and `run`).
+//! All targets, for a minute, with the stable toolchain: `make fuzz` (`tests/fuzz/build` and `run`).
 
 mod slices;
 

@@ -1,5 +1,5 @@
 //! The fuzz targets' entry points on the stable toolchain: noise, valid inputs, and valid inputs that were damaged.
-//! Seeded, so that a failure comes again. The targets themselves run by `make fuzz` (see `protocol/fuzz`).
+//! Seeded, so that a failure comes again. The targets themselves run by `make fuzz` (see `tests/fuzz`).
 
 #![allow(clippy::unwrap_used, reason = "helpers outside the test functions use it too")]
 

@@ -1,4 +1,4 @@
-//! Properties that hold for any bytes of the files that an operator writes. The fuzz targets (`protocol/fuzz`) and the test below call
+//! Properties that hold for any bytes of the files that an operator writes. The fuzz targets (`tests/fuzz`) and the test below call
 //! these; nothing else should. Each panics when its property does not hold.
 
 use std::path::Path;

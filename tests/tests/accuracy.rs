@@ -5,14 +5,14 @@
 
 use std::path::Path;
 
-use gnomon_protocol::mask::Mask;
-use gnomon_scene::{LoadOptions, Scene};
-use gnomon_tests::{
+use gnomon_lab::{
     metrics::RelevantError,
     reference::{Reference, Truth},
     rig::{ClientJob, PATIENCE, ServerProcess, masks},
     scenes::real::{JUDGED, RealScene, Stop},
 };
+use gnomon_protocol::mask::Mask;
+use gnomon_scene::{LoadOptions, Scene};
 
 const SIZE: (u32, u32) = (640, 360);
 /// At most this share of the relevant bits may differ though the referee is sure of them.

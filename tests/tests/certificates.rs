@@ -11,11 +11,11 @@ use gnomon_client::{
     camera_path::CameraPath,
     probe::{ProbeOptions, run_probe},
 };
-use gnomon_protocol::codec::CodecId;
-use gnomon_tests::rig::{
+use gnomon_lab::rig::{
     PATIENCE,
     program::{Program, find},
 };
+use gnomon_protocol::codec::CodecId;
 use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
 
 /// An authority: its certificate in `NAME.pem`, and what signs for it.

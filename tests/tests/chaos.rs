@@ -8,7 +8,7 @@ mod scene;
 use std::path::Path;
 
 use clap::Parser;
-use gnomon_tests::report::chaos::{ChaosOptions, run};
+use gnomon_lab::report::chaos::{ChaosOptions, run};
 
 #[derive(Debug, Parser)]
 struct Line {

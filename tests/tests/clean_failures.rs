@@ -13,6 +13,10 @@ use std::{
     time::Duration,
 };
 
+use gnomon_lab::rig::{
+    PATIENCE, ServerProcess,
+    program::{Outcome, Program, find},
+};
 use gnomon_protocol::{
     PROTOCOL_VERSION,
     codec::CodecId,
@@ -20,10 +24,6 @@ use gnomon_protocol::{
     message::{self, ClientMessage, Hello, Refusal, ServerMessage},
 };
 use gnomon_server::tokens::{self, Scope};
-use gnomon_tests::rig::{
-    PATIENCE, ServerProcess,
-    program::{Outcome, Program, find},
-};
 use serde_json::json;
 
 const QUIET: [(&str, &str); 1] = [("RUST_LOG", "off")];

@@ -3,7 +3,7 @@
 
 use std::collections::HashMap;
 
-use gnomon_tests::{
+use gnomon_lab::{
     report::{
         codec::{CodecOptions, measure},
         scene_args::SceneArgs,

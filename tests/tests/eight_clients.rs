@@ -10,16 +10,16 @@ use std::{
 
 use glam::DVec3;
 use gnomon_client::camera_path::{CameraPath, PathSpec};
+use gnomon_lab::{
+    rig::{ClientJob, PATIENCE, masks, program::Program},
+    scenes::real::{JUDGED, stop},
+};
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{LoadOptions, Scene, camera::Camera};
 use gnomon_server::{
     RunningServer, Server,
     config::{Backend, ServerConfig},
     visibility::backend::cpu::CpuBackend,
-};
-use gnomon_tests::{
-    rig::{ClientJob, PATIENCE, masks, program::Program},
-    scenes::real::{JUDGED, stop},
 };
 use serde_json::json;
 use tempfile::TempDir;

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeSet;
 
-use gnomon_tests::{
+use gnomon_lab::{
     backends::BackendName,
     hard_cases,
     report::accuracy::{self, AccuracyOptions, Part},

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use gnomon_tests::report::hostile::{HostileOptions, run};
+use gnomon_lab::report::hostile::{HostileOptions, run};
 
 #[test]
 fn bad_traffic_disturbs_nobody() {

@@ -4,12 +4,12 @@
 use std::path::{Path, PathBuf};
 
 use gnomon_client::{guard::GuardSize, mode::Mode, predictor::Predictor};
-use gnomon_scene::motion::Extrapolation;
-use gnomon_tests::report::{
+use gnomon_lab::report::{
     lag::{self, LagOptions},
     network::{self, NetworkOptions},
     scene_args::SceneArgs,
 };
+use gnomon_scene::motion::Extrapolation;
 
 fn asset(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name)

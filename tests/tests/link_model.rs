@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use bytes::Bytes;
-use gnomon_tests::link::{
+use gnomon_lab::link::{
     Counts, Settings,
     impairment::{Delivery, Direction, Impairment},
     settings::Rate,

@@ -2,14 +2,14 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use gnomon_client::net::reception::Packets;
-use gnomon_protocol::codec::CodecId;
-use gnomon_tests::{
+use gnomon_lab::{
     report::{
         loss::{LossOptions, measure},
         scene_args::SceneArgs,
     },
     scenes::real,
 };
+use gnomon_protocol::codec::CodecId;
 
 #[test]
 fn slices_keep_what_whole_frames_throw_away() {

@@ -4,14 +4,14 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use glam::{DVec3, Vec3};
-use gnomon_protocol::mask::{Mask, MaskShape, TILE_PX};
-use gnomon_scene::{AlphaMode, LoadOptions, Scene, Wrap, camera::Camera};
-use gnomon_server::visibility::backend::{compute::ComputeBackend, cpu::CpuBackend};
-use gnomon_tests::{
+use gnomon_lab::{
     backends::BackendName,
     reference::Reference,
     scenes::{builder::SceneBuilder, real},
 };
+use gnomon_protocol::mask::{Mask, MaskShape, TILE_PX};
+use gnomon_scene::{AlphaMode, LoadOptions, Scene, Wrap, camera::Camera};
+use gnomon_server::visibility::backend::{compute::ComputeBackend, cpu::CpuBackend};
 
 const SIZE: (u32, u32) = (96, 64);
 

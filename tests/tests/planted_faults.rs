@@ -3,15 +3,15 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use glam::{DVec3, Vec3};
-use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{AlphaMode, Scene, camera::Camera};
-use gnomon_server::visibility::backend::compute::{ComputeBackend, KernelOptions};
-use gnomon_tests::{
+use gnomon_lab::{
     backends::BackendName,
     metrics::RelevantError,
     reference::{Reference, Truth},
     scenes::builder::SceneBuilder,
 };
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{AlphaMode, Scene, camera::Camera};
+use gnomon_server::visibility::backend::compute::{ComputeBackend, KernelOptions};
 
 /// As in `tests/accuracy.rs`.
 const MOST_WRONG: f64 = 0.0001;

@@ -6,6 +6,12 @@
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
+use gnomon_lab::{
+    metrics::RelevantError,
+    reference::Reference,
+    rig::{ServerProcess, ray_queries},
+    scenes::builder::SceneBuilder,
+};
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{AlphaMode, Scene, Wrap, camera::Camera};
 use gnomon_server::visibility::{
@@ -17,12 +23,6 @@ use gnomon_server::visibility::{
     },
 };
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
-use gnomon_tests::{
-    metrics::RelevantError,
-    reference::Reference,
-    rig::{ServerProcess, ray_queries},
-    scenes::builder::SceneBuilder,
-};
 
 fn with_ray_queries(test: &str, body: impl FnOnce()) {
     ray_queries::with_ray_queries(test, &room(), body).unwrap();

@@ -14,7 +14,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_tests::rig::{
+use gnomon_lab::rig::{
     ClientJob, PATIENCE,
     program::{Program, find},
 };

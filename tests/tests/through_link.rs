@@ -8,16 +8,16 @@ use std::{
 };
 
 use gnomon_client::camera_path::{CameraPath, PathSpec};
-use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{LoadOptions, Scene};
-use gnomon_server::visibility::backend::cpu::CpuBackend;
-use gnomon_tests::{
+use gnomon_lab::{
     link::{Counts, Link, LinkCounts, LinkSettings, profiles::Profile},
     rig::{
         ClientJob, PATIENCE, ServerProcess, masks,
         program::{Program, find},
     },
 };
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{LoadOptions, Scene};
+use gnomon_server::visibility::backend::cpu::CpuBackend;
 use serde_json::Value;
 
 const SIZE: (u32, u32) = (160, 90);

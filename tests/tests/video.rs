@@ -3,11 +3,11 @@
 
 use std::{num::NonZero, path::Path};
 
-use gnomon_protocol::codec::CodecId;
-use gnomon_tests::report::{
+use gnomon_lab::report::{
     scene_args::SceneArgs,
     video::{VideoCodec, VideoOptions, measure},
 };
+use gnomon_protocol::codec::CodecId;
 
 const HEAD: &str = "scene,path,size,fps,method,setting,rtt_ms,lag,frame_bytes,mbit_per_s,psnr,ssim,flip,vmaf";
 

@@ -13,7 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_tests::{
+use gnomon_lab::{
     link::{Link, LinkSettings},
     report::replay::{self, ReplayOptions},
     rig::{

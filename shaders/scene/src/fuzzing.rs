@@ -1,4 +1,4 @@
-//! Properties that hold for any bytes that a scene is read from. The fuzz targets (`protocol/fuzz`) and the stable smoke test
+//! Properties that hold for any bytes that a scene is read from. The fuzz targets (`tests/fuzz`) and the stable smoke test
 //! (`tests/fuzz_smoke.rs`) call these; nothing else should. Each panics when its property does not hold.
 
 use std::path::Path;

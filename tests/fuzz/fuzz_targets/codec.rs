@@ -1,5 +1,3 @@
-//! See `gnomon_protocol::fuzzing::codec` for the properties.
-
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| gnomon_protocol::fuzzing::codec(bytes));

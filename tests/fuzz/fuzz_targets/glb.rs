@@ -1,5 +1,3 @@
-//! See `gnomon_scene::fuzzing::gltf` for the properties.
-
 #![no_main]
 
 use std::{path::PathBuf, sync::LazyLock};

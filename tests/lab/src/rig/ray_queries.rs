@@ -32,7 +32,7 @@ pub fn driver() -> Result<Option<PathBuf>> {
         ensure!(path.is_file(), "{DRIVER} names {}, which is no file", path.display());
         return Ok(Some(path));
     }
-    let fetched = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/ray-query-driver/lvp_icd.json");
+    let fetched = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/ray-query-driver/lvp_icd.json");
     Ok(fetched.is_file().then_some(fetched))
 }
 

@@ -1,5 +1,3 @@
-//! See `gnomon_scene::fuzzing::packed` for the properties.
-
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| gnomon_scene::fuzzing::packed(bytes));

@@ -4,7 +4,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use gnomon_tests::{
+use gnomon_lab::{
     cloister,
     report::{
         accuracy::{self, AccuracyOptions},

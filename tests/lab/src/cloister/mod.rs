@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     fn committed(name: &str) -> Vec<u8> {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name);
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets").join(name);
         std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
     }
 
