@@ -201,6 +201,16 @@ impl Mask {
     }
 }
 
+/// Bits of a tile that lie inside the picture.
+pub(crate) fn inside(shape: MaskShape, tile_x: usize, tile_y: usize) -> u64 {
+    let side = TILE_PX as usize;
+    let columns = (shape.width() as usize - tile_x * side).min(side);
+    let rows = (shape.height() as usize - tile_y * side).min(side);
+    let row = 0xFF >> (side - columns);
+    let below = u64::MAX >> (64 - rows * side);
+    (row * 0x0101_0101_0101_0101) & below
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

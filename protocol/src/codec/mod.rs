@@ -15,24 +15,21 @@
 //!
 //! Encoder and decoder keep their memory: once they have seen the largest frame, they take none.
 
-mod id;
-mod lz4;
-mod planes;
-mod rows;
+mod baseline;
 mod simplify;
 mod tiles;
-mod words;
+mod transpose;
 
 use std::{fmt, num::NonZeroU16, ops::Range};
 
 use lz4_flex::block::DecompressError;
 use thiserror::Error;
 
-pub use self::id::{CodecId, UnknownCodec};
 pub use self::simplify::Simplifier;
 #[doc(hidden)]
 pub use self::tiles::train as train_tiles;
 pub use self::tiles::{Reference, ReferenceName};
+pub use crate::wire::{CodecId, UnknownCodec};
 use crate::{
     coverage::Coverage,
     frame::{Frame, FrameError, FrameHead, slice_tile_rows},
@@ -137,7 +134,7 @@ pub struct Encoder {
     codec: CodecId,
     slices: NonZeroU16,
     packet_bytes: usize,
-    rows: rows::Writer,
+    rows: baseline::Writer,
     tiles: tiles::Workspace,
 }
 
@@ -162,7 +159,7 @@ impl Encoder {
             codec,
             slices,
             packet_bytes: MAX_PACKET_BYTES,
-            rows: rows::Writer::new(),
+            rows: baseline::Writer::new(),
             tiles: tiles::Workspace::new(),
         }
     }
@@ -249,16 +246,16 @@ impl Encoder {
 /// How a codec's slices come about.
 #[derive(Debug, Clone, Copy)]
 enum Form {
-    Rows(rows::Form),
+    Rows(baseline::Form),
     Tiles(tiles::Profile),
 }
 
 impl Form {
     const fn of(codec: CodecId) -> Self {
         match codec {
-            CodecId::Words => Self::Rows(rows::Form::Words),
-            CodecId::WordsLz4 => Self::Rows(rows::Form::WordsLz4),
-            CodecId::PlanesLz4 => Self::Rows(rows::Form::PlanesLz4),
+            CodecId::Words => Self::Rows(baseline::Form::Words),
+            CodecId::WordsLz4 => Self::Rows(baseline::Form::WordsLz4),
+            CodecId::PlanesLz4 => Self::Rows(baseline::Form::PlanesLz4),
             CodecId::TilesSmall => Self::Tiles(tiles::Profile::Small),
             CodecId::TilesFast => Self::Tiles(tiles::Profile::Fast),
         }
@@ -317,13 +314,13 @@ impl Decoder {
         match Form::of(codec) {
             Form::Rows(form) => {
                 for (slice, (rows, bytes)) in frame.slices().enumerate() {
-                    rows::check_length(form, shape, slice, &rows, bytes.len())?;
+                    baseline::check_length(form, shape, slice, &rows, bytes.len())?;
                 }
                 if mask.shape() != shape {
                     mask.reset(shape);
                 }
                 for (slice, (rows, bytes)) in frame.slices().enumerate() {
-                    rows::read(form, &mut self.raw, slice, &rows, bytes, mask)?;
+                    baseline::read(form, &mut self.raw, slice, &rows, bytes, mask)?;
                 }
             }
             Form::Tiles(profile) => {

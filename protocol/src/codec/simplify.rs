@@ -4,10 +4,9 @@
 //! border between light and shadow by two sides of a pixel or more. Which ones are depends on the mask and the budget alone,
 //! so it is the same on every machine. Both ends know only what comes out: it is also the reference of later frames.
 
-use super::planes::inside;
 use crate::{
     limits::MAX_WRONG_PPM,
-    mask::{Mask, MaskShape},
+    mask::{Mask, MaskShape, inside},
 };
 
 /// Kinds of pixels that stand out, the best first; each kind has those of the one before as well.

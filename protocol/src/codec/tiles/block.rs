@@ -2,8 +2,8 @@
 
 use super::order::{BLOCK_TILES, Order, Place};
 use crate::{
-    codec::{planes::inside, words::transpose_bytes},
-    mask::{Mask, MaskShape, TILE_PX},
+    codec::transpose::transpose_bytes,
+    mask::{Mask, MaskShape, TILE_PX, inside},
 };
 
 /// Rows from the top; bit x of a row is the pixel x from the left.

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::mask::{MaskShape, TILE_PX};
+use crate::mask::{MaskShape, inside};
 
 /// Bytes of a tile.
 pub(super) const TILE_BYTES: usize = 8;
@@ -12,16 +12,6 @@ pub(super) const TILE_BYTES: usize = 8;
 pub(super) struct StrayPixels {
     pub(super) light: usize,
     pub(super) tile: usize,
-}
-
-/// Bits of a tile that lie inside the picture.
-pub(super) fn inside(shape: MaskShape, tile_x: usize, tile_y: usize) -> u64 {
-    let side = TILE_PX as usize;
-    let columns = (shape.width() as usize - tile_x * side).min(side);
-    let rows = (shape.height() as usize - tile_y * side).min(side);
-    let row = 0xFF >> (side - columns);
-    let below = u64::MAX >> (64 - rows * side);
-    (row * 0x0101_0101_0101_0101) & below
 }
 
 /// The tiles of a slice, as places in a plane, that lie across the picture's right or lower edge.

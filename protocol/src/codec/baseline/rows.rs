@@ -2,30 +2,33 @@
 
 use std::ops::Range;
 
-use super::{DecodeError, lz4, planes, words};
-use crate::mask::{Mask, MaskShape, TILE_PX};
+use super::{lz4, planes, words};
+use crate::{
+    codec::DecodeError,
+    mask::{Mask, MaskShape, TILE_PX},
+};
 
 /// How a part is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Form {
+pub(in crate::codec) enum Form {
     Words,
     WordsLz4,
     PlanesLz4,
 }
 
 /// The encoder's memory.
-pub(super) struct Writer {
+pub(in crate::codec) struct Writer {
     raw: Vec<u8>,
     lz4: lz4::Compressor,
 }
 
 impl Writer {
-    pub(super) fn new() -> Self {
+    pub(in crate::codec) fn new() -> Self {
         Self { raw: Vec::new(), lz4: lz4::Compressor::new() }
     }
 
     /// Appends the rows of tiles `rows`.
-    pub(super) fn append(&mut self, form: Form, mask: &Mask, rows: &Range<usize>, body: &mut Vec<u8>) {
+    pub(in crate::codec) fn append(&mut self, form: Form, mask: &Mask, rows: &Range<usize>, body: &mut Vec<u8>) {
         let (shape, words) = (mask.shape(), mask.words());
         match form {
             Form::Words => {
@@ -56,7 +59,7 @@ impl Writer {
 }
 
 /// Whether so many bytes can stand for the rows of tiles `rows` at all. To be asked before taking memory for these.
-pub(super) fn check_length(
+pub(in crate::codec) fn check_length(
     form: Form,
     shape: MaskShape,
     slice: usize,
@@ -72,7 +75,7 @@ pub(super) fn check_length(
 }
 
 /// Reads the rows of tiles `rows`, which are slice `slice`. `memory` is kept from slice to slice.
-pub(super) fn read(
+pub(in crate::codec) fn read(
     form: Form,
     memory: &mut Vec<u8>,
     slice: usize,

@@ -1,0 +1,4 @@
+//! What either end measures of the network path.
+
+pub mod congestion;
+pub mod loss;

@@ -1,0 +1,3 @@
+//! From packets to frames.
+
+pub mod reassembler;

@@ -1,0 +1,4 @@
+//! From an encoded frame to packets.
+
+pub mod packetizer;
+pub mod refresh;
