@@ -35,7 +35,7 @@ use crate::{
     },
     session::{self, Phase, SceneAsset, Services, admission::Admission},
     tokens::TokenStore,
-    visibility::{engine::EngineOptions, fleet::Fleet},
+    visibility::engine::{EngineOptions, Fleet},
 };
 
 /// Starts servers.

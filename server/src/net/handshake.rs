@@ -22,7 +22,7 @@ use crate::{
     net::addresses::Held,
     session::{Services, admission::Slot, plan::Share},
     tokens::{Scope, TokenProblem},
-    visibility::{engine::OpenError, port::SessionPort},
+    visibility::engine::{OpenError, SessionPort},
 };
 
 /// What was agreed on with an admitted client.

@@ -28,7 +28,7 @@ use crate::{
     net::{handshake::Coding, link::DataSender},
     visibility::{
         TracedMask,
-        port::{MaskReceiver, RequestSender},
+        engine::{MaskReceiver, RequestSender},
     },
 };
 

@@ -44,7 +44,7 @@ use crate::{
         link::{CloseCode, DataLink, Link},
     },
     tokens::TokenStore,
-    visibility::{fleet::Fleet, port::SessionPort},
+    visibility::engine::{Fleet, SessionPort},
 };
 
 /// How far the server's end has come.

@@ -1,5 +1,5 @@
 //! What sessions take of the cores and of the network, measured, and whether there is enough left for one more. Device time has its own
-//! budget (`visibility/capacity.rs`).
+//! budget (`visibility/schedule/capacity.rs`).
 
 use std::{
     fmt,

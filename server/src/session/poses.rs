@@ -23,7 +23,7 @@ use super::{
 use crate::{
     limits::MAX_POSES_PER_SECOND,
     net::link::DataReceiver,
-    visibility::{TraceRequest, port::RequestSender},
+    visibility::{TraceRequest, engine::RequestSender},
 };
 
 /// Which poses are newer than the newest.

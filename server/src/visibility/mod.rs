@@ -22,25 +22,11 @@
 //!    lights what is around it, on both sides of a surface without thickness. Bit 1 when nothing stops it.
 
 pub mod backend;
-mod balance;
-mod binary;
-pub mod bvh;
-pub mod capacity;
-pub mod costs;
 pub mod engine;
-#[cfg(test)]
-mod engine_tests;
-#[cfg(any(test, feature = "faults"))]
-pub mod faults;
-pub mod fleet;
-mod open;
-pub mod parts;
-pub mod port;
-pub mod scheduler;
-mod shared;
+pub mod hierarchy;
+pub mod schedule;
 #[cfg(test)]
 pub(crate) mod test_scenes;
-mod worker;
 
 use std::time::{Duration, Instant};
 

@@ -23,7 +23,7 @@ use super::{
 use crate::visibility::{
     TraceCost,
     backend::{BackendError, sampling::Sampling},
-    parts::MAX_PARTS,
+    schedule::parts::MAX_PARTS,
 };
 
 /// What a part brings to the host of a long mask, and what is read there at a time: some 0.1 ms each.

@@ -13,7 +13,10 @@ use obvhs::{
 };
 
 use super::Traversal;
-use crate::visibility::{backend::BackendError, balance::bound_depth, binary};
+use crate::visibility::{
+    backend::BackendError,
+    hierarchy::{balance::bound_depth, binary},
+};
 
 /// Everything that the kernels read, except the lights.
 #[derive(Debug, Default)]

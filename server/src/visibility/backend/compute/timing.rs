@@ -1,6 +1,6 @@
 //! What the device says that a frame took, stage by stage.
 
-use crate::visibility::parts::MAX_PARTS;
+use crate::visibility::schedule::parts::MAX_PARTS;
 
 /// Timestamps of a part: begin and end of the primary kernel, and of the shadow kernel.
 pub(super) const PART_QUERIES: u32 = 4;

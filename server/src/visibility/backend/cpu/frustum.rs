@@ -7,7 +7,7 @@ use super::{
     group::Group,
     simd::{F8, Simd},
 };
-use crate::visibility::bvh::Node;
+use crate::visibility::hierarchy::bvh::Node;
 
 /// Widening of the planes, as slope for rays from an apex and relative to the scene's size for parallel ones. An edge
 /// function is off by a few roundings (2⁻²⁴ each) of its corners' distance from the origin, so a ray can be counted to a

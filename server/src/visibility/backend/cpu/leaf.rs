@@ -15,7 +15,7 @@ use super::{
     traverse::PLANE_ROUNDINGS,
     vector::{self, V3},
 };
-use crate::visibility::bvh::Leaf;
+use crate::visibility::hierarchy::bvh::Leaf;
 
 /// What packets are tested against, eight triangles side by side.
 #[derive(Default)]

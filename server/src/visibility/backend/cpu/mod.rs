@@ -29,7 +29,7 @@ use self::{
 use super::{BackendError, sampling::Sampling};
 use crate::visibility::{
     TraceCost,
-    bvh::{TriangleFlags, WideBvh},
+    hierarchy::bvh::{TriangleFlags, WideBvh},
 };
 
 mod alpha;

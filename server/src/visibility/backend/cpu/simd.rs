@@ -9,8 +9,8 @@
 
 use std::ops::{Add, Mul, Sub};
 
-pub(super) use crate::visibility::bvh::F8;
-use crate::visibility::bvh::WIDTH;
+pub(super) use crate::visibility::hierarchy::bvh::F8;
+use crate::visibility::hierarchy::bvh::WIDTH;
 
 /// Eight lanes of f32 and their masks.
 pub(super) trait Simd: Copy + Send + Sync {

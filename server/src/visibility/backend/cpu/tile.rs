@@ -19,7 +19,7 @@ use super::{
 };
 use crate::visibility::{
     backend::sampling::{Sampling, fill},
-    bvh::{Child, WideBvh},
+    hierarchy::bvh::{Child, WideBvh},
 };
 
 /// Everything that tracing reads.

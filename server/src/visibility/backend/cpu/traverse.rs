@@ -11,7 +11,7 @@ use super::{
     tile::World,
     vector,
 };
-use crate::visibility::bvh::{Child, Leaf, Node};
+use crate::visibility::hierarchy::bvh::{Child, Leaf, Node};
 
 /// Memory that a thread uses again and again.
 pub(super) struct Scratch {

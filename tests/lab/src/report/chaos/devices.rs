@@ -11,7 +11,10 @@ use gnomon_protocol::{ids::FrameNumber, mask::MaskShape};
 use gnomon_server::{
     RunningServer, Server,
     config::{Backend, ServerConfig},
-    visibility::{TraceRequest, faults::Fault, port::SessionPort},
+    visibility::{
+        TraceRequest,
+        engine::{Fault, SessionPort},
+    },
 };
 
 use super::{

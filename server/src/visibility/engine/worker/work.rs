@@ -17,8 +17,10 @@ use crate::visibility::{
         BackendError,
         compute::{RING_FRAMES, Rest},
     },
-    parts,
-    scheduler::{SessionKey, Wish},
+    schedule::{
+        parts,
+        scheduler::{SessionKey, Wish},
+    },
 };
 
 /// Submissions that may be in flight when a part is added to them. The second keeps the device busy until this thread has seen the end

@@ -8,7 +8,7 @@ use obvhs::bvh2::{Bvh2, node::Bvh2Node};
 
 /// Rebuilds as little as is needed of `binary`, so that no way down passes more than `levels` inner nodes. Leaves hold
 /// one primitive each. `levels` is raised to what as many leaves need at least.
-pub(super) fn bound_depth(binary: &mut Bvh2, levels: u32) {
+pub(crate) fn bound_depth(binary: &mut Bvh2, levels: u32) {
     if binary.nodes.is_empty() {
         return;
     }
@@ -41,7 +41,7 @@ struct Subtree {
 }
 
 /// Inner nodes on the longest way down.
-pub(super) fn height(nodes: &[Bvh2Node]) -> u32 {
+pub(crate) fn height(nodes: &[Bvh2Node]) -> u32 {
     measure(nodes).first().map_or(0, |root| root.height)
 }
 

@@ -17,13 +17,17 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{
-    backend::{BackendError, compute::PictureLimit},
-    capacity::{Need, TooMuch, judge},
-    costs::SessionCosts,
     open::open_backend,
     port::{SessionPort, session_port},
     shared::{Peer, Seat, Shared},
     worker::{Opening, Worker},
+};
+use crate::visibility::{
+    backend::{BackendError, compute::PictureLimit},
+    schedule::{
+        capacity::{Need, TooMuch, judge},
+        costs::SessionCosts,
+    },
 };
 
 /// Sessions that may wait to be taken up by the engine's thread.

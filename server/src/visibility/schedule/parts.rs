@@ -18,18 +18,18 @@ const LONGER: f64 = 2.0;
 
 /// The longest time that a frame may be expected to take and is traced whole, in milliseconds, where the shortest frames of the sessions
 /// that are active take so long.
-pub(super) fn longest_whole_ms(shortest_ms: f64) -> f64 {
+pub(crate) fn longest_whole_ms(shortest_ms: f64) -> f64 {
     LONGER * shortest_ms.max(PART_MS)
 }
 
 /// For how long a frame of this cost keeps the device from others, in milliseconds. A mask of fewer rows of tiles than [`MAX_PARTS`] has
 /// fewer parts, and is small.
-pub(super) fn stretch_ms(cost_ms: f64) -> f64 {
+pub(crate) fn stretch_ms(cost_ms: f64) -> f64 {
     cost_ms.min((cost_ms / f64::from(MAX_PARTS)).max(LONGER * PART_MS))
 }
 
 /// Rows of tiles of a part, for a frame that is expected to cost so much.
-pub(super) fn rows_a_part(shape: MaskShape, expected_ms: f64) -> u32 {
+pub(crate) fn rows_a_part(shape: MaskShape, expected_ms: f64) -> u32 {
     let rows = shape.tiles_y();
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates, and is bounded below")]
     let wanted = (f64::from(rows) * PART_MS / expected_ms.max(PART_MS)).round() as u32;

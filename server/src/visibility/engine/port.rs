@@ -15,7 +15,7 @@ use std::{
 use gnomon_protocol::mask::Mask;
 use tokio::sync::{mpsc, watch};
 
-use super::{TraceRequest, TracedMask, costs::SessionCosts};
+use crate::visibility::{TraceRequest, TracedMask, schedule::costs::SessionCosts};
 
 /// Masks of one session that are being traced or wait to be read. Two: one is encoded while the next is traced.
 pub const OUTSTANDING_MASKS: usize = 2;

@@ -10,7 +10,7 @@ use gnomon_protocol::ids::FrameNumber;
 
 use super::*;
 use crate::visibility::{
-    port::{SessionPort, session_port},
+    engine::port::{SessionPort, session_port},
     test_scenes::room,
 };
 

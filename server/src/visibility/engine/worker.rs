@@ -20,16 +20,20 @@ use self::work::{Begun, Job, LongestWhole};
 #[cfg(any(test, feature = "faults"))]
 use super::faults::Fault;
 use super::{
+    port::{EnginePort, OUTSTANDING_MASKS},
+    shared::{Seat, Shared},
+};
+use crate::visibility::{
     TraceRequest,
     backend::{
         BackendError,
         compute::{ComputeBackend, RING_FRAMES},
         cpu::CpuBackend,
     },
-    costs::SessionCosts,
-    port::{EnginePort, OUTSTANDING_MASKS},
-    scheduler::{Scheduler, SessionKey},
-    shared::{Seat, Shared},
+    schedule::{
+        costs::SessionCosts,
+        scheduler::{Scheduler, SessionKey},
+    },
 };
 
 /// How long the thread waits for the device before it looks for new poses, while there is room for another frame. A

@@ -15,17 +15,18 @@ use gnomon_scene::{Scene, camera::Camera};
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use super::{
-    TraceRequest,
-    backend::{BackendError, compute::ComputeBackend, cpu::CpuBackend},
-    capacity::TooMuch,
-    costs::SessionCosts,
-    engine::{BackendChoice, Engine, EngineError, EngineOptions, OpenError},
     faults::Fault,
     fleet::Fleet,
+    handle::{BackendChoice, Engine, EngineError, EngineOptions, OpenError},
     port::{OUTSTANDING_MASKS, SessionPort, session_port},
     shared::{Seat, Shared},
-    test_scenes::room,
     worker::{Backend, Opening, Worker},
+};
+use crate::visibility::{
+    TraceRequest, TracedMask,
+    backend::{BackendError, compute::ComputeBackend, cpu::CpuBackend},
+    schedule::{capacity::TooMuch, costs::SessionCosts},
+    test_scenes::room,
 };
 
 const BACKENDS: [BackendChoice; 2] = [BackendChoice::Cpu, BackendChoice::Compute];
@@ -77,7 +78,7 @@ fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
     }
 }
 
-fn next_mask(port: &mut SessionPort) -> super::TracedMask {
+fn next_mask(port: &mut SessionPort) -> TracedMask {
     let mut mask = None;
     eventually("a mask", || {
         mask = port.masks.try_recv().ok();

@@ -8,7 +8,7 @@ use gnomon_scene::Scene;
 use gnomon_shaders::gpu::Gpu;
 
 use super::{
-    engine::{BackendChoice, Engine, EngineError, EngineOptions, OpenError},
+    handle::{BackendChoice, Engine, EngineError, EngineOptions, OpenError},
     port::SessionPort,
 };
 

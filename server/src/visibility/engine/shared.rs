@@ -11,10 +11,10 @@ use std::{
 
 use tokio::sync::watch;
 
-use super::{
+use super::worker::Opening;
+use crate::visibility::schedule::{
     capacity::Need,
     costs::{CostModel, SessionCosts},
-    worker::Opening,
 };
 
 /// See the fields.

@@ -7,7 +7,8 @@ use std::{
 
 use gnomon_protocol::mask::MaskShape;
 
-use super::{TraceCost, capacity::Need};
+use super::capacity::Need;
+use crate::visibility::TraceCost;
 
 /// A session that has asked for no mask for so long is idle.
 const IDLE_AFTER: Duration = Duration::from_secs(10);
@@ -41,7 +42,7 @@ pub struct CostTotals {
 }
 
 impl SessionCosts {
-    pub(super) fn new(shape: MaskShape, rate_hz: Option<f64>, expected_ms: f64) -> Self {
+    pub(crate) fn new(shape: MaskShape, rate_hz: Option<f64>, expected_ms: f64) -> Self {
         Self {
             opened_at: Instant::now(),
             pixels: shape.pixels(),
@@ -67,30 +68,30 @@ impl SessionCosts {
 
     /// What its next mask is expected to cost, in milliseconds.
     #[expect(clippy::cast_precision_loss, reason = "times far below 2⁵³ ns")]
-    pub(super) fn expected_ms(&self) -> f64 {
+    pub(crate) fn expected_ms(&self) -> f64 {
         self.expected_ns.load(Ordering::Relaxed) as f64 * 1e-6
     }
 
-    pub(super) fn pixels(&self) -> usize {
+    pub(crate) fn pixels(&self) -> usize {
         self.pixels
     }
 
     /// What it needs of its device.
-    pub(super) fn need(&self) -> Need {
+    pub(crate) fn need(&self) -> Need {
         let asked = Duration::from_micros(self.asked_us.load(Ordering::Relaxed));
         let active = self.opened_at.elapsed().saturating_sub(asked) < IDLE_AFTER;
         Need { cost_ms: self.expected_ms(), rate_hz: self.rate_hz, active }
     }
 
     /// Notes that a trace begins, of a pose that has waited so long.
-    pub(super) fn begins(&self, waited: Duration) {
+    pub(crate) fn begins(&self, waited: Duration) {
         let micros = |time: Duration| u64::try_from(time.as_micros()).unwrap_or(u64::MAX);
         self.asked_us.store(micros(self.opened_at.elapsed()), Ordering::Relaxed);
         self.queue_us.fetch_add(micros(waited), Ordering::Relaxed);
     }
 
     /// Notes what a mask has cost.
-    pub(super) fn ends(&self, cost: &TraceCost) {
+    pub(crate) fn ends(&self, cost: &TraceCost) {
         let cost_ms = cost.device_ms();
         let before_ms = self.expected_ms();
         // Only the engine's thread writes.
@@ -103,7 +104,7 @@ impl SessionCosts {
 
 /// What masks cost on a device, by their size, for sessions of which nothing is known yet.
 #[derive(Debug, Default)]
-pub(super) struct CostModel {
+pub(crate) struct CostModel {
     /// Device time of a pixel, in picoseconds; 0 before anything was traced.
     per_pixel_ps: AtomicU64,
 }
@@ -111,7 +112,7 @@ pub(super) struct CostModel {
 impl CostModel {
     /// Learns from a mask. Larger masks teach more: small ones cost mostly what every mask costs.
     #[expect(clippy::cast_precision_loss, reason = "pixels and picoseconds far below 2⁵³")]
-    pub(super) fn learn(&self, pixels: usize, cost: &TraceCost) {
+    pub(crate) fn learn(&self, pixels: usize, cost: &TraceCost) {
         const MEMORY_PIXELS: f64 = 4e6;
         let pixels = pixels.max(1) as f64;
         let newest_ps = cost.device_ms() * 1e9 / pixels;
@@ -123,7 +124,7 @@ impl CostModel {
 
     /// What a mask of so many pixels is expected to cost, in milliseconds, when the sessions that there are cost what they do.
     #[expect(clippy::cast_precision_loss, reason = "pixels and picoseconds far below 2⁵³")]
-    pub(super) fn expected_ms<'a>(&self, pixels: usize, known: impl IntoIterator<Item = &'a SessionCosts>) -> f64 {
+    pub(crate) fn expected_ms<'a>(&self, pixels: usize, known: impl IntoIterator<Item = &'a SessionCosts>) -> f64 {
         let by_pixels = self.per_pixel_ps.load(Ordering::Relaxed) as f64 * pixels as f64 * 1e-9;
         // No larger mask is cheaper than a smaller one.
         known

@@ -4,14 +4,14 @@ use gnomon_scene::Scene;
 use gnomon_shaders::gpu::GpuError;
 
 use super::{
-    backend::{
-        BackendError,
-        compute::{ComputeBackend, PictureLimit},
-        cpu::CpuBackend,
-        ray_query,
-    },
-    engine::{BackendChoice, EngineOptions},
+    handle::{BackendChoice, EngineOptions},
     worker::Backend,
+};
+use crate::visibility::backend::{
+    BackendError,
+    compute::{ComputeBackend, PictureLimit},
+    cpu::CpuBackend,
+    ray_query,
 };
 
 /// What an engine tells about its back end.

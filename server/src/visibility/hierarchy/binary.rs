@@ -28,7 +28,7 @@ const REACH: usize = 24;
 const REINSERTION: f32 = 0.2;
 
 /// A hierarchy over these boxes, a leaf for each; fewer than 2³¹ of them. Runs on the current rayon pool.
-pub(super) fn build(boxes: &[Aabb]) -> Bvh2 {
+pub(crate) fn build(boxes: &[Aabb]) -> Bvh2 {
     let mut tree = Bvh2 { primitive_indices: (0..).take(boxes.len()).collect(), ..Bvh2::default() };
     if boxes.is_empty() {
         return tree;
