@@ -5,31 +5,21 @@
 //!
 //! In a [`window`], poses come from what a person does ([`input`]) and pictures go to the screen, with an overlay; the rest is the same.
 
-pub mod camera_path;
 pub mod cli;
 pub mod config;
 mod connect;
-pub mod default_path;
 pub mod error;
 mod frame_loop;
-pub mod guard;
 pub mod headless;
-pub mod input;
 mod live;
 pub mod local_server;
-pub mod mask_buffer;
-pub mod mode;
 pub mod net;
-pub mod occluders;
 pub mod options;
 mod overlay;
 pub mod pictures;
-pub mod pose_history;
-pub mod predictor;
 pub mod probe;
 mod progress;
 pub mod record;
-pub mod render;
 pub mod scene_cache;
 pub mod servers;
 pub mod settings;
@@ -37,5 +27,12 @@ pub mod stats;
 pub mod window;
 
 pub use error::ClientError;
+pub use gnomon_client_core::{
+    camera::{default_path, path as camera_path},
+    frame::{guard, mode, pose_history},
+    input,
+    mask::buffer as mask_buffer,
+    occluders, predictor, render,
+};
 pub use headless::{HeadlessOptions, Source, run_headless};
 pub use stats::Summary;

@@ -20,12 +20,7 @@ use gnomon_protocol::{
 use gnomon_scene::camera::Camera;
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    error::ClientError,
-    predictor::Predictor,
-    render::{debug_view::DebugView, exposure::Exposure},
-    stats::FrameStats,
-};
+use crate::{error::ClientError, predictor::Predictor, render::debug_view::DebugView, stats::FrameStats};
 
 /// First line of a recording.
 pub const FIRST_LINE: &str = "gnomon recording 2\n";
@@ -148,12 +143,6 @@ impl From<&RecordedCamera> for Camera {
             width: camera.size_px[0],
             height: camera.size_px[1],
         }
-    }
-}
-
-impl From<Exposure> for [f32; 2] {
-    fn from(exposure: Exposure) -> Self {
-        [exposure.scale, exposure.reference_lux]
     }
 }
 

@@ -5,8 +5,8 @@ use winit::{
     keyboard::{Key, NamedKey, PhysicalKey},
 };
 
+use super::keys::{command, move_key};
 use super::{App, Opened};
-use crate::input::keys::{command, move_key};
 
 /// Most commands that wait for the next frame.
 const MOST_COMMANDS: usize = 64;

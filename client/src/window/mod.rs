@@ -5,6 +5,8 @@
 //! network have their own.
 
 mod events;
+mod gamepad;
+mod keys;
 mod loading;
 mod painter;
 mod play;
@@ -29,6 +31,7 @@ use winit::{
 };
 
 use self::{
+    gamepad::Gamepad,
     loading::Loading,
     play::{Play, largest_mask},
     screen::Screen,
@@ -36,7 +39,7 @@ use self::{
 use crate::{
     camera_path::CameraPath,
     error::ClientError,
-    input::{Controls, gamepad::Gamepad, keys::Command},
+    input::{Controls, keys::Command},
     options::{Source, WindowOptions},
     overlay, servers,
     settings::Settings,

@@ -1,5 +1,5 @@
 // What the passes that shade read, and what the visibility and the G-buffer say about a pixel.
-// `client/src/render/shade.rs` binds it.
+// `client/core/src/render/shade.rs` binds it.
 
 #import "shading/view.wgsl"
 #import "shading/lighting.wgsl"

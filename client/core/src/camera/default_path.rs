@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use gnomon_scene::Scene;
 
 use crate::{
-    camera_path::{CameraPath, Keyframe},
+    camera::path::{CameraPath, Keyframe},
     occluders::Occluders,
 };
 

@@ -11,7 +11,6 @@
 use std::{
     collections::VecDeque,
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
-    time::Instant,
 };
 
 use gnomon_protocol::{
@@ -20,6 +19,7 @@ use gnomon_protocol::{
     mask::{Mask, MaskShape},
     pose::Pose,
 };
+use web_time::Instant;
 
 /// A mask and where it came from.
 #[derive(Debug, Clone)]

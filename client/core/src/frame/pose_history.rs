@@ -1,10 +1,9 @@
 //! What the client asked for in its latest frames: what a mask that arrives later has to be compared with.
 
-use std::time::Instant;
-
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose::Pose};
 use gnomon_scene::camera::Camera;
 use serde::Serialize;
+use web_time::Instant;
 
 /// Frames that are remembered: four seconds at 60 frames/s, and more than any lag that is worth predicting over.
 pub const HISTORY_FRAMES: u32 = 256;

@@ -2,7 +2,7 @@
 
 use gilrs::{Axis, Button, EventType, Gilrs};
 
-use super::{Sticks, keys::Command};
+use crate::input::{Sticks, keys::Command};
 
 /// The gamepads of this machine. Without any, or where the system does not let us look, nobody is bothered.
 pub(crate) struct Gamepad {

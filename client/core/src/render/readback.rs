@@ -77,7 +77,7 @@ impl PictureReader {
     }
 
     /// Puts `other`'s columns from `first_px` on into the picture in [`Self::target`]. Both are of the same size.
-    pub(crate) fn replace_from(&self, encoder: &mut wgpu::CommandEncoder, other: &wgpu::Texture, first_px: u32) {
+    pub fn replace_from(&self, encoder: &mut wgpu::CommandEncoder, other: &wgpu::Texture, first_px: u32) {
         let origin = wgpu::Origin3d { x: first_px, ..wgpu::Origin3d::ZERO };
         let place = |texture| wgpu::TexelCopyTextureInfo { origin, ..wgpu::Texture::as_image_copy(texture) };
         let size = wgpu::Extent3d {
@@ -152,7 +152,7 @@ impl PictureReader {
 ///
 /// # Errors
 /// When the adapter failed.
-pub(crate) fn texels(gpu: &Gpu, view: &wgpu::TextureView, aspect: wgpu::TextureAspect) -> Result<Vec<u8>, RenderError> {
+pub fn texels(gpu: &Gpu, view: &wgpu::TextureView, aspect: wgpu::TextureAspect) -> Result<Vec<u8>, RenderError> {
     let texture = view.texture();
     let row = texture.width() * texture.format().block_copy_size(Some(aspect)).unwrap_or(TEXEL_BYTES);
     let padded = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);

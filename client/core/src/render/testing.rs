@@ -1,5 +1,7 @@
 //! A small scene and an adapter, for the tests of the passes.
 
+#![allow(clippy::expect_used, reason = "for tests only")]
+
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene, camera::Camera};
@@ -14,13 +16,13 @@ use super::{
 use crate::{occluders::Occluders, predictor::Predictor};
 
 /// An adapter; software will do. There always is one where tests run.
-pub(crate) fn gpu() -> Gpu {
+pub fn gpu() -> Gpu {
     let options = GpuOptions { allow_software: true, ..GpuOptions::default() };
     pollster::block_on(Gpu::open(&options)).expect("tests need a graphics adapter: install mesa-vulkan-drivers")
 }
 
 /// A floor of 8 × 8 m in y = 0 with a sun and a lamp over it, and a small red wall that faces +z.
-pub(crate) fn floor_and_lights() -> Scene {
+pub fn floor_and_lights() -> Scene {
     let square = |corner: Vec3, side: Vec3, up: Vec3| [corner, corner + side, corner + side + up, corner + up];
     let floor = square(Vec3::new(-4.0, 0.0, 4.0), Vec3::X * 8.0, Vec3::Z * -8.0);
     let wall = square(Vec3::new(-0.5, 0.0, -1.0), Vec3::X, Vec3::Y);
@@ -66,19 +68,19 @@ pub(crate) fn floor_and_lights() -> Scene {
 }
 
 /// A camera that looks at the wall from the front, a little from above.
-pub(crate) fn camera(width: u32, height: u32) -> Camera {
+pub fn camera(width: u32, height: u32) -> Camera {
     let origin = DVec3::new(1000.0, 0.0, 0.0);
     Camera::looking_at(origin + DVec3::new(0.0, 1.4, 3.0), origin + DVec3::new(0.0, 0.4, 0.0), 1.1, width, height)
 }
 
 /// A renderer of `scene` at this size, which takes masks as they are.
-pub(crate) fn renderer(gpu: &Gpu, scene: &Scene, shape: MaskShape) -> FrameRenderer {
+pub fn renderer(gpu: &Gpu, scene: &Scene, shape: MaskShape) -> FrameRenderer {
     let exposure = Exposure::of_scene(scene, &Occluders::largest_of(scene));
     FrameRenderer::new(gpu, scene, (shape.width(), shape.height()), exposure, PICTURE_FORMAT, Predictor::None).unwrap()
 }
 
 /// One picture.
-pub(crate) fn draw(gpu: &Gpu, renderer: &mut FrameRenderer, camera: &Camera, mask: Option<&Mask>) -> Picture {
+pub fn draw(gpu: &Gpu, renderer: &mut FrameRenderer, camera: &Camera, mask: Option<&Mask>) -> Picture {
     let mut reader = PictureReader::new(gpu, camera.width, camera.height, 1);
     renderer.draw_surfaces(camera).unwrap();
     let traced_for = mask.map(|mask| Camera { width: mask.shape().width(), height: mask.shape().height(), ..*camera });

@@ -96,6 +96,12 @@ impl Exposure {
     }
 }
 
+impl From<Exposure> for [f32; 2] {
+    fn from(exposure: Exposure) -> Self {
+        [exposure.scale, exposure.reference_lux]
+    }
+}
+
 /// The tone curve that the picture is shown with.
 #[must_use]
 pub fn tone() -> Tone {

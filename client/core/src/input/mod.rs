@@ -1,10 +1,9 @@
 //! What a person does, and the motion that it comes to: pure, so that a test can do it.
 //!
-//! [`keys`] names keys, [`touch`] follows fingers, [`gamepad`] reads sticks. [`Controls`] gathers all of it between two frames and
+//! [`keys`] names keys, [`touch`] follows fingers. [`Controls`] gathers all of it between two frames and
 //! gives one [`fly::Motion`], which moves a [`fly::Fly`].
 
 pub mod fly;
-pub(crate) mod gamepad;
 pub mod keys;
 pub mod touch;
 

@@ -4,7 +4,7 @@ use super::{RenderError, covering_pipeline, shader};
 
 /// The pass.
 #[derive(Debug)]
-pub(crate) struct PresentPass {
+pub struct PresentPass {
     layout: wgpu::BindGroupLayout,
     between: wgpu::Sampler,
     screen_px: wgpu::Buffer,
@@ -13,7 +13,7 @@ pub(crate) struct PresentPass {
 
 impl PresentPass {
     /// For screens of `format`, which must not be an sRGB format: pictures are encoded already.
-    pub(crate) fn new(device: &wgpu::Device, format: wgpu::TextureFormat) -> Result<Self, RenderError> {
+    pub fn new(device: &wgpu::Device, format: wgpu::TextureFormat) -> Result<Self, RenderError> {
         let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
             binding,
             visibility: wgpu::ShaderStages::FRAGMENT,
@@ -53,7 +53,7 @@ impl PresentPass {
     }
 
     /// Covers the screen that `pass` draws to, of this size in pixels, with `picture`.
-    pub(crate) fn draw(
+    pub fn draw(
         &self,
         (device, queue): (&wgpu::Device, &wgpu::Queue),
         pass: &mut wgpu::RenderPass<'_>,

@@ -152,7 +152,7 @@ impl CameraPath {
     }
 
     /// A path that stays at one keyframe, which must be good.
-    pub(crate) fn standing(name: &str, keyframe: Keyframe, yfov_rad: f64) -> Self {
+    pub fn standing(name: &str, keyframe: Keyframe, yfov_rad: f64) -> Self {
         Self { name: name.to_owned(), keyframes: vec![keyframe], yfov_rad }
     }
 

@@ -7,13 +7,13 @@ pub mod debug_view;
 pub mod exposure;
 mod gbuffer;
 pub mod predict;
-pub(crate) mod present;
+pub mod present;
 pub mod readback;
 mod scene_upload;
 mod shade;
-pub(crate) mod targets;
-#[cfg(test)]
-pub(crate) mod testing;
+pub mod targets;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;
 #[cfg(test)]
 mod tests;
 mod texture;

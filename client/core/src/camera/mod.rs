@@ -1,0 +1,4 @@
+//! Where the camera goes when nobody steers it.
+
+pub mod default_path;
+pub mod path;

@@ -1,0 +1,11 @@
+//! What every Gnomon client has: it decides what to draw, from which pose, lit with which mask, and draws it.
+//!
+//! No socket, file, thread or clock: time, bytes and masks come in as arguments, so the crate also builds for browsers.
+
+pub mod camera;
+pub mod frame;
+pub mod input;
+pub mod mask;
+pub mod occluders;
+pub mod predictor;
+pub mod render;

@@ -1,0 +1,3 @@
+//! Received masks on their way to the renderer.
+
+pub mod buffer;
