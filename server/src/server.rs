@@ -445,10 +445,6 @@ fn reachable(address: SocketAddr) -> SocketAddr {
 }
 
 #[cfg(test)]
-#[path = "../tests/support/scene.rs"]
-mod test_scene;
-
-#[cfg(test)]
 mod tests {
     use super::*;
     use crate::config::Backend;
@@ -457,7 +453,7 @@ mod tests {
     async fn whoever_runs_a_server_hears_that_it_can_trace_no_more() {
         let folder = tempfile::tempdir().unwrap();
         let config = ServerConfig {
-            scene: Some(test_scene::write(folder.path())),
+            scene: Some(gnomon_scene::testing::write_scene(folder.path()).unwrap()),
             listen: (Ipv4Addr::LOCALHOST, 0).into(),
             backend: Backend::Cpu,
             cert_dir: Some(folder.path().join("cert")),

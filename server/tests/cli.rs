@@ -1,14 +1,13 @@
 //! The binary: flags, environment, file, exit codes, the one line on standard output, and signals.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-#[path = "support/scene.rs"]
-mod scene;
-
 use std::{
     io::{BufRead as _, BufReader, Read as _},
     path::Path,
     process::{Child, Command, Output, Stdio},
 };
+
+use gnomon_scene::testing::write_scene;
 
 fn server() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_gnomon-server"));
@@ -76,7 +75,7 @@ fn every_failure_is_one_line_that_says_what_to_do() {
         std::fs::write(&path, content).unwrap();
         path.to_str().unwrap().to_owned()
     };
-    let good = scene::write(folder.path()).to_str().unwrap().to_owned();
+    let good = write_scene(folder.path()).unwrap().to_str().unwrap().to_owned();
     let broken = path("broken.gltf", "{\"asset\": {\"version\": \"2.0\"}, \"meshes\": 7}");
     let unknown_key = path("unknown.toml", "max_session = 3\n");
     let bad_tokens = path("tokens", "a-bare-token\n");
@@ -113,7 +112,7 @@ fn every_failure_is_one_line_that_says_what_to_do() {
 #[test]
 fn a_taken_port_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    let scene = scene::write(folder.path());
+    let scene = write_scene(folder.path()).unwrap();
     let holder = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     let address = holder.local_addr().unwrap().to_string();
     let output = run(server()
@@ -130,7 +129,7 @@ fn a_taken_port_is_named() {
 #[test]
 fn check_says_what_is_in_the_scene() {
     let folder = tempfile::tempdir().unwrap();
-    let output = run(server().arg("--check").arg("--scene").arg(scene::write(folder.path())));
+    let output = run(server().arg("--check").arg("--scene").arg(write_scene(folder.path()).unwrap()));
     let found = text(&output.stdout);
     assert!(output.status.success(), "{}", text(&output.stderr));
     for part in ["triangles", "instances", "materials", "lights", "bounds", "memory", "digest", "everybody is admitted"]
@@ -148,7 +147,7 @@ struct Running {
 fn start(folder: &Path) -> Running {
     let mut child = server()
         .args(["--listen", "127.0.0.1:0", "--backend", "cpu", "--threads", "1", "--log", "json", "--scene"])
-        .arg(scene::write(folder))
+        .arg(write_scene(folder).unwrap())
         .arg("--cert-dir")
         .arg(folder.join("cert"))
         .stdout(Stdio::piped())

@@ -2,9 +2,6 @@
 //! certificate and key while the server runs, and who trusts the authority notices nothing.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-#[path = "../../server/tests/support/scene.rs"]
-mod scene;
-
 use std::{fs, path::Path, process::Command, time::Duration};
 
 use gnomon_client::{
@@ -42,7 +39,7 @@ fn an_authority_vouches_for_a_server_across_rotations() {
     let ours = authority(folder, "ours");
     authority(folder, "theirs");
     issue(folder, &ours);
-    let scene = scene::write(folder);
+    let scene = gnomon_scene::testing::write_scene(folder).unwrap();
     let arguments = [
         format!("--scene={}", scene.display()),
         "--backend=cpu".to_owned(),

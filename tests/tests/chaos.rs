@@ -2,9 +2,6 @@
 //! and sessions, and a server that stops while it serves. What a busy machine decides, such as rates and times, is not judged here.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-#[path = "../../server/tests/support/scene.rs"]
-mod scene;
-
 use std::path::Path;
 
 use clap::Parser;
@@ -19,7 +16,7 @@ struct Line {
 /// Runs a part, and gives what was measured of the promise that has these words in it.
 fn chaos(part: &str, more: &str) -> impl Fn(&str) -> (bool, String) + use<> {
     let folder = tempfile::tempdir().unwrap();
-    let scene = scene::write(folder.path());
+    let scene = gnomon_scene::testing::write_scene(folder.path()).unwrap();
     let path = folder.path().join("lights_camera.json");
     let text = r#"{"camera_path": {"keyframes": [{"t": 0, "pos": [0, 2.5, 3], "target": [0, 0, 0]},
         {"t": 60, "pos": [3, 2.5, 0], "target": [0, 0, 0]}]}}"#;

@@ -2,9 +2,6 @@
 //! clock says, and no time in the log is negative.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-#[path = "../../server/tests/support/scene.rs"]
-mod scene;
-
 use std::{fs, net::Ipv4Addr, path::Path, time::Duration};
 
 use gnomon_client::{
@@ -29,7 +26,7 @@ const DAY_S: i64 = 24 * HOUR_S;
 fn start(runtime: &Runtime, folder: &Path, tokens: &str) -> RunningServer {
     fs::write(folder.join("tokens.toml"), tokens).unwrap();
     let config = ServerConfig {
-        scene: Some(scene::write(folder)),
+        scene: Some(gnomon_scene::testing::write_scene(folder).unwrap()),
         listen: (Ipv4Addr::LOCALHOST, 0).into(),
         backend: Backend::Cpu,
         cert_dir: Some(folder.join("cert")),

@@ -1,9 +1,6 @@
 //! Promise: what the server logs is what `deploy/logs.schema.json` says, in a file that can be rotated, and a full disk stops nobody.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-#[path = "../../server/tests/support/scene.rs"]
-mod scene;
-
 use std::{
     collections::BTreeSet,
     fs,
@@ -41,7 +38,7 @@ struct Server {
 fn start(folder: &Path, log: &Path) -> Server {
     let arguments = [
         "--scene".into(),
-        scene::write(folder).display().to_string(),
+        gnomon_scene::testing::write_scene(folder).unwrap().display().to_string(),
         "--backend=cpu".into(),
         "--listen=127.0.0.1:0".into(),
         "--admin=0".into(),

@@ -7,8 +7,6 @@ mod frames;
 mod lab;
 mod operator;
 mod references;
-#[path = "../support/scene.rs"]
-mod scene;
 mod stopping;
 mod web;
 
@@ -54,7 +52,7 @@ impl Rig {
 
 fn config(folder: &Path) -> ServerConfig {
     ServerConfig {
-        scene: Some(scene::write(folder)),
+        scene: Some(gnomon_scene::testing::write_scene(folder).unwrap()),
         listen: "127.0.0.1:0".parse().unwrap(),
         backend: Backend::Cpu,
         threads: std::num::NonZeroUsize::new(1),

@@ -19,6 +19,8 @@ mod normals;
 pub(crate) mod pack;
 mod picture;
 mod summary;
+#[doc(hidden)]
+pub mod testing;
 
 pub use alpha::AlphaPicture;
 pub use check::CheckError;

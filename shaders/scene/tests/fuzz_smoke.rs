@@ -2,12 +2,9 @@
 //! comes again. With `GNOMON_FUZZ_SEEDS=FOLDER` the valid ones are written there, as the targets' seeds.
 #![allow(missing_docs, clippy::unwrap_used, reason = "tests")]
 
-#[path = "../../../server/tests/support/scene.rs"]
-mod small;
-
 use std::fs;
 
-use gnomon_scene::{LoadOptions, Scene, fuzzing};
+use gnomon_scene::{LoadOptions, Scene, fuzzing, testing::write_scene};
 
 /// The seed, and damaged ones.
 fn drive(target: &str, seed: &[u8], rounds: u32, mut entry: impl FnMut(&[u8])) {
@@ -42,7 +39,7 @@ fn drive(target: &str, seed: &[u8], rounds: u32, mut entry: impl FnMut(&[u8])) {
 
 /// The small scene with its buffer inside.
 fn whole_file(folder: &std::path::Path) -> Vec<u8> {
-    let text = fs::read_to_string(small::write(folder)).unwrap();
+    let text = fs::read_to_string(write_scene(folder).unwrap()).unwrap();
     let mut gltf: serde_json::Value = serde_json::from_str(&text).unwrap();
     let bytes = fs::read(folder.join("scene.bin")).unwrap();
     let inside = format!(
@@ -65,7 +62,7 @@ fn gltf() {
 #[test]
 fn glb() {
     let folder = tempfile::tempdir().unwrap();
-    small::write(folder.path());
+    write_scene(folder.path()).unwrap();
     let mut json = fs::read(folder.path().join("scene.gltf")).unwrap();
     let mut gltf: serde_json::Value = serde_json::from_slice(&json).unwrap();
     gltf["buffers"][0].as_object_mut().unwrap().remove("uri");
@@ -94,6 +91,6 @@ fn glb() {
 #[test]
 fn packed() {
     let folder = tempfile::tempdir().unwrap();
-    let scene = Scene::load(&small::write(folder.path()), &LoadOptions::default()).unwrap();
+    let scene = Scene::load(&write_scene(folder.path()).unwrap(), &LoadOptions::default()).unwrap();
     drive("packed", &scene.pack().unwrap(), 10_000, fuzzing::packed);
 }

@@ -1,9 +1,16 @@
-//! A scene of a floor and a blocker under two lamps, written as glTF.
+//! A small scene file for tests of the programs that load scenes.
 
-use std::path::{Path, PathBuf};
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
 
-/// Writes the scene into a folder.
-pub(crate) fn write(folder: &Path) -> PathBuf {
+/// Writes `scene.gltf` and `scene.bin` into `folder` and returns the path of the former: an 8 × 8 m floor, a 1 × 1 m
+/// square above it, and two point lights.
+///
+/// # Errors
+/// Errors if a file cannot be written.
+pub fn write_scene(folder: &Path) -> io::Result<PathBuf> {
     let positions: [[f32; 3]; 8] = [
         [-4.0, 0.0, -4.0],
         [4.0, 0.0, -4.0],
@@ -17,7 +24,7 @@ pub(crate) fn write(folder: &Path) -> PathBuf {
     let indices: [u16; 12] = [0, 2, 1, 0, 3, 2, 4, 6, 5, 4, 7, 6];
     let mut bytes: Vec<u8> = positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
     bytes.extend(indices.iter().flat_map(|index| index.to_le_bytes()));
-    std::fs::write(folder.join("scene.bin"), &bytes).unwrap();
+    std::fs::write(folder.join("scene.bin"), &bytes)?;
     let gltf = serde_json::json!({
         "asset": {"version": "2.0"},
         "extensionsUsed": ["KHR_lights_punctual"],
@@ -46,6 +53,6 @@ pub(crate) fn write(folder: &Path) -> PathBuf {
         ],
     });
     let path = folder.join("scene.gltf");
-    std::fs::write(&path, gltf.to_string()).unwrap();
-    path
+    std::fs::write(&path, gltf.to_string())?;
+    Ok(path)
 }
