@@ -5,11 +5,10 @@ use std::path::{Path, PathBuf};
 
 use gnomon_client::{guard::GuardSize, mode::Mode, predictor::Predictor};
 use gnomon_lab::report::{
-    lag::{self, LagOptions},
+    lag::{self, LagOptions, PosePrediction},
     network::{self, NetworkOptions},
     scene_args::SceneArgs,
 };
-use gnomon_scene::motion::Extrapolation;
 
 fn asset(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name)
@@ -70,7 +69,7 @@ fn error_against_lag_is_reported_for_every_way_of_predicting() {
         lags: vec![0, 3, 12],
         predict: vec![Predictor::None, "dissertation".parse().unwrap(), Predictor::Surface],
         guard: vec![GuardSize { width: 0, height: 0 }, GuardSize { width: 64, height: 36 }],
-        predict_pose: vec![("off", Extrapolation::Still), ("velocity", Extrapolation::Velocity)],
+        predict_pose: vec![PosePrediction::Off, PosePrediction::Velocity],
         fps: 30.0,
         turn: None,
         ignore_alpha: false,

@@ -10,10 +10,7 @@ use std::{
 };
 
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose, pose::Pose};
-use gnomon_scene::{
-    camera::Camera,
-    motion::{Extrapolation, Motion},
-};
+use gnomon_scene::{camera::Camera, motion::Motion};
 use tokio::sync::watch;
 
 use super::{
@@ -166,7 +163,7 @@ impl Ahead {
         let now = camera(pose);
         self.motion.push(time_s, now);
         let then_s = time_s + f64::from(pose.look_ahead_ms) * 1e-3;
-        let then = self.motion.at(then_s, Extrapolation::Velocity)?;
+        let then = self.motion.extrapolate(then_s)?;
         let stays = then.position_m.distance(now.position_m) < STANDS_STILL
             && then.orientation.angle_between(now.orientation) < STANDS_STILL;
         if pose.look_ahead_ms == 0 || stays {

@@ -25,18 +25,6 @@ const JUMP_M: f64 = 0.5;
 const JUMP_RAD: f64 = 0.35;
 const JUMP_RATIO: f64 = 4.0;
 
-/// How a camera's motion goes on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Extrapolation {
-    /// It does not: the newest pose.
-    #[default]
-    Still,
-    /// At constant velocity and turning rate.
-    Velocity,
-    /// Velocity and turning rate themselves go on changing, half as much as they did.
-    Acceleration,
-}
-
 /// A camera's latest poses, in order of time.
 #[derive(Debug, Clone, Default)]
 pub struct Motion {
@@ -73,25 +61,13 @@ impl Motion {
         self.poses.push_back((time_s, camera));
     }
 
-    /// The camera at `time_s`; `None` before the first pose. A time before the newest pose gives the newest pose.
+    /// Returns the newest camera moved on to `time_s` at constant velocity and turning rate, by at most [`FARTHEST_S`].
+    /// `None` before the first pose; the newest pose for times before it.
     #[must_use]
-    pub fn at(&self, time_s: f64, extrapolation: Extrapolation) -> Option<Camera> {
+    pub fn extrapolate(&self, time_s: f64) -> Option<Camera> {
         let (newest_s, newest) = self.poses.back()?;
         let ahead_s = (time_s - newest_s).clamp(0.0, FARTHEST_S);
-        let (Some(rate), true) = (self.rate(*newest_s), extrapolation != Extrapolation::Still) else {
-            return Some(*newest);
-        };
-        let rate = match (extrapolation, self.rate(newest_s - WINDOW_S)) {
-            (Extrapolation::Acceleration, Some(before)) => {
-                // Half the change of rate, carried on; the mean over the way is half of that again.
-                let change = 0.25 * ahead_s / WINDOW_S;
-                Rate {
-                    metres_per_s: rate.metres_per_s + (rate.metres_per_s - before.metres_per_s) * change,
-                    turn_per_s: rate.turn_per_s + (rate.turn_per_s - before.turn_per_s) * change,
-                }
-            }
-            _ => rate,
-        };
+        let Some(rate) = self.rate() else { return Some(*newest) };
         Some(Camera {
             position_m: newest.position_m + rate.metres_per_s * ahead_s,
             orientation: (DQuat::from_scaled_axis(rate.turn_per_s * ahead_s) * newest.orientation).normalize(),
@@ -99,9 +75,9 @@ impl Motion {
         })
     }
 
-    /// The rates over the window that ends at `end_s`, or before it; over one step where steps are longer than the window.
-    fn rate(&self, end_s: f64) -> Option<Rate> {
-        let last = self.poses.iter().rposition(|(time_s, _)| *time_s <= end_s)?;
+    /// The rates over the window that ends at the newest pose; over the last step where steps are longer than the window.
+    fn rate(&self) -> Option<Rate> {
+        let last = self.poses.len().checked_sub(1)?;
         let (to_s, to) = self.poses.get(last)?;
         let first = self.poses.iter().take(last).position(|(time_s, _)| *time_s >= to_s - WINDOW_S * 1.01);
         let (from_s, from) = self.poses.get(first.or(last.checked_sub(1))?)?;
@@ -110,8 +86,7 @@ impl Motion {
 
     fn is_jump(&self, from: &Camera, to: &Camera, step_s: f64) -> bool {
         let step = rate_between(from, to, step_s);
-        let before = self.poses.back().and_then(|(newest_s, _)| self.rate(*newest_s));
-        let before = before.unwrap_or(Rate { metres_per_s: DVec3::ZERO, turn_per_s: DVec3::ZERO });
+        let before = self.rate().unwrap_or(Rate { metres_per_s: DVec3::ZERO, turn_per_s: DVec3::ZERO });
         let far = |step: f64, before: f64, least: f64| step * step_s > least && step > JUMP_RATIO * before;
         far(step.metres_per_s.length(), before.metres_per_s.length(), JUMP_M)
             || far(step.turn_per_s.length(), before.turn_per_s.length(), JUMP_RAD)
@@ -154,14 +129,12 @@ mod tests {
     fn straight_lines_and_steady_turns_go_on() {
         let at = |time_s: f64| camera(DVec3::new(1e6 + 2.0 * time_s, 1.0, -time_s), 1.5 * time_s);
         let motion = followed(at, 20);
-        for extrapolation in [Extrapolation::Velocity, Extrapolation::Acceleration] {
-            for ahead_s in [0.0, 0.016, 0.1, 0.4] {
-                let time_s = 19.0 / 60.0 + ahead_s;
-                let (metres, radians) = apart(&motion.at(time_s, extrapolation).unwrap(), &at(time_s));
-                assert!(metres < 1e-8 && radians < 1e-7, "{ahead_s}: {metres} m, {radians} rad");
-            }
+        for ahead_s in [0.0, 0.016, 0.1, 0.4] {
+            let time_s = 19.0 / 60.0 + ahead_s;
+            let (metres, radians) = apart(&motion.extrapolate(time_s).unwrap(), &at(time_s));
+            assert!(metres < 1e-8 && radians < 1e-7, "{ahead_s}: {metres} m, {radians} rad");
         }
-        assert_eq!(motion.at(1.0, Extrapolation::Still), Some(at(19.0 / 60.0)));
+        assert_eq!(motion.extrapolate(0.0), Some(at(19.0 / 60.0)));
     }
 
     #[test]
@@ -171,25 +144,24 @@ mod tests {
         for frame in 0..5 {
             motion.push(f64::from(frame) * 0.2, at(f64::from(frame) * 0.2));
         }
-        let (metres, radians) = apart(&motion.at(1.0, Extrapolation::Velocity).unwrap(), &at(1.0));
+        let (metres, radians) = apart(&motion.extrapolate(1.0).unwrap(), &at(1.0));
         assert!(metres < 1e-8 && radians < 1e-7, "{metres} m, {radians} rad");
     }
 
     #[test]
-    fn a_growing_speed_is_followed_better_when_it_is_expected_to_grow() {
+    fn a_growing_speed_is_followed_better_than_by_the_newest_pose() {
         let at = |time_s: f64| camera(DVec3::X * (3.0 * time_s * time_s), 2.0 * time_s * time_s);
-        let (motion, time_s) = (followed(at, 30), 29.0 / 60.0 + 0.1);
-        let error = |extrapolation| apart(&motion.at(time_s, extrapolation).unwrap(), &at(time_s)).0;
-        assert!(error(Extrapolation::Acceleration) < 0.8 * error(Extrapolation::Velocity));
-        assert!(error(Extrapolation::Velocity) < 0.5 * error(Extrapolation::Still));
+        let (newest_s, time_s) = (29.0 / 60.0, 29.0 / 60.0 + 0.1);
+        let extrapolated = followed(at, 30).extrapolate(time_s).unwrap();
+        assert!(apart(&extrapolated, &at(time_s)).0 < 0.5 * apart(&at(newest_s), &at(time_s)).0);
     }
 
     #[test]
     fn a_stop_is_noticed_within_the_window() {
         let at = |time_s: f64| camera(DVec3::X * time_s.min(0.25), 0.0);
         let (moving, stopped) = (followed(at, 15), followed(at, 21));
-        assert!(moving.at(0.35, Extrapolation::Velocity).unwrap().position_m.x > 0.3);
-        assert!((stopped.at(0.45, Extrapolation::Velocity).unwrap().position_m.x - 0.25).abs() < 1e-9);
+        assert!(moving.extrapolate(0.35).unwrap().position_m.x > 0.3);
+        assert!((stopped.extrapolate(0.45).unwrap().position_m.x - 0.25).abs() < 1e-9);
     }
 
     #[test]
@@ -197,31 +169,29 @@ mod tests {
         let mut motion = followed(|time_s| camera(DVec3::X * time_s, 0.0), 10);
         let there = camera(DVec3::new(50.0, 0.0, 0.0), 3.0);
         motion.push(10.0 / 60.0, there);
-        for extrapolation in [Extrapolation::Velocity, Extrapolation::Acceleration] {
-            assert_eq!(motion.at(0.3, extrapolation), Some(there));
-        }
+        assert_eq!(motion.extrapolate(0.3), Some(there));
         // From a standstill to a quick turn of the head is motion: 3 rad/s in steps of 1/60 s.
         let mut motion = followed(|_| camera(DVec3::ZERO, 0.0), 10);
         for frame in 1..=5 {
             motion.push(f64::from(9 + frame) / 60.0, camera(DVec3::ZERO, f64::from(frame) * 0.05));
         }
-        assert!(motion.at(14.0 / 60.0 + 0.1, Extrapolation::Velocity).unwrap().orientation.to_scaled_axis().y > 0.4);
+        assert!(motion.extrapolate(14.0 / 60.0 + 0.1).unwrap().orientation.to_scaled_axis().y > 0.4);
     }
 
     #[test]
     fn old_repeated_and_strange_times_do_no_harm() {
         let here = camera(DVec3::ZERO, 0.0);
         let mut motion = Motion::default();
-        assert_eq!(motion.at(0.0, Extrapolation::Velocity), None);
+        assert_eq!(motion.extrapolate(0.0), None);
         motion.push(1.0, here);
         motion.push(1.0, camera(DVec3::X, 0.0));
         motion.push(0.9, camera(DVec3::X, 0.0));
-        assert_eq!(motion.at(5.0, Extrapolation::Velocity), Some(here));
+        assert_eq!(motion.extrapolate(5.0), Some(here));
         // A client that starts anew.
         motion.push(0.1, camera(DVec3::Y, 0.0));
-        assert_eq!(motion.at(0.2, Extrapolation::Velocity), Some(camera(DVec3::Y, 0.0)));
+        assert_eq!(motion.extrapolate(0.2), Some(camera(DVec3::Y, 0.0)));
         motion.push(f64::NAN, here);
-        assert!(motion.at(f64::INFINITY, Extrapolation::Velocity).is_some());
+        assert!(motion.extrapolate(f64::INFINITY).is_some());
         for frame in 0..1000 {
             motion.push(f64::from(frame) * 0.01, here);
         }

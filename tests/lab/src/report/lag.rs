@@ -7,11 +7,7 @@
 use anyhow::{Result, bail};
 use gnomon_client::{camera_path::CameraPath, guard::GuardSize, predictor::Predictor};
 use gnomon_protocol::mask::Mask;
-use gnomon_scene::{
-    AlphaMode, Scene,
-    camera::Camera,
-    motion::{Extrapolation, Motion},
-};
+use gnomon_scene::{AlphaMode, Scene, camera::Camera, motion::Motion};
 use image::RgbImage;
 
 use super::{
@@ -40,9 +36,9 @@ pub struct LagOptions {
     /// Guard bands: WxH extra pixels in all, half of them on each side.
     #[arg(long, value_delimiter = ',', default_value = "0x0")]
     pub guard: Vec<GuardSize>,
-    /// How the server extrapolates poses to the moment that shows them: off, velocity, acceleration.
-    #[arg(long, value_delimiter = ',', default_value = "off", value_parser = extrapolation)]
-    pub predict_pose: Vec<(&'static str, Extrapolation)>,
+    /// Whether the server extrapolates poses to the moment that shows them.
+    #[arg(long, value_delimiter = ',', default_value = "off")]
+    pub predict_pose: Vec<PosePrediction>,
     /// Frames a second of the client.
     #[arg(long, default_value_t = 60.0)]
     pub fps: f64,
@@ -60,13 +56,13 @@ pub struct LagOptions {
     pub bits_only: bool,
 }
 
-fn extrapolation(text: &str) -> Result<(&'static str, Extrapolation), String> {
-    match text {
-        "off" => Ok(("off", Extrapolation::Still)),
-        "velocity" => Ok(("velocity", Extrapolation::Velocity)),
-        "acceleration" => Ok(("acceleration", Extrapolation::Acceleration)),
-        _ => Err(format!("{text:?} is no extrapolation: off, velocity or acceleration")),
-    }
+/// Which pose the server traces for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum PosePrediction {
+    /// The newest one.
+    Off,
+    /// The newest one, moved on at constant velocity.
+    Velocity,
 }
 
 /// One row of the table: what is varied.
@@ -75,7 +71,7 @@ pub(super) struct Setting {
     pub(super) lag: u32,
     pub(super) predictor: Predictor,
     pub(super) guard: GuardSize,
-    pub(super) predict_pose: (&'static str, Extrapolation),
+    pub(super) predict_pose: PosePrediction,
 }
 
 /// What a setting came to.
@@ -190,7 +186,11 @@ fn table(options: &LagOptions, settings: &[Setting], outcomes: &[Outcome]) -> Ta
             format!("{}x{}", options.scene.size.0, options.scene.size.1),
             setting.predictor.to_string(),
             setting.guard.to_string(),
-            setting.predict_pose.0.to_owned(),
+            match setting.predict_pose {
+                PosePrediction::Off => "off",
+                PosePrediction::Velocity => "velocity",
+            }
+            .to_owned(),
             setting.lag.to_string(),
             format!("{:.4}", bits.wrong_percent()),
             format!("{:.4}", mean_of(&outcome.known_share)),
@@ -260,11 +260,14 @@ impl Rig {
     /// poses before it.
     fn traced_for(&self, setting: &Setting, time_s: f64) -> Camera {
         let before = |frames: u32| time_s - f64::from(frames) / self.fps;
-        let mut motion = Motion::default();
-        for frames in (setting.lag..=setting.lag + POSES_BEFORE).rev() {
-            motion.push(before(frames), self.camera(before(frames)));
+        let mut camera = self.camera(before(setting.lag));
+        if setting.predict_pose == PosePrediction::Velocity {
+            let mut motion = Motion::default();
+            for frames in (setting.lag..=setting.lag + POSES_BEFORE).rev() {
+                motion.push(before(frames), self.camera(before(frames)));
+            }
+            camera = motion.extrapolate(time_s).unwrap_or(camera);
         }
-        let camera = motion.at(time_s, setting.predict_pose.1).unwrap_or_else(|| self.camera(before(setting.lag)));
         camera.widened(setting.guard.per_side())
     }
 }

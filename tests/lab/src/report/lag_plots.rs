@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use image::{Rgb, RgbImage};
 
 use super::{
-    lag::{LagOptions, Outcome, Setting, mean_of},
+    lag::{LagOptions, Outcome, PosePrediction, Setting, mean_of},
     plot::{
         Axis, Plot, Series,
         grid::{Cell, grid},
@@ -68,8 +68,8 @@ fn name(setting: &Setting) -> String {
     if setting.guard.width + setting.guard.height > 0 {
         name += &format!(", guard {}", setting.guard);
     }
-    if setting.predict_pose.0 != "off" {
-        name += &format!(", poses by {}", setting.predict_pose.0);
+    if setting.predict_pose == PosePrediction::Velocity {
+        name += ", poses by velocity";
     }
     name
 }

@@ -19,10 +19,7 @@ use gnomon_protocol::{
     mask::Mask,
     packetizer::Packetizer,
 };
-use gnomon_scene::{
-    camera::Camera,
-    motion::{Extrapolation, Motion},
-};
+use gnomon_scene::{camera::Camera, motion::Motion};
 use image::RgbImage;
 use rayon::prelude::*;
 
@@ -141,9 +138,9 @@ pub fn measure(options: &VideoOptions, mut progress: impl FnMut(&str)) -> Result
         }
     }
     for &rtt_ms in &options.rtt {
-        rows.extend(bench.split(rtt_ms, Extrapolation::Velocity)?);
+        rows.extend(bench.split(rtt_ms, AHEAD)?);
         if options.lag(rtt_ms) > 0 {
-            rows.extend(bench.split(rtt_ms, Extrapolation::Still)?);
+            rows.extend(bench.split(rtt_ms, BEHIND)?);
         }
         progress(&format!("visibility, {rtt_ms} ms"));
     }
@@ -247,14 +244,14 @@ impl<'a> Bench<'a> {
     }
 
     /// The walk with visibility from a server one round trip away: what is seen is the same for every codec.
-    fn split(&mut self, rtt_ms: u32, extrapolation: Extrapolation) -> Result<Vec<Row>> {
+    fn split(&mut self, rtt_ms: u32, method: &'static str) -> Result<Vec<Row>> {
         let options = self.options;
         let lag = options.lag(rtt_ms);
         let mut senders: Vec<Sender> = options.codecs.iter().map(|&codec| Sender::new(codec, lag)).collect();
         let mut bytes = vec![0.0; senders.len()];
         let mut shown = Vec::new();
         for frame in self.first..self.first + options.scene.frames {
-            let traced_for = self.traced_for(frame, lag, extrapolation);
+            let traced_for = self.traced_for(frame, lag, method);
             let mask: Mask = self.rig.trace(&traced_for)?;
             for (sender, bytes) in senders.iter_mut().zip(&mut bytes) {
                 *bytes += sender.send(FrameNumber(frame), &mask)? / f64::from(options.scene.frames);
@@ -263,7 +260,6 @@ impl<'a> Bench<'a> {
             shown.push(self.rig.draw(&camera, Predictor::Surface, Some((&mask, &traced_for)))?.0);
         }
         let quality = Quality::of(&shown, &self.truths[self.measured()], self.fps())?;
-        let method = if extrapolation == Extrapolation::Still { BEHIND } else { AHEAD };
         let row = |(codec, bytes): (&CodecId, f64)| self.row(method, codec.to_string(), rtt_ms, bytes, quality.clone());
         Ok(options.codecs.iter().zip(bytes).map(row).collect())
     }
@@ -281,14 +277,17 @@ impl<'a> Bench<'a> {
 
     /// What the server traces for the client that will show it in `frame`: where it expects the camera then, by the poses
     /// that it knew `lag` frames before.
-    fn traced_for(&self, frame: u32, lag: u32, extrapolation: Extrapolation) -> Camera {
+    fn traced_for(&self, frame: u32, lag: u32, method: &str) -> Camera {
         let time_s = |frame: u32| f64::from(frame) / self.fps();
+        let newest = camera(&self.path, self.options, frame - lag);
+        if method == BEHIND {
+            return newest;
+        }
         let mut motion = Motion::default();
         for frame in frame - lag - POSES_BEFORE..=frame - lag {
             motion.push(time_s(frame), camera(&self.path, self.options, frame));
         }
-        let expected = motion.at(time_s(frame), extrapolation);
-        expected.unwrap_or_else(|| camera(&self.path, self.options, frame - lag))
+        motion.extrapolate(time_s(frame)).unwrap_or(newest)
     }
 
     fn row(&self, method: &'static str, setting: String, rtt_ms: u32, frame_bytes: f64, quality: Quality) -> Row {
