@@ -4,7 +4,7 @@ use std::{io, path::PathBuf};
 
 use thiserror::Error;
 
-use super::{limits::MAX_LIGHTS, pack::PackError};
+use crate::{limits::MAX_LIGHTS, pack::PackError};
 
 /// Why a scene could not be loaded. Every message names the file or the object, and the numbers that are wrong.
 #[derive(Debug, Error)]

@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
 use glam::{DVec3, Vec3};
 
-use super::{
+use crate::{
     Light, LightKind,
     limits::{MAX_COORDINATE_M, MAX_NAME_BYTES, in_reach},
 };

@@ -11,7 +11,7 @@ use std::path::Path;
 use glam::DVec3;
 use serde::Deserialize;
 
-use super::{Light, error::SceneError, gltf::read_file, light::LightSource, limits::MAX_LIGHTS_FILE_BYTES};
+use crate::{Light, error::SceneError, file::read_file, light::LightSource, limits::MAX_LIGHTS_FILE_BYTES};
 
 #[derive(Deserialize)]
 struct LightsFile {

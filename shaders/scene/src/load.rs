@@ -1,16 +1,14 @@
 //! Loading a scene from files: glTF or a packed scene, and a lights file where its own lights are not wanted.
 
-use std::{
-    fmt,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
-use super::{
-    Scene,
+use crate::{
+    LoadReport, Scene,
     error::SceneError,
-    gltf, lights_file,
+    file::{read_file, read_start},
+    lights_file,
     limits::{MAX_LIGHTS, MAX_PACKED_BYTES},
-    pack,
+    pack, reader,
 };
 
 /// What to load besides the scene file.
@@ -20,30 +18,6 @@ pub struct LoadOptions {
     pub lights_from: Option<PathBuf>,
     /// Keep only the first so many lights: 1 to 32, and not more than there are.
     pub max_lights: Option<u32>,
-}
-
-/// What the loader left out or mended; all zeros for most files.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct LoadReport {
-    /// Triangles without an area, dropped.
-    pub dropped_triangles: u64,
-    /// Normals of length zero, replaced by their faces' mean.
-    pub repaired_normals: u64,
-    /// Instances of point and line primitives, and of primitives without positions, skipped.
-    pub skipped_primitives: u64,
-    /// Morph targets, ignored: their weights are 0 at rest.
-    pub ignored_morph_targets: u64,
-}
-
-impl fmt::Display for LoadReport {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { dropped_triangles, repaired_normals, skipped_primitives, ignored_morph_targets } = self;
-        write!(
-            f,
-            "zero-area triangles dropped {dropped_triangles}, zero normals replaced {repaired_normals}, point and line \
-             primitives skipped {skipped_primitives}, morph targets ignored {ignored_morph_targets}"
-        )
-    }
 }
 
 impl Scene {
@@ -60,12 +34,12 @@ impl Scene {
     /// # Errors
     /// See [`SceneError`].
     pub fn load_with_report(path: &Path, options: &LoadOptions) -> Result<(Self, LoadReport), SceneError> {
-        let (mut scene, report) = if gltf::read_start(path, pack::MAGIC.len() as u64)? == pack::MAGIC {
+        let (mut scene, report) = if read_start(path, pack::MAGIC.len() as u64)? == pack::MAGIC {
             let fault = |fault| SceneError::Packed { path: path.to_owned(), fault };
-            let packed = gltf::read_file(path, MAX_PACKED_BYTES)?;
+            let packed = read_file(path, MAX_PACKED_BYTES)?;
             (Self::unpack(&packed).map_err(fault)?, LoadReport::default())
         } else {
-            gltf::load(path)?
+            reader::load(path)?
         };
         if let Some(file) = &options.lights_from {
             scene.lights = lights_file::read(file, scene.origin_m)?;

@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use image::{ImageFormat, ImageReader, Limits};
 
-use super::{
+use crate::{
     Image,
     limits::{MAX_IMAGE_BYTES, MAX_IMAGE_SCRATCH_BYTES, MAX_IMAGE_SIDE_PX},
 };

@@ -6,8 +6,6 @@
 use glam::{DMat3, DMat4, DVec3, Vec3};
 
 use super::{
-    buffers::Buffers,
-    document::{Document, Primitive},
     material::Materials,
     nodes::Placed,
     primitive::{self, Geometry, Mode},
@@ -16,7 +14,11 @@ use crate::{
     AlphaMode, Draw, LoadReport, Scene,
     error::{SceneError, place, within},
     limits::{MAX_COORDINATE_M, MAX_DRAWS, MAX_TRIANGLES, MAX_VERTICES, in_reach},
-    normals::{repair, triangle_normal},
+    reader::{
+        file::buffers::Buffers,
+        json::document::{Document, Primitive},
+    },
+    scene::normals::{repair, triangle_normal},
 };
 
 /// A primitive that is drawn, and where.
@@ -33,7 +35,7 @@ struct Part<'a> {
 ///
 /// # Errors
 /// When a primitive is malformed, or the flattened scene goes beyond `limits`.
-pub(super) fn flatten(
+pub(crate) fn flatten(
     document: &Document<'_>,
     buffers: &Buffers<'_>,
     placed: &[Placed],

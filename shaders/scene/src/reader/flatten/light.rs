@@ -2,21 +2,19 @@
 
 use glam::DVec3;
 
-use super::{
-    document::{self, Document},
-    nodes::Placed,
-};
+use super::nodes::Placed;
 use crate::{
     Light,
     error::{SceneError, place},
     light::LightSource,
+    reader::json::document::{self, Document},
 };
 
 /// Reads the lights of the placed nodes. Scales change neither range nor intensity, as the extension says.
 ///
 /// # Errors
 /// When one is malformed, whether or not a node uses it.
-pub(super) fn read(document: &Document<'_>, placed: &[Placed], origin_m: DVec3) -> Result<Vec<Light>, SceneError> {
+pub(crate) fn read(document: &Document<'_>, placed: &[Placed], origin_m: DVec3) -> Result<Vec<Light>, SceneError> {
     let definitions = document.extensions.lights.as_ref().map_or(&[][..], |lights| &lights.lights);
     for (index, definition) in definitions.iter().enumerate() {
         if definition.kind == "spot" && definition.spot.is_none() {

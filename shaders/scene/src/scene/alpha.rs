@@ -1,6 +1,6 @@
 //! The alpha of MASK materials, as both back ends' tracers and the rasteriser's alpha test read it.
 
-use super::{AlphaMode, Scene};
+use super::types::{AlphaMode, Scene};
 
 /// A picture's alpha channel at full size.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -30,7 +30,7 @@ impl Scene {
 
 #[cfg(test)]
 mod tests {
-    use crate::check::tests::scene;
+    use crate::scene::check::tests::scene;
 
     #[test]
     fn only_masked_materials_with_a_picture_have_one() {

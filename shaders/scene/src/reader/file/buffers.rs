@@ -2,26 +2,23 @@
 
 use std::{borrow::Cow, path::Path};
 
-use super::{
-    container::read_start,
-    document::Document,
-    layout::view_range,
-    uri::{Target, follow},
-};
+use super::uri::{Target, follow};
 use crate::{
     error::{SceneError, place, within},
+    file::read_start,
     limits::MAX_BUFFER_BYTES,
+    reader::{checks::layout::view_range, json::document::Document},
 };
 
 /// Buffers, each exactly as long as the JSON says.
-pub(super) struct Buffers<'a>(Vec<Option<Cow<'a, [u8]>>>);
+pub(crate) struct Buffers<'a>(Vec<Option<Cow<'a, [u8]>>>);
 
 impl<'a> Buffers<'a> {
     /// Loads every buffer that has a URI, and takes the first without one from the `.glb`'s binary chunk.
     ///
     /// # Errors
     /// When one cannot be read, is shorter than it says, or all together are too large.
-    pub(super) fn load(document: &Document<'_>, bin: Option<&'a [u8]>, folder: &Path) -> Result<Self, SceneError> {
+    pub(crate) fn load(document: &Document<'_>, bin: Option<&'a [u8]>, folder: &Path) -> Result<Self, SceneError> {
         let total = document.buffers.iter().try_fold(0_u64, |sum, buffer| sum.checked_add(buffer.byte_length));
         within("bytes of all buffers", total.unwrap_or(u64::MAX), MAX_BUFFER_BYTES)?;
         let mut buffers = Vec::with_capacity(document.buffers.len());
@@ -55,7 +52,7 @@ impl<'a> Buffers<'a> {
     ///
     /// # Errors
     /// When it has none: no URI, and no binary chunk that it could be.
-    pub(super) fn get(&self, index: usize) -> Result<&[u8], SceneError> {
+    pub(crate) fn get(&self, index: usize) -> Result<&[u8], SceneError> {
         self.0.get(index).and_then(Option::as_deref).ok_or_else(|| {
             SceneError::invalid(place("buffer", index, None), "it has no uri, and there is no GLB chunk with its bytes")
         })
@@ -65,7 +62,7 @@ impl<'a> Buffers<'a> {
     ///
     /// # Errors
     /// As [`view_range`] and [`Self::get`].
-    pub(super) fn view(&self, document: &Document<'_>, index: u32) -> Result<&[u8], SceneError> {
+    pub(crate) fn view(&self, document: &Document<'_>, index: u32) -> Result<&[u8], SceneError> {
         let (buffer, start, bytes) = view_range(document, index as usize)?;
         let data = self.get(buffer)?;
         let range = usize::try_from(start).ok().zip(usize::try_from(start + bytes).ok());

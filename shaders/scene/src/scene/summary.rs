@@ -4,7 +4,7 @@ use std::fmt;
 
 use glam::DVec3;
 
-use super::{AlphaMode, Image, LightKind, Scene};
+use super::types::{AlphaMode, Image, LightKind, Scene};
 
 /// What a scene holds.
 #[derive(Debug, Clone, PartialEq)]

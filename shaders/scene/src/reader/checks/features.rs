@@ -3,8 +3,8 @@
 //! A required extension must be known. An optional one may be ignored unless that would show other geometry or another
 //! base colour than the file means: compressed meshes are refused even where they bring an uncompressed copy.
 
-use super::document::{Document, Primitive};
 use crate::error::{SceneError, place};
+use crate::reader::json::document::{Document, Primitive};
 
 /// Extensions that are read, or that only change the look in ways that Gnomon's shading does not have.
 const KNOWN: [&str; 19] = [
@@ -33,7 +33,7 @@ const KNOWN: [&str; 19] = [
 ///
 /// # Errors
 /// [`SceneError::Unsupported`], with the feature's name.
-pub(super) fn check(document: &Document<'_>) -> Result<(), SceneError> {
+pub(crate) fn check(document: &Document<'_>) -> Result<(), SceneError> {
     for name in &document.extensions_required {
         if !KNOWN.contains(&name.as_str()) {
             return Err(SceneError::unsupported("the file", format!("the required extension {name:.100}")));
@@ -98,7 +98,7 @@ mod tests {
     use serde_json::{Value, json};
 
     use super::*;
-    use crate::gltf::document::parse;
+    use crate::reader::json::document::parse;
 
     fn fault(properties: Value) -> Option<String> {
         let mut json = properties;

@@ -24,7 +24,7 @@ pub fn triangle_normal(a: Vec3, b: Vec3, c: Vec3) -> Option<DVec3> {
 /// Replaces each normal that is zero by the mean of its triangles' normals, weighted by their angles at the vertex, so
 /// that it does not depend on how a face is cut into triangles. Vertices without triangles get +Y. Indices count from
 /// `first_vertex`. Returns how many normals were replaced.
-pub(super) fn repair(positions: &[Vec3], normals: &mut [Vec3], triangles: &[[u32; 3]], first_vertex: u32) -> u64 {
+pub(crate) fn repair(positions: &[Vec3], normals: &mut [Vec3], triangles: &[[u32; 3]], first_vertex: u32) -> u64 {
     let broken: Vec<bool> = normals.iter().map(|normal| *normal == Vec3::ZERO).collect();
     if !broken.contains(&true) {
         return 0;

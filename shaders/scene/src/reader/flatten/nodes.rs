@@ -2,7 +2,7 @@
 
 use glam::{DMat4, DQuat, DVec3};
 
-use super::document::{Document, Node};
+use crate::reader::json::document::{Document, Node};
 use crate::{
     error::{SceneError, place},
     limits::MAX_DEPTH,
@@ -12,11 +12,11 @@ use crate::{
 const ROTATION_TOLERANCE: f64 = 1e-2;
 
 /// A node of the scene that is shown, and where it stands.
-pub(super) struct Placed {
+pub(crate) struct Placed {
     /// Its index.
-    pub(super) node: usize,
+    pub(crate) node: usize,
     /// From its own space to the world's.
-    pub(super) world_from_node: DMat4,
+    pub(crate) world_from_node: DMat4,
 }
 
 /// Nodes of the file's default scene (else its first; else everything), parents first, in the file's order, without
@@ -24,7 +24,7 @@ pub(super) struct Placed {
 ///
 /// # Errors
 /// When the nodes are not a forest, lie too deep, or have transforms that are no such thing.
-pub(super) fn walk(document: &Document<'_>) -> Result<Vec<Placed>, SceneError> {
+pub(crate) fn walk(document: &Document<'_>) -> Result<Vec<Placed>, SceneError> {
     let parents = parents(document)?;
     for (index, scene) in document.scenes.iter().enumerate() {
         for root in &scene.nodes {

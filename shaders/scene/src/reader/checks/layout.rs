@@ -3,7 +3,7 @@
 //! Offsets need not be aligned, although the specification asks for it: alignment matters to who maps buffers, and bytes
 //! are copied here. `min` and `max` are not read: bounds are computed.
 
-use super::document::{Accessor, Document, Sparse};
+use crate::reader::json::document::{Accessor, Document, Sparse};
 use crate::{
     error::{SceneError, place, within},
     limits::MAX_ACCESSOR_ELEMENTS,
@@ -11,7 +11,7 @@ use crate::{
 
 /// A component's type (§3.6.2.2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Component {
+pub(crate) enum Component {
     I8,
     U8,
     I16,
@@ -34,7 +34,7 @@ impl Component {
     }
 
     /// Bytes of one component.
-    pub(super) const fn bytes(self) -> usize {
+    pub(crate) const fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
@@ -43,7 +43,7 @@ impl Component {
     }
 
     /// Whether it can count: the types that indices have.
-    pub(super) const fn is_unsigned(self) -> bool {
+    pub(crate) const fn is_unsigned(self) -> bool {
         matches!(self, Self::U8 | Self::U16 | Self::U32)
     }
 }
@@ -53,43 +53,43 @@ const SHAPES: [(&str, usize); 4] = [("SCALAR", 1), ("VEC2", 2), ("VEC3", 3), ("V
 
 /// A run of elements in a buffer. The last one ends inside the buffer's declared length.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Span {
-    pub(super) buffer: usize,
-    pub(super) start: usize,
-    pub(super) stride: usize,
-    pub(super) element_bytes: usize,
+pub(crate) struct Span {
+    pub(crate) buffer: usize,
+    pub(crate) start: usize,
+    pub(crate) stride: usize,
+    pub(crate) element_bytes: usize,
 }
 
 /// An accessor.
 #[derive(Debug)]
-pub(super) struct Layout {
+pub(crate) struct Layout {
     /// For messages.
-    pub(super) place: String,
+    pub(crate) place: String,
     /// Number of elements, at least 1.
-    pub(super) count: usize,
-    pub(super) component: Component,
-    pub(super) normalized: bool,
+    pub(crate) count: usize,
+    pub(crate) component: Component,
+    pub(crate) normalized: bool,
     /// SCALAR, VEC2, ….
-    pub(super) shape: &'static str,
+    pub(crate) shape: &'static str,
     /// None: all zeros.
-    pub(super) base: Option<Span>,
-    pub(super) sparse: Option<SparseLayout>,
+    pub(crate) base: Option<Span>,
+    pub(crate) sparse: Option<SparseLayout>,
 }
 
 /// An accessor's overrides.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct SparseLayout {
+pub(crate) struct SparseLayout {
     /// Number of overridden elements.
-    pub(super) count: usize,
-    pub(super) indices: Span,
-    pub(super) values: Span,
+    pub(crate) count: usize,
+    pub(crate) indices: Span,
+    pub(crate) values: Span,
 }
 
 /// Checks the layout of every scalar and vector accessor of the file, whatever it is for.
 ///
 /// # Errors
 /// As [`Layout::new`].
-pub(super) fn check(document: &Document<'_>) -> Result<(), SceneError> {
+pub(crate) fn check(document: &Document<'_>) -> Result<(), SceneError> {
     for (index, accessor) in document.accessors.iter().enumerate() {
         // Matrices, and types of a later version, are legal where nothing reads them.
         if SHAPES.iter().any(|(name, _)| *name == accessor.shape) {
@@ -107,7 +107,7 @@ impl Layout {
     ///
     /// # Errors
     /// When there is none, it is malformed, or it reaches beyond its buffer view.
-    pub(super) fn new(document: &Document<'_>, index: usize) -> Result<Self, SceneError> {
+    pub(crate) fn new(document: &Document<'_>, index: usize) -> Result<Self, SceneError> {
         let place = place("accessor", index, None);
         let Some(accessor) = document.accessors.get(index) else {
             return Err(SceneError::invalid(place, "there is no such accessor"));
@@ -211,7 +211,7 @@ fn span(
 ///
 /// # Errors
 /// When it reaches beyond its buffer, or its stride is not one.
-pub(super) fn view_range(document: &Document<'_>, index: usize) -> Result<(usize, u64, u64), SceneError> {
+pub(crate) fn view_range(document: &Document<'_>, index: usize) -> Result<(usize, u64, u64), SceneError> {
     let place = || place("buffer view", index, None);
     let Some(view) = document.buffer_views.get(index) else {
         return Err(SceneError::invalid(place(), "there is no such buffer view"));

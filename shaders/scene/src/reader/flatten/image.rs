@@ -2,24 +2,26 @@
 
 use std::path::Path;
 
-use super::{
-    buffers::Buffers,
-    container::read_file,
-    document::Document,
-    uri::{Target, follow},
-};
 use crate::{
     Image,
     error::{SceneError, place, within},
+    file::read_file,
     limits::{MAX_IMAGE_BYTES, MAX_IMAGES_BYTES, MAX_IMAGES_PIXELS},
     picture::decode,
+    reader::{
+        file::{
+            buffers::Buffers,
+            uri::{Target, follow},
+        },
+        json::document::Document,
+    },
 };
 
 /// Loads the images with the given indices, in that order.
 ///
 /// # Errors
 /// When one is missing, broken, or of a format that is not read, with the file's name; when all together are too large.
-pub(super) fn load(
+pub(crate) fn load(
     document: &Document<'_>,
     buffers: &Buffers<'_>,
     folder: &Path,

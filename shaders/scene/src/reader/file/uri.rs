@@ -16,7 +16,7 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
 
 /// What a URI leads to.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum Target {
+pub(crate) enum Target {
     /// The bytes of a data URI.
     Data(Vec<u8>),
     /// A file.
@@ -27,7 +27,7 @@ pub(super) enum Target {
 ///
 /// # Errors
 /// A sentence, when it names a network address, an absolute path, a path that leaves `folder`, or broken base64.
-pub(super) fn follow(uri: &str, folder: &Path) -> Result<Target, String> {
+pub(crate) fn follow(uri: &str, folder: &Path) -> Result<Target, String> {
     if let Some(data) = uri.strip_prefix("data:") {
         let (head, body) = data.split_once(',').ok_or("its data URI has no comma")?;
         if !head.ends_with(";base64") {

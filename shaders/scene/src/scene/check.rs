@@ -6,12 +6,12 @@ use glam::Vec3;
 use thiserror::Error;
 
 use super::{
-    Aabb, AlphaMode, Image, Light, LightKind, Material, Scene,
-    limits::{
-        MAX_DRAWS, MAX_IMAGE_SIDE_PX, MAX_IMAGES, MAX_IMAGES_PIXELS, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_BYTES,
-        MAX_TRIANGLES, MAX_VERTICES, in_reach, is_legal_uv,
-    },
     normals::triangle_normal,
+    types::{Aabb, AlphaMode, Image, Light, LightKind, Material, Scene},
+};
+use crate::limits::{
+    MAX_DRAWS, MAX_IMAGE_SIDE_PX, MAX_IMAGES, MAX_IMAGES_PIXELS, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_BYTES,
+    MAX_TRIANGLES, MAX_VERTICES, in_reach, is_legal_uv,
 };
 
 /// How far a unit vector's squared length may lie from 1: rounding to f32 moves it by less than 1e-6.
@@ -148,20 +148,8 @@ fn is_legal_light(light: &Light) -> bool {
         && light.name.len() <= MAX_NAME_BYTES
 }
 
-impl Aabb {
-    /// The bounds of a scene's triangles; all zeros when there are none, or where they name no vertex.
-    pub(super) fn of(scene: &Scene) -> Self {
-        let corners = scene.triangles.iter().flatten();
-        let mut positions = corners.filter_map(|corner| scene.positions.get(*corner as usize));
-        let Some(first) = positions.next() else { return Self { min: Vec3::ZERO, max: Vec3::ZERO } };
-        let (min, max) =
-            positions.fold((*first, *first), |(min, max), position| (min.min(*position), max.max(*position)));
-        Self { min, max }
-    }
-}
-
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use glam::{DVec3, Vec2, Vec4};
 
     use super::*;

@@ -1,14 +1,14 @@
 //! Every index of the JSON that Gnomon follows points to something. Checked for the whole file, once, so that the code
 //! behind it may follow indices of any object; it still does so without panicking.
 
-use super::document::{Document, Primitive};
 use crate::error::{SceneError, place};
+use crate::reader::json::document::{Document, Primitive};
 
 /// Fails on the first index that points nowhere.
 ///
 /// # Errors
 /// [`SceneError::Reference`] names both ends.
-pub(super) fn check(document: &Document<'_>) -> Result<(), SceneError> {
+pub(crate) fn check(document: &Document<'_>) -> Result<(), SceneError> {
     let nodes = document.nodes.len();
     if let Some(scene) = document.scene {
         inside("the file", "default scene", Some(scene), document.scenes.len())?;

@@ -1,42 +1,30 @@
-//! Reads glTF 2.0, `.gltf` and `.glb`, into a [`Scene`] without trusting a byte of it.
-//!
-//! The way of a file: `container` splits it, `json` and `document` parse its JSON into bounded lists, `features` refuses what is
-//! not read, `references` and `layout` check every index and offset, `nodes` checks and walks the tree, `buffers` loads
-//! bytes, `flatten` makes triangles of `primitive`s and `material`s, `image` decodes pictures, `light` reads lights.
-
-mod accessor;
-mod buffers;
-mod container;
-mod document;
-mod features;
-mod flatten;
-mod image;
-mod json;
-mod layout;
-mod light;
-mod material;
-mod nodes;
-mod primitive;
-mod references;
-mod uri;
+//! From a file to a scene.
 
 use std::path::Path;
 
 use glam::DVec3;
 
-pub(super) use container::{read_file, read_start};
-
-use self::{buffers::Buffers, document::Document, material::Materials};
-use super::{Aabb, LoadReport, Scene, error::SceneError, limits::MAX_FILE_BYTES};
+use super::{
+    checks::{features, layout, references},
+    file::{buffers::Buffers, glb},
+    flatten::{
+        image, light,
+        material::{self, Materials},
+        meshes, nodes,
+    },
+    json::document::{self, Document},
+    report::LoadReport,
+};
+use crate::{Aabb, Scene, error::SceneError, file::read_file, limits::MAX_FILE_BYTES};
 
 /// Reads a scene, with the lights that it has: perhaps none, perhaps too many.
 ///
 /// # Errors
 /// See [`SceneError`].
-pub(super) fn load(path: &Path) -> Result<(Scene, LoadReport), SceneError> {
+pub(crate) fn load(path: &Path) -> Result<(Scene, LoadReport), SceneError> {
     let bytes = read_file(path, MAX_FILE_BYTES)?;
     let not_gltf = |fault: String| SceneError::NotGltf { path: path.to_owned(), fault };
-    let container = container::split(&bytes).map_err(not_gltf)?;
+    let container = glb::split(&bytes).map_err(not_gltf)?;
     let document = document::parse(container.json).map_err(not_gltf)?;
     features::check(&document)?;
     references::check(&document)?;
@@ -70,7 +58,7 @@ fn read(
     };
     let mut report = LoadReport::default();
     let mut materials = Materials::default();
-    flatten::flatten(document, buffers, placed, &mut materials, &mut scene, &mut report)?;
+    meshes::flatten(document, buffers, placed, &mut materials, &mut scene, &mut report)?;
     scene.lights = light::read(document, placed, scene.origin_m)?;
     scene.images = image::load(document, buffers, folder, &materials.images)?;
     scene.materials = materials.materials;

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use glam::{Vec3, Vec4};
 
-use super::document::{self, Document};
+use crate::reader::json::document::{self, Document};
 use crate::{
     AlphaMode, Material, Texture, Wrap,
     error::{SceneError, place},
@@ -16,11 +16,11 @@ use crate::{
 
 /// Materials and images that the drawn triangles use, in the order of their first use.
 #[derive(Default)]
-pub(super) struct Materials {
+pub(crate) struct Materials {
     /// Read materials.
-    pub(super) materials: Vec<Material>,
+    pub(crate) materials: Vec<Material>,
     /// Images in the JSON that they use.
-    pub(super) images: Vec<u32>,
+    pub(crate) images: Vec<u32>,
     by_index: HashMap<Option<u32>, u32>,
 }
 
@@ -29,7 +29,7 @@ impl Materials {
     ///
     /// # Errors
     /// When it is malformed, or its picture has a format that is not read.
-    pub(super) fn get(&mut self, document: &Document<'_>, index: Option<u32>) -> Result<u32, SceneError> {
+    pub(crate) fn get(&mut self, document: &Document<'_>, index: Option<u32>) -> Result<u32, SceneError> {
         if let Some(known) = self.by_index.get(&index) {
             return Ok(*known);
         }
@@ -92,7 +92,7 @@ impl Materials {
 ///
 /// # Errors
 /// When one is malformed.
-pub(super) fn check(document: &Document<'_>) -> Result<(), SceneError> {
+pub(crate) fn check(document: &Document<'_>) -> Result<(), SceneError> {
     for (index, material) in document.materials.iter().enumerate() {
         read(material, None, &place("material", index, material.name.as_deref()))?;
     }

@@ -2,20 +2,20 @@
 
 use glam::{DMat3, DVec2, Vec2, Vec3};
 
-use super::{
-    accessor,
-    buffers::Buffers,
-    document::{Document, Primitive, TextureInfo},
-    layout::Layout,
-};
+use super::accessor;
 use crate::{
     error::{SceneError, within},
     limits::{MAX_TRIANGLES, MAX_UV, MAX_VERTICES, is_legal_uv},
+    reader::{
+        checks::layout::Layout,
+        file::buffers::Buffers,
+        json::document::{Document, Primitive, TextureInfo},
+    },
 };
 
 /// How a primitive's vertices make triangles (§3.7.2.1).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Mode {
+pub(crate) enum Mode {
     List,
     Strip,
     Fan,
@@ -23,21 +23,21 @@ pub(super) enum Mode {
 
 /// What a primitive will take, known from the JSON alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Size {
+pub(crate) struct Size {
     /// Triangles, zero-area ones included.
-    pub(super) triangles: u64,
+    pub(crate) triangles: u64,
     /// Vertices that each instance takes.
-    pub(super) vertices: u64,
+    pub(crate) vertices: u64,
 }
 
 /// A primitive's geometry.
-pub(super) struct Geometry {
-    pub(super) positions: Vec<Vec3>,
+pub(crate) struct Geometry {
+    pub(crate) positions: Vec<Vec3>,
     /// Not normalised; None: flat ones are to be made, and every triangle has its own three vertices.
-    pub(super) normals: Option<Vec<Vec3>>,
+    pub(crate) normals: Option<Vec<Vec3>>,
     /// Texture transform applied.
-    pub(super) uvs: Vec<Vec2>,
-    pub(super) triangles: Vec<[u32; 3]>,
+    pub(crate) uvs: Vec<Vec2>,
+    pub(crate) triangles: Vec<[u32; 3]>,
 }
 
 impl Mode {
@@ -45,7 +45,7 @@ impl Mode {
     ///
     /// # Errors
     /// When there is no such mode.
-    pub(super) fn of(primitive: &Primitive, place: &str) -> Result<Option<Self>, SceneError> {
+    pub(crate) fn of(primitive: &Primitive, place: &str) -> Result<Option<Self>, SceneError> {
         Ok(match primitive.mode {
             None | Some(4) => Some(Self::List),
             Some(5) => Some(Self::Strip),
@@ -78,7 +78,7 @@ impl Mode {
 ///
 /// # Errors
 /// When it has no positions, or its accessors' counts disagree.
-pub(super) fn size(
+pub(crate) fn size(
     document: &Document<'_>,
     primitive: &Primitive,
     mode: Mode,
@@ -115,7 +115,7 @@ pub(super) fn size(
 ///
 /// # Errors
 /// When an accessor is malformed, an index is out of range, or the texture's coordinates are missing.
-pub(super) fn read(
+pub(crate) fn read(
     document: &Document<'_>,
     buffers: &Buffers<'_>,
     primitive: &Primitive,

@@ -8,10 +8,13 @@
 use glam::{DVec3, Vec2, Vec3};
 use lz4_flex::block;
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
 use super::{
-    Aabb, CheckError, Draw, Light, Material, Scene,
+    error::{PackError, VERSION, broken},
+    planes::{Cursor, write_planes},
+};
+use crate::{
+    Aabb, Draw, Light, Material, Scene,
     limits::{
         MAX_IMAGES, MAX_IMAGES_BYTES, MAX_IMAGES_PIXELS, MAX_PACKED_BYTES, MAX_TRIANGLES, MAX_UNPACKED_BYTES,
         MAX_VERTICES,
@@ -20,43 +23,13 @@ use super::{
 };
 
 /// First bytes of a packed scene.
-pub(super) const MAGIC: [u8; 8] = *b"GNOMSCNE";
-
-/// Version of the format. A reader takes its own only: scenes travel between programs of one release.
-const VERSION: u32 = 1;
+pub(crate) const MAGIC: [u8; 8] = *b"GNOMSCNE";
 
 /// Magic, version, length.
 const HEADER_BYTES: usize = 8 + 4 + 8;
 
 /// An LZ4 block cannot grow more than this: one byte of a match's length stands for at most 255.
 const MAX_LZ4_GROWTH: u64 = 255;
-
-/// Why a scene could not be packed or unpacked.
-#[derive(Debug, Error)]
-pub enum PackError {
-    /// Not a packed scene.
-    #[error("{0} bytes that do not start with \"GNOMSCNE\" are no packed scene")]
-    Magic(usize),
-    /// Packed by another version.
-    #[error("the packed scene has version {0}; this program reads version {VERSION}")]
-    Version(u32),
-    /// Larger than `limits` allows.
-    #[error("the scene takes {bytes} bytes {what}; at most {limit} are allowed")]
-    Size {
-        /// Packed, or before compression.
-        what: &'static str,
-        /// Its size.
-        bytes: u64,
-        /// The bound.
-        limit: u64,
-    },
-    /// The bytes contradict themselves.
-    #[error("the packed scene is broken: {0}")]
-    Broken(String),
-    /// The bytes are well formed, but what they say is no legal scene.
-    #[error("the packed scene is not legal: {0}")]
-    Check(#[from] CheckError),
-}
 
 /// Everything but the large arrays.
 #[derive(Serialize, Deserialize)]
@@ -70,10 +43,6 @@ struct Head {
     materials: Vec<Material>,
     lights: Vec<Light>,
     image_bytes: Vec<u32>,
-}
-
-fn broken(fault: impl Into<String>) -> PackError {
-    PackError::Broken(fault.into())
 }
 
 impl Scene {
@@ -122,10 +91,10 @@ impl Scene {
     /// See [`PackError`].
     pub fn unpack(bytes: &[u8]) -> Result<Self, PackError> {
         let raw = decompress(bytes)?;
-        let mut rest = Rest(&raw);
-        let head_bytes = rest.take(4)?;
+        let mut cursor = Cursor(&raw);
+        let head_bytes = cursor.take(4)?;
         let head_bytes = u32::from_le_bytes(head_bytes.try_into().map_err(|_| broken("its head has no length"))?);
-        let head = rest.take(head_bytes as usize)?;
+        let head = cursor.take(head_bytes as usize)?;
         let (head, left): (Head, _) = postcard::take_from_bytes(head).map_err(|error| broken(error.to_string()))?;
         if !left.is_empty() {
             return Err(broken(format!("{} bytes follow its head", left.len())));
@@ -135,10 +104,10 @@ impl Scene {
         }
         let vec3 = |words: [u32; 3]| Vec3::from_array(words.map(f32::from_bits));
         let vec2 = |words: [u32; 2]| Vec2::from_array(words.map(f32::from_bits));
-        let positions = rest.planes(head.vertices, vec3)?;
-        let normals = rest.planes(head.vertices, vec3)?;
-        let uvs = rest.planes(head.vertices, vec2)?;
-        let triangles = rest.planes(head.triangles, |corners: [u32; 3]| corners)?;
+        let positions = cursor.planes(head.vertices, vec3)?;
+        let normals = cursor.planes(head.vertices, vec3)?;
+        let uvs = cursor.planes(head.vertices, vec2)?;
+        let triangles = cursor.planes(head.triangles, |corners: [u32; 3]| corners)?;
 
         let total: u64 = head.image_bytes.iter().map(|bytes| u64::from(*bytes)).sum();
         if head.image_bytes.len() > MAX_IMAGES || total > MAX_IMAGES_BYTES {
@@ -147,13 +116,13 @@ impl Scene {
         let mut images = Vec::with_capacity(head.image_bytes.len());
         let mut pixels_left = MAX_IMAGES_PIXELS;
         for (index, bytes) in head.image_bytes.iter().enumerate() {
-            let encoded = rest.take(*bytes as usize)?.to_vec();
+            let encoded = cursor.take(*bytes as usize)?.to_vec();
             let image = decode(encoded, pixels_left).map_err(|fault| broken(format!("picture {index}: {fault}")))?;
             pixels_left -= u64::from(image.width) * u64::from(image.height);
             images.push(image);
         }
-        if !rest.0.is_empty() {
-            return Err(broken(format!("{} bytes follow its end", rest.0.len())));
+        if !cursor.0.is_empty() {
+            return Err(broken(format!("{} bytes follow its end", cursor.0.len())));
         }
         let scene = Self {
             origin_m: head.origin_m,
@@ -184,7 +153,7 @@ pub(crate) fn seal(raw: &[u8]) -> Vec<u8> {
 
 fn decompress(bytes: &[u8]) -> Result<Vec<u8>, PackError> {
     let (header, packed) = bytes.split_at_checked(HEADER_BYTES).ok_or(PackError::Magic(bytes.len()))?;
-    let mut header = Rest(header);
+    let mut header = Cursor(header);
     if header.take(8)? != MAGIC {
         return Err(PackError::Magic(bytes.len()));
     }
@@ -201,68 +170,12 @@ fn decompress(bytes: &[u8]) -> Result<Vec<u8>, PackError> {
     if written == size { Ok(raw) } else { Err(broken(format!("{written} bytes unpacked, not {size}"))) }
 }
 
-/// Appends `elements` of `N` words: for each component and each of its bytes, one plane.
-fn write_planes<T, const N: usize>(out: &mut Vec<u8>, elements: &[T], words: impl Fn(&T) -> [u32; N]) {
-    for component in 0..N {
-        for byte in 0..4 {
-            let mut before = 0_u32;
-            out.extend(elements.iter().map(|element| {
-                let word = words(element)[component];
-                let difference = word.wrapping_sub(std::mem::replace(&mut before, word));
-                zigzag(difference).to_le_bytes()[byte]
-            }));
-        }
-    }
-}
-
-/// Small differences of either sign become small numbers.
-fn zigzag(difference: u32) -> u32 {
-    (difference << 1) ^ (0_u32.wrapping_sub(difference >> 31))
-}
-
-fn unzigzag(word: u32) -> u32 {
-    (word >> 1) ^ 0_u32.wrapping_sub(word & 1)
-}
-
-/// Bytes not read yet.
-struct Rest<'a>(&'a [u8]);
-
-impl<'a> Rest<'a> {
-    fn take(&mut self, count: usize) -> Result<&'a [u8], PackError> {
-        let (taken, rest) = self
-            .0
-            .split_at_checked(count)
-            .ok_or_else(|| broken(format!("{count} bytes expected, {} left", self.0.len())))?;
-        self.0 = rest;
-        Ok(taken)
-    }
-
-    /// What [`write_planes`] wrote.
-    fn planes<T, const N: usize>(&mut self, count: u32, element: impl Fn([u32; N]) -> T) -> Result<Vec<T>, PackError> {
-        let count = count as usize;
-        let all = self.take(count * N * 4)?;
-        let plane = |number: usize| all.get(number * count..(number + 1) * count).unwrap_or_default();
-        let planes: [[&[u8]; 4]; N] =
-            std::array::from_fn(|component| std::array::from_fn(|byte| plane(component * 4 + byte)));
-        let mut words = [0_u32; N];
-        let mut out = Vec::with_capacity(count);
-        for index in 0..count {
-            for (word, bytes) in words.iter_mut().zip(&planes) {
-                let bytes = bytes.map(|plane| plane.get(index).copied().unwrap_or_default());
-                *word = word.wrapping_add(unzigzag(u32::from_le_bytes(bytes)));
-            }
-            out.push(element(words));
-        }
-        Ok(out)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::check::tests::scene;
+    use crate::scene::check::tests::scene;
 
     #[test]
     fn scenes_survive_and_pack_to_the_same_bytes() {
@@ -277,18 +190,6 @@ mod tests {
         let mut scene = scene();
         scene.lights.clear();
         assert!(matches!(scene.pack(), Err(PackError::Check(_))));
-    }
-
-    #[test]
-    fn planes_hold_any_words() {
-        let elements: Vec<[u32; 3]> =
-            vec![[0, u32::MAX, 1 << 31], [u32::MAX, 0, 1], [7, 7, 0x7fff_ffff], [7, 7, 0x8000_0001]];
-        let mut bytes = Vec::new();
-        write_planes(&mut bytes, &elements, |words| *words);
-        let mut rest = Rest(&bytes);
-        assert_eq!(rest.planes(4, |words: [u32; 3]| words).unwrap(), elements);
-        assert!(rest.0.is_empty());
-        assert!(Rest(&bytes).planes(5, |words: [u32; 3]| words).is_err());
     }
 
     #[test]

@@ -1,18 +1,20 @@
 //! Reads accessors' elements: interleaved, normalised, quantised, sparse, or all zeros (glTF 2.0, §3.6.2).
 
-use super::{
-    buffers::Buffers,
-    document::Document,
-    layout::{Component, Layout, Span},
+use crate::{
+    error::SceneError,
+    reader::{
+        checks::layout::{Component, Layout, Span},
+        file::buffers::Buffers,
+        json::document::Document,
+    },
 };
-use crate::error::SceneError;
 
 /// Reads an accessor of VEC2 or VEC3 as f32 vectors: integers as their value, or as §3.6.2.2 says where they are
 /// normalised.
 ///
 /// # Errors
 /// When the accessor is malformed or of another type, or a component is NaN or infinite.
-pub(super) fn vectors<const N: usize>(
+pub(crate) fn vectors<const N: usize>(
     document: &Document<'_>,
     buffers: &Buffers<'_>,
     index: u32,
@@ -40,7 +42,7 @@ pub(super) fn vectors<const N: usize>(
 ///
 /// # Errors
 /// When the accessor is malformed, or not of plain unsigned scalars.
-pub(super) fn indices(document: &Document<'_>, buffers: &Buffers<'_>, index: u32) -> Result<Vec<u32>, SceneError> {
+pub(crate) fn indices(document: &Document<'_>, buffers: &Buffers<'_>, index: u32) -> Result<Vec<u32>, SceneError> {
     let layout = Layout::new(document, index as usize)?;
     if layout.shape != "SCALAR" || !layout.component.is_unsigned() || layout.normalized {
         return Err(SceneError::invalid(layout.place, "indices must be unsigned integers, not normalised"));

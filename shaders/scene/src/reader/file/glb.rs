@@ -1,13 +1,7 @@
-//! A `.glb`'s chunks (glTF 2.0, §4.4), and files read with a bound. Chunks should have multiples of four bytes; not all
-//! exporters pad the last one, and nothing here depends on it.
+//! A `.glb`'s chunks (glTF 2.0, §4.4). Chunks should have multiples of four bytes; not all exporters pad the last one, and
+//! nothing here depends on it.
 
-use std::{
-    fs::File,
-    io::Read as _,
-    path::{Path, PathBuf},
-};
-
-use crate::{error::SceneError, limits::MAX_JSON_BYTES};
+use crate::limits::MAX_JSON_BYTES;
 
 const MAGIC: &[u8; 4] = b"glTF";
 const CHUNK_JSON: u32 = u32::from_le_bytes(*b"JSON");
@@ -15,57 +9,16 @@ const CHUNK_BIN: u32 = u32::from_le_bytes(*b"BIN\0");
 
 /// A file's JSON, and the binary chunk of a `.glb`.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Container<'a> {
-    pub(super) json: &'a [u8],
-    pub(super) bin: Option<&'a [u8]>,
-}
-
-/// Reads a regular file of at most `limit` bytes.
-///
-/// # Errors
-/// When it cannot be read, is no regular file (a pipe would never end), or is larger than `limit`.
-pub(crate) fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> {
-    let too_large = |bytes| SceneError::FileTooLarge { path: PathBuf::from(path), bytes, limit };
-    let there = file_bytes(path)?;
-    if there > limit {
-        return Err(too_large(there));
-    }
-    let bytes = read_start(path, limit + 1)?;
-    if bytes.len() as u64 > limit {
-        return Err(too_large(bytes.len() as u64));
-    }
-    Ok(bytes)
-}
-
-/// Reads the first `most` bytes of a regular file, or all of it where it has fewer. The rest takes no memory.
-///
-/// # Errors
-/// When it cannot be read, or is no regular file.
-pub(crate) fn read_start(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
-    let expected = file_bytes(path)?.min(most);
-    let mut bytes = Vec::with_capacity(usize::try_from(expected).unwrap_or(0));
-    File::open(path).and_then(|file| file.take(most).read_to_end(&mut bytes)).map_err(|source| failed(path, source))?;
-    Ok(bytes)
-}
-
-/// The length of a regular file. Asked before opening: opening a named pipe blocks until somebody writes to it.
-fn file_bytes(path: &Path) -> Result<u64, SceneError> {
-    let metadata = std::fs::metadata(path).map_err(|source| failed(path, source))?;
-    if !metadata.is_file() {
-        return Err(failed(path, std::io::Error::other("not a regular file")));
-    }
-    Ok(metadata.len())
-}
-
-fn failed(path: &Path, source: std::io::Error) -> SceneError {
-    SceneError::Read { path: path.to_owned(), source }
+pub(crate) struct Container<'a> {
+    pub(crate) json: &'a [u8],
+    pub(crate) bin: Option<&'a [u8]>,
 }
 
 /// Splits a scene file into its chunks; anything that does not start with `glTF` is JSON.
 ///
 /// # Errors
 /// A sentence about what is wrong with the container.
-pub(super) fn split(bytes: &[u8]) -> Result<Container<'_>, String> {
+pub(crate) fn split(bytes: &[u8]) -> Result<Container<'_>, String> {
     let container = if bytes.starts_with(MAGIC) { split_glb(bytes)? } else { Container { json: bytes, bin: None } };
     if container.json.len() as u64 > MAX_JSON_BYTES {
         return Err(format!("its JSON has {} bytes, at most {MAX_JSON_BYTES} are read", container.json.len()));
@@ -156,15 +109,5 @@ mod tests {
         let mut version = good;
         version[4] = 1;
         assert!(fault(&version).contains("version is 1"));
-    }
-
-    #[test]
-    fn folders_and_large_files_are_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        assert!(matches!(read_file(folder.path(), 10), Err(SceneError::Read { .. })));
-        let file = folder.path().join("file");
-        std::fs::write(&file, b"12345").unwrap();
-        assert_eq!(read_file(&file, 5).unwrap(), b"12345");
-        assert!(matches!(read_file(&file, 4), Err(SceneError::FileTooLarge { bytes: 5, limit: 4, .. })));
     }
 }

@@ -1,0 +1,5 @@
+//! What is checked of the JSON before any geometry is read.
+
+pub(crate) mod features;
+pub(crate) mod layout;
+pub(crate) mod references;

@@ -1,0 +1,4 @@
+//! The JSON of a file as bounded lists.
+
+pub(crate) mod document;
+mod parse;
