@@ -5,11 +5,12 @@ use std::{path::PathBuf, time::Duration};
 use gnomon_protocol::{ids::FrameNumber, mask::ShapeError, message::Refusal};
 use gnomon_scene::{PackError, SceneError};
 use gnomon_shaders::gpu::GpuError;
+use gnomon_transport::control::ControlError;
 use thiserror::Error;
 
 use crate::{
-    camera_path::PathError, local_server::LocalServerError, net::control::ControlError, net::url::ServerUrl,
-    render::RenderError, scene_cache::SceneFetchError,
+    camera_path::PathError, local_server::LocalServerError, net::url::ServerUrl, render::RenderError,
+    scene_cache::SceneFetchError,
 };
 
 /// Why a run failed.

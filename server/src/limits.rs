@@ -92,9 +92,6 @@ pub const SETUP_TIMEOUT: Duration = Duration::from_secs(600);
 /// Longest silence (no pose, no message) of a client that answers nothing but the transport's keep-alives.
 pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(60);
 
-/// What a round trip is taken for before it is measured.
-pub const INITIAL_RTT: Duration = Duration::from_millis(100);
-
 /// Time that a peer gets to read a last message before its connection is closed.
 pub const LINGER: Duration = Duration::from_millis(500);
 

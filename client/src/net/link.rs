@@ -8,12 +8,21 @@ use std::{
 };
 
 use bytes::Bytes;
-use gnomon_protocol::message::Welcome;
-use tokio::net::{TcpStream, UdpSocket, lookup_host, tcp::OwnedWriteHalf};
+use gnomon_protocol::{
+    limits::{MAX_LAB_PACKET_BYTES, MAX_MESSAGE_BYTES},
+    message::{ClientMessage, ServerMessage, Welcome},
+};
+use gnomon_transport::{
+    baseline::{self, PacketReader, PacketWriter},
+    control::{ControlReader, ControlWriter},
+};
+use tokio::{
+    io::{AsyncRead, AsyncWrite},
+    net::{UdpSocket, lookup_host},
+};
 
 use super::{
-    control::{ControlReader, ControlWriter},
-    lab,
+    baseline::UdpReceiver,
     quic::{self, QuicError, Trust},
     url::{ServerUrl, Transport},
 };
@@ -22,10 +31,13 @@ use crate::error::ClientError;
 /// How long the farewell may take.
 const FAREWELL: Duration = Duration::from_millis(500);
 
+/// How long the server may leave a control message unread.
+const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
+
 /// A server that has been connected to.
 pub(crate) struct Link {
-    pub(crate) reader: ControlReader,
-    pub(crate) writer: ControlWriter,
+    pub(crate) reader: ControlReader<ServerMessage>,
+    pub(crate) writer: ControlWriter<ClientMessage>,
     kind: LinkKind,
     server: SocketAddr,
 }
@@ -40,7 +52,7 @@ enum LinkKind {
 pub(crate) enum DataSender {
     Quic(quinn::Connection),
     Udp(Arc<UdpSocket>),
-    Tcp(OwnedWriteHalf),
+    Tcp(PacketWriter),
 }
 
 /// Frame packets come in here.
@@ -48,8 +60,8 @@ pub(crate) struct DataReceiver(Receiver);
 
 enum Receiver {
     Quic { connection: quinn::Connection, datagram: Bytes },
-    Udp(lab::UdpReceiver),
-    Tcp { stream: lab::TcpReceiver, packet: Bytes },
+    Udp(UdpReceiver),
+    Tcp { stream: PacketReader, packet: Bytes },
 }
 
 /// Counts what comes in over a link.
@@ -111,23 +123,27 @@ impl Link {
                 })?;
                 let (writer, reader) = connection.open_bi().await.map_err(|error| failed(error.to_string()))?;
                 let kind = LinkKind::Quic(endpoint, connection);
-                return Ok(Self {
-                    reader: ControlReader::new(reader),
-                    writer: ControlWriter::new(writer),
-                    kind,
-                    server,
-                });
+                return Ok(Self::new(reader, writer, kind, server));
             }
             Transport::LabUdp => LinkKind::LabUdp,
             Transport::LabTcp => LinkKind::LabTcp,
         };
-        let stream = TcpStream::connect(server).await.map_err(|error| {
+        let stream = baseline::connect_tcp(server).await.map_err(|error| {
             let transport = url.transport.name();
             failed(format!("{error}; is gnomon-server running there with --transport {transport}?"))
         })?;
-        stream.set_nodelay(true).map_err(|error| failed(error.to_string()))?;
         let (reader, writer) = stream.into_split();
-        Ok(Self { reader: ControlReader::new(reader), writer: ControlWriter::new(writer), kind, server })
+        Ok(Self::new(reader, writer, kind, server))
+    }
+
+    fn new(
+        reader: impl AsyncRead + Send + Unpin + 'static,
+        writer: impl AsyncWrite + Send + Unpin + 'static,
+        kind: LinkKind,
+        server: SocketAddr,
+    ) -> Self {
+        let reader = ControlReader::new(reader, MAX_MESSAGE_BYTES);
+        Self { reader, writer: ControlWriter::new(writer, WRITE_TIMEOUT), kind, server }
     }
 
     /// The server's reason when it closed the connection with one.
@@ -145,7 +161,8 @@ impl Link {
     pub(crate) async fn open_data(
         self,
         welcome: &Welcome,
-    ) -> io::Result<(ControlReader, ControlWriter, DataSender, DataReceiver, Closer)> {
+    ) -> io::Result<(ControlReader<ServerMessage>, ControlWriter<ClientMessage>, DataSender, DataReceiver, Closer)>
+    {
         let data_server = || {
             let port = welcome.data_port.ok_or_else(|| io::Error::other("the server named no data port"))?;
             Ok::<_, io::Error>(SocketAddr::new(self.server.ip(), port))
@@ -158,28 +175,16 @@ impl Link {
                 (DataSender::Quic(connection), receiver)
             }
             LinkKind::LabUdp => {
-                let socket = lab::connect_udp(data_server()?).await?;
-                (DataSender::Udp(Arc::clone(&socket)), Receiver::Udp(lab::UdpReceiver::new(socket)))
+                let socket = Arc::new(baseline::connect_udp(data_server()?).await?);
+                (DataSender::Udp(Arc::clone(&socket)), Receiver::Udp(UdpReceiver::new(socket)))
             }
             LinkKind::LabTcp => {
-                let (read, write) = lab::connect_tcp(data_server()?).await?.into_split();
-                let stream = lab::TcpReceiver::new(read);
-                (DataSender::Tcp(write), Receiver::Tcp { stream, packet: Bytes::new() })
+                let (read, write) = baseline::connect_tcp(data_server()?).await?.into_split();
+                let stream = PacketReader::new(read, MAX_LAB_PACKET_BYTES);
+                (DataSender::Tcp(PacketWriter::new(write)), Receiver::Tcp { stream, packet: Bytes::new() })
             }
         };
         Ok((self.reader, self.writer, sender, DataReceiver(receiver), closer))
-    }
-}
-
-/// What an error comes down to: quinn's say "connection lost", and why only in their source.
-pub(crate) fn root_cause(error: &(dyn std::error::Error + 'static)) -> String {
-    let mut cause = error;
-    loop {
-        let inner = cause.downcast_ref::<io::Error>().and_then(|error| error.get_ref());
-        match inner.map(|inner| inner as &(dyn std::error::Error + 'static)).or_else(|| cause.source()) {
-            Some(deeper) => cause = deeper,
-            None => return cause.to_string(),
-        }
     }
 }
 
@@ -190,11 +195,11 @@ impl DataSender {
             Self::Quic(connection) => {
                 connection.send_datagram(Bytes::copy_from_slice(packet)).map_err(io::Error::other)
             }
-            Self::Udp(socket) => match socket.send(packet).await {
-                Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => Ok(()),
-                sent => sent.map(drop),
-            },
-            Self::Tcp(stream) => lab::write_packet(stream, packet).await,
+            Self::Udp(socket) => baseline::send_udp(socket, packet).await,
+            Self::Tcp(stream) => {
+                stream.send(packet).await?;
+                stream.flush().await
+            }
         }
     }
 }
@@ -234,19 +239,5 @@ impl Closer {
             connection.close(0_u32.into(), b"done");
             let _ = tokio::time::timeout(FAREWELL, endpoint.wait_idle()).await;
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn errors_come_down_to_their_cause() {
-        let lost = io::Error::other(quinn::ReadError::ConnectionLost(quinn::ConnectionError::TimedOut));
-        assert_eq!(root_cause(&lost), "timed out");
-        assert_eq!(root_cause(&io::Error::from(io::ErrorKind::ConnectionReset)), "connection reset");
-        let control = crate::net::control::ControlError::Stream(lost);
-        assert_eq!(root_cause(&control), "timed out");
     }
 }

@@ -1,11 +1,9 @@
 //! The client's side of the network: connect, introduce itself, fetch the scene, then poses out and masks in.
 
 mod backoff;
-mod congestion;
-pub(crate) mod control;
+mod baseline;
 pub(crate) mod first_use;
 pub(crate) mod health;
-mod lab;
 pub(crate) mod link;
 pub mod link_state;
 mod quic;

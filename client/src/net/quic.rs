@@ -1,7 +1,7 @@
 //! The QUIC connection: whose certificate is accepted, and how quinn is set up.
 
 use std::{
-    net::{Ipv4Addr, Ipv6Addr, SocketAddr},
+    net::SocketAddr,
     path::Path,
     sync::{
         Arc,
@@ -10,6 +10,10 @@ use std::{
     time::Duration,
 };
 
+use gnomon_transport::{
+    quic::{ALPN, SOCKET_BUFFER_BYTES, transport_config},
+    socket::{any_address_for, bind_udp},
+};
 use quinn::crypto::rustls::QuicClientConfig;
 use rustls::{
     CertificateError, DigitallySignedStruct, Error as TlsError, SignatureScheme,
@@ -18,25 +22,17 @@ use rustls::{
     pki_types::{CertificateDer, ServerName, UnixTime, pem::PemObject as _},
 };
 
-use super::congestion::DelayControllerFactory;
-
-/// The protocol's name in the TLS handshake.
-const ALPN: &[u8] = b"gnomon/1";
-
 /// A server that says nothing for so long is gone.
 pub(crate) const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// How often an idle connection says that it is alive.
 const KEEP_ALIVE: Duration = Duration::from_secs(2);
 
-/// What the round trip is taken for before it is measured: a lost first packet is sent again after three times as long.
-const INITIAL_RTT: Duration = Duration::from_millis(100);
+/// Bytes in flight before the first acknowledgement: some hundred poses.
+const INITIAL_WINDOW_BYTES: u64 = 64 * 1024;
 
 /// Packets of some frames of words at 1920×1080, 8 MB each: the receive task may be busy decoding.
 const DATAGRAM_RECEIVE_BYTES: usize = 32 << 20;
-
-/// Kernel buffer for packets on their way: a frame of words at 1920×1080.
-const SOCKET_RECEIVE_BYTES: usize = 8 << 20;
 
 /// Poses that may wait: quinn drops the oldest when there are more.
 const DATAGRAM_SEND_BYTES: usize = 1024;
@@ -174,9 +170,7 @@ async fn handshake(
     refused: Arc<AtomicBool>,
 ) -> Result<(quinn::Endpoint, quinn::Connection), QuicError> {
     let other = |error: &dyn std::fmt::Display| QuicError::Other(error.to_string());
-    let local: SocketAddr =
-        if address.is_ipv4() { (Ipv4Addr::UNSPECIFIED, 0).into() } else { (Ipv6Addr::UNSPECIFIED, 0).into() };
-    let socket = socket(local).map_err(|error| other(&error))?;
+    let socket = bind_udp(any_address_for(address), SOCKET_BUFFER_BYTES).map_err(|error| other(&error))?;
     let runtime = Arc::new(quinn::TokioRuntime);
     let mut endpoint =
         quinn::Endpoint::new(quinn::EndpointConfig::default(), None, socket, runtime).map_err(|error| other(&error))?;
@@ -204,15 +198,6 @@ pub(crate) fn certificate_of(connection: &quinn::Connection) -> Option<[u8; 32]>
     sha256(chain.first()?)
 }
 
-/// A socket whose kernel buffer takes a burst of packets.
-fn socket(local: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
-    let socket = socket2::Socket::new(socket2::Domain::for_address(local), socket2::Type::DGRAM, None)?;
-    // The kernel clamps it to what it allows.
-    let _ = socket.set_recv_buffer_size(SOCKET_RECEIVE_BYTES);
-    socket.bind(&local.into())?;
-    Ok(socket.into())
-}
-
 fn config(
     trust: Trust<'_>,
     refused: Arc<AtomicBool>,
@@ -230,18 +215,12 @@ fn config(
     };
     tls.alpn_protocols = vec![ALPN.to_vec()];
     let mut config = quinn::ClientConfig::new(Arc::new(QuicClientConfig::try_from(tls)?));
-    let mut transport = quinn::TransportConfig::default();
+    let mut transport = transport_config(IDLE_TIMEOUT, KEEP_ALIVE, INITIAL_WINDOW_BYTES)?;
     transport
-        .max_idle_timeout(Some(IDLE_TIMEOUT.try_into()?))
-        .keep_alive_interval(Some(KEEP_ALIVE))
-        .initial_rtt(INITIAL_RTT)
-        // Under loss the black-hole detector falls back and drops queued datagrams.
-        .mtu_discovery_config(None)
         .datagram_receive_buffer_size(Some(DATAGRAM_RECEIVE_BYTES))
         .datagram_send_buffer_size(DATAGRAM_SEND_BYTES)
         .max_concurrent_bidi_streams(0_u32.into())
-        .max_concurrent_uni_streams(0_u32.into())
-        .congestion_controller_factory(Arc::new(DelayControllerFactory));
+        .max_concurrent_uni_streams(0_u32.into());
     config.transport_config(Arc::new(transport));
     Ok(config)
 }

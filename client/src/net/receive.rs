@@ -27,12 +27,10 @@ use gnomon_protocol::{
     reassembler::{CompleteFrame, Deadline, IgnoredCause, PacketError, Policy, Progress, Reassembler},
     references::KeptMasks,
 };
+use gnomon_transport::root_cause;
 use tokio::sync::watch;
 
-use super::{
-    link::{DataReceiver, root_cause},
-    reception::Reception,
-};
+use super::{link::DataReceiver, reception::Reception};
 use crate::mask_buffer::MaskWriter;
 
 /// What has come in so far.

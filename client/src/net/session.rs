@@ -13,15 +13,18 @@ use gnomon_protocol::{
     message::{ClientMessage, Hello, ServerMessage, Welcome},
     pose::Pose,
 };
+use gnomon_transport::{
+    control::{ControlError, ControlReader, ControlWriter},
+    root_cause,
+};
 use tokio::{
     sync::{oneshot, watch},
     task::JoinHandle,
 };
 
 use super::{
-    control::{ControlError, ControlReader, ControlWriter},
     health::{Draining, Health, HealthCell, watch_silence},
-    link::{Closer, Link, root_cause},
+    link::{Closer, Link},
     receive::{Counters, ReceiveTask, Received, Requested},
     reception::Reception,
     reconnect::Again,
@@ -117,7 +120,7 @@ fn unexpected(url: ServerUrl, message: &ServerMessage) -> ClientError {
 
 fn broken(url: ServerUrl, link: &Link, source: ControlError) -> ClientError {
     match (link.close_reason(), &source) {
-        (Some(reason), ControlError::Stream(_) | ControlError::Closed) => {
+        (Some(reason), ControlError::Stream(_) | ControlError::Closed | ControlError::Truncated) => {
             ClientError::Connect { url: Box::new(url), reason }
         }
         _ => ClientError::Conversation { url: Box::new(url), source },
@@ -308,8 +311,8 @@ async fn tasks(
 
 /// The control conversation of a session that runs.
 struct Conversation {
-    reader: ControlReader,
-    writer: ControlWriter,
+    reader: ControlReader<ServerMessage>,
+    writer: ControlWriter<ClientMessage>,
     round_trip: Arc<Mutex<Option<Duration>>>,
     health: HealthCell,
 }

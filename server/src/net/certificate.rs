@@ -33,9 +33,6 @@ const IDENTITY_FILE: &str = "identity.pem";
 /// ALPN of WebTransport.
 pub(crate) const ALPN_WEB: &[u8] = b"h3";
 
-/// ALPN of the native client.
-pub(crate) const ALPN_NATIVE: &[u8] = b"gnomon/1";
-
 const BROWSER_LIFE: Duration = Duration::from_secs(13 * 24 * 3600);
 
 /// Clocks differ: the browser's certificate is already an hour old.
@@ -177,7 +174,7 @@ impl Certificates {
 
 impl ResolvesServerCert for Certificates {
     fn resolve(&self, hello: ClientHello<'_>) -> Option<Arc<CertifiedKey>> {
-        let native = hello.alpn().is_some_and(|mut offered| offered.any(|alpn| alpn == ALPN_NATIVE));
+        let native = hello.alpn().is_some_and(|mut offered| offered.any(|alpn| alpn == gnomon_transport::quic::ALPN));
         Some(if native { self.kept() } else { self.browser_key(clock::wall()) })
     }
 }

@@ -7,6 +7,10 @@ use std::{
 };
 
 use gnomon_protocol::limits::MAX_FRAME_BYTES;
+use gnomon_transport::{
+    quic::{self, ALPN},
+    socket::bind_udp,
+};
 use quinn::crypto::rustls::{HandshakeData, QuicServerConfig};
 use rustls::crypto::CryptoProvider;
 use socket2::{Domain, Protocol, Socket, Type};
@@ -15,9 +19,7 @@ use tokio::net::TcpListener;
 use web_transport_quinn::Session;
 
 use super::{
-    certificate::{ALPN_NATIVE, ALPN_WEB, Certificates},
-    congestion::DelayControllerConfig,
-    control::{ControlReader, ControlWriter},
+    certificate::{ALPN_WEB, Certificates},
     link::{DataLink, LabTcpData, LabUdpData, Link, QuicData},
     socket::{CountingSocket, SocketCounts},
 };
@@ -30,9 +32,6 @@ use crate::{
 
 /// What quinn may hold of datagrams that wait. It never fills: the frame gate stops at 1.6 frames, whatever their size.
 const DATAGRAM_SEND_BUFFER_BYTES: usize = 2 * MAX_FRAME_BYTES;
-
-/// Kernel buffers of the QUIC socket, which all sessions share.
-const SOCKET_BUFFER_BYTES: usize = 8 * 1024 * 1024;
 
 /// Why the server cannot listen.
 #[derive(Debug, Error)]
@@ -73,23 +72,15 @@ pub(crate) enum Endpoint {
 pub(crate) fn bind(config: &ServerConfig) -> Result<Bound, ListenError> {
     let address = config.listen;
     let attempt = || {
-        let (kind, protocol) = match config.transport {
-            Transport::Quic => (Type::DGRAM, Protocol::UDP),
-            Transport::LabUdp | Transport::LabTcp => (Type::STREAM, Protocol::TCP),
-        };
-        let socket = Socket::new(Domain::for_address(address), kind, Some(protocol))?;
+        if config.transport == Transport::Quic {
+            return Ok(Bound::Quic(bind_udp(address, quic::SOCKET_BUFFER_BYTES)?));
+        }
+        let socket = Socket::new(Domain::for_address(address), Type::STREAM, Some(Protocol::TCP))?;
         if address.is_ipv6() {
             // `[::]` serves IPv4 as well, on every system.
             socket.set_only_v6(false)?;
         }
         socket.set_nonblocking(true)?;
-        if config.transport == Transport::Quic {
-            // The kernel clamps these to what it allows; less costs datagrams under load, which quinn reports as lost.
-            let _ = socket.set_recv_buffer_size(SOCKET_BUFFER_BYTES);
-            let _ = socket.set_send_buffer_size(SOCKET_BUFFER_BYTES);
-            socket.bind(&address.into())?;
-            return Ok(Bound::Quic(socket.into()));
-        }
         // A lab server that is started again must not wait for the last one's connections to be forgotten.
         #[cfg(unix)]
         socket.set_reuse_address(true)?;
@@ -163,7 +154,7 @@ fn quic_config(
         .map_err(|error| tls_error(&error))?
         .with_no_client_auth()
         .with_cert_resolver(certificates);
-    tls.alpn_protocols = vec![ALPN_NATIVE.to_vec(), ALPN_WEB.to_vec()];
+    tls.alpn_protocols = vec![ALPN.to_vec(), ALPN_WEB.to_vec()];
     let crypto = QuicServerConfig::try_from(tls).map_err(|error| tls_error(&error))?;
     let mut server = quinn::ServerConfig::with_crypto(Arc::new(crypto));
     server
@@ -177,25 +168,17 @@ fn quic_config(
 }
 
 fn transport_config(config: &ServerConfig) -> Result<quinn::TransportConfig, quinn::VarIntBoundsExceeded> {
-    let mut transport = quinn::TransportConfig::default();
+    let idle_timeout = config.idle_timeout();
+    // A client whose picture stands still stays; a client that is gone answers nothing.
+    let mut transport = quic::transport_config(idle_timeout, idle_timeout / 3, config.initial_window_bytes)?;
     transport
-        .max_idle_timeout(Some(config.idle_timeout().try_into()?))
-        // A client whose picture stands still stays; a client that is gone answers nothing.
-        .keep_alive_interval(Some(config.idle_timeout() / 3))
-        // Until it is measured. A lost packet of a handshake is sent again after three times as long.
-        .initial_rtt(limits::INITIAL_RTT)
-        // Under loss its black-hole detector falls back and drops queued datagrams. Packets fit every path anyway.
-        .mtu_discovery_config(None)
         .datagram_receive_buffer_size(Some(limits::DATAGRAM_RECEIVE_BUFFER_BYTES))
         .datagram_send_buffer_size(DATAGRAM_SEND_BUFFER_BYTES)
         .stream_receive_window(limits::STREAM_RECEIVE_WINDOW_BYTES.into())
         .receive_window((limits::STREAM_RECEIVE_WINDOW_BYTES * 4).into())
         .send_window(limits::SEND_WINDOW_BYTES)
         .max_concurrent_bidi_streams(limits::MAX_BIDI_STREAMS.into())
-        .max_concurrent_uni_streams(limits::MAX_UNI_STREAMS.into())
-        .congestion_controller_factory(Arc::new(DelayControllerConfig {
-            initial_window_bytes: config.initial_window_bytes,
-        }));
+        .max_concurrent_uni_streams(limits::MAX_UNI_STREAMS.into());
     Ok(transport)
 }
 
@@ -294,13 +277,8 @@ impl Arrival {
                     return Err(ArrivalError::NoDatagrams);
                 }
                 let (send, receive) = session.accept_bi().await?;
-                Ok(Link {
-                    carrier,
-                    peer,
-                    reader: ControlReader::new(Box::new(receive)),
-                    writer: ControlWriter::new(Box::new(send)),
-                    data: DataLink::Quic(QuicData::new(session, DATAGRAM_SEND_BUFFER_BYTES)),
-                })
+                let data = DataLink::Quic(QuicData::new(session, DATAGRAM_SEND_BUFFER_BYTES));
+                Ok(Link::new(carrier, peer, receive, send, data))
             }
             Self::Lab { stream, transport, .. } => {
                 stream.set_nodelay(true)?;
@@ -311,9 +289,8 @@ impl Arrival {
                     DataLink::LabUdp(LabUdpData::bind(ip)?)
                 };
                 let (receive, send) = stream.into_split();
-                let (reader, writer) = (ControlReader::new(Box::new(receive)), ControlWriter::new(Box::new(send)));
                 let carrier = if transport == Transport::LabTcp { "lab-tcp" } else { "lab-udp" };
-                Ok(Link { carrier, peer, reader, writer, data })
+                Ok(Link::new(carrier, peer, receive, send, data))
             }
         }
     }

@@ -9,13 +9,11 @@ use gnomon_protocol::{
     mask::MaskShape,
     message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
 };
+use gnomon_transport::control::{ControlError, ControlReader};
 use thiserror::Error;
 use tokio::time::timeout;
 
-use super::{
-    control::{ControlError, ControlReader},
-    link::{CloseCode, Link},
-};
+use super::link::{CloseCode, Link};
 use crate::{
     limits::LINGER,
     metrics::RefusalCause,
@@ -102,8 +100,11 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
 }
 
 /// The client's Hello, or a refusal when another version wrote it.
-async fn read_hello(reader: &mut ControlReader) -> Result<Result<Hello, Refusal>, HandshakeError> {
-    let bytes = reader.next_bytes().await?.ok_or(HandshakeError::Left)?;
+async fn read_hello(reader: &mut ControlReader<ClientMessage>) -> Result<Result<Hello, Refusal>, HandshakeError> {
+    let bytes = reader.next_bytes().await.map_err(|error| match error {
+        ControlError::Closed => HandshakeError::Left,
+        error => error.into(),
+    })?;
     match peek_version(&bytes) {
         Some(PROTOCOL_VERSION) => {}
         Some(client) => return Ok(Err(Refusal::Version { server: PROTOCOL_VERSION, client })),

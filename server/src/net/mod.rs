@@ -2,8 +2,6 @@
 
 pub(crate) mod addresses;
 pub(crate) mod certificate;
-pub(crate) mod congestion;
-pub(crate) mod control;
 pub(crate) mod endpoint;
 pub(crate) mod handshake;
 pub(crate) mod link;

@@ -22,6 +22,7 @@ use gnomon_protocol::{
     message::{ClientMessage, ServerMessage},
     refresh::Refresh,
 };
+use gnomon_transport::control::{ControlError, ControlReader};
 use tokio::{
     sync::{Semaphore, watch},
     task::{JoinError, JoinSet},
@@ -39,7 +40,6 @@ use crate::{
     metrics::{About, EndCause, Metrics},
     net::{
         addresses::Addresses,
-        control::ControlReader,
         handshake::{Admitted, Coding},
         link::{CloseCode, DataLink, Link},
     },
@@ -207,7 +207,7 @@ struct Waiting {
 }
 
 struct Session {
-    reader: ControlReader,
+    reader: ControlReader<ClientMessage>,
     outbox: Outbox,
     frames: JoinSet<Result<(), DriveError>>,
     waiting: Option<Waiting>,
@@ -237,11 +237,11 @@ impl Session {
             }
             tokio::select! {
                 message = self.reader.next() => match message {
-                    Ok(Some(message)) => if let Err(end) = self.answer(&message) {
+                    Ok(message) => if let Err(end) = self.answer(&message) {
                         return end;
                     },
-                    Ok(None) => return End::Left,
-                    Err(error @ crate::net::control::ControlError::Stream(_)) => return End::Lost(error.to_string()),
+                    Err(ControlError::Closed) => return End::Left,
+                    Err(error @ ControlError::Stream(_)) => return End::Lost(error.to_string()),
                     Err(error) => return End::Violation(error.to_string()),
                 },
                 sent = self.outbox.pump(&self.services.scene.packed) => if let Err(error) = sent {

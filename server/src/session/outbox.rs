@@ -3,12 +3,10 @@
 use std::{collections::VecDeque, time::Duration};
 
 use gnomon_protocol::{limits::SCENE_CHUNK_BYTES, message::ServerMessage};
+use gnomon_transport::control::{ControlError, ControlWriter};
 use tokio::{sync::mpsc, task::JoinHandle, time::timeout};
 
-use crate::{
-    limits::CONTROL_QUEUE,
-    net::control::{ControlError, ControlWriter},
-};
+use crate::limits::CONTROL_QUEUE;
 
 /// Answers that wait while the client does not read; more are not given.
 const MAX_WAITING_ANSWERS: usize = 16;
@@ -24,7 +22,7 @@ pub(super) struct Outbox {
 
 impl Outbox {
     /// Starts the task that writes.
-    pub(super) fn start(mut writer: ControlWriter) -> Self {
+    pub(super) fn start(mut writer: ControlWriter<ServerMessage>) -> Self {
         let (queue, mut messages) = mpsc::channel(CONTROL_QUEUE);
         let writing = tokio::spawn(async move {
             while let Some(message) = messages.recv().await {
@@ -137,7 +135,7 @@ mod tests {
     async fn the_scene_obeys_back_pressure_and_notices_overtake_it() {
         let scene: Vec<u8> = (0..=250).cycle().take(20 * SCENE_CHUNK_BYTES + 5).collect();
         let (ours, mut theirs) = tokio::io::duplex(1000);
-        let mut outbox = Outbox::start(ControlWriter::new(Box::new(ours)));
+        let mut outbox = Outbox::start(ControlWriter::new(ours, Duration::from_secs(5)));
         outbox.send_scene_from(7);
         let unread = timeout(Duration::from_millis(50), async {
             loop {
@@ -179,7 +177,7 @@ mod tests {
     async fn a_broken_stream_is_reported() {
         let (ours, theirs) = tokio::io::duplex(64);
         drop(theirs);
-        let mut outbox = Outbox::start(ControlWriter::new(Box::new(ours)));
+        let mut outbox = Outbox::start(ControlWriter::new(ours, Duration::from_secs(5)));
         for number in 0..100 {
             outbox.answer(ServerMessage::Pong(number));
         }

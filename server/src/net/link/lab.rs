@@ -8,19 +8,13 @@ use std::{
     time::{Duration, Instant},
 };
 
-use bytes::{Bytes, BytesMut};
-use gnomon_protocol::{limits::MAX_LAB_PACKET_BYTES, pose};
+use bytes::Bytes;
+use gnomon_protocol::pose;
+use gnomon_transport::baseline::{PacketReader, PacketWriter, bind_data_socket, send_udp};
 use tokio::{
-    io::{AsyncReadExt as _, AsyncWriteExt as _, BufWriter},
-    net::{
-        TcpListener, UdpSocket,
-        tcp::{OwnedReadHalf, OwnedWriteHalf},
-    },
+    net::{TcpListener, UdpSocket},
     time::timeout,
 };
-
-/// Kernel buffer for packets on their way: a frame of words at 1920×1080 has 8 MB.
-const SOCKET_BUFFER_BYTES: usize = 16 * 1024 * 1024;
 
 /// A client's packets to the server are poses: nothing longer is read.
 const MAX_RECEIVED_BYTES: usize = 2048;
@@ -37,13 +31,7 @@ impl LabUdpData {
     /// # Errors
     /// When there is no port left.
     pub(crate) fn bind(ip: IpAddr) -> io::Result<Self> {
-        let address = SocketAddr::new(ip, 0);
-        let socket = socket2::Socket::new(socket2::Domain::for_address(address), socket2::Type::DGRAM, None)?;
-        // The kernel clamps it to what it allows; the rest is the sender's patience.
-        let _ = socket.set_send_buffer_size(SOCKET_BUFFER_BYTES);
-        socket.set_nonblocking(true)?;
-        socket.bind(&address.into())?;
-        let socket = UdpSocket::from_std(socket.into())?;
+        let socket = bind_data_socket(ip)?;
         let port = socket.local_addr()?.port();
         Ok(Self { socket, port })
     }
@@ -127,12 +115,8 @@ impl LabUdpSender {
         if delay >= Duration::from_millis(1) {
             tokio::time::sleep(delay).await;
         }
-        match self.socket.send(packet).await {
-            // A frame is only traced after a pose has named its address, so the client has closed its port: a loss
-            // like any other on UDP.
-            Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => Ok(()),
-            sent => sent.map(drop),
-        }
+        // A frame is only traced after a pose has named its address: a refused packet means that the client has closed its port.
+        send_udp(&self.socket, packet).await
     }
 }
 
@@ -157,60 +141,13 @@ impl LabTcpData {
         self.port
     }
 
-    pub(super) async fn accept(self, patience: Duration) -> io::Result<(LabTcpReceiver, LabTcpSender)> {
+    pub(super) async fn accept(self, patience: Duration) -> io::Result<(PacketReader, PacketWriter)> {
         let (stream, _) = timeout(patience, self.listener.accept()).await.map_err(|_| {
             io::Error::new(io::ErrorKind::TimedOut, format!("nobody connected to data port {}", self.port))
         })??;
         stream.set_nodelay(true)?;
         let (read, write) = stream.into_split();
-        Ok((LabTcpReceiver { stream: read, buffer: BytesMut::new() }, LabTcpSender { stream: BufWriter::new(write) }))
-    }
-}
-
-/// Poses over TCP, each after its length (u32, little-endian).
-pub(crate) struct LabTcpReceiver {
-    stream: OwnedReadHalf,
-    buffer: BytesMut,
-}
-
-impl LabTcpReceiver {
-    pub(super) async fn receive(&mut self) -> io::Result<Bytes> {
-        loop {
-            if let Some(prefix) = self.buffer.first_chunk::<4>() {
-                let length = u32::from_le_bytes(*prefix) as usize;
-                if length > MAX_RECEIVED_BYTES {
-                    let reason = format!("a packet of {length} bytes: a client's have at most {MAX_RECEIVED_BYTES}");
-                    return Err(io::Error::new(io::ErrorKind::InvalidData, reason));
-                }
-                if self.buffer.len() >= 4 + length {
-                    return Ok(self.buffer.split_to(4 + length).freeze().slice(4..));
-                }
-            }
-            self.buffer.reserve(4 + MAX_RECEIVED_BYTES);
-            if self.stream.read_buf(&mut self.buffer).await? == 0 {
-                return Err(io::ErrorKind::UnexpectedEof.into());
-            }
-        }
-    }
-}
-
-/// Packets over TCP, each after its length (u32, little-endian).
-pub(crate) struct LabTcpSender {
-    stream: BufWriter<OwnedWriteHalf>,
-}
-
-impl LabTcpSender {
-    pub(super) async fn send(&mut self, packet: &[u8]) -> io::Result<()> {
-        let length =
-            u32::try_from(packet.len()).ok().filter(|_| packet.len() <= MAX_LAB_PACKET_BYTES).ok_or_else(|| {
-                io::Error::new(io::ErrorKind::InvalidInput, format!("a packet of {} bytes", packet.len()))
-            })?;
-        self.stream.write_all(&length.to_le_bytes()).await?;
-        self.stream.write_all(packet).await
-    }
-
-    pub(super) async fn flush(&mut self) -> io::Result<()> {
-        self.stream.flush().await
+        Ok((PacketReader::new(read, MAX_RECEIVED_BYTES), PacketWriter::new(write)))
     }
 }
 

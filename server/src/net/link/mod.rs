@@ -9,7 +9,14 @@ use bytes::Bytes;
 pub(crate) use lab::{LabTcpData, LabUdpData};
 pub(crate) use quic::QuicData;
 
-use super::control::{ControlReader, ControlWriter};
+use gnomon_protocol::message::{ClientMessage, ServerMessage};
+use gnomon_transport::{
+    baseline::{PacketReader, PacketWriter},
+    control::{ControlReader, ControlWriter},
+};
+use tokio::io::{AsyncRead, AsyncWrite};
+
+use crate::limits::{MAX_CLIENT_MESSAGE_BYTES, WRITE_TIMEOUT};
 
 /// A peer that is connected but not yet admitted.
 pub(crate) struct Link {
@@ -18,11 +25,25 @@ pub(crate) struct Link {
     /// Where the peer was when it came.
     pub(crate) peer: SocketAddr,
     /// What the client says.
-    pub(crate) reader: ControlReader,
+    pub(crate) reader: ControlReader<ClientMessage>,
     /// What the server says.
-    pub(crate) writer: ControlWriter,
+    pub(crate) writer: ControlWriter<ServerMessage>,
     /// Poses and packets.
     pub(crate) data: DataLink,
+}
+
+impl Link {
+    pub(super) fn new(
+        carrier: &'static str,
+        peer: SocketAddr,
+        receive: impl AsyncRead + Send + Unpin + 'static,
+        send: impl AsyncWrite + Send + Unpin + 'static,
+        data: DataLink,
+    ) -> Self {
+        let reader = ControlReader::new(receive, MAX_CLIENT_MESSAGE_BYTES);
+        let writer = ControlWriter::new(send, WRITE_TIMEOUT);
+        Self { carrier, peer, reader, writer, data }
+    }
 }
 
 /// Poses and packets, before they flow.
@@ -129,7 +150,7 @@ pub(crate) enum CloseCode {
 pub(crate) enum DataReceiver {
     Quic(QuicData),
     LabUdp(lab::LabUdpReceiver),
-    LabTcp(lab::LabTcpReceiver),
+    LabTcp(PacketReader),
 }
 
 impl DataReceiver {
@@ -150,7 +171,7 @@ impl DataReceiver {
 pub(crate) enum DataSender {
     Quic(QuicData),
     LabUdp(lab::LabUdpSender),
-    LabTcp(lab::LabTcpSender),
+    LabTcp(PacketWriter),
 }
 
 impl DataSender {

@@ -4,11 +4,11 @@ use std::{io, mem::size_of, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use gnomon_protocol::{limits::MAX_PACKET_BYTES, refresh::PathState};
+use gnomon_transport::congestion::ignore_app_limit;
 use web_transport_quinn::Session;
 
 use super::{CloseCode, Wire};
 use crate::limits::{SEND_BACKLOG_FLOOR_BYTES, SEND_BACKLOG_FRAMES};
-use crate::net::congestion::hold_back;
 
 /// The datagrams of a connection.
 #[derive(Clone)]
@@ -61,9 +61,8 @@ impl QuicData {
 
     /// Says whether frames would be larger if the path bore it.
     pub(super) fn hold_back(&self, held_back: bool) {
-        // A connection that comes from elsewhere has another controller.
         let connection: &quinn::Connection = &self.session;
-        hold_back(connection, held_back);
+        ignore_app_limit(connection, held_back);
     }
 
     pub(super) fn wire(&self) -> Wire {

@@ -1,4 +1,4 @@
-//! quinn's view of our congestion controller, `gnomon_protocol::congestion`.
+//! quinn's adapter for the congestion controller of `gnomon_protocol`.
 
 use std::{
     any::Any,
@@ -13,44 +13,46 @@ use gnomon_protocol::congestion::DelayController;
 use quinn::congestion::{Controller, ControllerFactory, ControllerMetrics};
 use quinn_proto::RttEstimator;
 
-/// Makes a controller for each connection.
+/// Builds a [`DelayController`] for each connection.
 #[derive(Debug)]
-pub(crate) struct DelayControllerConfig {
-    /// Bytes in flight that it starts with.
-    pub(crate) initial_window_bytes: u64,
+pub struct DelayControllerFactory {
+    /// Bytes in flight before the first acknowledgement.
+    pub initial_window_bytes: u64,
 }
 
 #[derive(Debug, Clone)]
 struct Adapter {
     controller: DelayController,
-    held_back: Arc<AtomicBool>,
+    ignores_app_limit: Arc<AtomicBool>,
 }
 
-/// Says whether a connection's sender could send more than it does. Frames that are cut down to the window never fill it, so quinn takes
-/// their sender for one that has no more to send, and the window would not grow.
-pub(crate) fn hold_back(connection: &quinn::Connection, held_back: bool) {
-    // What comes is a copy of the controller, which shares this with it.
+/// Sets whether the window may grow although the sender does not fill it.
+///
+/// Frames that are cut down to the window never fill it. quinn takes their sender for application-limited, and the window
+/// would not grow. Does nothing on a connection with another controller.
+pub fn ignore_app_limit(connection: &quinn::Connection, ignore: bool) {
+    // quinn returns a copy of the controller, which shares the flag with its original.
     if let Ok(adapter) = connection.congestion_state().into_any().downcast::<Adapter>() {
-        adapter.held_back.store(held_back, Ordering::Relaxed);
+        adapter.ignores_app_limit.store(ignore, Ordering::Relaxed);
     }
 }
 
-impl ControllerFactory for DelayControllerConfig {
+impl ControllerFactory for DelayControllerFactory {
     fn build(self: Arc<Self>, _now: Instant, current_mtu: u16) -> Box<dyn Controller> {
         let controller = DelayController::new(self.initial_window_bytes, current_mtu);
-        Box::new(Adapter { controller, held_back: Arc::default() })
+        Box::new(Adapter { controller, ignores_app_limit: Arc::default() })
     }
 }
 
 impl Controller for Adapter {
     fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, app_limited: bool, _rtt: &RttEstimator) {
+        let app_limited = app_limited && !self.ignores_app_limit.load(Ordering::Relaxed);
         // The packet's own round trip: the smoothed one takes jitter for a standing queue.
-        let app_limited = app_limited && !self.held_back.load(Ordering::Relaxed);
         self.controller.on_ack(now, bytes, app_limited, now.saturating_duration_since(sent));
     }
 
-    fn on_congestion_event(&mut self, now: Instant, _sent: Instant, is_persistent_congestion: bool, lost_bytes: u64) {
-        self.controller.on_loss(now, lost_bytes, is_persistent_congestion);
+    fn on_congestion_event(&mut self, now: Instant, _sent: Instant, persistent: bool, lost_bytes: u64) {
+        self.controller.on_loss(now, lost_bytes, persistent);
     }
 
     fn on_mtu_update(&mut self, new_mtu: u16) {
