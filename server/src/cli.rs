@@ -5,8 +5,7 @@ use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf};
 use clap::Parser;
 
 use crate::config::{AdminAddress, Backend, ConfigError, LogFormat, ServerConfig, Transport};
-use crate::telemetry::otlp::Collector;
-use crate::tokens::Scope;
+use crate::{admission::tokens::store::Scope, operate::otlp::collector::Collector};
 
 /// Ray-traces visibility at the edge, for thin clients that render their own frames.
 ///

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 pub use crate::visibility::engine::BackendChoice as Backend;
-use crate::{files, limits, telemetry::otlp::Collector};
+use crate::{files, limits, operate::otlp::collector::Collector};
 
 /// Everything that an operator can choose. A key that is not listed here is an error.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

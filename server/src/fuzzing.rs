@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use crate::{config::ServerConfig, telemetry::otlp::Collector, tokens};
+use crate::{admission::tokens::store as tokens, config::ServerConfig, operate::otlp::collector::Collector};
 
 /// A configuration that is accepted is within its ranges, and one that is not is refused on one line.
 pub fn config(bytes: &[u8]) {

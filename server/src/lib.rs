@@ -3,25 +3,25 @@
 //! A pose's way: `net` receives it → `session` keeps the newest → [`visibility`] traces it → `session` encodes
 //! and sends. [`Server::start`] boots the daemon inside any tokio runtime; the binary adds flags, logs and signals.
 
-mod admin;
-#[cfg(feature = "agones")]
-mod agones;
+mod admission;
+mod app;
 pub mod cli;
 pub mod clock;
 pub mod config;
-pub mod error;
 mod files;
 #[doc(hidden)]
 pub mod fuzzing;
-mod http;
 pub mod limits;
 mod metrics;
 mod net;
-mod server;
+mod operate;
 mod session;
-pub mod shutdown;
-pub mod telemetry;
-pub mod tokens;
 pub mod visibility;
 
-pub use server::{RunningServer, Server};
+pub use admission::tokens;
+pub use app::{
+    error,
+    server::{RunningServer, Server},
+    signals,
+};
+pub use operate::{logs, otlp};

@@ -8,8 +8,8 @@ use gnomon_server::{
     Server,
     cli::{Cli, Command},
     config::ServerConfig,
-    shutdown::{Hangups, Signals},
-    telemetry::{self, Logs},
+    logs::{self, Logs},
+    signals::{Hangups, Signals},
     tokens,
 };
 
@@ -39,9 +39,8 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         let text = serde_json::to_string_pretty(&config).context("cannot print the configuration")?;
         return print_line(&text);
     }
-    let logs =
-        telemetry::init(config.log, config.log_file.as_deref()).map_err(|error| anyhow::anyhow!("logs: {error}"))?;
-    telemetry::log_panics();
+    let logs = logs::init(config.log, config.log_file.as_deref()).map_err(|error| anyhow::anyhow!("logs: {error}"))?;
+    logs::log_panics();
     if cli.check {
         let found = Server::check(&config)?;
         return print_line(&found);

@@ -14,7 +14,7 @@ use gnomon_server::{
     RunningServer, Server,
     clock::step,
     config::{Backend, LogFormat, ServerConfig},
-    telemetry,
+    logs,
     tokens::{self, Scope},
 };
 use serde_json::{Value, json};
@@ -49,7 +49,7 @@ fn path(folder: &Path) -> CameraPath {
 fn sessions_go_on_and_what_has_an_end_ends_as_the_clock_says() {
     let folder = tempfile::tempdir().unwrap();
     let log = folder.path().join("log");
-    let logs = telemetry::init(LogFormat::Json, Some(&log)).unwrap();
+    let logs = logs::init(LogFormat::Json, Some(&log)).unwrap();
     let runtime = Runtime::new().unwrap();
     let (for_a_day, day_entry) = tokens::make("day", Some(1), &[Scope::Session], false).unwrap();
     let (for_ever, ever_entry) = tokens::make("ever", None, &[Scope::Session], false).unwrap();

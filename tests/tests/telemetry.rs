@@ -221,8 +221,8 @@ const PANIC: &str = "GNOMON_TEST_PANIC";
 fn a_panic_is_one_line_of_the_log() {
     const NAME: &str = "a_panic_is_one_line_of_the_log";
     if std::env::var_os(PANIC).is_some() {
-        let logs = gnomon_server::telemetry::init(gnomon_server::config::LogFormat::Json, None).unwrap();
-        gnomon_server::telemetry::log_panics();
+        let logs = gnomon_server::logs::init(gnomon_server::config::LogFormat::Json, None).unwrap();
+        gnomon_server::logs::log_panics();
         let thread = std::thread::Builder::new().name("unlucky".into());
         let ended = thread.spawn(|| panic!("of {} lines,\n\tand\n\"quotes\"", 3)).unwrap().join();
         assert!(ended.is_err());

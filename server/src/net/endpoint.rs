@@ -27,7 +27,7 @@ use crate::{
     clock::SteadyClock,
     config::{ServerConfig, Transport},
     limits,
-    metrics::Metrics,
+    metrics::registry::Metrics,
 };
 
 /// What quinn may hold of datagrams that wait. It never fills: the frame gate stops at 1.6 frames, whatever their size.

@@ -3,8 +3,10 @@
 
 use std::time::{Duration, Instant};
 
-use super::ledger::Ledger;
-use crate::limits::{MAX_CLIENT_BYTES_PER_SECOND, MAX_CLIENT_GPU_PER_SECOND};
+use crate::{
+    limits::{MAX_CLIENT_BYTES_PER_SECOND, MAX_CLIENT_GPU_PER_SECOND},
+    metrics::ledger::Ledger,
+};
 
 /// A session's spending.
 #[derive(Debug)]

@@ -23,9 +23,11 @@ use thiserror::Error;
 use tokio::sync::{Semaphore, watch};
 use tracing::Instrument as _;
 
-use super::{Phase, budget::Budget, heard::Heard, ledger::Ledger};
+use super::{budget::Budget, feedback::Heard, run::Phase};
 use crate::{
-    net::{handshake::Coding, link::DataSender},
+    admission::handshake::Coding,
+    metrics::ledger::Ledger,
+    net::link::DataSender,
     visibility::{
         TracedMask,
         engine::{MaskReceiver, RequestSender},

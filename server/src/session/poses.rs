@@ -1,4 +1,4 @@
-//! Poses in, and what is said beside them ([`heard`]): each newer one becomes the session's only request, anything else is counted and dropped.
+//! Poses in, and what is said beside them ([`feedback`]): each newer one becomes the session's only request, anything else is counted and dropped.
 //!
 //! A client that says how long its masks are under way gets them traced for where its camera will be by then ([`ahead`]). Only the
 //! client sees the whole way, from its pose to the frame that shows the mask, so it measures and the server extrapolates.
@@ -13,12 +13,10 @@ use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose, pose::Pose};
 use gnomon_scene::{camera::Camera, motion::Motion};
 use tokio::sync::watch;
 
-use super::{
-    heard::{self, Heard},
-    ledger::Ledger,
-};
+use super::feedback::{self, Heard};
 use crate::{
     limits::MAX_POSES_PER_SECOND,
+    metrics::ledger::Ledger,
     net::link::DataReceiver,
     visibility::{TraceRequest, engine::RequestSender},
 };
@@ -86,7 +84,7 @@ pub(super) async fn receive(
             ledger.poses_over_rate.one();
             continue;
         }
-        if heard::hear(&datagram, received_at, heard, ledger) {
+        if feedback::hear(&datagram, received_at, heard, ledger) {
             continue;
         }
         let (sequence, frame, pose) = match pose::decode_pose_packet(&datagram) {

@@ -8,7 +8,7 @@ use hyper_util::rt::TokioIo;
 use tokio::{net::TcpListener, time::timeout};
 
 use super::*;
-use crate::{admin::readiness::Readiness, metrics::Metrics};
+use crate::{metrics::registry::Metrics, operate::readiness::Readiness};
 
 fn sources() -> Arc<Sources> {
     let backend = OnceLock::new();
@@ -60,7 +60,7 @@ async fn a_collector_gets_what_the_page_shows_also_after_it_was_away() {
     let collector: Collector = format!("http://{}", listener.local_addr().unwrap()).parse().unwrap();
     let (reports, sources) = (Arc::new(Mutex::new(Vec::new())), sources());
     let collecting = tokio::spawn(collect(listener, Arc::clone(&reports)));
-    sources.metrics.refused(crate::metrics::RefusalCause::Full);
+    sources.metrics.refused(crate::metrics::registry::RefusalCause::Full);
     let reporting = tokio::spawn(report_every(Duration::from_millis(20), collector, Arc::clone(&sources)));
     let waiting = async {
         while reports.lock().unwrap().len() < 2 {
@@ -98,7 +98,7 @@ fn a_histogram_is_taken_apart_into_its_own_buckets() {
         t_seconds_bucket{stage=\"a\",le=\"0.5\"} 2\nt_seconds_bucket{stage=\"a\",le=\"1.0\"} 7\nt_seconds_bucket{stage=\"a\",le=\"+Inf\"} 9\n\
         t_seconds_sum{stage=\"b\"} 0.0\nt_seconds_count{stage=\"b\"} 0\n\
         t_seconds_bucket{stage=\"b\",le=\"0.5\"} 0\nt_seconds_bucket{stage=\"b\",le=\"+Inf\"} 0\n# EOF\n";
-    let found = page::metrics(page, 5, 8);
+    let found = translate::metrics(page, 5, 8);
     let [metric] = found.as_slice() else { panic!("{found:?}") };
     assert_eq!((&metric["name"], &metric["description"]), (&json!("t_seconds"), &json!("Time.")));
     let points = metric["histogram"]["dataPoints"].as_array().unwrap();

@@ -7,8 +7,8 @@ use thiserror::Error;
 
 use crate::visibility::engine::EngineError;
 pub use crate::{
-    admin::AdminError, config::ConfigError, net::certificate::CertificateError, net::endpoint::ListenError,
-    tokens::TokenError,
+    admission::tokens::store::TokenError, config::ConfigError, net::certificate::CertificateError,
+    net::endpoint::ListenError, operate::admin::listener::AdminError,
 };
 
 /// Why a server does not start.

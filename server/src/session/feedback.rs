@@ -8,7 +8,7 @@ use gnomon_protocol::{
 };
 use tokio::sync::watch;
 
-use super::ledger::Ledger;
+use crate::metrics::ledger::Ledger;
 
 /// The newest of both.
 #[derive(Debug, Clone, Copy, Default)]

@@ -332,5 +332,4 @@ fn datetime(at_unix_s: i64) -> Option<toml::value::Datetime> {
 }
 
 #[cfg(test)]
-#[path = "tokens_tests.rs"]
 mod tests;

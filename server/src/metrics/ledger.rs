@@ -7,11 +7,8 @@ use std::{
 
 use gnomon_protocol::ids::FrameNumber;
 
-use crate::{
-    metrics::times::{Counts, Times},
-    net::link::Wire,
-    visibility::TraceCost,
-};
+use super::times::{Counts, Times};
+use crate::{net::link::Wire, visibility::TraceCost};
 
 macro_rules! ledger {
     ($($(#[$doc:meta])* $name:ident,)*) => {
@@ -164,7 +161,7 @@ impl Counter {
         self.add(u64::try_from(spent.as_micros()).unwrap_or(u64::MAX));
     }
 
-    pub(super) fn get(&self) -> u64 {
+    pub(crate) fn get(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 }

@@ -9,8 +9,11 @@ use prometheus_client::{
     registry::Registry,
 };
 
-use super::{EndCause, RefusalCause, Snapshot, process::ProcessFacts};
-use crate::session::ledger::{StageCounts, as_f64};
+use super::ledger::{StageCounts, as_f64};
+use super::{
+    process::ProcessFacts,
+    registry::{EndCause, RefusalCause, Snapshot},
+};
 
 /// Everything that is shown at one moment.
 #[derive(Debug, Clone, Default)]

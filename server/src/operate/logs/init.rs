@@ -2,16 +2,11 @@
 //!
 //! What the JSON lines hold is a contract: `deploy/logs.schema.json`, against which `tests/tests/telemetry.rs` checks the real server.
 
-pub mod otlp;
-mod panics;
-mod sink;
-
 use std::{io, path::Path};
 
 use tracing_subscriber::{EnvFilter, fmt, layer::SubscriberExt as _, util::SubscriberInitExt as _};
 
-pub(crate) use self::sink::lines_lost;
-pub use self::{panics::log_panics, sink::Logs};
+use super::sink::Logs;
 use crate::config::LogFormat;
 
 /// What is logged unless `RUST_LOG` says otherwise: the libraries' own chatter only from warnings on.

@@ -18,23 +18,31 @@ use tokio::{
 };
 use tracing::Instrument as _;
 
+use super::error::StartError;
 use crate::{
-    admin::{
-        Admin, Sources,
-        readiness::{self, Readiness, Stage},
+    admission::{
+        addresses::{Addresses, Held},
+        capacity::Plan,
+        handshake::{self, HandshakeError},
+        permit::Admission,
+        time_limit,
+        tokens::store::TokenStore,
     },
     config::{ServerConfig, Transport},
-    error::StartError,
     limits,
-    metrics::{Metrics, RefusalCause},
+    metrics::registry::{Metrics, RefusalCause},
     net::{
-        addresses::{Addresses, Held},
         certificate::Certificates,
         endpoint::{self, Arrival, Endpoint},
-        handshake::{self, HandshakeError},
     },
-    session::{self, Phase, SceneAsset, Services, admission::Admission},
-    tokens::TokenStore,
+    operate::{
+        admin::{answer::Sources, listener::Admin},
+        readiness::{self, Readiness, Stage},
+    },
+    session::{
+        brightness,
+        run::{self, Phase, SceneAsset, Services},
+    },
     visibility::engine::{EngineOptions, Fleet},
 };
 
@@ -129,7 +137,7 @@ impl Server {
             addresses: Addresses::new(config.max_sessions_per_address, false),
             metrics,
             admission: Admission::new(config.max_sessions),
-            plan: session::plan::Plan::new(&config, cores),
+            plan: Plan::new(&config, cores),
             phase: phase_seen,
             encoders: Arc::new(Semaphore::new(cores)),
             handshake_timeout: config.handshake_timeout(),
@@ -141,7 +149,7 @@ impl Server {
         #[cfg(feature = "agones")]
         let agones = config
             .agones
-            .then(|| Task(tokio::spawn(crate::agones::run(readiness.clone(), Arc::clone(&services.metrics)))));
+            .then(|| Task(tokio::spawn(crate::operate::agones::run(readiness.clone(), Arc::clone(&services.metrics)))));
         Ok(RunningServer {
             local_addr,
             url,
@@ -291,7 +299,7 @@ impl RunningServer {
         }
         #[cfg(feature = "agones")]
         if agones.is_some() {
-            crate::agones::shutdown().await;
+            crate::operate::agones::shutdown().await;
         }
         drop(admin);
         tracing::info!("stopped");
@@ -321,7 +329,7 @@ async fn accept(endpoint: Arc<Endpoint>, services: Arc<Services>) {
                 }
             }
             Some(ended) = sessions.join_next() => log_panic(ended),
-            () = session::stopping(&mut phase) => break,
+            () = run::stopping(&mut phase) => break,
         }
     }
     while !sessions.is_empty() {
@@ -347,9 +355,9 @@ async fn serve(arrival: Arrival, handshake: (OwnedSemaphorePermit, Held), servic
     };
     let mut phase = services.phase.clone();
     let greeted = tokio::select! {
-        greeted = crate::net::patience::within(services.handshake_timeout, &handshake.0, greeting) => greeted,
+        greeted = time_limit::within(services.handshake_timeout, &handshake.0, greeting) => greeted,
         // Whoever has not said Hello by now does not hold up the end.
-        () = session::stopping(&mut phase) => return tracing::info!(reason = "the server stops", "not admitted"),
+        () = run::stopping(&mut phase) => return tracing::info!(reason = "the server stops", "not admitted"),
     };
     let (link, admitted) = match greeted {
         Some(Ok(greeted)) => greeted,
@@ -367,7 +375,7 @@ async fn serve(arrival: Arrival, handshake: (OwnedSemaphorePermit, Held), servic
     };
     drop(handshake);
     let span = tracing::info_span!("session", id = admitted.slot.id.0, carrier = link.carrier);
-    session::run(link, admitted, services).instrument(span).await;
+    run::run(link, admitted, services).instrument(span).await;
 }
 
 fn load_options(config: &ServerConfig) -> LoadOptions {
@@ -402,7 +410,7 @@ fn load(path: &Path, options: &LoadOptions) -> Result<(Arc<Scene>, SceneAsset), 
     }
     let lights = u32::try_from(scene.lights.len()).map_err(|error| pack_error(error.to_string()))?;
     let digest = SceneDigest(*blake3::hash(&packed).as_bytes());
-    let weights = session::brightness::weights(&scene);
+    let weights = brightness::weights(&scene);
     Ok((Arc::new(scene), SceneAsset { packed: Bytes::from(packed), digest, lights, weights }))
 }
 

@@ -14,9 +14,11 @@ use hyper::{
 };
 
 use crate::{
-    admin::readiness::{Readiness, Stage},
-    http::{TellError, tell},
-    metrics::{Metrics, Snapshot},
+    metrics::registry::{Metrics, Snapshot},
+    operate::{
+        http::{TellError, tell},
+        readiness::{Readiness, Stage},
+    },
 };
 
 /// Port of the gateway unless `AGONES_SDK_HTTP_PORT` says otherwise.

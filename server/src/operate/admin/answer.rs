@@ -13,11 +13,13 @@ use hyper::{
 };
 use serde_json::json;
 
-use super::readiness::{Readiness, Stage};
 use crate::{
-    metrics::{Metrics, process, text},
-    telemetry,
-    tokens::{Scope, TokenStore},
+    admission::tokens::store::{Scope, TokenStore},
+    metrics::{page, process, registry::Metrics},
+    operate::{
+        logs::sink,
+        readiness::{Readiness, Stage},
+    },
 };
 
 /// What the answers are made of.
@@ -85,16 +87,16 @@ fn ready(sources: &Sources) -> Answer {
 
 impl Sources {
     /// All that is counted, now.
-    pub(crate) fn page(&self) -> text::Page {
+    pub(crate) fn page(&self) -> page::Page {
         let stage = self.readiness.get();
-        text::Page {
+        page::Page {
             ready: stage == Stage::Ready,
             draining: stage == Stage::Draining,
             version: env!("CARGO_PKG_VERSION"),
             backend: self.backend.get().cloned().unwrap_or_default(),
             capacity: self.capacity,
             retries: self.metrics.socket.retries(),
-            log_lines_lost: telemetry::lines_lost(),
+            log_lines_lost: sink::lines_lost(),
             process: process::read(self.socket),
             counts: self.metrics.snapshot(),
         }
@@ -103,7 +105,7 @@ impl Sources {
 
 fn metrics(sources: &Sources) -> Answer {
     match sources.page().text() {
-        Ok(page) => plain(StatusCode::OK, text::CONTENT_TYPE, page),
+        Ok(text) => plain(StatusCode::OK, page::CONTENT_TYPE, text),
         Err(error) => plain(StatusCode::INTERNAL_SERVER_ERROR, TEXT, format!("{error}\n")),
     }
 }

@@ -9,8 +9,10 @@ use std::{
 
 use gnomon_protocol::mask::MaskShape;
 
-use super::ledger::{Ledger, as_f64};
-use crate::config::ServerConfig;
+use crate::{
+    config::ServerConfig,
+    metrics::ledger::{Ledger, as_f64},
+};
 
 /// Time of each core that encoding may take in a second, in milliseconds, unless it is configured: the rest is for packets and the system.
 const CORE_BUDGET_MS: f64 = 800.0;

@@ -13,13 +13,17 @@ use gnomon_transport::control::{ControlError, ControlReader};
 use thiserror::Error;
 use tokio::time::timeout;
 
-use super::link::{CloseCode, Link};
+use super::{
+    addresses::Held,
+    capacity::Share,
+    permit::Slot,
+    tokens::store::{Scope, TokenProblem},
+};
 use crate::{
     limits::LINGER,
-    metrics::RefusalCause,
-    net::addresses::Held,
-    session::{Services, admission::Slot, plan::Share},
-    tokens::{Scope, TokenProblem},
+    metrics::registry::RefusalCause,
+    net::link::{CloseCode, Link},
+    session::run::Services,
     visibility::engine::{OpenError, SessionPort},
 };
 

@@ -3,9 +3,6 @@
 //! `GET /live`, `/ready`, `/metrics` (Prometheus text), `/sessions` (JSON). It listens on loopback unless told otherwise, apart from the
 //! clients' port, and from the start: a server that still loads its scene is alive and not ready.
 
-mod answer;
-pub(crate) mod readiness;
-
 use std::{io, net::SocketAddr, sync::Arc};
 
 use hyper::{server::conn::http1, service::service_fn};
@@ -18,11 +15,11 @@ use tokio::{
     time::timeout,
 };
 
-pub(crate) use self::answer::Sources;
+use super::answer::{self, Sources};
 use crate::{
     config::{AdminAddress, ServerConfig},
     limits::{ADMIN_TIMEOUT, MAX_ADMIN_CONNECTIONS},
-    telemetry::otlp,
+    operate::otlp::report,
 };
 
 /// Why the admin address cannot be listened on.
@@ -64,7 +61,7 @@ impl Admin {
             admin.tasks.push(tokio::spawn(accept(listener, Arc::clone(sources))));
         }
         if let Some(collector) = &config.otlp {
-            admin.tasks.push(tokio::spawn(otlp::run(collector.clone(), Arc::clone(sources))));
+            admin.tasks.push(tokio::spawn(report::run(collector.clone(), Arc::clone(sources))));
         }
         Ok(admin)
     }

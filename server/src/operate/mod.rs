@@ -1,0 +1,9 @@
+//! What an operator's tools see: the admin address, readiness, logs, OTLP reports, Agones.
+
+pub(crate) mod admin;
+#[cfg(feature = "agones")]
+pub(crate) mod agones;
+mod http;
+pub mod logs;
+pub mod otlp;
+pub(crate) mod readiness;
