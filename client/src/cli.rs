@@ -8,8 +8,8 @@ use gnomon_protocol::codec::CodecId;
 use crate::{
     camera_path::PathSpec,
     guard::Guard,
+    link::{receive_options::Packets, url::ServerUrl},
     mode::Mode,
-    net::{reception::Packets, url::ServerUrl},
     predictor::Predictor,
 };
 

@@ -12,14 +12,14 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use crate::{
+    app::servers::KnownServers,
     camera_path::PathSpec,
     cli::{Arguments, Size},
     guard::Guard,
+    link::{receive_options::Packets, url::ServerUrl},
     mode::{Mode, Thresholds},
-    net::{reception::Packets, url::ServerUrl},
     options::{HeadlessOptions, Source, WindowOptions},
     predictor::Predictor,
-    servers::KnownServers,
 };
 
 /// Largest configuration file that is read, in bytes.

@@ -9,8 +9,8 @@ use gnomon_transport::control::ControlError;
 use thiserror::Error;
 
 use crate::{
-    camera_path::PathError, local_server::LocalServerError, net::url::ServerUrl, render::RenderError,
-    scene_cache::SceneFetchError,
+    app::local_server::LocalServerError, camera_path::PathError, link::scene_cache::SceneFetchError,
+    link::url::ServerUrl, render::RenderError,
 };
 
 /// Why a run failed.

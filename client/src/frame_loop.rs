@@ -12,14 +12,13 @@ use gnomon_scene::camera::Camera;
 use crate::{
     error::ClientError,
     guard::GuardChoice,
+    headless::stats::{FrameStats, millis},
+    link::receive::Received,
     live::{Live, Taken, view_of},
     mode::{Decision, ModeMachine, Observation, State},
-    net::receive::Received,
-    overlay::link::in_words,
     pose_history::{Asked, PoseHistory, Rejections},
     record::{Record, Recorder},
     render::FrameRenderer,
-    stats::{FrameStats, millis},
 };
 
 /// Where pictures go.
@@ -203,8 +202,8 @@ impl FrameLoop {
         if self.memory.link.replace(link) == Some(link) {
             return Ok(());
         }
-        let words = in_words(&live.link_state(), Instant::now());
-        let text = words.map_or_else(|| link.to_owned(), |words| format!("{link}: {words}"));
+        let message = live.link_state().message(Instant::now());
+        let text = message.map_or_else(|| link.to_owned(), |message| format!("{link}: {message}"));
         recorder.write(&Record::Event { frame: self.memory.frames - 1, text })
     }
 

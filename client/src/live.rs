@@ -13,8 +13,8 @@ use tokio::runtime::Runtime;
 
 use crate::{
     error::ClientError,
+    link::{receive::Received, reconnect::Redial, session::Session, state::LinkState},
     mask_buffer::{MaskReader, ReceivedMask, Waited},
-    net::{link_state::LinkState, receive::Received, reconnect::Redial, session::Session},
     pose_history::{Asked, PoseHistory, Rejection, Rejections},
     render::{FrameRenderer, RenderError, predict::MaskView},
 };

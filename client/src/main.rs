@@ -1,15 +1,14 @@
 //! The thin client's program.
 
-mod demo;
-
 use std::{io::Write as _, process::ExitCode};
 
 use anyhow::Context as _;
 use clap::{CommandFactory as _, Parser as _};
 use gnomon_client::{
+    app::demo::Demo,
     cli::Arguments,
     config::{Run, resolve},
-    headless::run_headless,
+    run_headless,
     window::run_window,
 };
 use tracing_subscriber::EnvFilter;
@@ -69,7 +68,7 @@ fn run(mut arguments: Arguments) -> anyhow::Result<()> {
     let filter = EnvFilter::try_new(&arguments.log).with_context(|| format!("--log {:?}", arguments.log))?;
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     let check_only = arguments.check_config;
-    let demo = (arguments.demo && !check_only).then(demo::Demo::start).transpose()?;
+    let demo = (arguments.demo && !check_only).then(Demo::start).transpose()?;
     if let Some(demo) = &demo {
         arguments.url = Some(demo.url().clone());
         if arguments.path.is_none() {

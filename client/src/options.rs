@@ -9,11 +9,11 @@ use crate::{
     camera_path::PathSpec,
     error::ClientError,
     guard::{Guard, GuardChoice},
-    mode::{Mode, Thresholds},
-    net::{
-        reception::{Packets, Reception},
+    link::{
+        receive_options::{Packets, Reception},
         url::ServerUrl,
     },
+    mode::{Mode, Thresholds},
     pose_history::HISTORY_FRAMES,
     predictor::Predictor,
 };

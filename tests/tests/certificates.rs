@@ -5,8 +5,8 @@
 use std::{fs, path::Path, process::Command, time::Duration};
 
 use gnomon_client::{
+    app::probe::{ProbeOptions, run_probe},
     camera_path::CameraPath,
-    probe::{ProbeOptions, run_probe},
 };
 use gnomon_lab::rig::{
     PATIENCE,

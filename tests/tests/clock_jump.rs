@@ -6,8 +6,8 @@ use std::{fs, net::Ipv4Addr, path::Path, time::Duration};
 
 use gnomon_client::{
     ClientError,
+    app::probe::{ProbeOptions, ProbeReport, run_probe},
     camera_path::CameraPath,
-    probe::{ProbeOptions, ProbeReport, run_probe},
 };
 use gnomon_protocol::codec::CodecId;
 use gnomon_server::{

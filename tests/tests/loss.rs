@@ -1,7 +1,7 @@
 //! Promise: `lab loss` shows that slices keep what the dissertation's policy throws away.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-use gnomon_client::net::reception::Packets;
+use gnomon_client::link::receive_options::Packets;
 use gnomon_lab::{
     report::{
         loss::{LossOptions, measure},

@@ -16,11 +16,19 @@ use gnomon_protocol::{
     codec::{CodecId, Encoder},
     coverage::Coverage,
     mask::Mask,
+    message::Welcome,
 };
 use gnomon_scene::camera::Camera;
+use gnomon_shaders::gpu::Gpu;
 use serde::{Deserialize, Serialize};
 
-use crate::{error::ClientError, predictor::Predictor, render::debug_view::DebugView, stats::FrameStats};
+use crate::{
+    error::ClientError,
+    headless::stats::FrameStats,
+    options::HeadlessOptions,
+    predictor::Predictor,
+    render::{debug_view::DebugView, exposure::Exposure},
+};
 
 /// First line of a recording.
 pub const FIRST_LINE: &str = "gnomon recording 2\n";
@@ -170,6 +178,25 @@ pub(crate) struct Recorder {
 }
 
 impl Recorder {
+    /// Begins the recording that `options` ask for, if they do, of pictures of `size` pixels.
+    pub(crate) fn for_run(
+        options: &HeadlessOptions,
+        (width, height): (u32, u32),
+        welcome: Option<&Welcome>,
+        exposure: Exposure,
+        gpu: &Gpu,
+    ) -> Result<Option<Self>, ClientError> {
+        let Some(path) = &options.record else { return Ok(None) };
+        let start = Start {
+            scene_digest: welcome.map(|welcome| welcome.scene_digest.to_string()),
+            size_px: [width, height],
+            exposure: exposure.into(),
+            predictor: options.predictor,
+            adapter: gpu.info.name.clone(),
+        };
+        Self::create(path, start).map(Some)
+    }
+
     /// Makes the file anew.
     pub(crate) fn create(path: &Path, start: Start) -> Result<Self, ClientError> {
         let failed = |source| ClientError::Write { path: path.into(), source };

@@ -11,8 +11,8 @@ use std::{
 use gnomon_scene::Scene;
 
 use crate::{
+    app::connect::{Connected, Step, get_scene},
     camera_path::CameraPath,
-    connect::{Connected, Step, get_scene},
     default_path::default_path,
     error::ClientError,
     occluders::Occluders,

@@ -8,6 +8,7 @@ mod events;
 mod gamepad;
 mod keys;
 mod loading;
+mod overlay;
 mod painter;
 mod play;
 mod reference;
@@ -37,11 +38,11 @@ use self::{
     screen::Screen,
 };
 use crate::{
+    app::servers,
     camera_path::CameraPath,
     error::ClientError,
     input::{Controls, keys::Command},
     options::{Source, WindowOptions},
-    overlay, servers,
     settings::Settings,
 };
 

@@ -12,21 +12,20 @@ use super::{
     screen::Screen,
 };
 use crate::{
+    app::local_server::LocalServer,
     camera_path::CameraPath,
     error::ClientError,
     frame_loop::{FrameLoop, Memory},
     guard::{Guard, GuardChoice, GuardSize},
-    headless::recorder,
+    headless::stats::{FrameStats, StatsFile},
     input::fly::{Fly, Motion},
-    local_server::LocalServer,
+    link::{receive::Received, url::ServerUrl},
     mode::ModeMachine,
-    net::{receive::Received, url::ServerUrl},
     options::HeadlessOptions,
-    overlay::{figures::Figures, link::in_words},
     record::{Record, Recorder},
     render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView},
     settings::{Settings, Split},
-    stats::{FrameStats, StatsFile},
+    window::overlay::figures::Figures,
 };
 
 /// Time in which a person crosses the scene at first, in seconds.
@@ -114,7 +113,13 @@ impl Play {
             predict_pose: options.looks_ahead(&screen.gpu),
             machine: ModeMachine::new(settings.mode, options.thresholds),
             guard: GuardChoice::new(settings.guard, size),
-            recorder: recorder(options, size, server.as_ref().map(|(_, welcome)| welcome), exposure, &screen.gpu)?,
+            recorder: Recorder::for_run(
+                options,
+                size,
+                server.as_ref().map(|(_, welcome)| welcome),
+                exposure,
+                &screen.gpu,
+            )?,
             memory: Memory::new(u32::MAX),
         };
         let first = camera_path.camera(options.start_time_s, size.0, size.1);
@@ -211,7 +216,7 @@ impl Play {
 
     /// Something about the server that the person should know.
     pub(crate) fn notice(&self) -> Option<String> {
-        in_words(&self.frames.live.as_ref()?.link_state(), Instant::now())
+        self.frames.live.as_ref()?.link_state().message(Instant::now())
     }
 
     /// The whole picture as it should be, once there is a server beside the client that knows.

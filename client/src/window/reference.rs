@@ -15,15 +15,15 @@ use gnomon_scene::{Scene, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 
 use crate::{
-    connect::{Connected, get_scene},
+    app::connect::{Connected, get_scene},
+    app::local_server::{Folder, LocalScene, LocalServer, LocalServerError},
     error::ClientError,
     frame_loop::{FrameLoop, Memory, Shown, Sink},
     guard::{Guard, GuardChoice, GuardSize},
-    local_server::{Folder, LocalScene, LocalServer, LocalServerError},
+    link::scene_cache::SceneCache,
     mode::ModeMachine,
     options::{HeadlessOptions, Source},
     render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView, exposure::Exposure, targets},
-    scene_cache::SceneCache,
 };
 
 /// The scene that a window shows, for a server on this machine.

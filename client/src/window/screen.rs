@@ -11,7 +11,7 @@ use super::painter::{Painter, Shapes};
 use crate::{
     error::ClientError,
     frame_loop::{Shown, Sink},
-    pictures,
+    headless::pictures,
     render::{FrameRenderer, RenderError, readback::PictureReader},
 };
 

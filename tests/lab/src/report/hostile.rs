@@ -17,10 +17,10 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use gnomon_client::{
+    app::probe::{ProbeOptions, ProbeReport, run_probe},
     camera_path::{CameraPath, PathSpec},
-    net::url::ServerUrl,
-    probe::{ProbeOptions, ProbeReport, run_probe},
-    stats::percentile,
+    headless::stats::percentile,
+    link::url::ServerUrl,
 };
 use gnomon_protocol::codec::CodecId;
 use gnomon_server::tokens::{self, Scope};

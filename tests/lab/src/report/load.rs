@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 use gnomon_client::{
+    app::probe::{ProbeOptions, ProbeReport, run_probe},
     camera_path::{CameraPath, PathSpec},
-    net::url::ServerUrl,
-    probe::{ProbeOptions, ProbeReport, run_probe},
-    stats::percentile,
+    headless::stats::percentile,
+    link::url::ServerUrl,
 };
 use gnomon_protocol::codec::CodecId;
 use serde::Serialize;

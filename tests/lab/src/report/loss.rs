@@ -29,7 +29,7 @@ use gnomon_protocol::{
     references::{KeptMasks, SentMasks},
 };
 
-use gnomon_client::net::reception::Packets;
+use gnomon_client::link::receive_options::Packets;
 
 use super::{scene_args::SceneArgs, table::Table};
 use crate::{

@@ -8,8 +8,8 @@ use std::{ffi::OsString, net::SocketAddr, path::Path};
 use anyhow::{Context, Result, ensure};
 use core_affinity::CoreId;
 use gnomon_client::{
+    headless::stats::percentile,
     mode::{Mode, State},
-    stats::percentile,
 };
 use serde::Deserialize as _;
 use serde_json::Value;

@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, bail};
-use gnomon_client::stats::{millis, percentile};
+use gnomon_client::headless::stats::{millis, percentile};
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape};
 use gnomon_server::{
     RunningServer, Server,

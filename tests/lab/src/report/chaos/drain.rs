@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use gnomon_client::{ClientError, HeadlessOptions, Source, net::url::ServerUrl, run_headless};
+use gnomon_client::{ClientError, HeadlessOptions, Source, link::url::ServerUrl, run_headless};
 use gnomon_protocol::message::Refusal;
 
 use super::{

@@ -3,7 +3,7 @@
 use std::{thread::sleep, time::Duration};
 
 use anyhow::{Context as _, Result};
-use gnomon_client::stats::percentile;
+use gnomon_client::headless::stats::percentile;
 
 use super::{
     Finding, ServerArgs,

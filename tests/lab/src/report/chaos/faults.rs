@@ -7,7 +7,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use gnomon_client::{HeadlessOptions, Source, net::url::ServerUrl, run_headless};
+use gnomon_client::{HeadlessOptions, Source, link::url::ServerUrl, run_headless};
 
 use super::{
     Finding, ServerArgs,

@@ -3,7 +3,7 @@
 use std::{thread::sleep, time::Duration};
 
 use anyhow::{Context as _, Result};
-use gnomon_client::{ClientError, stats::percentile};
+use gnomon_client::{ClientError, headless::stats::percentile};
 use gnomon_protocol::message::Refusal;
 
 use super::{

@@ -5,9 +5,9 @@ use std::{fs, thread::ScopedJoinHandle, time::Duration};
 use anyhow::{Context as _, Result};
 use gnomon_client::{
     ClientError,
+    app::probe::{ProbeOptions, ProbeReport, run_probe},
     camera_path::CameraPath,
-    net::url::ServerUrl,
-    probe::{ProbeOptions, ProbeReport, run_probe},
+    link::url::ServerUrl,
 };
 use gnomon_protocol::codec::CodecId;
 use tokio::runtime::{Builder, Runtime};

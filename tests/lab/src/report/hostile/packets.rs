@@ -7,9 +7,9 @@ use std::{
 
 use anyhow::{Result, ensure};
 use gnomon_client::{
+    app::probe::{ProbeOptions, run_probe},
     camera_path::CameraPath,
-    net::url::ServerUrl,
-    probe::{ProbeOptions, run_probe},
+    link::url::ServerUrl,
 };
 use gnomon_protocol::codec::CodecId;
 use tokio::runtime::Handle;

@@ -7,7 +7,7 @@
 use std::{collections::BTreeMap, fs, net::SocketAddr, path::PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use gnomon_client::{net::reception::Packets, stats::percentile};
+use gnomon_client::{headless::stats::percentile, link::receive_options::Packets};
 use gnomon_protocol::codec::CodecId;
 use serde::Deserialize as _;
 use serde_json::Value;

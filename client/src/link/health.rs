@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::link::Watcher;
+use super::connection::Watcher;
 
 /// A live server answers a ping a second, and every one of them is acknowledged besides. So much silence is an outage: the connection
 /// may outlive it, but a new one is tried beside it.

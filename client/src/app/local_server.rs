@@ -15,7 +15,7 @@ use std::{
 use tempfile::TempDir;
 use thiserror::Error;
 
-use crate::net::url::ServerUrl;
+use crate::link::url::ServerUrl;
 
 /// How long the server may take until it listens: it builds its hierarchies first.
 const PATIENCE: Duration = Duration::from_secs(120);

@@ -11,13 +11,13 @@ use tokio::runtime::Handle;
 use crate::{
     camera_path::CameraPath,
     error::ClientError,
-    mask_buffer::{MaskReader, Waited},
-    net::{
-        reception::Reception,
+    headless::stats::millis,
+    link::{
+        receive_options::Reception,
         session::{Introduction, Session, admit, rate_hz},
         url::ServerUrl,
     },
-    stats::millis,
+    mask_buffer::{MaskReader, Waited},
 };
 
 /// How long a mask may take before the probe asks for the next frame instead.

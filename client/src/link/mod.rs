@@ -2,14 +2,15 @@
 
 mod backoff;
 mod baseline;
-pub(crate) mod first_use;
+pub(crate) mod certificate;
+pub(crate) mod connection;
 pub(crate) mod health;
-pub(crate) mod link;
-pub mod link_state;
 mod quic;
 pub(crate) mod receive;
-pub mod reception;
+pub mod receive_options;
 pub(crate) mod reconnect;
+pub mod scene_cache;
 mod send;
 pub(crate) mod session;
+pub mod state;
 pub mod url;

@@ -10,7 +10,7 @@ use etcetera::BaseStrategy as _;
 use serde::{Deserialize, Serialize};
 use url::form_urlencoded;
 
-use crate::net::url::ServerUrl;
+use crate::link::url::ServerUrl;
 
 /// Servers that are remembered.
 const MOST: usize = 16;

@@ -15,9 +15,9 @@ use tokio::{
 
 use super::{
     backoff::Backoff,
-    link_state::LinkState,
-    reception::Reception,
+    receive_options::Reception,
     session::{Admitted, Introduction, Session, admit},
+    state::LinkState,
     url::ServerUrl,
 };
 use crate::{error::ClientError, mask_buffer::MaskReader};

@@ -7,18 +7,18 @@ use gnomon_scene::{LoadOptions, Scene};
 use tokio::runtime::Runtime;
 
 use crate::{
+    app::servers::{KnownServers, fingerprint},
     error::ClientError,
-    live::Live,
-    net::{
-        first_use::certificate_of,
-        reception::Reception,
+    link::scene_cache::SceneCache,
+    link::{
+        certificate::certificate_of,
+        receive_options::Reception,
         reconnect::admit_patiently,
         session::{Admitted, Introduction, rate_hz},
         url::{ServerUrl, Transport},
     },
+    live::Live,
     options::{HeadlessOptions, Source},
-    scene_cache::SceneCache,
-    servers::{KnownServers, fingerprint},
 };
 
 /// Threads for the network: one can decode while another one sends.

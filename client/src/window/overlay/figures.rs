@@ -6,9 +6,9 @@ use std::{
 };
 
 use crate::{
+    headless::stats::{FrameStats, millis},
+    link::receive::Received,
     mode::State,
-    net::receive::Received,
-    stats::{FrameStats, millis},
 };
 
 /// How far back figures go.

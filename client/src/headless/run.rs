@@ -7,22 +7,20 @@ use gnomon_scene::camera::Camera;
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use crate::{
+    app::connect::{Step, get_scene},
     camera_path::CameraPath,
-    connect::{Step, get_scene},
     default_path::default_path,
     error::ClientError,
     frame_loop::{FrameLoop, Memory, Served, Shown, Sink},
+    headless::pictures::PictureWriter,
+    headless::progress::Progress,
+    headless::stats::{FrameStats, StatsFile, Summary, mean, percentile},
     mode::{ModeMachine, State},
     occluders::Occluders,
-    options::MAX_FRAMES,
-    pictures::PictureWriter,
-    progress::Progress,
-    record::{Recorder, Start},
+    options::{HeadlessOptions, MAX_FRAMES, Source},
+    record::Recorder,
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, readback::PictureReader},
-    stats::{FrameStats, StatsFile, Summary, mean, percentile},
 };
-
-pub use crate::options::{HeadlessOptions, Source};
 
 /// Frames a second that a path is cut into when neither `--frames` nor `--fps` says otherwise.
 const DEFAULT_STEPS_PER_S: f64 = 30.0;
@@ -80,7 +78,7 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         predict_pose: options.looks_ahead(&gpu),
         machine: ModeMachine::new(options.mode, options.thresholds),
         guard: options.guard_choice(),
-        recorder: recorder(options, (options.width, options.height), welcome.as_ref(), exposure, &gpu)?,
+        recorder: Recorder::for_run(options, (options.width, options.height), welcome.as_ref(), exposure, &gpu)?,
         memory: Memory::new(timing.frames),
     };
     let mut files = Files { reader, pictures, stats };
@@ -104,25 +102,6 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         summary.write(path)?;
     }
     Ok(summary)
-}
-
-/// The recording that is wanted, if one is, of pictures of this size.
-pub(crate) fn recorder(
-    options: &HeadlessOptions,
-    (width, height): (u32, u32),
-    welcome: Option<&Welcome>,
-    exposure: Exposure,
-    gpu: &Gpu,
-) -> Result<Option<Recorder>, ClientError> {
-    let Some(path) = &options.record else { return Ok(None) };
-    let start = Start {
-        scene_digest: welcome.map(|welcome| welcome.scene_digest.to_string()),
-        size_px: [width, height],
-        exposure: exposure.into(),
-        predictor: options.predictor,
-        adapter: gpu.info.name.clone(),
-    };
-    Recorder::create(path, start).map(Some)
 }
 
 /// When frames are, and where on the path.
@@ -291,7 +270,7 @@ fn summary(
         visibility_fps: welcome.map(|_| (came + received.partial) as f64 / duration_s),
         payload_bytes_mean: of_each(received.payload_bytes),
         packets_mean: of_each(received.packets),
-        rtt_ms: served.round_trip.map(crate::stats::millis),
+        rtt_ms: served.round_trip.map(crate::headless::stats::millis),
         duration_s,
         size: format!("{}x{}", options.width, options.height),
         lights,

@@ -23,18 +23,18 @@ use tokio::{
 };
 
 use super::{
+    connection::{Closer, Link},
     health::{Draining, Health, HealthCell, watch_silence},
-    link::{Closer, Link},
     receive::{Counters, ReceiveTask, Received, Requested},
-    reception::Reception,
+    receive_options::Reception,
     reconnect::Again,
     send::{Outgoing, send_poses},
     url::ServerUrl,
 };
 use crate::{
     error::ClientError,
+    link::scene_cache::{SceneCache, SceneFetch},
     mask_buffer::{MaskReader, mask_buffer},
-    scene_cache::{SceneCache, SceneFetch},
 };
 
 /// How often the round trip is measured.

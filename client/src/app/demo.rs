@@ -3,23 +3,22 @@
 use std::{fs, path::Path};
 
 use anyhow::{Context as _, Result};
-use gnomon_client::{
-    local_server::{Folder, LocalScene, LocalServer},
-    net::url::ServerUrl,
-};
 
-const SCENE: &[u8] = include_bytes!("../../tests/assets/cloister.glb");
-const PATHS: &[u8] = include_bytes!("../../tests/assets/cloister.json");
+use super::local_server::{Folder, LocalScene, LocalServer};
+use crate::link::url::ServerUrl;
+
+const SCENE: &[u8] = include_bytes!("../../../tests/assets/cloister.glb");
+const PATHS: &[u8] = include_bytes!("../../../tests/assets/cloister.json");
 
 /// The running demo. Dropping it stops it, and takes its files away.
-pub(crate) struct Demo {
+pub struct Demo {
     server: LocalServer,
     path: String,
 }
 
 impl Demo {
     /// Starts the server and waits until it listens.
-    pub(crate) fn start() -> Result<Self> {
+    pub fn start() -> Result<Self> {
         Self::in_its_folder().context("--demo")
     }
 
@@ -36,12 +35,12 @@ impl Demo {
     }
 
     /// Where it listens.
-    pub(crate) fn url(&self) -> &ServerUrl {
+    pub fn url(&self) -> &ServerUrl {
         self.server.url()
     }
 
     /// A camera path through the scene.
-    pub(crate) fn path(&self) -> &str {
+    pub fn path(&self) -> &str {
         &self.path
     }
 }

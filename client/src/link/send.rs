@@ -11,7 +11,7 @@ use gnomon_protocol::{
 };
 use tokio::sync::watch;
 
-use super::link::DataSender;
+use super::connection::DataSender;
 
 /// The newest pose, and the frame that it is for.
 pub(crate) type Outgoing = Option<(FrameNumber, Pose)>;

@@ -30,7 +30,7 @@ use gnomon_protocol::{
 use gnomon_transport::root_cause;
 use tokio::sync::watch;
 
-use super::{link::DataReceiver, reception::Reception};
+use super::{connection::DataReceiver, receive_options::Reception};
 use crate::mask_buffer::MaskWriter;
 
 /// What has come in so far.

@@ -5,7 +5,6 @@
 
 pub(crate) mod figures;
 mod graphs;
-pub(crate) mod link;
 mod screens;
 
 use egui::{Align2, Color32, RichText};

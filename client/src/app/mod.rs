@@ -1,0 +1,7 @@
+//! The program around a run: finding a server and its scene, and servers of its own.
+
+pub(crate) mod connect;
+pub mod demo;
+pub mod local_server;
+pub mod probe;
+pub mod servers;
