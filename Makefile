@@ -5,7 +5,7 @@ help:
 	@echo 'make demo   real server, real client, loopback: pictures in target/demo  (SCENE=… LIGHTS=… CAMERA=… SIZE=… FRAMES=…)'
 	@echo 'make window the same in a window, to walk around in'
 	@echo 'make test   the whole suite; wants GNOMON_SCENES=DIR, the folder with the real scenes'
-	@echo 'make lint   fmt and clippy, warnings denied'
+	@echo 'make lint   fmt and clippy, warnings denied; import circles, long files, long lines'
 	@echo 'make deny   licences, bans and sources of every dependency'
 	@echo 'make fuzz   every fuzz target for SECONDS=60, on all cores; wants a C++ compiler'
 
@@ -30,6 +30,7 @@ test:
 lint:
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --locked -- -D warnings
+	cargo test --locked --quiet -p gnomon-lint
 
 deny:
 	cargo deny --locked check bans licenses sources

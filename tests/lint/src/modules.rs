@@ -1,0 +1,145 @@
+//! A crate's modules: the names that each defines and imports, and the paths that it uses.
+
+use std::{
+    collections::{HashMap, HashSet},
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use crate::uses::read_uses;
+
+/// A path's segments.
+pub(crate) type Names = Vec<String>;
+
+/// A `use` of one path.
+#[derive(Debug)]
+pub(crate) struct Import {
+    pub(crate) path: Names,
+    /// The name that it binds; none for `as _` and for `*`.
+    pub(crate) name: Option<String>,
+    pub(crate) glob: bool,
+    pub(crate) reexport: bool,
+}
+
+/// A module, of a file or inline.
+#[derive(Debug, Default)]
+pub(crate) struct Module {
+    /// An index into [`Crate::files`].
+    pub(crate) file: usize,
+    pub(crate) parent: Option<usize>,
+    pub(crate) children: HashMap<String, usize>,
+    pub(crate) items: HashSet<String>,
+    pub(crate) imports: Vec<Import>,
+    /// Paths in code, macros and attributes.
+    pub(crate) paths: HashSet<Names>,
+}
+
+/// What a path leads to.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub(crate) enum Target {
+    Module(usize),
+    /// An item of this module.
+    Item(usize),
+}
+
+/// All modules of a crate but its unit tests; the first is the root.
+#[derive(Debug, Default)]
+pub(crate) struct Crate {
+    pub(crate) files: Vec<PathBuf>,
+    pub(crate) modules: Vec<Module>,
+    /// Macros marked `#[macro_export]`: named at the root, defined in these modules.
+    pub(crate) exported_macros: HashMap<String, usize>,
+}
+
+/// Re-exports of re-exports that are followed at most.
+const DEEPEST: usize = 16;
+
+impl Crate {
+    /// Reads the crate that starts with the file `root`.
+    pub(crate) fn read(root: &Path) -> io::Result<Self> {
+        let mut read = Self::default();
+        let folder = root.parent().unwrap_or(root);
+        read.read_file(root, folder, None)?;
+        Ok(read)
+    }
+
+    /// Reads a module's file, whose children lie in `folder`. Returns the module.
+    fn read_file(&mut self, path: &Path, folder: &Path, parent: Option<usize>) -> io::Result<usize> {
+        let text = fs::read_to_string(path)?;
+        let syntax =
+            syn::parse_file(&text).map_err(|error| io::Error::other(format!("{}: {error}", path.display())))?;
+        self.files.push(path.to_owned());
+        let module = self.add_module(self.files.len() - 1, parent);
+        for (parent, names) in read_uses(self, module, &syntax) {
+            let (name, inline) = names.split_last().map_or(("", &[][..]), |(name, inline)| (name.as_str(), inline));
+            let folder = inline.iter().fold(folder.to_owned(), |folder, name| folder.join(name));
+            let below = folder.join(name);
+            let beside = folder.join(format!("{name}.rs"));
+            let file = if beside.is_file() { beside } else { below.join("mod.rs") };
+            let child = self.read_file(&file, &below, Some(parent))?;
+            self.modules[parent].children.insert(name.to_owned(), child);
+        }
+        Ok(module)
+    }
+
+    pub(crate) fn add_module(&mut self, file: usize, parent: Option<usize>) -> usize {
+        self.modules.push(Module { file, parent, ..Module::default() });
+        self.modules.len() - 1
+    }
+
+    /// Returns what `path` leads to from `module`, if it is of this crate.
+    pub(crate) fn resolve(&self, module: usize, path: &[String]) -> Option<Target> {
+        self.resolve_within(module, path, DEEPEST)
+    }
+
+    fn resolve_within(&self, module: usize, path: &[String], depth: usize) -> Option<Target> {
+        let mut current = module;
+        for (index, name) in path.iter().enumerate() {
+            current = match name.as_str() {
+                "crate" => 0,
+                "self" => current,
+                "super" => self.modules[current].parent?,
+                name => match self.look_up(current, name, index + 1 == path.len(), depth) {
+                    Some(Target::Module(module)) => module,
+                    Some(item) => return Some(item),
+                    // A name of another crate, or one that a macro makes.
+                    None if index == 0 => return None,
+                    None => return Some(Target::Item(current)),
+                },
+            };
+        }
+        Some(Target::Module(current))
+    }
+
+    /// Returns what `name` means in `module`. If an item and a module share it, the `last` segment of a path is the
+    /// item.
+    fn look_up(&self, module: usize, name: &str, last: bool, depth: usize) -> Option<Target> {
+        let depth = depth.checked_sub(1)?;
+        let looked_in = &self.modules[module];
+        let child = looked_in.children.get(name).map(|child| Target::Module(*child));
+        let item = looked_in.items.contains(name).then_some(Target::Item(module));
+        if let Some(found) = if last { item.or(child) } else { child.or(item) } {
+            return Some(found);
+        }
+        if let Some(module) = self.exported_macros.get(name).filter(|_| module == 0) {
+            return Some(Target::Item(*module));
+        }
+        let named = looked_in.imports.iter().filter(|import| import.name.as_deref() == Some(name));
+        let found = named.filter_map(|import| self.resolve_within(module, &import.path, depth)).next();
+        found.or_else(|| {
+            let globs = looked_in.imports.iter().filter(|import| import.glob);
+            globs
+                .filter_map(|import| match self.resolve_within(module, &import.path, depth)? {
+                    Target::Module(module) => self.look_up(module, name, last, depth),
+                    Target::Item(_) => None,
+                })
+                .next()
+        })
+    }
+
+    /// Returns whether `module` lies below `above`.
+    pub(crate) fn is_below(&self, module: usize, above: usize) -> bool {
+        let mut parents = std::iter::successors(self.modules[module].parent, |module| self.modules[*module].parent);
+        parents.any(|parent| parent == above)
+    }
+}
