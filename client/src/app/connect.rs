@@ -11,7 +11,7 @@ use crate::{
     error::ClientError,
     link::scene_cache::SceneCache,
     link::{
-        certificate::certificate_of,
+        certificate::fetch_certificate,
         receive_options::Reception,
         reconnect::admit_patiently,
         session::{Admitted, Introduction, rate_hz},
@@ -78,7 +78,7 @@ pub(crate) fn get_scene(
                 let first_use = url.transport == Transport::Quic && url.certificate.is_none() && url.ca.is_none();
                 let url = match pinned {
                     None if first_use => {
-                        let digest = certificate_of(url, options.connect_timeout).await?;
+                        let digest = fetch_certificate(url, options.connect_timeout).await?;
                         tracing::warn!(server = %url, certificate = fingerprint(&digest), "first visit: pinned");
                         ServerUrl { certificate: Some(digest), ..url.clone() }
                     }

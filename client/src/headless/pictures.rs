@@ -1,11 +1,11 @@
-//! PNG files, written on threads of their own behind a short queue: a slow disk slows the run down and nothing else.
+//! PNG files, written by threads behind a short queue. A slow disk slows the run down and loses nothing.
 
 use std::{
     fs::File,
     io::{BufWriter, Write as _},
     path::{Path, PathBuf},
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc,
         mpsc::{Receiver, SyncSender, sync_channel},
     },
     thread::JoinHandle,
@@ -15,13 +15,12 @@ use image::{
     ExtendedColorType, ImageEncoder as _,
     codecs::png::{CompressionType, FilterType, PngEncoder},
 };
+use parking_lot::Mutex;
 
 use crate::{error::ClientError, render::readback::Picture};
 
-/// Pictures that may wait.
-const QUEUE: usize = 4;
+const QUEUE_PICTURES: usize = 4;
 
-/// Most threads that write.
 const MAX_WRITERS: usize = 4;
 
 /// Writes pictures into a folder.
@@ -33,14 +32,14 @@ pub struct PictureWriter {
 }
 
 impl PictureWriter {
-    /// Makes the folder if need be, and starts the threads.
+    /// Creates the folder and starts the threads.
     ///
     /// # Errors
-    /// When the folder cannot be made or written to.
+    /// Errors if the folder cannot be created.
     pub fn start(folder: &Path) -> Result<Self, ClientError> {
         let failed = |source| ClientError::Write { path: folder.into(), source };
         std::fs::create_dir_all(folder).map_err(failed)?;
-        let (queue, pictures) = sync_channel::<Picture>(QUEUE);
+        let (queue, pictures) = sync_channel::<Picture>(QUEUE_PICTURES);
         let pictures = Arc::new(Mutex::new(pictures));
         let failure = Arc::new(Mutex::new(None));
         let writers = std::thread::available_parallelism().map_or(1, usize::from).min(MAX_WRITERS);
@@ -56,16 +55,16 @@ impl PictureWriter {
         Ok(Self { queue: Some(queue), threads, failure })
     }
 
-    /// Hands a picture over; waits while the queue is full.
+    /// Queues a picture. Waits while the queue is full.
     ///
     /// # Errors
-    /// When an earlier picture could not be written.
+    /// Errors if an earlier picture could not be written.
     pub fn write(&self, picture: Picture) -> Result<(), ClientError> {
         self.check()?;
         if let Some(queue) = &self.queue
             && queue.send(picture).is_err()
         {
-            // All threads have stopped, which they do when one of them has failed.
+            // Threads stop only when they have failed.
             self.check()?;
         }
         Ok(())
@@ -74,7 +73,7 @@ impl PictureWriter {
     /// Waits until all pictures are written.
     ///
     /// # Errors
-    /// When one could not be written.
+    /// Errors if one could not be written.
     pub fn finish(mut self) -> Result<(), ClientError> {
         self.queue = None;
         for thread in self.threads.drain(..) {
@@ -86,20 +85,20 @@ impl PictureWriter {
     }
 
     fn check(&self) -> Result<(), ClientError> {
-        let failed = self.failure.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let failed = self.failure.lock().take();
         failed.map_or(Ok(()), |(path, source)| Err(ClientError::Write { path, source }))
     }
 }
 
 fn write_all(folder: &Path, pictures: &Mutex<Receiver<Picture>>, failure: &Mutex<Option<(PathBuf, std::io::Error)>>) {
     loop {
-        let next = pictures.lock().unwrap_or_else(PoisonError::into_inner).recv();
+        let next = pictures.lock().recv();
         let Ok(picture) = next else { return };
         let path = folder.join(format!("frame_{:06}.png", picture.frame));
         if let Err(source) = write(&path, &picture) {
-            // Half a picture is worse than none.
+            // A truncated picture is worse than none.
             let _ = std::fs::remove_file(&path);
-            failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert((path, source));
+            failure.lock().get_or_insert((path, source));
             return;
         }
     }
@@ -108,7 +107,7 @@ fn write_all(folder: &Path, pictures: &Mutex<Receiver<Picture>>, failure: &Mutex
 /// Writes a picture as PNG.
 pub(crate) fn write(path: &Path, picture: &Picture) -> std::io::Result<()> {
     let mut file = BufWriter::new(File::create(path)?);
-    // The fourth channel is always 255: a third of the file, and of the time, for nothing.
+    // Alpha is always 255, and would cost a third more file and time.
     let rgb: Vec<u8> = picture.rgba.chunks_exact(4).flat_map(|texel| [texel[0], texel[1], texel[2]]).collect();
     PngEncoder::new_with_quality(&mut file, CompressionType::Fast, FilterType::Adaptive)
         .write_image(&rgb, picture.width, picture.height, ExtendedColorType::Rgb8)
@@ -116,7 +115,7 @@ pub(crate) fn write(path: &Path, picture: &Picture) -> std::io::Result<()> {
             image::ImageError::IoError(source) => source,
             error => std::io::Error::other(error),
         })?;
-    // Dropping the buffer would swallow the error of a full disk.
+    // Dropping the buffer would ignore the error of a full disk.
     file.flush()
 }
 
@@ -130,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn every_picture_is_written_as_it_was() {
+    fn every_picture_is_written_unchanged() {
         let folder = tempfile::tempdir().unwrap();
         let writer = PictureWriter::start(&folder.path().join("new/folder")).unwrap();
         for frame in 0..20 {

@@ -1,14 +1,12 @@
-//! Progress bars on standard error, when a person looks on: indicatif draws none where that is no terminal.
-
-use std::sync::Mutex;
-use std::sync::PoisonError;
+//! Progress bars on standard error. indicatif draws none where that is no terminal.
 
 use indicatif::{ProgressBar, ProgressStyle};
+use parking_lot::Mutex;
 
-/// At most one bar: the scene's bytes, then the frames.
+/// One bar at a time: the scene's bytes, then the frames.
 #[derive(Debug)]
 pub(crate) struct Progress {
-    wanted: bool,
+    enabled: bool,
     bar: Mutex<Option<(Stage, ProgressBar)>>,
 }
 
@@ -19,32 +17,29 @@ enum Stage {
 }
 
 impl Progress {
-    pub(crate) fn new(wanted: bool) -> Self {
-        Self { wanted, bar: Mutex::new(None) }
+    pub(crate) fn new(enabled: bool) -> Self {
+        Self { enabled, bar: Mutex::new(None) }
     }
 
-    /// So many of the scene's bytes have come.
     pub(crate) fn fetching(&self, have: u64, length: u64) {
         self.show(Stage::Fetching, have, length);
     }
 
-    /// So many frames are drawn.
     pub(crate) fn drawing(&self, done: u32, frames: u32) {
         self.show(Stage::Drawing, done.into(), frames.into());
     }
 
-    /// Takes the bar away.
     pub(crate) fn finish(&self) {
-        if let Some((_, bar)) = self.bar.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        if let Some((_, bar)) = self.bar.lock().take() {
             bar.finish_and_clear();
         }
     }
 
     fn show(&self, stage: Stage, done: u64, length: u64) {
-        if !self.wanted {
+        if !self.enabled {
             return;
         }
-        let mut bar = self.bar.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut bar = self.bar.lock();
         if bar.as_ref().is_none_or(|(shown, _)| *shown != stage) {
             if let Some((_, old)) = bar.take() {
                 old.finish_and_clear();
@@ -63,7 +58,7 @@ fn new_bar(stage: Stage, length: u64) -> ProgressBar {
         Stage::Drawing => "frames {wide_bar} {pos}/{len} ({per_sec}, {eta} left)",
     };
     let bar = ProgressBar::new(length);
-    // A template that does not parse would cost the bar's looks, not the run.
+    // A broken template must not end the run.
     if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style);
     }

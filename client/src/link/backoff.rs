@@ -1,11 +1,10 @@
-//! How long to wait between attempts to reach a server: quickly at first, then calmly, and never in step with everybody else.
+//! Pauses between attempts to reach a server: exponential backoff with jitter.
 
 use std::time::Duration;
 
-/// The first pause.
 const FIRST: Duration = Duration::from_millis(250);
 
-/// The longest pause. A server that comes back is found within it and a handshake: clients are to be back within 3 s.
+/// The longest pause. It and a handshake bound how fast a server that comes back is found: 3 s is the target.
 const LONGEST: Duration = Duration::from_millis(1800);
 
 /// Pauses that double up to [`LONGEST`], each shortened by up to a quarter.
@@ -16,14 +15,13 @@ pub(crate) struct Backoff {
 }
 
 impl Backoff {
-    /// `seed` sets this client apart from others that have lost the same server.
+    /// `seed` keeps clients that have lost the same server out of step.
     pub(crate) fn new(seed: u64) -> Self {
         Self { next: FIRST, state: seed }
     }
 
-    /// The next pause.
-    pub(crate) fn pause(&mut self) -> Duration {
-        // SplitMix64: how far apart clients are matters, not how well the numbers are mixed.
+    pub(crate) fn next_pause(&mut self) -> Duration {
+        // SplitMix64.
         self.state = self.state.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut mixed = (self.state ^ (self.state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
@@ -42,7 +40,7 @@ mod tests {
     fn pauses_grow_to_their_bound_and_differ_between_clients() {
         let pauses = |seed| {
             let mut backoff = Backoff::new(seed);
-            std::array::from_fn::<Duration, 8, _>(|_| backoff.pause())
+            std::array::from_fn::<Duration, 8, _>(|_| backoff.next_pause())
         };
         let ours = pauses(1);
         for (index, pause) in ours.iter().enumerate() {

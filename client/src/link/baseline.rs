@@ -1,4 +1,4 @@
-//! Packets of the dissertation's UDP transport (§3.1), on the client.
+//! Receiving over the dissertation's UDP transport (§3.1).
 
 use std::{io, sync::Arc, time::Duration};
 
@@ -6,26 +6,25 @@ use bytes::Bytes;
 use gnomon_protocol::limits::MAX_LAB_PACKET_BYTES;
 use tokio::{net::UdpSocket, sync::mpsc, task::JoinHandle};
 
-/// Packets that may wait while the receive task decodes: four frames of words at 1920×1080. The kernel's own buffer
-/// often holds only three packets of this size.
+/// Packets that may wait while the receive task decodes: four frames of words at 1920×1080. The kernel's buffer often holds
+/// only three packets of this size.
 const WAITING_PACKETS: usize = 512;
 
-/// Packets over UDP, taken off the socket by a task that does nothing else.
-pub(super) struct UdpReceiver {
+/// Packets over UDP. A task of its own empties the socket.
+pub(crate) struct UdpReceiver {
     packets: mpsc::Receiver<io::Result<Bytes>>,
-    packet: Bytes,
     task: JoinHandle<()>,
 }
 
 impl UdpReceiver {
     pub(super) fn new(socket: Arc<UdpSocket>) -> Self {
         let (queue, packets) = mpsc::channel(WAITING_PACKETS);
-        Self { packets, packet: Bytes::new(), task: tokio::spawn(take_packets(socket, queue)) }
+        Self { packets, task: tokio::spawn(receive_all(socket, queue)) }
     }
 
-    pub(super) async fn receive(&mut self) -> io::Result<&[u8]> {
-        self.packet = self.packets.recv().await.ok_or(io::ErrorKind::UnexpectedEof)??;
-        Ok(&self.packet)
+    /// Returns the next packet. Cancel-safe.
+    pub(super) async fn receive(&mut self) -> io::Result<Bytes> {
+        self.packets.recv().await.ok_or(io::ErrorKind::UnexpectedEof)?
     }
 }
 
@@ -35,12 +34,12 @@ impl Drop for UdpReceiver {
     }
 }
 
-async fn take_packets(socket: Arc<UdpSocket>, queue: mpsc::Sender<io::Result<Bytes>>) {
+async fn receive_all(socket: Arc<UdpSocket>, queue: mpsc::Sender<io::Result<Bytes>>) {
     let mut buffer = vec![0; MAX_LAB_PACKET_BYTES];
     loop {
         let received = match socket.recv(&mut buffer).await {
             Ok(length) => Ok(Bytes::copy_from_slice(&buffer[..length])),
-            // The server has closed its port; that its session has ended, the control stream says.
+            // The server has closed its port. The control stream tells whether the session has ended.
             Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {
                 tokio::time::sleep(Duration::from_millis(10)).await;
                 continue;
@@ -48,7 +47,7 @@ async fn take_packets(socket: Arc<UdpSocket>, queue: mpsc::Sender<io::Result<Byt
             Err(error) => Err(error),
         };
         let last = received.is_err();
-        // A packet that finds no room is lost, as it would be in the kernel.
+        // A packet that finds the queue full is lost, as it would be in the kernel.
         let closed = matches!(queue.try_send(received), Err(mpsc::error::TrySendError::Closed(_)));
         if last || closed {
             return;

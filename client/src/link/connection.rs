@@ -1,11 +1,6 @@
 //! A connection to a server over any transport: the control stream, and the data beside it.
 
-use std::{
-    io,
-    net::SocketAddr,
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{io, net::SocketAddr, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use gnomon_protocol::{
@@ -18,37 +13,48 @@ use gnomon_transport::{
 };
 use tokio::{
     io::{AsyncRead, AsyncWrite},
-    net::{UdpSocket, lookup_host},
+    net::UdpSocket,
+    time::timeout,
 };
 
 use super::{
     baseline::UdpReceiver,
-    quic::{self, QuicError, Trust},
+    quic::{self, Trust},
+    resolve::first_reachable,
     url::{ServerUrl, Transport},
 };
 use crate::error::ClientError;
 
-/// How long the farewell may take.
-const FAREWELL: Duration = Duration::from_millis(500);
+/// Time for each of the two steps that end a connection.
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// How long the server may leave a control message unread.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// A server that has been connected to.
-pub(crate) struct Link {
+/// A connection that carries no frames yet.
+pub(crate) struct ServerConnection {
     pub(crate) reader: ControlReader<ServerMessage>,
     pub(crate) writer: ControlWriter<ClientMessage>,
-    kind: LinkKind,
+    transport: TransportHandle,
     server: SocketAddr,
 }
 
-enum LinkKind {
+enum TransportHandle {
     Quic(quinn::Endpoint, quinn::Connection),
     LabUdp,
     LabTcp,
 }
 
-/// Poses go out here.
+/// A connection that is ready for poses and masks.
+pub(crate) struct OpenConnection {
+    pub(crate) reader: ControlReader<ServerMessage>,
+    pub(crate) writer: ControlWriter<ClientMessage>,
+    pub(crate) sender: DataSender,
+    pub(crate) receiver: DataReceiver,
+    pub(crate) quic: QuicHandle,
+}
+
+/// Poses and feedback go out here.
 pub(crate) enum DataSender {
     Quic(quinn::Connection),
     Udp(Arc<UdpSocket>),
@@ -56,99 +62,63 @@ pub(crate) enum DataSender {
 }
 
 /// Frame packets come in here.
-pub(crate) struct DataReceiver(Receiver);
-
-enum Receiver {
-    Quic { connection: quinn::Connection, datagram: Bytes },
+pub(crate) enum DataReceiver {
+    Quic(quinn::Connection),
     Udp(UdpReceiver),
-    Tcp { stream: PacketReader, packet: Bytes },
+    Tcp(PacketReader),
 }
 
-/// Counts what comes in over a link.
-#[derive(Debug)]
-pub(crate) struct Watcher(Option<quinn::Connection>);
+/// QUIC's own end of a connection. Empty for the lab transports, which end when their sockets are dropped.
+#[derive(Debug, Clone)]
+pub(crate) struct QuicHandle(Option<(quinn::Endpoint, quinn::Connection)>);
 
-impl Watcher {
-    /// UDP datagrams that have come, whatever was in them; `None` where the link ends by itself when the server does.
-    pub(crate) fn arrived(&self) -> Option<u64> {
-        self.0.as_ref().map(|connection| connection.stats().udp_rx.datagrams)
-    }
-}
-
-/// What is left of a link when its data is in other hands.
-#[derive(Debug)]
-pub(crate) struct Closer(Option<(quinn::Endpoint, quinn::Connection)>);
-
-impl Link {
-    /// Connects to `url`, within `patience`.
-    pub(crate) async fn connect(url: &ServerUrl, patience: Duration) -> Result<Self, ClientError> {
-        let failed = |reason: String| ClientError::Connect { url: Box::new(url.clone()), reason };
-        let unreachable = || ClientError::Unreachable { url: Box::new(url.clone()), after: patience };
-        let found = tokio::time::timeout(patience, lookup_host((url.host.as_str(), url.port)))
-            .await
-            .map_err(|_| unreachable())?
-            .map_err(|error| failed(format!("host {:?}: {error}", url.host)))?;
-        let mut addresses: Vec<SocketAddr> = found.collect();
-        // UDP to a port where nobody listens just gets no answer; IPv4 is what a name on a small network means.
-        addresses.sort_by_key(SocketAddr::is_ipv6);
-        let deadline = Instant::now() + patience;
-        let mut last = failed(format!("host {:?} has no address", url.host));
-        for (tried, address) in addresses.iter().enumerate() {
-            let untried = u32::try_from(addresses.len() - tried).unwrap_or(u32::MAX);
-            let share = deadline.saturating_duration_since(Instant::now()) / untried;
-            match tokio::time::timeout(share, Self::connect_to(url, *address)).await {
-                Ok(Ok(link)) => return Ok(link),
-                Ok(Err(error)) => last = error,
-                Err(_) => last = unreachable(),
-            }
-        }
-        Err(last)
+impl ServerConnection {
+    /// Connects to `url`.
+    ///
+    /// # Errors
+    /// Errors if no address answers within `limit`, or the server shows another certificate.
+    pub(crate) async fn connect(url: &ServerUrl, limit: Duration) -> Result<Self, ClientError> {
+        first_reachable(url, limit, |address| Self::connect_to(url, address)).await
     }
 
     async fn connect_to(url: &ServerUrl, server: SocketAddr) -> Result<Self, ClientError> {
         let failed = |reason: String| ClientError::Connect { url: Box::new(url.clone()), reason };
-        let kind = match url.transport {
+        let transport = match url.transport {
             Transport::Quic => {
                 let trust = match (url.certificate, &url.ca) {
                     (Some(digest), _) => Trust::Pinned(digest),
                     (None, Some(file)) => Trust::Authority { file, name: &url.host },
                     (None, None) => return Err(failed("the URL names no certificate".to_owned())),
                 };
-                let (endpoint, connection) = quic::connect(server, trust).await.map_err(|error| match error {
-                    QuicError::Certificate => ClientError::Certificate(Box::new(url.clone())),
-                    QuicError::TimedOut => {
-                        ClientError::Unreachable { url: Box::new(url.clone()), after: quic::IDLE_TIMEOUT }
-                    }
-                    QuicError::Spoilt(reason) | QuicError::Other(reason) => failed(reason),
-                })?;
+                let (endpoint, connection) =
+                    quic::connect(server, trust).await.map_err(|error| error.at_server(url))?;
                 let (writer, reader) = connection.open_bi().await.map_err(|error| failed(error.to_string()))?;
-                let kind = LinkKind::Quic(endpoint, connection);
-                return Ok(Self::new(reader, writer, kind, server));
+                return Ok(Self::new(reader, writer, TransportHandle::Quic(endpoint, connection), server));
             }
-            Transport::LabUdp => LinkKind::LabUdp,
-            Transport::LabTcp => LinkKind::LabTcp,
+            Transport::LabUdp => TransportHandle::LabUdp,
+            Transport::LabTcp => TransportHandle::LabTcp,
         };
         let stream = baseline::connect_tcp(server).await.map_err(|error| {
-            let transport = url.transport.name();
-            failed(format!("{error}; is gnomon-server running there with --transport {transport}?"))
+            let name = url.transport.name();
+            failed(format!("{error}; is gnomon-server running there with --transport {name}?"))
         })?;
         let (reader, writer) = stream.into_split();
-        Ok(Self::new(reader, writer, kind, server))
+        Ok(Self::new(reader, writer, transport, server))
     }
 
     fn new(
         reader: impl AsyncRead + Send + Unpin + 'static,
         writer: impl AsyncWrite + Send + Unpin + 'static,
-        kind: LinkKind,
+        transport: TransportHandle,
         server: SocketAddr,
     ) -> Self {
         let reader = ControlReader::new(reader, MAX_MESSAGE_BYTES);
-        Self { reader, writer: ControlWriter::new(writer, WRITE_TIMEOUT), kind, server }
+        Self { reader, writer: ControlWriter::new(writer, WRITE_TIMEOUT), transport, server }
     }
 
-    /// The server's reason when it closed the connection with one.
+    /// Returns why the connection closed; the server's own reason if it gave one. `None` while it is open, and on lab transports.
     pub(crate) fn close_reason(&self) -> Option<String> {
-        let LinkKind::Quic(_, connection) = &self.kind else { return None };
+        let TransportHandle::Quic(_, connection) = &self.transport else { return None };
         match connection.close_reason()? {
             quinn::ConnectionError::ApplicationClosed(close) if !close.reason.is_empty() => {
                 Some(String::from_utf8_lossy(&close.reason).into_owned())
@@ -157,39 +127,39 @@ impl Link {
         }
     }
 
-    /// Opens what carries the data, and takes the link apart.
-    pub(crate) async fn open_data(
-        self,
-        welcome: &Welcome,
-    ) -> io::Result<(ControlReader<ServerMessage>, ControlWriter<ClientMessage>, DataSender, DataReceiver, Closer)>
-    {
+    /// Opens the way for poses and masks.
+    ///
+    /// # Errors
+    /// Errors on lab transports if the server's data port cannot be reached.
+    pub(crate) async fn open_data(self, welcome: &Welcome) -> io::Result<OpenConnection> {
         let data_server = || {
             let port = welcome.data_port.ok_or_else(|| io::Error::other("the server named no data port"))?;
             Ok::<_, io::Error>(SocketAddr::new(self.server.ip(), port))
         };
-        let mut closer = Closer(None);
-        let (sender, receiver) = match self.kind {
-            LinkKind::Quic(endpoint, connection) => {
-                closer.0 = Some((endpoint, connection.clone()));
-                let receiver = Receiver::Quic { connection: connection.clone(), datagram: Bytes::new() };
-                (DataSender::Quic(connection), receiver)
+        let (sender, receiver, quic) = match self.transport {
+            TransportHandle::Quic(endpoint, connection) => {
+                let (sender, receiver) = (DataSender::Quic(connection.clone()), DataReceiver::Quic(connection.clone()));
+                (sender, receiver, Some((endpoint, connection)))
             }
-            LinkKind::LabUdp => {
+            TransportHandle::LabUdp => {
                 let socket = Arc::new(baseline::connect_udp(data_server()?).await?);
-                (DataSender::Udp(Arc::clone(&socket)), Receiver::Udp(UdpReceiver::new(socket)))
+                (DataSender::Udp(Arc::clone(&socket)), DataReceiver::Udp(UdpReceiver::new(socket)), None)
             }
-            LinkKind::LabTcp => {
+            TransportHandle::LabTcp => {
                 let (read, write) = baseline::connect_tcp(data_server()?).await?.into_split();
-                let stream = PacketReader::new(read, MAX_LAB_PACKET_BYTES);
-                (DataSender::Tcp(PacketWriter::new(write)), Receiver::Tcp { stream, packet: Bytes::new() })
+                let receiver = DataReceiver::Tcp(PacketReader::new(read, MAX_LAB_PACKET_BYTES));
+                (DataSender::Tcp(PacketWriter::new(write)), receiver, None)
             }
         };
-        Ok((self.reader, self.writer, sender, DataReceiver(receiver), closer))
+        Ok(OpenConnection { reader: self.reader, writer: self.writer, sender, receiver, quic: QuicHandle(quic) })
     }
 }
 
 impl DataSender {
-    /// Sends one packet. A datagram that does not get through is the next one's business.
+    /// Sends one packet. It may be lost, as any datagram.
+    ///
+    /// # Errors
+    /// Errors if the connection is gone.
     pub(crate) async fn send(&mut self, packet: &[u8]) -> io::Result<()> {
         match self {
             Self::Quic(connection) => {
@@ -205,39 +175,36 @@ impl DataSender {
 }
 
 impl DataReceiver {
-    /// The next packet.
-    pub(crate) async fn receive(&mut self) -> io::Result<&[u8]> {
-        match &mut self.0 {
-            Receiver::Quic { connection, datagram } => {
-                *datagram = connection.read_datagram().await.map_err(io::Error::other)?;
-                Ok(datagram)
-            }
-            Receiver::Udp(receiver) => receiver.receive().await,
-            Receiver::Tcp { stream, packet } => {
-                *packet = stream.receive().await?;
-                Ok(packet)
-            }
+    /// Returns the next packet. Cancel-safe.
+    ///
+    /// # Errors
+    /// Errors if the connection is gone.
+    pub(crate) async fn receive(&mut self) -> io::Result<Bytes> {
+        match self {
+            Self::Quic(connection) => connection.read_datagram().await.map_err(io::Error::other),
+            Self::Udp(receiver) => receiver.receive().await,
+            Self::Tcp(stream) => stream.receive().await,
         }
     }
 }
 
-impl Closer {
-    /// Counts what comes in.
-    pub(crate) fn watcher(&self) -> Watcher {
-        Watcher(self.0.as_ref().map(|(_, connection)| connection.clone()))
+impl QuicHandle {
+    /// Returns the UDP datagrams that have arrived, whatever was in them; `None` on lab transports.
+    pub(crate) fn datagrams_received(&self) -> Option<u64> {
+        self.0.as_ref().map(|(_, connection)| connection.stats().udp_rx.datagrams)
     }
 
-    /// QUIC's own measure of the round trip.
-    pub(crate) fn rtt(&self) -> Option<Duration> {
+    /// Returns QUIC's estimate of the round trip; `None` on lab transports.
+    pub(crate) fn round_trip(&self) -> Option<Duration> {
         self.0.as_ref().map(|(_, connection)| connection.rtt())
     }
 
-    /// Waits a moment for the server to end the connection, then ends it.
+    /// Closes the connection. Gives the server a moment to close it first.
     pub(crate) async fn close(self) {
         if let Some((endpoint, connection)) = self.0 {
-            let _ = tokio::time::timeout(FAREWELL, connection.closed()).await;
+            let _ = timeout(CLOSE_TIMEOUT, connection.closed()).await;
             connection.close(0_u32.into(), b"done");
-            let _ = tokio::time::timeout(FAREWELL, endpoint.wait_idle()).await;
+            let _ = timeout(CLOSE_TIMEOUT, endpoint.wait_idle()).await;
         }
     }
 }

@@ -1,84 +1,85 @@
-//! What a session's tasks notice about their link while it lives: that the server is silent, or is about to stop.
+//! What a session's tasks learn about a link that is up: the server is silent, or is about to stop.
 
 use std::{
-    sync::{Arc, Mutex, PoisonError},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
-use super::connection::Watcher;
+use parking_lot::Mutex;
 
-/// A live server answers a ping a second, and every one of them is acknowledged besides. So much silence is an outage: the connection
-/// may outlive it, but a new one is tried beside it.
-pub(crate) const SILENCE: Duration = Duration::from_secs(2);
+use super::connection::QuicHandle;
 
-/// How often it is looked whether something has come.
-const GLANCE: Duration = Duration::from_millis(200);
+/// Silence that counts as an outage: a server answers one ping a second. The connection may outlive it, but a new one is tried
+/// beside it.
+const OUTAGE: Duration = Duration::from_secs(2);
 
-/// A server's notice that it stops.
+const CHECK_INTERVAL: Duration = Duration::from_millis(200);
+
+/// A server's notice that it is about to stop.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Draining {
     pub(crate) reason: String,
     pub(crate) deadline: Instant,
-    /// URL of a server to go to.
+    /// URL of the server to go to.
     pub(crate) alternative: Option<String>,
 }
 
-/// How a link does.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Health {
-    /// Whether nothing at all has come for [`SILENCE`].
+    /// Nothing has arrived for [`OUTAGE`].
     pub(crate) silent: bool,
     pub(crate) draining: Option<Draining>,
 }
 
-/// The health of one session: its tasks write it, the renderer reads it.
+/// The health of one session. Its tasks write it, the renderer reads it.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct HealthCell(Arc<Mutex<Health>>);
 
 impl HealthCell {
     pub(crate) fn get(&self) -> Health {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.0.lock().clone()
     }
 
-    pub(crate) fn change(&self, change: impl FnOnce(&mut Health)) {
-        change(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner));
+    pub(crate) fn update(&self, change: impl FnOnce(&mut Health)) {
+        change(&mut self.0.lock());
     }
 }
 
-/// Watches what arrives, for ever. Links that end by themselves when the server does are not watched.
-pub(crate) async fn watch_silence(watcher: Watcher, health: HealthCell) {
-    let mut glances = tokio::time::interval(GLANCE);
-    glances.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+/// Watches what arrives, for ever. Lab transports end when the server does, and need no watching.
+pub(crate) async fn watch_silence(quic: QuicHandle, health: HealthCell) {
+    let mut checks = tokio::time::interval(CHECK_INTERVAL);
+    checks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     let mut silence = Silence::new(Instant::now());
     loop {
-        glances.tick().await;
-        let Some(arrived) = watcher.arrived() else { return std::future::pending().await };
-        let silent = silence.glance(arrived, Instant::now());
-        health.change(|health| health.silent = silent);
+        checks.tick().await;
+        let Some(received) = quic.datagrams_received() else { return std::future::pending().await };
+        let silent = silence.check(received, Instant::now());
+        health.update(|health| health.silent = silent);
     }
 }
 
-/// How long a counter has stood still.
+/// Measures how long a counter has stood still.
 #[derive(Debug)]
 struct Silence {
-    arrived: u64,
+    received: u64,
     since: Instant,
-    glanced_at: Instant,
+    checked_at: Instant,
 }
 
 impl Silence {
     fn new(now: Instant) -> Self {
-        Self { arrived: 0, since: now, glanced_at: now }
+        Self { received: 0, since: now, checked_at: now }
     }
 
-    fn glance(&mut self, arrived: u64, now: Instant) -> bool {
-        // Who slept through several glances was stopped itself, and has not listened meanwhile.
-        let slept = now.saturating_duration_since(self.glanced_at) > GLANCE * 4;
-        self.glanced_at = now;
-        if arrived != self.arrived || slept {
-            (self.arrived, self.since) = (arrived, now);
+    /// Returns whether the silence counts as an outage.
+    fn check(&mut self, received: u64, now: Instant) -> bool {
+        // A process that was stopped for several checks did not listen meanwhile.
+        let slept = now.saturating_duration_since(self.checked_at) > CHECK_INTERVAL * 4;
+        self.checked_at = now;
+        if received != self.received || slept {
+            (self.received, self.since) = (received, now);
         }
-        now.saturating_duration_since(self.since) >= SILENCE
+        now.saturating_duration_since(self.since) >= OUTAGE
     }
 }
 
@@ -87,11 +88,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn silence_is_what_lasts_while_somebody_listens() {
+    fn silence_counts_only_while_the_client_listens() {
         let start = Instant::now();
         let at = |ms: u64| start + Duration::from_millis(ms);
         let mut silence = Silence::new(start);
-        for (arrived, ms, silent) in [
+        for (received, ms, silent) in [
             (1, 200, false),
             (2, 400, false),
             (2, 600, false),
@@ -100,11 +101,11 @@ mod tests {
             (2, 2400, true),
             (2, 2600, true),
             (3, 2800, false),
-            // The client itself was stopped for a minute.
+            // The client was stopped for a minute.
             (3, 62_800, false),
             (3, 63_000, false),
         ] {
-            assert_eq!(silence.glance(arrived, at(ms)), silent, "at {ms} ms");
+            assert_eq!(silence.check(received, at(ms)), silent, "at {ms} ms");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The client's side of the network: connect, introduce itself, fetch the scene, then poses out and masks in.
+//! The network: connect, say Hello, fetch the scene; then poses out and masks in.
 
 mod backoff;
 mod baseline;
@@ -9,6 +9,7 @@ mod quic;
 pub(crate) mod receive;
 pub mod receive_options;
 pub(crate) mod reconnect;
+mod resolve;
 pub mod scene_cache;
 mod send;
 pub(crate) mod session;

@@ -1,4 +1,4 @@
-//! The QUIC connection: whose certificate is accepted, and how quinn is set up.
+//! QUIC connections: which certificate is accepted, and how quinn is set up.
 
 use std::{
     net::SocketAddr,
@@ -22,28 +22,32 @@ use rustls::{
     pki_types::{CertificateDer, ServerName, UnixTime, pem::PemObject as _},
 };
 
-/// A server that says nothing for so long is gone.
-pub(crate) const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
+use super::url::ServerUrl;
+use crate::error::ClientError;
 
-/// How often an idle connection says that it is alive.
+/// Silence after which the connection is lost.
+const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Interval of keep-alives on an idle connection.
 const KEEP_ALIVE: Duration = Duration::from_secs(2);
 
 /// Bytes in flight before the first acknowledgement: some hundred poses.
 const INITIAL_WINDOW_BYTES: u64 = 64 * 1024;
 
-/// Packets of some frames of words at 1920×1080, 8 MB each: the receive task may be busy decoding.
+/// Datagrams that may wait while the receive task decodes: some frames of words at 1920×1080, 8 MB each.
 const DATAGRAM_RECEIVE_BYTES: usize = 32 << 20;
 
-/// Poses that may wait: quinn drops the oldest when there are more.
+/// Poses that may wait. quinn drops the oldest beyond that.
 const DATAGRAM_SEND_BYTES: usize = 1024;
 
-/// Accepts exactly one certificate: the one with the digest that the URL has; any, where there is no digest to hold it to. Its names and dates do not matter, since
-/// whoever holds its key is the server that printed the URL.
+/// Accepts the one certificate that has the pinned digest, or any if none is pinned.
+///
+/// Names and dates in it do not matter: whoever holds its key is the server that printed the URL.
 #[derive(Debug)]
 struct Pinned {
     digest: Option<[u8; 32]>,
     provider: Arc<CryptoProvider>,
-    /// Whether another certificate was shown.
+    /// Set when another certificate was shown.
     refused: Arc<AtomicBool>,
 }
 
@@ -87,76 +91,79 @@ impl ServerCertVerifier for Pinned {
     }
 }
 
-/// Why a QUIC connection was not made.
+/// Why a QUIC handshake failed.
 #[derive(Debug)]
-pub(crate) enum QuicError {
-    /// The server has another certificate.
+pub(super) enum QuicError {
+    /// The server shows another certificate than the pinned one.
     Certificate,
     /// The server does not answer.
     TimedOut,
-    /// A packet came that no server of ours sends, or an answer to one that this client has not sent: it was spoilt on its way.
-    Spoilt(String),
-    /// Anything else.
+    /// The path corrupted a packet: our servers send no such answer.
+    Corrupted(String),
     Other(String),
 }
 
 impl QuicError {
-    /// Whether another handshake would end like this one.
+    /// Returns whether another handshake would fail alike.
     const fn is_final(&self) -> bool {
+        matches!(self, Self::Certificate | Self::Other(_))
+    }
+
+    pub(super) fn at_server(self, url: &ServerUrl) -> ClientError {
+        let url = Box::new(url.clone());
         match self {
-            Self::Certificate | Self::Other(_) => true,
-            Self::TimedOut | Self::Spoilt(_) => false,
+            Self::Certificate => ClientError::Certificate(url),
+            Self::TimedOut => ClientError::Unreachable { url, after: IDLE_TIMEOUT },
+            Self::Corrupted(reason) | Self::Other(reason) => ClientError::Connect { url, reason },
         }
     }
 }
 
-/// A handshake that has not succeeded for so long is helped by another one beside it: each lost packet makes it wait twice as long.
-const HELP_AFTER: Duration = Duration::from_millis(1500);
+/// Time after which another handshake starts beside one that has not finished: each lost packet doubles a handshake's wait.
+const NEXT_HANDSHAKE: Duration = Duration::from_millis(1500);
 
-/// Handshakes with one server, one after the other has not succeeded.
-const HANDSHAKES: usize = 6;
+/// Handshakes that are tried with one address.
+const MAX_HANDSHAKES: usize = 6;
 
-/// Whose certificate is believed.
+/// Which certificate is accepted.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Trust<'a> {
-    /// The one with this SHA-256, whatever it says.
+pub(super) enum Trust<'a> {
+    /// The one with this SHA-256, whatever names and dates it has.
     Pinned([u8; 32]),
-    /// Any: a first visit looks which one is there.
+    /// Any, to fetch it on a first visit.
     FirstUse,
-    /// One for this name that an authority of the PEM file vouches for.
-    Authority {
-        /// The file.
-        file: &'a Path,
-        /// The server's name.
-        name: &'a str,
-    },
+    /// One for `name` that an authority in the PEM `file` has signed.
+    Authority { file: &'a Path, name: &'a str },
 }
 
-/// Connects to the server at `address`, whose certificate has to be what `trust` says. On a network that loses or spoils many packets one
-/// handshake may fail, so the first of several wins.
-pub(crate) async fn connect(
+/// Connects to the server at `address`. On a network that loses or corrupts many packets one handshake may fail, so several
+/// run side by side and the first success wins.
+///
+/// # Errors
+/// Errors if the server shows a certificate that `trust` does not accept, or all handshakes fail.
+pub(super) async fn connect(
     address: SocketAddr,
     trust: Trust<'_>,
 ) -> Result<(quinn::Endpoint, quinn::Connection), QuicError> {
     let refused = Arc::new(AtomicBool::new(false));
     let config = config(trust, Arc::clone(&refused)).map_err(|error| QuicError::Other(error.to_string()))?;
-    // Where a digest is pinned the name is not looked at, and need not be one that a certificate can have.
+    // A pinned certificate is accepted whatever the name.
     let name = if let Trust::Authority { name, .. } = trust { name } else { "gnomon" };
     let mut attempts = tokio::task::JoinSet::new();
     let (mut begun, mut next_at) = (0, tokio::time::Instant::now());
     loop {
         let ended = tokio::select! {
-            () = tokio::time::sleep_until(next_at), if begun < HANDSHAKES => {
+            () = tokio::time::sleep_until(next_at), if begun < MAX_HANDSHAKES => {
                 attempts.spawn(handshake(address, name.to_owned(), config.clone(), Arc::clone(&refused)));
                 begun += 1;
-                next_at += HELP_AFTER;
+                next_at += NEXT_HANDSHAKE;
                 continue;
             }
             Some(ended) = attempts.join_next() => ended,
         };
         match ended {
             Ok(Ok(connected)) => return Ok(connected),
-            Ok(Err(error)) if begun == HANDSHAKES && attempts.is_empty() || error.is_final() => return Err(error),
+            Ok(Err(error)) if begun == MAX_HANDSHAKES && attempts.is_empty() || error.is_final() => return Err(error),
             Ok(Err(_)) => {}
             Err(broken) => return Err(QuicError::Other(broken.to_string())),
         }
@@ -184,7 +191,7 @@ async fn handshake(
         | quinn::ConnectionError::Reset
             if !refused.load(Ordering::Relaxed) =>
         {
-            QuicError::Spoilt(error.to_string())
+            QuicError::Corrupted(error.to_string())
         }
         _ if refused.load(Ordering::Relaxed) => QuicError::Certificate,
         error => other(&error),
@@ -192,8 +199,8 @@ async fn handshake(
     Ok((endpoint, connection))
 }
 
-/// SHA-256 of the certificate that the server has shown.
-pub(crate) fn certificate_of(connection: &quinn::Connection) -> Option<[u8; 32]> {
+/// Returns the SHA-256 of the certificate that the server has shown.
+pub(super) fn certificate_sha256(connection: &quinn::Connection) -> Option<[u8; 32]> {
     let chain = connection.peer_identity()?.downcast::<Vec<CertificateDer<'static>>>().ok()?;
     sha256(chain.first()?)
 }
@@ -225,7 +232,7 @@ fn config(
     Ok(config)
 }
 
-/// The authorities in a PEM file.
+/// Reads the authorities in a PEM file.
 fn authorities(path: &Path) -> Result<rustls::RootCertStore, Box<dyn std::error::Error + Send + Sync>> {
     let unreadable = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
     let mut roots = rustls::RootCertStore::empty();
@@ -235,7 +242,7 @@ fn authorities(path: &Path) -> Result<rustls::RootCertStore, Box<dyn std::error:
     if roots.is_empty() { Err(unreadable(&"it holds no certificate").into()) } else { Ok(roots) }
 }
 
-/// SHA-256, by the library that makes the handshake's own digests; `None` only if it has another name for it one day.
+/// SHA-256, from the library that computes the handshake's own digests.
 fn sha256(bytes: &[u8]) -> Option<[u8; 32]> {
     let suite = rustls::crypto::ring::cipher_suite::TLS13_AES_128_GCM_SHA256.tls13()?;
     suite.common.hash_provider.hash(bytes).as_ref().try_into().ok()

@@ -148,7 +148,7 @@ impl ReceiveTask {
                 whole = self.take_frame(&reassembler, &mut decoder, incomplete)?.or(whole);
                 continue;
             };
-            let packet = packet.map_err(|error| format!("connection lost: {}", root_cause(&error)))?;
+            let packet = &packet.map_err(|error| format!("connection lost: {}", root_cause(&error)))?[..];
             let header = PacketHeader::decode(packet).ok().map(|(header, _)| header);
             if let Some(header) = header.filter(|header| self.requested.is_ahead(header)) {
                 tracing::debug!(frame = ?header.frame, "a packet of a frame that was not asked for yet");

@@ -128,7 +128,7 @@ async fn search(
                 let target = targets[turn % targets.len()].clone();
                 turn += 1;
                 attempts.spawn(attempt(again.clone(), target));
-                next_at = Instant::now() + backoff.pause();
+                next_at = Instant::now() + backoff.next_pause();
                 let retry_at = Some(next_at.into_std());
                 state.send_replace(LinkState::Lost { reason: reason.clone(), retry_at });
             }

@@ -1,5 +1,4 @@
-//! The send task: the newest pose goes out, and the newest that is to be said of the masks and packets that came; what was overtaken before its
-//! turn is not sent.
+//! The send task: sends the newest pose, acknowledgement and loss feedback. What was replaced before its turn is not sent.
 
 use std::{convert::Infallible, io};
 
@@ -13,29 +12,28 @@ use tokio::sync::watch;
 
 use super::connection::DataSender;
 
-/// The newest pose, and the frame that it is for.
-pub(crate) type Outgoing = Option<(FrameNumber, Pose)>;
+/// The newest pose and its frame.
+pub(crate) type OutgoingPose = Option<(FrameNumber, Pose)>;
 
-/// Sends until the link is gone. When nobody gives poses any more, it waits to be stopped.
+/// Sends until the connection is gone. When a channel closes, it waits to be stopped.
 pub(crate) async fn send_poses(
     mut sender: DataSender,
-    mut newest: watch::Receiver<Outgoing>,
-    mut acknowledged: watch::Receiver<Option<Acknowledgement>>,
+    mut poses: watch::Receiver<OutgoingPose>,
+    mut acknowledgements: watch::Receiver<Option<Acknowledgement>>,
     mut losses: watch::Receiver<Option<LossFeedback>>,
 ) -> io::Result<Infallible> {
     let mut sequence = 0_u32;
     loop {
-        // What is said of masks first: the next one is coded against it.
+        // Acknowledgements first: the next mask is coded against what they name.
         tokio::select! {
             biased;
-            changed = acknowledged.changed() => {
-                // When the receive task is gone, so is the session.
+            changed = acknowledgements.changed() => {
                 if changed.is_err() {
                     return std::future::pending().await;
                 }
-                let said = *acknowledged.borrow_and_update();
-                if let Some(said) = said {
-                    sender.send(&said.encode()).await?;
+                let newest = *acknowledgements.borrow_and_update();
+                if let Some(acknowledgement) = newest {
+                    sender.send(&acknowledgement.encode()).await?;
                 }
                 continue;
             }
@@ -43,19 +41,19 @@ pub(crate) async fn send_poses(
                 if changed.is_err() {
                     return std::future::pending().await;
                 }
-                let told = *losses.borrow_and_update();
-                if let Some(told) = told {
-                    sender.send(&told.encode()).await?;
+                let newest = *losses.borrow_and_update();
+                if let Some(feedback) = newest {
+                    sender.send(&feedback.encode()).await?;
                 }
                 continue;
             }
-            changed = newest.changed() => if changed.is_err() {
+            changed = poses.changed() => if changed.is_err() {
                 return std::future::pending().await;
             },
         }
-        // Copied, so that the renderer can hand over the next one while this one is sent.
-        let outgoing = *newest.borrow_and_update();
-        if let Some((frame, pose)) = outgoing {
+        // A copy, so that the renderer can set the next pose while this one is sent.
+        let newest = *poses.borrow_and_update();
+        if let Some((frame, pose)) = newest {
             sender.send(&encode_pose_packet(sequence, frame, &pose)).await?;
             sequence = sequence.wrapping_add(1);
         }

@@ -23,12 +23,12 @@ use tokio::{
 };
 
 use super::{
-    connection::{Closer, Link},
+    connection::{OpenConnection, QuicHandle, ServerConnection},
     health::{Draining, Health, HealthCell, watch_silence},
     receive::{Counters, ReceiveTask, Received, Requested},
     receive_options::Reception,
     reconnect::Again,
-    send::{Outgoing, send_poses},
+    send::{OutgoingPose, send_poses},
     url::ServerUrl,
 };
 use crate::{
@@ -71,14 +71,14 @@ pub(crate) fn rate_hz(fps: Option<f64>) -> u16 {
 /// An admitted client.
 pub(crate) struct Admitted {
     url: ServerUrl,
-    link: Link,
+    link: ServerConnection,
     introduction: Introduction,
     pub(crate) welcome: Welcome,
 }
 
 /// Connects and introduces the client.
 pub(crate) async fn admit(url: &ServerUrl, introduction: &Introduction) -> Result<Admitted, ClientError> {
-    let mut link = Link::connect(url, introduction.connect_timeout).await?;
+    let mut link = ServerConnection::connect(url, introduction.connect_timeout).await?;
     let hello = ClientMessage::Hello(Hello {
         version: PROTOCOL_VERSION,
         token: introduction.token.clone(),
@@ -118,7 +118,7 @@ fn unexpected(url: ServerUrl, message: &ServerMessage) -> ClientError {
     ClientError::Protocol { url: Box::new(url), reason: format!("{name} came when it should not") }
 }
 
-fn broken(url: ServerUrl, link: &Link, source: ControlError) -> ClientError {
+fn broken(url: ServerUrl, link: &ServerConnection, source: ControlError) -> ClientError {
     match (link.close_reason(), &source) {
         (Some(reason), ControlError::Stream(_) | ControlError::Closed | ControlError::Truncated) => {
             ClientError::Connect { url: Box::new(url), reason }
@@ -175,7 +175,7 @@ impl Admitted {
         let scene_digest = self.welcome.scene_digest;
         let again = Again { url: self.url.clone(), introduction, scene_digest, shape, reception: reception.clone() };
         let url = Box::new(self.url);
-        let (reader, writer, sender, receiver, closer) = (self.link.open_data(&self.welcome).await)
+        let OpenConnection { reader, writer, sender, receiver, quic } = (self.link.open_data(&self.welcome).await)
             .map_err(|error| ClientError::Connect { url, reason: format!("data: {error}") })?;
         let (mask_writer, mask_reader) = mask_buffer(shape);
         let (poses, outgoing) = watch::channel(None);
@@ -195,10 +195,10 @@ impl Admitted {
         let (round_trip, health) = (Arc::new(Mutex::new(None)), HealthCell::default());
         let (leave, left) = oneshot::channel();
         let conversation = Conversation { reader, writer, round_trip: Arc::clone(&round_trip), health: health.clone() };
-        let silence = watch_silence(closer.watcher(), health.clone());
+        let silence = watch_silence(quic.clone(), health.clone());
         let tasks =
             tokio::spawn(tasks(conversation, task, send_poses(sender, outgoing, acknowledged, losses), silence, left));
-        let session = Session { poses, counters, requested, round_trip, health, closer, leave, tasks, again };
+        let session = Session { poses, counters, requested, round_trip, health, quic, leave, tasks, again };
         Ok((session, mask_reader))
     }
 }
@@ -206,12 +206,12 @@ impl Admitted {
 /// A session that runs.
 #[derive(Debug)]
 pub(crate) struct Session {
-    poses: watch::Sender<Outgoing>,
+    poses: watch::Sender<OutgoingPose>,
     counters: Counters,
     requested: Requested,
     round_trip: Arc<Mutex<Option<Duration>>>,
     health: HealthCell,
-    closer: Closer,
+    quic: QuicHandle,
     leave: oneshot::Sender<()>,
     tasks: JoinHandle<()>,
     again: Again,
@@ -246,7 +246,7 @@ impl Session {
 
     /// The smoothed round trip of pings, or what the transport measured before the first one was answered.
     pub(crate) fn round_trip(&self) -> Option<Duration> {
-        self.round_trip.lock().unwrap_or_else(PoisonError::into_inner).or_else(|| self.closer.rtt())
+        self.round_trip.lock().unwrap_or_else(PoisonError::into_inner).or_else(|| self.quic.round_trip())
     }
 
     /// Leaves the server in peace.
@@ -254,7 +254,7 @@ impl Session {
         // A session that has ended already needs no farewell.
         let _ = self.leave.send(());
         let _ = self.tasks.await;
-        self.closer.close().await;
+        self.quic.close().await;
     }
 }
 
@@ -347,7 +347,7 @@ impl Conversation {
                         let elsewhere = alternative.as_ref().map(|url| format!("; go on at {url}")).unwrap_or_default();
                         tracing::warn!("the server stops in {deadline_ms} ms: {reason}{elsewhere}");
                         let deadline = Instant::now() + Duration::from_millis(deadline_ms.into());
-                        self.health.change(|health| health.draining = Some(Draining { reason, deadline, alternative }));
+                        self.health.update(|health| health.draining = Some(Draining { reason, deadline, alternative }));
                     }
                     Ok(ServerMessage::Closing { reason }) => return format!("the server closed it: {reason}"),
                     Ok(message @ (ServerMessage::Welcome(_) | ServerMessage::Refused(_) | ServerMessage::SceneChunk { .. })) => {

@@ -1,34 +1,35 @@
-//! The system's events, told to those whom they concern: the overlay, the controls, the screen.
+//! Passes window events to the overlay, the controls and the screen.
 
 use winit::{
     event::{ElementState, MouseButton, MouseScrollDelta, TouchPhase, WindowEvent},
     keyboard::{Key, NamedKey, PhysicalKey},
 };
 
-use super::keys::{command, move_key};
-use super::{App, Opened};
+use super::{
+    app::{App, View},
+    keys::{command, move_key},
+};
 
-/// Most commands that wait for the next frame.
-const MOST_COMMANDS: usize = 64;
+/// Commands that may wait for the next frame.
+const MAX_COMMANDS: usize = 64;
 
-/// Pixels of a touchpad that count as a notch of a wheel.
+/// Pixels of a touchpad that count as one notch of a wheel.
 const PX_PER_NOTCH: f64 = 60.0;
 
 impl App {
-    /// Takes an event's part in everything.
-    pub(super) fn note(&mut self, event: &WindowEvent) {
-        let Some(Opened { window, screen, egui }) = &mut self.opened else { return };
-        // Tab would go through the overlay's choices, each of which has a key of its own.
+    pub(super) fn handle_event(&mut self, event: &WindowEvent) {
+        let Some(View { window, screen, egui }) = &mut self.view else { return };
+        // Tab would cycle through the overlay's widgets, each of which has a key of its own.
         let tab = matches!(event, WindowEvent::KeyboardInput { event, .. }
             if event.logical_key == Key::Named(NamedKey::Tab));
-        let overlay_has_it = !tab && egui.on_window_event(window, event).consumed;
+        let consumed = !tab && egui.on_window_event(window, event).consumed;
         let controls = &mut self.controls;
         match event {
             WindowEvent::Resized(size) => {
                 screen.resize((size.width, size.height));
-                self.unseen = size.width == 0 || size.height == 0;
+                self.hidden = size.width == 0 || size.height == 0;
             }
-            WindowEvent::Occluded(occluded) => self.unseen = *occluded,
+            WindowEvent::Occluded(occluded) => self.hidden = *occluded,
             WindowEvent::Focused(false) => controls.let_go(),
             WindowEvent::KeyboardInput { event, .. } => {
                 let down = event.state == ElementState::Pressed;
@@ -38,7 +39,7 @@ impl App {
                     controls.held.set(key, down);
                 } else if down
                     && !event.repeat
-                    && self.commands.len() < MOST_COMMANDS
+                    && self.commands.len() < MAX_COMMANDS
                     && let Some(command) = command(&event.logical_key)
                 {
                     self.commands.push(command);
@@ -46,16 +47,16 @@ impl App {
             }
             WindowEvent::CursorMoved { position, .. } => controls.pointer_at(position.x, position.y),
             WindowEvent::MouseInput { state, button: MouseButton::Left | MouseButton::Right, .. } => {
-                controls.drag(*state == ElementState::Pressed && !overlay_has_it);
+                controls.drag(*state == ElementState::Pressed && !consumed);
             }
-            WindowEvent::MouseWheel { delta, .. } if !overlay_has_it => controls.wheel(match delta {
+            WindowEvent::MouseWheel { delta, .. } if !consumed => controls.wheel(match delta {
                 MouseScrollDelta::LineDelta(_, lines) => f64::from(*lines),
                 MouseScrollDelta::PixelDelta(position) => position.y / PX_PER_NOTCH,
             }),
             WindowEvent::Touch(touch) => {
                 let (x, y) = (touch.location.x, touch.location.y);
                 match touch.phase {
-                    TouchPhase::Started if !overlay_has_it => controls.touches.begin(touch.id, x, y),
+                    TouchPhase::Started if !consumed => controls.touches.begin(touch.id, x, y),
                     TouchPhase::Started => {}
                     TouchPhase::Moved => controls.touches.go(touch.id, x, y),
                     TouchPhase::Ended | TouchPhase::Cancelled => controls.touches.end(touch.id),

@@ -1,10 +1,10 @@
-//! A gamepad, where there is one.
+//! Gamepads.
 
 use gilrs::{Axis, Button, EventType, Gilrs};
 
 use crate::input::{Sticks, keys::Command};
 
-/// The gamepads of this machine. Without any, or where the system does not let us look, nobody is bothered.
+/// The machine's gamepads. Does nothing if there are none or the system gives no access.
 pub(crate) struct Gamepad {
     gilrs: Option<Gilrs>,
 }
@@ -15,7 +15,7 @@ impl Gamepad {
         Self { gilrs }
     }
 
-    /// What has happened since this was asked last: where the sticks are, and commands.
+    /// Reads the sticks, and passes on the commands since the last call.
     pub(crate) fn poll(&mut self, sticks: &mut Sticks, mut command: impl FnMut(Command)) {
         let Some(gilrs) = &mut self.gilrs else { return };
         let mut changed = false;
@@ -35,7 +35,7 @@ impl Gamepad {
         if !changed {
             return;
         }
-        // The first that does not lie still leads.
+        // The first gamepad whose sticks are moved counts.
         *sticks =
             gilrs.gamepads().map(|(_, pad)| read(&pad)).find(|read| *read != Sticks::default()).unwrap_or_default();
     }

@@ -1,9 +1,9 @@
-//! Which key does what. Walking goes by where a key is, commands by what is written on it.
+//! Key bindings. Movement goes by a key's place on the keyboard, commands by its label.
 
 use gnomon_client_core::input::keys::{Command, MoveKey};
 use winit::keyboard::{Key, KeyCode, NamedKey};
 
-/// The direction of a key, if it has one.
+/// Returns the direction of a key, if it has one.
 #[must_use]
 pub(super) fn move_key(code: KeyCode) -> Option<MoveKey> {
     Some(match code {
@@ -18,7 +18,7 @@ pub(super) fn move_key(code: KeyCode) -> Option<MoveKey> {
     })
 }
 
-/// The command of a key, if it has one.
+/// Returns the command of a key, if it has one.
 #[must_use]
 pub(super) fn command(key: &Key) -> Option<Command> {
     match key {
@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn letters_and_digits_are_commands_whatever_their_case() {
+    fn commands_ignore_case() {
         let of = |text: &str| command(&Key::Character(text.into()));
         assert_eq!(
             (of("f"), of("P"), of("H")),
@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn arrows_walk_as_letters_do() {
+    fn arrows_move_like_letters() {
         for (letter, arrow) in [
             (KeyCode::KeyW, KeyCode::ArrowUp),
             (KeyCode::KeyA, KeyCode::ArrowLeft),

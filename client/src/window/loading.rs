@@ -1,14 +1,15 @@
-//! Getting the scene while the window lives: on a thread of its own, which says how far it is.
+//! Gets the scene on a thread of its own while the window shows the progress.
 
 use std::{
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc,
         mpsc::{Receiver, TryRecvError, sync_channel},
     },
     time::{Duration, Instant},
 };
 
 use gnomon_scene::Scene;
+use parking_lot::Mutex;
 
 use crate::{
     app::connect::{Connected, Step, get_scene},
@@ -20,7 +21,7 @@ use crate::{
     render::exposure::Exposure,
 };
 
-/// All that a picture needs.
+/// All that drawing needs.
 pub(crate) struct Loaded {
     pub(crate) scene: Scene,
     pub(crate) connected: Option<Connected>,
@@ -28,46 +29,49 @@ pub(crate) struct Loaded {
     pub(crate) exposure: Exposure,
 }
 
-/// How far it is.
+/// Progress of the loading thread.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Stage {
+pub(crate) enum Progress {
     Connecting,
     Fetching { have: u64, length: u64, since: Instant },
     Unpacking,
 }
 
-/// A scene on its way.
+/// A scene that is being loaded.
 pub(crate) struct Loading {
-    stage: Arc<Mutex<Stage>>,
+    progress: Arc<Mutex<Progress>>,
     done: Receiver<Result<Loaded, ClientError>>,
 }
 
 impl Loading {
-    /// Starts it.
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// Errors if there can be no thread.
     pub(crate) fn start(
         options: HeadlessOptions,
         largest_mask: (u32, u32),
         camera_path: Option<CameraPath>,
     ) -> Result<Self, ClientError> {
-        let stage = Arc::new(Mutex::new(Stage::Connecting));
+        let progress = Arc::new(Mutex::new(Progress::Connecting));
         let (send, done) = sync_channel(1);
-        let told = Arc::clone(&stage);
+        let shared = Arc::clone(&progress);
         std::thread::Builder::new().name("loading".to_owned()).spawn(move || {
-            let loaded = load(&options, largest_mask, camera_path, |stage| {
-                *told.lock().unwrap_or_else(PoisonError::into_inner) = stage;
+            let loaded = load(&options, largest_mask, camera_path, |progress| {
+                *shared.lock() = progress;
             });
-            // A window that has been closed meanwhile wants nothing.
+            // A window that was closed meanwhile has dropped its end.
             let _ = send.send(loaded);
         })?;
-        Ok(Self { stage, done })
+        Ok(Self { progress, done })
     }
 
-    pub(crate) fn stage(&self) -> Stage {
-        self.stage.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    pub(crate) fn progress(&self) -> Progress {
+        self.progress.lock().clone()
     }
 
-    /// The result, once it is there.
-    pub(crate) fn take(&self) -> Option<Result<Loaded, ClientError>> {
+    /// Returns the result once loading has ended.
+    pub(crate) fn poll(&self) -> Option<Result<Loaded, ClientError>> {
         match self.done.try_recv() {
             Ok(result) => Some(result),
             Err(TryRecvError::Empty) => None,
@@ -82,16 +86,16 @@ fn load(
     options: &HeadlessOptions,
     largest_mask: (u32, u32),
     camera_path: Option<CameraPath>,
-    mut tell: impl FnMut(Stage),
+    mut report: impl FnMut(Progress),
 ) -> Result<Loaded, ClientError> {
     let mut since = None;
     let (scene, connected) = get_scene(options, largest_mask, |step| match step {
         Step::Admitted(welcome) => tracing::info!(backend = welcome.backend, lights = welcome.lights, "admitted"),
         Step::Fetching { have, length } => {
             let since = *since.get_or_insert_with(Instant::now);
-            tell(Stage::Fetching { have, length, since });
+            report(Progress::Fetching { have, length, since });
         }
-        Step::Unpacking => tell(Stage::Unpacking),
+        Step::Unpacking => report(Progress::Unpacking),
     })?;
     let occluders = Occluders::largest_of(&scene);
     let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
@@ -100,8 +104,8 @@ fn load(
     Ok(Loaded { scene, connected, camera_path, exposure })
 }
 
-impl Stage {
-    /// Share that is there, where that is known.
+impl Progress {
+    /// Returns the share of the scene that has arrived, where that is known.
     pub(crate) fn share(&self) -> Option<f32> {
         match self {
             #[expect(clippy::cast_possible_truncation, reason = "for a bar of some hundred pixels")]
@@ -110,10 +114,10 @@ impl Stage {
         }
     }
 
-    /// What is going on, in a line.
+    /// Returns a line for people.
     pub(crate) fn text(&self, now: Instant) -> String {
         match self {
-            Self::Connecting => "looking for the server".to_owned(),
+            Self::Connecting => "connecting to the server".to_owned(),
             Self::Unpacking => "unpacking the scene".to_owned(),
             Self::Fetching { have, length, since } => {
                 let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
@@ -125,12 +129,12 @@ impl Stage {
     }
 }
 
-/// How long the rest takes, if it goes on as it did; not known before something has come for a moment.
+/// Returns the time that the rest takes at the speed so far. `None` before there is a speed.
 fn time_left(have: u64, length: u64, took: Duration) -> Option<Duration> {
     let rest = length.saturating_sub(have);
     (have > 0 && took > Duration::from_millis(300)).then(|| {
         let left_s = took.as_secs_f64() * rest as f64 / have as f64;
-        // Longer than a day is no forecast.
+        // More than a day is no forecast.
         Duration::from_secs_f64(left_s.min(86_400.0))
     })
 }
@@ -140,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_time_left_is_what_the_rest_takes_at_the_speed_so_far() {
+    fn time_left_follows_from_the_speed_so_far() {
         let second = Duration::from_secs(1);
         assert_eq!(time_left(250, 1000, second), Some(3 * second));
         assert_eq!(time_left(1000, 1000, second), Some(Duration::ZERO));
@@ -150,11 +154,11 @@ mod tests {
     }
 
     #[test]
-    fn progress_has_bytes_and_time() {
+    fn progress_shows_bytes_and_time() {
         let now = Instant::now();
-        let stage = Stage::Fetching { have: 1 << 20, length: 4 << 20, since: now };
-        assert_eq!(stage.text(now + Duration::from_secs(2)), "scene: 1.0 of 4.0 MiB, 7 s left");
-        assert_eq!(stage.share(), Some(0.25));
-        assert_eq!(Stage::Connecting.share(), None);
+        let progress = Progress::Fetching { have: 1 << 20, length: 4 << 20, since: now };
+        assert_eq!(progress.text(now + Duration::from_secs(2)), "scene: 1.0 of 4.0 MiB, 7 s left");
+        assert_eq!(progress.share(), Some(0.25));
+        assert_eq!(Progress::Connecting.share(), None);
     }
 }

@@ -1,4 +1,4 @@
-//! What a screen shows: the picture, and the overlay's shapes over it. Draws into any view, so that a test can look at it.
+//! Paints a screen: the picture, with the overlay over it. Paints into any view, so that a test can read it back.
 
 use gnomon_shaders::gpu::Gpu;
 
@@ -12,7 +12,7 @@ pub(crate) struct Shapes {
     pub(crate) pixels_per_point: f32,
 }
 
-/// Paints screens of one format.
+/// Paints views of one format.
 pub(crate) struct Painter {
     gpu: Gpu,
     present: PresentPass,
@@ -20,7 +20,7 @@ pub(crate) struct Painter {
 }
 
 impl Painter {
-    /// For views of `format`, which must not be an sRGB format: pictures and overlay are encoded already.
+    /// `format` must not be an sRGB format: pictures and overlay are encoded already.
     pub(crate) fn new(gpu: &Gpu, format: wgpu::TextureFormat) -> Result<Self, RenderError> {
         let options = egui_wgpu::RendererOptions { dithering: false, ..egui_wgpu::RendererOptions::default() };
         Ok(Self {
@@ -30,7 +30,7 @@ impl Painter {
         })
     }
 
-    /// Paints a screen of this size, in pixels, and hands the work over.
+    /// Paints a screen of `size` pixels, and submits the work.
     pub(crate) fn paint(
         &mut self,
         screen: &wgpu::TextureView,

@@ -181,7 +181,7 @@ impl Play {
         let scene_time_s = self.frames.memory.started.elapsed().as_secs_f64();
         if settings.split == Split::Reference {
             match self.draw_reference(&screen.gpu, (camera, scene_time_s)) {
-                Ok(drawn) => screen.beside = drawn.map(|picture| (picture, width / 2)),
+                Ok(drawn) => screen.right_half = drawn.map(|picture| (picture, width / 2)),
                 Err(error) => {
                     tracing::warn!(%error, "no local reference");
                     self.reference = Beside::Unwanted;

@@ -1,4 +1,4 @@
-//! The window's surface, and where its pictures go: the same texture as a headless run's, then onto the screen.
+//! The window's surface. Pictures go into the same texture as in a headless run, then onto the screen.
 
 use std::{path::PathBuf, sync::Arc, thread::JoinHandle, time::Instant};
 
@@ -15,10 +15,9 @@ use crate::{
     render::{FrameRenderer, RenderError, readback::PictureReader},
 };
 
-/// Pictures that may be under way on the adapter.
+/// Pictures in flight on the adapter.
 const PICTURES_AHEAD: usize = 2;
 
-/// The screen of one window.
 pub(crate) struct Screen {
     pub(crate) gpu: Gpu,
     window: Arc<Window>,
@@ -26,17 +25,18 @@ pub(crate) struct Screen {
     config: wgpu::SurfaceConfiguration,
     painter: Painter,
     reader: Option<PictureReader>,
-    /// A picture of the same size, whose columns from this one on stand in the next picture.
-    pub(crate) beside: Option<(wgpu::Texture, u32)>,
+    /// A picture of the same size, and the first column from which it replaces the next picture.
+    pub(crate) right_half: Option<(wgpu::Texture, u32)>,
     pub(crate) shapes: Shapes,
-    /// Where the next picture shall be kept, and the frame whose picture is on its way there.
-    keep: Option<PathBuf>,
-    kept: Option<(u64, PathBuf)>,
+    /// File for the next picture.
+    save_next: Option<PathBuf>,
+    /// The frame that is being read back, and its file.
+    reading: Option<(u64, PathBuf)>,
     saving: Option<JoinHandle<Result<PathBuf, String>>>,
 }
 
 impl Screen {
-    /// Opens the adapter that shows things in `window`.
+    /// Opens an adapter that can present in `window`.
     pub(crate) fn open(window: &Arc<Window>, options: &GpuOptions, vsync: bool) -> Result<Self, ClientError> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
             backends: wgpu::Backends::PRIMARY,
@@ -54,7 +54,7 @@ impl Screen {
         let format = [wgpu::TextureFormat::Bgra8Unorm, wgpu::TextureFormat::Rgba8Unorm]
             .into_iter()
             .find(|format| capabilities.formats.contains(format))
-            .ok_or_else(|| RenderError::Device("the window takes no 8-bit format".to_owned()))?;
+            .ok_or_else(|| RenderError::Device("the window supports no 8-bit format".to_owned()))?;
         let size = window.inner_size();
         let config = wgpu::SurfaceConfiguration {
             present_mode: present_mode(vsync),
@@ -62,7 +62,7 @@ impl Screen {
             ..surface
                 .get_default_config(adapter, size.width.max(1), size.height.max(1))
                 .map(|config| wgpu::SurfaceConfiguration { format, view_formats: Vec::new(), ..config })
-                .ok_or_else(|| RenderError::Device("the adapter does not show things in this window".to_owned()))?
+                .ok_or_else(|| RenderError::Device("the adapter cannot present in this window".to_owned()))?
         };
         surface.configure(&gpu.device, &config);
         let painter = Painter::new(&gpu, format)?;
@@ -73,10 +73,10 @@ impl Screen {
             config,
             painter,
             reader: None,
-            beside: None,
+            right_half: None,
             shapes: Shapes::default(),
-            keep: None,
-            kept: None,
+            save_next: None,
+            reading: None,
             saving: None,
         })
     }
@@ -86,7 +86,7 @@ impl Screen {
         (self.config.width, self.config.height)
     }
 
-    /// Follows the window. A window without any area is left alone.
+    /// Follows the window's size. Ignores a window without area.
     pub(crate) fn resize(&mut self, (width, height): (u32, u32)) {
         if width > 0 && height > 0 && (width, height) != self.size() {
             (self.config.width, self.config.height) = (width, height);
@@ -94,7 +94,7 @@ impl Screen {
         }
     }
 
-    /// Whether pictures wait for the screen, from now on.
+    /// Sets whether pictures wait for the screen.
     pub(crate) fn set_vsync(&mut self, vsync: bool) {
         let mode = present_mode(vsync);
         if self.config.present_mode != mode {
@@ -103,39 +103,37 @@ impl Screen {
         }
     }
 
-    /// Keeps the next picture in `file`. False while an earlier one is on its way.
-    pub(crate) fn keep_picture(&mut self, file: PathBuf) -> bool {
-        let free = self.keep.is_none() && self.kept.is_none() && self.saving.is_none();
-        if free {
-            self.keep = Some(file);
+    /// Saves the next picture in `file`, unless an earlier one is still being saved.
+    pub(crate) fn save_picture(&mut self, file: PathBuf) {
+        if self.save_next.is_none() && self.reading.is_none() && self.saving.is_none() {
+            self.save_next = Some(file);
         }
-        free
     }
 
-    /// What became of a picture, once that is known.
-    pub(crate) fn kept_picture(&mut self) -> Option<Result<PathBuf, String>> {
+    /// Returns the file of a picture that was saved since the last call, or why it was not.
+    pub(crate) fn poll_saved(&mut self) -> Option<Result<PathBuf, String>> {
         let saving = self.saving.take_if(|saving| saving.is_finished())?;
         Some(saving.join().unwrap_or_else(|_| Err("writing it failed".to_owned())))
     }
 
-    /// Waits until a picture that is on its way is written.
+    /// Waits until a picture that is being saved is written.
     pub(crate) fn finish(&mut self) -> Option<Result<PathBuf, String>> {
-        while self.kept.is_some() && matches!(self.take_oldest(), Ok(true)) {}
+        while self.reading.is_some() && matches!(self.take_oldest(), Ok(true)) {}
         self.saving.take().map(|saving| saving.join().unwrap_or_else(|_| Err("writing it failed".to_owned())))
     }
 
-    /// Shows the overlay's shapes alone.
-    pub(crate) fn show_shapes(&mut self) {
+    /// Presents the overlay without a picture.
+    pub(crate) fn show_overlay(&mut self) {
         self.present(None);
     }
 
-    /// Waits for the oldest picture under way; whether there was one is the answer.
+    /// Waits for the oldest picture in flight. Returns whether there was one.
     fn take_oldest(&mut self) -> Result<bool, ClientError> {
         let Some(taken) = self.reader.as_mut().map(PictureReader::take_oldest).transpose()?.flatten() else {
             return Ok(false);
         };
         if let Some(picture) = taken
-            && let Some((_, file)) = self.kept.take_if(|(frame, _)| *frame == picture.frame)
+            && let Some((_, file)) = self.reading.take_if(|(frame, _)| *frame == picture.frame)
         {
             let write = move || {
                 let written = pictures::write(&file, &picture);
@@ -154,7 +152,7 @@ impl Screen {
                 self.surface.configure(&self.gpu.device, &self.config);
                 return;
             }
-            // Nobody sees it, or it comes later.
+            // Nothing is visible, or the next attempt succeeds.
             Current::Timeout | Current::Occluded | Current::Validation => return,
         };
         let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
@@ -176,26 +174,26 @@ impl Sink for Screen {
         let begun = Instant::now();
         let (width, height) = renderer.size();
         if self.reader.as_ref().is_none_or(|reader| reader.size() != (width, height)) {
-            // What was asked for before the window changed is kept in its new size.
-            if let Some((_, file)) = self.kept.take() {
-                self.keep = Some(file);
+            // A picture requested before the window changed is saved in its new size.
+            if let Some((_, file)) = self.reading.take() {
+                self.save_next = Some(file);
             }
             self.reader = Some(PictureReader::new(&self.gpu, width, height, PICTURES_AHEAD));
         }
         let Some(reader) = &mut self.reader else { return Ok(Shown::default()) };
         let target = reader.target();
-        let keep = self.keep.take();
-        let beside = self.beside.take();
+        let save = self.save_next.take();
+        let right_half = self.right_half.take();
         let submission = renderer.shade(camera, visibility_share, &target, |encoder| {
-            if let Some((other, first_px)) = &beside {
+            if let Some((other, first_px)) = &right_half {
                 reader.replace_from(encoder, other, *first_px);
             }
-            if keep.is_some() {
+            if save.is_some() {
                 reader.copy(encoder);
             }
         })?;
-        reader.submitted(frame.0.into(), submission, keep.is_some());
-        self.kept = keep.map(|file| (frame.0.into(), file)).or(self.kept.take());
+        reader.submitted(frame.0.into(), submission, save.is_some());
+        self.reading = save.map(|file| (frame.0.into(), file)).or(self.reading.take());
         let shade = begun.elapsed();
         self.present(Some(&target));
         while self.reader.as_ref().is_some_and(PictureReader::is_full) {

@@ -1,4 +1,4 @@
-//! The last ten seconds in figures: what graphs are drawn of, and what a second of them comes to.
+//! Figures of the last ten seconds: one a frame for the graphs, and rates over the last second.
 
 use std::{
     collections::VecDeque,
@@ -11,30 +11,28 @@ use crate::{
     mode::State,
 };
 
-/// How far back figures go.
 pub(crate) const SPAN: Duration = Duration::from_secs(10);
 
-/// Over what rates are taken.
+/// Time that rates are measured over.
 const RATE_SPAN: Duration = Duration::from_secs(1);
 
-/// Most frames that are remembered: 400 a second.
-const MOST_FRAMES: usize = 4000;
+/// Bounds memory: 400 frames a second.
+const MAX_FRAMES: usize = 4000;
 
-/// A frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Figure {
     pub(crate) at: Instant,
     /// Time since the frame before, in milliseconds.
     pub(crate) frame_ms: f64,
-    /// Frames that its mask is older.
+    /// Frames since its mask's pose.
     pub(crate) lag: Option<u32>,
-    /// Bits of the mask that came with it; 0 when none came.
+    /// Bits of the mask that arrived with it; 0 if none did.
     pub(crate) bits: f64,
     mask_frame: Option<u32>,
     received: Received,
 }
 
-/// What is shown in words.
+/// The figures that the panel shows as text.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Now {
     pub(crate) client_fps: f64,
@@ -42,7 +40,7 @@ pub(crate) struct Now {
     pub(crate) lag: Option<u32>,
     pub(crate) response_ms: Option<f64>,
     pub(crate) round_trip_ms: Option<f64>,
-    /// Share of the frames that did not come whole.
+    /// Share of the frames that did not arrive whole.
     pub(crate) loss: Option<f64>,
     pub(crate) megabits_per_s: f64,
     pub(crate) known_share: Option<f64>,
@@ -50,7 +48,6 @@ pub(crate) struct Now {
     pub(crate) visibility_share: f32,
 }
 
-/// The last ten seconds.
 #[derive(Debug, Default)]
 pub(crate) struct Figures {
     frames: VecDeque<Figure>,
@@ -68,7 +65,7 @@ impl Figures {
         let bits = if fresh { stats.bytes.unwrap_or(0) as f64 * 8.0 } else { 0.0 };
         let figure = Figure { at: now, frame_ms, lag: stats.lag, bits, mask_frame: stats.mask_frame, received };
         self.frames.push_back(figure);
-        while self.frames.len() > MOST_FRAMES
+        while self.frames.len() > MAX_FRAMES
             || self.frames.front().is_some_and(|oldest| now.saturating_duration_since(oldest.at) > SPAN)
         {
             self.frames.pop_front();
@@ -78,34 +75,34 @@ impl Figures {
         self.latest = Some(*stats);
     }
 
-    /// The frames, the oldest first.
+    /// Returns the frames, oldest first.
     pub(crate) fn frames(&self) -> impl ExactSizeIterator<Item = &Figure> {
         self.frames.iter()
     }
 
-    /// What the last second comes to, once there is a frame.
+    /// Returns the figures over the last second; `None` before the first frame.
     pub(crate) fn now(&self) -> Option<Now> {
         let (latest, newest) = (self.latest?, self.frames.back()?);
         let recent = |frame: &&Figure| newest.at.saturating_duration_since(frame.at) < RATE_SPAN;
-        // A frame that takes a second still has a rate.
+        // A frame that takes longer than the span still has a rate.
         let first = self.frames.iter().find(recent)?;
         let first = if first.at == newest.at { self.frames.iter().rev().nth(1).unwrap_or(first) } else { first };
         let span_s = newest.at.saturating_duration_since(first.at).as_secs_f64();
         let per_s = |count: f64| if span_s > 0.0 { count / span_s } else { 0.0 };
-        // The first frame begins the span; what came with it came before.
-        let later = || self.frames.iter().rev().take_while(|frame| frame.at > first.at);
-        let frames = later().count();
-        let more = |of: fn(&Received) -> u64| of(&newest.received).saturating_sub(of(&first.received));
-        let whole = more(|received| received.frames) + more(|received| received.cut);
-        let lost = more(|received| received.incomplete) + more(|received| received.partial);
+        // The first frame begins the span: its own mask arrived before.
+        let in_span = || self.frames.iter().rev().take_while(|frame| frame.at > first.at);
+        let frames = in_span().count();
+        let increase = |of: fn(&Received) -> u64| of(&newest.received).saturating_sub(of(&first.received));
+        let whole = increase(|received| received.frames) + increase(|received| received.cut);
+        let lost = increase(|received| received.incomplete) + increase(|received| received.partial);
         Some(Now {
             client_fps: per_s(frames as f64),
-            visibility_fps: per_s(later().filter(|frame| frame.bits > 0.0).count() as f64),
+            visibility_fps: per_s(in_span().filter(|frame| frame.bits > 0.0).count() as f64),
             lag: latest.lag,
             response_ms: self.response_ms,
             round_trip_ms: self.round_trip.map(millis),
             loss: (whole + lost > 0).then(|| lost as f64 / (whole + lost) as f64),
-            megabits_per_s: per_s(later().map(|frame| frame.bits).sum::<f64>()) / 1e6,
+            megabits_per_s: per_s(in_span().map(|frame| frame.bits).sum::<f64>()) / 1e6,
             known_share: latest.known_share,
             state: latest.state,
             visibility_share: latest.visibility_share,
@@ -142,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_are_those_of_the_last_second_and_memory_those_of_ten() {
+    fn rates_cover_one_second_and_graphs_ten() {
         let (mut figures, begun) = (Figures::default(), Instant::now());
         assert_eq!(figures.now(), None);
         // Fifty frames a second, a mask with every second one, and every tenth frame of those is lost.
@@ -166,11 +163,11 @@ mod tests {
     }
 
     #[test]
-    fn no_screen_is_so_fast_that_memory_grows() {
+    fn memory_is_bounded_at_any_frame_rate() {
         let (mut figures, begun) = (Figures::default(), Instant::now());
         for frame in 0..10_000 {
             figures.push(begun + Duration::from_micros(100) * frame, &stats(frame, frame), Received::default(), None);
         }
-        assert_eq!(figures.frames().len(), MOST_FRAMES);
+        assert_eq!(figures.frames().len(), MAX_FRAMES);
     }
 }

@@ -1,10 +1,10 @@
-//! What is shown where there is no picture yet, or no more.
+//! Screens without a picture: loading and failure.
 
 use egui::{Align2, RichText};
 
-use super::{BLUE, frame};
+use super::style::{BLUE, frame};
 
-/// The scene is on its way: `text` says how far, `share` how much of it is there.
+/// Shows the progress of loading: `share` of the scene has arrived.
 pub(crate) fn loading(
     context: &egui::Context,
     server: &str,
@@ -29,9 +29,9 @@ pub(crate) fn loading(
     });
 }
 
-/// There is nothing to show, and why. Whether the person wants to try again is the answer.
+/// Shows why there is no picture. Returns whether the person wants to try again.
 pub(crate) fn failure(context: &egui::Context, reason: &str) -> bool {
-    let mut again = false;
+    let mut retry = false;
     egui::Area::new(egui::Id::unique("failure")).anchor(Align2::CENTER_CENTER, [0.0, 0.0]).show(context, |ui| {
         frame().show(ui, |ui| {
             ui.set_width(460.0);
@@ -39,10 +39,10 @@ pub(crate) fn failure(context: &egui::Context, reason: &str) -> bool {
             ui.add(egui::Label::new(RichText::new(reason).size(15.0)).wrap());
             ui.add_space(8.0);
             ui.horizontal(|ui| {
-                again = ui.button(RichText::new("try again (Enter)").size(15.0)).clicked();
+                retry = ui.button(RichText::new("try again (Enter)").size(15.0)).clicked();
                 ui.label("or leave with Esc");
             });
         });
     });
-    again || context.input(|input| input.key_pressed(egui::Key::Enter))
+    retry || context.input(|input| input.key_pressed(egui::Key::Enter))
 }

@@ -1,0 +1,362 @@
+//! The window and its event loop, from the first event to the last.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use gnomon_shaders::gpu::GpuOptions;
+use winit::{
+    application::ApplicationHandler,
+    dpi::PhysicalSize,
+    event::WindowEvent,
+    event_loop::{ActiveEventLoop, ControlFlow, EventLoop},
+    window::{Fullscreen, Window, WindowId},
+};
+
+use super::{
+    gamepad::Gamepad,
+    loading::Loading,
+    overlay,
+    play::{self, Play, largest_mask},
+    screen::Screen,
+};
+use crate::{
+    app::servers,
+    camera_path::CameraPath,
+    error::ClientError,
+    input::{Controls, keys::Command},
+    options::{Source, WindowOptions},
+    settings::Settings,
+};
+
+/// How long a notice stays on the screen.
+const NOTICE_TIME: Duration = Duration::from_secs(4);
+
+/// Interval between wake-ups while the window is hidden.
+const HIDDEN_INTERVAL: Duration = Duration::from_millis(100);
+
+/// In pixels.
+const MIN_SIZE: PhysicalSize<u32> = PhysicalSize::new(160, 90);
+
+/// Opens a window and runs it until it is closed.
+///
+/// # Errors
+/// Errors if there can be no window, or the last attempt to show a picture failed.
+pub fn run_window(options: WindowOptions) -> Result<(), ClientError> {
+    options.run.validate()?;
+    let camera_path = options.run.path.as_ref().map(CameraPath::load).transpose()?;
+    let event_loop = EventLoop::new().map_err(|error| ClientError::Window(error.to_string()))?;
+    let settings = play::settings(&options.run, options.vsync);
+    let mut app = App {
+        began: Instant::now(),
+        camera_path,
+        settings,
+        controls: Controls::default(),
+        gamepad: Gamepad::open(),
+        commands: Vec::new(),
+        view: None,
+        stage: Stage::Closed,
+        notice: None,
+        last_frame: None,
+        hidden: false,
+        largest_px: (0, 0),
+        result: Ok(()),
+        options,
+    };
+    event_loop.run_app(&mut app).map_err(|error| ClientError::Window(error.to_string()))?;
+    app.close()
+}
+
+/// The window and what draws in it.
+pub(super) struct View {
+    pub(super) window: Arc<Window>,
+    pub(super) screen: Screen,
+    pub(super) egui: egui_winit::State,
+}
+
+enum Stage {
+    Closed,
+    Loading(Loading),
+    Playing(Box<Play>),
+    Failed(String),
+}
+
+pub(super) struct App {
+    options: WindowOptions,
+    began: Instant,
+    camera_path: Option<CameraPath>,
+    settings: Settings,
+    pub(super) controls: Controls,
+    gamepad: Gamepad,
+    /// Commands since the last frame.
+    pub(super) commands: Vec<Command>,
+    pub(super) view: Option<View>,
+    stage: Stage,
+    notice: Option<(String, Instant)>,
+    last_frame: Option<Instant>,
+    /// The window is covered or has no area.
+    pub(super) hidden: bool,
+    /// Largest picture of the session, in pixels.
+    largest_px: (u32, u32),
+    result: Result<(), ClientError>,
+}
+
+impl App {
+    fn open(&mut self, event_loop: &ActiveEventLoop) -> Result<(), ClientError> {
+        let run = &self.options.run;
+        let full_screen = self.options.full_screen.then_some(Fullscreen::Borderless(None));
+        let attributes = Window::default_attributes()
+            .with_title("Gnomon")
+            .with_inner_size(PhysicalSize::new(run.width, run.height))
+            .with_min_inner_size(MIN_SIZE)
+            .with_fullscreen(full_screen);
+        let window = event_loop.create_window(attributes).map_err(|error| ClientError::Window(error.to_string()))?;
+        let window = Arc::new(window);
+        let adapter =
+            GpuOptions { adapter: run.adapter.clone(), allow_software: run.allow_software, ..GpuOptions::default() };
+        let screen = Screen::open(&window, &adapter, self.options.vsync)?;
+        let context = egui::Context::default();
+        overlay::set_style(&context);
+        let side = usize::try_from(screen.gpu.device.limits().max_texture_dimension_2d).ok();
+        let scale = egui_winit::pixels_per_point(&context, &window);
+        let egui = egui_winit::State::new(context, egui::ViewportId::ROOT, &*window, Some(scale), None, side);
+        // The server learns the largest mask at once, and full screen may come later.
+        let monitors = event_loop.available_monitors().map(|monitor| monitor.size());
+        let largest = monitors
+            .chain([window.inner_size()])
+            .fold((1, 1), |(width, height): (u32, u32), size| (width.max(size.width), height.max(size.height)));
+        self.largest_px = play::fitted(largest, largest);
+        self.view = Some(View { window, screen, egui });
+        self.load()
+    }
+
+    fn load(&mut self) -> Result<(), ClientError> {
+        let loading =
+            Loading::start(self.options.run.clone(), largest_mask(self.largest_px), self.camera_path.clone())?;
+        self.stage = Stage::Loading(loading);
+        Ok(())
+    }
+
+    fn notify(&mut self, text: impl Into<String>) {
+        self.notice = Some((text.into(), Instant::now()));
+    }
+
+    fn redraw(&mut self, event_loop: &ActiveEventLoop) -> Result<(), ClientError> {
+        let Self { gamepad, controls, commands, .. } = self;
+        gamepad.poll(&mut controls.sticks, |command| commands.push(command));
+        for command in std::mem::take(&mut self.commands) {
+            self.execute(command, event_loop);
+        }
+        if let Stage::Loading(loading) = &self.stage
+            && let Some(loaded) = loading.poll()
+            && let Some(View { screen, .. }) = &self.view
+        {
+            let playing = loaded
+                .and_then(|loaded| Play::start(screen, loaded, &self.options.run, self.largest_px, &mut self.settings));
+            match playing {
+                Ok(play) => {
+                    tracing::info!(after_ms = self.began.elapsed().as_millis(), "the scene is loaded");
+                    self.stage = Stage::Playing(Box::new(play));
+                    self.notify("H: help     O: figures and settings     Tab: camera path");
+                }
+                Err(error) => self.fail(error),
+            }
+        }
+        let now = Instant::now();
+        let step_s = self.last_frame.replace(now).map_or(0.0, |before| (now - before).as_secs_f64());
+        let Some(View { window, screen, egui }) = &mut self.view else { return Ok(()) };
+        if let Some(saved) = screen.poll_saved() {
+            let text = saved.map_or_else(|error| error, |file| format!("picture: {}", file.display()));
+            self.notice = Some((text, now));
+        }
+        let retry = {
+            let input = egui.take_egui_input(window);
+            let context = egui.egui_ctx().clone();
+            let mut retry = false;
+            let notice = self.notice.as_ref().filter(|(_, since)| now - *since < NOTICE_TIME);
+            let (stage, settings) = (&self.stage, &mut self.settings);
+            let adapter = screen.gpu.info.name.clone();
+            let output = context.run_ui(input, |ui| {
+                retry = draw_ui(ui.ctx(), stage, settings, &self.options.run.source, notice, &adapter);
+            });
+            egui.handle_platform_output(window, output.platform_output);
+            screen.shapes.textures.append(output.textures_delta);
+            screen.shapes.triangles = context.tessellate(output.shapes, output.pixels_per_point);
+            screen.shapes.pixels_per_point = output.pixels_per_point;
+            retry
+        };
+        let drawn = match &mut self.stage {
+            Stage::Playing(play) => {
+                let motion = self.controls.take(step_s, f64::from(screen.size().1));
+                let first = play.figures.now().is_none();
+                let drawn = play.frame(screen, &mut self.settings, &motion, step_s).map(drop);
+                if let Some(text) = play.said.take() {
+                    self.notice = Some((text, now));
+                }
+                if first {
+                    tracing::info!(after_ms = self.began.elapsed().as_millis(), "the first picture is shown");
+                }
+                drawn
+            }
+            Stage::Closed | Stage::Loading(_) | Stage::Failed(_) => {
+                screen.show_overlay();
+                Ok(())
+            }
+        };
+        if let Err(error) = drawn {
+            self.fail(error);
+        }
+        if retry {
+            self.load()?;
+        }
+        Ok(())
+    }
+
+    /// Shows the error in place of the picture.
+    fn fail(&mut self, error: ClientError) {
+        tracing::warn!(%error, "no picture");
+        if let Stage::Playing(play) = std::mem::replace(&mut self.stage, Stage::Failed(error.to_string())) {
+            // The first error is the better reason.
+            let _ = play.finish();
+        }
+        self.result = Err(error);
+    }
+
+    fn execute(&mut self, command: Command, event_loop: &ActiveEventLoop) {
+        match command {
+            Command::Leave if self.settings.help => self.settings.help = false,
+            Command::Leave => event_loop.exit(),
+            Command::FullScreen => {
+                if let Some(View { window, .. }) = &self.view {
+                    let full = window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));
+                    window.set_fullscreen(full);
+                }
+            }
+            Command::Path => {
+                if let Stage::Playing(play) = &mut self.stage {
+                    play.toggle_path();
+                }
+            }
+            Command::Picture => {
+                if let (Stage::Playing(_), Some(View { screen, .. })) = (&self.stage, &mut self.view)
+                    && let Some(file) = free_name(self.options.run.out.as_deref().unwrap_or(Path::new("")))
+                {
+                    screen.save_picture(file);
+                }
+            }
+            command => self.settings.apply(command),
+        }
+    }
+
+    /// Leaves the server. Returns the error that ended the pictures, if one did.
+    fn close(mut self) -> Result<(), ClientError> {
+        tracing::info!(peak_memory_mib = peak_memory_mib(), "leaving");
+        if let Some(View { screen, .. }) = &mut self.view
+            && let Some(Err(error)) = screen.finish()
+        {
+            tracing::error!(error, "the last picture is not saved");
+        }
+        match std::mem::replace(&mut self.stage, Stage::Closed) {
+            Stage::Playing(play) => play.finish(),
+            Stage::Failed(_) | Stage::Closed => std::mem::replace(&mut self.result, Ok(())),
+            Stage::Loading(_) => Ok(()),
+        }
+    }
+}
+
+/// Returns the peak memory of this process, where the system tells. A software adapter's memory is part of it.
+fn peak_memory_mib() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.split_whitespace().next()?.parse::<u64>().ok().map(|kib| kib / 1024)
+}
+
+/// Returns the first free file name in `folder`.
+fn free_name(folder: &Path) -> Option<PathBuf> {
+    (1..100_000).map(|number| folder.join(format!("gnomon_{number:05}.png"))).find(|file| !file.exists())
+}
+
+/// Draws what stands over the picture or in its place. Returns whether the person wants to try again.
+fn draw_ui(
+    context: &egui::Context,
+    stage: &Stage,
+    settings: &mut Settings,
+    source: &Source,
+    notice: Option<&(String, Instant)>,
+    adapter: &str,
+) -> bool {
+    let (server, fingerprint) = match source {
+        Source::Server(url) => (url.to_string(), url.certificate.map(|digest| servers::fingerprint(&digest))),
+        Source::Offline { scene, .. } => (scene.display().to_string(), None),
+    };
+    match stage {
+        Stage::Closed => {}
+        Stage::Loading(loading) => {
+            let progress = loading.progress();
+            let text = progress.text(Instant::now());
+            overlay::loading(context, &server, fingerprint.as_deref(), &text, progress.share());
+        }
+        Stage::Failed(reason) => return overlay::failure(context, reason),
+        Stage::Playing(play) => {
+            let notice_of_server = play.notice();
+            // On a first visit the URL had no certificate.
+            let pinned = play.server.as_ref().and_then(|(url, _)| url.certificate);
+            let fingerprint = pinned.map(|digest| servers::fingerprint(&digest));
+            let status = overlay::Status {
+                backend: play.server.as_ref().map(|(_, welcome)| welcome.backend.as_str()),
+                adapter,
+                server: &server,
+                fingerprint: fingerprint.as_deref(),
+                picture_px: play.size(),
+                speed_m_per_s: play.fly.speed_m_per_s(),
+                has_reference: play.has_reference(),
+                notice: notice_of_server.as_deref().or(notice.map(|(text, _)| text.as_str())),
+            };
+            overlay::show(context, settings, &play.figures, &status);
+        }
+    }
+    false
+}
+
+impl ApplicationHandler for App {
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if self.view.is_none()
+            && let Err(error) = self.open(event_loop)
+        {
+            self.result = Err(error);
+            self.stage = Stage::Closed;
+            event_loop.exit();
+        }
+    }
+
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+        if matches!(event, WindowEvent::RedrawRequested) {
+            if let Err(error) = self.redraw(event_loop) {
+                self.fail(error);
+            }
+            return;
+        }
+        if matches!(event, WindowEvent::CloseRequested) {
+            event_loop.exit();
+            return;
+        }
+        self.handle_event(&event);
+    }
+
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        if self.options.exit_after.is_some_and(|after| self.began.elapsed() >= after) {
+            event_loop.exit();
+            return;
+        }
+        let Some(View { window, .. }) = &self.view else { return };
+        // X reports covering by an event, minimising only on request.
+        if self.hidden || window.is_minimized() == Some(true) {
+            event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + HIDDEN_INTERVAL));
+        } else {
+            event_loop.set_control_flow(ControlFlow::Poll);
+            window.request_redraw();
+        }
+    }
+}
