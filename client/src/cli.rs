@@ -68,9 +68,9 @@ pub struct Arguments {
     /// Folder for the encoded masks, a file a frame
     #[arg(long, value_name = "DIR", help_heading = "Headless runs")]
     pub save_masks: Option<PathBuf>,
-    /// File for a line a mask of how it came: its frame, packets that came or were restored, those restored, those missing
+    /// Log of received masks, one line each: frame, packets received or restored, packets restored, packets missing
     #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
-    pub came: Option<PathBuf>,
+    pub mask_log: Option<PathBuf>,
     /// Token, for a server that wants one
     #[arg(long, env = "GNOMON_TOKEN", hide_env_values = true, value_name = "TOKEN", help_heading = "Server")]
     pub token: Option<String>,

@@ -41,7 +41,7 @@ pub struct FileConfig {
     stats: Option<PathBuf>,
     summary: Option<PathBuf>,
     save_masks: Option<PathBuf>,
-    came: Option<PathBuf>,
+    mask_log: Option<PathBuf>,
     token: Option<String>,
     #[serde(default, deserialize_with = "parsed")]
     codec: Option<CodecId>,
@@ -218,7 +218,7 @@ fn resolve_run(arguments: Arguments, file: FileConfig) -> Result<HeadlessOptions
         record: arguments.record,
         summary: arguments.summary.or(file.summary),
         save_masks: arguments.save_masks.or(file.save_masks),
-        came: arguments.came.or(file.came),
+        mask_log: arguments.mask_log.or(file.mask_log),
         token: arguments.token.or(file.token),
         codec: arguments.codec.or(file.codec).unwrap_or(default.codec),
         lossy_percent: arguments.lossy.or(file.lossy).unwrap_or(default.lossy_percent),

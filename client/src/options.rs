@@ -67,8 +67,8 @@ pub struct HeadlessOptions {
     pub summary: Option<PathBuf>,
     /// Folder for the encoded masks.
     pub save_masks: Option<PathBuf>,
-    /// File for how the masks came.
-    pub came: Option<PathBuf>,
+    /// File for a line a received mask.
+    pub mask_log: Option<PathBuf>,
     /// Token for servers that want one.
     pub token: Option<String>,
     /// Codec of the masks.
@@ -124,7 +124,7 @@ impl HeadlessOptions {
             record: None,
             summary: None,
             save_masks: None,
-            came: None,
+            mask_log: None,
             token: None,
             codec: CodecId::TilesFast,
             lossy_percent: 0.0,
@@ -170,9 +170,9 @@ impl HeadlessOptions {
             && self.predictor == Predictor::Surface;
         Reception {
             policy: if in_part { Policy::Slices } else { Policy::WholeFrame },
-            tells_losses: in_part && self.packets == Packets::Parity,
+            reports_losses: in_part && self.packets == Packets::Parity,
             save_masks: self.save_masks.clone(),
-            came: self.came.clone(),
+            mask_log: self.mask_log.clone(),
         }
     }
 

@@ -13,7 +13,7 @@ pub mod limits;
 pub mod mask;
 mod path;
 pub mod pose;
-mod receive;
+pub mod receive;
 pub mod references;
 mod send;
 mod wire;

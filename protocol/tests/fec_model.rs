@@ -92,7 +92,7 @@ proptest! {
                 }
             }
             let whole = distinct.len() == sent.data();
-            if !whole && reassembler.so_far() {
+            if !whole && reassembler.deliver_partial() {
                 out = reassembler.frame().map(owned);
             }
             prop_assert_eq!(out.is_some(), whole || !came.is_empty());
@@ -135,7 +135,7 @@ proptest! {
                     break;
                 }
             }
-            reassembler.so_far();
+            reassembler.deliver_partial();
             if let Some(frame) = reassembler.frame().filter(|frame| frame.frame.0 == sent.number) {
                 prop_assert!(frame.body.starts_with(&came));
                 prop_assert!(frame.restored > 0 || frame.body.len() == came.len());

@@ -1,5 +1,5 @@
 //! Under the `Slices` policy, whatever the network does to a stream of packets and whenever somebody looks: what comes of a frame
-//! before it ends comes out, each packet's data as new once, and decodes onto the mask before it.
+//! before it ends comes out, each packet's data as new once.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -7,11 +7,8 @@ mod common;
 
 use bytes::Bytes;
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder, Reference},
     header::PacketHeader,
     ids::FrameNumber,
-    limits::MAX_PACKET_BYTES,
-    mask::{Mask, MaskShape},
     packetizer::Packetizer,
     reassembler::{IgnoredCause, PacketError, Policy, Progress, Reassembler},
 };
@@ -117,7 +114,7 @@ proptest! {
         for event in &events {
             let given = match event {
                 Some(packet) => matches!(reassembler.push(packet).unwrap(), Progress::Complete | Progress::Partial),
-                None => reassembler.so_far(),
+                None => reassembler.deliver_partial(),
             };
             let frame = reassembler.frame();
             prop_assert_eq!(frame.is_some(), given);
@@ -132,72 +129,6 @@ proptest! {
         prop_assert_eq!(out, expected);
         let stats = reassembler.stats();
         prop_assert_eq!(stats.stored + stats.ignored() + stats.malformed, stats.packets);
-    }
-}
-
-fn disc(shape: MaskShape, step: u32) -> Mask {
-    let mut mask = Mask::new(shape);
-    for light in 0..shape.lights() {
-        for (x, y) in (0..shape.height()).flat_map(|y| (0..shape.width()).map(move |x| (x, y))) {
-            let from_centre = x.abs_diff(150 + step * 9).pow(2) + y.abs_diff(90 + light * 20).pow(2);
-            mask.set(light, x, y, from_centre > 4900 + (x * 7 + y * 13) % 900);
-        }
-    }
-    mask
-}
-
-/// Of each frame another packet is lost: the picture keeps the tiles before, and is right where packets came.
-#[test]
-fn tiles_that_do_not_come_keep_their_value() {
-    let shape = MaskShape::new(500, 300, 3).unwrap();
-    for codec in [CodecId::TilesSmall, CodecId::TilesFast] {
-        let mut encoder = Encoder::new(codec).for_packets_of(150);
-        let (mut packetizer, mut reassembler) = (Packetizer::new(MAX_PACKET_BYTES), Reassembler::new(Policy::Slices));
-        let (mut decoder, mut shown, mut body) = (Decoder::new(), Mask::new(shape), Vec::new());
-        let mut before = Mask::new(shape);
-        let mut open = false;
-        for step in 0..12 {
-            let sent = disc(shape, step);
-            encoder.encode(&sent, &mut body).unwrap();
-            let packets: Vec<_> = packetizer.packets(FrameNumber(step), step, &body).unwrap().collect();
-            assert!(packets.len() > 2, "{}", packets.len());
-            let lost = step as usize % (packets.len() + 1);
-            for (_, packet) in packets.iter().enumerate().filter(|(index, _)| *index != lost) {
-                reassembler.push(packet).unwrap();
-            }
-            let whole = lost == packets.len();
-            open = !whole && step % 3 != 1;
-            if whole {
-                assert_eq!(reassembler.frame().unwrap().missing, 0, "it comes out with its last packet");
-                shown = sent.clone();
-                before = sent;
-                assert!(!reassembler.so_far());
-                continue;
-            }
-            assert!(reassembler.so_far());
-            let frame = reassembler.frame().unwrap();
-            assert_eq!((frame.frame, frame.missing), (FrameNumber(step), 1));
-            decoder.decode_onto(None, frame.body, &mut shown).unwrap();
-            let words = || shown.words().iter().zip(before.words()).zip(sent.words());
-            assert!(words().all(|((shown, before), sent)| shown == sent || shown == before));
-            assert!(words().any(|((shown, _), sent)| shown != sent), "{codec}: nothing was missing in frame {step}");
-            let right = words().filter(|((shown, _), sent)| shown == sent).count();
-            assert!(right * 2 > shape.words(), "{right}");
-            before = shown.clone();
-            if step % 3 == 1 {
-                // What was late completes it, and only that is new.
-                let known = frame.body.len();
-                assert_eq!(reassembler.push(&packets[lost]), Ok(Progress::Complete));
-                let frame = reassembler.frame().unwrap();
-                assert_eq!((frame.frame, frame.missing, frame.known_bytes), (FrameNumber(step), 0, known));
-                decoder.decode_more(None, &frame.body[known..], &mut shown).unwrap();
-                assert!(shown == sent);
-                assert_eq!(decoder.keep(frame.frame, &mut Reference::new()), codec.has_references());
-                before = shown.clone();
-            }
-        }
-        // One that came in part is counted when the next one begins.
-        assert_eq!(reassembler.stats().frames_complete + reassembler.stats().frames_partial, 12 - u64::from(open));
     }
 }
 
@@ -225,7 +156,7 @@ fn a_packet_that_contradicts_its_frame_drops_it() {
         }
         assert!(matches!(reassembler.push(&bad), Err(PacketError::Contradiction { .. })));
         assert_eq!(reassembler.push(&honest[2]), Ok(Progress::Ignored(IgnoredCause::Old)));
-        assert!(!reassembler.so_far());
+        assert!(!reassembler.deliver_partial());
         assert_eq!(reassembler.stats().frames_incomplete, 1);
     }
 }

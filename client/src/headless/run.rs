@@ -41,7 +41,7 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     if let Some(folder) = &options.save_masks {
         std::fs::create_dir_all(folder).map_err(|source| ClientError::Write { path: folder.clone(), source })?;
     }
-    if let Some(file) = &options.came {
+    if let Some(file) = &options.mask_log {
         std::fs::File::create(file).map_err(|source| ClientError::Write { path: file.clone(), source })?;
     }
     let gpu = pollster::block_on(Gpu::open(&GpuOptions {

@@ -5,6 +5,7 @@ mod baseline;
 pub(crate) mod certificate;
 pub(crate) mod connection;
 pub(crate) mod health;
+mod mask_files;
 mod quic;
 pub(crate) mod receive;
 pub mod receive_options;

@@ -1,19 +1,19 @@
-//! How a client takes its frames: which packets make one, and what becomes of it beside being shown.
+//! How a client receives its frames: which packets make one, and which files record it.
 
 use std::{fmt, path::PathBuf, str::FromStr};
 
 use gnomon_protocol::reassembler::Policy;
 use serde::Deserialize;
 
-/// What is done about packets that are lost, where each can be read alone.
+/// What is done about lost packets where each packet can be decoded alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Packets {
-    /// Their frame is lost with them, as in the dissertation.
+    /// They lose their frame, as in the dissertation.
     WholeFrame,
-    /// The others are shown.
+    /// The other packets are shown.
     Slices,
-    /// The others are shown, and the server hears of the loss and sends parity.
+    /// The other packets are shown, and the server learns of the loss and sends parity.
     #[default]
     Parity,
 }
@@ -45,16 +45,14 @@ impl FromStr for Packets {
     }
 }
 
-/// How a session takes its frames.
+/// How a session receives its frames.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Reception {
-    /// Which packets make a frame.
     pub(crate) policy: Policy,
-    /// Whether the server hears how many packets are missing.
-    pub(crate) tells_losses: bool,
-    /// Folder that every whole frame's body is written to.
+    /// Report lost packets to the server.
+    pub(crate) reports_losses: bool,
+    /// Folder for the body of each whole frame. Each is then coded without a reference.
     pub(crate) save_masks: Option<PathBuf>,
-    /// File to which a line is added for each time that a mask comes out: its frame, packets that had come or were restored, those
-    /// restored, and those missing.
-    pub(crate) came: Option<PathBuf>,
+    /// File to which each delivered mask adds a line: frame, packets received or restored, packets restored, packets missing.
+    pub(crate) mask_log: Option<PathBuf>,
 }

@@ -12,6 +12,7 @@ use gnomon_protocol::{
     mask::MaskShape,
     message::{ClientMessage, Hello, ServerMessage, Welcome},
     pose::Pose,
+    receive::{FrameReceiver, ReceiverConfig},
 };
 use gnomon_transport::{
     control::{ControlError, ControlReader, ControlWriter},
@@ -25,6 +26,7 @@ use tokio::{
 use super::{
     connection::{OpenConnection, QuicHandle, ServerConnection},
     health::{Draining, Health, HealthCell, watch_silence},
+    mask_files::MaskFiles,
     receive::{Counters, ReceiveTask, Received, Requested},
     receive_options::Reception,
     reconnect::Again,
@@ -169,6 +171,7 @@ impl Admitted {
         shape: MaskShape,
         reception: Reception,
     ) -> Result<(Session, MaskReader), ClientError> {
+        let files = MaskFiles::open(&reception)?;
         let started = self.link.writer.write(&ClientMessage::Start).await;
         started.map_err(|source| broken(self.url.clone(), &self.link, source))?;
         let introduction = Introduction { resume: Some(self.welcome.resume), ..self.introduction };
@@ -180,17 +183,24 @@ impl Admitted {
         let (mask_writer, mask_reader) = mask_buffer(shape);
         let (poses, outgoing) = watch::channel(None);
         let (acknowledge, acknowledged) = watch::channel(None);
-        let (tell_losses, losses) = watch::channel(None);
+        let (report_losses, losses) = watch::channel(None);
         let (counters, requested) = (Counters::default(), Requested::default());
+        let config = ReceiverConfig {
+            policy: reception.policy,
+            largest: shape,
+            // Masks that are saved are decoded alone.
+            keeps_references: reception.save_masks.is_none(),
+            reports_losses: reception.reports_losses,
+        };
         let task = ReceiveTask {
-            receiver,
+            datagrams: receiver,
+            receiver: FrameReceiver::new(config),
             writer: mask_writer,
-            shape,
-            reception,
-            acknowledge,
-            tell_losses,
-            counters: Arc::clone(&counters),
             requested: requested.clone(),
+            counters: Arc::clone(&counters),
+            acknowledge,
+            report_losses,
+            files,
         };
         let (round_trip, health) = (Arc::new(Mutex::new(None)), HealthCell::default());
         let (leave, left) = oneshot::channel();
@@ -220,13 +230,13 @@ pub(crate) struct Session {
 impl Session {
     /// Hands a frame's pose to the send task, in place of one that it has not sent yet.
     pub(crate) fn send_pose(&self, frame: FrameNumber, pose: Pose) {
-        self.requested.ask(frame);
+        self.requested.change(|requests| requests.request(frame));
         self.poses.send_replace(Some((frame, pose)));
     }
 
     /// Asks once more for a frame that did not come, or whose mask was `refused`.
     pub(crate) fn send_pose_again(&self, frame: FrameNumber, pose: Pose, refused: bool) {
-        self.requested.ask_again(frame, refused);
+        self.requested.change(|requests| requests.request_again(frame, refused));
         self.send_pose(frame, pose);
     }
 

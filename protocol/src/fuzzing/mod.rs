@@ -200,7 +200,7 @@ fn reassemble(policy: Policy, bytes: &[u8]) {
                 }
             }
         }
-        if rest.len() % 3 == 0 && reassembler.so_far() {
+        if rest.len() % 3 == 0 && reassembler.deliver_partial() {
             let frame = reassembler.frame().map(|frame| (frame.frame, frame.packets));
             assert!(frame.is_some() && newest < frame, "{newest:?}, then {frame:?}");
             newest = frame;

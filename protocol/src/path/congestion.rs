@@ -31,7 +31,9 @@
 //! hides the smallest ones; `on_congestion_event` is [`DelayController::on_loss`], `on_mtu_update`
 //! [`DelayController::on_datagram_bytes`].
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
+
+use web_time::Instant;
 
 /// Queueing delay above which the window shrinks.
 pub const TARGET_DELAY: Duration = Duration::from_millis(12);

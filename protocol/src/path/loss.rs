@@ -5,9 +5,10 @@
 //! with placeholders in the header's fields but sequence number and data size, and three numbers (u32, little-endian): packets that
 //! should have come, packets that did not, and runs of these. All three wrap.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use thiserror::Error;
+use web_time::Instant;
 
 use crate::{
     fec::LossModel,
@@ -95,6 +96,28 @@ impl LossMeter {
     #[must_use]
     pub const fn totals(&self) -> LossTotals {
         self.totals
+    }
+}
+
+/// Measures lost packets, and reports the totals every [`FEEDBACK_INTERVAL`].
+#[derive(Debug, Clone, Default)]
+pub struct LossReporter {
+    meter: LossMeter,
+    reported_at: Option<Instant>,
+    next_sequence: u32,
+}
+
+impl LossReporter {
+    /// Counts a packet that arrived at `now`. Returns the feedback to send, if it is time.
+    pub fn packet(&mut self, sequence: u32, now: Instant) -> Option<LossFeedback> {
+        self.meter.take(sequence);
+        if self.reported_at.is_some_and(|at| now.saturating_duration_since(at) < FEEDBACK_INTERVAL) {
+            return None;
+        }
+        self.reported_at = Some(now);
+        let sequence = self.next_sequence;
+        self.next_sequence = sequence.wrapping_add(1);
+        Some(LossFeedback { sequence, totals: self.meter.totals() })
     }
 }
 

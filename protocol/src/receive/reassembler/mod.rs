@@ -8,18 +8,17 @@
 //! The reassembler believes what the packets say, as the dissertation's does: that nobody but the peer can send them
 //! is the transport's duty. (A forged frame number near 2³² would make it ignore all that follows.)
 
-mod deadline;
 mod slices;
 mod stats;
 mod whole_frame;
 
 use thiserror::Error;
 
-pub use self::{deadline::Deadline, stats::ReassemblerStats, whole_frame::IgnoredCause};
 use self::{
     slices::Slices,
     whole_frame::{FramePacket, Verdict, WholeFrame},
 };
+pub use self::{stats::ReassemblerStats, whole_frame::IgnoredCause};
 use crate::{
     fec::{ParityPacket, Recovered, Recovery},
     header::{HeaderError, PacketHeader},
@@ -211,13 +210,13 @@ impl Reassembler {
         progress
     }
 
-    /// Gives out what has come of the frame at hand, which goes on: [`Self::frame`] has it until the next packet. Says whether
-    /// anything has come since it was given out last. Under [`Policy::WholeFrame`] nothing ever has.
-    pub fn so_far(&mut self) -> bool {
+    /// Delivers what has arrived of the current frame, which goes on: [`Self::frame`] returns it until the next packet. Returns
+    /// false if nothing has arrived since the last delivery, and always under [`Policy::WholeFrame`].
+    pub fn deliver_partial(&mut self) -> bool {
         self.out = None;
         let State::Slices(state) = &mut self.state else { return false };
         state.leave_complete();
-        self.out = state.so_far().map(|current| Out::of_slices(&current, false));
+        self.out = state.deliver_partial().map(|current| Out::of_slices(&current, false));
         self.out.is_some()
     }
 
@@ -236,7 +235,7 @@ impl Reassembler {
         }
     }
 
-    /// The frame that the last packet completed or ended, or [`Self::so_far`] gave out; the newer one, if a packet did both.
+    /// The frame that the last packet completed or ended, or that [`Self::deliver_partial`] delivered; the newer one, if a packet did both.
     #[must_use]
     pub fn frame(&self) -> Option<CompleteFrame<'_>> {
         let Out { frame, timestamp_ms, packets, restored, missing, known_bytes, ended } = self.out?;

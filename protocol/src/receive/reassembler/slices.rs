@@ -107,8 +107,8 @@ impl Slices {
         self.current.filter(|current| current.missing() == 0)
     }
 
-    /// The frame at hand, if something has come of it that has not come out.
-    pub(super) fn so_far(&mut self) -> Option<Current> {
+    /// Delivers the current frame if packets of it have arrived since its last delivery.
+    pub(super) fn deliver_partial(&mut self) -> Option<Current> {
         let current = self.current.as_mut().filter(|current| current.taken > current.given)?;
         let out = *current;
         (current.given, current.given_bytes) = (current.taken, current.bytes);

@@ -16,17 +16,17 @@ use anyhow::{Context, Result, ensure};
 use bytes::Bytes;
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
-    codec::{CodecId, DecodeError, Decoder, Encoder},
+    codec::{CodecId, DecodeError, Encoder},
+    coverage::Coverage,
     fec::{PARITY_ROOM_BYTES, ParityEncoder, parity_packets},
-    frame::Frame,
-    header::PacketHeader,
     ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
-    loss::{FEEDBACK_INTERVAL, LossEstimate, LossFeedback, LossMeter},
+    loss::{LossEstimate, LossFeedback},
     mask::{Mask, MaskShape},
     packetizer::Packetizer,
-    reassembler::{Deadline, Policy, Progress, Reassembler},
-    references::{KeptMasks, SentMasks},
+    reassembler::Policy,
+    receive::{BadFrame, BadFrameReason, FrameReceiver, ReceiverConfig},
+    references::SentMasks,
 };
 
 use gnomon_client::link::receive_options::Packets;
@@ -114,105 +114,70 @@ struct Outcome {
 
 /// The client's side.
 struct Viewer {
-    reassembler: Reassembler,
-    decoder: Decoder,
-    references: KeptMasks,
-    said: Option<Acknowledgement>,
-    packets: Packets,
-    losses: LossMeter,
-    /// When it told of losses last, and how often it did.
-    told: (Duration, u32),
+    receiver: FrameReceiver,
+    /// Start of the receiver's clock.
+    begun: Instant,
     warm_up: u32,
     shown: Mask,
-    /// When the frame at hand comes out as it is, on a clock that began then.
-    deadline: Deadline,
-    begun: Instant,
-    /// The frame that came out last, and its packets.
+    coverage: Coverage,
+    /// The frame that was delivered last, and its packets.
     counted: Option<(FrameNumber, u16)>,
     outcome: Outcome,
 }
 
 impl Viewer {
     fn new(packets: Packets, warm_up: u32, shape: MaskShape) -> Self {
-        let whole = packets == Packets::WholeFrame;
+        let receiver = FrameReceiver::new(ReceiverConfig {
+            policy: if packets == Packets::WholeFrame { Policy::WholeFrame } else { Policy::Slices },
+            largest: shape,
+            keeps_references: true,
+            reports_losses: packets == Packets::Parity,
+        });
         Self {
-            reassembler: Reassembler::new(if whole { Policy::WholeFrame } else { Policy::Slices }),
-            decoder: Decoder::new(),
-            references: KeptMasks::default(),
-            said: None,
-            packets,
-            losses: LossMeter::default(),
-            told: (Duration::ZERO, 0),
+            receiver,
+            begun: Instant::now(),
             warm_up,
             shown: Mask::new(shape),
-            deadline: Deadline::default(),
-            begun: Instant::now(),
+            coverage: Coverage::whole(shape),
             counted: None,
             outcome: Outcome::default(),
         }
     }
 
-    /// Lets time pass.
     fn wait_until(&mut self, now: Duration) -> Result<()> {
-        if self.deadline.due().is_some_and(|due| due <= self.begun + now) {
-            self.deadline.given();
-            if self.reassembler.so_far() {
-                self.take()?;
-            }
-        }
-        Ok(())
+        self.receiver.handle_timeout(self.begun + now);
+        self.show_frame()
     }
 
     fn receive(&mut self, delivery: &Delivery) -> Result<()> {
         self.wait_until(delivery.due)?;
-        let progress = self.reassembler.push(&delivery.bytes)?;
-        let header = PacketHeader::decode(&delivery.bytes)?.0;
-        self.losses.take(header.sequence);
-        if let Some(frame) = header.frame
-            && self.packets != Packets::WholeFrame
-            && !matches!(progress, Progress::Ignored(_))
-        {
-            self.deadline.stored(self.begun + delivery.due, frame, progress == Progress::Complete);
-        }
-        self.take()
+        self.receiver.push(&delivery.bytes, self.begun + delivery.due)?;
+        self.show_frame()
     }
 
-    /// Shows the frame that has come out, if one has.
-    fn take(&mut self) -> Result<()> {
-        let Some(frame) = self.reassembler.frame() else { return Ok(()) };
-        let named = Frame::parse(frame.body)?.head.reference;
-        let reference = named.and_then(|name| self.references.reference(name));
-        let decoded = match self.packets {
-            Packets::WholeFrame => self.decoder.decode_against(reference, frame.body, &mut self.shown),
-            _ if frame.known_bytes == 0 => self.decoder.decode_onto(reference, frame.body, &mut self.shown),
-            _ => self.decoder.decode_more(reference, &frame.body[frame.known_bytes..], &mut self.shown),
+    /// Shows the frame that was delivered, if one was.
+    fn show_frame(&mut self) -> Result<()> {
+        let frame = match self.receiver.poll_frame(&mut self.shown, &mut self.coverage) {
+            Ok(Some(frame)) => frame,
+            Ok(None) | Err(BadFrame { reason: BadFrameReason::Decode(DecodeError::Reference(_)), .. }) => return Ok(()),
+            Err(error) => return Err(error.into()),
         };
-        match decoded {
-            Err(DecodeError::Reference(_)) => {
-                self.said = Some(self.references.lose());
-                return Ok(());
-            }
-            decoded => decoded?,
-        };
-        self.said = self.references.keep(&self.decoder, frame.frame).or(self.said);
         if frame.frame.0 < self.warm_up {
             return Ok(());
         }
         self.outcome.frames_whole += u32::from(frame.missing == 0);
-        // Of a frame that comes out once more, what is new.
+        // Of a frame that is delivered again, only the new packets.
         let before = self.counted.filter(|(number, _)| *number == frame.frame).map_or(0, |(_, packets)| packets);
         self.outcome.packets_used += u64::from(frame.packets - before);
         self.counted = Some((frame.frame, frame.packets));
         Ok(())
     }
 
-    /// What it tells of losses, when it is time.
-    fn tells(&mut self, now: Duration) -> Option<LossFeedback> {
-        let due = self.packets == Packets::Parity && now.saturating_sub(self.told.0) >= FEEDBACK_INTERVAL;
-        due.then(|| {
-            self.told = (now, self.told.1 + 1);
-            LossFeedback { sequence: self.told.1, totals: self.losses.totals() }
-        })
+    /// Acknowledgements and loss feedback to send.
+    fn feedback(&mut self) -> impl Iterator<Item = Bytes> {
+        let acknowledgement = self.receiver.poll_acknowledgement().map(|word| Bytes::copy_from_slice(&word.encode()));
+        let losses = self.receiver.poll_loss_feedback().map(|word| Bytes::copy_from_slice(&word.encode()));
+        acknowledgement.into_iter().chain(losses)
     }
 
     fn compare(&mut self, truth: &Mask) {
@@ -307,9 +272,7 @@ fn run(
     for (now, frame, mask, is_sent) in events {
         while let Some(delivery) = deliveries.pop_front_if(|delivery| delivery.due <= now) {
             viewer.receive(&delivery)?;
-            let acknowledged = viewer.said.take().map(|word| Bytes::copy_from_slice(&word.encode()));
-            let told = viewer.tells(delivery.due).map(|word| Bytes::copy_from_slice(&word.encode()));
-            for word in acknowledged.into_iter().chain(told) {
+            for word in viewer.feedback() {
                 said.extend(sender.up.push(delivery.due, word, &mut sender.counts).into_iter().flatten());
             }
         }
@@ -321,8 +284,11 @@ fn run(
             let mut before = Outcome::default();
             let outcome = if frame < warm_up { &mut before } else { &mut viewer.outcome };
             deliveries.extend(sender.send(frame, now, mask, outcome)?);
-        } else if now >= begins && frame >= warm_up {
-            viewer.compare(mask);
+        } else {
+            viewer.receiver.request(FrameNumber(frame));
+            if now >= begins && frame >= warm_up {
+                viewer.compare(mask);
+            }
         }
     }
     for delivery in deliveries {

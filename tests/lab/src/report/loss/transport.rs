@@ -68,10 +68,10 @@ impl<'a> Stage<'a> {
         let link = self.runtime.block_on(Link::start(free, self.server.url(), both))?;
         let url = link.url(self.server.url())?;
         let folder = tempfile::tempdir_in(self.folder.path()).context("making a temporary folder")?;
-        let (came_in, recording) = (folder.path().join("came.txt"), folder.path().join("recording"));
+        let (mask_log, recording) = (folder.path().join("masks.log"), folder.path().join("recording"));
         let mut arguments = vec!["--cache-dir".into(), self.folder.path().join("cache").into()];
         arguments.extend(["--fps".into(), FPS.to_string().into(), "--codec".into(), codec.to_string().into()]);
-        arguments.extend(["--packets".into(), packets.to_string().into(), "--came".into(), (&came_in).into()]);
+        arguments.extend(["--packets".into(), packets.to_string().into(), "--mask-log".into(), (&mask_log).into()]);
         arguments.extend(["--record".into(), (&recording).into()]);
         arguments.extend(options.allow_software.then(|| "--allow-software".into()));
         let job = ClientJob {
@@ -85,7 +85,7 @@ impl<'a> Stage<'a> {
             arguments,
         };
         job.start()?.finish(PATIENCE)?.success()?;
-        let (sent, came) = (self.sent()?, came(&fs::read_to_string(&came_in)?)?);
+        let (sent, came) = (self.sent()?, came(&fs::read_to_string(&mask_log)?)?);
         let mut outcome = counted(&sent, &came, options.warm_up);
         ensure!(outcome.frames > 0, "of {} frames that were sent and {} that came none counts", sent.len(), came.len());
         let pictures = job.stats()?.iter().map(Shown::deserialize).collect::<Result<Vec<_>, _>>()?;

@@ -1,0 +1,45 @@
+//! Files that `--save-masks` and `--mask-log` write for tests and measurements.
+
+use std::{
+    fs::File,
+    io::Write as _,
+    path::{Path, PathBuf},
+};
+
+use gnomon_protocol::receive::ReceivedFrame;
+
+use super::receive_options::Reception;
+use crate::error::ClientError;
+
+#[derive(Debug)]
+pub(crate) struct MaskFiles {
+    /// Folder for the body of each whole frame.
+    bodies: Option<PathBuf>,
+    log: Option<(PathBuf, File)>,
+}
+
+impl MaskFiles {
+    /// Opens what `reception` names. Returns `None` if it names nothing.
+    pub(crate) fn open(reception: &Reception) -> Result<Option<Self>, ClientError> {
+        let Reception { save_masks, mask_log, .. } = reception;
+        let open = |path: &PathBuf| match File::options().append(true).open(path) {
+            Ok(file) => Ok((path.clone(), file)),
+            Err(source) => Err(ClientError::Write { path: path.clone(), source }),
+        };
+        let log = mask_log.as_ref().map(open).transpose()?;
+        Ok((save_masks.is_some() || log.is_some()).then(|| Self { bodies: save_masks.clone(), log }))
+    }
+
+    pub(crate) fn write(&mut self, received: &ReceivedFrame<'_>) -> Result<(), String> {
+        let failed = |path: &Path, error| format!("cannot write {}: {error}", path.display());
+        let &ReceivedFrame { frame, packets, restored, missing, body, .. } = received;
+        if let Some(folder) = self.bodies.as_ref().filter(|_| received.is_whole) {
+            let path = folder.join(format!("frame_{:06}.body", frame.0));
+            std::fs::write(&path, body).map_err(|error| failed(&path, error))?;
+        }
+        if let Some((path, file)) = &mut self.log {
+            writeln!(file, "{frame} {packets} {restored} {missing}").map_err(|error| failed(path, error))?;
+        }
+        Ok(())
+    }
+}
