@@ -62,7 +62,7 @@ pub enum SceneError {
         /// To what.
         target: &'static str,
         /// The index.
-        index: u32,
+        index: usize,
         /// How many there are.
         count: usize,
     },

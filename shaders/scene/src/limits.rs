@@ -50,6 +50,9 @@ pub const MAX_TEXTURES: usize = 1 << 14;
 /// Most images.
 pub const MAX_IMAGES: usize = 1 << 12;
 
+/// Most values in one element of the JSON's lists, such as a mesh with all its primitives.
+pub const MAX_ELEMENT_VALUES: usize = 1 << 21;
+
 /// Most names in `extensionsRequired`.
 pub const MAX_EXTENSIONS: usize = 1 << 8;
 

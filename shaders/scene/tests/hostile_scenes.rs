@@ -72,7 +72,14 @@ fn lists_are_bounded_while_they_are_parsed() {
     assert!(fault(&list("buffers", r#"{"byteLength":1}"#, 5000)).contains("more than 4096"));
     assert!(fault(&list("materials", "{}", 20_000)).contains("more than 16384"));
     assert!(fault(&list("images", "{}", 5000)).contains("more than 4096"));
-    assert!(fault(&list("extensionsRequired", r#""""#, 20_000_000)).contains("more than 256 extensions"));
+    assert!(
+        fault(&list("extensionsRequired", r#""""#, 20_000_000)).contains("/extensionsRequired: more than 256 elements")
+    );
+    let values = "0,".repeat(3_000_000);
+    assert!(
+        fault(&list("nodes", &format!(r#"{{"children":[{}0]}}"#, values), 1))
+            .contains("/nodes/0/children/2097150: more")
+    );
     // Neither in what is read nor in what is skipped do brackets nest on the stack.
     for name in ["extras", "nodes", "extensions"] {
         let nested = format!(r#""{name}":{}"#, r#"{"a":["#.repeat(1_000_000));

@@ -12,7 +12,7 @@ use super::{
         material::{self, Materials},
         meshes, nodes,
     },
-    json::document::{self, Document},
+    json::{self, Document},
     report::LoadReport,
 };
 use crate::{Aabb, Scene, error::SceneError, file::read_file, limits::MAX_FILE_BYTES};
@@ -25,20 +25,20 @@ pub(crate) fn load(path: &Path) -> Result<(Scene, LoadReport), SceneError> {
     let bytes = read_file(path, MAX_FILE_BYTES)?;
     let not_gltf = |fault: String| SceneError::NotGltf { path: path.to_owned(), fault };
     let container = glb::split(&bytes).map_err(not_gltf)?;
-    let document = document::parse(container.json).map_err(not_gltf)?;
+    let document = json::parse(container.json).map_err(not_gltf)?;
     features::check(&document)?;
     references::check(&document)?;
-    layout::check(&document)?;
+    layout::check(&document.json)?;
     material::check(&document)?;
     let placed = nodes::walk(&document)?;
 
     let folder = path.parent().unwrap_or_else(|| Path::new(""));
-    let buffers = Buffers::load(&document, container.bin, folder)?;
+    let buffers = Buffers::load(&document.json, container.bin, folder)?;
     read(&document, &buffers, &placed, folder)
 }
 
 fn read(
-    document: &Document<'_>,
+    document: &Document,
     buffers: &Buffers<'_>,
     placed: &[nodes::Placed],
     folder: &Path,
@@ -60,7 +60,7 @@ fn read(
     let mut materials = Materials::default();
     meshes::flatten(document, buffers, placed, &mut materials, &mut scene, &mut report)?;
     scene.lights = light::read(document, placed, scene.origin_m)?;
-    scene.images = image::load(document, buffers, folder, &materials.images)?;
+    scene.images = image::load(&document.json, buffers, folder, &materials.images)?;
     scene.materials = materials.materials;
     if scene.triangles.is_empty() {
         return Err(SceneError::NoTriangles { dropped: report.dropped_triangles, skipped: report.skipped_primitives });

@@ -3,8 +3,13 @@
 //! A required extension must be known. An optional one may be ignored unless that would show other geometry or another
 //! base colour than the file means: compressed meshes are refused even where they bring an uncompressed copy.
 
-use crate::error::{SceneError, place};
-use crate::reader::json::document::{Document, Primitive};
+use gltf::json::mesh::Primitive;
+use serde_json::{Map, Value};
+
+use crate::{
+    error::{SceneError, place},
+    reader::json::Document,
+};
 
 /// Extensions that are read, or that only change the look in ways that Gnomon's shading does not have.
 const KNOWN: [&str; 19] = [
@@ -29,68 +34,65 @@ const KNOWN: [&str; 19] = [
     "KHR_xmp_json_ld",
 ];
 
-/// Fails on the first feature that is not supported.
-///
 /// # Errors
-/// [`SceneError::Unsupported`], with the feature's name.
-pub(crate) fn check(document: &Document<'_>) -> Result<(), SceneError> {
-    for name in &document.extensions_required {
+/// Errors with [`SceneError::Unsupported`] at the first feature that is not supported.
+pub(crate) fn check(document: &Document) -> Result<(), SceneError> {
+    let json = &document.json;
+    for name in &json.extensions_required {
         if !KNOWN.contains(&name.as_str()) {
             return Err(SceneError::unsupported("the file", format!("the required extension {name:.100}")));
         }
     }
-    for (index, view) in document.buffer_views.iter().enumerate() {
-        let extension = if view.extensions.ext_meshopt.is_some() {
-            "EXT_meshopt_compression"
-        } else if view.extensions.khr_meshopt.is_some() {
-            "KHR_meshopt_compression"
-        } else {
-            continue;
-        };
-        return Err(SceneError::unsupported(place("buffer view", index, None), extension));
+    for (index, view) in json.buffer_views.iter().enumerate() {
+        let others = view.extensions.as_ref().map(|extensions| &extensions.others);
+        refuse(others, &["EXT_meshopt_compression", "KHR_meshopt_compression"], || place("buffer view", index, None))?;
     }
-    for (index, mesh) in document.meshes.iter().enumerate() {
+    for (index, mesh) in json.meshes.iter().enumerate() {
         for (number, primitive) in mesh.primitives.iter().enumerate() {
             let here = || format!("{}, primitive {number}", place("mesh", index, mesh.name.as_deref()));
-            check_primitive(primitive, here)?;
-            if primitive.targets > 0 && mesh.weights.as_ref().is_some_and(|weights| weights.iter().any(|w| *w != 0.0)) {
+            let others = primitive.extensions.as_ref().map(|extensions| &extensions.others);
+            refuse(others, &["KHR_draco_mesh_compression", "KHR_gaussian_splatting"], here)?;
+            if morphs(primitive) && weighted(mesh.weights.as_ref()) {
                 return Err(SceneError::unsupported(here(), "morph targets with weights other than 0"));
             }
         }
     }
-    for (index, node) in document.nodes.iter().enumerate() {
+    for (index, node) in json.nodes.iter().enumerate() {
         let here = || place("node", index, node.name.as_deref());
-        if node.extensions.instancing.is_some() {
-            return Err(SceneError::unsupported(here(), "EXT_mesh_gpu_instancing"));
-        }
-        if node.mesh.is_some() && node.skin.is_some() {
+        let others = node.extensions.as_ref().map(|extensions| &extensions.others);
+        refuse(others, &["EXT_mesh_gpu_instancing"], here)?;
+        let Some(mesh) = node.mesh else { continue };
+        if node.skin.is_some() {
             return Err(SceneError::unsupported(here(), "a skin"));
         }
-        let morphs = |mesh: u32| {
-            document.meshes.get(mesh as usize).is_some_and(|mesh| mesh.primitives.iter().any(|p| p.targets > 0))
-        };
-        let weighted = node.weights.as_ref().is_some_and(|weights| weights.iter().any(|w| *w != 0.0));
-        if weighted && node.mesh.is_some_and(morphs) {
+        if weighted(node.weights.as_ref()) && json.get(mesh).is_some_and(|mesh| mesh.primitives.iter().any(morphs)) {
             return Err(SceneError::unsupported(here(), "morph targets with weights other than 0"));
         }
     }
-    for (index, material) in document.materials.iter().enumerate() {
-        if material.extensions.specular_glossiness.is_some() {
-            let here = place("material", index, material.name.as_deref());
-            return Err(SceneError::unsupported(here, "KHR_materials_pbrSpecularGlossiness"));
-        }
+    for (index, material) in json.materials.iter().enumerate() {
+        let others = material.extensions.as_ref().map(|extensions| &extensions.others);
+        let here = || place("material", index, material.name.as_deref());
+        refuse(others, &["KHR_materials_pbrSpecularGlossiness"], here)?;
     }
     Ok(())
 }
 
-fn check_primitive(primitive: &Primitive, here: impl Fn() -> String) -> Result<(), SceneError> {
-    if primitive.extensions.draco.is_some() {
-        return Err(SceneError::unsupported(here(), "KHR_draco_mesh_compression"));
-    }
-    if primitive.extensions.splats.is_some() {
-        return Err(SceneError::unsupported(here(), "KHR_gaussian_splatting"));
-    }
-    Ok(())
+/// Errors at the first extension of `names` that an object has.
+fn refuse(
+    extensions: Option<&Map<String, Value>>,
+    names: &[&str],
+    here: impl Fn() -> String,
+) -> Result<(), SceneError> {
+    let there = |name: &&&str| extensions.is_some_and(|extensions| extensions.contains_key(**name));
+    names.iter().find(there).map_or(Ok(()), |name| Err(SceneError::unsupported(here(), *name)))
+}
+
+fn morphs(primitive: &Primitive) -> bool {
+    primitive.targets.as_ref().is_some_and(|targets| !targets.is_empty())
+}
+
+fn weighted(weights: Option<&Vec<f32>>) -> bool {
+    weights.is_some_and(|weights| weights.iter().any(|weight| *weight != 0.0))
 }
 
 #[cfg(test)]
@@ -98,7 +100,7 @@ mod tests {
     use serde_json::{Value, json};
 
     use super::*;
-    use crate::reader::json::document::parse;
+    use crate::reader::json::parse;
 
     fn fault(properties: Value) -> Option<String> {
         let mut json = properties;

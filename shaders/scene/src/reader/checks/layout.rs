@@ -3,53 +3,22 @@
 //! Offsets need not be aligned, although the specification asks for it: alignment matters to who maps buffers, and bytes
 //! are copied here. `min` and `max` are not read: bounds are computed.
 
-use crate::reader::json::document::{Accessor, Document, Sparse};
+use gltf::json::{
+    Accessor, Index, Root,
+    accessor::{ComponentType, Type, sparse::Sparse},
+    buffer::View,
+    validation::{Checked, USize64},
+};
+
 use crate::{
     error::{SceneError, place, within},
     limits::MAX_ACCESSOR_ELEMENTS,
 };
 
-/// A component's type (§3.6.2.2).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Component {
-    I8,
-    U8,
-    I16,
-    U16,
-    U32,
-    F32,
+/// Whether a type of components can count: vertex indices have one that can.
+pub(crate) const fn is_unsigned(component: ComponentType) -> bool {
+    matches!(component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32)
 }
-
-impl Component {
-    fn new(place: &str, code: u32) -> Result<Self, SceneError> {
-        Ok(match code {
-            5120 => Self::I8,
-            5121 => Self::U8,
-            5122 => Self::I16,
-            5123 => Self::U16,
-            5125 => Self::U32,
-            5126 => Self::F32,
-            _ => return Err(SceneError::invalid(place, format!("its component type {code} does not exist"))),
-        })
-    }
-
-    /// Bytes of one component.
-    pub(crate) const fn bytes(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::U32 | Self::F32 => 4,
-        }
-    }
-
-    /// Whether it can count: the types that indices have.
-    pub(crate) const fn is_unsigned(self) -> bool {
-        matches!(self, Self::U8 | Self::U16 | Self::U32)
-    }
-}
-
-/// Types of elements and their components. Matrices belong to skins, which are not read.
-const SHAPES: [(&str, usize); 4] = [("SCALAR", 1), ("VEC2", 2), ("VEC3", 3), ("VEC4", 4)];
 
 /// A run of elements in a buffer. The last one ends inside the buffer's declared length.
 #[derive(Debug, Clone, Copy)]
@@ -67,10 +36,10 @@ pub(crate) struct Layout {
     pub(crate) place: String,
     /// Number of elements, at least 1.
     pub(crate) count: usize,
-    pub(crate) component: Component,
+    pub(crate) component: ComponentType,
     pub(crate) normalized: bool,
-    /// SCALAR, VEC2, ….
-    pub(crate) shape: &'static str,
+    /// A scalar or a vector.
+    pub(crate) shape: Type,
     /// None: all zeros.
     pub(crate) base: Option<Span>,
     pub(crate) sparse: Option<SparseLayout>,
@@ -88,48 +57,60 @@ pub(crate) struct SparseLayout {
 /// Checks the layout of every scalar and vector accessor of the file, whatever it is for.
 ///
 /// # Errors
-/// As [`Layout::new`].
-pub(crate) fn check(document: &Document<'_>) -> Result<(), SceneError> {
-    for (index, accessor) in document.accessors.iter().enumerate() {
+/// Errors as [`Layout::new`].
+pub(crate) fn check(json: &Root) -> Result<(), SceneError> {
+    for (index, accessor) in json.accessors.iter().enumerate() {
         // Matrices, and types of a later version, are legal where nothing reads them.
-        if SHAPES.iter().any(|(name, _)| *name == accessor.shape) {
-            Layout::new(document, index)?;
+        if shape(accessor).is_some() {
+            Layout::new(json, index)?;
         }
     }
-    for index in 0..document.buffer_views.len() {
-        view_range(document, index)?;
+    for index in 0..json.buffer_views.len() {
+        view_range(json, index)?;
     }
     Ok(())
+}
+
+/// The type of an accessor's elements; `None` for matrices, which belong to skins, and for types that do not exist.
+fn shape(accessor: &Accessor) -> Option<Type> {
+    match accessor.type_ {
+        Checked::Valid(shape @ (Type::Scalar | Type::Vec2 | Type::Vec3 | Type::Vec4)) => Some(shape),
+        Checked::Valid(_) | Checked::Invalid => None,
+    }
 }
 
 impl Layout {
     /// Checks accessor `index`.
     ///
     /// # Errors
-    /// When there is none, it is malformed, or it reaches beyond its buffer view.
-    pub(crate) fn new(document: &Document<'_>, index: usize) -> Result<Self, SceneError> {
+    /// Errors if there is none, it is malformed, or it reaches beyond its buffer view.
+    pub(crate) fn new(json: &Root, index: usize) -> Result<Self, SceneError> {
         let place = place("accessor", index, None);
-        let Some(accessor) = document.accessors.get(index) else {
+        let Some(accessor) = json.accessors.get(index) else {
             return Err(SceneError::invalid(place, "there is no such accessor"));
         };
-        let component = Component::new(&place, accessor.component_type)?;
-        let Some((shape, lanes)) = SHAPES.iter().find(|(name, _)| *name == accessor.shape) else {
-            return Err(SceneError::invalid(place, format!("its type {:.16?} is not read here", accessor.shape)));
+        let Checked::Valid(component) = accessor.component_type else {
+            return Err(SceneError::invalid(place, "its component type is none of 5120 to 5123, 5125 and 5126"));
         };
-        let element_bytes = component.bytes() * lanes;
+        let component = component.0;
+        let Some(shape) = shape(accessor) else {
+            return Err(SceneError::invalid(place, "its type is not SCALAR, VEC2, VEC3 or VEC4: it is not read here"));
+        };
+        let element_bytes = component.size() * shape.multiplicity();
         let count = element_count(&place, accessor)?;
-        if accessor.normalized && matches!(component, Component::F32 | Component::U32) {
+        if accessor.normalized && matches!(component, ComponentType::F32 | ComponentType::U32) {
             return Err(SceneError::invalid(place, "floats and 32-bit integers cannot be normalised"));
         }
+        let offset = accessor.byte_offset.unwrap_or_default();
         let base = match accessor.buffer_view {
-            Some(view) => Some(span(document, &place, (view, accessor.byte_offset), count, element_bytes, true)?),
-            None if accessor.byte_offset > 0 => {
+            Some(view) => Some(span(json, &place, (view, offset), count, element_bytes, true)?),
+            None if offset.0 > 0 => {
                 return Err(SceneError::invalid(place, "it has an offset, but no buffer view"));
             }
             None => None,
         };
         let sparse = match &accessor.sparse {
-            Some(sparse) => Some(sparse_layout(document, &place, sparse, count, element_bytes)?),
+            Some(sparse) => Some(sparse_layout(json, &place, sparse, count, element_bytes)?),
             None => None,
         };
         Ok(Self { place, count, component, normalized: accessor.normalized, shape, base, sparse })
@@ -137,50 +118,49 @@ impl Layout {
 }
 
 fn element_count(place: &str, accessor: &Accessor) -> Result<usize, SceneError> {
-    within(format!("elements of {place}"), accessor.count, MAX_ACCESSOR_ELEMENTS)?;
-    match usize::try_from(accessor.count) {
+    within(format!("elements of {place}"), accessor.count.0, MAX_ACCESSOR_ELEMENTS)?;
+    match usize::try_from(accessor.count.0) {
         Ok(count) if count > 0 => Ok(count),
         _ => Err(SceneError::invalid(place, "its count is 0")),
     }
 }
 
 fn sparse_layout(
-    document: &Document<'_>,
+    json: &Root,
     place: &str,
     sparse: &Sparse,
     base_count: usize,
     element_bytes: usize,
 ) -> Result<SparseLayout, SceneError> {
-    let Some(count) = usize::try_from(sparse.count).ok().filter(|count| (1..=base_count).contains(count)) else {
-        let fault = format!("its sparse part overrides {} elements of {base_count}", sparse.count);
+    let Some(count) = usize::try_from(sparse.count.0).ok().filter(|count| (1..=base_count).contains(count)) else {
+        let fault = format!("its sparse part overrides {} elements of {base_count}", sparse.count.0);
         return Err(SceneError::invalid(place, fault));
     };
-    let component = Component::new(place, sparse.indices.component_type)?;
-    if !component.is_unsigned() {
+    let Checked::Valid(component) = sparse.indices.component_type else {
         return Err(SceneError::invalid(place, "its sparse indices are not unsigned integers"));
-    }
+    };
     let indices = (sparse.indices.buffer_view, sparse.indices.byte_offset);
     let values = (sparse.values.buffer_view, sparse.values.byte_offset);
     Ok(SparseLayout {
         count,
-        indices: span(document, place, indices, count, component.bytes(), false)?,
-        values: span(document, place, values, count, element_bytes, false)?,
+        indices: span(json, place, indices, count, component.0.size(), false)?,
+        values: span(json, place, values, count, element_bytes, false)?,
     })
 }
 
 /// The span of `count` elements at an offset of a buffer view.
 fn span(
-    document: &Document<'_>,
+    json: &Root,
     place: &str,
-    (view, offset): (u32, u64),
+    (view, offset): (Index<View>, USize64),
     count: usize,
     element_bytes: usize,
     may_stride: bool,
 ) -> Result<Span, SceneError> {
-    let index = view as usize;
-    let (buffer, view_start, view_bytes) = view_range(document, index)?;
-    let stride = document.buffer_views.get(index).and_then(|view| view.byte_stride);
-    let stride = match stride {
+    let (index, offset) = (view.value(), offset.0);
+    let (buffer, view_start, view_bytes) = view_range(json, index)?;
+    let stride = json.buffer_views.get(index).and_then(|view| view.byte_stride);
+    let stride = match stride.map(|stride| stride.0 as u64) {
         Some(stride) if may_stride && stride >= element_bytes as u64 => stride,
         Some(stride) => {
             let fault =
@@ -211,28 +191,25 @@ fn span(
 ///
 /// # Errors
 /// When it reaches beyond its buffer, or its stride is not one.
-pub(crate) fn view_range(document: &Document<'_>, index: usize) -> Result<(usize, u64, u64), SceneError> {
+pub(crate) fn view_range(json: &Root, index: usize) -> Result<(usize, u64, u64), SceneError> {
     let place = || place("buffer view", index, None);
-    let Some(view) = document.buffer_views.get(index) else {
+    let Some(view) = json.buffer_views.get(index) else {
         return Err(SceneError::invalid(place(), "there is no such buffer view"));
     };
-    let buffer_bytes = document.buffers.get(view.buffer as usize).map_or(0, |buffer| buffer.byte_length);
-    let end = view.byte_offset.checked_add(view.byte_length).filter(|end| *end <= buffer_bytes);
-    if end.is_none() || view.byte_length == 0 {
-        let fault = format!(
-            "{} bytes from byte {} on do not lie in buffer {} of {buffer_bytes} bytes",
-            view.byte_length, view.byte_offset, view.buffer
-        );
+    let buffer_bytes = json.get(view.buffer).map_or(0, |buffer| buffer.byte_length.0);
+    let (start, bytes) = (view.byte_offset.unwrap_or_default().0, view.byte_length.0);
+    let end = start.checked_add(bytes).filter(|end| *end <= buffer_bytes);
+    if end.is_none() || bytes == 0 {
+        let fault =
+            format!("{bytes} bytes from byte {start} on do not lie in buffer {} of {buffer_bytes} bytes", view.buffer);
         return Err(SceneError::invalid(place(), fault));
     }
-    if let Some(stride) = view.byte_stride
-        && !((4..=252).contains(&stride) && stride.is_multiple_of(4) && stride <= view.byte_length)
+    if let Some(stride) = view.byte_stride.map(|stride| stride.0 as u64)
+        && !((4..=252).contains(&stride) && stride.is_multiple_of(4) && stride <= bytes)
     {
-        let fault = format!(
-            "its stride is {stride}, not a multiple of 4 from 4 to 252 and to its length of {} bytes",
-            view.byte_length
-        );
+        let fault =
+            format!("its stride is {stride}, not a multiple of 4 from 4 to 252 and to its length of {bytes} bytes");
         return Err(SceneError::invalid(place(), fault));
     }
-    Ok((view.buffer as usize, view.byte_offset, view.byte_length))
+    Ok((view.buffer.value(), start, bytes))
 }

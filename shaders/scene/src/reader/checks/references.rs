@@ -1,66 +1,65 @@
-//! Every index of the JSON that Gnomon follows points to something. Checked for the whole file, once, so that the code
-//! behind it may follow indices of any object; it still does so without panicking.
+//! Checks once, for the whole file, that every index that is followed points to something. The code behind it may follow
+//! any of them; it still does so without panicking.
 
-use crate::error::{SceneError, place};
-use crate::reader::json::document::{Document, Primitive};
+use gltf::json::{Accessor, Index, Root, mesh, root::Get};
 
-/// Fails on the first index that points nowhere.
-///
+use crate::{
+    error::{SceneError, place},
+    reader::json::{Document, TEXCOORDS, attribute, source},
+};
+
 /// # Errors
-/// [`SceneError::Reference`] names both ends.
-pub(crate) fn check(document: &Document<'_>) -> Result<(), SceneError> {
-    let nodes = document.nodes.len();
-    if let Some(scene) = document.scene {
-        inside("the file", "default scene", Some(scene), document.scenes.len())?;
-    }
-    for (index, scene) in document.scenes.iter().enumerate() {
+/// Errors with [`SceneError::Reference`] at the first index that points nowhere.
+pub(crate) fn check(document: &Document) -> Result<(), SceneError> {
+    let json = &document.json;
+    inside(json, "the file", "default scene", json.scene)?;
+    for (index, scene) in json.scenes.iter().enumerate() {
         for node in &scene.nodes {
-            inside(&place("scene", index, None), "node", Some(*node), nodes)?;
+            inside(json, &place("scene", index, None), "node", Some(*node))?;
         }
     }
-    let lights = document.extensions.lights.as_ref().map_or(0, |lights| lights.lights.len());
-    for (index, node) in document.nodes.iter().enumerate() {
+    for (index, node) in json.nodes.iter().enumerate() {
         let here = place("node", index, node.name.as_deref());
-        for child in &node.children {
-            inside(&here, "node", Some(*child), nodes)?;
+        for child in node.children.iter().flatten() {
+            inside(json, &here, "node", Some(*child))?;
         }
-        inside(&here, "mesh", node.mesh, document.meshes.len())?;
-        inside(&here, "light", node.extensions.light.as_ref().map(|light| light.light), lights)?;
+        inside(json, &here, "mesh", node.mesh)?;
+        let light = node.extensions.as_ref().and_then(|extensions| extensions.khr_lights_punctual.as_ref());
+        below(&here, "light", light.map(|light| light.light.value()), document.lights.len())?;
     }
-    for (index, mesh) in document.meshes.iter().enumerate() {
+    for (index, mesh) in json.meshes.iter().enumerate() {
         let here = place("mesh", index, mesh.name.as_deref());
         if mesh.primitives.is_empty() {
             return Err(SceneError::invalid(here, "it has no primitives"));
         }
         for primitive in &mesh.primitives {
-            check_primitive(document, &here, primitive)?;
+            check_primitive(json, &here, primitive)?;
         }
     }
-    let views = document.buffer_views.len();
-    for (index, accessor) in document.accessors.iter().enumerate() {
+    for (index, accessor) in json.accessors.iter().enumerate() {
         let here = place("accessor", index, None);
-        inside(&here, "buffer view", accessor.buffer_view, views)?;
+        inside(json, &here, "buffer view", accessor.buffer_view)?;
         if let Some(sparse) = &accessor.sparse {
-            inside(&here, "buffer view", Some(sparse.indices.buffer_view), views)?;
-            inside(&here, "buffer view", Some(sparse.values.buffer_view), views)?;
+            inside(json, &here, "buffer view", Some(sparse.indices.buffer_view))?;
+            inside(json, &here, "buffer view", Some(sparse.values.buffer_view))?;
         }
     }
-    for (index, view) in document.buffer_views.iter().enumerate() {
-        inside(&place("buffer view", index, None), "buffer", Some(view.buffer), document.buffers.len())?;
+    for (index, view) in json.buffer_views.iter().enumerate() {
+        inside(json, &place("buffer view", index, None), "buffer", Some(view.buffer))?;
     }
-    for (index, material) in document.materials.iter().enumerate() {
+    for (index, material) in json.materials.iter().enumerate() {
         let here = place("material", index, material.name.as_deref());
-        let texture = material.pbr_metallic_roughness.base_color_texture.as_ref().map(|info| info.index);
-        inside(&here, "texture", texture, document.textures.len())?;
+        let texture = material.pbr_metallic_roughness.base_color_texture.as_ref();
+        inside(json, &here, "texture", texture.map(|info| info.index))?;
     }
-    for (index, texture) in document.textures.iter().enumerate() {
+    for (index, texture) in json.textures.iter().enumerate() {
         let here = place("texture", index, None);
-        inside(&here, "image", texture.source, document.images.len())?;
-        inside(&here, "sampler", texture.sampler, document.samplers.len())?;
+        inside(json, &here, "image", source(texture))?;
+        inside(json, &here, "sampler", texture.sampler)?;
     }
-    for (index, image) in document.images.iter().enumerate() {
+    for (index, image) in json.images.iter().enumerate() {
         let here = place("image", index, image.name.as_deref());
-        inside(&here, "buffer view", image.buffer_view, views)?;
+        inside(json, &here, "buffer view", image.buffer_view)?;
         if image.uri.is_some() == image.buffer_view.is_some() {
             return Err(SceneError::invalid(here, "it must have either a uri or a buffer view"));
         }
@@ -68,23 +67,25 @@ pub(crate) fn check(document: &Document<'_>) -> Result<(), SceneError> {
     Ok(())
 }
 
-fn check_primitive(document: &Document<'_>, here: &str, primitive: &Primitive) -> Result<(), SceneError> {
-    let accessors = document.accessors.len();
-    let attributes = &primitive.attributes;
-    for accessor in [attributes.position, attributes.normal, primitive.indices]
-        .into_iter()
-        .chain((0..4).map(|set| attributes.texcoord(set)))
-    {
-        inside(here, "accessor", accessor, accessors)?;
+fn check_primitive(json: &Root, here: &str, primitive: &mesh::Primitive) -> Result<(), SceneError> {
+    let attributes = [mesh::Semantic::Positions, mesh::Semantic::Normals].into_iter();
+    for semantic in attributes.chain(TEXCOORDS.map(mesh::Semantic::TexCoords)) {
+        inside(json, here, "accessor", attribute(primitive, semantic))?;
     }
-    inside(here, "material", primitive.material, document.materials.len())
+    inside::<Accessor>(json, here, "accessor", primitive.indices)?;
+    inside(json, here, "material", primitive.material)
 }
 
-fn inside(place: &str, target: &'static str, index: Option<u32>, count: usize) -> Result<(), SceneError> {
+fn inside<T>(json: &Root, place: &str, target: &'static str, index: Option<Index<T>>) -> Result<(), SceneError>
+where
+    Root: Get<T> + AsRef<[T]>,
+{
+    below(place, target, index.map(|index| index.value()), AsRef::<[T]>::as_ref(json).len())
+}
+
+fn below(place: &str, target: &'static str, index: Option<usize>, count: usize) -> Result<(), SceneError> {
     match index {
-        Some(index) if index as usize >= count => {
-            Err(SceneError::Reference { place: place.to_owned(), target, index, count })
-        }
+        Some(index) if index >= count => Err(SceneError::Reference { place: place.to_owned(), target, index, count }),
         _ => Ok(()),
     }
 }

@@ -2,12 +2,14 @@
 
 use std::{borrow::Cow, path::Path};
 
+use gltf::json::{Index, Root, buffer::View};
+
 use super::uri::{Target, follow};
 use crate::{
     error::{SceneError, place, within},
     file::read_start,
     limits::MAX_BUFFER_BYTES,
-    reader::{checks::layout::view_range, json::document::Document},
+    reader::checks::layout::view_range,
 };
 
 /// Buffers, each exactly as long as the JSON says.
@@ -18,17 +20,17 @@ impl<'a> Buffers<'a> {
     ///
     /// # Errors
     /// When one cannot be read, is shorter than it says, or all together are too large.
-    pub(crate) fn load(document: &Document<'_>, bin: Option<&'a [u8]>, folder: &Path) -> Result<Self, SceneError> {
-        let total = document.buffers.iter().try_fold(0_u64, |sum, buffer| sum.checked_add(buffer.byte_length));
+    pub(crate) fn load(json: &Root, bin: Option<&'a [u8]>, folder: &Path) -> Result<Self, SceneError> {
+        let total = json.buffers.iter().try_fold(0_u64, |sum, buffer| sum.checked_add(buffer.byte_length.0));
         within("bytes of all buffers", total.unwrap_or(u64::MAX), MAX_BUFFER_BYTES)?;
-        let mut buffers = Vec::with_capacity(document.buffers.len());
-        for (index, buffer) in document.buffers.iter().enumerate() {
+        let mut buffers = Vec::with_capacity(json.buffers.len());
+        for (index, buffer) in json.buffers.iter().enumerate() {
             let here = || place("buffer", index, None);
             let data = match &buffer.uri {
-                Some(uri) => match follow(&uri.0, folder).map_err(|fault| SceneError::invalid(here(), fault))? {
+                Some(uri) => match follow(uri, folder).map_err(|fault| SceneError::invalid(here(), fault))? {
                     Target::Data(data) => Some(Cow::Owned(data)),
                     // Only what the sum above has counted: many buffers may name one large file.
-                    Target::File(path) => Some(Cow::Owned(read_start(&path, buffer.byte_length)?)),
+                    Target::File(path) => Some(Cow::Owned(read_start(&path, buffer.byte_length.0)?)),
                 },
                 None if index == 0 => bin.map(Cow::Borrowed),
                 None => None,
@@ -36,8 +38,8 @@ impl<'a> Buffers<'a> {
             let data = match data {
                 Some(data) => {
                     let there = data.len();
-                    Some(cut(data, buffer.byte_length).ok_or_else(|| {
-                        let fault = format!("it says {} bytes, but has {there}", buffer.byte_length);
+                    Some(cut(data, buffer.byte_length.0).ok_or_else(|| {
+                        let fault = format!("it says {} bytes, but has {there}", buffer.byte_length.0);
                         SceneError::invalid(here(), fault)
                     })?)
                 }
@@ -62,12 +64,12 @@ impl<'a> Buffers<'a> {
     ///
     /// # Errors
     /// As [`view_range`] and [`Self::get`].
-    pub(crate) fn view(&self, document: &Document<'_>, index: u32) -> Result<&[u8], SceneError> {
-        let (buffer, start, bytes) = view_range(document, index as usize)?;
+    pub(crate) fn view(&self, json: &Root, index: Index<View>) -> Result<&[u8], SceneError> {
+        let (buffer, start, bytes) = view_range(json, index.value())?;
         let data = self.get(buffer)?;
         let range = usize::try_from(start).ok().zip(usize::try_from(start + bytes).ok());
         range.and_then(|(start, end)| data.get(start..end)).ok_or_else(|| {
-            SceneError::invalid(place("buffer view", index as usize, None), "it reaches beyond its buffer")
+            SceneError::invalid(place("buffer view", index.value(), None), "it reaches beyond its buffer")
         })
     }
 }

@@ -1,11 +1,15 @@
 //! Reads accessors' elements: interleaved, normalised, quantised, sparse, or all zeros (glTF 2.0, §3.6.2).
 
+use gltf::json::{
+    Accessor, Index, Root,
+    accessor::{ComponentType, Type},
+};
+
 use crate::{
     error::SceneError,
     reader::{
-        checks::layout::{Component, Layout, Span},
+        checks::layout::{Layout, Span, is_unsigned},
         file::buffers::Buffers,
-        json::document::Document,
     },
 };
 
@@ -15,16 +19,17 @@ use crate::{
 /// # Errors
 /// When the accessor is malformed or of another type, or a component is NaN or infinite.
 pub(crate) fn vectors<const N: usize>(
-    document: &Document<'_>,
+    json: &Root,
     buffers: &Buffers<'_>,
-    index: u32,
+    index: Index<Accessor>,
 ) -> Result<Vec<[f32; N]>, SceneError> {
-    let layout = Layout::new(document, index as usize)?;
-    let expected = if N == 2 { "VEC2" } else { "VEC3" };
+    let layout = Layout::new(json, index.value())?;
+    let expected = if N == 2 { Type::Vec2 } else { Type::Vec3 };
     if layout.shape != expected {
-        return Err(SceneError::invalid(layout.place, format!("its type is {}, not {expected}", layout.shape)));
+        let [found, expected] = [layout.shape, expected].map(|shape| format!("{shape:?}").to_uppercase());
+        return Err(SceneError::invalid(layout.place, format!("its type is {found}, not {expected}")));
     }
-    let size = layout.component.bytes();
+    let size = layout.component.size();
     let out = elements(&layout, buffers, [0.0; N], |element| {
         let mut vector = [0.0; N];
         for (value, bytes) in vector.iter_mut().zip(element.chunks_exact(size)) {
@@ -42,9 +47,9 @@ pub(crate) fn vectors<const N: usize>(
 ///
 /// # Errors
 /// When the accessor is malformed, or not of plain unsigned scalars.
-pub(crate) fn indices(document: &Document<'_>, buffers: &Buffers<'_>, index: u32) -> Result<Vec<u32>, SceneError> {
-    let layout = Layout::new(document, index as usize)?;
-    if layout.shape != "SCALAR" || !layout.component.is_unsigned() || layout.normalized {
+pub(crate) fn indices(json: &Root, buffers: &Buffers<'_>, index: Index<Accessor>) -> Result<Vec<u32>, SceneError> {
+    let layout = Layout::new(json, index.value())?;
+    if layout.shape != Type::Scalar || !is_unsigned(layout.component) || layout.normalized {
         return Err(SceneError::invalid(layout.place, "indices must be unsigned integers, not normalised"));
     }
     elements(&layout, buffers, 0, unsigned)
@@ -101,13 +106,13 @@ fn unsigned(bytes: &[u8]) -> u32 {
 }
 
 #[expect(clippy::cast_precision_loss, reason = "32-bit integers are no vertex attributes; the others fit f32")]
-fn float(component: Component, normalized: bool, bytes: &[u8]) -> f32 {
+fn float(component: ComponentType, normalized: bool, bytes: &[u8]) -> f32 {
     let (value, full) = match (component, bytes) {
-        (Component::I8, &[a]) => (f32::from(i8::from_le_bytes([a])), 127.0),
-        (Component::U8, &[a]) => (f32::from(a), 255.0),
-        (Component::I16, &[a, b]) => (f32::from(i16::from_le_bytes([a, b])), 32767.0),
-        (Component::U16, &[a, b]) => (f32::from(u16::from_le_bytes([a, b])), 65535.0),
-        (Component::F32, &[a, b, c, d]) => return f32::from_le_bytes([a, b, c, d]),
+        (ComponentType::I8, &[a]) => (f32::from(i8::from_le_bytes([a])), 127.0),
+        (ComponentType::U8, &[a]) => (f32::from(a), 255.0),
+        (ComponentType::I16, &[a, b]) => (f32::from(i16::from_le_bytes([a, b])), 32767.0),
+        (ComponentType::U16, &[a, b]) => (f32::from(u16::from_le_bytes([a, b])), 65535.0),
+        (ComponentType::F32, &[a, b, c, d]) => return f32::from_le_bytes([a, b, c, d]),
         _ => (unsigned(bytes) as f32, 1.0),
     };
     if normalized { (value / full).max(-1.0) } else { value }
@@ -118,18 +123,18 @@ mod tests {
     use super::*;
 
     /// One accessor over the bytes 0, 1, 2, … of a buffer of `bytes` bytes.
-    fn read<T>(accessor: &str, views: &str, read: impl Fn(&Document<'_>, &Buffers<'_>) -> T) -> T {
+    fn read<T>(accessor: &str, views: &str, read: impl Fn(&Root, &Buffers<'_>) -> T) -> T {
         let bin: Vec<u8> = (0..=255).collect();
         let json = format!(
             r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"byteLength":256}}],"bufferViews":[{views}],"accessors":[{accessor}]}}"#
         );
-        let document = serde_json::from_str(&json).unwrap();
-        let buffers = Buffers::load(&document, Some(&bin), ".".as_ref()).unwrap();
-        read(&document, &buffers)
+        let document = crate::reader::json::parse(json.as_bytes()).unwrap();
+        let buffers = Buffers::load(&document.json, Some(&bin), ".".as_ref()).unwrap();
+        read(&document.json, &buffers)
     }
 
     fn read_indices(accessor: &str, views: &str) -> Result<Vec<u32>, String> {
-        read(accessor, views, |document, buffers| indices(document, buffers, 0).map_err(|error| error.to_string()))
+        read(accessor, views, |json, buffers| indices(json, buffers, Index::new(0)).map_err(|error| error.to_string()))
     }
 
     const VIEW: &str = r#"{"buffer":0,"byteOffset":4,"byteLength":16}"#;
@@ -144,7 +149,7 @@ mod tests {
         assert_eq!(at(5125, 4).unwrap(), [0x0706_0504, 0x0b0a_0908, 0x0f0e_0d0c, 0x1312_1110]);
         assert!(at(5125, 5).unwrap_err().contains("16 bytes"));
         assert!(at(5126, 1).is_err());
-        assert!(at(5124, 1).unwrap_err().contains("5124"));
+        assert!(at(5124, 1).unwrap_err().contains("component type"));
         assert!(at(5121, 0).is_err());
     }
 
@@ -153,9 +158,9 @@ mod tests {
         let accessor =
             r#"{"bufferView":0,"byteOffset":1,"componentType":5121,"normalized":true,"count":2,"type":"VEC3"}"#;
         let views = r#"{"buffer":0,"byteOffset":4,"byteLength":16,"byteStride":8}"#;
-        let got = read(accessor, views, |document, buffers| vectors::<3>(document, buffers, 0)).unwrap();
+        let got = read(accessor, views, |json, buffers| vectors::<3>(json, buffers, Index::new(0))).unwrap();
         assert_eq!(got, [[5.0, 6.0, 7.0].map(|v: f32| v / 255.0), [13.0, 14.0, 15.0].map(|v: f32| v / 255.0)]);
-        assert!(float(Component::I8, true, &[0x80]) == -1.0 && float(Component::I16, true, &[1, 0x80]) == -1.0);
+        assert!(float(ComponentType::I8, true, &[0x80]) == -1.0 && float(ComponentType::I16, true, &[1, 0x80]) == -1.0);
     }
 
     #[test]

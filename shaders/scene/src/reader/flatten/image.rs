@@ -2,18 +2,17 @@
 
 use std::path::Path;
 
+use gltf::json::{Index, Root};
+
 use crate::{
     Image,
     error::{SceneError, place, within},
     file::read_file,
     limits::{MAX_IMAGE_BYTES, MAX_IMAGES_BYTES, MAX_IMAGES_PIXELS},
     picture::decode,
-    reader::{
-        file::{
-            buffers::Buffers,
-            uri::{Target, follow},
-        },
-        json::document::Document,
+    reader::file::{
+        buffers::Buffers,
+        uri::{Target, follow},
     },
 };
 
@@ -22,31 +21,29 @@ use crate::{
 /// # Errors
 /// When one is missing, broken, or of a format that is not read, with the file's name; when all together are too large.
 pub(crate) fn load(
-    document: &Document<'_>,
+    json: &Root,
     buffers: &Buffers<'_>,
     folder: &Path,
-    wanted: &[u32],
+    wanted: &[Index<gltf::json::Image>],
 ) -> Result<Vec<Image>, SceneError> {
     let mut images = Vec::with_capacity(wanted.len());
     let (mut bytes, mut pixels_left) = (0_u64, MAX_IMAGES_PIXELS);
     for index in wanted {
-        let Some(source) = document.images.get(*index as usize) else {
-            return Err(SceneError::invalid(place("image", *index as usize, None), "there is no such image"));
+        let Some(source) = json.get(*index) else {
+            return Err(SceneError::invalid(place("image", index.value(), None), "there is no such image"));
         };
-        let here = place("image", *index as usize, source.name.as_deref());
+        let here = place("image", index.value(), source.name.as_deref());
         let mut name = "inside the file".to_owned();
         let encoded = match (&source.uri, source.buffer_view) {
-            (Some(uri), _) => {
-                match follow(&uri.0, folder).map_err(|fault| SceneError::invalid(here.as_str(), fault))? {
-                    Target::Data(data) => data,
-                    Target::File(path) => {
-                        name = path.display().to_string();
-                        read_file(&path, MAX_IMAGE_BYTES)?
-                    }
+            (Some(uri), _) => match follow(uri, folder).map_err(|fault| SceneError::invalid(here.as_str(), fault))? {
+                Target::Data(data) => data,
+                Target::File(path) => {
+                    name = path.display().to_string();
+                    read_file(&path, MAX_IMAGE_BYTES)?
                 }
-            }
+            },
             (None, Some(view)) => {
-                let view = buffers.view(document, view)?;
+                let view = buffers.view(json, view)?;
                 within(format!("bytes of {here}"), view.len() as u64, MAX_IMAGE_BYTES)?;
                 view.to_vec()
             }

@@ -7,15 +7,15 @@ use crate::{
     Light,
     error::{SceneError, place},
     light::LightSource,
-    reader::json::document::{self, Document},
+    reader::json::{self, Document},
 };
 
 /// Reads the lights of the placed nodes. Scales change neither range nor intensity, as the extension says.
 ///
 /// # Errors
 /// When one is malformed, whether or not a node uses it.
-pub(crate) fn read(document: &Document<'_>, placed: &[Placed], origin_m: DVec3) -> Result<Vec<Light>, SceneError> {
-    let definitions = document.extensions.lights.as_ref().map_or(&[][..], |lights| &lights.lights);
+pub(crate) fn read(document: &Document, placed: &[Placed], origin_m: DVec3) -> Result<Vec<Light>, SceneError> {
+    let definitions = &document.lights;
     for (index, definition) in definitions.iter().enumerate() {
         if definition.kind == "spot" && definition.spot.is_none() {
             return Err(SceneError::invalid(
@@ -29,9 +29,9 @@ pub(crate) fn read(document: &Document<'_>, placed: &[Placed], origin_m: DVec3) 
     }
     let mut lights = Vec::new();
     for at in placed {
-        let Some(node) = document.nodes.get(at.node) else { continue };
-        let definition = node.extensions.light.as_ref().and_then(|light| definitions.get(light.light as usize));
-        let Some(definition) = definition else { continue };
+        let Some(node) = document.json.nodes.get(at.node) else { continue };
+        let named = node.extensions.as_ref().and_then(|extensions| extensions.khr_lights_punctual.as_ref());
+        let Some(definition) = named.and_then(|named| definitions.get(named.light.value())) else { continue };
         let position = at.world_from_node.w_axis.truncate();
         let direction = at.world_from_node.transform_vector3(DVec3::NEG_Z);
         let light = source(definition, node.name.as_deref(), position, direction).light(origin_m);
@@ -41,7 +41,7 @@ pub(crate) fn read(document: &Document<'_>, placed: &[Placed], origin_m: DVec3) 
 }
 
 fn source<'a>(
-    light: &'a document::Light,
+    light: &'a json::Light,
     node_name: Option<&'a str>,
     position: DVec3,
     direction: DVec3,

@@ -6,13 +6,17 @@
 use std::collections::HashMap;
 
 use glam::{Vec3, Vec4};
+use gltf::json::{self, Index, texture::WrappingMode, validation::Checked};
 
-use crate::reader::json::document::{self, Document};
 use crate::{
     AlphaMode, Material, Texture, Wrap,
     error::{SceneError, place},
     light::{f32_of, short_name},
+    reader::json::{Document, Factors, source},
 };
+
+/// Extensions that bring pictures in formats that are not read.
+const OTHER_FORMATS: [&str; 4] = ["KHR_texture_basisu", "EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds"];
 
 /// Materials and images that the drawn triangles use, in the order of their first use.
 #[derive(Default)]
@@ -20,8 +24,8 @@ pub(crate) struct Materials {
     /// Read materials.
     pub(crate) materials: Vec<Material>,
     /// Images in the JSON that they use.
-    pub(crate) images: Vec<u32>,
-    by_index: HashMap<Option<u32>, u32>,
+    pub(crate) images: Vec<Index<json::Image>>,
+    by_index: HashMap<Option<Index<json::Material>>, u32>,
 }
 
 impl Materials {
@@ -29,14 +33,15 @@ impl Materials {
     ///
     /// # Errors
     /// When it is malformed, or its picture has a format that is not read.
-    pub(crate) fn get(&mut self, document: &Document<'_>, index: Option<u32>) -> Result<u32, SceneError> {
+    pub(crate) fn get(&mut self, document: &Document, index: Option<Index<json::Material>>) -> Result<u32, SceneError> {
         if let Some(known) = self.by_index.get(&index) {
             return Ok(*known);
         }
-        let fallback = document::Material::default();
-        let source = index.and_then(|index| document.materials.get(index as usize)).unwrap_or(&fallback);
+        let fallback = (json::Material::default(), Factors::default());
+        let found = index.and_then(|index| Some((document.json.get(index)?, document.factors.get(index.value())?)));
+        let (source, factors) = found.unwrap_or((&fallback.0, &fallback.1));
         let here = match index {
-            Some(index) => place("material", index as usize, source.name.as_deref()),
+            Some(index) => place("material", index.value(), source.name.as_deref()),
             None => "the default material".to_owned(),
         };
         let texture = source.pbr_metallic_roughness.base_color_texture.as_ref();
@@ -44,7 +49,7 @@ impl Materials {
             Some(info) => Some(self.texture(document, info.index)?),
             None => None,
         };
-        let material = read(source, texture, &here)?;
+        let material = read(source, factors, texture, &here)?;
         // At most one more than the document has, which is bounded.
         let number = u32::try_from(self.materials.len()).unwrap_or(u32::MAX);
         self.materials.push(material);
@@ -52,33 +57,30 @@ impl Materials {
         Ok(number)
     }
 
-    fn texture(&mut self, document: &Document<'_>, index: u32) -> Result<Texture, SceneError> {
-        let here = || place("texture", index as usize, None);
-        let Some(texture) = document.textures.get(index as usize) else {
+    fn texture(&mut self, document: &Document, index: Index<json::Texture>) -> Result<Texture, SceneError> {
+        let here = || place("texture", index.value(), None);
+        let Some(texture) = document.json.get(index) else {
             return Err(SceneError::invalid(here(), "there is no such texture"));
         };
-        let Some(source) = texture.source else {
-            let extensions = &texture.extensions;
-            let other = [
-                (extensions.basisu, "KHR_texture_basisu"),
-                (extensions.webp, "EXT_texture_webp"),
-                (extensions.avif, "EXT_texture_avif"),
-                (extensions.dds, "MSFT_texture_dds"),
-            ];
-            return Err(match other.iter().find(|(there, _)| there.is_some()) {
-                Some((_, name)) => SceneError::unsupported(here(), *name),
+        let Some(source) = source(texture) else {
+            let others = texture.extensions.as_ref().map(|extensions| &extensions.others);
+            let there = |name: &&str| others.is_some_and(|others| others.contains_key(*name));
+            return Err(match OTHER_FORMATS.into_iter().find(there) {
+                Some(name) => SceneError::unsupported(here(), name),
                 None => SceneError::invalid(here(), "it has no source image"),
             });
         };
-        let wrap = |code: Option<u32>| match code {
-            None | Some(10497) => Ok(Wrap::Repeat),
-            Some(33648) => Ok(Wrap::MirroredRepeat),
-            Some(33071) => Ok(Wrap::ClampToEdge),
-            Some(code) => Err(SceneError::invalid(here(), format!("its sampler's wrap mode {code} does not exist"))),
+        let wrap = |mode: Option<Checked<WrappingMode>>| match mode.unwrap_or_default() {
+            Checked::Valid(WrappingMode::Repeat) => Ok(Wrap::Repeat),
+            Checked::Valid(WrappingMode::MirroredRepeat) => Ok(Wrap::MirroredRepeat),
+            Checked::Valid(WrappingMode::ClampToEdge) => Ok(Wrap::ClampToEdge),
+            Checked::Invalid => {
+                Err(SceneError::invalid(here(), "its sampler's wrap mode is not one of 10497, 33071 and 33648"))
+            }
         };
-        let sampler = texture.sampler.and_then(|sampler| document.samplers.get(sampler as usize));
-        let wrap_u = wrap(sampler.and_then(|sampler| sampler.wrap_s))?;
-        let wrap_v = wrap(sampler.and_then(|sampler| sampler.wrap_t))?;
+        let sampler = texture.sampler.and_then(|sampler| document.json.get(sampler));
+        let wrap_u = wrap(sampler.map(|sampler| sampler.wrap_s))?;
+        let wrap_v = wrap(sampler.map(|sampler| sampler.wrap_t))?;
         let known = self.images.iter().position(|image| *image == source);
         let image = known.unwrap_or_else(|| {
             self.images.push(source);
@@ -92,34 +94,38 @@ impl Materials {
 ///
 /// # Errors
 /// When one is malformed.
-pub(crate) fn check(document: &Document<'_>) -> Result<(), SceneError> {
-    for (index, material) in document.materials.iter().enumerate() {
-        read(material, None, &place("material", index, material.name.as_deref()))?;
+pub(crate) fn check(document: &Document) -> Result<(), SceneError> {
+    for (index, (material, factors)) in document.json.materials.iter().zip(&document.factors).enumerate() {
+        read(material, factors, None, &place("material", index, material.name.as_deref()))?;
     }
     Ok(())
 }
 
-fn read(source: &document::Material, texture: Option<Texture>, here: &str) -> Result<Material, SceneError> {
+fn read(
+    source: &json::Material,
+    factors: &Factors,
+    texture: Option<Texture>,
+    here: &str,
+) -> Result<Material, SceneError> {
     let invalid = |fault: String| SceneError::invalid(here, fault);
-    let color = source.pbr_metallic_roughness.base_color_factor.unwrap_or([1.0; 4]);
+    let color = factors.base_color;
     if !color.iter().all(|v| (0.0..=1.0).contains(v)) {
         return Err(invalid(format!("its base colour factor {color:?} does not lie in 0 to 1")));
     }
-    let emissive = source.emissive_factor.unwrap_or([0.0; 3]);
-    let strength = source.extensions.emissive_strength.as_ref().and_then(|e| e.emissive_strength).unwrap_or(1.0);
+    let (emissive, strength) = (factors.emissive, factors.emissive_strength);
     if !emissive.iter().all(|v| (0.0..=1.0).contains(v)) || !(0.0..=f64::from(f32::MAX)).contains(&strength) {
         return Err(invalid(format!("its emissive factor {emissive:?} or strength {strength} is out of range")));
     }
-    let emissive = if source.emissive_texture.is_some() { [0.0; 3] } else { emissive.map(|v| v * strength) };
-    let cutoff = source.alpha_cutoff.unwrap_or(0.5);
+    let emissive = if factors.has_emissive_texture { [0.0; 3] } else { emissive.map(|v| v * strength) };
+    let cutoff = factors.alpha_cutoff;
     if !(0.0..=f64::from(f32::MAX)).contains(&cutoff) {
         return Err(invalid(format!("its alpha cutoff {cutoff} is out of range")));
     }
-    let alpha = match source.alpha_mode.as_deref() {
-        None | Some("OPAQUE") => AlphaMode::Opaque,
-        Some("MASK") => AlphaMode::Mask { cutoff: f32_of(cutoff) },
-        Some("BLEND") => AlphaMode::Blend,
-        Some(other) => return Err(invalid(format!("its alpha mode {other:.32?} does not exist"))),
+    let alpha = match source.alpha_mode {
+        Checked::Valid(json::material::AlphaMode::Opaque) => AlphaMode::Opaque,
+        Checked::Valid(json::material::AlphaMode::Mask) => AlphaMode::Mask { cutoff: f32_of(cutoff) },
+        Checked::Valid(json::material::AlphaMode::Blend) => AlphaMode::Blend,
+        Checked::Invalid => return Err(invalid("its alpha mode is not OPAQUE, MASK or BLEND".to_owned())),
     };
     Ok(Material {
         name: short_name(source.name.as_deref()),

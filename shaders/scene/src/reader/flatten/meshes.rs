@@ -4,26 +4,24 @@
 //! with them the origin; the second writes vertices relative to it.
 
 use glam::{DMat3, DMat4, DVec3, Vec3};
+use gltf::json::mesh;
 
 use super::{
     material::Materials,
     nodes::Placed,
-    primitive::{self, Geometry, Mode},
+    primitive::{self, Geometry, Mode, TextureCoordinates},
 };
 use crate::{
     AlphaMode, Draw, LoadReport, Scene,
     error::{SceneError, place, within},
     limits::{MAX_COORDINATE_M, MAX_DRAWS, MAX_TRIANGLES, MAX_VERTICES, in_reach},
-    reader::{
-        file::buffers::Buffers,
-        json::document::{Document, Primitive},
-    },
+    reader::{file::buffers::Buffers, json::Document},
     scene::normals::{repair, triangle_normal},
 };
 
 /// A primitive that is drawn, and where.
 struct Part<'a> {
-    primitive: &'a Primitive,
+    primitive: &'a mesh::Primitive,
     place: String,
     mode: Mode,
     material: u32,
@@ -36,7 +34,7 @@ struct Part<'a> {
 /// # Errors
 /// When a primitive is malformed, or the flattened scene goes beyond `limits`.
 pub(crate) fn flatten(
-    document: &Document<'_>,
+    document: &Document,
     buffers: &Buffers<'_>,
     placed: &[Placed],
     materials: &mut Materials,
@@ -68,23 +66,23 @@ pub(crate) fn flatten(
 
 /// What is to be drawn, within `limits`.
 fn parts<'a>(
-    document: &'a Document<'_>,
+    document: &'a Document,
     placed: &[Placed],
     materials: &mut Materials,
     scene: &mut Scene,
     report: &mut LoadReport,
 ) -> Result<Vec<Part<'a>>, SceneError> {
-    let mut instances: Vec<Vec<DMat4>> = vec![Vec::new(); document.meshes.len()];
+    let mut instances: Vec<Vec<DMat4>> = vec![Vec::new(); document.json.meshes.len()];
     for at in placed {
-        let mesh = document.nodes.get(at.node).and_then(|node| node.mesh);
-        if let Some(list) = mesh.and_then(|mesh| instances.get_mut(mesh as usize)) {
+        let mesh = document.json.nodes.get(at.node).and_then(|node| node.mesh);
+        if let Some(list) = mesh.and_then(|mesh| instances.get_mut(mesh.value())) {
             list.push(at.world_from_node);
             scene.instances = scene.instances.saturating_add(1);
         }
     }
     let mut parts = Vec::new();
     let (mut triangles, mut vertices, mut draws) = (0_u64, 0_u64, 0_u64);
-    for ((index, mesh), instances) in document.meshes.iter().enumerate().zip(instances) {
+    for ((index, mesh), instances) in document.json.meshes.iter().enumerate().zip(instances) {
         for (number, primitive) in mesh.primitives.iter().enumerate() {
             let place = format!("{}, primitive {number}", place("mesh", index, mesh.name.as_deref()));
             let times = instances.len() as u64;
@@ -92,14 +90,14 @@ fn parts<'a>(
                 report.skipped_primitives += times;
                 continue;
             };
-            let Some(size) = primitive::size(document, primitive, mode, &place)? else {
+            let Some(size) = primitive::size(&document.json, primitive, mode, &place)? else {
                 report.skipped_primitives += times;
                 continue;
             };
             if times == 0 {
                 continue;
             }
-            report.ignored_morph_targets += primitive.targets as u64;
+            report.ignored_morph_targets += primitive.targets.as_ref().map_or(0, Vec::len) as u64;
             // Each is bounded, so that these products fit.
             triangles += size.triangles * times;
             vertices += size.vertices * times;
@@ -119,16 +117,19 @@ fn parts<'a>(
     Ok(parts)
 }
 
-fn read(document: &Document<'_>, buffers: &Buffers<'_>, part: &Part<'_>) -> Result<Geometry, SceneError> {
-    let material = part.primitive.material.and_then(|index| document.materials.get(index as usize));
-    let texture = material.and_then(|material| material.pbr_metallic_roughness.base_color_texture.as_ref());
-    primitive::read(document, buffers, part.primitive, part.mode, texture, &part.place)
+fn read(document: &Document, buffers: &Buffers<'_>, part: &Part<'_>) -> Result<Geometry, SceneError> {
+    let texture = part.primitive.material.and_then(|index| {
+        let info = document.json.get(index)?.pbr_metallic_roughness.base_color_texture.as_ref()?;
+        let transform = document.factors.get(index.value())?.texture_transform.as_ref();
+        Some(TextureCoordinates::new(info, transform))
+    });
+    primitive::read(&document.json, buffers, part.primitive, part.mode, texture.as_ref(), &part.place)
 }
 
 /// The scene's origin: the centre of its bounds, rounded to a multiple of the smallest power of two that is larger than
 /// the bounds' longest side. So a scene that holds the world's origin, or has it in a corner, keeps its coordinates bit
 /// for bit, and one far away has local coordinates of at most one and a half times its size.
-fn origin(document: &Document<'_>, buffers: &Buffers<'_>, parts: &[Part<'_>]) -> Result<DVec3, SceneError> {
+fn origin(document: &Document, buffers: &Buffers<'_>, parts: &[Part<'_>]) -> Result<DVec3, SceneError> {
     let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for part in parts {
         let geometry = read(document, buffers, part)?;

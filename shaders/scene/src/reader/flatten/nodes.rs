@@ -2,10 +2,13 @@
 
 use glam::{DMat4, DQuat, DVec3};
 
-use crate::reader::json::document::{Document, Node};
+use gltf::json::Node;
+use serde_json::Value;
+
 use crate::{
     error::{SceneError, place},
     limits::MAX_DEPTH,
+    reader::json::{Document, Transform},
 };
 
 /// How far a rotation's length may lie from 1: exporters round to f32, some to a few digits.
@@ -24,36 +27,36 @@ pub(crate) struct Placed {
 ///
 /// # Errors
 /// When the nodes are not a forest, lie too deep, or have transforms that are no such thing.
-pub(crate) fn walk(document: &Document<'_>) -> Result<Vec<Placed>, SceneError> {
+pub(crate) fn walk(document: &Document) -> Result<Vec<Placed>, SceneError> {
     let parents = parents(document)?;
-    for (index, scene) in document.scenes.iter().enumerate() {
+    for (index, scene) in document.json.scenes.iter().enumerate() {
         for root in &scene.nodes {
-            if let Some(Some(parent)) = parents.get(*root as usize) {
+            if let Some(Some(parent)) = parents.get(root.value()) {
                 let fault = format!("node {root} is a child of node {parent}, not a root");
                 return Err(SceneError::invalid(place("scene", index, None), fault));
             }
         }
     }
-    let locals = document.nodes.iter().enumerate().map(|(index, node)| transform(index, node));
+    let locals = document.json.nodes.iter().zip(&document.transforms).enumerate();
+    let locals = locals.map(|(index, (node, transform))| local_transform(index, node, transform));
     let locals = locals.collect::<Result<Vec<_>, _>>()?;
 
-    let scene = document.scenes.get(document.scene.unwrap_or(0) as usize);
+    let scene = document.json.scenes.get(document.json.scene.map_or(0, |scene| scene.value()));
     let roots: Vec<usize> = match scene {
-        Some(scene) => scene.nodes.iter().map(|node| *node as usize).collect(),
-        None => (0..document.nodes.len()).filter(|node| parents.get(*node) == Some(&None)).collect(),
+        Some(scene) => scene.nodes.iter().map(|node| node.value()).collect(),
+        None => (0..document.json.nodes.len()).filter(|node| parents.get(*node) == Some(&None)).collect(),
     };
     let mut placed = Vec::new();
-    let mut seen = vec![false; document.nodes.len()];
+    let mut seen = vec![false; document.json.nodes.len()];
     let mut stack: Vec<(usize, DMat4)> = roots.into_iter().rev().map(|root| (root, DMat4::IDENTITY)).collect();
     while let Some((index, world_from_parent)) = stack.pop() {
-        let (Some(node), Some(local), Some(seen)) = (document.nodes.get(index), locals.get(index), seen.get_mut(index))
+        let (Some(node), Some(local), Some(seen)) =
+            (document.json.nodes.get(index), locals.get(index), seen.get_mut(index))
         else {
             continue;
         };
         // A scene may list a root twice (the schema forbids it): shown once.
-        if std::mem::replace(seen, true)
-            || node.extensions.visibility.as_ref().is_some_and(|v| v.visible == Some(false))
-        {
+        if std::mem::replace(seen, true) || is_hidden(node) {
             continue;
         }
         let world_from_node = world_from_parent * *local;
@@ -62,29 +65,36 @@ pub(crate) fn walk(document: &Document<'_>) -> Result<Vec<Placed>, SceneError> {
             return Err(SceneError::invalid(place("node", index, node.name.as_deref()), fault));
         }
         placed.push(Placed { node: index, world_from_node });
-        stack.extend(node.children.iter().rev().map(|child| (*child as usize, world_from_node)));
+        stack.extend(node.children.iter().flatten().rev().map(|child| (child.value(), world_from_node)));
     }
     Ok(placed)
+}
+
+/// Whether KHR_node_visibility hides a node, and so everything below it.
+fn is_hidden(node: &Node) -> bool {
+    let visibility = node.extensions.as_ref().and_then(|extensions| extensions.others.get("KHR_node_visibility"));
+    visibility.and_then(|visibility| visibility.get("visible")).and_then(Value::as_bool) == Some(false)
 }
 
 /// Each node's parent.
 ///
 /// # Errors
 /// When a node has two parents, is among its own ancestors, or lies too deep.
-fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, SceneError> {
-    let here =
-        |index: usize| place("node", index, document.nodes.get(index).and_then(|node: &Node| node.name.as_deref()));
-    let mut parents: Vec<Option<usize>> = vec![None; document.nodes.len()];
-    for (index, node) in document.nodes.iter().enumerate() {
-        for child in &node.children {
-            let Some(parent) = parents.get_mut(*child as usize) else { continue };
+fn parents(document: &Document) -> Result<Vec<Option<usize>>, SceneError> {
+    let here = |index: usize| {
+        place("node", index, document.json.nodes.get(index).and_then(|node: &Node| node.name.as_deref()))
+    };
+    let mut parents: Vec<Option<usize>> = vec![None; document.json.nodes.len()];
+    for (index, node) in document.json.nodes.iter().enumerate() {
+        for child in node.children.iter().flatten() {
+            let Some(parent) = parents.get_mut(child.value()) else { continue };
             if let Some(other) = parent.replace(index) {
                 return Err(SceneError::invalid(here(index), format!("its child {child} is node {other}'s already")));
             }
         }
     }
     // One parent each, so every node that is not below a root is part of a cycle, or below one.
-    let mut depths = vec![0_usize; document.nodes.len()];
+    let mut depths = vec![0_usize; document.json.nodes.len()];
     let mut stack: Vec<usize> =
         parents.iter().enumerate().filter(|(_, parent)| parent.is_none()).map(|(node, _)| node).collect();
     for root in &stack {
@@ -94,8 +104,9 @@ fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, SceneError> {
     }
     while let Some(index) = stack.pop() {
         let below = depths.get(index).map_or(0, |depth| depth + 1);
-        for child in document.nodes.get(index).map_or(&[][..], |node| &node.children) {
-            let child = *child as usize;
+        let children = document.json.nodes.get(index).and_then(|node| node.children.as_ref());
+        for child in children.into_iter().flatten() {
+            let child = child.value();
             if below > MAX_DEPTH {
                 return Err(SceneError::Limit {
                     what: format!("depth of {}", here(child)),
@@ -115,19 +126,19 @@ fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, SceneError> {
     }
 }
 
-fn transform(index: usize, node: &Node) -> Result<DMat4, SceneError> {
+fn local_transform(index: usize, node: &Node, transform: &Transform) -> Result<DMat4, SceneError> {
     let invalid = |fault: String| SceneError::invalid(place("node", index, node.name.as_deref()), fault);
-    let Some(matrix) = &node.matrix else {
-        let rotation = node.rotation.map_or(DQuat::IDENTITY, DQuat::from_array);
+    let Some(matrix) = &transform.matrix else {
+        let rotation = transform.rotation.map_or(DQuat::IDENTITY, DQuat::from_array);
         let length = rotation.length();
         if length.is_nan() || (length - 1.0).abs() > ROTATION_TOLERANCE {
             return Err(invalid(format!("its rotation has length {length}, not 1")));
         }
-        let translation = node.translation.map_or(DVec3::ZERO, DVec3::from_array);
-        let scale = node.scale.map_or(DVec3::ONE, DVec3::from_array);
+        let translation = transform.translation.map_or(DVec3::ZERO, DVec3::from_array);
+        let scale = transform.scale.map_or(DVec3::ONE, DVec3::from_array);
         return Ok(DMat4::from_scale_rotation_translation(scale, rotation.normalize(), translation));
     };
-    if node.translation.is_some() || node.rotation.is_some() || node.scale.is_some() {
+    if transform.translation.is_some() || transform.rotation.is_some() || transform.scale.is_some() {
         return Err(invalid("it has a matrix and also a translation, rotation or scale".to_owned()));
     }
     let matrix = DMat4::from_cols_array(matrix);

@@ -1,6 +1,12 @@
 //! One primitive's geometry in its mesh's own space: lists, strips and fans, indexed or not, become lists of triangles.
 
 use glam::{DMat3, DVec2, Vec2, Vec3};
+use gltf::json::{
+    Root,
+    mesh::{self, Primitive, Semantic},
+    texture,
+    validation::Checked,
+};
 
 use super::accessor;
 use crate::{
@@ -9,7 +15,7 @@ use crate::{
     reader::{
         checks::layout::Layout,
         file::buffers::Buffers,
-        json::document::{Document, Primitive, TextureInfo},
+        json::{TEXCOORDS, TextureTransform, attribute},
     },
 };
 
@@ -30,6 +36,19 @@ pub(crate) struct Size {
     pub(crate) vertices: u64,
 }
 
+/// Which texture coordinates a material's base colour uses.
+pub(crate) struct TextureCoordinates<'a> {
+    set: u32,
+    transform: Option<&'a TextureTransform>,
+}
+
+impl<'a> TextureCoordinates<'a> {
+    pub(crate) fn new(info: &texture::Info, transform: Option<&'a TextureTransform>) -> Self {
+        let extension = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.as_ref());
+        Self { set: extension.and_then(|extension| extension.tex_coord).unwrap_or(info.tex_coord), transform }
+    }
+}
+
 /// A primitive's geometry.
 pub(crate) struct Geometry {
     pub(crate) positions: Vec<Vec3>,
@@ -47,11 +66,11 @@ impl Mode {
     /// When there is no such mode.
     pub(crate) fn of(primitive: &Primitive, place: &str) -> Result<Option<Self>, SceneError> {
         Ok(match primitive.mode {
-            None | Some(4) => Some(Self::List),
-            Some(5) => Some(Self::Strip),
-            Some(6) => Some(Self::Fan),
-            Some(0..=3) => None,
-            Some(mode) => return Err(SceneError::invalid(place, format!("its mode {mode} does not exist"))),
+            Checked::Valid(mesh::Mode::Triangles) => Some(Self::List),
+            Checked::Valid(mesh::Mode::TriangleStrip) => Some(Self::Strip),
+            Checked::Valid(mesh::Mode::TriangleFan) => Some(Self::Fan),
+            Checked::Valid(_) => None,
+            Checked::Invalid => return Err(SceneError::invalid(place, "its mode is not one of 0 to 6")),
         })
     }
 
@@ -78,26 +97,22 @@ impl Mode {
 ///
 /// # Errors
 /// When it has no positions, or its accessors' counts disagree.
-pub(crate) fn size(
-    document: &Document<'_>,
-    primitive: &Primitive,
-    mode: Mode,
-    place: &str,
-) -> Result<Option<Size>, SceneError> {
+pub(crate) fn size(json: &Root, primitive: &Primitive, mode: Mode, place: &str) -> Result<Option<Size>, SceneError> {
     // Legal (§3.7.2.1): an extension may bring the positions. None that is known does.
-    let Some(positions) = primitive.attributes.position else { return Ok(None) };
-    let attributes = &primitive.attributes;
-    let vertices = Layout::new(document, positions as usize)?.count;
+    let Some(positions) = attribute(primitive, Semantic::Positions) else { return Ok(None) };
+    let normals = attribute(primitive, Semantic::Normals);
+    let vertices = Layout::new(json, positions.value())?.count;
     within(format!("vertices of {place}"), vertices as u64, MAX_VERTICES)?;
-    for other in [attributes.normal].into_iter().chain((0..4).map(|set| attributes.texcoord(set))).flatten() {
-        let count = Layout::new(document, other as usize)?.count;
+    let uvs = TEXCOORDS.map(|set| attribute(primitive, Semantic::TexCoords(set)));
+    for other in uvs.chain([normals]).flatten() {
+        let count = Layout::new(json, other.value())?.count;
         if count != vertices {
             let fault = format!("it has {vertices} positions, but {count} elements in accessor {other}");
             return Err(SceneError::invalid(place, fault));
         }
     }
     let corners = match primitive.indices {
-        Some(indices) => Layout::new(document, indices as usize)?.count,
+        Some(indices) => Layout::new(json, indices.value())?.count,
         None => vertices,
     };
     if mode == Mode::List && corners % 3 != 0 {
@@ -106,38 +121,37 @@ pub(crate) fn size(
     let triangles = mode.triangles(corners) as u64;
     within(format!("triangles of {place}"), triangles, MAX_TRIANGLES)?;
     // All vertices are read, however few of them the triangles name; flat normals take three for each triangle.
-    let vertices = if attributes.normal.is_some() { vertices as u64 } else { (vertices as u64).max(triangles * 3) };
+    let vertices = if normals.is_some() { vertices as u64 } else { (vertices as u64).max(triangles * 3) };
     within(format!("vertices of {place}"), vertices, MAX_VERTICES)?;
     Ok(Some(Size { triangles, vertices }))
 }
 
-/// Reads a primitive. `texture` is its material's base colour texture.
+/// Reads a primitive, with texture coordinates where its material has a base colour texture.
 ///
 /// # Errors
 /// When an accessor is malformed, an index is out of range, or the texture's coordinates are missing.
 pub(crate) fn read(
-    document: &Document<'_>,
+    json: &Root,
     buffers: &Buffers<'_>,
     primitive: &Primitive,
     mode: Mode,
-    texture: Option<&TextureInfo>,
+    texture: Option<&TextureCoordinates<'_>>,
     place: &str,
 ) -> Result<Geometry, SceneError> {
-    let attributes = &primitive.attributes;
-    let Some(positions) = attributes.position else {
+    let Some(positions) = attribute(primitive, Semantic::Positions) else {
         return Err(SceneError::invalid(place, "it has no positions"));
     };
-    let positions: Vec<Vec3> = accessor::vectors(document, buffers, positions)?.into_iter().map(Vec3::from).collect();
-    let normals = match attributes.normal {
-        Some(normals) => Some(accessor::vectors(document, buffers, normals)?.into_iter().map(Vec3::from).collect()),
+    let positions: Vec<Vec3> = accessor::vectors(json, buffers, positions)?.into_iter().map(Vec3::from).collect();
+    let normals = match attribute(primitive, Semantic::Normals) {
+        Some(normals) => Some(accessor::vectors(json, buffers, normals)?.into_iter().map(Vec3::from).collect()),
         None => None,
     };
     let uvs = match texture {
-        Some(texture) => read_uvs(document, buffers, primitive, texture, place)?,
+        Some(texture) => read_uvs(json, buffers, primitive, texture, place)?,
         None => vec![Vec2::ZERO; positions.len()],
     };
     let corners = match primitive.indices {
-        Some(indices) => accessor::indices(document, buffers, indices)?,
+        Some(indices) => accessor::indices(json, buffers, indices)?,
         None => (0..).take(positions.len()).collect(),
     };
     if let Some(at) = corners.iter().position(|index| *index as usize >= positions.len()) {
@@ -161,25 +175,23 @@ pub(crate) fn read(
 }
 
 fn read_uvs(
-    document: &Document<'_>,
+    json: &Root,
     buffers: &Buffers<'_>,
     primitive: &Primitive,
-    texture: &TextureInfo,
+    texture: &TextureCoordinates<'_>,
     place: &str,
 ) -> Result<Vec<Vec2>, SceneError> {
-    let transform = texture.extensions.transform.as_ref();
-    let set = transform.and_then(|transform| transform.tex_coord).unwrap_or(texture.tex_coord);
-    let Some(accessor) = primitive.attributes.texcoord(set) else {
+    let TextureCoordinates { set, transform } = *texture;
+    let Some(accessor) = attribute(primitive, Semantic::TexCoords(set)) else {
         let fault =
             format!("its material's base colour needs TEXCOORD_{set}, which it does not have or which is not read");
         return Err(SceneError::invalid(place, fault));
     };
-    let mut uvs: Vec<Vec2> = accessor::vectors(document, buffers, accessor)?.into_iter().map(Vec2::from).collect();
+    let mut uvs: Vec<Vec2> = accessor::vectors(json, buffers, accessor)?.into_iter().map(Vec2::from).collect();
     if let Some(transform) = transform {
         // KHR_texture_transform: translation * rotation * scale, rotation counter-clockwise with v pointing down.
-        let offset = transform.offset.map_or(DVec2::ZERO, DVec2::from_array);
-        let scale = transform.scale.map_or(DVec2::ONE, DVec2::from_array);
-        let (sin, cos) = transform.rotation.unwrap_or(0.0).sin_cos();
+        let [offset, scale] = [transform.offset, transform.scale].map(DVec2::from_array);
+        let (sin, cos) = transform.rotation.sin_cos();
         let matrix = DMat3::from_cols_array(&[
             cos * scale.x,
             -sin * scale.x,

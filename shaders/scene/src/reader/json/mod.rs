@@ -1,4 +1,9 @@
-//! The JSON of a file as bounded lists.
+//! The JSON model: `gltf::json`, and the numbers that it would round.
 
-pub(crate) mod document;
-mod parse;
+mod document;
+mod numbers;
+mod schema;
+mod value;
+
+pub(crate) use document::{Document, TEXCOORDS, attribute, parse, source};
+pub(crate) use numbers::{Factors, Light, TextureTransform, Transform};
