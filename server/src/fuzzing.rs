@@ -10,7 +10,7 @@ pub fn config(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     match text.parse::<ServerConfig>() {
         Ok(config) => drop(config.validate()),
-        Err(reason) => assert!(!reason.contains('\n'), "{reason:?}"),
+        Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
     }
     if let Ok(collector) = text.parse::<Collector>() {
         assert_eq!(collector.to_string().parse(), Ok(collector));

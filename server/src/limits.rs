@@ -20,7 +20,7 @@
 //! | scene bytes in flight, fetches | [`SEND_WINDOW_BYTES`], [`MAX_SCENE_FETCHES`] | back-pressure; the session ends |
 //! | silence | [`WRITE_TIMEOUT`], [`SETUP_TIMEOUT`], [`SILENCE_TIMEOUT`], `idle_timeout_ms` | the session ends |
 
-use std::time::Duration;
+use std::{num::NonZeroUsize, time::Duration};
 
 /// Longest message that a client may send: a token, a name and a few numbers. It bounds memory before admission.
 pub const MAX_CLIENT_MESSAGE_BYTES: usize = 4096;
@@ -104,14 +104,17 @@ pub const RETRY_AFTER: Duration = Duration::from_secs(5);
 /// Largest token file.
 pub const MAX_TOKEN_FILE_BYTES: u64 = 1024 * 1024;
 
-/// Largest configuration, certificate or key file.
+/// Largest certificate or key file.
 pub const MAX_SMALL_FILE_BYTES: u64 = 256 * 1024;
 
 /// Sessions that the engine has room for beyond the admitted ones: they have ended, and it has not looked yet.
 pub const SPARE_SEATS: usize = 16;
 
 /// Most devices that may be configured.
-pub const MAX_DEVICES: u64 = 64;
+pub const MAX_DEVICES: NonZeroUsize = NonZeroUsize::MIN.saturating_add(63);
+
+/// Most threads of the cpu back end.
+pub const MAX_THREADS: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1023);
 
 /// Most sessions that may be configured.
 pub const MAX_SESSIONS: usize = 4096;

@@ -3,22 +3,25 @@
 use std::{io::Write as _, process::ExitCode};
 
 use anyhow::Context as _;
-use clap::Parser as _;
 use gnomon_server::{
     Server,
-    cli::{Cli, Command},
+    cli::{self, Cli, Command},
     config::ServerConfig,
     logs::{self, Logs},
     signals::{Hangups, Signals},
     tokens,
 };
+use gnomon_settings::{Layers, Loaded};
 
 /// Threads for encoding beside the workers; as many again as encode at once is plenty.
 const MAX_BLOCKING_THREADS: usize = 64;
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
-    match run(&cli) {
+    let loaded = match cli::load(Layers::of_process()) {
+        Ok(loaded) => loaded,
+        Err(error) => return error.report("gnomon-server"),
+    };
+    match run(loaded) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // One line, whatever the libraries put into their messages.
@@ -29,20 +32,24 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(cli: &Cli) -> anyhow::Result<()> {
+fn run(loaded: Loaded<Cli>) -> anyhow::Result<()> {
+    let cli = &loaded.program;
     if let Some(Command::Token { name, days, scope, once }) = &cli.command {
         let (token, entry) = tokens::make(name, *days, scope, *once)?;
         return print_line(&format!("{token}\n{}", entry.trim_end()));
     }
-    let config = cli.resolve()?;
-    if cli.check_config {
-        let text = serde_json::to_string_pretty(&config).context("cannot print the configuration")?;
+    if let Some(text) = gnomon_settings::page::<Cli, ServerConfig>(cli.completions, cli.man)? {
         return print_line(&text);
+    }
+    let config = &cli.settings;
+    config.validate()?;
+    if cli.check_config {
+        return print_line(&loaded.to_json());
     }
     let logs = logs::init(config.log, config.log_file.as_deref()).map_err(|error| anyhow::anyhow!("logs: {error}"))?;
     logs::log_panics();
     if cli.check {
-        let found = Server::check(&config)?;
+        let found = Server::check(config)?;
         return print_line(&found);
     }
     let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -50,7 +57,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         .max_blocking_threads(MAX_BLOCKING_THREADS)
         .build()
         .context("cannot start the runtime")?;
-    let served = runtime.block_on(serve(config, &logs));
+    let served = runtime.block_on(serve(loaded.program.settings, &logs));
     runtime.shutdown_background();
     served
 }

@@ -65,6 +65,11 @@ fn flags_beat_the_environment_which_beats_the_file_which_beats_the_defaults() {
     assert_eq!(all["idle_timeout_ms"], 4000, "from the flag");
     assert_eq!(all["allow_software"], true, "from the environment");
     assert_eq!(all["handshake_timeout_ms"], default["handshake_timeout_ms"]);
+    let sources = ["max_sessions", "drain_ms", "idle_timeout_ms", "handshake_timeout_ms"];
+    assert_eq!(
+        sources.map(|key| all["sources"][key].as_str().unwrap()),
+        ["file", "GNOMON_DRAIN_MS", "flag", "default"]
+    );
 }
 
 #[test]
@@ -85,7 +90,7 @@ fn every_failure_is_one_line_that_says_what_to_do() {
         (vec!["--scene", "/nowhere.glb"], "/nowhere.glb"),
         (vec!["--scene", &broken], "broken.gltf"),
         (vec!["--scene", &broken, "--check"], "broken.gltf"),
-        (vec!["--config", &unknown_key], "unknown field `max_session`"),
+        (vec!["--config", &unknown_key], "line 1: unknown key \"max_session\"; did you mean max_sessions?"),
         (vec!["--config", "/nowhere.toml"], "/nowhere.toml"),
         (vec!["--scene", &good, "--token-file", &bad_tokens], "tokens: line 1"),
         (vec!["--scene", &good, "--cert-dir", &in_the_way], "--cert-dir"),
@@ -95,7 +100,7 @@ fn every_failure_is_one_line_that_says_what_to_do() {
             vec!["--scene", &good, "--listen", "127.0.0.1:0", "--backend", "compute", "--adapter", "no such adapter"],
             "no such adapter",
         ),
-        (vec!["--max-sessions", "0"], "max_sessions is 0"),
+        (vec!["--max-sessions", "0"], "--max-sessions 0: must be 1 to 4096"),
     ] {
         let cert_dir = folder.path().join("cert");
         let mut command = server();

@@ -29,7 +29,7 @@ use subtle::ConstantTimeEq as _;
 use thiserror::Error;
 use time::{Date, Month, Time, UtcOffset};
 
-use crate::{clock, config, files, limits};
+use crate::{clock, files, limits};
 
 /// SHA-256 of a token.
 type Digest = [u8; 32];
@@ -222,7 +222,7 @@ pub(crate) fn parse(path: &Path, bytes: Vec<u8>) -> Result<Vec<Listed>, TokenErr
     let malformed = |reason: String| TokenError::Malformed { path: path.to_owned(), reason };
     let text = String::from_utf8(bytes).map_err(|_| malformed("it is no UTF-8".to_owned()))?;
     // The parser quotes what it cannot read, which may be a bare token: only the place is told.
-    let file: File = toml::from_str(&text).map_err(|error| malformed(config::place_of(&error, &text)))?;
+    let file: File = toml::from_str(&text).map_err(|error| malformed(gnomon_settings::line_of(error.span(), &text)))?;
     if file.token.len() > limits::MAX_TOKENS {
         return Err(malformed(format!("{} tokens; at most {} are read", file.token.len(), limits::MAX_TOKENS)));
     }

@@ -2,15 +2,12 @@
 
 use std::{fmt, str::FromStr};
 
-use serde::{Deserialize, Serialize};
-
 /// Port of collectors that take HTTP.
 const DEFAULT_PORT: u16 = 4318;
 
 /// Where a collector listens: `http://HOST[:PORT][/PATH]`, 4318 and `/v1/metrics` where nothing else is said. Without TLS: a collector runs
 /// beside the server, and speaks TLS to whatever is farther away.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Collector {
     pub(super) host: String,
     pub(super) port: u16,
@@ -41,20 +38,6 @@ impl FromStr for Collector {
         let port = url.port().or(written).unwrap_or(DEFAULT_PORT);
         let host = host.to_owned();
         Ok(Self { host, port, path: path.to_owned() })
-    }
-}
-
-impl TryFrom<String> for Collector {
-    type Error = String;
-
-    fn try_from(text: String) -> Result<Self, String> {
-        text.parse()
-    }
-}
-
-impl From<Collector> for String {
-    fn from(collector: Collector) -> Self {
-        collector.to_string()
     }
 }
 

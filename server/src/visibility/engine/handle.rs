@@ -13,7 +13,6 @@ use std::{
 
 use gnomon_protocol::mask::MaskShape;
 use gnomon_scene::{Scene, camera::Camera};
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{
@@ -40,8 +39,7 @@ const WARM_UP_PX: (u32, u32) = (320, 180);
 const STACK_BYTES: usize = 16 << 20;
 
 /// What traces.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum BackendChoice {
     /// `ray-query` on a real GPU that has ray queries, `compute` on another, `cpu` when there is none or only software
     /// that pretends to be one.
