@@ -1,10 +1,10 @@
-//! How fast the `cpu` back end traces a scene: million rays per second and core, and what its traversal does.
+//! Times the `cpu` back end on a scene: million rays per second and core, and counts of its traversal.
 //!
 //! `cargo run --release -p gnomon-server --example trace_times -- SCENE [--lights-from FILE] [--lights N] [--size WxH]
 //! [--from X,Y,Z --to X,Y,Z] [--frames N] [--threads 1,2] [--picture FILE.pgm]`
 //!
-//! Frames are timed by a clock that does not stop when another program has the core. On a busy machine believe the line by
-//! processor time.
+//! Frames are timed by wall-clock time, which includes other programs' time on the core. On a busy machine use the line by processor
+//! time.
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
@@ -13,9 +13,9 @@ use clap::Parser;
 use glam::DVec3;
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{LoadOptions, Scene, camera::Camera};
-use gnomon_server::visibility::backend::cpu::{CpuBackend, Work};
+use gnomon_server::visibility::backend::cpu::{CpuBackend, TraversalStats};
 
-/// Traces a scene over and over and says how fast that was.
+/// Traces a scene repeatedly and prints the speed.
 #[derive(Debug, Parser)]
 struct Arguments {
     /// The scene: .gltf or .glb.
@@ -29,10 +29,10 @@ struct Arguments {
     /// Size of the mask.
     #[arg(long, default_value = "640x360", value_parser = pair)]
     size: (u32, u32),
-    /// Where the camera is, in metres.
+    /// Position of the camera, in metres.
     #[arg(long, default_value = "-8.5,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
     from: DVec3,
-    /// A point that it looks at.
+    /// Point that the camera looks at, in metres.
     #[arg(long, default_value = "0,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
     to: DVec3,
     /// Full vertical field of view, in degrees.
@@ -44,7 +44,7 @@ struct Arguments {
     /// Numbers of threads to time.
     #[arg(long, value_delimiter = ',', default_values_t = [1, 2])]
     threads: Vec<usize>,
-    /// Writes a picture of how many lights reach each pixel.
+    /// Writes a picture of the number of lights that reach each pixel.
     #[arg(long)]
     picture: Option<PathBuf>,
 }
@@ -96,7 +96,7 @@ fn main() -> Result<()> {
             );
         }
         if processor_s > 0.0 {
-            // The clock splits the processor's time: another program is as likely to interrupt one stage as the other.
+            // Wall-clock time divides the processor's time between the stages: interruptions hit both alike.
             let [primary_ms, shadow_ms] =
                 [costs.iter().map(|cost| cost.primary_ms).sum::<f64>(), costs.iter().map(|cost| cost.shadow_ms).sum()];
             let frames = arguments.frames as f64;
@@ -122,7 +122,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Seconds that this process has had a processor for, where the system says (Linux).
+/// Processor time of this process in seconds; 0 where the system does not tell (it does on Linux).
 fn processor_s() -> f64 {
     let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
     let nanoseconds = |task: std::io::Result<std::fs::DirEntry>| -> Option<f64> {
@@ -132,18 +132,18 @@ fn processor_s() -> f64 {
     tasks.filter_map(nanoseconds).sum::<f64>() / 1e9
 }
 
-fn describe(work: &Work, rays: u64) -> String {
+fn describe(stats: &TraversalStats, rays: u64) -> String {
     let rays = rays.max(1) as f64;
-    let per_group = |count: u64| count as f64 / work.groups.max(1) as f64;
+    let per_group = |count: u64| count as f64 / stats.groups.max(1) as f64;
     format!(
         "{:.1} rays a group; a group visits {:.1} nodes and {:.1} leaves of {:.1} triangles, of which it tests {:.1}; \
          a ray: {:.2} packet tests, {:.2} of them inside",
-        rays / work.groups.max(1) as f64,
-        per_group(work.nodes),
-        per_group(work.leaves),
-        work.triangles as f64 / work.leaves.max(1) as f64,
-        per_group(work.tested_triangles),
-        work.packet_tests as f64 * 8.0 / rays,
-        work.candidates as f64 * 8.0 / rays,
+        rays / stats.groups.max(1) as f64,
+        per_group(stats.nodes),
+        per_group(stats.leaves),
+        stats.triangles as f64 / stats.leaves.max(1) as f64,
+        per_group(stats.tested_triangles),
+        stats.packet_tests as f64 * 8.0 / rays,
+        stats.candidates as f64 * 8.0 / rays,
     )
 }

@@ -1,4 +1,4 @@
-//! One adapter, one device: chosen the same way at both ends, and never software by accident.
+//! Opens an adapter's device. Both ends choose it the same way, and never take software by accident.
 
 use std::sync::OnceLock;
 
@@ -7,71 +7,59 @@ use thiserror::Error;
 /// Which adapter to take.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GpuOptions {
-    /// Part of the adapter's name, in any case; `None` takes the first real GPU, or else the first adapter. `#2` at its end is the
-    /// second of those that fit, best first.
+    /// Part of the adapter's name, in any case. `#2` at the end takes the second of the adapters that match, best
+    /// first. `None` takes the first real GPU, or else the first adapter.
     pub adapter: Option<String>,
-    /// Features to ask for where the adapter has them.
+    /// Features to enable where the adapter has them.
     pub wanted: wgpu::Features,
-    /// Whether a software adapter will do.
+    /// Whether a software adapter may be used.
     pub allow_software: bool,
 }
 
-/// A device, its queue, and what it is.
+/// An open device.
 #[derive(Debug, Clone)]
 pub struct Gpu {
     /// Name, driver and kind of the adapter.
     pub info: wgpu::AdapterInfo,
     /// The device, with the adapter's own limits.
     pub device: wgpu::Device,
-    /// The device's queue.
     pub queue: wgpu::Queue,
 }
 
 /// Why there is no device.
 #[derive(Debug, Error)]
 pub enum GpuError {
-    /// No adapter fits.
     #[error(
         "no graphics adapter{}: found {}; install a Vulkan driver (Debian: libvulkan1 mesa-vulkan-drivers)",
         wanted.as_ref().map(|name| format!(" named {name:?}")).unwrap_or_default(),
         if found.is_empty() { "none".to_owned() } else { found.join(", ") }
     )]
-    NoAdapter {
-        /// The name asked for.
-        wanted: Option<String>,
-        /// The adapters that there are.
-        found: Vec<String>,
-    },
-    /// Only a software adapter fits, and it was not allowed.
+    NoAdapter { wanted: Option<String>, found: Vec<String> },
+    /// Only a software adapter matches, and it is not allowed.
     #[error("only the software adapter {0:?} is there: allow it with --allow-software, or mend the GPU's driver")]
     SoftwareOnly(String),
     /// The adapter gives no device.
     #[error("adapter {name:?} gives no device: {reason}")]
-    Device {
-        /// The adapter's name.
-        name: String,
-        /// The driver's reason.
-        reason: wgpu::RequestDeviceError,
-    },
+    Device { name: String, reason: wgpu::RequestDeviceError },
 }
 
 impl Gpu {
-    /// Opens the adapter that `options` ask for, with all of its limits.
+    /// Opens the adapter that `options` describe, with all of its limits.
     ///
     /// # Errors
-    /// When no adapter fits, only a disallowed software adapter does, or the driver refuses a device.
+    /// If no adapter matches, only a software adapter matches and is not allowed, or the driver refuses a device.
     pub async fn open(options: &GpuOptions) -> Result<Self, GpuError> {
         Self::from_adapters(drivers().enumerate_adapters(wgpu::Backends::PRIMARY).await, options).await
     }
 
-    /// As [`Self::open`], of the given adapters.
+    /// As [`Self::open`], with one of these adapters.
     ///
     /// # Errors
-    /// As [`Self::open`].
+    /// Those of [`Self::open`].
     pub async fn from_adapters(adapters: Vec<wgpu::Adapter>, options: &GpuOptions) -> Result<Self, GpuError> {
         let found = adapters.iter().map(|adapter| adapter.get_info().name).collect();
-        let (name, place) = named(options.adapter.as_deref());
-        let adapter = fitting(adapters, name)
+        let (name, place) = parse_name(options.adapter.as_deref());
+        let adapter = matching(adapters, name)
             .into_iter()
             .nth(place)
             .ok_or(GpuError::NoAdapter { wanted: options.adapter.clone(), found })?;
@@ -93,23 +81,23 @@ impl Gpu {
         Ok(Self { info, device, queue })
     }
 
-    /// How many real GPUs there are, of the best kind that there is, whose name has this in it.
+    /// Counts the real GPUs of the best kind whose name contains `name`.
     #[must_use]
     pub async fn count(name: Option<&str>) -> usize {
         let all = drivers().enumerate_adapters(wgpu::Backends::PRIMARY).await;
-        let kinds: Vec<_> = fitting(all, named(name).0).iter().map(|adapter| rank(&adapter.get_info())).collect();
+        let kinds: Vec<_> = matching(all, parse_name(name).0).iter().map(|adapter| rank(&adapter.get_info())).collect();
         let best = kinds.first().copied().unwrap_or(SOFTWARE);
         if best == SOFTWARE { 0 } else { kinds.iter().filter(|kind| **kind == best).count() }
     }
 
-    /// Whether a CPU pretends to be the adapter.
+    /// Whether the adapter is emulated on the processor.
     #[must_use]
     pub fn is_software(&self) -> bool {
         self.info.device_type == wgpu::DeviceType::Cpu
     }
 }
 
-/// The rank of software that pretends to be an adapter.
+/// The rank of software adapters.
 const SOFTWARE: u8 = 4;
 
 /// Real GPUs first.
@@ -123,15 +111,15 @@ fn rank(info: &wgpu::AdapterInfo) -> u8 {
     }
 }
 
-/// The adapters whose name has this in it, best first; equals keep the order of the drivers.
-fn fitting(mut adapters: Vec<wgpu::Adapter>, name: &str) -> Vec<wgpu::Adapter> {
+/// The adapters whose name contains `name`, best first. Equals keep the order of the drivers.
+fn matching(mut adapters: Vec<wgpu::Adapter>, name: &str) -> Vec<wgpu::Adapter> {
     adapters.retain(|adapter| adapter.get_info().name.to_lowercase().contains(&name.to_lowercase()));
     adapters.sort_by_key(|adapter| rank(&adapter.get_info()));
     adapters
 }
 
-/// A name and the place, from 0, in `NAME#PLACE`, which counts from 1.
-fn named(wanted: Option<&str>) -> (&str, usize) {
+/// Parses `NAME#PLACE`, which counts from 1, into the name and the place from 0.
+fn parse_name(wanted: Option<&str>) -> (&str, usize) {
     let wanted = wanted.unwrap_or_default();
     match wanted.rsplit_once('#').map(|(name, place)| (name, place.parse::<usize>())) {
         Some((name, Ok(place @ 1..))) => (name, place - 1),
@@ -139,8 +127,8 @@ fn named(wanted: Option<&str>) -> (&str, usize) {
     }
 }
 
-/// The drivers of this process. They are loaded once: a process that has loaded and left a driver often enough is not let in
-/// again (seen with NVIDIA's, after some dozens of times), and devices are opened anew whenever one was lost.
+/// The drivers of this process, loaded once. Devices are reopened whenever one was lost, and a process that loads a
+/// driver some dozens of times is refused (seen with NVIDIA's).
 fn drivers() -> &'static wgpu::Instance {
     static DRIVERS: OnceLock<wgpu::Instance> = OnceLock::new();
     DRIVERS.get_or_init(|| {
@@ -151,13 +139,13 @@ fn drivers() -> &'static wgpu::Instance {
     })
 }
 
-/// The consent that wgpu wants before it enables an experimental feature.
+/// The consent that wgpu requires for experimental features.
 fn experimental(features: wgpu::Features) -> wgpu::ExperimentalFeatures {
     if !features.intersects(wgpu::Features::all_experimental_mask()) {
         return wgpu::ExperimentalFeatures::disabled();
     }
-    // SAFETY: wgpu asks its users to know that experimental features may have bugs that its checks do not catch. They are
-    // only ever asked for by the ray-query back end, whose kernels and structures are ours and never a peer's.
+    // SAFETY: wgpu warns that its checks may miss bugs in experimental features. Only the ray-query back end enables
+    // them, and its kernels and structures are ours, never a peer's.
     #[expect(unsafe_code, reason = "the only way to ray queries")]
     unsafe {
         wgpu::ExperimentalFeatures::enabled()
@@ -169,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_adapter_is_named_by_a_part_of_its_name_and_its_place() {
+    fn adapter_names_may_end_in_a_place() {
         for (wanted, expected) in [
             (None, ("", 0)),
             (Some("H100"), ("H100", 0)),
@@ -178,7 +166,7 @@ mod tests {
             (Some("odd#name"), ("odd#name", 0)),
             (Some("a#0"), ("a#0", 0)),
         ] {
-            assert_eq!(named(wanted), expected, "{wanted:?}");
+            assert_eq!(parse_name(wanted), expected, "{wanted:?}");
         }
     }
 }

@@ -1,6 +1,6 @@
-//! Host types that the shading shaders read, byte for byte as WGSL lays them out (`wgsl/shading/`).
+//! Host types that the shading shaders read. Their twins are in `wgsl/shading/`.
 //!
-//! Everything that does not change from frame to frame is computed here once, in f64: exposure, cone falloff, tone curve.
+//! Everything that does not change from frame to frame is computed here once: exposure, cone falloff, tone curve.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Mat4, Vec3, Vec4};
@@ -8,12 +8,10 @@ use glam::{DVec3, Mat4, Vec3, Vec4};
 use gnomon_scene::{
     AlphaMode, Light as SceneLight, LightKind, Material as SceneMaterial,
     camera::{Camera, NEAR_M},
+    limits::MAX_LIGHTS,
 };
 
 use crate::host::wrap;
-
-/// Lights that fit [`Lighting`]; as many as a visibility mask has planes.
-pub const MAX_LIGHTS: usize = 32;
 
 /// The camera. Twin of `View` in `view.wgsl`.
 #[repr(C)]
@@ -35,12 +33,12 @@ pub struct View {
     pub height: u32,
     /// Half the picture's height on the plane at distance 1.
     pub up: Vec3,
-    /// How much predicted visibility counts, 0 to 1, against what the client knows without a server.
+    /// Weight of predicted visibility, 0 to 1, against what the client knows without a server.
     pub visibility_share: f32,
 }
 
 impl View {
-    /// What the shaders need of `camera`, in the space whose origin lies at `origin_m` of the world.
+    /// The view of `camera` in the space whose origin lies at `origin_m` of the world.
     #[must_use]
     pub fn new(camera: &Camera, origin_m: DVec3, visibility_share: f32) -> Self {
         let basis = camera.ray_basis(origin_m);
@@ -59,22 +57,21 @@ impl View {
     }
 }
 
-/// Masks that prediction looks things up in at most.
+/// Most masks that prediction looks visibility up in.
 pub const MAX_MASK_LAYERS: usize = 8;
 
-/// A mask that prediction looks things up in. Twin of `MaskLayer` in `predict.wgsl`.
+/// A mask that prediction looks visibility up in. Twin of `MaskLayer` in `predict.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct MaskLayer {
     /// The view that it was traced for, with the mask's size.
     pub view: View,
-    /// Layer of the textures that it lies in.
+    /// Its layer in the textures.
     pub slot: u32,
     /// 1 if it was traced for the picture's own view.
     pub same_view: u32,
-    /// 1 if all of it has come.
+    /// 1 if all of it has arrived.
     pub whole: u32,
-    /// Nothing.
     pub unused: u32,
 }
 
@@ -82,13 +79,13 @@ pub struct MaskLayer {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct Prediction {
-    /// The masks, the newest first.
+    /// The masks, newest first.
     pub layers: [MaskLayer; MAX_MASK_LAYERS],
-    /// How many they are.
+    /// Number of masks.
     pub count: u32,
     /// 0 none, 1 the dissertation's, 2 by surface.
     pub predictor: u32,
-    /// What the dissertation's predictor does with unknown points: 0 lights them, 1 shadows them, 2 copies.
+    /// How the dissertation's predictor fills unknown points: 0 lit, 1 shadowed, 2 copied.
     pub unknown: u32,
     /// A bit for each light.
     pub lights: u32,
@@ -116,18 +113,17 @@ pub struct ShadowView {
 pub struct Material {
     /// Linear RGBA factor.
     pub base_color: Vec4,
-    /// A MASK point is there when its alpha is at least this.
+    /// A MASK point is drawn when its alpha is at least this.
     pub alpha_cutoff: f32,
     /// Index into the table of emitted light.
     pub index: u32,
-    /// What happens outside 0 to 1 along u: 0 repeats, 1 repeats mirrored, 2 holds the edge.
+    /// How u wraps outside 0 to 1: 0 repeats, 1 repeats mirrored, 2 clamps to the edge.
     pub wrap_u: u32,
-    /// The same along v.
+    /// How v wraps.
     pub wrap_v: u32,
 }
 
 impl Material {
-    /// What the shaders need of the scene's material number `index`.
     #[must_use]
     pub fn new(material: &SceneMaterial, index: u32) -> Self {
         let (wrap_u, wrap_v) =
@@ -160,12 +156,11 @@ pub struct Light {
     pub cone_offset: f32,
     /// The light's first view in the shadow map.
     pub shadow_view: u32,
-    /// Fills the last 16 bytes.
     pub unused: [f32; 2],
 }
 
 impl Light {
-    /// What the shaders need of a light of the scene, with `exposure` in it.
+    /// A light of the scene, with `exposure` multiplied into its intensity.
     #[must_use]
     pub fn new(light: &SceneLight, exposure: f32) -> Self {
         let (kind, cone_scale, cone_offset) = match light.kind {
@@ -192,8 +187,8 @@ impl Light {
         }
     }
 
-    /// Irradiance on a surface at `point` that faces the light, where nothing stands between: `arrival` of
-    /// `lighting.wgsl`, for the exposure. Also the unit vector towards the light.
+    /// Returns the unshadowed irradiance on a surface at `point` that faces the light, and the unit vector towards the
+    /// light: `arrival` of `lighting.wgsl`, for the exposure.
     #[must_use]
     pub fn arrival(&self, point: Vec3) -> (Vec3, Vec3) {
         if self.kind == 0 {
@@ -208,25 +203,23 @@ impl Light {
     }
 }
 
-/// Everything that lights the scene. Twin of `Lighting` in `lighting.wgsl`.
+/// All light in the scene. Twin of `Lighting` in `lighting.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct Lighting {
     /// Ambient irradiance from above, exposed.
     pub ambient_above: Vec3,
-    /// Lights there are.
+    /// Number of lights.
     pub count: u32,
     /// Ambient irradiance from below, exposed.
     pub ambient_below: Vec3,
-    /// First column of the picture in which every light reaches everything.
+    /// First column of the picture that is drawn without shadows.
     pub lit_from_px: u32,
     /// Radiance of the sky at the zenith, exposed.
     pub zenith: Vec3,
-    /// Fills a row.
     pub unused_1: f32,
     /// Radiance of the sky at the horizon, exposed.
     pub horizon: Vec3,
-    /// Fills a row.
     pub unused_2: f32,
     /// The lights, in the order of the mask's planes.
     pub lights: [Light; MAX_LIGHTS],
@@ -270,63 +263,7 @@ impl Tone {
 
 #[cfg(test)]
 mod tests {
-    use std::mem::{offset_of, size_of};
-
     use super::*;
-    use crate::splice::splice;
-
-    /// Names, offsets and size of a WGSL struct, as naga lays it out.
-    fn layout(path: &str, name: &str) -> (Vec<(String, usize)>, usize) {
-        let module = naga::front::wgsl::parse_str(&splice(path).unwrap()).unwrap();
-        let (_, ty) = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).unwrap();
-        let naga::TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is no struct") };
-        let members = members.iter().map(|m| (m.name.clone().unwrap(), m.offset as usize)).collect();
-        (members, *span as usize)
-    }
-
-    macro_rules! assert_layout {
-        ($path:literal, $host:ident, [$($field:ident),+]) => {
-            let (members, span) = layout($path, stringify!($host));
-            let host = vec![$((stringify!($field).to_owned(), offset_of!($host, $field))),+];
-            assert_eq!(members[..host.len()], host[..]);
-            assert_eq!(span, size_of::<$host>());
-        };
-    }
-
-    #[test]
-    fn host_types_lie_as_wgsl_lays_them() {
-        assert_layout!(
-            "shading/shade.wgsl",
-            View,
-            [clip_from_local, origin, near_m, forward, width, right, height, up, visibility_share]
-        );
-        assert_layout!("shading/predict.wgsl", Prediction, [layers, count, predictor, unknown, lights]);
-        assert_layout!("shading/predict.wgsl", MaskLayer, [view, slot, same_view, whole]);
-        assert_layout!("shading/predict.wgsl", ShadowView, [clip_from_local, left, top, side, texel_m]);
-        assert_layout!("shading/gbuffer.wgsl", Material, [base_color, alpha_cutoff, index, wrap_u, wrap_v]);
-        assert_layout!(
-            "shading/shade.wgsl",
-            Light,
-            [position, kind, direction, inverse_range, intensity, cone_scale, cone_offset, shadow_view]
-        );
-        assert_layout!(
-            "shading/shade.wgsl",
-            Lighting,
-            [ambient_above, count, ambient_below, lit_from_px, zenith, unused_1, horizon, unused_2, lights]
-        );
-        assert_layout!("shading/tone.wgsl", Tone, [contrast, shoulder, b, c]);
-    }
-
-    #[test]
-    fn every_shading_shader_is_valid() {
-        for name in ["gbuffer", "depth", "mask_words", "predict", "shade", "blend", "tone", "debug_view", "present"] {
-            let text = splice(&format!("shading/{name}.wgsl")).unwrap();
-            let module = naga::front::wgsl::parse_str(&text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
-            naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())
-                .validate(&module)
-                .unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
-        }
-    }
 
     #[test]
     fn the_tone_curve_goes_through_its_points() {

@@ -1,6 +1,7 @@
-//! WGSL with include-once imports: a line `#import "shared/mask.wgsl"` is replaced by that file, the first time.
+//! WGSL with include-once imports: the first line `#import "shared/mask.wgsl"` is replaced by that file, later ones by
+//! nothing.
 //!
-//! All of `wgsl/` is compiled into the program. Files under `shared/` are only ever imported.
+//! All of `wgsl/` is compiled into the program. Files under `shared/` are only imported.
 
 use thiserror::Error;
 
@@ -26,50 +27,43 @@ pub const FILES: &[(&str, &str)] = &[
     ("shared/ray.wgsl", include_str!("../wgsl/shared/ray.wgsl")),
     ("shared/texels.wgsl", include_str!("../wgsl/shared/texels.wgsl")),
     ("shared/traced_scene.wgsl", include_str!("../wgsl/shared/traced_scene.wgsl")),
-    ("visibility/nearest.wgsl", include_str!("../wgsl/visibility/nearest.wgsl")),
+    ("visibility/closest_hit.wgsl", include_str!("../wgsl/visibility/closest_hit.wgsl")),
     ("visibility/primary.wgsl", include_str!("../wgsl/visibility/primary.wgsl")),
     ("visibility/ray_query.wgsl", include_str!("../wgsl/visibility/ray_query.wgsl")),
-    ("visibility/sampling.wgsl", include_str!("../wgsl/visibility/sampling.wgsl")),
     ("visibility/shadow.wgsl", include_str!("../wgsl/visibility/shadow.wgsl")),
     ("visibility/traverse.wgsl", include_str!("../wgsl/visibility/traverse.wgsl")),
-    ("visibility/work.wgsl", include_str!("../wgsl/visibility/work.wgsl")),
 ];
 
-/// Why a shader cannot be put together.
+/// Why a shader cannot be spliced.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum SpliceError {
-    /// No such file.
     #[error("no WGSL file {0:?}")]
     Missing(String),
     /// A line starts with `#` but is no import.
     #[error("{file}:{line}: expected #import \"PATH\"")]
-    Directive {
-        /// File with the line.
-        file: String,
-        /// Line, from 1.
-        line: usize,
-    },
+    Directive { file: String, line: usize },
 }
 
-/// The whole text of the WGSL file `path`, with its imports in place.
+/// Returns the WGSL file `path` with its imports in place.
 ///
 /// # Errors
-/// When a file does not exist or a directive is malformed.
+/// If a file does not exist or a directive is malformed.
 pub fn splice(path: &str) -> Result<String, SpliceError> {
     splice_from(FILES, &[], path)
 }
 
-/// As [`splice`], of a tracing kernel that walks the adapter's own acceleration structure in place of our hierarchy.
+/// As [`splice`], for a tracing kernel that traverses the adapter's own acceleration structure instead of our
+/// hierarchy.
 ///
 /// # Errors
-/// As [`splice`].
+/// Those of [`splice`].
 pub fn splice_ray_query(path: &str) -> Result<String, SpliceError> {
     let text = splice_from(FILES, &[("visibility/traverse.wgsl", "visibility/ray_query.wgsl")], path)?;
     // Directives come before everything else.
     Ok(format!("enable wgpu_ray_query;\n{text}"))
 }
 
-/// `path` with its imports, of which those named first in `replaced` are replaced by those named second.
+/// Splices `path`. An import named first in a pair of `replaced` is replaced by the one named second.
 fn splice_from(files: &[(&str, &str)], replaced: &[(&str, &str)], path: &str) -> Result<String, SpliceError> {
     let (mut text, mut seen) = (String::new(), Vec::new());
     append(files, replaced, path, &mut seen, &mut text)?;
@@ -120,18 +114,18 @@ mod tests {
     ];
 
     #[test]
-    fn imports_come_once_and_before_their_reader() {
+    fn imports_come_once_and_before_the_importer() {
         assert_eq!(splice_from(TREE, &[], "a").as_deref(), Ok("C\nB\nA\n"));
         assert_eq!(splice_from(TREE, &[], "loop").as_deref(), Ok("L\n"));
     }
 
     #[test]
-    fn a_replaced_import_comes_where_the_other_would() {
+    fn a_replacement_takes_the_place_of_the_import() {
         assert_eq!(splice_from(TREE, &[("b", "d")], "a").as_deref(), Ok("D\nC\nA\n"));
     }
 
     #[test]
-    fn mistakes_name_their_place() {
+    fn errors_name_file_and_line() {
         assert_eq!(splice_from(TREE, &[], "bad"), Err(SpliceError::Directive { file: "bad".into(), line: 2 }));
         assert_eq!(splice_from(TREE, &[], "gone"), Err(SpliceError::Missing("nowhere".into())));
     }

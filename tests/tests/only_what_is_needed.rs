@@ -97,10 +97,10 @@ fn masks_and_what_is_kept_for_them_grow_with_the_lights() {
         assert_eq!(Mask::new(shape).words().len() as u64, tiles * u64::from(lights));
         let mut backend = ComputeBackend::open(&scene, None, true).unwrap();
         backend.fit([shape]).unwrap();
-        let kept = backend.kept();
-        assert_eq!(kept.lights_bytes, u64::from(lights) * 48, "{kept:?}");
-        assert_eq!(kept.mask_bytes, tiles * 8 * u64::from(lights), "{kept:?}");
-        assert_eq!(kept.alpha_bytes, 0, "{kept:?}");
+        let memory = backend.memory();
+        assert_eq!(memory.lights_bytes, u64::from(lights) * 48, "{memory:?}");
+        assert_eq!(memory.mask_bytes, tiles * 8 * u64::from(lights), "{memory:?}");
+        assert_eq!(memory.alpha_bytes, 0, "{memory:?}");
         for backend in BackendName::EVERYWHERE {
             let pixels = u64::from(SIZE.0 * SIZE.1);
             assert_eq!(traced(backend, &scene).0, pixels * u64::from(lights), "{}", backend.name());
@@ -117,12 +117,12 @@ fn hierarchies_are_a_small_part_of_what_a_scene_takes() {
         let lights_from = scene.lights_from_json.then(|| scene.json_in(&folder));
         let options = LoadOptions { lights_from, ..LoadOptions::default() };
         let loaded = Scene::load(&folder.join(scene.file), &options).unwrap();
-        let kept = ComputeBackend::open(&loaded, None, true).unwrap().kept();
-        let share = kept.hierarchy_bytes as f64 / (kept.hierarchy_bytes + kept.triangle_bytes) as f64;
+        let memory = ComputeBackend::open(&loaded, None, true).unwrap().memory();
+        let share = memory.hierarchy_bytes as f64 / (memory.hierarchy_bytes + memory.triangle_bytes) as f64;
         println!(
             "{}: hierarchy {} bytes, triangles {}: {share:.3}",
-            scene.name, kept.hierarchy_bytes, kept.triangle_bytes
+            scene.name, memory.hierarchy_bytes, memory.triangle_bytes
         );
-        assert!((0.01..0.15).contains(&share), "{}: {kept:?}", scene.name);
+        assert!((0.01..0.15).contains(&share), "{}: {memory:?}", scene.name);
     }
 }

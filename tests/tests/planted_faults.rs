@@ -11,7 +11,7 @@ use gnomon_lab::{
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{AlphaMode, Scene, camera::Camera};
-use gnomon_server::visibility::backend::compute::{ComputeBackend, KernelOptions};
+use gnomon_server::visibility::backend::compute::ComputeBackend;
 
 /// As in `tests/accuracy.rs`.
 const MOST_WRONG: f64 = 0.0001;
@@ -57,9 +57,9 @@ fn an_offset_error_is_caught() {
     let scene = scene();
     let (truth, _) = sound(&scene, BackendName::Compute);
     let traced = |roundings: u16| {
-        let options = KernelOptions { offset_roundings: Some(roundings), ..KernelOptions::default() };
+        let mut backend = ComputeBackend::open_with_offset(&scene, None, true, roundings).unwrap();
         let mut mask = Mask::new(MaskShape::new(160, 96, 3).unwrap());
-        ComputeBackend::open_with(&scene, None, true, options).unwrap().trace(&camera(), &mut mask).unwrap();
+        backend.trace(&camera(), &mut mask).unwrap();
         judge(&mask, &truth)
     };
     let right = traced(16);

@@ -12,16 +12,11 @@ use gnomon_protocol::mask::MaskShape;
 use crate::{
     config::ServerConfig,
     metrics::ledger::{Ledger, as_f64},
+    visibility::schedule::capacity::{IDLE_SHARE, LEAST_HZ},
 };
 
 /// Time of each core that encoding may take in a second, in milliseconds, unless it is configured: the rest is for packets and the system.
 const CORE_BUDGET_MS: f64 = 800.0;
-
-/// Frames a second that a session is planned with which did not say how many it wants: it takes what others leave.
-const LEAST_HZ: f64 = 1.0;
-
-/// Share of its rate that an idle session is planned with: most do not wake at once.
-const IDLE_SHARE: f64 = 0.1;
 
 /// How long a session is planned with what it asked for, and then with what it did in the last time of this length.
 const WINDOW: Duration = Duration::from_secs(10);

@@ -166,7 +166,7 @@ fn admit(hello: Hello, peer: SocketAddr, services: &Services) -> Result<Admitted
     let rate_hz = (hello.rate_hz > 0).then(|| f64::from(hello.rate_hz));
     let port = services.engine.open(shape, rate_hz).map_err(|error| match error {
         OpenError::Full(_) | OpenError::Busy => (RefusalCause::Full, services.admission.full()),
-        OpenError::TooMuch(reason) => (RefusalCause::Budget, services.admission.busy(shortened(&reason.to_string()))),
+        OpenError::Overload(reason) => (RefusalCause::Budget, services.admission.busy(shortened(&reason.to_string()))),
         _ => (RefusalCause::Unsupported, Refusal::Unsupported(shortened(&error.to_string()))),
     })?;
     let share = services.plan.take(shape, rate_hz);

@@ -33,53 +33,50 @@ use std::time::{Duration, Instant};
 use gnomon_protocol::{ids::FrameNumber, mask::Mask, pose::Pose};
 use gnomon_scene::camera::Camera;
 
-/// A mask to trace: the newest that a session wants.
+/// A mask to trace.
 #[derive(Debug, Clone, Copy)]
 pub struct TraceRequest {
     /// The client's frame.
     pub frame: FrameNumber,
-    /// Where it looks from, and the size of its mask.
+    /// The view, and the size of the mask.
     pub camera: Camera,
-    /// The pose that this camera is of, where it is not the client's own of this frame.
+    /// The extrapolated pose of `camera`. `None`: it is the client's own pose of this frame.
     pub ahead: Option<Pose>,
-    /// When its pose arrived.
+    /// When the pose arrived.
     pub received_at: Instant,
-    /// Time between this session's poses of late: by then the mask is due.
+    /// Recent time between the session's poses. The mask is due after it.
     pub interval: Duration,
 }
 
-/// A traced mask, and what it cost.
+/// A traced mask and its cost.
 #[derive(Debug)]
 pub struct TracedMask {
     /// The client's frame.
     pub frame: FrameNumber,
-    /// The mask.
     pub mask: Mask,
-    /// The pose that it was traced for, where that is not the client's own of this frame.
+    /// The extrapolated pose that it was traced for. `None`: it is the client's own pose of this frame.
     pub ahead: Option<Pose>,
-    /// When its pose arrived.
+    /// When the pose arrived.
     pub received_at: Instant,
-    /// What it cost.
     pub cost: TraceCost,
 }
 
-/// What a mask cost: time by stage, and work.
+/// Cost of a mask: time by stage, and rays.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct TraceCost {
-    /// Finding surface points, in milliseconds of the device.
+    /// Device time to find surface points, in milliseconds.
     pub primary_ms: f64,
-    /// Shadow rays, in milliseconds of the device.
+    /// Device time of shadow rays, in milliseconds.
     pub shadow_ms: f64,
-    /// From the end of tracing until the bits were in host memory, in milliseconds; 0 on the CPU.
+    /// Time from the end of tracing until the bits are in host memory, in milliseconds; 0 on the CPU.
     pub readback_ms: f64,
-    /// Primary rays.
     pub primary_rays: u64,
     /// Shadow rays: relevant bits that the surface does not hide from itself.
     pub shadow_rays: u64,
 }
 
 impl TraceCost {
-    /// Of two parts of a mask.
+    /// The sum of two parts of a mask.
     #[must_use]
     pub fn plus(self, other: Self) -> Self {
         Self {
@@ -91,7 +88,7 @@ impl TraceCost {
         }
     }
 
-    /// Time of the device, in milliseconds.
+    /// Device time in milliseconds.
     #[must_use]
     pub fn device_ms(&self) -> f64 {
         self.primary_ms + self.shadow_ms

@@ -1,4 +1,4 @@
-// Holes: whether a point of a MASK triangle is there. Needs shared/traced_scene.wgsl.
+// The alpha test of MASK triangles.
 
 #import "shared/texels.wgsl"
 #import "shared/traced_scene.wgsl"
@@ -11,7 +11,7 @@ fn alpha_texel(material: AlphaMaterial, x: i32, y: i32) -> f32 {
 }
 
 // Bilinear in the full-size picture.
-fn is_there(index: u32, uv: vec2f) -> bool {
+fn passes_material_alpha(index: u32, uv: vec2f) -> bool {
     let material = alpha_materials[index];
     let texels = texels_around(uv, vec2f(f32(material.width), f32(material.height)));
     let x = texels.corner.x;
@@ -21,16 +21,16 @@ fn is_there(index: u32, uv: vec2f) -> bool {
     return mix(upper, lower, texels.weight.y) / 255.0 * material.factor >= material.cutoff;
 }
 
-// Whether the scene has triangles with holes. Where it has none, none of this is compiled.
+// Whether the scene has triangles with holes. Without any, none of this is compiled.
 override HAS_ALPHA: bool = true;
 
-// Whether the triangle at `triangle` is there at a meeting with these weights.
-fn triangle_is_there(triangle: u32, kind: u32, weights: vec3f) -> bool {
+// Whether a hit of `triangle` with these weights passes the alpha test of its material.
+fn passes_alpha_test(triangle: u32, kind: u32, weights: vec3f) -> bool {
     let alpha = kind & TRIANGLE_ALPHA;
     if !HAS_ALPHA || alpha == 0u {
         return true;
     }
     let first = triangles[triangle * 3u + 1u].w;
     let uv = alpha_uvs[first] * weights.x + alpha_uvs[first + 1u] * weights.y + alpha_uvs[first + 2u] * weights.z;
-    return is_there(alpha - 1u, uv);
+    return passes_material_alpha(alpha - 1u, uv);
 }

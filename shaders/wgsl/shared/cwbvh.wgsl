@@ -1,8 +1,9 @@
-// One step through obvhs' eight-wide compressed hierarchy (Ylitie, Karras, Laine, "Efficient Incoherent Ray Traversal on
-// GPUs Through Compressed Wide BVHs", HPG 2017). Needs shared/traced_scene.wgsl and shared/ray.wgsl.
+// One step through obvhs' eight-wide compressed hierarchy (Ylitie, Karras, Laine, "Efficient Incoherent Ray Traversal
+// on GPUs Through Compressed Wide BVHs", HPG 2017).
 //
-// A node: corner (3 × f32); exponents of the grid's spacing (3 × u8) and which children are nodes (u8); first child;
-// first triangle; a byte for each child; then for x, y, z the children's lower and upper planes, a byte each.
+// A node: corner (3 × f32); exponents of the grid's spacing (3 × u8) and a mask of the children that are nodes (u8);
+// first child; first triangle; a byte for each child; then for x, y, z the children's lower and upper planes, a byte
+// each.
 
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
@@ -11,8 +12,8 @@
 // Twin: `host::TRAVERSAL_STACK`.
 const TRAVERSAL_STACK: u32 = 32u;
 
-// Planes are moved outwards by this part of the distances involved. Rounding in obvhs' quantisation (2 units of 2⁻²⁴),
-// in this test (7) and in the triangle test's own view of the ray (4) stays below 16 units.
+// Planes move outwards by this share of the distances involved. Rounding in obvhs' quantisation (2 units of 2⁻²⁴), in
+// this test (7) and in the triangle test's projection of the ray (4) stays below 16 units.
 const SLACK: f32 = 9.5367431640625e-7;
 
 struct NodeHits {
@@ -25,8 +26,10 @@ struct NodeHits {
     inner: u32,
 }
 
-// Which of four children the ray meets, as bits of `NodeHits.bits`.
-fn quad_hits(near: vec3u, far: vec3u, scale: vec3f, base_in: vec3f, base_out: vec3f, limit: f32, about: u32, octants: u32) -> u32 {
+// The children of four that the ray hits, as bits of `NodeHits.bits`.
+fn quad_hits(
+    near: vec3u, far: vec3u, scale: vec3f, base_in: vec3f, base_out: vec3f, limit: f32, about: u32, octants: u32,
+) -> u32 {
     let in_x = fma(vec4f(unpack4xU8(near.x)), vec4f(scale.x), vec4f(base_in.x));
     let in_y = fma(vec4f(unpack4xU8(near.y)), vec4f(scale.y), vec4f(base_in.y));
     let in_z = fma(vec4f(unpack4xU8(near.z)), vec4f(scale.z), vec4f(base_in.z));
@@ -35,8 +38,8 @@ fn quad_hits(near: vec3u, far: vec3u, scale: vec3f, base_in: vec3f, base_out: ve
     let out_z = fma(vec4f(unpack4xU8(far.z)), vec4f(scale.z), vec4f(base_out.z));
     let enter = max(max(in_x, in_y), max(in_z, vec4f(0.0)));
     let leave = min(min(out_x, out_y), min(out_z, vec4f(limit)));
-    // Nodes carry 24 to 31 in their low five bits, and only there are both upper ones of these set. Their place is
-    // turned by the octant, which makes the highest bit the nearest child.
+    // Nodes carry 24 to 31 in their low five bits. Only there are bits 3 and 4 both set. Their place is XORed with the
+    // octant, so that the highest bit is the nearest child.
     let inner = (about & (about << 1u)) & 0x10101010u;
     let place = unpack4xU8((about ^ (octants & ((inner >> 4u) * 0xffu))) & 0x1f1f1f1fu);
     let count = unpack4xU8((about >> 5u) & 0x07070707u);
@@ -74,8 +77,8 @@ fn node_hits(index: u32, ray: Ray, limit: f32) -> NodeHits {
     return NodeHits(links.x, links.y, low | high, head.w >> 24u);
 }
 
-// Where a traversal stands: a group of sibling nodes that the ray meets. `x` is the index of the first sibling; of `y`
-// bits 31 to 24 are siblings to visit and bits 7 to 0 say which places of their parent hold nodes.
+// The state of a traversal: a group of sibling nodes that the ray hits. `x` is the index of the first sibling. Bits 31
+// to 24 of `y` are siblings to visit; bits 7 to 0 are the places of their parent that hold nodes.
 const ROOT_GROUP: vec2u = vec2u(0u, 0x80000000u);
 const GROUP_NODES: u32 = 0xff000000u;
 

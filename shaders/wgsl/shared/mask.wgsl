@@ -1,4 +1,4 @@
-// The visibility mask seen as array<u32>: protocol/src/mask.rs has the layout. A tile is 8×8 pixels and two words.
+// The visibility mask as array<u32>, in the layout of gnomon-protocol's `Mask`. A tile is 8×8 pixels and two words.
 
 const TILE_PX: u32 = 8u;
 

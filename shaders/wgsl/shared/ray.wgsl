@@ -1,19 +1,19 @@
-// Rays, and where they meet triangles: watertight along shared edges (Woop, Benthin, Wald, "Watertight Ray/Triangle
-// Intersection", JCGT 2013). Needs shared/traced_scene.wgsl.
+// Rays, and their intersection with triangles: watertight along shared edges (Woop, Benthin, Wald, "Watertight
+// Ray/Triangle Intersection", JCGT 2013).
 
 #import "shared/traced_scene.wgsl"
 
 struct Ray {
     origin: vec3f,
-    // Not normalised: distances are in units of its length.
+    // Not normalised. Distances are in units of its length.
     direction: vec3f,
-    // The direction for boxes: zeros are replaced by something tiny.
+    // The direction for box tests: zeros are replaced by tiny values.
     slanted: vec3f,
-    // One over that.
+    // 1 / `slanted`.
     inverse: vec3f,
     // Octant of the direction in obvhs' form: bits 2, 1, 0 are set where x, y, z are not negative.
     octant: u32,
-    // Rows of the map from points relative to the origin to the plane across the ray.
+    // Rows of the matrix that projects points relative to the origin to the plane across the ray.
     shear_x: vec3f,
     shear_y: vec3f,
 }
@@ -25,7 +25,7 @@ fn make_ray(origin: vec3f, direction: vec3f) -> Ray {
     var ray: Ray;
     ray.origin = origin;
     ray.direction = direction;
-    // A zero would make 0 · ∞ of a plane that contains the origin.
+    // A zero would give 0 · ∞ for a plane that contains the origin.
     let negative = direction < vec3f(0.0);
     let tiny = select(vec3f(1e-18), vec3f(-1e-18), negative);
     ray.slanted = select(direction, tiny, abs(direction) < vec3f(1e-18));
@@ -47,7 +47,7 @@ fn make_ray(origin: vec3f, direction: vec3f) -> Ray {
         z = vec3f(0.0, 1.0, 0.0);
     }
     let along = dot(direction, z);
-    // A mirrored space would swap front and back faces.
+    // Mirroring would swap front and back faces.
     let swapped = along < 0.0;
     let right = select(x, y, swapped);
     let up = select(y, x, swapped);
@@ -56,12 +56,12 @@ fn make_ray(origin: vec3f, direction: vec3f) -> Ray {
     return ray;
 }
 
-struct Meeting {
-    // Distance along the ray, in lengths of its direction; negative when there is no meeting.
+struct Hit {
+    // Distance along the ray, in lengths of its direction; negative for a miss.
     distance: f32,
     // Barycentric weights of the three corners.
     weights: vec3f,
-    // Whether the front was met.
+    // Whether the front was hit.
     front: bool,
     // Whether the origin lies off the triangle's plane by more than rounding can account for.
     clear: bool,
@@ -71,31 +71,31 @@ struct Meeting {
 const ROUNDING: f32 = 5.9604644775390625e-8;
 
 // How far rounding may move the distance n · (a − s) of a ray's origin s from a triangle's plane, in rounding units of
-// Σ |nᵢ|·|aᵢ − sᵢ|: 1 for n, which comes rounded from f64; 1 for a − s; 3 for products and sums, contracted or not; and one
-// more for the rounding of this bound. Twin: `PLANE_ROUNDINGS` in backend/cpu/traverse.rs.
+// Σ |nᵢ|·|aᵢ − sᵢ|: 1 for n, which is rounded from f64; 1 for a − s; 3 for products and sums, contracted or not; and
+// one more for the rounding of this bound. Twin: `PLANE_ROUNDINGS` in backend/cpu/rounding.rs.
 const PLANE_ROUNDINGS: f32 = 6.0;
 
-// Explicit fma: the same corner and ray must give the same number in every triangle that shares the corner, so it is not
-// left to the compiler what it contracts.
+// Explicit fma, so that the compiler has no choice of what to contract: the same corner and ray must give the same
+// number in every triangle that shares the corner.
 fn along_row(row: vec3f, point: vec3f) -> f32 {
     return fma(row.x, point.x, fma(row.y, point.y, row.z * point.z));
 }
 
-// p · q − r · s with the sign that it has in exact arithmetic, and nearly all of its digits (Kahan's algorithm), on adapters
-// that fuse; on others it is the plain difference, whose sign is antisymmetric too.
+// p · q − r · s with its exact sign and nearly all of its digits (Kahan's algorithm) on adapters that fuse. On others
+// it is the plain difference, whose sign is antisymmetric too.
 fn difference_of_products(p: f32, q: f32, r: f32, s: f32) -> f32 {
     let product = r * s;
     let error = fma(-r, s, product);
     return fma(p, q, -product) + error;
 }
 
-// Whichever of two triangles asks about their common edge, the sign is the same. A plain difference, half of it
-// contracted to an fma, would not have the same sign from both sides, and rays would leak through edges.
+// Both triangles at an edge compute the same number with opposite signs. A plain difference, half of it contracted to
+// an fma, would not be antisymmetric, and rays would leak through edges.
 fn edge(a: vec2f, b: vec2f) -> f32 {
     return difference_of_products(a.x, b.y, a.y, b.x);
 }
 
-// Twice the areas that the ray, seen along it, spans with the edges opposite the corners.
+// Twice the areas that the ray spans with the edges opposite the corners, seen along the ray.
 fn areas_across(ray: Ray, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> vec3f {
     let to_a = corner_a - ray.origin;
     let to_b = corner_b - ray.origin;
@@ -106,9 +106,9 @@ fn areas_across(ray: Ray, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> 
     return vec3f(edge(c, b), edge(a, c), edge(b, a));
 }
 
-const MISSED: Meeting = Meeting(-1.0, vec3f(0.0), false, false);
+const MISSED: Hit = Hit(-1.0, vec3f(0.0), false, false);
 
-fn meet_triangle(ray: Ray, triangle: u32, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Meeting {
+fn intersect_triangle(ray: Ray, triangle: u32, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Hit {
     let areas = areas_across(ray, corner_a, corner_b, corner_c);
     // Points on an edge belong to both of its triangles.
     if any(areas < vec3f(0.0)) && any(areas > vec3f(0.0)) {
@@ -118,16 +118,16 @@ fn meet_triangle(ray: Ray, triangle: u32, corner_a: vec3f, corner_b: vec3f, corn
     if area == 0.0 {
         return MISSED;
     }
-    // Where the ray meets the plane, and not the corners' depths by their weights: of a thin triangle the weights are
-    // quotients of small differences, and would be off by more than shadow rays are pushed off their surface.
+    // The distance comes from the plane, not from the corners' depths by their weights. The weights of a thin triangle
+    // are quotients of small differences: they would be off by more than shadow rays are pushed off their surface.
     let normal = plane_normal(triangle);
     let to_a = corner_a - ray.origin;
     let height = dot(normal, to_a);
-    return Meeting(height / dot(normal, ray.direction), areas / area, area > 0.0, is_clear(normal, to_a, height));
+    return Hit(height / dot(normal, ray.direction), areas / area, area > 0.0, is_off_plane(normal, to_a, height));
 }
 
-// Whether `height`, which is normal · to_a, tells that a point lies off a plane.
-fn is_clear(normal: vec3f, to_a: vec3f, height: f32) -> bool {
+// Whether a point lies off a plane by more than rounding can account for. `height` is normal · to_a.
+fn is_off_plane(normal: vec3f, to_a: vec3f, height: f32) -> bool {
     return abs(height) > PLANE_ROUNDINGS * ROUNDING * dot(abs(normal), abs(to_a));
 }
 
@@ -135,18 +135,18 @@ fn is_clear(normal: vec3f, to_a: vec3f, height: f32) -> bool {
 struct End {
     // Distance along the ray, in lengths of its direction.
     limit: f32,
-    // The light's place; not used for one infinitely far away.
+    // The light's position; unused for directional lights.
     light: vec3f,
-    is_place: bool,
+    has_position: bool,
 }
 
-// Whether a triangle that the ray meets at `met` stands between its origin and its end. One whose plane holds either of them,
-// as far as rounding can tell, does not: a surface does not shadow itself, and a lamp that sits on one shines.
-fn stands_between(met: Meeting, triangle: u32, corner_a: vec3f, end: End) -> bool {
-    if !met.clear || met.distance <= 0.0 || met.distance >= end.limit {
+// Whether a triangle that the ray hits lies between its origin and its end. A triangle whose plane holds either of
+// them, as far as rounding can tell, does not: a surface does not shadow itself, nor a lamp that sits on it.
+fn is_between(hit: Hit, triangle: u32, corner_a: vec3f, end: End) -> bool {
+    if !hit.clear || hit.distance <= 0.0 || hit.distance >= end.limit {
         return false;
     }
     let normal = plane_normal(triangle);
     let to_a = corner_a - end.light;
-    return !end.is_place || is_clear(normal, to_a, dot(normal, to_a));
+    return !end.has_position || is_off_plane(normal, to_a, dot(normal, to_a));
 }

@@ -1,6 +1,6 @@
 // The scene as the tracing kernels read it. Twins: `host::TracedView`, `host::TracedLight`, `host::AlphaMaterial`.
 
-// One frame's camera: `gnomon_shaders::camera::RayBasis`, and the picture's size.
+// One frame's camera, and the picture's size.
 struct TracedView {
     // The camera's position in local space, in metres.
     origin: vec3f,
@@ -16,23 +16,23 @@ struct TracedView {
     lights: u32,
     // Half the picture's height on the plane at distance 1.
     up: vec3f,
-    // Nodes of the bounding volume hierarchy; 0 when nothing stops a ray.
+    // Nodes of our hierarchy, or triangles where the adapter has its own; 0 when nothing stops a ray.
     nodes: u32,
     // Row of tiles at which this part of the frame begins.
     first_row: u32,
 }
 
-// What decides about a light's relevance, and where its shadow rays end.
+// What decides a light's relevance and the end of its shadow rays.
 struct TracedLight {
-    // Position in local space, in metres; for directional lights not used.
+    // Position in local space, in metres; unused for directional lights.
     position: vec3f,
     // LIGHT_DIRECTIONAL, LIGHT_POINT or LIGHT_SPOT.
     kind: u32,
-    // Unit vector in which the light travels; for point lights not used.
+    // Unit vector in which the light travels; unused for point lights.
     direction: vec3f,
     // Cosine of the outer cone's angle.
     cos_outer: f32,
-    // Square of the range, in square metres; the largest f32 when there is none.
+    // Square of the range, in square metres; the largest f32 without a range.
     range_squared: f32,
     unused_0: f32,
     unused_1: f32,
@@ -50,17 +50,17 @@ struct AlphaMaterial {
     // Size of the picture, in texels.
     width: u32,
     height: u32,
-    // What happens outside 0 to 1: u in the low half, v in the high half; see `wrapped` in shared/alpha.wgsl.
+    // What happens outside 0 to 1: u in the low half, v in the high half; see `wrapped` in shared/texels.wgsl.
     wraps: u32,
-    // A point is there when texel · factor is at least the cutoff.
+    // A point stops rays when texel · factor is at least the cutoff.
     cutoff: f32,
     factor: f32,
     unused_0: u32,
     unused_1: u32,
 }
 
-// Triangles are in the order of the hierarchy's leaves, three words of four each: a corner's position, and in the first
-// corner's w the kind of its material, in the second's w its first entry in `alpha_uvs`.
+// Triangles are in the order of the hierarchy's leaves, three vec4u each: a corner's position in xyz; the kind of the
+// material in the first w, the first entry in `alpha_uvs` in the second.
 const TRIANGLE_SINGLE_SIDED: u32 = 0x80000000u;
 // One more than the index of the alpha material, or 0 for a triangle without holes.
 const TRIANGLE_ALPHA: u32 = 0x7fffffffu;
@@ -82,8 +82,8 @@ fn triangle_normal(triangle: u32, which: u32) -> vec3f {
     return vec3f(normals[first], normals[first + 1u], normals[first + 2u]);
 }
 
-// The unit normal of a triangle's plane, towards its front; zero for one without an area. It was computed in f64: a cross
-// product in f32 loses most digits of a long thin triangle's plane, and shadow rays would start below their own surface.
+// The unit normal of a triangle's plane, towards its front; zero for one without an area. Computed in f64: an f32 cross
+// product loses most digits of a long thin triangle's plane, and shadow rays would start below their own surface.
 fn plane_normal(triangle: u32) -> vec3f {
     return triangle_normal(triangle, 3u);
 }

@@ -1,30 +1,30 @@
-// Rays through the adapter's own acceleration structure: takes the place of visibility/traverse.wgsl in the kernels, which
-// declare `view`. Its text wants `enable wgpu_ray_query;` in front.
+// Traverses the adapter's own acceleration structure. Replaces visibility/traverse.wgsl in the kernels, which declare
+// `view`. The text must begin with `enable wgpu_ray_query;`.
 //
-// The adapter offers triangles, and everything is decided here as everywhere. Its structure holds every triangle a little
-// enlarged (backend/ray_query/pad.rs), since not every adapter's own test is watertight: what it offers is more than what the
-// ray meets, and our test says which of it that is. No geometry is marked opaque, so every triangle comes as a candidate. A
-// shadow ray seldom sees more than one, for the first that is there ends it.
+// The adapter only finds candidates; our tests decide, as everywhere. Its structure holds every triangle a little
+// enlarged (backend/compute/enlarge.rs), since not every adapter's own test is watertight. So there are more candidates
+// than hits. No geometry is marked opaque, so every triangle comes as a candidate. A shadow ray seldom has more than
+// one, since its first hit ends it.
 
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
 #import "shared/alpha.wgsl"
-#import "visibility/nearest.wgsl"
+#import "visibility/closest_hit.wgsl"
 
 @group(0) @binding(7) var structure: acceleration_structure;
 
-// A triangle that the adapter offers, as the ray meets its plane. Triangles are in the order of `triangles`.
-fn meet_candidate(ray: Ray, triangle: u32) -> Meeting {
+// Our own test of a candidate. Candidates are numbered as `triangles` are.
+fn intersect_candidate(ray: Ray, triangle: u32) -> Hit {
     let a = bitcast<vec3f>(triangles[triangle * 3u].xyz);
     let b = bitcast<vec3f>(triangles[triangle * 3u + 1u].xyz);
     let c = bitcast<vec3f>(triangles[triangle * 3u + 2u].xyz);
-    return meet_triangle(ray, triangle, a, b, c);
+    return intersect_triangle(ray, triangle, a, b, c);
 }
 
-fn nearest(ray: Ray) -> Nearest {
-    var found = Nearest(NOTHING, vec3f(0.0), false);
+fn intersect(ray: Ray) -> ClosestHit {
+    var closest = ClosestHit(NOTHING, vec3f(0.0), false);
     if view.nodes == 0u {
-        return found;
+        return closest;
     }
     var limit = FARTHEST;
     var query: ray_query;
@@ -32,20 +32,20 @@ fn nearest(ray: Ray) -> Nearest {
     while rayQueryProceed(&query) {
         let triangle = rayQueryGetCandidateIntersection(&query).primitive_index;
         let kind = triangles[triangle * 3u].w;
-        let met = meet_candidate(ray, triangle);
-        if met.clear && met.distance > 0.0 && met.distance < limit && (met.front || (kind & TRIANGLE_SINGLE_SIDED) == 0u)
-            && triangle_is_there(triangle, kind, met.weights) {
-            limit = met.distance;
-            found = Nearest(triangle, met.weights, met.front);
-            // What lies behind need not be offered any more.
+        let hit = intersect_candidate(ray, triangle);
+        if hit.clear && hit.distance > 0.0 && hit.distance < limit && (hit.front || (kind & TRIANGLE_SINGLE_SIDED) == 0u)
+            && passes_alpha_test(triangle, kind, hit.weights) {
+            limit = hit.distance;
+            closest = ClosestHit(triangle, hit.weights, hit.front);
+            // Farther candidates are no longer needed.
             rayQueryConfirmIntersection(&query);
         }
     }
-    return found;
+    return closest;
 }
 
-// Whether anything stands on the ray before its end.
-fn is_blocked(ray: Ray, end: End) -> bool {
+// Whether a triangle stops the ray before its end.
+fn occluded(ray: Ray, end: End) -> bool {
     if view.nodes == 0u {
         return false;
     }
@@ -54,10 +54,10 @@ fn is_blocked(ray: Ray, end: End) -> bool {
         RayDesc(RAY_FLAG_TERMINATE_ON_FIRST_HIT, 0xffu, 0.0, end.limit, ray.origin, ray.slanted));
     while rayQueryProceed(&query) {
         let triangle = rayQueryGetCandidateIntersection(&query).primitive_index;
-        let met = meet_candidate(ray, triangle);
+        let hit = intersect_candidate(ray, triangle);
         let corner = triangles[triangle * 3u];
-        if stands_between(met, triangle, bitcast<vec3f>(corner.xyz), end)
-            && triangle_is_there(triangle, corner.w, met.weights) {
+        if is_between(hit, triangle, bitcast<vec3f>(corner.xyz), end)
+            && passes_alpha_test(triangle, corner.w, hit.weights) {
             return true;
         }
     }

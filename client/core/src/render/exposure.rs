@@ -4,8 +4,8 @@
 //! ([`Occluders`]) do not hide. The exposure puts a high percentile of what they receive at a fixed place of the tone curve.
 
 use glam::Vec3;
-use gnomon_scene::{Light as SceneLight, Scene};
-use gnomon_shaders::shading::{Light, Lighting, MAX_LIGHTS, Tone};
+use gnomon_scene::{Light as SceneLight, Scene, limits::MAX_LIGHTS};
+use gnomon_shaders::shading::{Light, Lighting, Tone};
 
 use super::predict::shadow_map;
 use crate::occluders::Occluders;

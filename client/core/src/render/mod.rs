@@ -19,10 +19,9 @@ mod tests;
 mod texture;
 mod tone;
 
-use std::sync::{Arc, Mutex, PoisonError};
-
 use gnomon_scene::{Scene, camera::Camera};
 use gnomon_shaders::{
+    device_failure::DeviceFailure,
     gpu::Gpu,
     shading::{Lighting, View},
     splice::{SpliceError, splice},
@@ -102,7 +101,7 @@ pub struct FrameRenderer {
     lights_on: u32,
     /// First column in which every light reaches everything, if any does.
     split_px: Option<u32>,
-    failure: Arc<Mutex<Option<String>>>,
+    failure: DeviceFailure,
 }
 
 impl FrameRenderer {
@@ -120,7 +119,7 @@ impl FrameRenderer {
         predictor: Predictor,
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
-        let failure = watch(device);
+        let failure = DeviceFailure::watch(device);
         check_side(device, width.max(height))?;
         // Anisotropic filtering is nearly free on a GPU and costs several times the rest of the frame in software.
         let scene_upload = SceneUpload::new(device, &gpu.queue, scene, if gpu.is_software() { 1 } else { 8 })?;
@@ -329,8 +328,7 @@ impl FrameRenderer {
     }
 
     fn check(&self) -> Result<(), RenderError> {
-        let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        failure.map_or(Ok(()), |reason| Err(RenderError::Device(reason)))
+        self.failure.get().map_or(Ok(()), |reason| Err(RenderError::Device(reason)))
     }
 }
 
@@ -340,25 +338,6 @@ fn check_side(device: &wgpu::Device, side: u32) -> Result<(), RenderError> {
         return Err(RenderError::TooLarge { what: "picture side", needed: side.into(), limit: limit.into() });
     }
     Ok(())
-}
-
-/// Keeps the device's first failure, which wgpu would otherwise panic about.
-fn watch(device: &wgpu::Device) -> Arc<Mutex<Option<String>>> {
-    let failure = Arc::new(Mutex::new(None));
-    let keep = |place: Arc<Mutex<Option<String>>>| {
-        move |reason: String| {
-            place.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
-        }
-    };
-    let (on_error, on_loss) = (keep(Arc::clone(&failure)), keep(Arc::clone(&failure)));
-    device.on_uncaptured_error(Arc::new(move |error| on_error(error.to_string())));
-    device.set_device_lost_callback(move |reason, text| {
-        // Dropping a device counts as losing it.
-        if reason != wgpu::DeviceLostReason::Destroyed {
-            on_loss(format!("device lost: {text}"));
-        }
-    });
-    failure
 }
 
 /// A uniform buffer's binding, of exactly one `T`.

@@ -1,17 +1,15 @@
-//! Faults on demand, for tests and `lab chaos`: compiled in by the feature `faults` only, and by tests.
+//! Faults on demand, for tests and `lab chaos`. Compiled only in tests and with the feature `faults`.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// What goes wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
     /// The work on the next mask panics.
     Panic,
-    /// The device is lost.
     DeviceLost,
 }
 
-/// Faults that wait to happen in one engine.
+/// Injected faults of one engine that have not happened yet.
 #[derive(Debug, Default)]
 pub(super) struct Faults {
     panics: AtomicU32,
@@ -23,7 +21,7 @@ impl Faults {
         self.of(fault).fetch_add(1, Ordering::AcqRel);
     }
 
-    /// Whether one is due, which it is not any more then.
+    /// Removes one fault of this kind. Returns whether there was one.
     pub(super) fn take(&self, fault: Fault) -> bool {
         let less = |count: u32| count.checked_sub(1);
         self.of(fault).fetch_update(Ordering::AcqRel, Ordering::Acquire, less).is_ok()

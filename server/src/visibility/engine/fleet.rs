@@ -1,5 +1,5 @@
-//! The engines of a server, one a device: sessions are placed where the measured load is least, and one that loses its device leaves
-//! its sessions to the others.
+//! The engines of a server, one for each device. Sessions go where the measured load is least. An engine that loses its
+//! device hands its sessions to the others.
 
 use std::{num::NonZeroUsize, sync::Arc};
 
@@ -8,11 +8,14 @@ use gnomon_scene::Scene;
 use gnomon_shaders::gpu::Gpu;
 
 use super::{
-    handle::{BackendChoice, Engine, EngineError, EngineOptions, OpenError},
+    error::{EngineError, OpenError},
+    handle::Engine,
+    options::{BackendChoice, EngineOptions},
     port::SessionPort,
 };
 
-/// Running engines, at least one. Dropping them stops them; that waits for their threads, so it does not belong on an async worker.
+/// Running engines, at least one. Dropping them stops them and waits for their threads, so it does not belong on an
+/// async worker.
 #[derive(Debug)]
 pub struct Fleet {
     engines: Vec<Engine>,
@@ -23,19 +26,19 @@ impl Fleet {
     /// Starts an engine on each device, all at once.
     ///
     /// # Errors
-    /// When one of them does not start.
+    /// If one of them does not start.
     pub fn start(scene: &Arc<Scene>, options: &EngineOptions) -> Result<Self, EngineError> {
         let wanted = options.adapter.as_deref();
         let adapters = match options.backend {
             BackendChoice::Cpu => 1,
-            // Software that pretends to be an adapter is one device, whatever it says.
+            // `count` leaves software adapters out: then there is one device.
             BackendChoice::Auto | BackendChoice::Compute | BackendChoice::RayQuery => {
                 pollster::block_on(Gpu::count(wanted)).max(1)
             }
         };
         let devices = options.devices.map_or(adapters, NonZeroUsize::get);
         let named = wanted.unwrap_or_default();
-        let of_device = |device: usize| {
+        let options_of = |device: usize| {
             let adapter = match devices {
                 1 => options.adapter.clone(),
                 _ => Some(format!("{named}#{}", device % adapters + 1)),
@@ -44,12 +47,12 @@ impl Fleet {
         };
         let started: Vec<Result<Engine, EngineError>> = std::thread::scope(|scope| {
             let starting: Vec<_> = (0..devices)
-                .map(|device| scope.spawn(move || Engine::start(Arc::clone(scene), &of_device(device))))
+                .map(|device| scope.spawn(move || Engine::start(Arc::clone(scene), &options_of(device))))
                 .collect();
             starting.into_iter().map(|started| started.join().unwrap_or(Err(EngineError::Died))).collect()
         });
         let engines = started.into_iter().collect::<Result<Vec<_>, _>>()?;
-        Engine::introduce(&engines);
+        Engine::connect_peers(&engines);
         let description = match engines.as_slice() {
             [only] => only.description().to_owned(),
             [first, ..] => format!("{devices} devices: {}, …", first.description()),
@@ -58,28 +61,27 @@ impl Fleet {
         Ok(Self { engines, description })
     }
 
-    /// What traces, for people.
+    /// Back ends and adapters, for people.
     #[must_use]
     pub fn description(&self) -> &str {
         &self.description
     }
 
-    /// The engines, one a device.
     #[must_use]
     pub fn engines(&self) -> &[Engine] {
         &self.engines
     }
 
-    /// Sessions whose ports are open.
+    /// Open sessions.
     #[must_use]
     pub fn sessions(&self) -> usize {
         self.engines.iter().map(Engine::sessions).sum()
     }
 
-    /// Opens a session on the least loaded device that bears it; `rate_hz` is the most masks a second that it wants.
+    /// Opens a session on the least loaded device that admits it. `rate_hz` is the most masks per second that it wants.
     ///
     /// # Errors
-    /// What the least loaded device says, when there is none.
+    /// The error of the least loaded device, if none admits it.
     pub fn open(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<SessionPort, OpenError> {
         let mut by_load: Vec<(bool, f64, usize, &Engine)> = (self.engines.iter())
             .map(|engine| (!engine.is_well(), engine.load_ms(), engine.sessions(), engine))
@@ -97,7 +99,7 @@ impl Fleet {
         Err(first.unwrap_or(OpenError::Busy))
     }
 
-    /// Waits until no engine traces any more, and says why the last one does not.
+    /// Waits until all engines have ended. Returns the last one's reason.
     pub async fn ended(&self) -> String {
         let mut reason = String::new();
         for engine in &self.engines {

@@ -1,8 +1,6 @@
-//! The engine: one thread owns one device, traces for all of its sessions in turn, and is the only one to wait for the device.
+//! The handle of an engine: starts its thread, opens sessions, and stops it.
 
 use std::{
-    io,
-    num::NonZeroUsize,
     sync::{
         Arc, Mutex, PoisonError,
         atomic::Ordering,
@@ -13,112 +11,33 @@ use std::{
 
 use gnomon_protocol::mask::MaskShape;
 use gnomon_scene::{Scene, camera::Camera};
-use thiserror::Error;
 
+#[cfg(any(test, feature = "faults"))]
+use super::faults::Fault;
 use super::{
-    open::open_backend,
+    error::{EngineError, OpenError},
+    open::open_tracer,
+    options::EngineOptions,
     port::{SessionPort, session_port},
-    shared::{Peer, Seat, Shared},
-    worker::{Opening, Worker},
+    shared::{Peer, PendingSession, SessionPermit, Shared, WAITING_SESSIONS},
+    worker::Worker,
 };
 use crate::visibility::{
-    backend::{BackendError, compute::PictureLimit},
+    backend::compute::PictureLimit,
     schedule::{
-        capacity::{Need, TooMuch, judge},
+        capacity::{Need, Overload, admit},
         costs::SessionCosts,
     },
 };
 
-/// Sessions that may wait to be taken up by the engine's thread.
-const WAITING_OPENINGS: usize = 64;
-
-/// Size of the masks that are traced for nobody before the first session comes, in pixels.
+/// Size of the warm-up masks that are traced before the first session, in pixels.
 const WARM_UP_PX: (u32, u32) = (320, 180);
 
 /// Stack of the engine's thread. obvhs builds hierarchies recursively.
 const STACK_BYTES: usize = 16 << 20;
 
-/// What traces.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum BackendChoice {
-    /// `ray-query` on a real GPU that has ray queries, `compute` on another, `cpu` when there is none or only software
-    /// that pretends to be one.
-    Auto,
-    /// Kernels on a graphics adapter, with its own ray queries.
-    RayQuery,
-    /// Kernels on a graphics adapter.
-    Compute,
-    /// The processor.
-    Cpu,
-}
-
-/// How to trace, and for how many.
-#[derive(Debug, Clone, PartialEq)]
-pub struct EngineOptions {
-    /// What traces.
-    pub backend: BackendChoice,
-    /// Part of the adapter's name, for `compute`.
-    pub adapter: Option<String>,
-    /// Whether `compute` may take a software adapter.
-    pub allow_software: bool,
-    /// Threads for `cpu`; one a core when there is no number.
-    pub threads: Option<NonZeroUsize>,
-    /// Sessions that may be open at a time.
-    pub max_sessions: usize,
-    /// Time of each device that sessions may need in a second, in milliseconds.
-    pub budget_ms: f64,
-    /// Devices; as many as there are adapters of the best kind, without a number. More than there are share them.
-    pub devices: Option<NonZeroUsize>,
-}
-
-impl EngineOptions {
-    /// Of nearly all of a device's time: the rest is for what is not measured.
-    pub const DEFAULT_BUDGET_MS: f64 = 900.0;
-}
-
-/// Why the engine does not start.
-#[derive(Debug, Error)]
-pub enum EngineError {
-    /// The back end cannot be had.
-    #[error(transparent)]
-    Backend(#[from] BackendError),
-    /// The thread cannot be had.
-    #[error("the engine's thread does not start: {0}")]
-    Thread(io::Error),
-    /// The thread ended before the back end was there.
-    #[error("the engine's thread died while it prepared the scene")]
-    Died,
-}
-
-/// Why a session is not opened.
-#[derive(Debug, Error)]
-pub enum OpenError {
-    /// All sessions are taken.
-    #[error("all {0} sessions are taken")]
-    Full(usize),
-    /// The device does not bear one more.
-    #[error("{0}")]
-    TooMuch(TooMuch),
-    /// So many sessions are opened at once that they queue up.
-    #[error("{WAITING_OPENINGS} sessions wait to be opened already")]
-    Busy,
-    /// The mask must have a plane for each light of the scene.
-    #[error("a mask with {found} lights for a scene with {expected}")]
-    Lights {
-        /// Lights of the scene.
-        expected: usize,
-        /// Lights of the mask.
-        found: u32,
-    },
-    /// The device cannot hold the picture.
-    #[error(transparent)]
-    Picture(#[from] BackendError),
-    /// The engine traces no more.
-    #[error("the engine has stopped: {0}")]
-    Stopped(String),
-}
-
-/// A running engine. Dropping it stops it; both wait for the thread to end, so neither belongs on an async worker.
+/// A running engine: one thread owns one device, traces for all of its sessions in turn, and is the only one to wait
+/// for the device. Dropping the engine stops it and waits for the thread, so it does not belong on an async worker.
 #[derive(Debug)]
 pub struct Engine {
     description: String,
@@ -126,31 +45,31 @@ pub struct Engine {
     max_sessions: usize,
     budget_ms: f64,
     limit: Option<PictureLimit>,
-    openings: SyncSender<Opening>,
-    its_thread: Thread,
+    pending: SyncSender<PendingSession>,
+    waker: Thread,
     shared: Arc<Shared>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl Engine {
-    /// Prepares the scene for tracing and starts the thread. Takes as long as building the hierarchy and compiling the
-    /// kernels, so it does not belong on an async worker. The scene is kept, because a device that is lost is made anew from it.
+    /// Prepares the scene for tracing and starts the thread. Builds the hierarchy and compiles the kernels, so it does
+    /// not belong on an async worker. Keeps the scene, to reopen a lost device.
     ///
     /// # Errors
-    /// When the back end cannot be had for this scene.
+    /// If the back end cannot be opened for this scene.
     pub fn start(scene: Arc<Scene>, options: &EngineOptions) -> Result<Self, EngineError> {
         let shared = Arc::new(Shared::default());
         let lights = scene.lights.len();
-        let (openings, openings_end) = sync_channel(WAITING_OPENINGS);
+        let (pending, pending_end) = sync_channel(WAITING_SESSIONS);
         let (ready, ready_end) = sync_channel(1);
         let thread = std::thread::Builder::new().name("gnomon-engine".to_owned()).stack_size(STACK_BYTES).spawn({
             let (options, shared) = (options.clone(), Arc::clone(&shared));
             move || {
                 let guard = EndGuard(Arc::clone(&shared));
-                let started = open_backend(&scene, &options).and_then(|(backend, about)| {
-                    let warm_up = warm_up(&scene);
-                    let reopen = Box::new(move || open_backend(&scene, &options).map(|(backend, _)| backend));
-                    let mut worker = Worker::new(backend, reopen, openings_end, shared);
+                let started = open_tracer(&scene, &options).and_then(|(tracer, about)| {
+                    let warm_up = warm_up_view(&scene);
+                    let reopen = Box::new(move || open_tracer(&scene, &options).map(|(tracer, _)| tracer));
+                    let mut worker = Worker::new(tracer, reopen, pending_end, shared);
                     if let Some((camera, shape)) = warm_up {
                         worker.warm_up(&camera, shape)?;
                     }
@@ -162,14 +81,14 @@ impl Engine {
                             worker.run();
                         }
                     }
-                    // Nobody waits for the answer any more when this fails.
+                    // Sending fails only when `start` has returned.
                     Err(error) => drop(ready.send(Err(error))),
                 }
                 drop(guard);
             }
         });
         let thread = thread.map_err(EngineError::Thread)?;
-        let its_thread = thread.thread().clone();
+        let waker = thread.thread().clone();
         let about = ready_end.recv().map_err(|_| EngineError::Died)??;
         tracing::info!(backend = about.description, lights, "engine started");
         Ok(Self {
@@ -178,93 +97,93 @@ impl Engine {
             max_sessions: options.max_sessions,
             budget_ms: options.budget_ms,
             limit: about.limit,
-            openings,
-            its_thread,
+            pending,
+            waker,
             shared,
             thread: Mutex::new(Some(thread)),
         })
     }
 
-    /// Makes engines that take each other's sessions over when a device is lost.
-    pub(super) fn introduce(engines: &[Self]) {
+    /// Lets engines take over each other's sessions when a device is lost. Called once.
+    pub(super) fn connect_peers(engines: &[Self]) {
         for engine in engines {
             let others = engines.iter().filter(|other| !Arc::ptr_eq(&other.shared, &engine.shared));
             let peers = others.map(|other| Peer {
                 shared: Arc::downgrade(&other.shared),
-                openings: other.openings.clone(),
-                thread: other.its_thread.clone(),
+                pending: other.pending.clone(),
+                thread: other.waker.clone(),
             });
-            // Nobody introduces them twice.
+            // Setting fails only on a second call.
             let _ = engine.shared.peers.set(peers.collect());
         }
     }
 
-    /// What traces, for people: `compute on …`, `cpu: …`.
+    /// Back end and adapter, for people: `compute on …`, `cpu: …`.
     #[must_use]
     pub fn description(&self) -> &str {
         &self.description
     }
 
-    /// Sessions whose ports are open.
+    /// Open sessions.
     #[must_use]
     pub fn sessions(&self) -> usize {
         self.shared.sessions().len()
     }
 
-    /// What its sessions need in a second, in milliseconds of the device.
+    /// Milliseconds of the device that the sessions need per second.
     #[must_use]
     pub fn load_ms(&self) -> f64 {
         self.shared.load_ms()
     }
 
-    /// How often its device was lost.
+    /// How often the device was lost.
     #[must_use]
     pub fn losses(&self) -> u64 {
         self.shared.losses.load(Ordering::Relaxed)
     }
 
-    /// Whether its device can trace now.
+    /// Whether the device can trace now.
     #[must_use]
     pub fn is_well(&self) -> bool {
         self.shared.is_well()
     }
 
-    /// Has something go wrong.
+    /// Injects a fault.
     #[cfg(any(test, feature = "faults"))]
-    pub fn inject(&self, fault: super::faults::Fault) {
+    pub fn inject(&self, fault: Fault) {
         self.shared.faults.add(fault);
-        self.its_thread.unpark();
+        self.waker.unpark();
     }
 
-    /// Lets no panic happen that has not happened yet.
+    /// Removes the injected panics that have not happened yet.
     #[cfg(any(test, feature = "faults"))]
     pub fn forget_faults(&self) {
-        while self.shared.faults.take(super::faults::Fault::Panic) {}
+        while self.shared.faults.take(Fault::Panic) {}
     }
 
-    /// As [`Self::open`], for a session that takes what it gets and that is always borne.
+    /// Opens a session without a rate and without an admission test.
     ///
     /// # Errors
-    /// As [`Self::open`].
+    /// Those of [`Self::open`], except [`OpenError::Overload`].
     pub fn open_session(&self, shape: MaskShape) -> Result<SessionPort, OpenError> {
         self.open_if(shape, None, |_, _| Ok(()))
     }
 
-    /// Opens a session for masks of this shape, so many a second at most. Returns at once; when the device turns out to have no
-    /// memory for it the port closes.
+    /// Opens a session for masks of at most this shape, `rate_hz` of them per second. Returns at once; the port closes
+    /// later if the device has no memory for it.
     ///
     /// # Errors
-    /// When there are too many sessions, the device does not bear another of this kind, the shape is not this scene's or too large,
-    /// or the engine has stopped.
+    /// If all sessions are taken, the device has too little time for another, the shape is not this scene's or too
+    /// large, or the engine has stopped.
     pub fn open(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<SessionPort, OpenError> {
-        self.open_if(shape, rate_hz, |needs, new| judge(needs.iter().copied(), new, self.budget_ms))
+        self.open_if(shape, rate_hz, |needs, new| admit(needs.iter().copied(), new, self.budget_ms))
     }
 
     fn open_if(
         &self,
         shape: MaskShape,
         rate_hz: Option<f64>,
-        bears: impl FnOnce(&[Need], Need) -> Result<(), TooMuch>,
+        admit: impl FnOnce(&[Need], Need) -> Result<(), Overload>,
     ) -> Result<SessionPort, OpenError> {
         if shape.lights() as usize != self.lights {
             return Err(OpenError::Lights { expected: self.lights, found: shape.lights() });
@@ -278,28 +197,28 @@ impl Engine {
         let known: Vec<Arc<SessionCosts>> = self.shared.sessions().clone();
         let expected_ms = self.shared.model.expected_ms(shape.pixels(), known.iter().map(AsRef::as_ref));
         let costs = Arc::new(SessionCosts::new(shape, rate_hz, expected_ms));
-        let seat = Seat::take(&self.shared, &costs, |needs| {
+        let permit = SessionPermit::acquire(&self.shared, &costs, |needs| {
             if needs.len() >= self.max_sessions {
                 return Err(OpenError::Full(self.max_sessions));
             }
-            bears(needs, costs.need()).map_err(OpenError::TooMuch)
+            admit(needs, costs.need()).map_err(OpenError::Overload)
         })?;
-        let (port, engine_port) = session_port(self.its_thread.clone(), Arc::clone(&costs));
-        let opening = Opening { shape, port: engine_port, costs, seat, retry: None };
-        self.openings.try_send(opening).map_err(|error| match error {
+        let (port, engine_port) = session_port(self.waker.clone(), Arc::clone(&costs));
+        let session = PendingSession { shape, port: engine_port, costs, permit, retry: None };
+        self.pending.try_send(session).map_err(|error| match error {
             TrySendError::Full(_) => OpenError::Busy,
             TrySendError::Disconnected(_) => {
                 OpenError::Stopped(self.shared.end_reason().unwrap_or_else(|| "its thread is gone".to_owned()))
             }
         })?;
-        self.its_thread.unpark();
+        self.waker.unpark();
         Ok(port)
     }
 
-    /// Waits until the engine traces no more, and says why.
+    /// Waits until the engine has ended. Returns the reason.
     pub async fn ended(&self) -> String {
         let mut ended = self.shared.ended.subscribe();
-        // It does not fail: the sender lives as long as `self`.
+        // Waiting does not fail: the sender lives as long as `self`.
         let reason = ended.wait_for(Option::is_some).await.ok().and_then(|reason| reason.clone());
         reason.unwrap_or_default()
     }
@@ -307,7 +226,7 @@ impl Engine {
     /// Stops tracing, closes all sessions' ports, and waits for the thread to end.
     pub fn shutdown(&self) {
         self.shared.stop.store(true, Ordering::Release);
-        self.its_thread.unpark();
+        self.waker.unpark();
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         if thread.is_some_and(|thread| thread.join().is_err()) {
             tracing::error!("the engine's thread had panicked");
@@ -315,8 +234,8 @@ impl Engine {
     }
 }
 
-/// What to trace for nobody: the scene from its middle.
-fn warm_up(scene: &Scene) -> Option<(Camera, MaskShape)> {
+/// The view of the warm-up masks: from the middle of the scene.
+fn warm_up_view(scene: &Scene) -> Option<(Camera, MaskShape)> {
     let (width, height) = WARM_UP_PX;
     let shape = MaskShape::new(width, height, u32::try_from(scene.lights.len()).ok()?).ok()?;
     let middle = scene.origin_m + scene.bounds.min.midpoint(scene.bounds.max).as_dvec3();
@@ -330,7 +249,7 @@ impl Drop for Engine {
     }
 }
 
-/// Leaves a reason behind when the thread ends, however it ends.
+/// Records why the thread ends, also when it panics.
 struct EndGuard(Arc<Shared>);
 
 impl Drop for EndGuard {

@@ -1,12 +1,12 @@
-//! A session's end of the engine: newest pose in, masks out, and nothing ever waits on a device.
+//! A session's port to the engine: the newest pose in, masks out, and no call waits for the device.
 //!
-//! Poses go through a `watch` channel, so that a new one replaces one that was not taken yet. Masks come through a
-//! bounded channel in which the engine reserves a place before it starts a trace: while the session leaves its masks
-//! unread nothing is traced for it, and the pose that waits stays the newest.
+//! Poses go through a `watch` channel, so a new pose replaces one that was not taken yet. Masks come through a bounded
+//! channel in which the engine reserves a place before it starts a trace. While a session leaves its masks unread,
+//! nothing is traced for it, and the waiting pose stays the newest.
 
 use std::{
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex, MutexGuard, PoisonError,
         mpsc::{SyncSender, TrySendError, sync_channel},
     },
     thread::Thread,
@@ -20,18 +20,15 @@ use crate::visibility::{TraceRequest, TracedMask, schedule::costs::SessionCosts}
 /// Masks of one session that are being traced or wait to be read. Two: one is encoded while the next is traced.
 pub const OUTSTANDING_MASKS: usize = 2;
 
-/// Both ends that a session holds. Dropping either closes the session in the engine.
+/// The session's halves of its channels. Dropping either closes the session in the engine.
 #[derive(Debug)]
 pub struct SessionPort {
-    /// Poses to trace, and memory to give back.
     pub requests: RequestSender,
-    /// Traced masks.
     pub masks: MaskReceiver,
-    /// What they have cost.
     pub costs: Arc<SessionCosts>,
 }
 
-/// Where a session hands over its newest pose.
+/// Takes a session's newest pose, and the memory of masks that it has read.
 #[derive(Debug)]
 pub struct RequestSender {
     newest: watch::Sender<Option<TraceRequest>>,
@@ -39,24 +36,23 @@ pub struct RequestSender {
     waker: EngineWaker,
 }
 
-/// Where a session's masks arrive.
+/// Returns a session's traced masks.
 #[derive(Debug)]
 pub struct MaskReceiver {
     masks: mpsc::Receiver<TracedMask>,
     waker: EngineWaker,
 }
 
-/// Wakes the thread of the engine that a session is with, when it is parked; costs next to nothing when it is not.
+/// Wakes the thread of the session's engine when it is parked. Costs next to nothing when it is not.
 #[derive(Debug, Clone)]
 pub(super) struct EngineWaker(Arc<Mutex<Thread>>);
 
-/// The engine's ends of one [`SessionPort`].
+/// The engine's halves of a [`SessionPort`]'s channels.
 #[derive(Debug)]
 pub(super) struct EnginePort {
     pub(super) newest: watch::Receiver<Option<TraceRequest>>,
     pub(super) masks: mpsc::Sender<TracedMask>,
     pub(super) used: std::sync::mpsc::Receiver<Mask>,
-    /// The session's own.
     pub(super) waker: EngineWaker,
 }
 
@@ -66,17 +62,21 @@ impl EngineWaker {
     }
 
     pub(super) fn wake(&self) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).unpark();
+        self.thread().unpark();
     }
 
-    /// The session is with the engine of that thread now.
+    /// Wakes the thread of another engine from now on.
     pub(super) fn move_to(&self, thread: Thread) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = thread;
+        *self.thread() = thread;
         self.wake();
+    }
+
+    fn thread(&self) -> MutexGuard<'_, Thread> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// The two halves of a new session.
+/// Both sides of a new session.
 pub(super) fn session_port(thread: Thread, costs: Arc<SessionCosts>) -> (SessionPort, EnginePort) {
     let waker = EngineWaker::new(thread);
     let (newest, newest_end) = watch::channel(None);
@@ -106,41 +106,41 @@ impl SessionPort {
 }
 
 impl RequestSender {
-    /// Asks for a mask. It replaces an earlier request that the engine has not taken up. The picture must be no larger than
-    /// the session was opened for; a larger one is logged and dropped.
+    /// Requests a mask. Replaces an earlier request that the engine has not taken yet. A picture larger than the
+    /// session was opened for is logged and dropped.
     pub fn request(&self, request: TraceRequest) {
         self.newest.send_replace(Some(request));
         self.waker.wake();
     }
 
-    /// Gives a mask's memory back for a later one.
+    /// Returns a mask's memory for a later mask.
     pub fn recycle(&self, mask: Mask) {
         match self.used.try_send(mask) {
-            // Full or gone: the memory is simply freed.
+            // Without room the memory is freed.
             Ok(()) | Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {}
         }
     }
 }
 
 impl MaskReceiver {
-    /// The next mask, or `None` when the engine has stopped. Cancel safe.
+    /// Waits for the next mask. `None` when the engine has stopped. Cancel safe.
     pub async fn recv(&mut self) -> Option<TracedMask> {
         let mask = self.masks.recv().await;
         self.waker.wake();
         mask
     }
 
-    /// The next mask if there is one already.
+    /// Returns the next mask if it is there.
     ///
     /// # Errors
-    /// When there is none yet, or never again because the engine has stopped.
+    /// If there is none yet, or the engine has stopped.
     pub fn try_recv(&mut self) -> Result<TracedMask, mpsc::error::TryRecvError> {
         let mask = self.masks.try_recv();
         self.waker.wake();
         mask
     }
 
-    /// Masks that wait to be read.
+    /// Unread masks.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.masks.len()
@@ -149,7 +149,7 @@ impl MaskReceiver {
     /// As [`Self::recv`], for threads outside an async runtime.
     ///
     /// # Panics
-    /// When it is called inside one.
+    /// If called inside one.
     pub fn blocking_recv(&mut self) -> Option<TracedMask> {
         let mask = self.masks.blocking_recv();
         self.waker.wake();
@@ -159,7 +159,7 @@ impl MaskReceiver {
 
 impl Drop for RequestSender {
     fn drop(&mut self) {
-        // Fields are dropped after this function: the channel must be closed before the engine wakes and looks.
+        // Fields are dropped after this function, but the channel must be closed before the engine wakes.
         let (other, _) = watch::channel(None);
         drop(std::mem::replace(&mut self.newest, other));
         self.waker.wake();
@@ -174,7 +174,7 @@ impl Drop for MaskReceiver {
 }
 
 impl EnginePort {
-    /// Whether the session has dropped one of its ends.
+    /// Whether the session has dropped one of its halves.
     pub(super) fn is_closed(&self) -> bool {
         self.masks.is_closed() || self.newest.has_changed().is_err()
     }

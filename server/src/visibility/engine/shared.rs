@@ -1,4 +1,5 @@
-//! What an engine, its thread and the other engines of a server all know of it.
+//! State that an engine, its thread and the server's other engines share, and the sessions that they hand to each
+//! other.
 
 use std::{
     sync::{
@@ -9,30 +10,36 @@ use std::{
     thread::Thread,
 };
 
+use gnomon_protocol::mask::MaskShape;
 use tokio::sync::watch;
 
-use super::worker::Opening;
-use crate::visibility::schedule::{
-    capacity::Need,
-    costs::{CostModel, SessionCosts},
+use super::port::EnginePort;
+use crate::visibility::{
+    TraceRequest,
+    schedule::{
+        capacity::Need,
+        costs::{CostModel, SessionCosts},
+    },
 };
 
-/// See the fields.
+/// Sessions that may wait for the engine's thread to take them up.
+pub(super) const WAITING_SESSIONS: usize = 64;
+
 #[derive(Debug, Default)]
 pub(super) struct Shared {
-    /// The thread shall end.
+    /// Tells the thread to end.
     pub(super) stop: AtomicBool,
-    /// The device is lost, and not back yet.
+    /// The device is lost and not reopened yet.
     pub(super) lost: AtomicBool,
-    /// How often it was lost.
+    /// How often the device was lost.
     pub(super) losses: AtomicU64,
-    /// What masks cost here.
+    /// Expected cost of masks on this device.
     pub(super) model: CostModel,
     #[cfg(any(test, feature = "faults"))]
     pub(super) faults: super::faults::Faults,
-    /// The other engines.
+    /// The server's other engines.
     pub(super) peers: OnceLock<Vec<Peer>>,
-    /// Open sessions: one entry for each seat.
+    /// Open sessions, one for each [`SessionPermit`].
     sessions: Mutex<Vec<Arc<SessionCosts>>>,
     /// Why the thread has ended.
     pub(super) ended: watch::Sender<Option<String>>,
@@ -42,20 +49,32 @@ pub(super) struct Shared {
 #[derive(Debug)]
 pub(super) struct Peer {
     pub(super) shared: Weak<Shared>,
-    pub(super) openings: SyncSender<Opening>,
+    pub(super) pending: SyncSender<PendingSession>,
     pub(super) thread: Thread,
 }
 
-/// A place among an engine's sessions, free again when it is dropped.
+/// A session on its way to an engine's thread: new, or handed over by an engine that lost its device.
 #[derive(Debug)]
-pub(super) struct Seat {
+pub(super) struct PendingSession {
+    /// The largest mask that the session may ask for.
+    pub(super) shape: MaskShape,
+    pub(super) port: EnginePort,
+    pub(super) costs: Arc<SessionCosts>,
+    pub(super) permit: SessionPermit,
+    /// A request whose trace was lost with its device.
+    pub(super) retry: Option<TraceRequest>,
+}
+
+/// One of an engine's sessions. Dropping it frees the place.
+#[derive(Debug)]
+pub(super) struct SessionPermit {
     shared: Arc<Shared>,
     costs: Arc<SessionCosts>,
 }
 
 impl Shared {
+    /// Notes why the thread has ended. The first reason stays.
     pub(super) fn end(&self, reason: String) {
-        // The first reason stays.
         self.ended.send_if_modified(|ended| {
             let is_first = ended.is_none();
             ended.get_or_insert(reason);
@@ -67,53 +86,52 @@ impl Shared {
         self.ended.borrow().clone()
     }
 
-    /// Open sessions.
     pub(super) fn sessions(&self) -> MutexGuard<'_, Vec<Arc<SessionCosts>>> {
         self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What its sessions need in a second, in milliseconds of the device.
+    /// Milliseconds of the device that the sessions need per second.
     pub(super) fn load_ms(&self) -> f64 {
         self.sessions().iter().map(|costs| costs.need().per_second_ms()).sum()
     }
 
-    /// Whether its device can trace now.
+    /// Whether the device can trace now.
     pub(super) fn is_well(&self) -> bool {
         !self.lost.load(Ordering::Acquire) && self.ended.borrow().is_none() && !self.stop.load(Ordering::Acquire)
     }
 
-    /// Gives a session to the least loaded of the other engines whose devices are well; back comes one that none takes.
-    pub(super) fn hand_over(&self, mut opening: Opening) -> Option<Opening> {
+    /// Hands a session to the least loaded of the other engines whose devices are well. Returns it when none takes it.
+    pub(super) fn hand_over(&self, mut session: PendingSession) -> Option<PendingSession> {
         let peers = self.peers.get().map(Vec::as_slice).unwrap_or_default();
         let well = |peer: &Peer| peer.shared.upgrade().filter(|shared| shared.is_well());
         let least = peers
             .iter()
             .filter_map(|peer| well(peer).map(|shared| (peer, shared.load_ms(), shared)))
             .min_by(|(_, a, _), (_, b, _)| a.total_cmp(b));
-        let Some((peer, _, shared)) = least else { return Some(opening) };
-        // It has served the session's rate on a like device, so it is not asked whether it bears it: late is better than lost.
-        let ours = std::mem::replace(&mut opening.seat, Seat::add(&shared, Arc::clone(&opening.costs)));
-        let waker = opening.port.waker.clone();
-        match peer.openings.try_send(opening) {
+        let Some((peer, _, shared)) = least else { return Some(session) };
+        // No admission test: a late session is better than a lost one.
+        let ours = std::mem::replace(&mut session.permit, SessionPermit::add(&shared, Arc::clone(&session.costs)));
+        let waker = session.port.waker.clone();
+        match peer.pending.try_send(session) {
             Ok(()) => {
                 drop(ours);
                 waker.move_to(peer.thread.clone());
                 None
             }
-            Err(TrySendError::Full(mut opening) | TrySendError::Disconnected(mut opening)) => {
-                opening.seat = ours;
-                Some(opening)
+            Err(TrySendError::Full(mut session) | TrySendError::Disconnected(mut session)) => {
+                session.permit = ours;
+                Some(session)
             }
         }
     }
 }
 
-impl Seat {
-    /// A seat, if `fits` agrees with what the other sessions need.
+impl SessionPermit {
+    /// Adds a session if `fits` accepts it beside what the other sessions need.
     ///
     /// # Errors
     /// Those of `fits`.
-    pub(super) fn take<E>(
+    pub(super) fn acquire<E>(
         shared: &Arc<Shared>,
         costs: &Arc<SessionCosts>,
         fits: impl FnOnce(&[Need]) -> Result<(), E>,
@@ -132,7 +150,7 @@ impl Seat {
     }
 }
 
-impl Drop for Seat {
+impl Drop for SessionPermit {
     fn drop(&mut self) {
         let mut sessions = self.shared.sessions();
         if let Some(place) = sessions.iter().position(|costs| Arc::ptr_eq(costs, &self.costs)) {

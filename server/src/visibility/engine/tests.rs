@@ -15,17 +15,20 @@ use gnomon_scene::{Scene, camera::Camera};
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use super::{
+    error::{EngineError, OpenError},
     faults::Fault,
     fleet::Fleet,
-    handle::{BackendChoice, Engine, EngineError, EngineOptions, OpenError},
+    handle::Engine,
+    options::{BackendChoice, EngineOptions},
     port::{OUTSTANDING_MASKS, SessionPort, session_port},
-    shared::{Seat, Shared},
-    worker::{Backend, Opening, Worker},
+    shared::{PendingSession, SessionPermit, Shared},
+    tracer::Tracer,
+    worker::Worker,
 };
 use crate::visibility::{
     TraceRequest, TracedMask,
     backend::{BackendError, compute::ComputeBackend, cpu::CpuBackend},
-    schedule::{capacity::TooMuch, costs::SessionCosts},
+    schedule::{capacity::Overload, costs::SessionCosts},
     test_scenes::room,
 };
 
@@ -122,7 +125,7 @@ fn twenty_sessions_of_different_sizes_each_get_their_own_frames() {
 }
 
 #[test]
-fn the_newest_pose_wins_and_who_never_reads_holds_up_nobody() {
+fn the_newest_pose_wins_and_an_idle_reader_blocks_no_other() {
     for backend in BACKENDS {
         let (engine, _) = engine(backend);
         let mut sleeper = engine.open_session(shape(64, 48)).unwrap();
@@ -145,7 +148,7 @@ fn the_newest_pose_wins_and_who_never_reads_holds_up_nobody() {
 }
 
 #[test]
-fn a_session_that_closes_in_mid_frame_disturbs_nobody() {
+fn a_session_that_closes_in_mid_frame_disturbs_no_other() {
     for backend in BACKENDS {
         let (engine, _) = engine(backend);
         let mut reader = engine.open_session(shape(40, 40)).unwrap();
@@ -183,7 +186,7 @@ fn shutdown_closes_ports_even_with_frames_in_flight() {
 }
 
 #[test]
-fn whoever_waits_for_the_end_is_woken_and_told_the_reason() {
+fn waiting_for_the_end_returns_its_reason() {
     let (engine, _) = engine(BackendChoice::Cpu);
     pollster::block_on(async {
         let mut ended = std::pin::pin!(engine.ended());
@@ -191,11 +194,11 @@ fn whoever_waits_for_the_end_is_woken_and_told_the_reason() {
         engine.shutdown();
         assert_eq!(ended.await, "it was shut down");
     });
-    assert_eq!(pollster::block_on(engine.ended()), "it was shut down", "also of those who ask later");
+    assert_eq!(pollster::block_on(engine.ended()), "it was shut down", "asked again later");
 }
 
 #[test]
-fn an_async_session_is_woken_by_its_masks() {
+fn masks_wake_an_async_session() {
     let (engine, _) = engine(BackendChoice::Cpu);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
     runtime.block_on(async {
@@ -219,7 +222,7 @@ fn poses_of_another_size_are_dropped() {
 }
 
 #[test]
-fn wrong_openings_are_refused_with_their_reasons() {
+fn impossible_sessions_and_engines_are_refused_with_reasons() {
     let (engine, scene) = engine(BackendChoice::Cpu);
     let error = engine.open_session(MaskShape::new(8, 8, 3).unwrap()).unwrap_err();
     assert!(matches!(error, OpenError::Lights { expected: 5, found: 3 }), "{error}");
@@ -232,32 +235,31 @@ fn wrong_openings_are_refused_with_their_reasons() {
 }
 
 #[test]
-fn auto_takes_the_processor_where_only_software_is_an_adapter() {
+fn auto_never_takes_a_software_adapter() {
     // On a machine with a GPU it takes that.
     let engine = Engine::start(Arc::new(room()), &options(BackendChoice::Auto)).unwrap();
     assert!(engine.description().starts_with("cpu") || !engine.description().contains("llvmpipe"));
 }
 
-/// A worker on a device of its own, which the test may destroy, with one session, and what the worker says of itself.
+/// A worker with one session on a device that the test may destroy and that can be reopened so many times.
 fn worker_on(gpu: &Gpu, reopened: u32) -> (SessionPort, Arc<Shared>, std::thread::JoinHandle<()>) {
     let scene = room();
-    let backend = |gpu: Gpu| Backend::Compute(Box::new(ComputeBackend::new(&scene, gpu).unwrap()));
-    let first = backend(gpu.clone());
-    let (openings, openings_end) = std::sync::mpsc::sync_channel(4);
+    let first = Tracer::on_device(ComputeBackend::new(&scene, gpu.clone()).unwrap());
+    let (pending, pending_end) = std::sync::mpsc::sync_channel(4);
     let shared = Arc::new(Shared::default());
     let mut left = reopened;
     let reopen = Box::new(move || {
         left = left.checked_sub(1).ok_or_else(|| BackendError::Setup("no more devices".into()))?;
-        Ok(Backend::Compute(Box::new(ComputeBackend::new(&room(), open_gpu()).unwrap())))
+        Ok(Tracer::on_device(ComputeBackend::new(&room(), open_gpu()).unwrap()))
     });
     let thread = std::thread::spawn({
         let shared = Arc::clone(&shared);
-        move || Worker::new(first, reopen, openings_end, shared).run()
+        move || Worker::new(first, reopen, pending_end, shared).run()
     });
     let costs = Arc::new(SessionCosts::new(shape(64, 64), None, 0.0));
     let (port, engine_port) = session_port(thread.thread().clone(), Arc::clone(&costs));
-    let seat = Seat::take(&shared, &costs, |_| Ok::<_, ()>(())).unwrap();
-    openings.send(Opening { shape: shape(64, 64), port: engine_port, costs, seat, retry: None }).unwrap();
+    let permit = SessionPermit::acquire(&shared, &costs, |_| Ok::<_, ()>(())).unwrap();
+    pending.send(PendingSession { shape: shape(64, 64), port: engine_port, costs, permit, retry: None }).unwrap();
     (port, shared, thread)
 }
 
@@ -280,13 +282,13 @@ fn a_device_that_is_lost_for_good_closes_all_ports_and_leaves_its_reason() {
 }
 
 #[test]
-fn sessions_outlive_their_device_and_their_poses_too() {
+fn sessions_and_their_poses_survive_a_lost_device() {
     let gpu = open_gpu();
     let (mut port, shared, thread) = worker_on(&gpu, 1);
     port.request(request(1, 64, 64));
     let before = next_mask(&mut port);
     gpu.device.destroy();
-    // Nobody asks again: the pose that was lost with the device is traced on the new one.
+    // The pose that was lost with the device is traced on the new one, without a new request.
     port.request(request(2, 64, 64));
     assert_eq!(next_mask(&mut port).frame, FrameNumber(2));
     port.request(request(1, 64, 64));
@@ -298,7 +300,7 @@ fn sessions_outlive_their_device_and_their_poses_too() {
 }
 
 #[test]
-fn losses_are_survived_as_long_as_masks_come_between_them() {
+fn losses_with_masks_in_between_are_survived() {
     for backend in BACKENDS {
         let (engine, _) = engine(backend);
         let mut port = engine.open_session(shape(40, 40)).unwrap();
@@ -330,7 +332,7 @@ fn a_panic_closes_its_session_and_no_other() {
 }
 
 #[test]
-fn sessions_are_spread_over_devices_and_move_when_one_is_lost() {
+fn sessions_spread_over_devices_and_move_when_one_is_lost() {
     let two = EngineOptions { devices: std::num::NonZeroUsize::new(2), ..options(BackendChoice::Compute) };
     let fleet = Fleet::start(&Arc::new(room()), &two).unwrap();
     let mut ports: Vec<SessionPort> = (0..4).map(|_| fleet.open(shape(40, 40), Some(10.0)).unwrap()).collect();
@@ -355,13 +357,18 @@ fn sessions_are_spread_over_devices_and_move_when_one_is_lost() {
 }
 
 #[test]
-fn a_session_that_the_device_does_not_bear_is_refused() {
+fn a_session_beyond_the_budget_is_refused() {
     let (engine, _) = engine(BackendChoice::Cpu);
-    // The first is always borne, and asks for more than there is.
+    // The first is always admitted, and asks for more than the budget.
     let first = engine.open(shape(400, 300), Some(60_000.0)).unwrap();
     let refused = engine.open(shape(400, 300), Some(1.0)).unwrap_err();
-    assert!(matches!(refused, OpenError::TooMuch(TooMuch::Time { .. })), "{refused}");
+    assert!(matches!(refused, OpenError::Overload(Overload::Time { .. })), "{refused}");
     drop(first);
     eventually("its end", || engine.sessions() == 0);
     engine.open(shape(400, 300), Some(1.0)).unwrap();
+}
+
+#[test]
+fn a_mask_has_a_plane_for_every_light_of_a_scene() {
+    assert_eq!(gnomon_scene::limits::MAX_LIGHTS, gnomon_protocol::limits::MAX_LIGHTS as usize);
 }

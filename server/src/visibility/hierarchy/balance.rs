@@ -1,8 +1,8 @@
 //! A bound on a binary hierarchy's depth: what grew too deep is split into equal halves, and nothing else changes.
 //!
-//! Builders that follow the surface-area heuristic put a chain of triangles, each farther from the last than that one was,
-//! into a chain of nodes. The kernels' stack has a fixed size, and some of obvhs recurses, so every hierarchy must fit them
-//! by construction.
+//! Builders that follow the surface-area heuristic put a chain of triangles, each farther from the last than that one
+//! was, into a chain of nodes. The kernels' stack has a fixed size, and some of obvhs recurses, so every hierarchy must
+//! fit them by construction.
 
 use obvhs::bvh2::{Bvh2, node::Bvh2Node};
 

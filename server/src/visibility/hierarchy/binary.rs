@@ -1,10 +1,11 @@
 //! Binary hierarchies in a time that no scene can stretch: what the back ends make their wide ones of.
 //!
-//! Bottom up: boxes in the order of a space-filling curve, where again and again those merge that are each other's nearest
-//! (Meister and Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy Construction", 2018), then obvhs'
-//! reinsertion. obvhs has that clustering too, but it takes time with the square of a number of boxes whose distances tie: a
-//! row of equal triangles, one laid many times, or shells around one centre have one pair of mutual nearest boxes
-//! a round, and a million of them would take hours. Here ties go by lot, and a round that finds few pairs takes neighbours.
+//! Bottom up: boxes in the order of a space-filling curve, where again and again those merge that are each other's
+//! nearest (Meister and Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy Construction",
+//! 2018), then obvhs' reinsertion. obvhs has that clustering too, but it takes time with the square of a number of
+//! boxes whose distances tie: a row of equal triangles, one laid many times, or shells around one centre have one pair
+//! of mutual nearest boxes a round, and a million of them would take hours. Here ties go by lot, and a round that finds
+//! few pairs takes neighbours.
 
 use obvhs::{
     aabb::Aabb,
@@ -21,9 +22,9 @@ const STALLED: usize = 8;
 const MOST_LEVELS: u32 = 96;
 
 /// How far along the curve a nearest box is looked for, to either side, and the share of nodes that a first pass of
-/// reinsertion moves to better places: what obvhs takes for a slow build, for a scene is built once and traced for days. On
-/// Sponza a group of camera rays visits 21.4 nodes and 22.9 leaves, where half the reach and a quarter of the share make it
-/// 23.3 and 27.3.
+/// reinsertion moves to better places: what obvhs takes for a slow build, for a scene is built once and traced for
+/// days. On Sponza a group of camera rays visits 21.4 nodes and 22.9 leaves, where half the reach and a quarter of the
+/// share make it 23.3 and 27.3.
 const REACH: usize = 24;
 const REINSERTION: f32 = 0.2;
 
@@ -66,7 +67,8 @@ pub(crate) fn build(boxes: &[Aabb]) -> Bvh2 {
     }
     tree.nodes[0] = clusters[0];
     let mut optimizer = ReinsertionOptimizer::default();
-    // As obvhs does it by itself; but its stack overflows where one pass has made the tree deeper than the next one expects.
+    // As obvhs does it by itself; but its stack overflows where one pass has made the tree deeper than the next one
+    // expects.
     for pass in (1_u8..32).step_by(2) {
         tree.max_depth = tree.max_depth.max(height(&tree.nodes) as usize + 1);
         optimizer.run(&mut tree, REINSERTION, Some(vec![1.0 / f32::from(pass)]));

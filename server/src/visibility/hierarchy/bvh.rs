@@ -1,8 +1,8 @@
 //! A BVH with eight children a node and leaves of up to eight triangles, for kernels that test eight boxes at once.
 //!
-//! A binary tree comes first (`binary`); this file collapses it into the cheapest eight-wide one by the dynamic programme of
-//! Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", HPG 2017, §3.1. Boxes
-//! stay f32: they are never rounded inwards.
+//! A binary tree comes first (`binary`); this file collapses it into the cheapest eight-wide one by the dynamic
+//! programme of Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs",
+//! HPG 2017, §3.1. Boxes stay f32: they are never rounded inwards.
 
 use glam::Vec3;
 use obvhs::{aabb::Aabb, bvh2::Bvh2};
@@ -33,7 +33,8 @@ const LEAF_BIT: u32 = 1 << 31;
 /// A child's word when there is none.
 const NO_CHILD: u32 = u32::MAX;
 
-/// A node: the boxes of its children side by side. A missing child's box is inverted (+∞ to −∞), so that it is never met.
+/// A node: the boxes of its children side by side. A missing child's box is inverted (+∞ to −∞), so that it is never
+/// met.
 #[derive(Debug, Clone)]
 #[repr(C, align(64))]
 pub struct Node {
@@ -182,7 +183,8 @@ impl<'a> Collapse<'a> {
         self.area(n) * NODE_COST + self.split(n, WIDTH).0
     }
 
-    /// The cheapest way to share `slots` ≥ 2 children between the two sides of binary inner node n: cost, and how many go left.
+    /// The cheapest way to share `slots` ≥ 2 children between the two sides of binary inner node n: cost, and how many
+    /// go left.
     fn split(&self, n: usize, slots: usize) -> (f32, usize) {
         let Some([left, right]) = children(self.binary, n) else { return (f32::INFINITY, 0) };
         (1..slots)

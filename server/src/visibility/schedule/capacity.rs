@@ -1,32 +1,32 @@
-//! Whether a device bears one more session: pure arithmetic over what its sessions cost.
+//! Admission: whether a device can serve one more session. Pure arithmetic over what its sessions cost.
 //!
-//! A device serves its sessions' rates when the time that they need in a second is within its budget, and when the longest part of a
-//! frame, which cannot be interrupted, leaves each of them time for its own before that is due (the test for non-preemptive deadline
-//! scheduling of Jeffay, Stanat and Martel 1991, made simple).
+//! A device serves its sessions' rates when two things hold. The time that they need per second is within its budget.
+//! And the longest part of a frame, which cannot be interrupted, leaves each session time for its own mask before that
+//! is due: a simplified test for non-preemptive deadline scheduling (Jeffay, Stanat and Martel 1991).
 
 use std::fmt;
 
-use super::parts::stretch_ms;
+use super::parts::blocking_ms;
 
-/// Masks a second that a session is planned with which did not say how many it wants: it takes what others leave.
-const LEAST_HZ: f64 = 1.0;
+/// Rate that is planned for a session that asked for none, in masks per second: it takes what others leave.
+pub(crate) const LEAST_HZ: f64 = 1.0;
 
-/// Share of its rate that an idle session is planned with: most do not wake at once.
-const IDLE_SHARE: f64 = 0.1;
+/// Share of its rate that is planned for an idle session: most idle sessions do not wake at the same time.
+pub(crate) const IDLE_SHARE: f64 = 0.1;
 
-/// What a session needs.
+/// What a session needs of its device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Need {
     /// Device time of a mask, in milliseconds.
     pub cost_ms: f64,
-    /// Masks a second that were asked for; none where it takes what it gets.
+    /// Requested masks per second. `None`: it takes what it gets.
     pub rate_hz: Option<f64>,
-    /// Whether it has asked for a mask of late.
+    /// Whether it has recently asked for a mask.
     pub active: bool,
 }
 
 impl Need {
-    /// Device time in a second, in milliseconds.
+    /// Device time per second, in milliseconds.
     #[must_use]
     pub fn per_second_ms(&self) -> f64 {
         let share = if self.active { 1.0 } else { IDLE_SHARE };
@@ -34,52 +34,45 @@ impl Need {
     }
 }
 
-/// Why a device does not bear a session more.
+/// Why a device cannot serve another session.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum TooMuch {
-    /// There is not enough time.
-    Time {
-        /// What the session would need in a second, in milliseconds.
-        needed_ms: f64,
-        /// What is left of the budget.
-        left_ms: f64,
-    },
-    /// Its frames are so long that even a part of one would make another session late.
-    LongFrame {
-        /// What a frame takes, in milliseconds.
-        frame_ms: f64,
-        /// What the other sessions bear.
-        bearable_ms: f64,
-    },
+pub enum Overload {
+    /// The session needs more device time per second than the budget has left.
+    Time { needed_ms: f64, left_ms: f64 },
+    /// Even a part of a frame would make another session late. The others tolerate frames of `tolerated_ms`.
+    LongFrame { frame_ms: f64, tolerated_ms: f64 },
 }
 
-impl fmt::Display for TooMuch {
+impl fmt::Display for Overload {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Time { needed_ms, left_ms } => {
                 let left_ms = left_ms.max(0.0);
-                write!(formatter, "it would need {needed_ms:.1} ms of the device a second, and {left_ms:.1} are left")
+                write!(formatter, "it would need {needed_ms:.1} ms of the device per second, and {left_ms:.1} are left")
             }
-            Self::LongFrame { frame_ms, bearable_ms } => {
-                let bearable_ms = bearable_ms.max(0.0);
-                write!(formatter, "a frame would take {frame_ms:.1} ms, and the other sessions bear {bearable_ms:.1}")
+            Self::LongFrame { frame_ms, tolerated_ms } => {
+                let tolerated_ms = tolerated_ms.max(0.0);
+                write!(
+                    formatter,
+                    "a frame would take {frame_ms:.1} ms, and the other sessions tolerate {tolerated_ms:.1}"
+                )
             }
         }
     }
 }
 
-/// Whether a device with these sessions and this budget, in milliseconds a second, bears a new one. The first session is always
-/// borne: there is nobody whose rate it could break.
+/// Admits a new session to a device with these sessions and this budget, in milliseconds per second. The first session
+/// is always admitted: it cannot make another one late.
 ///
 /// # Errors
-/// With what is too much.
-pub fn judge(sessions: impl IntoIterator<Item = Need>, new: Need, budget_ms: f64) -> Result<(), TooMuch> {
+/// If the device cannot serve it beside the others.
+pub fn admit(sessions: impl IntoIterator<Item = Need>, new: Need, budget_ms: f64) -> Result<(), Overload> {
     let (mut used_ms, mut shortest_ms, mut any) = (0.0, f64::INFINITY, false);
     for session in sessions {
         any = true;
         used_ms += session.per_second_ms();
         if let Some(rate) = session.rate_hz {
-            // What is left of its period when its own frame is traced.
+            // What its period leaves beside its own frame.
             shortest_ms = f64::min(shortest_ms, 1e3 / rate - session.cost_ms);
         }
     }
@@ -88,10 +81,10 @@ pub fn judge(sessions: impl IntoIterator<Item = Need>, new: Need, budget_ms: f64
     }
     let needed_ms = new.per_second_ms();
     if used_ms + needed_ms > budget_ms {
-        return Err(TooMuch::Time { needed_ms, left_ms: budget_ms - used_ms });
+        return Err(Overload::Time { needed_ms, left_ms: budget_ms - used_ms });
     }
-    if stretch_ms(new.cost_ms) > shortest_ms {
-        return Err(TooMuch::LongFrame { frame_ms: new.cost_ms, bearable_ms: shortest_ms });
+    if blocking_ms(new.cost_ms) > shortest_ms {
+        return Err(Overload::LongFrame { frame_ms: new.cost_ms, tolerated_ms: shortest_ms });
     }
     Ok(())
 }
@@ -107,36 +100,36 @@ mod tests {
     }
 
     #[test]
-    fn sessions_are_borne_until_the_budget_is_spent() {
+    fn sessions_are_admitted_until_the_budget_is_spent() {
         let light = need(0.2, 10.0);
         let mut sessions = vec![need(4.0, 60.0); 2];
-        while judge(sessions.iter().copied(), light, 900.0).is_ok() {
+        while admit(sessions.iter().copied(), light, 900.0).is_ok() {
             sessions.push(light);
         }
         // 480 ms for the heavy ones, 2 ms for each of the others.
         assert_eq!(sessions.len(), 2 + 210);
-        let refused = judge(sessions, light, 900.0).unwrap_err();
-        assert!(matches!(refused, TooMuch::Time { .. }) && refused.to_string().contains("2.0 ms"), "{refused}");
+        let refused = admit(sessions, light, 900.0).unwrap_err();
+        assert!(matches!(refused, Overload::Time { .. }) && refused.to_string().contains("2.0 ms"), "{refused}");
     }
 
     #[test]
     fn a_frame_that_makes_others_late_is_refused_and_the_first_session_never() {
         let modest = need(1.0, 60.0);
         let greedy = Need { cost_ms: 40.0, rate_hz: None, active: true };
-        assert_eq!(judge([], Need { cost_ms: 5000.0, ..greedy }, 900.0), Ok(()));
-        assert_eq!(judge([modest], greedy, 900.0), Ok(()), "it can be interrupted");
+        assert_eq!(admit([], Need { cost_ms: 5000.0, ..greedy }, 900.0), Ok(()));
+        assert_eq!(admit([modest], greedy, 900.0), Ok(()), "it can be interrupted");
         // The hundredth part of it is longer than a period.
-        let refused = judge([modest], Need { cost_ms: 3000.0, ..greedy }, 9000.0).unwrap_err();
+        let refused = admit([modest], Need { cost_ms: 3000.0, ..greedy }, 9000.0).unwrap_err();
         assert!(refused.to_string().contains("3000.0 ms"), "{refused}");
-        // Who takes what it gets is no reason to refuse others.
-        assert_eq!(judge([greedy], modest, 900.0), Ok(()));
+        // A session without a rate is no reason to refuse others.
+        assert_eq!(admit([greedy], modest, 900.0), Ok(()));
     }
 
     #[test]
     fn idle_sessions_leave_most_of_their_time() {
         let idle = Need { active: false, ..need(1.0, 60.0) };
-        assert_eq!(judge([idle; 100], need(1.0, 60.0), 900.0), Ok(()));
-        assert!(judge([Need { active: true, ..idle }; 100], need(1.0, 60.0), 900.0).is_err());
+        assert_eq!(admit([idle; 100], need(1.0, 60.0), 900.0), Ok(()));
+        assert!(admit([Need { active: true, ..idle }; 100], need(1.0, 60.0), 900.0).is_err());
     }
 
     proptest! {
@@ -145,7 +138,7 @@ mod tests {
         fn the_budget_holds(asked in prop::collection::vec((0.01_f64..50.0, 1.0_f64..144.0), 1..200)) {
             let mut admitted: Vec<Need> = Vec::new();
             for (cost, rate) in asked {
-                if judge(admitted.iter().copied(), need(cost, rate), 900.0).is_ok() {
+                if admit(admitted.iter().copied(), need(cost, rate), 900.0).is_ok() {
                     admitted.push(need(cost, rate));
                 }
             }

@@ -1,4 +1,4 @@
-//! What a session costs its device, measured: the engine's thread counts, admission and statistics read.
+//! Measured cost of sessions on their device. The engine's thread writes it; admission and statistics read it.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering},
@@ -10,13 +10,13 @@ use gnomon_protocol::mask::MaskShape;
 use super::capacity::Need;
 use crate::visibility::TraceCost;
 
-/// A session that has asked for no mask for so long is idle.
+/// A session without a request for this long is idle.
 const IDLE_AFTER: Duration = Duration::from_secs(10);
 
-/// How much the newest mask counts in what the next is expected to cost.
+/// Weight of the newest mask in the expected cost of the next.
 const NEWEST_SHARE: f64 = 0.125;
 
-/// The costs of one session. Every number but the expected cost only grows.
+/// The cost of one session. Every number but the expected cost only grows.
 #[derive(Debug)]
 pub struct SessionCosts {
     opened_at: Instant,
@@ -30,14 +30,12 @@ pub struct SessionCosts {
     queue_us: AtomicU64,
 }
 
-/// The costs of a session at one moment.
+/// The cost of a session so far.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct CostTotals {
-    /// Masks traced.
     pub traced: u64,
-    /// Device time, in milliseconds.
     pub device_ms: f64,
-    /// From the arrival of each traced mask's pose until its trace began, summed, in milliseconds.
+    /// Sum over all masks of the time from the pose's arrival until tracing began.
     pub queue_ms: f64,
 }
 
@@ -55,7 +53,6 @@ impl SessionCosts {
         }
     }
 
-    /// What has been counted until now.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "times far below 2⁵³ ns")]
     pub fn totals(&self) -> CostTotals {
@@ -66,7 +63,7 @@ impl SessionCosts {
         }
     }
 
-    /// What its next mask is expected to cost, in milliseconds.
+    /// Expected cost of the next mask, in milliseconds.
     #[expect(clippy::cast_precision_loss, reason = "times far below 2⁵³ ns")]
     pub(crate) fn expected_ms(&self) -> f64 {
         self.expected_ns.load(Ordering::Relaxed) as f64 * 1e-6
@@ -76,22 +73,21 @@ impl SessionCosts {
         self.pixels
     }
 
-    /// What it needs of its device.
     pub(crate) fn need(&self) -> Need {
         let asked = Duration::from_micros(self.asked_us.load(Ordering::Relaxed));
         let active = self.opened_at.elapsed().saturating_sub(asked) < IDLE_AFTER;
         Need { cost_ms: self.expected_ms(), rate_hz: self.rate_hz, active }
     }
 
-    /// Notes that a trace begins, of a pose that has waited so long.
-    pub(crate) fn begins(&self, waited: Duration) {
+    /// Records that a trace begins, of a pose that has waited for this time.
+    pub(crate) fn record_begin(&self, waited: Duration) {
         let micros = |time: Duration| u64::try_from(time.as_micros()).unwrap_or(u64::MAX);
         self.asked_us.store(micros(self.opened_at.elapsed()), Ordering::Relaxed);
         self.queue_us.fetch_add(micros(waited), Ordering::Relaxed);
     }
 
-    /// Notes what a mask has cost.
-    pub(crate) fn ends(&self, cost: &TraceCost) {
+    /// Records the cost of a traced mask.
+    pub(crate) fn record_end(&self, cost: &TraceCost) {
         let cost_ms = cost.device_ms();
         let before_ms = self.expected_ms();
         // Only the engine's thread writes.
@@ -102,15 +98,15 @@ impl SessionCosts {
     }
 }
 
-/// What masks cost on a device, by their size, for sessions of which nothing is known yet.
+/// Expected cost of masks on a device by their size, for new sessions.
 #[derive(Debug, Default)]
 pub(crate) struct CostModel {
-    /// Device time of a pixel, in picoseconds; 0 before anything was traced.
+    /// Device time per pixel, in picoseconds; 0 before anything was traced.
     per_pixel_ps: AtomicU64,
 }
 
 impl CostModel {
-    /// Learns from a mask. Larger masks teach more: small ones cost mostly what every mask costs.
+    /// Learns from a mask. Larger masks count more: the cost of small ones is mostly fixed.
     #[expect(clippy::cast_precision_loss, reason = "pixels and picoseconds far below 2⁵³")]
     pub(crate) fn learn(&self, pixels: usize, cost: &TraceCost) {
         const MEMORY_PIXELS: f64 = 4e6;
@@ -122,11 +118,11 @@ impl CostModel {
         self.per_pixel_ps.store((before_ps + (newest_ps - before_ps) * share).max(1.0) as u64, Ordering::Relaxed);
     }
 
-    /// What a mask of so many pixels is expected to cost, in milliseconds, when the sessions that there are cost what they do.
+    /// Expected cost of a mask of this many pixels, in milliseconds, beside the sessions `known`.
     #[expect(clippy::cast_precision_loss, reason = "pixels and picoseconds far below 2⁵³")]
     pub(crate) fn expected_ms<'a>(&self, pixels: usize, known: impl IntoIterator<Item = &'a SessionCosts>) -> f64 {
         let by_pixels = self.per_pixel_ps.load(Ordering::Relaxed) as f64 * pixels as f64 * 1e-9;
-        // No larger mask is cheaper than a smaller one.
+        // A mask costs at least as much as any smaller one.
         known
             .into_iter()
             .filter(|other| other.pixels() <= pixels)
@@ -158,21 +154,21 @@ mod tests {
         let need = costs.need();
         assert_eq!((need.cost_ms, need.rate_hz, need.active), (7.0, Some(10.0), true));
         for _ in 0..3 {
-            costs.begins(Duration::from_millis(2));
-            costs.ends(&cost(1.5));
+            costs.record_begin(Duration::from_millis(2));
+            costs.record_end(&cost(1.5));
         }
         let totals = costs.totals();
         assert_eq!((totals.traced, totals.device_ms, totals.queue_ms), (3, 4.5, 6.0));
-        assert!((costs.need().cost_ms - 1.5).abs() < 1e-9, "the estimate goes with the first mask");
+        assert!((costs.need().cost_ms - 1.5).abs() < 1e-9, "the first mask replaces the estimate");
     }
 
     #[test]
-    fn new_sessions_are_expected_to_cost_what_their_size_does() {
+    fn new_sessions_are_expected_to_cost_by_their_size() {
         let model = CostModel::default();
         assert_eq!(model.expected_ms(1000, []), 0.0);
         model.learn(100_000, &cost(10.0));
         assert!((model.expected_ms(200_000, []) - 20.0).abs() < 1e-3);
-        // A small mask that costs more than its pixels does not make large ones look dear.
+        // A small mask with a large fixed cost does not make large masks look expensive.
         model.learn(2304, &cost(1.0));
         assert!(model.expected_ms(200_000, []) < 21.0);
         let small = SessionCosts::new(shape(64, 36), None, 1.0);

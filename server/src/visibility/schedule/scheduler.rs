@@ -1,45 +1,47 @@
-//! Whose work is done next: of the sessions that have not had more than their share the one whose mask is due first.
+//! Chooses the session whose work is done next: the one whose mask is due first, of those that have not had more than
+//! their share.
 //!
-//! A session's share is counted in virtual time: milliseconds of the device that it has used. Of the sessions that wait, those whose
-//! virtual time is at most [`LEAD_MS`] ahead of the one that is farthest behind may go, in the order of their deadlines. Nobody who waits
-//! falls behind another by more than the lead and one piece of work (the idea of start-time fair queueing, Goyal, Vin and Cheng 1996,
-//! with deadlines inside the window).
+//! A session's share is counted in virtual time: milliseconds of the device that it has used. Of the waiting sessions,
+//! those whose virtual time is at most [`LEAD_MS`] ahead of the one farthest behind may go, in the order of their
+//! deadlines. No waiting session falls behind another by more than the lead and one piece of work: start-time fair
+//! queueing (Goyal, Vin and Cheng 1996) with deadlines inside the window.
 //!
-//! Time that a session does not ask for is lost to it, but for [`SAVED_MS`]. That is more than the lead: so whoever asks for less than its
-//! share goes before those who take all that they can get, whatever their deadlines are.
+//! A session loses the time that it does not ask for, except for [`SAVED_MS`]. That is more than the lead, so a session
+//! that asks for less than its share goes before greedy ones, whatever their deadlines are.
 //!
-//! Work is a frame, or a part of a long one (`parts.rs`): what has begun is interrupted between two parts only.
+//! Work is a frame, or a part of a long one (`parts.rs`). A frame is interrupted only between two parts.
 
 use std::{collections::VecDeque, time::Instant};
 
-/// How far ahead of others who wait a session may be, in milliseconds of the device. More of it is more room for deadlines.
+/// How far ahead of other waiting sessions a session may be, in milliseconds of the device. A larger lead gives
+/// deadlines more weight.
 pub const LEAD_MS: f64 = 4.0;
 
-/// How far behind others a session is that comes back after it did not ask for its share, in milliseconds of the device.
+/// How far behind the others a session restarts after it did not use its share, in milliseconds of the device.
 pub const SAVED_MS: f64 = 8.0;
 
-/// How much the newest frame counts in what the next one is expected to cost.
+/// Weight of the newest frame in the expected cost of the next.
 const NEWEST_SHARE: f64 = 0.25;
 
-/// Turns of the sessions that share a back end. Pure: it knows neither clock nor device.
+/// The turns of the sessions that share a back end. Pure: it has neither clock nor device.
 #[derive(Debug)]
 pub struct Scheduler {
     sessions: Vec<Turn>,
     per_session: usize,
-    /// Virtual time of who was farthest behind when somebody was chosen last: never turns back.
+    /// Least virtual time of the waiting sessions at the last choice. Never decreases.
     clock_ms: f64,
 }
 
-/// A session's name within the engine.
+/// Identifies a session within its engine.
 pub type SessionKey = u64;
 
-/// What a session waits for.
+/// A piece of work that a session waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Wish {
-    /// When its mask is due.
+pub struct Demand {
+    /// When the mask is due.
     pub due: Instant,
-    /// Whether it is for the rest of a frame that has begun.
-    pub rest: bool,
+    /// Whether it continues a frame that has begun.
+    pub resumes: bool,
     /// Whether the device has room for it now.
     pub fits: bool,
 }
@@ -49,11 +51,11 @@ struct Turn {
     key: SessionKey,
     /// Virtual time.
     used_ms: f64,
-    /// What its next frame is expected to cost.
+    /// Expected cost of its next frame.
     expected_ms: f64,
-    /// What was charged for each of its frames in flight, oldest first.
+    /// The charge for each of its frames in flight, oldest first.
     in_flight: VecDeque<f64>,
-    /// Whether it waited, or had frames in flight, when it was looked at last.
+    /// Whether it waited, or had frames in flight, at the last choice.
     waited: bool,
 }
 
@@ -64,30 +66,31 @@ impl Scheduler {
         Self { sessions: Vec::new(), per_session, clock_ms: 0.0 }
     }
 
-    /// A session has come whose frames are expected to cost so much.
+    /// Adds a session whose frames are expected to cost `expected_ms`.
     pub fn insert(&mut self, key: SessionKey, expected_ms: f64) {
         let turn = Turn { key, used_ms: self.clock_ms, expected_ms, in_flight: VecDeque::new(), waited: false };
         self.sessions.push(turn);
     }
 
-    /// A session has gone.
     pub fn remove(&mut self, key: SessionKey) {
         self.sessions.retain(|turn| turn.key != key);
     }
 
-    /// The session that goes next, among those for which `wish` gives something to trace that fits.
-    pub fn next(&mut self, mut wish: impl FnMut(SessionKey) -> Option<Wish>) -> Option<SessionKey> {
+    /// Returns the session that goes next, among those whose `demand` fits.
+    pub fn next(&mut self, mut demand: impl FnMut(SessionKey) -> Option<Demand>) -> Option<SessionKey> {
         let (per_session, clock_ms) = (self.per_session, self.clock_ms);
         let mut waiting: Vec<(usize, Instant)> = Vec::new();
         for (index, turn) in self.sessions.iter_mut().enumerate() {
-            let wish = wish(turn.key);
-            if wish.is_none() || !turn.waited {
-                // Time that it did not ask for is not owed to it.
+            let demand = demand(turn.key);
+            if demand.is_none() || !turn.waited {
+                // Unused time is lost.
                 turn.used_ms = turn.used_ms.max(clock_ms - SAVED_MS);
             }
-            turn.waited = wish.is_some() || !turn.in_flight.is_empty();
-            if let Some(wish) = wish.filter(|wish| wish.fits && (wish.rest || turn.in_flight.len() < per_session)) {
-                waiting.push((index, wish.due));
+            turn.waited = demand.is_some() || !turn.in_flight.is_empty();
+            if let Some(demand) =
+                demand.filter(|demand| demand.fits && (demand.resumes || turn.in_flight.len() < per_session))
+            {
+                waiting.push((index, demand.due));
             }
         }
         let used = |index: usize| self.sessions[index].used_ms;
@@ -100,14 +103,14 @@ impl Scheduler {
         Some(self.sessions[chosen.0].key)
     }
 
-    /// A frame of the session has begun.
+    /// Records that a frame of the session has begun.
     pub fn started(&mut self, key: SessionKey) {
         if let Some(turn) = self.turn(key) {
             turn.in_flight.push_back(0.0);
         }
     }
 
-    /// This share of the session's newest frame is on the device now, and is charged for as expected.
+    /// Charges the expected cost of this share of the session's newest frame, which goes to the device now.
     pub fn charge(&mut self, key: SessionKey, share: f64) {
         if let Some(turn) = self.turn(key)
             && let Some(charged_ms) = turn.in_flight.back_mut()
@@ -117,7 +120,8 @@ impl Scheduler {
         }
     }
 
-    /// The session's oldest frame in flight has landed, and has cost so much; sessions that have gone meanwhile are ignored.
+    /// Replaces the charge for the session's oldest frame in flight by its cost. Ignores sessions that have been
+    /// removed.
     pub fn finished(&mut self, key: SessionKey, cost_ms: f64) {
         if let Some(turn) = self.turn(key)
             && let Some(charged_ms) = turn.in_flight.pop_front()
@@ -127,14 +131,14 @@ impl Scheduler {
         }
     }
 
-    /// The session's newest frame is not traced to its end, and costs it nothing.
+    /// Takes back the charge for the session's newest frame, which is dropped.
     pub fn abandoned(&mut self, key: SessionKey) {
         if let Some(turn) = self.turn(key) {
             turn.used_ms -= turn.in_flight.pop_back().unwrap_or_default();
         }
     }
 
-    /// All frames in flight are lost; they cost their sessions nothing.
+    /// Takes back the charges for all frames in flight, which are lost.
     pub fn lost_all(&mut self) {
         for turn in &mut self.sessions {
             turn.used_ms -= turn.in_flight.drain(..).sum::<f64>();
@@ -173,8 +177,8 @@ mod tests {
     }
 
     /// A frame that is due then, and fits.
-    fn frame(due: Instant) -> Wish {
-        Wish { due, rest: false, fits: true }
+    fn frame(due: Instant) -> Demand {
+        Demand { due, resumes: false, fits: true }
     }
 
     fn used(scheduler: &Scheduler, key: SessionKey) -> f64 {
@@ -182,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn of_those_within_their_share_the_earliest_deadline_goes_first() {
+    fn the_earliest_deadline_within_the_lead_goes_first() {
         let start = Instant::now();
         let mut scheduler = scheduler(&[1, 2, 3]);
         let due = |key: SessionKey| {
@@ -190,14 +194,14 @@ mod tests {
         };
         assert_eq!(scheduler.next(due), Some(2));
         run(&mut scheduler, 2, 3.0);
-        assert_eq!(scheduler.next(due), Some(2), "it is within the lead");
+        assert_eq!(scheduler.next(due), Some(2), "within the lead");
         run(&mut scheduler, 2, 3.0);
-        assert_eq!(scheduler.next(due), Some(3), "it is not any more");
-        assert_eq!(scheduler.next(|key| due(key).filter(|_| key == 2)), Some(2), "unless nobody else waits");
+        assert_eq!(scheduler.next(due), Some(3), "beyond the lead");
+        assert_eq!(scheduler.next(|key| due(key).filter(|_| key == 2)), Some(2), "no other session waits");
     }
 
     #[test]
-    fn time_that_was_not_asked_for_is_not_owed() {
+    fn unused_time_is_lost() {
         let now = Instant::now();
         let mut scheduler = scheduler(&[1, 2]);
         for _ in 0..100 {
@@ -216,26 +220,30 @@ mod tests {
     }
 
     #[test]
-    fn nobody_has_more_in_flight_than_allowed_and_what_has_begun_goes_on() {
+    fn frames_in_flight_are_bounded_and_begun_frames_continue() {
         let now = Instant::now();
         let mut scheduler = scheduler(&[1, 2]);
         for expected in [Some(1), Some(1), None] {
             assert_eq!(scheduler.next(|key| (key == 1).then_some(frame(now))), expected);
             start(&mut scheduler, 1);
         }
-        let rest = Wish { rest: true, ..frame(now) };
+        let rest = Demand { resumes: true, ..frame(now) };
         assert_eq!(scheduler.next(|key| (key == 1).then_some(rest)), Some(1));
-        assert_eq!(scheduler.next(|key| (key == 1).then_some(Wish { fits: false, ..rest })), None, "there is no room");
+        assert_eq!(
+            scheduler.next(|key| (key == 1).then_some(Demand { fits: false, ..rest })),
+            None,
+            "there is no room"
+        );
     }
 
     #[test]
-    fn whoever_asks_for_less_than_its_share_goes_first_whatever_is_due() {
+    fn sessions_below_their_share_go_before_greedy_ones() {
         let now = Instant::now();
         let mut scheduler = scheduler(&[1, 2]);
         for round in 0..500 {
             // The greedy one is always late; the modest one comes every 33 parts and has time.
             let modest = (round > 60 && round % 33 == 0).then_some(frame(now + Duration::from_secs(1)));
-            let greedy = Wish { rest: true, ..frame(now) };
+            let greedy = Demand { resumes: true, ..frame(now) };
             let key = scheduler.next(|key| if key == 1 { Some(greedy) } else { modest }).unwrap();
             assert_eq!(key, if modest.is_some() { 2 } else { 1 }, "round {round}");
             run(&mut scheduler, key, 0.15);
@@ -243,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_is_paid_for_part_by_part_and_in_the_end_as_it_was() {
+    fn charges_for_parts_are_replaced_by_the_measured_cost() {
         let mut scheduler = scheduler(&[1]);
         scheduler.started(1);
         scheduler.charge(1, 0.25);
@@ -258,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_gone_is_never_chosen_and_lost_frames_are_not_paid_for() {
+    fn removed_sessions_are_never_chosen_and_lost_frames_cost_nothing() {
         let now = Instant::now();
         let mut scheduler = scheduler(&[1, 2]);
         start(&mut scheduler, 1);
@@ -273,10 +281,10 @@ mod tests {
     }
 
     proptest! {
-        /// However costs and deadlines are, sessions that always wait have used the same, up to the lead and one frame; each frame
-        /// costs what was expected here, so that nothing is corrected afterwards.
+        /// Whatever the costs and deadlines are, sessions that always wait have used the same time, up to the lead and
+        /// one frame. Each frame costs what was expected, so nothing is corrected afterwards.
         #[test]
-        fn whoever_waits_gets_its_share(
+        fn waiting_sessions_get_equal_shares(
             costs_ms in prop::collection::vec(0.05_f64..40.0, 2..8),
             deadlines_ms in prop::collection::vec(0_u64..200, 400),
         ) {
@@ -296,8 +304,8 @@ mod tests {
             }
         }
 
-        /// Whoever waits goes before the others have used what they may have saved, the lead and a frame each, even when its deadline is
-        /// the last of all.
+        /// A waiting session goes before the others have used their saved time, the lead and a frame each, even when
+        /// its deadline is the last of all.
         #[test]
         fn nobody_starves(
             costs_ms in prop::collection::vec(0.05_f64..40.0, 6),

@@ -1,11 +1,11 @@
-//! Speed against error: every knob that trades one for the other, over real scenes.
+//! Speed against error over real scenes, at every setting that trades one for the other.
 //!
-//! `tracing` knobs are measured on masks that are traced for the frame that they are shown in: the back end, which also sets
-//! whether nodes are compressed (`compute`) or in full precision (`cpu`); the resolution; the codec; how often dim lights are
-//! traced. `prediction` is how late a mask is and what the client makes of it. Milliseconds are what a frame waits for its
-//! visibility: tracing and encoding, less the lag that it is allowed. `half` and `checkerboard` trace that part of the shadow
-//! rays and ask neighbours for the rest, on the server; `half-mask` is a mask of half the size, which the client's predictor
-//! spreads over the picture. `lossy` is how many bits may be wrong so that the codec has less to code.
+//! The rows of the group `tracing` are measured on masks for the frame that shows them: the back end, which also decides whether
+//! nodes are compressed (`compute`) or in full precision (`cpu`); the resolution; the offset of shadow rays; the codec; how
+//! often dim lights are traced. `prediction` is how late a mask is and how the client predicts from it. Milliseconds are the
+//! time that a frame waits for its visibility: tracing and encoding, less the lag that it is allowed. `half-mask` is a mask of
+//! half the size, which the client's predictor spreads over the picture. `lossy` allows wrong bits so that the codec has less
+//! to code.
 
 mod front;
 mod judge;
@@ -143,9 +143,9 @@ pub fn measure(options: &ParetoOptions, mut progress: impl FnMut(&str)) -> Resul
                 progress(&format!("NOT MEASURED: {backend} on {name}: no adapter here has what it needs"));
                 continue;
             }
-            // The processor's offset is part of its vector code.
+            // The offset of `cpu` is a constant of its vector code.
             if backend == "compute" {
-                bench.offsets(backend)?;
+                bench.offsets()?;
             }
             if backend == automatic {
                 bench.codecs(backend)?;

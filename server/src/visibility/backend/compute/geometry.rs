@@ -12,7 +12,7 @@ use obvhs::{
     triangle::Triangle,
 };
 
-use super::Traversal;
+use super::kernels::Traversal;
 use crate::visibility::{
     backend::BackendError,
     hierarchy::{balance::bound_depth, binary},
@@ -21,44 +21,45 @@ use crate::visibility::{
 /// Everything that the kernels read, except the lights.
 #[derive(Debug, Default)]
 pub(super) struct Geometry {
-    /// Nodes of the hierarchy, the root first; none when nothing stops a ray, or the adapter has its own.
+    /// Nodes of the hierarchy, the root first. Empty when nothing stops a ray or the adapter has its own hierarchy.
     pub(super) nodes: Vec<CwBvhNode>,
-    /// Triangles; a leaf's follow each other.
+    /// The triangles of a leaf follow each other.
     pub(super) triangles: Vec<TracedTriangle>,
-    /// Shading normals of each triangle's corners, and the unit normal of its plane: zero without an area.
+    /// Shading normals of each triangle's corners, then the unit normal of its plane; zero for a triangle without an
+    /// area.
     pub(super) normals: Vec<[Vec3; 4]>,
     /// Texture coordinates of the triangles with holes, three each.
     pub(super) alpha_uvs: Vec<Vec2>,
     /// Materials with holes.
     pub(super) alpha_materials: Vec<AlphaMaterial>,
-    /// Their alpha pictures, one after the other.
+    /// Alpha pictures, one after the other.
     pub(super) alpha_texels: Vec<u8>,
 }
 
-/// What a ray finds of a material's triangles.
+/// Where a material's triangles stop rays.
 #[derive(Clone, Copy, PartialEq)]
-enum Presence {
+enum Opacity {
     Everywhere,
     Nowhere,
-    /// Index into [`Geometry::alpha_materials`].
-    Holes(u32),
+    /// Where alpha says so: index into [`Geometry::alpha_materials`].
+    ByAlpha(u32),
 }
 
 impl Geometry {
-    /// The triangles that stop rays, with the hierarchy that `traversal` wants over them.
+    /// The triangles that stop rays, with the hierarchy that `traversal` needs.
     ///
     /// # Errors
-    /// When there is more than 32-bit indices can name.
+    /// If 32-bit indices do not suffice.
     pub(super) fn build(scene: &Scene, traversal: Traversal) -> Result<Self, BackendError> {
         let mut geometry = Self::default();
-        let presences = geometry.add_alpha(scene)?;
+        let opacities = geometry.add_alpha(scene)?;
         let tracing = scene.tracing_triangles();
         let mut stopping = Vec::with_capacity(tracing.len());
         for draw in &scene.draws {
             let first = draw.first_triangle as usize;
             // BLEND draws lie behind the end of `tracing`.
             let triangles = tracing.get(first..first + draw.triangles as usize).unwrap_or_default();
-            if presences[draw.material as usize] != Presence::Nowhere {
+            if opacities[draw.material as usize] != Opacity::Nowhere {
                 stopping.extend(triangles.iter().map(|&corners| (corners, draw.material)));
             }
         }
@@ -67,8 +68,8 @@ impl Geometry {
         }
         if traversal == Traversal::RayQuery {
             for (corners, material) in stopping {
-                let (surface, presence) = (&scene.materials[material as usize], presences[material as usize]);
-                geometry.add_triangle(scene, corners, surface, presence)?;
+                let (surface, opacity) = (&scene.materials[material as usize], opacities[material as usize]);
+                geometry.add_triangle(scene, corners, surface, opacity)?;
             }
             return Ok(geometry);
         }
@@ -78,33 +79,33 @@ impl Geometry {
         let hierarchy = build_hierarchy(&shapes);
         for &primitive in &hierarchy.primitive_indices {
             let (corners, material) = stopping[primitive as usize];
-            geometry.add_triangle(scene, corners, &scene.materials[material as usize], presences[material as usize])?;
+            geometry.add_triangle(scene, corners, &scene.materials[material as usize], opacities[material as usize])?;
         }
         geometry.nodes = hierarchy.nodes;
         Ok(geometry)
     }
 
-    /// Size of what only holes need.
+    /// Size of what only triangles with holes need.
     pub(super) fn alpha_bytes(&self) -> u64 {
         let bytes = size_of_val(&*self.alpha_materials) + self.alpha_texels.len() + size_of_val(&*self.alpha_uvs);
         bytes as u64
     }
 
-    /// Takes up the alpha pictures of MASK materials, and says what rays find of every material.
-    fn add_alpha(&mut self, scene: &Scene) -> Result<Vec<Presence>, BackendError> {
-        let mut presences = Vec::with_capacity(scene.materials.len());
-        // Materials share pictures: each image's texels are kept once.
+    /// Adds the alpha pictures of MASK materials. Returns the opacity of every material.
+    fn add_alpha(&mut self, scene: &Scene) -> Result<Vec<Opacity>, BackendError> {
+        let mut opacities = Vec::with_capacity(scene.materials.len());
+        // Materials share pictures: each image's texels are stored once.
         let mut first_texels = HashMap::new();
         for material in &scene.materials {
-            presences.push(match (material.alpha, material.base_color_texture) {
-                (AlphaMode::Opaque, _) => Presence::Everywhere,
-                (AlphaMode::Blend, _) => Presence::Nowhere,
-                (AlphaMode::Mask { cutoff }, None) if material.base_color.w >= cutoff => Presence::Everywhere,
-                (AlphaMode::Mask { .. }, None) => Presence::Nowhere,
+            opacities.push(match (material.alpha, material.base_color_texture) {
+                (AlphaMode::Opaque, _) => Opacity::Everywhere,
+                (AlphaMode::Blend, _) => Opacity::Nowhere,
+                (AlphaMode::Mask { cutoff }, None) if material.base_color.w >= cutoff => Opacity::Everywhere,
+                (AlphaMode::Mask { .. }, None) => Opacity::Nowhere,
                 (AlphaMode::Mask { cutoff }, Some(texture)) => {
                     let image = &scene.images[texture.image as usize];
                     if image.rgba.len() as u64 != 4 * u64::from(image.width) * u64::from(image.height) {
-                        return Err(BackendError::Alpha { material: index_of_next("materials", &presences)? });
+                        return Err(BackendError::Alpha { material: index_of_next("materials", &opacities)? });
                     }
                     let index = index_of_next("alpha materials", &self.alpha_materials)?;
                     let first_texel = match first_texels.get(&texture.image) {
@@ -122,11 +123,11 @@ impl Geometry {
                         cutoff,
                         material.base_color.w,
                     ));
-                    Presence::Holes(index)
+                    Opacity::ByAlpha(index)
                 }
             });
         }
-        Ok(presences)
+        Ok(opacities)
     }
 
     fn add_triangle(
@@ -134,12 +135,12 @@ impl Geometry {
         scene: &Scene,
         corners: [u32; 3],
         material: &Material,
-        presence: Presence,
+        opacity: Opacity,
     ) -> Result<(), BackendError> {
         let [a, b, c] = corners.map(|index| scene.positions[index as usize].to_array());
         let first_uv = index_of_next("texture coordinates", &self.alpha_uvs)?;
         let mut kind = if material.double_sided { 0 } else { TRIANGLE_SINGLE_SIDED };
-        if let Presence::Holes(index) = presence {
+        if let Opacity::ByAlpha(index) = opacity {
             kind |= index + 1;
             self.alpha_uvs.extend(corners.map(|index| scene.uvs[index as usize]));
         }
@@ -156,16 +157,17 @@ fn index_of_next<T>(what: &str, list: &[T]) -> Result<u32, BackendError> {
         .map_err(|_| BackendError::Setup(format!("the scene has {} {what}, more than 2^32", list.len())))
 }
 
-/// The hierarchy over these triangles, as the kernels follow it.
+/// The hierarchy over these triangles, in the kernels' format.
 pub(super) fn build_hierarchy(shapes: &[Triangle]) -> CwBvh {
     let mut binary = binary::build(&shapes.iter().map(Boundable::aabb).collect::<Vec<_>>());
-    // Three triangles are the most that a leaf of this format can name.
+    // A leaf of this format holds at most three triangles.
     let compress = |binary: &Bvh2| bvh2_to_cwbvh(binary, 3, true, false);
     let hierarchy = compress(&binary);
     if depth(&hierarchy.nodes) <= TRAVERSAL_STACK {
         return hierarchy;
     }
-    // Every level of wide nodes can put one entry on a traversal's stack, and takes up one level of binary nodes at least.
+    // Every level of wide nodes can push one entry on a traversal's stack, and spans at least one level of binary
+    // nodes.
     bound_depth(&mut binary, TRAVERSAL_STACK);
     compress(&binary)
 }
@@ -207,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn every_triangle_that_stops_rays_is_there_once_with_its_own_corners() {
+    fn every_triangle_that_stops_rays_is_listed_once_with_its_own_corners() {
         let scene = room();
         let geometry = Geometry::build(&scene, Traversal::Hierarchy).unwrap();
         let key = |corners: [[f32; 3]; 3]| corners.map(|corner| corner.map(f32::to_bits));
@@ -240,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn masks_without_a_picture_are_there_or_not() {
+    fn mask_materials_without_a_picture_stop_all_rays_or_none() {
         let mut scene = TestScene::default()
             .quad(DOUBLE_SIDED, Vec3::ZERO, Vec3::X, Vec3::Y)
             .quad(LEAF, Vec3::Z, Vec3::X, Vec3::Y)

@@ -6,14 +6,33 @@ use gnomon_shaders::{
     splice::{splice, splice_ray_query},
 };
 
-use super::{KernelOptions, Traversal};
-use crate::visibility::backend::{BackendError, ray_query};
+use super::acceleration;
+use crate::visibility::backend::BackendError;
 
-/// Device features without which the kernels cannot run: the camera travels inside the command buffer, so that a frame
+/// How the kernels find the triangles on a ray's way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in super::super) enum Traversal {
+    /// They walk obvhs' compressed hierarchy: the `compute` back end.
+    Hierarchy,
+    /// The adapter walks a structure of its own: the `ray-query` back end.
+    RayQuery,
+}
+
+impl Traversal {
+    /// The device features that it needs.
+    pub(super) fn features(self) -> wgpu::Features {
+        match self {
+            Self::Hierarchy => wgpu::Features::empty(),
+            Self::RayQuery => acceleration::NEEDED,
+        }
+    }
+}
+
+/// Device features without which the kernels cannot run. The camera travels inside the command buffer, so that a frame
 /// creates no resource.
 pub(super) const NEEDED: wgpu::Features = wgpu::Features::IMMEDIATES;
 
-/// Device features that tell what a frame costs.
+/// Device features that measure what a frame costs.
 pub(super) const TIMING: wgpu::Features =
     wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS);
 
@@ -21,7 +40,7 @@ pub(super) const TIMING: wgpu::Features =
 pub(super) const SCENE_BUFFERS: usize = 7;
 /// Storage buffers that hold a frame.
 const FRAME_BUFFERS: usize = 3;
-/// All of them.
+/// Storage buffers that a kernel reads or writes.
 const BUFFERS: u32 = 10;
 
 /// Pipelines of both kernels.
@@ -42,23 +61,24 @@ pub(super) struct FrameBuffers<'a> {
     pub(super) surfaces: &'a wgpu::Buffer,
     /// The mask's words.
     pub(super) mask: &'a wgpu::Buffer,
-    /// What is counted: `wgsl/visibility/work.wgsl`.
-    pub(super) work: &'a wgpu::Buffer,
+    /// The number of shadow rays.
+    pub(super) ray_count: &'a wgpu::Buffer,
 }
 
 impl Kernels {
-    /// Compiles the kernels; `has_alpha` for a scene whose triangles have holes.
+    /// Compiles the kernels, with `has_alpha` for a scene whose triangles have holes. `offset_roundings` replaces
+    /// `OFFSET_ROUNDINGS` of `visibility/primary.wgsl`.
     ///
     /// # Errors
-    /// When the device lacks a feature or a limit that they need. What the device itself refuses, its error handler gets.
+    /// If the device lacks a feature or a limit that they need. What the device itself refuses, its error handler gets.
     pub(super) fn new(
         gpu: &Gpu,
         traversal: Traversal,
-        options: KernelOptions,
         has_alpha: bool,
+        offset_roundings: Option<u16>,
     ) -> Result<Self, BackendError> {
         if traversal == Traversal::RayQuery {
-            ray_query::check(gpu)?;
+            acceleration::check(gpu)?;
         }
         let lacking = |missing: String| BackendError::Feature { adapter: gpu.info.name.clone(), missing };
         if !gpu.device.features().contains(NEEDED) {
@@ -66,16 +86,16 @@ impl Kernels {
         }
         let limits = gpu.device.limits();
         if limits.max_storage_buffers_per_shader_stage < BUFFERS {
-            let there = limits.max_storage_buffers_per_shader_stage;
-            return Err(lacking(format!("storage buffers: it has {there} where {BUFFERS} are needed")));
+            let found = limits.max_storage_buffers_per_shader_stage;
+            return Err(lacking(format!("storage buffers: it has {found} where {BUFFERS} are needed")));
         }
         if limits.max_immediate_size < TracedView::BYTES {
-            let (there, needed) = (limits.max_immediate_size, TracedView::BYTES);
-            return Err(lacking(format!("immediate data: it has {there} bytes where {needed} are needed")));
+            let (found, needed) = (limits.max_immediate_size, TracedView::BYTES);
+            return Err(lacking(format!("immediate data: it has {found} bytes where {needed} are needed")));
         }
         let mut scene_types = [true; SCENE_BUFFERS].map(buffer_type).to_vec();
         if traversal == Traversal::RayQuery {
-            scene_types.push(ray_query::structure_type());
+            scene_types.push(acceleration::structure_type());
         }
         let scene = layout(&gpu.device, "scene", scene_types);
         let frame = layout(&gpu.device, "frame", [false; FRAME_BUFFERS].map(buffer_type));
@@ -84,13 +104,9 @@ impl Kernels {
             bind_group_layouts: &[Some(&scene), Some(&frame)],
             immediate_size: TracedView::BYTES,
         });
-        let (sampling, refine) = options.sampling.constants();
-        let count = ("COUNT_NODES", f64::from(u8::from(options.count_nodes)));
         let alpha = ("HAS_ALPHA", f64::from(u8::from(has_alpha)));
-        let shadow_constants =
-            [count, alpha, ("SAMPLING", f64::from(sampling)), ("REFINE", f64::from(u8::from(refine)))];
-        let offset = options.offset_roundings.map(|offset| ("OFFSET_ROUNDINGS", f64::from(offset)));
-        let primary_constants: Vec<(&str, f64)> = [count, alpha].into_iter().chain(offset).collect();
+        let offset = offset_roundings.map(|offset| ("OFFSET_ROUNDINGS", f64::from(offset)));
+        let primary_constants: Vec<(&str, f64)> = [alpha].into_iter().chain(offset).collect();
         let pipeline = |name: &str, constants: &[(&str, f64)]| -> Result<wgpu::ComputePipeline, BackendError> {
             let path = format!("visibility/{name}.wgsl");
             let text = match traversal {
@@ -111,12 +127,12 @@ impl Kernels {
                 cache: None,
             }))
         };
-        let (primary, shadow) = (pipeline("primary", &primary_constants)?, pipeline("shadow", &shadow_constants)?);
+        let (primary, shadow) = (pipeline("primary", &primary_constants)?, pipeline("shadow", &[alpha])?);
         Ok(Self { primary, shadow, scene, frame })
     }
 
-    /// The scene's bind group. Buffers are in the order of `wgsl/shared/traced_scene.wgsl`; the structure is there when the
-    /// kernels walk the adapter's own.
+    /// The scene's bind group. Buffers are in the order of `wgsl/shared/traced_scene.wgsl`. [`Traversal::RayQuery`]
+    /// needs the structure.
     pub(super) fn bind_scene(
         &self,
         device: &wgpu::Device,
@@ -127,14 +143,12 @@ impl Kernels {
         bind(device, "scene", &self.scene, resources.chain(structure.map(wgpu::Tlas::as_binding)))
     }
 
-    /// A frame's bind group.
     pub(super) fn bind_frame(&self, device: &wgpu::Device, buffers: FrameBuffers<'_>) -> wgpu::BindGroup {
-        let buffers = [buffers.surfaces, buffers.mask, buffers.work];
+        let buffers = [buffers.surfaces, buffers.mask, buffers.ray_count];
         bind(device, "frame", &self.frame, buffers.map(wgpu::Buffer::as_entire_binding))
     }
 }
 
-/// What a storage buffer is bound as.
 fn buffer_type(read_only: bool) -> wgpu::BindingType {
     wgpu::BindingType::Buffer {
         ty: wgpu::BufferBindingType::Storage { read_only },
@@ -143,7 +157,7 @@ fn buffer_type(read_only: bool) -> wgpu::BindingType {
     }
 }
 
-/// A layout of these bindings, numbered from 0.
+/// A layout of bindings of these types, numbered from 0.
 fn layout(
     device: &wgpu::Device,
     label: &str,

@@ -1,7 +1,8 @@
-//! The buffers of the frames that have begun, so that one is traced while an earlier one is copied, and others are interrupted.
+//! The buffers of frames that have begun: one frame is traced while an earlier one is copied and others are
+//! interrupted.
 //!
-//! Buffers are made when a session needs larger ones, never for a frame. What lies between the two kernels is shared by
-//! all frames: the queue runs their parts one after the other, and nothing there outlives a part.
+//! Buffers are made when a session needs larger ones, never for a frame. All frames share the buffer between the two
+//! kernels: the queue runs their parts one after the other, and nothing in it outlives a part.
 
 use std::{
     ops::Range,
@@ -21,27 +22,26 @@ use super::{
 /// Whole frames in flight on the device: one is traced, one copied, one waits.
 pub const RING_FRAMES: usize = 3;
 
-/// Frames that have buffers: those in flight, and as many that have begun and are interrupted.
+/// Frames that have buffers: those in flight, and as many that are interrupted.
 pub const SLOTS: usize = 2 * RING_FRAMES;
 
-/// Bytes of a pixel's surface between the kernels: a position, and a bit for each light.
+/// Bytes per pixel between the kernels: a position, and a bit for each light.
 const SURFACE_BYTES: u64 = 16;
-/// Pixels of a tile.
 const TILE_PIXELS: u64 = 64;
-/// Place of the counts in the host's buffer; the timestamps follow them.
-const WORK_AT: u64 = 0;
-/// Bytes of the counts: `wgsl/visibility/work.wgsl`.
-const WORK_BYTES: u64 = 16;
-/// Place of the timestamps there.
-const TIMES_AT: u64 = WORK_AT + WORK_BYTES;
-/// Place of the mask's words there.
+/// Offset of the ray count in the host's buffer.
+const RAY_COUNT_AT: u64 = 0;
+/// The number of shadow rays is a u32, and padding keeps the timestamps aligned.
+const RAY_COUNT_BYTES: u64 = 8;
+/// Offset of the timestamps.
+const TIMES_AT: u64 = RAY_COUNT_AT + RAY_COUNT_BYTES;
+/// Offset of the mask's words.
 const MASK_AT: u64 = (TIMES_AT + QUERY_BYTES).next_multiple_of(64);
 
 const PENDING: u8 = 0;
 const MAPPED: u8 = 1;
 const FAILED: u8 = 2;
 
-/// What the buffers must hold.
+/// Sizes of the buffers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Capacity {
     surface_bytes: u64,
@@ -62,7 +62,7 @@ impl Capacity {
         needed.surface_bytes <= self.surface_bytes && needed.mask_bytes <= self.mask_bytes
     }
 
-    /// Its largest buffer, in bytes.
+    /// Size of the largest buffer.
     pub(super) fn largest_bytes(self) -> u64 {
         self.surface_bytes.max(self.mask_bytes + MASK_AT)
     }
@@ -72,22 +72,10 @@ fn mask_bytes(shape: MaskShape) -> u64 {
     shape.words() as u64 * 8
 }
 
-/// Buffers of all frames in flight.
 #[derive(Debug)]
 pub(super) struct Ring {
     pub(super) capacity: Capacity,
     pub(super) slots: [Slot; SLOTS],
-}
-
-/// What the kernels counted of one frame.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Work {
-    /// Shadow rays that pixels want.
-    pub(super) wanted: u64,
-    /// Nodes that rays visited, when they are counted.
-    pub(super) nodes: u64,
-    /// Shadow rays traced, when not every pixel that wants one has its own.
-    pub(super) traced: u64,
 }
 
 /// Buffers of one frame.
@@ -95,7 +83,7 @@ pub(super) struct Work {
 pub(super) struct Slot {
     pub(super) group: wgpu::BindGroup,
     mask: wgpu::Buffer,
-    work: wgpu::Buffer,
+    ray_count: wgpu::Buffer,
     timestamps: wgpu::Buffer,
     host: wgpu::Buffer,
     state: Arc<AtomicU8>,
@@ -130,11 +118,12 @@ impl Ring {
         let surfaces = buffer("surfaces", capacity.surface_bytes, Usage::STORAGE);
         let slots = std::array::from_fn(|_| {
             let mask = buffer("mask", capacity.mask_bytes, Usage::STORAGE | Usage::COPY_SRC);
-            let work = buffer("work", WORK_BYTES, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST);
+            let ray_count = buffer("ray count", RAY_COUNT_BYTES, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST);
+            let buffers = FrameBuffers { surfaces: &surfaces, mask: &mask, ray_count: &ray_count };
             Slot {
-                group: kernels.bind_frame(device, FrameBuffers { surfaces: &surfaces, mask: &mask, work: &work }),
+                group: kernels.bind_frame(device, buffers),
                 mask,
-                work,
+                ray_count,
                 timestamps: buffer("timestamps", QUERY_BYTES, Usage::QUERY_RESOLVE | Usage::COPY_SRC),
                 host: buffer("host mask", MASK_AT + capacity.mask_bytes, Usage::MAP_READ | Usage::COPY_DST),
                 state: Arc::new(AtomicU8::new(PENDING)),
@@ -146,41 +135,40 @@ impl Ring {
 
     /// Takes a slot, if one is free.
     pub(super) fn lease(&self) -> Option<Lease> {
-        let (slot, taken) = self.slots.iter().enumerate().find(|(_, slot)| slot.is_free())?;
-        taken.taken.store(true, Ordering::Release);
-        Some(Lease { slot, taken: Arc::clone(&taken.taken) })
+        let (index, slot) = self.slots.iter().enumerate().find(|(_, slot)| slot.is_free())?;
+        slot.taken.store(true, Ordering::Release);
+        Some(Lease { slot: index, taken: Arc::clone(&slot.taken) })
     }
 }
 
 impl Slot {
-    /// Whether no frame has it.
     pub(super) fn is_free(&self) -> bool {
         !self.taken.load(Ordering::Acquire)
     }
 
-    /// What the words of a mask take, in bytes.
+    /// Size of a mask's words.
     pub(super) fn mask_bytes(&self, shape: MaskShape) -> u64 {
         mask_bytes(shape).min(self.mask.size())
     }
 
-    /// Before the first part: no ray is counted yet.
+    /// Resets the ray count. Encode before the first part.
     pub(super) fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
-        encoder.clear_buffer(&self.work, 0, None);
+        encoder.clear_buffer(&self.ray_count, 0, None);
     }
 
-    /// Behind the kernels: copies at most so many bytes of the mask, from this one on, and says how many.
+    /// Copies up to `most` bytes of the mask from byte `from` on, and returns how many. Encode after the kernels.
     pub(super) fn copy_mask(&self, encoder: &mut wgpu::CommandEncoder, shape: MaskShape, from: u64, most: u64) -> u64 {
         let bytes = self.mask_bytes(shape).saturating_sub(from).min(most);
         encoder.copy_buffer_to_buffer(&self.mask, from, &self.host, MASK_AT + from, bytes);
         bytes
     }
 
-    /// Behind all kernels: copies what they counted.
-    pub(super) fn copy_work(&self, encoder: &mut wgpu::CommandEncoder) {
-        encoder.copy_buffer_to_buffer(&self.work, 0, &self.host, WORK_AT, WORK_BYTES);
+    /// Encode after all kernels.
+    pub(super) fn copy_ray_count(&self, encoder: &mut wgpu::CommandEncoder) {
+        encoder.copy_buffer_to_buffer(&self.ray_count, 0, &self.host, RAY_COUNT_AT, RAY_COUNT_BYTES);
     }
 
-    /// At the very end: copies the timestamps.
+    /// Encode last.
     pub(super) fn copy_timestamps(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -192,7 +180,7 @@ impl Slot {
         encoder.copy_buffer_to_buffer(&self.timestamps, 0, &self.host, TIMES_AT, bytes);
     }
 
-    /// After submission: asks for the host's buffer. [`Self::is_ready`] tells when it is there.
+    /// Maps the host's buffer; [`Self::is_ready`] tells when it is mapped. Call after submission.
     pub(super) fn map(&self, shape: MaskShape) {
         self.state.store(PENDING, Ordering::Release);
         let state = Arc::clone(&self.state);
@@ -204,7 +192,7 @@ impl Slot {
     /// Whether the frame is in the host's memory.
     ///
     /// # Errors
-    /// When the device failed to bring it there.
+    /// If the device failed to copy it there.
     pub(super) fn is_ready(&self) -> Result<bool, String> {
         match self.state.load(Ordering::Acquire) {
             FAILED => Err("a mask could not be read back".to_owned()),
@@ -212,10 +200,10 @@ impl Slot {
         }
     }
 
-    /// Copies these words of a frame that is ready into `mask`, whose shape it must have.
+    /// Copies these words of a frame that is ready into `mask`, which has the frame's shape.
     ///
     /// # Errors
-    /// When the buffer is not mapped after all.
+    /// If the buffer is not mapped.
     pub(super) fn read(&self, mask: &mut Mask, words: Range<usize>) -> Result<(), String> {
         let bytes = MASK_AT + 8 * words.start as u64..MASK_AT + 8 * words.end as u64;
         let view = self.host.get_mapped_range(bytes).map_err(|error| error.to_string())?;
@@ -226,19 +214,18 @@ impl Slot {
         Ok(())
     }
 
-    /// When all is read of a frame that was traced in so many parts: its timestamps and its counts. The buffer is the device's again.
+    /// Returns the timestamps and the number of shadow rays of a frame that was traced in `parts` parts, and unmaps the
+    /// buffer.
     ///
     /// # Errors
-    /// When the buffer is not mapped after all.
-    pub(super) fn finish(&self, parts: u32) -> Result<(Vec<u64>, Work), String> {
+    /// If the buffer is not mapped.
+    pub(super) fn finish(&self, parts: u32) -> Result<(Vec<u64>, u64), String> {
         let view = self.host.get_mapped_range(..MASK_AT).map_err(|error| error.to_string())?;
         let mut head = view.as_chunks().0.iter().copied().map(u64::from_le_bytes);
-        let [first, second] = std::array::from_fn(|_| head.next().unwrap_or_default());
+        let shadow_rays = head.next().unwrap_or_default() & u64::from(u32::MAX);
         let times = head.take(PART_QUERIES as usize * parts as usize + 1).collect();
-        let low = |word: u64| word & u64::from(u32::MAX);
-        let work = Work { wanted: low(first), nodes: first >> 32, traced: low(second) };
         drop(view);
         self.host.unmap();
-        Ok((times, work))
+        Ok((times, shadow_rays))
     }
 }

@@ -1,17 +1,15 @@
-//! What the device says that a frame took, stage by stage.
+//! The device's clock: how long each stage of a frame takes.
 
 use crate::visibility::schedule::parts::MAX_PARTS;
 
-/// Timestamps of a part: begin and end of the primary kernel, and of the shadow kernel.
+/// Timestamps of a part: begin and end of the primary kernel, then of the shadow kernel.
 pub(super) const PART_QUERIES: u32 = 4;
 
-/// Timestamps of a frame at most: those of its parts, and the end of the copy.
+/// Most timestamps of a frame: those of its parts, and the end of the copy.
 pub(super) const SLOT_QUERIES: u32 = PART_QUERIES * MAX_PARTS + 1;
 
-/// Bytes of those timestamps.
 pub(super) const QUERY_BYTES: u64 = 8 * SLOT_QUERIES as u64;
 
-/// The device's clock.
 #[derive(Debug)]
 pub(super) struct Timing {
     /// [`SLOT_QUERIES`] for each frame in flight.
@@ -19,7 +17,7 @@ pub(super) struct Timing {
     tick_ns: f64,
 }
 
-/// Time by stage, in milliseconds of the device.
+/// Device time by stage.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Stages {
     pub(super) primary_ms: f64,
@@ -28,7 +26,7 @@ pub(super) struct Stages {
 }
 
 impl Timing {
-    /// The clock of a device that has one.
+    /// `None` if the device has no clock.
     pub(super) fn new(device: &wgpu::Device, queue: &wgpu::Queue, slots: u32) -> Option<Self> {
         device.features().contains(super::kernels::TIMING).then(|| Self {
             queries: device.create_query_set(&wgpu::QuerySetDescriptor {
@@ -40,7 +38,7 @@ impl Timing {
         })
     }
 
-    /// Where a pass writes its begin and end: `stage` 0 is the primary kernel, 1 the shadow kernel.
+    /// The timestamps that a pass writes. `stage` 0 is the primary kernel, 1 the shadow kernel.
     pub(super) fn writes(&self, first: u32, stage: u32) -> wgpu::ComputePassTimestampWrites<'_> {
         wgpu::ComputePassTimestampWrites {
             query_set: &self.queries,
@@ -49,19 +47,19 @@ impl Timing {
         }
     }
 
-    /// Notes the time when all that was encoded before is done.
-    pub(super) fn note(&self, encoder: &mut wgpu::CommandEncoder, query: u32) {
+    /// Writes the time at which everything encoded before is done.
+    pub(super) fn write(&self, encoder: &mut wgpu::CommandEncoder, query: u32) {
         encoder.write_timestamp(&self.queries, query);
     }
 
-    /// Milliseconds between a frame's timestamps: [`PART_QUERIES`] for each part, and the end of the copy.
+    /// The stages of a frame. `ticks` are [`PART_QUERIES`] for each part, then the end of the copy.
     pub(super) fn stages(&self, ticks: &[u64]) -> Stages {
         stages(ticks, self.tick_ns)
     }
 }
 
 fn stages(ticks: &[u64], tick_ns: f64) -> Stages {
-    // A clock that stepped back, or was reset by power management, counts as no time rather than as centuries.
+    // A clock that stepped back, or that power management reset, counts as no time rather than as centuries.
     #[expect(clippy::cast_precision_loss, reason = "2^53 ns are 104 days")]
     let ms = |from: u64, to: u64| to.saturating_sub(from) as f64 * tick_ns / 1e6;
     let (parts, end) = ticks.as_chunks::<{ PART_QUERIES as usize }>();
@@ -82,7 +80,7 @@ mod tests {
     fn stages_are_differences_in_milliseconds() {
         let whole = [1_000_000, 3_000_000, 3_100_000, 8_100_000, 8_200_000];
         assert_eq!(stages(&whole, 0.5), Stages { primary_ms: 1.0, shadow_ms: 2.5, copy_ms: 0.05 });
-        // What came between two parts is others' time.
+        // The time between two parts belongs to other frames.
         let parts =
             [1_000_000, 3_000_000, 3_100_000, 8_100_000, 50_000_000, 52_000_000, 52_000_000, 53_000_000, 53_100_000];
         assert_eq!(stages(&parts, 0.5), Stages { primary_ms: 2.0, shadow_ms: 3.0, copy_ms: 0.05 });

@@ -1,10 +1,10 @@
-//! Whether a point of a MASK triangle is there.
+//! The alpha test of MASK triangles.
 
 use gnomon_scene::{AlphaMode, AlphaPicture, Scene, Wrap};
 
 use crate::visibility::backend::BackendError;
 
-/// The MASK triangles' texture coordinates and their materials' alpha.
+/// Texture coordinates of the MASK triangles, and their materials' alpha.
 #[derive(Debug)]
 pub(super) struct Alpha {
     /// Index of the first MASK triangle: the OPAQUE ones come first.
@@ -30,10 +30,8 @@ struct MaskMaterial {
 }
 
 impl Alpha {
-    /// What the MASK triangles of `scene` need.
-    ///
     /// # Errors
-    /// When a MASK material's picture is not decoded.
+    /// If a MASK material's picture is not decoded.
     pub(super) fn new(scene: &Scene) -> Result<Self, BackendError> {
         let mut alpha = Self { first: 0, triangles: Vec::new(), materials: Vec::new(), pictures: Vec::new() };
         let mut places = vec![None; scene.materials.len()];
@@ -52,7 +50,7 @@ impl Alpha {
                             let missing = || BackendError::Alpha { material: draw.material };
                             let place = picture_places.get_mut(texture.image as usize).ok_or_else(missing)?;
                             if place.is_none() {
-                                let picture = scene.alpha_picture(draw.material).filter(is_whole);
+                                let picture = scene.alpha_picture(draw.material).filter(is_decoded);
                                 alpha.pictures.push(picture.ok_or_else(missing)?);
                             }
                             let place = *place.get_or_insert(alpha.pictures.len() - 1);
@@ -74,9 +72,9 @@ impl Alpha {
         Ok(alpha)
     }
 
-    /// Whether the point of MASK triangle `triangle` with these weights of its corners is there. The weights need not sum
-    /// to 1.
-    pub(super) fn is_there(&self, triangle: u32, weights: [f32; 3]) -> bool {
+    /// Whether the point of MASK triangle `triangle` with these weights of its corners passes the alpha test. The
+    /// weights need not sum to 1.
+    pub(super) fn passes(&self, triangle: u32, weights: [f32; 3]) -> bool {
         let triangle = &self.triangles[(triangle - self.first) as usize];
         let material = &self.materials[triangle.material as usize];
         let Some((picture, wraps)) = material.picture else { return material.factor >= material.cutoff };
@@ -87,7 +85,7 @@ impl Alpha {
         sample(&self.pictures[picture], wraps, u, v) / 255.0 * material.factor >= material.cutoff
     }
 
-    /// Bytes of memory that pictures and coordinates take.
+    /// Memory of pictures and coordinates.
     pub(super) fn memory_bytes(&self) -> usize {
         self.pictures.iter().map(|picture| picture.alpha.len()).sum::<usize>() + size_of_val(&*self.triangles)
     }
@@ -106,17 +104,14 @@ fn sample(picture: &AlphaPicture, [wrap_u, wrap_v]: [Wrap; 2], u: f32, v: f32) -
     mix(row(rows[0]), row(rows[1]), y - y0)
 }
 
-/// Whether every texel is there; without decoded pictures none is.
-fn is_whole(picture: &AlphaPicture) -> bool {
+/// Whether the picture was decoded.
+fn is_decoded(picture: &AlphaPicture) -> bool {
     !picture.alpha.is_empty() && picture.alpha.len() == picture.width as usize * picture.height as usize
 }
 
 /// The texels `at` and `at + 1` of a side of `size` texels, wrapped.
 fn texels(at: f32, size: u32, wrap: Wrap) -> [u32; 2] {
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "the cast saturates, and any texel of the picture will do there"
-    )]
+    #[expect(clippy::cast_possible_truncation, reason = "the cast saturates, and any texel will do that far out")]
     let first = i64::from(at as i32);
     let size = i64::from(size);
     [first, first + 1].map(|i| {
@@ -165,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_texels_centre_is_its_own_value_and_between_two_it_is_mixed() {
+    fn samples_are_exact_at_texel_centres_and_bilinear_between_them() {
         let wraps = [Wrap::ClampToEdge; 2];
         assert_eq!(sample(&picture(), wraps, 0.375, 0.25), 40.0);
         assert_eq!(sample(&picture(), wraps, 0.5, 0.25), 60.0);
@@ -173,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn sides_wrap_as_they_are_told() {
+    fn coordinates_wrap_by_each_mode() {
         for (wrap, left, right) in
             [(Wrap::ClampToEdge, 0.0, 120.0), (Wrap::Repeat, 60.0, 60.0), (Wrap::MirroredRepeat, 0.0, 120.0)]
         {
@@ -186,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn coordinates_out_of_all_range_are_no_panic() {
+    fn extreme_coordinates_do_not_panic() {
         for u in [f32::MAX, f32::MIN, f32::INFINITY, f32::NAN, 1e20, -1e20] {
             for wrap in [Wrap::Repeat, Wrap::MirroredRepeat, Wrap::ClampToEdge] {
                 let value = sample(&picture(), [wrap; 2], u, u);

@@ -1,18 +1,17 @@
-//! Counting what traversal does, at no cost when nobody asks.
+//! Counters of traversal, which cost nothing where they are not wanted.
 
-/// Told what traversal does.
 pub(super) trait Counter: Default + Send {
-    /// A group began its way down.
+    /// A group enters the tree.
     fn group(&mut self) {}
-    /// A group visited a node.
+    /// A group visits a node.
     fn node(&mut self) {}
-    /// A group visited a leaf with this many triangles.
+    /// A group visits a leaf with this many triangles.
     fn leaf(&mut self, _triangles: u32) {}
-    /// A triangle was tested against this many packets.
+    /// A triangle is tested against this many packets.
     fn packets(&mut self, _packets: u32) {}
-    /// A packet had rays inside a triangle's edges.
+    /// A packet has rays inside a triangle's edges.
     fn candidate(&mut self) {}
-    /// So many rays asked a triangle's alpha whether it is there.
+    /// This many rays test a triangle's alpha.
     fn alpha(&mut self, _rays: u32) {}
 }
 
@@ -22,10 +21,9 @@ pub(super) struct Silent;
 
 impl Counter for Silent {}
 
-/// What traversal did, summed over groups of up to 64 rays.
+/// Counts over groups of up to 64 rays.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Work {
-    /// Groups traced.
+pub struct TraversalStats {
     pub groups: u64,
     /// Nodes that groups visited; each tests eight boxes.
     pub nodes: u64,
@@ -37,14 +35,13 @@ pub struct Work {
     pub tested_triangles: u64,
     /// Tests of a triangle against a packet of eight rays.
     pub packet_tests: u64,
-    /// Those with a ray inside the triangle's edges.
+    /// Packet tests with a ray inside the triangle's edges.
     pub candidates: u64,
-    /// Rays that asked a triangle's alpha.
+    /// Tests of a triangle's alpha by a ray.
     pub alpha_tests: u64,
 }
 
-impl Work {
-    /// Adds another's counts.
+impl TraversalStats {
     pub fn add(&mut self, other: &Self) {
         self.groups += other.groups;
         self.nodes += other.nodes;
@@ -57,7 +54,7 @@ impl Work {
     }
 }
 
-impl Counter for Work {
+impl Counter for TraversalStats {
     fn group(&mut self) {
         self.groups += 1;
     }

@@ -1,7 +1,7 @@
 //! The space that a group's rays sweep, against the eight boxes of a node at once.
 //!
-//! In the group's frame the rays lie between two planes x = b + a·z on either side, and two more for y. A box is out when it
-//! is beyond one of the four, behind the origin, or farther than `z_far`. All 64 rays cost what one would.
+//! In the group's frame the rays lie between two planes x = b + a·z, and two more for y. A box is outside when it lies
+//! beyond one of the four, behind the origin, or farther than `z_far`. All 64 rays cost what one would.
 
 use super::{
     group::Group,
@@ -9,12 +9,12 @@ use super::{
 };
 use crate::visibility::hierarchy::bvh::Node;
 
-/// Widening of the planes, as slope for rays from an apex and relative to the scene's size for parallel ones. An edge
-/// function is off by a few roundings (2⁻²⁴ each) of its corners' distance from the origin, so a ray can be counted to a
-/// triangle that it misses by that much, and must be let into its box.
+/// Widening of the planes: a slope for rays from an apex, relative to the scene's size for parallel rays. An edge
+/// function is off by a few roundings (2⁻²⁴ each) of its corners' distance from the origin. So a ray can hit a triangle
+/// that it misses by that much, and must then hit its box too.
 const SLACK: f32 = 1.0 / (1 << 20) as f32;
 
-/// The planes, one number in all lanes.
+/// The planes. Each vector holds one number in all lanes.
 pub(super) struct Frustum<S: Simd> {
     axes: [usize; 3],
     w_negative: bool,
@@ -23,14 +23,14 @@ pub(super) struct Frustum<S: Simd> {
     w_offset: S::F,
     /// Slopes: lowest x, highest x, lowest y, highest y.
     slope: [S::F; 4],
-    /// Where the planes are at z = 0.
+    /// Offsets of the planes at z = 0.
     base: [S::F; 4],
     z_near: S::F,
 }
 
 impl<S: Simd> Frustum<S> {
-    /// The space swept by `group`. `scene_size_m` is a bound on the scene's coordinates relative to the origin of
-    /// parallel rays.
+    /// The space that `group` sweeps. `scene_size_m` bounds the scene's coordinates relative to the origin of parallel
+    /// rays.
     #[inline(always)]
     pub(super) fn new<const PARALLEL: bool>(s: S, group: &Group, scene_size_m: f32) -> Self {
         let projection = &group.projection;
@@ -64,9 +64,9 @@ impl<S: Simd> Frustum<S> {
         }
     }
 
-    /// Which children of `node` the rays can meet before `z_far`, and where each box begins along z.
+    /// The children of `node` that the rays may hit before `z_far`, and where each box begins along z.
     #[inline(always)]
-    pub(super) fn meet(&self, s: S, node: &Node, z_far: S::F) -> (u8, S::F) {
+    pub(super) fn intersect(&self, s: S, node: &Node, z_far: S::F) -> (u8, S::F) {
         let [u, v, w] = self.axes;
         let (near, far): (&F8, &F8) =
             if self.w_negative { (&node.max[w], &node.min[w]) } else { (&node.min[w], &node.max[w]) };
@@ -76,13 +76,13 @@ impl<S: Simd> Frustum<S> {
         let high_x = s.load(&node.max[u]) - self.origin[0];
         let low_y = s.load(&node.min[v]) - self.origin[1];
         let high_y = s.load(&node.max[v]) - self.origin[1];
-        // The lower planes are lowest, the upper ones highest, at one end of the box or the other.
+        // Each plane is compared at the end of the box where it admits most.
         let in_x = s.and(s.ge(high_x, self.plane(s, 0, z0, z1)), s.ge(self.plane(s, 1, z1, z0), low_x));
         let in_y = s.and(s.ge(high_y, self.plane(s, 2, z0, z1)), s.ge(self.plane(s, 3, z1, z0), low_y));
         (s.bits(s.and(s.and(in_x, in_y), s.ge(z1, z0))), z0)
     }
 
-    /// Where plane `i` is at `rising` if it rises with z, else at `falling`.
+    /// The offset of plane `i` at z = `rising` if it rises with z, else at z = `falling`.
     #[inline(always)]
     fn plane(&self, s: S, i: usize, rising: S::F, falling: S::F) -> S::F {
         s.fma(self.slope[i], s.select_negative(self.slope[i], falling, rising), self.base[i])

@@ -1,13 +1,13 @@
-//! A group of up to 64 rays that meet in one point or run in parallel, and so make a picture of the scene.
+//! A group of up to 64 rays that share an origin or a direction, and so form a picture of the scene.
 //!
-//! Camera rays start at the camera; shadow rays, read backwards, all start at the light, or run along the sun's
-//! direction. Seen from there a group's rays are points (x, y) of a projection plane, a triangle is a triangle of that plane,
-//! and whether a ray meets it is the sign of three edge functions, as in a rasteriser (Olano and Greer, "Triangle Scan
-//! Conversion using 2D Homogeneous Coordinates", 1997). Two triangles compute a shared edge's function from the same numbers
-//! with opposite signs, bit for bit, so no ray slips between them.
+//! Camera rays start at the camera. Shadow rays, traced backwards, start at the light or run along the sun's direction.
+//! Seen from there a group's rays are points (x, y) of a projection plane, a triangle is a triangle of that plane, and
+//! the signs of three edge functions tell whether a ray hits it, as in a rasteriser (Olano and Greer, "Triangle Scan
+//! Conversion using 2D Homogeneous Coordinates", 1997). Two triangles compute a shared edge's function from the same
+//! numbers with opposite signs, bit for bit, so no ray slips between them.
 //!
-//! The plane is a face of a cube around the origin: each ray belongs to the face that its direction points to, so that
-//! |x|, |y| ≤ 1. A tile whose rays point to several faces is several groups.
+//! The plane is a face of a cube around the origin. Each ray belongs to the face that its direction points to, so that
+//! |x|, |y| ≤ 1. A tile whose rays point to several faces makes several groups.
 
 use glam::Vec3;
 
@@ -32,20 +32,20 @@ pub(super) fn face_of(direction: Vec3) -> Face {
     face + u8::from(direction[axis] < 0.0)
 }
 
-/// How scene points become points of the plane. Coordinates (u, v, w) are the scene's, permuted, w mirrored on negative
-/// faces; the frame stays right-handed, so that normals keep their sense.
+/// The map from scene points to points of the plane. Coordinates (u, v, w) are the scene's, permuted, with w mirrored
+/// on negative faces. The frame stays right-handed, so that normals keep their sense.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Projection {
-    /// The scene axes that u, v and w are.
+    /// The scene axes of u, v and w.
     pub(super) axes: [usize; 3],
     /// −1 on negative faces.
     pub(super) w_sign: f32,
-    /// The apex, or a reference point in the scene for parallel rays; in scene axes (u, v, w), w not mirrored.
+    /// The apex, or a reference point in the scene for parallel rays: (u, v, w), w not mirrored.
     pub(super) origin: [f32; 3],
-    /// For parallel rays, the change of u and v along w; else 0. For rays from far away, that of the ray through the
-    /// reference point.
+    /// Change of u and v along w of parallel rays, or of the ray from a distant apex through the reference point; else
+    /// 0.
     pub(super) shear: [f32; 2],
-    /// For rays from far away, how much they spread along w: one over their apex's distance along w; else 0.
+    /// One over a distant apex's distance along w, by which its rays spread along w; else 0.
     pub(super) spread: f32,
 }
 
@@ -67,16 +67,16 @@ impl Projection {
         Self { shear: [direction[u] / depth, direction[v] / depth], ..this }
     }
 
-    /// Rays that start at `apex`, so far from `reference` that scene points relative to the apex would lose their digits.
-    /// They are projected onto the plane through the reference point instead, where parallel rays would be, but for a
-    /// factor that is almost 1.
-    pub(super) fn from_afar(apex: Vec3, reference: Vec3) -> Self {
+    /// Rays that start at `apex`, so far from `reference` that scene points relative to the apex would lose their
+    /// digits. They are projected onto the plane through the reference point instead, as parallel rays are, but for a
+    /// factor of almost 1.
+    pub(super) fn from_distant(apex: Vec3, reference: Vec3) -> Self {
         let direction = reference - apex;
         let this = Self::along(direction, reference);
         Self { spread: 1.0 / direction[this.axes[2]].abs(), ..this }
     }
 
-    /// Three numbers by scene axis as (u, v, w).
+    /// Reorders three numbers by scene axis to (u, v, w).
     #[inline(always)]
     pub(super) fn permute<S: Simd>(&self, s: S, by_axis: [S::F; 3]) -> [S::F; 3] {
         let [u, v, w] = self.axes;
@@ -84,7 +84,7 @@ impl Projection {
     }
 }
 
-/// The rays, as points of the plane.
+/// The rays as points of the plane.
 #[derive(Debug, Clone)]
 pub(super) struct Group {
     pub(super) projection: Projection,
@@ -95,10 +95,10 @@ pub(super) struct Group {
     pub(super) lanes: [u8; PACKETS],
     /// Bit p: packet p has rays.
     pub(super) packets: u8,
-    /// Each packet's bounds, packets side by side: lowest and highest x, then y.
+    /// Lowest and highest x of each packet, packets side by side; then the same of y.
     pub(super) packet_x: [F8; 2],
     pub(super) packet_y: [F8; 2],
-    /// The group's bounds: lowest and highest.
+    /// Lowest and highest x of the group; then the same of y.
     pub(super) group_x: [f32; 2],
     pub(super) group_y: [f32; 2],
 }
@@ -120,7 +120,7 @@ impl Group {
         }
     }
 
-    /// Fills packet `p`, which must be empty. The rays are those in `lanes`, at least one.
+    /// Fills packet `p`, which must be empty, with the rays in `lanes`, at least one.
     #[inline(always)]
     pub(super) fn set_packet<S: Simd>(&mut self, s: S, p: usize, x: S::F, y: S::F, lanes: u8) {
         let active = s.mask(lanes);
@@ -137,7 +137,7 @@ impl Group {
         self.group_y = [self.group_y[0].min(lowest[1]), self.group_y[1].max(highest[1])];
     }
 
-    /// Draws the group's bounds in around the packets that are left.
+    /// Shrinks the group's bounds to the packets that are left.
     #[inline(always)]
     pub(super) fn shrink<S: Simd>(&mut self, s: S) {
         let left = s.mask(self.packets);

@@ -1,35 +1,34 @@
-//! The eight triangles of a leaf as a group's rays see them: edge functions, and which triangles can be met at all.
+//! The eight triangles of a leaf, prepared for a group: edge functions, and which triangles may be hit at all.
 //!
-//! With corners a, b, c in the group's homogeneous frame (u, v, w from the apex; sheared (u, v, 1) for parallel
-//! rays, (u, v, 1 + spread·w) for those from far away), the
-//! ray (x, y, 1) passes the edge a→b on the side that the sign of (x, y, 1) · (a × b) tells. Computed as (a + b) × (b − a),
-//! which is twice that: swapping a and b negates every product exactly, so neighbours agree; and the error is a few
-//! roundings of |a|·|b − a|, hence of |a| as a distance from the edge, however short the edge is.
+//! Corners a, b, c are in the group's homogeneous frame: (u, v, w) from the apex, sheared (u, v, 1) for parallel rays,
+//! (u, v, 1 + spread·w) for rays from a distant apex. The sign of (x, y, 1) · (a × b) tells on which side of the edge
+//! a→b the ray (x, y, 1) passes. It is computed as (a + b) × (b − a), which is twice that. Swapping a and b negates
+//! every product exactly, so neighbours agree. The error is a few roundings of |a|·|b − a|, hence of |a| as a distance
+//! from the edge, however short the edge is.
 
 use glam::DVec3;
 
 use super::{
     group::{Group, Projection},
+    rounding::{PLANE_ROUNDINGS, ROUNDING},
     simd::{F8, Simd},
-    surface::ROUNDING,
-    traverse::PLANE_ROUNDINGS,
     vector::{self, V3},
 };
 use crate::visibility::hierarchy::bvh::Leaf;
 
-/// What packets are tested against, eight triangles side by side.
+/// Eight triangles side by side, for tests against packets.
 #[derive(Default)]
 pub(super) struct Prepared {
-    /// Coefficients of the edge functions opposite corners 0, 1, 2, turned so that all three are ≥ 0 inside.
+    /// Coefficients of the edge functions opposite corners 0, 1, 2, with signs such that all three are ≥ 0 inside.
     pub(super) edges: [[F8; 3]; 3],
-    /// Coefficients of 1/z on the triangle's plane (closest hits only).
+    /// Coefficients of 1/z on the triangle's plane; for closest hits only.
     pub(super) inverse_depth: [F8; 3],
-    /// Bit i: triangle i's normal points along the rays, so they meet its back.
+    /// Bit i: triangle i's normal points along the rays, so they hit its back.
     pub(super) back: u8,
 }
 
-/// The greatest value of k·(x, y, 1) over a rectangle. Rounded like the value at each of its points, and rounding is
-/// monotone, so this is never below any of those.
+/// The greatest value of k·(x, y, 1) over a rectangle. It is rounded as the value at each point is, and rounding is
+/// monotone, so it is never below the value at any point.
 #[inline(always)]
 fn highest_over<S: Simd>(s: S, k: V3<S>, x: &[f32; 2], y: &[f32; 2]) -> S::F {
     let best_x = s.select_negative(k[0], s.splat(x[0]), s.splat(x[1]));
@@ -55,8 +54,8 @@ fn corner<S: Simd, const PARALLEL: bool>(s: S, projection: &Projection, corner: 
     }
 }
 
-/// Prepares `leaf` for `group`. The result's bits are the triangles that some ray can meet: facing rules aside, not wholly
-/// outside an edge, not seen edge-on, and (closest hits) not wholly beyond 1/z = `inverse_far`.
+/// Prepares `leaf` for `group`. Returns the triangles that some ray may hit: not seen edge-on, not wholly outside an
+/// edge and, for closest hits, not seen from a back that is culled nor wholly beyond 1/z = `inverse_far`.
 #[inline(always)]
 pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
     s: S,
@@ -68,8 +67,8 @@ pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
     prepare_as::<S, PARALLEL, CLOSEST, false>(s, leaf, group, inverse_far, prepared)
 }
 
-/// As [`prepare`], where some triangle's side is in doubt: a function of its own, so that the common way keeps its
-/// registers.
+/// As [`prepare`], when rounding leaves some triangle's side in doubt. A function of its own, so that the common path
+/// keeps its registers.
 #[cold]
 #[inline(never)]
 fn prepare_settled<S: Simd, const CLOSEST: bool>(
@@ -95,7 +94,7 @@ fn prepare_as<S: Simd, const PARALLEL: bool, const CLOSEST: bool, const SETTLE: 
     let b = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[1]);
     let c = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[2]);
     let normal = vector::cross(s, vector::sub::<S>(b, a), vector::sub::<S>(c, a));
-    // Positive when the normal points along the rays. Zero: edge-on, nothing to be met.
+    // Positive when the normal points along the rays; zero when the triangle is edge-on.
     let mut distance = vector::dot(s, normal, a);
     if !PARALLEL {
         let rounding = s.load(&leaf.span) * vector::size(s, a);
@@ -130,14 +129,13 @@ fn prepare_as<S: Simd, const PARALLEL: bool, const CLOSEST: bool, const SETTLE: 
     alive
 }
 
-/// How far rounding may move the product of a triangle's normal and its distance from the apex, in rounding units of the
-/// product of the sizes of two sides and of the distance: 4 for the normal, 1 for the distance, and 3 for products and sums.
+/// How far rounding may move normal · (corner − apex), in rounding units of the product of two sides' sizes and that
+/// distance's size: 4 for the normal, 1 for the distance, 3 for products and sums.
 const APEX_ROUNDINGS: f32 = 8.0;
 
-/// The distances again for the triangles in `slots`, in f64: 0 where the plane holds the apex as far as rounding of the
-/// corners can tell. A lamp on a surface is not shadowed by it, a camera on one does not
-/// see it; and the sign of a distance turns the edges, so that a wrong
-/// one would let light through.
+/// Recomputes the distances of the triangles in `slots` in f64, and makes them 0 where the plane holds the apex as far
+/// as rounding of the corners can tell. So a surface does not shadow a lamp on it, and is not seen by a camera on it.
+/// The sign of a distance decides the signs of the edges: a wrong one would let light through.
 fn settle(leaf: &Leaf, projection: &Projection, slots: u8, distances: &mut F8) {
     let [u, v, w] = projection.axes;
     let [x, y, z] = projection.origin.map(f64::from);
@@ -176,7 +174,7 @@ fn of_slot<S: Simd>(s: S, k: &[F8; 3], slot: usize) -> V3<S> {
 #[derive(Clone, Copy)]
 pub(super) struct Edges<S: Simd> {
     edges: [V3<S>; 3],
-    /// Whether each rises with x, and with y: where over a rectangle it is highest.
+    /// Whether each rises with x, and with y. Tells the corner of a rectangle where it is highest.
     rising: [[bool; 2]; 3],
 }
 
@@ -198,20 +196,19 @@ impl Prepared {
     }
 }
 
-/// Whether triangle `slot`'s function of an edge rises with x, and with y.
+/// Whether triangle `slot`'s edge function rises with x, and with y.
 #[inline(always)]
 fn rising(k: &[F8; 3], slot: usize) -> [bool; 2] {
     [k[0].0[slot].is_sign_positive(), k[1].0[slot].is_sign_positive()]
 }
 
 impl<S: Simd> Edges<S> {
-    /// The values at eight points.
     #[inline(always)]
     pub(super) fn at(&self, s: S, x: S::F, y: S::F) -> V3<S> {
         [vector::at(s, self.edges[0], x, y), vector::at(s, self.edges[1], x, y), vector::at(s, self.edges[2], x, y)]
     }
 
-    /// Bit p: packet p of `group` may meet the triangle; packets are tested side by side, each by its bounds.
+    /// The packets of `group` that may hit the triangle, tested side by side by their bounds.
     #[inline(always)]
     pub(super) fn packets(&self, s: S, group: &Group) -> u8 {
         let inside = [self.highest(s, 0, group), self.highest(s, 1, group), self.highest(s, 2, group)];

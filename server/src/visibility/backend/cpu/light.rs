@@ -1,38 +1,31 @@
-//! Lights: at which surface points they matter, and how their shadow rays run.
+//! Lights: the surface points where they matter, and the directions of their shadow rays.
 
 use glam::Vec3;
 use gnomon_scene::{Light, LightKind};
 
-use super::{
-    group::PACKETS,
-    simd::Simd,
-    surface::{ROUNDING, Surface},
-    vector,
-};
+use super::{group::PACKETS, rounding::ROUNDING, simd::Simd, surface::Surface, vector};
 
 /// How far rounding may move a light's height above a shadow ray's start, in rounding units of Σ |lᵢ − sᵢ|: 1 for the
-/// normal, which has no coordinate above 1, 1 for the difference, 3 for products and sums. Twin: `FACING_ROUNDINGS` in visibility/primary.wgsl.
+/// normal, which has no coordinate above 1, 1 for the difference, 3 for products and sums. Twin: `FACING_ROUNDINGS` in
+/// visibility/primary.wgsl.
 const FACING_ROUNDINGS: f32 = 5.0;
 
-/// A light, ready for testing points against it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PreparedLight {
     /// Infinitely far away, along −`direction`.
     pub(super) directional: bool,
     /// So far from the scene that its rays are almost parallel.
-    pub(super) afar: bool,
-    /// Where it is.
+    pub(super) distant: bool,
     pub(super) position: Vec3,
-    /// Where it shines to; a unit vector.
+    /// Unit vector in which the light travels.
     pub(super) direction: Vec3,
-    /// Square of its range.
     range_squared: f32,
-    /// Cosine of its outer cone, for spots.
+    /// Cosine of the outer cone's angle, for spots.
     cos_outer: Option<f32>,
 }
 
 impl PreparedLight {
-    /// For a scene around `middle`, of whose coordinates none is farther from there than `size_m`.
+    /// `size_m` bounds the distance of the scene's coordinates from its `middle`.
     pub(super) fn new(light: &Light, middle: Vec3, size_m: f32) -> Self {
         let cos_outer = match light.kind {
             LightKind::Spot { outer_cone_rad, .. } => Some(outer_cone_rad.cos()),
@@ -40,17 +33,17 @@ impl PreparedLight {
         };
         Self {
             directional: light.kind == LightKind::Directional,
-            afar: light.position.distance(middle) > size_m,
+            distant: light.position.distance(middle) > size_m,
             position: light.position,
-            // One that is switched off reaches no place, and no normal faces it.
+            // A light that is switched off reaches no point, and no normal faces it.
             direction: if light.shines() { light.direction } else { Vec3::ZERO },
             range_squared: if light.shines() { light.range_m * light.range_m } else { -1.0 },
             cos_outer,
         }
     }
 
-    /// The rays of packet `p` that have to be traced: the light matters at their points, and these do not face away from
-    /// it. With them, the way from the light to each point (of no fixed length for directional lights).
+    /// The lanes of packet `p` that need a shadow ray: the light matters at their points, and these do not face away
+    /// from it.
     #[inline(always)]
     pub(super) fn rays<S: Simd>(&self, s: S, surface: &Surface, p: usize) -> u8 {
         let zero = s.splat(0.0);
@@ -83,7 +76,7 @@ impl PreparedLight {
         lanes
     }
 
-    /// The rays of `rays`, sorted by the cube face that they leave the light through: a group each.
+    /// The rays of each cube face around the light: a group each.
     #[inline(always)]
     pub(super) fn faces<S: Simd>(&self, s: S, surface: &Surface, rays: &[u8; PACKETS]) -> [[u8; PACKETS]; 6] {
         let mut faces = [[0; PACKETS]; 6];
@@ -101,7 +94,7 @@ impl PreparedLight {
     }
 }
 
-/// Which lanes' directions point to which face, as [`super::group::face_of`] has it.
+/// The lanes whose directions point to each face: [`super::group::face_of`] for eight directions.
 #[inline(always)]
 pub(super) fn lanes_by_face<S: Simd>(s: S, direction: [S::F; 3]) -> [u8; 6] {
     let [x, y, z] = [s.abs(direction[0]), s.abs(direction[1]), s.abs(direction[2])];

@@ -1,9 +1,10 @@
-//! Shadow rays that end far apart, sorted into groups and packets whose rays run close together.
+//! Sorts shadow rays that end far apart into groups and packets whose rays run close together.
 //!
-//! Neighbouring pixels see neighbouring points, except where one object ends before another: there a tile's shadow rays fan
-//! out from the light into two bundles or more, and a group that sweeps the space between them tests most of what it
-//! meets in vain. Seen from the light the rays are points of a plane, and a group's cost is the area that they spread
-//! over; so the points are cut in two wherever that saves area, and each part is sorted into packets of eight neighbours.
+//! Neighbouring pixels see neighbouring points, except at silhouettes. There a tile's shadow rays fan out from the
+//! light into two or more bundles, and a group that sweeps the space between them tests most of its nodes and triangles
+//! in vain. Seen from the light the rays are points of a plane, and a group's cost grows with the area that they spread
+//! over. So the points are split in two wherever that saves area, and each part is sorted into packets of eight
+//! neighbours.
 
 use super::{
     group::{Group, PACKETS, Projection},
@@ -14,18 +15,18 @@ use super::{
 /// Rays in a full group.
 const RAYS: usize = 8 * PACKETS;
 
-/// A part is cut in two when that leaves less than this share of its area.
+/// A part is split when that leaves less than this share of its area.
 const WORTH: f32 = 0.8;
 
-/// A group's rays, one after another: where they are on the plane, and which ray of the group each is.
+/// A group's rays in a list: x and y on the plane, and the ray's index in the group.
 pub(super) struct Regrouping {
     rays: [(f32, f32, u8); RAYS],
     count: usize,
-    /// Added to the sides of a part before they are multiplied: triangles have a size, too.
+    /// Added to the sides of a part when its area is computed, since triangles have a size too.
     padding: f32,
 }
 
-/// Ranges that follow each other, by their ends. Small, because it is made for every group.
+/// Consecutive ranges, stored as their ends. Small, because every group makes one.
 pub(super) struct Ranges {
     ends: [u8; RAYS],
     count: usize,
@@ -51,14 +52,13 @@ impl Iterator for Ranges {
 /// One of the new groups.
 pub(super) struct Part {
     pub(super) group: Group,
-    /// The rays' points, packed as the group is.
+    /// The rays' points, in the order of the group's packets.
     pub(super) points: Coordinates,
-    /// Which ray of the old group lane i of packet p is: 8 times its packet, plus its lane.
+    /// `places[p][i]`: the index in the old group of lane i of packet p, 8 times its packet plus its lane.
     places: [[u8; 8]; PACKETS],
 }
 
 impl Regrouping {
-    /// All rays of `group`.
     #[inline(always)]
     pub(super) fn of(group: &Group, padding: f32) -> Self {
         let mut this = Self { rays: [(0.0, 0.0, 0); RAYS], count: 0, padding };
@@ -73,16 +73,17 @@ impl Regrouping {
         this
     }
 
-    /// Sorts the rays; the result's ranges of `rays` are the new groups, each already in the order of its packets.
+    /// Sorts the rays. Each range of the result is a new group, in the order of its packets.
     pub(super) fn sort(&mut self) -> Ranges {
         let mut done = Ranges { ends: [0; RAYS], count: 0, next: 0, from: 0 };
-        // Parts still to be looked at follow each other, the first one last; each begins where the one after it ends.
+        // A stack of the ends of the parts that are left. The top part is the first; each begins where the one above it
+        // ends.
         let mut open = [0; RAYS];
         open[0] = self.count;
         let (mut left, mut from) = (1, 0);
         while left > 0 {
             let to = open[left - 1];
-            if let Some(middle) = self.cut(from, to) {
+            if let Some(middle) = self.split(from, to) {
                 open[left] = middle;
                 left += 1;
             } else {
@@ -98,8 +99,8 @@ impl Regrouping {
         done
     }
 
-    /// Cuts `from..to` in the middle of its longer side, if that is worth it: the place of the cut.
-    fn cut(&mut self, from: usize, to: usize) -> Option<usize> {
+    /// Splits `from..to` in the middle of its longer side and returns where, if that saves enough area.
+    fn split(&mut self, from: usize, to: usize) -> Option<usize> {
         let rays = &mut self.rays[from..to];
         if rays.len() < 2 {
             return None;
@@ -121,7 +122,8 @@ impl Regrouping {
         (parts < whole.area(self.padding) * WORTH).then_some(from + low)
     }
 
-    /// Sorts `from..to` so that each eight rays are neighbours: halves it across its longer side, at a multiple of eight.
+    /// Sorts `from..to` so that each eight rays are neighbours: halves it across its longer side at a multiple of
+    /// eight.
     fn pack(&mut self, from: usize, to: usize) {
         let rays = &mut self.rays[from..to];
         if rays.len() <= 8 {
@@ -138,7 +140,7 @@ impl Regrouping {
         self.pack(from + middle, to);
     }
 
-    /// The new group of the rays `from..to`, with their points out of the old group's.
+    /// The new group of the rays `from..to`. `points` are the old group's.
     #[inline(always)]
     pub(super) fn part<S: Simd>(
         &self,
@@ -167,8 +169,8 @@ impl Regrouping {
 }
 
 impl Part {
-    /// The rays that are left in the new group, as lanes of the old one.
-    pub(super) fn left(&self, old_lanes: &mut [u8; PACKETS]) {
+    /// Adds the rays that are left in the new group to the old group's lanes.
+    pub(super) fn add_left(&self, old_lanes: &mut [u8; PACKETS]) {
         for (lanes, places) in self.group.lanes.iter().zip(&self.places) {
             for (lane, place) in places.iter().enumerate() {
                 old_lanes[usize::from(place / 8)] |= (lanes >> lane & 1) << (place % 8);
@@ -199,14 +201,14 @@ impl Rectangle {
         let mut min = (f32::INFINITY, f32::INFINITY);
         let mut max = (f32::NEG_INFINITY, f32::NEG_INFINITY);
         for &(x, y, _) in rays {
-            // Written out, because `f32::min` also has NaN to think of.
+            // Comparisons, because `f32::min` also handles NaN.
             min = (if x < min.0 { x } else { min.0 }, if y < min.1 { y } else { min.1 });
             max = (if x > max.0 { x } else { max.0 }, if y > max.1 { y } else { max.1 });
         }
         Self { min, max }
     }
 
-    /// Whether x is the longer side, and the middle of that side.
+    /// Whether the longer side is along x, and its middle.
     fn longer_side(self) -> (bool, f32) {
         let along_x = self.max.0 - self.min.0 >= self.max.1 - self.min.1;
         (along_x, if along_x { (self.min.0 + self.max.0) * 0.5 } else { (self.min.1 + self.max.1) * 0.5 })
@@ -222,12 +224,12 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
-    use crate::visibility::backend::cpu::simd::{Level, Work};
+    use crate::visibility::backend::cpu::simd::{Level, WithSimd};
 
-    /// Regroups rays at `at`, ray i in place i where `at[i]` is any: the parts' places and points.
+    /// Regroups the rays that are given, ray i at place i. Returns each part's places and points.
     struct Regroup<'a>(&'a [Option<(f32, f32)>; RAYS]);
 
-    impl Work for Regroup<'_> {
+    impl WithSimd for Regroup<'_> {
         type Output = Vec<Vec<Vec<(u8, [f32; 3])>>>;
         #[inline(always)]
         fn run<S: Simd>(self, s: S) -> Self::Output {
@@ -252,7 +254,7 @@ mod tests {
             let mut left = [0; PACKETS];
             for range in regrouping.sort() {
                 let part = regrouping.part(s, range, group.projection, &points);
-                part.left(&mut left);
+                part.add_left(&mut left);
                 let packets = (0..PACKETS).filter(|&p| part.group.lanes[p] != 0).map(|p| {
                     let lanes = (0..8).filter(|lane| part.group.lanes[p] >> lane & 1 == 1);
                     lanes
@@ -278,7 +280,7 @@ mod tests {
             let parts = Level::detect().dispatch(Regroup(&at));
             let mut seen = [false; RAYS];
             for packets in &parts {
-                // All but the last part of a packet are full.
+                // All packets of a part but the last are full.
                 assert!(packets.iter().rev().skip(1).all(|packet| packet.len() == 8));
                 for &(place, point) in packets.iter().flatten() {
                     let (x, y) = at[usize::from(place)].unwrap();

@@ -1,10 +1,11 @@
-//! The surface points that camera rays met: where they are, how they face, and where shadow rays to them end.
+//! The surface points that camera rays hit: positions, normals, and the starts of their shadow rays.
 
 use glam::Vec3;
 use gnomon_scene::{Scene, triangle_normal};
 
 use super::{
     group::PACKETS,
+    rounding::ROUNDING,
     simd::{F8, Simd},
     vector,
 };
@@ -14,12 +15,12 @@ use super::{
 pub(super) struct Corners {
     positions: [[f32; 3]; 3],
     normals: [[f32; 3]; 3],
-    /// From f64: of a long thin triangle an f32 cross product loses most digits. Zero without an area.
+    /// Computed in f64: for long thin triangles an f32 cross product loses most digits. Zero without an area.
     geometric: [f32; 3],
 }
 
 impl Corners {
-    /// Those of all triangles that stop rays.
+    /// The corners of all triangles that stop rays.
     pub(super) fn of(scene: &Scene) -> Vec<Self> {
         scene
             .tracing_triangles()
@@ -47,29 +48,25 @@ impl Corners {
     }
 }
 
-/// The rounding unit of f32.
-pub(super) const ROUNDING: f32 = 1.0 / (1 << 24) as f32;
-
-/// How far above the surface shadow rays start, in rounding units of Σ |nᵢ|·Σₖ |wₖ|·|pₖᵢ| with unit normal n, corners p and
-/// weights w. Interpolation may take the point off the plane by 3 for its products and sums, by up to 8 because weights
-/// that do not sum to 1 scale it, and by 1 where the start is rounded. That is 12; errors of the weights themselves
-/// only slide the point along the plane. Twin: `OFFSET_ROUNDINGS` in visibility/primary.wgsl, where the 8 comes from.
+/// How far above the surface shadow rays start, in rounding units of Σ |nᵢ|·Σₖ |wₖ|·|pₖᵢ| with unit normal n, corners p
+/// and weights w. Interpolation may move the point off the plane by 3 for products and sums, by up to 8 because weights
+/// that do not sum to 1 scale it, and by 1 where the start is rounded. That is 12. Errors of the weights only slide the
+/// point along the plane. Twin: `OFFSET_ROUNDINGS` in visibility/primary.wgsl, which derives the 8.
 const OFFSET_ROUNDINGS: f32 = 16.0;
 
 /// Three coordinates of a tile's points, by packet.
 pub(super) type Coordinates = [[F8; PACKETS]; 3];
 
-/// A tile's surface points.
 pub(super) struct Surface {
-    /// Bit i of `lanes[p]`: ray i of packet p met a surface.
+    /// Bit i of `lanes[p]`: ray i of packet p hit a surface.
     pub(super) lanes: [u8; PACKETS],
-    /// The points, interpolated.
+    /// Interpolated points.
     pub(super) point: Coordinates,
-    /// The points, pushed off the surface.
+    /// The points pushed off the surface: starts of shadow rays.
     pub(super) pushed: Coordinates,
     /// Unit normals of the triangles, towards the camera.
     pub(super) geometric: Coordinates,
-    /// Interpolated normals, not normalised, negated where the back was met.
+    /// Interpolated normals, not normalised, negated where the back was hit.
     pub(super) shading: Coordinates,
 }
 
@@ -81,7 +78,8 @@ impl Default for Surface {
 }
 
 impl Surface {
-    /// Fills in packet `p`, whose rays leave `apex` along `direction` and met `triangles` (in `lanes`; any triangle elsewhere).
+    /// Fills packet `p`, whose rays leave `apex` along `direction` and hit `triangles`. Outside `lanes` these may be
+    /// any triangles.
     #[inline(always)]
     pub(super) fn set_packet<S: Simd>(
         &mut self,
@@ -118,7 +116,7 @@ impl Surface {
         let from_a = vector::sub::<S>(a, apex);
         let from_b = vector::sub::<S>(b, apex);
         let from_c = vector::sub::<S>(c, apex);
-        // The edge functions, as in `leaf`: the corners' weights, but for a common factor.
+        // The edge functions as in `leaf`: the corners' weights up to a common factor.
         let weights = [
             vector::dot(s, direction, vector::cross_of_edge(s, from_b, from_c)),
             vector::dot(s, direction, vector::cross_of_edge(s, from_c, from_a)),
@@ -128,10 +126,10 @@ impl Surface {
         let weights = vector::scale::<S>(weights, s.div(s.splat(1.0), sum));
 
         let normal = vector::load(s, &geometric);
-        // Negative where the normal points away from the camera, so that the back was met.
+        // Negative where the normal points away from the camera: the back was hit.
         let facing = s.splat(0.0) - vector::dot(s, normal, from_a);
         let geometric = vector::xor_sign(s, normal, facing);
-        // Of a thin triangle seen nearly edge-on, weights may come out negative and larger than 1.
+        // Weights of a thin triangle seen nearly edge-on may be negative or larger than 1.
         let sizes = [s.abs(weights[0]), s.abs(weights[1]), s.abs(weights[2])];
         let mut terms = s.splat(0.0);
         let mut point = [s.splat(0.0); 3];
@@ -157,12 +155,12 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::visibility::backend::cpu::simd::{Level, Work};
+    use crate::visibility::backend::cpu::simd::{Level, WithSimd};
 
     /// Starts of shadow rays from the packet's eight points.
     struct Starts<'a>(&'a [Corners], Vec3, [F8; 3]);
 
-    impl Work for Starts<'_> {
+    impl WithSimd for Starts<'_> {
         type Output = [DVec3; 8];
         #[inline(always)]
         fn run<S: Simd>(self, s: S) -> [DVec3; 8] {
@@ -207,7 +205,7 @@ mod tests {
             for level in [Level::detect(), Level::Portable] {
                 let starts = level.dispatch(Starts(&corners, eye, direction));
                 for ([a, b, c], start) in triangles.iter().zip(starts) {
-                    // Without an area: the loader leaves such triangles out.
+                    // The loader drops triangles without an area.
                     let Some(normal) = triangle_normal(*a, *b, *c) else { continue };
                     let [a, b, c] = [a, b, c].map(|corner| corner.as_dvec3());
                     let normal = if normal.dot(a - eye.as_dvec3()) > 0.0 { -normal } else { normal };
@@ -218,7 +216,7 @@ mod tests {
             }
         }
         heights.sort_by(f64::total_cmp);
-        // All but those few that are seen nearly edge-on, so that their weights mean little.
+        // Leaves out the few that are seen nearly edge-on, whose weights mean little.
         let most = heights[heights.len() * 99 / 100] / f64::from(ROUNDING);
         assert!(most <= 32.0, "{most} roundings of the largest coordinates");
     }

@@ -1,11 +1,14 @@
 //! The back end against a brute-force f64 tracer, and against shapes whose answer is known without one.
 
+use std::num::NonZeroUsize;
+
 use glam::{DVec3, Vec2, Vec3, Vec4};
-use gnomon_protocol::mask::MaskShape;
-use gnomon_scene::{Aabb, Draw, Image, Light, LightKind, Material, Texture, Wrap};
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap, camera::Camera};
 
 use self::brute::Brute;
-use super::*;
+use super::{backend::CpuBackend, simd::Level};
+use crate::visibility::{TraceCost, backend::BackendError};
 
 mod brute;
 mod real;
@@ -188,7 +191,8 @@ fn the_medley_agrees_with_brute_force_on_every_level() {
         let backend = CpuBackend::with_level(&scene, NonZeroUsize::new(2), level).unwrap();
         let (wrong, relevant) = disagreement(&scene, &backend, &camera);
         assert!(relevant > 20_000, "{relevant}");
-        // One in a thousand is the promise; a test that cannot see a missing triangle would be worthless, hence the next.
+        // One in a thousand is the promise; a test that cannot see a missing triangle would be worthless, hence the
+        // next.
         assert!(wrong * 1000 <= relevant, "{}: {wrong} of {relevant} bits differ", level.name());
     }
     let mut poorer = scene.clone();

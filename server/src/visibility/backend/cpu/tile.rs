@@ -2,39 +2,21 @@
 
 use std::time::{Duration, Instant};
 
-use glam::Vec3;
 use gnomon_protocol::mask::TILE_PX;
 use gnomon_scene::camera::RayBasis;
 
 use super::{
-    alpha::Alpha,
     count::Counter,
     group::{Group, PACKETS, Projection},
     light::{PreparedLight, lanes_by_face},
     regroup::Regrouping,
     simd::{F8, Simd},
-    surface::{Coordinates, Corners, Surface},
-    traverse::{Hits, Scratch, closest, occlude},
+    surface::{Coordinates, Surface},
+    traverse::{Hits, Scratch, intersect, occluded},
     vector,
+    world::World,
 };
-use crate::visibility::{
-    backend::sampling::{Sampling, fill},
-    hierarchy::bvh::{Child, WideBvh},
-};
-
-/// Everything that tracing reads.
-pub(super) struct World {
-    pub(super) bvh: WideBvh,
-    pub(super) corners: Vec<Corners>,
-    pub(super) alpha: Alpha,
-    pub(super) lights: Vec<PreparedLight>,
-    /// Which pixels have shadow rays of their own.
-    pub(super) sampling: Sampling,
-    /// Middle of the scene: where parallel rays are measured from.
-    pub(super) middle: Vec3,
-    /// No coordinate of the scene is farther than this from its middle, even sheared.
-    pub(super) size_m: f32,
-}
+use crate::visibility::hierarchy::bvh::Child;
 
 /// The picture that a tile is a part of.
 #[derive(Clone, Copy)]
@@ -44,16 +26,14 @@ pub(super) struct Picture {
     pub(super) height: u32,
 }
 
-/// What a tile cost.
+/// Time and work of tiles.
 #[derive(Debug, Default)]
 pub(super) struct TileCost<C> {
     pub(super) primary: Duration,
     pub(super) shadow: Duration,
     pub(super) shadow_rays: u64,
-    /// What the camera rays' traversal did.
-    pub(super) primary_work: C,
-    /// What the shadow rays' traversal did.
-    pub(super) shadow_work: C,
+    pub(super) primary_stats: C,
+    pub(super) shadow_stats: C,
 }
 
 /// Memory that a thread uses for one tile after another.
@@ -62,7 +42,7 @@ pub(super) struct TileScratch {
     hits: Hits,
     surface: Surface,
     traversal: Scratch,
-    /// What last stopped a shadow ray, by light.
+    /// The child that last stopped a shadow ray, by light.
     blockers: [Child; 32],
 }
 
@@ -88,27 +68,13 @@ fn word_bits(p: usize, lanes: u8) -> u64 {
     u64::from(lanes & 15) << row | u64::from(lanes >> 4) << (row + 8)
 }
 
-/// A pixel's packet, and its lane there: the inverse of [`word_bits`].
-fn place_of(bit: u32) -> (usize, usize) {
-    let (x, y) = ((bit % 8) as usize, (bit / 8) as usize);
-    (y / 2 * 2 + x / 4, y % 2 * 4 + x % 4)
-}
-
-/// The pixels of a word as lanes of packets.
-fn word_lanes(word: u64) -> [u8; PACKETS] {
-    PACKET_CORNERS.map(|(x, y)| {
-        let rows = word >> (8 * y + x);
-        (rows & 15 | (rows >> 8 & 15) << 4).to_le_bytes()[0]
-    })
-}
-
-/// Sides of a picture are at most 4096 pixels, so every centre is exact.
+/// Exact: a picture's sides are at most 4096 pixels.
 #[expect(clippy::cast_precision_loss, reason = "pixel coordinates are below 2^24")]
 fn float(x: u32) -> f32 {
     x as f32
 }
 
-/// Traces tile (`tile_x`, `tile_y`); `write` is told each light's word.
+/// Traces tile (`tile_x`, `tile_y`) and calls `write` with each light's index and word.
 #[inline(always)]
 pub(super) fn trace_tile<S: Simd, C: Counter>(
     s: S,
@@ -142,7 +108,7 @@ pub(super) fn trace_tile<S: Simd, C: Counter>(
             let inverse = s.div(s.splat(1.0), z);
             group.set_packet(s, p, x * inverse, y * inverse, lanes[p]);
         }
-        closest(s, world, &group, hits, traversal, &mut cost.primary_work);
+        intersect(s, world, &group, hits, traversal, &mut cost.primary_stats);
     }
     for (p, &present) in present.iter().enumerate() {
         let hit = s.bits(s.gt(s.load(&hits.inverse_depth[p]), s.splat(0.0))) & present;
@@ -158,36 +124,15 @@ pub(super) fn trace_tile<S: Simd, C: Counter>(
             rays[p] = light.rays(s, surface, p);
         }
         traversal.blocker = blockers[plane];
-        let sampling = world.sampling;
-        let mut wanted = 0;
-        if sampling != Sampling::All {
-            wanted = rays.iter().enumerate().fold(0, |word, (p, &lanes)| word | word_bits(p, lanes));
-            rays = word_lanes(wanted & sampling.own());
-        }
-        let mut word = 0;
-        // The call stands once, and in no closure: only so do its instructions become part of this function.
-        for is_last in [sampling == Sampling::All, true] {
-            cost.shadow_rays += rays.iter().map(|lanes| u64::from(lanes.count_ones())).sum::<u64>();
-            word |= light_tile(s, world, light, &rays, surface, traversal, &mut cost.shadow_work);
-            if is_last {
-                break;
-            }
-            let pixel = picture.basis.right.length() * 2.0 / float(picture.width);
-            let filled = fill(sampling, wanted, word, |bit| {
-                let (p, lane) = place_of(bit);
-                let at = Vec3::from_array([0, 1, 2].map(|axis: usize| surface.pushed[axis][p].0[lane]));
-                (at, at.distance(picture.basis.origin) * pixel)
-            });
-            word |= filled.lit;
-            rays = word_lanes(filled.undecided);
-        }
+        cost.shadow_rays += rays.iter().map(|lanes| u64::from(lanes.count_ones())).sum::<u64>();
+        let word = light_tile(s, world, light, &rays, surface, traversal, &mut cost.shadow_stats);
         write(plane, word);
         blockers[plane] = traversal.blocker;
     }
     cost.shadow += traced.elapsed();
 }
 
-/// The directions of a tile's camera rays, and which of them lie in the picture.
+/// Writes the directions of a tile's camera rays. Returns the lanes inside the picture.
 #[inline(always)]
 fn aim<S: Simd>(
     s: S,
@@ -217,7 +162,7 @@ fn aim<S: Simd>(
     present
 }
 
-/// The word of the tile's pixels that `light` reaches, out of those in `rays`.
+/// Traces the shadow rays `rays` of a light. Returns the tile's word: the pixels that the light reaches.
 #[inline(always)]
 fn light_tile<S: Simd, C: Counter>(
     s: S,
@@ -232,11 +177,11 @@ fn light_tile<S: Simd, C: Counter>(
         return 0;
     }
     let points = &surface.pushed;
-    if light.directional || light.afar {
+    if light.directional || light.distant {
         let projection = if light.directional {
             Projection::along(light.direction, world.middle)
         } else {
-            Projection::from_afar(light.position, world.middle)
+            Projection::from_distant(light.position, world.middle)
         };
         let mut group = Group::empty(projection);
         for p in (0..PACKETS).filter(|&p| rays[p] != 0) {
@@ -265,14 +210,14 @@ fn light_tile<S: Simd, C: Counter>(
     word
 }
 
-/// Sides of a group, on the plane, from which on its rays are sorted: as an angle's tangent for rays from an apex, and
-/// relative to the scene's size for parallel ones.
+/// Groups with longer sides are regrouped. A tangent for rays from an apex, relative to the scene's size for parallel
+/// rays.
 const WIDE: f32 = 0.03;
 const WIDE_PARALLEL: f32 = 0.003;
-/// Padding of their parts' sides, relative to those.
+/// Padding of a part's sides, relative to that length.
 const PADDING: f32 = 0.3;
 
-/// The word of the pixels whose rays in `group` reach their points.
+/// Traces a group of shadow rays. Returns the pixels whose rays reach their points.
 #[inline(always)]
 fn trace_group<S: Simd, C: Counter, const PARALLEL: bool>(
     s: S,
@@ -289,12 +234,12 @@ fn trace_group<S: Simd, C: Counter, const PARALLEL: bool>(
         let mut left = [0; PACKETS];
         for range in regrouping.sort() {
             let mut part = regrouping.part(s, range, group.projection, points);
-            occlude::<S, C, PARALLEL>(s, world, &mut part.group, &part.points, scratch, count);
-            part.left(&mut left);
+            occluded::<S, C, PARALLEL>(s, world, &mut part.group, &part.points, scratch, count);
+            part.add_left(&mut left);
         }
         group.lanes = left;
     } else {
-        occlude::<S, C, PARALLEL>(s, world, &mut group, points, scratch, count);
+        occluded::<S, C, PARALLEL>(s, world, &mut group, points, scratch, count);
     }
     group.lanes.iter().enumerate().fold(0, |word, (p, &lanes)| word | word_bits(p, lanes))
 }
@@ -322,10 +267,6 @@ mod tests {
                 let bits = word_bits(p, 1 << lane);
                 assert_eq!(bits, 1 << (8 * (y + lane / 4) + x + lane % 4));
                 assert_eq!(seen & bits, 0);
-                assert_eq!(place_of(bits.trailing_zeros()), (p, lane as usize));
-                let mut lanes = [0; PACKETS];
-                lanes[p] = 1 << lane;
-                assert_eq!(word_lanes(bits), lanes);
                 seen |= bits;
             }
         }

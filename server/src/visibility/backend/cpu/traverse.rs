@@ -1,4 +1,5 @@
-//! The way of a group of rays through the tree: nearest triangles, or whether anything is in the way.
+//! A group of rays on its way through the tree: [`intersect`] finds the nearest triangles, [`occluded`] whether any
+//! triangle stops a ray.
 
 use super::{
     alpha::Alpha,
@@ -6,19 +7,19 @@ use super::{
     frustum::Frustum,
     group::{Group, PACKETS},
     leaf::{Prepared, prepare},
+    rounding::{PLANE_ROUNDINGS, ROUNDING},
     simd::{F8, Simd},
-    surface::ROUNDING,
-    tile::World,
     vector,
+    world::World,
 };
 use crate::visibility::hierarchy::bvh::{Child, Leaf, Node};
 
-/// Memory that a thread uses again and again.
+/// Memory that a thread reuses from group to group.
 pub(super) struct Scratch {
-    /// What is still to be visited, and where its box begins along z.
+    /// What is left to visit, and where its box begins along z.
     stack: Vec<(Child, f32)>,
     prepared: Prepared,
-    /// What last stopped a shadow ray to the light that is being traced: the first thing to try.
+    /// The child that last stopped a shadow ray to this light. It is visited first.
     pub(super) blocker: Child,
 }
 
@@ -28,11 +29,11 @@ impl Default for Scratch {
     }
 }
 
-/// Nearest triangles.
+/// The nearest triangles.
 pub(super) struct Hits {
-    /// 1/z of the nearest hit, by packet; 0 without one.
+    /// 1/z of each ray's nearest hit, by packet; 0 without one.
     pub(super) inverse_depth: [F8; PACKETS],
-    /// Index of the triangle hit.
+    /// Index of the triangle that was hit.
     pub(super) triangle: [[u32; 8]; PACKETS],
 }
 
@@ -42,13 +43,13 @@ impl Default for Hits {
     }
 }
 
-/// Relative error of 1/z that a box may be culled with.
+/// Boxes are culled with this margin, since 1/z has a relative error.
 const DEPTH_SLACK: f32 = 1.0 + 1.0 / (1 << 20) as f32;
 
-/// Finds the nearest triangle of every ray in `group`, which starts at an apex. `hits` may hold hits of other groups'
-/// rays; this group's must be empty.
+/// Finds the nearest triangle of every ray in `group`, whose rays start at an apex. `hits` may hold the hits of other
+/// groups' rays; this group's must be empty.
 #[inline(always)]
-pub(super) fn closest<S: Simd, C: Counter>(
+pub(super) fn intersect<S: Simd, C: Counter>(
     s: S,
     world: &World,
     group: &Group,
@@ -57,7 +58,7 @@ pub(super) fn closest<S: Simd, C: Counter>(
     count: &mut C,
 ) {
     let frustum = Frustum::new::<false>(s, group, 0.0);
-    // The least 1/z that still matters, by packet and over all: what every ray of it has found already.
+    // The least 1/z that still matters, by packet and over all: that of the farthest hit, 0 while a ray has none.
     let mut packet_far = F8([f32::INFINITY; PACKETS]);
     for p in 0..PACKETS {
         if group.packets >> p & 1 == 1 {
@@ -107,7 +108,7 @@ pub(super) fn closest<S: Simd, C: Counter>(
                 count.candidate();
                 if leaf.masked >> slot & 1 == 1 {
                     count.alpha(lanes.count_ones());
-                    lanes = there(s, &world.alpha, leaf.triangles[slot], edges, lanes);
+                    lanes = alpha_filter(s, &world.alpha, leaf.triangles[slot], edges, lanes);
                     if lanes == 0 {
                         continue;
                     }
@@ -131,10 +132,10 @@ pub(super) fn closest<S: Simd, C: Counter>(
     }
 }
 
-/// Takes from `group` every ray that something stops before it ends at its point in `points` (scene axes, by packet).
-/// What stays reaches its point.
+/// Removes from `group` every ray that a triangle stops before it ends at its point in `points` (scene axes, by
+/// packet). The rays that are left reach their points.
 #[inline(always)]
-pub(super) fn occlude<S: Simd, C: Counter, const PARALLEL: bool>(
+pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
     s: S,
     world: &World,
     group: &mut Group,
@@ -185,10 +186,10 @@ pub(super) fn occlude<S: Simd, C: Counter, const PARALLEL: bool>(
                 count.candidate();
                 let back = prepared.back >> slot & 1 == 1;
                 let normal = world.corners[leaf.triangles[slot] as usize].geometric();
-                lanes &= s.bits(beyond(s, normal, leaf, slot, back, vector::load_packet(s, points, p)));
+                lanes &= s.bits(behind_plane(s, normal, leaf, slot, back, vector::load_packet(s, points, p)));
                 if lanes != 0 && leaf.masked >> slot & 1 == 1 {
                     count.alpha(lanes.count_ones());
-                    lanes = there(s, &world.alpha, leaf.triangles[slot], edges, lanes);
+                    lanes = alpha_filter(s, &world.alpha, leaf.triangles[slot], edges, lanes);
                 }
                 if lanes == 0 {
                     continue;
@@ -206,19 +207,19 @@ pub(super) fn occlude<S: Simd, C: Counter, const PARALLEL: bool>(
     }
 }
 
-/// Puts the children that the group can meet on the stack, the nearest on top.
+/// Pushes the children that the group may hit, the nearest last.
 #[inline(always)]
 fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: S::F, stack: &mut Vec<(Child, f32)>) {
-    let (mut met, z) = frustum.meet(s, node, z_far);
-    if met == 0 {
+    let (mut hit, z) = frustum.intersect(s, node, z_far);
+    if hit == 0 {
         return;
     }
     let mut near = F8::default();
     s.store(z, &mut near);
     let first = stack.len();
-    while met != 0 {
-        let slot = met.trailing_zeros() as usize % 8;
-        met &= met - 1;
+    while hit != 0 {
+        let slot = hit.trailing_zeros() as usize % 8;
+        hit &= hit - 1;
         let entry = (node.child(slot), near.0[slot]);
         stack.push(entry);
         let mut place = stack.len() - 1;
@@ -230,7 +231,7 @@ fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: S:
     }
 }
 
-/// How far along z the farthest of the group's points is, rounded up.
+/// The z of the group's farthest point, rounded up.
 #[inline(always)]
 fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
     let projection = &group.projection;
@@ -245,17 +246,10 @@ fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
     far + far.abs() * (DEPTH_SLACK - 1.0)
 }
 
-/// How far rounding may move the distance of a point from a triangle's plane, in rounding units of the distance's terms: see
-/// [`beyond`]. Twin: `PLANE_ROUNDINGS` in shared/ray.wgsl.
-pub(super) const PLANE_ROUNDINGS: f32 = 6.0;
-
-/// Which points lie beyond the plane of triangle `slot`, seen along the rays, by more than rounding can account for.
-///
-/// With a corner a and the unit normal n the distance is n·(p − a), computed near the triangle and not near the light. n comes
-/// from f64, and is exact but for its rounding to f32, so that long thin triangles have a plane as sharp as any. Each term is
-/// off by 1 rounding of n, 1 of p − a and 3 of the products and sums, contracted or not: 5, and one more for the bound itself.
+/// The points that lie behind the plane of triangle `slot`, seen along the rays, by more than rounding can account for
+/// ([`PLANE_ROUNDINGS`]).
 #[inline(always)]
-fn beyond<S: Simd>(s: S, normal: [f32; 3], leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
+fn behind_plane<S: Simd>(s: S, normal: [f32; 3], leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
     let mut distance = s.splat(0.0);
     let mut terms = s.splat(0.0);
     for axis in 0..3 {
@@ -267,17 +261,17 @@ fn beyond<S: Simd>(s: S, normal: [f32; 3], leaf: &Leaf, slot: usize, back: bool,
     s.gt(distance, terms * s.splat(PLANE_ROUNDINGS * ROUNDING))
 }
 
-/// The lanes whose point of a MASK triangle is there.
+/// The lanes whose hit of a MASK triangle passes its alpha test.
 #[inline(always)]
-fn there<S: Simd>(s: S, alpha: &Alpha, triangle: u32, edges: [S::F; 3], lanes: u8) -> u8 {
+fn alpha_filter<S: Simd>(s: S, alpha: &Alpha, triangle: u32, edges: [S::F; 3], lanes: u8) -> u8 {
     let mut weights = [F8::default(); 3];
     s.store(edges[0], &mut weights[0]);
     s.store(edges[1], &mut weights[1]);
     s.store(edges[2], &mut weights[2]);
     let mut kept = 0;
     for lane in (0..8).filter(|lane| lanes >> lane & 1 == 1) {
-        let present = alpha.is_there(triangle, weights.each_ref().map(|weight| weight.0[lane]));
-        kept |= u8::from(present) << lane;
+        let passes = alpha.passes(triangle, weights.each_ref().map(|weight| weight.0[lane]));
+        kept |= u8::from(passes) << lane;
     }
     kept
 }

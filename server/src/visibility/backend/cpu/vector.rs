@@ -1,8 +1,7 @@
 //! Vectors of three, eight side by side.
 //!
-//! Small functions instead of closures and `map`: a closure is a function of its own, compiled without the instructions of
-//! the level that it is used on, and the optimiser then calls every single operation of it. `#[inline(always)]`
-//! functions have no such life of their own.
+//! These are `#[inline(always)]` functions instead of closures and `map`. A closure is compiled as a function of its
+//! own, without the instructions of the level that it is used on, and every operation in it becomes a call.
 
 use super::simd::{F8, Simd};
 

@@ -1,39 +1,57 @@
-//! When the device fails: its sessions move to another engine or stay, and the device, its pipelines and its buffers are made anew.
+//! Recovery from failures. A panic closes the session whose frame it was. When the device fails, its sessions move to
+//! other engines or stay, and the device, its pipelines and its buffers are made anew.
 
 use std::{sync::atomic::Ordering, time::Duration};
 
-use gnomon_protocol::mask::MaskShape;
+use super::state::Worker;
+use crate::visibility::{
+    backend::BackendError,
+    engine::{
+        shared::PendingSession,
+        tracer::{Job, TraceError},
+    },
+    schedule::scheduler::SessionKey,
+};
 
-use super::{Backend, BackendError, Opening, Worker};
-
-/// A device that is lost so often without tracing a mask in between is not made anew again.
+/// Losses without a traced mask in between after which the device is given up.
 const MAX_LOSSES_IN_A_ROW: u32 = 3;
 
-/// Time that a driver gets to come to itself before it is asked again.
+/// Time that a driver gets to recover before it is asked again.
 const PAUSE: Duration = Duration::from_millis(100);
 
 impl Worker {
-    /// Goes on after a failure of the device. Whether there is a device to go on with is the answer.
-    pub(super) fn recover(&mut self, error: BackendError) -> bool {
+    /// Goes on after a failure. Returns false when the device is given up.
+    pub(super) fn recover(&mut self, failure: TraceError) -> bool {
+        let (error, job) = match failure {
+            TraceError::Device { error, job } => (error, job.map(|job| *job)),
+            TraceError::Panicked { job } => {
+                self.close_panicked(job.session);
+                if self.tracer.survives_panics() {
+                    return true;
+                }
+                (BackendError::Device("tracing panicked".to_owned()), None)
+            }
+        };
         self.shared.lost.store(true, Ordering::Release);
         self.shared.losses.fetch_add(1, Ordering::Relaxed);
-        self.keep_lost_requests();
+        self.keep_lost_requests(job);
         let mut reason = error;
         loop {
-            self.losses += 1;
-            tracing::error!(error = %reason, sessions = self.sessions.len(), in_a_row = self.losses, "the device is lost");
-            // What it was made of goes before anything new is asked for.
-            self.backend = Backend::Gone;
+            self.losses_in_a_row += 1;
+            let (sessions, in_a_row) = (self.sessions.len(), self.losses_in_a_row);
+            tracing::error!(error = %reason, sessions, in_a_row, "the device is lost");
+            // All of the old device must be gone before a new one is opened.
+            self.tracer.lose();
             self.move_sessions();
-            if self.losses >= MAX_LOSSES_IN_A_ROW {
+            if self.losses_in_a_row >= MAX_LOSSES_IN_A_ROW {
                 tracing::error!(error = %reason, sessions = self.sessions.len(), "tracing has ended");
                 self.shared.end(reason.to_string());
                 return false;
             }
-            if self.losses > 1 {
+            if self.losses_in_a_row > 1 {
                 std::thread::sleep(PAUSE);
             }
-            match self.open_again() {
+            match self.reopen() {
                 Ok(()) => break,
                 Err(error) => reason = error,
             }
@@ -43,23 +61,36 @@ impl Worker {
         true
     }
 
-    fn open_again(&mut self) -> Result<(), BackendError> {
-        self.backend = (self.reopen)()?;
-        let shapes: Vec<MaskShape> = self.shapes().collect();
-        match &mut self.backend {
-            Backend::Compute(backend) => backend.fit(shapes),
-            Backend::Cpu(_) | Backend::Gone => Ok(()),
+    pub(super) fn close_panicked(&mut self, session: SessionKey) {
+        tracing::error!(engine_session = session, "tracing panicked: the session is closed");
+        self.close(session);
+    }
+
+    fn reopen(&mut self) -> Result<(), BackendError> {
+        self.tracer = (self.open_again)()?;
+        self.shrink_buffers()
+    }
+
+    /// Drops the device. The frames that it had are lost, but each session's newest request is kept, to be traced again
+    /// unless a newer one comes. `job` is the one that was worked on: newer than the same session's frames in flight.
+    fn keep_lost_requests(&mut self, job: Option<Job>) {
+        self.restart_partial_frames();
+        self.scheduler.lost_all();
+        let in_flight = self.tracer.lose();
+        for job in job.into_iter().chain(in_flight.into_iter().rev()) {
+            if let Some(session) = self.sessions.get_mut(&job.session) {
+                session.opened.retry.get_or_insert(job.request);
+            }
         }
     }
 
-    /// Frames in flight are lost; the poses that they were for are not, unless there are newer ones.
-    fn keep_lost_requests(&mut self) {
-        self.begin_anew();
-        self.scheduler.lost_all();
-        // The newest first: what had begun is newer still.
-        for job in self.flying.drain(..).rev() {
-            if let Some(session) = self.sessions.get_mut(&job.session) {
-                session.opening.retry.get_or_insert(job.request);
+    /// Drops the frames that have begun and are not wholly submitted. Their requests are traced again, unless newer
+    /// ones come.
+    pub(super) fn restart_partial_frames(&mut self) {
+        for (&key, session) in &mut self.sessions {
+            if let Some(partial) = session.partial.take() {
+                session.opened.retry = Some(partial.job.request);
+                self.scheduler.abandoned(key);
             }
         }
     }
@@ -67,18 +98,16 @@ impl Worker {
     /// Gives the sessions to engines whose devices are well, as far as these take them.
     fn move_sessions(&mut self) {
         self.remove_closed();
-        let waiting: Vec<Opening> = self.openings.try_iter().collect();
-        let keys: Vec<_> = self.sessions.keys().copied().collect();
-        let seated = keys.into_iter().filter_map(|key| {
+        let pending: Vec<PendingSession> = self.pending.try_iter().collect();
+        let keys: Vec<SessionKey> = self.sessions.keys().copied().collect();
+        let active = keys.into_iter().filter_map(|key| {
             self.scheduler.remove(key);
             self.sessions.remove(&key)
         });
-        let all: Vec<Opening> = seated.map(|session| session.opening).chain(waiting).collect();
-        for opening in all {
-            if let Some(opening) = self.shared.hand_over(opening) {
-                self.scheduler.insert(self.next_key, opening.costs.expected_ms());
-                self.sessions.insert(self.next_key, super::Seated::new(opening));
-                self.next_key += 1;
+        let all: Vec<PendingSession> = active.map(|session| session.opened).chain(pending).collect();
+        for session in all {
+            if let Some(session) = self.shared.hand_over(session) {
+                self.insert(session);
             }
         }
     }

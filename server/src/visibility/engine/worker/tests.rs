@@ -1,16 +1,35 @@
-//! Frames in parts, step by step: what comes between two parts changes no bit, and nobody waits for the whole of a long frame.
+//! Frames in parts, step by step: work between two parts changes no bit, and no session waits for the whole of a long
+//! frame.
 
 use std::{
-    sync::mpsc::{SyncSender, sync_channel},
-    time::Instant,
+    sync::{
+        Arc,
+        mpsc::{SyncSender, sync_channel},
+    },
+    time::{Duration, Instant},
 };
 
 use glam::DVec3;
-use gnomon_protocol::ids::FrameNumber;
+use gnomon_protocol::{
+    ids::FrameNumber,
+    mask::{Mask, MaskShape},
+};
+use gnomon_scene::camera::Camera;
 
-use super::*;
+use super::state::Worker;
 use crate::visibility::{
-    engine::port::{SessionPort, session_port},
+    TraceRequest, TracedMask,
+    backend::{
+        BackendError,
+        compute::{ComputeBackend, RING_FRAMES, SLOTS},
+        cpu::CpuBackend,
+    },
+    engine::{
+        port::{SessionPort, session_port},
+        shared::{PendingSession, SessionPermit, Shared},
+        tracer::{TraceError, Tracer},
+    },
+    schedule::costs::SessionCosts,
     test_scenes::room,
 };
 
@@ -20,16 +39,16 @@ const SHORT: (u32, u32, f64) = (64, 40, 0.05);
 
 struct Rig {
     worker: Worker,
-    openings: SyncSender<Opening>,
+    pending: SyncSender<PendingSession>,
     shared: Arc<Shared>,
 }
 
-fn cpu() -> Backend {
-    Backend::Cpu(Box::new(CpuBackend::new(&room(), None).unwrap()))
+fn cpu() -> Tracer {
+    Tracer::on_cpu(CpuBackend::new(&room(), None).unwrap())
 }
 
-fn compute() -> Backend {
-    Backend::Compute(Box::new(ComputeBackend::open(&room(), None, true).unwrap()))
+fn compute() -> Tracer {
+    Tracer::on_device(ComputeBackend::open(&room(), None, true).unwrap())
 }
 
 fn shape((width, height, _): (u32, u32, f64)) -> MaskShape {
@@ -50,24 +69,26 @@ fn ask(port: &SessionPort, frame: u32, kind: (u32, u32, f64)) {
 }
 
 impl Rig {
-    fn new(backend: Backend) -> Self {
-        let (openings, openings_end) = sync_channel(8);
+    fn new(tracer: Tracer) -> Self {
+        let (pending, pending_end) = sync_channel(8);
         let shared = Arc::new(Shared::default());
         let reopen = Box::new(|| Err(BackendError::Setup("no other".into())));
-        Self { worker: Worker::new(backend, reopen, openings_end, Arc::clone(&shared)), openings, shared }
+        Self { worker: Worker::new(tracer, reopen, pending_end, Arc::clone(&shared)), pending, shared }
     }
 
     fn open(&mut self, kind: (u32, u32, f64)) -> SessionPort {
         let costs = Arc::new(SessionCosts::new(shape(kind), None, kind.2));
         let (port, engine_port) = session_port(std::thread::current(), Arc::clone(&costs));
-        let seat = Seat::take(&self.shared, &costs, |_| Ok::<_, ()>(())).unwrap();
-        self.openings.send(Opening { shape: shape(kind), port: engine_port, costs, seat, retry: None }).unwrap();
-        self.worker.take_up_openings().unwrap();
+        let permit = SessionPermit::acquire(&self.shared, &costs, |_| Ok::<_, ()>(())).unwrap();
+        self.pending
+            .send(PendingSession { shape: shape(kind), port: engine_port, costs, permit, retry: None })
+            .unwrap();
+        expect(self.worker.take_up_sessions());
         port
     }
 
     /// Works until there is a mask.
-    fn mask(&mut self, port: &mut SessionPort) -> crate::visibility::TracedMask {
+    fn mask(&mut self, port: &mut SessionPort) -> TracedMask {
         loop {
             if let Ok(traced) = port.masks.try_recv() {
                 return traced;
@@ -78,25 +99,33 @@ impl Rig {
 
     /// Does one piece of work, or waits for one that the device does.
     fn step(&mut self) {
-        if !self.worker.work().unwrap() {
-            self.worker.land(Duration::from_millis(1)).unwrap();
+        if !self.work() {
+            expect(self.worker.land(Duration::from_millis(1)));
         }
+    }
+
+    fn work(&mut self) -> bool {
+        expect(self.worker.work())
     }
 
     /// Frames that have begun and are interrupted.
     fn interrupted(&self) -> usize {
-        self.worker.sessions.values().filter(|session| session.begun.is_some()).count()
+        self.worker.sessions.values().filter(|session| session.partial.is_some()).count()
     }
 }
 
-/// The mask of a frame that nothing has come between.
-fn whole(backend: &mut Backend, frame: u32, kind: (u32, u32, f64)) -> Mask {
+/// The value, without a failure of the device or a panic.
+fn expect<T>(result: Result<T, TraceError>) -> T {
+    result.unwrap_or_else(|error| match error {
+        TraceError::Device { error, .. } => panic!("{error}"),
+        TraceError::Panicked { .. } => panic!("tracing panicked"),
+    })
+}
+
+/// The mask of a frame that is traced whole.
+fn whole(tracer: &mut Tracer, frame: u32, kind: (u32, u32, f64)) -> Mask {
     let mut mask = Mask::new(shape(kind));
-    match backend {
-        Backend::Compute(backend) => _ = backend.trace(&camera(frame, kind), &mut mask).unwrap(),
-        Backend::Cpu(backend) => _ = backend.trace(&camera(frame, kind), &mut mask),
-        Backend::Gone => panic!("it is there"),
-    }
+    assert!(tracer.trace(&camera(frame, kind), &mut mask).unwrap().is_some());
     mask
 }
 
@@ -108,14 +137,14 @@ fn short_frames_overtake_a_long_one_and_no_bit_changes() {
         let (mut greedy, mut modest) = (rig.open(LONG), rig.open(SHORT));
         ask(&greedy, 1, LONG);
         // It begins, and its first part is traced.
-        assert!(rig.worker.work().unwrap() && rig.worker.work().unwrap());
+        assert!(rig.work() && rig.work());
         assert_eq!(rig.interrupted(), 1);
         for frame in 10..15 {
             ask(&modest, frame, SHORT);
             let traced = rig.mask(&mut modest);
             assert!(traced.frame == FrameNumber(frame) && traced.mask == whole(&mut reference, frame, SHORT));
             modest.recycle(traced.mask);
-            // What follows may wait its turn: it has had some time, and how much the machine decides.
+            // Later ones may wait their turn. How much time they have used depends on the machine.
             if frame == 10 {
                 assert_eq!(rig.interrupted(), 1, "it waited for the long one");
                 assert!(greedy.masks.try_recv().is_err());
@@ -125,12 +154,12 @@ fn short_frames_overtake_a_long_one_and_no_bit_changes() {
         let expected = whole(&mut reference, 1, LONG);
         assert!(traced.frame == FrameNumber(1) && traced.mask == expected);
         assert_eq!(traced.cost.primary_rays, 1280 * 720);
-        // Nobody else is there any more: it is traced whole, and is the same.
+        // Alone, the same frame is traced whole, and is the same.
         drop(modest);
         rig.worker.remove_closed();
         greedy.recycle(traced.mask);
         ask(&greedy, 1, LONG);
-        assert!(rig.worker.work().unwrap() && rig.interrupted() == 0);
+        assert!(rig.work() && rig.interrupted() == 0);
         let again = rig.mask(&mut greedy);
         assert!(again.mask == expected);
         assert_eq!(again.cost.shadow_rays, traced.cost.shadow_rays, "work is counted over all parts");
@@ -138,7 +167,7 @@ fn short_frames_overtake_a_long_one_and_no_bit_changes() {
 }
 
 #[test]
-fn an_interrupted_frame_ends_with_its_session_and_begins_anew_when_buffers_grow() {
+fn an_interrupted_frame_ends_with_its_session_and_restarts_when_buffers_grow() {
     for open in [cpu, compute] {
         let mut rig = Rig::new(open());
         let (mut greedy, mut modest) = (rig.open(LONG), rig.open(SHORT));
@@ -157,14 +186,14 @@ fn an_interrupted_frame_ends_with_its_session_and_begins_anew_when_buffers_grow(
         assert_eq!(rig.mask(&mut modest).frame, FrameNumber(4));
         let traced = rig.mask(&mut greedy);
         assert!(traced.frame == FrameNumber(3) && traced.mask == whole(&mut open(), 3, LONG));
-        if let Backend::Compute(backend) = &rig.worker.backend {
-            assert_eq!(backend.free_slots(), crate::visibility::backend::compute::SLOTS, "none is lost");
+        if let Some(load) = rig.worker.tracer.load() {
+            assert_eq!(load.free_slots, SLOTS, "a slot is lost");
         }
     }
 }
 
 #[test]
-fn short_frames_that_always_wait_do_not_keep_a_long_one_from_its_end() {
+fn short_frames_do_not_starve_a_long_one() {
     for open in [cpu, compute] {
         let mut rig = Rig::new(open());
         let mut short: Vec<SessionPort> = (0..3).map(|_| rig.open(SHORT)).collect();
@@ -187,17 +216,29 @@ fn short_frames_that_always_wait_do_not_keep_a_long_one_from_its_end() {
 }
 
 #[test]
-fn a_long_frame_begins_while_as_many_short_ones_fly_as_may() {
+fn a_long_frame_begins_while_the_ring_is_full_of_short_ones() {
     let mut rig = Rig::new(compute());
     let modest: Vec<SessionPort> = (0..4).map(|_| rig.open(SHORT)).collect();
     let mut greedy = rig.open(LONG);
     for port in &modest {
         ask(port, 5, SHORT);
     }
-    while rig.worker.work().unwrap() {}
-    assert_eq!(rig.worker.flying.len(), RING_FRAMES, "the fourth has no room");
+    while rig.work() {}
+    assert_eq!(rig.worker.tracer.load().unwrap().in_flight, RING_FRAMES, "the fourth has no room");
     ask(&greedy, 6, LONG);
-    assert!(rig.worker.work().unwrap());
+    assert!(rig.work());
     assert_eq!(rig.interrupted(), 1);
     assert_eq!(rig.mask(&mut greedy).frame, FrameNumber(6));
+}
+
+#[test]
+fn the_request_of_a_failed_frame_is_kept() {
+    let mut rig = Rig::new(Tracer::Lost);
+    let port = rig.open(SHORT);
+    ask(&port, 7, SHORT);
+    let Err(failure) = rig.worker.work() else { panic!("traced without a device") };
+    assert!(matches!(&failure, TraceError::Device { job: Some(job), .. } if job.request.frame == FrameNumber(7)));
+    assert!(!rig.worker.recover(failure), "there is no other device");
+    let retries: Vec<_> = rig.worker.sessions.values().map(|session| session.opened.retry).collect();
+    assert_eq!(retries[0].map(|request| request.frame), Some(FrameNumber(7)));
 }

@@ -1,283 +1,142 @@
-//! The work on a frame: begun for the newest pose of the session whose turn it is, done whole or part by part, handed out.
+//! The work on frames: a frame begins for the newest pose of the session whose turn it is, advances, and is delivered.
 
 use std::{
-    ops::Range,
     panic::{AssertUnwindSafe, catch_unwind},
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::camera::Camera;
-use tokio::sync::mpsc::OwnedPermit;
 
-use super::{Backend, Opening, Seated, Worker};
+use super::{session::Room, state::Worker};
+#[cfg(any(test, feature = "faults"))]
+use crate::visibility::engine::faults::Fault;
 use crate::visibility::{
     TraceCost, TraceRequest, TracedMask,
-    backend::{
-        BackendError,
-        compute::{RING_FRAMES, Rest},
+    backend::compute::RING_FRAMES,
+    engine::{
+        shared::PendingSession,
+        tracer::{Advance, Job, PartialFrame, TraceError},
     },
-    schedule::{
-        parts,
-        scheduler::{SessionKey, Wish},
-    },
+    schedule::{parts, scheduler::SessionKey},
 };
 
-/// Submissions that may be in flight when a part is added to them. The second keeps the device busy until this thread has seen the end
-/// of the first.
+/// Submissions in flight beyond which no part is added. The second keeps the device busy until this thread has seen the
+/// end of the first.
 const PARTS_IN_FLIGHT: usize = 2;
 
-/// For how long it is believed which session has the shortest frames.
-const SHORTEST_LASTS: Duration = Duration::from_millis(10);
-
-/// A frame that is being traced.
-pub(super) struct Job {
-    pub(super) session: SessionKey,
-    pub(super) request: TraceRequest,
-    mask: Mask,
-    /// The place in the session's channel that the mask will take.
-    place: OwnedPermit<TracedMask>,
-}
-
-/// A frame that is traced in parts, between two of them.
-pub(super) struct Begun {
-    pub(super) job: Job,
-    due: Instant,
-    rows_a_part: u32,
-    progress: Progress,
-}
-
-enum Progress {
-    Device(Rest),
-    Processor { next_row: u32, cost: TraceCost },
-}
-
-/// What there is room for on the device.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Room {
-    /// A frame that is traced whole.
-    whole: bool,
-    /// The beginning of one that is traced in parts.
-    begin: bool,
-    /// A part.
-    part: bool,
-    /// A frame that is expected to take longer is traced in parts, in milliseconds.
-    longest_whole_ms: f64,
-}
-
-/// The longest frames that are traced whole now.
-#[derive(Debug, Default)]
-pub(super) struct LongestWhole {
-    found: Option<(Instant, f64)>,
-}
-
-impl LongestWhole {
-    /// Sessions have come or gone.
-    pub(super) fn forget(&mut self) {
-        self.found = None;
-    }
-
-    fn get(&mut self, sessions: impl Iterator<Item = f64>) -> f64 {
-        match self.found {
-            Some((at, longest_ms)) if at.elapsed() < SHORTEST_LASTS => longest_ms,
-            _ => {
-                let longest_ms = parts::longest_whole_ms(sessions.fold(f64::INFINITY, f64::min));
-                self.found = Some((Instant::now(), longest_ms));
-                longest_ms
-            }
-        }
-    }
-}
-
-impl Seated {
-    /// What it waits for, if for anything. When its mask is due stays so when a newer pose takes the older one's place.
-    fn wish(&mut self, room: Room) -> Option<Wish> {
-        if let Some(begun) = &self.begun {
-            return Some(Wish { due: begun.due, rest: true, fits: room.part });
-        }
-        let port = &self.opening.port;
-        let newest = port.newest.has_changed().unwrap_or(false);
-        if (!newest && self.opening.retry.is_none()) || port.masks.capacity() == 0 {
-            return None;
-        }
-        let request = port.newest.borrow().or(self.opening.retry)?;
-        let due = *self.due.get_or_insert(request.received_at + request.interval);
-        let long = self.opening.costs.expected_ms() > room.longest_whole_ms;
-        Some(Wish { due, rest: false, fits: if long { room.begin } else { room.whole } })
-    }
-}
-
 impl Worker {
-    /// Does the next piece of work that there is room for: the beginning of a frame, a whole one, or a part. Whether there was one.
-    pub(super) fn work(&mut self) -> Result<bool, BackendError> {
+    /// Does the next piece of work that the device has room for: the first part of a frame, a whole frame, or a further
+    /// part. Returns whether there was one.
+    pub(super) fn work(&mut self) -> Result<bool, TraceError> {
         loop {
             let room = self.room();
             let sessions = &mut self.sessions;
-            let next = self.scheduler.next(|key| sessions.get_mut(&key).and_then(|session| session.wish(room)));
+            let next = self.scheduler.next(|key| sessions.get_mut(&key).and_then(|session| session.demand(room)));
             let Some(key) = next else { return Ok(false) };
             let Some(session) = self.sessions.get_mut(&key) else { continue };
-            if let Some(begun) = session.begun.take() {
-                self.go_on(begun)?;
+            if let Some(partial) = session.partial.take() {
+                self.advance(partial)?;
                 return Ok(true);
             }
-            match catch_unwind(AssertUnwindSafe(|| self.job(key))) {
-                Ok(Some((job, due))) => {
-                    self.begin(job, due, room)?;
+            match catch_unwind(AssertUnwindSafe(|| self.next_job(key))) {
+                Ok(Some(job)) => {
+                    self.begin(job, room)?;
                     return Ok(true);
                 }
                 Ok(None) => {}
-                Err(_) => drop(self.panicked(key)),
+                Err(_) => self.close_panicked(key),
             }
         }
     }
 
     fn room(&mut self) -> Room {
-        let active = self.sessions.values().map(|session| session.opening.costs.need()).filter(|need| need.active);
-        let longest_whole_ms = self.longest_whole.get(active.map(|need| need.cost_ms));
-        match &mut self.backend {
-            Backend::Compute(backend) => {
-                let (slots, flying) = (backend.free_slots(), self.flying.len());
-                let part = backend.submissions_open() < PARTS_IN_FLIGHT;
-                let interrupted = self.sessions.values().any(|session| session.begun.is_some());
-                Room {
-                    // Whole frames wait for the same room as the parts of one that has begun, so that it is the scheduler who
-                    // chooses: with more room than parts have they would go past it for ever.
-                    whole: flying < RING_FRAMES && slots > 0 && (part || !interrupted),
-                    // As many as may fly at once find a slot, however many are interrupted.
-                    begin: slots > 0 && slots + flying > RING_FRAMES,
-                    part,
-                    longest_whole_ms,
-                }
-            }
-            Backend::Cpu(_) | Backend::Gone => Room { whole: true, begin: true, part: true, longest_whole_ms },
+        let active = self.sessions.values().map(|session| session.opened.costs.need()).filter(|need| need.active);
+        let split_above_ms = self.split_threshold.get(active.map(|need| need.cost_ms));
+        let Some(load) = self.tracer.load() else {
+            return Room { whole: true, first_part: true, next_part: true, split_above_ms };
+        };
+        let next_part = load.submissions < PARTS_IN_FLIGHT;
+        let interrupted = self.sessions.values().any(|session| session.partial.is_some());
+        Room {
+            // Whole frames wait for the same room as the parts of an interrupted frame, so that the scheduler chooses
+            // between them. With more room than parts have they would overtake it for ever.
+            whole: load.in_flight < RING_FRAMES && load.free_slots > 0 && (next_part || !interrupted),
+            // Leaves a slot for every frame that may fly, however many are interrupted.
+            first_part: load.free_slots > 0 && load.free_slots + load.in_flight > RING_FRAMES,
+            next_part,
+            split_above_ms,
         }
     }
 
-    /// The work on a session's newest pose, and when it is due, unless there is nothing to be done after all.
-    fn job(&mut self, key: SessionKey) -> Option<(Job, Instant)> {
+    /// Returns the job for a session's newest pose, or `None` if there is nothing to trace after all.
+    fn next_job(&mut self, key: SessionKey) -> Option<Job> {
         #[cfg(any(test, feature = "faults"))]
-        self.panic_if_told();
+        self.panic_on_demand();
         let session = self.sessions.get_mut(&key)?;
         let due = session.due.take();
-        let Opening { shape: largest, port, costs, retry, .. } = &mut session.opening;
-        // Only this thread takes places, so the one that was there just now still is, unless the port closed.
-        let place = port.masks.clone().try_reserve_owned();
+        let PendingSession { shape: largest, port, costs, retry, .. } = &mut session.opened;
+        // Only this thread takes permits, so the one that was free just now still is, unless the port closed.
+        let permit = port.masks.clone().try_reserve_owned();
         let lost = retry.take().filter(|_| !port.newest.has_changed().unwrap_or(false));
         let newest = *port.newest.borrow_and_update();
-        let (Ok(place), Some(request)) = (place, lost.or(newest)) else { return None };
-        let Some(shape) = within(*largest, &request.camera) else {
-            tracing::warn!(engine_session = key, camera = ?request.camera, ?largest, "a pose of a larger size is dropped");
+        let (Ok(permit), Some(request)) = (permit, lost.or(newest)) else { return None };
+        let Some(shape) = shape_within(*largest, &request.camera) else {
+            tracing::warn!(engine_session = key, camera = ?request.camera, ?largest, "dropped a pose of a larger size");
             return None;
         };
-        costs.begins(request.received_at.elapsed());
-        let used = port.used.try_iter().find(|mask| mask.shape() == shape);
-        let job = Job { session: key, request, mask: used.unwrap_or_else(|| Mask::new(shape)), place };
-        Some((job, due.unwrap_or(request.received_at + request.interval)))
+        costs.record_begin(request.received_at.elapsed());
+        let mask = port.used.try_iter().find(|mask| mask.shape() == shape).unwrap_or_else(|| Mask::new(shape));
+        let due = due.unwrap_or(request.received_at + request.interval);
+        Some(Job { session: key, request, due, mask, permit })
     }
 
-    /// Begins a frame, and traces all of it unless it is long.
-    fn begin(&mut self, job: Job, due: Instant, room: Room) -> Result<(), BackendError> {
-        let (key, shape, camera) = (job.session, job.mask.shape(), job.request.camera);
-        let expected_ms = self.sessions.get(&key).map_or(0.0, |session| session.opening.costs.expected_ms());
-        let long = expected_ms > room.longest_whole_ms;
+    /// Begins a frame. Traces all of it unless it is split.
+    fn begin(&mut self, job: Job, room: Room) -> Result<(), TraceError> {
+        let (key, shape) = (job.session, job.mask.shape());
+        let expected_ms = self.sessions.get(&key).map_or(0.0, |session| session.opened.costs.expected_ms());
+        let split = expected_ms > room.split_above_ms;
+        let rows_per_part = if split { parts::rows_per_part(shape, expected_ms) } else { u32::MAX };
         self.scheduler.started(key);
-        let progress = match &mut self.backend {
-            Backend::Compute(backend) => match backend.begin(&camera, shape) {
-                Ok(rest) => Progress::Device(rest),
-                Err(error) => {
-                    self.flying.push_back(job);
-                    return Err(error);
-                }
-            },
-            Backend::Cpu(_) | Backend::Gone => Progress::Processor { next_row: 0, cost: TraceCost::default() },
-        };
-        let rows_a_part = if long { parts::rows_a_part(shape, expected_ms) } else { u32::MAX };
-        let begun = Begun { job, due, rows_a_part, progress };
+        let frame = self.tracer.begin(job, rows_per_part)?;
         match self.sessions.get_mut(&key) {
-            Some(session) if long => session.begun = Some(begun),
-            _ => self.go_on(begun)?,
+            Some(session) if split => session.partial = Some(frame),
+            _ => self.advance(frame)?,
         }
         Ok(())
     }
 
     /// Traces the next part of a frame.
-    fn go_on(&mut self, begun: Begun) -> Result<(), BackendError> {
-        let Begun { mut job, due, rows_a_part, progress } = begun;
-        let (key, shape, camera) = (job.session, job.mask.shape(), job.request.camera);
-        let share_of = |rows: &Range<u32>| f64::from(rows.end - rows.start) / f64::from(shape.tiles_y().max(1));
-        match (&mut self.backend, progress) {
-            (Backend::Compute(backend), Progress::Device(rest)) => {
-                let share = share_of(&rest.next_rows(rows_a_part));
-                let submitted = catch_unwind(AssertUnwindSafe(|| backend.submit_part(rest, rows_a_part)));
-                self.scheduler.charge(key, share);
-                let left = match submitted {
-                    Ok(Ok(left)) => left,
-                    Ok(Err(error)) => {
-                        self.flying.push_back(job);
-                        return Err(error);
-                    }
-                    // Nobody knows what state it left the device's queue in.
-                    Err(_) => return Err(self.panicked(key)),
-                };
-                match (left, self.sessions.get_mut(&key)) {
-                    (None, _) => self.flying.push_back(job),
-                    (Some(rest), Some(session)) => {
-                        session.begun = Some(Begun { job, due, rows_a_part, progress: Progress::Device(rest) });
-                    }
-                    (Some(_), None) => {}
+    fn advance(&mut self, frame: PartialFrame) -> Result<(), TraceError> {
+        let key = frame.job.session;
+        self.scheduler.charge(key, frame.next_share());
+        match self.tracer.advance(frame)? {
+            Advance::Partial(frame) => {
+                if let Some(session) = self.sessions.get_mut(&key) {
+                    session.partial = Some(frame);
                 }
             }
-            (Backend::Cpu(backend), Progress::Processor { next_row, cost }) => {
-                let rows = next_row..next_row.saturating_add(rows_a_part).min(shape.tiles_y());
-                // It changes nothing of its own while it traces, so a panic leaves nothing half done.
-                let traced =
-                    catch_unwind(AssertUnwindSafe(|| backend.trace_rows(&camera, &mut job.mask, rows.clone())));
-                let Ok(part) = traced else {
-                    drop(self.panicked(key));
-                    return Ok(());
-                };
-                self.scheduler.charge(key, share_of(&rows));
-                let cost = cost.plus(part);
-                if rows.end == shape.tiles_y() {
-                    self.finish(job, cost);
-                } else if let Some(session) = self.sessions.get_mut(&key) {
-                    let progress = Progress::Processor { next_row: rows.end, cost };
-                    session.begun = Some(Begun { job, due, rows_a_part, progress });
-                }
-            }
-            _ => {
-                self.flying.push_back(job);
-                return Err(BackendError::Device("it is not there".to_owned()));
-            }
+            Advance::InFlight => {}
+            Advance::Traced(job, cost) => self.deliver(job, cost),
         }
         Ok(())
     }
 
-    /// Waits up to `patience` for the oldest submission, then hands out all frames that have landed.
-    pub(super) fn land(&mut self, patience: Duration) -> Result<(), BackendError> {
-        if let Backend::Compute(backend) = &mut self.backend {
-            // A long mask is read a piece at a time, and not waited for in between.
-            let patience = if backend.has_landed()? { Duration::ZERO } else { patience };
-            backend.wait(patience)?;
-        }
-        while let (Some(job), Backend::Compute(backend)) = (self.flying.front_mut(), &mut self.backend) {
-            let session = job.session;
-            let landed = catch_unwind(AssertUnwindSafe(|| backend.collect(Duration::ZERO, &mut job.mask)));
-            let Ok(landed) = landed else { return Err(self.panicked(session)) };
-            let Some(cost) = landed? else { break };
-            if let Some(job) = self.flying.pop_front() {
-                self.finish(job, cost);
-            }
+    /// Waits up to `patience` for the oldest submission, then delivers all frames that have landed.
+    pub(super) fn land(&mut self, patience: Duration) -> Result<(), TraceError> {
+        self.tracer.wait(patience)?;
+        while let Some((job, cost)) = self.tracer.collect()? {
+            self.deliver(job, cost);
         }
         Ok(())
     }
 
-    fn finish(&mut self, job: Job, cost: TraceCost) {
-        self.losses = 0;
+    fn deliver(&mut self, job: Job, cost: TraceCost) {
+        self.losses_in_a_row = 0;
         self.scheduler.finished(job.session, cost.device_ms());
         self.shared.model.learn(job.mask.shape().pixels(), &cost);
         if let Some(session) = self.sessions.get(&job.session) {
-            session.opening.costs.ends(&cost);
+            session.opened.costs.record_end(&cost);
         }
         let TraceRequest { frame, ahead, received_at, .. } = job.request;
         tracing::debug!(
@@ -290,22 +149,20 @@ impl Worker {
             age_ms = received_at.elapsed().as_secs_f64() * 1e3,
             "mask traced"
         );
-        job.place.send(TracedMask { frame, mask: job.mask, ahead, received_at, cost });
+        job.permit.send(TracedMask { frame, mask: job.mask, ahead, received_at, cost });
     }
 
-    /// Lets go of the frames that have begun and are not wholly submitted; their poses are traced anew, unless there are newer ones.
-    pub(super) fn begin_anew(&mut self) {
-        for (&key, session) in &mut self.sessions {
-            if let Some(begun) = session.begun.take() {
-                session.opening.retry = Some(begun.job.request);
-                self.scheduler.abandoned(key);
-            }
+    #[cfg(any(test, feature = "faults"))]
+    #[expect(clippy::panic, reason = "a fault on demand")]
+    fn panic_on_demand(&self) {
+        if self.shared.faults.take(Fault::Panic) {
+            panic!("on demand");
         }
     }
 }
 
-/// The shape of a mask for this camera, when it is no larger than the session's.
-fn within(largest: MaskShape, camera: &Camera) -> Option<MaskShape> {
+/// The shape of a mask for this camera, or `None` if it exceeds the session's largest.
+fn shape_within(largest: MaskShape, camera: &Camera) -> Option<MaskShape> {
     let fits = camera.width <= largest.width() && camera.height <= largest.height();
     MaskShape::new(camera.width, camera.height, largest.lights()).ok().filter(|_| fits)
 }

@@ -1,4 +1,4 @@
-//! Every knob of one scene, turned and measured.
+//! Measures one scene at every setting.
 
 use std::time::Duration;
 
@@ -6,7 +6,6 @@ use anyhow::{Context, Result, ensure};
 use gnomon_client::{camera_path::CameraPath, predictor::Predictor};
 use gnomon_protocol::{codec::CodecId, mask::Mask};
 use gnomon_scene::{LightKind, Scene, camera::Camera};
-use gnomon_server::visibility::backend::{compute::KernelOptions, sampling::Sampling};
 
 use super::{
     Group, Row,
@@ -16,27 +15,19 @@ use super::{
 };
 use crate::reference::Reference;
 
-/// A client's frame, in seconds: what lag is counted in.
+/// A client's frame, in seconds: the unit of lag.
 const FRAME_S: f64 = 1.0 / 60.0;
 
-/// The quickest to code: what is compared here is tracing.
+/// The fastest codec, since tracing is compared.
 const CODEC: CodecId = CodecId::PlanesLz4;
 
-/// Where on a path scenes are judged, as shares of its duration.
+/// Moments of the path at which scenes are judged, as shares of its duration.
 const STOPS: [f64; 2] = [0.2, 0.6];
 
-/// Bits that may be wrong, in parts of a million.
+/// Wrong bits allowed in a million.
 const WRONG_PPM: [u16; 3] = [500, 2000, 5000];
 
-const SAMPLINGS: [(&str, Sampling); 5] = [
-    ("full", Sampling::All),
-    ("checkerboard", Sampling::Checkerboard { refine: false }),
-    ("checkerboard-refined", Sampling::Checkerboard { refine: true }),
-    ("half", Sampling::Quarter { refine: false }),
-    ("half-refined", Sampling::Quarter { refine: true }),
-];
-
-/// A mask, and what it was traced for.
+/// A mask, and the camera that it was traced for.
 type MaskOf = (Mask, Camera);
 
 /// One scene under measurement.
@@ -50,7 +41,7 @@ pub(super) struct Bench<'a> {
     rows: Vec<Row>,
 }
 
-/// What a row is about.
+/// The setting of a row.
 struct Knob<'a> {
     backend: &'a str,
     knob: &'a str,
@@ -59,7 +50,7 @@ struct Knob<'a> {
 }
 
 impl<'a> Bench<'a> {
-    /// Loads the client and asks the referee.
+    /// Starts the client's renderer and traces the reference.
     pub(super) fn new(
         name: &'a str,
         scene: &'a Scene,
@@ -80,51 +71,43 @@ impl<'a> Bench<'a> {
         Ok(Self { name, scene, path, viewer, stops, patience, rows: Vec::new() })
     }
 
-    /// What was measured.
     pub(super) fn rows(self) -> Vec<Row> {
         self.rows
     }
 
-    /// Resolutions of a back end. Whether it is there at all is the answer.
+    /// Measures a back end with masks of full and of half size. Returns false if no adapter has what it needs.
     pub(super) fn resolutions(&mut self, backend: &str, is_automatic: bool) -> Result<bool> {
-        for (value, sampling) in SAMPLINGS {
-            let Some(mut tracer) = self.open(backend, sampling)? else { return Ok(false) };
-            let (traced, masks) = self.trace(&mut tracer, CODEC, |stop| stop.camera)?;
-            let nodes = node_visits(backend, self.scene, sampling, &self.stops[0].camera)?;
+        let Some(mut tracer) = self.open(backend)? else { return Ok(false) };
+        for (value, divisor) in [("full", 1), ("half-mask", 2)] {
+            let camera = |stop: &Stop| Camera {
+                width: stop.camera.width.div_ceil(divisor),
+                height: stop.camera.height.div_ceil(divisor),
+                ..stop.camera
+            };
+            let (traced, masks) = self.trace(&mut tracer, CODEC, camera)?;
+            let nodes = node_visits(backend, self.scene, &camera(&self.stops[0]))?;
             let verdict = self.show(&masks, Predictor::Surface)?;
-            let is_default = is_automatic && sampling == Sampling::All;
+            let is_default = is_automatic && divisor == 1;
             self.push(Knob { backend, knob: "resolution", value: value.into(), is_default }, &traced, nodes, &verdict);
         }
-        let Some(mut tracer) = self.open(backend, Sampling::All)? else { return Ok(false) };
-        let half = |stop: &Stop| Camera {
-            width: stop.camera.width.div_ceil(2),
-            height: stop.camera.height.div_ceil(2),
-            ..stop.camera
-        };
-        let (traced, masks) = self.trace(&mut tracer, CODEC, half)?;
-        let nodes = node_visits(backend, self.scene, Sampling::All, &half(&self.stops[0]))?;
-        let verdict = self.show(&masks, Predictor::Surface)?;
-        let knob = Knob { backend, knob: "resolution", value: "half-mask".into(), is_default: false };
-        self.push(knob, &traced, nodes, &verdict);
         Ok(true)
     }
 
-    /// How far shadow rays start off their surface, where that is not built in.
-    pub(super) fn offsets(&mut self, backend: &str) -> Result<()> {
+    /// Measures how far shadow rays start off their surface, on `compute`.
+    pub(super) fn offsets(&mut self) -> Result<()> {
         for roundings in [1, 16, 256, 4096] {
-            let options = KernelOptions { offset_roundings: Some(roundings), ..KernelOptions::default() };
-            let mut tracer = Tracer::open(backend, self.scene, options)?.context("the back end was there before")?;
+            let mut tracer = Tracer::with_offset(self.scene, roundings)?;
             let (traced, masks) = self.trace(&mut tracer, CODEC, |stop| stop.camera)?;
             let verdict = self.show(&masks, Predictor::Surface)?;
-            let knob = Knob { backend, knob: "offset", value: format!("{roundings} roundings"), is_default: false };
-            self.push(knob, &traced, None, &verdict);
+            let value = format!("{roundings} roundings");
+            self.push(Knob { backend: "compute", knob: "offset", value, is_default: false }, &traced, None, &verdict);
         }
         Ok(())
     }
 
-    /// The codecs, which give every bit back.
+    /// Measures the lossless codecs.
     pub(super) fn codecs(&mut self, backend: &str) -> Result<()> {
-        let mut tracer = self.open(backend, Sampling::All)?.context("the back end was there before")?;
+        let mut tracer = self.open(backend)?.context("the back end was there before")?;
         for codec in CodecId::ALL.into_iter().filter(|codec| *codec != CODEC) {
             let (traced, masks) = self.trace(&mut tracer, codec, |stop| stop.camera)?;
             let verdict = self.show(&masks, Predictor::Surface)?;
@@ -134,11 +117,11 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// Wrong bits for fewer bytes; the rows of `codecs` are those without any.
+    /// Measures wrong bits against bytes. The rows of `codecs` are those without wrong bits.
     pub(super) fn lossy(&mut self, backend: &str) -> Result<()> {
         for codec in CodecId::ALL.into_iter().filter(|codec| codec.is_sliced()) {
             for wrong_ppm in WRONG_PPM {
-                let tracer = self.open(backend, Sampling::All)?.context("the back end was there before")?;
+                let tracer = self.open(backend)?.context("the back end was there before")?;
                 let mut tracer = tracer.with_wrong_bits(wrong_ppm);
                 let (traced, masks) = self.trace(&mut tracer, codec, |stop| stop.camera)?;
                 let verdict = self.show(&masks, Predictor::Surface)?;
@@ -149,10 +132,9 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// How late masks come, and what is made of late ones. A frame waits for what is left of tracing and encoding after that
-    /// many frames.
+    /// Measures late masks with each predictor. A frame waits for what is left of tracing and encoding after the lag.
     pub(super) fn lags(&mut self, backend: &str) -> Result<()> {
-        let mut tracer = self.open(backend, Sampling::All)?.context("the back end was there before")?;
+        let mut tracer = self.open(backend)?.context("the back end was there before")?;
         let mut never_waited = false;
         for lag in [0_u32, 1, 2, 4, 8] {
             let late_s = f64::from(lag) * FRAME_S;
@@ -166,7 +148,7 @@ impl<'a> Bench<'a> {
                 _ => &[Predictor::Surface, Predictor::ALL[1].1, Predictor::None],
             };
             for &predictor in predictors {
-                // A client that does not wait shows the newest mask there is.
+                // A client that does not wait shows the newest mask.
                 let is_default = predictor == Predictor::Surface && !waits && !never_waited;
                 let verdict = self.show(&masks, predictor)?;
                 let knob = Knob { backend, knob: "lag", value: format!("{lag} {predictor}"), is_default };
@@ -177,7 +159,7 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// Dim lights that are traced anew every so many frames, and predicted from their last mask in between.
+    /// Measures dim lights that are traced only every so many frames and predicted from their last mask in between.
     pub(super) fn dim_lights(&mut self, backend: &str) -> Result<()> {
         let dim = dim_lights(self.scene);
         if dim == 0 {
@@ -189,8 +171,8 @@ impl<'a> Bench<'a> {
             index += 1;
             dim >> (index - 1) & 1 == 0
         });
-        let mut all = self.open(backend, Sampling::All)?.context("the back end was there before")?;
-        let mut bright = Tracer::open(backend, &bright_scene, KernelOptions::default())?.context("and still is")?;
+        let mut all = self.open(backend)?.context("the back end was there before")?;
+        let mut bright = Tracer::open(backend, &bright_scene)?.context("and still is")?;
         let (every, masks) = self.trace(&mut all, CODEC, |stop| stop.camera)?;
         let (between, _) = self.trace(&mut bright, CODEC, |stop| stop.camera)?;
         for period in [2_u32, 4] {
@@ -216,7 +198,7 @@ impl<'a> Bench<'a> {
                     );
                 }
             }
-            // A frame with all lights, then the others of its period.
+            // One frame with all lights, then the rest of its period without the dim ones.
             let frames = (0..)
                 .zip(every.iter().zip(between.iter().cycle()))
                 .map(|(index, (all, bright))| if index % period == 0 { *all } else { *bright });
@@ -226,11 +208,11 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    fn open(&self, backend: &str, sampling: Sampling) -> Result<Option<Tracer>> {
-        Tracer::open(backend, self.scene, KernelOptions { sampling, ..KernelOptions::default() })
+    fn open(&self, backend: &str) -> Result<Option<Tracer>> {
+        Tracer::open(backend, self.scene)
     }
 
-    /// Traces each stop again and again, as `camera` sees it; the masks are those of the stops.
+    /// Traces each stop repeatedly, as `camera` sees it. Returns the costs and the stops' masks.
     fn trace(
         &self,
         tracer: &mut Tracer,
@@ -251,7 +233,7 @@ impl<'a> Bench<'a> {
         Ok((samples.into_iter().flatten().collect(), masks))
     }
 
-    /// What the client makes of the stops' masks.
+    /// Judges the pictures that the client draws with the stops' masks.
     fn show(&mut self, masks: &[MaskOf], predictor: Predictor) -> Result<Verdict> {
         let mut verdict = Verdict::default();
         for (stop, (mask, camera)) in self.stops.iter().zip(masks) {
@@ -267,7 +249,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// The dimmer half of the lights, as bits: by what reaches the scene's middle when nothing is in the way.
+/// The dimmer half of the lights as bits, by their unshadowed intensity at the scene's middle.
 fn dim_lights(scene: &Scene) -> u32 {
     let middle = (scene.bounds.min + scene.bounds.max) * 0.5;
     let mut order: Vec<(f32, usize)> = scene
@@ -285,7 +267,7 @@ fn dim_lights(scene: &Scene) -> u32 {
     order[..order.len() / 2].iter().fold(0, |bits, (_, index)| bits | 1 << index)
 }
 
-/// Whether the stops are different views: otherwise lag costs nothing, and proves nothing.
+/// Errors if the path does not move: then lag costs nothing and proves nothing.
 pub(super) fn check(path: &CameraPath) -> Result<()> {
     ensure!(path.duration_s() > 0.0, "camera path {:?} does not move: prediction cannot be judged on it", path.name());
     Ok(())

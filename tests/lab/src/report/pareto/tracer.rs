@@ -1,4 +1,4 @@
-//! The server's side of a measurement: a back end with its knobs set, timed and counted.
+//! The server's side of a measurement: a back end, timed and counted.
 
 use std::time::{Duration, Instant};
 
@@ -8,13 +8,7 @@ use gnomon_protocol::{
     mask::{Mask, MaskShape},
 };
 use gnomon_scene::{Scene, camera::Camera};
-use gnomon_server::visibility::backend::{
-    BackendError,
-    compute::{ComputeBackend, KernelOptions},
-    cpu::CpuBackend,
-    ray_query,
-    sampling::Sampling,
-};
+use gnomon_server::visibility::backend::{BackendError, compute::ComputeBackend, cpu::CpuBackend, ray_query};
 
 /// The back ends, by the names of `--backend`.
 pub(super) const BACKENDS: [&str; 3] = ["cpu", "compute", "ray-query"];
@@ -35,43 +29,51 @@ pub(super) struct Tracer {
     wrong_ppm: u16,
 }
 
-/// What a frame took.
+/// Cost of a frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Traced {
-    /// Tracing and encoding, by the wall's clock, in milliseconds.
+    /// Wall-clock time of tracing and encoding, in milliseconds.
     pub(super) ms: f64,
     /// Camera rays and shadow rays.
     pub(super) rays: u64,
-    /// Of the encoded mask.
+    /// Size of the encoded mask.
     pub(super) bytes: u64,
 }
 
 impl Tracer {
-    /// Opens a back end. `Ok(None)` when no adapter here has what it needs.
-    pub(super) fn open(name: &str, scene: &Scene, options: KernelOptions) -> Result<Option<Self>> {
+    /// Opens a back end. `Ok(None)` if no adapter has what it needs.
+    pub(super) fn open(name: &str, scene: &Scene) -> Result<Option<Self>> {
         let device = |opened: Result<ComputeBackend, BackendError>| match opened {
             Ok(backend) => Ok(Some(Kind::Device(Box::new(backend)))),
             Err(BackendError::Feature { .. }) => Ok(None),
             Err(error) => Err(error),
         };
         let kind = match name {
-            "cpu" => Some(Kind::Cpu(Box::new(CpuBackend::new(scene, None)?.with_sampling(options.sampling)))),
-            "compute" => device(ComputeBackend::open_with(scene, None, true, options))?,
-            "ray-query" => device(ray_query::open_with(scene, None, true, options))?,
+            "cpu" => Some(Kind::Cpu(Box::new(CpuBackend::new(scene, None)?))),
+            "compute" => device(ComputeBackend::open(scene, None, true))?,
+            "ray-query" => device(ray_query::open(scene, None, true))?,
             _ => bail!("{name:?} is no back end: {}", BACKENDS.join(", ")),
         };
-        let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
-        let encoder = Encoder::new(CodecId::PlanesLz4);
-        let simplifier = Simplifier::default();
-        Ok(kind.map(|kind| Self { kind, lights, encoder, body: Vec::new(), simplifier, wrong_ppm: 0 }))
+        kind.map(|kind| Self::new(kind, scene)).transpose()
     }
 
-    /// Lets so many bits be wrong, in parts of a million.
+    /// Opens `compute` with another offset of shadow rays, in rounding units.
+    pub(super) fn with_offset(scene: &Scene, roundings: u16) -> Result<Self> {
+        Self::new(Kind::Device(Box::new(ComputeBackend::open_with_offset(scene, None, true, roundings)?)), scene)
+    }
+
+    fn new(kind: Kind, scene: &Scene) -> Result<Self> {
+        let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
+        let (encoder, simplifier) = (Encoder::new(CodecId::PlanesLz4), Simplifier::default());
+        Ok(Self { kind, lights, encoder, body: Vec::new(), simplifier, wrong_ppm: 0 })
+    }
+
+    /// Lets `wrong_ppm` bits in a million be wrong.
     pub(super) fn with_wrong_bits(self, wrong_ppm: u16) -> Self {
         Self { wrong_ppm, ..self }
     }
 
-    /// A mask for what `camera` sees.
+    /// An empty mask of `camera`'s size.
     pub(super) fn mask_for(&self, camera: &Camera) -> Result<Mask> {
         Ok(Mask::new(MaskShape::new(camera.width, camera.height, self.lights)?))
     }
@@ -93,21 +95,14 @@ impl Tracer {
     }
 }
 
-/// Nodes that the frame's rays visit: by single rays on `compute`, by groups of up to 64 on `cpu`; nobody can say for
-/// `ray-query`.
-pub(super) fn node_visits(name: &str, scene: &Scene, sampling: Sampling, camera: &Camera) -> Result<Option<u64>> {
-    let options = KernelOptions { sampling, count_nodes: true, ..KernelOptions::default() };
-    let Some(mut tracer) = (if name == "ray-query" { None } else { Tracer::open(name, scene, options)? }) else {
+/// Nodes that the frame's rays visit in groups of up to 64 on `cpu`. The other back ends do not count them.
+pub(super) fn node_visits(name: &str, scene: &Scene, camera: &Camera) -> Result<Option<u64>> {
+    if name != "cpu" {
         return Ok(None);
-    };
-    let mut mask = tracer.mask_for(camera)?;
-    Ok(Some(match &mut tracer.kind {
-        Kind::Cpu(backend) => backend.trace_counted(camera, &mut mask).1.iter().map(|work| work.nodes).sum(),
-        Kind::Device(backend) => {
-            backend.trace(camera, &mut mask)?;
-            backend.node_visits()
-        }
-    }))
+    }
+    let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, u32::try_from(scene.lights.len())?)?);
+    let (_, stats) = CpuBackend::new(scene, None)?.trace_counted(camera, &mut mask);
+    Ok(Some(stats.iter().map(|stats| stats.nodes).sum()))
 }
 
 /// The back end that `auto` takes on this machine.
@@ -119,17 +114,17 @@ pub(super) fn automatic(scene: &Scene) -> &'static str {
     }
 }
 
-/// When a measurement has enough samples.
+/// How long a measurement takes samples.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Patience {
     /// Samples that are enough.
     pub(super) samples: usize,
-    /// Time after which one is.
+    /// Time after which one sample is enough.
     pub(super) time: Duration,
 }
 
 impl Patience {
-    /// Calls `sample` again and again, and keeps what it says.
+    /// Calls `sample` repeatedly and returns its results.
     pub(super) fn repeat<T>(&self, mut sample: impl FnMut(usize) -> Result<T>) -> Result<Vec<T>> {
         let begun = Instant::now();
         let mut samples = Vec::with_capacity(self.samples);

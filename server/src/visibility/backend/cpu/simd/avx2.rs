@@ -10,7 +10,7 @@ use std::arch::x86_64::{
 };
 use std::ops::{Add, Mul, Sub};
 
-use super::{F8, Simd, Work};
+use super::lanes::{F8, Simd, WithSimd};
 
 /// Proof that this machine has AVX2 and FMA.
 #[derive(Debug, Clone, Copy)]
@@ -27,9 +27,9 @@ impl Avx2 {
     }
 
     /// Runs `work` compiled with AVX2 and FMA.
-    pub(in super::super) fn dispatch<W: Work>(self, work: W) -> W::Output {
+    pub(in super::super) fn dispatch<W: WithSimd>(self, work: W) -> W::Output {
         #[target_feature(enable = "avx2,fma")]
-        fn with_features<W: Work>(simd: Avx2, work: W) -> W::Output {
+        fn with_features<W: WithSimd>(simd: Avx2, work: W) -> W::Output {
             work.run(simd)
         }
         // SAFETY: `self` proves that the processor has both features.

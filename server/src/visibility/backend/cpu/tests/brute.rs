@@ -1,5 +1,5 @@
-//! Every triangle against every ray, in f64, with nothing shared with the back end but the scene. To bear real scenes, runs
-//! of neighbouring triangles are skipped when the ray misses the box around them.
+//! Tests every triangle against every ray in f64, and shares nothing with the back end but the scene. On real scenes it
+//! skips runs of neighbouring triangles when the ray misses the box around them.
 
 use glam::{DVec2, DVec3};
 use gnomon_scene::{AlphaMode, Light, LightKind, Scene, Wrap, camera::Camera};
@@ -41,7 +41,7 @@ impl<'a> Brute<'a> {
         Self { scene, boxes: boxes.collect(), triangles }
     }
 
-    /// The triangles of all boxes that the ray passes.
+    /// The triangles of all boxes that the ray passes through.
     fn candidates(&self, from: DVec3, way: DVec3) -> impl Iterator<Item = usize> {
         let passes = move |[min, max]: &[DVec3; 2]| {
             let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
@@ -57,8 +57,8 @@ impl<'a> Brute<'a> {
         passed.flat_map(|(run, _)| run * RUN..((run + 1) * RUN).min(self.triangles.len()))
     }
 
-    /// Distance along the ray and weights of the corners, where the ray meets triangle `t` and it is there.
-    fn meet(&self, t: usize, from: DVec3, way: DVec3) -> Option<(f64, DVec3)> {
+    /// Distance along the ray and weights of the corners, if the ray hits triangle `t` and passes its alpha test.
+    fn intersect(&self, t: usize, from: DVec3, way: DVec3) -> Option<(f64, DVec3)> {
         let ([a, b, c], material) = self.triangles[t];
         // from + distance·way = a + v·(b − a) + w·(c − a), solved by Cramer's rule.
         let (to_b, to_c, from_a) = (b - a, c - a, from - a);
@@ -72,11 +72,11 @@ impl<'a> Brute<'a> {
         let along = from_a.cross(to_b);
         let weights = DVec3::new(1.0 - v - way.dot(along) / determinant, v, way.dot(along) / determinant);
         let distance = to_c.dot(along) / determinant;
-        let met = weights.min_element() >= 0.0 && distance > 0.0 && self.is_there(t, material, weights);
-        met.then_some((distance, weights))
+        let hit = weights.min_element() >= 0.0 && distance > 0.0 && self.passes_alpha(t, material, weights);
+        hit.then_some((distance, weights))
     }
 
-    fn is_there(&self, t: usize, material: usize, weights: DVec3) -> bool {
+    fn passes_alpha(&self, t: usize, material: usize, weights: DVec3) -> bool {
         let material = &self.scene.materials[material];
         let AlphaMode::Mask { cutoff } = material.alpha else { return true };
         let mut alpha = f64::from(material.base_color.w);
@@ -115,7 +115,7 @@ impl<'a> Brute<'a> {
         let eye = eye - self.scene.origin_m;
         let mut nearest: Option<(f64, Point)> = None;
         for t in self.candidates(eye, way) {
-            let Some((distance, weights)) = self.meet(t, eye, way) else { continue };
+            let Some((distance, weights)) = self.intersect(t, eye, way) else { continue };
             let ([a, b, c], material) = self.triangles[t];
             let normal = (b - a).cross(c - a).normalize();
             let back = normal.dot(way) > 0.0;
@@ -133,7 +133,7 @@ impl<'a> Brute<'a> {
         nearest.map(|(_, point)| point)
     }
 
-    /// None where the light does not matter; else whether it reaches the point, and whether that takes a ray.
+    /// `None` where the light does not matter; else whether it reaches the point, and whether that needs a ray.
     pub(super) fn visible(&self, at: &Point, light: &Light) -> Option<(bool, bool)> {
         let towards = match light.kind {
             LightKind::Directional => -light.direction.as_dvec3(),
@@ -155,7 +155,7 @@ impl<'a> Brute<'a> {
         let way = if directional { towards } else { light.position.as_dvec3() - from };
         let stopped = self
             .candidates(from, way)
-            .any(|t| self.meet(t, from, way).is_some_and(|(distance, _)| directional || distance < 1.0));
+            .any(|t| self.intersect(t, from, way).is_some_and(|(distance, _)| directional || distance < 1.0));
         Some((!stopped, true))
     }
 }

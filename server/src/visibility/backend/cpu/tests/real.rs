@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
-use gnomon_scene::LoadOptions;
-use rayon::iter::{IndexedParallelIterator, ParallelIterator};
+use gnomon_scene::{LoadOptions, Scene, camera::Camera};
+use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, ParallelIterator};
 
-use super::{super::*, brute::Brute, trace};
+use super::{brute::Brute, trace};
 
 /// A scene, the file with its lights if it has none, and a camera: position, target, field of view.
 struct Place {
@@ -30,8 +30,8 @@ fn load(folder: &Path, place: &Place) -> Scene {
     Scene::load(&folder.join(place.scene), &options).unwrap()
 }
 
-/// Judges every 211th pixel: at most one relevant bit in a thousand may be wrong.
-fn judge(place: &Place) {
+/// Checks every 211th pixel: at most one relevant bit in a thousand may be wrong.
+fn check(place: &Place) {
     let scene = load(&folder(), place);
     let [from, to] = [place.from, place.to].map(DVec3::from_array);
     let camera = Camera::looking_at(from, to, place.yfov_deg.to_radians(), 640, 360);
@@ -60,7 +60,7 @@ fn judge(place: &Place) {
 
 #[test]
 fn sponza_is_right() {
-    judge(&Place {
+    check(&Place {
         scene: "sponza/sponza_lights.gltf",
         lights: None,
         from: [-8.5, 1.7, -0.35],
@@ -71,7 +71,7 @@ fn sponza_is_right() {
 
 #[test]
 fn modern_hall_is_right() {
-    judge(&Place {
+    check(&Place {
         scene: "modern-hall/modern-hall.glb",
         lights: Some("modern-hall/lights_camera.json"),
         from: [6.912, 1.652, 2.554],
@@ -82,7 +82,7 @@ fn modern_hall_is_right() {
 
 #[test]
 fn grey_white_room_is_right() {
-    judge(&Place {
+    check(&Place {
         scene: "grey-white-room/grey-white-room.glb",
         lights: Some("grey-white-room/lights_camera.json"),
         from: [5.105, 0.731, -2.318],
@@ -93,7 +93,7 @@ fn grey_white_room_is_right() {
 
 #[test]
 fn pink_room_is_right() {
-    judge(&Place {
+    check(&Place {
         scene: "pink-room-partial/pink-room-partial.glb",
         lights: Some("pink-room-partial/lights_camera.json"),
         from: [0.277, 1.018, -5.193],

@@ -1,79 +1,18 @@
-//! Tracing with the adapter's own ray queries: the `compute` back end's frames, rules and kernels, with the adapter's
-//! acceleration structure in place of our hierarchy.
-//!
-//! wgpu calls ray queries experimental. An adapter that has no hardware for them does not offer them, except software Vulkan
-//! of a recent kind, which is what tests run on. The structure holds one bottom level over the scene's triangles and one
-//! instance of it, since nothing moves. Its triangles are a little larger than the scene's (`pad`), and in the scene's order,
-//! so that a candidate's number is its triangle's.
-
-mod pad;
+//! The adapter's own acceleration structure, for ray queries: one bottom level over the scene's triangles and one
+//! instance of it, since nothing moves. Its triangles are a little larger than the scene's ([`enlarge`]). They are in
+//! the scene's order, so that a candidate's number is its triangle's.
 
 use glam::Vec3;
-use gnomon_scene::Scene;
 use gnomon_shaders::{gpu::Gpu, host::TracedTriangle};
 use wgpu::util::DeviceExt as _;
 
-use super::{
-    BackendError,
-    compute::{ComputeBackend, KernelOptions, Traversal},
-};
+use super::enlarge;
+use crate::visibility::backend::BackendError;
 
-/// The device feature that sets this back end apart.
+/// The device feature that ray queries need.
 pub(super) const NEEDED: wgpu::Features = wgpu::Features::EXPERIMENTAL_RAY_QUERY;
 
-/// Opens an adapter that has ray queries, and brings the scene to it. Takes as long as building the structure and compiling
-/// the kernels.
-///
-/// # Errors
-/// When there is no such adapter, it has no ray queries or lacks what else the kernels need, or the scene does not fit it.
-pub fn open(scene: &Scene, adapter: Option<String>, allow_software: bool) -> Result<ComputeBackend, BackendError> {
-    open_with(scene, adapter, allow_software, KernelOptions::default())
-}
-
-/// As [`open`], with other kernels. Nodes of the adapter's own structure cannot be counted.
-///
-/// # Errors
-/// As [`open`].
-pub fn open_with(
-    scene: &Scene,
-    adapter: Option<String>,
-    allow_software: bool,
-    options: KernelOptions,
-) -> Result<ComputeBackend, BackendError> {
-    ComputeBackend::open_traversing(scene, adapter, allow_software, (Traversal::RayQuery, options))
-}
-
-/// The best that an adapter can do: ray queries where it has them and the scene fits, `compute` otherwise.
-///
-/// # Errors
-/// When there is no such adapter, or it can do neither.
-pub fn open_preferred(
-    scene: &Scene,
-    adapter: Option<String>,
-    allow_software: bool,
-) -> Result<ComputeBackend, BackendError> {
-    match open(scene, adapter.clone(), allow_software) {
-        Err(BackendError::Gpu(error)) => Err(error.into()),
-        Err(error) => {
-            tracing::info!(reason = %error, "tracing without ray queries");
-            ComputeBackend::open(scene, adapter, allow_software)
-        }
-        backend => backend,
-    }
-}
-
-/// As [`open`], on a device that is already there.
-///
-/// # Errors
-/// When the device lacks what the kernels need, or the scene does not fit it.
-pub fn new(scene: &Scene, gpu: Gpu) -> Result<ComputeBackend, BackendError> {
-    ComputeBackend::new_traversing(scene, gpu, (Traversal::RayQuery, KernelOptions::default()))
-}
-
-/// Whether the device has ray queries.
-///
-/// # Errors
-/// When it has none.
+/// Errors if the device has no ray queries.
 pub(super) fn check(gpu: &Gpu) -> Result<(), BackendError> {
     if gpu.device.features().contains(NEEDED) {
         return Ok(());
@@ -81,7 +20,6 @@ pub(super) fn check(gpu: &Gpu) -> Result<(), BackendError> {
     Err(BackendError::Feature { adapter: gpu.info.name.clone(), missing: "ray queries".to_owned() })
 }
 
-/// What the structure is bound as.
 pub(super) fn structure_type() -> wgpu::BindingType {
     wgpu::BindingType::AccelerationStructure { vertex_return: false }
 }
@@ -89,8 +27,8 @@ pub(super) fn structure_type() -> wgpu::BindingType {
 /// Builds the structure over `triangles`.
 ///
 /// # Errors
-/// When there are more triangles than the adapter can build a structure of. What the device itself refuses, its error
-/// handler gets.
+/// If the adapter cannot build a structure of so many triangles. What the device itself refuses, its error handler
+/// gets.
 pub(super) fn build_structure(gpu: &Gpu, triangles: &[TracedTriangle]) -> Result<wgpu::Tlas, BackendError> {
     let limit = gpu.device.limits().max_blas_primitive_count;
     let Some(count) = u32::try_from(triangles.len()).ok().filter(|&count| count <= limit) else {
@@ -113,7 +51,7 @@ pub(super) fn build_structure(gpu: &Gpu, triangles: &[TracedTriangle]) -> Result
     }
     let vertices = gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
         label: Some("corners"),
-        contents: bytemuck::cast_slice(&pad::padded(triangles)),
+        contents: bytemuck::cast_slice(&enlarge::enlarged(triangles)),
         usage: wgpu::BufferUsages::BLAS_INPUT,
     });
     let size = wgpu::BlasTriangleGeometrySizeDescriptor {
@@ -121,7 +59,7 @@ pub(super) fn build_structure(gpu: &Gpu, triangles: &[TracedTriangle]) -> Result
         vertex_count: count.saturating_mul(3),
         index_format: None,
         index_count: None,
-        // Not opaque: every triangle is offered to the kernels, which decide (wgsl/visibility/ray_query.wgsl).
+        // Not opaque: the kernels test every candidate themselves (wgsl/visibility/ray_query.wgsl).
         flags: wgpu::AccelerationStructureGeometryFlags::empty(),
     };
     let bottom = gpu.device.create_blas(

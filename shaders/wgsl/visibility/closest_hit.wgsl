@@ -1,6 +1,6 @@
-// What a ray meets first, however the triangles on its way are found.
+// The closest hit of a ray, however the triangles on its way are found.
 
-struct Nearest {
+struct ClosestHit {
     // The triangle, or NOTHING.
     triangle: u32,
     weights: vec3f,

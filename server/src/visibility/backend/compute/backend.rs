@@ -1,0 +1,246 @@
+//! The back end itself: a device with a scene on it, and the buffers that its masks need.
+
+use std::collections::VecDeque;
+
+use glam::DVec3;
+use gnomon_protocol::mask::MaskShape;
+use gnomon_scene::Scene;
+use gnomon_shaders::{
+    device_failure::DeviceFailure,
+    gpu::{Gpu, GpuOptions},
+    host::TracedLight,
+};
+use wgpu::util::DeviceExt as _;
+
+use super::{
+    acceleration,
+    geometry::Geometry,
+    kernels::{self, Kernels, SCENE_BUFFERS, Traversal},
+    limit::{PictureLimit, binding_limit},
+    ring::{Capacity, RING_FRAMES, Ring, SLOTS},
+    submission::{InFlight, Submissions},
+    timing::Timing,
+};
+use crate::visibility::backend::BackendError;
+
+/// Traces masks on one device. Frames are collected in the order in which their last parts were submitted.
+#[derive(Debug)]
+pub struct ComputeBackend {
+    pub(super) gpu: Gpu,
+    traversal: Traversal,
+    tests_alpha: bool,
+    memory: DeviceMemory,
+    pub(super) kernels: Kernels,
+    pub(super) scene: wgpu::BindGroup,
+    pub(super) timing: Option<Timing>,
+    pub(super) origin_m: DVec3,
+    pub(super) lights: u32,
+    /// [`gnomon_shaders::host::TracedView::nodes`].
+    pub(super) nodes: u32,
+    pub(super) ring: Option<Ring>,
+    pub(super) in_flight: VecDeque<InFlight>,
+    pub(super) submissions: Submissions,
+    failure: DeviceFailure,
+}
+
+/// Memory of a device that grows with the scene and its masks, in bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct DeviceMemory {
+    /// Nodes of our hierarchy; 0 where the adapter has its own.
+    pub hierarchy_bytes: u64,
+    /// Triangles and their normals.
+    pub triangle_bytes: u64,
+    pub lights_bytes: u64,
+    /// Alpha materials, their pictures, and texture coordinates.
+    pub alpha_bytes: u64,
+    /// The words of one mask; 0 before there are buffers.
+    pub mask_bytes: u64,
+}
+
+impl ComputeBackend {
+    /// Opens an adapter and uploads the scene. Builds the hierarchy and compiles the kernels.
+    ///
+    /// # Errors
+    /// If there is no such adapter, it lacks what the kernels need, or the scene does not fit it.
+    pub fn open(scene: &Scene, adapter: Option<String>, allow_software: bool) -> Result<Self, BackendError> {
+        Self::open_traversing(scene, adapter, allow_software, Traversal::Hierarchy, None)
+    }
+
+    /// As [`Self::open`], with shadow rays that start `offset_roundings` rounding units off their surface, instead of
+    /// what the rule says. For tests that plant this fault.
+    ///
+    /// # Errors
+    /// Those of [`Self::open`].
+    pub fn open_with_offset(
+        scene: &Scene,
+        adapter: Option<String>,
+        allow_software: bool,
+        offset_roundings: u16,
+    ) -> Result<Self, BackendError> {
+        Self::open_traversing(scene, adapter, allow_software, Traversal::Hierarchy, Some(offset_roundings))
+    }
+
+    /// As [`Self::open`], on an open device.
+    ///
+    /// # Errors
+    /// If the device lacks what the kernels need, or the scene does not fit it.
+    pub fn new(scene: &Scene, gpu: Gpu) -> Result<Self, BackendError> {
+        Self::new_traversing(scene, gpu, Traversal::Hierarchy, None)
+    }
+
+    pub(in super::super) fn open_traversing(
+        scene: &Scene,
+        adapter: Option<String>,
+        allow_software: bool,
+        traversal: Traversal,
+        offset_roundings: Option<u16>,
+    ) -> Result<Self, BackendError> {
+        let wanted = kernels::NEEDED | kernels::TIMING | traversal.features();
+        let gpu = pollster::block_on(Gpu::open(&GpuOptions { adapter, wanted, allow_software }))?;
+        Self::new_traversing(scene, gpu, traversal, offset_roundings)
+    }
+
+    pub(in super::super) fn new_traversing(
+        scene: &Scene,
+        gpu: Gpu,
+        traversal: Traversal,
+        offset_roundings: Option<u16>,
+    ) -> Result<Self, BackendError> {
+        let failure = DeviceFailure::watch(&gpu.device);
+        let geometry = Geometry::build(scene, traversal)?;
+        let tests_alpha = !geometry.alpha_materials.is_empty();
+        let memory = DeviceMemory {
+            hierarchy_bytes: size_of_val(&*geometry.nodes) as u64,
+            triangle_bytes: (size_of_val(&*geometry.triangles) + size_of_val(&*geometry.normals)) as u64,
+            lights_bytes: (size_of::<TracedLight>() * scene.lights.len()) as u64,
+            alpha_bytes: geometry.alpha_bytes(),
+            mask_bytes: 0,
+        };
+        let kernels = Kernels::new(&gpu, traversal, tests_alpha, offset_roundings)?;
+        let (nodes, structure) = match traversal {
+            Traversal::Hierarchy => (geometry.nodes.len(), None),
+            Traversal::RayQuery => {
+                (geometry.triangles.len(), Some(acceleration::build_structure(&gpu, &geometry.triangles)?))
+            }
+        };
+        let nodes =
+            u32::try_from(nodes).map_err(|_| BackendError::Setup(format!("the hierarchy has {nodes} nodes")))?;
+        let buffers = upload(&gpu, scene, geometry)?;
+        let scene_group = kernels.bind_scene(&gpu.device, &buffers, structure.as_ref());
+        let timing = Timing::new(&gpu.device, &gpu.queue, u32::try_from(SLOTS).unwrap_or(u32::MAX));
+        if let Some(reason) = failure.take() {
+            return Err(BackendError::Setup(reason));
+        }
+        Ok(Self {
+            traversal,
+            tests_alpha,
+            memory,
+            kernels,
+            scene: scene_group,
+            timing,
+            origin_m: scene.origin_m,
+            lights: u32::try_from(scene.lights.len()).unwrap_or(u32::MAX),
+            nodes,
+            ring: None,
+            in_flight: VecDeque::with_capacity(RING_FRAMES),
+            submissions: Submissions::default(),
+            failure,
+            gpu,
+        })
+    }
+
+    /// `compute on ADAPTER (DRIVER)`, or `ray-query on …`.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        let info = &self.gpu.info;
+        let name = match self.traversal {
+            Traversal::Hierarchy => "compute",
+            Traversal::RayQuery => "ray-query",
+        };
+        format!("{name} on {} ({} {}, {})", info.name, info.driver, info.driver_info, info.backend)
+    }
+
+    /// The largest mask that the device can hold.
+    #[must_use]
+    pub fn picture_limit(&self) -> PictureLimit {
+        PictureLimit::of(&self.gpu)
+    }
+
+    /// Whether there are buffers for masks of this shape.
+    #[must_use]
+    pub fn fits(&self, shape: MaskShape) -> bool {
+        self.ring.as_ref().is_some_and(|ring| ring.capacity.holds(shape))
+    }
+
+    /// Makes buffers that just hold masks of all these shapes, or none without a shape. Does nothing if they are there
+    /// already. Frames in flight are lost, so collect them first.
+    ///
+    /// # Errors
+    /// If the device has too little memory: then there are no buffers at all, and nothing can be submitted.
+    pub fn fit(&mut self, shapes: impl IntoIterator<Item = MaskShape>) -> Result<(), BackendError> {
+        let needed = Capacity::of(shapes);
+        if self.ring.as_ref().map(|ring| ring.capacity).unwrap_or_default() == needed {
+            return Ok(());
+        }
+        self.in_flight.clear();
+        self.ring = None;
+        if needed != Capacity::default() {
+            let ring = Ring::new(&self.gpu.device, &self.kernels, needed);
+            if let Some(reason) = self.failure.take() {
+                return Err(BackendError::Setup(reason));
+            }
+            self.ring = Some(ring);
+        }
+        Ok(())
+    }
+
+    /// Errors if the device has reported a failure since the last call.
+    pub(super) fn check_device(&self) -> Result<(), BackendError> {
+        self.failure.take().map_or(Ok(()), |reason| Err(BackendError::Device(reason)))
+    }
+
+    /// Destroys the device: whatever is asked of it next fails, as after a real loss.
+    #[cfg(any(test, feature = "faults"))]
+    pub fn destroy_device(&self) {
+        self.gpu.device.destroy();
+    }
+
+    /// Whether the kernels test alpha: only for a scene whose triangles have holes.
+    #[must_use]
+    pub fn tests_alpha(&self) -> bool {
+        self.tests_alpha
+    }
+
+    /// The memory that the scene and one mask take on the device.
+    #[must_use]
+    pub fn memory(&self) -> DeviceMemory {
+        DeviceMemory { mask_bytes: self.ring.as_ref().map_or(0, |ring| ring.capacity.mask_bytes), ..self.memory }
+    }
+}
+
+/// The scene's buffers, in the order of `wgsl/shared/traced_scene.wgsl`.
+fn upload(gpu: &Gpu, scene: &Scene, geometry: Geometry) -> Result<[wgpu::Buffer; SCENE_BUFFERS], BackendError> {
+    let usage = wgpu::BufferUsages::STORAGE;
+    let lights: Vec<TracedLight> = scene.lights.iter().map(TracedLight::new).collect();
+    let mut texels = geometry.alpha_texels;
+    // The kernels read them four at a time.
+    texels.resize(texels.len().next_multiple_of(4), 0);
+    let buffer = |what: &'static str, contents: &[u8]| {
+        let (bytes, limit) = (contents.len() as u64, binding_limit(gpu));
+        if bytes > limit {
+            return Err(BackendError::SceneTooLarge { what, bytes, limit, adapter: gpu.info.name.clone() });
+        }
+        // A binding may not be empty. Nothing reads this filler.
+        let contents = if contents.is_empty() { &[0; 64] } else { contents };
+        Ok(gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(what), contents, usage }))
+    };
+    Ok([
+        buffer("bounding volume hierarchy", bytemuck::cast_slice(&geometry.nodes))?,
+        buffer("list of triangles", bytemuck::cast_slice(&geometry.triangles))?,
+        buffer("list of lights", bytemuck::cast_slice(&lights))?,
+        buffer("list of alpha materials", bytemuck::cast_slice(&geometry.alpha_materials))?,
+        buffer("set of alpha pictures", &texels)?,
+        buffer("list of texture coordinates", bytemuck::cast_slice(&geometry.alpha_uvs))?,
+        buffer("list of normals", bytemuck::cast_slice(&geometry.normals))?,
+    ])
+}

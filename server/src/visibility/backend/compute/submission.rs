@@ -1,0 +1,85 @@
+//! What is on its way through the device: frames, and the submissions that they are cut into.
+
+use std::{
+    collections::VecDeque,
+    ops::Range,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Instant,
+};
+
+use gnomon_protocol::mask::MaskShape;
+use gnomon_shaders::host::TracedView;
+
+use super::ring::Lease;
+
+/// A frame whose last part is not submitted yet. Dropping it frees its slot.
+#[derive(Debug)]
+pub struct PartialSubmission {
+    pub(super) lease: Lease,
+    pub(super) shape: MaskShape,
+    pub(super) view: TracedView,
+    pub(super) begun_at: Instant,
+    /// Tracing parts submitted.
+    pub(super) parts: u32,
+    /// Bytes of the mask whose copy to the host is submitted.
+    pub(super) copied_bytes: u64,
+}
+
+impl PartialSubmission {
+    /// The rows of tiles that the next part traces, when it should trace `rows`.
+    #[must_use]
+    pub fn next_rows(&self, rows: u32) -> Range<u32> {
+        let first = self.view.first_row.min(self.shape.tiles_y());
+        first..first.saturating_add(rows).min(self.shape.tiles_y())
+    }
+
+    /// Whether all rows are submitted; pieces of the mask may be left to copy.
+    pub(super) fn is_traced(&self) -> bool {
+        self.view.first_row >= self.shape.tiles_y()
+    }
+}
+
+/// A frame that is wholly submitted.
+#[derive(Debug)]
+pub(super) struct InFlight {
+    pub(super) lease: Lease,
+    pub(super) shape: MaskShape,
+    pub(super) begun_at: Instant,
+    pub(super) parts: u32,
+    /// Words of the mask that the host has read.
+    pub(super) read_words: usize,
+}
+
+/// Submissions that the device may not have finished.
+#[derive(Debug, Default)]
+pub(super) struct Submissions {
+    waiting: VecDeque<wgpu::SubmissionIndex>,
+    made: u64,
+    /// Counted by the device's callbacks.
+    done: Arc<AtomicU64>,
+}
+
+impl Submissions {
+    pub(super) fn add(&mut self, queue: &wgpu::Queue, commands: wgpu::CommandBuffer) {
+        self.waiting.push_back(queue.submit([commands]));
+        self.made += 1;
+        let done = Arc::clone(&self.done);
+        queue.on_submitted_work_done(move || _ = done.fetch_add(1, Ordering::Release));
+    }
+
+    /// Forgets the finished ones and returns how many are left.
+    pub(super) fn count(&mut self) -> usize {
+        let open = self.made - self.done.load(Ordering::Acquire).min(self.made);
+        while self.waiting.len() as u64 > open {
+            self.waiting.pop_front();
+        }
+        self.waiting.len()
+    }
+
+    pub(super) fn oldest(&self) -> Option<wgpu::SubmissionIndex> {
+        self.waiting.front().cloned()
+    }
+}

@@ -1,0 +1,42 @@
+//! Why an engine does not start, and why it refuses a session.
+
+use std::io;
+
+use thiserror::Error;
+
+use super::shared::WAITING_SESSIONS;
+use crate::visibility::{backend::BackendError, schedule::capacity::Overload};
+
+/// Why the engine does not start.
+#[derive(Debug, Error)]
+pub enum EngineError {
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+    #[error("cannot start the engine's thread: {0}")]
+    Thread(io::Error),
+    /// The thread ended before the back end was ready.
+    #[error("the engine's thread died while it prepared the scene")]
+    Died,
+}
+
+/// Why a session is refused.
+#[derive(Debug, Error)]
+pub enum OpenError {
+    #[error("all {0} sessions are taken")]
+    Full(usize),
+    /// The device has too little time for another session.
+    #[error("{0}")]
+    Overload(Overload),
+    /// The engine's queue of new sessions is full.
+    #[error("{WAITING_SESSIONS} sessions already wait to be opened")]
+    Busy,
+    /// The mask must have a plane for each light of the scene.
+    #[error("a mask with {found} lights for a scene with {expected}")]
+    Lights { expected: usize, found: u32 },
+    /// The device cannot hold a mask of this size.
+    #[error(transparent)]
+    Picture(#[from] BackendError),
+    /// The engine has ended, for this reason.
+    #[error("the engine has stopped: {0}")]
+    Stopped(String),
+}

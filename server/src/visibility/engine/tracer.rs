@@ -1,0 +1,268 @@
+//! The back end of an engine as a state machine: a frame begins, advances part by part, and is collected.
+
+use std::{
+    collections::VecDeque,
+    ops::Range,
+    panic::{AssertUnwindSafe, catch_unwind},
+    time::{Duration, Instant},
+};
+
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::camera::Camera;
+use tokio::sync::mpsc::OwnedPermit;
+
+use crate::visibility::{
+    TraceCost, TraceRequest, TracedMask,
+    backend::{
+        BackendError,
+        compute::{ComputeBackend, PartialSubmission},
+        cpu::CpuBackend,
+    },
+    schedule::scheduler::SessionKey,
+};
+
+/// What an engine traces with.
+pub(super) enum Tracer {
+    /// Kernels on a device. `in_flight` are the frames that are wholly submitted, oldest first.
+    Device {
+        backend: Box<ComputeBackend>,
+        in_flight: VecDeque<Job>,
+    },
+    Cpu(Box<CpuBackend>),
+    /// The device is lost and not reopened yet.
+    Lost,
+}
+
+/// A mask to trace for a session.
+pub(super) struct Job {
+    pub(super) session: SessionKey,
+    pub(super) request: TraceRequest,
+    /// When the mask is due.
+    pub(super) due: Instant,
+    pub(super) mask: Mask,
+    /// The mask's place in the session's channel.
+    pub(super) permit: OwnedPermit<TracedMask>,
+}
+
+/// A frame between two of its parts.
+pub(super) struct PartialFrame {
+    pub(super) job: Job,
+    /// Rows of tiles of a part.
+    rows_per_part: u32,
+    progress: Progress,
+}
+
+enum Progress {
+    Device(PartialSubmission),
+    Cpu { next_row: u32, cost: TraceCost },
+}
+
+/// What has become of a frame after one of its parts.
+pub(super) enum Advance {
+    /// More parts are left.
+    Partial(PartialFrame),
+    /// All parts are submitted: [`Tracer::collect`] returns the frame once it has landed.
+    InFlight,
+    Traced(Job, TraceCost),
+}
+
+/// Why tracing failed, with the job that was worked on. Frames in flight stay with the tracer: see [`Tracer::lose`].
+pub(super) enum TraceError {
+    /// The device failed. The job's request can be traced on another device.
+    Device { error: BackendError, job: Option<Box<Job>> },
+    /// The work on this job panicked.
+    Panicked { job: Box<Job> },
+}
+
+/// How busy a device is.
+pub(super) struct DeviceLoad {
+    /// Frames that may begin now.
+    pub(super) free_slots: usize,
+    /// Frames wholly submitted and not collected.
+    pub(super) in_flight: usize,
+    /// Submissions that the device has not finished.
+    pub(super) submissions: usize,
+}
+
+impl From<BackendError> for TraceError {
+    fn from(error: BackendError) -> Self {
+        Self::Device { error, job: None }
+    }
+}
+
+impl PartialFrame {
+    /// Share of the frame that the next part traces, 0 to 1.
+    pub(super) fn next_share(&self) -> f64 {
+        let rows = self.next_rows();
+        f64::from(rows.end - rows.start) / f64::from(self.job.mask.shape().tiles_y().max(1))
+    }
+
+    fn next_rows(&self) -> Range<u32> {
+        match &self.progress {
+            Progress::Device(rest) => rest.next_rows(self.rows_per_part),
+            Progress::Cpu { next_row, .. } => {
+                *next_row..next_row.saturating_add(self.rows_per_part).min(self.job.mask.shape().tiles_y())
+            }
+        }
+    }
+}
+
+impl Tracer {
+    pub(super) fn on_device(backend: ComputeBackend) -> Self {
+        Self::Device { backend: Box::new(backend), in_flight: VecDeque::new() }
+    }
+
+    pub(super) fn on_cpu(backend: CpuBackend) -> Self {
+        Self::Cpu(Box::new(backend))
+    }
+
+    /// Begins a frame, of which each [`Self::advance`] traces so many rows of tiles.
+    ///
+    /// # Errors
+    /// If the device has failed.
+    pub(super) fn begin(&mut self, job: Job, rows_per_part: u32) -> Result<PartialFrame, TraceError> {
+        let progress = match self {
+            Self::Device { backend, .. } => match backend.begin(&job.request.camera, job.mask.shape()) {
+                Ok(rest) => Progress::Device(rest),
+                Err(error) => return Err(TraceError::Device { error, job: Some(Box::new(job)) }),
+            },
+            Self::Cpu(_) | Self::Lost => Progress::Cpu { next_row: 0, cost: TraceCost::default() },
+        };
+        Ok(PartialFrame { job, rows_per_part, progress })
+    }
+
+    /// Submits the next part of a frame to the device, or traces it on the processor.
+    ///
+    /// # Errors
+    /// If the device has failed or the work panics.
+    pub(super) fn advance(&mut self, frame: PartialFrame) -> Result<Advance, TraceError> {
+        let rows = frame.next_rows();
+        let PartialFrame { mut job, rows_per_part, progress } = frame;
+        match (self, progress) {
+            (Self::Device { backend, in_flight }, Progress::Device(rest)) => {
+                match catch_unwind(AssertUnwindSafe(|| backend.submit_part(rest, rows_per_part))) {
+                    Ok(Ok(Some(rest))) => {
+                        Ok(Advance::Partial(PartialFrame { job, rows_per_part, progress: Progress::Device(rest) }))
+                    }
+                    Ok(Ok(None)) => {
+                        in_flight.push_back(job);
+                        Ok(Advance::InFlight)
+                    }
+                    Ok(Err(error)) => Err(TraceError::Device { error, job: Some(Box::new(job)) }),
+                    Err(_) => Err(TraceError::Panicked { job: Box::new(job) }),
+                }
+            }
+            (Self::Cpu(backend), Progress::Cpu { cost, .. }) => {
+                let next_row = rows.end;
+                let (camera, mask) = (&job.request.camera, &mut job.mask);
+                let Ok(part) = catch_unwind(AssertUnwindSafe(|| backend.trace_rows(camera, mask, rows))) else {
+                    return Err(TraceError::Panicked { job: Box::new(job) });
+                };
+                let cost = cost.plus(part);
+                if next_row == job.mask.shape().tiles_y() {
+                    return Ok(Advance::Traced(job, cost));
+                }
+                Ok(Advance::Partial(PartialFrame { job, rows_per_part, progress: Progress::Cpu { next_row, cost } }))
+            }
+            _ => {
+                let error = BackendError::Device("the device is not open".to_owned());
+                Err(TraceError::Device { error, job: Some(Box::new(job)) })
+            }
+        }
+    }
+
+    /// Waits up to `patience` for the oldest submission.
+    ///
+    /// # Errors
+    /// If the device has failed.
+    pub(super) fn wait(&mut self, patience: Duration) -> Result<(), BackendError> {
+        let Self::Device { backend, .. } = self else { return Ok(()) };
+        // A long mask is read piece by piece, without waiting in between.
+        let patience = if backend.has_landed()? { Duration::ZERO } else { patience };
+        backend.wait(patience)
+    }
+
+    /// Returns the oldest frame in flight if it has landed. Does not wait.
+    ///
+    /// # Errors
+    /// If the device has failed or the work panics.
+    pub(super) fn collect(&mut self) -> Result<Option<(Job, TraceCost)>, TraceError> {
+        let Self::Device { backend, in_flight } = self else { return Ok(None) };
+        let Some(job) = in_flight.front_mut() else { return Ok(None) };
+        let collected = catch_unwind(AssertUnwindSafe(|| backend.collect(Duration::ZERO, &mut job.mask)));
+        match collected {
+            Ok(Ok(None)) => Ok(None),
+            Ok(Ok(Some(cost))) => Ok(in_flight.pop_front().map(|job| (job, cost))),
+            Ok(Err(error)) => Err(error.into()),
+            Err(_) => in_flight.pop_front().map_or(Ok(None), |job| Err(TraceError::Panicked { job: Box::new(job) })),
+        }
+    }
+
+    /// Drops the device. Returns the jobs whose frames were in flight, oldest first.
+    pub(super) fn lose(&mut self) -> VecDeque<Job> {
+        match std::mem::replace(self, Self::Lost) {
+            Self::Device { in_flight, .. } => in_flight,
+            Self::Cpu(_) | Self::Lost => VecDeque::new(),
+        }
+    }
+
+    /// Traces a whole mask and waits for it. `None` if the device is lost.
+    ///
+    /// # Errors
+    /// If the device has failed or frames are in flight.
+    pub(super) fn trace(&mut self, camera: &Camera, mask: &mut Mask) -> Result<Option<TraceCost>, BackendError> {
+        match self {
+            Self::Device { backend, .. } => backend.trace(camera, mask).map(Some),
+            Self::Cpu(backend) => Ok(Some(backend.trace(camera, mask))),
+            Self::Lost => Ok(None),
+        }
+    }
+
+    /// Whether [`Self::advance`] returns only once the part is traced.
+    pub(super) fn is_synchronous(&self) -> bool {
+        !matches!(self, Self::Device { .. })
+    }
+
+    /// Whether it can go on after a panic. The processor's back end changes nothing of its own while it traces; the
+    /// state of a device's queue is unknown.
+    pub(super) fn survives_panics(&self) -> bool {
+        matches!(self, Self::Cpu(_))
+    }
+
+    /// `None` where nothing limits what may begin.
+    pub(super) fn load(&mut self) -> Option<DeviceLoad> {
+        let Self::Device { backend, in_flight } = self else { return None };
+        Some(DeviceLoad {
+            free_slots: backend.free_slots(),
+            in_flight: in_flight.len(),
+            submissions: backend.submissions_open(),
+        })
+    }
+
+    /// Whether masks of this shape need no larger buffers.
+    pub(super) fn fits(&self, shape: MaskShape) -> bool {
+        match self {
+            Self::Device { backend, .. } => backend.fits(shape),
+            Self::Cpu(_) | Self::Lost => true,
+        }
+    }
+
+    /// Makes buffers that just fit these shapes; frames in flight would be lost.
+    ///
+    /// # Errors
+    /// If the device has too little memory: then there are no buffers at all.
+    pub(super) fn fit(&mut self, shapes: impl IntoIterator<Item = MaskShape>) -> Result<(), BackendError> {
+        match self {
+            Self::Device { backend, .. } => backend.fit(shapes),
+            Self::Cpu(_) | Self::Lost => Ok(()),
+        }
+    }
+
+    /// Destroys the device, as a real loss would.
+    #[cfg(any(test, feature = "faults"))]
+    pub(super) fn destroy_device(&self) {
+        if let Self::Device { backend, .. } = self {
+            backend.destroy_device();
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! What the engine's thread keeps between two rounds.
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, mpsc::Receiver},
+};
+
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::camera::Camera;
+
+use super::session::{ActiveSession, SplitThreshold};
+use crate::visibility::{
+    backend::BackendError,
+    engine::{
+        port::OUTSTANDING_MASKS,
+        shared::{PendingSession, Shared},
+        tracer::Tracer,
+    },
+    schedule::scheduler::{Scheduler, SessionKey},
+};
+
+/// Opens a tracer like the one that was lost.
+pub(super) type Reopen = Box<dyn FnMut() -> Result<Tracer, BackendError> + Send>;
+
+pub(in super::super) struct Worker {
+    pub(super) tracer: Tracer,
+    pub(super) open_again: Reopen,
+    pub(super) pending: Receiver<PendingSession>,
+    pub(super) shared: Arc<Shared>,
+    pub(super) sessions: HashMap<SessionKey, ActiveSession>,
+    next_key: SessionKey,
+    pub(super) scheduler: Scheduler,
+    pub(super) split_threshold: SplitThreshold,
+    /// Times that the device was lost since it last traced a mask.
+    pub(super) losses_in_a_row: u32,
+}
+
+impl Worker {
+    pub(in super::super) fn new(
+        tracer: Tracer,
+        reopen: Reopen,
+        pending: Receiver<PendingSession>,
+        shared: Arc<Shared>,
+    ) -> Self {
+        Self {
+            tracer,
+            open_again: reopen,
+            pending,
+            shared,
+            sessions: HashMap::new(),
+            next_key: 0,
+            scheduler: Scheduler::new(OUTSTANDING_MASKS),
+            split_threshold: SplitThreshold::default(),
+            losses_in_a_row: 0,
+        }
+    }
+
+    /// Traces two masks for no session: then the device is warm and the cost of a mask is known.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub(in super::super) fn warm_up(&mut self, camera: &Camera, shape: MaskShape) -> Result<(), BackendError> {
+        let mut mask = Mask::new(shape);
+        for _ in 0..2 {
+            if let Some(cost) = self.tracer.trace(camera, &mut mask)? {
+                self.shared.model.learn(shape.pixels(), &cost);
+            }
+        }
+        self.shrink_buffers()
+    }
+
+    pub(super) fn insert(&mut self, session: PendingSession) -> SessionKey {
+        self.scheduler.insert(self.next_key, session.costs.expected_ms());
+        self.sessions.insert(self.next_key, ActiveSession::new(session));
+        self.split_threshold.forget();
+        self.next_key += 1;
+        self.next_key - 1
+    }
+
+    /// Forgets a session; its port closes.
+    pub(super) fn close(&mut self, session: SessionKey) {
+        self.scheduler.remove(session);
+        self.sessions.remove(&session);
+        self.split_threshold.forget();
+    }
+
+    /// Forgets the sessions whose ports were dropped.
+    pub(super) fn remove_closed(&mut self) {
+        let closed = |(&key, session): (&SessionKey, &ActiveSession)| session.is_closed().then_some(key);
+        let closed: Vec<SessionKey> = self.sessions.iter().filter_map(closed).collect();
+        for key in closed {
+            tracing::debug!(engine_session = key, "session closed");
+            self.close(key);
+        }
+    }
+
+    pub(super) fn shapes(&self) -> Vec<MaskShape> {
+        self.sessions.values().map(|session| session.opened.shape).collect()
+    }
+
+    /// Gives back the memory of buffers larger than the open sessions need.
+    pub(super) fn shrink_buffers(&mut self) -> Result<(), BackendError> {
+        self.tracer.fit(self.shapes())
+    }
+}

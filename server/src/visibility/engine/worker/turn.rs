@@ -1,0 +1,92 @@
+//! The rounds of the engine's thread: new sessions, work, waiting for the device.
+
+use std::{sync::atomic::Ordering, time::Duration};
+
+use super::state::Worker;
+#[cfg(any(test, feature = "faults"))]
+use crate::visibility::{backend::BackendError, engine::faults::Fault};
+use crate::visibility::{backend::compute::RING_FRAMES, engine::tracer::TraceError};
+
+/// How long the thread waits for the device before it looks for new poses, while another frame may begin. A frame takes
+/// a GPU milliseconds, so this costs little time and few wake-ups, and none when nothing is in flight.
+const POLL: Duration = Duration::from_micros(500);
+
+/// How long it waits when the ring is full. Nothing may begin, but a shutdown should be noticed.
+const FULL_RING_WAIT: Duration = Duration::from_millis(100);
+
+impl Worker {
+    /// Traces until the engine is stopped or its device fails for good. Ports close when this returns.
+    pub(in super::super) fn run(mut self) {
+        while !self.shared.stop.load(Ordering::Acquire) {
+            if let Err(error) = self.turn()
+                && !self.recover(error)
+            {
+                return;
+            }
+        }
+    }
+
+    /// One round: does all work that can be done now, or else waits. `park` returns at once after a wake-up during the
+    /// round, so none is lost between looking and waiting.
+    fn turn(&mut self) -> Result<(), TraceError> {
+        #[cfg(any(test, feature = "faults"))]
+        self.lose_device_on_demand()?;
+        self.remove_closed();
+        self.take_up_sessions()?;
+        let mut worked = false;
+        while self.work()? {
+            worked = true;
+            // Sessions come, go and are stopped between two parts.
+            if self.tracer.is_synchronous() {
+                return Ok(());
+            }
+        }
+        let load = self.tracer.load();
+        let idle = load.as_ref().is_none_or(|load| load.in_flight == 0 && load.submissions == 0);
+        if idle {
+            if !worked {
+                self.shrink_buffers()?;
+                std::thread::park();
+            }
+            return Ok(());
+        }
+        let may_begin = load.is_some_and(|load| load.in_flight < RING_FRAMES);
+        self.land(if may_begin { POLL } else { FULL_RING_WAIT })
+    }
+
+    pub(super) fn take_up_sessions(&mut self) -> Result<(), TraceError> {
+        while let Ok(session) = self.pending.try_recv() {
+            // A session that closes before it is taken up wakes nobody.
+            if session.port.is_closed() {
+                continue;
+            }
+            if !self.tracer.fits(session.shape) {
+                // Larger buffers replace the ring, so it must be empty.
+                self.restart_partial_frames();
+                while self.tracer.load().is_some_and(|load| load.in_flight > 0) {
+                    self.land(FULL_RING_WAIT)?;
+                }
+                let shapes = self.shapes();
+                if let Err(error) = self.tracer.fit(shapes.iter().copied().chain([session.shape])) {
+                    tracing::warn!(%error, shape = ?session.shape, "no memory for a session");
+                    // The others fitted before. The new session's port closes as it is dropped here.
+                    self.tracer.fit(shapes)?;
+                    continue;
+                }
+            }
+            let shape = session.shape;
+            let key = self.insert(session);
+            tracing::debug!(engine_session = key, ?shape, "session opened");
+        }
+        Ok(())
+    }
+
+    #[cfg(any(test, feature = "faults"))]
+    fn lose_device_on_demand(&mut self) -> Result<(), BackendError> {
+        if self.shared.faults.take(Fault::DeviceLost) {
+            self.tracer.destroy_device();
+            return Err(BackendError::Device("lost on demand".to_owned()));
+        }
+        Ok(())
+    }
+}

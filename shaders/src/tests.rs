@@ -1,0 +1,126 @@
+//! The WGSL files: all compiled in, all valid, and laid out as the host types are.
+
+use std::mem::{offset_of, size_of};
+
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+
+use crate::{
+    host::{AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedLight, TracedTriangle, TracedView},
+    shading::{Light, Lighting, MaskLayer, Material, Prediction, ShadowView, Tone, View},
+    splice::{FILES, splice, splice_ray_query},
+};
+
+/// Parses and validates a spliced text.
+fn valid(path: &str, text: &str, capabilities: Capabilities) -> naga::Module {
+    let module = naga::front::wgsl::parse_str(text)
+        .unwrap_or_else(|error| panic!("{}", error.emit_to_string_with_path(text, path)));
+    Validator::new(ValidationFlags::all(), capabilities)
+        .validate(&module)
+        .unwrap_or_else(|error| panic!("{}", error.emit_to_string_with_path(text, path)));
+    module
+}
+
+fn module(path: &str) -> naga::Module {
+    // Only the tracing kernels use immediate data.
+    let tracing = path.starts_with("visibility/");
+    valid(path, &splice(path).unwrap(), if tracing { Capabilities::IMMEDIATES } else { Capabilities::empty() })
+}
+
+/// Names and offsets of the members of a WGSL struct, and its size.
+fn layout(module: &naga::Module, name: &str) -> (Vec<(String, usize)>, usize) {
+    let (_, ty) = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).unwrap();
+    let naga::TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is no struct") };
+    (members.iter().map(|m| (m.name.clone().unwrap(), m.offset as usize)).collect(), *span as usize)
+}
+
+/// Compares a host type with its twin. The twin may end in padding.
+macro_rules! assert_layout {
+    ($module:expr, $host:ident, [$($field:ident),+]) => {
+        let (members, span) = layout(&$module, stringify!($host));
+        let host = vec![$((stringify!($field).to_owned(), offset_of!($host, $field))),+];
+        assert_eq!(members[..host.len()], host[..]);
+        assert!(members[host.len()..].iter().all(|(name, _)| name.starts_with("unused")), "{members:?}");
+        assert_eq!(span, size_of::<$host>());
+    };
+}
+
+#[test]
+fn host_types_have_the_layout_of_their_wgsl_twins() {
+    let primary = module("visibility/primary.wgsl");
+    assert_layout!(primary, TracedView, [origin, width, forward, height, right, lights, up, nodes, first_row]);
+    assert_eq!(size_of::<TracedView>(), TracedView::BYTES as usize);
+    assert_layout!(primary, TracedLight, [position, kind, direction, cos_outer, range_squared]);
+    assert_layout!(primary, AlphaMaterial, [first_texel, width, height, wraps, cutoff, factor]);
+    // The kernels read triangles as three vec4u, whose w components are these fields.
+    assert_eq!(size_of::<TracedTriangle>(), 48);
+    assert_eq!((offset_of!(TracedTriangle, kind), offset_of!(TracedTriangle, first_uv)), (12, 28));
+
+    let shade = module("shading/shade.wgsl");
+    assert_layout!(shade, View, [clip_from_local, origin, near_m, forward, width, right, height, up, visibility_share]);
+    assert_layout!(
+        shade,
+        Light,
+        [position, kind, direction, inverse_range, intensity, cone_scale, cone_offset, shadow_view]
+    );
+    assert_layout!(
+        shade,
+        Lighting,
+        [ambient_above, count, ambient_below, lit_from_px, zenith, unused_1, horizon, unused_2, lights]
+    );
+    let predict = module("shading/predict.wgsl");
+    assert_layout!(predict, Prediction, [layers, count, predictor, unknown, lights]);
+    assert_layout!(predict, MaskLayer, [view, slot, same_view, whole]);
+    assert_layout!(predict, ShadowView, [clip_from_local, left, top, side, texel_m]);
+    assert_layout!(module("shading/gbuffer.wgsl"), Material, [base_color, alpha_cutoff, index, wrap_u, wrap_v]);
+    assert_layout!(module("shading/tone.wgsl"), Tone, [contrast, shoulder, b, c]);
+}
+
+#[test]
+fn constants_of_host_and_wgsl_are_equal() {
+    let primary = module("visibility/primary.wgsl");
+    let constant = |name: &str| {
+        let (_, constant) = primary.constants.iter().find(|(_, c)| c.name.as_deref() == Some(name)).unwrap();
+        match primary.global_expressions[constant.init] {
+            naga::Expression::Literal(naga::Literal::U32(value)) => value,
+            ref other => panic!("{name} is {other:?}"),
+        }
+    };
+    assert_eq!(constant("TRAVERSAL_STACK"), TRAVERSAL_STACK);
+    assert_eq!(constant("TRIANGLE_SINGLE_SIDED"), TRIANGLE_SINGLE_SIDED);
+    assert_eq!(constant("TRIANGLE_ALPHA"), !TRIANGLE_SINGLE_SIDED);
+}
+
+#[test]
+fn every_shader_is_valid() {
+    // A file without an entry point is only imported, and validated in its importers.
+    let has_entry_point = |text: &str| ["@compute", "@vertex", "@fragment"].iter().any(|stage| text.contains(stage));
+    let checked: Vec<&str> = FILES.iter().filter(|(_, text)| has_entry_point(text)).map(|(path, _)| *path).collect();
+    for path in &checked {
+        module(path);
+    }
+    for path in ["visibility/primary.wgsl", "visibility/shadow.wgsl"] {
+        assert!(checked.contains(&path), "{path} was not checked");
+        let text = splice_ray_query(path).unwrap();
+        valid(path, &text, Capabilities::IMMEDIATES | Capabilities::RAY_QUERY);
+        assert!(text.contains("rayQueryProceed") && !text.contains("node_hits"), "{path} traverses our hierarchy");
+    }
+    for name in ["gbuffer", "depth", "mask_words", "predict", "shade", "blend", "tone", "debug_view", "present"] {
+        assert!(checked.contains(&format!("shading/{name}.wgsl").as_str()), "{name} was not checked");
+    }
+}
+
+#[test]
+fn every_file_of_the_folder_is_compiled_in() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("wgsl");
+    let mut found = Vec::new();
+    for group in std::fs::read_dir(&folder).unwrap() {
+        for file in std::fs::read_dir(group.unwrap().path()).unwrap() {
+            let path = file.unwrap().path();
+            let name = path.strip_prefix(&folder).unwrap().to_str().unwrap().to_owned();
+            let text = std::fs::read_to_string(&path).unwrap();
+            assert!(FILES.contains(&(name.as_str(), text.as_str())), "{name} is missing in splice::FILES");
+            found.push(name);
+        }
+    }
+    assert_eq!(found.len(), FILES.len());
+}
