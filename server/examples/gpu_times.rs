@@ -1,11 +1,11 @@
-//! How fast the `compute` back end traces a scene, stage by stage, and whether its masks are those of the `cpu` back end.
+//! Times the `compute` back end on a scene, stage by stage, and compares its masks with those of the `cpu` back end.
 //!
-//! `cargo run --release -p gnomon-server --example gpu_times -- SCENE [--lights-from FILE] [--lights 1,4,8] [--size WxH]
-//! [--from X,Y,Z --to X,Y,Z] [--frames N] [--adapter NAME] [--allow-software] [--json FILE]`
+//! `cargo run --release -p gnomon-server --example gpu_times -- SCENE [--lights-from FILE] [--lights 1,4,8] [--size
+//! WxH] [--from X,Y,Z --to X,Y,Z] [--frames N] [--adapter NAME] [--allow-software] [--json FILE]`
 //!
-//! For every number of lights: times of the kernels by the device's own clock, of the read-back, and of whole frames one
-//! at a time; then frames per second with the ring full; and the part of the relevant bits in which the two back ends
-//! differ. Ends with an error when that part exceeds `--tolerance`.
+//! For every number of lights: times of the kernels by the device's own clock, of the read-back, and of whole frames
+//! one at a time; then frames per second with the ring full; and the share of the relevant bits in which the two back
+//! ends differ. Ends with an error if that share exceeds `--tolerance`.
 
 use std::{
     path::PathBuf,
@@ -26,7 +26,7 @@ use gnomon_server::visibility::{
 };
 use serde::Serialize;
 
-/// Traces a scene on a graphics adapter over and over and says how fast that was.
+/// Traces a scene repeatedly on a graphics adapter and prints the speed.
 #[derive(Debug, Parser)]
 struct Arguments {
     /// The scene: .gltf or .glb.
@@ -34,16 +34,16 @@ struct Arguments {
     /// Lights for a scene that has none.
     #[arg(long)]
     lights_from: Option<PathBuf>,
-    /// Numbers of lights: the first so many of the scene's.
+    /// Numbers of lights: the first N of the scene's.
     #[arg(long, value_delimiter = ',', default_values_t = [1, 4, 8])]
     lights: Vec<usize>,
     /// Size of the mask.
     #[arg(long, default_value = "1920x1080", value_parser = pair)]
     size: (u32, u32),
-    /// Where the camera is, in metres.
+    /// Position of the camera, in metres.
     #[arg(long, default_value = "-8.5,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
     from: DVec3,
-    /// A point that it looks at.
+    /// Point that the camera looks at, in metres.
     #[arg(long, default_value = "0,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
     to: DVec3,
     /// Full vertical field of view, in degrees.
@@ -55,10 +55,10 @@ struct Arguments {
     /// Part of the adapter's name.
     #[arg(long)]
     adapter: Option<String>,
-    /// Take a software adapter if there is no other.
+    /// Use a software adapter if there is no other.
     #[arg(long)]
     allow_software: bool,
-    /// The largest part of the relevant bits in which the back ends may differ.
+    /// Largest share of the relevant bits in which the back ends may differ.
     #[arg(long, default_value_t = 0.001)]
     tolerance: f64,
     /// Also writes the figures here.
@@ -73,7 +73,7 @@ struct Spread {
     p99: f64,
 }
 
-/// What was measured with one number of lights.
+/// The figures for one number of lights.
 #[derive(Debug, Serialize)]
 struct Row {
     lights: usize,
@@ -193,8 +193,8 @@ fn main() -> Result<()> {
     );
     println!("|---|---|---|---|---|---|---|---|---|");
     for &lights in &arguments.lights {
-        let there = whole.lights.len();
-        ensure!((1..=there).contains(&lights), "{lights} lights of a scene that has {there}");
+        let available = whole.lights.len();
+        ensure!((1..=available).contains(&lights), "{lights} lights of a scene that has {available}");
         let mut scene = whole.clone();
         scene.lights.truncate(lights);
         let begin = Instant::now();

@@ -3,8 +3,8 @@
 //! `cargo run --release -p gnomon-server --example trace_times -- SCENE [--lights-from FILE] [--lights N] [--size WxH]
 //! [--from X,Y,Z --to X,Y,Z] [--frames N] [--threads 1,2] [--picture FILE.pgm]`
 //!
-//! Frames are timed by wall-clock time, which includes other programs' time on the core. On a busy machine use the line by processor
-//! time.
+//! Frames are timed by wall-clock time, which includes other programs' time on the core. On a busy machine use the line
+//! by processor time.
 
 use std::{num::NonZeroUsize, path::PathBuf};
 

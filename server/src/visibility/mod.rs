@@ -4,8 +4,8 @@
 //!
 //! 1. **Surface point.** A pixel's ray (`gnomon_scene::camera::RayBasis`) meets the nearest OPAQUE or MASK triangle.
 //!    Back faces of single-sided materials are passed through. A MASK point is there when the bilinear sample of the
-//!    full-size alpha picture, times the factor, is at least the cutoff. BLEND triangles are never met, nor is a triangle
-//!    whose plane holds the camera as far as rounding can tell.
+//!    full-size alpha picture, times the factor, is at least the cutoff. BLEND triangles are never met, nor is a
+//!    triangle whose plane holds the camera as far as rounding can tell.
 //! 2. **Normals.** The geometric normal is the triangle's plane's, turned towards the camera. The shading normal is
 //!    interpolated from the vertices, and negated when the back face was met.
 //! 3. **Relevance.** Light k matters at the point when it is not switched off (of no intensity, or black), the shading
@@ -15,10 +15,10 @@
 //!    rounding units of the way to the light), so that no light in a surface's own plane speckles it.
 //! 5. **Shadow ray.** It starts at the point, interpolated from the vertices and pushed along the geometric normal by a
 //!    proven bound on how far interpolation took it off the plane: 16 rounding units of the magnitudes that were summed
-//!    (the idea of Wächter and Binder, Ray Tracing Gems, ch. 6, whose 256 are a rule of thumb). It ends at the light, or
-//!    beyond the scene for a directional light. Any OPAQUE triangle, from either side, and any MASK triangle whose alpha
-//!    is there, stops it, unless the start or the light lies on the triangle's plane as far as rounding can tell: 6
-//!    rounding units of the distance's terms, with a plane normal computed in f64. So a lamp that sits on a surface
+//!    (the idea of Wächter and Binder, Ray Tracing Gems, ch. 6, whose 256 are a rule of thumb). It ends at the light,
+//!    or beyond the scene for a directional light. Any OPAQUE triangle, from either side, and any MASK triangle whose
+//!    alpha is there, stops it, unless the start or the light lies on the triangle's plane as far as rounding can tell:
+//!    6 rounding units of the distance's terms, with a plane normal computed in f64. So a lamp that sits on a surface
 //!    lights what is around it, on both sides of a surface without thickness. Bit 1 when nothing stops it.
 
 pub mod backend;

@@ -33,7 +33,8 @@ fn intersect(ray: Ray) -> ClosestHit {
         let triangle = rayQueryGetCandidateIntersection(&query).primitive_index;
         let kind = triangles[triangle * 3u].w;
         let hit = intersect_candidate(ray, triangle);
-        if hit.clear && hit.distance > 0.0 && hit.distance < limit && (hit.front || (kind & TRIANGLE_SINGLE_SIDED) == 0u)
+        if hit.clear && hit.distance > 0.0 && hit.distance < limit
+            && (hit.front || (kind & TRIANGLE_SINGLE_SIDED) == 0u)
             && passes_alpha_test(triangle, kind, hit.weights) {
             limit = hit.distance;
             closest = ClosestHit(triangle, hit.weights, hit.front);

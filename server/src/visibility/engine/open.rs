@@ -49,7 +49,7 @@ pub(super) fn open_tracer(scene: &Scene, options: &EngineOptions) -> Result<(Tra
                 on_cpu()
             }
             Err(error) => {
-                tracing::warn!(reason = %error, "the graphics adapter cannot trace this scene: tracing on the processor");
+                tracing::warn!(reason = %error, "the adapter cannot trace this scene: tracing on the processor");
                 on_cpu()
             }
         },

@@ -1,13 +1,13 @@
-//! A bound on a binary hierarchy's depth: what grew too deep is split into equal halves, and nothing else changes.
+//! Bounds the depth of a binary hierarchy: subtrees that are too deep are rebuilt from equal halves, and nothing else
+//! changes.
 //!
-//! Builders that follow the surface-area heuristic put a chain of triangles, each farther from the last than that one
-//! was, into a chain of nodes. The kernels' stack has a fixed size, and some of obvhs recurses, so every hierarchy must
-//! fit them by construction.
+//! The surface-area heuristic turns a chain of triangles with growing distances into a chain of nodes. The kernels'
+//! stack has a fixed size, and parts of obvhs recurse, so every hierarchy must fit by construction.
 
 use obvhs::bvh2::{Bvh2, node::Bvh2Node};
 
-/// Rebuilds as little as is needed of `binary`, so that no way down passes more than `levels` inner nodes. Leaves hold
-/// one primitive each. `levels` is raised to what as many leaves need at least.
+/// Rebuilds as little of `binary` as needed, so that no path from the root passes more than `levels` inner nodes. Each
+/// leaf holds one primitive. `levels` is raised to the least depth that so many leaves need.
 pub(crate) fn bound_depth(binary: &mut Bvh2, levels: u32) {
     if binary.nodes.is_empty() {
         return;
@@ -19,7 +19,7 @@ pub(crate) fn bound_depth(binary: &mut Bvh2, levels: u32) {
         if depth + subtrees[n].height <= levels {
             continue;
         }
-        // Each child has fewer leaves, so that it can still be balanced one level farther down, if need be.
+        // Each child has fewer leaves, so it can still be balanced one level farther down.
         if depth + 1 + halvings(subtrees[n].leaves - 1) <= levels {
             let first = binary.nodes[n].first_index as usize;
             open.extend([(first, depth + 1), (first + 1, depth + 1)]);
@@ -27,7 +27,7 @@ pub(crate) fn bound_depth(binary: &mut Bvh2, levels: u32) {
             balance(&mut binary.nodes, n);
         }
     }
-    // What the builder noted about the old tree.
+    // The builder's notes describe the old tree.
     binary.parents.clear();
     binary.primitives_to_nodes.clear();
     binary.children_are_ordered_after_parents = false;
@@ -36,11 +36,11 @@ pub(crate) fn bound_depth(binary: &mut Bvh2, levels: u32) {
 #[derive(Debug, Clone, Copy)]
 struct Subtree {
     leaves: usize,
-    /// Inner nodes on the longest way down.
+    /// Inner nodes on the longest path to a leaf.
     height: u32,
 }
 
-/// Inner nodes on the longest way down.
+/// Inner nodes on the longest path from the root to a leaf.
 pub(crate) fn height(nodes: &[Bvh2Node]) -> u32 {
     measure(nodes).first().map_or(0, |root| root.height)
 }
@@ -64,12 +64,12 @@ fn measure(nodes: &[Bvh2Node]) -> Vec<Subtree> {
     subtrees
 }
 
-/// How often this many leaves are halved until each is alone.
+/// How often so many leaves are halved until each is alone.
 fn halvings(leaves: usize) -> u32 {
     leaves.max(1).next_power_of_two().trailing_zeros()
 }
 
-/// Puts a balanced tree over the leaves under `root` into the places of the old one.
+/// Replaces the subtree at `root` by a balanced tree over its leaves, in the same nodes.
 fn balance(nodes: &mut [Bvh2Node], root: usize) {
     let (mut leaves, mut pairs) = (Vec::new(), Vec::new());
     let mut open = vec![root];
@@ -122,7 +122,7 @@ mod tests {
         build_bvh2_from_tris(shapes, parameters, &mut std::time::Duration::default())
     }
 
-    /// Every primitive, sorted, after a check that each box holds what is below it.
+    /// The sorted primitives of all leaves. Checks that each box holds its children.
     fn primitives(binary: &Bvh2) -> Vec<u32> {
         let mut found = Vec::new();
         let mut open = vec![(0, Aabb::new(Vec3A::splat(f32::MIN), Vec3A::splat(f32::MAX)))];
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chain_becomes_as_shallow_as_is_asked_and_loses_nothing() {
+    fn a_deep_chain_becomes_shallow_and_loses_no_leaf() {
         let shapes = chain((0..120).map(|i| 2.0_f32.powi(i - 60)));
         for levels in [32, 12, 7, 3] {
             let mut binary = built(&shapes);
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_shallow_enough_stays_as_it_was() {
+    fn shallow_parts_are_not_changed() {
         let mut shapes = chain((0..4000_u16).map(|i| 1.0 + f32::from(i)));
         let chain = chain((0..100).map(|i| 1e-3 * 2.0_f32.powi(i - 90)));
         shapes.extend(&chain);

@@ -1,11 +1,11 @@
-//! Binary hierarchies in a time that no scene can stretch: what the back ends make their wide ones of.
+//! Binary hierarchies, in a build time that no scene can blow up. The back ends convert them to wide ones.
 //!
-//! Bottom up: boxes in the order of a space-filling curve, where again and again those merge that are each other's
-//! nearest (Meister and Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy Construction",
-//! 2018), then obvhs' reinsertion. obvhs has that clustering too, but it takes time with the square of a number of
-//! boxes whose distances tie: a row of equal triangles, one laid many times, or shells around one centre have one pair
-//! of mutual nearest boxes a round, and a million of them would take hours. Here ties go by lot, and a round that finds
-//! few pairs takes neighbours.
+//! They are built bottom up: boxes in the order of a space-filling curve, where in each round mutual nearest neighbours
+//! merge (Meister and Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy Construction", 2018),
+//! then obvhs' reinsertion. obvhs has this clustering too, but its time grows with the square of the number of boxes
+//! whose distances tie. A row of equal triangles, many copies of one, or shells around one centre have one pair of
+//! mutual nearest boxes per round, and a million of them would take hours. Here a hash breaks ties, and a round that
+//! finds few pairs merges neighbours on the curve.
 
 use obvhs::{
     aabb::Aabb,
@@ -15,20 +15,20 @@ use rayon::prelude::*;
 
 use super::balance::{bound_depth, height};
 
-/// A round that merges less than one of so many boxes pairs neighbours instead.
+/// A round that would merge less than one pair in so many boxes pairs neighbours on the curve instead.
 const STALLED: usize = 8;
 
-/// The most inner nodes on a way down.
+/// Most inner nodes on a path from the root to a leaf.
 const MOST_LEVELS: u32 = 96;
 
-/// How far along the curve a nearest box is looked for, to either side, and the share of nodes that a first pass of
-/// reinsertion moves to better places: what obvhs takes for a slow build, for a scene is built once and traced for
-/// days. On Sponza a group of camera rays visits 21.4 nodes and 22.9 leaves, where half the reach and a quarter of the
-/// share make it 23.3 and 27.3.
+/// How far along the curve the nearest box is searched, to either side. This and [`REINSERTION`] are obvhs' values for
+/// a slow build, since a scene is built once and traced for days. On Sponza a group of camera rays visits 21.4 nodes
+/// and 22.9 leaves; with half the reach and a quarter of the share it visits 23.3 and 27.3.
 const REACH: usize = 24;
+/// Share of nodes that the first pass of reinsertion moves to better places.
 const REINSERTION: f32 = 0.2;
 
-/// A hierarchy over these boxes, a leaf for each; fewer than 2³¹ of them. Runs on the current rayon pool.
+/// Builds a hierarchy with a leaf for each of fewer than 2³¹ boxes. Runs on the current rayon pool.
 pub(crate) fn build(boxes: &[Aabb]) -> Bvh2 {
     let mut tree = Bvh2 { primitive_indices: (0..).take(boxes.len()).collect(), ..Bvh2::default() };
     if boxes.is_empty() {
@@ -36,7 +36,7 @@ pub(crate) fn build(boxes: &[Aabb]) -> Bvh2 {
     }
     let mut clusters = along_curve(boxes);
     tree.nodes = vec![Bvh2Node::default(); 2 * boxes.len() - 1];
-    // Pairs of siblings are placed from the end, so that the top of the tree comes first, where reinsertion expects it.
+    // Siblings are placed from the end, so that the top of the tree comes first, as reinsertion expects.
     let mut free = tree.nodes.len();
     while clusters.len() > 1 {
         let nearest = nearest(&clusters);
@@ -59,7 +59,7 @@ pub(crate) fn build(boxes: &[Aabb]) -> Bvh2 {
                     tree.nodes[free + 1] = clusters[other];
                     merged.push(Bvh2Node::new(cluster.aabb().union(clusters[other].aabb()), 0, place(free)));
                 }
-                // Its partner has taken it along.
+                // Merged by its partner.
                 Some(_) => {}
             }
         }
@@ -67,7 +67,7 @@ pub(crate) fn build(boxes: &[Aabb]) -> Bvh2 {
     }
     tree.nodes[0] = clusters[0];
     let mut optimizer = ReinsertionOptimizer::default();
-    // As obvhs does it by itself; but its stack overflows where one pass has made the tree deeper than the next one
+    // The passes of obvhs' own loop, which overflows its stack when one pass makes the tree deeper than the next
     // expects.
     for pass in (1_u8..32).step_by(2) {
         tree.max_depth = tree.max_depth.max(height(&tree.nodes) as usize + 1);
@@ -77,10 +77,10 @@ pub(crate) fn build(boxes: &[Aabb]) -> Bvh2 {
     tree
 }
 
-/// Leaves in the order of their centres on a Z-curve.
+/// Leaves, sorted by their centres along a Z-curve.
 fn along_curve(boxes: &[Aabb]) -> Vec<Bvh2Node> {
     let centres = boxes.iter().fold(Aabb::empty(), |mut all, bounds| *all.extend(bounds.center()));
-    // 2²¹ cells along the longest side; fewer along others, for cells are cubes.
+    // Cells are cubes: 2²¹ along the longest side.
     let cells_per_m = 2_097_151.0 / centres.diagonal().max_element().max(f32::MIN_POSITIVE);
     let mut leaves: Vec<_> = (0..)
         .zip(boxes)
@@ -94,7 +94,7 @@ fn along_curve(boxes: &[Aabb]) -> Vec<Bvh2Node> {
     leaves.into_iter().map(|(_, leaf)| leaf).collect()
 }
 
-/// A cell's 21 bits, every third of 63.
+/// Spreads a cell's 21 bits to every third of 63.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "what is out of range is clamped")]
 fn spread(cell: f32) -> u64 {
     let mut bits = u64::from((cell as u32).min(0x1f_ffff));
@@ -105,7 +105,7 @@ fn spread(cell: f32) -> u64 {
     (bits | bits << 2) & 0x1249_2492_4924_9249
 }
 
-/// For each of at least two clusters, the one within reach with which it makes the smallest box.
+/// For each of at least two clusters, the one within reach whose union with it is smallest.
 fn nearest(clusters: &[Bvh2Node]) -> Vec<usize> {
     let among = |i: usize| {
         let own = clusters[i].aabb();
@@ -113,8 +113,8 @@ fn nearest(clusters: &[Bvh2Node]) -> Vec<usize> {
         let begin = i.saturating_sub(REACH);
         let within_reach = &clusters[begin..(i + REACH + 1).min(clusters.len())];
         for (other, candidate) in (begin..).zip(within_reach) {
-            // Of equal distances both ends must choose the same, and not all the one to the same side.
-            let cost = (own.union(candidate.aabb()).half_area(), lot(i.min(other), i.max(other)));
+            // Ties must look the same from both ends, and must not all go to the same side.
+            let cost = (own.union(candidate.aabb()).half_area(), tie_break(i.min(other), i.max(other)));
             if other != i && cost < best_cost {
                 (best, best_cost) = (other, cost);
             }
@@ -124,8 +124,8 @@ fn nearest(clusters: &[Bvh2Node]) -> Vec<usize> {
     (0..clusters.len()).into_par_iter().with_min_len(1024).map(among).collect()
 }
 
-/// A number that two places draw.
-fn lot(low: usize, high: usize) -> u64 {
+/// A pseudo-random number for a pair of places.
+fn tie_break(low: usize, high: usize) -> u64 {
     let mixed = (low as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (high as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f);
     (mixed ^ mixed >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9)
 }
@@ -167,14 +167,14 @@ mod tests {
         assert!(seen.iter().all(|&seen| seen));
     }
 
-    /// Half the areas of all inner boxes, in those of the root.
+    /// Sum of the areas of all inner boxes, relative to the root's.
     fn cost_of(tree: &Bvh2) -> f32 {
         let inner = tree.nodes.iter().filter(|node| !node.is_leaf()).map(|node| node.aabb().half_area());
         inner.sum::<f32>() / tree.nodes[0].aabb().half_area()
     }
 
     #[test]
-    fn heaps_rows_and_shells_are_built_like_any_other() {
+    fn heaps_rows_and_shells_build_in_normal_time() {
         let count = 20_000_u16;
         let at = |i: u16| f32::from(i);
         for (name, make) in [

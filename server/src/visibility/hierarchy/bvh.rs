@@ -1,8 +1,8 @@
-//! A BVH with eight children a node and leaves of up to eight triangles, for kernels that test eight boxes at once.
+//! A BVH with eight children per node and leaves of up to eight triangles, for code that tests eight boxes at once.
 //!
-//! A binary tree comes first (`binary`); this file collapses it into the cheapest eight-wide one by the dynamic
-//! programme of Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs",
-//! HPG 2017, §3.1. Boxes stay f32: they are never rounded inwards.
+//! A binary tree (`binary`) is collapsed into the cheapest eight-wide one by dynamic programming (Ylitie, Karras and
+//! Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", HPG 2017, §3.1). Boxes stay f32,
+//! so they are never rounded inwards.
 
 use glam::Vec3;
 use obvhs::{aabb::Aabb, bvh2::Bvh2};
@@ -12,15 +12,13 @@ use super::binary;
 /// Children of a node, and the most triangles in a leaf.
 pub const WIDTH: usize = 8;
 
-/// Eight f32 side by side, aligned for one vector load.
+/// Eight f32, aligned for one vector load.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[repr(C, align(32))]
 pub struct F8(pub [f32; WIDTH]);
 
-/// What a node's child is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Child {
-    /// Nothing.
     None,
     /// Index of a node.
     Node(u32),
@@ -28,13 +26,12 @@ pub enum Child {
     Leaf(u32),
 }
 
-/// Set in a child's word when it is a leaf.
+/// Set in the word of a child that is a leaf.
 const LEAF_BIT: u32 = 1 << 31;
-/// A child's word when there is none.
+/// The word of a missing child.
 const NO_CHILD: u32 = u32::MAX;
 
-/// A node: the boxes of its children side by side. A missing child's box is inverted (+∞ to −∞), so that it is never
-/// met.
+/// A node: the boxes of its children side by side. A missing child's box is inverted (+∞ to −∞), so it is never hit.
 #[derive(Debug, Clone)]
 #[repr(C, align(64))]
 pub struct Node {
@@ -69,7 +66,7 @@ impl Node {
 pub struct TriangleFlags {
     /// Camera rays pass through its back.
     pub single_sided: bool,
-    /// Its alpha decides whether a point of it is there.
+    /// Hits must pass the alpha test.
     pub masked: bool,
 }
 
@@ -79,10 +76,10 @@ pub struct TriangleFlags {
 pub struct Leaf {
     /// Corner positions: `corners[corner][axis]`. Unused slots are zero.
     pub corners: [[F8; 3]; 3],
-    /// Index of each triangle among those that the tree was built from.
+    /// Index of each triangle in the list that the tree was built from.
     pub triangles: [u32; WIDTH],
-    /// The product of two sides' sizes (sums of coordinates' sizes), in square metres: by this times a distance, a
-    /// rounding moves the product of the normal and that distance.
+    /// Product of two sides' sizes (sums of absolute coordinates), in square metres. A rounding moves the product of
+    /// the normal and a distance by this times the distance.
     pub span: F8,
     /// Bit i: slot i is used.
     pub used: u8,
@@ -99,18 +96,18 @@ pub struct WideBvh {
     pub nodes: Vec<Node>,
     /// Leaves.
     pub leaves: Vec<Leaf>,
-    /// Nodes on the longest way from the root down.
+    /// Nodes on the longest path from the root to a leaf.
     pub depth: usize,
 }
 
-/// Cost of visiting a node, and of a leaf with n triangles (`LEAF_COST + n·TRIANGLE_COST`), in the same unit.
+/// Relative costs: visiting a node, and a leaf with n triangles (`LEAF_COST + n·TRIANGLE_COST`).
 const NODE_COST: f32 = 1.0;
 const LEAF_COST: f32 = 3.0;
 const TRIANGLE_COST: f32 = 0.15;
 
 impl WideBvh {
-    /// Builds a tree over `triangles`, whose indices must be in range and whose positions finite. Fewer than 2³¹
-    /// triangles. Runs on the current rayon pool.
+    /// Builds a tree over fewer than 2³¹ triangles, whose indices must be in range and positions finite. Runs on the
+    /// current rayon pool.
     #[must_use]
     pub fn build(positions: &[Vec3], triangles: &[[u32; 3]], flags: &dyn Fn(u32) -> TriangleFlags) -> Self {
         if triangles.is_empty() {
@@ -124,14 +121,14 @@ impl WideBvh {
         Collapse::new(&binary).run(positions, triangles, flags)
     }
 
-    /// Bytes of memory that nodes and leaves take.
+    /// Memory of nodes and leaves.
     #[must_use]
     pub fn memory_bytes(&self) -> usize {
         size_of_val(&*self.nodes) + size_of_val(&*self.leaves)
     }
 }
 
-/// The dynamic programme: `costs[n][i]` is the least cost of representing binary node n's subtree as at most i children
+/// The dynamic programming table: `costs[n][i]` is the least cost of the subtree of binary node n as at most i children
 /// of a wide node (i from 1 to 7; slot 0 is unused).
 struct Collapse<'a> {
     binary: &'a Bvh2,
@@ -183,7 +180,7 @@ impl<'a> Collapse<'a> {
         self.area(n) * NODE_COST + self.split(n, WIDTH).0
     }
 
-    /// The cheapest way to share `slots` ≥ 2 children between the two sides of binary inner node n: cost, and how many
+    /// The cheapest split of `slots` ≥ 2 children between the two sides of binary inner node n: its cost, and how many
     /// go left.
     fn split(&self, n: usize, slots: usize) -> (f32, usize) {
         let Some([left, right]) = children(self.binary, n) else { return (f32::INFINITY, 0) };
@@ -199,7 +196,6 @@ impl<'a> Collapse<'a> {
         while let Some((n, slots)) = open.pop() {
             let cost = if slots == WIDTH { f32::NEG_INFINITY } else { self.costs[n][slots] };
             match children(self.binary, n) {
-                // At one slot, or where fewer slots do as well, this node itself is a child.
                 _ if slots == 1 => found.push(n),
                 None => found.push(n),
                 Some(_) if cost == self.costs[n][slots - 1] => open.push((n, slots - 1)),
@@ -215,7 +211,7 @@ impl<'a> Collapse<'a> {
 
     fn run(&self, positions: &[Vec3], triangles: &[[u32; 3]], flags: &dyn Fn(u32) -> TriangleFlags) -> WideBvh {
         let mut wide = WideBvh { nodes: vec![Node::EMPTY], leaves: Vec::new(), depth: 1 };
-        // Binary node, its wide node, and that one's depth.
+        // Binary node, wide node, depth of the wide node.
         let mut open = vec![(0, 0, 1)];
         while let Some((n, place, depth)) = open.pop() {
             wide.depth = wide.depth.max(depth);
@@ -239,7 +235,7 @@ impl<'a> Collapse<'a> {
                     word(wide.nodes.len() - 1)
                 };
             }
-            // The first child's subtree comes next, so that it lies near its parent in memory.
+            // The first child's subtree comes next, near its parent in memory.
             open[first_open..].reverse();
         }
         wide
@@ -281,7 +277,7 @@ impl<'a> Collapse<'a> {
     }
 }
 
-/// The children of binary node n, or none when it is a leaf (of one triangle).
+/// The children of binary node n. `None` for a leaf, which has one triangle.
 fn children(binary: &Bvh2, n: usize) -> Option<[usize; 2]> {
     let node = &binary.nodes[n];
     let first = node.first_index as usize;
@@ -297,7 +293,7 @@ fn word(index: usize) -> u32 {
 mod tests {
     use super::*;
 
-    /// Triangles scattered by a small generator, so that the tree is neither balanced nor tidy.
+    /// Triangles scattered by a small generator, which make an unbalanced tree.
     fn scattered(count: u32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
         let mut state = 1_u32;
         let mut next = || {

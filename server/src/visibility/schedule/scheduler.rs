@@ -295,11 +295,12 @@ mod tests {
             }
             let most = costs_ms.iter().copied().fold(0.0, f64::max);
             for (turn, deadline) in deadlines_ms.iter().enumerate() {
-                let due = |key: SessionKey| Some(frame(start + Duration::from_millis((deadline * (key + 1) * 37) % 200)));
+                let due_ms = |key: SessionKey| (deadline * (key + 1) * 37) % 200;
+                let due = |key: SessionKey| Some(frame(start + Duration::from_millis(due_ms(key))));
                 let key = scheduler.next(due).unwrap();
                 run(&mut scheduler, key, costs_ms[usize::try_from(key).unwrap()]);
                 let all: Vec<f64> = (0..).zip(&costs_ms).map(|(key, _)| used(&scheduler, key)).collect();
-                let (low, high) = (all.iter().copied().fold(f64::MAX, f64::min), all.iter().copied().fold(0.0, f64::max));
+                let (low, high) = all.iter().fold((f64::MAX, 0.0_f64), |(low, high), used| (low.min(*used), high.max(*used)));
                 prop_assert!(high - low <= LEAD_MS + most + 1e-6, "turn {turn}: {all:?}");
             }
         }
@@ -317,7 +318,8 @@ mod tests {
                 scheduler.insert(key, *cost);
             }
             scheduler.insert(6, 1.0);
-            let (mut waited_ms, bound_ms) = (0.0, costs_ms.iter().map(|cost| SAVED_MS + LEAD_MS + 1.0 + cost).sum::<f64>());
+            let bound_ms: f64 = costs_ms.iter().map(|cost| SAVED_MS + LEAD_MS + 1.0 + cost).sum();
+            let mut waited_ms = 0.0;
             for round in ready {
                 let due = |key: SessionKey| match round.get(usize::try_from(key).unwrap()) {
                     Some(ready) => ready.then_some(frame(start)),

@@ -1,11 +1,11 @@
 //! Speed against error over real scenes, at every setting that trades one for the other.
 //!
-//! The rows of the group `tracing` are measured on masks for the frame that shows them: the back end, which also decides whether
-//! nodes are compressed (`compute`) or in full precision (`cpu`); the resolution; the offset of shadow rays; the codec; how
-//! often dim lights are traced. `prediction` is how late a mask is and how the client predicts from it. Milliseconds are the
-//! time that a frame waits for its visibility: tracing and encoding, less the lag that it is allowed. `half-mask` is a mask of
-//! half the size, which the client's predictor spreads over the picture. `lossy` allows wrong bits so that the codec has less
-//! to code.
+//! The rows of the group `tracing` are measured on masks for the frame that shows them: the back end, which also
+//! decides whether nodes are compressed (`compute`) or in full precision (`cpu`); the resolution; the offset of shadow
+//! rays; the codec; how often dim lights are traced. `prediction` is how late a mask is and how the client predicts
+//! from it. Milliseconds are the time that a frame waits for its visibility: tracing and encoding, less the lag that it
+//! is allowed. `half-mask` is a mask of half the size, which the client's predictor spreads over the picture. `lossy`
+//! allows wrong bits so that the codec has less to code.
 
 mod front;
 mod judge;
@@ -34,7 +34,7 @@ use super::{
 /// What to measure.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ParetoOptions {
-    /// Folder that holds the six real scenes.
+    /// Folder of the six real scenes.
     #[arg(long, env = "GNOMON_SCENES")]
     pub scenes: PathBuf,
     /// Scenes, by their folders' names.
@@ -44,16 +44,16 @@ pub struct ParetoOptions {
         default_value = "sponza,modern-hall,grey-white-room,pink-room-partial,breakfast-room,sponza-dabrovic"
     )]
     pub only: Vec<String>,
-    /// Back ends. On software Vulkan ray-query wants VK_DRIVER_FILES=$(deploy/ray-query-driver).
+    /// Back ends. On software Vulkan ray-query needs VK_DRIVER_FILES=$(deploy/ray-query-driver).
     #[arg(long, value_delimiter = ',', default_value = "cpu,compute,ray-query")]
     pub backends: Vec<String>,
     /// Size of the picture, WIDTHxHEIGHT.
     #[arg(long, value_parser = size, default_value = "320x180")]
     pub size: (u32, u32),
-    /// Times that each view is traced.
+    /// How often each view is traced.
     #[arg(long, default_value_t = 21)]
     pub samples: usize,
-    /// Seconds after which fewer will do.
+    /// Seconds after which a measurement stops early.
     #[arg(long, default_value_t = 5.0)]
     pub seconds: f64,
     /// Folder for tables and plots.
@@ -61,14 +61,13 @@ pub struct ParetoOptions {
     pub out: PathBuf,
 }
 
-/// What can be compared: rows of a group and a scene.
+/// Rows of one group and one scene are compared with each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Group {
     Tracing,
     Prediction,
 }
 
-/// A line of the table.
 #[derive(Debug, Clone)]
 struct Row {
     scene: String,
@@ -122,10 +121,11 @@ impl Row {
     }
 }
 
-/// Measures, tells `progress` each step and every default that is off the front, and writes `pareto.csv` and a plot a scene.
+/// Measures all settings and writes `pareto.csv` and a plot per scene. Reports each step, and each default that is off
+/// the front, to `progress`.
 ///
 /// # Errors
-/// When a scene cannot be read, a back end that was there fails, or a result cannot be written.
+/// If a scene cannot be read, an available back end fails, or a result cannot be written.
 pub fn measure(options: &ParetoOptions, mut progress: impl FnMut(&str)) -> Result<()> {
     for name in &options.backends {
         ensure!(BACKENDS.contains(&name.as_str()), "{name:?} is no back end: {}", BACKENDS.join(", "));
@@ -160,7 +160,7 @@ pub fn measure(options: &ParetoOptions, mut progress: impl FnMut(&str)) -> Resul
             progress(&format!("DEFAULT OFF THE FRONT: {name}, {}, {} {}", row.backend, row.knob, row.value));
         }
         rows.extend(of_scene);
-        // After each scene, so that a long measurement that is cut short has something to show.
+        // After each scene, so that an interrupted measurement leaves results.
         write(options, "pareto.csv", &table(&rows).csv())?;
         write(options, &format!("pareto-{name}.svg"), &plot(name, &rows).svg()?)?;
     }
@@ -169,7 +169,7 @@ pub fn measure(options: &ParetoOptions, mut progress: impl FnMut(&str)) -> Resul
 
 fn load(options: &ParetoOptions, name: &str) -> Result<(Scene, CameraPath)> {
     let folder = options.scenes.join(name);
-    // Sponza has a file with its lights beside the one without.
+    // Sponza has one file with lights and one without.
     let files = [format!("{name}_lights.gltf"), format!("{name}.glb"), format!("{name}.gltf")];
     let file = files.iter().map(|file| folder.join(file)).find(|file| file.is_file());
     let file = file.with_context(|| format!("no {} in {}", files.join(", "), folder.display()))?;
@@ -238,7 +238,7 @@ fn table(rows: &[Row]) -> Table {
     table
 }
 
-/// Time against wrong bits of one scene; a series for each back end, and the default by itself.
+/// Plots time against wrong bits of one scene: a series for each back end, and one for the default.
 fn plot(scene: &str, rows: &[Row]) -> Plot {
     let rows: Vec<&Row> = rows.iter().filter(|row| row.scene == scene && row.group == Group::Tracing).collect();
     let points = |wanted: &dyn Fn(&Row) -> bool| {

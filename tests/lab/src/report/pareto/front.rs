@@ -1,9 +1,8 @@
-//! Which measurements no other one beats: in time, bytes and error at once.
+//! The Pareto front: the measurements that no other beats in time, bytes and error at once.
 
-/// Times that differ by less than this part are the same to these machines' clocks.
+/// Relative difference below which two times are equal, within the clock's noise.
 const CLOCK: f64 = 0.05;
 
-/// What is traded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Trade {
     pub(super) ms: f64,
@@ -12,7 +11,7 @@ pub(super) struct Trade {
 }
 
 impl Trade {
-    /// Whether this one is better in something, clearly so, and worse in nothing.
+    /// Whether this one is worse in nothing and clearly better in something.
     fn beats(&self, other: &Self) -> bool {
         let no_worse = self.ms <= other.ms && self.bytes <= other.bytes && self.error <= other.error;
         no_worse && (self.ms < other.ms * (1.0 - CLOCK) || self.bytes < other.bytes || self.error < other.error)
@@ -29,7 +28,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_beaten_in_everything_is_off_the_front() {
+    fn dominated_trades_are_off_the_front() {
         let trade = |ms, bytes, error| Trade { ms, bytes, error };
         let trades = [
             trade(10.0, 5.0, 0.0),

@@ -1,4 +1,4 @@
-//! How wrong what a client shows is: bits against the referee's, pictures against the picture with the referee's bits.
+//! The error of what a client shows: its bits against the reference's, its picture against the picture with those bits.
 
 use anyhow::{Context, Result};
 use gnomon_client::predictor::Predictor;
@@ -12,17 +12,16 @@ use crate::{
     reference::{Reference, Truth},
 };
 
-/// A place that is judged, and the truth about it.
+/// A view that is judged, and its reference.
 pub(super) struct Stop {
-    /// On the path, in seconds.
+    /// Time on the path, in seconds.
     pub(super) time_s: f64,
-    /// What is seen from there.
     pub(super) camera: Camera,
     truth: Truth,
     picture: RgbImage,
 }
 
-/// Errors summed over what was shown.
+/// Errors, summed over the shown frames.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Verdict {
     bits: RelevantError,
@@ -32,26 +31,26 @@ pub(super) struct Verdict {
 }
 
 impl Verdict {
-    /// Wrong bits in per cent of the relevant ones, without those that the referee calls undecided.
+    /// Wrong bits in per cent of the relevant ones, except bits that the reference cannot decide.
     pub(super) fn bit_error(&self) -> f64 {
         #[expect(clippy::cast_precision_loss, reason = "counts of bits are far below 2^53")]
         let [wrong, relevant] = [self.bits.wrong - self.bits.wrong_undecided, self.bits.relevant].map(|n| n as f64);
         100.0 * wrong / relevant.max(1.0)
     }
 
-    /// Of the mean square error of all pictures, in decibels; infinite when all are the truth's.
+    /// PSNR of the mean square error of all pictures, in decibels; infinite if they equal the reference.
     pub(super) fn psnr_db(&self) -> f64 {
         -10.0 * (self.square / f64::from(self.pictures)).log10()
     }
 
-    /// Mean over the pictures.
+    /// Mean FLIP over the pictures.
     pub(super) fn flip(&self) -> f64 {
         self.flip / f64::from(self.pictures)
     }
 }
 
 impl Stop {
-    /// The truth about what `camera` sees.
+    /// Traces and draws the reference of what `camera` sees.
     pub(super) fn new(
         (scene, referee): (&Scene, &Reference),
         viewer: &mut Viewer,
@@ -68,7 +67,7 @@ impl Stop {
         Ok(Self { time_s, camera, truth, picture })
     }
 
-    /// Adds what was shown there.
+    /// Adds the errors of a frame that was shown there.
     pub(super) fn judge(&self, shown: &Shown, verdict: &mut Verdict) {
         verdict.bits += RelevantError::of(&shown.bits, &self.truth);
         let error = compare(&shown.picture, &self.picture);

@@ -1,4 +1,4 @@
-//! What a client makes of a mask: the bits that its pixels are shaded with, and the picture.
+//! The client's side of a measurement: the bits that pixels are shaded with, and the picture.
 
 use anyhow::{Context, Result};
 use gnomon_client::{
@@ -18,11 +18,9 @@ pub(super) struct Viewer {
     lights: u32,
 }
 
-/// One shown frame.
 pub(super) struct Shown {
-    /// The bits that pixels were shaded with.
+    /// The bits that pixels were shaded with, after prediction.
     pub(super) bits: Mask,
-    /// The picture.
     pub(super) picture: RgbImage,
 }
 
@@ -35,7 +33,7 @@ impl Viewer {
         Ok(Self { renderer, reader: PictureReader::new(&gpu, size.0, size.1, 1), lights })
     }
 
-    /// The frame that `camera` sees when the newest mask is `mask`, which was traced for `traced_for`.
+    /// Draws the frame that `camera` sees when the newest mask is `mask`, which was traced for `traced_for`.
     pub(super) fn show(
         &mut self,
         camera: &Camera,
