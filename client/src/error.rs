@@ -1,4 +1,4 @@
-//! Why a run ended without all of its pictures. Every text says what to do, or has the numbers that tell.
+//! Why a run failed. Every message says what to do, or has the numbers that tell.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -16,113 +16,55 @@ use crate::{
 /// Why a run failed.
 #[derive(Debug, Error)]
 pub enum ClientError {
-    /// The size is not to be had.
     #[error("--size: {0}")]
     Size(#[from] ShapeError),
-    /// A number of the command line or configuration is out of range.
+    /// A setting is out of range.
     #[error("--{option}: {reason}")]
-    Option {
-        /// The option's name.
-        option: &'static str,
-        /// What is wrong with its value.
-        reason: String,
-    },
-    /// The camera path is not to be had.
+    Option { option: &'static str, reason: String },
     #[error(transparent)]
     Path(#[from] PathError),
-    /// The local scene is not to be had.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The server does not answer.
     #[error("no answer from {url} within {} s: is gnomon-server running there, and does UDP reach it?", after.as_secs_f64())]
-    Unreachable {
-        /// The server.
-        url: Box<ServerUrl>,
-        /// How long it was waited for.
-        after: Duration,
-    },
-    /// The server cannot be connected to.
+    Unreachable { url: Box<ServerUrl>, after: Duration },
     #[error("cannot connect to {url}: {reason}")]
-    Connect {
-        /// The server.
-        url: Box<ServerUrl>,
-        /// Why not.
-        reason: String,
-    },
-    /// The server has another certificate than the URL says.
+    Connect { url: Box<ServerUrl>, reason: String },
+    /// The server shows another certificate than the URL's.
     #[error("{0} has another certificate than this URL's: use the URL that the server printed when it started")]
     Certificate(Box<ServerUrl>),
-    /// The server has another certificate than when this client came first.
+    /// The server shows another certificate than the one pinned on the first visit.
     #[error(
         "{0} has another certificate than on the first visit: use the URL that the server printed, if it is still that server"
     )]
     CertificateChanged(Box<ServerUrl>),
-    /// The server does not admit this client.
     #[error(transparent)]
     Refused(Refusal),
-    /// The control conversation broke off.
-    #[error("the server at {url} broke off: {source}")]
-    Conversation {
-        /// The server.
-        url: Box<ServerUrl>,
-        /// Why.
-        source: ControlError,
-    },
-    /// The server said something that it must not say now.
-    #[error("the server at {url} does not keep to the protocol: {reason}")]
-    Protocol {
-        /// The server.
-        url: Box<ServerUrl>,
-        /// What it said.
-        reason: String,
-    },
-    /// The scene did not come, or not in one piece.
+    /// The control stream broke off.
+    #[error("the connection to {url} broke off: {source}")]
+    Conversation { url: Box<ServerUrl>, source: ControlError },
+    #[error("{url} violates the protocol: {reason}")]
+    Protocol { url: Box<ServerUrl>, reason: String },
     #[error(transparent)]
     Fetch(#[from] SceneFetchError),
-    /// The server's scene is not what it should be.
     #[error("the server's scene cannot be used: {0}")]
     Unpack(#[from] PackError),
-    /// There is no graphics adapter.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// There can be no window.
     #[error("no window: {0}; --headless draws into files instead")]
     Window(String),
-    /// The picture cannot be drawn.
     #[error(transparent)]
     Render(#[from] RenderError),
-    /// There is no local server.
     #[error("the local server: {0}")]
     LocalServer(#[from] LocalServerError),
-    /// A result cannot be written.
     #[error("cannot write {}: {source}", path.display())]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// Why not.
-        source: std::io::Error,
-    },
+    Write { path: PathBuf, source: std::io::Error },
     /// The session ended before all frames were drawn.
     #[error("the session ended after {rendered} of {wanted} frames: {reason}")]
-    Ended {
-        /// Frames drawn.
-        rendered: u32,
-        /// Frames wanted.
-        wanted: u32,
-        /// Why it ended.
-        reason: String,
-    },
-    /// A frame's visibility did not come.
-    #[error("no visibility for frame {frame} within {} s, asked for {asked} times: the path to the server loses too much", after.as_secs())]
-    NoVisibility {
-        /// The frame.
-        frame: FrameNumber,
-        /// How long it was waited for.
-        after: Duration,
-        /// How often its pose was sent.
-        asked: u32,
-    },
-    /// The operating system refuses something that every run needs.
+    Ended { rendered: u32, wanted: u32, reason: String },
+    /// A frame's mask did not arrive (`--wait`).
+    #[error("no visibility for frame {frame} within {} s after {asked} requests: the path to the server loses too much", after.as_secs())]
+    NoVisibility { frame: FrameNumber, after: Duration, asked: u32 },
+    /// The operating system refuses a thread or a runtime.
     #[error("cannot start: {0}")]
     System(#[from] std::io::Error),
 }

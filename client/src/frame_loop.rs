@@ -186,7 +186,7 @@ impl FrameLoop {
         if let Some(recorder) = &mut self.recorder {
             recorder.write(&Record::Frame {
                 frame: frame.0,
-                asked: (&camera).into(),
+                requested: (&camera).into(),
                 shown: (&shown).into(),
                 visibility_share: decision.visibility_share,
                 timing: (&stats).into(),
@@ -214,7 +214,7 @@ impl FrameLoop {
         };
         for received in live.masks.taken() {
             if let Ok((_, traced_for)) = view_of(received, &self.memory.history) {
-                recorder.mask(received.frame.0, &traced_for, (&received.mask, &received.coverage))?;
+                recorder.write_mask(received.frame.0, &traced_for, (&received.mask, &received.coverage))?;
             }
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! Runs that do not wait, against a server of a few lines that is silent for a while, leaves, or answers what nobody asked.
+//! Runs that do not wait, against a scripted server that falls silent, leaves, or sends unrequested masks.
 
 #![expect(
     clippy::unwrap_used,
@@ -15,7 +15,7 @@ use gnomon_protocol::{ids::ResumeToken, message::ServerMessage};
 use serde_json::Value;
 use stage::{Script, Stage, mask_for};
 
-/// Largest lag that these runs predict over, in frames, and their fade in seconds: an outage of a second shows everything.
+/// Largest lag of prediction in frames, and fade in seconds: so short that an outage of a second shows every state.
 const PREDICTION_LAG: u32 = 10;
 const FADE_S: f64 = 0.1;
 
@@ -34,7 +34,7 @@ fn run(options: &HeadlessOptions) -> (Summary, Vec<Value>) {
     (summary, stats.lines().map(|line| serde_json::from_str(line).unwrap()).collect())
 }
 
-/// No step of received visibility's share is larger than the time since the frame before allows.
+/// Asserts that the visibility share never changes faster than the fade allows.
 fn assert_no_pop(lines: &[Value]) {
     for pair in lines.windows(2) {
         let number = |line: &Value, name| line[name].as_f64().unwrap();
@@ -72,7 +72,7 @@ fn an_outage_fades_out_and_back_in() {
 }
 
 #[test]
-fn a_server_that_leaves_does_not_end_a_run_that_it_has_answered() {
+fn a_run_continues_after_its_server_leaves() {
     let stage = Stage::start("lab-tcp", Script { close_at: Some(30), gone: true, ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     let (summary, lines) = run(&options(&stage, folder.path(), 80));
@@ -90,7 +90,7 @@ fn a_server_that_leaves_does_not_end_a_run_that_it_has_answered() {
 }
 
 #[test]
-fn a_server_that_comes_back_is_found_and_resumed() {
+fn a_returning_server_is_found_and_resumed() {
     let stage = Stage::start("lab-tcp", Script { close_at: Some(30), ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     // Long enough for a second attempt on a busy machine.
@@ -106,7 +106,7 @@ fn a_server_that_comes_back_is_found_and_resumed() {
     );
     assert!(last["mask_frame"].as_u64() > Some(30), "{last}");
     assert_eq!(stage.resumed()[..2], [None, Some(ResumeToken([7; 16]))]);
-    assert_eq!(stage.scene_fetches(), [0], "the scene is there already");
+    assert_eq!(stage.scene_fetches(), [0], "the scene is cached");
 }
 
 #[test]
@@ -117,17 +117,17 @@ fn a_draining_server_sends_its_clients_elsewhere() {
     let folder = tempfile::tempdir().unwrap();
     let (summary, lines) = run(&options(&stage, folder.path(), 200));
     assert_eq!((summary.frames_rendered, summary.reconnects, summary.connection_lost), (200, 1, None));
-    assert_eq!(elsewhere.resumed(), [None], "the session's name is not told to others");
+    assert_eq!(elsewhere.resumed(), [None], "the resume token goes to no other server");
     assert!(
         lines.iter().all(|line| line["link"] == "live" || line["link"] == "draining"),
         "no frame was without a server"
     );
     assert!(lines.last().unwrap()["mask_frame"].as_u64() > Some(150), "{:?}", lines.last());
-    assert!(stage.heard_bye());
+    assert!(stage.received_bye());
 }
 
 #[test]
-fn a_camera_that_stands_still_asks_seldom_and_is_not_taken_for_an_outage() {
+fn a_still_camera_requests_rarely_and_is_no_outage() {
     let stage = Stage::start("lab-tcp", Script::default());
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("still.json");
@@ -136,7 +136,7 @@ fn a_camera_that_stands_still_asks_seldom_and_is_not_taken_for_an_outage() {
     let mut options = options(&stage, folder.path(), 150);
     options.path = Some(path.to_str().unwrap().parse().unwrap());
     let (summary, lines) = run(&options);
-    // 2.5 s: some until the first mask is there, and then one a second.
+    // 2.5 s: some requests until the first mask, then one a second.
     assert!(summary.frames_received < 75, "{}", summary.frames_received);
     assert_eq!(summary.lag_frames_p50, Some(0.0));
     let settled = &lines[100..];
@@ -144,8 +144,8 @@ fn a_camera_that_stands_still_asks_seldom_and_is_not_taken_for_an_outage() {
 }
 
 #[test]
-fn masks_that_answer_nothing_are_counted_and_ignored() {
-    // A number that was never sent and lies ahead, then a mask that is too small, in a run that goes on.
+fn unrequested_masks_are_counted_and_ignored() {
+    // A frame number that was not sent yet, then a mask that is too small.
     let script = Script { strays: vec![(20, 25)], smaller: vec![40], ..Script::default() };
     let stage = Stage::start("lab-udp", script);
     let folder = tempfile::tempdir().unwrap();
@@ -159,7 +159,7 @@ fn masks_that_answer_nothing_are_counted_and_ignored() {
 }
 
 #[test]
-fn a_mask_from_the_far_future_does_not_shut_out_the_present() {
+fn a_mask_from_the_far_future_does_not_block_later_masks() {
     let stage = Stage::start("lab-udp", Script { strays: vec![(20, 1_000_000)], ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     let (summary, lines) = run(&options(&stage, folder.path(), 60));
@@ -168,7 +168,7 @@ fn a_mask_from_the_far_future_does_not_shut_out_the_present() {
 }
 
 #[test]
-fn a_waiting_run_never_takes_a_mask_of_another_size_for_its_own() {
+fn a_waiting_run_rejects_masks_of_another_size() {
     let stage = Stage::start("lab-udp", Script { smaller: vec![1], ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     let mut options = stage.options(folder.path());

@@ -1,4 +1,4 @@
-//! Whole runs against a server of a few lines, which says and drops exactly what each test wants.
+//! Runs against a scripted server that sends and drops exactly what each test needs.
 
 #![expect(
     clippy::unwrap_used,
@@ -57,19 +57,19 @@ fn a_waiting_run_shades_every_frame_with_its_own_mask() {
             let picture = image::open(folder.path().join(format!("pictures/frame_{frame:06}.png"))).unwrap();
             assert_eq!((picture.width(), picture.height()), (64, 36));
         }
-        assert!(stage.heard_bye());
+        assert!(stage.received_bye());
     }
 }
 
 #[test]
-fn the_scene_comes_once_and_then_from_the_cache() {
+fn the_scene_is_fetched_once_then_read_from_the_cache() {
     let stage = Stage::start("lab-tcp", Script::default());
     let folder = tempfile::tempdir().unwrap();
     let options = stage.options(folder.path());
     run_headless(&options).unwrap();
     run_headless(&options).unwrap();
     assert_eq!(stage.scene_fetches(), [0]);
-    // A damaged scene in the cache is fetched again, and mended.
+    // A damaged scene in the cache is fetched again.
     let cached = folder.path().join(format!("cache/{}.scene", stage.digest()));
     let mut bytes = std::fs::read(&cached).unwrap();
     bytes[40] ^= 0x20;
@@ -78,7 +78,7 @@ fn the_scene_comes_once_and_then_from_the_cache() {
     assert_eq!(stage.scene_fetches(), [0, 0]);
     bytes[40] ^= 0x20;
     assert_eq!(std::fs::read(&cached).unwrap(), bytes);
-    // Half of a scene that an earlier run left is not fetched again.
+    // A part that an earlier run left is not fetched again.
     std::fs::write(cached.with_extension("part"), &bytes[..100]).unwrap();
     std::fs::remove_file(&cached).unwrap();
     run_headless(&options).unwrap();
@@ -86,8 +86,8 @@ fn the_scene_comes_once_and_then_from_the_cache() {
 }
 
 #[test]
-fn a_lost_mask_is_asked_for_again_and_nothing_hangs() {
-    // Of frame 1 the second packet is lost; of frame 2 everything, twice.
+fn a_lost_mask_is_requested_again() {
+    // Frame 1 loses its second packet, frame 2 all packets, twice.
     let script = Script { lose: vec![(1, Some(1)), (2, None), (2, None)], ..Script::default() };
     let stage = Stage::start("lab-udp", script);
     let folder = tempfile::tempdir().unwrap();
@@ -103,7 +103,7 @@ fn a_lost_mask_is_asked_for_again_and_nothing_hangs() {
 }
 
 #[test]
-fn a_mask_that_comes_twice_counts_once() {
+fn a_mask_received_twice_counts_once() {
     let stage = Stage::start("lab-tcp", Script { late: vec![2], ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     let mut options = stage.options(folder.path());
@@ -124,7 +124,7 @@ fn a_run_that_does_not_wait_goes_on_without_masks() {
 }
 
 #[test]
-fn what_comes_of_a_sliced_frame_is_shown() {
+fn the_slices_that_arrive_are_shown() {
     for codec in [CodecId::TilesSmall, CodecId::TilesFast] {
         let lose = (0..400).map(|frame| (frame, Some(1))).collect();
         let stage = Stage::start("lab-udp", Script { lose, ..Script::default() });
@@ -137,29 +137,29 @@ fn what_comes_of_a_sliced_frame_is_shown() {
         let summary = run_headless(&options).unwrap();
         assert_eq!((summary.frames_received, summary.frames_bad, summary.frames_incomplete), (0, 0, 0), "{codec}");
         assert!(summary.frames_partial > 10 && summary.frames_with_mask > 10, "{codec}: {summary:?}");
-        // A mask of which something is missing is not one to keep.
+        // Incomplete masks are not saved.
         assert_eq!(saved_masks(&folder.path().join("masks")), BTreeMap::new());
     }
 }
 
-/// The frame has come out without it by then: nothing waits for a packet longer than 25 ms.
+/// The frame is delivered without it first: no frame waits for a packet longer than 25 ms.
 #[test]
-fn a_slice_that_is_late_is_still_taken_up() {
-    let script = Script { held: Some((1, Duration::from_millis(60))), ..Script::default() };
+fn a_late_slice_is_still_decoded() {
+    let script = Script { delayed: Some((1, Duration::from_millis(60))), ..Script::default() };
     let stage = Stage::start("lab-udp", script);
     let folder = tempfile::tempdir().unwrap();
     let mut options = stage.options(folder.path());
     (options.codec, options.frames, options.fps) = (CodecId::TilesSmall, Some(12), Some(4.0));
     let summary = run_headless(&options).unwrap();
     assert_eq!((summary.frames_bad, summary.frames_incomplete), (0, 0));
-    // The last one may not have come yet.
+    // The last one may not have arrived yet.
     assert!(summary.frames_received >= 8 && summary.frames_partial <= 1, "{summary:?}");
-    // Whole masks are acknowledged, also those that were shown in part before.
+    // Whole masks are acknowledged, even after they were shown in part.
     assert!(stage.referenced() >= 6, "{} frames with references", stage.referenced());
 }
 
 #[test]
-fn masks_come_against_earlier_ones_and_never_against_wrong_ones() {
+fn masks_are_decoded_against_the_right_references_only() {
     let pictures = |codec: CodecId, script: Script, save: bool| {
         let stage = Stage::start("lab-udp", script);
         let folder = tempfile::tempdir().unwrap();
@@ -177,16 +177,16 @@ fn masks_come_against_earlier_ones_and_never_against_wrong_ones() {
     assert_eq!(without, 0);
     let (shown, referenced, bad) = pictures(CodecId::TilesSmall, Script::default(), false);
     assert!(shown == expected && referenced >= 5 && bad == 0, "{referenced} frames with references, {bad} bad");
-    // The client says that it has no such mask, and the next one comes without.
+    // The client reports that it lacks the reference, and the next mask is coded without.
     let foreign = Script { foreign: vec![3], ..Script::default() };
     let (shown, referenced, bad) = pictures(CodecId::TilesSmall, foreign, false);
     assert!(shown == expected && referenced >= 3 && bad == 1, "{referenced} frames with references, {bad} bad");
-    // Masks that are to be kept stand alone.
+    // Saved masks are coded without references.
     assert_eq!(pictures(CodecId::TilesSmall, Script::default(), true).1, 0);
 }
 
 #[test]
-fn frames_that_are_no_masks_of_this_session_are_counted_and_passed_over() {
+fn frames_of_another_shape_are_counted_and_ignored() {
     let stage = Stage::start("lab-udp", Script { wrong_shape: vec![1], ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     let mut options = stage.options(folder.path());
@@ -207,7 +207,7 @@ fn a_server_that_leaves_ends_the_run_with_its_reason() {
 }
 
 #[test]
-fn a_refusal_is_said_in_the_servers_words() {
+fn a_refusal_keeps_the_servers_reason() {
     let refusals = [
         (Refusal::Token, "--token"),
         (Refusal::Version { server: 9, client: 1 }, "install matching versions"),
@@ -225,8 +225,8 @@ fn a_refusal_is_said_in_the_servers_words() {
 }
 
 #[test]
-fn a_server_that_sends_another_scene_is_found_out() {
-    let stage = Stage::start("lab-tcp", Script { spoil_scene: true, ..Script::default() });
+fn a_server_that_sends_another_scene_is_detected() {
+    let stage = Stage::start("lab-tcp", Script { wrong_scene: true, ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     let error = run_headless(&stage.options(folder.path())).unwrap_err();
     assert!(matches!(error, ClientError::Fetch(_)), "{error}");

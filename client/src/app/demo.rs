@@ -1,16 +1,16 @@
-//! `--demo`: a local server with the scene that this program carries.
+//! `--demo`: a local server with the scene that is built into this program.
 
 use std::{fs, path::Path};
 
 use anyhow::{Context as _, Result};
 
-use super::local_server::{Folder, LocalScene, LocalServer};
+use super::local_server::{LocalScene, LocalServer, temporary_folder};
 use crate::link::url::ServerUrl;
 
 const SCENE: &[u8] = include_bytes!("../../../tests/assets/cloister.glb");
 const PATHS: &[u8] = include_bytes!("../../../tests/assets/cloister.json");
 
-/// The running demo. Dropping it stops it, and takes its files away.
+/// A running demo. Dropping it stops the server and removes its files.
 pub struct Demo {
     server: LocalServer,
     path: String,
@@ -18,14 +18,17 @@ pub struct Demo {
 
 impl Demo {
     /// Starts the server and waits until it listens.
+    ///
+    /// # Errors
+    /// Errors if there is no server program, or it does not start.
     pub fn start() -> Result<Self> {
-        Self::in_its_folder().context("--demo")
+        Self::start_server().context("--demo")
     }
 
-    fn in_its_folder() -> Result<Self> {
-        // A missing server is worth saying before anything is written.
+    fn start_server() -> Result<Self> {
+        // A missing server is reported before anything is written.
         LocalServer::program()?;
-        let folder = Folder::make("demo")?;
+        let folder = temporary_folder("demo")?;
         let (file, paths) = (folder.path().join("cloister.glb"), folder.path().join("cloister.json"));
         let write = |file: &Path, bytes| fs::write(file, bytes).with_context(|| format!("writing {}", file.display()));
         write(&file, SCENE)?;
@@ -34,12 +37,13 @@ impl Demo {
         Ok(Self { server, path: format!("{}#walk", paths.display()) })
     }
 
-    /// Where it listens.
+    #[must_use]
     pub fn url(&self) -> &ServerUrl {
         self.server.url()
     }
 
-    /// A camera path through the scene.
+    /// Returns a camera path through the scene, as `--path` takes it.
+    #[must_use]
     pub fn path(&self) -> &str {
         &self.path
     }

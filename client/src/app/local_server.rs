@@ -1,4 +1,4 @@
-//! The server that lies beside this program, as a child on loopback: for the demo, and as the reference of a split picture.
+//! A server on loopback, as a child process: for the demo, and for the reference of a split picture.
 
 use std::{
     convert::Infallible,
@@ -17,38 +17,33 @@ use thiserror::Error;
 
 use crate::link::url::ServerUrl;
 
-/// How long the server may take until it listens: it builds its hierarchies first.
-const PATIENCE: Duration = Duration::from_secs(120);
+/// Time for the server to listen: it builds its hierarchies first.
+const START_TIMEOUT: Duration = Duration::from_secs(120);
 
-/// How long it may take to stop before it is ended.
-const FAREWELL: Duration = Duration::from_secs(5);
+/// Time for the server to stop before it is killed.
+const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Why there is no local server.
+/// Why a local server does not run.
 #[derive(Debug, Error)]
 pub enum LocalServerError {
-    /// There is none to start.
+    /// There is no server program beside this one.
     #[error("there is no {}: build it with cargo build -p gnomon-server", .0.display())]
     Missing(PathBuf),
-    /// It cannot be started, or its folder cannot be made.
-    #[error("cannot start it in {}: {source}", folder.display())]
-    Start {
-        /// Its folder.
-        folder: PathBuf,
-        /// Why not.
-        source: std::io::Error,
-    },
-    /// The scene that it should trace is not on this machine.
-    #[error("the scene is not kept: {} cannot be written", .0.display())]
-    NotKept(PathBuf),
-    /// It ended, or said nothing, before it listened.
-    #[error("it does not start: {0}")]
-    Silent(String),
+    /// The process or its folder cannot be created.
+    #[error("cannot start in {}: {source}", folder.display())]
+    Start { folder: PathBuf, source: std::io::Error },
+    /// The scene is not in the cache.
+    #[error("the scene is not cached: cannot write to {}", .0.display())]
+    NotCached(PathBuf),
+    /// The server ended, or printed nothing, before it listened.
+    #[error("the server does not start: {0}")]
+    NotListening(String),
 }
 
-/// What it traces.
+/// The scene of a local server.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LocalScene {
-    /// The glTF file or packed scene.
+    /// glTF file or packed scene.
     pub file: PathBuf,
     /// File whose lights replace the scene's.
     pub lights_from: Option<PathBuf>,
@@ -56,46 +51,35 @@ pub struct LocalScene {
     pub lights: Option<u32>,
 }
 
-/// A folder in the system's temporary folder, with a name that nobody can guess and for this user only: the server's key lies in it.
-/// Dropping it takes it away.
-#[derive(Debug)]
-pub struct Folder(TempDir);
-
-impl Folder {
-    /// Makes it. `purpose` is part of its name.
-    ///
-    /// # Errors
-    /// When it cannot be made.
-    pub fn make(purpose: &str) -> Result<Self, LocalServerError> {
-        let made = tempfile::Builder::new().prefix(&format!("gnomon-{purpose}-")).tempdir();
-        made.map(Self).map_err(|source| LocalServerError::Start { folder: std::env::temp_dir(), source })
-    }
-
-    /// Where it is.
-    #[must_use]
-    pub fn path(&self) -> &Path {
-        self.0.path()
-    }
+/// Creates a folder that is removed when dropped. Its name cannot be guessed, and only this user can read it: the server's key
+/// lies in it.
+///
+/// # Errors
+/// Errors if the system's temporary folder cannot be written.
+pub fn temporary_folder(purpose: &str) -> Result<TempDir, LocalServerError> {
+    let created = tempfile::Builder::new().prefix(&format!("gnomon-{purpose}-")).tempdir();
+    created.map_err(|source| LocalServerError::Start { folder: std::env::temp_dir(), source })
 }
 
 /// A running server. Dropping it stops it.
 #[derive(Debug)]
 pub struct LocalServer {
     url: ServerUrl,
-    _keeper: Keeper,
-    /// Its files, which go after it.
-    _folder: Folder,
+    _process: ServerProcess,
+    /// Removed after the server has stopped.
+    _folder: TempDir,
 }
 
-/// The thread whose child the server is: the system ends a child with the thread that started it ([`command`]).
+/// The thread that started the server. The system ends a child with the thread that started it ([`command`]), so the thread
+/// lives as long.
 #[derive(Debug)]
-struct Keeper {
+struct ServerProcess {
     /// Dropping it stops the server.
     stop: Option<SyncSender<Infallible>>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Drop for Keeper {
+impl Drop for ServerProcess {
     fn drop(&mut self) {
         self.stop = None;
         self.thread.take().map(JoinHandle::join);
@@ -103,21 +87,21 @@ impl Drop for Keeper {
 }
 
 impl LocalServer {
-    /// The server's program, beside this one, if it is there.
+    /// Returns the path of the server program beside this one.
     ///
     /// # Errors
-    /// When it is not.
+    /// Errors if there is none.
     pub fn program() -> Result<PathBuf, LocalServerError> {
         let own = std::env::current_exe().unwrap_or_default();
         let program = own.with_file_name("gnomon-server").with_extension(std::env::consts::EXE_EXTENSION);
         if program.is_file() { Ok(program) } else { Err(LocalServerError::Missing(program)) }
     }
 
-    /// Starts it with its files in `folder`, and waits until it listens.
+    /// Starts a server with its files in `folder`, and waits until it listens.
     ///
     /// # Errors
-    /// When there is no server, or it does not start; its last words are in the error.
-    pub fn start(folder: Folder, scene: &LocalScene) -> Result<Self, LocalServerError> {
+    /// Errors with the last line of its log if it does not start.
+    pub fn start(folder: TempDir, scene: &LocalScene) -> Result<Self, LocalServerError> {
         let program = Self::program()?;
         let failed = |source| LocalServerError::Start { folder: folder.path().to_owned(), source };
         let log = folder.path().join("server.log");
@@ -138,34 +122,33 @@ impl LocalServer {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(errors);
-        let ((say, said), (stop, stopped)) = (sync_channel(1), sync_channel(0));
-        let keeper = std::thread::Builder::new().name("local server".to_owned());
-        let keeper = keeper.spawn(move || keep(&mut command, say, &stopped)).map_err(failed)?;
-        // From here on it is stopped however this ends.
-        let keeper = Keeper { stop: Some(stop), thread: Some(keeper) };
-        let line = match said.recv_timeout(PATIENCE) {
+        let ((send_line, first_line), (stop, stopped)) = (sync_channel(1), sync_channel(0));
+        let thread = std::thread::Builder::new().name("local server".to_owned());
+        let thread = thread.spawn(move || run(&mut command, send_line, &stopped)).map_err(failed)?;
+        // From here on, every return stops the server.
+        let process = ServerProcess { stop: Some(stop), thread: Some(thread) };
+        let line = match first_line.recv_timeout(START_TIMEOUT) {
             Ok(Err(error)) => return Err(failed(error)),
             Ok(Ok(line)) => line,
             Err(_) => String::new(),
         };
         match line.split_whitespace().find_map(|word| word.parse().ok()) {
-            Some(url) => Ok(Self { url, _keeper: keeper, _folder: folder }),
+            Some(url) => Ok(Self { url, _process: process, _folder: folder }),
             None => {
-                drop(keeper);
+                drop(process);
                 let log = fs::read_to_string(&log).unwrap_or_default();
-                Err(LocalServerError::Silent(log.lines().last().unwrap_or("it says nothing").to_owned()))
+                Err(LocalServerError::NotListening(log.lines().last().unwrap_or("it prints nothing").to_owned()))
             }
         }
     }
 
-    /// Where it listens.
     #[must_use]
     pub fn url(&self) -> &ServerUrl {
         &self.url
     }
 }
 
-/// The command that runs `program` and, where the system has a way, ends it with us however we end.
+/// Returns a command that runs `program` and, on Linux, ends it with this process however that ends.
 fn command(program: &Path) -> Command {
     let setpriv = Path::new("/usr/bin/setpriv");
     if cfg!(target_os = "linux") && setpriv.is_file() {
@@ -176,27 +159,27 @@ fn command(program: &Path) -> Command {
     Command::new(program)
 }
 
-/// Starts the server, says its first line, or why there is none, and stops it when `stopped` ends.
-fn keep(command: &mut Command, say: SyncSender<std::io::Result<String>>, stopped: &Receiver<Infallible>) {
+/// Runs the server until `stopped` disconnects. Sends the first line that it prints, or why it did not start.
+fn run(command: &mut Command, send_line: SyncSender<std::io::Result<String>>, stopped: &Receiver<Infallible>) {
     let mut child = match command.spawn() {
         Ok(child) => child,
         Err(error) => {
-            let _ = say.send(Err(error));
+            let _ = send_line.send(Err(error));
             return;
         }
     };
     if let Some(output) = child.stdout.take() {
-        // Reading ends with the server.
+        // Reading ends when the server does.
         std::thread::spawn(move || {
             let mut line = String::new();
-            let _ = say.send(BufReader::new(output).read_line(&mut line).map(|_| line));
+            let _ = send_line.send(BufReader::new(output).read_line(&mut line).map(|_| line));
         });
     }
     let _ = stopped.recv();
     stop(&mut child);
 }
 
-/// Asks the server to stop, where the system has a way to ask, and ends it when it does not.
+/// Asks the server to stop, where the system has a way to ask. Kills it if it does not.
 fn stop(server: &mut Child) {
     let asked = cfg!(unix)
         && Command::new("kill")
@@ -204,7 +187,7 @@ fn stop(server: &mut Child) {
             .stderr(Stdio::null())
             .status()
             .is_ok_and(|status| status.success());
-    let deadline = Instant::now() + FAREWELL;
+    let deadline = Instant::now() + STOP_TIMEOUT;
     while asked && Instant::now() < deadline {
         if matches!(server.try_wait(), Ok(Some(_)) | Err(_)) {
             return;

@@ -1,4 +1,4 @@
-//! The servers that this client has been to, the last one first, each with the certificate that it had the first time.
+//! Known servers: the last ones visited, newest first, each with the certificate of the first visit.
 
 use std::{
     fs,
@@ -12,13 +12,10 @@ use url::form_urlencoded;
 
 use crate::link::url::ServerUrl;
 
-/// Servers that are remembered.
-const MOST: usize = 16;
+const MAX_SERVERS: usize = 16;
 
-/// Largest file that is read, in bytes.
 const MAX_FILE_BYTES: u64 = 64 << 10;
 
-/// The list, and its file.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct KnownServers {
     file: Option<PathBuf>,
@@ -27,12 +24,12 @@ pub struct KnownServers {
 
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct Stored {
-    /// URLs with certificates, the last one first.
+    /// URLs with certificates, newest first.
     servers: Vec<String>,
 }
 
 impl KnownServers {
-    /// Those in the platform's place for state. A list that cannot be read is none.
+    /// Loads the list from the platform's state directory. A list that cannot be read counts as empty.
     #[must_use]
     pub fn load() -> Self {
         let Ok(strategy) = etcetera::choose_base_strategy() else { return Self::default() };
@@ -40,7 +37,7 @@ impl KnownServers {
         Self::load_from(&folder.join("gnomon").join("servers.json"))
     }
 
-    /// Those in a file.
+    /// Loads the list from `file`. A list that cannot be read counts as empty.
     #[must_use]
     pub fn load_from(file: &Path) -> Self {
         let read = || {
@@ -49,53 +46,52 @@ impl KnownServers {
             serde_json::from_str::<Stored>(&text).ok()
         };
         let stored = read().unwrap_or_default();
-        let servers = stored.servers.iter().filter_map(|text| text.parse().ok()).take(MOST).collect();
+        let servers = stored.servers.iter().filter_map(|text| text.parse().ok()).take(MAX_SERVERS).collect();
         Self { file: Some(file.to_owned()), servers }
     }
 
-    /// The servers, the last one first.
+    /// Returns the servers, newest first.
     #[must_use]
     pub fn servers(&self) -> &[ServerUrl] {
         &self.servers
     }
 
-    /// The certificate that the server at this place had the first time.
+    /// Returns the SHA-256 of the certificate that was pinned for this host, port and transport.
     #[must_use]
     pub fn certificate_of(&self, url: &ServerUrl) -> Option<[u8; 32]> {
-        self.servers.iter().find(|known| same_place(known, url)).and_then(|known| known.certificate)
+        self.servers.iter().find(|known| same_endpoint(known, url)).and_then(|known| known.certificate)
     }
 
-    /// Puts a server that this client has just been to first. It is no error when that cannot be kept.
+    /// Puts a server first. Failing to save the list is logged and no error.
     pub fn remember(&mut self, url: &ServerUrl) {
-        self.servers.retain(|known| !same_place(known, url));
+        self.servers.retain(|known| !same_endpoint(known, url));
         self.servers.insert(0, url.clone());
-        self.servers.truncate(MOST);
+        self.servers.truncate(MAX_SERVERS);
         if let Some(file) = &self.file
             && let Err(error) = self.save(file)
         {
-            tracing::debug!(%error, file = %file.display(), "servers are not remembered");
+            tracing::debug!(%error, file = %file.display(), "cannot save the list of servers");
         }
     }
 
-    /// A file that breaks off would be no list, so the new one takes the old one's place when it is whole.
+    /// Replaces the file by a rename: a crash leaves the old list or the new one.
     fn save(&self, file: &Path) -> std::io::Result<()> {
         if let Some(folder) = file.parent() {
             fs::create_dir_all(folder)?;
         }
-        let stored = Stored { servers: self.servers.iter().map(full).collect() };
-        let whole = file.with_extension("json.new");
-        fs::write(&whole, serde_json::to_vec_pretty(&stored)?)?;
-        fs::rename(&whole, file)
+        let stored = Stored { servers: self.servers.iter().map(to_url).collect() };
+        let complete = file.with_extension("json.new");
+        fs::write(&complete, serde_json::to_vec_pretty(&stored)?)?;
+        fs::rename(&complete, file)
     }
 }
 
-fn same_place(one: &ServerUrl, other: &ServerUrl) -> bool {
+fn same_endpoint(one: &ServerUrl, other: &ServerUrl) -> bool {
     (&one.host, one.port, one.transport) == (&other.host, other.port, other.transport)
 }
 
-/// The URL with whatever the server is known by, wherever this client is started from the next time. A path that is no text
-/// cannot stand in a URL.
-fn full(url: &ServerUrl) -> String {
+/// Returns the URL with its certificate or the absolute path of its authorities, if that path is valid UTF-8.
+fn to_url(url: &ServerUrl) -> String {
     let mut query = form_urlencoded::Serializer::new(String::new());
     if let Some(digest) = url.certificate {
         query.append_pair("cert", &digest.iter().map(|byte| format!("{byte:02x}")).collect::<String>());
@@ -107,7 +103,7 @@ fn full(url: &ServerUrl) -> String {
     if query.is_empty() { url.to_string() } else { format!("{url}/?{query}") }
 }
 
-/// The first bytes of a certificate's SHA-256, as people compare them.
+/// Returns the first 8 bytes of a certificate's SHA-256, for people to compare.
 #[must_use]
 pub fn fingerprint(digest: &[u8; 32]) -> String {
     digest[..8].chunks(2).map(|pair| format!("{:02x}{:02x}", pair[0], pair[1])).collect::<Vec<_>>().join(" ")
@@ -122,25 +118,25 @@ mod tests {
     }
 
     #[test]
-    fn the_last_server_comes_first_and_each_comes_once() {
+    fn the_newest_server_is_first_and_none_is_listed_twice() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("state/servers.json");
         let mut known = KnownServers::load_from(&file);
         assert!(known.servers().is_empty());
         (1..30).for_each(|port| known.remember(&server(port, 'a')));
         known.remember(&server(20, 'b'));
-        let again = KnownServers::load_from(&file);
-        assert_eq!(again, known);
-        assert_eq!(again.servers().len(), MOST);
-        assert_eq!(again.servers()[..2], [server(20, 'b'), server(29, 'a')]);
-        assert!(!again.servers()[1..].contains(&server(20, 'a')));
+        let reloaded = KnownServers::load_from(&file);
+        assert_eq!(reloaded, known);
+        assert_eq!(reloaded.servers().len(), MAX_SERVERS);
+        assert_eq!(reloaded.servers()[..2], [server(20, 'b'), server(29, 'a')]);
+        assert!(!reloaded.servers()[1..].contains(&server(20, 'a')));
         let first_use = |port: u16| format!("gnomon://edge.example:{port}/?cert=first-use").parse().unwrap();
-        assert_eq!(again.certificate_of(&first_use(20)), Some([0xbb; 32]));
-        assert_eq!(again.certificate_of(&first_use(443)), None);
+        assert_eq!(reloaded.certificate_of(&first_use(20)), Some([0xbb; 32]));
+        assert_eq!(reloaded.certificate_of(&first_use(443)), None);
     }
 
     #[test]
-    fn a_server_with_an_authority_keeps_it() {
+    fn the_path_of_the_authority_is_kept() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("servers.json");
         let remembered = |text: &str| {
@@ -156,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_of_something_else_is_an_empty_list() {
+    fn an_invalid_file_counts_as_empty() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("servers.json");
         for text in ["", "[1, 2]", "{\"servers\": [\"http://x:1\", \"gnomon://a:1\"]}"] {

@@ -1,8 +1,8 @@
 //! Packed scenes on disk, by their digest.
 //!
-//! A scene lies in `DIGEST.scene`, and is only believed when its bytes have that digest. While it is fetched it grows in
-//! `DIGEST.part`, which one client at a time holds locked; a fetch that broke off goes on where it stopped. Where the
-//! cache cannot be written, clients work without it.
+//! `DIGEST.scene` is used only if its bytes have that digest. A scene that is being fetched grows in `DIGEST.part`, which one
+//! client at a time holds locked. A fetch that broke off resumes where it stopped. If the cache cannot be written, clients
+//! work without it.
 
 use std::{
     fs::{File, OpenOptions},
@@ -14,63 +14,51 @@ use etcetera::BaseStrategy as _;
 use gnomon_protocol::{ids::SceneDigest, limits::MAX_SCENE_BYTES};
 use thiserror::Error;
 
-/// A folder of scenes.
 #[derive(Debug, Clone)]
 pub struct SceneCache {
     folder: PathBuf,
 }
 
-/// Why a scene did not come.
+/// Why a scene could not be fetched.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum SceneFetchError {
-    /// The server's scene is too large.
+    /// The scene exceeds [`MAX_SCENE_BYTES`].
     #[error("the server's scene has {0} bytes: at most {MAX_SCENE_BYTES} are accepted")]
     TooLarge(u64),
-    /// A piece does not follow the one before it.
-    #[error("scene bytes from {found} came where {expected} was next")]
-    Gap {
-        /// First byte that was missing.
-        expected: u64,
-        /// First byte that came.
-        found: u64,
-    },
-    /// More bytes than the scene has.
+    /// A chunk does not follow the one before it.
+    #[error("a scene chunk starts at byte {found}, expected byte {expected}")]
+    Gap { expected: u64, found: u64 },
+    /// The server sent more bytes than it announced.
     #[error("the server sent more than the scene's {0} bytes")]
     Overrun(u64),
-    /// The bytes are not those of the digest.
-    #[error("the server's scene {digest} has the digest {found}: it is not the scene that the server says it traces")]
-    Digest {
-        /// The digest that the server gave.
-        digest: SceneDigest,
-        /// The digest of what came.
-        found: SceneDigest,
-    },
+    /// The bytes have another digest.
+    #[error("the server announced the scene {digest} and sent {found}")]
+    Digest { digest: SceneDigest, found: SceneDigest },
 }
 
-/// Whether a scene is in the cache.
+/// What the cache has of a scene.
 #[derive(Debug)]
-pub enum SceneFetch {
-    /// These are its bytes.
+pub enum CachedScene {
     Whole(Vec<u8>),
-    /// It has to be fetched.
-    Missing(Fetch),
+    /// The rest has to be fetched.
+    Missing(SceneFetch),
 }
 
 /// A scene that is being fetched.
 #[derive(Debug)]
-pub struct Fetch {
+pub struct SceneFetch {
     cache: SceneCache,
     digest: SceneDigest,
     length: u64,
     bytes: Vec<u8>,
-    /// The locked part file; `None` when another client holds it or the cache cannot be written.
+    /// The locked part file; `None` if another client holds it or the cache cannot be written.
     part: Option<File>,
-    /// Bytes that an earlier run left.
+    /// Bytes from an earlier run.
     resumed: u64,
 }
 
 impl SceneCache {
-    /// The cache in `folder`, or in the platform's cache directory.
+    /// Uses `folder`, or the platform's cache directory.
     #[must_use]
     pub fn new(folder: Option<PathBuf>) -> Self {
         let platform = || {
@@ -82,47 +70,46 @@ impl SceneCache {
         Self { folder: folder.unwrap_or_else(platform) }
     }
 
-    /// The folder.
     #[must_use]
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// The file of a scene that has been looked up or fetched, if it is kept.
+    /// Returns the file of a scene that was looked up or fetched before, if it is cached.
     #[must_use]
-    pub fn kept(&self, digest: SceneDigest) -> Option<PathBuf> {
+    pub fn cached_file(&self, digest: SceneDigest) -> Option<PathBuf> {
         Some(self.scene_file(digest)).filter(|file| file.is_file())
     }
 
-    /// Looks for the scene of this digest and length. One whose bytes are not the digest's is removed.
+    /// Looks up the scene with this digest and length, and removes it if its bytes have another digest.
     ///
     /// # Errors
-    /// When the length is more than is accepted.
-    pub fn look_up(&self, digest: SceneDigest, length: u64) -> Result<SceneFetch, SceneFetchError> {
+    /// Errors if `length` exceeds [`MAX_SCENE_BYTES`].
+    pub fn look_up(&self, digest: SceneDigest, length: u64) -> Result<CachedScene, SceneFetchError> {
         if length > MAX_SCENE_BYTES {
             return Err(SceneFetchError::TooLarge(length));
         }
         let file = self.scene_file(digest);
         if let Some(bytes) = read_exactly(&file, length) {
             if digest_of(&bytes) == digest {
-                return Ok(SceneFetch::Whole(bytes));
+                return Ok(CachedScene::Whole(bytes));
             }
-            tracing::warn!(file = %file.display(), "a cached scene is damaged: it is fetched again");
+            tracing::warn!(file = %file.display(), "a cached scene is damaged: fetching it again");
         }
-        // Of another length, damaged, or not there at all.
+        // Another length, damaged, or missing.
         let _ = std::fs::remove_file(&file);
         let (part, bytes) = match self.open_part(digest, length) {
             Ok((part, bytes)) => (Some(part), bytes),
             Err(reason) => {
-                tracing::debug!(%reason, "the scene is fetched without the cache");
+                tracing::debug!(%reason, "fetching the scene without the cache");
                 (None, Vec::new())
             }
         };
         let resumed = bytes.len() as u64;
-        Ok(SceneFetch::Missing(Fetch { cache: self.clone(), digest, length, bytes, part, resumed }))
+        Ok(CachedScene::Missing(SceneFetch { cache: self.clone(), digest, length, bytes, part, resumed }))
     }
 
-    /// Opens and locks the part file, and reads what is in it.
+    /// Opens and locks the part file, and reads it.
     fn open_part(&self, digest: SceneDigest, length: u64) -> std::io::Result<(File, Vec<u8>)> {
         std::fs::create_dir_all(&self.folder)?;
         let mut options = OpenOptions::new();
@@ -147,49 +134,49 @@ impl SceneCache {
     }
 }
 
-impl Fetch {
-    /// Bytes that are there.
+impl SceneFetch {
+    /// Returns the bytes fetched so far.
     #[must_use]
-    pub fn have(&self) -> u64 {
+    pub fn fetched(&self) -> u64 {
         self.bytes.len() as u64
     }
 
-    /// Takes the next piece.
+    /// Appends the next chunk.
     ///
     /// # Errors
-    /// When it does not follow what is there, or there is more than the scene has.
-    pub fn append(&mut self, offset: u64, piece: &[u8]) -> Result<(), SceneFetchError> {
-        if offset != self.have() {
-            return Err(SceneFetchError::Gap { expected: self.have(), found: offset });
+    /// Errors if `offset` is not the next byte, or the scene gets too long.
+    pub fn append(&mut self, offset: u64, chunk: &[u8]) -> Result<(), SceneFetchError> {
+        if offset != self.fetched() {
+            return Err(SceneFetchError::Gap { expected: self.fetched(), found: offset });
         }
-        if piece.len() as u64 > self.length - self.have() {
+        if chunk.len() as u64 > self.length - self.fetched() {
             return Err(SceneFetchError::Overrun(self.length));
         }
         if let Some(part) = &mut self.part
-            && let Err(error) = part.write_all(piece)
+            && let Err(error) = part.write_all(chunk)
         {
-            tracing::warn!(%error, "the scene cannot be cached");
-            self.forget_part();
+            tracing::warn!(%error, "cannot cache the scene");
+            self.discard_part();
         }
-        self.bytes.extend_from_slice(piece);
+        self.bytes.extend_from_slice(chunk);
         Ok(())
     }
 
-    /// The scene, when its bytes are the digest's; it is then in the cache. `None` when an earlier run's bytes were
-    /// damaged: they are forgotten, and everything has to be fetched once more.
+    /// Returns the scene and caches it. `None` if the bytes from an earlier run were damaged: they are discarded, and all has
+    /// to be fetched again.
     ///
     /// # Errors
-    /// When the server's own bytes are not the digest's.
+    /// Errors if the server sent another scene.
     pub fn finish(&mut self) -> Result<Option<Vec<u8>>, SceneFetchError> {
         let found = digest_of(&self.bytes);
         if found == self.digest {
-            if let Err(error) = self.keep() {
-                tracing::warn!(%error, folder = %self.cache.folder.display(), "the scene cannot be cached");
+            if let Err(error) = self.store() {
+                tracing::warn!(%error, folder = %self.cache.folder.display(), "cannot cache the scene");
             }
             return Ok(Some(std::mem::take(&mut self.bytes)));
         }
         if self.resumed == 0 {
-            self.forget_part();
+            self.discard_part();
             return Err(SceneFetchError::Digest { digest: self.digest, found });
         }
         self.resumed = 0;
@@ -197,21 +184,21 @@ impl Fetch {
         if let Some(part) = &mut self.part
             && part.set_len(0).and_then(|()| part.rewind()).is_err()
         {
-            self.forget_part();
+            self.discard_part();
         }
         Ok(None)
     }
 
-    /// Makes the part file the scene's. A rename is atomic: nobody ever sees half of a scene.
-    fn keep(&mut self) -> std::io::Result<()> {
+    /// Renames the part file. A rename is atomic, so no client ever sees half of a scene.
+    fn store(&mut self) -> std::io::Result<()> {
         let Some(part) = self.part.take() else { return Ok(()) };
         part.sync_data()?;
         std::fs::rename(self.cache.part_file(self.digest), self.cache.scene_file(self.digest))
     }
 
-    fn forget_part(&mut self) {
+    fn discard_part(&mut self) {
         if self.part.take().is_some() {
-            // What it holds is of no use; if it stays, the next run finds that out.
+            // If it stays, the next run finds it damaged.
             let _ = std::fs::remove_file(self.cache.part_file(self.digest));
         }
     }
@@ -221,7 +208,7 @@ fn digest_of(bytes: &[u8]) -> SceneDigest {
     SceneDigest(*blake3::hash(bytes).as_bytes())
 }
 
-/// A file's bytes, if it has exactly so many.
+/// Returns a file's bytes if it has exactly `length`.
 fn read_exactly(file: &Path, length: u64) -> Option<Vec<u8>> {
     let opened = File::open(file).ok()?;
     if opened.metadata().ok()?.len() != length {
@@ -238,20 +225,20 @@ mod tests {
 
     const SCENE: &[u8] = b"a packed scene, for all that the cache knows";
 
-    fn missing(cache: &SceneCache) -> Fetch {
+    fn missing(cache: &SceneCache) -> SceneFetch {
         match cache.look_up(digest_of(SCENE), SCENE.len() as u64).unwrap() {
-            SceneFetch::Missing(fetch) => fetch,
-            SceneFetch::Whole(_) => panic!("it is cached"),
+            CachedScene::Missing(fetch) => fetch,
+            CachedScene::Whole(_) => panic!("it is cached"),
         }
     }
 
     fn is_cached(cache: &SceneCache) -> bool {
         let found = cache.look_up(digest_of(SCENE), SCENE.len() as u64).unwrap();
-        matches!(found, SceneFetch::Whole(bytes) if bytes == SCENE)
+        matches!(found, CachedScene::Whole(bytes) if bytes == SCENE)
     }
 
-    fn fetch_rest(mut fetch: Fetch) -> Option<Vec<u8>> {
-        let have = fetch.have();
+    fn fetch_rest(mut fetch: SceneFetch) -> Option<Vec<u8>> {
+        let have = fetch.fetched();
         fetch.append(have, &SCENE[usize::try_from(have).unwrap()..]).unwrap();
         fetch.finish().unwrap()
     }
@@ -266,44 +253,44 @@ mod tests {
     }
 
     #[test]
-    fn a_fetch_that_broke_off_goes_on_where_it_stopped() {
+    fn an_interrupted_fetch_resumes_where_it_stopped() {
         let folder = tempfile::tempdir().unwrap();
         let cache = SceneCache::new(Some(folder.path().into()));
         let mut fetch = missing(&cache);
         fetch.append(0, &SCENE[..10]).unwrap();
         drop(fetch);
         let fetch = missing(&cache);
-        assert_eq!(fetch.have(), 10);
+        assert_eq!(fetch.fetched(), 10);
         assert_eq!(fetch_rest(fetch).unwrap(), SCENE);
         assert!(is_cached(&cache));
     }
 
     #[test]
-    fn damage_is_noticed_and_mended() {
+    fn damaged_files_are_fetched_again() {
         let folder = tempfile::tempdir().unwrap();
         let cache = SceneCache::new(Some(folder.path().into()));
-        // A damaged scene counts as none.
+        // A damaged scene counts as missing.
         fetch_rest(missing(&cache)).unwrap();
         let file = cache.scene_file(digest_of(SCENE));
         let mut bytes = SCENE.to_vec();
         bytes[3] ^= 1;
         std::fs::write(&file, &bytes).unwrap();
-        // So does one that is too long for the length.
+        // So does one of another length.
         let mut fetch = missing(&cache);
-        assert_eq!((fetch.have(), file.exists()), (0, false));
-        // A damaged part is fetched anew, from its first byte.
+        assert_eq!((fetch.fetched(), file.exists()), (0, false));
+        // A damaged part is fetched again from its first byte.
         fetch.append(0, &bytes[..20]).unwrap();
         drop(fetch);
         let mut fetch = missing(&cache);
         fetch.append(20, &SCENE[20..]).unwrap();
         assert_eq!(fetch.finish().unwrap(), None);
-        assert_eq!(fetch.have(), 0);
+        assert_eq!(fetch.fetched(), 0);
         assert_eq!(fetch_rest(fetch).unwrap(), SCENE);
         assert!(is_cached(&cache));
     }
 
     #[test]
-    fn a_server_that_lies_is_found_out() {
+    fn a_lying_server_is_detected() {
         let folder = tempfile::tempdir().unwrap();
         let cache = SceneCache::new(Some(folder.path().into()));
         let mut fetch = missing(&cache);
@@ -312,7 +299,7 @@ mod tests {
         fetch.append(0, &[7; 44]).unwrap();
         assert!(matches!(fetch.finish(), Err(SceneFetchError::Digest { .. })));
         drop(fetch);
-        assert_eq!(missing(&cache).have(), 0);
+        assert_eq!(missing(&cache).fetched(), 0);
         let too_large = cache.look_up(digest_of(SCENE), MAX_SCENE_BYTES + 1).unwrap_err();
         assert_eq!(too_large, SceneFetchError::TooLarge(MAX_SCENE_BYTES + 1));
     }
@@ -324,7 +311,7 @@ mod tests {
         let mut first = missing(&cache);
         first.append(0, &SCENE[..5]).unwrap();
         let second = missing(&cache);
-        assert_eq!(second.have(), 0);
+        assert_eq!(second.fetched(), 0);
         assert_eq!(fetch_rest(second).unwrap(), SCENE);
         assert!(!is_cached_without_fetching(&cache));
         assert_eq!(fetch_rest(first).unwrap(), SCENE);
@@ -336,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_folder_scenes_still_come() {
+    fn scenes_are_fetched_without_a_cache_folder() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("not a folder");
         std::fs::write(&file, b"").unwrap();

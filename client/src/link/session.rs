@@ -35,7 +35,7 @@ use super::{
 };
 use crate::{
     error::ClientError,
-    link::scene_cache::{SceneCache, SceneFetch},
+    link::scene_cache::{CachedScene, SceneCache},
     mask_buffer::{MaskReader, mask_buffer},
 };
 
@@ -138,18 +138,18 @@ impl Admitted {
     ) -> Result<Vec<u8>, ClientError> {
         let (digest, length) = (self.welcome.scene_digest, self.welcome.scene_bytes);
         let mut fetch = match cache.look_up(digest, length)? {
-            SceneFetch::Whole(bytes) => return Ok(bytes),
-            SceneFetch::Missing(fetch) => fetch,
+            CachedScene::Whole(bytes) => return Ok(bytes),
+            CachedScene::Missing(fetch) => fetch,
         };
         loop {
-            let offset = fetch.have();
+            let offset = fetch.fetched();
             let asked = self.link.writer.write(&ClientMessage::FetchScene { offset }).await;
             asked.map_err(|source| broken(self.url.clone(), &self.link, source))?;
-            while fetch.have() < length {
+            while fetch.fetched() < length {
                 match self.link.reader.next_within(ANSWER_TIMEOUT).await {
                     Ok(ServerMessage::SceneChunk { offset, bytes }) => {
                         fetch.append(offset, &bytes)?;
-                        progress(fetch.have(), length);
+                        progress(fetch.fetched(), length);
                     }
                     Ok(ServerMessage::Pong(_)) => {}
                     Ok(ServerMessage::Closing { reason } | ServerMessage::Draining { reason, .. }) => {

@@ -1,4 +1,4 @@
-//! Server URLs: where, over what, and whose certificate is expected there.
+//! Server URLs: transport, address, and the certificate to expect.
 
 use std::{fmt, path::PathBuf, str::FromStr};
 
@@ -6,14 +6,13 @@ use serde::Deserialize;
 use thiserror::Error;
 use url::{Host, Url};
 
-/// What carries poses and frame packets.
+/// Carries poses and frame packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Transport {
-    /// QUIC datagrams.
     Quic,
-    /// Plain UDP, on loopback only, to measure against.
+    /// Plain UDP on loopback, the baseline.
     LabUdp,
-    /// Plain TCP, on loopback only, to measure against.
+    /// Plain TCP on loopback, the baseline.
     LabTcp,
 }
 
@@ -37,51 +36,42 @@ impl Transport {
     }
 }
 
-/// A server.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "String")]
 pub struct ServerUrl {
-    /// What carries the data.
     pub transport: Transport,
-    /// Host name or address; IPv6 addresses stand without brackets.
+    /// Host name or address; IPv6 without brackets.
     pub host: String,
     /// UDP port (QUIC), or TCP port of the control conversation (lab transports).
     pub port: u16,
-    /// SHA-256 of the certificate that the server has to show. QUIC has none where `ca` is there, and on a first visit: `?cert=first-use`.
+    /// SHA-256 of the certificate that the server must show. `None` if `ca` is there, on a first visit (`?cert=first-use`), and
+    /// for lab transports.
     pub certificate: Option<[u8; 32]>,
-    /// PEM file, on the client's machine, with the authorities that may vouch for the server's name.
+    /// Local PEM file with the authorities that may sign the server's certificate.
     pub ca: Option<PathBuf>,
 }
 
-/// Why a text is no server URL.
+/// Why a text is not a server URL.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum UrlError {
-    /// No URL at all.
-    #[error("{0:?} is no URL: use the line that the server printed, gnomon://HOST:PORT/?cert=SHA256")]
+    #[error("{0:?} is not a URL: use the line that the server printed, gnomon://HOST:PORT/?cert=SHA256")]
     Malformed(String),
-    /// Another scheme.
-    #[error("{0}:// is no scheme of Gnomon: there are gnomon://, gnomon+lab-udp:// and gnomon+lab-tcp://")]
+    #[error("unknown scheme {0}://: use gnomon://, gnomon+lab-udp:// or gnomon+lab-tcp://")]
     Scheme(String),
-    /// No host.
-    #[error("the URL names no host")]
+    #[error("the URL has no host")]
     Host,
-    /// No port.
-    #[error("the URL names no port: use the line that the server printed, gnomon://HOST:PORT/?cert=SHA256")]
+    #[error("the URL has no port: use the line that the server printed, gnomon://HOST:PORT/?cert=SHA256")]
     Port,
-    /// No certificate.
     #[error(
-        "the URL lacks ?cert=SHA256, by which the client knows the server: use the line that the server printed, or name the PEM file of \
-         its authority as ?ca=FILE"
+        "the URL lacks ?cert=SHA256, which identifies the server: use the line that the server printed, or name the PEM file of its \
+         authority as ?ca=FILE"
     )]
     NoCertificate,
-    /// A certificate that is no SHA-256.
-    #[error("cert={0:?} is no SHA-256: 64 hexadecimal digits are expected")]
+    #[error("cert={0:?} is not a SHA-256: it must have 64 hexadecimal digits")]
     Certificate(String),
-    /// Something that no server URL has.
-    #[error("the URL has {0:?}, which means nothing here")]
-    Surplus(String),
-    /// A lab transport to another machine.
-    #[error("{0} is not this machine: the lab transports are neither encrypted nor paced, and for loopback only")]
+    #[error("unknown part of the URL: {0:?}")]
+    Unknown(String),
+    #[error("{0} is not this machine: the lab transports are not encrypted, and work on loopback only")]
     NotLoopback(String),
 }
 
@@ -102,10 +92,10 @@ impl FromStr for ServerUrl {
         };
         let port = url.port().ok_or(UrlError::Port)?;
         if !matches!(url.path(), "" | "/") {
-            return Err(UrlError::Surplus(url.path().to_owned()));
+            return Err(UrlError::Unknown(url.path().to_owned()));
         }
         if !url.username().is_empty() || url.fragment().is_some() {
-            return Err(UrlError::Surplus(url.fragment().unwrap_or(url.username()).to_owned()));
+            return Err(UrlError::Unknown(url.fragment().unwrap_or(url.username()).to_owned()));
         }
         let (mut certificate, mut ca, mut first_use) = (None, None, false);
         for (key, value) in url.query_pairs() {
@@ -113,7 +103,7 @@ impl FromStr for ServerUrl {
                 "cert" if value == "first-use" => first_use = true,
                 "cert" => certificate = Some(digest(&value)?),
                 "ca" if !value.is_empty() => ca = Some(PathBuf::from(value.as_ref())),
-                _ => return Err(UrlError::Surplus(format!("{key}={value}"))),
+                _ => return Err(UrlError::Unknown(format!("{key}={value}"))),
             }
         }
         match transport {
@@ -136,7 +126,7 @@ impl TryFrom<String> for ServerUrl {
 }
 
 impl fmt::Display for ServerUrl {
-    /// Without the certificate, which would make every message unreadable.
+    /// Omits the certificate, which is too long to read.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (open, close) = if self.host.contains(':') { ("[", "]") } else { ("", "") };
         write!(f, "{}://{open}{}{close}:{}", self.transport.scheme(), self.host, self.port)
@@ -144,13 +134,13 @@ impl fmt::Display for ServerUrl {
 }
 
 fn digest(text: &str) -> Result<[u8; 32], UrlError> {
-    let wrong = || UrlError::Certificate(text.to_owned());
+    let invalid = || UrlError::Certificate(text.to_owned());
     if text.len() != 64 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
-        return Err(wrong());
+        return Err(invalid());
     }
     let mut digest = [0; 32];
     for (index, byte) in digest.iter_mut().enumerate() {
-        *byte = u8::from_str_radix(&text[2 * index..2 * index + 2], 16).map_err(|_| wrong())?;
+        *byte = u8::from_str_radix(&text[2 * index..2 * index + 2], 16).map_err(|_| invalid())?;
     }
     Ok(digest)
 }
@@ -164,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn good_urls_are_taken_apart() {
+    fn valid_urls_are_parsed() {
         let cert = "00ff".repeat(16);
         let url: ServerUrl = format!("gnomon://edge.example:4433/?cert={cert}").parse().unwrap();
         assert_eq!((url.transport, url.host.as_str(), url.port), (Transport::Quic, "edge.example", 4433));
@@ -183,18 +173,18 @@ mod tests {
     }
 
     #[test]
-    fn bad_urls_say_what_to_do() {
+    fn errors_say_what_to_do() {
         for (text, error) in [
             ("edge:4433", "scheme"),
-            ("edge", "is no URL"),
-            ("https://edge:1", "is no scheme"),
+            ("edge", "is not a URL"),
+            ("https://edge:1", "unknown scheme"),
             ("gnomon://edge/?cert=00", "no port"),
-            ("gnomon://:5/", "is no URL"),
+            ("gnomon://:5/", "is not a URL"),
             ("gnomon://edge:4433", "lacks ?cert"),
             ("gnomon://edge:4433/?cert=00ff", "64 hexadecimal digits"),
             ("gnomon://edge:4433/?cert=zz", "64 hexadecimal digits"),
-            ("gnomon://edge:4433/scene", "means nothing"),
-            ("gnomon://edge:4433/?token=7", "means nothing"),
+            ("gnomon://edge:4433/scene", "unknown part"),
+            ("gnomon://edge:4433/?token=7", "unknown part"),
             ("gnomon+lab-udp://10.0.0.1:5", "not this machine"),
             ("gnomon+lab-tcp://edge:5", "not this machine"),
         ] {

@@ -16,7 +16,7 @@ use gnomon_shaders::gpu::Gpu;
 
 use crate::{
     app::connect::{Connected, get_scene},
-    app::local_server::{Folder, LocalScene, LocalServer, LocalServerError},
+    app::local_server::{LocalScene, LocalServer, LocalServerError, temporary_folder},
     error::ClientError,
     frame_loop::{FrameLoop, Memory, Shown, Sink},
     guard::{Guard, GuardChoice, GuardSize},
@@ -40,8 +40,8 @@ pub(super) fn local_scene(
         }
         (Source::Server(_), welcome) => {
             let cache = SceneCache::new(options.cache_dir.clone());
-            let file = welcome.and_then(|welcome| cache.kept(welcome.scene_digest));
-            let file = file.ok_or_else(|| LocalServerError::NotKept(cache.folder().to_owned()))?;
+            let file = welcome.and_then(|welcome| cache.cached_file(welcome.scene_digest));
+            let file = file.ok_or_else(|| LocalServerError::NotCached(cache.folder().to_owned()))?;
             Ok(LocalScene { file, lights_from: None, lights: None })
         }
     }
@@ -95,7 +95,7 @@ fn prepare(
     options: &HeadlessOptions,
     largest: (u32, u32),
 ) -> Result<Ready, ClientError> {
-    let server = LocalServer::start(Folder::make("reference")?, scene)?;
+    let server = LocalServer::start(temporary_folder("reference")?, scene)?;
     let local = HeadlessOptions {
         token: None,
         cache_dir: options.cache_dir.clone(),

@@ -1,6 +1,6 @@
-//! A server for tests: one scene, masks that anybody can compute, and a script of what goes wrong.
+//! A scripted server for tests: one scene, computable masks, and faults on demand.
 
-#![allow(dead_code, reason = "each test program uses its own part of the stage")]
+#![allow(dead_code, reason = "each test program uses a part of the stage")]
 
 use std::{
     io::{Read as _, Write as _},
@@ -26,61 +26,59 @@ use gnomon_protocol::{
 };
 use gnomon_scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene};
 
-/// So short that every mask takes several.
+/// So small that every mask takes several packets.
 const PACKET_BYTES: usize = MAX_PACKET_BYTES / 4;
 
-/// What goes wrong.
+/// Faults of the server.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Script {
-    /// Frames that lose this packet, or all of them; each entry once.
+    /// Frames that lose this packet, or all packets for `None`. Each entry applies once.
     pub(crate) lose: Vec<(u32, Option<usize>)>,
-    /// The packet that comes so long after the others of its frame, in every frame.
-    pub(crate) held: Option<(usize, Duration)>,
-    /// Frames whose mask first comes in another shape.
+    /// Index of a packet that is delayed in every frame, and the delay.
+    pub(crate) delayed: Option<(usize, Duration)>,
+    /// Frames whose first mask has another shape.
     pub(crate) wrong_shape: Vec<u32>,
-    /// Frames whose mask first comes smaller than it was asked for.
+    /// Frames whose first mask is smaller than requested.
     pub(crate) smaller: Vec<u32>,
-    /// Masks that come unasked: before the answer to the first frame, one with the number of the second.
+    /// Unrequested masks: before the answer to the first frame, one with the number of the second.
     pub(crate) strays: Vec<(u32, u32)>,
-    /// Frames that are answered only when they are asked for again, and then for each time.
+    /// Frames whose first request is answered together with the second.
     pub(crate) late: Vec<u32>,
-    /// Frames that are first coded against a mask that the client does not have.
+    /// Frames that are first coded against a reference that the client lacks.
     pub(crate) foreign: Vec<u32>,
-    /// Closes the session in place of this frame.
+    /// Frame at which the server closes the session.
     pub(crate) close_at: Option<u32>,
-    /// The frame at which the clients are told to go to this URL.
+    /// Frame at which the server drains, and the URL that it names.
     pub(crate) drain_at: Option<(u32, String)>,
-    /// Whether the server is gone for good after its first session.
+    /// Stop serving after the first session.
     pub(crate) gone: bool,
-    /// Said in place of Welcome.
+    /// Sent in place of Welcome.
     pub(crate) answer: Option<ServerMessage>,
-    /// Whether the scene that is sent is another one.
-    pub(crate) spoil_scene: bool,
+    /// Send another scene than announced.
+    pub(crate) wrong_scene: bool,
 }
 
 #[derive(Debug, Default)]
-struct Heard {
+struct Observed {
     resumed: Vec<Option<ResumeToken>>,
     fetches: Vec<u64>,
     bye: bool,
-    /// Frames that were coded against a mask that the client had.
+    /// Frames coded against a reference that the client had.
     referenced: u32,
 }
 
-/// A running server.
 pub(crate) struct Stage {
     transport: &'static str,
     address: SocketAddr,
     packed: Arc<Vec<u8>>,
-    heard: Arc<Mutex<Heard>>,
+    observed: Arc<Mutex<Observed>>,
 }
 
-/// Shape of every mask.
 pub(crate) fn shape() -> MaskShape {
     MaskShape::new(64, 36, 1).unwrap()
 }
 
-/// The mask of a frame: noise, so that it takes several packets.
+/// Returns the mask of a frame: noise, so that it takes several packets.
 pub(crate) fn mask_for(frame: u32) -> Mask {
     let mut mask = Mask::new(shape());
     let mut state = frame.wrapping_mul(2_654_435_761) | 1;
@@ -127,26 +125,26 @@ fn scene() -> Scene {
 }
 
 impl Stage {
-    /// Starts a server over `lab-udp` or `lab-tcp`. Its thread ends with the program.
+    /// Starts a server over `lab-udp` or `lab-tcp`. Its thread ends with the process.
     pub(crate) fn start(transport: &'static str, script: Script) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
         let packed = Arc::new(scene().pack().unwrap());
-        let heard = Arc::new(Mutex::new(Heard::default()));
-        let (for_thread, said) = (Arc::clone(&packed), Arc::clone(&heard));
+        let observed = Arc::new(Mutex::new(Observed::default()));
+        let (for_thread, shared) = (Arc::clone(&packed), Arc::clone(&observed));
         std::thread::spawn(move || {
             for stream in listener.incoming() {
-                let session = Session { stream: stream.unwrap(), packed: &for_thread, heard: Arc::clone(&said) };
+                let session = Session { stream: stream.unwrap(), packed: &for_thread, observed: Arc::clone(&shared) };
                 session.serve(transport, script.clone());
                 if script.gone {
                     break;
                 }
             }
         });
-        Self { transport, address, packed, heard }
+        Self { transport, address, packed, observed }
     }
 
-    /// Options of a run against this server: four frames of 64×36, with a cache of its own.
+    /// Options of a run against this server: four frames of 64×36, with a separate cache.
     pub(crate) fn options(&self, folder: &Path) -> HeadlessOptions {
         let url = self.url().parse().unwrap();
         let mut options = HeadlessOptions::new(Source::Server(url));
@@ -163,26 +161,26 @@ impl Stage {
         SceneDigest(*blake3::hash(&self.packed).as_bytes())
     }
 
-    /// Offsets from which the scene was fetched.
+    /// Returns the offset of each scene fetch.
     pub(crate) fn scene_fetches(&self) -> Vec<u64> {
-        self.heard.lock().unwrap().fetches.clone()
+        self.observed.lock().unwrap().fetches.clone()
     }
 
-    /// What each Hello named as the session that it goes on with.
+    /// Returns the resume token of each Hello.
     pub(crate) fn resumed(&self) -> Vec<Option<ResumeToken>> {
-        self.heard.lock().unwrap().resumed.clone()
+        self.observed.lock().unwrap().resumed.clone()
     }
 
-    /// Frames that were coded against a mask that the client had.
+    /// Returns the frames coded against a reference that the client had.
     pub(crate) fn referenced(&self) -> u32 {
-        self.heard.lock().unwrap().referenced
+        self.observed.lock().unwrap().referenced
     }
 
-    pub(crate) fn heard_bye(&self) -> bool {
-        // The client has left before the server's thread has read its farewell.
+    pub(crate) fn received_bye(&self) -> bool {
+        // The client may leave before the server's thread has read its Bye.
         (0..500).any(|_| {
             std::thread::sleep(Duration::from_millis(10));
-            self.heard.lock().unwrap().bye
+            self.observed.lock().unwrap().bye
         })
     }
 }
@@ -195,21 +193,21 @@ enum Data {
 struct Session<'a> {
     stream: TcpStream,
     packed: &'a [u8],
-    heard: Arc<Mutex<Heard>>,
+    observed: Arc<Mutex<Observed>>,
 }
 
 impl Session<'_> {
     fn serve(mut self, transport: &str, script: Script) {
         let hello = match self.next() {
             Some(ClientMessage::Hello(hello)) => hello,
-            // An attempt to connect that was overtaken by another one.
+            // A connection attempt that another one has overtaken.
             None => return,
             Some(other) => panic!("no Hello: {other:?}"),
         };
-        self.heard.lock().unwrap().resumed.push(hello.resume);
+        self.observed.lock().unwrap().resumed.push(hello.resume);
         assert_eq!((hello.width, hello.height), (64, 36));
         if let Some(answer) = script.answer {
-            return self.say(&answer);
+            return self.send(&answer);
         }
         let data = match transport {
             "lab-udp" => Data::Udp(UdpSocket::bind("127.0.0.1:0").unwrap()),
@@ -219,7 +217,7 @@ impl Session<'_> {
             Data::Udp(socket) => socket.local_addr().unwrap().port(),
             Data::Tcp(listener) => listener.local_addr().unwrap().port(),
         };
-        self.say(&ServerMessage::Welcome(Welcome {
+        self.send(&ServerMessage::Welcome(Welcome {
             session: SessionId(7),
             scene_digest: SceneDigest(*blake3::hash(self.packed).as_bytes()),
             scene_bytes: self.packed.len() as u64,
@@ -232,31 +230,31 @@ impl Session<'_> {
         let mut data = Some(data);
         while let Some(message) = self.next() {
             match message {
-                ClientMessage::FetchScene { offset } => self.send_scene(offset, script.spoil_scene),
+                ClientMessage::FetchScene { offset } => self.send_scene(offset, script.wrong_scene),
                 ClientMessage::Start if !started => {
                     started = true;
                     let (control, script) = (self.stream.try_clone().unwrap(), script.clone());
-                    let heard = Arc::clone(&self.heard);
+                    let observed = Arc::clone(&self.observed);
                     let data = data.take().unwrap();
-                    std::thread::spawn(move || send_frames(data, control, script, hello.codec, &heard));
+                    std::thread::spawn(move || send_frames(data, control, script, hello.codec, &observed));
                 }
-                ClientMessage::Ping(number) => self.say(&ServerMessage::Pong(number)),
-                ClientMessage::Bye => self.heard.lock().unwrap().bye = true,
+                ClientMessage::Ping(number) => self.send(&ServerMessage::Pong(number)),
+                ClientMessage::Bye => self.observed.lock().unwrap().bye = true,
                 other => panic!("{other:?}"),
             }
         }
     }
 
-    fn send_scene(&mut self, offset: u64, spoil: bool) {
-        self.heard.lock().unwrap().fetches.push(offset);
+    fn send_scene(&mut self, offset: u64, wrong: bool) {
+        self.observed.lock().unwrap().fetches.push(offset);
         let mut bytes = self.packed.to_vec();
-        if spoil {
+        if wrong {
             bytes[30] ^= 1;
         }
         let first = usize::try_from(offset).unwrap();
         for (index, chunk) in bytes[first..].chunks(SCENE_CHUNK_BYTES).enumerate() {
             let offset = (first + index * SCENE_CHUNK_BYTES) as u64;
-            self.say(&ServerMessage::SceneChunk { offset, bytes: chunk.to_vec() });
+            self.send(&ServerMessage::SceneChunk { offset, bytes: chunk.to_vec() });
         }
     }
 
@@ -268,28 +266,28 @@ impl Session<'_> {
         Some(message::decode(&bytes).unwrap())
     }
 
-    fn say(&mut self, message: &ServerMessage) {
-        // A client that is gone does not listen.
+    fn send(&mut self, message: &ServerMessage) {
+        // The client may be gone.
         let _ = self.stream.write_all(&message::encode(message).unwrap());
     }
 }
 
-/// Answers every pose with its mask, in the packets that the network would carry.
-fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: CodecId, heard: &Mutex<Heard>) {
+/// Answers every pose with its mask, in packets.
+fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: CodecId, observed: &Mutex<Observed>) {
     let mut link = Link::open(data);
     let (mut encoder, mut packetizer, mut body) =
         (Encoder::new(codec).for_packets_of(PACKET_BYTES), Packetizer::new(PACKET_BYTES), Vec::new());
     let (mut latest, mut owed, mut references) = (None, false, SentMasks::default());
     while let Some(packet) = link.receive() {
-        if let Ok(said) = Acknowledgement::decode(&packet) {
-            references.acknowledge(said);
+        if let Ok(acknowledgement) = Acknowledgement::decode(&packet) {
+            references.acknowledge(acknowledgement);
             continue;
         }
         if LossFeedback::decode(&packet).is_ok() {
             continue;
         }
         let (sequence, FrameNumber(frame), _) = decode_pose_packet(&packet).unwrap();
-        assert!(latest.is_none_or(|latest| latest < (frame, sequence)), "poses grow");
+        assert!(latest.is_none_or(|latest| latest < (frame, sequence)), "poses arrive in order");
         latest = Some((frame, sequence));
         if script.close_at == Some(frame) {
             let closing = ServerMessage::Closing { reason: "the curtain falls".into() };
@@ -330,22 +328,22 @@ fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: Co
             other
         });
         let reference = foreign.as_ref().or(references.reference());
-        heard.lock().unwrap().referenced += u32::from(foreign.is_none() && reference.is_some());
+        observed.lock().unwrap().referenced += u32::from(foreign.is_none() && reference.is_some());
         encoder.encode_for(None, reference, &mask, &mut body).unwrap();
         if foreign.is_none() {
             references.keep(&encoder, FrameNumber(frame));
         }
         let lost = script.lose.iter().position(|(wanted, _)| *wanted == frame).map(|place| script.lose.remove(place).1);
         for _ in 0..1 + u8::from(std::mem::take(&mut owed)) {
-            let mut held = None;
+            let mut delayed = None;
             for (index, packet) in packetizer.packets(FrameNumber(frame), 0, &body).unwrap().enumerate() {
-                if script.held.is_some_and(|(place, _)| place == index) {
-                    held = Some(packet);
+                if script.delayed.is_some_and(|(place, _)| place == index) {
+                    delayed = Some(packet);
                 } else if lost.is_none_or(|lost| lost.is_some_and(|lost| lost != index)) {
                     link.send(&packet);
                 }
             }
-            if let Some((packet, (_, delay))) = held.zip(script.held) {
+            if let Some((packet, (_, delay))) = delayed.zip(script.delayed) {
                 std::thread::sleep(delay);
                 link.send(&packet);
             }
@@ -385,7 +383,7 @@ impl Link {
     }
 
     fn send(&mut self, packet: &[u8]) {
-        // A client that is gone misses nothing.
+        // The client may be gone.
         let _ = match self {
             Self::Udp(socket, client) => socket.send_to(packet, client.unwrap()).map(drop),
             Self::Tcp(stream) => {
