@@ -19,7 +19,7 @@ mod send;
 mod wire;
 
 pub use self::{
-    path::{congestion, loss},
+    path::{average, congestion, loss},
     receive::reassembler,
     send::{packetizer, refresh},
     wire::{acknowledgement, frame, header, message},

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Parser;
 use gnomon_settings::{Layers, Loaded, SettingsError, Shell};
 
-use crate::{admission::tokens::store::Scope, config::ServerConfig};
+use crate::{admission::tokens::scope::Scope, config::ServerConfig};
 
 /// Ray-traces visibility at the edge, for thin clients that render their own frames
 ///

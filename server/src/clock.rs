@@ -1,11 +1,10 @@
-//! The wall clock, and one that does not step.
+//! The wall clock, and a clock that does not step.
 //!
-//! The wall clock is right and may step, by hours when somebody sets it: so it is asked only where something is compared with a date that
-//! people wrote (tokens, certificates) or that others read (reports). All that is waited for or measured goes by [`std::time::Instant`].
+//! The wall clock may step by hours when it is set, so it serves only dates that people write (tokens, certificates) or
+//! read (reports). All waiting and measuring uses [`std::time::Instant`].
 
 use std::time::{Instant, SystemTime};
 
-/// The date and time.
 pub(crate) fn wall() -> SystemTime {
     #[cfg(any(test, feature = "faults"))]
     return step::applied(SystemTime::now());
@@ -13,7 +12,7 @@ pub(crate) fn wall() -> SystemTime {
     SystemTime::now()
 }
 
-/// Gives the time of its making, and what has passed since: for what must not end because somebody sets the clock.
+/// Wall time at its creation plus the time elapsed since. Setting the clock does not change it.
 #[derive(Debug)]
 pub(crate) struct SteadyClock(SystemTime, Instant);
 
@@ -29,7 +28,7 @@ impl quinn_proto::TimeSource for SteadyClock {
     }
 }
 
-/// Somebody sets the clock: for tests.
+/// Sets the clock, for tests.
 #[cfg(any(test, feature = "faults"))]
 pub mod step {
     use std::{
@@ -39,7 +38,7 @@ pub mod step {
 
     static STEP_S: AtomicI64 = AtomicI64::new(0);
 
-    /// From now on this process's wall clock is so many seconds ahead.
+    /// Moves this process's wall clock ahead by `ahead_s` seconds.
     pub fn set(ahead_s: i64) {
         STEP_S.store(ahead_s, Ordering::Release);
     }

@@ -1,4 +1,4 @@
-//! Reading files that have a bound, and writing files that must be whole or absent.
+//! Reads files of bounded length, and writes files atomically.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -7,10 +7,8 @@ use std::{
     sync::atomic::{AtomicU64, Ordering},
 };
 
-/// The bytes of a file of at most `limit_bytes`.
-///
 /// # Errors
-/// When the file cannot be read or is longer.
+/// Errors if the file cannot be read, or is longer than `limit_bytes`.
 pub(crate) fn read_small(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(path)?.take(limit_bytes + 1).read_to_end(&mut bytes)?;
@@ -20,11 +18,11 @@ pub(crate) fn read_small(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Makes a file that only its owner may read, unless there is one already; says whether it made it. The file appears
-/// whole or not at all: a crash leaves no half a key, and of two servers that start at once both keep the same one.
+/// Creates a file that only its owner may read, unless it exists; returns whether it did. The file appears whole or not
+/// at all: a crash leaves no partial key, and two servers that start at once keep the same one.
 ///
 /// # Errors
-/// When the folder cannot be written.
+/// Errors if the folder cannot be written.
 pub(crate) fn create_private(path: &Path, bytes: &[u8]) -> io::Result<bool> {
     static SCRATCH: AtomicU64 = AtomicU64::new(0);
     let unique = SCRATCH.fetch_add(1, Ordering::Relaxed);
@@ -39,11 +37,11 @@ pub(crate) fn create_private(path: &Path, bytes: &[u8]) -> io::Result<bool> {
         match fs::hard_link(&scratch, path) {
             Ok(()) => Ok(true),
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
-            // A file system without links: renaming is as whole, only the race is lost.
+            // A file system without links: a rename is atomic too, but may replace another server's file.
             Err(_) => fs::rename(&scratch, path).map(|()| true),
         }
     });
-    // A leftover scratch file does no harm, and after a rename there is none.
+    // Gone already after a rename; harmless if it stays.
     let _ = fs::remove_file(&scratch);
     made
 }
@@ -53,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_bound_holds() {
+    fn lengths_are_bounded_and_files_created_once() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a");
         assert!(create_private(&path, b"12345").unwrap());

@@ -1,11 +1,11 @@
-//! Properties that hold for any bytes of the files that an operator writes. The fuzz targets (`tests/fuzz`) and the test below call
-//! these; nothing else should. Each panics when its property does not hold.
+//! Properties of the parsers of operators' files. Each function panics if its property does not hold. Only the fuzz
+//! targets (`tests/fuzz`) and the test below call them.
 
 use std::path::Path;
 
-use crate::{admission::tokens::store as tokens, config::ServerConfig, operate::otlp::collector::Collector};
+use crate::{admission::tokens::file, config::ServerConfig, operate::otlp::collector::Collector};
 
-/// A configuration that is accepted is within its ranges, and one that is not is refused on one line.
+/// Any configuration is accepted, or refused on one line.
 pub fn config(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     match text.parse::<ServerConfig>() {
@@ -17,19 +17,20 @@ pub fn config(bytes: &[u8]) {
     }
 }
 
-/// A token file lists tokens or is refused, and the refusal quotes nothing of it.
+/// Any token file is accepted, or refused on one line without quoting it.
 pub fn tokens(bytes: &[u8]) {
-    if let Err(error) = tokens::parse(Path::new("FILE"), bytes.to_vec()) {
-        let told = error.to_string();
-        assert!(!told.contains('\n') && told.len() < 300, "{told:?}");
+    if let Err(error) = file::parse(Path::new("FILE"), bytes.to_vec()) {
+        let message = error.to_string();
+        assert!(!message.contains('\n') && message.len() < 300, "{message:?}");
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::admission::tokens::{Scope, make};
 
-    /// Valid files, and damaged ones. With `GNOMON_FUZZ_SEEDS=FOLDER` the valid ones are written there, as the targets' seeds.
+    /// Tries valid files and damaged ones. `GNOMON_FUZZ_SEEDS=FOLDER` writes the valid ones there, as seeds for the targets.
     fn drive(target: &str, seeds: &[String], entry: fn(&[u8])) {
         for (index, seed) in seeds.iter().enumerate() {
             if let Some(folder) = std::env::var_os("GNOMON_FUZZ_SEEDS") {
@@ -67,11 +68,10 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_token_file_is_refused_without_a_word_of_it() {
-        let entry =
-            |once| tokens::make("alice", Some(3), &[tokens::Scope::Session, tokens::Scope::Admin], once).unwrap().1;
+    fn a_damaged_token_file_is_refused_without_quoting_it() {
+        let entry = |once| make("alice", Some(3), &[Scope::Session, Scope::Admin], once).unwrap().1;
         let both = [entry(false), entry(true)].concat();
-        assert!(tokens::parse(Path::new("FILE"), both.clone().into_bytes()).is_ok());
+        assert!(file::parse(Path::new("FILE"), both.clone().into_bytes()).is_ok());
         drive("tokens", &[both], tokens);
     }
 }

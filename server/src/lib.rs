@@ -11,17 +11,16 @@ pub mod config;
 mod files;
 #[doc(hidden)]
 pub mod fuzzing;
+mod hex;
 pub mod limits;
 mod metrics;
 mod net;
 mod operate;
+mod phase;
 mod session;
+mod task;
 pub mod visibility;
 
 pub use admission::tokens;
-pub use app::{
-    error,
-    server::{RunningServer, Server},
-    signals,
-};
+pub use app::{error, running::RunningServer, signals, start::Server};
 pub use operate::{logs, otlp};

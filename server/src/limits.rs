@@ -1,104 +1,110 @@
-//! Every bound of the daemon that is not configured, in one place. What a peer may send is in `gnomon_protocol::limits`.
+//! Every limit of the server that is not configured. Limits of messages are in `gnomon_protocol::limits`.
 //!
-//! What one client can take, and what takes it back:
+//! What one client can use, and what happens beyond it:
 //!
-//! | what | bound | beyond it |
+//! | what | limit | beyond it |
 //! |---|---|---|
-//! | an address that did not prove itself | a Retry of 108 bytes | nothing more |
-//! | handshakes under way | [`MAX_HANDSHAKES`], of one address [`MAX_HANDSHAKES_PER_ADDRESS`], `handshake_timeout_ms` each, [`UNHURRIED_LIMITS`] times that while at most [`MAX_UNHURRIED_HANDSHAKES`] are | refused, `gnomon_refusals_total{cause="handshakes"}`, `"silent"` |
-//! | bytes before admission | [`INCOMING_BUFFER_BYTES`] a connection, [`INCOMING_BUFFER_TOTAL_BYTES`] in all | dropped by quinn |
+//! | an unproven address | a Retry of 108 bytes | nothing more |
+//! | handshakes under way | [`MAX_HANDSHAKES`] ([`MAX_HANDSHAKES_PER_ADDRESS`]) | refused, `cause="handshakes"` |
+//! | a handshake | `handshake_timeout_ms`, see [`UNHURRIED_LIMITS`] | refused, `cause="silent"` |
+//! | bytes before admission | [`INCOMING_BUFFER_BYTES`], [`INCOMING_BUFFER_TOTAL_BYTES`] in all | dropped by quinn |
 //! | a message | [`MAX_CLIENT_MESSAGE_BYTES`] | the session ends |
-//! | messages a second | [`MAX_MESSAGES_PER_SECOND`] | the session ends |
-//! | streams | [`MAX_BIDI_STREAMS`], [`MAX_UNI_STREAMS`], [`STREAM_RECEIVE_WINDOW_BYTES`] unread | flow control |
-//! | sessions | `max_sessions`, of one address `max_sessions_per_address` | refused, `cause="full"`, `"address"` |
-//! | the devices' time, the cores' and the network's, of all | `device_budget_ms`, `cores_budget_ms`, `network_budget_mbit` | refused with the reason, `cause="budget"` |
-//! | poses a second | [`MAX_POSES_PER_SECOND`] | dropped, `outcome="over_rate"` |
+//! | messages per second | [`MAX_MESSAGES_PER_SECOND`] | the session ends |
+//! | streams | [`MAX_BIDI_STREAMS`], [`MAX_UNI_STREAMS`] | flow control |
+//! | unread stream bytes | [`STREAM_RECEIVE_WINDOW_BYTES`] | flow control |
+//! | sessions | `max_sessions`, `max_sessions_per_address` | refused, `cause="full"`, `"address"` |
+//! | device time of all | `device_budget_ms` | refused, `cause="budget"` |
+//! | core time of all | `cores_budget_ms` | refused, `cause="budget"` |
+//! | bandwidth of all | `network_budget_mbit` | refused, `cause="budget"` |
+//! | poses per second | [`MAX_POSES_PER_SECOND`] | dropped, `outcome="over_rate"` |
 //! | unread poses | [`DATAGRAM_RECEIVE_BUFFER_BYTES`] | the oldest are dropped, `outcome="unread"` |
-//! | bytes a second | [`MAX_CLIENT_BYTES_PER_SECOND`] | its next mask waits |
-//! | device time a second | [`MAX_CLIENT_GPU_PER_SECOND`] | its next mask waits |
-//! | frames that it does not read | [`SEND_BACKLOG_FRAMES`] | skipped, `outcome="gated"` |
-//! | scene bytes in flight, fetches | [`SEND_WINDOW_BYTES`], [`MAX_SCENE_FETCHES`] | back-pressure; the session ends |
+//! | bytes per second | [`MAX_CLIENT_BYTES_PER_SECOND`] | its next mask waits |
+//! | device time per second | [`MAX_CLIENT_GPU_PER_SECOND`] | its next mask waits |
+//! | unread frames | [`SEND_BACKLOG_FRAMES`] | skipped, `outcome="gated"` |
+//! | scene bytes in flight | [`SEND_WINDOW_BYTES`] | back-pressure |
+//! | scene fetches | [`MAX_SCENE_FETCHES`] | the session ends |
 //! | silence | [`WRITE_TIMEOUT`], [`SETUP_TIMEOUT`], [`SILENCE_TIMEOUT`], `idle_timeout_ms` | the session ends |
 
 use std::{num::NonZeroUsize, time::Duration};
 
-/// Longest message that a client may send: a token, a name and a few numbers. It bounds memory before admission.
+/// Longest message of a client: a token, a name and a few numbers. Bounds memory before admission.
 pub const MAX_CLIENT_MESSAGE_BYTES: usize = 4096;
 
-/// Connections that may be between their first packet and their admission. More are refused at once.
+/// Connections between their first packet and their admission. More are refused at once.
 pub const MAX_HANDSHAKES: usize = 128;
 
-/// Of those, how many one address may have: whoever floods the server with them leaves half of them to others.
+/// Of [`MAX_HANDSHAKES`], the share of one address, so that a flood from it leaves half to others.
 pub const MAX_HANDSHAKES_PER_ADDRESS: usize = MAX_HANDSHAKES / 2;
 
-/// Handshakes under way beside which none is hurried.
+/// Up to this many handshakes under way, each gets [`UNHURRIED_LIMITS`].
 pub const MAX_UNHURRIED_HANDSHAKES: usize = MAX_HANDSHAKES / 4;
 
-/// How often `handshake_timeout_ms` an unhurried handshake may take: 20 s hold six tries of a packet, each after twice the time.
+/// Time limit of an unhurried handshake, in multiples of `handshake_timeout_ms`. Its 20 s allow six tries of a packet,
+/// since each takes twice as long as the one before.
 pub const UNHURRIED_LIMITS: u32 = 4;
 
-/// Bytes that quinn buffers for one connection, and for all, before it is accepted (defaults: 10 and 100 MiB).
+/// Bytes that quinn buffers per connection before it is accepted (default: 10 MiB).
 pub const INCOMING_BUFFER_BYTES: u64 = 16 * 1024;
 
-/// See [`INCOMING_BUFFER_BYTES`].
+/// As [`INCOMING_BUFFER_BYTES`], for all connections (default: 100 MiB).
 pub const INCOMING_BUFFER_TOTAL_BYTES: u64 = 2 * 1024 * 1024;
 
-/// Received datagrams that wait for a session: some 200 poses. Older ones are dropped.
+/// Unread datagrams of a session: about 200 poses. Older ones are dropped.
 pub const DATAGRAM_RECEIVE_BUFFER_BYTES: usize = 32 * 1024;
 
-/// What a client may send on its streams before the session has read it.
+/// Unread bytes per stream.
 pub const STREAM_RECEIVE_WINDOW_BYTES: u32 = 64 * 1024;
 
 /// Scene bytes in flight to one client.
 pub const SEND_WINDOW_BYTES: u64 = 4 * 1024 * 1024;
 
-/// Streams that a client may open: the control stream, and HTTP/3's own.
+/// Streams of a client: the control stream, and those of HTTP/3.
 pub const MAX_BIDI_STREAMS: u32 = 4;
 
-/// See [`MAX_BIDI_STREAMS`].
+/// As [`MAX_BIDI_STREAMS`].
 pub const MAX_UNI_STREAMS: u32 = 8;
 
-/// Control messages, scene chunks among them, that wait for a session's control stream.
+/// Queued control messages of a session, including scene chunks.
 pub const CONTROL_QUEUE: usize = 4;
 
-/// How often a client may ask for the scene in one session; resuming is for new sessions.
+/// Scene fetches per session. An interrupted download resumes in a new session.
 pub const MAX_SCENE_FETCHES: u32 = 4;
 
-/// Control messages, over twice the frame rate, that a session answers in a second.
+/// Control messages per second: more than twice the frame rate.
 pub const MAX_MESSAGES_PER_SECOND: u64 = 1000;
 
-/// Datagrams, poses most of them, that a client may send in a second; more are dropped. No screen shows so many frames.
+/// Datagrams per second of a client, mostly poses. No screen shows as many frames.
 pub const MAX_POSES_PER_SECOND: u32 = 2000;
 
-/// Bytes of frames that a client may be sent in a second, and as many again at once: words at 1920×1080, 60 times a second.
+/// Frame bytes per second of a client, and the size of a burst: words at 1920×1080 and 60 frames/s.
 pub const MAX_CLIENT_BYTES_PER_SECOND: u64 = 500_000_000;
 
-/// Device time that a client may use in a second, and as much again at once. One client alone may have the whole device: this bounds what
-/// it takes from several, and the scheduler shares one.
+/// Device time per second of a client, and the size of a burst. One client may use a whole device, which the scheduler
+/// shares; this limits what it takes of several.
 pub const MAX_CLIENT_GPU_PER_SECOND: Duration = Duration::from_secs(1);
 
-/// Datagrams that may wait to be sent, in frames: beyond this a new frame is skipped.
+/// Queued datagrams, in frames. Beyond this a new frame is skipped.
 pub const SEND_BACKLOG_FRAMES: f64 = 1.6;
 
-/// Bytes that may always wait to be sent, so that tiny frames do not skip each other.
+/// Bytes that may always be queued, so that tiny frames do not skip each other.
 pub const SEND_BACKLOG_FLOOR_BYTES: usize = 16 * 1024;
 
-/// Longest time that one write to a control stream may take.
+/// For one write to a control stream.
 pub const WRITE_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Longest time between admission and Start: the client fetches the scene and builds its pipelines.
+/// From admission to Start, while the client fetches the scene and builds its pipelines.
 pub const SETUP_TIMEOUT: Duration = Duration::from_secs(600);
 
-/// Longest silence (no pose, no message) of a client that answers nothing but the transport's keep-alives.
+/// Without poses or messages, for a client that answers only the transport's keep-alives.
 pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(60);
 
-/// Time that a peer gets to read a last message before its connection is closed.
+/// For a peer to read a last message before its connection is closed.
 pub const LINGER: Duration = Duration::from_millis(500);
 
-/// Time that a frame in flight gets to finish when the session stops.
+/// For frames in flight when a session stops.
 pub const FINISH_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Time after which asking a full server again makes sense.
+/// Suggested to refused clients.
 pub const RETRY_AFTER: Duration = Duration::from_secs(5);
 
 /// Largest token file.
@@ -107,29 +113,27 @@ pub const MAX_TOKEN_FILE_BYTES: u64 = 1024 * 1024;
 /// Largest certificate or key file.
 pub const MAX_SMALL_FILE_BYTES: u64 = 256 * 1024;
 
-/// Sessions that the engine has room for beyond the admitted ones: they have ended, and it has not looked yet.
-pub const SPARE_SEATS: usize = 16;
+/// Room in the engine for sessions that have ended but that it has not released yet.
+pub const SPARE_ENGINE_SESSIONS: usize = 16;
 
-/// Most devices that may be configured.
 pub const MAX_DEVICES: NonZeroUsize = NonZeroUsize::MIN.saturating_add(63);
 
 /// Most threads of the cpu back end.
 pub const MAX_THREADS: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1023);
 
-/// Most sessions that may be configured.
 pub const MAX_SESSIONS: usize = 4096;
 
-/// Connections to the admin address that are served at once; others wait.
+/// Connections to the admin address at once; others wait.
 pub const MAX_ADMIN_CONNECTIONS: usize = 16;
 
-/// Longest time for an admin request and its answer.
+/// For an admin request and its answer.
 pub const ADMIN_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Of an answer of Agones' sidecar or of a collector, what is read.
+/// Bytes read of an answer from Agones' sidecar or a collector.
 pub const MAX_HTTP_ANSWER_BYTES: usize = 64 * 1024;
 
-/// Log lines that wait to be written; more are counted and lost.
+/// Queued log lines; more are counted and dropped.
 pub const MAX_WAITING_LOG_LINES: usize = 8192;
 
-/// Tokens that one file may list.
+/// Tokens in one file.
 pub const MAX_TOKENS: usize = 10_000;

@@ -81,7 +81,7 @@ fn an_authority_vouches_for_a_server_across_rotations() {
 
     issue(folder, &ours);
     assert!(Command::new("kill").args(["-HUP", &server.id().to_string()]).status().unwrap().success());
-    server.wait_for(PATIENCE, |said| said.contains("certificate read again").then_some(())).unwrap();
+    server.wait_for(PATIENCE, |said| said.contains("certificate reloaded").then_some(())).unwrap();
     assert_eq!(masks(&trusting("localhost", "ours.pem")).unwrap(), 1);
     masks(&pinning).unwrap_err();
     server.terminate().unwrap();

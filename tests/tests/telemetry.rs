@@ -153,7 +153,7 @@ fn the_log_is_what_its_schema_says() {
         "sent",
         "rates",
         "session ended",
-        "certificate read again",
+        "certificate reloaded",
         "draining",
         "stopped",
     ] {

@@ -1,70 +1,67 @@
-//! How much one address may have at a time, so that no single peer takes what is there for all.
+//! Limits per client address, so that one peer cannot take every session or handshake.
 
 use std::{
     collections::HashMap,
     net::{IpAddr, Ipv6Addr},
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::Arc,
 };
 
-/// What each address holds. An IPv6 network of 64 bits counts as one: its owner has all of its addresses.
+use parking_lot::Mutex;
+
+/// Counts permits per address. An IPv6 /64 counts as one address, since one owner has all of it.
 #[derive(Debug)]
-pub(crate) struct Addresses {
-    most: usize,
-    /// Whether loopback is counted. Behind a proxy on this machine everybody has that address.
+pub(crate) struct AddressLimit {
+    max: usize,
+    /// Whether loopback is limited too. Behind a local proxy every client has that address.
     loopback: bool,
-    /// Only of those that hold something, so what is held bounds it.
-    held: Mutex<HashMap<IpAddr, usize>>,
+    /// Only addresses that hold a permit, so the permits bound its size.
+    counts: Mutex<HashMap<IpAddr, usize>>,
 }
 
-/// A share that is held; dropping it gives it back. The default is what loopback holds.
+/// Returned on drop. The default is for loopback, which is not counted.
 #[derive(Debug, Default)]
-pub(crate) struct Held {
-    of: Option<(Arc<Addresses>, IpAddr)>,
+pub(crate) struct AddressPermit {
+    counted: Option<(Arc<AddressLimit>, IpAddr)>,
 }
 
-impl Addresses {
-    /// At most `most` for each.
-    pub(crate) fn new(most: usize, loopback: bool) -> Arc<Self> {
-        Arc::new(Self { most, loopback, held: Mutex::default() })
+impl AddressLimit {
+    pub(crate) fn new(max: usize, loopback: bool) -> Arc<Self> {
+        Arc::new(Self { max, loopback, counts: Mutex::default() })
     }
 
-    /// Takes one, unless the address has its share already.
-    pub(crate) fn take(self: &Arc<Self>, address: IpAddr) -> Option<Held> {
-        self.take_below(address, self.most)
+    /// Returns `None` when the address is at its limit.
+    pub(crate) fn acquire(self: &Arc<Self>, address: IpAddr) -> Option<AddressPermit> {
+        self.acquire_below(address, self.max)
     }
 
-    /// Takes one even beyond the share, for who gives another back soon: a client that moves from a lost connection to a new one.
-    pub(crate) fn take_over(self: &Arc<Self>, address: IpAddr) -> Option<Held> {
-        self.take_below(address, usize::MAX)
+    /// Ignores the limit, for a resumed session: its lost connection returns a permit soon.
+    pub(crate) fn acquire_over_limit(self: &Arc<Self>, address: IpAddr) -> Option<AddressPermit> {
+        self.acquire_below(address, usize::MAX)
     }
 
-    fn take_below(self: &Arc<Self>, address: IpAddr, most: usize) -> Option<Held> {
+    fn acquire_below(self: &Arc<Self>, address: IpAddr, max: usize) -> Option<AddressPermit> {
         if !self.loopback && address.to_canonical().is_loopback() {
-            return Some(Held::default());
+            return Some(AddressPermit::default());
         }
         let owner = owner(address);
-        let mut held = self.held();
-        let count = held.entry(owner).or_default();
-        if *count >= most {
+        let mut counts = self.counts.lock();
+        let count = counts.entry(owner).or_default();
+        if *count >= max {
             return None;
         }
         *count += 1;
-        Some(Held { of: Some((Arc::clone(self), owner)) })
-    }
-
-    fn held(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
-        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+        Some(AddressPermit { counted: Some((Arc::clone(self), owner)) })
     }
 }
 
-impl Drop for Held {
+impl Drop for AddressPermit {
     fn drop(&mut self) {
-        let Some((addresses, owner)) = self.of.take() else { return };
-        let mut held = addresses.held();
-        if let Some(count) = held.get_mut(&owner) {
+        let Some((limit, owner)) = self.counted.take() else { return };
+        let mut counts = limit.counts.lock();
+        if let Some(count) = counts.get_mut(&owner) {
             *count -= 1;
             if *count == 0 {
-                held.remove(&owner);
+                counts.remove(&owner);
             }
         }
     }
@@ -85,28 +82,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_gets_its_share_and_no_more() {
-        let addresses = Addresses::new(2, false);
-        let take = |text: &str| addresses.take(text.parse().unwrap());
+    fn each_address_is_limited() {
+        let addresses = AddressLimit::new(2, false);
+        let take = |text: &str| addresses.acquire(text.parse().unwrap());
         let (first, _second) = (take("192.0.2.1").unwrap(), take("::ffff:192.0.2.1").unwrap());
         assert!(take("192.0.2.1").is_none());
         let _other = take("192.0.2.2").unwrap();
         drop(first);
         let _third = take("192.0.2.1").unwrap();
-        let moved = addresses.take_over("192.0.2.1".parse().unwrap());
-        assert!(moved.is_some() && take("192.0.2.1").is_none(), "it counts all the same");
+        let moved = addresses.acquire_over_limit("192.0.2.1".parse().unwrap());
+        assert!(moved.is_some() && take("192.0.2.1").is_none(), "a permit over the limit counts too");
         drop(moved);
         let _network = [take("2001:db8::1").unwrap(), take("2001:db8::2").unwrap()];
         assert!(take("2001:db8::3").is_none() && take("2001:db8:0:1::3").is_some());
         let many: Vec<_> = (0..9).filter_map(|_| take("127.0.0.1")).collect();
         assert_eq!(many.len(), 9, "loopback is exempt");
-        assert!(Addresses::new(0, true).take("127.0.0.1".parse().unwrap()).is_none());
+        assert!(AddressLimit::new(0, true).acquire("127.0.0.1".parse().unwrap()).is_none());
     }
 
     #[test]
-    fn nothing_is_kept_of_who_holds_nothing() {
-        let addresses = Addresses::new(1, true);
-        drop(addresses.take("192.0.2.1".parse().unwrap()));
-        assert!(addresses.held().is_empty());
+    fn addresses_without_permits_are_forgotten() {
+        let addresses = AddressLimit::new(1, true);
+        drop(addresses.acquire("192.0.2.1".parse().unwrap()));
+        assert!(addresses.counts.lock().is_empty());
     }
 }

@@ -1,13 +1,14 @@
-//! What sessions take of the cores and of the network, measured, and whether there is enough left for one more. Device time has its own
-//! budget (`visibility/schedule/capacity.rs`).
+//! Core time and network rate: measures what sessions use, and decides whether one more fits. Device time has a budget
+//! of its own (`visibility/schedule/capacity.rs`).
 
 use std::{
     fmt,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
 use gnomon_protocol::mask::MaskShape;
+use parking_lot::Mutex;
 
 use crate::{
     config::ServerConfig,
@@ -15,37 +16,36 @@ use crate::{
     visibility::schedule::capacity::{IDLE_SHARE, LEAST_HZ},
 };
 
-/// Time of each core that encoding may take in a second, in milliseconds, unless it is configured: the rest is for packets and the system.
+/// Default budget for encoding, in ms per second and core. The rest is for packets and the system.
 const CORE_BUDGET_MS: f64 = 800.0;
 
-/// How long a session is planned with what it asked for, and then with what it did in the last time of this length.
+/// A new session counts with the rate it asked for; after this time, with its measured rate, updated as often.
 const WINDOW: Duration = Duration::from_secs(10);
 
-/// Frames of a session after which its own cost is believed.
-const KNOWN_FRAMES: u64 = 8;
+/// Frames after which a session's own mean cost is used.
+const MIN_MEASURED_FRAMES: u64 = 8;
 
-/// What may be taken in a second.
+/// Limits per second.
 #[derive(Debug, Clone, Copy)]
 struct Budget {
     core_ms: f64,
     mbit: f64,
 }
 
-/// What frames cost.
+/// Cost of one frame, or of a second of frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Cost {
     core_ms: f64,
     mbit: f64,
 }
 
-/// Why a session more would be too much.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Scarce {
+pub(crate) enum OverCapacity {
     Cores { needed_ms: f64, left_ms: f64 },
     Network { needed_mbit: f64, left_mbit: f64 },
 }
 
-impl fmt::Display for Scarce {
+impl fmt::Display for OverCapacity {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Cores { needed_ms, left_ms } => {
@@ -58,29 +58,28 @@ impl fmt::Display for Scarce {
     }
 }
 
-/// All sessions of a server.
 #[derive(Debug)]
-pub(crate) struct Plan {
+pub(crate) struct HostCapacity {
     budget: Budget,
-    planned: Arc<Mutex<Planned>>,
+    reserved: Arc<Mutex<Reserved>>,
 }
 
 #[derive(Debug, Default)]
-struct Planned {
+struct Reserved {
     sessions: Vec<Arc<Entry>>,
-    /// Of a bit of a mask, before its codec: what sessions have cost that sent frames.
+    /// Mean cost per bit of a raw mask, over the sessions that have sent frames.
     per_bit: Cost,
 }
 
 #[derive(Debug)]
 struct Entry {
     bits: f64,
-    asked_hz: f64,
+    requested_hz: f64,
     ledger: Arc<Ledger>,
     latest: Mutex<Latest>,
 }
 
-/// How fast a session has been of late.
+/// Frame rate in the last [`WINDOW`].
 #[derive(Debug)]
 struct Latest {
     since: Instant,
@@ -88,58 +87,59 @@ struct Latest {
     rate_hz: f64,
 }
 
-/// A session's place in the plan, and its books. Dropping it gives the place back.
+/// One session's reservation, released on drop, and its ledger.
 #[derive(Debug)]
-pub(crate) struct Share {
-    planned: Arc<Mutex<Planned>>,
+pub(crate) struct Reservation {
+    reserved: Arc<Mutex<Reserved>>,
     entry: Arc<Entry>,
 }
 
-impl Plan {
-    /// The configured budgets, for a machine with so many cores.
+impl HostCapacity {
     pub(crate) fn new(config: &ServerConfig, cores: usize) -> Self {
         let cores = u32::try_from(cores).unwrap_or(u32::MAX);
         let core_ms = config.cores_budget_ms.map_or(CORE_BUDGET_MS * f64::from(cores), f64::from);
         let mbit = config.network_budget_mbit.map_or(f64::INFINITY, f64::from);
-        Self { budget: Budget { core_ms, mbit }, planned: Arc::default() }
+        Self { budget: Budget { core_ms, mbit }, reserved: Arc::default() }
     }
 
-    /// Takes a session up, with masks of this shape, so many a second at most. The first is always taken: there is nobody whose rate it
-    /// could break.
+    /// Reserves room for a session of up to `rate_hz` masks a second. The first session always fits: it can disturb
+    /// no other.
     ///
     /// # Errors
-    /// When cores or network do not bear it.
-    pub(crate) fn take(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<Share, Scarce> {
-        let asked_hz = rate_hz.unwrap_or(LEAST_HZ);
-        let latest = Latest { since: Instant::now(), frames: 0, rate_hz: asked_hz };
+    /// Errors if the cores or the network lack capacity.
+    pub(crate) fn reserve(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<Reservation, OverCapacity> {
+        let requested_hz = rate_hz.unwrap_or(LEAST_HZ);
+        let latest = Latest { since: Instant::now(), frames: 0, rate_hz: requested_hz };
         let bits = as_f64(shape.pixels() as u64) * f64::from(shape.lights());
-        let entry = Arc::new(Entry { bits, asked_hz, ledger: Arc::default(), latest: Mutex::new(latest) });
-        let mut planned = lock(&self.planned);
-        planned.learn();
-        let per_bit = planned.per_bit;
-        let used = planned.sessions.iter().map(|other| other.need(per_bit)).fold(Cost::default(), Cost::plus);
-        let needed = entry.need(per_bit);
-        if !planned.sessions.is_empty() {
+        let entry = Arc::new(Entry { bits, requested_hz, ledger: Arc::default(), latest: Mutex::new(latest) });
+        let mut reserved = self.reserved.lock();
+        reserved.update_cost();
+        let per_bit = reserved.per_bit;
+        let used =
+            reserved.sessions.iter().map(|other| other.cost_per_second(per_bit)).fold(Cost::default(), Cost::plus);
+        let needed = entry.cost_per_second(per_bit);
+        if !reserved.sessions.is_empty() {
             let left_ms = (self.budget.core_ms - used.core_ms).max(0.0);
             if needed.core_ms > left_ms {
-                return Err(Scarce::Cores { needed_ms: needed.core_ms, left_ms });
+                return Err(OverCapacity::Cores { needed_ms: needed.core_ms, left_ms });
             }
             let left_mbit = (self.budget.mbit - used.mbit).max(0.0);
             if needed.mbit > left_mbit {
-                return Err(Scarce::Network { needed_mbit: needed.mbit, left_mbit });
+                return Err(OverCapacity::Network { needed_mbit: needed.mbit, left_mbit });
             }
         }
-        planned.sessions.push(Arc::clone(&entry));
-        drop(planned);
-        Ok(Share { planned: Arc::clone(&self.planned), entry })
+        reserved.sessions.push(Arc::clone(&entry));
+        drop(reserved);
+        Ok(Reservation { reserved: Arc::clone(&self.reserved), entry })
     }
 }
 
-impl Planned {
-    /// Learns from the sessions that there are what a bit costs; without any it stays what it was.
-    fn learn(&mut self) {
-        let known = self.sessions.iter().filter_map(|entry| entry.a_frame().map(|cost| (cost, entry.bits)));
-        let (sum, bits) = known.fold((Cost::default(), 0.0), |(sum, bits), (cost, more)| (sum.plus(cost), bits + more));
+impl Reserved {
+    /// Updates `per_bit` from the current sessions. Without any measured session it keeps its value.
+    fn update_cost(&mut self) {
+        let measured = self.sessions.iter().filter_map(|entry| entry.frame_cost().map(|cost| (cost, entry.bits)));
+        let (sum, bits) =
+            measured.fold((Cost::default(), 0.0), |(sum, bits), (cost, more)| (sum.plus(cost), bits + more));
         if bits > 0.0 {
             self.per_bit = sum.times(1.0 / bits);
         }
@@ -147,26 +147,26 @@ impl Planned {
 }
 
 impl Entry {
-    /// What one of its frames has cost, once that is known.
-    fn a_frame(&self) -> Option<Cost> {
+    /// Mean cost of a frame, once enough were sent.
+    fn frame_cost(&self) -> Option<Cost> {
         let (encoded, sent) = (self.ledger.frames_encoded.get(), self.ledger.frames_sent.get());
-        (sent >= KNOWN_FRAMES && encoded > 0).then(|| Cost {
+        (sent >= MIN_MEASURED_FRAMES && encoded > 0).then(|| Cost {
             core_ms: as_f64(self.ledger.encode_us.get()) * 1e-3 / as_f64(encoded),
             mbit: as_f64(self.ledger.bytes.get()) * 8e-6 / as_f64(sent),
         })
     }
 
-    /// What it needs in a second.
-    fn need(&self, per_bit: Cost) -> Cost {
+    /// Expected cost per second.
+    fn cost_per_second(&self, per_bit: Cost) -> Cost {
         let frames = self.ledger.frames_encoded.get();
-        let mut latest = self.latest.lock().unwrap_or_else(PoisonError::into_inner);
-        let passed = latest.since.elapsed();
-        if passed >= WINDOW {
-            let rate_hz = as_f64(frames.saturating_sub(latest.frames)) / passed.as_secs_f64();
-            let rate_hz = rate_hz.clamp(self.asked_hz * IDLE_SHARE, self.asked_hz);
+        let mut latest = self.latest.lock();
+        let elapsed = latest.since.elapsed();
+        if elapsed >= WINDOW {
+            let rate_hz = as_f64(frames.saturating_sub(latest.frames)) / elapsed.as_secs_f64();
+            let rate_hz = rate_hz.clamp(self.requested_hz * IDLE_SHARE, self.requested_hz);
             *latest = Latest { since: Instant::now(), frames, rate_hz };
         }
-        self.a_frame().unwrap_or_else(|| per_bit.times(self.bits)).times(latest.rate_hz)
+        self.frame_cost().unwrap_or_else(|| per_bit.times(self.bits)).times(latest.rate_hz)
     }
 }
 
@@ -180,34 +180,29 @@ impl Cost {
     }
 }
 
-impl Share {
-    /// The session's books.
+impl Reservation {
     pub(crate) fn ledger(&self) -> Arc<Ledger> {
         Arc::clone(&self.entry.ledger)
     }
 }
 
-impl Drop for Share {
+impl Drop for Reservation {
     fn drop(&mut self) {
-        let mut planned = lock(&self.planned);
-        // What it has taught stays.
-        planned.learn();
-        planned.sessions.retain(|entry| !Arc::ptr_eq(entry, &self.entry));
+        let mut reserved = self.reserved.lock();
+        // Its measured cost outlives it.
+        reserved.update_cost();
+        reserved.sessions.retain(|entry| !Arc::ptr_eq(entry, &self.entry));
     }
-}
-
-fn lock(planned: &Mutex<Planned>) -> MutexGuard<'_, Planned> {
-    planned.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn plan(cores_budget_ms: u32, network_budget_mbit: Option<u32>) -> Plan {
+    fn capacity(cores_budget_ms: u32, network_budget_mbit: Option<u32>) -> HostCapacity {
         let config =
             ServerConfig { cores_budget_ms: Some(cores_budget_ms), network_budget_mbit, ..ServerConfig::default() };
-        Plan::new(&config, 1)
+        HostCapacity::new(&config, 1)
     }
 
     fn shape() -> MaskShape {
@@ -215,8 +210,8 @@ mod tests {
     }
 
     /// Ten frames, 2 ms and 25 kB each.
-    fn work(share: &Share) {
-        let ledger = share.ledger();
+    fn work(reservation: &Reservation) {
+        let ledger = reservation.ledger();
         ledger.frames_encoded.add(10);
         ledger.frames_sent.add(10);
         ledger.encode_us.add(20_000);
@@ -224,14 +219,14 @@ mod tests {
     }
 
     #[test]
-    fn sessions_are_borne_until_the_cores_are_spent_and_again_when_one_has_gone() {
-        let plan = plan(500, None);
-        // Nothing is known before the first one has sent frames.
-        let mut sessions = vec![plan.take(shape(), Some(60.0)).unwrap()];
+    fn sessions_fit_until_the_cores_are_spent_and_again_when_one_ends() {
+        let capacity = capacity(500, None);
+        // Costs are unknown until the first session has sent frames.
+        let mut sessions = vec![capacity.reserve(shape(), Some(60.0)).unwrap()];
         work(&sessions[0]);
         let refused = loop {
-            match plan.take(shape(), Some(60.0)) {
-                Ok(share) => sessions.push(share),
+            match capacity.reserve(shape(), Some(60.0)) {
+                Ok(reservation) => sessions.push(reservation),
                 Err(refused) => break refused,
             }
         };
@@ -239,39 +234,39 @@ mod tests {
         assert_eq!(sessions.len(), 4);
         let text = refused.to_string();
         assert!(text.contains("need 120.0 ms of the cores") && text.contains("20.0 are left"), "{text}");
-        // A smaller one has room, and who takes what is left needs little.
-        let small = plan.take(MaskShape::new(64, 36, 4).unwrap(), Some(60.0)).unwrap();
-        let greedy = plan.take(shape(), None).unwrap();
+        // A smaller mask fits, and so does a session without a rate.
+        let small = capacity.reserve(MaskShape::new(64, 36, 4).unwrap(), Some(60.0)).unwrap();
+        let greedy = capacity.reserve(shape(), None).unwrap();
         drop((small, greedy, sessions.pop()));
-        sessions.push(plan.take(shape(), Some(60.0)).unwrap());
-        // What was learnt outlives everybody.
+        sessions.push(capacity.reserve(shape(), Some(60.0)).unwrap());
+        // The measured cost outlives all sessions.
         sessions.clear();
-        let _first = plan.take(shape(), Some(240.0)).unwrap();
-        assert!(plan.take(shape(), Some(60.0)).is_err());
+        let _first = capacity.reserve(shape(), Some(240.0)).unwrap();
+        assert!(capacity.reserve(shape(), Some(60.0)).is_err());
     }
 
     #[test]
     fn the_network_is_a_budget_of_its_own() {
-        let plan = plan(1_000_000, Some(30));
-        let first = plan.take(shape(), Some(60.0)).unwrap();
+        let capacity = capacity(1_000_000, Some(30));
+        let first = capacity.reserve(shape(), Some(60.0)).unwrap();
         work(&first);
         // 12 Mbit/s each.
-        let _second = plan.take(shape(), Some(60.0)).unwrap();
-        let refused = plan.take(shape(), Some(60.0)).unwrap_err();
+        let _second = capacity.reserve(shape(), Some(60.0)).unwrap();
+        let refused = capacity.reserve(shape(), Some(60.0)).unwrap_err();
         assert!(refused.to_string().contains("need 12.0 Mbit/s, and 6.0 are left"), "{refused}");
     }
 
     #[test]
-    fn whoever_has_not_asked_of_late_is_planned_with_a_tenth() {
-        let plan = plan(200, None);
-        let idle = plan.take(shape(), Some(60.0)).unwrap();
+    fn an_idle_session_counts_with_a_tenth_of_its_rate() {
+        let capacity = capacity(200, None);
+        let idle = capacity.reserve(shape(), Some(60.0)).unwrap();
         work(&idle);
-        assert!(plan.take(shape(), Some(60.0)).is_err());
+        assert!(capacity.reserve(shape(), Some(60.0)).is_err());
         {
-            let mut latest = idle.entry.latest.lock().unwrap();
+            let mut latest = idle.entry.latest.lock();
             latest.since = Instant::now().checked_sub(WINDOW * 2).unwrap();
             latest.frames = 10;
         }
-        assert!(plan.take(shape(), Some(60.0)).is_ok());
+        assert!(capacity.reserve(shape(), Some(60.0)).is_ok());
     }
 }

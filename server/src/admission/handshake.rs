@@ -1,4 +1,4 @@
-//! The first exchange: Hello in, Welcome or a refusal out. Nothing of the scene leaves before it is done.
+//! The handshake: Hello in, Welcome or a refusal out. Nothing of the scene is sent before it is done.
 
 use std::net::SocketAddr;
 
@@ -14,42 +14,37 @@ use thiserror::Error;
 use tokio::time::timeout;
 
 use super::{
-    addresses::Held,
-    capacity::Share,
-    permit::Slot,
-    tokens::store::{Scope, TokenProblem},
+    addresses::AddressPermit,
+    capacity::Reservation,
+    permit::SessionPermit,
+    services::Services,
+    tokens::{scope::Scope, store::TokenRejection},
 };
 use crate::{
     limits::LINGER,
     metrics::registry::RefusalCause,
     net::link::{CloseCode, Link},
-    session::run::Services,
     visibility::engine::{OpenError, SessionPort},
 };
 
-/// What was agreed on with an admitted client.
-pub(crate) struct Admitted {
-    /// The place that the session takes.
-    pub(crate) slot: Slot,
-    /// The session's end of the engine.
+/// A client that passed the handshake. The session releases all of it when it ends.
+pub(crate) struct AdmittedClient {
+    pub(crate) permit: SessionPermit,
+    /// The session's end of the tracing engine.
     pub(crate) port: SessionPort,
-    /// Size of its masks.
     pub(crate) shape: MaskShape,
-    /// How its frames are coded.
     pub(crate) coding: Coding,
     /// Name of the client program.
     pub(crate) client: String,
-    /// Its share of what its address may have.
-    pub(crate) held: Held,
-    /// Its part of what cores and network bear.
-    pub(crate) share: Share,
+    pub(crate) address: AddressPermit,
+    pub(crate) reservation: Reservation,
 }
 
 /// How a session's frames are coded.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Coding {
     pub(crate) codec: CodecId,
-    /// Bits of a frame that may be wrong, in parts of a million.
+    /// Wrong bits that are allowed, per million.
     pub(crate) wrong_ppm: u16,
 }
 
@@ -62,17 +57,17 @@ pub(crate) enum HandshakeError {
     Refused(Refusal),
     #[error(transparent)]
     Control(#[from] ControlError),
-    #[error("it left without a word")]
+    #[error("it left before its Hello")]
     Left,
-    #[error("it opened with another message than Hello")]
+    #[error("its first message was not Hello")]
     NoHello,
 }
 
-/// Reads the Hello, and answers it. The caller bounds the time.
+/// Reads the Hello and answers it. The caller bounds the time.
 ///
 /// # Errors
-/// When the client is refused, which it has then been told, or breaks off.
-pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitted, HandshakeError> {
+/// Errors if the client is refused (after it was told so), or breaks off.
+pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<AdmittedClient, HandshakeError> {
     let admitted = match read_hello(&mut link.reader).await? {
         Ok(hello) => admit(hello, link.peer, services),
         Err(refusal) => Err((RefusalCause::Unsupported, refusal)),
@@ -80,13 +75,13 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
     match admitted {
         Ok(admitted) => {
             let welcome = Welcome {
-                session: admitted.slot.id,
+                session: admitted.permit.id,
                 scene_digest: services.scene.digest,
                 scene_bytes: services.scene.packed.len() as u64,
                 lights: services.scene.lights,
                 backend: shortened(services.engine.description()),
                 data_port: link.data.port(),
-                resume: admitted.slot.resume,
+                resume: admitted.permit.resume,
             };
             link.writer.write(&ServerMessage::Welcome(welcome)).await?;
             Ok(admitted)
@@ -95,7 +90,7 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
             services.metrics.refused(cause);
             link.writer.write(&ServerMessage::Refused(refusal.clone())).await?;
             link.writer.finish().await;
-            // Closing at once would overtake the refusal: the client leaves when it has read it.
+            // Closing at once would overtake the refusal, so wait until the client has read it and left.
             let _ = timeout(LINGER, link.reader.drain()).await;
             link.data.closer().close(CloseCode::Refused, "refused");
             Err(HandshakeError::Refused(refusal))
@@ -103,7 +98,7 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
     }
 }
 
-/// The client's Hello, or a refusal when another version wrote it.
+/// Returns a refusal when the Hello has another protocol version.
 async fn read_hello(reader: &mut ControlReader<ClientMessage>) -> Result<Result<Hello, Refusal>, HandshakeError> {
     let bytes = reader.next_bytes().await.map_err(|error| match error {
         ControlError::Closed => HandshakeError::Left,
@@ -120,7 +115,7 @@ async fn read_hello(reader: &mut ControlReader<ClientMessage>) -> Result<Result<
     }
 }
 
-/// The version in a Hello of any version: the message's number is 0, and the version follows it as a varint.
+/// Reads the version in a Hello of any protocol version: message number 0, then the version as a varint.
 fn peek_version(bytes: &[u8]) -> Option<u16> {
     let (&0, varint) = bytes.split_first()? else { return None };
     let mut version = 0u32;
@@ -133,53 +128,55 @@ fn peek_version(bytes: &[u8]) -> Option<u16> {
     None
 }
 
-fn admit(hello: Hello, peer: SocketAddr, services: &Services) -> Result<Admitted, (RefusalCause, Refusal)> {
-    // First: a stranger learns nothing, not even whether there is room.
+fn admit(hello: Hello, peer: SocketAddr, services: &Services) -> Result<AdmittedClient, (RefusalCause, Refusal)> {
+    // First, so that a stranger learns nothing, not even whether the server is full.
     let token = hello.token.as_deref();
-    let refuse = |problem: TokenProblem| {
+    let refuse = |problem: TokenRejection| {
         tracing::info!(%problem, "token refused");
         (RefusalCause::Token, Refusal::Token)
     };
-    let resumes = hello.resume.is_some_and(|secret| services.admission.knows(secret));
+    let resumes = hello.resume.is_some_and(|secret| services.permits.contains(secret));
     if let Some(tokens) = &services.tokens {
         match tokens.check(token, Scope::Session) {
-            // It was this client who spent it.
-            Err(TokenProblem::Spent) if resumes => {}
+            // This client spent it on the session that it resumes.
+            Err(TokenRejection::Spent) if resumes => {}
             checked => checked.map_err(refuse)?,
         }
     }
     let shape = MaskShape::new(hello.width, hello.height, services.scene.lights)
         .map_err(|error| (RefusalCause::Unsupported, Refusal::Unsupported(error.to_string())))?;
     if hello.wrong_ppm > MAX_WRONG_PPM {
-        let reason = format!("{} wrong bits in a million: at most {MAX_WRONG_PPM} are possible", hello.wrong_ppm);
+        let reason = format!("{} wrong bits per million: at most {MAX_WRONG_PPM} are possible", hello.wrong_ppm);
         return Err((RefusalCause::Unsupported, Refusal::Unsupported(reason)));
     }
     let coding = Coding { codec: hello.codec, wrong_ppm: hello.wrong_ppm };
-    // Who comes back takes the place of a session over, whose share comes free in a moment.
+    // The resumed session returns its address permit in a moment.
     let addresses = &services.addresses;
-    let held = if resumes { addresses.take_over(peer.ip()) } else { addresses.take(peer.ip()) };
-    let held = held.ok_or_else(|| (RefusalCause::Address, services.admission.full()))?;
-    let slot = services.admission.admit(hello.resume).map_err(|refusal| {
+    let address = if resumes { addresses.acquire_over_limit(peer.ip()) } else { addresses.acquire(peer.ip()) };
+    let address = address.ok_or_else(|| (RefusalCause::Address, services.permits.full()))?;
+    let permit = services.permits.acquire(hello.resume).map_err(|refusal| {
         let draining = refusal == Refusal::Draining;
         (if draining { RefusalCause::Draining } else { RefusalCause::Full }, refusal)
     })?;
     let rate_hz = (hello.rate_hz > 0).then(|| f64::from(hello.rate_hz));
     let port = services.engine.open(shape, rate_hz).map_err(|error| match error {
-        OpenError::Full(_) | OpenError::Busy => (RefusalCause::Full, services.admission.full()),
-        OpenError::Overload(reason) => (RefusalCause::Budget, services.admission.busy(shortened(&reason.to_string()))),
+        OpenError::Full(_) | OpenError::Busy => (RefusalCause::Full, services.permits.full()),
+        OpenError::Overload(reason) => (RefusalCause::Budget, services.permits.busy(shortened(&reason.to_string()))),
         _ => (RefusalCause::Unsupported, Refusal::Unsupported(shortened(&error.to_string()))),
     })?;
-    let share = services.plan.take(shape, rate_hz);
-    let share = share.map_err(|scarce| (RefusalCause::Budget, services.admission.busy(scarce.to_string())))?;
-    // Last, so that a token for one use is not spent in vain.
+    let reservation = services
+        .capacity
+        .reserve(shape, rate_hz)
+        .map_err(|reason| (RefusalCause::Budget, services.permits.busy(reason.to_string())))?;
+    // Last, so that a refused client does not spend its single-use token.
     if let Some(tokens) = services.tokens.as_ref().filter(|_| !resumes) {
         tokens.admit(token, Scope::Session).map_err(refuse)?;
     }
-    Ok(Admitted { slot, port, shape, coding, client: hello.client, held, share })
+    Ok(AdmittedClient { permit, port, shape, coding, client: hello.client, address, reservation })
 }
 
-/// At most as much of a text as a message may carry.
-pub(crate) fn shortened(text: &str) -> String {
+/// Cuts a text to [`MAX_TEXT_BYTES`], between characters.
+fn shortened(text: &str) -> String {
     let end = (0..=MAX_TEXT_BYTES.min(text.len())).rev().find(|end| text.is_char_boundary(*end)).unwrap_or(0);
     text[..end].to_owned()
 }

@@ -4,5 +4,6 @@ pub(crate) mod addresses;
 pub(crate) mod capacity;
 pub(crate) mod handshake;
 pub(crate) mod permit;
+pub(crate) mod services;
 pub(crate) mod time_limit;
 pub mod tokens;

@@ -1,9 +1,9 @@
-//! Who gets in: a fixed number of sessions, nobody once the server drains, and whoever comes back to a session takes its place over.
+//! Session permits: a fixed number, none once the server drains. A client that resumes a session takes over its permit.
 
 use std::{
     collections::HashMap,
     sync::{
-        Arc, Mutex, PoisonError, Weak,
+        Arc, Weak,
         atomic::{AtomicU64, Ordering},
     },
 };
@@ -12,22 +12,22 @@ use gnomon_protocol::{
     ids::{ResumeToken, SessionId},
     message::Refusal,
 };
+use parking_lot::Mutex;
 use rustls::crypto::SecureRandom;
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 
 use crate::limits::RETRY_AFTER;
 
-/// The slots of a server.
 #[derive(Debug)]
-pub(crate) struct Admission {
-    slots: Arc<Semaphore>,
+pub(crate) struct SessionPermits {
+    free: Arc<Semaphore>,
     capacity: usize,
     next_id: AtomicU64,
     random: &'static dyn SecureRandom,
     sessions: Arc<Mutex<Sessions>>,
 }
 
-/// The admitted sessions, by the secret that each was given.
+/// Admitted sessions by resume token.
 type Sessions = HashMap<ResumeToken, Entry>;
 
 #[derive(Debug)]
@@ -36,29 +36,27 @@ struct Entry {
     superseded: Arc<Notify>,
 }
 
-/// One of the server's places. While a client moves from a lost connection to a new one, two sessions share it.
+/// Two sessions share one while a client moves from a lost connection to a new one.
 #[derive(Debug)]
 struct Place {
     _permit: OwnedSemaphorePermit,
 }
 
-/// A session's place. Dropping it makes room for another.
+/// Lets one session run; dropping it makes room for another.
 #[derive(Debug)]
-pub(crate) struct Slot {
-    /// The session's name.
+pub(crate) struct SessionPermit {
     pub(crate) id: SessionId,
-    /// With it, the session's client may take the place over.
+    /// Secret with which the client may resume the session.
     pub(crate) resume: ResumeToken,
     superseded: Arc<Notify>,
     _place: Arc<Place>,
     sessions: Arc<Mutex<Sessions>>,
 }
 
-impl Admission {
-    /// Slots for `capacity` sessions.
+impl SessionPermits {
     pub(crate) fn new(capacity: usize) -> Self {
         Self {
-            slots: Arc::new(Semaphore::new(capacity)),
+            free: Arc::new(Semaphore::new(capacity)),
             capacity,
             next_id: AtomicU64::new(1),
             random: rustls::crypto::ring::default_provider().secure_random,
@@ -66,29 +64,29 @@ impl Admission {
         }
     }
 
-    /// Takes a slot: that of the session which `resume` names, which ends then, or else a free one.
+    /// Takes over the permit of the session that `resume` names, which then ends, or a free one.
     ///
     /// # Errors
-    /// [`Refusal::Full`] without a free one, [`Refusal::Draining`] after [`Self::close`].
-    pub(crate) fn admit(&self, resume: Option<ResumeToken>) -> Result<Slot, Refusal> {
-        if self.slots.is_closed() {
+    /// [`Refusal::Full`] when none is free, [`Refusal::Draining`] after [`Self::close`].
+    pub(crate) fn acquire(&self, resume: Option<ResumeToken>) -> Result<SessionPermit, Refusal> {
+        if self.free.is_closed() {
             return Err(Refusal::Draining);
         }
         let place = match resume.and_then(|token| self.take_over(token)) {
             Some(place) => place,
-            None => match Arc::clone(&self.slots).try_acquire_owned() {
+            None => match Arc::clone(&self.free).try_acquire_owned() {
                 Ok(permit) => Arc::new(Place { _permit: permit }),
                 Err(tokio::sync::TryAcquireError::Closed) => return Err(Refusal::Draining),
                 Err(tokio::sync::TryAcquireError::NoPermits) => return Err(self.full()),
             },
         };
         let mut token = ResumeToken([0; 16]);
-        // It does not fail on any system that TLS works on.
+        // Never fails where TLS works.
         self.random.fill(&mut token.0).map_err(|_| self.full())?;
         let superseded = Arc::new(Notify::new());
         let entry = Entry { place: Arc::downgrade(&place), superseded: Arc::clone(&superseded) };
-        self.lock().insert(token, entry);
-        Ok(Slot {
+        self.sessions.lock().insert(token, entry);
+        Ok(SessionPermit {
             id: SessionId(self.next_id.fetch_add(1, Ordering::Relaxed)),
             resume: token,
             superseded,
@@ -97,19 +95,18 @@ impl Admission {
         })
     }
 
-    /// Whether a session has this secret.
-    pub(crate) fn knows(&self, token: ResumeToken) -> bool {
-        self.lock().contains_key(&token)
+    /// Returns whether a session has this resume token.
+    pub(crate) fn contains(&self, token: ResumeToken) -> bool {
+        self.sessions.lock().contains_key(&token)
     }
 
-    /// The place of the session with this secret, which is told to end.
+    /// Ends the session with this resume token and returns its place.
     fn take_over(&self, token: ResumeToken) -> Option<Arc<Place>> {
-        let entry = self.lock().remove(&token)?;
+        let entry = self.sessions.lock().remove(&token)?;
         entry.superseded.notify_one();
         entry.place.upgrade()
     }
 
-    /// What a client hears for which there is no room.
     pub(crate) fn full(&self) -> Refusal {
         Refusal::Full {
             sessions: u32::try_from(self.capacity).unwrap_or(u32::MAX),
@@ -117,36 +114,31 @@ impl Admission {
         }
     }
 
-    /// What a client hears that would disturb the others.
+    /// Refuses a client whose load would disturb the others.
     pub(crate) fn busy(&self, reason: String) -> Refusal {
         Refusal::Busy { reason, retry_after_ms: u32::try_from(RETRY_AFTER.as_millis()).unwrap_or(u32::MAX) }
     }
 
-    /// Admits nobody any more. Slots that are taken stay.
+    /// Refuses every client from now on. Permits in use stay valid.
     pub(crate) fn close(&self) {
-        self.slots.close();
+        self.free.close();
     }
 
-    /// Slots that are taken.
-    pub(crate) fn taken(&self) -> usize {
-        self.capacity - self.slots.available_permits()
-    }
-
-    fn lock(&self) -> std::sync::MutexGuard<'_, Sessions> {
-        self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(crate) fn in_use(&self) -> usize {
+        self.capacity - self.free.available_permits()
     }
 }
 
-impl Slot {
-    /// Waits until the client has come back and taken the place over.
+impl SessionPermit {
+    /// Waits until the client resumes this session on another connection.
     pub(crate) async fn superseded(&self) {
         self.superseded.notified().await;
     }
 }
 
-impl Drop for Slot {
+impl Drop for SessionPermit {
     fn drop(&mut self) {
-        self.sessions.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.resume);
+        self.sessions.lock().remove(&self.resume);
     }
 }
 
@@ -155,38 +147,38 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slot_is_for_one_and_comes_back() {
-        let admission = Admission::new(2);
-        let (first, second) = (admission.admit(None).unwrap(), admission.admit(None).unwrap());
+    fn a_dropped_permit_is_free_again() {
+        let permits = SessionPermits::new(2);
+        let (first, second) = (permits.acquire(None).unwrap(), permits.acquire(None).unwrap());
         assert_ne!(first.id, second.id);
-        assert_eq!(admission.admit(None).unwrap_err(), Refusal::Full { sessions: 2, retry_after_ms: 5000 });
-        assert_eq!(admission.taken(), 2);
+        assert_eq!(permits.acquire(None).unwrap_err(), Refusal::Full { sessions: 2, retry_after_ms: 5000 });
+        assert_eq!(permits.in_use(), 2);
         drop(first);
-        assert_eq!(admission.taken(), 1);
-        let third = admission.admit(None).unwrap();
+        assert_eq!(permits.in_use(), 1);
+        let third = permits.acquire(None).unwrap();
         assert_ne!(third.id, second.id);
-        admission.close();
+        permits.close();
         drop(third);
-        assert_eq!(admission.admit(None).unwrap_err(), Refusal::Draining);
-        assert_eq!(admission.taken(), 1, "a session that was admitted keeps its slot");
+        assert_eq!(permits.acquire(None).unwrap_err(), Refusal::Draining);
+        assert_eq!(permits.in_use(), 1, "an admitted session keeps its permit");
     }
 
     #[tokio::test]
-    async fn whoever_comes_back_takes_its_own_place_over_once() {
-        let admission = Admission::new(1);
-        let lost = admission.admit(None).unwrap();
+    async fn a_resume_token_takes_its_session_over_once() {
+        let permits = SessionPermits::new(1);
+        let lost = permits.acquire(None).unwrap();
         let stranger = Some(ResumeToken([1; 16]));
-        assert!(matches!(admission.admit(stranger), Err(Refusal::Full { .. })));
+        assert!(matches!(permits.acquire(stranger), Err(Refusal::Full { .. })));
         let token = lost.resume;
-        let back = admission.admit(Some(token)).unwrap();
+        let back = permits.acquire(Some(token)).unwrap();
         lost.superseded().await;
         assert!(back.resume != token && back.id != lost.id);
-        assert_eq!(admission.taken(), 1);
-        assert!(matches!(admission.admit(Some(token)), Err(Refusal::Full { .. })), "a secret is good for once");
+        assert_eq!(permits.in_use(), 1);
+        assert!(matches!(permits.acquire(Some(token)), Err(Refusal::Full { .. })), "a resume token works once");
         drop(lost);
-        assert_eq!(admission.taken(), 1, "the place is the new session's");
+        assert_eq!(permits.in_use(), 1, "the permit is the new session's");
         drop(back);
-        assert_eq!(admission.taken(), 0);
-        assert!(admission.lock().is_empty());
+        assert_eq!(permits.in_use(), 0);
+        assert!(permits.sessions.lock().is_empty());
     }
 }

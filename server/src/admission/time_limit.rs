@@ -1,6 +1,6 @@
-//! How long a handshake may take. A network that loses a third of its packets makes one take seconds, since every loss doubles the
-//! time until the next try; a flood makes every one that is under way cost somebody else's place. So the limit is as long as places are
-//! plenty, and short when they are not.
+//! The time limit of handshakes. It is long while few are under way, because on a network that loses a third of its
+//! packets each loss doubles the time until the next try. It is short during a flood, when slow handshakes would keep
+//! others out.
 
 use std::{pin::pin, time::Duration};
 
@@ -11,34 +11,34 @@ use tokio::{
 
 use crate::limits::{MAX_HANDSHAKES, MAX_UNHURRIED_HANDSHAKES, UNHURRIED_LIMITS};
 
-/// Does `work`, for `limit` at least: while few handshakes are under way for [`UNHURRIED_LIMITS`] times as long. `place` is one of the
-/// places for handshakes. `None` when the time is up.
+/// Runs `work` for up to `limit`, or up to [`UNHURRIED_LIMITS`] times that while few handshakes are under way.
+/// Returns `None` when the time is up. `permit` is one of [`MAX_HANDSHAKES`].
 pub(crate) async fn within<T>(
     limit: Duration,
-    place: &OwnedSemaphorePermit,
+    permit: &OwnedSemaphorePermit,
     work: impl Future<Output = T>,
 ) -> Option<T> {
-    let begun = Instant::now();
+    let started_at = Instant::now();
     let mut work = pin!(work);
-    let mut look = begun + limit;
+    let mut next_check = started_at + limit;
     loop {
         tokio::select! {
             biased;
             done = &mut work => return Some(done),
-            () = sleep_until(look) => {}
+            () = sleep_until(next_check) => {}
         }
-        let under_way = MAX_HANDSHAKES.saturating_sub(place.semaphore().available_permits());
-        if !goes_on(begun.elapsed(), limit, under_way) {
+        let under_way = MAX_HANDSHAKES.saturating_sub(permit.semaphore().available_permits());
+        if !may_continue(started_at.elapsed(), limit, under_way) {
             return None;
         }
-        // A flood that begins later ends it as well.
-        look += limit / 8;
+        // Checked again, in case a flood begins later.
+        next_check += limit / 8;
     }
 }
 
-/// Whether a handshake that has taken so long may go on beside so many, itself among them.
-fn goes_on(taken: Duration, limit: Duration, under_way: usize) -> bool {
-    taken < limit || (taken < limit * UNHURRIED_LIMITS && under_way <= MAX_UNHURRIED_HANDSHAKES)
+/// `under_way` includes this handshake.
+fn may_continue(elapsed: Duration, limit: Duration, under_way: usize) -> bool {
+    elapsed < limit || (elapsed < limit * UNHURRIED_LIMITS && under_way <= MAX_UNHURRIED_HANDSHAKES)
 }
 
 #[cfg(test)]
@@ -53,24 +53,24 @@ mod tests {
 
     #[test]
     fn a_few_handshakes_have_time_and_many_do_not() {
-        assert!(goes_on(LIMIT / 2, LIMIT, MAX_HANDSHAKES));
-        assert!(!goes_on(LIMIT, LIMIT, MAX_UNHURRIED_HANDSHAKES + 1));
-        assert!(goes_on(LIMIT * (UNHURRIED_LIMITS - 1), LIMIT, MAX_UNHURRIED_HANDSHAKES));
-        assert!(!goes_on(LIMIT * UNHURRIED_LIMITS, LIMIT, 1));
+        assert!(may_continue(LIMIT / 2, LIMIT, MAX_HANDSHAKES));
+        assert!(!may_continue(LIMIT, LIMIT, MAX_UNHURRIED_HANDSHAKES + 1));
+        assert!(may_continue(LIMIT * (UNHURRIED_LIMITS - 1), LIMIT, MAX_UNHURRIED_HANDSHAKES));
+        assert!(!may_continue(LIMIT * UNHURRIED_LIMITS, LIMIT, 1));
     }
 
     #[tokio::test]
     async fn a_handshake_ends_when_its_time_is_up() {
-        let places = Arc::new(Semaphore::new(MAX_HANDSHAKES));
-        let mine = Arc::clone(&places).try_acquire_owned().unwrap();
+        let permits = Arc::new(Semaphore::new(MAX_HANDSHAKES));
+        let mine = Arc::clone(&permits).try_acquire_owned().unwrap();
         assert_eq!(within(LIMIT, &mine, async { 5 }).await, Some(5));
-        let begun = Instant::now();
+        let started_at = Instant::now();
         assert_eq!(within(LIMIT, &mine, std::future::pending::<()>()).await, None);
-        assert!(begun.elapsed() >= LIMIT * UNHURRIED_LIMITS);
-        // Among many others it is not given that.
-        let _flood = Arc::clone(&places).acquire_many_owned(u32::try_from(MAX_HANDSHAKES - 1).unwrap()).await.unwrap();
-        let begun = Instant::now();
+        assert!(started_at.elapsed() >= LIMIT * UNHURRIED_LIMITS);
+        // During a flood it gets no extra time.
+        let _flood = Arc::clone(&permits).acquire_many_owned(u32::try_from(MAX_HANDSHAKES - 1).unwrap()).await.unwrap();
+        let started_at = Instant::now();
         assert_eq!(within(LIMIT * 50, &mine, std::future::pending::<()>()).await, None);
-        assert!(begun.elapsed() < LIMIT * 50 * UNHURRIED_LIMITS);
+        assert!(started_at.elapsed() < LIMIT * 50 * UNHURRIED_LIMITS);
     }
 }

@@ -1,18 +1,18 @@
-//! Signals: the first asks the server to drain, the second ends it at once; SIGHUP has it read its files again.
+//! Signals: the first asks the server to drain, the second ends it at once, SIGHUP reloads its files.
 
 use std::io;
 
-/// SIGHUP, which asks a daemon to read its files again.
+/// SIGHUP, which asks for a reload.
 pub struct Hangups {
     #[cfg(unix)]
     hangup: tokio::signal::unix::Signal,
 }
 
 impl Hangups {
-    /// Starts to listen for SIGHUP. From now on it does not end the process.
+    /// From now on SIGHUP does not end the process.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// Errors if the system refuses.
     pub fn listen() -> io::Result<Self> {
         #[cfg(unix)]
         return Ok(Self { hangup: tokio::signal::unix::signal(tokio::signal::unix::SignalKind::hangup())? });
@@ -20,7 +20,6 @@ impl Hangups {
         Ok(Self {})
     }
 
-    /// Waits for the next one.
     pub async fn next(&mut self) {
         #[cfg(unix)]
         if self.hangup.recv().await.is_some() {
@@ -30,7 +29,7 @@ impl Hangups {
     }
 }
 
-/// The signals that ask a daemon to stop.
+/// SIGTERM and SIGINT, which ask for a stop.
 pub struct Signals {
     #[cfg(unix)]
     terminate: tokio::signal::unix::Signal,
@@ -39,10 +38,10 @@ pub struct Signals {
 }
 
 impl Signals {
-    /// Starts to listen for SIGTERM and SIGINT. From now on neither ends the process by itself.
+    /// From now on neither signal ends the process by itself.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// Errors if the system refuses.
     pub fn listen() -> io::Result<Self> {
         #[cfg(unix)]
         {
@@ -53,7 +52,7 @@ impl Signals {
         Ok(Self {})
     }
 
-    /// The name of the next signal.
+    /// Waits for the next signal and returns its name.
     pub async fn next(&mut self) -> &'static str {
         #[cfg(unix)]
         tokio::select! {
@@ -62,7 +61,7 @@ impl Signals {
         }
         #[cfg(not(unix))]
         {
-            // Without signals the process ends as its system ends processes.
+            // If Ctrl-C cannot be caught, the system ends the process.
             if tokio::signal::ctrl_c().await.is_err() {
                 std::future::pending::<()>().await;
             }

@@ -1,4 +1,4 @@
-//! A session's books: everything that came in, went out or was dropped, by cause.
+//! Counters of one session: everything received, sent, or dropped, by cause.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering},
@@ -8,7 +8,7 @@ use std::{
 use gnomon_protocol::ids::FrameNumber;
 
 use super::times::{Counts, Times};
-use crate::{net::link::Wire, visibility::TraceCost};
+use crate::{net::link::TransportCounts, visibility::TraceCost};
 
 macro_rules! ledger {
     ($($(#[$doc:meta])* $name:ident,)*) => {
@@ -16,31 +16,28 @@ macro_rules! ledger {
         #[derive(Debug, Default)]
         pub(crate) struct Ledger {
             $($(#[$doc])* pub(crate) $name: Counter,)*
-            /// How long the stages of frames took.
             pub(crate) stages: Stages,
             newest_requested: AtomicU64,
         }
 
-        /// The counters at one moment.
+        /// A reading of the counters.
         #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
         pub(crate) struct Totals {
             $($(#[$doc])* pub(crate) $name: u64,)*
         }
 
         impl Ledger {
-            /// What has been counted until now.
             pub(crate) fn totals(&self) -> Totals {
                 Totals { $($name: self.$name.get(),)* }
             }
         }
 
         impl Totals {
-            /// What has been counted since `earlier`.
+            /// Returns the difference to an earlier reading.
             pub(crate) fn since(&self, earlier: &Self) -> Self {
                 Self { $($name: self.$name.saturating_sub(earlier.$name),)* }
             }
 
-            /// Adds another session's.
             pub(crate) fn add(&mut self, other: &Self) {
                 $(self.$name += other.$name;)*
             }
@@ -51,81 +48,79 @@ macro_rules! ledger {
 ledger! {
     /// Control messages received.
     messages,
-    /// Poses taken.
+    /// Poses used.
     poses,
-    /// Datagrams that say which masks the client has.
+    /// Feedback datagrams.
     acknowledgements,
-    /// Datagrams that are no pose, or not a valid one.
+    /// Datagrams that are no valid pose.
     poses_bad,
-    /// Poses that are not newer than one that was taken.
+    /// Poses not newer than one already used.
     poses_stale,
-    /// Poses dropped: more came in a second than a client may send.
+    /// Datagrams dropped over the rate limit.
     poses_over_rate,
-    /// Datagrams dropped: the session had not read them when newer ones needed their place, or when it ended.
+    /// Datagrams dropped unread: newer ones displaced them, or the session ended.
     poses_unread,
-    /// Masks that the engine traced.
+    /// Masks traced.
     frames_traced,
-    /// Masks that were encoded, or could not be.
+    /// Masks encoded, or tried.
     frames_encoded,
-    /// Microseconds of a core that this took.
+    /// Core time of encoding, in microseconds.
     encode_us,
     /// Frames sent.
     frames_sent,
-    /// Frames of these that parts were left out of: the network carried no more.
+    /// Frames sent in part, because the network carried no more.
     frames_cut,
-    /// Frames dropped: a newer mask was there before they were encoded.
+    /// Frames dropped for a newer mask before encoding.
     frames_superseded,
-    /// Frames dropped: earlier ones still waited for the network, or it carried too little of them.
+    /// Frames dropped because the network was busy with earlier ones, or carried too little.
     frames_gated,
-    /// Frames dropped: too long for the header, or not to be encoded.
+    /// Frames dropped because they could not be encoded, or were too long for the header.
     frames_unsendable,
-    /// Frames dropped: the session ended before they were sent.
+    /// Frames dropped at the session's end.
     frames_abandoned,
     /// Packets handed to the transport.
     packets,
-    /// Packets that the transport dropped before they were sent: the session ended, or the link was too slow.
+    /// Packets that the transport dropped, because the session ended or the link was too slow.
     packets_unsent,
     /// Bytes sent in packets, headers included.
     bytes,
-    /// Microseconds of the device, or of the processor that traces.
+    /// Tracing time of the device or processor, in microseconds.
     gpu_us,
-    /// UDP datagrams received, of any kind.
+    /// UDP datagrams received on the connection.
     udp_received,
-    /// UDP datagrams sent, of any kind.
+    /// UDP datagrams sent on the connection.
     udp_sent,
-    /// QUIC packets that were sent and never acknowledged.
+    /// QUIC packets declared lost.
     quic_lost,
 }
 
-/// What a frame goes through.
+/// Times of a frame's stages.
 #[derive(Debug, Default)]
 pub(crate) struct Stages {
     /// Tracing: primary rays and shadow rays.
     pub(crate) trace: Times,
-    /// From the end of tracing until the bits are in host memory.
+    /// From the end of tracing until the mask is in host memory.
     pub(crate) readback: Times,
-    /// Encoding, with the wait for a core.
+    /// Encoding, including the wait for a core.
     pub(crate) encode: Times,
-    /// Cutting into packets, and handing them to the transport.
+    /// Packetizing, and handing over to the transport.
     pub(crate) send: Times,
-    /// All of it: from the pose's arrival until its frame is with the transport.
+    /// From the pose's arrival until its frame is with the transport.
     pub(crate) pose_to_sent: Times,
 }
 
-/// [`Stages`] at one moment.
+/// A reading of [`Stages`], in their order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct StageCounts(pub(crate) [Counts; 5]);
 
 impl StageCounts {
-    /// What the stages are called in logs and metrics.
+    /// Names in logs and metrics.
     pub(crate) const NAMES: [&str; 5] = ["trace", "readback", "encode", "send", "pose_to_sent"];
 
-    /// What was counted since `earlier`.
     pub(crate) fn since(&self, earlier: &Self) -> Self {
         Self(std::array::from_fn(|stage| self.0[stage].since(&earlier.0[stage])))
     }
 
-    /// Adds another session's.
     pub(crate) fn add(&mut self, other: &Self) {
         for (mine, others) in self.0.iter_mut().zip(&other.0) {
             mine.add(others);
@@ -134,29 +129,26 @@ impl StageCounts {
 }
 
 impl Stages {
-    /// What has been counted until now.
     pub(crate) fn counts(&self) -> StageCounts {
         let Self { trace, readback, encode, send, pose_to_sent } = self;
         StageCounts([trace, readback, encode, send, pose_to_sent].map(Times::counts))
     }
 }
 
-/// A number that only grows.
+/// A monotonic counter.
 #[derive(Debug, Default)]
 pub(crate) struct Counter(AtomicU64);
 
 impl Counter {
-    /// Counts one more.
     pub(crate) fn one(&self) {
         self.add(1);
     }
 
-    /// Counts `more`.
     pub(crate) fn add(&self, more: u64) {
         self.0.fetch_add(more, Ordering::Relaxed);
     }
 
-    /// Counts a duration, in microseconds.
+    /// Adds whole microseconds.
     pub(crate) fn add_us(&self, spent: Duration) {
         self.add(u64::try_from(spent.as_micros()).unwrap_or(u64::MAX));
     }
@@ -167,7 +159,6 @@ impl Counter {
 }
 
 impl Ledger {
-    /// Counts a mask that the engine has traced.
     pub(crate) fn traced(&self, cost: &TraceCost) {
         self.frames_traced.one();
         let spent = Duration::try_from_secs_f64((cost.primary_ms + cost.shadow_ms) * 1e-3).unwrap_or_default();
@@ -176,26 +167,25 @@ impl Ledger {
         self.stages.readback.record_ms(cost.readback_ms);
     }
 
-    /// Closes the books at the session's end: what came and was never read, and what was traced and never sent. `wire` is what the
-    /// transport counted, where it counts.
-    pub(crate) fn close(&self, wire: Option<Wire>) {
+    /// Accounts at the session's end for what was never read, and for what was traced and never sent. `transport` holds the
+    /// transport's counters, if it has any.
+    pub(crate) fn close(&self, transport: Option<TransportCounts>) {
         let totals = self.totals();
-        if let Some(wire) = wire {
-            self.poses_unread.add(wire.datagrams_received.saturating_sub(totals.datagrams_in()));
-            self.packets_unsent.add(totals.packets.saturating_sub(wire.datagrams_sent));
-            self.udp_received.add(wire.udp_received);
-            self.udp_sent.add(wire.udp_sent);
-            self.quic_lost.add(wire.quic_lost);
+        if let Some(counts) = transport {
+            self.poses_unread.add(counts.datagrams_received.saturating_sub(totals.datagrams_in()));
+            self.packets_unsent.add(totals.packets.saturating_sub(counts.datagrams_sent));
+            self.udp_received.add(counts.udp_received);
+            self.udp_sent.add(counts.udp_sent);
+            self.quic_lost.add(counts.quic_lost);
         }
         self.frames_abandoned.add(totals.frames_traced.saturating_sub(totals.frames_out()));
     }
 
-    /// Notes the frame that the engine has been asked for last.
     pub(crate) fn set_newest_requested(&self, frame: FrameNumber) {
         self.newest_requested.store(u64::from(frame.0) + 1, Ordering::Release);
     }
 
-    /// The frame that the engine has been asked for last.
+    /// The newest frame requested from the engine.
     pub(crate) fn newest_requested(&self) -> Option<FrameNumber> {
         let stored = self.newest_requested.load(Ordering::Acquire);
         stored.checked_sub(1).and_then(|frame| u32::try_from(frame).ok()).map(FrameNumber)
@@ -203,7 +193,7 @@ impl Ledger {
 }
 
 impl Totals {
-    /// Datagrams that came in and are accounted for: taken, or dropped with a cause.
+    /// Received datagrams by all causes.
     pub(crate) const fn datagrams_in(&self) -> u64 {
         self.poses
             + self.acknowledgements
@@ -213,12 +203,11 @@ impl Totals {
             + self.poses_unread
     }
 
-    /// Traced frames that are accounted for: sent, or dropped with a cause.
+    /// Traced frames by all outcomes.
     pub(crate) const fn frames_out(&self) -> u64 {
         self.frames_sent + self.frames_superseded + self.frames_gated + self.frames_unsendable + self.frames_abandoned
     }
 
-    /// The line of the last second.
     pub(crate) fn log_rates(&self, stages: &StageCounts, seconds: f64) {
         let rate = |count: u64| (as_f64(count) / seconds * 10.0).round() / 10.0;
         let [trace, _, encode, send, pose_to_sent] = &stages.0;
@@ -243,7 +232,6 @@ impl Totals {
         );
     }
 
-    /// The line at the session's end.
     pub(crate) fn log_end(&self, client: &str, lasted: Duration, reason: &str) {
         tracing::info!(
             client,
@@ -285,7 +273,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn totals_differ_by_what_was_counted_between_them() {
+    fn since_returns_the_difference() {
         let ledger = Ledger::default();
         ledger.poses.add(3);
         let earlier = ledger.totals();
@@ -296,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_request_starts_as_none() {
+    fn there_is_no_newest_request_at_first() {
         let ledger = Ledger::default();
         assert_eq!(ledger.newest_requested(), None);
         for frame in [0, 7, u32::MAX] {

@@ -1,8 +1,7 @@
-//! What the system knows of this process: memory, open files, and datagrams that its kernel dropped. Nothing outside Linux.
+//! Memory, open files and kernel drops of this process, from `/proc`. `None` outside Linux.
 
 use std::{fs, net::SocketAddr};
 
-/// What `/proc` says.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct ProcessFacts {
     pub(crate) resident_bytes: Option<u64>,
@@ -10,7 +9,7 @@ pub(crate) struct ProcessFacts {
     pub(crate) kernel_drops: Option<u64>,
 }
 
-/// Reads them; `socket` is the address that datagrams arrive at.
+/// `socket` is the local address of the UDP socket.
 pub(crate) fn read(socket: Option<SocketAddr>) -> ProcessFacts {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let drops = |socket: SocketAddr| {
@@ -29,7 +28,7 @@ fn resident_bytes(status: &str) -> Option<u64> {
     kib.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
-/// Datagrams that found the socket's buffer full: the last column of the lines whose local port it is.
+/// Sums the last column over the sockets with this local port: datagrams that found the buffer full.
 fn kernel_drops(table: &str, port: u16) -> Option<u64> {
     let wanted = format!(":{port:04X}");
     let lines = table.lines().skip(1).map(|line| line.split_ascii_whitespace().collect::<Vec<_>>());

@@ -1,24 +1,28 @@
-//! What an operator can see: which sessions are open, and the sum of all that were ever served.
+//! All sessions: which are open, and the sum over all that were ever served.
 //!
-//! Nothing is counted twice. A session's ledger is the only place that its work is written to; what Prometheus reads is added up from the
-//! open sessions' ledgers and the closed ones' totals at the moment it asks.
+//! Nothing is counted twice. Work is written to a session's ledger only; a snapshot adds up the ledgers of the open
+//! sessions and the totals of the closed ones.
 
 use std::{
     collections::BTreeMap,
     net::SocketAddr,
-    sync::{Arc, Mutex, MutexGuard, PoisonError, atomic::AtomicU64, atomic::Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
     time::Instant,
 };
 
+use parking_lot::Mutex;
 use serde::Serialize;
 
 use super::ledger::{Ledger, StageCounts, Totals, as_f64};
 use crate::net::{
-    link::{Closer, Wire},
+    link::{Closer, TransportCounts},
     socket::SocketCounts,
 };
 
-/// Numbered causes with names, for counters.
+/// Defines an enum with a metric label for each variant.
 macro_rules! causes {
     ($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident = $label:literal,)* }) => {
         $(#[$meta])*
@@ -28,7 +32,7 @@ macro_rules! causes {
         }
 
         impl $name {
-            /// What they are called in metrics.
+            /// Metric labels, in order.
             pub(crate) const LABELS: &[&str] = &[$($label),*];
         }
     };
@@ -37,23 +41,21 @@ macro_rules! causes {
 causes! {
     /// Why a peer got no session.
     RefusalCause {
-        /// It was refused for its token.
         Token = "token",
-        /// There was no room.
+        /// No permit was free.
         Full = "full",
-        /// The devices would have been too busy.
+        /// Devices, cores or network lack capacity.
         Budget = "budget",
-        /// Its address had as many sessions as one may have.
+        /// Its address is at its session limit.
         Address = "address",
-        /// The server drains.
         Draining = "draining",
-        /// It speaks another version, or asks for what is not there.
+        /// Another protocol version, or an impossible request.
         Unsupported = "unsupported",
-        /// It broke off, or spoke out of turn.
+        /// It broke off, or broke the protocol.
         Broken = "broken",
-        /// It did not say Hello in time.
+        /// No Hello in time.
         Silent = "silent",
-        /// So many handshakes were under way that it was sent away.
+        /// Too many handshakes under way.
         Handshakes = "handshakes",
     }
 }
@@ -61,26 +63,21 @@ causes! {
 causes! {
     /// How a session ended.
     EndCause {
-        /// The client said so.
         Left = "left",
-        /// The link was gone, or the client silent.
+        /// The connection was lost, or the client silent.
         Lost = "lost",
-        /// The client broke the protocol.
         Violation = "violation",
-        /// The server failed in this session.
         Failed = "failed",
-        /// The server stopped.
         Stopping = "stopping",
     }
 }
 
-/// All that is counted of a server.
 #[derive(Debug, Default)]
 pub(crate) struct Metrics {
     sessions: Mutex<Sessions>,
     refusals: [AtomicU64; RefusalCause::LABELS.len()],
     pub(crate) socket: Arc<SocketCounts>,
-    /// UDP datagrams that no session accounted for, as last reported: that sum may not fall.
+    /// UDP datagrams outside any session, as last reported, so that the counter never falls.
     unowned_received: AtomicU64,
     unowned_sent: AtomicU64,
 }
@@ -93,7 +90,7 @@ struct Sessions {
     past: Sum,
 }
 
-/// What a session is, for the list of sessions.
+/// Describes a session in `/sessions`.
 #[derive(Debug, Clone)]
 pub(crate) struct About {
     pub(crate) id: u64,
@@ -124,7 +121,7 @@ pub(crate) struct Sum {
     pub(crate) stages: StageCounts,
 }
 
-/// All counters at one moment.
+/// A reading of all counters.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Snapshot {
     pub(crate) open: usize,
@@ -136,7 +133,7 @@ pub(crate) struct Snapshot {
     pub(crate) unowned_sent: u64,
 }
 
-/// A line of the list of sessions.
+/// An entry of `/sessions`.
 #[derive(Debug, Serialize)]
 pub(crate) struct Listed {
     id: u64,
@@ -155,67 +152,59 @@ pub(crate) struct Listed {
     pose_to_sent_ms_p99: f64,
 }
 
-/// A session in the list; leaves it when it is dropped.
-pub(crate) struct Opened {
+/// An open session. Dropping it closes the session's ledger and adds it to the totals.
+pub(crate) struct Registration {
     metrics: Arc<Metrics>,
     id: u64,
     cause: EndCause,
 }
 
-impl Opened {
-    /// Says how the session ended. A session that never comes to say so has broken off.
-    pub(crate) const fn ends(&mut self, cause: EndCause) {
+impl Registration {
+    /// Sets how the session ended; [`EndCause::Failed`] otherwise.
+    pub(crate) const fn set_cause(&mut self, cause: EndCause) {
         self.cause = cause;
     }
 }
 
-impl Drop for Opened {
+impl Drop for Registration {
     fn drop(&mut self) {
         self.metrics.close(self.id, self.cause);
     }
 }
 
 impl Metrics {
-    fn sessions(&self) -> MutexGuard<'_, Sessions> {
-        // Numbers stay numbers, whoever panicked.
-        self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Lists a session.
-    pub(crate) fn open(self: &Arc<Self>, about: About, ledger: Arc<Ledger>, link: Closer) -> Opened {
+    pub(crate) fn register(self: &Arc<Self>, about: About, ledger: Arc<Ledger>, link: Closer) -> Registration {
         let id = about.id;
-        let mut sessions = self.sessions();
+        let mut sessions = self.sessions.lock();
         sessions.opened += 1;
         sessions.open.insert(id, Entry { about, opened_at: Instant::now(), ledger, link });
-        Opened { metrics: Arc::clone(self), id, cause: EndCause::Failed }
+        Registration { metrics: Arc::clone(self), id, cause: EndCause::Failed }
     }
 
     fn close(&self, id: u64, cause: EndCause) {
-        let mut sessions = self.sessions();
+        let mut sessions = self.sessions.lock();
         let Some(entry) = sessions.open.remove(&id) else { return };
-        entry.ledger.close(entry.link.wire());
+        entry.ledger.close(entry.link.counts());
         sessions.past.totals.add(&entry.ledger.totals());
         sessions.past.stages.add(&entry.ledger.stages.counts());
         sessions.closed[cause as usize] += 1;
     }
 
-    /// Counts a peer that got no session.
     pub(crate) fn refused(&self, cause: RefusalCause) {
         self.refusals[cause as usize].fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Everything, added up.
     pub(crate) fn snapshot(&self) -> Snapshot {
-        let sessions = self.sessions();
+        let sessions = self.sessions.lock();
         let mut sum = sessions.past.clone();
         for entry in sessions.open.values() {
             let mut totals = entry.ledger.totals();
-            let Wire { udp_received, udp_sent, quic_lost, .. } = entry.link.wire().unwrap_or_default();
+            let TransportCounts { udp_received, udp_sent, quic_lost, .. } = entry.link.counts().unwrap_or_default();
             (totals.udp_received, totals.udp_sent, totals.quic_lost) = (udp_received, udp_sent, quic_lost);
             sum.totals.add(&totals);
             sum.stages.add(&entry.ledger.stages.counts());
         }
-        // After the sessions: what arrives meanwhile belongs to nobody for a moment, never to somebody twice.
+        // Read after the sessions, so that a datagram may count as unowned for a moment but never twice.
         let rest = |all: u64, owned: u64, last: &AtomicU64| {
             let rest = all.saturating_sub(owned);
             rest.max(last.fetch_max(rest, Ordering::Relaxed))
@@ -231,7 +220,6 @@ impl Metrics {
         }
     }
 
-    /// The open sessions.
     pub(crate) fn list(&self) -> Vec<Listed> {
         let listed = |entry: &Entry| {
             let (totals, stages) = (entry.ledger.totals(), entry.ledger.stages.counts());
@@ -254,7 +242,7 @@ impl Metrics {
                 pose_to_sent_ms_p99: pose_to_sent.quantile_ms(0.99),
             }
         };
-        self.sessions().open.values().map(listed).collect()
+        self.sessions.lock().open.values().map(listed).collect()
     }
 }
 
@@ -277,7 +265,7 @@ mod tests {
     fn a_session_counts_the_same_while_it_is_open_and_afterwards() {
         let metrics = Arc::new(Metrics::default());
         let ledger = Arc::new(Ledger::default());
-        let mut opened = metrics.open(about(7), Arc::clone(&ledger), Closer::none());
+        let mut registration = metrics.register(about(7), Arc::clone(&ledger), Closer::none());
         ledger.poses.add(5);
         ledger.frames_traced.add(3);
         ledger.frames_sent.add(2);
@@ -285,14 +273,14 @@ mod tests {
         let open = metrics.snapshot();
         assert_eq!((open.open, open.opened, open.closed), (1, 1, [0; 5]));
         assert_eq!(metrics.list().len(), 1);
-        opened.ends(EndCause::Left);
-        drop(opened);
+        registration.set_cause(EndCause::Left);
+        drop(registration);
         let closed = metrics.snapshot();
         assert_eq!((closed.open, closed.opened, closed.closed), (0, 1, [1, 0, 0, 0, 0]));
         let expected = Totals { frames_abandoned: 1, ..open.sum.totals };
         assert_eq!((closed.sum.totals, closed.sum.stages), (expected, open.sum.stages));
-        // A session that breaks off without a word is counted as such.
-        drop(metrics.open(about(8), Arc::default(), Closer::none()));
+        // Without a cause it counts as failed.
+        drop(metrics.register(about(8), Arc::default(), Closer::none()));
         assert_eq!(metrics.snapshot().closed, [1, 0, 0, 1, 0]);
     }
 }

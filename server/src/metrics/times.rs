@@ -1,25 +1,25 @@
-//! How long things took: counts in buckets that grow with the time, for quantiles in logs and for Prometheus' histograms.
+//! Histograms of durations with exponential buckets, for quantiles in logs and for Prometheus.
 //!
-//! Four buckets an octave, so a quantile is off by an eighth of its value at most. Recording is one addition to an atomic number, and
-//! two readings differ by what was recorded between them.
+//! Four buckets per octave, so a quantile is off by at most an eighth of its value. Recording is one atomic addition per
+//! counter.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering},
     time::Duration,
 };
 
-/// Buckets an octave.
+/// Buckets per octave.
 const PER_OCTAVE: usize = 4;
 
 /// Upper edge of the first bucket, in microseconds.
 const FIRST_EDGE_US: u64 = 16;
 
-/// Octaves above the first bucket: the last one ends at 67 s, and holds what took longer.
+/// Octaves above the first bucket. The last bucket ends at 67 s, and holds all longer times.
 const OCTAVES: usize = 22;
 
 const BUCKETS: usize = 1 + OCTAVES * PER_OCTAVE;
 
-/// Counts of times.
+/// A histogram of durations.
 #[derive(Debug)]
 pub(crate) struct Times {
     buckets: [AtomicU64; BUCKETS],
@@ -33,30 +33,27 @@ impl Default for Times {
 }
 
 impl Times {
-    /// Counts one.
     pub(crate) fn record(&self, time: Duration) {
         let us = u64::try_from(time.as_micros()).unwrap_or(u64::MAX);
         self.buckets[bucket_of(us)].fetch_add(1, Ordering::Relaxed);
         self.sum_us.fetch_add(us, Ordering::Relaxed);
     }
 
-    /// Counts one, of a time that a device reports as milliseconds. What is no time counts as none.
+    /// Counts NaN and negative times as 0.
     pub(crate) fn record_ms(&self, ms: f64) {
         self.record(Duration::try_from_secs_f64(ms * 1e-3).unwrap_or_default());
     }
 
-    /// What has been counted until now.
     pub(crate) fn counts(&self) -> Counts {
         let buckets = std::array::from_fn(|index| self.buckets[index].load(Ordering::Relaxed));
         Counts { buckets, sum_us: self.sum_us.load(Ordering::Relaxed) }
     }
 }
 
-/// Counts of times at one moment.
+/// A reading of [`Times`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Counts {
     buckets: [u64; BUCKETS],
-    /// All times together, in microseconds.
     pub(crate) sum_us: u64,
 }
 
@@ -67,18 +64,16 @@ impl Default for Counts {
 }
 
 impl Counts {
-    /// How many were counted.
     pub(crate) fn count(&self) -> u64 {
         self.buckets.iter().sum()
     }
 
-    /// What was counted since `earlier`.
+    /// Returns the difference to an earlier reading.
     pub(crate) fn since(&self, earlier: &Self) -> Self {
         let buckets = std::array::from_fn(|index| self.buckets[index].saturating_sub(earlier.buckets[index]));
         Self { buckets, sum_us: self.sum_us.saturating_sub(earlier.sum_us) }
     }
 
-    /// Adds another's.
     pub(crate) fn add(&mut self, other: &Self) {
         for (mine, others) in self.buckets.iter_mut().zip(&other.buckets) {
             *mine += others;
@@ -86,7 +81,7 @@ impl Counts {
         self.sum_us += other.sum_us;
     }
 
-    /// The time in milliseconds that a share of `share` did not exceed, interpolated within its bucket; 0 when nothing was counted.
+    /// The quantile `share` in milliseconds, interpolated within its bucket. 0 without any counts.
     #[expect(clippy::cast_precision_loss, reason = "counts and microseconds of one second")]
     pub(crate) fn quantile_ms(&self, share: f64) -> f64 {
         let rank = self.count() as f64 * share;
@@ -102,8 +97,7 @@ impl Counts {
         0.0
     }
 
-    /// Upper edges in seconds, doubling, with the counts of each edge's own bucket, as Prometheus' histograms want them; the last edge is
-    /// infinite.
+    /// Upper edges in seconds, one per octave, with the count of each bucket. The last edge is `f64::MAX`, for infinity.
     #[expect(clippy::cast_precision_loss, reason = "microseconds below a minute")]
     pub(crate) fn histogram(&self) -> Vec<(f64, u64)> {
         let first = (FIRST_EDGE_US as f64 * 1e-6, self.buckets[0]);
@@ -125,7 +119,7 @@ fn bucket_of(us: u64) -> usize {
     (1 + octave * PER_OCTAVE + usize::try_from(quarter).unwrap_or(0)).min(BUCKETS - 1)
 }
 
-/// Where a bucket ends, exclusively.
+/// Exclusive.
 fn upper_edge_us(bucket: usize) -> u64 {
     match bucket.checked_sub(1) {
         None => FIRST_EDGE_US,
@@ -142,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_time_falls_between_its_buckets_edges() {
+    fn every_time_lies_within_its_bucket() {
         for us in (0..2000).chain((0..26).map(|bit| (1 << bit) - 1)).chain((0..26).map(|bit| 3 << bit)) {
             let bucket = bucket_of(us);
             let last = bucket == BUCKETS - 1;
@@ -168,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn readings_differ_by_what_was_recorded_between_them() {
+    fn since_and_add_are_inverse() {
         let times = Times::default();
         times.record_ms(3.0);
         let earlier = times.counts();

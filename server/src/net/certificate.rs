@@ -1,21 +1,21 @@
-//! Who the server is: one certificate that is kept, and one for browsers that is not.
+//! TLS identity: a permanent certificate for native clients, and a short-lived one for browsers.
 //!
-//! The kept one is the operator's, from `cert_file` and `key_file`, or self-made. A native client trusts the CA of the one, or pins
-//! the other: it pins the SHA-256 of the certificate that the server's URL names, as SSH pins a host key. So that
-//! certificate is made once, never expires, and stays in `identity.pem`; delete the file to get another one. SIGHUP reads the files again, and
-//! the next handshake shows what is in them; sessions keep the keys that they have agreed on.
+//! The permanent one is the operator's (`cert_file`, `key_file`), whose CA clients trust, or self-signed. Of the latter
+//! clients pin the SHA-256 in the server's URL, as SSH pins a host key. So it is made once, never expires, and stays in
+//! `identity.pem`; delete the file to get another. SIGHUP reloads the files for later handshakes; sessions keep their keys.
 //!
-//! A browser accepts a pinned certificate (`serverCertificateHashes`) only when it lives for at most 14 days and has a
-//! P-256 key. So a handshake that offers `h3` gets a second certificate, which lives in memory for 13 days and is
-//! replaced, while the server runs, once half of that has passed. A page has to ask for its hash anyway.
+//! A browser accepts a pinned certificate (`serverCertificateHashes`) only with a lifetime of at most 14 days and a P-256
+//! key. So a handshake that offers `h3` gets a second certificate, which is valid for 13 days, stays in memory, and is
+//! renewed after half of that. Web pages ask the server for its hash anyway.
 
 use std::{
     path::{Path, PathBuf},
-    sync::{Arc, Mutex, PoisonError},
+    sync::Arc,
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use etcetera::BaseStrategy as _;
+use parking_lot::Mutex;
 use rcgen::{CertificateParams, DistinguishedName, DnType, KeyPair, date_time_ymd};
 use rustls::{
     crypto::CryptoProvider,
@@ -25,9 +25,9 @@ use rustls::{
 };
 use thiserror::Error;
 
-use crate::{clock, config::ServerConfig, files, limits};
+use crate::{clock, config::ServerConfig, files, hex, limits};
 
-/// The file of the kept certificate and its key.
+/// Holds the self-signed certificate and its key.
 const IDENTITY_FILE: &str = "identity.pem";
 
 /// ALPN of WebTransport.
@@ -35,59 +35,47 @@ pub(crate) const ALPN_WEB: &[u8] = b"h3";
 
 const BROWSER_LIFE: Duration = Duration::from_secs(13 * 24 * 3600);
 
-/// Clocks differ: the browser's certificate is already an hour old.
+/// Tolerates browsers whose clock is late.
 const BROWSER_BACKDATE: Duration = Duration::from_secs(3600);
 
-/// Why there is no certificate.
 #[derive(Debug, Error)]
 pub enum CertificateError {
-    /// No folder was configured, and the user has no home.
+    /// No folder is configured, and the user has no home.
     #[error("no folder to keep the certificate in: pass --cert-dir DIR")]
     NoFolder,
-    /// The folder or file cannot be read or written.
     #[error("cannot keep the certificate in {path}: {reason}; pass another --cert-dir DIR")]
-    File {
-        /// The folder or file.
-        path: PathBuf,
-        /// Why.
-        reason: std::io::Error,
-    },
-    /// The file is there, but it holds no certificate with its key.
-    #[error("{path} holds no usable certificate and key ({reason}): mend it, or delete it to get a new certificate")]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// No certificate could be made.
+    File { path: PathBuf, reason: std::io::Error },
+    #[error("{path} holds no usable certificate and key ({reason}): repair it, or delete it to get a new certificate")]
+    Damaged { path: PathBuf, reason: String },
     #[error("cannot make a certificate: {0}")]
     Make(String),
 }
 
-/// The certificates of a server, by what a client's handshake offers.
+/// Chooses a certificate by the ALPN that a client offers.
 #[derive(Debug)]
 pub(crate) struct Certificates {
     files: Files,
-    kept: Mutex<Arc<CertifiedKey>>,
+    permanent: Mutex<Arc<CertifiedKey>>,
     browser: Mutex<BrowserCertificate>,
     provider: Arc<CryptoProvider>,
 }
 
-/// Where the kept certificate comes from.
+/// Source of the permanent certificate.
 #[derive(Debug)]
 enum Files {
-    /// The operator's.
-    Given { certificate: PathBuf, key: PathBuf },
-    /// Ours, made where there is none.
-    Made(PathBuf),
+    Operator {
+        certificate: PathBuf,
+        key: PathBuf,
+    },
+    /// Self-signed, made if it does not exist.
+    SelfSigned(PathBuf),
 }
 
 impl Files {
     fn read(&self, provider: &CryptoProvider) -> Result<CertifiedKey, CertificateError> {
         match self {
-            Self::Given { certificate, key } => read(certificate, key, provider),
-            Self::Made(path) => {
+            Self::Operator { certificate, key } => read(certificate, key, provider),
+            Self::SelfSigned(path) => {
                 if !path.exists() {
                     let (certificate, key) = make(forever)?;
                     let pem = certificate.pem() + &key.serialize_pem();
@@ -103,51 +91,51 @@ impl Files {
 #[derive(Debug)]
 struct BrowserCertificate {
     key: Arc<CertifiedKey>,
-    /// It is not valid yet before, as when the clock was set back.
+    /// Not valid before, which matters if the clock is set back.
     begins_at: SystemTime,
     renew_at: SystemTime,
 }
 
 impl Certificates {
-    /// Opens the kept certificate, or makes it where there is none.
+    /// Reads the permanent certificate, or makes it.
     ///
     /// # Errors
-    /// When the folder or file cannot be used, or its content is damaged.
+    /// Errors if the folder or file cannot be used, or its content is damaged.
     pub(crate) fn open(config: &ServerConfig, provider: Arc<CryptoProvider>) -> Result<Self, CertificateError> {
         let files = match (&config.cert_file, &config.key_file) {
-            (Some(certificate), Some(key)) => Files::Given { certificate: certificate.clone(), key: key.clone() },
+            (Some(certificate), Some(key)) => Files::Operator { certificate: certificate.clone(), key: key.clone() },
             _ => {
                 let folder = config.cert_dir.clone().or_else(default_folder).ok_or(CertificateError::NoFolder)?;
                 std::fs::create_dir_all(&folder)
                     .map_err(|reason| CertificateError::File { path: folder.clone(), reason })?;
-                Files::Made(folder.join(IDENTITY_FILE))
+                Files::SelfSigned(folder.join(IDENTITY_FILE))
             }
         };
-        let kept = Mutex::new(Arc::new(files.read(&provider)?));
+        let permanent = Mutex::new(Arc::new(files.read(&provider)?));
         let browser = Mutex::new(BrowserCertificate::make(&provider, clock::wall())?);
-        Ok(Self { files, kept, browser, provider })
+        Ok(Self { files, permanent, browser, provider })
     }
 
-    /// Reads the kept certificate again, for the handshakes to come; says its SHA-256. One that cannot be used changes nothing.
+    /// Rereads the permanent certificate for later handshakes, and returns its SHA-256. An unusable one changes nothing.
     ///
     /// # Errors
     /// As [`Self::open`].
     pub(crate) fn reload(&self) -> Result<String, CertificateError> {
         let read = Arc::new(self.files.read(&self.provider)?);
-        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = read;
-        Ok(self.kept_sha256())
+        *self.permanent.lock() = read;
+        Ok(self.permanent_sha256())
     }
 
-    fn kept(&self) -> Arc<CertifiedKey> {
-        Arc::clone(&self.kept.lock().unwrap_or_else(PoisonError::into_inner))
+    fn permanent(&self) -> Arc<CertifiedKey> {
+        Arc::clone(&self.permanent.lock())
     }
 
-    /// SHA-256 of the kept certificate, in hexadecimal.
-    pub(crate) fn kept_sha256(&self) -> String {
-        self.sha256(&self.kept())
+    /// SHA-256 of the permanent certificate, in hexadecimal.
+    pub(crate) fn permanent_sha256(&self) -> String {
+        self.sha256(&self.permanent())
     }
 
-    /// SHA-256 of the certificate that browsers see now, in hexadecimal.
+    /// SHA-256 of the browsers' current certificate, in hexadecimal.
     pub(crate) fn browser_sha256(&self) -> String {
         self.sha256(&self.browser_key(clock::wall()))
     }
@@ -155,16 +143,16 @@ impl Certificates {
     fn sha256(&self, key: &CertifiedKey) -> String {
         key.cert.first().map_or_else(String::new, |leaf| {
             let digest = web_transport_quinn::crypto::sha256(&self.provider, leaf);
-            digest.as_ref().iter().map(|byte| format!("{byte:02x}")).collect()
+            hex::encode(digest.as_ref())
         })
     }
 
     fn browser_key(&self, now: SystemTime) -> Arc<CertifiedKey> {
-        let mut browser = self.browser.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut browser = self.browser.lock();
         if now >= browser.renew_at || now < browser.begins_at {
             match BrowserCertificate::make(&self.provider, now) {
                 Ok(renewed) => *browser = renewed,
-                // The old one is still good for days, and the next handshake tries again.
+                // The old one is valid for days more, and the next handshake retries.
                 Err(error) => tracing::error!(%error, "cannot renew the browsers' certificate"),
             }
         }
@@ -175,7 +163,7 @@ impl Certificates {
 impl ResolvesServerCert for Certificates {
     fn resolve(&self, hello: ClientHello<'_>) -> Option<Arc<CertifiedKey>> {
         let native = hello.alpn().is_some_and(|mut offered| offered.any(|alpn| alpn == gnomon_transport::quic::ALPN));
-        Some(if native { self.kept() } else { self.browser_key(clock::wall()) })
+        Some(if native { self.permanent() } else { self.browser_key(clock::wall()) })
     }
 }
 
@@ -186,7 +174,7 @@ impl BrowserCertificate {
             .ok()
             .and_then(|since_epoch| since_epoch.checked_sub(BROWSER_BACKDATE))
             .map(|since_epoch| date_time_ymd(1970, 1, 1) + since_epoch)
-            .ok_or_else(|| CertificateError::Make("the system's clock stands before 1970".to_owned()))?;
+            .ok_or_else(|| CertificateError::Make("the system's clock is before 1970".to_owned()))?;
         let (certificate, key) = make(|params| {
             params.not_before = not_before;
             params.not_after = not_before + BROWSER_LIFE;
@@ -198,7 +186,7 @@ impl BrowserCertificate {
     }
 }
 
-/// A self-signed P-256 certificate: clients pin it, whatever name they reach the server by.
+/// Makes a self-signed P-256 certificate. Clients pin it, so its name does not matter.
 fn make(life: impl FnOnce(&mut CertificateParams)) -> Result<(rcgen::Certificate, KeyPair), CertificateError> {
     let attempt = move || {
         let mut params = CertificateParams::new(["gnomon".to_owned(), "localhost".to_owned()])?;
@@ -211,13 +199,13 @@ fn make(life: impl FnOnce(&mut CertificateParams)) -> Result<(rcgen::Certificate
     attempt().map_err(|error: rcgen::Error| CertificateError::Make(error.to_string()))
 }
 
-/// No end: RFC 5280 (4.1.2.5) has this date for it.
+/// Without an end, by the date that RFC 5280, 4.1.2.5, defines for that.
 fn forever(params: &mut CertificateParams) {
     params.not_before = date_time_ymd(2000, 1, 1);
     params.not_after = date_time_ymd(9999, 12, 31);
 }
 
-/// A chain and its key, from two files or from one.
+/// Reads a chain and its key, from two files or from one.
 fn read(certificate: &Path, key: &Path, provider: &CryptoProvider) -> Result<CertifiedKey, CertificateError> {
     let damaged = |reason: String| CertificateError::Damaged { path: certificate.to_owned(), reason };
     let read = |path: &Path| {
@@ -232,11 +220,11 @@ fn read(certificate: &Path, key: &Path, provider: &CryptoProvider) -> Result<Cer
         return Err(damaged("no certificate in it".to_owned()));
     }
     let key = PrivateKeyDer::from_pem_slice(&key_pem).map_err(|error| damaged(format!("key: {error}")))?;
-    // This also checks that the key belongs to the certificate.
+    // Also checks that the key matches the certificate.
     CertifiedKey::from_der(chain, key, provider).map_err(|error| damaged(error.to_string()))
 }
 
-/// `$XDG_STATE_HOME/gnomon-server`, or what the system has in its place.
+/// `$XDG_STATE_HOME/gnomon-server`, or the system's equivalent.
 fn default_folder() -> Option<PathBuf> {
     let folders = etcetera::choose_base_strategy().ok()?;
     Some(folders.state_dir().unwrap_or_else(|| folders.data_dir()).join("gnomon-server"))
@@ -268,7 +256,7 @@ mod tests {
         let config =
             ServerConfig { cert_file: Some(chain.clone()), key_file: Some(key.clone()), ..ServerConfig::default() };
         let certificates = Certificates::open(&config, provider()).unwrap();
-        let first = certificates.kept_sha256();
+        let first = certificates.permanent_sha256();
         assert_eq!(certificates.reload().unwrap(), first);
         write();
         let second = certificates.reload().unwrap();
@@ -276,7 +264,7 @@ mod tests {
         // The key of another certificate: half a rotation, which the next SIGHUP completes.
         std::fs::write(&key, KeyPair::generate().unwrap().serialize_pem()).unwrap();
         assert!(matches!(certificates.reload(), Err(CertificateError::Damaged { .. })));
-        assert_eq!(certificates.kept_sha256(), second);
+        assert_eq!(certificates.permanent_sha256(), second);
     }
 
     #[test]
@@ -285,8 +273,8 @@ mod tests {
         let nested = folder.path().join("a/b");
         let first = open(&nested).unwrap();
         let second = open(&nested).unwrap();
-        assert_eq!(first.kept_sha256(), second.kept_sha256());
-        assert_eq!(first.kept_sha256().len(), 64);
+        assert_eq!(first.permanent_sha256(), second.permanent_sha256());
+        assert_eq!(first.permanent_sha256().len(), 64);
         assert_ne!(first.browser_sha256(), second.browser_sha256());
         #[cfg(unix)]
         {
@@ -296,7 +284,7 @@ mod tests {
         }
         std::fs::remove_file(nested.join(IDENTITY_FILE)).unwrap();
         let third = open(&nested).unwrap();
-        assert_ne!(first.kept_sha256(), third.kept_sha256());
+        assert_ne!(first.permanent_sha256(), third.permanent_sha256());
     }
 
     #[test]

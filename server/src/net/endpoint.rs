@@ -1,4 +1,4 @@
-//! Where peers arrive: one QUIC endpoint for native clients and browsers, or a loopback listener for the lab.
+//! Accepts peers: a QUIC endpoint for native clients and browsers, or a loopback listener for lab transports.
 
 use std::{
     io,
@@ -27,39 +27,27 @@ use crate::{
     clock::SteadyClock,
     config::{ServerConfig, Transport},
     limits,
-    metrics::registry::Metrics,
 };
 
-/// What quinn may hold of datagrams that wait. It never fills: the frame gate stops at 1.6 frames, whatever their size.
+/// quinn's datagram send buffer. It never fills, since the frame gate stops at 1.6 frames of any size.
 const DATAGRAM_SEND_BUFFER_BYTES: usize = 2 * MAX_FRAME_BYTES;
 
-/// Why the server cannot listen.
 #[derive(Debug, Error)]
 pub enum ListenError {
-    /// Another program has the port.
     #[error("{0} is taken: stop the other program, or pass another --listen ADDR:PORT")]
     Taken(SocketAddr),
-    /// The address cannot be used.
     #[error("cannot listen on {address}: {reason}")]
-    Socket {
-        /// The address.
-        address: SocketAddr,
-        /// Why.
-        reason: io::Error,
-    },
-    /// The TLS configuration is refused.
+    Socket { address: SocketAddr, reason: io::Error },
     #[error("cannot set up TLS: {0}")]
     Tls(String),
 }
 
-/// A bound socket on which nothing is accepted yet: binding comes before the scene is loaded, so that a taken port is
-/// known at once.
+/// A bound socket that accepts nothing yet. The server binds before it loads the scene, so that a taken port fails early.
 pub(crate) enum Bound {
     Quic(UdpSocket),
     Lab(std::net::TcpListener),
 }
 
-/// Where peers arrive.
 pub(crate) enum Endpoint {
     Quic { endpoint: quinn::Endpoint, counts: Arc<SocketCounts> },
     Lab { listener: TcpListener, transport: Transport },
@@ -68,7 +56,7 @@ pub(crate) enum Endpoint {
 /// Binds the configured address.
 ///
 /// # Errors
-/// When the address is taken or cannot be used.
+/// Errors if the address is taken or cannot be used.
 pub(crate) fn bind(config: &ServerConfig) -> Result<Bound, ListenError> {
     let address = config.listen;
     let attempt = || {
@@ -77,11 +65,11 @@ pub(crate) fn bind(config: &ServerConfig) -> Result<Bound, ListenError> {
         }
         let socket = Socket::new(Domain::for_address(address), Type::STREAM, Some(Protocol::TCP))?;
         if address.is_ipv6() {
-            // `[::]` serves IPv4 as well, on every system.
+            // Lets `[::]` serve IPv4 too, on every system.
             socket.set_only_v6(false)?;
         }
         socket.set_nonblocking(true)?;
-        // A lab server that is started again must not wait for the last one's connections to be forgotten.
+        // A restarted lab server must not wait for the old connections' TIME_WAIT.
         #[cfg(unix)]
         socket.set_reuse_address(true)?;
         socket.bind(&address.into())?;
@@ -95,10 +83,8 @@ pub(crate) fn bind(config: &ServerConfig) -> Result<Bound, ListenError> {
 }
 
 impl Bound {
-    /// The address, with the port that was free.
-    ///
     /// # Errors
-    /// When the system does not tell.
+    /// Errors if the system does not know the address.
     pub(crate) fn local_addr(&self) -> io::Result<SocketAddr> {
         match self {
             Self::Quic(socket) => socket.local_addr(),
@@ -106,16 +92,16 @@ impl Bound {
         }
     }
 
-    /// Starts to take in packets.
+    /// Starts to receive packets, counting them in `counts`.
     ///
     /// # Errors
-    /// When TLS or the runtime refuses.
+    /// Errors if TLS or the runtime refuses.
     pub(crate) fn open(
         self,
         config: &ServerConfig,
         certificates: Option<Arc<Certificates>>,
         provider: &Arc<CryptoProvider>,
-        metrics: &Metrics,
+        counts: &Arc<SocketCounts>,
     ) -> Result<Endpoint, ListenError> {
         let socket_error = |reason| ListenError::Socket { address: config.listen, reason };
         match (self, certificates) {
@@ -127,7 +113,7 @@ impl Bound {
             (Self::Quic(socket), Some(certificates)) => {
                 let server = quic_config(config, certificates, provider)?;
                 let runtime = Arc::new(quinn::TokioRuntime);
-                let counts = Arc::clone(&metrics.socket);
+                let counts = Arc::clone(counts);
                 let socket = quinn::Runtime::wrap_udp_socket(&*runtime, socket).map_err(socket_error)?;
                 let socket = Arc::new(CountingSocket::new(socket, Arc::clone(&counts)));
                 quinn::Endpoint::new_with_abstract_socket(
@@ -160,7 +146,7 @@ fn quic_config(
     server
         .max_incoming(limits::MAX_HANDSHAKES)
         .incoming_buffer_size(limits::INCOMING_BUFFER_BYTES)
-        // How old a Retry token is does not change because somebody sets the clock.
+        // Setting the clock must not change the age of Retry tokens.
         .time_source(Arc::new(SteadyClock::new()))
         .incoming_buffer_size_total(limits::INCOMING_BUFFER_TOTAL_BYTES)
         .transport_config(Arc::new(transport_config(config).map_err(|error| tls_error(&error))?));
@@ -169,7 +155,7 @@ fn quic_config(
 
 fn transport_config(config: &ServerConfig) -> Result<quinn::TransportConfig, quinn::VarIntBoundsExceeded> {
     let idle_timeout = config.idle_timeout();
-    // A client whose picture stands still stays; a client that is gone answers nothing.
+    // Keeps a client whose camera stands still; a client that is gone does not answer.
     let mut transport = quic::transport_config(idle_timeout, idle_timeout / 3, config.initial_window_bytes)?;
     transport
         .datagram_receive_buffer_size(Some(limits::DATAGRAM_RECEIVE_BUFFER_BYTES))
@@ -188,7 +174,6 @@ pub(crate) enum Arrival {
     Lab { stream: tokio::net::TcpStream, peer: SocketAddr, transport: Transport },
 }
 
-/// Why a peer did not become a link.
 #[derive(Debug, Error)]
 pub(crate) enum ArrivalError {
     #[error("QUIC handshake: {0}")]
@@ -199,12 +184,12 @@ pub(crate) enum ArrivalError {
     Stream(#[from] web_transport_quinn::SessionError),
     #[error("socket: {0}")]
     Socket(#[from] io::Error),
-    #[error("the peer takes no datagrams")]
+    #[error("the peer supports no datagrams")]
     NoDatagrams,
 }
 
 impl Endpoint {
-    /// The next peer; `None` when the endpoint is closed.
+    /// Returns the next peer, or `None` once the endpoint is closed.
     pub(crate) async fn accept(&self) -> Option<Arrival> {
         loop {
             match self {
@@ -213,9 +198,9 @@ impl Endpoint {
                     if incoming.remote_address_validated() {
                         return Some(Arrival::Quic(Box::new(incoming)));
                     }
-                    counts.retried();
-                    // Always: a spoofed first packet of 1200 bytes would draw 3738 bytes of certificate onto somebody
-                    // else, a Retry is 108. It costs an honest client one round trip.
+                    counts.count_retry();
+                    // Always: a spoofed first packet of 1200 bytes would send 3738 bytes of certificate to a victim; a
+                    // Retry has 108. It costs an honest client one round trip.
                     if let Err(error) = incoming.retry() {
                         error.into_incoming().ignore();
                     }
@@ -223,7 +208,7 @@ impl Endpoint {
                 Self::Lab { listener, transport } => match listener.accept().await {
                     Ok((stream, peer)) => return Some(Arrival::Lab { stream, peer, transport: *transport }),
                     Err(error) => {
-                        // Mostly: out of file descriptors. Sessions that end free some.
+                        // Usually out of file descriptors, until a session ends.
                         tracing::warn!(%error, "cannot accept a connection");
                         tokio::time::sleep(std::time::Duration::from_millis(100)).await;
                     }
@@ -232,18 +217,17 @@ impl Endpoint {
         }
     }
 
-    /// Ends every connection, and waits until the peers have been told, for a moment.
+    /// Closes every connection, and waits up to [`limits::LINGER`] for the peers to acknowledge.
     pub(crate) async fn close(&self) {
         if let Self::Quic { endpoint, .. } = self {
             endpoint.close(0u32.into(), b"the server stops");
-            // Peers that are gone do not acknowledge; they find out by their idle timeout.
+            // Peers that do not acknowledge notice by their idle timeout.
             let _ = tokio::time::timeout(limits::LINGER, endpoint.wait_idle()).await;
         }
     }
 }
 
 impl Arrival {
-    /// Where the peer says it is.
     pub(crate) fn peer(&self) -> SocketAddr {
         match self {
             Self::Quic(incoming) => incoming.remote_address(),
@@ -251,7 +235,7 @@ impl Arrival {
         }
     }
 
-    /// Sends the peer away without a handshake.
+    /// Refuses the peer without a handshake.
     pub(crate) fn refuse(self) {
         match self {
             Self::Quic(incoming) => incoming.refuse(),
@@ -259,10 +243,10 @@ impl Arrival {
         }
     }
 
-    /// Completes the handshake and waits for the client to open its control stream.
+    /// Completes the transport's handshake, and waits for the client's control stream.
     ///
     /// # Errors
-    /// When the peer breaks off or speaks something else.
+    /// Errors if the peer breaks off, or speaks another protocol.
     pub(crate) async fn into_link(self) -> Result<Link, ArrivalError> {
         let peer = self.peer();
         match self {

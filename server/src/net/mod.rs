@@ -1,4 +1,4 @@
-//! The network: endpoints that accept peers, the links that carry a session, and the conversation on its control stream.
+//! The network: accepts peers, shows the server's certificates, and carries sessions.
 
 pub(crate) mod certificate;
 pub(crate) mod endpoint;

@@ -1,4 +1,4 @@
-//! The UDP socket of all sessions, which counts what passes: with the connections' own counts this tells what belonged to none of them.
+//! Counts the datagrams of the shared UDP socket. Less the connections' own counts, this is what belonged to no session.
 
 use std::{
     io::{self, IoSliceMut},
@@ -16,7 +16,6 @@ use quinn::{
     udp::{RecvMeta, Transmit},
 };
 
-/// UDP datagrams, whatever is in them.
 #[derive(Debug, Default)]
 pub(crate) struct SocketCounts {
     received: AtomicU64,
@@ -25,28 +24,24 @@ pub(crate) struct SocketCounts {
 }
 
 impl SocketCounts {
-    /// Datagrams that the kernel has handed over.
     pub(crate) fn received(&self) -> u64 {
         self.received.load(Ordering::Relaxed)
     }
 
-    /// Datagrams that the kernel has taken.
     pub(crate) fn sent(&self) -> u64 {
         self.sent.load(Ordering::Relaxed)
     }
 
-    /// Peers that were asked to prove their address.
+    /// Peers that were sent a Retry.
     pub(crate) fn retries(&self) -> u64 {
         self.retries.load(Ordering::Relaxed)
     }
 
-    /// Counts one of those.
-    pub(crate) fn retried(&self) {
+    pub(crate) fn count_retry(&self) {
         self.retries.fetch_add(1, Ordering::Relaxed);
     }
 }
 
-/// A socket that counts.
 #[derive(Debug)]
 pub(crate) struct CountingSocket {
     inner: Arc<dyn AsyncUdpSocket>,
@@ -59,9 +54,9 @@ impl CountingSocket {
     }
 }
 
-/// Datagrams of `stride` bytes that `bytes` hold: the kernel hands over and takes several at once.
+/// Datagrams of `stride` bytes in a buffer: the kernel takes and returns several per call.
 const fn datagrams(bytes: usize, stride: usize) -> u64 {
-    // One call carries some 64 KiB at most.
+    // A stride of 0 means one datagram.
     if stride == 0 { 1 } else { bytes.div_ceil(stride) as u64 }
 }
 
@@ -111,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_call_of_several_datagrams_counts_them_all() {
+    fn every_datagram_of_a_call_is_counted() {
         for (bytes, stride, expected) in [(0, 0, 1), (900, 0, 1), (900, 900, 1), (2700, 900, 3), (2701, 900, 4)] {
             assert_eq!(datagrams(bytes, stride), expected, "{bytes} {stride}");
         }

@@ -1,8 +1,8 @@
-//! A good citizen of Agones: ready when clients may come, healthy as long as it can trace, and a counter of sessions that goes down when one ends.
+//! Keeps Agones informed: ready when clients may come, healthy while tracing works, and a session counter that goes down
+//! when a session ends.
 //!
-//! It talks to the sidecar's HTTP gateway (port 9358 on loopback, or `AGONES_SDK_HTTP_PORT`), whose paths are those of Agones' `sdk.proto` and
-//! `beta.proto`: the gRPC way would bring protoc and tonic into the build for four calls, and this uses the HTTP crate that the admin address
-//! uses already. A sidecar that does not answer is asked again: sessions do not depend on it.
+//! Talks to the sidecar's HTTP gateway on loopback, with the paths of Agones' `sdk.proto` and `beta.proto`. gRPC would add
+//! protoc and tonic to the build for four calls. Failed calls are repeated; sessions do not depend on them.
 
 use std::{net::Ipv4Addr, sync::Arc, time::Duration};
 
@@ -16,7 +16,7 @@ use hyper::{
 use crate::{
     metrics::registry::{Metrics, Snapshot},
     operate::{
-        http::{TellError, tell},
+        http::{SendError, send},
         readiness::{Readiness, Stage},
     },
 };
@@ -24,100 +24,98 @@ use crate::{
 /// Port of the gateway unless `AGONES_SDK_HTTP_PORT` says otherwise.
 const GATEWAY_PORT: u16 = 9358;
 
-/// Well below half of the period after which Agones misses it (`health.periodSeconds`, 5 s in our fleet).
-const BEAT: Duration = Duration::from_secs(2);
+/// Less than half of `health.periodSeconds`, which is 5 s in our fleet.
+const HEARTBEAT: Duration = Duration::from_secs(2);
 
-/// Longest time that the sidecar may take for an answer.
-const PATIENCE: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The counter's name in the fleet.
+/// Name of the counter in the fleet.
 const COUNTER: &str = "sessions";
 
-/// The sidecar.
 #[derive(Debug, Clone, Copy)]
 struct Sidecar {
     port: u16,
 }
 
 impl Sidecar {
-    async fn call(self, method: Method, path: &str, body: &'static str) -> Result<(), TellError> {
+    async fn call(self, method: Method, path: &str, body: &'static str) -> Result<(), SendError> {
         let request = Request::builder()
             .method(method)
             .uri(path)
             .header(HOST, "localhost")
             .header(CONTENT_TYPE, "application/json")
             .body(Full::new(Bytes::from_static(body.as_bytes())))?;
-        tell((Ipv4Addr::LOCALHOST, self.port), request, PATIENCE).await
+        send((Ipv4Addr::LOCALHOST, self.port), request, TIMEOUT).await
     }
 
-    async fn post(self, path: &str) -> Result<(), TellError> {
+    async fn post(self, path: &str) -> Result<(), SendError> {
         self.call(Method::POST, path, "{}").await
     }
 
-    /// A session has ended: its place may be allocated again. Allocation is what counts up.
-    async fn count_down(self) -> Result<(), TellError> {
+    /// Counts down for an ended session. Allocation counts up.
+    async fn count_down(self) -> Result<(), SendError> {
         let path = format!("/v1beta1/counters/{COUNTER}");
         self.call(Method::PATCH, &path, "{\"countDiff\":\"-1\"}").await
     }
 }
 
 impl Sidecar {
-    fn here() -> Self {
+    fn from_environment() -> Self {
         let port = std::env::var("AGONES_SDK_HTTP_PORT").ok().and_then(|port| port.parse().ok());
         Self { port: port.unwrap_or(GATEWAY_PORT) }
     }
 }
 
-/// Keeps Agones informed. It ends with its task.
+/// Never returns.
 pub(crate) async fn run(readiness: Readiness, metrics: Arc<Metrics>) {
-    keep(Sidecar::here(), readiness, metrics, BEAT).await;
+    send_heartbeats(Sidecar::from_environment(), readiness, metrics, HEARTBEAT).await;
 }
 
-/// Asks for the pod to be taken away: the last session is gone.
+/// Asks Agones to delete the pod.
 pub(crate) async fn shutdown() {
-    went_well("shutdown", &Sidecar::here().post("/shutdown").await);
+    logged_ok("shutdown", &Sidecar::from_environment().post("/shutdown").await);
 }
 
-/// What the last beat saw.
+/// State between heartbeats.
 #[derive(Debug, Default)]
-struct Seen {
-    told_ready: bool,
-    /// Ended sessions that have been counted down.
+struct Reported {
+    ready: bool,
+    /// Ended sessions that Agones knows of.
     counted_down: u64,
     poses: u64,
     frames: u64,
 }
 
-async fn keep(sidecar: Sidecar, readiness: Readiness, metrics: Arc<Metrics>, beat: Duration) {
-    let mut seen = Seen::default();
-    let mut tick = tokio::time::interval(beat);
+async fn send_heartbeats(sidecar: Sidecar, readiness: Readiness, metrics: Arc<Metrics>, period: Duration) {
+    let mut reported = Reported::default();
+    let mut tick = tokio::time::interval(period);
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     loop {
         tick.tick().await;
-        seen.beat(sidecar, &readiness.get(), &metrics.snapshot()).await;
+        reported.heartbeat(sidecar, &readiness.get(), &metrics.snapshot()).await;
     }
 }
 
-impl Seen {
-    async fn beat(&mut self, sidecar: Sidecar, stage: &Stage, now: &Snapshot) {
-        if *stage == Stage::Ready && !self.told_ready {
-            self.told_ready = went_well("ready", &sidecar.post("/ready").await);
+impl Reported {
+    async fn heartbeat(&mut self, sidecar: Sidecar, stage: &Stage, now: &Snapshot) {
+        if *stage == Stage::Ready && !self.ready {
+            self.ready = logged_ok("ready", &sidecar.post("/ready").await);
         }
         let ended: u64 = now.closed.iter().sum();
-        while self.counted_down < ended && went_well("counter", &sidecar.count_down().await) {
+        while self.counted_down < ended && logged_ok("counter", &sidecar.count_down().await) {
             self.counted_down += 1;
         }
-        // Clients that send poses and get no frames have a server that is not healthy, whatever its process says.
+        // Poses without frames mean that the server is unhealthy, whatever its process state.
         let (poses, frames) = (now.sum.totals.poses, now.sum.totals.frames_traced);
         let stuck = now.open > 0 && poses > self.poses && frames == self.frames;
         (self.poses, self.frames) = (poses, frames);
         if matches!(stage, Stage::Ready | Stage::Draining) && !stuck {
-            went_well("health", &sidecar.post("/health").await);
+            logged_ok("health", &sidecar.post("/health").await);
         }
     }
 }
 
-fn went_well(what: &str, called: &Result<(), TellError>) -> bool {
+fn logged_ok(what: &str, called: &Result<(), SendError>) -> bool {
     if let Err(error) = called {
         tracing::warn!(what, %error, "agones");
     }
@@ -135,10 +133,10 @@ mod tests {
 
     use super::*;
 
-    /// A sidecar's gateway that answers what Agones' own does to these paths, notes what it was asked, and can be told to fail.
+    /// Answers as Agones' gateway does, records requests, and fails on demand.
     struct Gateway {
         sidecar: Sidecar,
-        asked: Arc<Mutex<Vec<String>>>,
+        requests: Arc<Mutex<Vec<String>>>,
         broken: Arc<Mutex<bool>>,
     }
 
@@ -146,14 +144,14 @@ mod tests {
         async fn start() -> Self {
             let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
             let sidecar = Sidecar { port: listener.local_addr().unwrap().port() };
-            let (asked, broken) = (Arc::<Mutex<Vec<String>>>::default(), Arc::<Mutex<bool>>::default());
-            let gateway = Self { sidecar, asked: Arc::clone(&asked), broken: Arc::clone(&broken) };
+            let (requests, broken) = (Arc::<Mutex<Vec<String>>>::default(), Arc::<Mutex<bool>>::default());
+            let gateway = Self { sidecar, requests: Arc::clone(&requests), broken: Arc::clone(&broken) };
             tokio::spawn(async move {
                 loop {
                     let (stream, _) = listener.accept().await.unwrap();
-                    let (asked, broken) = (Arc::clone(&asked), Arc::clone(&broken));
+                    let (requests, broken) = (Arc::clone(&requests), Arc::clone(&broken));
                     let service = service_fn(move |request: Request<hyper::body::Incoming>| {
-                        let (asked, broken) = (Arc::clone(&asked), Arc::clone(&broken));
+                        let (requests, broken) = (Arc::clone(&requests), Arc::clone(&broken));
                         async move {
                             let line = format!("{} {}", request.method(), request.uri().path());
                             let body = request.into_body().collect().await.unwrap().to_bytes();
@@ -167,7 +165,7 @@ mod tests {
                             } else {
                                 StatusCode::NOT_FOUND
                             };
-                            asked.lock().unwrap().push(format!("{line} {}", String::from_utf8_lossy(&body)));
+                            requests.lock().unwrap().push(format!("{line} {}", String::from_utf8_lossy(&body)));
                             let mut answer = Response::new(Full::new(Bytes::from_static(b"{}")));
                             *answer.status_mut() = status;
                             Ok::<_, std::convert::Infallible>(answer)
@@ -179,49 +177,49 @@ mod tests {
             gateway
         }
 
-        fn asked(&self) -> Vec<String> {
-            std::mem::take(&mut self.asked.lock().unwrap())
+        fn requests(&self) -> Vec<String> {
+            std::mem::take(&mut self.requests.lock().unwrap())
         }
     }
 
     #[tokio::test]
-    async fn agones_hears_of_readiness_health_and_ended_sessions() {
+    async fn agones_is_told_readiness_health_and_ended_sessions() {
         let gateway = Gateway::start().await;
-        let (mut seen, mut now) = (Seen::default(), Snapshot::default());
-        seen.beat(gateway.sidecar, &Stage::Starting, &now).await;
-        assert!(gateway.asked().is_empty(), "a server that still starts is neither ready nor healthy");
-        seen.beat(gateway.sidecar, &Stage::Ready, &now).await;
-        assert_eq!(gateway.asked(), ["POST /ready {}", "POST /health {}"]);
+        let (mut reported, mut now) = (Reported::default(), Snapshot::default());
+        reported.heartbeat(gateway.sidecar, &Stage::Starting, &now).await;
+        assert!(gateway.requests().is_empty(), "a starting server is neither ready nor healthy");
+        reported.heartbeat(gateway.sidecar, &Stage::Ready, &now).await;
+        assert_eq!(gateway.requests(), ["POST /ready {}", "POST /health {}"]);
         now.closed = [2, 0, 0, 0, 0];
-        seen.beat(gateway.sidecar, &Stage::Ready, &now).await;
+        reported.heartbeat(gateway.sidecar, &Stage::Ready, &now).await;
         let down = "PATCH /v1beta1/counters/sessions {\"countDiff\":\"-1\"}";
-        assert_eq!(gateway.asked(), [down, down, "POST /health {}"]);
-        // Poses without frames: no sign of life. With frames again: one.
+        assert_eq!(gateway.requests(), [down, down, "POST /health {}"]);
+        // Poses without frames: unhealthy. With frames: healthy.
         (now.open, now.sum.totals.poses) = (1, 10);
-        seen.beat(gateway.sidecar, &Stage::Ready, &now).await;
-        assert!(gateway.asked().is_empty());
+        reported.heartbeat(gateway.sidecar, &Stage::Ready, &now).await;
+        assert!(gateway.requests().is_empty());
         (now.sum.totals.poses, now.sum.totals.frames_traced) = (20, 5);
-        seen.beat(gateway.sidecar, &Stage::Draining, &now).await;
-        assert_eq!(gateway.asked(), ["POST /health {}"]);
-        seen.beat(gateway.sidecar, &Stage::Failed("lost".to_owned()), &now).await;
-        assert!(gateway.asked().is_empty());
+        reported.heartbeat(gateway.sidecar, &Stage::Draining, &now).await;
+        assert_eq!(gateway.requests(), ["POST /health {}"]);
+        reported.heartbeat(gateway.sidecar, &Stage::Failed("lost".to_owned()), &now).await;
+        assert!(gateway.requests().is_empty());
     }
 
     #[tokio::test]
-    async fn what_a_sidecar_missed_is_said_again() {
+    async fn failed_calls_are_repeated() {
         let gateway = Gateway::start().await;
-        let (mut seen, mut now) = (Seen::default(), Snapshot::default());
+        let (mut reported, mut now) = (Reported::default(), Snapshot::default());
         now.closed = [0, 1, 0, 0, 0];
         *gateway.broken.lock().unwrap() = true;
-        seen.beat(gateway.sidecar, &Stage::Ready, &now).await;
-        assert!(!seen.told_ready && seen.counted_down == 0);
-        assert_eq!(gateway.asked().len(), 3);
+        reported.heartbeat(gateway.sidecar, &Stage::Ready, &now).await;
+        assert!(!reported.ready && reported.counted_down == 0);
+        assert_eq!(gateway.requests().len(), 3);
         *gateway.broken.lock().unwrap() = false;
-        seen.beat(gateway.sidecar, &Stage::Ready, &now).await;
-        assert!(seen.told_ready && seen.counted_down == 1);
-        // Nobody listens there.
+        reported.heartbeat(gateway.sidecar, &Stage::Ready, &now).await;
+        assert!(reported.ready && reported.counted_down == 1);
+        // Nothing listens there.
         let nobody = Sidecar { port: 9 };
-        seen.beat(nobody, &Stage::Ready, &now).await;
-        assert!(matches!(nobody.post("/health").await, Err(TellError::Reach(_))));
+        reported.heartbeat(nobody, &Stage::Ready, &now).await;
+        assert!(matches!(nobody.post("/health").await, Err(SendError::Reach(_))));
     }
 }

@@ -1,4 +1,4 @@
-//! A request to a program beside this one, over a connection of its own: what Agones' sidecar and a telemetry collector are told.
+//! Sends one HTTP request on a connection of its own, to Agones' sidecar or to a telemetry collector.
 
 use std::time::Duration;
 
@@ -13,41 +13,38 @@ use tokio::{
 
 use crate::limits::MAX_HTTP_ANSWER_BYTES;
 
-/// Why a request did not do what it should.
 #[derive(Debug, Error)]
-pub(crate) enum TellError {
-    #[error("it cannot be reached: {0}")]
+pub(crate) enum SendError {
+    #[error("cannot connect: {0}")]
     Reach(#[from] std::io::Error),
     #[error("HTTP: {0}")]
     Http(#[from] hyper::Error),
-    #[error("no request can be made for it: {0}")]
+    #[error("bad request: {0}")]
     Request(#[from] hyper::http::Error),
-    #[error("it said {0}")]
+    #[error("it answered {0}")]
     Status(StatusCode),
     #[error("no answer in {} s", .0.as_secs_f64())]
     Silent(Duration),
 }
 
-/// Sends the request and waits for an answer that says that all is well.
-///
 /// # Errors
-/// When nobody is there, or says anything else, or it takes longer than `patience`.
-pub(crate) async fn tell(
+/// Errors unless a success status arrives within `limit`.
+pub(crate) async fn send(
     address: impl ToSocketAddrs,
     request: Request<Full<Bytes>>,
-    patience: Duration,
-) -> Result<(), TellError> {
+    limit: Duration,
+) -> Result<(), SendError> {
     let exchange = async {
         let stream = TcpStream::connect(address).await?;
         let (mut sender, connection) = http1::handshake(TokioIo::new(stream)).await?;
         let answer = async {
             let response = sender.send_request(request).await?;
             let status = response.status();
-            // What it says is not needed, but a connection is only done when it is read.
+            // Unused, but the connection closes cleanly only after it is read.
             let _ = Limited::new(response.into_body(), MAX_HTTP_ANSWER_BYTES).collect().await;
-            if status.is_success() { Ok(()) } else { Err(TellError::Status(status)) }
+            if status.is_success() { Ok(()) } else { Err(SendError::Status(status)) }
         };
-        // Both ends here: the connection is dropped with the answer in hand.
+        // Dropping the connection at the end closes it.
         tokio::pin!(connection);
         tokio::pin!(answer);
         tokio::select! {
@@ -59,7 +56,7 @@ pub(crate) async fn tell(
             }
         }
     };
-    timeout(patience, exchange).await.map_err(|_| TellError::Silent(patience))?
+    timeout(limit, exchange).await.map_err(|_| SendError::Silent(limit))?
 }
 
 #[cfg(test)]
@@ -73,16 +70,16 @@ mod tests {
 
     use super::*;
 
-    /// An address at which a single request gets these bytes for an answer; none at all leaves the connection open.
+    /// Answers one request with these bytes. Without any, it leaves the connection open.
     async fn answering(answer: Vec<u8>) -> SocketAddr {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         tokio::spawn(async move {
             let (mut stream, _) = listener.accept().await.unwrap();
-            let mut asked = [0; 1024];
-            let bytes = stream.read(&mut asked).await.unwrap();
-            assert!(asked[..bytes].starts_with(b"POST /x HTTP/1.1\r\n"));
-            // Who is told too much may hang up before all is said.
+            let mut request = [0; 1024];
+            let bytes = stream.read(&mut request).await.unwrap();
+            assert!(request[..bytes].starts_with(b"POST /x HTTP/1.1\r\n"));
+            // The client may hang up before it has read everything.
             let _ = stream.write_all(&answer).await;
             if answer.is_empty() {
                 std::future::pending::<()>().await;
@@ -91,34 +88,34 @@ mod tests {
         address
     }
 
-    async fn told(address: SocketAddr, patience: Duration) -> Result<(), TellError> {
-        tell(address, Request::post("/x").body(Full::default()).unwrap(), patience).await
+    async fn post(address: SocketAddr, limit: Duration) -> Result<(), SendError> {
+        send(address, Request::post("/x").body(Full::default()).unwrap(), limit).await
     }
 
     #[tokio::test]
-    async fn an_answer_counts_by_its_status() {
+    async fn the_status_decides() {
         let minute = Duration::from_secs(60);
         let answer = |status: &str, body: &[u8]| {
             [format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\n\r\n", body.len()).as_bytes(), body].concat()
         };
-        told(answering(answer("200 OK", b"{}")).await, minute).await.unwrap();
-        told(answering(answer("204 No Content", b"")).await, minute).await.unwrap();
-        // More than is read, and less than was promised.
-        told(answering(answer("200 OK", &[b'x'; 1 << 20])).await, minute).await.unwrap();
-        told(answering(b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\n{}".to_vec()).await, minute).await.unwrap();
-        let refused = told(answering(answer("503 Service Unavailable", b"later")).await, minute).await;
-        assert!(matches!(refused, Err(TellError::Status(StatusCode::SERVICE_UNAVAILABLE))), "{refused:?}");
-        let babble = told(answering(b"what?\r\n\r\n".to_vec()).await, minute).await;
-        assert!(matches!(babble, Err(TellError::Http(_))), "{babble:?}");
+        post(answering(answer("200 OK", b"{}")).await, minute).await.unwrap();
+        post(answering(answer("204 No Content", b"")).await, minute).await.unwrap();
+        // A longer body than is read, and a shorter one than announced.
+        post(answering(answer("200 OK", &[b'x'; 1 << 20])).await, minute).await.unwrap();
+        post(answering(b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\n{}".to_vec()).await, minute).await.unwrap();
+        let refused = post(answering(answer("503 Service Unavailable", b"later")).await, minute).await;
+        assert!(matches!(refused, Err(SendError::Status(StatusCode::SERVICE_UNAVAILABLE))), "{refused:?}");
+        let babble = post(answering(b"what?\r\n\r\n".to_vec()).await, minute).await;
+        assert!(matches!(babble, Err(SendError::Http(_))), "{babble:?}");
     }
 
     #[tokio::test]
-    async fn nobody_is_waited_for_for_ever() {
-        let patience = Duration::from_millis(50);
-        let silent = told(answering(Vec::new()).await, patience).await;
-        assert!(matches!(silent, Err(TellError::Silent(given)) if given == patience), "{silent:?}");
+    async fn a_silent_peer_times_out() {
+        let limit = Duration::from_millis(50);
+        let silent = post(answering(Vec::new()).await, limit).await;
+        assert!(matches!(silent, Err(SendError::Silent(given)) if given == limit), "{silent:?}");
         let gone = TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap();
-        let nobody = told(gone, Duration::from_secs(60)).await;
-        assert!(matches!(nobody, Err(TellError::Reach(_))), "{nobody:?}");
+        let nobody = post(gone, Duration::from_secs(60)).await;
+        assert!(matches!(nobody, Err(SendError::Reach(_))), "{nobody:?}");
     }
 }

@@ -7,3 +7,4 @@ mod http;
 pub mod logs;
 pub mod otlp;
 pub(crate) mod readiness;
+pub(crate) mod status;

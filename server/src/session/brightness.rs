@@ -1,34 +1,34 @@
-//! How much each light gives: what changes in a dim one is seen less, so it is sent later when not all can be.
+//! Weights of lights: changes in a dim light's shadows are seen less, so they are sent later when not all can be.
 
 use glam::Vec3;
 use gnomon_protocol::refresh::FULL_WEIGHT;
 use gnomon_scene::Scene;
 use gnomon_shaders::shading::Light;
 
-/// A weight for each light: what it gives the scene's surfaces on average, shadows not counted, where the brightest light has
-/// [`FULL_WEIGHT`] and none has less than 1.
+/// Returns a weight per light: its mean irradiance over the scene's surfaces, without shadows. The brightest light has
+/// [`FULL_WEIGHT`], and none less than 1.
 pub(crate) fn weights(scene: &Scene) -> Vec<u32> {
     let lights: Vec<Light> = scene.lights.iter().map(|light| Light::new(light, 1.0)).collect();
-    let mut given = vec![0.0_f64; lights.len()];
+    let mut totals = vec![0.0_f64; lights.len()];
     for corners in scene.tracing_triangles() {
         let [a, b, c] = corners.map(|index| scene.positions[index as usize]);
         let cross = (b - a).cross(c - a);
         let (area, normal, middle) = (f64::from(cross.length()), cross.normalize_or_zero(), (a + b + c) / 3.0);
-        for (sum, light) in given.iter_mut().zip(&lights) {
+        for (sum, light) in totals.iter_mut().zip(&lights) {
             let lux = f64::from(received_lux(light, middle, normal));
-            // A lamp within a surface is no measure of anything.
+            // Infinite for a lamp within a surface.
             if lux.is_finite() {
                 *sum += area * lux;
             }
         }
     }
-    let most = given.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    let most = totals.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "from 1 to the full weight")]
     let weight = |sum: f64| (sum / most * f64::from(FULL_WEIGHT)).max(1.0) as u32;
-    given.into_iter().map(weight).collect()
+    totals.into_iter().map(weight).collect()
 }
 
-/// Either side of a surface may be the one that is seen.
+/// Counts both sides of a surface, since either may be visible.
 fn received_lux(light: &Light, point: Vec3, normal: Vec3) -> f32 {
     let (irradiance, toward) = light.arrival(point);
     irradiance.max_element() * normal.dot(toward).abs()
@@ -40,7 +40,7 @@ mod tests {
     use crate::visibility::test_scenes;
 
     #[test]
-    fn dim_lights_weigh_less_and_none_weighs_nothing() {
+    fn dim_lights_weigh_less_but_at_least_one() {
         let mut scene = test_scenes::room();
         let bright = scene.lights[0].clone();
         let scaled = |factor: f32| {

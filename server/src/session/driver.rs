@@ -8,6 +8,7 @@ use std::{
 };
 
 use gnomon_protocol::{
+    average::smoothed,
     codec::{EncodeError, Encoder, Simplifier},
     fec::{MAX_PROTECTED_PACKETS, PARITY_ROOM_BYTES, ParityEncoder, parity_packets},
     frame::pieces,
@@ -23,11 +24,12 @@ use thiserror::Error;
 use tokio::sync::{Semaphore, watch};
 use tracing::Instrument as _;
 
-use super::{budget::Budget, feedback::Heard, run::Phase};
+use super::{budget::Budget, feedback::Feedback};
 use crate::{
     admission::handshake::Coding,
     metrics::ledger::Ledger,
     net::link::DataSender,
+    phase::Phase,
     visibility::{
         TracedMask,
         engine::{MaskReceiver, RequestSender},
@@ -92,7 +94,7 @@ pub(super) struct FrameSender {
     encoders: Arc<Semaphore>,
     wrong_ppm: u16,
     /// The newest that the client has said about its masks and packets.
-    heard: watch::Receiver<Heard>,
+    heard: watch::Receiver<Feedback>,
     first_frame_at: Option<Instant>,
     pace: Pace,
 }
@@ -121,7 +123,7 @@ impl Pace {
         if gap > Self::LONGEST {
             return Self::LONGEST * (self.left_out + 1);
         }
-        self.interval = (self.interval * 7 + gap) / 8;
+        self.interval = smoothed(self.interval, gap);
         self.interval * (self.left_out + 1)
     }
 
@@ -150,7 +152,7 @@ impl FrameSender {
         Coding { codec, wrong_ppm }: Coding,
         refresh: Refresh,
         encoders: Arc<Semaphore>,
-        heard: watch::Receiver<Heard>,
+        heard: watch::Receiver<Feedback>,
     ) -> Self {
         let packet_bytes = sender.max_packet_bytes();
         // Parity of the packets has to fit one as well.
@@ -261,7 +263,7 @@ impl FrameSender {
         let broken = |reason: &str| DriveError::Encoding(reason.to_owned());
         let mut workspace = self.workspace.take().ok_or_else(|| broken("its memory is gone"))?;
         let permit = Arc::clone(&self.encoders).acquire_owned().await.map_err(|_| broken("the server has stopped"))?;
-        let Heard { acknowledged, losses } = *self.heard.borrow_and_update();
+        let Feedback { acknowledged, losses } = *self.heard.borrow_and_update();
         let (wrong_ppm, payload_bytes) = (self.wrong_ppm, self.packetizer.payload_bytes());
         let job = tokio::task::spawn_blocking(move || {
             let (_permit, begun) = (permit, Instant::now());

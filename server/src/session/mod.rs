@@ -2,8 +2,12 @@
 
 pub(crate) mod brightness;
 mod budget;
+mod control;
 mod driver;
+mod end;
 mod feedback;
 mod outbox;
 mod poses;
 pub(crate) mod run;
+mod stream;
+mod watchdog;

@@ -1,4 +1,4 @@
-//! What a session says on its control stream, in order, and never faster than the client reads.
+//! The send queue of a session's control stream: in order, and never faster than the client reads.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -8,20 +8,18 @@ use tokio::{sync::mpsc, task::JoinHandle, time::timeout};
 
 use crate::limits::CONTROL_QUEUE;
 
-/// Answers that wait while the client does not read; more are not given.
-const MAX_WAITING_ANSWERS: usize = 16;
+/// Replies that are kept while the client does not read; more are dropped.
+const MAX_QUEUED_REPLIES: usize = 16;
 
-/// The session's half of the conversation: a queue, and a task that writes it.
 pub(super) struct Outbox {
     queue: Option<mpsc::Sender<ServerMessage>>,
-    notices: VecDeque<ServerMessage>,
-    /// First scene byte that has not been queued.
+    priority: VecDeque<ServerMessage>,
+    /// Offset of the next scene chunk, while the scene is being sent.
     scene_next: Option<usize>,
     writing: JoinHandle<Result<(), ControlError>>,
 }
 
 impl Outbox {
-    /// Starts the task that writes.
     pub(super) fn start(mut writer: ControlWriter<ServerMessage>) -> Self {
         let (queue, mut messages) = mpsc::channel(CONTROL_QUEUE);
         let writing = tokio::spawn(async move {
@@ -31,47 +29,44 @@ impl Outbox {
             writer.finish().await;
             Ok(())
         });
-        Self { queue: Some(queue), notices: VecDeque::new(), scene_next: None, writing }
+        Self { queue: Some(queue), priority: VecDeque::new(), scene_next: None, writing }
     }
 
-    /// Says something that the client must hear, before more of the scene.
+    /// Queues a message ahead of the rest of the scene.
     pub(super) fn notify(&mut self, message: ServerMessage) {
-        self.notices.push_back(message);
+        self.priority.push_back(message);
     }
 
-    /// Says something that may be left unsaid to a client that does not read.
-    pub(super) fn answer(&mut self, message: ServerMessage) {
-        if self.notices.len() < MAX_WAITING_ANSWERS {
-            self.notices.push_back(message);
+    /// Queues a message, or drops it if the client does not read.
+    pub(super) fn reply(&mut self, message: ServerMessage) {
+        if self.priority.len() < MAX_QUEUED_REPLIES {
+            self.priority.push_back(message);
         }
     }
 
-    /// Sends the scene from that byte on.
     pub(super) fn send_scene_from(&mut self, offset: usize) {
         self.scene_next = Some(offset);
     }
 
-    /// Sends no more of the scene.
     pub(super) fn stop_scene(&mut self) {
         self.scene_next = None;
     }
 
-    /// Moves one message to the writer as soon as it has room; waits for ever when there is nothing to say. Cancelling
-    /// it loses nothing.
+    /// Hands one message to the writer once it has room. Never returns while there is nothing to send. Cancel-safe.
     ///
     /// # Errors
-    /// When the stream is broken, or the client has not read for too long.
+    /// Errors if the stream is broken, or the client has not read for too long.
     pub(super) async fn pump(&mut self, scene: &[u8]) -> Result<(), ControlError> {
         let Some(queue) = self.queue.clone() else { return std::future::pending().await };
         let permit = tokio::select! {
             ended = &mut self.writing => return self.writer_ended(ended),
-            permit = queue.reserve_owned(), if !self.notices.is_empty() || self.scene_next.is_some() => permit,
+            permit = queue.reserve_owned(), if !self.priority.is_empty() || self.scene_next.is_some() => permit,
         };
         let Ok(permit) = permit else {
             let ended = (&mut self.writing).await;
             return self.writer_ended(ended);
         };
-        if let Some(message) = self.notices.pop_front() {
+        if let Some(message) = self.priority.pop_front() {
             permit.send(message);
         } else if let Some(first) = self.scene_next {
             let end = scene.len().min(first + SCENE_CHUNK_BYTES);
@@ -92,21 +87,21 @@ impl Outbox {
         }
     }
 
-    /// Writes the notices that are left, and ends the stream; gives up after `patience`.
-    pub(super) async fn finish(&mut self, patience: Duration) {
+    /// Writes the queued messages and ends the stream, within `limit`.
+    pub(super) async fn finish(&mut self, limit: Duration) {
         self.scene_next = None;
         let finish = async {
-            while !self.notices.is_empty() && self.queue.is_some() {
+            while !self.priority.is_empty() && self.queue.is_some() {
                 if self.pump(&[]).await.is_err() {
                     return;
                 }
             }
             if self.queue.take().is_some() {
-                // What it could not write is not to be told to a client that does not read.
+                // A failed write needs no report: the session is over.
                 let _ = (&mut self.writing).await;
             }
         };
-        let _ = timeout(patience, finish).await;
+        let _ = timeout(limit, finish).await;
     }
 }
 
@@ -132,7 +127,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_scene_obeys_back_pressure_and_notices_overtake_it() {
+    async fn the_scene_obeys_back_pressure_and_messages_overtake_it() {
         let scene: Vec<u8> = (0..=250).cycle().take(20 * SCENE_CHUNK_BYTES + 5).collect();
         let (ours, mut theirs) = tokio::io::duplex(1000);
         let mut outbox = Outbox::start(ControlWriter::new(ours, Duration::from_secs(5)));
@@ -170,7 +165,7 @@ mod tests {
         }
         pumping.await.unwrap();
         assert_eq!(received, scene);
-        assert!(closing_at.unwrap() < scene.len(), "a notice waits for no scene");
+        assert!(closing_at.unwrap() < scene.len(), "a message does not wait for the scene");
     }
 
     #[tokio::test]
@@ -179,9 +174,9 @@ mod tests {
         drop(theirs);
         let mut outbox = Outbox::start(ControlWriter::new(ours, Duration::from_secs(5)));
         for number in 0..100 {
-            outbox.answer(ServerMessage::Pong(number));
+            outbox.reply(ServerMessage::Pong(number));
         }
-        assert_eq!(outbox.notices.len(), MAX_WAITING_ANSWERS);
+        assert_eq!(outbox.priority.len(), MAX_QUEUED_REPLIES);
         let broken = async { while outbox.pump(&[]).await.is_ok() {} };
         timeout(Duration::from_secs(5), broken).await.unwrap();
     }

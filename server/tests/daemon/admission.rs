@@ -69,7 +69,7 @@ async fn other_versions_and_impossible_sizes_are_refused_with_the_reason() {
     }
     let wrong_ppm = MAX_WRONG_PPM + 1;
     let mut native = Native::connect(rig.address(), rig.folder.path()).await;
-    let reason = "10001 wrong bits in a million: at most 10000 are possible".to_owned();
+    let reason = "10001 wrong bits per million: at most 10000 are possible".to_owned();
     assert_eq!(refusal(&mut native.control, Hello { wrong_ppm, ..hello() }).await, Refusal::Unsupported(reason));
     assert_eq!(rig.server.sessions(), 0);
 }
@@ -104,7 +104,7 @@ async fn whoever_speaks_out_of_turn_is_closed_alone() {
         (vec![ClientMessage::FetchScene { offset: u64::MAX }], "does not exist"),
         (vec![ClientMessage::Start, ClientMessage::Start], "a second Start"),
         (vec![ClientMessage::Start, fetch.clone()], "before Start"),
-        (vec![fetch; 5], "not over and over"),
+        (vec![fetch; 5], "too many scene fetches"),
     ] {
         let mut bad = Native::connect(rig.address(), rig.folder.path()).await;
         bad.control.welcome(hello()).await;

@@ -1,4 +1,4 @@
-//! A session over QUIC: native, or through WebTransport.
+//! A session over QUIC, native or WebTransport.
 
 use std::{io, mem::size_of, sync::Arc, time::Duration};
 
@@ -7,21 +7,20 @@ use gnomon_protocol::{limits::MAX_PACKET_BYTES, refresh::PathState};
 use gnomon_transport::congestion::ignore_app_limit;
 use web_transport_quinn::Session;
 
-use super::{CloseCode, Wire};
+use super::{close_code::CloseCode, counts::TransportCounts};
 use crate::limits::{SEND_BACKLOG_FLOOR_BYTES, SEND_BACKLOG_FRAMES};
 
-/// The datagrams of a connection.
 #[derive(Clone)]
 pub(crate) struct QuicData {
     session: Arc<Session>,
     buffer_bytes: usize,
 }
 
-/// What quinn counts for a queued datagram beside its bytes.
+/// quinn's accounting per queued datagram, beside its bytes.
 const QUEUED_OVERHEAD_BYTES: usize = size_of::<Bytes>();
 
 impl QuicData {
-    /// Of a session whose datagram send buffer has `buffer_bytes`.
+    /// `buffer_bytes` is the size of the session's datagram send buffer.
     pub(crate) fn new(session: Session, buffer_bytes: usize) -> Self {
         Self { session: Arc::new(session), buffer_bytes }
     }
@@ -34,20 +33,20 @@ impl QuicData {
         self.session.send_datagram(packet).map_err(io::Error::other)
     }
 
-    /// WebTransport puts a few bytes before each datagram, so its packets are smaller.
+    /// Smaller over WebTransport, which prefixes each datagram with a few bytes.
     pub(super) fn max_packet_bytes(&self) -> usize {
         self.session.max_datagram_size().min(MAX_PACKET_BYTES)
     }
 
-    /// quinn drops the oldest datagrams, silently, when its buffer overflows: that would cut the front off a frame.
-    /// So a frame is sent only when all of it fits, beside less than a frame that still waits.
+    /// quinn silently drops the oldest datagrams when its buffer overflows, which would cut off the front of a frame. So
+    /// a frame is sent only if all of it fits, and less than a frame is queued before it.
     pub(super) fn has_room(&self, packets: usize, bytes: usize) -> bool {
         let space = self.session.datagram_send_buffer_space();
         let frame = bytes.saturating_add(packets.saturating_mul(QUEUED_OVERHEAD_BYTES));
         frame_fits(self.buffer_bytes.saturating_sub(space), frame, space)
     }
 
-    /// Bytes that a frame may have when the next one follows after `interval`.
+    /// Bytes for a frame when the next one follows after `interval`.
     pub(super) fn frame_budget(&self, interval: Duration) -> usize {
         let connection: &quinn::Connection = &self.session;
         let waiting = self.buffer_bytes.saturating_sub(self.session.datagram_send_buffer_space());
@@ -59,17 +58,17 @@ impl QuicData {
         path.frame_budget(interval)
     }
 
-    /// Says whether frames would be larger if the path bore it.
+    /// Sets whether frames are being cut down to what the path carries.
     pub(super) fn hold_back(&self, held_back: bool) {
         let connection: &quinn::Connection = &self.session;
         ignore_app_limit(connection, held_back);
     }
 
-    pub(super) fn wire(&self) -> Wire {
-        // Not the session's own, which knows less.
+    pub(super) fn counts(&self) -> TransportCounts {
+        // The session's own statistics lack these.
         let connection: &quinn::Connection = &self.session;
         let stats = connection.stats();
-        Wire {
+        TransportCounts {
             datagrams_received: stats.frame_rx.datagram,
             datagrams_sent: stats.frame_tx.datagram,
             udp_received: stats.udp_rx.datagrams,
@@ -83,7 +82,7 @@ impl QuicData {
     }
 }
 
-/// Whether a frame of `frame` bytes fits into `space`, and behind `waiting` bytes.
+/// Returns whether `frame` bytes fit into `space`, behind `waiting` queued bytes.
 fn frame_fits(waiting: usize, frame: usize, space: usize) -> bool {
     #[expect(
         clippy::cast_possible_truncation,

@@ -1,6 +1,6 @@
-//! Logs: one line an event, for people or for machines, on standard error or in a file. Standard output belongs to the URL.
+//! Sets up logging for the process.
 //!
-//! What the JSON lines hold is a contract: `deploy/logs.schema.json`, against which `tests/tests/telemetry.rs` checks the real server.
+//! The JSON lines follow `deploy/logs.schema.json`; `tests/tests/telemetry.rs` checks a real server against it.
 
 use std::{io, path::Path};
 
@@ -9,13 +9,13 @@ use tracing_subscriber::{EnvFilter, fmt, layer::SubscriberExt as _, util::Subscr
 use super::sink::Logs;
 use crate::config::LogFormat;
 
-/// What is logged unless `RUST_LOG` says otherwise: the libraries' own chatter only from warnings on.
+/// Used without `RUST_LOG`: libraries log warnings and errors only.
 const DEFAULT_FILTER: &str = "warn,gnomon_server=info,gnomon_shaders=info";
 
-/// Starts logging for the whole process: into `file`, or on standard error. The lines are written until what it returns is dropped.
+/// Logs to `file`, or to standard error, until the result is dropped.
 ///
 /// # Errors
-/// When `RUST_LOG` is malformed, the file cannot be opened, or logging has been started already.
+/// Errors if `RUST_LOG` is malformed, the file cannot be opened, or logging was started before.
 pub fn init(format: LogFormat, file: Option<&Path>) -> Result<Logs, Box<dyn std::error::Error + Send + Sync>> {
     let filter = match std::env::var("RUST_LOG") {
         Ok(directives) if !directives.is_empty() => EnvFilter::try_new(directives)?,

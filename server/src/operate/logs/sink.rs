@@ -1,6 +1,6 @@
-//! Where log lines go: a thread writes them, so that a full disk, a slow one or a reader that has stopped holds up nobody who logs.
+//! Writes log lines on a thread of its own, so that a full or slow disk, or a reader that stopped, blocks no other thread.
 //!
-//! A line that cannot be written is counted and lost; the next one that can be written is preceded by the count.
+//! A line that cannot be written is dropped and counted. The count is logged once writing works again.
 
 use std::{
     fs::{File, OpenOptions},
@@ -18,61 +18,60 @@ use tracing_subscriber::fmt::MakeWriter;
 
 use crate::limits::MAX_WAITING_LOG_LINES;
 
-/// Time that the last lines get to be written at the end.
-const LAST_LINES_TIMEOUT: Duration = Duration::from_secs(2);
+/// Time limit for writing the last lines at exit.
+const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// One process, one log.
+/// Static, since a process has one log.
 static LOST: AtomicU64 = AtomicU64::new(0);
 
-/// Lines that could not be written since the start.
+/// Lines dropped since the start.
 pub(crate) fn lines_lost() -> u64 {
     LOST.load(Ordering::Relaxed)
 }
 
-enum Order {
+enum Command {
     Write(Vec<u8>),
     Reopen,
     End(SyncSender<()>),
 }
 
-/// The thread that writes. Dropping it writes what is left.
+/// The writing thread. Dropping this flushes the queue, for up to 2 s.
 pub struct Logs {
-    orders: SyncSender<Order>,
-    // It ends with the last sender; nobody waits for one that hangs in a write.
+    commands: SyncSender<Command>,
+    // Never joined: it may hang in a write. It ends with the last sender.
     _thread: JoinHandle<()>,
 }
 
-/// Makes lines for the thread.
 #[derive(Clone)]
-pub(super) struct Lines(SyncSender<Order>);
+pub(super) struct Lines(SyncSender<Command>);
 
-/// One line in the making. It is handed over whole when it is dropped.
+/// One line, sent to the thread when it is dropped.
 pub(super) struct Line {
     text: Vec<u8>,
-    orders: SyncSender<Order>,
+    commands: SyncSender<Command>,
 }
 
 impl Logs {
     pub(super) fn open(file: Option<&Path>) -> io::Result<(Self, Lines)> {
         let target = Target::open(file)?;
-        let (orders, waiting) = sync_channel(MAX_WAITING_LOG_LINES);
+        let (commands, waiting) = sync_channel(MAX_WAITING_LOG_LINES);
         let thread =
             std::thread::Builder::new().name("gnomon-logs".to_owned()).spawn(move || write_all(target, &waiting))?;
-        Ok((Self { orders: orders.clone(), _thread: thread }, Lines(orders)))
+        Ok((Self { commands: commands.clone(), _thread: thread }, Lines(commands)))
     }
 
-    /// Opens the file anew: whoever rotates logs has moved the old one away. Standard error stays as it is.
+    /// Reopens the log file, after a rotation has moved it. Does nothing for standard error.
     pub fn reopen(&self) {
-        // A queue that is full has lines for the old file; the next SIGHUP finds room.
-        let _ = self.orders.try_send(Order::Reopen);
+        // Skipped when the queue is full; the next SIGHUP tries again.
+        let _ = self.commands.try_send(Command::Reopen);
     }
 }
 
 impl Drop for Logs {
     fn drop(&mut self) {
         let (done, wait) = sync_channel(1);
-        if self.orders.try_send(Order::End(done)).is_ok() {
-            let _ = wait.recv_timeout(LAST_LINES_TIMEOUT);
+        if self.commands.try_send(Command::End(done)).is_ok() {
+            let _ = wait.recv_timeout(FLUSH_TIMEOUT);
         }
     }
 }
@@ -81,7 +80,7 @@ impl<'a> MakeWriter<'a> for Lines {
     type Writer = Line;
 
     fn make_writer(&'a self) -> Line {
-        Line { text: Vec::with_capacity(512), orders: self.0.clone() }
+        Line { text: Vec::with_capacity(512), commands: self.0.clone() }
     }
 }
 
@@ -98,19 +97,19 @@ impl Write for Line {
 
 impl Drop for Line {
     fn drop(&mut self) {
-        if !self.text.is_empty() && self.orders.try_send(Order::Write(std::mem::take(&mut self.text))).is_err() {
+        if !self.text.is_empty() && self.commands.try_send(Command::Write(std::mem::take(&mut self.text))).is_err() {
             LOST.fetch_add(1, Ordering::Relaxed);
         }
     }
 }
 
-fn write_all(mut target: Target, orders: &Receiver<Order>) {
-    while let Ok(order) = orders.recv() {
-        match order {
-            Order::Write(line) => target.write_line(&line),
-            Order::Reopen => target.reopen(),
-            // A receiver that has given up waiting needs no answer.
-            Order::End(done) => drop(done.try_send(())),
+fn write_all(mut target: Target, commands: &Receiver<Command>) {
+    while let Ok(command) = commands.recv() {
+        match command {
+            Command::Write(line) => target.write_line(&line),
+            Command::Reopen => target.reopen(),
+            // The receiver may have timed out.
+            Command::End(done) => drop(done.try_send(())),
         }
     }
 }
@@ -118,7 +117,7 @@ fn write_all(mut target: Target, orders: &Receiver<Order>) {
 struct Target {
     out: Box<dyn Write + Send>,
     path: Option<PathBuf>,
-    /// A line was cut off: the next one must not be glued to it.
+    /// The last line was cut off, so the next one starts with a line feed.
     torn: bool,
     lost_before: u64,
 }
@@ -136,7 +135,7 @@ impl Target {
         let Some(path) = &self.path else { return };
         match append(path) {
             Ok(file) => (self.out, self.torn) = (Box::new(file), false),
-            // The old file is better than none.
+            // Keep writing to the old file.
             Err(error) => tracing::error!(%error, path = %path.display(), "cannot reopen the log file"),
         }
     }
@@ -182,7 +181,7 @@ fn append(path: &Path) -> io::Result<File> {
 mod tests {
     use super::*;
 
-    /// Takes so many bytes in all until it is emptied.
+    /// Content, and bytes until it is full.
     #[derive(Clone, Default)]
     struct Disk(std::sync::Arc<std::sync::Mutex<(Vec<u8>, usize)>>);
 
@@ -204,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_costs_lines_and_never_glues_two_together() {
+    fn a_full_disk_drops_lines_and_never_joins_two() {
         let disk = Disk::default();
         disk.0.lock().unwrap().1 = 10;
         let mut target = Target { out: Box::new(disk.clone()), path: None, torn: false, lost_before: 0 };
@@ -219,13 +218,13 @@ mod tests {
     }
 
     #[test]
-    fn a_moved_file_is_left_alone_after_reopening() {
+    fn a_rotated_file_is_left_alone_after_reopening() {
         let folder = tempfile::tempdir().unwrap();
         let (path, old) = (folder.path().join("log"), folder.path().join("log.1"));
         let (logs, lines) = Logs::open(Some(&path)).unwrap();
         let write = |text: &str| lines.make_writer().write_all(text.as_bytes()).unwrap();
         write("one\n");
-        // Whether the thread has written yet or not, the line goes to the file that is open.
+        // A rename does not affect the open file, whether or not the thread has written yet.
         std::fs::rename(&path, &old).unwrap();
         write("two\n");
         logs.reopen();

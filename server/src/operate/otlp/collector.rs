@@ -2,11 +2,11 @@
 
 use std::{fmt, str::FromStr};
 
-/// Port of collectors that take HTTP.
+/// OTLP over HTTP.
 const DEFAULT_PORT: u16 = 4318;
 
-/// Where a collector listens: `http://HOST[:PORT][/PATH]`, 4318 and `/v1/metrics` where nothing else is said. Without TLS: a collector runs
-/// beside the server, and speaks TLS to whatever is farther away.
+/// `http://HOST[:PORT][/PATH]`, by default port 4318 and `/v1/metrics`. Without TLS, since a collector runs beside the
+/// server and itself speaks TLS to remote services.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Collector {
     pub(super) host: String,
@@ -18,7 +18,7 @@ impl FromStr for Collector {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let url = url::Url::parse(text).map_err(|error| format!("{text:?} is no URL: {error}"))?;
+        let url = url::Url::parse(text).map_err(|error| format!("{text:?} is not a URL: {error}"))?;
         let (host, authority) = url
             .host_str()
             .filter(|_| url.scheme() == "http")
@@ -33,7 +33,7 @@ impl FromStr for Collector {
             return Err(format!("a collector's URL has no {what}: it would not be sent"));
         }
         let path = if url.path() == "/" { "/v1/metrics" } else { url.path() };
-        // `url` forgets a port that is the scheme's own: whoever means 80 has written it.
+        // `url` drops the scheme's default port, so an explicit 80 is read from the text.
         let written = authority.trim_end().rsplit_once(':').and_then(|(_, port)| port.parse().ok());
         let port = url.port().or(written).unwrap_or(DEFAULT_PORT);
         let host = host.to_owned();

@@ -1,9 +1,8 @@
-//! `--otlp URL`: what `/metrics` shows, sent to an OpenTelemetry collector every few seconds as OTLP over HTTP in JSON
-//! (opentelemetry.io/docs/specs/otlp, and the JSON mapping of `opentelemetry/proto/metrics/v1/metrics.proto`).
+//! Sends the metrics to a collector every 10 s as OTLP over HTTP in JSON (opentelemetry.io/docs/specs/otlp, and the JSON
+//! mapping of `opentelemetry/proto/metrics/v1/metrics.proto`).
 //!
-//! The page that Prometheus reads is translated, so both show the same and nothing is counted twice. That takes the HTTP crate of the
-//! admin address and no SDK. Logs stay lines, which collectors read as they are (`deploy/logs/`). A collector that does not answer costs
-//! its reports and nothing else: counters are cumulative, so the next one has all.
+//! Translates the Prometheus page, so both show the same values, with the admin address's HTTP crate and no SDK.
+//! Collectors read the log lines as they are (`deploy/logs/`). A failed report loses nothing: counters are cumulative.
 
 use std::{
     sync::Arc,
@@ -23,49 +22,48 @@ use super::{collector::Collector, translate};
 use crate::{
     clock,
     operate::{
-        admin::answer::Sources,
-        http::{TellError, tell},
+        http::{SendError, send},
+        status::Status,
     },
 };
 
 /// Time between reports.
 const PERIOD: Duration = Duration::from_secs(10);
 
-/// Longest time that a collector may take for a report.
-const PATIENCE: Duration = Duration::from_secs(5);
+const TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Reports until its task ends.
-pub(crate) async fn run(collector: Collector, sources: Arc<Sources>) {
-    report_every(PERIOD, collector, sources).await;
+/// Never returns.
+pub(crate) async fn run(collector: Collector, status: Arc<Status>) {
+    report_every(PERIOD, collector, status).await;
 }
 
-async fn report_every(period: Duration, collector: Collector, sources: Arc<Sources>) {
+async fn report_every(period: Duration, collector: Collector, status: Arc<Status>) {
     let started_at = unix_ns();
     let mut tick = tokio::time::interval(period);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut taken = true;
+    let mut reachable = true;
     loop {
         tick.tick().await;
-        let Ok(page) = sources.page().text() else { continue };
-        let sent = send(&collector, request(&page, started_at, unix_ns()).to_string()).await;
-        // Once for each time that it goes and comes back.
+        let Ok(page) = status.page().text() else { continue };
+        let sent = post(&collector, request(&page, started_at, unix_ns()).to_string()).await;
+        // Logs changes only.
         match &sent {
-            Ok(()) if !taken => tracing::info!(%collector, "the collector takes reports again"),
-            Err(error) if taken => tracing::warn!(%collector, %error, "the collector takes no reports"),
+            Ok(()) if !reachable => tracing::info!(%collector, "the collector accepts reports again"),
+            Err(error) if reachable => tracing::warn!(%collector, %error, "the collector accepts no reports"),
             Ok(()) | Err(_) => {}
         }
-        taken = sent.is_ok();
+        reachable = sent.is_ok();
     }
 }
 
-async fn send(collector: &Collector, body: String) -> Result<(), TellError> {
+async fn post(collector: &Collector, body: String) -> Result<(), SendError> {
     let request = Request::post(&collector.path)
         .header(HOST, format!("{}:{}", collector.host, collector.port))
         .header(CONTENT_TYPE, "application/json")
         .body(Full::new(Bytes::from(body)))?;
-    tell((collector.host.trim_matches(['[', ']']), collector.port), request, PATIENCE).await
+    send((collector.host.trim_matches(['[', ']']), collector.port), request, TIMEOUT).await
 }
-/// Nanoseconds since 1970 by the wall clock, which may step: a collector takes points as they are stamped.
+/// By the wall clock, which may step: collectors accept any time stamps.
 fn unix_ns() -> u64 {
     let since = clock::wall().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
@@ -81,7 +79,7 @@ fn request(page: &str, started_at: u64, now: u64) -> Value {
         ] },
         "scopeMetrics": [{
             "scope": { "name": "gnomon_server", "version": env!("CARGO_PKG_VERSION") },
-            // A clock that was set back since the start must not make a span of negative length.
+            // The clock may have been set back since the start.
             "metrics": translate::metrics(page, started_at.min(now), now),
         }],
     }] })

@@ -1,22 +1,21 @@
-//! A page of Prometheus' text as OTLP's metrics. Only for our own pages: what they never hold is not understood.
+//! Translates a Prometheus text page to OTLP metrics. Reads only what this server's own page contains.
 
 use serde_json::{Value, json};
 
-/// `AGGREGATION_TEMPORALITY_CUMULATIVE`: from the start until now.
+/// `AGGREGATION_TEMPORALITY_CUMULATIVE`.
 const CUMULATIVE: u32 = 2;
 
-/// One line of the page that has a value.
 struct Sample<'a> {
     name: &'a str,
     labels: Vec<(&'a str, String)>,
     value: &'a str,
 }
 
-/// The metrics of a page, for the time from `start` to `now`, in nanoseconds since 1970.
+/// `start` and `now` are in nanoseconds since 1970.
 pub(super) fn metrics(page: &str, start: u64, now: u64) -> Vec<Value> {
     let mut metrics = Vec::new();
     let (mut help, mut head, mut samples) = ("", None, Vec::new());
-    // A line that ends the last metric.
+    // The extra line ends the last metric.
     for line in page.lines().chain(["# TYPE"]) {
         if let Some(text) = line.strip_prefix("# HELP ") {
             help = text.split_once(' ').map_or("", |(_, help)| help);
@@ -51,7 +50,7 @@ fn metric(name: &str, kind: &str, help: &str, samples: &[Sample<'_>], time: (u64
 }
 
 fn point(sample: &Sample<'_>, (start, now): (u64, u64)) -> Value {
-    // 64-bit numbers are strings in this mapping.
+    // The JSON mapping writes 64-bit integers as strings.
     let (kind, value) = match sample.value.parse::<i64>() {
         Ok(value) => ("asInt", json!(value.to_string())),
         Err(_) => ("asDouble", json!(number(sample.value))),
@@ -73,7 +72,7 @@ fn histograms(name: &str, samples: &[Sample<'_>], (start, now): (u64, u64)) -> V
             Some("_sum") => sum = number(sample.value),
             Some("_bucket") => {
                 let edge = sample.labels.iter().find(|(key, _)| *key == "le").map_or("", |(_, edge)| edge.as_str());
-                // Ours count all that is below their edge.
+                // Prometheus' buckets are cumulative, OTLP's are not.
                 let all = sample.value.parse::<u64>().unwrap_or_default();
                 counts.push(all.saturating_sub(below).to_string());
                 below = all;
@@ -122,7 +121,7 @@ fn sample(line: &str) -> Option<Sample<'_>> {
     Some(Sample { name, labels, value })
 }
 
-/// The text up to a quotation mark, with its escapes resolved, and what follows.
+/// Returns the text up to the closing quotation mark, unescaped, and the rest.
 fn quoted(text: &str) -> Option<(String, &str)> {
     let (mut value, mut escaped) = (String::new(), false);
     for (at, character) in text.char_indices() {

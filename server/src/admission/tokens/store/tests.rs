@@ -1,6 +1,9 @@
-//! Tests of the token file.
+//! Token files and stores.
+
+use std::time::SystemTime;
 
 use super::*;
+use crate::{admission::tokens::make, hex};
 
 fn store(text: &str) -> Result<(tempfile::TempDir, TokenStore), String> {
     let folder = tempfile::tempdir().unwrap();
@@ -11,57 +14,57 @@ fn store(text: &str) -> Result<(tempfile::TempDir, TokenStore), String> {
 }
 
 fn entry(token: &str, more: &str) -> String {
-    format!("[[token]]\nsha256 = \"{}\"\n{more}\n", hex(&sha256(token.as_bytes())))
+    format!("[[token]]\nsha256 = \"{}\"\n{more}\n", hex::encode(&sha256(token.as_bytes())))
 }
 
 #[test]
-fn listed_tokens_and_no_others_are_admitted() {
+fn only_listed_tokens_are_admitted() {
     let text =
         entry("first", "name = \"staff\"") + &entry("second", "") + "# " + &entry("third", "").replace('\n', "\n# ");
     let (_folder, store) = store(&text).unwrap();
     for (token, expected) in [
         (Some("first"), Ok(())),
         (Some("second"), Ok(())),
-        (Some("third"), Err(TokenProblem::Unknown)),
-        (Some("firs"), Err(TokenProblem::Unknown)),
-        (Some(""), Err(TokenProblem::Unknown)),
-        (None, Err(TokenProblem::Missing)),
+        (Some("third"), Err(TokenRejection::Unknown)),
+        (Some("firs"), Err(TokenRejection::Unknown)),
+        (Some(""), Err(TokenRejection::Unknown)),
+        (None, Err(TokenRejection::Missing)),
     ] {
         assert_eq!(store.admit(token, Scope::Session), expected, "{token:?}");
     }
-    // The digest in the file is no token: who reads the file cannot connect.
-    let digest = hex(&sha256(b"first"));
-    assert_eq!(store.admit(Some(&digest), Scope::Session), Err(TokenProblem::Unknown));
+    // The digest in the file is no token: reading the file lets nobody connect.
+    let digest = hex::encode(&sha256(b"first"));
+    assert_eq!(store.admit(Some(&digest), Scope::Session), Err(TokenRejection::Unknown));
 }
 
 #[test]
-fn a_token_ends_when_it_says_and_serves_only_its_scopes() {
+fn a_token_expires_and_grants_only_its_scopes() {
     let text = entry("a", "expires = 2030-01-01T01:00:00+01:00") + &entry("b", "scopes = [\"admin\"]");
     let (_folder, store) = store(&text).unwrap();
     // 2030-01-01T00:00:00Z
     let end = 1_893_456_000;
     assert_eq!(store.examine(Some("a"), Scope::Session, end - 1, true), Ok(()));
-    assert_eq!(store.examine(Some("a"), Scope::Session, end, true), Err(TokenProblem::Expired));
-    assert_eq!(store.examine(Some("a"), Scope::Admin, 0, true), Err(TokenProblem::Scope));
-    assert_eq!(store.examine(Some("b"), Scope::Session, 0, true), Err(TokenProblem::Scope));
+    assert_eq!(store.examine(Some("a"), Scope::Session, end, true), Err(TokenRejection::Expired));
+    assert_eq!(store.examine(Some("a"), Scope::Admin, 0, true), Err(TokenRejection::Scope));
+    assert_eq!(store.examine(Some("b"), Scope::Session, 0, true), Err(TokenRejection::Scope));
     assert_eq!(store.examine(Some("b"), Scope::Admin, 0, true), Ok(()));
     assert!(store.has(Scope::Admin));
 }
 
 #[test]
-fn a_token_for_one_use_is_spent_across_reloads() {
+fn a_spent_token_stays_spent_across_reloads() {
     let (folder, store) = store(&(entry("a", "once = true") + &entry("b", ""))).unwrap();
     let path = folder.path().join("tokens.toml");
     assert_eq!(store.check(Some("a"), Scope::Session), Ok(()));
     assert_eq!(store.admit(Some("a"), Scope::Session), Ok(()));
-    assert_eq!(store.admit(Some("a"), Scope::Session), Err(TokenProblem::Spent));
-    assert_eq!(store.check(Some("a"), Scope::Session), Err(TokenProblem::Spent));
+    assert_eq!(store.admit(Some("a"), Scope::Session), Err(TokenRejection::Spent));
+    assert_eq!(store.check(Some("a"), Scope::Session), Err(TokenRejection::Spent));
     assert_eq!(store.reload().unwrap(), 2);
-    assert_eq!(store.admit(Some("a"), Scope::Session), Err(TokenProblem::Spent));
+    assert_eq!(store.admit(Some("a"), Scope::Session), Err(TokenRejection::Spent));
     std::fs::write(&path, entry("c", "")).unwrap();
     assert_eq!(store.reload().unwrap(), 1);
-    assert!(store.state().spent.is_empty(), "what is not listed needs no memory");
-    assert_eq!(store.admit(Some("b"), Scope::Session), Err(TokenProblem::Unknown), "withdrawn");
+    assert!(store.state.lock().spent.is_empty(), "digests that are no longer listed are dropped");
+    assert_eq!(store.admit(Some("b"), Scope::Session), Err(TokenRejection::Unknown), "withdrawn");
     // A broken file changes nothing.
     std::fs::write(&path, "[[token]]\n").unwrap();
     store.reload().unwrap_err();
@@ -69,7 +72,7 @@ fn a_token_for_one_use_is_spent_across_reloads() {
 }
 
 #[test]
-fn a_file_that_cannot_be_meant_is_an_error_that_quotes_no_token() {
+fn an_unusable_file_is_refused_without_quoting_it() {
     for (text, part) in [
         (String::new(), "lists no token with the scope session"),
         (entry("a", "scopes = [\"admin\"]"), "lists no token with the scope session"),
@@ -90,14 +93,14 @@ fn a_file_that_cannot_be_meant_is_an_error_that_quotes_no_token() {
 }
 
 #[test]
-fn what_is_made_is_admitted() {
+fn a_made_token_is_admitted() {
     let (token, text) = make("al\"ice\n", Some(30), &[Scope::Session, Scope::Admin], true).unwrap();
     let (other, _) = make("", None, &[Scope::Session], false).unwrap();
     assert!(token != other && token.len() == 64 && !text.contains(&token), "{text}");
     let (_folder, store) = store(&text).unwrap();
     let day = 24 * 3600;
     let now = unix_s(SystemTime::now());
-    assert_eq!(store.examine(Some(&token), Scope::Session, now + 31 * day, true), Err(TokenProblem::Expired));
+    assert_eq!(store.examine(Some(&token), Scope::Session, now + 31 * day, true), Err(TokenRejection::Expired));
     assert_eq!(store.examine(Some(&token), Scope::Session, now + 29 * day, true), Ok(()));
-    assert_eq!(store.examine(Some(&token), Scope::Session, now, true), Err(TokenProblem::Spent));
+    assert_eq!(store.examine(Some(&token), Scope::Session, now, true), Err(TokenRejection::Spent));
 }

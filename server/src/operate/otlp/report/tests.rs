@@ -10,10 +10,10 @@ use tokio::{net::TcpListener, time::timeout};
 use super::*;
 use crate::{metrics::registry::Metrics, operate::readiness::Readiness};
 
-fn sources() -> Arc<Sources> {
+fn status() -> Arc<Status> {
     let backend = OnceLock::new();
     backend.set("cpu: a \"quoted\" name".to_owned()).unwrap();
-    Arc::new(Sources {
+    Arc::new(Status {
         metrics: Arc::new(Metrics::default()),
         readiness: Readiness::default(),
         backend,
@@ -58,10 +58,10 @@ async fn collect(listener: TcpListener, reports: Arc<Mutex<Vec<Value>>>) {
 async fn a_collector_gets_what_the_page_shows_also_after_it_was_away() {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let collector: Collector = format!("http://{}", listener.local_addr().unwrap()).parse().unwrap();
-    let (reports, sources) = (Arc::new(Mutex::new(Vec::new())), sources());
+    let (reports, status) = (Arc::new(Mutex::new(Vec::new())), status());
     let collecting = tokio::spawn(collect(listener, Arc::clone(&reports)));
-    sources.metrics.refused(crate::metrics::registry::RefusalCause::Full);
-    let reporting = tokio::spawn(report_every(Duration::from_millis(20), collector, Arc::clone(&sources)));
+    status.metrics.refused(crate::metrics::registry::RefusalCause::Full);
+    let reporting = tokio::spawn(report_every(Duration::from_millis(20), collector, Arc::clone(&status)));
     let waiting = async {
         while reports.lock().unwrap().len() < 2 {
             tokio::time::sleep(Duration::from_millis(5)).await;
@@ -85,7 +85,7 @@ async fn a_collector_gets_what_the_page_shows_also_after_it_was_away() {
         assert_eq!(info[1]["value"]["stringValue"], "cpu: a \"quoted\" name");
     }
     // Every metric of the page is there.
-    let page = sources.page().text().unwrap();
+    let page = status.page().text().unwrap();
     let named = page.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split_once(' ')).count();
     let sent = reports[0]["resourceMetrics"][0]["scopeMetrics"][0]["metrics"].as_array().unwrap().len();
     assert!(sent == named && sent > 20, "{sent} of {named}");

@@ -1,5 +1,5 @@
-//! The dissertation's transports (§3.1), for measurements on loopback: a control connection over TCP, and beside it a
-//! data socket for each session, over UDP or TCP. Nothing is encrypted, and nobody is who they say they are.
+//! The dissertation's transports (§3.1), for measurements on loopback: a control connection over TCP, and a data socket
+//! per session over UDP or TCP. Without encryption or authentication.
 
 use std::{
     io,
@@ -16,20 +16,19 @@ use tokio::{
     time::timeout,
 };
 
-/// A client's packets to the server are poses: nothing longer is read.
+/// Clients send poses and feedback; longer packets are cut off.
 const MAX_RECEIVED_BYTES: usize = 2048;
 
-/// A session's UDP socket.
 pub(crate) struct LabUdpData {
     socket: UdpSocket,
     port: u16,
 }
 
 impl LabUdpData {
-    /// A socket on a free port of `ip`.
+    /// Binds a free port of `ip`.
     ///
     /// # Errors
-    /// When there is no port left.
+    /// Errors if no port is free.
     pub(crate) fn bind(ip: IpAddr) -> io::Result<Self> {
         let socket = bind_data_socket(ip)?;
         let port = socket.local_addr()?.port();
@@ -56,14 +55,14 @@ pub(crate) struct LabUdpReceiver {
 }
 
 impl LabUdpReceiver {
-    /// The client is who sends the first valid pose; from then on the kernel drops everybody else's packets.
+    /// Connects to the sender of the first valid pose. From then on the kernel drops all other packets.
     pub(super) async fn receive(&mut self) -> io::Result<Bytes> {
         let mut buffer = [0; MAX_RECEIVED_BYTES];
         loop {
             let received = self.socket.recv_from(&mut buffer).await;
             let (length, from) = match received {
                 Ok(received) => received,
-                // The client's port is closed for now; whether it is gone, the control connection knows.
+                // The client's port is closed. The control connection decides whether the client is gone.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => continue,
                 Err(error) => return Err(error),
             };
@@ -83,9 +82,9 @@ pub(crate) struct LabUdpSender {
     pace: Pace,
 }
 
-/// A token bucket. Loopback has no back-pressure: what overruns the client's socket buffer is lost, and a frame of
-/// words at 1920×1080 is larger than the buffers that systems allow. So a burst goes out at once and the rest of a
-/// larger frame at 2 Gbit/s, twice the rate of the wire that the dissertation measured on.
+/// A token bucket. Loopback has no back-pressure: packets beyond the client's socket buffer are lost, and a frame of
+/// words at 1920×1080 exceeds the buffers that systems allow. So a burst is sent at once, and the rest of a larger frame
+/// at 2 Gbit/s, twice the rate of the wire that the dissertation measured on.
 struct Pace {
     burst_bytes: f64,
     at: Instant,
@@ -99,7 +98,7 @@ impl Pace {
         Self { burst_bytes: Self::BURST_BYTES, at: now }
     }
 
-    /// Time to wait before these bytes may go.
+    /// Time to wait before sending these bytes.
     fn delay(&mut self, now: Instant, bytes: u32) -> Duration {
         let refill = now.duration_since(self.at).as_secs_f64() * Self::BYTES_PER_S;
         self.burst_bytes = (self.burst_bytes + refill).min(Self::BURST_BYTES) - f64::from(bytes);
@@ -111,26 +110,25 @@ impl Pace {
 impl LabUdpSender {
     pub(super) async fn send(&mut self, packet: &[u8]) -> io::Result<()> {
         let delay = self.pace.delay(Instant::now(), u32::try_from(packet.len()).unwrap_or(u32::MAX));
-        // Timers tick once a millisecond: shorter debts are paid together.
+        // Timers tick once per millisecond, so shorter delays add up first.
         if delay >= Duration::from_millis(1) {
             tokio::time::sleep(delay).await;
         }
-        // A frame is only traced after a pose has named its address: a refused packet means that the client has closed its port.
+        // Frames follow poses, so the address is known: a refused packet means that the client has closed its port.
         send_udp(&self.socket, packet).await
     }
 }
 
-/// A session's TCP listener.
 pub(crate) struct LabTcpData {
     listener: TcpListener,
     port: u16,
 }
 
 impl LabTcpData {
-    /// A listener on a free port of `ip`.
+    /// Listens on a free port of `ip`.
     ///
     /// # Errors
-    /// When there is no port left.
+    /// Errors if no port is free.
     pub(crate) async fn bind(ip: IpAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(SocketAddr::new(ip, 0)).await?;
         let port = listener.local_addr()?.port();
@@ -141,8 +139,8 @@ impl LabTcpData {
         self.port
     }
 
-    pub(super) async fn accept(self, patience: Duration) -> io::Result<(PacketReader, PacketWriter)> {
-        let (stream, _) = timeout(patience, self.listener.accept()).await.map_err(|_| {
+    pub(super) async fn accept(self, limit: Duration) -> io::Result<(PacketReader, PacketWriter)> {
+        let (stream, _) = timeout(limit, self.listener.accept()).await.map_err(|_| {
             io::Error::new(io::ErrorKind::TimedOut, format!("nobody connected to data port {}", self.port))
         })??;
         stream.set_nodelay(true)?;
@@ -156,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_burst_is_free_and_more_takes_its_time() {
+    fn a_burst_is_free_and_more_is_paced() {
         let start = Instant::now();
         let mut pace = Pace::new(start);
         let sent = (0..127).map(|_| pace.delay(start, 65_507)).collect::<Vec<_>>();

@@ -1,0 +1,39 @@
+//! What all sessions of a server share.
+
+use std::{sync::Arc, time::Duration};
+
+use bytes::Bytes;
+use gnomon_protocol::ids::SceneDigest;
+use tokio::sync::{Semaphore, watch};
+
+use super::{addresses::AddressLimit, capacity::HostCapacity, permit::SessionPermits, tokens::store::TokenStore};
+use crate::{metrics::registry::Metrics, phase::Phase, visibility::engine::Fleet};
+
+/// The scene as clients fetch it.
+#[derive(Debug)]
+pub(crate) struct SceneAsset {
+    pub(crate) packed: Bytes,
+    /// BLAKE3 of `packed`.
+    pub(crate) digest: SceneDigest,
+    pub(crate) lights: u32,
+    /// Weight of each light, see [`crate::session::brightness::weights`].
+    pub(crate) weights: Vec<u32>,
+}
+
+pub(crate) struct Services {
+    pub(crate) scene: SceneAsset,
+    pub(crate) engine: Fleet,
+    /// `None` admits every client.
+    pub(crate) tokens: Option<Arc<TokenStore>>,
+    pub(crate) addresses: Arc<AddressLimit>,
+    pub(crate) metrics: Arc<Metrics>,
+    pub(crate) permits: SessionPermits,
+    pub(crate) capacity: HostCapacity,
+    pub(crate) phase: watch::Receiver<Phase>,
+    /// Bounds how many sessions encode at once: one per core.
+    pub(crate) encoders: Arc<Semaphore>,
+    pub(crate) handshake_timeout: Duration,
+    pub(crate) drain_ms: u32,
+    /// URL that a draining server names to its clients.
+    pub(crate) alternative: Option<String>,
+}

@@ -1,0 +1,95 @@
+//! Accepts peers, and runs the handshake and session of each in a task of its own.
+
+use std::sync::Arc;
+
+use tokio::{
+    sync::{OwnedSemaphorePermit, Semaphore},
+    task::JoinSet,
+};
+use tracing::Instrument as _;
+
+use crate::{
+    admission::{
+        addresses::{AddressLimit, AddressPermit},
+        handshake::{self, HandshakeError},
+        services::Services,
+        time_limit,
+    },
+    limits,
+    metrics::registry::RefusalCause,
+    net::endpoint::{Arrival, Endpoint},
+    phase::stopping,
+    session,
+};
+
+/// Serves peers until the server stops. Then waits for the sessions to end, and refuses new peers.
+pub(super) async fn accept(endpoint: Arc<Endpoint>, services: Arc<Services>) {
+    let handshakes = Arc::new(Semaphore::new(limits::MAX_HANDSHAKES));
+    let addresses = AddressLimit::new(limits::MAX_HANDSHAKES_PER_ADDRESS, true);
+    let mut phase = services.phase.clone();
+    let mut sessions = JoinSet::new();
+    loop {
+        tokio::select! {
+            arrival = endpoint.accept() => {
+                let Some(arrival) = arrival else { break };
+                let permit = Arc::clone(&handshakes).try_acquire_owned().ok();
+                match permit.zip(addresses.acquire(arrival.peer().ip())) {
+                    Some(handshake) => {
+                        let span = tracing::info_span!("peer", address = %arrival.peer());
+                        sessions.spawn(serve(arrival, handshake, Arc::clone(&services)).instrument(span));
+                    }
+                    None => {
+                        services.metrics.refused(RefusalCause::Handshakes);
+                        arrival.refuse();
+                    }
+                }
+            }
+            Some(ended) = sessions.join_next() => log_panic(ended),
+            () = stopping(&mut phase) => break,
+        }
+    }
+    while !sessions.is_empty() {
+        tokio::select! {
+            Some(ended) = sessions.join_next() => log_panic(ended),
+            Some(arrival) = endpoint.accept() => arrival.refuse(),
+        }
+    }
+}
+
+fn log_panic(ended: Result<(), tokio::task::JoinError>) {
+    if let Err(error) = ended {
+        tracing::error!(%error, "a session panicked");
+    }
+}
+
+/// Serves one peer, from its first packet to the end of its session.
+async fn serve(arrival: Arrival, handshake: (OwnedSemaphorePermit, AddressPermit), services: Arc<Services>) {
+    let greeting = async {
+        let mut link = arrival.into_link().await.map_err(|error| HandshakeError::Arrival(error.to_string()))?;
+        let admitted = handshake::greet(&mut link, &services).await?;
+        Ok::<_, HandshakeError>((link, admitted))
+    };
+    let mut phase = services.phase.clone();
+    let greeted = tokio::select! {
+        greeted = time_limit::within(services.handshake_timeout, &handshake.0, greeting) => greeted,
+        // A peer without a Hello by now does not delay the stop.
+        () = stopping(&mut phase) => return tracing::info!(reason = "the server stops", "not admitted"),
+    };
+    let (link, admitted) = match greeted {
+        Some(Ok(greeted)) => greeted,
+        Some(Err(error)) => {
+            // Refusals are counted with their cause where they are made.
+            if !matches!(error, HandshakeError::Refused(_)) {
+                services.metrics.refused(RefusalCause::Broken);
+            }
+            return tracing::info!(reason = %error, "not admitted");
+        }
+        None => {
+            services.metrics.refused(RefusalCause::Silent);
+            return tracing::info!(reason = "no Hello in time", "not admitted");
+        }
+    };
+    drop(handshake);
+    let span = tracing::info_span!("session", id = admitted.permit.id.0, carrier = link.carrier);
+    session::run::run(link, admitted, services).instrument(span).await;
+}

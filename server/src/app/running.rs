@@ -1,0 +1,155 @@
+//! A running server: what callers may ask it, reloading, and an orderly shutdown.
+
+use std::{net::SocketAddr, sync::Arc, time::Duration};
+
+use tokio::{sync::watch, time::timeout};
+
+use crate::{
+    admission::services::Services,
+    limits,
+    net::{certificate::Certificates, endpoint::Endpoint},
+    operate::{
+        admin::Admin,
+        readiness::{Readiness, Stage},
+    },
+    phase::Phase,
+    task::Task,
+    visibility::engine::Engine,
+};
+
+/// A listening server. Dropping it ends it at once; [`Self::shutdown`] lets sessions finish.
+pub struct RunningServer {
+    pub(super) local_addr: SocketAddr,
+    pub(super) url: String,
+    pub(super) certificates: Option<Arc<Certificates>>,
+    pub(super) services: Arc<Services>,
+    pub(super) phase: watch::Sender<Phase>,
+    pub(super) endpoint: Arc<Endpoint>,
+    pub(super) accepting: Task,
+    pub(super) readiness: Readiness,
+    pub(super) admin: Option<Admin>,
+    pub(super) otlp: Option<Task>,
+    #[cfg(feature = "agones")]
+    pub(super) agones: Option<Task>,
+}
+
+impl RunningServer {
+    /// The bound address. Never port 0.
+    #[must_use]
+    pub const fn local_addr(&self) -> SocketAddr {
+        self.local_addr
+    }
+
+    /// The URL for clients: `gnomon://HOST:PORT/?cert=SHA256`, or `gnomon+lab-udp://HOST:PORT/` on lab transports.
+    #[must_use]
+    pub fn url(&self) -> String {
+        self.url.clone()
+    }
+
+    /// SHA-256 of the browsers' certificate in hexadecimal; `None` on lab transports. Renewed every few days, since
+    /// browsers pin no certificate with a lifetime above 14 days.
+    #[must_use]
+    pub fn browser_certificate_sha256(&self) -> Option<String> {
+        self.certificates.as_ref().map(|certificates| certificates.browser_sha256())
+    }
+
+    /// The tracing back end and its adapter.
+    #[must_use]
+    pub fn backend(&self) -> String {
+        self.services.engine.description().to_owned()
+    }
+
+    /// Open sessions.
+    #[must_use]
+    pub fn sessions(&self) -> usize {
+        self.services.permits.in_use()
+    }
+
+    /// Lights of the scene.
+    #[must_use]
+    pub fn lights(&self) -> u32 {
+        self.services.scene.lights
+    }
+
+    /// One engine per device.
+    #[must_use]
+    pub fn engines(&self) -> &[Engine] {
+        self.services.engine.engines()
+    }
+
+    /// The admin address, if there is one.
+    #[must_use]
+    pub fn admin_addr(&self) -> Option<SocketAddr> {
+        self.admin.as_ref().map(Admin::local_addr)
+    }
+
+    /// Reloads the token file and the certificate. Open sessions stay. An unusable file changes nothing and is logged.
+    pub fn reload(&self) {
+        if let Some(tokens) = &self.services.tokens {
+            match tokens.reload() {
+                Ok(listed) => tracing::info!(listed, "tokens reloaded"),
+                Err(error) => tracing::error!(%error, "cannot reload the tokens; the old ones stay valid"),
+            }
+        }
+        if let Some(certificates) = &self.certificates {
+            match certificates.reload() {
+                Ok(sha256) => tracing::info!(sha256, "certificate reloaded"),
+                Err(error) => tracing::error!(%error, "cannot reload the certificate; the old one stays in use"),
+            }
+        }
+    }
+
+    /// Waits until tracing fails for good, and returns why, for example a lost device. The server still listens, but
+    /// refuses every client, so the caller should shut it down.
+    pub async fn failed(&self) -> String {
+        let reason = self.services.engine.ended().await;
+        self.readiness.set(Stage::Failed(reason.clone()));
+        reason
+    }
+
+    /// Stops admitting clients, tells the connected ones, serves them for up to `drain_ms` until they leave, finishes the
+    /// frames in flight, and ends.
+    pub async fn shutdown(self) {
+        let Self {
+            services,
+            phase,
+            endpoint,
+            mut accepting,
+            readiness,
+            admin,
+            otlp,
+            #[cfg(feature = "agones")]
+            agones,
+            ..
+        } = self;
+        readiness.set(Stage::Draining);
+        services.permits.close();
+        tracing::info!(sessions = services.permits.in_use(), drain_ms = services.drain_ms, "draining");
+        phase.send_replace(Phase::Draining);
+        let empty = async {
+            while services.permits.in_use() > 0 {
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+        };
+        let _ = timeout(Duration::from_millis(services.drain_ms.into()), empty).await;
+        phase.send_replace(Phase::Stopping);
+        let limit = limits::FINISH_TIMEOUT + 3 * limits::LINGER;
+        if timeout(limit, &mut accepting.0).await.is_err() {
+            tracing::warn!("sessions did not end in {limit:?}");
+            accepting.0.abort();
+            let _ = (&mut accepting.0).await;
+        }
+        endpoint.close().await;
+        drop(endpoint);
+        // Joins a thread, which must not block a runtime worker.
+        if let Err(error) = tokio::task::spawn_blocking(move || services.engine.shutdown()).await {
+            tracing::error!(%error, "the engine panicked");
+        }
+        #[cfg(feature = "agones")]
+        if agones.is_some() {
+            crate::operate::agones::shutdown().await;
+        }
+        drop((admin, otlp));
+        tracing::info!("stopped");
+    }
+}

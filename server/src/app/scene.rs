@@ -1,0 +1,33 @@
+//! Loads the configured scene and packs it once for all clients.
+
+use std::{path::Path, sync::Arc};
+
+use bytes::Bytes;
+use gnomon_protocol::{ids::SceneDigest, limits::MAX_SCENE_BYTES};
+use gnomon_scene::{LoadOptions, LoadReport, Scene};
+
+use super::error::StartError;
+use crate::{admission::services::SceneAsset, config::ServerConfig, session::brightness};
+
+pub(super) fn load_options(config: &ServerConfig) -> LoadOptions {
+    LoadOptions { lights_from: config.lights_from.clone(), max_lights: config.lights }
+}
+
+/// # Errors
+/// Errors if the scene cannot be loaded, or is too large for clients.
+pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<(Arc<Scene>, SceneAsset), StartError> {
+    let (scene, report) = Scene::load_with_report(path, options)
+        .map_err(|reason| StartError::Scene { path: path.to_owned(), reason: Box::new(reason) })?;
+    if report != LoadReport::default() {
+        tracing::warn!(scene = %path.display(), "the scene is incomplete: {report}");
+    }
+    let pack_error = |reason: String| StartError::Pack { path: path.to_owned(), reason };
+    let packed = scene.pack().map_err(|error| pack_error(error.to_string()))?;
+    if packed.len() as u64 > MAX_SCENE_BYTES {
+        return Err(pack_error(format!("{} bytes; clients accept at most {MAX_SCENE_BYTES}", packed.len())));
+    }
+    let lights = u32::try_from(scene.lights.len()).map_err(|error| pack_error(error.to_string()))?;
+    let digest = SceneDigest(*blake3::hash(&packed).as_bytes());
+    let weights = brightness::weights(&scene);
+    Ok((Arc::new(scene), SceneAsset { packed: Bytes::from(packed), digest, lights, weights }))
+}

@@ -1,0 +1,71 @@
+//! The URL that the server prints for its clients.
+
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+
+use crate::{config::ServerConfig, net::certificate::Certificates};
+
+pub(super) fn url(config: &ServerConfig, local_addr: SocketAddr, certificates: Option<&Certificates>) -> String {
+    let authority = match &config.advertise {
+        Some(host) => authority(host, local_addr.port()),
+        None => reachable(local_addr).to_string(),
+    };
+    let query =
+        certificates.map(|certificates| format!("?cert={}", certificates.permanent_sha256())).unwrap_or_default();
+    format!("{}://{authority}/{query}", config.transport.scheme())
+}
+
+/// Completes `HOST[:PORT]` with the port, and with brackets around a bare IPv6 address.
+fn authority(host: &str, port: u16) -> String {
+    match host.rsplit_once(':') {
+        _ if host.parse::<Ipv6Addr>().is_ok() => format!("[{host}]:{port}"),
+        Some((before, after)) if !before.is_empty() && after.parse::<u16>().is_ok() => host.to_owned(),
+        _ => format!("{host}:{port}"),
+    }
+}
+
+/// Replaces an unspecified address by the one from which this machine reaches others, so that the URL works here and
+/// elsewhere. Connecting a UDP socket sends nothing.
+fn reachable(address: SocketAddr) -> SocketAddr {
+    if !address.ip().is_unspecified() {
+        return address;
+    }
+    let (from, to): (SocketAddr, SocketAddr) = (
+        (Ipv4Addr::UNSPECIFIED, 0).into(),
+        // TEST-NET-1 (RFC 5737): routed like any far address, and assigned to nobody.
+        (Ipv4Addr::new(192, 0, 2, 1), 9).into(),
+    );
+    let outward = UdpSocket::bind(from).and_then(|socket| socket.connect(to).and_then(|()| socket.local_addr()));
+    let ip = outward.map_or(Ipv4Addr::LOCALHOST.into(), |outward| outward.ip());
+    SocketAddr::new(ip, address.port())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Transport;
+
+    #[test]
+    fn urls_name_host_and_port() {
+        for (host, expected) in [
+            ("edge.example", "edge.example:7"),
+            ("edge.example:99", "edge.example:99"),
+            ("192.0.2.7", "192.0.2.7:7"),
+            ("2001:db8::1", "[2001:db8::1]:7"),
+            ("[2001:db8::1]", "[2001:db8::1]:7"),
+            ("[2001:db8::1]:99", "[2001:db8::1]:99"),
+        ] {
+            assert_eq!(authority(host, 7), expected);
+        }
+        let config = ServerConfig { transport: Transport::LabUdp, ..ServerConfig::default() };
+        assert_eq!(url(&config, "127.0.0.1:7".parse().unwrap(), None), "gnomon+lab-udp://127.0.0.1:7/");
+        assert_eq!(url(&config, "[::1]:7".parse().unwrap(), None), "gnomon+lab-udp://[::1]:7/");
+    }
+
+    #[test]
+    fn an_unspecified_address_is_replaced_by_a_reachable_one() {
+        for any in ["0.0.0.0:7", "[::]:7"] {
+            let printed = reachable(any.parse().unwrap());
+            assert!(!printed.ip().is_unspecified() && printed.port() == 7, "{printed}");
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! Once a second: logs a session's rates, and ends a session whose client is silent, noisy or never starts.
+
+use std::time::Instant;
+
+use super::end::End;
+use crate::{
+    limits,
+    metrics::ledger::{Ledger, StageCounts, Totals},
+};
+
+pub(super) struct Watchdog {
+    opened_at: Instant,
+    last_active_at: Instant,
+    checked_at: Instant,
+    totals: Totals,
+    stages: Box<StageCounts>,
+}
+
+impl Watchdog {
+    pub(super) fn new(ledger: &Ledger) -> Self {
+        let now = Instant::now();
+        Self {
+            opened_at: now,
+            last_active_at: now,
+            checked_at: now,
+            totals: ledger.totals(),
+            stages: Box::new(ledger.stages.counts()),
+        }
+    }
+
+    /// `started` says whether the client has sent Start.
+    pub(super) fn check(&mut self, ledger: &Ledger, started: bool) -> Result<(), End> {
+        let (now, totals) = (Instant::now(), ledger.totals());
+        let seconds = now.duration_since(self.checked_at).as_secs_f64();
+        let latest = totals.since(&self.totals);
+        (self.checked_at, self.totals) = (now, totals);
+        if started {
+            let stages = ledger.stages.counts();
+            latest.log_rates(&stages.since(&self.stages), seconds);
+            *self.stages = stages;
+        } else if now.duration_since(self.opened_at) > limits::SETUP_TIMEOUT {
+            return Err(End::Violation(format!("no Start in {} s", limits::SETUP_TIMEOUT.as_secs())));
+        }
+        if latest.messages + latest.poses > 0 {
+            self.last_active_at = now;
+        } else if started && now.duration_since(self.last_active_at) > limits::SILENCE_TIMEOUT {
+            return Err(End::Lost(format!("no pose and no message in {} s", limits::SILENCE_TIMEOUT.as_secs())));
+        }
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few seconds")]
+        let allowed = limits::MAX_MESSAGES_PER_SECOND * seconds.ceil() as u64;
+        if latest.messages > allowed {
+            return Err(End::Violation(format!("{} control messages in {seconds:.1} s", latest.messages)));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn silence_noise_and_endless_setups_end_a_session() {
+        let ledger = Ledger::default();
+        let ago = |time: Duration| Instant::now().checked_sub(time).unwrap();
+        let watchdog = |silent: Duration| Watchdog { last_active_at: ago(silent), ..Watchdog::new(&ledger) };
+        assert!(watchdog(limits::SILENCE_TIMEOUT / 2).check(&ledger, true).is_ok());
+        let silent = watchdog(limits::SILENCE_TIMEOUT + Duration::from_secs(1)).check(&ledger, true);
+        assert!(matches!(silent, Err(End::Lost(_))));
+        let mut late = Watchdog::new(&ledger);
+        late.opened_at = ago(limits::SETUP_TIMEOUT + Duration::from_secs(1));
+        assert!(late.check(&ledger, true).is_ok());
+        assert!(matches!(late.check(&ledger, false), Err(End::Violation(_))));
+        let mut noisy = Watchdog::new(&ledger);
+        ledger.messages.add(limits::MAX_MESSAGES_PER_SECOND + 1);
+        assert!(matches!(noisy.check(&ledger, true), Err(End::Violation(_))));
+    }
+}
