@@ -61,7 +61,8 @@ pub struct ServerConfig {
     /// Bandwidth in Mbit/s that admitted sessions may need; sessions beyond it are refused [default: unlimited]
     #[arg(long, value_name = "MBIT", bounds(1, 10_000_000_u32))]
     pub network_budget_mbit: Option<u32>,
-    /// Admit only clients with a token from this file; `gnomon-server token` makes its entries [default: admit everyone]
+    /// Admit only clients with a token from this file; `gnomon-server token` makes its entries [default: admit
+    /// everyone]
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
     /// Most sessions at once

@@ -30,7 +30,8 @@ mod tests {
     use super::*;
     use crate::admission::tokens::{Scope, make};
 
-    /// Tries valid files and damaged ones. `GNOMON_FUZZ_SEEDS=FOLDER` writes the valid ones there, as seeds for the targets.
+    /// Tries valid files and damaged ones. `GNOMON_FUZZ_SEEDS=FOLDER` writes the valid ones there, as seeds for the
+    /// targets.
     fn drive(target: &str, seeds: &[String], entry: fn(&[u8])) {
         for (index, seed) in seeds.iter().enumerate() {
             if let Some(folder) = std::env::var_os("GNOMON_FUZZ_SEEDS") {
@@ -61,8 +62,8 @@ mod tests {
 
     #[test]
     fn a_damaged_configuration_is_refused_on_one_line() {
-        let all = "scene = \"a.glb\"\nlisten = \"[::]:4433\"\nadmin = \"9100\"\nbackend = \"cpu\"\nmax_sessions = 4\nthreads = 2\n\
-                   otlp = \"http://collector:4318\"\nallow_software = true\nalternative = \"gnomon://b:1/\"\n";
+        let all = "scene = \"a.glb\"\nlisten = \"[::]:4433\"\nadmin = \"9100\"\nbackend = \"cpu\"\nmax_sessions = 4\n\
+                   threads = 2\notlp = \"http://collector:4318\"\nallow_software = true\nalternative = \"gnomon://b:1/\"\n";
         assert!(all.parse::<ServerConfig>().is_ok_and(|config| config.validate().is_ok()));
         drive("config", &[all.to_owned(), "http://collector".to_owned()], config);
     }

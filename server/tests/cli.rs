@@ -1,4 +1,4 @@
-//! The binary: flags, environment, file, exit codes, the one line on standard output, and signals.
+//! The binary: flags, environment, file, exit codes, its line on standard output, and signals.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::{
@@ -20,7 +20,7 @@ fn server() -> Command {
     command
 }
 
-/// Runs to the end; a server that starts against expectation is stopped.
+/// Runs to the end. Stops a server that starts unexpectedly.
 fn run(command: &mut Command) -> Output {
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut line = String::new();
@@ -73,7 +73,7 @@ fn flags_beat_the_environment_which_beats_the_file_which_beats_the_defaults() {
 }
 
 #[test]
-fn every_failure_is_one_line_that_says_what_to_do() {
+fn every_failure_is_one_line_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str, content: &str| {
         let path = folder.path().join(name);
@@ -104,7 +104,7 @@ fn every_failure_is_one_line_that_says_what_to_do() {
     ] {
         let cert_dir = folder.path().join("cert");
         let mut command = server();
-        // Mesa complains on standard error when there is no such folder.
+        // Mesa complains on standard error without this folder.
         command.env("XDG_RUNTIME_DIR", folder.path());
         let output = run(command.env("GNOMON_CERT_DIR", cert_dir).env("RUST_LOG", "off").args(&arguments));
         let message = text(&output.stderr);
@@ -132,7 +132,7 @@ fn a_taken_port_is_named() {
 }
 
 #[test]
-fn check_says_what_is_in_the_scene() {
+fn check_describes_the_scene() {
     let folder = tempfile::tempdir().unwrap();
     let output = run(server().arg("--check").arg("--scene").arg(write_scene(folder.path()).unwrap()));
     let found = text(&output.stdout);

@@ -107,8 +107,8 @@ impl RunningServer {
         reason
     }
 
-    /// Stops admitting clients, tells the connected ones, serves them for up to `drain_ms` until they leave, finishes the
-    /// frames in flight, and ends.
+    /// Stops admitting clients, tells the connected ones, serves them for up to `drain_ms` until they leave, finishes
+    /// the frames in flight, and ends.
     pub async fn shutdown(self) {
         let Self {
             services,

@@ -167,8 +167,8 @@ impl Ledger {
         self.stages.readback.record_ms(cost.readback_ms);
     }
 
-    /// Accounts at the session's end for what was never read, and for what was traced and never sent. `transport` holds the
-    /// transport's counters, if it has any.
+    /// Accounts at the session's end for what was never read, and for what was traced and never sent. `transport` holds
+    /// the transport's counters, if it has any.
     pub(crate) fn close(&self, transport: Option<TransportCounts>) {
         let totals = self.totals();
         if let Some(counts) = transport {

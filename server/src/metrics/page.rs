@@ -1,4 +1,4 @@
-//! The counters as Prometheus reads them. `deploy/alerts.yml`, the dashboard and the runbook use these names.
+//! The metrics page in Prometheus' text format. `deploy/prometheus`, `deploy/grafana` and the runbook use these names.
 
 use std::fmt;
 
@@ -15,7 +15,7 @@ use super::{
     registry::{EndCause, RefusalCause, Snapshot},
 };
 
-/// Everything that is shown at one moment.
+/// A reading of all metrics.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Page {
     pub(crate) ready: bool,
@@ -29,14 +29,11 @@ pub(crate) struct Page {
     pub(crate) counts: Snapshot,
 }
 
-/// What the page's Content-Type is.
 pub(crate) const CONTENT_TYPE: &str = prometheus_text::CONTENT_TYPE;
 
 impl Page {
-    /// The page's text.
-    ///
     /// # Errors
-    /// Never: writing to a string does not fail.
+    /// Never, since writing to a string does not fail.
     pub(crate) fn text(self) -> Result<String, fmt::Error> {
         let mut registry = Registry::with_prefix("gnomon");
         registry.register_collector(Box::new(self));
@@ -46,7 +43,6 @@ impl Page {
     }
 }
 
-/// One label.
 type Label = [(&'static str, &'static str); 1];
 
 struct Writer<'a>(DescriptorEncoder<'a>);
@@ -83,7 +79,7 @@ impl Writer<'_> {
     }
 
     fn stages(&mut self, stages: &StageCounts) -> fmt::Result {
-        let help = "Time of a frame by stage; pose_to_sent is all of it";
+        let help = "Time of a frame by stage; pose_to_sent is the total";
         let mut metric = self.0.encode_descriptor("stage_seconds", help, None, MetricType::Histogram)?;
         for (name, counts) in StageCounts::NAMES.into_iter().zip(&stages.0) {
             let labels: Label = [("stage", name)];
@@ -108,23 +104,23 @@ impl Collector for Page {
         let mut page = Writer(encoder);
         let (counts, totals) = (&self.counts, &self.counts.sum.totals);
         {
-            let help = "The program and what traces";
+            let help = "Version and tracing back end";
             let mut metric = page.0.encode_descriptor("build_info", help, None, MetricType::Gauge)?;
             info(&mut metric, &[("version", self.version), ("backend", self.backend.as_str())])?;
         }
-        page.gauge("ready", "Whether new clients are admitted", self.ready.into())?;
-        page.gauge("draining", "Whether the server asks its clients to leave", self.draining.into())?;
-        page.gauge("sessions", "Sessions that are open", counts.open as u64)?;
-        page.gauge("sessions_capacity", "Sessions that may be open", self.capacity as u64)?;
-        page.counter("sessions_opened", "Sessions that were admitted", counts.opened)?;
+        page.gauge("ready", "1 while new clients are admitted", self.ready.into())?;
+        page.gauge("draining", "1 while the server asks its clients to leave", self.draining.into())?;
+        page.gauge("sessions", "Open sessions", counts.open as u64)?;
+        page.gauge("sessions_capacity", "Sessions that may be open at once", self.capacity as u64)?;
+        page.counter("sessions_opened", "Sessions admitted", counts.opened)?;
         let ended = EndCause::LABELS.iter().copied().zip(counts.closed);
-        page.family("sessions_closed", "Sessions that ended, by cause", "cause", ended)?;
+        page.family("sessions_closed", "Sessions ended, by cause", "cause", ended)?;
         let refused = RefusalCause::LABELS.iter().copied().zip(counts.refusals);
-        page.family("refusals", "Peers that got no session, by cause", "cause", refused)?;
-        page.counter("retries", "Peers that were asked to prove their address", self.retries)?;
+        page.family("refusals", "Peers refused, by cause", "cause", refused)?;
+        page.counter("retries", "Peers that were sent a Retry to prove their address", self.retries)?;
         page.family(
             "datagrams_received",
-            "Datagrams of sessions that came in, by what became of them",
+            "Datagrams received by sessions, by outcome",
             "outcome",
             [
                 ("taken", totals.poses),
@@ -137,23 +133,23 @@ impl Collector for Page {
         )?;
         page.family(
             "datagrams_sent",
-            "Datagrams of frames, by what became of them",
+            "Datagrams of frames, by outcome",
             "outcome",
             [("sent", totals.packets.saturating_sub(totals.packets_unsent)), ("unsent", totals.packets_unsent)],
         )?;
-        let help = "UDP datagrams that came in, by whom they belonged to: a session, or none";
+        let help = "UDP datagrams received, by owner: a session, or none";
         let received = [("session", totals.udp_received), ("none", counts.unowned_received)];
         page.family("udp_received", help, "owner", received)?;
-        let help = "UDP datagrams that went out, by whom they belonged to: a session, or none";
+        let help = "UDP datagrams sent, by owner: a session, or none";
         page.family("udp_sent", help, "owner", [("session", totals.udp_sent), ("none", counts.unowned_sent)])?;
         if let Some(drops) = self.process.kernel_drops {
-            page.counter("udp_kernel_drops", "UDP datagrams that found the socket's buffer full", drops)?;
+            page.counter("udp_kernel_drops", "UDP datagrams dropped because the socket's buffer was full", drops)?;
         }
-        page.counter("quic_lost", "QUIC packets that were never acknowledged", totals.quic_lost)?;
-        page.counter("frames_traced", "Masks that were traced", totals.frames_traced)?;
+        page.counter("quic_lost", "QUIC packets declared lost", totals.quic_lost)?;
+        page.counter("frames_traced", "Masks traced", totals.frames_traced)?;
         page.family(
             "frames",
-            "Traced masks, by what became of them",
+            "Traced masks, by outcome",
             "outcome",
             [
                 ("sent", totals.frames_sent),
@@ -163,13 +159,13 @@ impl Collector for Page {
                 ("abandoned", totals.frames_abandoned),
             ],
         )?;
-        let help = "Frames sent of which parts were left out, because the network carried no more";
+        let help = "Frames sent in part, because the network carried no more";
         page.counter("frames_cut", help, totals.frames_cut)?;
-        page.counter("frame_bytes", "Bytes of frames that were sent, headers included", totals.bytes)?;
-        page.counter("messages", "Control messages that came in", totals.messages)?;
-        page.seconds("gpu_seconds", "Time that tracing took, of the device or the processor", totals.gpu_us)?;
+        page.counter("frame_bytes", "Bytes of frames sent, including headers", totals.bytes)?;
+        page.counter("messages", "Control messages received", totals.messages)?;
+        page.seconds("gpu_seconds", "Tracing time of the device or processor", totals.gpu_us)?;
         page.stages(&counts.sum.stages)?;
-        page.counter("log_lines_lost", "Log lines that could not be written", self.log_lines_lost)?;
+        page.counter("log_lines_lost", "Log lines dropped", self.log_lines_lost)?;
         if let Some(bytes) = self.process.resident_bytes {
             page.gauge("resident_memory_bytes", "Memory of the process", bytes)?;
         }
@@ -185,7 +181,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_page_is_what_prometheus_reads() {
+    fn the_page_is_valid_prometheus_text() {
         let mut page = Page { ready: true, version: "1", backend: "a \"b\"\n".to_owned(), ..Page::default() };
         page.counts.closed = [1, 2, 3, 4, 5];
         page.counts.sum.totals.poses = 9;
@@ -204,7 +200,7 @@ mod tests {
         ] {
             assert!(text.lines().any(|found| found == line), "no {line} in\n{text}");
         }
-        // Without a label set Prometheus would refuse to read two lines of one name.
+        // Prometheus rejects two lines of one name with equal labels.
         let mut names: Vec<_> =
             text.lines().filter(|line| !line.starts_with('#')).map(|line| line.rsplit_once(' ').unwrap().0).collect();
         let all = names.len();

@@ -43,8 +43,10 @@ mod tests {
     #[test]
     fn the_kernels_tables_are_read() {
         assert_eq!(resident_bytes("Name:\tx\nVmRSS:\t   12 kB\n"), Some(12 * 1024));
-        let table = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode ref pointer drops\n \
-                     5: 0100007F:1151 00000000:0000 07 00000000:00000000 00:00000000 00000000     0        0 1 2 0 17\n \
+        let table = "  sl  local_address rem_address   st tx_queue rx_queue \
+                     tr tm->when retrnsmt   uid  timeout inode ref pointer drops\n \
+                     5: 0100007F:1151 00000000:0000 07 00000000:00000000 \
+                     00:00000000 00000000     0        0 1 2 0 17\n \
                      6: 00000000:1152 00000000:0000 07 00000000:00000000 00:00000000 00000000     0        0 1 2 0 3\n";
         assert_eq!(kernel_drops(table, 0x1151), Some(17));
         assert_eq!(kernel_drops(table, 0x1152), Some(3));

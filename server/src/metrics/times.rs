@@ -1,7 +1,7 @@
 //! Histograms of durations with exponential buckets, for quantiles in logs and for Prometheus.
 //!
-//! Four buckets per octave, so a quantile is off by at most an eighth of its value. Recording is one atomic addition per
-//! counter.
+//! Four buckets per octave, so a quantile is off by at most an eighth of its value. Recording is one atomic addition
+//! per counter.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering},
@@ -97,7 +97,8 @@ impl Counts {
         0.0
     }
 
-    /// Upper edges in seconds, one per octave, with the count of each bucket. The last edge is `f64::MAX`, for infinity.
+    /// Upper edges in seconds, one per octave, with the count of each bucket. The last edge is `f64::MAX`, for
+    /// infinity.
     #[expect(clippy::cast_precision_loss, reason = "microseconds below a minute")]
     pub(crate) fn histogram(&self) -> Vec<(f64, u64)> {
         let first = (FIRST_EDGE_US as f64 * 1e-6, self.buckets[0]);

@@ -2,11 +2,12 @@
 //!
 //! The permanent one is the operator's (`cert_file`, `key_file`), whose CA clients trust, or self-signed. Of the latter
 //! clients pin the SHA-256 in the server's URL, as SSH pins a host key. So it is made once, never expires, and stays in
-//! `identity.pem`; delete the file to get another. SIGHUP reloads the files for later handshakes; sessions keep their keys.
+//! `identity.pem`; delete the file to get another. SIGHUP reloads the files for later handshakes; sessions keep their
+//! keys.
 //!
-//! A browser accepts a pinned certificate (`serverCertificateHashes`) only with a lifetime of at most 14 days and a P-256
-//! key. So a handshake that offers `h3` gets a second certificate, which is valid for 13 days, stays in memory, and is
-//! renewed after half of that. Web pages ask the server for its hash anyway.
+//! A browser accepts a pinned certificate (`serverCertificateHashes`) only with a lifetime of at most 14 days and a
+//! P-256 key. So a handshake that offers `h3` gets a second certificate, which is valid for 13 days, stays in memory,
+//! and is renewed after half of that. Web pages ask the server for its hash anyway.
 
 use std::{
     path::{Path, PathBuf},
@@ -116,7 +117,8 @@ impl Certificates {
         Ok(Self { files, permanent, browser, provider })
     }
 
-    /// Rereads the permanent certificate for later handshakes, and returns its SHA-256. An unusable one changes nothing.
+    /// Rereads the permanent certificate for later handshakes, and returns its SHA-256. An unusable one changes
+    /// nothing.
     ///
     /// # Errors
     /// As [`Self::open`].

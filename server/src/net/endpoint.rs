@@ -42,7 +42,8 @@ pub enum ListenError {
     Tls(String),
 }
 
-/// A bound socket that accepts nothing yet. The server binds before it loads the scene, so that a taken port fails early.
+/// A bound socket that accepts nothing yet. The server binds before it loads the scene, so that a taken port fails
+/// early.
 pub(crate) enum Bound {
     Quic(UdpSocket),
     Lab(std::net::TcpListener),

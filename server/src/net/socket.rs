@@ -1,4 +1,5 @@
-//! Counts the datagrams of the shared UDP socket. Less the connections' own counts, this is what belonged to no session.
+//! Counts the datagrams of the shared UDP socket. Less the connections' own counts, this is what belonged to no
+//! session.
 
 use std::{
     io::{self, IoSliceMut},

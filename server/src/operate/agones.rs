@@ -1,8 +1,8 @@
-//! Keeps Agones informed: ready when clients may come, healthy while tracing works, and a session counter that goes down
-//! when a session ends.
+//! Keeps Agones informed: ready when clients may come, healthy while tracing works, and a session counter that goes
+//! down when a session ends.
 //!
-//! Talks to the sidecar's HTTP gateway on loopback, with the paths of Agones' `sdk.proto` and `beta.proto`. gRPC would add
-//! protoc and tonic to the build for four calls. Failed calls are repeated; sessions do not depend on them.
+//! Talks to the sidecar's HTTP gateway on loopback, with the paths of Agones' `sdk.proto` and `beta.proto`. gRPC would
+//! add protoc and tonic to the build for four calls. Failed calls are repeated; sessions do not depend on them.
 
 use std::{net::Ipv4Addr, sync::Arc, time::Duration};
 

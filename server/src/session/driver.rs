@@ -1,5 +1,5 @@
-//! Masks out: take the newest, encode it, leave out what the path does not bear, cut the rest into packets, and send all of them or
-//! none. The engine traces the next mask in the meantime, because its channel has room for it.
+//! Masks out: take the newest, encode it, leave out what the path does not bear, cut the rest into packets, and send
+//! all of them or none. The engine traces the next mask in the meantime, because its channel has room for it.
 
 use std::{
     io,

@@ -1,4 +1,4 @@
-//! Who is refused, and that nothing of the scene leaves before.
+//! Refusals. Nothing of the scene is sent to a refused client.
 
 use gnomon_protocol::{
     PROTOCOL_VERSION,
@@ -19,18 +19,18 @@ use super::{
 };
 
 async fn refusal(control: &mut Control, hello: Hello) -> Refusal {
-    control.say(&ClientMessage::Hello(hello)).await;
-    let refusal = match control.hear().await {
+    control.send(&ClientMessage::Hello(hello)).await;
+    let refusal = match control.receive().await {
         Some(ServerMessage::Refused(refusal)) => refusal,
         other => panic!("not refused: {other:?}"),
     };
-    assert_eq!(control.hear().await, None, "a refusal is the last word");
+    assert_eq!(control.receive().await, None, "a refusal is the last word");
     assert!(control.received_bytes < 200, "{} bytes for a stranger", control.received_bytes);
     refusal
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn strangers_get_no_byte_of_the_scene() {
+async fn a_refused_client_gets_no_byte_of_the_scene() {
     let (ours, entry) = tokens::make("ours", None, &[Scope::Session], false).unwrap();
     let rig = Rig::start(|config, folder| {
         let tokens = folder.join("tokens");
@@ -41,12 +41,12 @@ async fn strangers_get_no_byte_of_the_scene() {
     let digest = entry.split('"').find(|part| part.len() == 64).unwrap().to_owned();
     for token in [None, Some(ours[..63].to_owned()), Some(String::new()), Some(digest)] {
         let mut client = Native::connect(rig.address(), rig.folder.path()).await;
-        // Asking for the scene in the same breath does not help.
+        // Asking for the scene at once does not help.
         let mut eager = message::encode(&ClientMessage::Hello(Hello { token, ..hello() })).unwrap();
         eager.extend(message::encode(&ClientMessage::FetchScene { offset: 0 }).unwrap());
-        client.control.say_bytes(&eager).await;
-        assert_eq!(client.control.hear().await, Some(ServerMessage::Refused(Refusal::Token)));
-        assert_eq!(client.control.hear().await, None);
+        client.control.send_bytes(&eager).await;
+        assert_eq!(client.control.receive().await, Some(ServerMessage::Refused(Refusal::Token)));
+        assert_eq!(client.control.receive().await, None);
         assert!(client.control.received_bytes < 100);
     }
     let mut client = Native::connect(rig.address(), rig.folder.path()).await;
@@ -75,7 +75,7 @@ async fn other_versions_and_impossible_sizes_are_refused_with_the_reason() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_full_server_says_so_and_a_leaver_makes_room() {
+async fn a_full_server_refuses_until_a_client_leaves() {
     let rig = Rig::start(|config, _| config.max_sessions = 1).await;
     let first = Native::started(rig.address(), rig.folder.path()).await;
     let mut second = Native::connect(rig.address(), rig.folder.path()).await;
@@ -87,7 +87,7 @@ async fn a_full_server_says_so_and_a_leaver_makes_room() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_speaks_out_of_turn_is_closed_alone() {
+async fn a_protocol_violation_ends_only_its_session() {
     let rig = Rig::start(|_, _| {}).await;
     let good = Native::started(rig.address(), rig.folder.path()).await;
     let mut frames = Frames::new();
@@ -95,8 +95,8 @@ async fn whoever_speaks_out_of_turn_is_closed_alone() {
     let start = message::encode(&ClientMessage::Start).unwrap();
     for opening in [start, vec![0xff; 64], vec![1, 0, 0, 0, 77], b"GET / HTTP/1.1\r\n\r\n".to_vec()] {
         let mut bad = Native::connect(rig.address(), rig.folder.path()).await;
-        bad.control.say_bytes(&opening).await;
-        assert_eq!(bad.control.hear().await, None, "{opening:?}");
+        bad.control.send_bytes(&opening).await;
+        assert_eq!(bad.control.receive().await, None, "{opening:?}");
     }
     let fetch = ClientMessage::FetchScene { offset: 0 };
     for (messages, reason) in [
@@ -109,10 +109,10 @@ async fn whoever_speaks_out_of_turn_is_closed_alone() {
         let mut bad = Native::connect(rig.address(), rig.folder.path()).await;
         bad.control.welcome(hello()).await;
         for message in &messages {
-            bad.control.say(message).await;
+            bad.control.send(message).await;
         }
         let closing = loop {
-            match bad.control.hear().await {
+            match bad.control.receive().await {
                 Some(ServerMessage::SceneChunk { .. }) => {}
                 other => break other,
             }
@@ -121,14 +121,14 @@ async fn whoever_speaks_out_of_turn_is_closed_alone() {
             matches!(&closing, Some(ServerMessage::Closing { reason: said }) if said.contains(reason)),
             "{closing:?}"
         );
-        assert_eq!(bad.control.hear().await, None);
+        assert_eq!(bad.control.receive().await, None);
     }
     good.frame(&mut frames, 1).await;
     rig.sessions(1).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_peer_that_says_nothing_is_cut_off() {
+async fn a_silent_peer_is_disconnected() {
     let rig = Rig::start(|config, _| config.handshake_timeout_ms = 200).await;
     let silent = Native::connect(rig.address(), rig.folder.path()).await;
     soon(silent.connection.closed()).await;
@@ -138,7 +138,7 @@ async fn a_peer_that_says_nothing_is_cut_off() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_server_that_cannot_start_says_why() {
+async fn a_failed_start_names_its_reason() {
     let folder = tempfile::tempdir().unwrap();
     let base = || config(folder.path());
     let running = Server::start(base()).await.unwrap();

@@ -1,4 +1,4 @@
-//! A client that speaks the wire and nothing else: no prediction, no picture.
+//! A minimal client: the wire protocol, without prediction or rendering.
 
 use std::{net::SocketAddr, path::Path, sync::Arc};
 
@@ -52,11 +52,11 @@ pub(crate) fn pose_packet(sequence: u32, frame: u32) -> Vec<u8> {
     encode_pose_packet(sequence, FrameNumber(frame), &pose()).to_vec()
 }
 
-/// The control conversation over any stream.
+/// A control stream.
 pub(crate) struct Control {
     read: Box<dyn AsyncRead + Send + Unpin>,
     write: Box<dyn AsyncWrite + Send + Unpin>,
-    /// Bytes that the server has sent on it.
+    /// Bytes received from the server.
     pub(crate) received_bytes: usize,
 }
 
@@ -68,16 +68,16 @@ impl Control {
         Self { read: Box::new(read), write: Box::new(write), received_bytes: 0 }
     }
 
-    pub(crate) async fn say(&mut self, message: &ClientMessage) {
-        self.say_bytes(&message::encode(message).unwrap()).await;
+    pub(crate) async fn send(&mut self, message: &ClientMessage) {
+        self.send_bytes(&message::encode(message).unwrap()).await;
     }
 
-    pub(crate) async fn say_bytes(&mut self, bytes: &[u8]) {
+    pub(crate) async fn send_bytes(&mut self, bytes: &[u8]) {
         self.write.write_all(bytes).await.unwrap();
     }
 
-    /// The server's next message; `None` when it has ended the conversation.
-    pub(crate) async fn hear(&mut self) -> Option<ServerMessage> {
+    /// The server's next message; `None` once the server has ended the stream.
+    pub(crate) async fn receive(&mut self) -> Option<ServerMessage> {
         soon(async {
             let mut prefix = [0; 4];
             self.read.read_exact(&mut prefix).await.ok()?;
@@ -90,8 +90,8 @@ impl Control {
     }
 
     pub(crate) async fn welcome(&mut self, hello: Hello) -> Welcome {
-        self.say(&ClientMessage::Hello(hello)).await;
-        match self.hear().await {
+        self.send(&ClientMessage::Hello(hello)).await;
+        match self.receive().await {
             Some(ServerMessage::Welcome(welcome)) => welcome,
             other => panic!("no welcome: {other:?}"),
         }
@@ -99,10 +99,10 @@ impl Control {
 
     /// Fetches the scene from byte `offset` on.
     pub(crate) async fn fetch(&mut self, welcome: &Welcome, offset: u64) -> Vec<u8> {
-        self.say(&ClientMessage::FetchScene { offset }).await;
+        self.send(&ClientMessage::FetchScene { offset }).await;
         let mut packed = Vec::new();
         while offset + (packed.len() as u64) < welcome.scene_bytes {
-            match self.hear().await {
+            match self.receive().await {
                 Some(ServerMessage::SceneChunk { offset: at, bytes }) => {
                     assert_eq!(at, offset + packed.len() as u64);
                     packed.extend_from_slice(&bytes);
@@ -119,7 +119,6 @@ pub(crate) struct Native {
     pub(crate) endpoint: quinn::Endpoint,
     pub(crate) connection: quinn::Connection,
     pub(crate) control: Control,
-    /// Where it looks from.
     pub(crate) pose: Pose,
 }
 
@@ -137,11 +136,11 @@ impl Native {
         Self { endpoint, connection, control: Control::new(receive, send), pose: pose() }
     }
 
-    /// Connects, and says Start without fetching the scene.
+    /// Connects, and sends Start without fetching the scene.
     pub(crate) async fn started(address: SocketAddr, folder: &Path) -> Self {
         let mut client = Self::connect(address, folder).await;
         client.control.welcome(hello()).await;
-        client.control.say(&ClientMessage::Start).await;
+        client.control.send(&ClientMessage::Start).await;
         client
     }
 
@@ -177,11 +176,11 @@ impl Native {
     }
 }
 
-/// Packets to masks.
+/// Reassembles and decodes masks.
 pub(crate) struct Frames {
     reassembler: Reassembler,
     decoder: Decoder,
-    /// Milliseconds in the header of the latest frame.
+    /// Timestamp of the latest frame's header, in ms.
     pub(crate) timestamp_ms: u32,
 }
 
@@ -190,7 +189,7 @@ impl Frames {
         Self { reassembler: Reassembler::new(Policy::WholeFrame), decoder: Decoder::new(), timestamp_ms: u32::MAX }
     }
 
-    /// The frame that this packet completes.
+    /// Returns the frame that this packet completes.
     pub(crate) fn push(&mut self, packet: &[u8]) -> Option<(u32, Mask)> {
         if self.reassembler.push(packet).unwrap() != Progress::Complete {
             return None;
@@ -203,7 +202,7 @@ impl Frames {
     }
 }
 
-/// The server's kept certificate.
+/// The server's permanent certificate.
 pub(crate) fn certificate(folder: &Path) -> CertificateDer<'static> {
     CertificateDer::from_pem_file(folder.join("cert/identity.pem")).unwrap()
 }

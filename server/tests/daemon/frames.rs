@@ -1,4 +1,4 @@
-//! A native client's whole way: Hello, scene, Start, poses, frames.
+//! A native client's session: Hello, scene, Start, poses, frames.
 
 use gnomon_protocol::{
     codec::Simplifier,
@@ -14,7 +14,7 @@ use super::{
 };
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_gets_the_scene_and_the_frames_that_it_asked_for() {
+async fn a_client_gets_the_scene_and_the_requested_frames() {
     let rig = Rig::start(|_, _| {}).await;
     let mut client = Native::connect(rig.address(), rig.folder.path()).await;
     let welcome = client.control.welcome(hello()).await;
@@ -25,12 +25,12 @@ async fn a_client_gets_the_scene_and_the_frames_that_it_asked_for() {
     assert_eq!(Scene::unpack(&packed).unwrap().lights.len(), LIGHTS as usize);
     let rest = client.control.fetch(&welcome, welcome.scene_bytes - 3).await;
     assert_eq!(rest, packed[packed.len() - 3..], "a broken download can be resumed");
-    client.control.say(&ClientMessage::Start).await;
+    client.control.send(&ClientMessage::Start).await;
 
     let mut frames = Frames::new();
     let mask = client.frame(&mut frames, 0).await;
     assert_eq!(frames.timestamp_ms, 0, "time counts from the first frame");
-    // Looking down past a low lamp: the blocker's top is lit, and its shadow, which is larger, surrounds it.
+    // Looking down past a low lamp: the blocker's top is lit, and its larger shadow surrounds it.
     let (x, y) = (WIDTH / 2, HEIGHT / 2);
     assert!(mask.get(0, x, y), "the blocker's top sees the lamp above it");
     let lit = |light| {
@@ -43,15 +43,15 @@ async fn a_client_gets_the_scene_and_the_frames_that_it_asked_for() {
     for number in [1, 2, 30] {
         assert_eq!(client.frame(&mut frames, number).await, mask, "the same pose gives the same frame");
     }
-    client.control.say(&ClientMessage::Ping(42)).await;
-    assert_eq!(client.control.hear().await, Some(ServerMessage::Pong(42)));
+    client.control.send(&ClientMessage::Ping(42)).await;
+    assert_eq!(client.control.receive().await, Some(ServerMessage::Pong(42)));
     assert_eq!(rig.server.sessions(), 1);
-    client.control.say(&ClientMessage::Bye).await;
+    client.control.send(&ClientMessage::Bye).await;
     rig.sessions(0).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn garbage_old_poses_and_duplicates_are_dropped_and_disturb_nothing() {
+async fn garbage_old_poses_and_duplicates_are_dropped() {
     let rig = Rig::start(|_, _| {}).await;
     let client = Native::started(rig.address(), rig.folder.path()).await;
     let mut frames = Frames::new();
@@ -66,7 +66,7 @@ async fn garbage_old_poses_and_duplicates_are_dropped_and_disturb_nothing() {
         client.connection.send_datagram(bad.clone().into()).unwrap();
     }
     client.connection.send_datagram(vec![0xff; 1100].into()).unwrap();
-    // Older than frame 5, and a duplicate of what has been answered.
+    // Older than frame 5, and a duplicate of an answered pose.
     client.send_pose(9_001, 4);
     client.send_pose(5_000, 5);
     let mask = client.frame(&mut frames, 7).await;
@@ -87,13 +87,13 @@ async fn garbage_old_poses_and_duplicates_are_dropped_and_disturb_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn bits_are_wrong_only_where_the_client_lets_them_be() {
+async fn masks_are_lossy_only_as_far_as_the_client_allows() {
     let rig = Rig::start(|_, _| {}).await;
     let mut exact = Native::started(rig.address(), rig.folder.path()).await;
     let mut lossy = Native::connect(rig.address(), rig.folder.path()).await;
     lossy.control.welcome(Hello { wrong_ppm: MAX_WRONG_PPM, ..hello() }).await;
-    lossy.control.say(&ClientMessage::Start).await;
-    // Downwards and askew, so that some corner of a shadow is a pixel that stands out.
+    lossy.control.send(&ClientMessage::Start).await;
+    // Downwards and tilted, so that some corner of a shadow is a single pixel.
     let (sin, cos) = 0.3_f64.sin_cos();
     exact.pose.orientation = [-cos, sin, sin, cos].map(|part| part * std::f64::consts::FRAC_1_SQRT_2);
     lossy.pose = exact.pose;

@@ -1,4 +1,4 @@
-//! The lab transports: control over TCP, data on a port of the session's own.
+//! The lab transports: control over TCP, and a data port per session.
 
 use gnomon_protocol::message::ClientMessage;
 use gnomon_server::config::Transport;
@@ -22,15 +22,15 @@ async fn connect(rig: &Rig) -> (Control, u16) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn frames_come_over_udp() {
+async fn frames_arrive_over_udp() {
     let rig = Rig::start(|config, _| config.transport = Transport::LabUdp).await;
     assert_eq!(rig.server.url(), format!("gnomon+lab-udp://{}/", rig.address()));
     let (mut control, port) = connect(&rig).await;
-    control.say(&ClientMessage::Start).await;
+    control.send(&ClientMessage::Start).await;
     let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
     socket.connect(("127.0.0.1", port)).await.unwrap();
     let (mut frames, mut buffer) = (Frames::new(), vec![0; 65_536]);
-    // A stranger that sends first, but no pose, does not become the client.
+    // A stranger that sends something else first does not become the client.
     let stranger = UdpSocket::bind("127.0.0.1:0").await.unwrap();
     stranger.send_to(b"not a pose", ("127.0.0.1", port)).await.unwrap();
     for number in 0..3 {
@@ -53,11 +53,11 @@ async fn frames_come_over_udp() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn frames_come_over_tcp() {
+async fn frames_arrive_over_tcp() {
     let rig = Rig::start(|config, _| config.transport = Transport::LabTcp).await;
     assert_eq!(rig.server.url(), format!("gnomon+lab-tcp://{}/", rig.address()));
     let (mut control, port) = connect(&rig).await;
-    control.say(&ClientMessage::Start).await;
+    control.send(&ClientMessage::Start).await;
     let mut data = TcpStream::connect(("127.0.0.1", port)).await.unwrap();
     let mut frames = Frames::new();
     for number in 0..3 {

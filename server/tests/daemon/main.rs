@@ -1,4 +1,4 @@
-//! The daemon, booted in-process on free ports, and clients that are written against the wire only.
+//! In-process servers on free ports, with minimal clients.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod admission;
@@ -10,7 +10,6 @@ mod references;
 mod stopping;
 mod web;
 
-/// Lights of the scene.
 pub(crate) const LIGHTS: u32 = 2;
 
 use std::{net::SocketAddr, path::Path, time::Duration};
@@ -20,7 +19,7 @@ use gnomon_server::{
     config::{Backend, ServerConfig},
 };
 
-/// A server on a free port that traces the small scene on the processor, and the folder that it lives in.
+/// A server on a free port, which traces the small scene on the processor, and its folder.
 struct Rig {
     server: RunningServer,
     folder: tempfile::TempDir,
@@ -39,7 +38,7 @@ impl Rig {
         self.server.local_addr()
     }
 
-    /// Waits until that many sessions are served.
+    /// Waits until `count` sessions are open.
     async fn sessions(&self, count: usize) {
         soon(async {
             while self.server.sessions() != count {
@@ -62,7 +61,7 @@ fn config(folder: &Path) -> ServerConfig {
     }
 }
 
-/// Fails a test that hangs, long after a slow machine would be done.
+/// Fails a test that hangs. Slow machines need far less.
 async fn soon<T>(work: impl Future<Output = T>) -> T {
     tokio::time::timeout(Duration::from_secs(60), work).await.expect("still not done after a minute")
 }

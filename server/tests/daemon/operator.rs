@@ -1,4 +1,4 @@
-//! What an operator sees and changes while the server runs: the admin address, the sums, tokens and certificates read again.
+//! Operation: the admin address, complete counters, reloaded tokens and certificates.
 
 use std::{net::SocketAddr, path::Path};
 
@@ -15,7 +15,7 @@ use super::{
     soon,
 };
 
-/// Status and body of an answer.
+/// Returns the status and body.
 async fn get(admin: SocketAddr, path: &str, more: &str) -> (u16, String) {
     let mut stream = TcpStream::connect(admin).await.unwrap();
     stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: edge\r\n{more}\r\n").as_bytes()).await.unwrap();
@@ -25,7 +25,7 @@ async fn get(admin: SocketAddr, path: &str, more: &str) -> (u16, String) {
     (head.split(' ').nth(1).unwrap().parse().unwrap(), body.to_owned())
 }
 
-/// A counter or gauge of the metrics page.
+/// Reads a counter or gauge from the metrics page.
 fn value(page: &str, name: &str) -> u64 {
     let line = page.lines().find(|line| line.rsplit_once(' ').is_some_and(|(found, _)| found == name));
     let line = line.unwrap_or_else(|| panic!("no {name} in\n{page}"));
@@ -38,7 +38,7 @@ async fn page(rig: &Rig) -> String {
     page
 }
 
-/// All lines of a counter with labels, added up.
+/// Sums a counter over its labels.
 fn sum(page: &str, name: &str) -> u64 {
     let ours = page.lines().filter(|line| line.starts_with(&format!("{name}{{")));
     ours.map(|line| line.rsplit_once(' ').unwrap().1.parse::<u64>().unwrap()).sum()
@@ -49,7 +49,7 @@ async fn with_admin() -> Rig {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_admin_address_says_how_the_server_is() {
+async fn the_admin_address_shows_the_servers_state() {
     let rig = with_admin().await;
     let admin = rig.server.admin_addr().unwrap();
     assert_eq!(get(admin, "/live", "").await, (200, "alive\n".to_owned()));
@@ -76,7 +76,7 @@ async fn the_admin_address_says_how_the_server_is() {
     let found = page(&rig).await;
     assert_eq!((value(&found, "gnomon_ready"), value(&found, "gnomon_sessions")), (1, 1));
 
-    // A draining server is alive and not ready.
+    // A draining server is alive but not ready.
     let Rig { server, folder } = rig;
     let stopping = tokio::spawn(server.shutdown());
     soon(async { while get(admin, "/ready", "").await.0 != 503 {} }).await;
@@ -100,12 +100,12 @@ async fn every_datagram_and_every_frame_is_accounted_for() {
     client.frame(&mut frames, 1).await;
     for number in 2..40 {
         client.frame(&mut frames, number).await;
-        // One that is no pose, and one that is old.
+        // An invalid pose and an old one.
         client.connection.send_datagram(b"no pose".as_slice().into()).unwrap();
         client.connection.send_datagram(pose_packet(1, 0).into()).unwrap();
     }
     let while_open = page(&rig).await;
-    // Some that nobody may have read by the end.
+    // Some may stay unread.
     for sequence in 0..20 {
         client.send_pose(1_000_000 + sequence, 41);
     }
@@ -119,19 +119,19 @@ async fn every_datagram_and_every_frame_is_accounted_for() {
     let taken = |outcome: &str| value(&found, &format!("gnomon_datagrams_received_total{{outcome=\"{outcome}\"}}"));
     assert_eq!(taken("bad"), 38, "{found}");
     assert!(taken("stale") >= 38 && taken("taken") >= 39, "{found}");
-    // Loopback loses nothing: what the client sent is what the server accounts for.
+    // Loopback loses nothing, so the server accounts for all that the client sent.
     assert_eq!(sum(&found, "gnomon_datagrams_received_total"), sent.frame_tx.datagram, "{found}");
     let frames_traced = value(&found, "gnomon_frames_traced_total");
     assert_eq!(sum(&found, "gnomon_frames_total"), frames_traced, "{found}");
     assert!(frames_traced >= 39, "{found}");
-    // What came back, and what the server says that it sent.
+    // Received by the client, and counted as sent by the server.
     let outcome = |outcome: &str| value(&found, &format!("gnomon_datagrams_sent_total{{outcome=\"{outcome}\"}}"));
     assert!(outcome("sent") >= sent.frame_rx.datagram, "{found}");
     let owner = |name: &str, owner: &str| value(&found, &format!("gnomon_udp_{name}_total{{owner=\"{owner}\"}}"));
-    // The client's first packet and its answer to the Retry come before the session, its last after it.
+    // The client's first packet and its answer to the Retry precede the session; its last follows it.
     let total =
         owner("received", "session") + owner("received", "none") + value(&found, "gnomon_udp_kernel_drops_total");
-    // A client that has closed answers what still comes to it, and does not count that.
+    // A closed client answers late packets without counting them.
     let counted = sent.udp_tx.datagrams + 50;
     assert!((counted..=counted + 2).contains(&total), "{counted}: {found}");
     assert!(owner("received", "none") >= 50, "{found}");
@@ -154,7 +154,7 @@ async fn every_datagram_and_every_frame_is_accounted_for() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn tokens_are_read_again_and_one_for_one_use_admits_one_session() {
+async fn tokens_are_reloaded_and_a_single_use_token_admits_one_session() {
     let make = |once| tokens::make("", None, &[Scope::Session], once).unwrap();
     let [(first, first_entry), (second, second_entry), (once, once_entry)] = [make(false), make(false), make(true)];
     let (look, look_entry) = tokens::make("", None, &[Scope::Admin], false).unwrap();
@@ -167,8 +167,8 @@ async fn tokens_are_read_again_and_one_for_one_use_admits_one_session() {
     .await;
     let say = async |token: &str| {
         let mut client = Native::connect(rig.address(), rig.folder.path()).await;
-        client.control.say(&ClientMessage::Hello(Hello { token: Some(token.to_owned()), ..hello() })).await;
-        let answer = client.control.hear().await;
+        client.control.send(&ClientMessage::Hello(Hello { token: Some(token.to_owned()), ..hello() })).await;
+        let answer = client.control.receive().await;
         (matches!(answer, Some(ServerMessage::Welcome(_))), answer, client)
     };
     let (admitted, _, early) = say(&first).await;
@@ -183,7 +183,7 @@ async fn tokens_are_read_again_and_one_for_one_use_admits_one_session() {
     rig.server.reload();
     assert!(say(&second).await.0 && !say(&first).await.0);
     assert!(early.connection.close_reason().is_none(), "sessions that are open stay");
-    // Now that there is a token for it, the page wants it.
+    // Once a token for it is listed, the page requires one.
     let admin = rig.server.admin_addr().unwrap();
     assert_eq!(get(admin, "/metrics", "").await.0, 401);
     assert_eq!(get(admin, "/sessions", &format!("Authorization: Bearer {second}\r\n")).await.0, 401);
@@ -203,7 +203,7 @@ async fn a_certificate_is_rotated_and_sessions_stay() {
     std::fs::remove_file(folder.join("cert/identity.pem")).unwrap();
     rig.server.reload();
     assert_ne!(certificate(folder), old);
-    // This one trusts the new certificate only.
+    // Trusts the new certificate only.
     let new = Native::started(rig.address(), folder).await;
     new.frame(&mut Frames::new(), 0).await;
     client.frame(&mut frames, 1).await;

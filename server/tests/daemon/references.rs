@@ -1,4 +1,4 @@
-//! Masks are coded against what the client says that it has, and against nothing else.
+//! Masks are coded only against masks that the client acknowledged.
 
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
@@ -16,7 +16,7 @@ use super::{
     soon,
 };
 
-/// The body of a frame: the pose is sent until it comes.
+/// Sends the pose until its frame arrives, and returns the frame's body.
 async fn body(client: &Native, reassembler: &mut Reassembler, number: u32) -> Vec<u8> {
     let mut sequence = number * 1000;
     soon(async {
@@ -45,7 +45,7 @@ async fn masks_are_coded_against_what_the_client_has() {
     let rig = Rig::start(|_, _| {}).await;
     let mut client = Native::connect(rig.address(), rig.folder.path()).await;
     client.control.welcome(Hello { codec: CodecId::TilesSmall, ..hello() }).await;
-    client.control.say(&ClientMessage::Start).await;
+    client.control.send(&ClientMessage::Start).await;
     let say = |said: Acknowledgement| client.connection.send_datagram(said.encode().to_vec().into()).unwrap();
     let reference_of = |body: &[u8]| Frame::parse(body).unwrap().head.reference.map(|name| name.frame.0);
     let (mut reassembler, mut decoder, mut kept) =
@@ -67,14 +67,14 @@ async fn masks_are_coded_against_what_the_client_has() {
     assert!(mask == shown, "the same pose gives the same mask");
     assert!(second.len() < first.len(), "{} bytes, and {} without a reference", second.len(), first.len());
 
-    // Nobody has a mask of this digest.
+    // No mask has this digest.
     let wrong = have_first.mask.map(|mut name| {
         name.digest ^= 1;
         name
     });
     say(Acknowledgement { sequence: 1, mask: wrong });
     assert_eq!(reference_of(&body(&client, &mut reassembler, 2).await), Some(0));
-    // The client has lost it; what it said before comes again, late.
+    // The client has lost it, and an older acknowledgement arrives late.
     say(Acknowledgement { sequence: 2, mask: None });
     assert_eq!(reference_of(&body(&client, &mut reassembler, 3).await), None);
     say(have_first);

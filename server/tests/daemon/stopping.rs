@@ -11,7 +11,7 @@ use super::{
 };
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_draining_server_tells_serves_and_then_closes() {
+async fn a_draining_server_notifies_serves_and_then_closes() {
     let rig = Rig::start(|config, _| {
         config.drain_ms = 3_000;
         config.alternative = Some("gnomon://elsewhere:1/".to_owned());
@@ -23,17 +23,17 @@ async fn a_draining_server_tells_serves_and_then_closes() {
     let mut late = Native::connect(rig.address(), rig.folder.path()).await;
     let Rig { server, folder } = rig;
     let stopping = tokio::spawn(server.shutdown());
-    match client.control.hear().await {
+    match client.control.receive().await {
         Some(ServerMessage::Draining { deadline_ms, alternative, .. }) => {
             assert_eq!((deadline_ms, alternative.as_deref()), (3_000, Some("gnomon://elsewhere:1/")));
         }
         other => panic!("{other:?}"),
     }
-    late.control.say(&ClientMessage::Hello(hello())).await;
-    assert_eq!(late.control.hear().await, Some(ServerMessage::Refused(Refusal::Draining)));
+    late.control.send(&ClientMessage::Hello(hello())).await;
+    assert_eq!(late.control.receive().await, Some(ServerMessage::Refused(Refusal::Draining)));
     client.frame(&mut frames, 1).await;
-    assert!(matches!(client.control.hear().await, Some(ServerMessage::Closing { .. })));
-    assert_eq!(client.control.hear().await, None);
+    assert!(matches!(client.control.receive().await, Some(ServerMessage::Closing { .. })));
+    assert_eq!(client.control.receive().await, None);
     client.connection.close(0u32.into(), b"");
     soon(stopping).await.unwrap();
     drop(folder);
@@ -46,14 +46,14 @@ async fn a_drained_server_does_not_wait_for_its_deadline() {
     client.frame(&mut Frames::new(), 0).await;
     let Rig { server, folder } = rig;
     let stopping = tokio::spawn(server.shutdown());
-    assert!(matches!(client.control.hear().await, Some(ServerMessage::Draining { .. })));
-    client.control.say(&ClientMessage::Bye).await;
+    assert!(matches!(client.control.receive().await, Some(ServerMessage::Draining { .. })));
+    client.control.send(&ClientMessage::Bye).await;
     soon(stopping).await.unwrap();
     drop(folder);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_vanished_client_is_gone_within_the_idle_timeout() {
+async fn a_vanished_client_ends_within_the_idle_timeout() {
     let rig = Rig::start(|config, _| config.idle_timeout_ms = 500).await;
     let stays = Native::started(rig.address(), rig.folder.path()).await;
     let mut frames = Frames::new();
@@ -71,10 +71,10 @@ async fn a_vanished_client_is_gone_within_the_idle_timeout() {
     .await
     .unwrap();
     rig.sessions(2).await;
-    // Its packets stop without a farewell, as after SIGKILL: the client itself is kept, so that nothing closes it.
+    // Its packets stop without a close, as after SIGKILL: the client object is kept, so that nothing closes it.
     its_runtime.shutdown_background();
     rig.sessions(1).await;
-    // The other is silent but alive: keep-alives hold its session for several timeouts.
+    // The other is silent but alive: keep-alives keep its session for several timeouts.
     tokio::time::sleep(Duration::from_millis(1_500)).await;
     stays.frame(&mut frames, 1).await;
     drop(vanished);

@@ -1,4 +1,4 @@
-//! A WebTransport client, as a browser is one: same port, same session, another certificate.
+//! A WebTransport client, as in a browser: same port and session, another certificate.
 
 use gnomon_protocol::message::ClientMessage;
 use web_transport_quinn::ClientBuilder;
@@ -26,7 +26,7 @@ async fn a_browser_gets_frames_too() {
     let welcome = control.welcome(hello()).await;
     let packed = control.fetch(&welcome, 0).await;
     assert_eq!(packed.len() as u64, welcome.scene_bytes);
-    control.say(&ClientMessage::Start).await;
+    control.send(&ClientMessage::Start).await;
     let mut frames = Frames::new();
     let mask = soon(async {
         for sequence in 0.. {

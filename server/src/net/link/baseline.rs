@@ -83,8 +83,8 @@ pub(crate) struct LabUdpSender {
 }
 
 /// A token bucket. Loopback has no back-pressure: packets beyond the client's socket buffer are lost, and a frame of
-/// words at 1920×1080 exceeds the buffers that systems allow. So a burst is sent at once, and the rest of a larger frame
-/// at 2 Gbit/s, twice the rate of the wire that the dissertation measured on.
+/// words at 1920×1080 exceeds the buffers that systems allow. So a burst is sent at once, and the rest of a larger
+/// frame at 2 Gbit/s, twice the rate of the wire that the dissertation measured on.
 struct Pace {
     burst_bytes: f64,
     at: Instant,

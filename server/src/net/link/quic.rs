@@ -38,8 +38,8 @@ impl QuicData {
         self.session.max_datagram_size().min(MAX_PACKET_BYTES)
     }
 
-    /// quinn silently drops the oldest datagrams when its buffer overflows, which would cut off the front of a frame. So
-    /// a frame is sent only if all of it fits, and less than a frame is queued before it.
+    /// quinn silently drops the oldest datagrams when its buffer overflows, which would cut off the front of a frame.
+    /// So a frame is sent only if all of it fits, and less than a frame is queued before it.
     pub(super) fn has_room(&self, packets: usize, bytes: usize) -> bool {
         let space = self.session.datagram_send_buffer_space();
         let frame = bytes.saturating_add(packets.saturating_mul(QUEUED_OVERHEAD_BYTES));

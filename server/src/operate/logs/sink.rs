@@ -1,4 +1,5 @@
-//! Writes log lines on a thread of its own, so that a full or slow disk, or a reader that stopped, blocks no other thread.
+//! Writes log lines on a thread of its own, so that a full or slow disk, or a reader that stopped, blocks no other
+//! thread.
 //!
 //! A line that cannot be written is dropped and counted. The count is logged once writing works again.
 

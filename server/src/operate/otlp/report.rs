@@ -1,5 +1,5 @@
-//! Sends the metrics to a collector every 10 s as OTLP over HTTP in JSON (opentelemetry.io/docs/specs/otlp, and the JSON
-//! mapping of `opentelemetry/proto/metrics/v1/metrics.proto`).
+//! Sends the metrics to a collector every 10 s as OTLP over HTTP in JSON (opentelemetry.io/docs/specs/otlp, and the
+//! JSON mapping of `opentelemetry/proto/metrics/v1/metrics.proto`).
 //!
 //! Translates the Prometheus page, so both show the same values, with the admin address's HTTP crate and no SDK.
 //! Collectors read the log lines as they are (`deploy/logs/`). A failed report loses nothing: counters are cumulative.

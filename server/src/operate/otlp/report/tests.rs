@@ -95,7 +95,8 @@ async fn a_collector_gets_what_the_page_shows_also_after_it_was_away() {
 fn a_histogram_is_taken_apart_into_its_own_buckets() {
     let page = "# HELP t_seconds Time.\n# TYPE t_seconds histogram\n\
         t_seconds_sum{stage=\"a\"} 1.5\nt_seconds_count{stage=\"a\"} 9\n\
-        t_seconds_bucket{stage=\"a\",le=\"0.5\"} 2\nt_seconds_bucket{stage=\"a\",le=\"1.0\"} 7\nt_seconds_bucket{stage=\"a\",le=\"+Inf\"} 9\n\
+        t_seconds_bucket{stage=\"a\",le=\"0.5\"} 2\nt_seconds_bucket{stage=\"a\",le=\"1.0\"} 7\n\
+        t_seconds_bucket{stage=\"a\",le=\"+Inf\"} 9\n\
         t_seconds_sum{stage=\"b\"} 0.0\nt_seconds_count{stage=\"b\"} 0\n\
         t_seconds_bucket{stage=\"b\",le=\"0.5\"} 0\nt_seconds_bucket{stage=\"b\",le=\"+Inf\"} 0\n# EOF\n";
     let found = translate::metrics(page, 5, 8);
