@@ -1,7 +1,7 @@
 //! Gnomon's thin client: rasterises its own frames and shades them with visibility that is traced at the edge.
 //!
 //! A frame's way: [`camera_path`] → pose out (`link/send.rs`) → G-buffer ([`render`]) → mask in (`link/receive.rs`) →
-//! [`mask_buffer`] → shading → picture and statistics ([`headless`]). `frame_loop.rs` is where they meet.
+//! `link/mask_buffer.rs` → shading → picture and statistics ([`headless`]). `frame_driver.rs` is where they meet.
 //!
 //! In a [`window`], poses come from a person ([`input`]) and pictures go to the screen, with an overlay. The rest is the same.
 
@@ -9,10 +9,9 @@ pub mod app;
 pub mod cli;
 pub mod config;
 pub mod error;
-mod frame_loop;
+mod frame_driver;
 pub mod headless;
 pub mod link;
-mod live;
 pub mod options;
 pub mod record;
 pub mod settings;
@@ -22,9 +21,7 @@ pub use error::ClientError;
 pub use gnomon_client_core::{
     camera::{default_path, path as camera_path},
     frame::{guard, mode, pose_history},
-    input,
-    mask::buffer as mask_buffer,
-    occluders, predictor, render,
+    input, occluders, predictor, render,
 };
 pub use headless::{run::run_headless, stats::Summary};
 pub use options::{HeadlessOptions, Source};

@@ -14,10 +14,10 @@ use crate::{
         certificate::fetch_certificate,
         receive_options::Reception,
         reconnect::admit_patiently,
+        server_link::ServerLink,
         session::{Admitted, Introduction, rate_hz},
         url::{ServerUrl, Transport},
     },
-    live::Live,
     options::{HeadlessOptions, Source},
 };
 
@@ -121,9 +121,9 @@ impl Connected {
     }
 
     /// Lets frames begin, with masks of at most `shape`.
-    pub(crate) fn start(self, shape: MaskShape, reception: Reception) -> Result<Live, ClientError> {
+    pub(crate) fn start(self, shape: MaskShape, reception: Reception) -> Result<ServerLink, ClientError> {
         let Self { runtime, admitted, .. } = self;
         let (session, masks) = runtime.block_on(admitted.start(shape, reception))?;
-        Ok(Live::new(Arc::new(runtime), session, masks))
+        Ok(ServerLink::new(Arc::new(runtime), session, masks))
     }
 }

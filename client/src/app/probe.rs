@@ -13,11 +13,11 @@ use crate::{
     error::ClientError,
     headless::stats::millis,
     link::{
+        mask_buffer::{MaskReader, Waited},
         receive_options::Reception,
         session::{Introduction, Session, admit, rate_hz},
         url::ServerUrl,
     },
-    mask_buffer::{MaskReader, Waited},
 };
 
 /// How long a mask may take before the probe asks for the next frame instead.

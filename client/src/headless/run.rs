@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use gnomon_client_core::frame::frame_loop::{FrameLoop, MaskSource};
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, message::Welcome};
 use gnomon_scene::camera::Camera;
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
@@ -11,7 +12,7 @@ use crate::{
     camera_path::CameraPath,
     default_path::default_path,
     error::ClientError,
-    frame_loop::{FrameLoop, Memory, Served, Shown, Sink},
+    frame_driver::{FrameDriver, Served, Shown, Sink},
     headless::pictures::PictureWriter,
     headless::progress::Progress,
     headless::stats::{FrameStats, StatsFile, Summary, mean, percentile},
@@ -69,22 +70,21 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     drop(scene);
 
     let welcome = connected.as_ref().map(|connected| connected.welcome().clone());
-    let live = connected.map(|connected| connected.start(shape, options.reception())).transpose()?;
+    let link = connected.map(|connected| connected.start(shape, options.reception())).transpose()?;
     let timing = timing(options, &camera_path);
-    let mut frames = FrameLoop {
-        renderer,
-        live,
-        wait: options.wait,
-        predict_pose: options.looks_ahead(&gpu),
-        machine: ModeMachine::new(options.mode, options.thresholds),
-        guard: options.guard_choice(),
-        recorder: Recorder::for_run(options, (options.width, options.height), welcome.as_ref(), exposure, &gpu)?,
-        memory: Memory::new(timing.frames),
+    let machine = ModeMachine::new(options.mode, options.thresholds);
+    let source = match &link {
+        None => MaskSource::Offline,
+        Some(_) if options.wait => MaskSource::Awaited,
+        Some(_) => MaskSource::Streamed { look_ahead: options.looks_ahead(&gpu) },
     };
+    let frames = FrameLoop::new(renderer, machine, options.guard_choice(), source, Instant::now());
+    let recorder = Recorder::for_run(options, (options.width, options.height), welcome.as_ref(), exposure, &gpu)?;
+    let mut driver = FrameDriver::new(frames, link, recorder, timing.frames);
     let mut files = Files { reader, pictures, stats };
     let mut tally = Tally::default();
     let drawn = draw_all(
-        &mut frames,
+        &mut driver,
         &mut files,
         &timing,
         &mut tally,
@@ -92,11 +92,11 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         &progress,
     );
     progress.finish();
-    tally.duration = frames.memory.started.elapsed();
-    let served = frames.leave();
+    tally.duration = driver.frames.started().elapsed();
+    let served = driver.leave();
     drawn?;
     files.finish()?;
-    frames.recorder.take().map_or(Ok(()), Recorder::finish)?;
+    driver.recorder.take().map_or(Ok(()), Recorder::finish)?;
     let summary = summary(options, (&tally, &served), welcome.as_ref(), lights, exposure, &camera_path, &gpu);
     if let Some(path) = &options.summary {
         summary.write(path)?;
@@ -152,21 +152,21 @@ impl Tally {
 }
 
 fn draw_all(
-    frames: &mut FrameLoop,
+    driver: &mut FrameDriver,
     files: &mut Files,
     timing: &Timing,
     tally: &mut Tally,
     camera: impl Fn(u32) -> Camera,
     progress: &Progress,
 ) -> Result<(), ClientError> {
-    frames.memory.started = Instant::now();
+    driver.frames.restart(Instant::now());
     for index in 0..timing.frames {
         if timing.paced {
             let due = Duration::from_secs_f64(f64::from(index) * timing.step_s);
-            std::thread::sleep(due.saturating_sub(frames.memory.started.elapsed()));
+            std::thread::sleep(due.saturating_sub(driver.frames.started().elapsed()));
         }
-        let drawn = frames.draw(FrameNumber(index), camera(index), timing.time_s(index), files)?;
-        tally.add(&drawn, frames.live.is_some());
+        let drawn = driver.draw(FrameNumber(index), camera(index), timing.time_s(index), files)?;
+        tally.add(&drawn, driver.link.is_some());
         if let Some(file) = &mut files.stats {
             file.write(&drawn)?;
         }
@@ -242,7 +242,7 @@ fn summary(
     gpu: &Gpu,
 ) -> Summary {
     let duration_s = tally.duration.as_secs_f64().max(1e-9);
-    let received = served.received;
+    let received = served.link.received;
     let came = received.frames + received.cut;
     let of_each = |sum: u64| (came > 0).then(|| sum as f64 / came as f64);
     let transport = match &options.source {
@@ -257,7 +257,7 @@ fn summary(
         frames_partial: received.partial,
         frames_incomplete: received.incomplete,
         frames_bad: received.bad,
-        poses_repeated: served.poses_repeated,
+        poses_repeated: served.link.poses_repeated,
         masks_rejected: served.rejections,
         degraded_share: welcome.map(|_| f64::from(tally.frames_degraded) / f64::from(tally.frames.max(1))),
         known_share_mean: mean(&tally.known_shares),
@@ -270,7 +270,7 @@ fn summary(
         visibility_fps: welcome.map(|_| (came + received.partial) as f64 / duration_s),
         payload_bytes_mean: of_each(received.payload_bytes),
         packets_mean: of_each(received.packets),
-        rtt_ms: served.round_trip.map(crate::headless::stats::millis),
+        rtt_ms: served.link.round_trip.map(crate::headless::stats::millis),
         duration_s,
         size: format!("{}x{}", options.width, options.height),
         lights,
@@ -286,7 +286,7 @@ fn summary(
         guard: options.guard.to_string(),
         predict_pose: options.looks_ahead(gpu),
         connection_lost: served.lost.clone(),
-        reconnects: served.reconnects,
+        reconnects: served.link.reconnects,
         exposure_ev: exposure.ev(),
         path: path.name().to_owned(),
     }

@@ -15,9 +15,9 @@ use gnomon_protocol::{
 use gnomon_transport::root_cause;
 use tokio::sync::watch;
 
-use super::{connection::DataReceiver, mask_files::MaskFiles};
-use crate::mask_buffer::MaskWriter;
 pub(crate) use gnomon_protocol::receive::ReceiverCounters as Received;
+
+use super::{connection::DataReceiver, mask_buffer::MaskWriter, mask_files::MaskFiles};
 
 /// Counters that the receive task writes and any thread reads.
 pub(crate) type Counters = Arc<Mutex<Received>>;

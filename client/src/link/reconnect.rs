@@ -15,12 +15,13 @@ use tokio::{
 
 use super::{
     backoff::Backoff,
+    mask_buffer::MaskReader,
     receive_options::Reception,
     session::{Admitted, Introduction, Session, admit},
     state::LinkState,
     url::ServerUrl,
 };
-use crate::{error::ClientError, mask_buffer::MaskReader};
+use crate::error::ClientError;
 
 /// Attempts at a time.
 const ATTEMPTS: usize = 3;

@@ -26,6 +26,7 @@ use tokio::{
 use super::{
     connection::{OpenConnection, QuicHandle, ServerConnection},
     health::{Draining, Health, HealthCell, watch_silence},
+    mask_buffer::{MaskReader, mask_buffer},
     mask_files::MaskFiles,
     receive::{Counters, ReceiveTask, Received, Requested},
     receive_options::Reception,
@@ -36,7 +37,6 @@ use super::{
 use crate::{
     error::ClientError,
     link::scene_cache::{CachedScene, SceneCache},
-    mask_buffer::{MaskReader, mask_buffer},
 };
 
 /// How often the round trip is measured.

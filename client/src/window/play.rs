@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use gnomon_client_core::frame::frame_loop::{FrameLoop, MaskSource};
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_PIXELS, mask::MaskShape, message::Welcome};
 use gnomon_scene::camera::Camera;
 use gnomon_shaders::gpu::Gpu;
@@ -15,7 +16,7 @@ use crate::{
     app::local_server::LocalServer,
     camera_path::CameraPath,
     error::ClientError,
-    frame_loop::{FrameLoop, Memory},
+    frame_driver::FrameDriver,
     guard::{Guard, GuardChoice, GuardSize},
     headless::stats::{FrameStats, StatsFile},
     input::fly::{Fly, Motion},
@@ -39,7 +40,7 @@ const SETTLED: Duration = Duration::from_millis(150);
 
 /// The scene and whoever looks at it.
 pub(crate) struct Play {
-    frames: FrameLoop,
+    driver: FrameDriver,
     /// Where the server is, and what it said of itself.
     pub(crate) server: Option<(ServerUrl, Welcome)>,
     pub(crate) figures: Figures,
@@ -105,26 +106,20 @@ impl Play {
         let (width, height) = largest_mask(largest);
         let shape = MaskShape::new(width, height, lights)?;
         let server = connected.as_ref().map(|connected| (connected.url().clone(), connected.welcome().clone()));
-        let live = connected.map(|connected| connected.start(shape, options.reception())).transpose()?;
-        let frames = FrameLoop {
-            renderer,
-            live,
-            wait: false,
-            predict_pose: options.looks_ahead(&screen.gpu),
-            machine: ModeMachine::new(settings.mode, options.thresholds),
-            guard: GuardChoice::new(settings.guard, size),
-            recorder: Recorder::for_run(
-                options,
-                size,
-                server.as_ref().map(|(_, welcome)| welcome),
-                exposure,
-                &screen.gpu,
-            )?,
-            memory: Memory::new(u32::MAX),
+        let link = connected.map(|connected| connected.start(shape, options.reception())).transpose()?;
+        let machine = ModeMachine::new(settings.mode, options.thresholds);
+        let guard = GuardChoice::new(settings.guard, size);
+        let source = match &link {
+            None => MaskSource::Offline,
+            Some(_) => MaskSource::Streamed { look_ahead: options.looks_ahead(&screen.gpu) },
         };
+        let frames = FrameLoop::new(renderer, machine, guard, source, Instant::now());
+        let welcome = server.as_ref().map(|(_, welcome)| welcome);
+        let recorder = Recorder::for_run(options, size, welcome, exposure, &screen.gpu)?;
+        let driver = FrameDriver::new(frames, link, recorder, u32::MAX);
         let first = camera_path.camera(options.start_time_s, size.0, size.1);
         Ok(Self {
-            frames,
+            driver,
             server,
             figures: Figures::default(),
             fly: Fly::from_camera(&first, speed),
@@ -146,7 +141,7 @@ impl Play {
 
     /// The camera path instead of the person, or the person again, from where the camera is.
     pub(crate) fn toggle_path(&mut self) {
-        let (width, height) = self.frames.renderer.size();
+        let (width, height) = self.driver.frames.renderer.size();
         match self.on_path_s.take() {
             None => self.on_path_s = Some(self.path_s),
             Some(time_s) => {
@@ -167,7 +162,7 @@ impl Play {
     ) -> Result<FrameStats, ClientError> {
         self.follow(screen.size())?;
         self.apply(screen, settings)?;
-        let (width, height) = self.frames.renderer.size();
+        let (width, height) = self.driver.frames.renderer.size();
         let camera = match &mut self.on_path_s {
             Some(time_s) => {
                 *time_s += step_s;
@@ -178,7 +173,7 @@ impl Play {
                 self.fly.camera(width, height)
             }
         };
-        let scene_time_s = self.frames.memory.started.elapsed().as_secs_f64();
+        let scene_time_s = self.driver.frames.started().elapsed().as_secs_f64();
         if settings.split == Split::Reference {
             match self.draw_reference(&screen.gpu, (camera, scene_time_s)) {
                 Ok(drawn) => screen.right_half = drawn.map(|picture| (picture, width / 2)),
@@ -190,13 +185,10 @@ impl Play {
                 }
             }
         }
-        let drawn = self.frames.draw(FrameNumber(self.next), camera, scene_time_s, screen)?;
+        let drawn = self.driver.draw(FrameNumber(self.next), camera, scene_time_s, screen)?;
         self.next = self.next.wrapping_add(1);
-        let (received, round_trip) = self
-            .frames
-            .live
-            .as_ref()
-            .map_or((Received::default(), None), |live| (live.received(), live.session.round_trip()));
+        let (received, round_trip) =
+            self.driver.link.as_ref().map_or((Received::default(), None), |link| (link.received(), link.round_trip()));
         self.figures.push(Instant::now(), &drawn, received, round_trip);
         if let Some(file) = &mut self.stats {
             file.write(&drawn)?;
@@ -206,7 +198,7 @@ impl Play {
 
     /// Width and height of the pictures, in pixels.
     pub(crate) fn size(&self) -> (u32, u32) {
-        self.frames.renderer.size()
+        self.driver.frames.renderer.size()
     }
 
     /// Whether there is a local reference to be shown.
@@ -216,7 +208,7 @@ impl Play {
 
     /// Something about the server that the person should know.
     pub(crate) fn notice(&self) -> Option<String> {
-        self.frames.live.as_ref()?.link_state().message(Instant::now())
+        self.driver.link_state()?.message(Instant::now())
     }
 
     /// The whole picture as it should be, once there is a server beside the client that knows.
@@ -233,7 +225,7 @@ impl Play {
             }
             Beside::Starting(starting) => {
                 if let Some(ready) = starting.take() {
-                    let exposure = self.frames.renderer.exposure();
+                    let exposure = self.driver.frames.renderer.exposure();
                     let reference = Reference::new(gpu, ready?, size, exposure, largest)?;
                     self.reference = Beside::Drawing(Box::new(reference));
                 }
@@ -247,14 +239,14 @@ impl Play {
 
     /// Leaves the server and writes what is still to be written.
     pub(crate) fn finish(mut self) -> Result<(), ClientError> {
-        self.frames.leave();
-        self.frames.recorder.take().map_or(Ok(()), Recorder::finish)?;
+        self.driver.leave();
+        self.driver.recorder.take().map_or(Ok(()), Recorder::finish)?;
         self.stats.map_or(Ok(()), StatsFile::finish)
     }
 
     /// Writes down what the renderer is told.
     fn record(&mut self, record: &Record) -> Result<(), ClientError> {
-        self.frames.recorder.as_mut().map_or(Ok(()), |recorder| recorder.write(record))
+        self.driver.recorder.as_mut().map_or(Ok(()), |recorder| recorder.write(record))
     }
 
     /// Follows the window's size.
@@ -264,9 +256,9 @@ impl Play {
             self.wanted = (size, Instant::now());
         }
         if size != self.size() && self.wanted.1.elapsed() >= SETTLED {
-            self.frames.renderer.resize(size)?;
+            self.driver.frames.renderer.resize(size)?;
             self.record(&Record::Size([size.0, size.1]))?;
-            self.frames.guard = GuardChoice::new(self.applied.guard, size);
+            self.driver.frames.guard = GuardChoice::new(self.applied.guard, size);
             self.set_split(self.applied.split)?;
         }
         Ok(())
@@ -274,7 +266,7 @@ impl Play {
 
     fn set_split(&mut self, split: Split) -> Result<(), ClientError> {
         let unlit_from_px = (split == Split::Unlit).then_some(self.size().0 / 2);
-        self.frames.renderer.set_split(unlit_from_px);
+        self.driver.frames.renderer.set_split(unlit_from_px);
         self.record(&Record::Split(unlit_from_px))?;
         if split == Split::Reference {
             // Its server's masks are in no recording.
@@ -287,29 +279,29 @@ impl Play {
     /// Does what has been chosen since the frame before.
     fn apply(&mut self, screen: &mut Screen, settings: &Settings) -> Result<(), ClientError> {
         if settings.predictor != self.applied.predictor {
-            self.frames.renderer.set_predictor(settings.predictor);
+            self.driver.frames.renderer.set_predictor(settings.predictor);
             self.record(&Record::Predictor(settings.predictor))?;
         }
         if settings.mode != self.applied.mode {
-            self.frames.machine.set_mode(settings.mode);
+            self.driver.frames.machine.set_mode(settings.mode);
         }
         if settings.guard != self.applied.guard {
-            self.frames.guard = GuardChoice::new(settings.guard, self.size());
+            self.driver.frames.guard = GuardChoice::new(settings.guard, self.size());
         }
         if settings.lights_on != self.applied.lights_on {
-            self.frames.renderer.set_lights_on(settings.lights_on);
+            self.driver.frames.renderer.set_lights_on(settings.lights_on);
             self.record(&Record::LightsOn(settings.lights_on))?;
         }
         if settings.split != self.applied.split {
             self.set_split(settings.split)?;
         }
         let view = match settings.view {
-            DebugView::Age { .. } => DebugView::Age { lags: self.frames.mask_lags() },
+            DebugView::Age { .. } => DebugView::Age { lags: self.driver.mask_lags() },
             view => view,
         };
         if view != self.view {
             self.view = view;
-            self.frames.renderer.set_debug_view(view);
+            self.driver.frames.renderer.set_debug_view(view);
             self.record(&Record::View(view))?;
         }
         screen.set_vsync(settings.vsync);

@@ -4,8 +4,12 @@
 //! the same moment; a machine that traces slowly shows fewer pictures meanwhile. Once started it stays until the window closes, and an idle
 //! session costs nothing.
 
-use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
+use std::{
+    sync::mpsc::{Receiver, TryRecvError, sync_channel},
+    time::Instant,
+};
 
+use gnomon_client_core::frame::frame_loop::{FrameLoop, MaskSource};
 use gnomon_protocol::{
     ids::{FrameNumber, SceneDigest},
     mask::MaskShape,
@@ -18,7 +22,7 @@ use crate::{
     app::connect::{Connected, get_scene},
     app::local_server::{LocalScene, LocalServer, LocalServerError, temporary_folder},
     error::ClientError,
-    frame_loop::{FrameLoop, Memory, Shown, Sink},
+    frame_driver::{FrameDriver, Shown, Sink},
     guard::{Guard, GuardChoice, GuardSize},
     link::scene_cache::SceneCache,
     mode::ModeMachine,
@@ -116,7 +120,7 @@ fn prepare(
 
 /// Draws what the picture should be.
 pub(super) struct Reference {
-    frames: FrameLoop,
+    driver: FrameDriver,
     target: wgpu::Texture,
     view: wgpu::TextureView,
     next: u32,
@@ -142,20 +146,14 @@ impl Reference {
         let options = HeadlessOptions::new(Source::Server(server.url().clone()));
         let renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, options.predictor)?;
         let lights = connected.welcome().lights;
-        let live = connected.start(MaskShape::new(largest.0, largest.1, lights)?, Default::default())?;
+        let link = connected.start(MaskShape::new(largest.0, largest.1, lights)?, Default::default())?;
         let no_band = Guard::Fixed(GuardSize { width: 0, height: 0 });
-        let frames = FrameLoop {
-            renderer,
-            live: Some(live),
-            wait: true,
-            predict_pose: false,
-            machine: ModeMachine::new(options.mode, options.thresholds),
-            guard: GuardChoice::new(no_band, size),
-            recorder: None,
-            memory: Memory::new(u32::MAX),
-        };
+        let machine = ModeMachine::new(options.mode, options.thresholds);
+        let guard = GuardChoice::new(no_band, size);
+        let frames = FrameLoop::new(renderer, machine, guard, MaskSource::Awaited, Instant::now());
+        let driver = FrameDriver::new(frames, Some(link), None, u32::MAX);
         let (target, view) = picture(gpu, size);
-        Ok(Self { frames, target, view, next: 0, shown: (u32::MAX, DebugView::Picture), _server: server })
+        Ok(Self { driver, target, view, next: 0, shown: (u32::MAX, DebugView::Picture), _server: server })
     }
 
     /// Draws what `camera` sees, in pictures of `size` pixels. Waits for its mask.
@@ -169,16 +167,16 @@ impl Reference {
         (camera, scene_time_s): (Camera, f64),
         (lights_on, view): (u32, DebugView),
     ) -> Result<wgpu::Texture, ClientError> {
-        if size != self.frames.renderer.size() {
-            self.frames.renderer.resize(size)?;
+        if size != self.driver.frames.renderer.size() {
+            self.driver.frames.renderer.resize(size)?;
             (self.target, self.view) = picture(gpu, size);
         }
         if self.shown != (lights_on, view) {
             self.shown = (lights_on, view);
-            self.frames.renderer.set_lights_on(lights_on);
-            self.frames.renderer.set_debug_view(view);
+            self.driver.frames.renderer.set_lights_on(lights_on);
+            self.driver.frames.renderer.set_debug_view(view);
         }
-        self.frames.draw(FrameNumber(self.next), camera, scene_time_s, &mut Picture(&self.view))?;
+        self.driver.draw(FrameNumber(self.next), camera, scene_time_s, &mut Picture(&self.view))?;
         self.next = self.next.wrapping_add(1);
         Ok(self.target.clone())
     }
@@ -186,7 +184,7 @@ impl Reference {
 
 impl Drop for Reference {
     fn drop(&mut self) {
-        self.frames.leave();
+        self.driver.leave();
     }
 }
 

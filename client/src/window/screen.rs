@@ -10,7 +10,7 @@ use winit::window::Window;
 use super::painter::{Painter, Shapes};
 use crate::{
     error::ClientError,
-    frame_loop::{Shown, Sink},
+    frame_driver::{Shown, Sink},
     headless::pictures,
     render::{FrameRenderer, RenderError, readback::PictureReader},
 };

@@ -1,5 +1,7 @@
-//! What a frame is drawn from: pose, mode, guard band.
+//! What a frame is drawn from and lit with: [`frame_loop`] decides with the help of the others.
 
+pub mod frame_loop;
 pub mod guard;
 pub mod mode;
 pub mod pose_history;
+pub mod stats;

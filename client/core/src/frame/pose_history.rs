@@ -1,26 +1,25 @@
-//! What the client asked for in its latest frames: what a mask that arrives later has to be compared with.
+//! The latest frames and the masks they requested, for comparison with the masks that arrive.
 
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose::Pose};
 use gnomon_scene::camera::Camera;
 use serde::Serialize;
 use web_time::Instant;
 
-/// Frames that are remembered: four seconds at 60 frames/s, and more than any lag that is worth predicting over.
+/// Frames kept: four seconds at 60 frames/s, and more than any lag that is worth predicting over.
 pub const HISTORY_FRAMES: u32 = 256;
 
-/// A frame, and the mask that was asked for it.
+/// A frame and the mask requested for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Asked {
-    /// The frame's number.
+pub struct MaskRequest {
     pub frame: FrameNumber,
-    /// Where the picture was looked at from.
+    /// The picture's camera.
     pub camera: Camera,
-    /// What the mask was asked for: the same with the guard band around it. Kept as it was drawn, not made again from the pose:
-    /// a quaternion that is brought to unit length twice may differ in its last bit, and then this would be another view.
+    /// The same with the guard band around it. Kept as it was computed: made again from the pose, its quaternion would be normalised
+    /// twice, may differ in its last bit, and would then count as another view.
     pub mask_camera: Camera,
-    /// The pose as it was sent, with the mask's size and field of view.
+    /// The pose as sent, with the mask's size and field of view.
     pub pose: Pose,
-    /// When it was sent; `None` when there was no server to send it to.
+    /// `None` if no server was connected or the frame needed no mask.
     pub sent_at: Option<Instant>,
 }
 
@@ -28,35 +27,30 @@ pub struct Asked {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rejection {
-    /// Its frame is one that the client has not drawn yet.
+    /// Its frame has not been drawn yet.
     Future,
-    /// Its frame was drawn so long ago that the client has forgotten its pose.
+    /// Its frame is older than the history.
     Forgotten,
     /// Its frame's pose was never sent.
     NeverSent,
-    /// Its frame was drawn before this connection was there.
+    /// Its frame was drawn before the current connection.
     BeforeReconnect,
-    /// It has not the size that was asked for.
+    /// Its size differs from the requested one.
     WrongSize,
 }
 
-/// How many masks were not used, by cause.
+/// Rejected masks by cause.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct Rejections {
-    /// [`Rejection::Future`].
     pub future: u64,
-    /// [`Rejection::Forgotten`].
     pub forgotten: u64,
-    /// [`Rejection::NeverSent`].
     pub never_sent: u64,
-    /// [`Rejection::BeforeReconnect`].
     pub before_reconnect: u64,
-    /// [`Rejection::WrongSize`].
     pub wrong_size: u64,
 }
 
 impl Rejections {
-    /// Counts one.
+    /// Counts one rejection.
     pub fn count(&mut self, rejection: Rejection) {
         let counter = match rejection {
             Rejection::Future => &mut self.future,
@@ -69,12 +63,12 @@ impl Rejections {
     }
 }
 
-/// A ring of the latest frames, found by their numbers.
+/// A ring of the latest requests, indexed by frame number.
 #[derive(Debug, Clone)]
 pub struct PoseHistory {
-    slots: Vec<Option<Asked>>,
+    slots: Vec<Option<MaskRequest>>,
     newest: Option<FrameNumber>,
-    /// First frame whose pose went over the connection that there is now.
+    /// First frame whose pose went over the current connection.
     connected_since: FrameNumber,
 }
 
@@ -85,48 +79,48 @@ impl Default for PoseHistory {
 }
 
 impl PoseHistory {
-    /// Remembers a frame, in place of that of [`HISTORY_FRAMES`] frames ago.
-    pub fn remember(&mut self, asked: Asked) {
-        self.newest = self.newest.max(Some(asked.frame));
-        self.slots[Self::place(asked.frame)] = Some(asked);
+    /// Adds a frame and drops the one [`HISTORY_FRAMES`] before it.
+    pub fn insert(&mut self, request: MaskRequest) {
+        self.newest = self.newest.max(Some(request.frame));
+        self.slots[Self::slot(request.frame)] = Some(request);
     }
 
-    /// Says that from `frame` on poses go over a new connection.
+    /// Notes that poses from `frame` on go over a new connection.
     pub fn reconnected(&mut self, frame: FrameNumber) {
         self.connected_since = frame;
     }
 
-    /// The frame, unless it is too old or has not been.
+    /// Returns the frame's request, or `None` if it is too old or was never added.
     #[must_use]
-    pub fn get(&self, frame: FrameNumber) -> Option<&Asked> {
-        self.slots[Self::place(frame)].as_ref().filter(|asked| asked.frame == frame)
+    pub fn get(&self, frame: FrameNumber) -> Option<&MaskRequest> {
+        self.slots[Self::slot(frame)].as_ref().filter(|request| request.frame == frame)
     }
 
-    /// What a mask that has come for `frame` was asked for with.
+    /// Returns the request that a mask of `frame` with this shape answers.
     ///
     /// # Errors
-    /// When it cannot be the answer to anything that the client remembers to have asked on this connection.
-    pub fn answered(&self, frame: FrameNumber, shape: MaskShape) -> Result<&Asked, Rejection> {
+    /// If it answers no request of the current connection.
+    pub fn answered(&self, frame: FrameNumber, shape: MaskShape) -> Result<&MaskRequest, Rejection> {
         if self.newest < Some(frame) {
             return Err(Rejection::Future);
         }
         if frame < self.connected_since {
             return Err(Rejection::BeforeReconnect);
         }
-        let Some(asked) = self.get(frame) else {
+        let Some(request) = self.get(frame) else {
             let oldest = self.newest.map_or(0, |newest| newest.0.saturating_sub(HISTORY_FRAMES - 1));
             return Err(if frame.0 < oldest { Rejection::Forgotten } else { Rejection::NeverSent });
         };
-        if asked.sent_at.is_none() {
+        if request.sent_at.is_none() {
             return Err(Rejection::NeverSent);
         }
-        if asked.pose.mask_px.map(u32::from) != [shape.width(), shape.height()] {
+        if request.pose.mask_px.map(u32::from) != [shape.width(), shape.height()] {
             return Err(Rejection::WrongSize);
         }
-        Ok(asked)
+        Ok(request)
     }
 
-    fn place(frame: FrameNumber) -> usize {
+    fn slot(frame: FrameNumber) -> usize {
         (frame.0 % HISTORY_FRAMES) as usize
     }
 }
@@ -137,7 +131,7 @@ mod tests {
 
     use super::*;
 
-    fn asked(frame: u32, sent: bool) -> Asked {
+    fn request(frame: u32, sent: bool) -> MaskRequest {
         let pose = Pose {
             position_m: [f64::from(frame), 0.0, 0.0],
             orientation: [0.0, 0.0, 0.0, 1.0],
@@ -154,7 +148,7 @@ mod tests {
             width: 64,
             height: 36,
         };
-        Asked { frame: FrameNumber(frame), camera, mask_camera: camera, pose, sent_at: sent.then(Instant::now) }
+        MaskRequest { frame: FrameNumber(frame), camera, mask_camera: camera, pose, sent_at: sent.then(Instant::now) }
     }
 
     #[test]
@@ -162,7 +156,7 @@ mod tests {
         let mut history = PoseHistory::default();
         assert_eq!(history.get(FrameNumber(0)), None);
         for frame in 0..400 {
-            history.remember(asked(frame, true));
+            history.insert(request(frame, true));
         }
         assert_eq!(history.get(FrameNumber(399)).unwrap().pose.position_m[0], 399.0);
         assert_eq!(history.get(FrameNumber(144)).unwrap().pose.position_m[0], 144.0);
@@ -172,17 +166,17 @@ mod tests {
     }
 
     #[test]
-    fn masks_that_answer_nothing_are_told_apart() {
+    fn each_reason_for_a_rejection_is_recognised() {
         let mut history = PoseHistory::default();
         let shape = |width| MaskShape::new(width, 36, 3).unwrap();
         assert_eq!(history.answered(FrameNumber(0), shape(64)), Err(Rejection::Future));
         for frame in 10..400 {
-            // The connection came up with frame 350; frames 370 to 374 found the server's door closed; 380 was skipped.
+            // The connection came up with frame 350; frames 370 to 374 had no server; 380 was skipped.
             if frame == 350 {
                 history.reconnected(FrameNumber(350));
             }
             if frame != 380 {
-                history.remember(asked(frame, !(370..375).contains(&frame)));
+                history.insert(request(frame, !(370..375).contains(&frame)));
             }
         }
         for (frame, width, expected) in [

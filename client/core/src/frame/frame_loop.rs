@@ -1,0 +1,280 @@
+//! The decisions of each frame, in order: request a mask, take the masks that have arrived, choose what to draw.
+//!
+//! The program around it supplies time and masks, sends the poses, shows the pictures and measures the stages.
+
+use std::time::Duration;
+
+use glam::DVec3;
+use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS, pose::Pose};
+use gnomon_scene::camera::Camera;
+use web_time::Instant;
+
+use super::{
+    guard::GuardChoice,
+    mode::{Decision, ModeMachine, Observation, State},
+    pose_history::MaskRequest,
+    stats::{FrameStats, StageTimes, millis},
+};
+use crate::{
+    mask::{matcher::MaskMatcher, received::ReceivedMask},
+    render::{FrameRenderer, RenderError, predict::MaskView},
+};
+
+/// How a client gets masks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MaskSource {
+    /// There is no server.
+    Offline,
+    /// Each frame waits for its own mask.
+    Awaited,
+    /// Frames use the newest mask that has arrived. With `look_ahead`, the server predicts the pose that will be shown.
+    Streamed { look_ahead: bool },
+}
+
+/// What a frame asks of the server.
+#[derive(Debug, Clone, Copy)]
+pub struct PoseRequest {
+    /// The pose to send; `None` if the frame needs no new mask.
+    pub pose: Option<Pose>,
+    pub look_ahead_ms: u16,
+}
+
+/// What a frame draws.
+#[derive(Debug, Clone, Copy)]
+pub struct Drawing {
+    pub camera: Camera,
+    pub decision: Decision,
+}
+
+/// Decides frame after frame, and owns the renderer.
+#[derive(Debug)]
+pub struct FrameLoop {
+    pub renderer: FrameRenderer,
+    pub machine: ModeMachine,
+    pub guard: GuardChoice,
+    pub matcher: MaskMatcher,
+    source: MaskSource,
+    started: Instant,
+    /// The previous frame's camera and start.
+    previous: Option<(Camera, Instant)>,
+    state: Option<State>,
+}
+
+impl FrameLoop {
+    #[must_use]
+    pub fn new(
+        renderer: FrameRenderer,
+        machine: ModeMachine,
+        guard: GuardChoice,
+        source: MaskSource,
+        now: Instant,
+    ) -> Self {
+        let matcher = MaskMatcher::default();
+        Self { renderer, machine, guard, matcher, source, started: now, previous: None, state: None }
+    }
+
+    /// When the first frame began.
+    #[must_use]
+    pub fn started(&self) -> Instant {
+        self.started
+    }
+
+    #[must_use]
+    pub fn source(&self) -> MaskSource {
+        self.source
+    }
+
+    /// Sets the start from which [`FrameStats::t_ms`] and [`Pose::client_time_ms`] count.
+    pub fn restart(&mut self, now: Instant) {
+        self.started = now;
+    }
+
+    /// Remembers the frame and decides whether it needs a new mask. `connected` is false while no mask can arrive.
+    pub fn request(
+        &mut self,
+        frame: FrameNumber,
+        camera: &Camera,
+        scene_time_s: f64,
+        now: Instant,
+        connected: bool,
+    ) -> PoseRequest {
+        let turn_px = self.previous.map_or((0.0, 0.0), |(previous, _)| turn_px(&previous, camera));
+        let lag = self.matcher.current().map_or(0, |current| current.lag(frame));
+        let wide = camera.widened(self.guard.next(f64::from(lag), turn_px).per_side());
+        // In sequential mode a mask is shown with its own frame, so it must be traced for exactly that pose.
+        let looks_ahead =
+            self.source == MaskSource::Streamed { look_ahead: true } && self.state != Some(State::Sequential);
+        let look_ahead_ms = if looks_ahead { self.matcher.look_ahead_ms() } else { 0 };
+        // Wraps after 49 days, as the field's doc says.
+        #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³²")]
+        let client_time_ms = now.duration_since(self.started).as_millis() as u32;
+        let pose = Pose {
+            position_m: wide.position_m.to_array(),
+            orientation: wide.orientation.to_array(),
+            yfov_rad: wide.yfov_rad,
+            scene_time_s,
+            client_time_ms,
+            // Sides are at most 4096.
+            mask_px: [wide.width, wide.height].map(|side| u16::try_from(side).unwrap_or(u16::MAX)),
+            look_ahead_ms,
+        };
+        let needed = connected && self.matcher.should_request(frame, &wide, now);
+        let sends = match self.source {
+            MaskSource::Offline => false,
+            MaskSource::Awaited => true,
+            MaskSource::Streamed { .. } => needed,
+        };
+        let sent_at = sends.then_some(now);
+        self.matcher.insert(MaskRequest { frame, camera: *camera, mask_camera: wide, pose, sent_at });
+        PoseRequest { pose: sends.then_some(pose), look_ahead_ms }
+    }
+
+    /// Gives the renderer those of `masks` that answer a request, oldest first. Returns the response time of the newest one.
+    ///
+    /// # Errors
+    /// If the adapter failed.
+    pub fn accept_masks<'a>(
+        &mut self,
+        masks: impl Iterator<Item = &'a ReceivedMask>,
+        shown_at: Instant,
+    ) -> Result<Option<Duration>, RenderError> {
+        let mut response = None;
+        for mask in masks {
+            let Some(matched) = self.matcher.accept(mask, shown_at) else { continue };
+            self.renderer.set_mask(Some(MaskView {
+                mask: &mask.mask,
+                coverage: Some(&mask.coverage),
+                more: matched.more,
+                traced_for: &matched.traced_for,
+            }))?;
+            response = matched.response;
+        }
+        Ok(response)
+    }
+
+    /// Chooses the camera to draw from and how much received visibility counts.
+    pub fn choose(&mut self, frame: FrameNumber, camera: &Camera, now: Instant) -> Drawing {
+        let previous = self.previous.replace((*camera, now));
+        if !matches!(self.source, MaskSource::Streamed { .. }) {
+            let decision = Decision { state: State::Concurrent, visibility_share: 1.0 };
+            return Drawing { camera: *camera, decision };
+        }
+        let current = self.matcher.current();
+        let step_s = previous.map_or(0.0, |(_, previous)| now.duration_since(previous).as_secs_f64());
+        let lag = current.map(|current| current.lag(frame));
+        let jumped = current.is_some_and(|current| has_jumped(&current.request.camera, camera, lag.unwrap_or(0)));
+        let decision = self.machine.step(Observation { lag, jumped, step_s });
+        if self.state.replace(decision.state) != Some(decision.state) {
+            match decision.state {
+                State::Degraded => tracing::warn!(frame = frame.0, ?lag, "degraded: visibility is too late"),
+                state => tracing::info!(frame = frame.0, ?lag, ?state, "visibility"),
+            }
+        }
+        let camera = match (decision.state, current) {
+            (State::Sequential, Some(current)) => current.request.camera,
+            _ => *camera,
+        };
+        Drawing { camera, decision }
+    }
+
+    /// Returns the statistics of a frame that was shown.
+    pub fn stats(
+        &mut self,
+        frame: FrameNumber,
+        begun: Instant,
+        (drawing, look_ahead_ms, response): (&Drawing, u16, Option<Duration>),
+        times: &StageTimes,
+        link: &'static str,
+    ) -> FrameStats {
+        let known_share = self.renderer.known_share();
+        let current = self.matcher.current();
+        let [mask_width, mask_height] = self.matcher.request(frame).map_or([0, 0], |request| request.pose.mask_px);
+        FrameStats {
+            frame: frame.0,
+            t_ms: millis(begun.duration_since(self.started)),
+            state: drawing.decision.state,
+            link,
+            visibility_share: drawing.decision.visibility_share,
+            known_share,
+            mask_frame: current.map(|current| current.request.frame.0),
+            lag: current.map(|current| current.lag(frame)),
+            mask_width,
+            mask_height,
+            look_ahead_ms,
+            response_ms: response.map(millis),
+            surfaces_ms: millis(times.surfaces),
+            wait_ms: millis(times.wait),
+            upload_ms: millis(times.upload),
+            shade_ms: millis(times.shade),
+            readback_ms: millis(times.readback),
+            bytes: current.map(|current| current.bytes),
+            packets: current.map(|current| current.packets),
+        }
+    }
+
+    /// Returns the age in frames of the renderer's masks when `frame` was drawn, newest first.
+    #[must_use]
+    pub fn mask_lags(&self, frame: FrameNumber) -> [u32; MAX_LAYERS] {
+        match self.source {
+            MaskSource::Offline => [0; MAX_LAYERS],
+            _ => self.matcher.lags(frame, self.renderer.mask_views()),
+        }
+    }
+}
+
+/// Returns by how many pixels the middle of the picture moves, right and up, when the camera turns from `before` to `now`.
+fn turn_px(before: &Camera, now: &Camera) -> (f64, f64) {
+    let forward = before.orientation.inverse() * (now.orientation * DVec3::NEG_Z);
+    let (half_width, half_height) = now.half_extent();
+    // A turn by more than 90° is beyond any guard band.
+    let depth = (-forward.z).max(1e-3);
+    let px = |along: f64, half: f64, side: u32| along / depth / half * f64::from(side) * 0.5;
+    (px(forward.x, half_width, now.width), px(forward.y, half_height, now.height))
+}
+
+/// Longest way of a camera in one frame that is not a jump, in metres.
+const JUMP_M: f64 = 0.5;
+
+/// Returns whether the camera turned or moved so far in `lag` frames that almost no visibility can be carried over.
+fn has_jumped(then: &Camera, now: &Camera, lag: u32) -> bool {
+    let frames = f64::from(lag.max(1));
+    then.orientation.angle_between(now.orientation) > now.yfov_rad
+        || then.position_m.distance(now.position_m) > JUMP_M * frames
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DQuat;
+
+    use super::*;
+
+    fn camera(position_m: DVec3, yaw: f64, pitch: f64) -> Camera {
+        let orientation = DQuat::from_rotation_y(yaw) * DQuat::from_rotation_x(pitch);
+        Camera { position_m, orientation, yfov_rad: 1.0, width: 1920, height: 1080 }
+    }
+
+    #[test]
+    fn a_turn_is_measured_in_pixels() {
+        let here = camera(DVec3::ZERO, 0.3, 0.0);
+        assert_eq!(turn_px(&here, &here), (0.0, 0.0));
+        let half_height = 0.5_f64.tan();
+        let (x, y) = turn_px(&here, &camera(DVec3::X, 0.3 - 0.01, 0.0));
+        assert!((x - 0.01_f64.tan() / half_height * 540.0).abs() < 1e-6 && y.abs() < 1e-9, "{x} {y}");
+        let (x, y) = turn_px(&here, &camera(DVec3::ZERO, 0.3, 0.02));
+        assert!((y - 0.02_f64.tan() / half_height * 540.0).abs() < 1e-6 && x.abs() < 1e-9, "{x} {y}");
+        assert!(turn_px(&here, &camera(DVec3::ZERO, 2.3, 0.0)).0.is_finite());
+    }
+
+    #[test]
+    fn a_jump_is_a_large_turn_or_a_long_way_in_a_short_time() {
+        let here = camera(DVec3::ZERO, 0.0, 0.0);
+        for (there, lag, jumped) in [
+            (camera(DVec3::X * 0.4, 0.9, 0.0), 1, false),
+            (camera(DVec3::X * 0.6, 0.0, 0.0), 1, true),
+            (camera(DVec3::X * 0.6, 0.0, 0.0), 2, false),
+            (camera(DVec3::ZERO, 1.1, 0.0), 50, true),
+        ] {
+            assert_eq!(has_jumped(&here, &there, lag), jumped, "{there:?}");
+        }
+    }
+}

@@ -1,0 +1,193 @@
+//! Finds the request that each received mask answers, and decides when to request another one.
+
+use std::{collections::VecDeque, time::Duration};
+
+use gnomon_protocol::{
+    coverage::Coverage,
+    ids::FrameNumber,
+    limits::{MAX_LAYERS, MAX_LOOK_AHEAD_MS},
+};
+use gnomon_scene::camera::Camera;
+use web_time::Instant;
+
+use super::received::ReceivedMask;
+use crate::frame::pose_history::{MaskRequest, PoseHistory, Rejection, Rejections};
+
+/// Interval of requests while the camera stands still and its mask is complete: short enough to keep the server warm, long enough to
+/// cost next to nothing.
+const REFRESH: Duration = Duration::from_secs(1);
+
+/// Matches masks with requests and keeps the latencies that follow from it.
+#[derive(Debug, Default)]
+pub struct MaskMatcher {
+    history: PoseHistory,
+    rejections: Rejections,
+    current: Option<CurrentMask>,
+    /// Tiles that have arrived for the current mask's view, from all masks of that view.
+    coverage: Option<Coverage>,
+    /// Views of the latest masks and the frames that requested them, newest first: as many as the renderer keeps layers.
+    views: VecDeque<(Camera, FrameNumber)>,
+    last_request: Option<Instant>,
+    /// The last frame whose pose was sent more than once.
+    repeated: Option<FrameNumber>,
+    /// Fading maximum of response times.
+    slowest_response: Option<Duration>,
+    /// From sending a pose until its mask is shown, smoothed.
+    latency: Option<Duration>,
+}
+
+/// The mask that the renderer uses.
+#[derive(Debug, Clone, Copy)]
+pub struct CurrentMask {
+    pub request: MaskRequest,
+    /// The view that it was traced for.
+    traced_for: Camera,
+    /// The newest frame that it fully answers: its own, or a later one of a camera that has not moved since.
+    as_of: FrameNumber,
+    /// Bytes of its frame on the wire, without packet headers.
+    pub bytes: usize,
+    pub packets: u16,
+}
+
+impl CurrentMask {
+    /// Returns the mask's age in frames.
+    #[must_use]
+    pub fn lag(&self, frame: FrameNumber) -> u32 {
+        frame.0.saturating_sub(self.as_of.0)
+    }
+}
+
+/// A mask that answers a request.
+#[derive(Debug, Clone, Copy)]
+pub struct MatchedMask {
+    /// The view that it was traced for.
+    pub traced_for: Camera,
+    /// Whether it adds tiles to the mask before it.
+    pub more: bool,
+    /// From sending the pose until the mask arrived.
+    pub response: Option<Duration>,
+}
+
+impl MaskMatcher {
+    /// Returns whether to request a mask for `view`, and counts it as requested if so. False while every tile of that view has
+    /// arrived, except once per [`REFRESH`].
+    pub fn should_request(&mut self, frame: FrameNumber, view: &Camera, now: Instant) -> bool {
+        let complete = self.coverage.as_ref().is_some_and(Coverage::is_whole);
+        let answer = self.current.as_mut().filter(|current| complete && current.traced_for == *view);
+        let recent = self.last_request.is_some_and(|last| now.saturating_duration_since(last) < REFRESH);
+        let skip = answer.is_some() && recent;
+        if let Some(current) = answer {
+            current.as_of = frame;
+        }
+        if !skip {
+            self.last_request = Some(now);
+        }
+        !skip
+    }
+
+    /// Remembers a frame, whether or not its pose was sent.
+    pub fn insert(&mut self, request: MaskRequest) {
+        self.history.insert(request);
+    }
+
+    /// Returns the frame's request while it is remembered.
+    #[must_use]
+    pub fn request(&self, frame: FrameNumber) -> Option<&MaskRequest> {
+        self.history.get(frame)
+    }
+
+    /// Notes that the pose of `frame` was sent again.
+    pub fn repeated(&mut self, frame: FrameNumber) {
+        self.repeated = Some(frame);
+    }
+
+    /// Notes that poses from `frame` on go over a new connection.
+    pub fn reconnected(&mut self, frame: FrameNumber) {
+        self.last_request = None;
+        self.history.reconnected(frame);
+    }
+
+    /// Returns the request that `mask` answers and the view that it was traced for.
+    ///
+    /// # Errors
+    /// If it answers no request of the current connection.
+    pub fn find(&self, mask: &ReceivedMask) -> Result<(MaskRequest, Camera), Rejection> {
+        let request = *self.history.answered(mask.frame, mask.mask.shape())?;
+        let traced_for = mask.traced_for.map_or(request.mask_camera, |pose| {
+            Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, request.pose.mask_px)
+        });
+        Ok((request, traced_for))
+    }
+
+    /// Makes `mask` the current one. Returns `None` and counts a rejection if it answers no request.
+    pub fn accept(&mut self, mask: &ReceivedMask, shown_at: Instant) -> Option<MatchedMask> {
+        let (request, traced_for) = match self.find(mask) {
+            Ok(found) => found,
+            Err(rejection) => {
+                tracing::debug!(frame = mask.frame.0, ?rejection, "mask rejected");
+                self.rejections.count(rejection);
+                return None;
+            }
+        };
+        let more = self.current.is_some_and(|current| current.request.frame == request.frame);
+        let response = request.sent_at.map(|sent| mask.received_at.saturating_duration_since(sent));
+        let same_view = self.current.filter(|before| before.traced_for == traced_for);
+        let as_of = same_view.map_or(request.frame, |before| before.as_of.max(request.frame));
+        let before = self.coverage.take().filter(|_| same_view.is_some());
+        self.coverage = Some(before.map_or_else(|| mask.coverage.clone(), |before| before.or(&mask.coverage)));
+        let (bytes, packets) = (mask.payload_bytes, mask.packets);
+        self.current = Some(CurrentMask { request, traced_for, as_of, bytes, packets });
+        self.views.truncate(MAX_LAYERS - 1);
+        self.views.push_front((traced_for, request.frame));
+        // Karn's rule for round trips: the response to a repeated pose says nothing about the server. Counted, one lost frame
+        // would make the next loss cost twice as much.
+        if self.repeated != Some(request.frame) && !more {
+            let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
+            self.slowest_response = response.map(|response| response.max(faded)).or(self.slowest_response);
+            let latency = request.sent_at.map(|sent| shown_at.saturating_duration_since(sent));
+            let smoothed = latency.map(|latency| self.latency.map_or(latency, |before| (before * 7 + latency) / 8));
+            self.latency = smoothed.or(self.latency);
+        }
+        Some(MatchedMask { traced_for, more, response })
+    }
+
+    /// Counts a mask that was rejected elsewhere.
+    pub fn count_rejection(&mut self, rejection: Rejection) {
+        self.rejections.count(rejection);
+    }
+
+    #[must_use]
+    pub fn rejections(&self) -> Rejections {
+        self.rejections
+    }
+
+    /// The mask that was accepted last.
+    #[must_use]
+    pub fn current(&self) -> Option<&CurrentMask> {
+        self.current.as_ref()
+    }
+
+    /// Returns the age in frames of the masks traced for `views`, newest first.
+    #[must_use]
+    pub fn lags<'a>(&self, frame: FrameNumber, mut views: impl Iterator<Item = &'a Camera>) -> [u32; MAX_LAYERS] {
+        let newest = views.next().zip(self.current).map_or(0, |(_, current)| current.lag(frame));
+        let requested_by = |view: &Camera| self.views.iter().find(|(known, _)| known == view).map(|(_, frame)| frame.0);
+        let older = views.map(|view| requested_by(view).map_or(newest, |requested| frame.0.saturating_sub(requested)));
+        let mut lags = [newest; MAX_LAYERS];
+        lags[1..].iter_mut().zip(older).for_each(|(lag, older)| *lag = older);
+        lags
+    }
+
+    /// The longest response of late to a pose that was sent once.
+    #[must_use]
+    pub fn slowest_response(&self) -> Option<Duration> {
+        self.slowest_response
+    }
+
+    /// Returns how far ahead masks should be traced, in milliseconds: the smoothed time from sending a pose until its mask is shown.
+    #[must_use]
+    pub fn look_ahead_ms(&self) -> u16 {
+        let latency = self.latency.map_or(0, |latency| latency.as_millis());
+        u16::try_from(latency).unwrap_or(MAX_LOOK_AHEAD_MS).min(MAX_LOOK_AHEAD_MS)
+    }
+}

@@ -1,0 +1,216 @@
+//! Runs the frame loop on this machine: clock, server link, recording.
+//!
+//! A headless run and a window share it. They differ in where poses come from, which they pass to [`FrameDriver::draw`], and in where
+//! pictures go, which is a [`Sink`].
+
+use std::time::{Duration, Instant};
+
+use gnomon_client_core::{
+    frame::{
+        frame_loop::{FrameLoop, MaskSource},
+        pose_history::Rejections,
+        stats::{FrameStats, StageTimes},
+    },
+    render::FrameRenderer,
+};
+use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS};
+use gnomon_scene::camera::Camera;
+
+use crate::{
+    error::ClientError,
+    link::{
+        server_link::{LinkTotals, ServerLink},
+        state::LinkState,
+    },
+    record::{Record, Recorder},
+};
+
+/// Where pictures go.
+pub(crate) trait Sink {
+    /// Shades the surfaces that `renderer` has drawn for `camera` ([`FrameRenderer::shade`]) and shows the picture.
+    fn show(
+        &mut self,
+        frame: FrameNumber,
+        renderer: &mut FrameRenderer,
+        camera: &Camera,
+        visibility_share: f32,
+    ) -> Result<Shown, ClientError>;
+}
+
+/// How long showing a picture took.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Shown {
+    /// Encoding and submitting the passes.
+    pub(crate) shade: Duration,
+    /// Waiting for the adapter or the screen.
+    pub(crate) readback: Duration,
+}
+
+/// Draws frame after frame.
+pub(crate) struct FrameDriver {
+    pub(crate) frames: FrameLoop,
+    pub(crate) link: Option<ServerLink>,
+    pub(crate) recorder: Option<Recorder>,
+    drawn: u32,
+    /// Frames to draw, `u32::MAX` if unknown.
+    planned: u32,
+    /// Why the server was lost, the first time.
+    lost: Option<String>,
+    /// Name of the link state that was recorded last.
+    recorded_link: Option<&'static str>,
+}
+
+/// Totals of a run.
+#[derive(Debug, Default)]
+pub(crate) struct Served {
+    pub(crate) link: LinkTotals,
+    pub(crate) rejections: Rejections,
+    /// Why the server was lost, the first time.
+    pub(crate) lost: Option<String>,
+}
+
+impl FrameDriver {
+    /// Draws `planned` frames; `link` is missing exactly if the loop's masks are [`MaskSource::Offline`].
+    pub(crate) fn new(frames: FrameLoop, link: Option<ServerLink>, recorder: Option<Recorder>, planned: u32) -> Self {
+        Self { frames, link, recorder, drawn: 0, planned, lost: None, recorded_link: None }
+    }
+
+    /// Returns the age in frames of the masks that the last picture was drawn with, newest first.
+    pub(crate) fn mask_lags(&self) -> [u32; MAX_LAYERS] {
+        self.frames.mask_lags(FrameNumber(self.drawn.saturating_sub(1)))
+    }
+
+    pub(crate) fn link_state(&self) -> Option<LinkState> {
+        self.link.as_ref().map(ServerLink::state)
+    }
+
+    /// Leaves the server and returns the totals.
+    pub(crate) fn leave(&mut self) -> Served {
+        let link = self.link.take().map(ServerLink::leave).unwrap_or_default();
+        let mut rejections = self.frames.matcher.rejections();
+        // The receive task drops most of them before they become masks.
+        rejections.future += link.received.future;
+        Served { link, rejections, lost: self.lost.take() }
+    }
+
+    /// Draws frame number `frame` from `camera` at `scene_time_s` into `sink`. Frame numbers ascend.
+    pub(crate) fn draw(
+        &mut self,
+        frame: FrameNumber,
+        camera: Camera,
+        scene_time_s: f64,
+        sink: &mut dyn Sink,
+    ) -> Result<FrameStats, ClientError> {
+        let begun = Instant::now();
+        let mut clock = Clock(begun);
+        let mut times = StageTimes::default();
+        let waits = self.frames.source() == MaskSource::Awaited;
+        if let Some(link) = self.link.as_mut().filter(|_| !waits)
+            && link.maintain()
+        {
+            self.frames.matcher.reconnected(frame);
+        }
+        let connected = self.link.as_ref().is_some_and(|link| link.ended().is_none());
+        let request = self.frames.request(frame, &camera, scene_time_s, begun, connected);
+        if let (Some(link), Some(pose)) = (&self.link, request.pose) {
+            link.send_pose(frame, pose);
+        }
+        if waits {
+            // The surfaces are drawn while the mask is on its way.
+            self.frames.renderer.draw_surfaces(&camera)?;
+            times.surfaces = clock.lap();
+            if let Some(link) = &mut self.link {
+                let (rendered, wanted) = (self.drawn, self.planned);
+                let ended = |reason| ClientError::Ended { rendered, wanted, reason };
+                link.wait_for(frame, &mut self.frames.matcher, ended)?;
+            }
+            times.wait = clock.lap();
+        }
+        let response = self.accept_masks(waits, begun)?;
+        times.upload = clock.lap();
+        if response.is_some() {
+            self.record_masks()?;
+            clock.lap();
+        }
+        let drawing = self.frames.choose(frame, &camera, begun);
+        let renderer = &mut self.frames.renderer;
+        if !waits {
+            renderer.draw_surfaces(&drawing.camera)?;
+            times.surfaces = clock.lap();
+        }
+        let shown = sink.show(frame, renderer, &drawing.camera, drawing.decision.visibility_share)?;
+        (times.shade, times.readback) = (shown.shade, shown.readback);
+
+        self.drawn += 1;
+        let state = self.link_state();
+        let link = state.as_ref().map_or("offline", LinkState::name);
+        let stats = self.frames.stats(frame, begun, (&drawing, request.look_ahead_ms, response), &times, link);
+        if let Some(recorder) = &mut self.recorder {
+            recorder.write(&Record::Frame {
+                frame: frame.0,
+                requested: (&camera).into(),
+                shown: (&drawing.camera).into(),
+                visibility_share: drawing.decision.visibility_share,
+                timing: (&stats).into(),
+            })?;
+        }
+        self.record_link(state)?;
+        Ok(stats)
+    }
+
+    /// Takes the masks that have arrived. Returns the newest one's response time, if one answers a request.
+    ///
+    /// # Errors
+    /// If the server was lost before its first mask. Later losses leave the client drawing with what it has.
+    fn accept_masks(&mut self, waits: bool, begun: Instant) -> Result<Option<Duration>, ClientError> {
+        let Some(link) = &mut self.link else { return Ok(None) };
+        if waits {
+            return Ok(self.frames.accept_masks(link.taken_masks(), begun)?);
+        }
+        let response = self.frames.accept_masks(link.take_masks(), begun)?;
+        if let Some(reason) = link.ended().filter(|_| self.lost.is_none()) {
+            if self.frames.matcher.current().is_none() {
+                return Err(ClientError::Ended { rendered: self.drawn, wanted: self.planned, reason });
+            }
+            tracing::warn!(%reason, "the server is lost: drawing on without it");
+            self.lost = Some(reason);
+        }
+        Ok(response)
+    }
+
+    /// Records the masks that were taken last.
+    fn record_masks(&mut self) -> Result<(), ClientError> {
+        let (Some(recorder), Some(link)) = (&mut self.recorder, &self.link) else { return Ok(()) };
+        for received in link.taken_masks() {
+            if let Ok((_, traced_for)) = self.frames.matcher.find(received) {
+                recorder.write_mask(received.frame.0, &traced_for, (&received.mask, &received.coverage))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Records a change of the link's state.
+    fn record_link(&mut self, state: Option<LinkState>) -> Result<(), ClientError> {
+        let (Some(recorder), Some(state)) = (&mut self.recorder, state) else { return Ok(()) };
+        let name = state.name();
+        if self.recorded_link.replace(name) == Some(name) {
+            return Ok(());
+        }
+        let message = state.message(Instant::now());
+        let text = message.map_or_else(|| name.to_owned(), |message| format!("{name}: {message}"));
+        recorder.write(&Record::Event { frame: self.drawn - 1, text })
+    }
+}
+
+/// Measures stages.
+struct Clock(Instant);
+
+impl Clock {
+    /// Returns the time since the last lap.
+    fn lap(&mut self) -> Duration {
+        let now = Instant::now();
+        let lap = now.duration_since(self.0);
+        self.0 = now;
+        lap
+    }
+}

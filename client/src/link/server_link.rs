@@ -1,0 +1,212 @@
+//! The link to a server: poses go out, masks come in. When the server is lost, a new connection is sought in the background.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use gnomon_client_core::mask::{matcher::MaskMatcher, received::ReceivedMask};
+use gnomon_protocol::{ids::FrameNumber, pose::Pose};
+use tokio::runtime::Runtime;
+
+use super::{
+    mask_buffer::{MaskReader, Waited},
+    receive::Received,
+    reconnect::Redial,
+    session::Session,
+    state::LinkState,
+};
+use crate::error::ClientError;
+
+/// How long the first mask may take before its pose is sent again: the server may still be warming up.
+const FIRST_RESPONSE: Duration = Duration::from_secs(2);
+
+/// Shortest time before a pose is sent again.
+const MIN_PATIENCE: Duration = Duration::from_millis(250);
+
+/// How long one frame is waited for in all.
+const GIVE_UP: Duration = Duration::from_secs(120);
+
+/// A session with a server, replaced by another one when the server is lost.
+pub(crate) struct ServerLink {
+    runtime: Arc<Runtime>,
+    session: Session,
+    masks: MaskReader,
+    redial: Option<Redial>,
+    poses_repeated: u32,
+    reconnects: u32,
+    /// Counters of earlier connections.
+    received_before: Received,
+}
+
+/// Totals of a link that has ended.
+#[derive(Debug, Default)]
+pub(crate) struct LinkTotals {
+    pub(crate) poses_repeated: u32,
+    pub(crate) received: Received,
+    pub(crate) round_trip: Option<Duration>,
+    pub(crate) reconnects: u32,
+}
+
+impl ServerLink {
+    pub(crate) fn new(runtime: Arc<Runtime>, session: Session, masks: MaskReader) -> Self {
+        Self {
+            runtime,
+            session,
+            masks,
+            redial: None,
+            poses_repeated: 0,
+            reconnects: 0,
+            received_before: Received::default(),
+        }
+    }
+
+    pub(crate) fn state(&self) -> LinkState {
+        let health = self.session.health();
+        match (&self.redial, self.masks.ended(), health.draining) {
+            (None, Some(reason), _) => LinkState::Lost { reason, retry_at: None },
+            (Some(redial), Some(_), _) => redial.state(),
+            (Some(redial), None, _) if health.silent => redial.state(),
+            (_, None, Some(notice)) => LinkState::Draining {
+                reason: notice.reason,
+                deadline: notice.deadline,
+                alternative: notice.alternative,
+            },
+            (_, None, None) => LinkState::Live,
+        }
+    }
+
+    /// Starts or ends the search for a connection: sought when the server is lost, silent, or about to stop and names another one. The
+    /// old connection serves for as long as it can. Returns whether a new one has just taken its place.
+    pub(crate) fn maintain(&mut self) -> bool {
+        let health = self.session.health();
+        let lost = self.masks.ended().or_else(|| health.silent.then(|| "the server is silent".to_owned()));
+        let alternative = health.draining.and_then(|notice| {
+            let url = notice.alternative?;
+            url.parse().inspect_err(|error| tracing::warn!(%error, url, "the server's alternative is no URL")).ok()
+        });
+        match (&mut self.redial, lost, alternative) {
+            (None, None, None) => {}
+            (None, lost, alternative) => {
+                let reason = lost.unwrap_or_else(|| "the server stops".to_owned());
+                let (runtime, again) = (self.runtime.handle(), self.session.again().clone());
+                self.redial = Some(Redial::start(runtime, again, alternative, reason));
+            }
+            // The outage is over.
+            (Some(_), None, None) => self.redial = None,
+            (Some(redial), _, _) => {
+                if let Some((session, masks)) = redial.take_found() {
+                    tracing::info!(server = %session.again().url, "connected again");
+                    self.redial = None;
+                    self.received_before = self.received();
+                    self.masks = masks;
+                    let old = std::mem::replace(&mut self.session, session);
+                    self.runtime.spawn(old.leave());
+                    self.reconnects += 1;
+                    return true;
+                }
+            }
+        }
+        false
+    }
+
+    pub(crate) fn send_pose(&self, frame: FrameNumber, pose: Pose) {
+        self.session.send_pose(frame, pose);
+    }
+
+    /// Returns why no more masks will arrive over this connection, or `None` while they may.
+    pub(crate) fn ended(&self) -> Option<String> {
+        self.masks.ended()
+    }
+
+    /// Takes the masks that have arrived since the last call, oldest first; none if there is nothing new.
+    pub(crate) fn take_masks(&mut self) -> impl Iterator<Item = &ReceivedMask> {
+        let fresh = self.masks.newest().is_some_and(|(_, fresh)| fresh);
+        self.masks.taken().filter(move |_| fresh)
+    }
+
+    /// The masks that were taken last, oldest first.
+    pub(crate) fn taken_masks(&self) -> impl Iterator<Item = &ReceivedMask> {
+        self.masks.taken()
+    }
+
+    /// Waits for exactly this frame's mask; [`Self::taken_masks`] has it then. Sends the pose again at once when a part of the mask was
+    /// lost, or else after four round trips and twice the slowest response of late, and then after twice as long each time, so that a
+    /// slow server is not flooded.
+    ///
+    /// # Errors
+    /// What `ended` makes of the reason if no more masks will arrive; [`ClientError::NoVisibility`] after [`GIVE_UP`].
+    pub(crate) fn wait_for(
+        &mut self,
+        frame: FrameNumber,
+        matcher: &mut MaskMatcher,
+        ended: impl FnOnce(String) -> ClientError,
+    ) -> Result<(), ClientError> {
+        let begun = Instant::now();
+        let round_trip = self.session.round_trip().unwrap_or_default();
+        let usual = matcher.slowest_response().map_or(FIRST_RESPONSE, |slowest| slowest * 2);
+        let mut patience = (round_trip * 4).max(MIN_PATIENCE).max(usual);
+        let mut asked = 1;
+        // Whether this frame's mask is in the front buffer and was rejected: waiting for the frame would return at once.
+        let mut rejected = false;
+        loop {
+            let deadline = Instant::now() + patience;
+            let mut waited =
+                if rejected { self.masks.wait_for_any(deadline) } else { self.masks.wait_for(frame, deadline) };
+            if waited == Waited::Arrived {
+                let front = self.masks.front().filter(|front| front.frame == frame);
+                match front.map(|front| matcher.find(front)) {
+                    Some(Ok(_)) => return Ok(()),
+                    Some(Err(rejection)) => {
+                        matcher.count_rejection(rejection);
+                        rejected = true;
+                        waited = Waited::Lost;
+                    }
+                    None => {
+                        rejected = false;
+                        continue;
+                    }
+                }
+            }
+            match waited {
+                Waited::Ended(reason) => return Err(ended(reason)),
+                Waited::Arrived | Waited::TimedOut | Waited::Lost if begun.elapsed() > GIVE_UP => {
+                    return Err(ClientError::NoVisibility { frame, after: begun.elapsed(), asked });
+                }
+                waited => {
+                    if let Some(request) = matcher.request(frame) {
+                        self.session.send_pose_again(frame, request.pose, rejected);
+                        matcher.repeated(frame);
+                        self.poses_repeated += 1;
+                        asked += 1;
+                    }
+                    if waited == Waited::TimedOut {
+                        patience = (patience * 2).min(GIVE_UP / 4);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Counters of all connections.
+    pub(crate) fn received(&self) -> Received {
+        self.received_before + self.session.received()
+    }
+
+    pub(crate) fn round_trip(&self) -> Option<Duration> {
+        self.session.round_trip()
+    }
+
+    /// Takes leave of the server. Blocks.
+    pub(crate) fn leave(self) -> LinkTotals {
+        let totals = LinkTotals {
+            poses_repeated: self.poses_repeated,
+            received: self.received(),
+            round_trip: self.round_trip(),
+            reconnects: self.reconnects,
+        };
+        drop(self.masks);
+        self.runtime.block_on(self.session.leave());
+        totals
+    }
+}
