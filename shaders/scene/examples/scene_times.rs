@@ -1,6 +1,6 @@
-//! What scenes hold, and how long loading, packing and unpacking them takes.
+//! Prints a scene's counts, and the time that loading, checking, packing and unpacking takes.
 //!
-//! `cargo run --release -p gnomon-shaders --example scene_times -- SCENE.gltf [LIGHTS.json]`
+//! `cargo run --release -p gnomon-scene --example scene_times -- SCENE.gltf [LIGHTS.json]`
 
 use std::{error::Error, path::PathBuf, time::Instant};
 

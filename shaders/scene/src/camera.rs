@@ -1,29 +1,27 @@
-//! The camera: which point of the scene a pixel's centre sees.
+//! The camera: the ray through each pixel's centre.
 //!
 //! Right-handed, +Y up, the camera looks along its −Z. Depth is reversed-Z with an infinite far plane: 1 at the near
-//! plane, 0 at infinity. Everything is built in f64, relative to the scene's origin, and only then rounded to f32.
+//! plane, 0 at infinity. Everything is computed in f64, relative to the scene's origin, and then rounded to f32.
 
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Mat4, Vec3};
 
-/// Distance of the near plane, in metres. Camera paths come as close as 2 cm to a surface.
+/// Distance of the near plane, in metres. Camera paths come within 2 cm of a surface.
 pub const NEAR_M: f64 = 0.005;
 
-/// A camera and the size of its picture.
+/// A camera and the size of its picture, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     /// Position in world space, in metres.
     pub position_m: DVec3,
-    /// Rotation from camera to world space; a unit quaternion.
+    /// Rotation from camera to world space, a unit quaternion.
     pub orientation: DQuat,
     /// Full vertical field of view, in radians.
     pub yfov_rad: f64,
-    /// Width of the picture, in pixels.
     pub width: u32,
-    /// Height of the picture, in pixels.
     pub height: u32,
 }
 
-/// What a kernel needs to make the ray of a pixel: `forward + ndc_x·right + ndc_y·up`, not normalised, where
+/// The ray of each pixel, for kernels: `forward + ndc_x·right + ndc_y·up`, not normalised, where
 /// `ndc_x = 2·(x + ½)/width − 1` and `ndc_y = 1 − 2·(y + ½)/height`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RayBasis {
@@ -38,7 +36,7 @@ pub struct RayBasis {
 }
 
 impl Camera {
-    /// A camera at `position_m` that looks at `target_m`, with +Y up (or −Z up when it looks straight up or down).
+    /// Returns a camera at `position_m` that looks at `target_m`, with +Y up (−Z up if it looks straight up or down).
     #[must_use]
     pub fn looking_at(position_m: DVec3, target_m: DVec3, yfov_rad: f64, width: u32, height: u32) -> Self {
         let forward = (target_m - position_m).try_normalize().unwrap_or(DVec3::NEG_Z);
@@ -48,8 +46,8 @@ impl Camera {
         Self { position_m, orientation: DQuat::from_mat3(&rotation).normalize(), yfov_rad, width, height }
     }
 
-    /// The camera of a pose as it crosses the wire. Both ends make it here, so that a mask's pixels and its view are the same at
-    /// both. The quaternion need not be quite of unit length.
+    /// Returns the camera of a pose as it crosses the wire. Client and server share this, so that a mask's pixels mean
+    /// the same to both. The quaternion is normalised.
     #[must_use]
     pub fn of_pose(position_m: [f64; 3], orientation: [f64; 4], yfov_rad: f64, [width, height]: [u16; 2]) -> Self {
         Self {
@@ -61,8 +59,8 @@ impl Camera {
         }
     }
 
-    /// The same view with a border of `x` more pixels to the left and right, `y` above and below, all as large as before: a guard
-    /// band.
+    /// Returns the view with a guard band: `x` more pixels to the left and right and `y` above and below, of the same
+    /// size.
     #[must_use]
     pub fn widened(&self, (x, y): (u32, u32)) -> Self {
         let (width, height) = (self.width + 2 * x, self.height + 2 * y);
@@ -75,14 +73,14 @@ impl Camera {
         Self { yfov_rad, width, height, ..*self }
     }
 
-    /// Half the picture's width and height on the plane at distance 1.
+    /// Returns half the picture's width and height on the plane at distance 1.
     #[must_use]
     pub fn half_extent(&self) -> (f64, f64) {
         let half_height = (self.yfov_rad * 0.5).tan();
         (half_height * f64::from(self.width) / f64::from(self.height), half_height)
     }
 
-    /// The direction (world space, not normalised) and the origin (world space, metres) of pixel (x, y)'s ray, in f64.
+    /// Returns the origin (metres) and the direction (not normalised) of pixel (x, y)'s ray, in world space.
     #[must_use]
     pub fn ray(&self, x: u32, y: u32) -> (DVec3, DVec3) {
         let (half_width, half_height) = self.half_extent();
@@ -91,7 +89,7 @@ impl Camera {
         (self.position_m, self.orientation * DVec3::new(ndc_x * half_width, ndc_y * half_height, -1.0))
     }
 
-    /// The ray basis in f32, relative to the scene's origin.
+    /// Returns the ray basis in f32, relative to the scene's origin.
     #[must_use]
     pub fn ray_basis(&self, origin_m: DVec3) -> RayBasis {
         let (half_width, half_height) = self.half_extent();
@@ -103,7 +101,7 @@ impl Camera {
         }
     }
 
-    /// Clip space from the scene's local space (positions relative to its origin).
+    /// Returns the matrix to clip space from the scene's local space (positions relative to its origin).
     #[must_use]
     pub fn clip_from_local(&self, origin_m: DVec3) -> Mat4 {
         // The tracer's rays start at the position rounded to f32, so the rasteriser looks from there too.
@@ -112,7 +110,7 @@ impl Camera {
             .as_mat4()
     }
 
-    /// Clip space from camera space: reversed-Z, infinite far plane, near plane at [`NEAR_M`].
+    /// Returns the matrix to clip space from camera space: reversed-Z, infinite far plane, near plane at [`NEAR_M`].
     #[must_use]
     pub fn clip_from_camera(&self) -> DMat4 {
         let (half_width, half_height) = self.half_extent();

@@ -11,7 +11,7 @@ use crate::error::SceneError;
 /// Reads a regular file of at most `limit` bytes.
 ///
 /// # Errors
-/// When it cannot be read, is no regular file (a pipe would never end), or is larger than `limit`.
+/// Errors if it cannot be read, is no regular file (a pipe would never end), or is larger than `limit`.
 pub(crate) fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> {
     let too_large = |bytes| SceneError::FileTooLarge { path: PathBuf::from(path), bytes, limit };
     let there = file_bytes(path)?;
@@ -25,10 +25,10 @@ pub(crate) fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> 
     Ok(bytes)
 }
 
-/// Reads the first `most` bytes of a regular file, or all of it where it has fewer. The rest takes no memory.
+/// Reads the first `most` bytes of a regular file, or all of a shorter one. The rest takes no memory.
 ///
 /// # Errors
-/// When it cannot be read, or is no regular file.
+/// Errors if it cannot be read, or is no regular file.
 pub(crate) fn read_start(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
     let expected = file_bytes(path)?.min(most);
     let mut bytes = Vec::with_capacity(usize::try_from(expected).unwrap_or(0));
@@ -36,7 +36,7 @@ pub(crate) fn read_start(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> 
     Ok(bytes)
 }
 
-/// The length of a regular file. Asked before opening: opening a named pipe blocks until somebody writes to it.
+/// Returns the length of a regular file. Call it before opening: opening a named pipe blocks until it has a writer.
 fn file_bytes(path: &Path) -> Result<u64, SceneError> {
     let metadata = std::fs::metadata(path).map_err(|source| failed(path, source))?;
     if !metadata.is_file() {

@@ -1,7 +1,8 @@
-//! The scene: flattened triangles, materials, textures and lights, in the space that both ends compute in.
+//! The scene: flattened triangles, materials, textures and lights, in the space that server and client compute in.
 //!
-//! Positions are f32, relative to [`Scene::origin_m`], which is f64. Everything that does not move is flattened: node
-//! transforms are applied, shared meshes are repeated, strips and fans are lists, mirrored nodes keep their front faces.
+//! A file's way: [`load`] tells glTF from the packed form; [`reader`] turns glTF into a [`Scene`]; [`pack`] turns a
+//! scene into the bytes that travel and back. [`camera`] says which point a pixel sees, [`motion`] where a camera will
+//! be. [`limits`] holds every bound. Only [`file`], [`testing`] and [`fuzzing`] touch files.
 
 pub mod camera;
 mod error;

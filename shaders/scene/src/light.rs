@@ -1,4 +1,4 @@
-//! What makes a light legal, wherever it comes from: a glTF file or a lights file.
+//! Checks a light from a glTF file or a lights file, and fills in its defaults.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
@@ -9,7 +9,7 @@ use crate::{
     limits::{MAX_COORDINATE_M, MAX_NAME_BYTES, in_reach},
 };
 
-/// A light in world space, unchecked, with the defaults of KHR_lights_punctual still to be filled in.
+/// A light in world space, unchecked and without the defaults of KHR_lights_punctual.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct LightSource<'a> {
     pub(super) name: Option<&'a str>,
@@ -17,7 +17,7 @@ pub(super) struct LightSource<'a> {
     pub(super) kind: &'a str,
     /// In metres.
     pub(super) position: DVec3,
-    /// In which it travels; need not have unit length.
+    /// In which it travels. Any length but zero.
     pub(super) direction: DVec3,
     pub(super) color: Option<[f64; 3]>,
     pub(super) intensity: Option<f64>,
@@ -27,10 +27,10 @@ pub(super) struct LightSource<'a> {
 }
 
 impl LightSource<'_> {
-    /// The light, relative to the scene's origin.
+    /// Returns the light, relative to the scene's origin.
     ///
     /// # Errors
-    /// A sentence about the first value that is out of range.
+    /// Errors with a sentence at the first value that is out of range.
     pub(super) fn light(&self, origin_m: DVec3) -> Result<Light, String> {
         let color = self.color.unwrap_or([1.0; 3]);
         let intensity = self.intensity.unwrap_or(1.0);
@@ -48,7 +48,7 @@ impl LightSource<'_> {
             other => return Err(format!("light type {other:.32?} is not directional, point or spot")),
         };
         let directional = kind == LightKind::Directional;
-        // A directional light's position means nothing: the file's is not even checked.
+        // A directional light has no position: the file's is not even checked.
         let position = if directional { origin_m } else { self.position };
         if !in_reach(position) {
             return Err(format!("the light lies at {position}, beyond ±{MAX_COORDINATE_M} m"));
@@ -60,7 +60,7 @@ impl LightSource<'_> {
         let direction = direction.ok_or_else(|| format!("the light's direction {} has no length", self.direction))?;
         let range_m = match self.range_m {
             Some(range) if !directional => {
-                // Checked as f32: a range that rounds to 0 would be none at all.
+                // Checked as f32: a range that rounds to 0 lights nothing.
                 let range = f32_of(range);
                 if !(range > 0.0 && range.is_finite()) {
                     return Err(format!("the light's range {range} m is not positive and finite"));
@@ -83,7 +83,7 @@ impl LightSource<'_> {
     fn cone(&self) -> Result<LightKind, String> {
         let inner = self.inner_cone_rad.unwrap_or(0.0);
         let outer = self.outer_cone_rad.unwrap_or(FRAC_PI_4);
-        // f32 writers round π/2 up.
+        // Exporters round π/2 up to f32.
         if !(inner >= 0.0 && inner < outer && outer <= FRAC_PI_2 + 1e-6) {
             return Err(format!("the spot's cone angles are {inner} and {outer}: must be 0 <= inner < outer <= π/2"));
         }
@@ -97,7 +97,7 @@ pub(super) fn f32_of(value: f64) -> f32 {
     value as f32
 }
 
-/// A name of at most [`MAX_NAME_BYTES`], or an empty one.
+/// Cuts a name to [`MAX_NAME_BYTES`]. No name gives an empty one.
 pub(super) fn short_name(name: Option<&str>) -> String {
     let name = name.unwrap_or_default();
     name.get(..name.floor_char_boundary(MAX_NAME_BYTES)).unwrap_or_default().to_owned()
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sun_has_no_place_and_a_point_no_direction() {
+    fn directional_lights_ignore_positions_and_point_lights_directions() {
         let mut sun = source("directional");
         (sun.position, sun.range_m) = (DVec3::splat(1e30), Some(5.0));
         assert_eq!(sun.light(DVec3::ONE).map(|sun| (sun.position, sun.range_m)), Ok((Vec3::ZERO, f32::INFINITY)));

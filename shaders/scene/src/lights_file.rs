@@ -1,10 +1,10 @@
-//! The lights of a `lights_camera.json` file, for scenes that have none, or not the ones wanted.
+//! The lights of a `lights_camera.json` file. They replace those of a scene.
 //!
-//! One JSON object. `lights` lists the lights; a file without it may list them as `suggested_point_lights`. Each has
-//! `type` (directional, point or spot), and may have `name`, `position` (world space, metres), `direction` (in which it
-//! travels), `color` (linear RGB), `intensity` or `intensity_cd` (candela, lux for directional ones), `range` (metres),
-//! `innerConeAngle` and `outerConeAngle` (radians). Other keys, such as camera paths, are for others. `original_lights`
-//! are those that stand in the scene file itself, and are not read.
+//! The file is one JSON object. `lights` lists the lights; a file without it may list them as `suggested_point_lights`.
+//! Each has `type` (directional, point or spot), and may have `name`, `position` (world space, metres), `direction` (in
+//! which it travels), `color` (linear RGB), `intensity` or `intensity_cd` (candela; lux for directional ones), `range`
+//! (metres), `innerConeAngle` and `outerConeAngle` (radians). Other keys are ignored, such as camera paths and
+//! `original_lights`, which repeats the scene's own.
 
 use std::path::Path;
 
@@ -36,10 +36,10 @@ struct FileLight {
     outer_cone_angle: Option<f64>,
 }
 
-/// Reads a file's lights, relative to a scene's origin. How many there are is for the caller to judge.
+/// Reads a file's lights, relative to a scene's origin. The caller bounds their number.
 ///
 /// # Errors
-/// When the file cannot be read, is not such JSON, has no list of lights, or one of them is malformed.
+/// Errors if the file cannot be read, is not such JSON, has no list of lights, or a light is malformed.
 pub(super) fn read(path: &Path, origin_m: DVec3) -> Result<Vec<Light>, SceneError> {
     let bytes = read_file(path, MAX_LIGHTS_FILE_BYTES)?;
     parse(&bytes, origin_m).map_err(|fault| SceneError::LightsFile { path: path.to_owned(), fault })
@@ -79,7 +79,8 @@ mod tests {
         let lights = parse(
             br#"{"camera_paths":{"A":{}},"lights":[
                 {"type":"directional","name":"sun","direction":[0,-2,0],"intensity":12},
-                {"type":"spot","position":[1,2,3],"direction":[0,-1,0],"innerConeAngle":0.25,"outerConeAngle":0.5,"range":9}]}"#,
+                {"type":"spot","position":[1,2,3],"direction":[0,-1,0],"range":9,
+                 "innerConeAngle":0.25,"outerConeAngle":0.5}]}"#,
             DVec3::new(1.0, 0.0, 0.0),
         )
         .unwrap();
@@ -90,7 +91,8 @@ mod tests {
         assert_eq!(lights[0].direction, glam::Vec3::NEG_Y);
         assert_eq!(lights[1].kind, LightKind::Spot { inner_cone_rad: 0.25, outer_cone_rad: 0.5 });
         assert_eq!((lights[1].position, lights[1].range_m), (glam::Vec3::new(0.0, 2.0, 3.0), 9.0));
-        let json = br#"{"original_lights":[{"type":"x"}],"suggested_point_lights":[{"type":"point","position":[0,1,0],"intensity_cd":5.5}]}"#;
+        let json = br#"{"original_lights":[{"type":"x"}],
+            "suggested_point_lights":[{"type":"point","position":[0,1,0],"intensity_cd":5.5}]}"#;
         assert_eq!(parse(json, DVec3::ZERO).unwrap()[0].intensity, 5.5);
     }
 
@@ -102,7 +104,8 @@ mod tests {
         assert!(fault(r#"{"lights":[{"position":[0,0,0]}]}"#).contains("type"));
         assert!(fault(r#"{"lights":[{"type":"point"}]}"#).contains("light 0: it has no \"position\""));
         assert!(fault(r#"{"lights":[{"type":"spot","position":[0,0,0]}]}"#).contains("direction"));
-        let area = r#"{"lights":[{"type":"point","position":[0,0,0]},{"type":"area","position":[0,0,0],"direction":[0,0,1]}]}"#;
+        let area = r#"{"lights":[{"type":"point","position":[0,0,0]},
+            {"type":"area","position":[0,0,0],"direction":[0,0,1]}]}"#;
         assert!(fault(area).contains("light 1: light type \"area\""));
         assert!(fault(r#"{"lights":[{"type":"point","position":[0,0,1e999]}]}"#).contains("number"));
     }

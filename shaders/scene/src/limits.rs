@@ -1,14 +1,14 @@
-//! Every bound on what a scene may hold. All are checked before the memory is taken.
+//! Every bound on a scene and its files. All are checked before memory is taken.
 //!
-//! A scene at all of these bounds takes about 3.5 GiB while it loads; a file that breaks one takes far less, because
-//! counts are summed from the JSON before a single vertex is read.
+//! A scene at all of these bounds takes about 3.5 GiB while it loads. A file that breaks one takes far less, because
+//! counts are summed from the JSON before the first vertex is read.
 
 use glam::{DVec3, Vec2};
 
 /// Largest scene file or file beside it, in bytes.
 pub const MAX_FILE_BYTES: u64 = 512 << 20;
 
-/// Largest JSON text, in bytes. Geometry beyond it belongs into a `.bin` or a `.glb`, not into data URIs.
+/// Largest JSON text, in bytes. Larger geometry belongs into a `.bin` or a `.glb`, not into data URIs.
 pub const MAX_JSON_BYTES: u64 = 64 << 20;
 
 /// Largest sum of all buffers, in bytes.
@@ -26,7 +26,7 @@ pub const MAX_BUFFER_VIEWS: usize = 1 << 19;
 /// Most accessors.
 pub const MAX_ACCESSORS: usize = 1 << 19;
 
-/// Most elements of one accessor: a vertex index for each corner of [`MAX_TRIANGLES`].
+/// Most elements of one accessor: the corners of [`MAX_TRIANGLES`].
 pub const MAX_ACCESSOR_ELEMENTS: u64 = 3 * MAX_TRIANGLES;
 
 /// Most meshes.
@@ -56,7 +56,7 @@ pub const MAX_ELEMENT_VALUES: usize = 1 << 21;
 /// Most names in `extensionsRequired`.
 pub const MAX_EXTENSIONS: usize = 1 << 8;
 
-/// Most light definitions in a file; how many of them may shine is [`MAX_LIGHTS`].
+/// Most light definitions in a file. At most [`MAX_LIGHTS`] of them may be placed.
 pub const MAX_LIGHT_DEFINITIONS: usize = 1 << 12;
 
 /// Most triangles after flattening: shared meshes count once for each instance.
@@ -74,35 +74,35 @@ pub const MAX_IMAGE_BYTES: u64 = 64 << 20;
 /// Largest sum of all encoded images, in bytes.
 pub const MAX_IMAGES_BYTES: u64 = 256 << 20;
 
-/// Largest width or height of an image: what every adapter takes as a texture.
+/// Largest width or height of an image: every adapter takes such a texture.
 pub const MAX_IMAGE_SIDE_PX: u32 = 8192;
 
 /// Most pixels in all images together: 512 MiB decoded.
 pub const MAX_IMAGES_PIXELS: u64 = 1 << 27;
 
-/// Most memory that decoding one image may take besides its pixels, in bytes.
+/// Most memory that decoding one image takes besides its pixels, in bytes.
 pub const MAX_IMAGE_SCRATCH_BYTES: u64 = 512 << 20;
 
-/// Most lights that shine: one bit of a 32-bit visibility word each.
+/// Most lights of a scene: one bit of a 32-bit visibility word each.
 pub const MAX_LIGHTS: usize = 32;
 
 /// Farthest that a vertex or a light may lie from the world's origin, in metres, per axis. Poses have the same bound,
 /// and squares and products of such distances stay within f32.
 pub const MAX_COORDINATE_M: f64 = 1e9;
 
-/// Whether a position in world space is finite and within [`MAX_COORDINATE_M`].
+/// Returns whether a position in world space is finite and within [`MAX_COORDINATE_M`].
 pub(super) fn in_reach(position: DVec3) -> bool {
-    // Asked of each coordinate, because `max_element` forgets a NaN.
+    // Each coordinate is compared, because `max_element` ignores NaN.
     position.to_array().iter().all(|coordinate| coordinate.abs() <= MAX_COORDINATE_M)
 }
 
-/// Whether a texture coordinate is finite and within [`MAX_UV`].
+/// Returns whether a texture coordinate is finite and within [`MAX_UV`].
 pub(super) fn is_legal_uv(uv: Vec2) -> bool {
     uv.to_array().iter().all(|coordinate| coordinate.abs() <= MAX_UV)
 }
 
-/// Largest absolute texture coordinate: beyond it an f32 no longer tells the texels of an 8192-pixel picture apart, and
-/// within it u × width fits an i32.
+/// Largest absolute texture coordinate. Within it, u × width fits an i32; beyond it, an f32 no longer resolves the
+/// texels of an 8192-pixel picture.
 pub const MAX_UV: f32 = 65536.0;
 
 /// Longest name that a scene keeps, in bytes.

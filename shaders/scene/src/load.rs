@@ -1,4 +1,4 @@
-//! Loading a scene from files: glTF or a packed scene, and a lights file where its own lights are not wanted.
+//! Loads a scene from files: glTF or a packed scene, and perhaps a lights file.
 
 use std::path::{Path, PathBuf};
 
@@ -11,17 +11,17 @@ use crate::{
     pack, reader,
 };
 
-/// What to load besides the scene file.
+/// Options of [`Scene::load`].
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct LoadOptions {
     /// A lights file whose lights *replace* those of the scene.
     pub lights_from: Option<PathBuf>,
-    /// Keep only the first so many lights: 1 to 32, and not more than there are.
+    /// Keeps only the first N lights: 1 to 32, and not more than the scene has.
     pub max_lights: Option<u32>,
 }
 
 impl Scene {
-    /// Loads a `.gltf` or `.glb` file, or one that holds what [`Self::pack`] made.
+    /// Loads a `.gltf` or `.glb` file, or a file with the bytes of [`Self::pack`].
     ///
     /// # Errors
     /// See [`SceneError`].
@@ -29,7 +29,7 @@ impl Scene {
         Self::load_with_report(path, options).map(|(scene, _)| scene)
     }
 
-    /// Loads the same files, and says what was left out.
+    /// Loads a scene as [`Self::load`], and reports what was left out.
     ///
     /// # Errors
     /// See [`SceneError`].
@@ -44,13 +44,13 @@ impl Scene {
         if let Some(file) = &options.lights_from {
             scene.lights = lights_file::read(file, scene.origin_m)?;
         }
-        let there = scene.lights.len();
-        if let Some(asked) = options.max_lights {
-            let count = usize::try_from(asked).ok().filter(|count| (1..=there.min(MAX_LIGHTS)).contains(count));
+        let available = scene.lights.len();
+        if let Some(requested) = options.max_lights {
+            let count = usize::try_from(requested).ok().filter(|count| (1..=available.min(MAX_LIGHTS)).contains(count));
             match count {
                 Some(count) => scene.lights.truncate(count),
-                None if there == 0 => return Err(SceneError::NoLights),
-                None => return Err(SceneError::LightCount { asked, there }),
+                None if available == 0 => return Err(SceneError::NoLights),
+                None => return Err(SceneError::LightCount { requested, available }),
             }
         }
         match scene.lights.len() {

@@ -1,8 +1,8 @@
-//! Where a camera will be: extrapolation of its latest poses, so that visibility can be traced for the moment that shows it.
+//! Extrapolates a camera's latest poses, so that visibility can be traced for the moment that shows it.
 //!
-//! Times are the client's own, so that it does not matter how unevenly poses arrive. Positions move in straight lines and
-//! orientations turn about a fixed axis, at the mean rate of a short window: long enough to average a hand's tremor, short enough
-//! to notice that it stops.
+//! Times are the client's, so that uneven arrival does not matter. The camera goes on in a straight line and turns
+//! about a fixed axis, at its mean rates over a short window: long enough to average a hand's tremor, short enough to
+//! notice that it stops.
 
 use std::collections::VecDeque;
 
@@ -10,63 +10,62 @@ use glam::{DQuat, DVec3};
 
 use crate::camera::Camera;
 
-/// Poses that are remembered.
-const MOST_POSES: usize = 16;
+/// Most poses kept.
+const MAX_POSES: usize = 16;
 
-/// Length of the window that rates are measured over, in seconds: about four frames of 60 a second.
+/// Window that rates are measured over, in seconds: about four frames at 60 Hz.
 const WINDOW_S: f64 = 0.07;
 
-/// Farthest that anything is extrapolated, in seconds. Beyond it a hand has long changed its mind.
-const FARTHEST_S: f64 = 0.4;
+/// Longest extrapolation, in seconds. A hand does not keep its motion for longer.
+const MAX_AHEAD_S: f64 = 0.4;
 
-/// A step from one pose to the next that is longer than this many metres, or turns by more than [`JUMP_RAD`], and is
-/// [`JUMP_RATIO`] times as fast as the camera was before, is no motion: somebody was put elsewhere.
+/// A step between poses is a jump, and not motion, if it is longer than this many metres or turns by more than
+/// [`JUMP_RAD`], and is more than [`JUMP_RATIO`] times as fast as the camera was before.
 const JUMP_M: f64 = 0.5;
 const JUMP_RAD: f64 = 0.35;
 const JUMP_RATIO: f64 = 4.0;
 
-/// A camera's latest poses, in order of time.
+/// A camera's latest poses, oldest first.
 #[derive(Debug, Clone, Default)]
 pub struct Motion {
     poses: VecDeque<(f64, Camera)>,
 }
 
-/// How fast a camera moves and turns.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Rate {
     metres_per_s: DVec3,
-    /// Along the axis of rotation in world space; its length is the rate in radians per second.
+    /// Along the axis of rotation in world space; its length is in radians per second.
     turn_per_s: DVec3,
 }
 
 impl Motion {
-    /// Takes the camera at `time_s`, unless a later one is known already. After a jump, or when the clock ran backwards by
-    /// more than the window can explain, everything before is forgotten.
+    /// Adds the camera at `time_s`, unless a later one is known. A jump, a gap or a restarted clock (a difference of
+    /// more than [`MAX_AHEAD_S`] either way) forgets the poses before.
     pub fn push(&mut self, time_s: f64, camera: Camera) {
         if !time_s.is_finite() {
             return;
         }
         if let Some((newest_s, newest)) = self.poses.back() {
             let step_s = time_s - newest_s;
-            if step_s <= 0.0 && step_s > -FARTHEST_S {
+            if step_s <= 0.0 && step_s > -MAX_AHEAD_S {
                 return;
             }
-            if step_s <= 0.0 || step_s > FARTHEST_S || self.is_jump(newest, &camera, step_s) {
+            if step_s <= 0.0 || step_s > MAX_AHEAD_S || self.is_jump(newest, &camera, step_s) {
                 self.poses.clear();
             }
         }
-        if self.poses.len() == MOST_POSES {
+        if self.poses.len() == MAX_POSES {
             self.poses.pop_front();
         }
         self.poses.push_back((time_s, camera));
     }
 
-    /// Returns the newest camera moved on to `time_s` at constant velocity and turning rate, by at most [`FARTHEST_S`].
-    /// `None` before the first pose; the newest pose for times before it.
+    /// Returns the newest camera moved on to `time_s` at constant velocity and turning rate, by at most
+    /// [`MAX_AHEAD_S`]. `None` before the first pose; the newest pose for times before it.
     #[must_use]
     pub fn extrapolate(&self, time_s: f64) -> Option<Camera> {
         let (newest_s, newest) = self.poses.back()?;
-        let ahead_s = (time_s - newest_s).clamp(0.0, FARTHEST_S);
+        let ahead_s = (time_s - newest_s).clamp(0.0, MAX_AHEAD_S);
         let Some(rate) = self.rate() else { return Some(*newest) };
         Some(Camera {
             position_m: newest.position_m + rate.metres_per_s * ahead_s,
@@ -75,7 +74,7 @@ impl Motion {
         })
     }
 
-    /// The rates over the window that ends at the newest pose; over the last step where steps are longer than the window.
+    /// Returns the mean rates over the window that ends at the newest pose. Over the last step if that is longer.
     fn rate(&self) -> Option<Rate> {
         let last = self.poses.len().checked_sub(1)?;
         let (to_s, to) = self.poses.get(last)?;
@@ -95,7 +94,7 @@ impl Motion {
 
 fn rate_between(from: &Camera, to: &Camera, step_s: f64) -> Rate {
     let mut turn = to.orientation * from.orientation.inverse();
-    // The shorter way round.
+    // Take the shorter way round.
     if turn.w < 0.0 {
         turn = -turn;
     }
@@ -179,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn old_repeated_and_strange_times_do_no_harm() {
+    fn late_repeated_and_non_finite_times_are_ignored() {
         let here = camera(DVec3::ZERO, 0.0);
         let mut motion = Motion::default();
         assert_eq!(motion.extrapolate(0.0), None);
@@ -195,6 +194,6 @@ mod tests {
         for frame in 0..1000 {
             motion.push(f64::from(frame) * 0.01, here);
         }
-        assert!(motion.poses.len() <= MOST_POSES);
+        assert!(motion.poses.len() <= MAX_POSES);
     }
 }

@@ -1,4 +1,4 @@
-//! Decodes PNG and JPEG pictures, with their size checked before their pixels take memory.
+//! Decodes PNG and JPEG pictures. Their size is checked before their pixels take memory.
 
 use std::io::Cursor;
 
@@ -12,7 +12,7 @@ use crate::{
 /// Decodes a picture of at most `pixels_left` pixels.
 ///
 /// # Errors
-/// A sentence: it is neither PNG nor JPEG, too large, or broken.
+/// Errors with a sentence if it is neither PNG nor JPEG, too large, or broken.
 pub(super) fn decode(encoded: Vec<u8>, pixels_left: u64) -> Result<Image, String> {
     if encoded.len() as u64 > MAX_IMAGE_BYTES {
         return Err(format!("it has {} bytes; at most {MAX_IMAGE_BYTES} are read", encoded.len()));
@@ -41,7 +41,7 @@ pub(super) fn decode(encoded: Vec<u8>, pixels_left: u64) -> Result<Image, String
     Ok(Image { encoded, width, height, rgba: rgba.into_raw() })
 }
 
-/// Told by the first bytes; what the file says about itself is not asked.
+/// Tells the format from the first bytes, whatever the file's name or media type.
 fn format(encoded: &[u8]) -> Result<ImageFormat, String> {
     match encoded {
         [0x89, b'P', b'N', b'G', ..] => Ok(ImageFormat::Png),

@@ -1,4 +1,4 @@
-//! Small scenes with one difficulty each: triangles, bounds and lights as an independent reader counted them.
+//! Small scenes with one difficulty each have the triangles, bounds and lights that an independent reader counted.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -164,7 +164,7 @@ fn every_small_scene_has_its_triangles_and_bounds() {
 }
 
 #[test]
-fn no_small_scene_was_forgotten() {
+fn every_small_scene_is_listed() {
     for folder in ["correctness", "alpha", "animated", "lights", "cornell"] {
         for path in files(&scenes().join(folder)) {
             if !path.extension().is_some_and(|extension| extension == "gltf" || extension == "glb") {

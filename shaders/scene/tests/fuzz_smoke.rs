@@ -1,12 +1,12 @@
-//! The fuzz targets' entry points on the stable toolchain: valid scenes, and valid scenes that were damaged. Seeded, so that a failure
-//! comes again. With `GNOMON_FUZZ_SEEDS=FOLDER` the valid ones are written there, as the targets' seeds.
+//! The fuzz targets' properties on the stable toolchain, for valid scenes and damaged ones. The damage is seeded, so
+//! that failures repeat. With `GNOMON_FUZZ_SEEDS=FOLDER` the valid ones are written there as the targets' seeds.
 #![allow(missing_docs, clippy::unwrap_used, reason = "tests")]
 
 use std::fs;
 
 use gnomon_scene::{LoadOptions, Scene, fuzzing, testing::write_scene};
 
-/// The seed, and damaged ones.
+/// Runs a property on the seed, and on damaged copies of it.
 fn drive(target: &str, seed: &[u8], rounds: u32, mut entry: impl FnMut(&[u8])) {
     if let Some(folder) = std::env::var_os("GNOMON_FUZZ_SEEDS") {
         let folder = std::path::Path::new(&folder).join(target);
@@ -37,7 +37,7 @@ fn drive(target: &str, seed: &[u8], rounds: u32, mut entry: impl FnMut(&[u8])) {
     }
 }
 
-/// The small scene with its buffer inside.
+/// The test scene with its buffer as a data URI.
 fn whole_file(folder: &std::path::Path) -> Vec<u8> {
     let text = fs::read_to_string(write_scene(folder).unwrap()).unwrap();
     let mut gltf: serde_json::Value = serde_json::from_str(&text).unwrap();
@@ -56,7 +56,7 @@ fn gltf() {
     let seed = whole_file(folder.path());
     let file = folder.path().join("damaged.gltf");
     drive("gltf", &seed, 3_000, |bytes| fuzzing::gltf(bytes, &file));
-    assert!(Scene::load(&folder.path().join("scene.gltf"), &LoadOptions::default()).is_ok(), "the seed is a scene");
+    assert!(Scene::load(&folder.path().join("scene.gltf"), &LoadOptions::default()).is_ok(), "the seed does not load");
 }
 
 #[test]
@@ -85,7 +85,7 @@ fn glb() {
     let file = folder.path().join("damaged.glb");
     drive("glb", &seed.concat(), 3_000, |bytes| fuzzing::gltf(bytes, &file));
     fs::write(&file, seed.concat()).unwrap();
-    assert!(Scene::load(&file, &LoadOptions::default()).is_ok(), "the seed is a scene");
+    assert!(Scene::load(&file, &LoadOptions::default()).is_ok(), "the seed does not load");
 }
 
 #[test]

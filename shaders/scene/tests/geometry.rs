@@ -1,4 +1,4 @@
-//! Transforms, winding, normals, origins, UVs, alpha and lights of scenes written for the purpose.
+//! Transforms, winding, normals, origins, UVs, alpha and lights of scenes made for each test.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -9,7 +9,7 @@ use glam::{DVec3, Vec2, Vec3};
 use gnomon_scene::{AlphaMode, LightKind, LoadOptions, Scene, SceneError, triangle_normal};
 use serde_json::{Value, json};
 
-/// A scene of one triangle (0,0,0), (1,0,0), (0,1,0) with the normal `normal`, one node of its own, and a point light.
+/// A scene of one triangle (0,0,0), (1,0,0), (0,1,0) with the normal `normal` in node 0, and a point light in node 1.
 fn document(normal: Option<[f32; 3]>) -> Value {
     let mut floats: Vec<f32> = vec![0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
     floats.extend([0.0, 0.0, 1.0, 0.0, 0.0, 1.0]);
@@ -233,9 +233,9 @@ fn lights_are_counted() {
     let kept = keep(33, 2).unwrap().lights;
     assert_eq!(kept.iter().map(|light| light.position.x).collect::<Vec<_>>(), [0.0, 1.0]);
     assert_eq!(keep(33, 32).unwrap().lights.len(), 32);
-    assert!(matches!(keep(3, 0), Err(SceneError::LightCount { asked: 0, there: 3 })));
-    assert!(matches!(keep(3, 4), Err(SceneError::LightCount { asked: 4, there: 3 })));
-    assert!(matches!(keep(40, 33), Err(SceneError::LightCount { asked: 33, there: 40 })));
+    assert!(matches!(keep(3, 0), Err(SceneError::LightCount { requested: 0, available: 3 })));
+    assert!(matches!(keep(3, 4), Err(SceneError::LightCount { requested: 4, available: 3 })));
+    assert!(matches!(keep(40, 33), Err(SceneError::LightCount { requested: 33, available: 40 })));
     assert!(matches!(keep(0, 1), Err(SceneError::NoLights)));
 }
 

@@ -1,6 +1,6 @@
-//! Files that ask for more than they bring are refused from their numbers alone, and mutated ones never panic.
+//! Files that promise more than they hold are refused before memory is taken, and mutated files never panic.
 //!
-//! All in one process, whose peak of memory is read at the end of each test.
+//! The tests read the peak of their process's memory, so this file holds nothing else.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -12,7 +12,7 @@ use common::{peak_kib, scenes};
 use gnomon_scene::{LoadOptions, Scene, SceneError};
 use proptest::prelude::*;
 
-/// Largest peak of memory, in KiB.
+/// Most memory that the process may ever have had, in KiB.
 const MAX_PEAK_KIB: u64 = 1 << 20;
 
 fn load(bytes: &[u8]) -> Result<Scene, SceneError> {
@@ -50,14 +50,15 @@ fn counts_beyond_the_limits_are_refused_before_memory_is_taken() {
     assert!(fault(&bomb(u64::MAX, 1)).contains("18446744073709551615, but at most"));
     assert!(fault(&bomb(1 << 40, 1)).contains("1099511627776, but at most"));
     assert!(fault(&bomb((1 << 24) + 1, 1)).contains("16777217, but at most 16777216"));
-    // Each is small; together they are not. Flat normals take three vertices a triangle.
+    // Each instance is small, but all together are not. Flat normals take three vertices a triangle.
     assert!(fault(&bomb(1 << 20, 17)).contains("of the scene"));
     assert!(fault(&bomb(3, 262_145)).contains("more than 262144"));
-    // Few triangles that name few of many vertices: reading these again for each primitive would take for ever.
+    // Many primitives with few triangles each share many vertices, which each primitive would read again.
     let primitives = vec![r#"{"attributes":{"POSITION":0},"indices":1}"#; 1000].join(",");
     let shared = file(&format!(
         r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{primitives}]}}],
-        "accessors":[{{"componentType":5126,"count":16777216,"type":"VEC3"}},{{"componentType":5125,"count":3,"type":"SCALAR"}}]"#
+        "accessors":[{{"componentType":5126,"count":16777216,"type":"VEC3"}},
+        {{"componentType":5125,"count":3,"type":"SCALAR"}}]"#
     ));
     assert!(fault(&shared).contains("vertices of the scene"), "{}", fault(&shared));
     // Within the limits, but all in one point.
@@ -77,10 +78,9 @@ fn lists_are_bounded_while_they_are_parsed() {
     );
     let values = "0,".repeat(3_000_000);
     assert!(
-        fault(&list("nodes", &format!(r#"{{"children":[{}0]}}"#, values), 1))
-            .contains("/nodes/0/children/2097150: more")
+        fault(&list("nodes", &format!(r#"{{"children":[{values}0]}}"#), 1)).contains("/nodes/0/children/2097150: more")
     );
-    // Neither in what is read nor in what is skipped do brackets nest on the stack.
+    // Nested brackets take no stack, whether they are read or skipped.
     for name in ["extras", "nodes", "extensions"] {
         let nested = format!(r#""{name}":{}"#, r#"{"a":["#.repeat(1_000_000));
         assert!(fault(&file(&nested)).contains("not a glTF 2.0 file"));
@@ -96,7 +96,7 @@ fn buffers_and_views_must_be_where_they_say() {
     assert!(fault(&file(outside)).contains("do not lie in buffer 0"));
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.gltf");
-    // A file longer than its buffers need: only what they need takes memory.
+    // Of a file that is longer than its buffers, no more than they need is read.
     std::fs::File::create(folder.path().join("long.bin")).unwrap().set_len(64 << 20).unwrap();
     let buffers = vec![r#"{"byteLength":8,"uri":"long.bin"}"#; 32].join(",");
     std::fs::write(&path, file(&format!(r#""buffers":[{buffers}]"#))).unwrap();
@@ -116,7 +116,7 @@ fn indices_wider_than_32_bits_are_not_truncated() {
     assert!(fault(&json).contains("4294967296"), "{}", fault(&json));
 }
 
-/// A PNG whose head promises `side` × `side` pixels of 16 bits a channel.
+/// A PNG whose header promises `side` × `side` pixels of 16 bits a channel.
 fn png_head(side: u32) -> Vec<u8> {
     let mut bytes = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR".to_vec();
     let start = bytes.len() - 4;
@@ -144,7 +144,8 @@ fn pictures_that_promise_too_much_are_refused() {
         let bytes: Vec<u8> = positions.iter().flat_map(|v| v.to_le_bytes()).collect();
         write!(floats, "{}", BASE64_STANDARD.encode(bytes)).unwrap();
         file(&format!(
-            r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"TEXCOORD_0":1}},"material":0}}]}}],
+            r#""nodes":[{{"mesh":0}}],
+            "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"TEXCOORD_0":1}},"material":0}}]}}],
             "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}},
             {{"bufferView":0,"componentType":5126,"count":3,"type":"VEC2"}}],
             "bufferViews":[{{"buffer":0,"byteLength":36}}],
@@ -166,7 +167,7 @@ fn cornell() -> Vec<u8> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Bytes overwritten anywhere, or the end cut off: an error or a scene that keeps its guarantees.
+    /// Bytes overwritten anywhere, or the end cut off, give an error or a legal scene.
     #[test]
     fn mutated_files_never_panic(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
@@ -185,7 +186,8 @@ proptest! {
         }
     }
 
-    /// Digits of the JSON replaced by others: most of these still parse, so that counts, offsets and indices go wrong.
+    /// Other digits in the JSON give an error or a legal scene. Most still parse, so counts, offsets and indices are
+    /// wrong.
     #[test]
     fn mutated_numbers_never_panic(
         changes in prop::collection::vec((any::<prop::sample::Index>(), b'0'..=b'9'), 1..6),
@@ -201,7 +203,7 @@ proptest! {
         }
     }
 
-    /// A packed scene with bytes overwritten, cut or appended: an error or a scene that keeps its guarantees.
+    /// Bytes of a packed scene overwritten, or the end cut off, give an error or a legal scene.
     #[test]
     fn mutated_packs_never_panic(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),

@@ -1,7 +1,7 @@
-//! Broken, unsupported and hostile files: never a panic, a hang or a large allocation, and as strict as Khronos'
+//! Broken and unsupported files never panic, hang or take much memory, and the loader is as strict as Khronos'
 //! validator about everything that is read.
 //!
-//! All in one process, whose peak of memory is read at the end; so this file holds nothing else.
+//! The tests read the peak of their process's memory, so this file holds nothing else.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -18,14 +18,14 @@ use common::{files, peak_kib, scenes};
 use gnomon_scene::{LoadOptions, Scene, SceneError};
 use serde_json::Value;
 
-/// Guards against hangs only: the slowest file takes milliseconds.
+/// Only a hang takes this long: the slowest file takes milliseconds.
 const HANG: Duration = Duration::from_secs(120);
 
-/// Largest peak of memory, in KiB.
+/// Most memory that the process may ever have had, in KiB.
 const MAX_PEAK_KIB: u64 = 1 << 20;
 
-/// Errors of the validator that a file may have and yet load: code (empty: any), a part of the pointer to what is wrong
-/// (empty: anything), and why.
+/// Errors of the validator with which a file may load: code (empty: any), a part of the pointer to the fault (empty:
+/// any), and why.
 const ALLOWED: [(&str, &str, &str); 38] = [
     ("", "/animations", "animations are not read: the scene is shown at rest"),
     ("", "/skins", "skins are not read; a mesh with one is refused"),
@@ -41,11 +41,11 @@ const ALLOWED: [(&str, &str, &str); 38] = [
     ("", "metallicRoughnessTexture", "only base colour textures are read"),
     ("", "/attributes/COLOR_0", "vertex colours are not read"),
     ("", "/attributes/TANGENT", "tangents are not read"),
-    ("ACCESSOR_ELEMENT_OUT_OF_MAX_BOUND", "", "bounds are computed, not believed"),
-    ("ACCESSOR_ELEMENT_OUT_OF_MIN_BOUND", "", "bounds are computed, not believed"),
-    ("ACCESSOR_MAX_MISMATCH", "", "bounds are computed, not believed"),
-    ("ACCESSOR_MIN_MISMATCH", "", "bounds are computed, not believed"),
-    ("MESH_PRIMITIVE_POSITION_ACCESSOR_WITHOUT_BOUNDS", "", "bounds are computed, not believed"),
+    ("ACCESSOR_ELEMENT_OUT_OF_MAX_BOUND", "", "bounds are computed, not read"),
+    ("ACCESSOR_ELEMENT_OUT_OF_MIN_BOUND", "", "bounds are computed, not read"),
+    ("ACCESSOR_MAX_MISMATCH", "", "bounds are computed, not read"),
+    ("ACCESSOR_MIN_MISMATCH", "", "bounds are computed, not read"),
+    ("MESH_PRIMITIVE_POSITION_ACCESSOR_WITHOUT_BOUNDS", "", "bounds are computed, not read"),
     ("GLB_CHUNK_LENGTH_UNALIGNED", "", "bytes are copied: nothing depends on alignment"),
     ("BUFFER_VIEW_INVALID_BYTE_STRIDE", "", "targets of views are not read: an accessor's use decides"),
     ("BUFFER_VIEW_TARGET_OVERRIDE", "", "targets of views are not read: an accessor's use decides"),
@@ -62,12 +62,12 @@ const ALLOWED: [(&str, &str, &str); 38] = [
     ("UNSATISFIED_DEPENDENCY", "", "an offset of 0 without a view, a skin without a mesh"),
     ("MESH_PRIMITIVES_UNEQUAL_TARGETS_COUNT", "", "morph targets are not read"),
     ("INVALID_URI", "/buffers", "an empty parameter of a data URI is passed over"),
-    ("TEXTURE_INVALID_IMAGE_MIME_TYPE", "", "pictures are told by their first bytes"),
-    ("BUFFER_MISSING_GLB_DATA", "", "no accessor reads the buffer that is missing"),
+    ("TEXTURE_INVALID_IMAGE_MIME_TYPE", "", "the first bytes tell a picture's format"),
+    ("BUFFER_MISSING_GLB_DATA", "", "no accessor reads the missing buffer"),
     ("", "/images", "no base colour uses the picture; the test of pictures covers those that one does"),
 ];
 
-/// Legal files that are refused all the same: the file, and what the error says.
+/// Legal files that are refused: the file, and a part of the error.
 const REFUSED: [(&str, &str); 7] = [
     ("asset/min_version_valid.gltf", "2.1"),
     ("mesh/valid.gltf", "morph targets"),
@@ -78,7 +78,7 @@ const REFUSED: [(&str, &str); 7] = [
     ("KHR_lights_punctual/data/light/unknown_type.gltf", "spherical"),
 ];
 
-/// Loads with one light from a file, so that nothing fails for want of a light.
+/// Loads with one light from a file, so that none fails for lack of lights.
 fn load(path: &Path, lights: &Path) -> Result<Scene, SceneError> {
     let options = LoadOptions { lights_from: Some(lights.to_owned()), max_lights: None };
     let (sender, receiver) = mpsc::sync_channel(1);
@@ -97,7 +97,7 @@ fn with_lights<T>(test: impl FnOnce(&Path) -> T) -> T {
     test(&lights)
 }
 
-/// The validator's errors about a file, as (code, pointer), or None where there is no report.
+/// Returns the validator's errors about a file, as (code, pointer). `None` without a report.
 fn reported(path: &Path) -> Option<Vec<(String, String)>> {
     let mut report = path.as_os_str().to_owned();
     report.push(".report.json");
@@ -124,7 +124,7 @@ fn every_file_loads_or_fails_clearly() {
             let Some(errors) = reported(&path) else { continue };
             judged += 1;
             match result {
-                // No triangles to show says nothing about whether the fault was seen.
+                // Without triangles the load fails, whether or not the fault was found.
                 Ok(_) | Err(SceneError::NoTriangles { .. }) => {
                     for (code, pointer) in errors {
                         let allowed =
@@ -147,7 +147,7 @@ fn every_file_loads_or_fails_clearly() {
         }
         assert!(wrong.is_empty(), "{}", wrong.join("\n"));
         let stale: Vec<_> = ALLOWED.iter().zip(used).filter(|(_, used)| !used).collect();
-        assert!(stale.is_empty(), "allowances that nothing needs: {stale:?}");
+        assert!(stale.is_empty(), "allowances without a file: {stale:?}");
         assert!(walked > 500 && judged > 200 && loaded > 0, "{walked} files, {judged} reports, {loaded} loaded");
         println!("{walked} files, {judged} judged by their reports, {loaded} loaded");
     });
@@ -156,7 +156,7 @@ fn every_file_loads_or_fails_clearly() {
     assert!(peak < MAX_PEAK_KIB, "peak of memory: {peak} KiB");
 }
 
-/// A part of the path, and what its error must name.
+/// A part of the path, and the feature that its error must name.
 const UNSUPPORTED: [(&str, &str); 11] = [
     ("skin-morph/SimpleMorph/", "morph targets"),
     ("skin-morph/MorphPrimitivesTest/", "morph targets"),

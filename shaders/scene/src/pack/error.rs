@@ -4,32 +4,28 @@ use thiserror::Error;
 
 use crate::CheckError;
 
-/// Version of the format. A reader takes its own only: scenes travel between programs of one release.
+/// Version of the format. Others are refused: scenes travel between programs of one release.
 pub(super) const VERSION: u32 = 1;
 
 /// Why a scene could not be packed or unpacked.
 #[derive(Debug, Error)]
 pub enum PackError {
-    /// Not a packed scene.
     #[error("{0} bytes that do not start with \"GNOMSCNE\" are no packed scene")]
     Magic(usize),
-    /// Packed by another version.
     #[error("the packed scene has version {0}; this program reads version {VERSION}")]
     Version(u32),
-    /// Larger than `limits` allows.
+    /// Larger than [`limits`](crate::limits) allows.
     #[error("the scene takes {bytes} bytes {what}; at most {limit} are allowed")]
     Size {
-        /// Packed, or before compression.
+        /// `packed` or `before compression`.
         what: &'static str,
-        /// Its size.
         bytes: u64,
-        /// The bound.
         limit: u64,
     },
     /// The bytes contradict themselves.
     #[error("the packed scene is broken: {0}")]
     Broken(String),
-    /// The bytes are well formed, but what they say is no legal scene.
+    /// The bytes are well formed, but the scene breaks its guarantees.
     #[error("the packed scene is not legal: {0}")]
     Check(#[from] CheckError),
 }

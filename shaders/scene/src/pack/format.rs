@@ -1,9 +1,8 @@
-//! The bytes of a scene that travel from server to client, and are named by their digest.
+//! The packed form's layout.
 //!
 //! Little-endian throughout: `GNOMSCNE`, the format's version (u32), the number of bytes before compression (u64), then
-//! one LZ4 block. In it: the length of the head (u32), the head (postcard), positions, normals, UVs and triangles in
-//! planes, and the pictures as they were in their files. A *plane* holds one byte of one component of every element,
-//! as the difference from the element before: LZ4 finds far more repetition in that than in the floats themselves.
+//! one LZ4 block. It holds the length of the head (u32), the head (postcard), positions, normals, UVs and triangles in
+//! [planes](super::planes), and the pictures' files.
 
 use glam::{DVec3, Vec2, Vec3};
 use lz4_flex::block;
@@ -31,7 +30,7 @@ const HEADER_BYTES: usize = 8 + 4 + 8;
 /// An LZ4 block cannot grow more than this: one byte of a match's length stands for at most 255.
 const MAX_LZ4_GROWTH: u64 = 255;
 
-/// Everything but the large arrays.
+/// All but the large arrays.
 #[derive(Serialize, Deserialize)]
 struct Head {
     origin_m: DVec3,
@@ -46,10 +45,10 @@ struct Head {
 }
 
 impl Scene {
-    /// The bytes that travel. The same scene packs to the same bytes.
+    /// Returns the packed form. Equal scenes give equal bytes.
     ///
     /// # Errors
-    /// When the scene breaks its guarantees, or is too large to travel.
+    /// Errors if the scene breaks its guarantees, or is too large to travel.
     pub fn pack(&self) -> Result<Vec<u8>, PackError> {
         self.check()?;
         let short = |count: usize| u32::try_from(count).map_err(|_| broken(format!("{count} elements")));
@@ -85,7 +84,7 @@ impl Scene {
         Ok(packed)
     }
 
-    /// A scene from bytes that somebody sent: nothing in them is believed. Pictures are decoded.
+    /// Returns the scene that a peer packed, and decodes its pictures. Nothing in the bytes is trusted.
     ///
     /// # Errors
     /// See [`PackError`].
@@ -142,7 +141,7 @@ impl Scene {
     }
 }
 
-/// The header, and the compressed bytes behind it.
+/// Compresses the content and prepends the header.
 pub(crate) fn seal(raw: &[u8]) -> Vec<u8> {
     let mut packed = MAGIC.to_vec();
     packed.extend(VERSION.to_le_bytes());
@@ -193,14 +192,14 @@ mod tests {
     }
 
     #[test]
-    fn other_bytes_are_told_apart() {
+    fn other_bytes_have_errors_of_their_own() {
         let packed = scene().pack().unwrap();
         assert!(matches!(Scene::unpack(b""), Err(PackError::Magic(0))));
         assert!(matches!(Scene::unpack(&[0; 64]), Err(PackError::Magic(64))));
         let mut newer = packed.clone();
         newer[8] = 2;
         assert!(matches!(Scene::unpack(&newer), Err(PackError::Version(2))));
-        // A length that the bytes cannot grow to is refused before it is allocated.
+        // A length that the bytes cannot grow to is refused before memory is taken.
         let mut large = packed.clone();
         large[12..20].copy_from_slice(&u64::MAX.to_le_bytes());
         assert!(matches!(Scene::unpack(&large), Err(PackError::Size { bytes: u64::MAX, .. })));
@@ -209,23 +208,14 @@ mod tests {
         assert!(matches!(Scene::unpack(&longer), Err(PackError::Broken(_))));
     }
 
-    /// Packs bytes as they are, whatever they say.
-    fn wrap(raw: &[u8]) -> Vec<u8> {
-        let mut packed = MAGIC.to_vec();
-        packed.extend(VERSION.to_le_bytes());
-        packed.extend((raw.len() as u64).to_le_bytes());
-        packed.extend(block::compress(raw));
-        packed
-    }
-
     #[test]
-    fn every_cut_and_every_rest_is_an_error() {
+    fn cut_and_extended_bytes_are_errors() {
         let raw = decompress(&scene().pack().unwrap()).unwrap();
-        assert!(Scene::unpack(&wrap(&raw)).is_ok());
+        assert!(Scene::unpack(&seal(&raw)).is_ok());
         for end in 0..raw.len() {
-            assert!(Scene::unpack(&wrap(&raw[..end])).is_err(), "cut at {end} of {}", raw.len());
+            assert!(Scene::unpack(&seal(&raw[..end])).is_err(), "cut at {end} of {}", raw.len());
         }
-        assert!(Scene::unpack(&wrap(&[&raw[..], &[0]].concat())).is_err());
+        assert!(Scene::unpack(&seal(&[&raw[..], &[0]].concat())).is_err());
     }
 
     proptest! {
@@ -241,7 +231,7 @@ mod tests {
                 let at = at.index(raw.len());
                 raw[at] = value;
             }
-            if let Ok(scene) = Scene::unpack(&wrap(&raw)) {
+            if let Ok(scene) = Scene::unpack(&seal(&raw)) {
                 prop_assert_eq!(scene.check(), Ok(()));
             }
         }

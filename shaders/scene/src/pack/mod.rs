@@ -1,4 +1,4 @@
-//! The packed form of a scene, which travels from server to client.
+//! The packed form of a scene, which travels from server to client and is named by its digest.
 
 mod error;
 mod format;

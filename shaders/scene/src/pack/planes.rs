@@ -1,8 +1,9 @@
-//! Elements as planes of bytes.
+//! Planes: one byte of one component of every element each, as differences from the element before. LZ4 finds far more
+//! repetition in them than in the floats themselves.
 
 use super::error::{PackError, broken};
 
-/// Appends `elements` of `N` words: for each component and each of its bytes, one plane.
+/// Appends `elements` of `N` words as planes: one for each byte of each component.
 pub(super) fn write_planes<T, const N: usize>(out: &mut Vec<u8>, elements: &[T], words: impl Fn(&T) -> [u32; N]) {
     for component in 0..N {
         for byte in 0..4 {
@@ -16,7 +17,7 @@ pub(super) fn write_planes<T, const N: usize>(out: &mut Vec<u8>, elements: &[T],
     }
 }
 
-/// Small differences of either sign become small numbers.
+/// Maps small differences of either sign to small numbers.
 fn zigzag(difference: u32) -> u32 {
     (difference << 1) ^ (0_u32.wrapping_sub(difference >> 31))
 }
@@ -38,7 +39,7 @@ impl<'a> Cursor<'a> {
         Ok(taken)
     }
 
-    /// What [`write_planes`] wrote.
+    /// Reads what [`write_planes`] wrote.
     pub(super) fn planes<T, const N: usize>(
         &mut self,
         count: u32,

@@ -1,4 +1,4 @@
-//! From a file to a scene.
+//! Turns a file into a scene.
 
 use std::path::Path;
 
@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{Aabb, Scene, error::SceneError, file::read_file, limits::MAX_FILE_BYTES};
 
-/// Reads a scene, with the lights that it has: perhaps none, perhaps too many.
+/// Reads a scene. It may have no lights, or too many.
 ///
 /// # Errors
 /// See [`SceneError`].

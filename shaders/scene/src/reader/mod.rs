@@ -1,8 +1,8 @@
-//! Reads glTF 2.0, `.gltf` and `.glb`, into a [`Scene`] without trusting a byte of it.
+//! Reads glTF 2.0, `.gltf` and `.glb`, into a [`Scene`](crate::Scene). No byte of the file is trusted.
 //!
-//! The way of a file: `container` splits it, `json` and `document` parse its JSON into bounded lists, `features` refuses what is
-//! not read, `references` and `layout` check every index and offset, `nodes` checks and walks the tree, `buffers` loads
-//! bytes, `flatten` makes triangles of `primitive`s and `material`s, `image` decodes pictures, `light` reads lights.
+//! A file's way: [`file`] splits it into chunks and loads buffers; [`json`] parses its JSON into `gltf`'s model, within
+//! bounds; [`checks`] refuses unsupported features and checks every index and offset; [`flatten`] walks the nodes and
+//! makes triangles, materials, pictures and lights.
 
 mod checks;
 mod file;

@@ -1,17 +1,17 @@
-//! What the reader left out or mended.
+//! What the reader left out or repaired.
 
 use std::fmt;
 
-/// What the loader left out or mended; all zeros for most files.
+/// Counts of what the reader left out or repaired. All zeros for most files.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LoadReport {
-    /// Triangles without an area, dropped.
+    /// Zero-area triangles, dropped.
     pub dropped_triangles: u64,
-    /// Normals of length zero, replaced by their faces' mean.
+    /// Zero normals, replaced by the mean of their faces'.
     pub repaired_normals: u64,
-    /// Instances of point and line primitives, and of primitives without positions, skipped.
+    /// Instances of points, lines and primitives without positions, skipped.
     pub skipped_primitives: u64,
-    /// Morph targets, ignored: their weights are 0 at rest.
+    /// Morph targets with weight 0, ignored.
     pub ignored_morph_targets: u64,
 }
 

@@ -1,21 +1,19 @@
-//! The alpha of MASK materials, as both back ends' tracers and the rasteriser's alpha test read it.
+//! The alpha of MASK materials, as the tracers and the rasteriser's alpha test read it.
 
 use super::types::{AlphaMode, Scene};
 
-/// A picture's alpha channel at full size.
+/// A picture's alpha channel at full size, in pixels.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AlphaPicture {
-    /// Width in pixels.
     pub width: u32,
-    /// Height in pixels.
     pub height: u32,
     /// One byte a pixel, row by row from the top.
     pub alpha: Vec<u8>,
 }
 
 impl Scene {
-    /// The alpha channel of a MASK material's base colour picture. None for other materials, and for those without a
-    /// picture: their alpha is the factor's everywhere.
+    /// Returns the alpha channel of a MASK material's base colour picture. `None` for other materials, and for those
+    /// without a picture: their alpha is the factor's everywhere.
     #[must_use]
     pub fn alpha_picture(&self, material: u32) -> Option<AlphaPicture> {
         let material = self.materials.get(material as usize)?;

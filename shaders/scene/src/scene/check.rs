@@ -1,4 +1,4 @@
-//! What every [`Scene`] guarantees, checked: after loading, and again by whoever receives one.
+//! Checks a [`Scene`]'s guarantees: after loading, and again after unpacking.
 
 use std::f32::consts::FRAC_PI_2;
 
@@ -17,7 +17,7 @@ use crate::limits::{
 /// How far a unit vector's squared length may lie from 1: rounding to f32 moves it by less than 1e-6.
 const UNIT_TOLERANCE: f32 = 1e-4;
 
-/// The first guarantee of [`Scene`] that one does not keep.
+/// The first guarantee that a [`Scene`] breaks.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("{0}")]
 pub struct CheckError(String);
@@ -26,7 +26,7 @@ fn ensure(holds: bool, fault: impl FnOnce() -> String) -> Result<(), CheckError>
     if holds { Ok(()) } else { Err(CheckError(fault())) }
 }
 
-/// Fails on the first element of which `holds` is not true.
+/// Errors at the first element for which `holds` is false.
 fn all<T: std::fmt::Debug>(what: &str, elements: &[T], holds: impl Fn(&T) -> bool) -> Result<(), CheckError> {
     match elements.iter().enumerate().find(|(_, element)| !holds(element)) {
         Some((index, element)) => Err(CheckError(format!("{what} {index} is {element:?}"))),
@@ -38,7 +38,7 @@ fn at_most(what: &str, count: usize, limit: u64) -> Result<(), CheckError> {
     ensure(count as u64 <= limit, || format!("{count} {what}, more than {limit}"))
 }
 
-/// Local coordinates are differences of two legal ones.
+/// Local coordinates are differences of two world coordinates.
 fn is_local(position: Vec3) -> bool {
     in_reach(position.as_dvec3() / 2.0)
 }
@@ -48,10 +48,10 @@ fn is_unit(vector: Vec3) -> bool {
 }
 
 impl Scene {
-    /// Checks everything that the type's documentation guarantees.
+    /// Checks everything that the type guarantees.
     ///
     /// # Errors
-    /// On the first guarantee that is not kept.
+    /// Errors at the first broken guarantee.
     pub fn check(&self) -> Result<(), CheckError> {
         self.check_geometry()?;
         self.check_draws()?;
@@ -100,18 +100,16 @@ impl Scene {
     fn check_draws(&self) -> Result<(), CheckError> {
         at_most("draws", self.draws.len(), MAX_DRAWS)?;
         ensure(self.instances > 0, || "no instances".to_owned())?;
-        let (mut next, mut class) = (0_u64, 0);
+        let (mut next, mut order) = (0_u64, 0);
         for (index, draw) in self.draws.iter().enumerate() {
-            let of = match self.materials.get(draw.material as usize).map(|material| material.alpha) {
-                Some(AlphaMode::Opaque) => 0,
-                Some(AlphaMode::Mask { .. }) => 1,
-                Some(AlphaMode::Blend) => 2,
-                None => return Err(CheckError(format!("draw {index} names material {}", draw.material))),
+            let Some(material) = self.materials.get(draw.material as usize) else {
+                return Err(CheckError(format!("draw {index} names material {}", draw.material)));
             };
-            let follows = u64::from(draw.first_triangle) == next && draw.triangles > 0 && of >= class;
-            ensure(follows, || format!("draw {index} is {draw:?}, after triangle {next} of class {class}"))?;
+            let follows =
+                u64::from(draw.first_triangle) == next && draw.triangles > 0 && material.alpha.order() >= order;
+            ensure(follows, || format!("draw {index} is {draw:?}, after triangle {next} of order {order}"))?;
             next += u64::from(draw.triangles);
-            class = of;
+            order = material.alpha.order();
         }
         let triangles = self.triangles.len();
         ensure(next == triangles as u64, || format!("draws cover {next} triangles of {triangles}"))

@@ -1,4 +1,4 @@
-//! The scene that both ends hold, and what it guarantees.
+//! The scene that server and client hold, and its guarantees.
 
 mod alpha;
 pub(crate) mod check;

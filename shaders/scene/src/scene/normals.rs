@@ -2,14 +2,14 @@
 
 use glam::{DVec3, Vec3};
 
-/// Smallest ratio of a triangle's height to its longest edge that still counts as an area. Thinner ones are narrower
-/// than the rounding of their f32 edges: nothing can see them, and their normals would be noise.
+/// Smallest ratio of a triangle's height to its longest edge. Thinner triangles are narrower than the rounding of their
+/// f32 edges: they are invisible, and their normals would be noise.
 const MIN_HEIGHT_RATIO: f64 = 1e-7;
 
-/// Smallest twice-the-area, in square metres: below it, squares of f32 cross products start to underflow.
+/// Smallest double area, in square metres. Below it, squares of f32 cross products underflow.
 const MIN_DOUBLE_AREA_M2: f64 = 1e-16;
 
-/// The unit normal of a counter-clockwise triangle, or None when it has no area to speak of.
+/// Returns the unit normal of a counter-clockwise triangle. `None` if its area is next to zero.
 #[must_use]
 pub fn triangle_normal(a: Vec3, b: Vec3, c: Vec3) -> Option<DVec3> {
     let (a, b, c) = (a.as_dvec3(), b.as_dvec3(), c.as_dvec3());
@@ -21,9 +21,9 @@ pub fn triangle_normal(a: Vec3, b: Vec3, c: Vec3) -> Option<DVec3> {
     has_area.then(|| cross / double_area)
 }
 
-/// Replaces each normal that is zero by the mean of its triangles' normals, weighted by their angles at the vertex, so
-/// that it does not depend on how a face is cut into triangles. Vertices without triangles get +Y. Indices count from
-/// `first_vertex`. Returns how many normals were replaced.
+/// Replaces each zero normal by the mean of its triangles' normals and returns how many were replaced. The weights are
+/// the triangles' angles at the vertex, so that the mean does not depend on how a face is cut into triangles. Vertices
+/// without triangles get +Y. Indices count from `first_vertex`.
 pub(crate) fn repair(positions: &[Vec3], normals: &mut [Vec3], triangles: &[[u32; 3]], first_vertex: u32) -> u64 {
     let broken: Vec<bool> = normals.iter().map(|normal| *normal == Vec3::ZERO).collect();
     if !broken.contains(&true) {

@@ -1,25 +1,23 @@
-//! What a scene holds, in a few lines for people.
+//! A scene's counts, in a few lines for people.
 
 use std::fmt;
 
 use glam::DVec3;
 
-use super::types::{AlphaMode, Image, LightKind, Scene};
+use super::types::{Image, LightKind, Scene};
 
-/// What a scene holds.
+/// A scene's counts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Summary {
-    /// Triangles of OPAQUE, MASK and BLEND materials.
+    /// Of OPAQUE, MASK and BLEND materials.
     pub triangles: [u64; 3],
-    /// Vertices.
     pub vertices: u64,
-    /// Mesh instances that were flattened.
+    /// Mesh instances in the file.
     pub instances: u32,
-    /// OPAQUE, MASK and BLEND materials.
+    /// OPAQUE, MASK and BLEND.
     pub materials: [usize; 3],
-    /// Base colour pictures.
     pub images: usize,
-    /// Directional, point and spot lights.
+    /// Directional, point and spot.
     pub lights: [usize; 3],
     /// Lowest corner in world space, in metres.
     pub min_m: DVec3,
@@ -27,30 +25,20 @@ pub struct Summary {
     pub max_m: DVec3,
     /// World position of the local origin, in metres.
     pub origin_m: DVec3,
-    /// Memory that the scene takes, in bytes.
     pub memory_bytes: u64,
 }
 
-fn class(alpha: AlphaMode) -> usize {
-    match alpha {
-        AlphaMode::Opaque => 0,
-        AlphaMode::Mask { .. } => 1,
-        AlphaMode::Blend => 2,
-    }
-}
-
 impl Scene {
-    /// Counts what is there.
     #[must_use]
     pub fn summary(&self) -> Summary {
         let (mut triangles, mut materials, mut lights) = ([0; 3], [0; 3], [0; 3]);
         for draw in &self.draws {
             if let Some(material) = self.materials.get(draw.material as usize) {
-                triangles[class(material.alpha)] += u64::from(draw.triangles);
+                triangles[material.alpha.order()] += u64::from(draw.triangles);
             }
         }
         for material in &self.materials {
-            materials[class(material.alpha)] += 1;
+            materials[material.alpha.order()] += 1;
         }
         for light in &self.lights {
             lights[match light.kind {
@@ -73,7 +61,7 @@ impl Scene {
         }
     }
 
-    /// Memory that the scene's arrays take, in bytes.
+    /// Returns the memory that the scene's arrays take, in bytes.
     #[must_use]
     pub fn memory_bytes(&self) -> u64 {
         let image = |image: &Image| size_of_val(image) + image.encoded.len() + image.rgba.len();

@@ -1,10 +1,14 @@
 //! A scene's parts: geometry, materials, pictures and lights.
+//!
+//! Positions are f32, relative to [`Scene::origin_m`], which is f64. Nothing moves, so everything is flattened: node
+//! transforms are applied, shared meshes are repeated, strips and fans become lists, mirrored nodes keep their front
+//! faces.
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
-/// A loaded scene. The loader and [`Scene::unpack`] guarantee: every index is in range, every position, normal and UV is
-/// finite, normals and light directions are unit vectors, and there are 1 to 32 lights.
+/// A loaded scene. [`Scene::check`] holds for it: every index is in range, every position, normal and UV is finite,
+/// normals and light directions are unit vectors, and there are 1 to 32 lights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Scene {
     /// World position of the local origin, in metres.
@@ -15,33 +19,31 @@ pub struct Scene {
     pub positions: Vec<Vec3>,
     /// Unit shading normals, one a vertex.
     pub normals: Vec<Vec3>,
-    /// Base colour texture coordinates, one a vertex, texture transform applied; (0, 0) is the picture's upper left.
+    /// Texture coordinates of the base colour, one a vertex, texture transform applied. (0, 0) is the picture's upper
+    /// left.
     pub uvs: Vec<Vec2>,
-    /// Vertex indices; counter-clockwise seen from the front. No zero-area triangles.
+    /// Vertex indices, counter-clockwise seen from the front. No zero-area triangles.
     pub triangles: Vec<[u32; 3]>,
-    /// Runs of triangles with one material: OPAQUE ones first, then MASK, then BLEND. They cover `triangles` in order.
+    /// Runs of triangles with one material: OPAQUE first, then MASK, then BLEND. They cover `triangles` in order.
     pub draws: Vec<Draw>,
-    /// Materials that draws name.
     pub materials: Vec<Material>,
-    /// Base colour pictures that textures name.
+    /// Base colour pictures.
     pub images: Vec<Image>,
-    /// Lights, in the order of the mask's planes.
+    /// Lights, in the order of a mask's planes.
     pub lights: Vec<Light>,
-    /// Mesh instances that were flattened.
+    /// Number of mesh instances in the file.
     pub instances: u32,
 }
 
-/// An axis-aligned box.
+/// An axis-aligned box, in metres.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Aabb {
-    /// Lowest corner.
     pub min: Vec3,
-    /// Highest corner.
     pub max: Vec3,
 }
 
 impl Aabb {
-    /// The bounds of a scene's triangles; all zeros when there are none, or where they name no vertex.
+    /// Returns the bounds of a scene's triangles. All zeros if there are none, or if they name no vertex.
     pub(crate) fn of(scene: &Scene) -> Self {
         let corners = scene.triangles.iter().flatten();
         let mut positions = corners.filter_map(|corner| scene.positions.get(*corner as usize));
@@ -55,11 +57,8 @@ impl Aabb {
 /// A run of triangles of one instance with one material.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Draw {
-    /// Index of the first triangle.
     pub first_triangle: u32,
-    /// Number of triangles.
     pub triangles: u32,
-    /// Index of the material.
     pub material: u32,
 }
 
@@ -68,64 +67,64 @@ pub struct Draw {
 pub enum AlphaMode {
     /// Alpha is ignored.
     Opaque,
-    /// A point is there when its alpha is at least the cutoff; elsewhere rays pass.
-    Mask {
-        /// The cutoff.
-        cutoff: f32,
-    },
-    /// Drawn over what lies behind it; neither stops rays nor has visibility of its own.
+    /// A point is solid if its alpha is at least the cutoff. Rays pass elsewhere.
+    Mask { cutoff: f32 },
+    /// Blended over what lies behind it. It stops no rays and has no visibility of its own.
     Blend,
 }
 
-/// A surface's look.
+impl AlphaMode {
+    /// Position in the order of draws: OPAQUE, MASK, BLEND.
+    pub(crate) fn order(self) -> usize {
+        match self {
+            Self::Opaque => 0,
+            Self::Mask { .. } => 1,
+            Self::Blend => 2,
+        }
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Material {
     /// Name in the file, or empty.
     pub name: String,
-    /// Linear RGBA factor.
+    /// Linear RGBA factor, each 0 to 1.
     pub base_color: Vec4,
-    /// Texture that multiplies the factor: sRGB colour, linear alpha.
+    /// Multiplies the factor: sRGB colour, linear alpha.
     pub base_color_texture: Option<Texture>,
-    /// Linear RGB light of its own.
+    /// Linear RGB light that it emits.
     pub emissive: Vec3,
-    /// Treatment of alpha.
     pub alpha: AlphaMode,
-    /// Seen from both sides; otherwise back faces are not drawn (they still cast shadows).
+    /// Drawn from both sides. Back faces of other materials are not drawn, but cast shadows.
     pub double_sided: bool,
 }
 
-/// A picture and how it repeats. Filtering is bilinear; alpha tests read the full-size picture.
+/// A picture and how it repeats. Filtering is bilinear. Alpha tests read the full-size picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Texture {
-    /// Index of the image.
     pub image: u32,
-    /// Repetition along u.
     pub wrap_u: Wrap,
-    /// Repetition along v.
     pub wrap_v: Wrap,
 }
 
-/// What a texture does outside 0 to 1.
+/// How a texture continues outside 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Wrap {
-    /// Starts again.
     Repeat,
-    /// Starts again, mirrored every other time.
     MirroredRepeat,
-    /// Holds its edge.
     ClampToEdge,
 }
 
 /// A PNG or JPEG picture.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Image {
-    /// The file's bytes, which travel.
+    /// The file's bytes. They travel.
     pub encoded: Vec<u8>,
     /// Width in pixels.
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Decoded RGBA, 8 bits a channel, row by row from the top. Does not travel.
+    /// Decoded RGBA, 8 bits a channel, row by row from the top. They do not travel.
     #[serde(skip)]
     pub rgba: Vec<u8>,
 }
@@ -135,46 +134,42 @@ pub struct Image {
 pub struct Light {
     /// Name in the file, or empty.
     pub name: String,
-    /// Its kind.
     pub kind: LightKind,
-    /// Position in local space, in metres; ignored for directional lights.
+    /// Position in local space, in metres. Ignored for directional lights.
     pub position: Vec3,
-    /// Unit vector in which the light travels; ignored for point lights.
+    /// Unit vector in which the light travels. Ignored for point lights.
     pub direction: Vec3,
     /// Linear RGB colour.
     pub color: Vec3,
     /// Candela for point and spot lights, lux for directional ones.
     pub intensity: f32,
-    /// Distance beyond which the light ends, in metres; infinite when the file gives none, and for directional lights.
+    /// Distance at which the light ends, in metres. Infinite for directional lights and if the file gives none.
     pub range_m: f32,
 }
 
 impl Light {
-    /// Whether any light comes from it: one of no intensity, or of black, is switched off.
+    /// Returns whether the light is on: neither its intensity nor its colour is zero.
     #[must_use]
     pub fn shines(&self) -> bool {
         self.intensity > 0.0 && self.color.max_element() > 0.0
     }
 }
 
-/// The kinds of punctual light.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum LightKind {
-    /// Infinitely far away.
     Directional,
-    /// Shines everywhere.
     Point,
-    /// Shines into a cone around its direction.
+    /// Shines into a cone around its direction. Angles are from the cone's axis, in radians.
     Spot {
-        /// Angle from the axis up to which it shines fully, in radians.
+        /// Full intensity up to here.
         inner_cone_rad: f32,
-        /// Angle from the axis beyond which it does not shine, in radians.
+        /// No light beyond here.
         outer_cone_rad: f32,
     },
 }
 
 impl Scene {
-    /// Triangles that stop rays: those of OPAQUE and MASK draws, which come first.
+    /// Returns the triangles that may stop rays: those of OPAQUE and MASK draws, which come first.
     #[must_use]
     pub fn tracing_triangles(&self) -> &[[u32; 3]] {
         let end = self

@@ -1,8 +1,8 @@
-//! Where the test scenes are.
+//! Finds the test scenes.
 
 use std::path::{Path, PathBuf};
 
-/// The folder that `GNOMON_SCENES` names.
+/// Returns the folder that `GNOMON_SCENES` names.
 #[allow(dead_code, reason = "each test file uses what it needs")]
 pub(crate) fn scenes() -> PathBuf {
     match std::env::var_os("GNOMON_SCENES") {
@@ -11,7 +11,7 @@ pub(crate) fn scenes() -> PathBuf {
     }
 }
 
-/// Every file below a folder, in order.
+/// Returns every file below a folder, sorted.
 #[allow(dead_code, reason = "each test file uses what it needs")]
 pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
@@ -20,7 +20,7 @@ pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
     paths.into_iter().flat_map(|path| if path.is_dir() { files(&path) } else { vec![path] }).collect()
 }
 
-/// The largest resident size that this process has had.
+/// Returns the largest resident size that this process has had.
 #[allow(dead_code, reason = "each test file uses what it needs")]
 pub(crate) fn peak_kib() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").expect("this test reads /proc, as Linux has it");

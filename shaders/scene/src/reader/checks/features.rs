@@ -1,7 +1,7 @@
-//! Features that Gnomon does not read, each named in its error before any geometry is read.
+//! Refuses features that Gnomon does not read, and names them.
 //!
-//! A required extension must be known. An optional one may be ignored unless that would show other geometry or another
-//! base colour than the file means: compressed meshes are refused even where they bring an uncompressed copy.
+//! A required extension must be known. An optional one is ignored, unless that would show other geometry or another
+//! base colour than the file means: compressed meshes are refused even if they bring an uncompressed copy.
 
 use gltf::json::mesh::Primitive;
 use serde_json::{Map, Value};
@@ -11,7 +11,7 @@ use crate::{
     reader::json::Document,
 };
 
-/// Extensions that are read, or that only change the look in ways that Gnomon's shading does not have.
+/// Extensions that are read, or whose effect Gnomon's shading does not have.
 const KNOWN: [&str; 19] = [
     "KHR_lights_punctual",
     "KHR_materials_anisotropy",

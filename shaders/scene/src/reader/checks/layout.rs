@@ -1,7 +1,7 @@
-//! Where an accessor's elements lie, checked from the JSON alone before any buffer is read (glTF 2.0, §3.6.2).
+//! Checks where an accessor's elements lie (glTF 2.0, §3.6.2).
 //!
-//! Offsets need not be aligned, although the specification asks for it: alignment matters to who maps buffers, and bytes
-//! are copied here. `min` and `max` are not read: bounds are computed.
+//! Offsets need not be aligned, although the specification asks for it: alignment matters if buffers are mapped, and
+//! bytes are copied here. `min` and `max` are not read: bounds are computed.
 
 use gltf::json::{
     Accessor, Index, Root,
@@ -15,12 +15,12 @@ use crate::{
     limits::MAX_ACCESSOR_ELEMENTS,
 };
 
-/// Whether a type of components can count: vertex indices have one that can.
+/// Returns whether vertex indices may be of this type.
 pub(crate) const fn is_unsigned(component: ComponentType) -> bool {
     matches!(component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32)
 }
 
-/// A run of elements in a buffer. The last one ends inside the buffer's declared length.
+/// Elements in a buffer. The last one ends inside the buffer's declared length.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Span {
     pub(crate) buffer: usize,
@@ -29,10 +29,10 @@ pub(crate) struct Span {
     pub(crate) element_bytes: usize,
 }
 
-/// An accessor.
+/// A checked accessor.
 #[derive(Debug)]
 pub(crate) struct Layout {
-    /// For messages.
+    /// Its name in messages.
     pub(crate) place: String,
     /// Number of elements, at least 1.
     pub(crate) count: usize,
@@ -40,21 +40,20 @@ pub(crate) struct Layout {
     pub(crate) normalized: bool,
     /// A scalar or a vector.
     pub(crate) shape: Type,
-    /// None: all zeros.
+    /// `None` if all elements are zeros.
     pub(crate) base: Option<Span>,
     pub(crate) sparse: Option<SparseLayout>,
 }
 
-/// An accessor's overrides.
+/// Elements that override an accessor's.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SparseLayout {
-    /// Number of overridden elements.
     pub(crate) count: usize,
     pub(crate) indices: Span,
     pub(crate) values: Span,
 }
 
-/// Checks the layout of every scalar and vector accessor of the file, whatever it is for.
+/// Checks every scalar and vector accessor of the file, used or not, and every buffer view.
 ///
 /// # Errors
 /// Errors as [`Layout::new`].
@@ -71,7 +70,8 @@ pub(crate) fn check(json: &Root) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// The type of an accessor's elements; `None` for matrices, which belong to skins, and for types that do not exist.
+/// Returns the type of an accessor's elements. `None` for matrices, which belong to skins, and for types that do not
+/// exist.
 fn shape(accessor: &Accessor) -> Option<Type> {
     match accessor.type_ {
         Checked::Valid(shape @ (Type::Scalar | Type::Vec2 | Type::Vec3 | Type::Vec4)) => Some(shape),
@@ -148,7 +148,7 @@ fn sparse_layout(
     })
 }
 
-/// The span of `count` elements at an offset of a buffer view.
+/// Returns the span of `count` elements at an offset in a buffer view.
 fn span(
     json: &Root,
     place: &str,
@@ -187,10 +187,10 @@ fn span(
     Ok(Span { buffer, start, stride, element_bytes })
 }
 
-/// A buffer view's buffer, first byte and length, inside the buffer's declared length.
+/// Returns a buffer view's buffer, first byte and length, which lie inside the buffer's declared length.
 ///
 /// # Errors
-/// When it reaches beyond its buffer, or its stride is not one.
+/// Errors if it reaches beyond its buffer, or its stride is not legal.
 pub(crate) fn view_range(json: &Root, index: usize) -> Result<(usize, u64, u64), SceneError> {
     let place = || place("buffer view", index, None);
     let Some(view) = json.buffer_views.get(index) else {

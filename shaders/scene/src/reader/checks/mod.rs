@@ -1,4 +1,4 @@
-//! What is checked of the JSON before any geometry is read.
+//! Checks on the JSON alone, before any geometry is read.
 
 pub(crate) mod features;
 pub(crate) mod layout;

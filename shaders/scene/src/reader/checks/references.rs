@@ -1,5 +1,5 @@
-//! Checks once, for the whole file, that every index that is followed points to something. The code behind it may follow
-//! any of them; it still does so without panicking.
+//! Checks once, for the whole file, that every index that is read points to something. The code behind it looks indices
+//! up without panicking all the same.
 
 use gltf::json::{Accessor, Index, Root, mesh, root::Get};
 

@@ -1,10 +1,10 @@
-//! The bytes of a file's buffers (glTF 2.0, §3.6.1), each loaded from where its URI leads.
+//! Loads a file's buffers (glTF 2.0, §3.6.1).
 
 use std::{borrow::Cow, path::Path};
 
 use gltf::json::{Index, Root, buffer::View};
 
-use super::uri::{Target, follow};
+use super::uri::{Target, resolve};
 use crate::{
     error::{SceneError, place, within},
     file::read_start,
@@ -12,14 +12,14 @@ use crate::{
     reader::checks::layout::view_range,
 };
 
-/// Buffers, each exactly as long as the JSON says.
+/// Buffers, each exactly as long as the JSON says. `None` for one without bytes.
 pub(crate) struct Buffers<'a>(Vec<Option<Cow<'a, [u8]>>>);
 
 impl<'a> Buffers<'a> {
-    /// Loads every buffer that has a URI, and takes the first without one from the `.glb`'s binary chunk.
+    /// Loads every buffer that has a URI. A first buffer without one is the `.glb`'s binary chunk.
     ///
     /// # Errors
-    /// When one cannot be read, is shorter than it says, or all together are too large.
+    /// Errors if one cannot be read or is shorter than the JSON says, or if all together are too large.
     pub(crate) fn load(json: &Root, bin: Option<&'a [u8]>, folder: &Path) -> Result<Self, SceneError> {
         let total = json.buffers.iter().try_fold(0_u64, |sum, buffer| sum.checked_add(buffer.byte_length.0));
         within("bytes of all buffers", total.unwrap_or(u64::MAX), MAX_BUFFER_BYTES)?;
@@ -27,9 +27,9 @@ impl<'a> Buffers<'a> {
         for (index, buffer) in json.buffers.iter().enumerate() {
             let here = || place("buffer", index, None);
             let data = match &buffer.uri {
-                Some(uri) => match follow(uri, folder).map_err(|fault| SceneError::invalid(here(), fault))? {
+                Some(uri) => match resolve(uri, folder).map_err(|fault| SceneError::invalid(here(), fault))? {
                     Target::Data(data) => Some(Cow::Owned(data)),
-                    // Only what the sum above has counted: many buffers may name one large file.
+                    // No more than the sum above has counted: many buffers may name one large file.
                     Target::File(path) => Some(Cow::Owned(read_start(&path, buffer.byte_length.0)?)),
                 },
                 None if index == 0 => bin.map(Cow::Borrowed),
@@ -38,7 +38,7 @@ impl<'a> Buffers<'a> {
             let data = match data {
                 Some(data) => {
                     let there = data.len();
-                    Some(cut(data, buffer.byte_length.0).ok_or_else(|| {
+                    Some(prefix(data, buffer.byte_length.0).ok_or_else(|| {
                         let fault = format!("it says {} bytes, but has {there}", buffer.byte_length.0);
                         SceneError::invalid(here(), fault)
                     })?)
@@ -50,20 +50,20 @@ impl<'a> Buffers<'a> {
         Ok(Self(buffers))
     }
 
-    /// A buffer's bytes.
+    /// Returns a buffer's bytes.
     ///
     /// # Errors
-    /// When it has none: no URI, and no binary chunk that it could be.
+    /// Errors if it has no bytes: neither a URI nor a binary chunk.
     pub(crate) fn get(&self, index: usize) -> Result<&[u8], SceneError> {
         self.0.get(index).and_then(Option::as_deref).ok_or_else(|| {
             SceneError::invalid(place("buffer", index, None), "it has no uri, and there is no GLB chunk with its bytes")
         })
     }
 
-    /// A buffer view's bytes.
+    /// Returns a buffer view's bytes.
     ///
     /// # Errors
-    /// As [`view_range`] and [`Self::get`].
+    /// Errors as [`view_range`] and [`Self::get`].
     pub(crate) fn view(&self, json: &Root, index: Index<View>) -> Result<&[u8], SceneError> {
         let (buffer, start, bytes) = view_range(json, index.value())?;
         let data = self.get(buffer)?;
@@ -74,8 +74,8 @@ impl<'a> Buffers<'a> {
     }
 }
 
-/// The first `bytes` bytes, or None when there are fewer. A binary chunk may be padded.
-fn cut(data: Cow<'_, [u8]>, bytes: u64) -> Option<Cow<'_, [u8]>> {
+/// Returns the first `bytes` bytes, or `None` if there are fewer. A binary chunk may be padded.
+fn prefix(data: Cow<'_, [u8]>, bytes: u64) -> Option<Cow<'_, [u8]>> {
     let bytes = usize::try_from(bytes).ok().filter(|bytes| *bytes <= data.len())?;
     Some(match data {
         Cow::Borrowed(data) => Cow::Borrowed(data.get(..bytes)?),

@@ -1,5 +1,4 @@
-//! A `.glb`'s chunks (glTF 2.0, §4.4). Chunks should have multiples of four bytes; not all exporters pad the last one, and
-//! nothing here depends on it.
+//! Splits a `.glb` into its chunks (glTF 2.0, §4.4). Chunks may have any length: not all exporters pad the last one.
 
 use crate::limits::MAX_JSON_BYTES;
 
@@ -7,17 +6,17 @@ const MAGIC: &[u8; 4] = b"glTF";
 const CHUNK_JSON: u32 = u32::from_le_bytes(*b"JSON");
 const CHUNK_BIN: u32 = u32::from_le_bytes(*b"BIN\0");
 
-/// A file's JSON, and the binary chunk of a `.glb`.
+/// A scene file's parts. Only a `.glb` has a binary chunk.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Container<'a> {
     pub(crate) json: &'a [u8],
     pub(crate) bin: Option<&'a [u8]>,
 }
 
-/// Splits a scene file into its chunks; anything that does not start with `glTF` is JSON.
+/// Splits a scene file into its chunks. A file that does not start with `glTF` is JSON.
 ///
 /// # Errors
-/// A sentence about what is wrong with the container.
+/// Errors with a sentence if the container is malformed.
 pub(crate) fn split(bytes: &[u8]) -> Result<Container<'_>, String> {
     let container = if bytes.starts_with(MAGIC) { split_glb(bytes)? } else { Container { json: bytes, bin: None } };
     if container.json.len() as u64 > MAX_JSON_BYTES {
@@ -32,7 +31,7 @@ fn split_glb(bytes: &[u8]) -> Result<Container<'_>, String> {
     if version != 2 {
         return Err(format!("its GLB version is {version}, not 2"));
     }
-    // Bytes behind the end are ignored, as Khronos' validator does.
+    // Bytes behind the end are ignored, as by Khronos' validator.
     let bytes = bytes
         .get(..length)
         .ok_or_else(|| format!("its GLB header says {length} bytes, but the file has {}", bytes.len()))?;

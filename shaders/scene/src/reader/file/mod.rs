@@ -1,4 +1,4 @@
-//! Bytes: a `.glb`'s chunks, where URIs lead, and buffers.
+//! A `.glb`'s chunks, the targets of URIs, and buffers.
 
 pub(crate) mod buffers;
 pub(crate) mod glb;

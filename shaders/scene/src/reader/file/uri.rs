@@ -1,4 +1,4 @@
-//! Where a URI leads: to bytes inside it, or to a file in the scene's own folder, and nowhere else (glTF 2.0, §2.8).
+//! Resolves URIs: to the bytes of a data URI, or to a file in the scene's own folder (glTF 2.0, §2.8).
 
 use std::path::{Path, PathBuf};
 
@@ -8,26 +8,24 @@ use base64::{
 };
 use percent_encoding::percent_decode_str;
 
-/// Padding is often forgotten, and its absence is harmless.
+/// Takes base64 without padding too, which is often forgotten.
 const BASE64: GeneralPurpose = GeneralPurpose::new(
     &base64::alphabet::STANDARD,
     GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
 );
 
-/// What a URI leads to.
+/// A URI's target.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Target {
-    /// The bytes of a data URI.
     Data(Vec<u8>),
-    /// A file.
     File(PathBuf),
 }
 
-/// Follows a URI of a scene that lies in `folder`.
+/// Resolves a URI of a scene in `folder`.
 ///
 /// # Errors
-/// A sentence, when it names a network address, an absolute path, a path that leaves `folder`, or broken base64.
-pub(crate) fn follow(uri: &str, folder: &Path) -> Result<Target, String> {
+/// Errors with a sentence for a network address, an absolute path, a path that leaves `folder`, or broken base64.
+pub(crate) fn resolve(uri: &str, folder: &Path) -> Result<Target, String> {
     if let Some(data) = uri.strip_prefix("data:") {
         let (head, body) = data.split_once(',').ok_or("its data URI has no comma")?;
         if !head.ends_with(";base64") {
@@ -40,7 +38,7 @@ pub(crate) fn follow(uri: &str, folder: &Path) -> Result<Target, String> {
         return Err(format!("URI {shown:?} leads away; only files in the scene's folder and data URIs are read"));
     }
     let decoded = percent_decode_str(uri).decode_utf8().map_err(|_| format!("URI {shown:?} is not UTF-8"))?;
-    // Some exporters write backslashes; read as separators they cannot hide a `..` on any system.
+    // Some exporters write backslashes. Taken for separators, they cannot hide a `..` on any system.
     let decoded = decoded.replace('\\', "/");
     if decoded.starts_with('/') || decoded.contains('\0') || has_scheme(&decoded) {
         return Err(format!("URI {shown:?} is not a path below the scene's folder"));
@@ -61,7 +59,7 @@ pub(crate) fn follow(uri: &str, folder: &Path) -> Result<Target, String> {
     Ok(Target::File(folder.join(parts.iter().collect::<PathBuf>())))
 }
 
-/// Whether a URI starts with a scheme (RFC 3986, §3.1), which a drive letter looks like too.
+/// Returns whether a URI starts with a scheme (RFC 3986, §3.1). A drive letter looks like one.
 fn has_scheme(uri: &str) -> bool {
     uri.split_once(':').is_some_and(|(scheme, _)| {
         !scheme.contains(['/', '?', '#'])
@@ -75,7 +73,7 @@ mod tests {
 
     #[test]
     fn files_of_the_folder_are_found() {
-        let file = |uri| follow(uri, Path::new("/scenes/a"));
+        let file = |uri| resolve(uri, Path::new("/scenes/a"));
         let at = |path: &str| Ok(Target::File(PathBuf::from(path)));
         assert_eq!(file("a.bin"), at("/scenes/a/a.bin"));
         assert_eq!(file("Box%20With Spaces.bin"), at("/scenes/a/Box With Spaces.bin"));
@@ -86,7 +84,7 @@ mod tests {
 
     #[test]
     fn data_uris_are_decoded() {
-        let data = |uri| follow(uri, Path::new("."));
+        let data = |uri| resolve(uri, Path::new("."));
         assert_eq!(data("data:application/octet-stream;base64,AQID"), Ok(Target::Data(vec![1, 2, 3])));
         assert_eq!(data("data:;base64,AQ=="), Ok(Target::Data(vec![1])));
         assert_eq!(data("data:;base64,AQ"), Ok(Target::Data(vec![1])));
@@ -97,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_else_is_followed() {
+    fn other_uris_are_refused() {
         for uri in [
             "../a.bin",
             "a/../../b.bin",
@@ -117,7 +115,7 @@ mod tests {
             "a%00b",
             "%ff",
         ] {
-            assert!(follow(uri, Path::new("/scenes/a")).is_err(), "{uri}");
+            assert!(resolve(uri, Path::new("/scenes/a")).is_err(), "{uri}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Reads accessors' elements: interleaved, normalised, quantised, sparse, or all zeros (glTF 2.0, §3.6.2).
+//! Reads accessors: interleaved, normalised, quantised, sparse, or all zeros (glTF 2.0, §3.6.2).
 
 use gltf::json::{
     Accessor, Index, Root,
@@ -13,11 +13,11 @@ use crate::{
     },
 };
 
-/// Reads an accessor of VEC2 or VEC3 as f32 vectors: integers as their value, or as §3.6.2.2 says where they are
-/// normalised.
+/// Reads an accessor of VEC2 or VEC3 as f32 vectors. Integers become their value, or a fraction if they are normalised
+/// (§3.6.2.2).
 ///
 /// # Errors
-/// When the accessor is malformed or of another type, or a component is NaN or infinite.
+/// Errors if the accessor is malformed or of another type, or a component is NaN or infinite.
 pub(crate) fn vectors<const N: usize>(
     json: &Root,
     buffers: &Buffers<'_>,
@@ -46,7 +46,7 @@ pub(crate) fn vectors<const N: usize>(
 /// Reads an accessor of vertex indices.
 ///
 /// # Errors
-/// When the accessor is malformed, or not of plain unsigned scalars.
+/// Errors if the accessor is malformed, or not of unsigned scalars.
 pub(crate) fn indices(json: &Root, buffers: &Buffers<'_>, index: Index<Accessor>) -> Result<Vec<u32>, SceneError> {
     let layout = Layout::new(json, index.value())?;
     if layout.shape != Type::Scalar || !is_unsigned(layout.component) || layout.normalized {
@@ -61,15 +61,15 @@ fn elements<T: Copy>(
     zero: T,
     decode: impl Fn(&[u8]) -> T,
 ) -> Result<Vec<T>, SceneError> {
-    let cut = || SceneError::invalid(layout.place.as_str(), "it reaches beyond its buffer");
+    let out_of_bounds = || SceneError::invalid(layout.place.as_str(), "it reaches beyond its buffer");
     let mut out = match layout.base {
         None => vec![zero; layout.count],
         Some(span) => {
             let data = buffers.get(span.buffer)?;
-            // `collect` into an Option forgets the length; the count lies inside the buffer, so this is bounded.
+            // `collect` into an Option would not reserve. The count is bounded: all elements lie inside the buffer.
             let mut out = Vec::with_capacity(layout.count);
             for index in 0..layout.count {
-                out.push(decode(element(data, span, index).ok_or_else(cut)?));
+                out.push(decode(element(data, span, index).ok_or_else(out_of_bounds)?));
             }
             out
         }
@@ -78,8 +78,8 @@ fn elements<T: Copy>(
     let (indices, values) = (buffers.get(sparse.indices.buffer)?, buffers.get(sparse.values.buffer)?);
     let mut next = 0;
     for number in 0..sparse.count {
-        let index = unsigned(element(indices, sparse.indices, number).ok_or_else(cut)?) as usize;
-        let value = decode(element(values, sparse.values, number).ok_or_else(cut)?);
+        let index = unsigned(element(indices, sparse.indices, number).ok_or_else(out_of_bounds)?) as usize;
+        let value = decode(element(values, sparse.values, number).ok_or_else(out_of_bounds)?);
         let Some(slot) = out.get_mut(index).filter(|_| index >= next) else {
             let fault = format!("sparse index {index} is out of order, or not below its count {}", layout.count);
             return Err(SceneError::invalid(layout.place.as_str(), fault));
@@ -122,11 +122,12 @@ fn float(component: ComponentType, normalized: bool, bytes: &[u8]) -> f32 {
 mod tests {
     use super::*;
 
-    /// One accessor over the bytes 0, 1, 2, … of a buffer of `bytes` bytes.
+    /// Reads one accessor over a buffer of the bytes 0 to 255.
     fn read<T>(accessor: &str, views: &str, read: impl Fn(&Root, &Buffers<'_>) -> T) -> T {
         let bin: Vec<u8> = (0..=255).collect();
         let json = format!(
-            r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"byteLength":256}}],"bufferViews":[{views}],"accessors":[{accessor}]}}"#
+            r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"byteLength":256}}],
+            "bufferViews":[{views}],"accessors":[{accessor}]}}"#
         );
         let document = crate::reader::json::parse(json.as_bytes()).unwrap();
         let buffers = Buffers::load(&document.json, Some(&bin), ".".as_ref()).unwrap();

@@ -1,4 +1,4 @@
-//! The pictures of base colour textures: found, read and decoded.
+//! Reads and decodes the pictures of base colour textures.
 
 use std::path::Path;
 
@@ -12,14 +12,14 @@ use crate::{
     picture::decode,
     reader::file::{
         buffers::Buffers,
-        uri::{Target, follow},
+        uri::{Target, resolve},
     },
 };
 
 /// Loads the images with the given indices, in that order.
 ///
 /// # Errors
-/// When one is missing, broken, or of a format that is not read, with the file's name; when all together are too large.
+/// Errors if one is missing, broken, or of a format that is not read, or if all together are too large.
 pub(crate) fn load(
     json: &Root,
     buffers: &Buffers<'_>,
@@ -35,7 +35,7 @@ pub(crate) fn load(
         let here = place("image", index.value(), source.name.as_deref());
         let mut name = "inside the file".to_owned();
         let encoded = match (&source.uri, source.buffer_view) {
-            (Some(uri), _) => match follow(uri, folder).map_err(|fault| SceneError::invalid(here.as_str(), fault))? {
+            (Some(uri), _) => match resolve(uri, folder).map_err(|fault| SceneError::invalid(here.as_str(), fault))? {
                 Target::Data(data) => data,
                 Target::File(path) => {
                     name = path.display().to_string();

@@ -1,4 +1,4 @@
-//! Lights of KHR_lights_punctual, in the order in which the node tree is walked.
+//! Reads the lights of KHR_lights_punctual, in the order of their nodes.
 
 use glam::DVec3;
 
@@ -13,7 +13,7 @@ use crate::{
 /// Reads the lights of the placed nodes. Scales change neither range nor intensity, as the extension says.
 ///
 /// # Errors
-/// When one is malformed, whether or not a node uses it.
+/// Errors if a light is malformed, used or not.
 pub(crate) fn read(document: &Document, placed: &[Placed], origin_m: DVec3) -> Result<Vec<Light>, SceneError> {
     let definitions = &document.lights;
     for (index, definition) in definitions.iter().enumerate() {

@@ -1,7 +1,7 @@
-//! Materials, and the textures of their base colours (glTF 2.0, §3.9).
+//! Reads materials and the textures of their base colours (glTF 2.0, §3.9).
 //!
-//! Not read: everything but base colour, emission, alpha and sidedness. A material with an emissive *texture* does not
-//! shine: its factor alone would make the whole surface glow where the texture lets a few spots do so.
+//! Only base colour, emission, alpha and sidedness are read. A material with an emissive *texture* does not emit: its
+//! factor alone would make the whole surface glow, and the texture a few spots.
 
 use std::collections::HashMap;
 
@@ -18,21 +18,19 @@ use crate::{
 /// Extensions that bring pictures in formats that are not read.
 const OTHER_FORMATS: [&str; 4] = ["KHR_texture_basisu", "EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds"];
 
-/// Materials and images that the drawn triangles use, in the order of their first use.
+/// Materials and images that the scene uses, in the order of their first use.
 #[derive(Default)]
 pub(crate) struct Materials {
-    /// Read materials.
     pub(crate) materials: Vec<Material>,
-    /// Images in the JSON that they use.
     pub(crate) images: Vec<Index<json::Image>>,
     by_index: HashMap<Option<Index<json::Material>>, u32>,
 }
 
 impl Materials {
-    /// The scene's index of a material of the file; None is the default material (§3.7.2.1).
+    /// Returns the scene's index of a material of the file. `None` is the default material (§3.7.2.1).
     ///
     /// # Errors
-    /// When it is malformed, or its picture has a format that is not read.
+    /// Errors if it is malformed, or its picture has a format that is not read.
     pub(crate) fn get(&mut self, document: &Document, index: Option<Index<json::Material>>) -> Result<u32, SceneError> {
         if let Some(known) = self.by_index.get(&index) {
             return Ok(*known);
@@ -93,7 +91,7 @@ impl Materials {
 /// Checks every material of the file, used or not.
 ///
 /// # Errors
-/// When one is malformed.
+/// Errors if one is malformed.
 pub(crate) fn check(document: &Document) -> Result<(), SceneError> {
     for (index, (material, factors)) in document.json.materials.iter().zip(&document.factors).enumerate() {
         read(material, factors, None, &place("material", index, material.name.as_deref()))?;

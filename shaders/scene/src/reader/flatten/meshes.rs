@@ -1,7 +1,7 @@
-//! Flattens the placed meshes: transforms applied in f64, recentred, rounded once to f32.
+//! Flattens the placed meshes: applies transforms in f64, recentres, and rounds once to f32.
 //!
-//! Two passes over the primitives, so that no f64 copy of the geometry is ever held: the first finds the bounds, and
-//! with them the origin; the second writes vertices relative to it.
+//! Two passes over the primitives spare an f64 copy of the geometry: the first finds the bounds, and with them the
+//! origin; the second writes vertices relative to it.
 
 use glam::{DMat3, DMat4, DVec3, Vec3};
 use gltf::json::mesh;
@@ -12,14 +12,14 @@ use super::{
     primitive::{self, Geometry, Mode, TextureCoordinates},
 };
 use crate::{
-    AlphaMode, Draw, LoadReport, Scene,
+    Draw, LoadReport, Scene,
     error::{SceneError, place, within},
     limits::{MAX_COORDINATE_M, MAX_DRAWS, MAX_TRIANGLES, MAX_VERTICES, in_reach},
     reader::{file::buffers::Buffers, json::Document},
     scene::normals::{repair, triangle_normal},
 };
 
-/// A primitive that is drawn, and where.
+/// A primitive and its instances.
 struct Part<'a> {
     primitive: &'a mesh::Primitive,
     place: String,
@@ -29,10 +29,11 @@ struct Part<'a> {
     instances: Vec<DMat4>,
 }
 
-/// Writes positions, normals, UVs, triangles, draws, materials, bounds and origin of `scene`.
+/// Writes the origin, instances, positions, normals, UVs, triangles and draws of `scene`, and the materials that they
+/// use.
 ///
 /// # Errors
-/// When a primitive is malformed, or the flattened scene goes beyond `limits`.
+/// Errors if a primitive is malformed, or the flattened scene goes beyond [`limits`](crate::limits).
 pub(crate) fn flatten(
     document: &Document,
     buffers: &Buffers<'_>,
@@ -43,16 +44,11 @@ pub(crate) fn flatten(
 ) -> Result<(), SceneError> {
     let parts = parts(document, placed, materials, scene, report)?;
     scene.origin_m = origin(document, buffers, &parts)?;
-    // OPAQUE first, then MASK, then BLEND: a tracer reads a prefix, and a rasteriser sets each state once.
-    for class in 0..3 {
+    // OPAQUE, MASK, BLEND: tracers read a prefix, and the rasteriser sets each state once.
+    for order in 0..3 {
         for part in &parts {
-            let alpha = materials.materials.get(part.material as usize).map(|material| material.alpha);
-            let of = match alpha {
-                Some(AlphaMode::Blend) => 2,
-                Some(AlphaMode::Mask { .. }) => 1,
-                _ => 0,
-            };
-            if of != class {
+            let material = materials.materials.get(part.material as usize);
+            if material.map_or(0, |material| material.alpha.order()) != order {
                 continue;
             }
             let geometry = read(document, buffers, part)?;
@@ -64,7 +60,7 @@ pub(crate) fn flatten(
     Ok(())
 }
 
-/// What is to be drawn, within `limits`.
+/// Returns the primitives of all placed meshes, and checks their sums against [`limits`](crate::limits).
 fn parts<'a>(
     document: &'a Document,
     placed: &[Placed],
@@ -98,7 +94,7 @@ fn parts<'a>(
                 continue;
             }
             report.ignored_morph_targets += primitive.targets.as_ref().map_or(0, Vec::len) as u64;
-            // Each is bounded, so that these products fit.
+            // Each factor is bounded, so the products fit.
             triangles += size.triangles * times;
             vertices += size.vertices * times;
             draws += times;
@@ -126,9 +122,9 @@ fn read(document: &Document, buffers: &Buffers<'_>, part: &Part<'_>) -> Result<G
     primitive::read(&document.json, buffers, part.primitive, part.mode, texture.as_ref(), &part.place)
 }
 
-/// The scene's origin: the centre of its bounds, rounded to a multiple of the smallest power of two that is larger than
-/// the bounds' longest side. So a scene that holds the world's origin, or has it in a corner, keeps its coordinates bit
-/// for bit, and one far away has local coordinates of at most one and a half times its size.
+/// Returns the scene's origin: the centre of its bounds, rounded to a multiple of the smallest power of two above the
+/// bounds' longest side. So a scene around the world's origin keeps its coordinates bit for bit, and one far away has
+/// local coordinates of at most one and a half times its size.
 fn origin(document: &Document, buffers: &Buffers<'_>, parts: &[Part<'_>]) -> Result<DVec3, SceneError> {
     let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for part in parts {
@@ -146,12 +142,12 @@ fn origin(document: &Document, buffers: &Buffers<'_>, parts: &[Part<'_>]) -> Res
         }
     }
     let extent = (max - min).max_element();
-    // Negated so that an empty scene's infinities, and a scene of one point, end here.
+    // Negated to catch NaN: an empty scene has infinite bounds. A scene of one point ends here too.
     if !(extent > 0.0 && extent.is_finite()) {
         return Ok(if min.is_finite() { min.round() + DVec3::ZERO } else { DVec3::ZERO });
     }
     let step = (extent.log2().floor() + 1.0).exp2();
-    // Adding zero turns -0 into 0, which reads better.
+    // Adding zero turns -0 into 0, which prints better.
     Ok(((min + max) / 2.0 / step).round() * step + DVec3::ZERO)
 }
 
@@ -212,8 +208,8 @@ fn append(
     Ok(())
 }
 
-/// The inverse transpose of a transform, up to a positive factor: its cofactors, which exist even where a scale of 0
-/// leaves no inverse, with the sign of its determinant.
+/// Returns the inverse transpose of a transform, up to a positive factor: its cofactors, with the sign of its
+/// determinant. They exist even if a scale of 0 leaves no inverse.
 fn normal_matrix(linear: &DMat3) -> DMat3 {
     let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
     let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));

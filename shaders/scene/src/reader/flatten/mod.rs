@@ -1,4 +1,4 @@
-//! Nodes, meshes, materials, pictures and lights become the scene.
+//! Turns nodes, meshes, materials, pictures and lights into the scene.
 
 mod accessor;
 pub(crate) mod image;

@@ -1,8 +1,8 @@
-//! The node tree: checked to be one, then walked with f64 transforms (glTF 2.0, §3.5).
+//! Checks that the nodes form a forest, and walks it with f64 transforms (glTF 2.0, §3.5).
 
 use glam::{DMat4, DQuat, DVec3};
 
-use gltf::json::Node;
+use gltf::json::{Index, Node};
 use serde_json::Value;
 
 use crate::{
@@ -11,22 +11,22 @@ use crate::{
     reader::json::{Document, Transform},
 };
 
-/// How far a rotation's length may lie from 1: exporters round to f32, some to a few digits.
+/// Largest difference of a rotation's length from 1. Exporters round to f32, some to a few digits.
 const ROTATION_TOLERANCE: f64 = 1e-2;
 
-/// A node of the scene that is shown, and where it stands.
+/// A visible node.
 pub(crate) struct Placed {
     /// Its index.
     pub(crate) node: usize,
-    /// From its own space to the world's.
+    /// Transform from its own space to the world's.
     pub(crate) world_from_node: DMat4,
 }
 
-/// Nodes of the file's default scene (else its first; else everything), parents first, in the file's order, without
-/// those that KHR_node_visibility hides.
+/// Returns the nodes of the file's default scene, parents first, in the file's order, without those that
+/// KHR_node_visibility hides. The first scene stands in for a missing default, and all nodes for missing scenes.
 ///
 /// # Errors
-/// When the nodes are not a forest, lie too deep, or have transforms that are no such thing.
+/// Errors if the nodes are not a forest, lie too deep, or have malformed transforms.
 pub(crate) fn walk(document: &Document) -> Result<Vec<Placed>, SceneError> {
     let parents = parents(document)?;
     for (index, scene) in document.json.scenes.iter().enumerate() {
@@ -43,7 +43,7 @@ pub(crate) fn walk(document: &Document) -> Result<Vec<Placed>, SceneError> {
 
     let scene = document.json.scenes.get(document.json.scene.map_or(0, |scene| scene.value()));
     let roots: Vec<usize> = match scene {
-        Some(scene) => scene.nodes.iter().map(|node| node.value()).collect(),
+        Some(scene) => scene.nodes.iter().map(Index::value).collect(),
         None => (0..document.json.nodes.len()).filter(|node| parents.get(*node) == Some(&None)).collect(),
     };
     let mut placed = Vec::new();
@@ -55,7 +55,7 @@ pub(crate) fn walk(document: &Document) -> Result<Vec<Placed>, SceneError> {
         else {
             continue;
         };
-        // A scene may list a root twice (the schema forbids it): shown once.
+        // A scene may list a root twice, although the schema forbids it. It is shown once.
         if std::mem::replace(seen, true) || is_hidden(node) {
             continue;
         }
@@ -70,16 +70,16 @@ pub(crate) fn walk(document: &Document) -> Result<Vec<Placed>, SceneError> {
     Ok(placed)
 }
 
-/// Whether KHR_node_visibility hides a node, and so everything below it.
+/// Returns whether KHR_node_visibility hides a node, and with it everything below.
 fn is_hidden(node: &Node) -> bool {
     let visibility = node.extensions.as_ref().and_then(|extensions| extensions.others.get("KHR_node_visibility"));
     visibility.and_then(|visibility| visibility.get("visible")).and_then(Value::as_bool) == Some(false)
 }
 
-/// Each node's parent.
+/// Returns each node's parent.
 ///
 /// # Errors
-/// When a node has two parents, is among its own ancestors, or lies too deep.
+/// Errors if a node has two parents, is its own ancestor, or lies too deep.
 fn parents(document: &Document) -> Result<Vec<Option<usize>>, SceneError> {
     let here = |index: usize| {
         place("node", index, document.json.nodes.get(index).and_then(|node: &Node| node.name.as_deref()))
@@ -93,7 +93,7 @@ fn parents(document: &Document) -> Result<Vec<Option<usize>>, SceneError> {
             }
         }
     }
-    // One parent each, so every node that is not below a root is part of a cycle, or below one.
+    // Each node has at most one parent, so every node that is not below a root is part of a cycle, or below one.
     let mut depths = vec![0_usize; document.json.nodes.len()];
     let mut stack: Vec<usize> =
         parents.iter().enumerate().filter(|(_, parent)| parent.is_none()).map(|(node, _)| node).collect();

@@ -1,4 +1,4 @@
-//! One primitive's geometry in its mesh's own space: lists, strips and fans, indexed or not, become lists of triangles.
+//! Reads one primitive in its mesh's own space. Lists, strips and fans, indexed or not, become lists of triangles.
 
 use glam::{DMat3, DVec2, Vec2, Vec3};
 use gltf::json::{
@@ -27,12 +27,12 @@ pub(crate) enum Mode {
     Fan,
 }
 
-/// What a primitive will take, known from the JSON alone.
+/// A primitive's size, known from the JSON alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Size {
-    /// Triangles, zero-area ones included.
+    /// With zero-area triangles.
     pub(crate) triangles: u64,
-    /// Vertices that each instance takes.
+    /// Vertices of each instance.
     pub(crate) vertices: u64,
 }
 
@@ -52,7 +52,7 @@ impl<'a> TextureCoordinates<'a> {
 /// A primitive's geometry.
 pub(crate) struct Geometry {
     pub(crate) positions: Vec<Vec3>,
-    /// Not normalised; None: flat ones are to be made, and every triangle has its own three vertices.
+    /// Not normalised. `None` asks for flat normals; then each triangle has its own three vertices.
     pub(crate) normals: Option<Vec<Vec3>>,
     /// Texture transform applied.
     pub(crate) uvs: Vec<Vec2>,
@@ -60,10 +60,10 @@ pub(crate) struct Geometry {
 }
 
 impl Mode {
-    /// The mode of a primitive, or None for points and lines.
+    /// Returns the mode of a primitive. `None` for points and lines.
     ///
     /// # Errors
-    /// When there is no such mode.
+    /// Errors if there is no such mode.
     pub(crate) fn of(primitive: &Primitive, place: &str) -> Result<Option<Self>, SceneError> {
         Ok(match primitive.mode {
             Checked::Valid(mesh::Mode::Triangles) => Some(Self::List),
@@ -74,7 +74,7 @@ impl Mode {
         })
     }
 
-    /// Triangles that `corners` vertices or indices make.
+    /// Returns how many triangles `corners` vertices or indices make.
     fn triangles(self, corners: usize) -> usize {
         match self {
             Self::List => corners / 3,
@@ -82,8 +82,8 @@ impl Mode {
         }
     }
 
-    /// Positions of triangle `number`'s corners in the list of indices, counter-clockwise. Every second triangle of a
-    /// strip is turned.
+    /// Returns where triangle `number`'s corners stand in the list of indices, counter-clockwise. Every second triangle
+    /// of a strip is turned.
     fn corners(self, number: usize) -> [usize; 3] {
         match self {
             Self::List => [number * 3, number * 3 + 1, number * 3 + 2],
@@ -93,10 +93,10 @@ impl Mode {
     }
 }
 
-/// Checks a primitive's accessors against each other, and says what it will take.
+/// Checks a primitive's accessors against each other, and returns its size. `None` if it has no positions.
 ///
 /// # Errors
-/// When it has no positions, or its accessors' counts disagree.
+/// Errors if its accessors' counts disagree, or it goes beyond [`limits`](crate::limits).
 pub(crate) fn size(json: &Root, primitive: &Primitive, mode: Mode, place: &str) -> Result<Option<Size>, SceneError> {
     // Legal (§3.7.2.1): an extension may bring the positions. None that is known does.
     let Some(positions) = attribute(primitive, Semantic::Positions) else { return Ok(None) };
@@ -120,7 +120,7 @@ pub(crate) fn size(json: &Root, primitive: &Primitive, mode: Mode, place: &str) 
     }
     let triangles = mode.triangles(corners) as u64;
     within(format!("triangles of {place}"), triangles, MAX_TRIANGLES)?;
-    // All vertices are read, however few of them the triangles name; flat normals take three for each triangle.
+    // All vertices are read, however few the triangles name. Flat normals take three for each triangle.
     let vertices = if normals.is_some() { vertices as u64 } else { (vertices as u64).max(triangles * 3) };
     within(format!("vertices of {place}"), vertices, MAX_VERTICES)?;
     Ok(Some(Size { triangles, vertices }))
@@ -129,7 +129,7 @@ pub(crate) fn size(json: &Root, primitive: &Primitive, mode: Mode, place: &str) 
 /// Reads a primitive, with texture coordinates where its material has a base colour texture.
 ///
 /// # Errors
-/// When an accessor is malformed, an index is out of range, or the texture's coordinates are missing.
+/// Errors if an accessor is malformed, an index is out of range, or the texture's coordinates are missing.
 pub(crate) fn read(
     json: &Root,
     buffers: &Buffers<'_>,

@@ -1,4 +1,6 @@
-//! A file's JSON, parsed into `gltf::json`'s types within bounds.
+//! Parses a file's JSON into `gltf::json`'s types.
+//!
+//! The crate's importer, validation and iterators are not used: they panic on broken files.
 
 use std::fmt;
 
@@ -12,26 +14,26 @@ use serde_json::{Value, from_value};
 use super::{
     numbers::{Factors, Light, Transform},
     schema::ROOT,
-    value::{Name, list, property},
+    value::{PropertyName, list, property},
 };
 
-/// A file's JSON, as far as it is read.
+/// The parts of a file's JSON that are read.
 #[derive(Default)]
 pub(crate) struct Document {
-    /// Without lights, and with numbers rounded to f32.
+    /// All but the lights. Its numbers are rounded to f32: use those below.
     pub(crate) json: Root,
     /// One a node.
     pub(crate) transforms: Vec<Transform>,
     /// One a material.
     pub(crate) factors: Vec<Factors>,
-    /// Lights that nodes may name.
+    /// Definitions of KHR_lights_punctual.
     pub(crate) lights: Vec<Light>,
 }
 
 /// Parses a file's JSON.
 ///
 /// # Errors
-/// Errors with a sentence if it is not such JSON, a list is too long, or it is another version of glTF.
+/// Errors with a sentence if the JSON breaks the schema, or is for another version of glTF.
 pub(crate) fn parse(json: &[u8]) -> Result<Document, String> {
     let mut deserializer = serde_json::Deserializer::from_slice(json);
     let document = deserializer.deserialize_map(DocumentVisitor).map_err(|error| error.to_string())?;
@@ -50,12 +52,12 @@ pub(crate) fn parse(json: &[u8]) -> Result<Document, String> {
 /// Sets of texture coordinates that are read.
 pub(crate) const TEXCOORDS: std::ops::Range<u32> = 0..4;
 
-/// The image of a texture, for whose absence `gltf::json` has the largest index.
+/// Returns a texture's image. `gltf::json` gives the largest index to a texture without one.
 pub(crate) fn source(texture: &Texture) -> Option<Index<Image>> {
     Some(texture.source).filter(|source| *source != Index::new(u32::MAX))
 }
 
-/// The accessor of a vertex attribute.
+/// Returns the accessor of a vertex attribute.
 pub(crate) fn attribute(primitive: &mesh::Primitive, semantic: mesh::Semantic) -> Option<Index<Accessor>> {
     primitive.attributes.get(&Checked::Valid(semantic)).copied()
 }
@@ -73,7 +75,7 @@ impl<'de> Visitor<'de> for DocumentVisitor {
         let mut document = Document::default();
         let Document { json, transforms, factors, lights } = &mut document;
         let mut seen: Vec<&str> = Vec::new();
-        while let Some(known) = map.next_key_seed(Name(ROOT))? {
+        while let Some(known) = map.next_key_seed(PropertyName(ROOT))? {
             let Some(known) = known else {
                 map.next_value::<IgnoredAny>()?;
                 continue;
@@ -129,7 +131,7 @@ struct Lights {
     lights: Vec<Light>,
 }
 
-/// `gltf::json` wants the list that glTF lets a scene leave out.
+/// Adds the list that glTF lets a scene leave out and `gltf::json` does not.
 fn scene(mut value: Value) -> Result<gltf::json::Scene, serde_json::Error> {
     if let Some(scene) = value.as_object_mut() {
         scene.entry("nodes").or_insert_with(|| Value::Array(Vec::new()));

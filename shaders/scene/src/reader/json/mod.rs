@@ -1,4 +1,4 @@
-//! The JSON model: `gltf::json`, and the numbers that it would round.
+//! Parses the JSON into the model that the reader stands on: `gltf::json`, and the numbers that it would round.
 
 mod document;
 mod numbers;

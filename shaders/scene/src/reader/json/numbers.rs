@@ -1,13 +1,12 @@
 //! The numbers of a file, as f64.
 //!
-//! `gltf::json` rounds every number to f32. Of a position 6,000 km from the origin that leaves half metres, and products
-//! of rounded factors differ from rounded products. So all numbers that space, colour and light are made of are read
-//! here, from the same JSON, and none of `gltf::json`'s is used.
+//! `gltf::json` rounds every number to f32, which moves a node 6,000 km from the origin by up to 25 cm, and reports
+//! 1e39 as infinity. So all numbers of transforms, materials and lights are read here, from the same JSON.
 
 use serde::Deserialize;
 use serde_json::{Error, Value};
 
-/// A node's transform (§5.25), as the file has it.
+/// A node's transform (§5.25), unchecked.
 #[derive(Deserialize)]
 pub(crate) struct Transform {
     pub(crate) matrix: Option<[f64; 16]>,
@@ -23,7 +22,7 @@ pub(crate) struct Factors {
     pub(crate) emissive: [f64; 3],
     /// KHR_materials_emissive_strength.
     pub(crate) emissive_strength: f64,
-    /// Whether there is an emissive texture, whatever it says: its values are not read.
+    /// Whether there is an emissive texture. Its properties are not read.
     pub(crate) has_emissive_texture: bool,
     pub(crate) alpha_cutoff: f64,
 }
@@ -78,10 +77,10 @@ impl Default for Factors {
 }
 
 impl Factors {
-    /// Reads a material's numbers, and takes away the mark of an emissive texture, which `gltf::json` would misread.
+    /// Reads a material's numbers, and removes the mark of an emissive texture, which `gltf::json` would not take.
     ///
     /// # Errors
-    /// Errors if a list has another length than it should.
+    /// Errors if the material breaks the schema.
     pub(super) fn take(material: &mut Value) -> Result<Self, Error> {
         let has_emissive_texture = material.as_object_mut().and_then(|m| m.remove("emissiveTexture")).is_some();
         let texture = "/pbrMetallicRoughness/baseColorTexture/extensions/KHR_texture_transform";
@@ -98,7 +97,7 @@ impl Factors {
     }
 }
 
-/// Reads what the JSON pointer leads to.
+/// Reads the value at a JSON pointer.
 fn read<'a, T: Deserialize<'a>>(value: &'a Value, pointer: &str) -> Result<Option<T>, Error> {
     let read = value.pointer(pointer).map(T::deserialize).transpose();
     read.map_err(|error| serde::de::Error::custom(format_args!("{pointer}: {error}")))

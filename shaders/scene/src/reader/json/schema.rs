@@ -1,12 +1,13 @@
 //! The properties that the reader reads, with the type and the bound of each. Everything else in a file is skipped.
 //!
-//! `gltf::json` alone does not do. It truncates indices to 32 bits, takes arrays for objects, and refuses `24.0` as an
-//! integer. It refuses flaws in parts that nothing reads, and does not miss a buffer's length. Its lists have no bounds.
+//! `gltf::json` alone is too lax and too strict. It truncates indices to 32 bits, takes arrays for objects and a buffer
+//! without a length, and does not bound lists. It refuses `24.0` as an integer, and flaws in properties that are not
+//! read. Its errors have no place.
 
 use std::fmt;
 
 use Kind::{Flag, Index, List, Number, Object, Presence, Size, Text, Vector};
-use Property::{May, Must};
+use Property::{Optional, Required};
 
 use crate::limits::{
     MAX_ACCESSORS, MAX_BUFFER_VIEWS, MAX_BUFFERS, MAX_EXTENSIONS, MAX_IMAGES, MAX_LIGHT_DEFINITIONS, MAX_MATERIALS,
@@ -31,22 +32,22 @@ pub(super) enum Kind {
     Presence,
 }
 
-/// A property that an object must have, or may have.
+/// A property's name and kind.
 pub(super) enum Property {
-    Must(&'static str, Kind),
-    May(&'static str, Kind),
+    Required(&'static str, Kind),
+    Optional(&'static str, Kind),
 }
 
 impl Property {
     pub(super) fn name(&self) -> &'static str {
         match self {
-            Must(name, _) | May(name, _) => name,
+            Required(name, _) | Optional(name, _) => name,
         }
     }
 
     pub(super) fn kind(&self) -> &Kind {
         match self {
-            Must(_, kind) | May(_, kind) => kind,
+            Required(_, kind) | Optional(_, kind) => kind,
         }
     }
 }
@@ -73,138 +74,157 @@ const INDICES: Kind = List(UNBOUNDED, &Index);
 const WEIGHTS: Kind = List(UNBOUNDED, &Number);
 
 pub(super) const ROOT: &[Property] = &[
-    Must("asset", Object(&[Must("version", Text), May("minVersion", Text)])),
-    May("extensionsRequired", List(MAX_EXTENSIONS, &Text)),
-    May("scene", Index),
-    May("scenes", List(MAX_SCENES, &Object(&[May("nodes", INDICES)]))),
-    May("nodes", List(MAX_NODES, &NODE)),
-    May("meshes", List(MAX_MESHES, &MESH)),
-    May("accessors", List(MAX_ACCESSORS, &ACCESSOR)),
-    May("bufferViews", List(MAX_BUFFER_VIEWS, &BUFFER_VIEW)),
-    May("buffers", List(MAX_BUFFERS, &Object(&[May("uri", Text), Must("byteLength", Size)]))),
-    May("materials", List(MAX_MATERIALS, &MATERIAL)),
-    May("textures", List(MAX_TEXTURES, &TEXTURE)),
-    May("samplers", List(MAX_TEXTURES, &Object(&[May("wrapS", Index), May("wrapT", Index)]))),
-    May("images", List(MAX_IMAGES, &Object(&[May("name", Text), May("uri", Text), May("bufferView", Index)]))),
-    May("extensions", Object(&[May("KHR_lights_punctual", LIGHTS)])),
+    Required("asset", Object(&[Required("version", Text), Optional("minVersion", Text)])),
+    Optional("extensionsRequired", List(MAX_EXTENSIONS, &Text)),
+    Optional("scene", Index),
+    Optional("scenes", List(MAX_SCENES, &Object(&[Optional("nodes", INDICES)]))),
+    Optional("nodes", List(MAX_NODES, &NODE)),
+    Optional("meshes", List(MAX_MESHES, &MESH)),
+    Optional("accessors", List(MAX_ACCESSORS, &ACCESSOR)),
+    Optional("bufferViews", List(MAX_BUFFER_VIEWS, &BUFFER_VIEW)),
+    Optional("buffers", List(MAX_BUFFERS, &Object(&[Optional("uri", Text), Required("byteLength", Size)]))),
+    Optional("materials", List(MAX_MATERIALS, &MATERIAL)),
+    Optional("textures", List(MAX_TEXTURES, &TEXTURE)),
+    Optional("samplers", List(MAX_TEXTURES, &Object(&[Optional("wrapS", Index), Optional("wrapT", Index)]))),
+    Optional(
+        "images",
+        List(MAX_IMAGES, &Object(&[Optional("name", Text), Optional("uri", Text), Optional("bufferView", Index)])),
+    ),
+    Optional("extensions", Object(&[Optional("KHR_lights_punctual", LIGHTS)])),
 ];
 
-const LIGHTS: Kind = Object(&[Must("lights", List(MAX_LIGHT_DEFINITIONS, &LIGHT))]);
+const LIGHTS: Kind = Object(&[Required("lights", List(MAX_LIGHT_DEFINITIONS, &LIGHT))]);
 
 const LIGHT: Kind = Object(&[
-    May("name", Text),
-    Must("type", Text),
-    May("color", Vector(3)),
-    May("intensity", Number),
-    May("range", Number),
-    May("spot", Object(&[May("innerConeAngle", Number), May("outerConeAngle", Number)])),
+    Optional("name", Text),
+    Required("type", Text),
+    Optional("color", Vector(3)),
+    Optional("intensity", Number),
+    Optional("range", Number),
+    Optional("spot", Object(&[Optional("innerConeAngle", Number), Optional("outerConeAngle", Number)])),
 ]);
 
 const NODE: Kind = Object(&[
-    May("name", Text),
-    May("children", INDICES),
-    May("mesh", Index),
-    May("skin", Index),
-    May("matrix", Vector(16)),
-    May("translation", Vector(3)),
-    May("rotation", Vector(4)),
-    May("scale", Vector(3)),
-    May("weights", WEIGHTS),
-    May(
+    Optional("name", Text),
+    Optional("children", INDICES),
+    Optional("mesh", Index),
+    Optional("skin", Index),
+    Optional("matrix", Vector(16)),
+    Optional("translation", Vector(3)),
+    Optional("rotation", Vector(4)),
+    Optional("scale", Vector(3)),
+    Optional("weights", WEIGHTS),
+    Optional(
         "extensions",
         Object(&[
-            May("KHR_lights_punctual", Object(&[Must("light", Index)])),
-            May("KHR_node_visibility", Object(&[May("visible", Flag)])),
-            May("EXT_mesh_gpu_instancing", Presence),
+            Optional("KHR_lights_punctual", Object(&[Required("light", Index)])),
+            Optional("KHR_node_visibility", Object(&[Optional("visible", Flag)])),
+            Optional("EXT_mesh_gpu_instancing", Presence),
         ]),
     ),
 ]);
 
-const MESH: Kind =
-    Object(&[May("name", Text), Must("primitives", List(MAX_MESHES, &PRIMITIVE)), May("weights", WEIGHTS)]);
+const MESH: Kind = Object(&[
+    Optional("name", Text),
+    Required("primitives", List(MAX_MESHES, &PRIMITIVE)),
+    Optional("weights", WEIGHTS),
+]);
 
 const PRIMITIVE: Kind = Object(&[
-    Must("attributes", ATTRIBUTES),
-    May("indices", Index),
-    May("material", Index),
-    May("mode", Index),
-    May("targets", List(UNBOUNDED, &Object(&[]))),
-    May("extensions", Object(&[May("KHR_draco_mesh_compression", Presence), May("KHR_gaussian_splatting", Presence)])),
+    Required("attributes", ATTRIBUTES),
+    Optional("indices", Index),
+    Optional("material", Index),
+    Optional("mode", Index),
+    Optional("targets", List(UNBOUNDED, &Object(&[]))),
+    Optional(
+        "extensions",
+        Object(&[Optional("KHR_draco_mesh_compression", Presence), Optional("KHR_gaussian_splatting", Presence)]),
+    ),
 ]);
 
 /// Texture coordinate sets beyond the fourth are an error where a material uses them.
 const ATTRIBUTES: Kind = Object(&[
-    May("POSITION", Index),
-    May("NORMAL", Index),
-    May("TEXCOORD_0", Index),
-    May("TEXCOORD_1", Index),
-    May("TEXCOORD_2", Index),
-    May("TEXCOORD_3", Index),
+    Optional("POSITION", Index),
+    Optional("NORMAL", Index),
+    Optional("TEXCOORD_0", Index),
+    Optional("TEXCOORD_1", Index),
+    Optional("TEXCOORD_2", Index),
+    Optional("TEXCOORD_3", Index),
 ]);
 
 const ACCESSOR: Kind = Object(&[
-    May("bufferView", Index),
-    May("byteOffset", Size),
-    Must("componentType", Index),
-    May("normalized", Flag),
-    Must("count", Size),
-    Must("type", Text),
-    May("sparse", SPARSE),
+    Optional("bufferView", Index),
+    Optional("byteOffset", Size),
+    Required("componentType", Index),
+    Optional("normalized", Flag),
+    Required("count", Size),
+    Required("type", Text),
+    Optional("sparse", SPARSE),
 ]);
 
 const SPARSE: Kind = Object(&[
-    Must("count", Size),
-    Must("indices", Object(&[Must("bufferView", Index), May("byteOffset", Size), Must("componentType", Index)])),
-    Must("values", Object(&[Must("bufferView", Index), May("byteOffset", Size)])),
+    Required("count", Size),
+    Required(
+        "indices",
+        Object(&[Required("bufferView", Index), Optional("byteOffset", Size), Required("componentType", Index)]),
+    ),
+    Required("values", Object(&[Required("bufferView", Index), Optional("byteOffset", Size)])),
 ]);
 
 const BUFFER_VIEW: Kind = Object(&[
-    Must("buffer", Index),
-    May("byteOffset", Size),
-    Must("byteLength", Size),
-    May("byteStride", Size),
-    May("extensions", Object(&[May("EXT_meshopt_compression", Presence), May("KHR_meshopt_compression", Presence)])),
+    Required("buffer", Index),
+    Optional("byteOffset", Size),
+    Required("byteLength", Size),
+    Optional("byteStride", Size),
+    Optional(
+        "extensions",
+        Object(&[Optional("EXT_meshopt_compression", Presence), Optional("KHR_meshopt_compression", Presence)]),
+    ),
 ]);
 
 const MATERIAL: Kind = Object(&[
-    May("name", Text),
-    May(
+    Optional("name", Text),
+    Optional(
         "pbrMetallicRoughness",
-        Object(&[May("baseColorFactor", Vector(4)), May("baseColorTexture", BASE_COLOR_TEXTURE)]),
+        Object(&[Optional("baseColorFactor", Vector(4)), Optional("baseColorTexture", BASE_COLOR_TEXTURE)]),
     ),
-    May("emissiveFactor", Vector(3)),
-    May("emissiveTexture", Presence),
-    May("alphaMode", Text),
-    May("alphaCutoff", Number),
-    May("doubleSided", Flag),
-    May(
+    Optional("emissiveFactor", Vector(3)),
+    Optional("emissiveTexture", Presence),
+    Optional("alphaMode", Text),
+    Optional("alphaCutoff", Number),
+    Optional("doubleSided", Flag),
+    Optional(
         "extensions",
         Object(&[
-            May("KHR_materials_emissive_strength", Object(&[May("emissiveStrength", Number)])),
-            May("KHR_materials_pbrSpecularGlossiness", Presence),
+            Optional("KHR_materials_emissive_strength", Object(&[Optional("emissiveStrength", Number)])),
+            Optional("KHR_materials_pbrSpecularGlossiness", Presence),
         ]),
     ),
 ]);
 
 const BASE_COLOR_TEXTURE: Kind = Object(&[
-    Must("index", Index),
-    May("texCoord", Index),
-    May("extensions", Object(&[May("KHR_texture_transform", TEXTURE_TRANSFORM)])),
+    Required("index", Index),
+    Optional("texCoord", Index),
+    Optional("extensions", Object(&[Optional("KHR_texture_transform", TEXTURE_TRANSFORM)])),
 ]);
 
-const TEXTURE_TRANSFORM: Kind =
-    Object(&[May("offset", Vector(2)), May("rotation", Number), May("scale", Vector(2)), May("texCoord", Index)]);
+const TEXTURE_TRANSFORM: Kind = Object(&[
+    Optional("offset", Vector(2)),
+    Optional("rotation", Number),
+    Optional("scale", Vector(2)),
+    Optional("texCoord", Index),
+]);
 
 const TEXTURE: Kind = Object(&[
-    May("sampler", Index),
-    May("source", Index),
-    May(
+    Optional("sampler", Index),
+    Optional("source", Index),
+    Optional(
         "extensions",
         Object(&[
-            May("KHR_texture_basisu", Presence),
-            May("EXT_texture_webp", Presence),
-            May("EXT_texture_avif", Presence),
-            May("MSFT_texture_dds", Presence),
+            Optional("KHR_texture_basisu", Presence),
+            Optional("EXT_texture_webp", Presence),
+            Optional("EXT_texture_avif", Presence),
+            Optional("MSFT_texture_dds", Presence),
         ]),
     ),
 ]);

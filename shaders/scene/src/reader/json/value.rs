@@ -1,4 +1,4 @@
-//! Parses a JSON value as the schema has it. Errors start with a JSON pointer to what is wrong (RFC 6901).
+//! Parses JSON by the schema. Errors start with a JSON pointer to the faulty value (RFC 6901).
 
 use std::{cell::Cell, fmt};
 
@@ -33,11 +33,11 @@ pub(super) fn property<'de, A: MapAccess<'de>, T: DeserializeOwned>(
     value.map_err(|error| at(property.name(), &error))
 }
 
-/// Parses the value of a property that is a list. Each element becomes a `T` before the next one is parsed, so that no
-/// more than one takes a [`Value`]'s memory.
+/// Parses the value of a property that is a list. Each element becomes a `T` before the next one is parsed: a [`Value`]
+/// is large.
 ///
 /// # Errors
-/// Errors as [`property`], or if there are more elements than the list may have, or `build` fails.
+/// Errors as [`property`], if the list is too long, or if `build` fails.
 pub(super) fn list<'de, A: MapAccess<'de>, T>(
     map: &mut A,
     property: &'static Property,
@@ -46,7 +46,7 @@ pub(super) fn list<'de, A: MapAccess<'de>, T>(
     map.next_value_seed(Elements { kind: property.kind(), build }).map_err(|error| at(property.name(), &error))
 }
 
-/// Prefixes an error with the place that it is about.
+/// Prefixes an error with a step of its JSON pointer.
 fn at<E: Error>(place: impl fmt::Display, error: &E) -> E {
     let error = error.to_string();
     E::custom(if error.starts_with('/') { format!("/{place}{error}") } else { format!("/{place}: {error}") })
@@ -85,17 +85,17 @@ impl<'de, T, F: FnMut(Value) -> Result<T, serde_json::Error>> Visitor<'de> for E
     }
 }
 
-/// A property of an object, found by its name; `None` for one that is not read.
-pub(super) struct Name(pub(super) &'static [Property]);
+/// Looks a property up by its name. `None` if it is not read.
+pub(super) struct PropertyName(pub(super) &'static [Property]);
 
-impl<'de> DeserializeSeed<'de> for Name {
+impl<'de> DeserializeSeed<'de> for PropertyName {
     type Value = Option<&'static Property>;
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
         deserializer.deserialize_identifier(self)
     }
 }
 
-impl Visitor<'_> for Name {
+impl Visitor<'_> for PropertyName {
     type Value = Option<&'static Property>;
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("a name")
@@ -165,11 +165,14 @@ impl<'de> Visitor<'de> for Parser<'_> {
     fn visit_str<E: Error>(self, value: &str) -> Result<Value, E> {
         match self.kind {
             Kind::Text => Ok(value.into()),
-            _ => Err(E::invalid_type(Unexpected::Str(value), &self)),
+            _ => {
+                let start = value.get(..value.floor_char_boundary(64)).unwrap_or_default();
+                Err(E::invalid_type(Unexpected::Str(start), &self))
+            }
         }
     }
 
-    /// Null is as good as absent for optional scalars, which some exporters write.
+    /// Some exporters write null for absent scalars.
     fn visit_unit<E: Error>(self) -> Result<Value, E> {
         match self.kind {
             Kind::Text | Kind::Number | Kind::Index | Kind::Vector(_) | Kind::List(_, Kind::Number) => Ok(Value::Null),
@@ -201,7 +204,7 @@ impl<'de> Visitor<'de> for Parser<'_> {
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Value, A::Error> {
         let Kind::Object(properties) = self.kind else { return Err(A::Error::invalid_type(Unexpected::Map, &self)) };
         let mut out = Map::new();
-        while let Some(property) = map.next_key_seed(Name(properties))? {
+        while let Some(property) = map.next_key_seed(PropertyName(properties))? {
             let Some(property) = property else {
                 map.next_value::<IgnoredAny>()?;
                 continue;
@@ -218,7 +221,7 @@ impl<'de> Visitor<'de> for Parser<'_> {
         }
         match properties
             .iter()
-            .find(|property| matches!(property, Property::Must(..)) && !out.contains_key(property.name()))
+            .find(|property| matches!(property, Property::Required(..)) && !out.contains_key(property.name()))
         {
             Some(property) => Err(A::Error::missing_field(property.name())),
             None => Ok(out.into()),
@@ -226,7 +229,7 @@ impl<'de> Visitor<'de> for Parser<'_> {
     }
 }
 
-/// The integer that a number is: JSON's `24.0` and `5.126e3` are integers too (glTF 2.0, §2.7.1).
+/// Returns a float's value if it is an integer: JSON may write one as `24.0` or `5.126e3`.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "it is integral and within range")]
 fn integer(value: f64) -> Option<u64> {
     const END: f64 = 18_446_744_073_709_551_616.0;
@@ -272,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn integers_may_be_written_as_floats_but_not_be_any() {
+    fn integers_may_be_written_as_floats_without_a_fraction() {
         let count =
             |count: &str| with(&format!(r#""accessors":[{{"componentType":5.126e3,"count":{count},"type":"VEC3"}}]"#));
         for (text, value) in [
@@ -292,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_read_may_say_anything() {
+    fn unread_properties_may_hold_anything() {
         let properties = r#""extras":7,"animations":[[]],"cameras":null,"extensions":{"NEW_thing":[1]},
             "nodes":[{"camera":"x","extras":[],"name":null,"extensions":{"NEW_thing":null}}],
             "materials":[{"normalTexture":{"index":-1},"emissiveTexture":7}],
