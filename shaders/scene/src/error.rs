@@ -45,19 +45,13 @@ pub enum SceneError {
         fault: String,
     },
     #[error("the scene has no triangles ({dropped} zero-area triangles, {skipped} point and line primitives left out)")]
-    NoTriangles {
-        /// Zero-area triangles.
-        dropped: u64,
-        /// Point and line primitives.
-        skipped: u64,
-    },
+    NoTriangles { dropped: u64, skipped: u64 },
     /// Neither the scene nor a lights file has a light.
     #[error("the scene has no lights of its own: pass --lights-from FILE.json")]
     NoLights,
     /// There are more lights than a mask has planes.
     #[error("{0} lights, but at most {MAX_LIGHTS} fit a visibility mask: pass --lights N to keep the first N")]
     TooManyLights(usize),
-    /// `--lights N` cannot be met.
     #[error("--lights {requested}: must be 1 to {MAX_LIGHTS}, and at most the scene's {available} lights")]
     LightCount { requested: u32, available: usize },
     #[error("lights file {}: {fault}", path.display())]

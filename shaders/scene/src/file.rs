@@ -9,8 +9,6 @@ use std::{
 use crate::error::SceneError;
 
 /// Reads a regular file of at most `limit` bytes.
-///
-/// # Errors
 /// Errors if it cannot be read, is no regular file (a pipe would never end), or is larger than `limit`.
 pub(crate) fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> {
     let too_large = |bytes| SceneError::FileTooLarge { path: PathBuf::from(path), bytes, limit };
@@ -26,8 +24,6 @@ pub(crate) fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> 
 }
 
 /// Reads the first `most` bytes of a regular file, or all of a shorter one. The rest takes no memory.
-///
-/// # Errors
 /// Errors if it cannot be read, or is no regular file.
 pub(crate) fn read_start(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
     let expected = file_bytes(path)?.min(most);

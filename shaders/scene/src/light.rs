@@ -28,8 +28,6 @@ pub(super) struct LightSource<'a> {
 
 impl LightSource<'_> {
     /// Returns the light, relative to the scene's origin.
-    ///
-    /// # Errors
     /// Errors with a sentence at the first value that is out of range.
     pub(super) fn light(&self, origin_m: DVec3) -> Result<Light, String> {
         let color = self.color.unwrap_or([1.0; 3]);

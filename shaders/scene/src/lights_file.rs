@@ -37,8 +37,6 @@ struct FileLight {
 }
 
 /// Reads a file's lights, relative to a scene's origin. The caller bounds their number.
-///
-/// # Errors
 /// Errors if the file cannot be read, is not such JSON, has no list of lights, or a light is malformed.
 pub(super) fn read(path: &Path, origin_m: DVec3) -> Result<Vec<Light>, SceneError> {
     let bytes = read_file(path, MAX_LIGHTS_FILE_BYTES)?;

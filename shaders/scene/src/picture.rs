@@ -10,8 +10,6 @@ use crate::{
 };
 
 /// Decodes a picture of at most `pixels_left` pixels.
-///
-/// # Errors
 /// Errors with a sentence if it is neither PNG nor JPEG, too large, or broken.
 pub(super) fn decode(encoded: Vec<u8>, pixels_left: u64) -> Result<Image, String> {
     if encoded.len() as u64 > MAX_IMAGE_BYTES {

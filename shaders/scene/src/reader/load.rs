@@ -18,9 +18,6 @@ use super::{
 use crate::{Aabb, Scene, error::SceneError, file::read_file, limits::MAX_FILE_BYTES};
 
 /// Reads a scene. It may have no lights, or too many.
-///
-/// # Errors
-/// See [`SceneError`].
 pub(crate) fn load(path: &Path) -> Result<(Scene, LoadReport), SceneError> {
     let bytes = read_file(path, MAX_FILE_BYTES)?;
     let not_gltf = |fault: String| SceneError::NotGltf { path: path.to_owned(), fault };

@@ -27,7 +27,6 @@ pub struct Scene {
     /// Runs of triangles with one material: OPAQUE first, then MASK, then BLEND. They cover `triangles` in order.
     pub draws: Vec<Draw>,
     pub materials: Vec<Material>,
-    /// Base colour pictures.
     pub images: Vec<Image>,
     /// Lights, in the order of a mask's planes.
     pub lights: Vec<Light>,
@@ -65,10 +64,11 @@ pub struct Draw {
 /// How a material treats alpha (glTF 2.0, §3.9.4).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum AlphaMode {
-    /// Alpha is ignored.
     Opaque,
     /// A point is solid if its alpha is at least the cutoff. Rays pass elsewhere.
-    Mask { cutoff: f32 },
+    Mask {
+        cutoff: f32,
+    },
     /// Blended over what lies behind it. It stops no rays and has no visibility of its own.
     Blend,
 }
@@ -115,14 +115,12 @@ pub enum Wrap {
     ClampToEdge,
 }
 
-/// A PNG or JPEG picture.
+/// A PNG or JPEG picture, with its size in pixels.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Image {
     /// The file's bytes. They travel.
     pub encoded: Vec<u8>,
-    /// Width in pixels.
     pub width: u32,
-    /// Height in pixels.
     pub height: u32,
     /// Decoded RGBA, 8 bits a channel, row by row from the top. They do not travel.
     #[serde(skip)]
@@ -139,7 +137,7 @@ pub struct Light {
     pub position: Vec3,
     /// Unit vector in which the light travels. Ignored for point lights.
     pub direction: Vec3,
-    /// Linear RGB colour.
+    /// Linear RGB.
     pub color: Vec3,
     /// Candela for point and spot lights, lux for directional ones.
     pub intensity: f32,

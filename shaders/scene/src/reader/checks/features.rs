@@ -34,7 +34,6 @@ const KNOWN: [&str; 19] = [
     "KHR_xmp_json_ld",
 ];
 
-/// # Errors
 /// Errors with [`SceneError::Unsupported`] at the first feature that is not supported.
 pub(crate) fn check(document: &Document) -> Result<(), SceneError> {
     let json = &document.json;

@@ -29,10 +29,8 @@ pub(crate) struct Span {
     pub(crate) element_bytes: usize,
 }
 
-/// A checked accessor.
 #[derive(Debug)]
 pub(crate) struct Layout {
-    /// Its name in messages.
     pub(crate) place: String,
     /// Number of elements, at least 1.
     pub(crate) count: usize,
@@ -54,8 +52,6 @@ pub(crate) struct SparseLayout {
 }
 
 /// Checks every scalar and vector accessor of the file, used or not, and every buffer view.
-///
-/// # Errors
 /// Errors as [`Layout::new`].
 pub(crate) fn check(json: &Root) -> Result<(), SceneError> {
     for (index, accessor) in json.accessors.iter().enumerate() {
@@ -70,8 +66,7 @@ pub(crate) fn check(json: &Root) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// Returns the type of an accessor's elements. `None` for matrices, which belong to skins, and for types that do not
-/// exist.
+/// Returns the type of an accessor's elements. `None` for matrices, which skins have, and for types that do not exist.
 fn shape(accessor: &Accessor) -> Option<Type> {
     match accessor.type_ {
         Checked::Valid(shape @ (Type::Scalar | Type::Vec2 | Type::Vec3 | Type::Vec4)) => Some(shape),
@@ -81,8 +76,6 @@ fn shape(accessor: &Accessor) -> Option<Type> {
 
 impl Layout {
     /// Checks accessor `index`.
-    ///
-    /// # Errors
     /// Errors if there is none, it is malformed, or it reaches beyond its buffer view.
     pub(crate) fn new(json: &Root, index: usize) -> Result<Self, SceneError> {
         let place = place("accessor", index, None);
@@ -175,8 +168,8 @@ fn span(
         .filter(|end| *end <= view_bytes);
     if end.is_none() {
         let fault = format!(
-            "{count} elements of {element_bytes} bytes, {stride} apart, from byte {offset} on, reach beyond buffer view \
-             {view} of {view_bytes} bytes"
+            "{count} elements of {element_bytes} bytes, {stride} apart, from byte {offset} on, reach beyond buffer \
+             view {view} of {view_bytes} bytes"
         );
         return Err(SceneError::invalid(place, fault));
     }
@@ -188,8 +181,6 @@ fn span(
 }
 
 /// Returns a buffer view's buffer, first byte and length, which lie inside the buffer's declared length.
-///
-/// # Errors
 /// Errors if it reaches beyond its buffer, or its stride is not legal.
 pub(crate) fn view_range(json: &Root, index: usize) -> Result<(usize, u64, u64), SceneError> {
     let place = || place("buffer view", index, None);

@@ -8,7 +8,6 @@ use crate::{
     reader::json::{Document, TEXCOORDS, attribute, source},
 };
 
-/// # Errors
 /// Errors with [`SceneError::Reference`] at the first index that points nowhere.
 pub(crate) fn check(document: &Document) -> Result<(), SceneError> {
     let json = &document.json;

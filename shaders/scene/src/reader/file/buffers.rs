@@ -17,8 +17,6 @@ pub(crate) struct Buffers<'a>(Vec<Option<Cow<'a, [u8]>>>);
 
 impl<'a> Buffers<'a> {
     /// Loads every buffer that has a URI. A first buffer without one is the `.glb`'s binary chunk.
-    ///
-    /// # Errors
     /// Errors if one cannot be read or is shorter than the JSON says, or if all together are too large.
     pub(crate) fn load(json: &Root, bin: Option<&'a [u8]>, folder: &Path) -> Result<Self, SceneError> {
         let total = json.buffers.iter().try_fold(0_u64, |sum, buffer| sum.checked_add(buffer.byte_length.0));
@@ -50,10 +48,7 @@ impl<'a> Buffers<'a> {
         Ok(Self(buffers))
     }
 
-    /// Returns a buffer's bytes.
-    ///
-    /// # Errors
-    /// Errors if it has no bytes: neither a URI nor a binary chunk.
+    /// Errors if the buffer has no bytes: neither a URI nor a binary chunk.
     pub(crate) fn get(&self, index: usize) -> Result<&[u8], SceneError> {
         self.0.get(index).and_then(Option::as_deref).ok_or_else(|| {
             SceneError::invalid(place("buffer", index, None), "it has no uri, and there is no GLB chunk with its bytes")
@@ -61,8 +56,6 @@ impl<'a> Buffers<'a> {
     }
 
     /// Returns a buffer view's bytes.
-    ///
-    /// # Errors
     /// Errors as [`view_range`] and [`Self::get`].
     pub(crate) fn view(&self, json: &Root, index: Index<View>) -> Result<&[u8], SceneError> {
         let (buffer, start, bytes) = view_range(json, index.value())?;

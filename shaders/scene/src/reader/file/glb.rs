@@ -14,8 +14,6 @@ pub(crate) struct Container<'a> {
 }
 
 /// Splits a scene file into its chunks. A file that does not start with `glTF` is JSON.
-///
-/// # Errors
 /// Errors with a sentence if the container is malformed.
 pub(crate) fn split(bytes: &[u8]) -> Result<Container<'_>, String> {
     let container = if bytes.starts_with(MAGIC) { split_glb(bytes)? } else { Container { json: bytes, bin: None } };

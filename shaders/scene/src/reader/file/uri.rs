@@ -14,7 +14,6 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
     GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
 );
 
-/// A URI's target.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Target {
     Data(Vec<u8>),
@@ -22,8 +21,6 @@ pub(crate) enum Target {
 }
 
 /// Resolves a URI of a scene in `folder`.
-///
-/// # Errors
 /// Errors with a sentence for a network address, an absolute path, a path that leaves `folder`, or broken base64.
 pub(crate) fn resolve(uri: &str, folder: &Path) -> Result<Target, String> {
     if let Some(data) = uri.strip_prefix("data:") {

@@ -15,8 +15,6 @@ use crate::{
 
 /// Reads an accessor of VEC2 or VEC3 as f32 vectors. Integers become their value, or a fraction if they are normalised
 /// (§3.6.2.2).
-///
-/// # Errors
 /// Errors if the accessor is malformed or of another type, or a component is NaN or infinite.
 pub(crate) fn vectors<const N: usize>(
     json: &Root,
@@ -44,8 +42,6 @@ pub(crate) fn vectors<const N: usize>(
 }
 
 /// Reads an accessor of vertex indices.
-///
-/// # Errors
 /// Errors if the accessor is malformed, or not of unsigned scalars.
 pub(crate) fn indices(json: &Root, buffers: &Buffers<'_>, index: Index<Accessor>) -> Result<Vec<u32>, SceneError> {
     let layout = Layout::new(json, index.value())?;

@@ -17,8 +17,6 @@ use crate::{
 };
 
 /// Loads the images with the given indices, in that order.
-///
-/// # Errors
 /// Errors if one is missing, broken, or of a format that is not read, or if all together are too large.
 pub(crate) fn load(
     json: &Root,

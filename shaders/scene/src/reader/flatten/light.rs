@@ -11,8 +11,6 @@ use crate::{
 };
 
 /// Reads the lights of the placed nodes. Scales change neither range nor intensity, as the extension says.
-///
-/// # Errors
 /// Errors if a light is malformed, used or not.
 pub(crate) fn read(document: &Document, placed: &[Placed], origin_m: DVec3) -> Result<Vec<Light>, SceneError> {
     let definitions = &document.lights;

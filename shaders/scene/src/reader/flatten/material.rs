@@ -28,8 +28,6 @@ pub(crate) struct Materials {
 
 impl Materials {
     /// Returns the scene's index of a material of the file. `None` is the default material (§3.7.2.1).
-    ///
-    /// # Errors
     /// Errors if it is malformed, or its picture has a format that is not read.
     pub(crate) fn get(&mut self, document: &Document, index: Option<Index<json::Material>>) -> Result<u32, SceneError> {
         if let Some(known) = self.by_index.get(&index) {
@@ -89,8 +87,6 @@ impl Materials {
 }
 
 /// Checks every material of the file, used or not.
-///
-/// # Errors
 /// Errors if one is malformed.
 pub(crate) fn check(document: &Document) -> Result<(), SceneError> {
     for (index, (material, factors)) in document.json.materials.iter().zip(&document.factors).enumerate() {

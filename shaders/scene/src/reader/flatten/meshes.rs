@@ -29,10 +29,7 @@ struct Part<'a> {
     instances: Vec<DMat4>,
 }
 
-/// Writes the origin, instances, positions, normals, UVs, triangles and draws of `scene`, and the materials that they
-/// use.
-///
-/// # Errors
+/// Writes the geometry of `scene` and the materials that it uses.
 /// Errors if a primitive is malformed, or the flattened scene goes beyond [`limits`](crate::limits).
 pub(crate) fn flatten(
     document: &Document,

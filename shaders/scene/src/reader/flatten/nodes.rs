@@ -14,9 +14,7 @@ use crate::{
 /// Largest difference of a rotation's length from 1. Exporters round to f32, some to a few digits.
 const ROTATION_TOLERANCE: f64 = 1e-2;
 
-/// A visible node.
 pub(crate) struct Placed {
-    /// Its index.
     pub(crate) node: usize,
     /// Transform from its own space to the world's.
     pub(crate) world_from_node: DMat4,
@@ -24,8 +22,6 @@ pub(crate) struct Placed {
 
 /// Returns the nodes of the file's default scene, parents first, in the file's order, without those that
 /// KHR_node_visibility hides. The first scene stands in for a missing default, and all nodes for missing scenes.
-///
-/// # Errors
 /// Errors if the nodes are not a forest, lie too deep, or have malformed transforms.
 pub(crate) fn walk(document: &Document) -> Result<Vec<Placed>, SceneError> {
     let parents = parents(document)?;
@@ -77,8 +73,6 @@ fn is_hidden(node: &Node) -> bool {
 }
 
 /// Returns each node's parent.
-///
-/// # Errors
 /// Errors if a node has two parents, is its own ancestor, or lies too deep.
 fn parents(document: &Document) -> Result<Vec<Option<usize>>, SceneError> {
     let here = |index: usize| {

@@ -30,9 +30,7 @@ pub(crate) enum Mode {
 /// A primitive's size, known from the JSON alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Size {
-    /// With zero-area triangles.
     pub(crate) triangles: u64,
-    /// Vertices of each instance.
     pub(crate) vertices: u64,
 }
 
@@ -49,7 +47,6 @@ impl<'a> TextureCoordinates<'a> {
     }
 }
 
-/// A primitive's geometry.
 pub(crate) struct Geometry {
     pub(crate) positions: Vec<Vec3>,
     /// Not normalised. `None` asks for flat normals; then each triangle has its own three vertices.
@@ -61,8 +58,6 @@ pub(crate) struct Geometry {
 
 impl Mode {
     /// Returns the mode of a primitive. `None` for points and lines.
-    ///
-    /// # Errors
     /// Errors if there is no such mode.
     pub(crate) fn of(primitive: &Primitive, place: &str) -> Result<Option<Self>, SceneError> {
         Ok(match primitive.mode {
@@ -94,8 +89,6 @@ impl Mode {
 }
 
 /// Checks a primitive's accessors against each other, and returns its size. `None` if it has no positions.
-///
-/// # Errors
 /// Errors if its accessors' counts disagree, or it goes beyond [`limits`](crate::limits).
 pub(crate) fn size(json: &Root, primitive: &Primitive, mode: Mode, place: &str) -> Result<Option<Size>, SceneError> {
     // Legal (§3.7.2.1): an extension may bring the positions. None that is known does.
@@ -127,8 +120,6 @@ pub(crate) fn size(json: &Root, primitive: &Primitive, mode: Mode, place: &str) 
 }
 
 /// Reads a primitive, with texture coordinates where its material has a base colour texture.
-///
-/// # Errors
 /// Errors if an accessor is malformed, an index is out of range, or the texture's coordinates are missing.
 pub(crate) fn read(
     json: &Root,

@@ -30,9 +30,6 @@ pub(crate) struct Document {
     pub(crate) lights: Vec<Light>,
 }
 
-/// Parses a file's JSON.
-///
-/// # Errors
 /// Errors with a sentence if the JSON breaks the schema, or is for another version of glTF.
 pub(crate) fn parse(json: &[u8]) -> Result<Document, String> {
     let mut deserializer = serde_json::Deserializer::from_slice(json);
@@ -52,7 +49,7 @@ pub(crate) fn parse(json: &[u8]) -> Result<Document, String> {
 /// Sets of texture coordinates that are read.
 pub(crate) const TEXCOORDS: std::ops::Range<u32> = 0..4;
 
-/// Returns a texture's image. `gltf::json` gives the largest index to a texture without one.
+/// Returns a texture's image, for whose lack `gltf::json` has the largest index.
 pub(crate) fn source(texture: &Texture) -> Option<Index<Image>> {
     Some(texture.source).filter(|source| *source != Index::new(u32::MAX))
 }

@@ -20,7 +20,6 @@ pub(crate) struct Factors {
     pub(crate) base_color: [f64; 4],
     pub(crate) texture_transform: Option<TextureTransform>,
     pub(crate) emissive: [f64; 3],
-    /// KHR_materials_emissive_strength.
     pub(crate) emissive_strength: f64,
     /// Whether there is an emissive texture. Its properties are not read.
     pub(crate) has_emissive_texture: bool,
@@ -78,8 +77,6 @@ impl Default for Factors {
 
 impl Factors {
     /// Reads a material's numbers, and removes the mark of an emissive texture, which `gltf::json` would not take.
-    ///
-    /// # Errors
     /// Errors if the material breaks the schema.
     pub(super) fn take(material: &mut Value) -> Result<Self, Error> {
         let has_emissive_texture = material.as_object_mut().and_then(|m| m.remove("emissiveTexture")).is_some();

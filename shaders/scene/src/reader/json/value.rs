@@ -20,8 +20,6 @@ struct Parser<'a> {
 }
 
 /// Parses the value of a property.
-///
-/// # Errors
 /// Errors if the value is not of its kind, or holds more than [`MAX_ELEMENT_VALUES`] values.
 pub(super) fn property<'de, A: MapAccess<'de>, T: DeserializeOwned>(
     map: &mut A,
@@ -33,10 +31,7 @@ pub(super) fn property<'de, A: MapAccess<'de>, T: DeserializeOwned>(
     value.map_err(|error| at(property.name(), &error))
 }
 
-/// Parses the value of a property that is a list. Each element becomes a `T` before the next one is parsed: a [`Value`]
-/// is large.
-///
-/// # Errors
+/// Parses a property that is a list. Each element becomes a `T` before the next one is parsed: a [`Value`] is large.
 /// Errors as [`property`], if the list is too long, or if `build` fails.
 pub(super) fn list<'de, A: MapAccess<'de>, T>(
     map: &mut A,
@@ -219,10 +214,9 @@ impl<'de> Visitor<'de> for Parser<'_> {
                 out.insert(name.to_owned(), value);
             }
         }
-        match properties
-            .iter()
-            .find(|property| matches!(property, Property::Required(..)) && !out.contains_key(property.name()))
-        {
+        let missing =
+            |property: &&Property| matches!(property, Property::Required(name, _) if !out.contains_key(*name));
+        match properties.iter().find(missing) {
             Some(property) => Err(A::Error::missing_field(property.name())),
             None => Ok(out.into()),
         }
