@@ -1,7 +1,7 @@
-//! Promise: what a client receives is right. On real scenes, through a real server and a real client, at most 0.01 % of
-//! the relevant bits differ from what the f64 referee is sure of, none of them farther than a pixel from an edge of the
-//! truth, on the `cpu` back end and on `compute`.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: received masks are right. On real scenes, through a real server and client, at most 0.01 % of the relevant
+//! bits differ where the f64 referee is certain, and none is farther than a pixel from an edge of the truth, with the
+//! `cpu` and `compute` back ends.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::path::Path;
 
@@ -15,14 +15,14 @@ use gnomon_protocol::mask::Mask;
 use gnomon_scene::{LoadOptions, Scene};
 
 const SIZE: (u32, u32) = (640, 360);
-/// At most this share of the relevant bits may differ though the referee is sure of them.
+/// Most bits, as a share of the relevant ones, that may differ where the referee is certain.
 const MOST_WRONG: f64 = 0.0001;
-/// Undecided bits stand apart, so they must be few: at most this share.
+/// Most undecided bits, as a share of the relevant ones: they excuse errors, so they must be few.
 const MOST_UNDECIDED: f64 = 0.002;
-/// `compute` runs on whatever adapter there is, software Vulkan at worst.
+/// `compute` runs on any adapter, software Vulkan included.
 const COMPUTE: [&str; 3] = ["--backend", "compute", "--allow-software"];
 
-/// The masks of one stop, as a client received and kept them: one a frame, all from the same place.
+/// Returns the mask of one stop as a client received it; two frames from the same place must agree.
 fn received(server: &ServerProcess, stop: &Stop) -> Mask {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("path.json");
@@ -33,9 +33,8 @@ fn received(server: &ServerProcess, stop: &Stop) -> Mask {
         frames: 2,
         size: SIZE,
         folder: folder.path(),
-        wait: true,
         save_masks: true,
-        arguments: vec!["--allow-software".into()],
+        arguments: vec!["--wait".into(), "--allow-software".into()],
     };
     job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
     let mut masks = masks::read(&folder.path().join("masks")).unwrap();
@@ -83,32 +82,13 @@ fn judge_scene(name: &str) {
     server.stop().unwrap();
 }
 
-#[test]
-fn sponza() {
-    judge_scene("sponza");
+macro_rules! judge {
+    ($($scene:ident)*) => {$(
+        #[test]
+        fn $scene() {
+            judge_scene(&stringify!($scene).replace('_', "-"));
+        }
+    )*};
 }
 
-#[test]
-fn modern_hall() {
-    judge_scene("modern-hall");
-}
-
-#[test]
-fn grey_white_room() {
-    judge_scene("grey-white-room");
-}
-
-#[test]
-fn pink_room_partial() {
-    judge_scene("pink-room-partial");
-}
-
-#[test]
-fn breakfast_room() {
-    judge_scene("breakfast-room");
-}
-
-#[test]
-fn sponza_dabrovic() {
-    judge_scene("sponza-dabrovic");
-}
+judge!(sponza modern_hall grey_white_room pink_room_partial breakfast_room sponza_dabrovic);

@@ -1,6 +1,6 @@
-//! Promise: a client trusts the certificate that its URL pins, or one that its URL's authority vouches for, and no other; the operator replaces
-//! certificate and key while the server runs, and who trusts the authority notices nothing.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: a client trusts only the certificate that its URL pins, or one issued by its URL's authority. The operator
+//! replaces certificate and key while the server runs, and clients of the authority notice nothing.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::{fs, path::Path, process::Command, time::Duration};
 
@@ -15,7 +15,7 @@ use gnomon_lab::rig::{
 use gnomon_protocol::codec::CodecId;
 use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
 
-/// An authority: its certificate in `NAME.pem`, and what signs for it.
+/// Writes an authority's certificate to `NAME.pem`, and returns its issuer.
 fn authority(folder: &Path, name: &str) -> Issuer<'static, KeyPair> {
     let mut params = CertificateParams::new(Vec::new()).unwrap();
     params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
@@ -24,7 +24,7 @@ fn authority(folder: &Path, name: &str) -> Issuer<'static, KeyPair> {
     Issuer::new(params, key)
 }
 
-/// A new certificate for localhost.
+/// Issues a certificate for localhost.
 fn issue(folder: &Path, authority: &Issuer<'_, KeyPair>) {
     let key = KeyPair::generate().unwrap();
     let leaf = CertificateParams::new(["localhost".to_owned()]).unwrap().signed_by(&key, authority).unwrap();
@@ -33,7 +33,7 @@ fn issue(folder: &Path, authority: &Issuer<'_, KeyPair>) {
 }
 
 #[test]
-fn an_authority_vouches_for_a_server_across_rotations() {
+fn an_authority_is_trusted_across_certificate_rotations() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let ours = authority(folder, "ours");

@@ -1,19 +1,10 @@
-//! Promise: what `lab chaos` measures for minutes holds in seconds as well: sessions beside one too many, faults of networks, devices
-//! and sessions, and a server that stops while it serves. What a busy machine decides, such as rates and times, is not judged here.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: what `lab chaos` measures for minutes also holds in seconds: one session too many, faults of networks,
+//! devices and sessions, and a server that stops. Rates and times depend on the machine's load and are not judged here.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-use std::path::Path;
+use gnomon_lab::report::{chaos::run, scene_args::parse};
 
-use clap::Parser;
-use gnomon_lab::report::chaos::{ChaosOptions, run};
-
-#[derive(Debug, Parser)]
-struct Line {
-    #[command(flatten)]
-    options: ChaosOptions,
-}
-
-/// Runs a part, and gives what was measured of the promise that has these words in it.
+/// Runs a part; the returned function finds whether a promise is met, and its measurement, by words of it.
 fn chaos(part: &str, more: &str) -> impl Fn(&str) -> (bool, String) + use<> {
     let folder = tempfile::tempdir().unwrap();
     let scene = gnomon_scene::testing::write_scene(folder.path()).unwrap();
@@ -21,11 +12,8 @@ fn chaos(part: &str, more: &str) -> impl Fn(&str) -> (bool, String) + use<> {
     let text = r#"{"camera_path": {"keyframes": [{"t": 0, "pos": [0, 2.5, 3], "target": [0, 0, 0]},
         {"t": 60, "pos": [3, 2.5, 0], "target": [0, 0, 0]}]}}"#;
     std::fs::write(path, text).unwrap();
-    let as_text = |path: &Path| path.to_str().unwrap().to_owned();
-    let mut line = vec!["chaos".to_owned(), part.to_owned(), "--scene".to_owned(), as_text(&scene)];
-    line.extend(["--out".to_owned(), as_text(&folder.path().join("out"))]);
-    line.extend(more.split_whitespace().map(str::to_owned));
-    let table = run(&Line::try_parse_from(line).unwrap().options, |_| {}).unwrap();
+    let line = format!("{part} --scene {} --out {}/out {more}", scene.display(), folder.path().display());
+    let table = run(&parse(&line).unwrap(), |_| {}).unwrap();
     move |words| {
         let row = table.rows.iter().find(|row| row[0].contains(words)).unwrap_or_else(|| panic!("{words}: {table:?}"));
         (row[2] == "yes", row[1].clone())
@@ -48,7 +36,7 @@ fn one_session_too_many_is_refused_and_the_others_are_not_cut_off() {
 
 #[test]
 fn bad_networks_and_a_killed_server_end_no_session() {
-    // Handshakes at 30 % loss are judged by the lab, on many: of a few, one may fail.
+    // `lab chaos` judges handshakes at 30 % loss on many: of a few, one may fail.
     let found = chaos("faults", "--backend cpu --handshakes 1 --rebindings 5 --black-holes 1");
     assert_met(&found, &["changes of the client's port", "black holes"]);
     let (_, measured) = found("after SIGKILL");

@@ -1,8 +1,7 @@
-//! Promise: what goes wrong ends with an exit code other than 0 and one line that says what to do.
+//! Promise: a failing program exits with a code other than 0 and prints one line that says what to do.
 //!
-//! The line is checked for the words that name the cause or the remedy, and for being one line. Logs are turned off, so
-//! that nothing else is on standard error.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! The line must name the cause or the remedy. Logs are off, so that standard error has nothing else.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::{
     ffi::OsString,
@@ -28,7 +27,7 @@ use serde_json::json;
 
 const QUIET: [(&str, &str); 1] = [("RUST_LOG", "off")];
 
-/// A folder with a scene of one floor under `lights` point lights, and a camera path that looks at it.
+/// A folder with a scene of one floor under `lights` point lights, and a camera path.
 struct Stage {
     folder: tempfile::TempDir,
 }
@@ -80,14 +79,14 @@ impl Stage {
         self.file("scene.gltf")
     }
 
-    /// A server of this scene on the `cpu` back end.
+    /// Starts a server of this scene on the `cpu` back end.
     fn serve(&self, arguments: &[&str]) -> ServerProcess {
         let mut all = vec!["--backend", "cpu"];
         all.extend(arguments);
         ServerProcess::start(&self.scene(), &all).unwrap()
     }
 
-    /// What a server with these arguments says when it fails to start.
+    /// Returns the error line of a server that fails to start.
     fn server_fails(&self, arguments: &[&str], environment: &[(&str, &str)]) -> String {
         let certificate = self.file("certificate").into_os_string();
         let mut all: Vec<OsString> = vec!["--cert-dir".into(), certificate];
@@ -97,7 +96,7 @@ impl Stage {
         complaint(&program.finish(PATIENCE).unwrap())
     }
 
-    /// A client of a server that draws two small frames.
+    /// Starts a client that draws two small frames.
     fn client(&self, url: &str, arguments: &[&str], environment: &[(&str, &str)]) -> Outcome {
         let path = self.file("path.json").into_os_string();
         let mut all: Vec<OsString> = vec![url.into(), "--headless".into(), "--path".into(), path];
@@ -111,13 +110,13 @@ impl Stage {
         program.finish(PATIENCE).unwrap()
     }
 
-    /// What a client says when it fails.
+    /// Returns the error line of a client that fails.
     fn client_fails(&self, url: &str, arguments: &[&str], environment: &[(&str, &str)]) -> String {
         complaint(&self.client(url, arguments, environment))
     }
 }
 
-/// The one line of a failed program.
+/// Returns the single line of a failed program.
 fn complaint(outcome: &Outcome) -> String {
     let code = outcome.status.code();
     assert!(code.is_some_and(|code| code != 0), "ended with {}:\n{}{}", outcome.status, outcome.stdout, outcome.stderr);
@@ -164,7 +163,7 @@ fn too_many_lights() {
     let stage = Stage::new(MAX_LIGHTS + 1);
     let line = stage.server_fails(&["--scene", text(&stage.scene())], &[]);
     assert_says(&line, &["33", "32", "--lights"]);
-    // Its remedy works.
+    // The suggested remedy works.
     stage.serve(&["--lights", "32"]).stop().unwrap();
 }
 
@@ -192,9 +191,9 @@ fn no_adapter() {
     let mut named = compute.to_vec();
     named.extend(["--adapter", "nosuch"]);
     assert_says(&stage.server_fails(&named, &[]), &["nosuch", "found"]);
-    // Software that nobody allowed is refused, not silently taken.
+    // A software adapter is refused unless allowed.
     let mut software = compute[..6].to_vec();
-    // By its name, for a machine that has a GPU besides.
+    // By name, for machines that also have a GPU.
     software.extend(["--adapter", "llvmpipe"]);
     assert_says(&stage.server_fails(&software, &[]), &["software", "--allow-software"]);
     let server = stage.serve(&[]);
@@ -206,12 +205,12 @@ fn no_adapter() {
 #[test]
 fn server_unreachable() {
     let stage = Stage::new(1);
-    // A port where nobody answers.
+    // A port without a server.
     let silent = UdpSocket::bind("127.0.0.1:0").unwrap();
     let address = silent.local_addr().unwrap();
     let quic = format!("gnomon://{address}/?cert={}", "ab".repeat(32));
     assert_says(&stage.client_fails(&quic, &[], &[]), &[&address.to_string(), "is gnomon-server running there"]);
-    // One that was free a moment ago.
+    // A port that was free a moment ago.
     let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     for scheme in ["gnomon+lab-udp", "gnomon+lab-tcp"] {
         let line = stage.client_fails(&format!("{scheme}://{address}/"), &[], &[]);
@@ -229,7 +228,7 @@ fn wrong_certificate() {
     let wrong = format!("{address}cert={digit}{}", &certificate[1..]);
     assert_says(&stage.client_fails(&wrong, &[], &[]), &["another certificate", "use the URL that the server printed"]);
     assert_says(&stage.client_fails(&format!("{address}cert=abc"), &[], &[]), &["cert"]);
-    // The same client with the right one is served.
+    // With the right certificate the same client is served.
     stage.client(server.url(), &[], &[]).success().unwrap();
     server.stop().unwrap();
 }
@@ -247,7 +246,7 @@ fn wrong_token() {
     server.stop().unwrap();
 }
 
-/// Sends one control message over a plain stream and reads one answer.
+/// Sends one control message over TCP and reads one answer.
 fn exchange(stream: &mut TcpStream, hello: &Hello) -> ServerMessage {
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
     stream.write_all(&message::encode(&ClientMessage::Hello(hello.clone())).unwrap()).unwrap();
@@ -283,7 +282,7 @@ fn hello() -> Hello {
 #[test]
 fn version_mismatch() {
     let stage = Stage::new(1);
-    // A client of tomorrow at today's server.
+    // A newer client at today's server.
     let server = stage.serve(&["--transport", "lab-tcp"]);
     let tomorrow = PROTOCOL_VERSION + 1;
     let mut stream = TcpStream::connect(address_of(server.url())).unwrap();
@@ -293,7 +292,7 @@ fn version_mismatch() {
     let welcome = exchange(&mut TcpStream::connect(address_of(server.url())).unwrap(), &hello());
     assert!(matches!(welcome, ServerMessage::Welcome(_)), "{welcome:?}");
     server.stop().unwrap();
-    // Today's client at a server of tomorrow.
+    // Today's client at a newer server.
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("gnomon+lab-tcp://{}/", listener.local_addr().unwrap());
     let server = std::thread::spawn(move || {
@@ -303,7 +302,7 @@ fn version_mismatch() {
         assert!(matches!(message, ClientMessage::Hello(Hello { version: PROTOCOL_VERSION, .. })), "{message:?}");
         let refusal = Refusal::Version { server: tomorrow, client: PROTOCOL_VERSION };
         stream.write_all(&message::encode(&ServerMessage::Refused(refusal)).unwrap()).unwrap();
-        // Held open until the client has read it and gone.
+        // Held open until the client has read it and left.
         drop(stream.read(&mut [0]));
     });
     let line = stage.client_fails(&url, &[], &[]);
@@ -320,7 +319,7 @@ fn size_zero_or_above_the_limit() {
         let line = stage.client_fails(server.url(), &["--size", size], &[]);
         assert_says(&line, &["size"]);
     }
-    // A client that does not check itself is refused by the server.
+    // The server refuses clients that do not check themselves.
     for (width, height) in [(0, 0), (64, 0), (MAX_SIDE_PX + 1, 8), (4096, 4096), (u32::MAX, u32::MAX)] {
         let mut stream = TcpStream::connect(address_of(server.url())).unwrap();
         let answer = exchange(&mut stream, &Hello { width, height, ..hello() });
@@ -338,7 +337,7 @@ fn disk_full_while_writing_pictures() {
     stage.client(server.url(), &["--out", text(&out)], &[]).success().unwrap();
     let pictures: Vec<_> = fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().path()).collect();
     assert_eq!(pictures.len(), 2, "{pictures:?}");
-    // Every write to /dev/full fails as on a full disk (ENOSPC), for everybody, root or not.
+    // Writes to /dev/full fail as on a full disk (ENOSPC), even for root.
     for picture in &pictures {
         fs::remove_file(picture).unwrap();
         std::os::unix::fs::symlink("/dev/full", picture).unwrap();

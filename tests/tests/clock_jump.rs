@@ -1,6 +1,6 @@
-//! Promise: somebody sets the wall clock by hours, forwards and back, while sessions run. They go on, tokens and certificates end as the
-//! clock says, and no time in the log is negative.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: sessions survive jumps of the wall clock by hours in both directions. Tokens and certificates expire by the
+//! clock, and no time in the log is negative.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::{fs, net::Ipv4Addr, path::Path, time::Duration};
 
@@ -46,7 +46,7 @@ fn path(folder: &Path) -> CameraPath {
 }
 
 #[test]
-fn sessions_go_on_and_what_has_an_end_ends_as_the_clock_says() {
+fn sessions_go_on_and_tokens_and_certificates_expire_by_the_clock() {
     let folder = tempfile::tempdir().unwrap();
     let log = folder.path().join("log");
     let logs = logs::init(LogFormat::Json, Some(&log)).unwrap();
@@ -76,13 +76,13 @@ fn sessions_go_on_and_what_has_an_end_ends_as_the_clock_says() {
         while server.sessions() == 0 {
             std::thread::sleep(Duration::from_millis(5));
         }
-        // Forwards beyond the token's end and the browsers' certificate's: the session that it opened goes on.
+        // Forwards beyond the expiry of the token and of the browsers' certificate: the session goes on.
         step::set(14 * DAY_S);
         assert!(refused(&for_a_day).contains("token"), "{}", refused(&for_a_day));
         assert_eq!(run(&for_ever, 5).unwrap().poses, 5);
         let renewed = server.browser_certificate_sha256().unwrap();
         assert_ne!(renewed, browsers);
-        // Back before its beginning, when what was renewed is not valid yet.
+        // Back before the start, when the renewed certificate is not valid yet.
         step::set(-6 * HOUR_S);
         assert_eq!(run(&for_a_day, 5).unwrap().poses, 5);
         assert_ne!(server.browser_certificate_sha256().unwrap(), renewed);

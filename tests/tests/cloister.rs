@@ -1,18 +1,13 @@
-//! The cloister, as both programs load it: lights, kinds of material, what moves, and room for the camera on its paths.
-
-use std::path::PathBuf;
+//! Promise: both programs load the cloister whole: lights, materials, motion, and room for the camera on its paths.
 
 use glam::{DVec3, Vec3};
+use gnomon_lab::cloister::asset;
 use gnomon_scene::{AlphaMode, LightKind, LoadOptions, Scene};
 use rayon::prelude::*;
 use serde_json::Value;
 
-/// Cameras keep at least this far from every surface, in metres.
+/// Least distance of cameras from every surface, in metres.
 const CLEARANCE_M: f64 = 0.35;
-
-fn asset(name: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("assets").join(name)
-}
 
 #[test]
 fn it_loads_whole_with_every_kind_of_light_and_material() {
@@ -43,7 +38,7 @@ fn lights_stand_free_and_reach_something() {
         let near = nearest_m(&scene, light.position.as_dvec3());
         assert!(near > 0.05, "{} stands {near} m from a surface", light.name);
     }
-    // A lantern's light gets out of its cage: most rays into the lower half travel a metre at least.
+    // A lantern's light leaves its cage: most rays into the lower half travel at least a metre.
     let lantern = scene.lights.iter().find(|light| matches!(light.kind, LightKind::Point)).unwrap();
     let free = (0..200u16).filter(|k| {
         let (y, turn) = (-(f32::from(*k) + 0.5) / 200.0, f32::from(*k) * 2.399_963);
@@ -68,7 +63,7 @@ fn two_objects_move_rigidly_and_stand_sensibly_at_rest() {
         assert_eq!(target["path"], "rotation");
         let node = &json["nodes"][usize::try_from(target["node"].as_u64().unwrap()).unwrap()];
         assert!(node["mesh"].is_u64(), "what moves can be seen");
-        // The first key is the rest pose, and an animated node may not have a matrix (glTF 2.0, §3.11).
+        // The first key is the rest pose, and animated nodes may not have a matrix (glTF 2.0, §3.11).
         assert!(node.get("matrix").is_none() && node.get("rotation").is_none(), "{node}");
     }
 }
@@ -107,7 +102,7 @@ fn a_path_through_the_fountain_is_noticed() {
     assert!(near < CLEARANCE_M, "{near} m of room beside the basin's rim");
 }
 
-/// Distance from `point` to the nearest triangle that stops rays.
+/// Returns the distance from `point` to the nearest triangle that blocks rays.
 fn nearest_m(scene: &Scene, point: DVec3) -> f64 {
     let squared = scene.tracing_triangles().par_iter().map(|triangle| {
         let [a, b, c] = triangle.map(|index| scene.positions[index as usize].as_dvec3());
@@ -116,7 +111,7 @@ fn nearest_m(scene: &Scene, point: DVec3) -> f64 {
     squared.reduce(|| f64::INFINITY, f64::min).sqrt()
 }
 
-/// The point of a triangle that is nearest to `p` (Ericson, Real-Time Collision Detection, §5.1.5).
+/// Returns the nearest point of a triangle to `p` (Ericson, Real-Time Collision Detection, §5.1.5).
 fn closest_point(p: DVec3, a: DVec3, b: DVec3, c: DVec3) -> DVec3 {
     let (ab, ac, ap, bp, cp) = (b - a, c - a, p - a, p - b, p - c);
     let (d1, d2, d3, d4, d5, d6) = (ab.dot(ap), ac.dot(ap), ab.dot(bp), ac.dot(bp), ab.dot(cp), ac.dot(cp));
@@ -138,7 +133,7 @@ fn closest_point(p: DVec3, a: DVec3, b: DVec3, c: DVec3) -> DVec3 {
     }
 }
 
-/// Whether any triangle crosses the segment (Möller & Trumbore 1997).
+/// Returns whether any triangle crosses the segment (Möller & Trumbore 1997).
 fn blocked(scene: &Scene, from: Vec3, to: Vec3) -> bool {
     let (from, along) = (from.as_dvec3(), (to - from).as_dvec3());
     scene.tracing_triangles().par_iter().any(|triangle| {

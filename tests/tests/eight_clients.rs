@@ -1,6 +1,6 @@
-//! Promise: eight clients at once each get their own correct frames; killing three of them disturbs nobody, and their
-//! sessions are gone within the idle timeout.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: eight clients at once each get their own correct frames. Killing three of them does not affect the others,
+//! and their sessions end within the idle timeout.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::{
     fs,
@@ -26,17 +26,17 @@ use tempfile::TempDir;
 
 const CLIENTS: usize = 8;
 const KILLED: usize = 3;
-/// Small pictures and many frames: this is about sessions, not about speed.
+/// Small pictures and many frames: this tests sessions, not speed.
 const SIZE: (u32, u32) = (96, 54);
-/// Eight seconds of them: the first client that is ready must still be at it when the last one has begun.
+/// Eight seconds: the first client must still run when the last one starts.
 const FRAMES: u32 = 160;
-/// So that the survivors are still at it when the sessions of the killed expire.
+/// Survivors must still run when the sessions of the killed expire.
 const FPS: u32 = 20;
 const IDLE: Duration = Duration::from_secs(1);
-/// Scheduling delays of a machine on which eight clients share two cores; the idle timeout itself is the promise.
+/// Allowance beyond the idle timeout: eight clients share two cores.
 const SLACK: Duration = Duration::from_secs(20);
 
-/// A path of its own: along the scene's, but aside, and looking elsewhere.
+/// Writes a path for one client: beside the scene's, with another view.
 fn write_path(json: &Path, client: usize, file: &Path) {
     let aside = client as f64 * 0.02;
     let keyframe = |t: f64, at: f64| {
@@ -71,18 +71,17 @@ impl Client {
             frames: FRAMES,
             size: SIZE,
             folder,
-            wait: true,
             save_masks: true,
-            arguments: vec!["--fps".into(), FPS.to_string().into()],
+            arguments: vec!["--wait".into(), "--fps".into(), FPS.to_string().into()],
         }
     }
 
-    /// Masks that it has received so far.
+    /// Masks received so far.
     fn received(&self) -> usize {
         fs::read_dir(self.folder.path().join("masks")).map_or(0, Iterator::count)
     }
 
-    /// Its masks, and the cameras of its frames, after its end.
+    /// Waits for its end and returns its masks with their cameras.
     fn results(self) -> Vec<(Camera, Mask)> {
         self.program.finish(PATIENCE).unwrap().success().unwrap();
         let job = Self::job(self.folder.path(), None);
@@ -107,15 +106,15 @@ impl Client {
     }
 }
 
-/// The camera that the server traces for a frame: the client's own path at the frame's time.
+/// Returns the camera of a frame as the server gets it.
 fn camera_of(path: &CameraPath, frame: u32) -> Camera {
     let mut camera = path.camera(f64::from(frame) * (1.0 / f64::from(FPS)), SIZE.0, SIZE.1);
-    // As the server does with what it receives.
+    // The server normalises received orientations.
     camera.orientation = camera.orientation.normalize();
     camera
 }
 
-/// Waits until `done`, looking often.
+/// Polls until `done`.
 fn wait_until(what: &str, patience: Duration, mut done: impl FnMut() -> bool) -> Duration {
     let start = Instant::now();
     while !done() {
@@ -126,7 +125,7 @@ fn wait_until(what: &str, patience: Duration, mut done: impl FnMut() -> bool) ->
 }
 
 #[test]
-fn eight_clients_are_served_and_three_deaths_disturb_nobody() {
+fn eight_clients_are_served_and_killing_three_leaves_the_others_served() {
     let scene = JUDGED.iter().find(|scene| scene.name == "modern-hall").unwrap();
     let (path, json) = (scene.path().unwrap(), scene.json().unwrap());
     let certificate = tempfile::tempdir().unwrap();
@@ -158,7 +157,7 @@ fn eight_clients_are_served_and_three_deaths_disturb_nobody() {
     let mut survivors = survivors;
     survivors.iter_mut().for_each(|client| assert!(client.program.is_running().unwrap(), "over before the killing"));
     let gone = wait_until("three sessions gone", IDLE + SLACK, || {
-        // A survivor that has finished has said goodbye, so only those that run may have a session.
+        // A finished survivor has closed its session, so only running ones may have one.
         let running =
             survivors.iter_mut().map(|client| usize::from(client.program.is_running().unwrap())).sum::<usize>();
         server.sessions() <= running
@@ -176,7 +175,7 @@ fn eight_clients_are_served_and_three_deaths_disturb_nobody() {
         }
         all_frames.push(frames.into_iter().map(|(_, mask)| mask).collect::<Vec<_>>());
     }
-    // Had everybody been sent the same frames, or one frame again and again, the paths would not differ.
+    // Paths must differ, or the check would pass with the same frames for everybody.
     for (number, frames) in all_frames.iter().enumerate() {
         assert_ne!(frames.first(), frames.last(), "survivor {number} stood still");
         for other in &all_frames[..number] {

@@ -1,6 +1,6 @@
-//! Promise: on generated scenes that are hard to trace, every back end stays within every bound: no light leaks, and no
-//! surface shadows itself. `lab accuracy` asks the same of larger pictures and heaps.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: on generated scenes that are hard to trace, every back end stays within every bound: no light leaks, no
+//! self-shadowing. `lab accuracy` checks larger pictures and meshes.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::collections::BTreeSet;
 
@@ -31,9 +31,9 @@ fn every_back_end_stays_within_every_bound() {
 }
 
 #[test]
-fn so_does_the_one_with_ray_queries() {
+fn ray_query_stays_within_every_bound() {
     let probe = hard_cases::all((8, 8), false).unwrap().remove(0).scene;
-    with_ray_queries("so_does_the_one_with_ray_queries", &probe, || {
+    with_ray_queries("ray_query_stays_within_every_bound", &probe, || {
         assert_within_bounds((64, 40), &[BackendName::RayQuery]);
     })
     .unwrap();

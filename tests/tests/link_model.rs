@@ -1,5 +1,6 @@
-//! Promise: the link on which we test does to datagrams what its settings say, measurably, and the same under one seed.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: the emulated link does to datagrams what its settings say, within statistical bounds, and the same for the
+//! same seed.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::time::Duration;
 
@@ -12,10 +13,10 @@ use gnomon_lab::link::{
 use proptest::prelude::*;
 
 const DATAGRAMS: u64 = 200_000;
-/// A figure further than this many standard deviations from its mean has the wrong mean.
+/// Most standard deviations between a figure and its expected mean.
 const SIGMAS: f64 = 5.0;
 
-/// What becomes of `count` datagrams of `bytes` bytes, one every `every`.
+/// Sends `count` datagrams of `bytes` bytes, one every `every`.
 fn run(
     settings: &Settings,
     seed: u64,
@@ -68,7 +69,7 @@ fn bursts_have_their_share_and_their_mean_length() {
         let (fates, counts) = run(&settings(&text), 3, DATAGRAMS, MS, 10);
         let lost: Vec<bool> = fates.iter().map(|fate| fate[1].is_none()).collect();
         let bursts: Vec<f64> = lost.chunk_by(|a, b| a == b).filter(|run| run[0]).map(|run| run.len() as f64).collect();
-        // Lengths are geometric: their variance is length × (length − 1).
+        // Lengths are geometric, with variance length × (length − 1).
         let mean = bursts.iter().sum::<f64>() / bursts.len() as f64;
         let sigma = (length * (length - 1.0) / bursts.len() as f64).sqrt();
         assert!((mean - length).abs() < SIGMAS * sigma, "{text}: {mean}");
@@ -81,7 +82,7 @@ fn bursts_have_their_share_and_their_mean_length() {
         assert!((found - share).abs() < SIGMAS * sigma, "{text}: {found} ± {sigma}");
         assert_eq!(counts.lost, 0);
     }
-    // In a bad state that loses half, half of its share is lost; in the good one the other setting rules.
+    // A bad state that loses half loses half of its share; the good state has its own loss.
     let (_, counts) = run(&settings("loss=10% burst=20%x5 burst-loss=50%"), 3, DATAGRAMS, MS, 10);
     assert!((counts.burst_lost as f64 / DATAGRAMS as f64 - 0.1).abs() < 0.006, "{counts:?}");
     assert!((counts.lost as f64 / DATAGRAMS as f64 - 0.08).abs() < 0.006, "{counts:?}");
@@ -91,7 +92,7 @@ fn bursts_have_their_share_and_their_mean_length() {
 fn a_bursty_channel_forgets_its_state_in_a_silence() {
     let (fates, counts) = run(&settings("burst=20%x50"), 3, 20_000, 101 * MS, 10);
     assert_binomial(counts.burst_lost, 20_000, 0.2);
-    // Each for itself, datagrams are lost in runs of 1 / (1 − 0.2), with a variance of 0.2 / 0.8².
+    // Independent losses come in runs of 1 / (1 − 0.2), with a variance of 0.2 / 0.8².
     let lost: Vec<bool> = fates.iter().map(|fate| fate[1].is_none()).collect();
     let runs: Vec<usize> = lost.chunk_by(|a, b| a == b).filter(|run| run[0]).map(<[bool]>::len).collect();
     let mean = runs.iter().sum::<usize>() as f64 / runs.len() as f64;
@@ -106,7 +107,7 @@ fn jitter_keeps_the_order_stays_in_its_bounds_and_uses_them() {
     let delays: Vec<Duration> = (0..).zip(&dues).map(|(number, due)| *due - number * MS).collect();
     let (least, most) = (*delays.iter().min().unwrap(), *delays.iter().max().unwrap());
     assert!(least >= 5 * MS && least < 7 * MS && most <= 35 * MS && most > 33 * MS, "{least:?} {most:?}");
-    // It is slow against a frame's datagrams: they do not bunch up behind the latest.
+    // Jitter is slow against a frame's datagrams: they do not bunch up behind the latest.
     let largest_step = delays.windows(2).map(|pair| pair[1].abs_diff(pair[0])).max().unwrap();
     assert!(largest_step < 4 * MS, "{largest_step:?}");
 }
@@ -139,7 +140,7 @@ fn the_rate_is_never_exceeded_and_the_queue_never_longer_than_it_may_be() {
     for (number, fate) in (0..).zip(&fates) {
         assert!(fate[1].as_ref().is_none_or(|delivery| delivery.due - number * MS <= longest));
     }
-    // What passes is what fits: 1000 of 1300, and the queue once.
+    // Those that fit pass: 1000 of 1300, plus one queue.
     let passed_bytes = counts.delivered * 1300;
     assert!((5_000_000..=5_000_000 + queue_bytes).contains(&passed_bytes), "{counts:?}");
     assert_eq!(counts.arrived, counts.delivered + counts.queue_dropped);
@@ -213,7 +214,7 @@ proptest! {
 
     #[test]
     fn under_one_seed_the_same_datagrams_fare_the_same_whenever_they_come(settings in any_settings(), seed: u64) {
-        // Queues and outages look at the clock, as they do in the world.
+        // Queues and outages depend on time.
         let settings = Settings { rate: None, outages: Vec::new(), ..settings };
         let fates = |every, seed| {
             let (fates, counts) = run(&settings, seed, 300, every, 200);
@@ -236,7 +237,7 @@ fn seeds_and_directions_have_chances_of_their_own() {
     let all = all.map(|(seed, direction)| fates(seed, direction));
     for (a, first) in all.iter().enumerate() {
         for second in &all[a + 1..] {
-            // Half of 256 agree by chance, with a deviation of 8; shifted copies would not show that.
+            // Half of 256 agree by chance, with a deviation of 8; shifted copies would too.
             for shift in 0..8 {
                 let agree = first[shift..].iter().zip(second).filter(|(a, b)| a == b).count();
                 assert!((80..=176).contains(&agree), "{agree} agree");

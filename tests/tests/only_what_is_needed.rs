@@ -1,7 +1,7 @@
-//! Promise: nothing is computed that a scene does not need, and counters say so. No ray is traced for a light that is switched
-//! off, out of range, outside its cone or behind the surface; no alpha is asked where no material is MASK; and a mask and
-//! what a device keeps for it grow with the scene's lights alone.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: back ends compute only what a scene needs, as their counters show. No ray is traced for a light that is
+//! off, out of range, outside its cone or behind the surface; alpha is sampled only on MASK materials; and masks and
+//! their buffers grow with the scene's lights alone.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use glam::{DVec3, Vec3};
 use gnomon_lab::{
@@ -15,7 +15,7 @@ use gnomon_server::visibility::backend::{compute::ComputeBackend, cpu::CpuBacken
 
 const SIZE: (u32, u32) = (96, 64);
 
-/// From above onto the middle of a floor that fills the picture.
+/// Looks down on a floor that fills the picture.
 fn camera() -> Camera {
     Camera::looking_at(DVec3::new(0.1, 3.0, 0.2), DVec3::new(0.0, 0.0, 0.1), 0.8, SIZE.0, SIZE.1)
 }
@@ -24,7 +24,7 @@ fn floor() -> SceneBuilder {
     SceneBuilder::new().quad(Vec3::new(-9.0, 0.0, -9.0), Vec3::Z * 18.0, Vec3::X * 18.0)
 }
 
-/// Rays that a back end traced, and bits that it set.
+/// Returns the traced rays and the set bits.
 fn traced(backend: BackendName, scene: &Scene) -> (u64, u32) {
     let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, scene.lights.len().try_into().unwrap()).unwrap());
     let cost = backend.open(scene).unwrap()(&camera(), &mut mask).unwrap();
@@ -40,7 +40,7 @@ fn no_ray_is_traced_for_a_light_that_cannot_matter() {
     dimmed.lights.iter_mut().for_each(|light| light.intensity = 0.0);
     let mut black = dimmed.clone();
     black.lights.iter_mut().for_each(|light| (light.intensity, light.color) = (5.0, Vec3::ZERO));
-    // A smooth normal that faces the sun on a plane that does not: relevant, and dark without a ray.
+    // A smooth normal towards the sun on a plane that faces away: relevant, and dark without a ray.
     let mut behind = floor().sun(Vec3::new(-1.0, 0.2, 0.0)).build();
     behind.normals.fill(Vec3::new(0.8, 0.6, 0.0));
     for (what, scene) in [
@@ -59,7 +59,7 @@ fn no_ray_is_traced_for_a_light_that_cannot_matter() {
             assert_eq!(traced(backend, &scene), (0, 0), "{what} on {}", backend.name());
         }
     }
-    // Beside one that matters they cost nothing either.
+    // Beside a light that matters they cost nothing either.
     let mut mixed =
         floor().point_light(lamp, f32::INFINITY).point_light(lamp, 1.9).sun(Vec3::Y).sun(Vec3::NEG_Y).build();
     mixed.lights[3].intensity = 0.0;
@@ -69,13 +69,13 @@ fn no_ray_is_traced_for_a_light_that_cannot_matter() {
 }
 
 #[test]
-fn alpha_is_asked_only_where_a_material_is_mask() {
+fn alpha_is_sampled_only_on_mask_materials() {
     let sheet =
         |builder: SceneBuilder| builder.quad(Vec3::new(-1.0, 1.0, -1.0), Vec3::Z * 2.0, Vec3::X * 2.0).sun(Vec3::NEG_Y);
     let opaque = sheet(floor()).build();
     let mask = AlphaMode::Mask { cutoff: 0.5 };
     let masked = sheet(floor().material(mask, true).alpha_picture(2, &[0, 255, 255, 0], Wrap::Repeat)).build();
-    // Without a picture its alpha is the same everywhere: it is there, and nobody has to ask.
+    // Without a texture, alpha is constant and opaque: no sampling needed.
     let plain = sheet(floor().material(mask, true)).build();
     for (what, scene, asked) in
         [("opaque", &opaque, false), ("masked", &masked, true), ("without a picture", &plain, false)]
@@ -89,7 +89,7 @@ fn alpha_is_asked_only_where_a_material_is_mask() {
 }
 
 #[test]
-fn masks_and_what_is_kept_for_them_grow_with_the_lights() {
+fn masks_and_their_buffers_grow_with_the_lights() {
     let tiles = u64::from(SIZE.0.div_ceil(TILE_PX) * SIZE.1.div_ceil(TILE_PX));
     for lights in [1, 3, 8, 32] {
         let scene = (0..lights).fold(floor(), |builder, _| builder.sun(Vec3::NEG_Y)).build();
@@ -108,8 +108,8 @@ fn masks_and_what_is_kept_for_them_grow_with_the_lights() {
     }
 }
 
-/// The reason why meshes that are used twice have no hierarchy of their own under another one: of what an instance costs, that
-/// would save the small part only. Triangles stay one by one, since their places in space decide ties.
+/// Why reused meshes have no hierarchy of their own: it would save only the small part of an instance's memory.
+/// Triangles stay separate, since their positions in space decide ties.
 #[test]
 fn hierarchies_are_a_small_part_of_what_a_scene_takes() {
     let folder = real::folder().unwrap();

@@ -1,5 +1,5 @@
-//! Promise: `lab pareto` turns every knob, and its table says of each what it saves and what it costs.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: `lab pareto` varies every setting, and its table has the savings and cost of each.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::collections::HashMap;
 
@@ -51,7 +51,7 @@ fn every_knob_has_its_row_and_says_what_it_saves_and_costs() {
     for roundings in [1, 16, 256, 4096] {
         row("compute", "offset", &format!("{roundings} roundings"));
     }
-    // What the machine's own back end is measured with besides.
+    // Further settings, measured with the machine's own back end.
     let default = rows.iter().find(|row| row[2] == "resolution" && row[column("is_default")] == "true").unwrap();
     let of = |knob: &str, value: &str| row(default[1], knob, value);
     assert!(number(of("codec", "words"), "bytes") > number(default, "bytes"));
@@ -74,7 +74,7 @@ fn every_knob_has_its_row_and_says_what_it_saves_and_costs() {
         assert!(surface < dissertation.max(none), "lag {lag}: {surface}, {dissertation}, {none}");
     }
     assert!(rows.iter().any(|row| row[2] == "lag" && row[column("is_default")] == "true"));
-    // A default that is off the front is said aloud, and only such.
+    // Each default off the front is reported, and nothing else.
     let off =
         rows.iter().filter(|row| row[column("is_default")] == "true" && row[column("on_front")] == "false").count();
     assert_eq!(said.iter().filter(|line| line.starts_with("DEFAULT OFF THE FRONT")).count(), off, "{said:?}");

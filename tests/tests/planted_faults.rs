@@ -1,6 +1,6 @@
-//! Promise: the referee can fail a back end. A real back end's masks pass; with one fault planted in what it is given, or in
-//! what it gave, the same comparison under the same bounds refuses them.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: the referee can fail a back end. Masks of a real back end pass; with one fault planted in its input or
+//! output, the same comparison under the same bounds fails.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use glam::{DVec3, Vec3};
 use gnomon_lab::{
@@ -13,10 +13,10 @@ use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{AlphaMode, Scene, camera::Camera};
 use gnomon_server::visibility::backend::compute::ComputeBackend;
 
-/// As in `tests/accuracy.rs`.
+/// The bounds of `tests/accuracy.rs`.
 const MOST_WRONG: f64 = 0.0001;
 
-/// A hall with a box, a coarse ball and a tilted screen, far enough from its origin that coordinates round.
+/// A hall with a box, a coarse ball and a tilted screen, far enough from its origin for coordinates to round.
 fn scene() -> Scene {
     SceneBuilder::new()
         .quad(Vec3::new(40.0, 30.0, 30.0), Vec3::Z * 12.0, Vec3::X * 12.0)
@@ -38,12 +38,12 @@ fn judge(mask: &Mask, truth: &Truth) -> RelevantError {
     RelevantError::of(mask, truth)
 }
 
-/// Whether a mask would pass the test on real scenes.
+/// Returns whether a mask would pass the test on real scenes.
 fn passes(error: &RelevantError) -> bool {
     error.sure_share() <= MOST_WRONG && error.worst_distance_px <= 1.0 && error.irrelevant_set == 0
 }
 
-/// The scene's truth, and a true mask of it.
+/// Returns the scene's truth, and a correct mask.
 fn sound(scene: &Scene, backend: BackendName) -> (Truth, Mask) {
     let truth = Reference::new(scene).trace(&camera());
     let mask = backend.mask(scene, &camera()).unwrap();
@@ -64,7 +64,7 @@ fn an_offset_error_is_caught() {
     };
     let right = traced(16);
     assert!(passes(&right), "with the offset that the rules give: {right}");
-    // Of the floor's height of 30 m these are 11 cm: light gets under what stands on it.
+    // At the floor's height of 30 m these are 11 cm: light gets under objects.
     let far = traced(60_000);
     assert!(!passes(&far) && far.sure_leaks > 20, "{far}");
 }
@@ -78,12 +78,12 @@ fn a_missing_triangle_is_caught() {
         // Of the floor, the screen, the box and the ball.
         for missing in [0, 1, 2, 3, 4, 5, 14, 15, 100, 180] {
             let mut broken = scene.clone();
-            // It stays, but without an area: draws and indices are as before.
+            // It stays with zero area, so that indices do not change.
             let [first, ..] = broken.triangles[missing];
             broken.triangles[missing] = [first; 3];
             let error = judge(&backend.mask(&broken, &camera()).unwrap(), &truth);
             let changes = Reference::new(&broken).trace(&camera()) != truth;
-            // One that nobody sees and that shadows nothing may be missing.
+            // An invisible triangle without a shadow may be missing.
             assert!(changes || passes(&error), "triangle {missing} on {}: {error}", backend.name());
             caught += u32::from(!passes(&error));
         }
@@ -115,12 +115,12 @@ fn an_off_by_one_in_a_bit_plane_is_caught() {
         ] {
             assert!(!passes(&error), "{fault} on {}: {error}", backend.name());
         }
-        // The words of one plane, each in its neighbour's place, as a tile's index one too high would put them.
+        // Shifts the words of one plane, as a tile index one too high would.
         let mut shifted = mask.clone();
         shifted.words_mut()[..shape.tiles()].rotate_right(1);
         let error = judge(&shifted, &truth);
         assert!(!passes(&error), "a tile too far on {}: {error}", backend.name());
-        // Only the last bit of every word lost: one pixel of 64.
+        // Loses the last bit of every word: one pixel of 64.
         let mut cut = mask.clone();
         cut.words_mut().iter_mut().for_each(|word| *word &= !(1 << 63));
         let error = judge(&cut, &truth);

@@ -1,7 +1,7 @@
-//! Promise: the `ray-query` back end answers as `compute` and `cpu` do, on an adapter that has ray queries.
+//! Promise: the `ray-query` back end agrees with `compute` and `cpu`, on an adapter that has ray queries.
 //!
-//! Where no adapter has them, a test says on the terminal that it did not run: `rig::ray_queries`.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Without such an adapter a test prints that it did not run: `rig::ray_queries`.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::path::Path;
 
@@ -31,12 +31,12 @@ fn with_ray_queries(test: &str, body: impl FnOnce()) {
 fn mask_for(scene: &Scene, camera: &Camera) -> Mask {
     let lights = u32::try_from(scene.lights.len()).unwrap();
     let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, lights).unwrap());
-    // Garbage, of which nothing may be left.
+    // Garbage, all of which must be overwritten.
     mask.words_mut().fill(0xdead_beef_dead_beef);
     mask
 }
 
-/// What ray queries answer.
+/// Traces with ray queries.
 fn traced(scene: &Scene, camera: &Camera) -> (Mask, TraceCost) {
     let mut mask = mask_for(scene, camera);
     let cost = ray_query::open(scene, None, true).unwrap().trace(camera, &mut mask).unwrap();
@@ -52,7 +52,7 @@ fn differing(a: &Mask, b: &Mask) -> u64 {
     a.words().iter().zip(b.words()).map(|(a, b)| u64::from((a ^ b).count_ones())).sum()
 }
 
-/// Leaves of round holes, repeated.
+/// Repeated leaves with round holes.
 fn leaf(builder: SceneBuilder) -> SceneBuilder {
     let texels: Vec<u8> = (0..12_i32)
         .flat_map(|y| (0..16_i32).map(move |x| if (2 * x - 15).pow(2) + (2 * y - 11).pow(2) < 81 { 255 } else { 0 }))
@@ -60,8 +60,8 @@ fn leaf(builder: SceneBuilder) -> SceneBuilder {
     builder.material(AlphaMode::Mask { cutoff: 0.5 }, true).alpha_picture(16, &texels, Wrap::MirroredRepeat)
 }
 
-/// A closed room, seen from inside, with boxes, a smooth ball, a single-sided screen, a leaf with holes, and a light of each
-/// kind.
+/// A closed room seen from inside, with boxes, a smooth ball, a single-sided screen, a leaf with holes, and one light
+/// of each kind.
 fn room() -> Scene {
     let (low, size) = (Vec3::new(-5.0, 0.0, -4.0), Vec3::new(10.0, 4.0, 8.0));
     let high = low + size;
@@ -100,7 +100,7 @@ fn cameras() -> [Camera; 4] {
     ]
 }
 
-/// The answers of all three back ends and the referee's agree as far as rounding lets them.
+/// Asserts that all three back ends and the referee agree up to rounding.
 fn agree(scene: &Scene, cameras: &[Camera]) {
     let mut ours = ray_query::open(scene, None, true).unwrap();
     let mut compute = ComputeBackend::open(scene, None, true).unwrap();
@@ -113,7 +113,7 @@ fn agree(scene: &Scene, cameras: &[Camera]) {
         let on_cpu = cpu.trace(camera, &mut c);
         assert!(ones(&a) > 1000, "{} bits of {camera:?}", ones(&a));
         for (name, other, rays) in [("compute", &b, on_compute.shadow_rays), ("cpu", &c, on_cpu.shadow_rays)] {
-            // All round; where a shadow's edge passes within rounding of a pixel's centre they may disagree.
+            // They may disagree where a shadow's edge passes within rounding of a pixel centre.
             let wrong = differing(&a, other);
             assert!(wrong * 1000 <= rays, "{wrong} bits of {rays} differ from {name} for {camera:?}");
             assert!(cost.shadow_rays.abs_diff(rays) * 1000 <= rays, "{} rays, {name} {rays}", cost.shadow_rays);
@@ -125,13 +125,13 @@ fn agree(scene: &Scene, cameras: &[Camera]) {
 }
 
 #[test]
-fn answers_are_those_of_compute_and_cpu_and_the_referee() {
-    with_ray_queries("answers_are_those_of_compute_and_cpu_and_the_referee", || agree(&room(), &cameras()));
+fn masks_agree_with_compute_cpu_and_the_referee() {
+    with_ray_queries("masks_agree_with_compute_cpu_and_the_referee", || agree(&room(), &cameras()));
 }
 
 #[test]
-fn thirty_two_lights_are_all_there() {
-    with_ray_queries("thirty_two_lights_are_all_there", || {
+fn all_of_32_lights_are_traced() {
+    with_ray_queries("all_of_32_lights_are_traced", || {
         let mut scene = room();
         for index in 0_u8.. {
             if scene.lights.len() == 32 {
@@ -151,12 +151,12 @@ fn a_leaf_casts_its_holes() {
     with_ray_queries("a_leaf_casts_its_holes", || {
         let floor = SceneBuilder::new().quad(Vec3::new(-5.0, 0.0, 5.0), Vec3::X * 10.0, Vec3::NEG_Z * 10.0);
         let mut builder = leaf(floor);
-        // Two layers: a shadow ray has to pass through the hole of one and may end at the other.
+        // Two layers: a shadow ray passes through a hole of one and may hit the other.
         for height in [1.0, 1.5] {
             builder = builder.quad(Vec3::new(-2.0, height, 2.0), Vec3::X * 4.0, Vec3::NEG_Z * 4.0);
         }
         let scene = builder.sun(Vec3::new(0.2, -1.0, 0.1)).build();
-        // From under the leaf, and through its holes from above.
+        // From below the leaf, and through its holes from above.
         let below = Camera::looking_at(DVec3::new(0.0, 0.5, 1.9), DVec3::new(0.0, 0.0, 1.0), 1.5, 120, 90);
         let above = Camera::looking_at(DVec3::new(0.3, 4.0, 0.2), DVec3::new(0.0, 0.0, 0.0), 1.0, 160, 90);
         agree(&scene, &[below, above]);
@@ -172,12 +172,12 @@ fn no_ray_passes_through_the_edges_of_a_closed_mesh() {
         for rings in [4, 17, 64] {
             let closed =
                 |light| SceneBuilder::new().sphere(Vec3::ZERO, 3.0, rings).point_light(light, f32::INFINITY).build();
-            // On the axes, where rays meet corners and run along edges.
+            // On the axes, where rays hit corners and run along edges.
             let camera = Camera::looking_at(DVec3::ZERO, DVec3::NEG_Z, 2.0, 120, 90);
             let pixels = 120 * 90;
             let (lit, cost) = traced(&closed(Vec3::ZERO), &camera);
             assert_eq!((ones(&lit), cost.shadow_rays), (pixels, pixels), "{rings} rings");
-            // The mesh turns its back on a light outside and wants no ray. A box inside does not.
+            // The mesh faces away from a light outside, so no ray is traced. A box inside does not.
             for outside in [Vec3::new(0.0, 0.0, 9.0), Vec3::new(0.0, 9.0, 9.0), Vec3::new(1.3, -4.0, 7.0)] {
                 let scene = SceneBuilder::new()
                     .sphere(Vec3::ZERO, 3.0, rings)
@@ -195,7 +195,7 @@ fn no_ray_passes_through_the_edges_of_a_closed_mesh() {
 #[test]
 fn a_surface_does_not_shadow_itself() {
     with_ray_queries("a_surface_does_not_shadow_itself", || {
-        // A slope of one large triangle, seen near the local origin, where coordinates are small but their error is not.
+        // A slope of one large triangle near the local origin, where coordinates are small but their error is not.
         let corners = [Vec3::new(-900.0, -300.0, -800.0), Vec3::new(0.0, 0.0, 900.0), Vec3::new(900.0, 300.0, -800.0)];
         let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
         let slope = SceneBuilder::new()
@@ -246,13 +246,13 @@ fn wrong_shapes_are_refused_and_several_frames_fly_at_once() {
 }
 
 #[test]
-fn a_server_names_it_to_its_clients_and_the_best_back_end_is_this_one() {
-    with_ray_queries("a_server_names_it_to_its_clients_and_the_best_back_end_is_this_one", || {
+fn a_server_reports_it_to_clients_and_auto_prefers_it() {
+    with_ray_queries("a_server_reports_it_to_clients_and_auto_prefers_it", || {
         let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/cloister.glb");
         let server = ServerProcess::start(&scene, &["--backend", "ray-query", "--allow-software"]).unwrap();
         let said = server.stop().unwrap();
         assert!(said.stderr.contains("ray-query on"), "{}", said.stderr);
-        // `auto` takes what this opens, on an adapter that is no software.
+        // `auto` takes this back end on any adapter that is not software.
         let best = ray_query::open_preferred(&room(), None, true).unwrap();
         assert!(best.describe().starts_with("ray-query on "), "{}", best.describe());
     });
@@ -265,7 +265,7 @@ fn a_device_without_ray_queries_is_refused_by_name() {
     let name = gpu.info.name.clone();
     let error = ray_query::new(&room(), gpu).unwrap_err().to_string();
     assert!(error.contains("lacks ray queries") && error.contains(&name), "{error}");
-    // Where an adapter has none, the best back end is `compute`.
+    // On adapters without ray queries, the best back end is `compute`.
     let refused = ray_query::open(&room(), None, true).is_err();
     let best = ray_query::open_preferred(&room(), None, true).unwrap().describe();
     assert_eq!(best.starts_with("compute on "), refused, "{best}");

@@ -1,5 +1,6 @@
-//! Promise: what the server logs is what `deploy/logs.schema.json` says, in a file that can be rotated, and a full disk stops nobody.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: every log line fits `deploy/logs.schema.json`, the log file can be rotated, and a full disk does not stop
+//! the server.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::{
     collections::BTreeSet,
@@ -34,7 +35,7 @@ struct Server {
     admin: String,
 }
 
-/// A server on free ports that logs JSON into `log`.
+/// Starts a server on free ports that logs JSON into `log`.
 fn start(folder: &Path, log: &Path) -> Server {
     let arguments = [
         "--scene".into(),
@@ -49,12 +50,12 @@ fn start(folder: &Path, log: &Path) -> Server {
     let environment = [("RUST_LOG", "warn,gnomon_server=debug")];
     let mut program = Program::start(&find("gnomon-server").unwrap(), &arguments, &environment).unwrap();
     let url = program.wait_for(PATIENCE, |said| said.strip_suffix('\n').map(str::to_owned)).unwrap();
-    // Only its log names the port that was free; a disk that is full names none, and the system does.
+    // The log names the chosen port; if the disk is full, the system does.
     let admin = listening_tcp(program.id());
     Server { program, url, admin }
 }
 
-/// The address on which a process listens for TCP.
+/// Returns the address on which a process listens for TCP.
 fn listening_tcp(id: u32) -> String {
     let sockets: BTreeSet<String> = fs::read_dir(format!("/proc/{id}/fd"))
         .unwrap()
@@ -80,9 +81,8 @@ fn client(url: &str, folder: &Path) -> Value {
         frames: 60,
         size: (96, 54),
         folder,
-        wait: true,
         save_masks: false,
-        arguments: vec!["--fps".into(), "20".into()],
+        arguments: vec!["--wait".into(), "--fps".into(), "20".into()],
     };
     job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
     job.summary().unwrap()
@@ -110,7 +110,7 @@ fn wait_until(mut done: impl FnMut() -> bool) {
 }
 
 #[test]
-fn the_log_is_what_its_schema_says() {
+fn every_log_line_fits_the_schema() {
     let folder = tempfile::tempdir().unwrap();
     let [log, rotated] = ["log", "log.1"].map(|name| folder.path().join(name));
     let server = start(folder.path(), &log);
@@ -137,7 +137,7 @@ fn the_log_is_what_its_schema_says() {
             if message == "session ended" {
                 ended.push(entry.clone());
             }
-            // A schema that takes anything would prove nothing.
+            // The schema must reject something.
             for broken in [with(&entry, "/level", json!("LOUD")), with(&entry, "/timestamp", json!("yesterday"))] {
                 assert!(!schema.is_valid(&broken), "{broken}");
             }
@@ -189,14 +189,14 @@ fn with(entry: &Value, place: &str, value: Value) -> Value {
     changed
 }
 
-/// Everything that looks like one of our metrics in a text.
+/// Returns all metric names in a text.
 fn metric_names(text: &str) -> BTreeSet<String> {
     let words = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').filter(|word| word.starts_with("gnomon_"));
     words.map(|word| word.trim_end_matches("_bucket").to_owned()).collect()
 }
 
 #[test]
-fn a_full_disk_stops_nobody() {
+fn a_full_disk_does_not_stop_the_server() {
     let folder = tempfile::tempdir().unwrap();
     let server = start(folder.path(), Path::new("/dev/full"));
     let summary = client(&server.url, folder.path());
@@ -204,7 +204,7 @@ fn a_full_disk_stops_nobody() {
     let page = metrics(&server.admin);
     assert!(value(&page, "gnomon_log_lines_lost_total") > 60, "{page}");
     assert_eq!(value(&page, "gnomon_sessions_opened_total"), 1);
-    // What alerts and dashboard ask for is there.
+    // Every metric of alerts and dashboard exists.
     let there = metric_names(&page);
     for file in ["deploy/prometheus/alerts.yml", "deploy/grafana/gnomon.json"] {
         let asked = metric_names(&fs::read_to_string(project(file)).unwrap());
@@ -214,7 +214,7 @@ fn a_full_disk_stops_nobody() {
     server.program.finish(PATIENCE).unwrap().success().unwrap();
 }
 
-/// Set in the process that is to panic.
+/// Set in the process that must panic.
 const PANIC: &str = "GNOMON_TEST_PANIC";
 
 #[test]

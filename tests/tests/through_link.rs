@@ -1,15 +1,13 @@
-//! Promise: the real server and the real client work through a network that loses, reorders, repeats and corrupts, over
-//! QUIC and over lab-udp, and outlive an outage.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+//! Promise: the real server and client work through a network that loses, reorders, repeats and corrupts, over QUIC and
+//! lab-udp, and survive an outage.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-use std::{
-    net::SocketAddr,
-    path::{Path, PathBuf},
-};
+use std::{net::SocketAddr, path::Path};
 
 use gnomon_client::camera_path::{CameraPath, PathSpec};
 use gnomon_lab::{
-    link::{Counts, Link, LinkCounts, LinkSettings, profiles::Profile},
+    cloister::asset,
+    link::{self, Counts, LinkCounts, LinkSettings, profiles::Profile},
     rig::{
         ClientJob, PATIENCE, ServerProcess, masks,
         program::{Program, find},
@@ -23,15 +21,11 @@ use serde_json::Value;
 const SIZE: (u32, u32) = (160, 90);
 const FREE: &str = "127.0.0.1:0";
 
-fn asset(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name)
-}
-
 fn path_text() -> String {
     format!("{}#walk", asset("cloister.json").display())
 }
 
-/// What a client was told, kept and counted behind a link.
+/// Results of a client behind a link.
 struct Run {
     summary: Value,
     stats: Vec<Value>,
@@ -46,15 +40,14 @@ fn job<'a>(url: &'a str, folder: &'a Path, frames: u32) -> ClientJob<'a> {
         frames,
         size: SIZE,
         folder,
-        wait: false,
         save_masks: true,
-        // Whole masks, each of which stands in one file, and nothing but poses on the way up.
+        // Whole masks, one per file, and only poses on the way up.
         arguments: ["--fps", "30", "--allow-software", "--codec", "planes-lz4"].map(Into::into).to_vec(),
     }
 }
 
 fn run(transport: &str, settings: LinkSettings, frames: u32) -> Run {
-    // Of the poses that were asked for, so that they can be checked.
+    // Masks of the requested poses, so that they can be checked.
     run_with(transport, settings, frames, &["--predict-pose=false"])
 }
 
@@ -63,7 +56,7 @@ fn run_with(transport: &str, settings: LinkSettings, frames: u32, more: &[&str])
     let server = ServerProcess::start(&asset("cloister.glb"), &arguments).unwrap();
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let free: SocketAddr = FREE.parse().unwrap();
-    let link = runtime.block_on(Link::start(free, server.url(), settings)).unwrap();
+    let link = runtime.block_on(link::server::start(free, server.url(), settings)).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let url = link.url(server.url()).unwrap();
     assert_ne!(url, server.url());
@@ -82,7 +75,7 @@ fn run_with(transport: &str, settings: LinkSettings, frames: u32, more: &[&str])
     Run { summary, stats, masks: masks::read(&folder.path().join("masks")).unwrap(), counts }
 }
 
-/// Wifi, and worse. Bits are only flipped where the transport finds out: the lab's has no checksum but the kernel's.
+/// Worse than wifi. Bits are flipped only if the transport detects it: lab-udp has no checksum but the kernel's.
 fn lossy(corrupt: &str) -> LinkSettings {
     let mut settings = Profile::named("wifi").unwrap().settings(5).unwrap();
     for direction in [&mut settings.up, &mut settings.down] {
@@ -95,11 +88,11 @@ fn cloister() -> Scene {
     Scene::load(&asset("cloister.glb"), &LoadOptions::default()).unwrap()
 }
 
-/// The mask of a frame's own pose.
+/// Traces the mask of a frame's own pose.
 fn traced(backend: &CpuBackend, lights: u32, frame: u32) -> Mask {
     let path = CameraPath::load(&path_text().parse::<PathSpec>().unwrap()).unwrap();
     let mut camera = path.camera(f64::from(frame) * (1.0 / 30.0), SIZE.0, SIZE.1);
-    // As the server does with what it receives.
+    // The server normalises received orientations.
     camera.orientation = camera.orientation.normalize();
     let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, lights).unwrap());
     let _cost = backend.trace(&camera, &mut mask);
@@ -120,7 +113,7 @@ fn quic_brings_right_masks_through_loss_and_corruption() {
     assert!(down.lost > 0 && down.burst_lost > 0 && down.duplicated > 0 && down.reordered > 0, "{down:?}");
     assert!(down.corrupted > 0, "{down:?}");
     assert!(run.masks.len() >= 10, "{}", run.summary);
-    // Nothing that was lost has come whole.
+    // No lost packet's frame has arrived whole.
     assert!(run.summary["frames_incomplete"].as_u64().unwrap() > 0, "{}", run.summary);
     assert_eq!(run.summary["frames_bad"], 0, "{}", run.summary);
     masks_are_right(&run);
@@ -130,7 +123,7 @@ fn quic_brings_right_masks_through_loss_and_corruption() {
 fn lab_udp_goes_through_the_link_with_its_data_port() {
     let run = run("lab-udp", lossy("0%"), 240);
     let counts = run.counts;
-    // At most one pose a frame goes up: a newer one replaces one that is unsent. Each mask answers a pose that arrived.
+    // At most one pose per frame goes up: a newer one replaces an unsent one. Each mask answers a pose that arrived.
     assert!(counts.up.arrived <= 240, "{counts:?}");
     assert!(run.masks.len() as u64 <= counts.up.delivered, "{counts:?}");
     assert!(counts.up.lost + counts.up.burst_lost > 0, "{counts:?}");
@@ -145,7 +138,7 @@ fn sessions_outlive_an_outage() {
         let mut settings = LinkSettings::default();
         settings.up.set("outage=2s+2s").unwrap();
         settings.down.set("outage=2s+2s").unwrap();
-        // Enough frames after the outage for a client that looks for its server anew: it may take three seconds.
+        // Enough frames after the outage for a reconnecting client, which may need three seconds.
         let run = run(transport, settings, 330);
         assert!(run.counts.up.outage > 0, "{transport}: {:?}", run.counts);
         let lags: Vec<u64> = run.stats.iter().filter_map(|line| line["lag"].as_u64()).collect();
@@ -153,7 +146,7 @@ fn sessions_outlive_an_outage() {
         let after = lags.iter().rposition(|lag| *lag == longest).unwrap();
         assert!(lags[after..].iter().any(|lag| *lag < 30), "{transport}: no masks after the outage: {lags:?}");
         if transport == "lab-udp" {
-            // A frame's pose is one datagram there: the lag grew by all that were lost, and shrank again.
+            // Each frame's pose is one datagram: the lag grew by all that were lost, and shrank again.
             assert!(longest + 2 >= run.counts.up.outage && last < longest, "{longest} {last} {:?}", run.counts);
         }
     }
@@ -167,10 +160,9 @@ fn a_server_that_looks_ahead_traces_elsewhere_and_says_where() {
     let run = run_with("quic", settings, 90, &["--mode", "concurrent", "--predict-pose=true"]);
     let last = run.stats.last().unwrap();
     assert!((160..1000).contains(&last["look_ahead_ms"].as_u64().unwrap()), "{last}");
-    // The client has taken the masks, and carried them over from where they were traced: without that, next to nothing of a
-    // picture would be found on its own surface.
+    // The client predicts from the masks' own views: otherwise almost no pixel would be known.
     assert!(last["lag"].as_u64().unwrap() > 0 && last["known_share"].as_f64().unwrap() > 0.5, "{last}");
-    // They are not those of the poses that were sent.
+    // The masks are not those of the poses that were sent.
     let backend = CpuBackend::new(&cloister(), None).unwrap();
     let late: Vec<_> = run.masks.iter().filter(|&(&frame, _)| frame >= 30).step_by(4).collect();
     let moved = late

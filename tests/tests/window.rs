@@ -1,9 +1,10 @@
-//! Promise: a person can use the client in a window: walk, look, resize, choose, keep a picture, and lose the server; and what the
-//! window shows is what a headless run writes.
+//! Promise: a person can use the client in a window: walk, look, resize, choose, save a picture, and lose the server.
+//! The window shows what a headless run writes.
 //!
-//! The window is a real one, under Xvfb, its person is xdotool, and openbox manages it where that matters (`deploy/setup tests`).
+//! The window runs under Xvfb, xdotool acts as the person, and openbox manages windows if needed (`deploy/setup
+//! tests`).
 #![cfg(target_os = "linux")]
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::{
     fs,
@@ -14,8 +15,12 @@ use std::{
 };
 
 use gnomon_lab::{
-    link::{Link, LinkSettings},
-    report::replay::{self, ReplayOptions},
+    cloister::asset,
+    link::{self, LinkSettings},
+    report::{
+        replay::{self, ReplayOptions},
+        scene_args::parse,
+    },
     rig::{
         ClientJob, PATIENCE, ServerProcess,
         program::{Program, find},
@@ -25,11 +30,7 @@ use image::RgbImage;
 
 const SIZE: (u32, u32) = (320, 180);
 
-fn asset(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name)
-}
-
-/// A display of its own, which goes when it is dropped.
+/// A display. Dropping it closes it.
 struct Display {
     server: Child,
     name: String,
@@ -49,7 +50,7 @@ impl Display {
         Self { server, name }
     }
 
-    /// Does something as a person at this display would. What xdotool says is the answer.
+    /// Runs an xdotool command at this display and returns its output.
     fn person(&self, does: &str) -> String {
         let output = Command::new("xdotool").args(does.split(' ')).env("DISPLAY", &self.name).output();
         let output = output.expect("the window's person is xdotool: run deploy/setup");
@@ -63,6 +64,11 @@ impl Drop for Display {
         let _ = self.server.kill();
         let _ = self.server.wait();
     }
+}
+
+fn replay_options(recording: &Path, out: &Path) -> ReplayOptions {
+    let scene = asset("cloister.glb");
+    parse(&format!("{} --scene {} --out {}", recording.display(), scene.display(), out.display())).unwrap()
 }
 
 /// A client in a window.
@@ -94,7 +100,7 @@ impl<'a> Window<'a> {
         self.display.person(does);
     }
 
-    /// Presses P and waits for the picture. Before there is a scene P does nothing, so it is pressed again now and then.
+    /// Presses P and waits for the picture. P is repeated, since it does nothing before there is a scene.
     fn picture(&mut self) -> RgbImage {
         self.kept += 1;
         let file = self.folder.join(format!("gnomon_{:05}.png", self.kept));
@@ -103,7 +109,7 @@ impl<'a> Window<'a> {
             self.person("key p");
             let pressed = Instant::now();
             while pressed.elapsed() < Duration::from_secs(3) {
-                // A picture that is still being written does not open.
+                // A partly written picture does not open.
                 if let Ok(picture) = image::open(&file) {
                     return picture.to_rgb8();
                 }
@@ -111,12 +117,12 @@ impl<'a> Window<'a> {
                 std::thread::sleep(Duration::from_millis(20));
             }
             assert!(begun.elapsed() < PATIENCE, "no picture: {:?}", self.client.said());
-            // A second press may have made the next one.
+            // A repeated press may have saved a second picture.
             self.kept += u32::from(self.folder.join(format!("gnomon_{:05}.png", self.kept + 1)).exists());
         }
     }
 
-    /// Keeps pictures until one is `wanted`.
+    /// Saves pictures until one is `wanted`.
     fn picture_that(&mut self, what: &str, wanted: impl Fn(&RgbImage) -> bool) -> RgbImage {
         let begun = Instant::now();
         loop {
@@ -128,7 +134,7 @@ impl<'a> Window<'a> {
         }
     }
 
-    /// Waits until nothing changes any more: masks have come, and fades are over.
+    /// Waits until the picture stops changing: masks have arrived and fades have ended.
     fn still_picture(&mut self) -> RgbImage {
         let mut before = self.picture();
         for _ in 0..100 {
@@ -142,7 +148,7 @@ impl<'a> Window<'a> {
         panic!("it never stands still");
     }
 
-    /// Holds a key until the picture is `wanted`, and waits until it stands still.
+    /// Holds a key until the picture is `wanted`, and waits until it stops changing.
     fn hold(&mut self, key: &str, wanted: impl Fn(&RgbImage) -> bool) -> RgbImage {
         self.person(&format!("keydown {key}"));
         self.picture_that(&format!("{key} leads to"), wanted);
@@ -156,14 +162,14 @@ impl<'a> Window<'a> {
     }
 }
 
-/// Mean difference of two pictures' bytes.
+/// Returns the mean difference of two pictures' bytes.
 fn difference(one: &RgbImage, other: &RgbImage) -> f64 {
     assert_eq!(one.dimensions(), other.dimensions());
     let sum: u64 = one.as_raw().iter().zip(other.as_raw()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
     sum as f64 / one.as_raw().len() as f64
 }
 
-/// A path of one place, at which a run without a window can be as well.
+/// Writes a path with one place, for comparison with a headless run.
 fn standing(folder: &Path) -> PathBuf {
     let file = folder.join("standing.json");
     let text = r#"{"camera_path": {"keyframes": [{"t": 0, "pos": [-8.6, 1.6, -9.8], "target": [-2.0, 1.5, -9.2]}]}}"#;
@@ -187,14 +193,14 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     let looked = window.still_picture();
     assert!(difference(&walked, &looked) > 1.0, "a drag does not look");
 
-    // A light, off and on again.
+    // A light off and on again.
     window.person("key 1");
     let darker = window.still_picture();
     assert!(difference(&looked, &darker) > 0.2, "a light does not go off");
     window.person("key 1");
     window.picture_that("has its light again", |picture| *picture == looked);
 
-    // Choices that are only looked at, once around.
+    // Display settings, once around.
     window.person("key o");
     window.person("key v");
     let unknown = window.still_picture();
@@ -206,7 +212,7 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     window.person("key b");
     let split = window.still_picture();
     assert!(difference(&looked, &split) > 1.0, "B splits nothing");
-    // Past the local reference, which another test waits for.
+    // Skip the local reference, which another test covers.
     (0..2).for_each(|_| window.person("key b"));
     window.person("key h");
 
@@ -215,12 +221,12 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     window.person(&format!("windowsize --sync {} {} {}", window.id, SIZE.0, SIZE.1));
     window.picture_that("is as it was before the window was larger", |picture| *picture == looked);
 
-    // The server dies; the client draws on by itself, and answers its person.
+    // The server dies; the client goes on drawing and responding.
     server.kill().unwrap();
     let alone = window.picture_that("is drawn alone", |picture| *picture != looked);
     let moved = window.hold("s", |picture| difference(&alone, picture) > 1.0);
 
-    // Another one comes in its place, and is found.
+    // A new server takes its place, and the client finds it.
     let address = url.split_once("://").unwrap().1.split_once('/').unwrap().0;
     let (_server, again) = serve(address, certificate.path());
     assert_eq!(again, url);
@@ -239,7 +245,7 @@ fn the_right_half_can_be_what_a_server_of_this_machine_traces() {
     window.picture_that("is drawn alone", |picture| *picture != lit);
     let alone = window.still_picture();
     assert!(!alone.enumerate_pixels().filter(|(x, ..)| x * 2 >= SIZE.0).all(|(x, y, p)| p == lit.get_pixel(x, y)));
-    // Without visibility, then as it should be.
+    // Without visibility, then with it.
     (0..2).for_each(|_| window.person("key b"));
     window.picture_that("is right on the right", |picture| {
         picture.enumerate_pixels().all(|(x, y, pixel)| {
@@ -276,14 +282,14 @@ fn it_can_fill_the_screen_and_be_hidden() {
     window.person(&format!("windowactivate --sync {id}"));
     window.picture_that("is as it was before it was hidden", |picture| *picture == first);
     window.leave();
-    // Nothing is drawn for nobody.
+    // A hidden window draws nothing.
     let lines = fs::read_to_string(&stats).unwrap();
     let time_ms = |line: &str| serde_json::from_str::<serde_json::Value>(line).unwrap()["t_ms"].as_f64().unwrap();
     let times: Vec<f64> = lines.lines().map(time_ms).collect();
     assert!(times.windows(2).any(|pair| pair[1] - pair[0] > 1000.0), "it is drawn while it is hidden");
 }
 
-/// A server at this address, and its URL.
+/// Starts a server at this address, and returns its URL.
 fn serve(address: &str, certificate: &Path) -> (Program, String) {
     let scene = asset("cloister.glb");
     let arguments = ["--scene", scene.to_str().unwrap(), "--listen", address, "--backend", "cpu", "--cert-dir"];
@@ -297,7 +303,7 @@ fn serve(address: &str, certificate: &Path) -> (Program, String) {
     (server, url.unwrap())
 }
 
-/// Processes whose command line has this text.
+/// Returns the processes whose command line contains this text.
 fn processes_with(text: &str) -> Vec<String> {
     let entries = fs::read_dir("/proc").unwrap().flatten();
     let lines = entries.filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
@@ -318,7 +324,7 @@ fn the_demo_brings_its_server_and_takes_it_away() {
     start("1").finish(PATIENCE).unwrap().success().unwrap();
     assert_eq!((processes_with(place), fs::read_dir(place).unwrap().count()), (Vec::new(), 0));
 
-    // A client that is killed has no time to stop anything.
+    // A killed client cannot stop its server.
     let killed = start("300");
     let begun = Instant::now();
     display.person("search --sync --name Gnomon");
@@ -369,9 +375,8 @@ fn a_window_shows_the_bytes_that_a_headless_run_writes() {
         frames: 1,
         size: SIZE,
         folder: folder.path(),
-        wait: true,
         save_masks: false,
-        arguments: vec!["--allow-software".into(), "--out".into(), pictures.clone().into()],
+        arguments: vec!["--wait".into(), "--allow-software".into(), "--out".into(), pictures.clone().into()],
     };
     job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
     let headless = image::open(pictures.join("frame_000000.png")).unwrap().to_rgb8();
@@ -381,22 +386,14 @@ fn a_window_shows_the_bytes_that_a_headless_run_writes() {
     let arguments = [&url, "--path", path.to_str().unwrap(), "--record", recording.to_str().unwrap()];
     let mut window = Window::open(&display, folder.path(), &arguments);
     window.picture();
-    // On the path, so that not even the last bit of the camera is the person's.
+    // On the path, so that the camera agrees to the last bit.
     window.person("key Tab");
     window.picture_that("has the headless run's bytes", |picture| *picture == headless);
     window.leave();
 
-    // And so does what was recorded meanwhile.
+    // The recording gives the same pictures.
     let again = folder.path().join("again");
-    let options = ReplayOptions {
-        recording,
-        scene: asset("cloister.glb"),
-        lights_from: None,
-        lights: None,
-        out: Some(again.clone()),
-        adapter: None,
-    };
-    replay::run(&options, |line| println!("{line}")).unwrap();
+    replay::run(&replay_options(&recording, &again), |line| println!("{line}")).unwrap();
     let pictures = fs::read_dir(&again).unwrap().map(|entry| image::open(entry.unwrap().path()).unwrap().to_rgb8());
     assert!(pictures.into_iter().any(|picture| picture == headless), "no frame of the recording is the picture");
 }
@@ -405,7 +402,7 @@ fn a_window_shows_the_bytes_that_a_headless_run_writes() {
 fn a_marked_pose_is_in_the_same_frame_whatever_the_network_does() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("marked.json");
-    // The camera stands, and in the middle of the run it looks the other way from one frame to the next.
+    // The camera stands still and, in the middle of the run, turns around from one frame to the next.
     let key = |t: f64, z: f64| format!(r#"{{"t": {t}, "pos": [0, 1.6, -9.7], "target": [{z}, 1.6, -9.7]}}"#);
     let keys = [key(0.0, 1.0), key(1.49, 1.0), key(1.51, -1.0), key(3.0, -1.0)].join(", ");
     fs::write(&path, format!(r#"{{"camera_path": {{"keyframes": [{keys}]}}}}"#)).unwrap();
@@ -415,7 +412,8 @@ fn a_marked_pose_is_in_the_same_frame_whatever_the_network_does() {
         let mut settings = LinkSettings::default();
         settings.up.set(&format!("delay={one_way}")).unwrap();
         settings.down.set(&format!("delay={one_way}")).unwrap();
-        let link = runtime.block_on(Link::start("127.0.0.1:0".parse().unwrap(), server.url(), settings)).unwrap();
+        let link =
+            runtime.block_on(link::server::start("127.0.0.1:0".parse().unwrap(), server.url(), settings)).unwrap();
         let out = folder.path().join(one_way);
         let url = link.url(server.url()).unwrap();
         let job = ClientJob {
@@ -424,22 +422,21 @@ fn a_marked_pose_is_in_the_same_frame_whatever_the_network_does() {
             frames: 90,
             size: (96, 54),
             folder: folder.path(),
-            wait: false,
             save_masks: false,
             arguments: ["--allow-software", "--fps", "30", "--out", out.to_str().unwrap()].map(Into::into).to_vec(),
         };
         job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
         let picture = |frame: u32| image::open(out.join(format!("frame_{frame:06}.png"))).unwrap().to_rgb8();
-        // The mark is the pose of frame 46, the first after 1.51 s: 46 / 30 s. Frame 45 is half-way around.
+        // The marked pose is that of frame 46, the first after 1.51 s: 46 / 30 s. Frame 45 is half-way around.
         let (before, middle, marked, last) = (picture(44), picture(45), picture(46), picture(89));
         assert!(difference(&before, &middle) > 10.0, "RTT of twice {one_way}: the pose of frame 45 is not in frame 45");
         assert!(difference(&middle, &marked) > 10.0, "RTT of twice {one_way}: the pose of frame 46 is not in frame 46");
-        // Nothing but light changes after it.
+        // After it only light changes.
         assert!(difference(&marked, &last) < difference(&before, &last) / 2.0, "RTT of twice {one_way}");
         let stats = job.stats().unwrap();
         let responses: Vec<f64> = stats.iter().filter_map(|line| line["response_ms"].as_f64()).collect();
         let soonest = responses.iter().copied().fold(f64::INFINITY, f64::min);
-        // No mask comes sooner than the network lets it, however busy the machine is.
+        // No mask arrives earlier than the network allows.
         assert!(!responses.is_empty() && (one_way == "0ms" || soonest >= 200.0), "the network was not slow: {soonest}");
     }
 }
@@ -452,7 +449,7 @@ fn a_recording_draws_the_same_pictures_again() {
     let server = ServerProcess::start(&asset("cloister.glb"), &["--backend", "cpu"]).unwrap();
     let mut settings = LinkSettings::default();
     settings.down.set("delay=120ms").unwrap();
-    let link = runtime.block_on(Link::start("127.0.0.1:0".parse().unwrap(), server.url(), settings)).unwrap();
+    let link = runtime.block_on(link::server::start("127.0.0.1:0".parse().unwrap(), server.url(), settings)).unwrap();
     let url = link.url(server.url()).unwrap();
     let arguments: [&str; 7] =
         ["--allow-software", "--fps", "30", "--out", out.to_str().unwrap(), "--record", recording.to_str().unwrap()];
@@ -462,20 +459,12 @@ fn a_recording_draws_the_same_pictures_again() {
         frames: 60,
         size: (160, 90),
         folder: folder.path(),
-        wait: false,
         save_masks: false,
         arguments: arguments.map(Into::into).to_vec(),
     };
     job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
     let again = folder.path().join("again");
-    let options = ReplayOptions {
-        recording: recording.clone(),
-        scene: asset("cloister.glb"),
-        lights_from: None,
-        lights: None,
-        out: Some(again.clone()),
-        adapter: None,
-    };
+    let mut options = replay_options(&recording, &again);
     let done = replay::run(&options, |line| println!("{line}")).unwrap();
     assert_eq!(done.frames, 60);
     let masks = job.stats().unwrap().iter().filter(|line| line["response_ms"].is_number()).count();
@@ -486,9 +475,10 @@ fn a_recording_draws_the_same_pictures_again() {
     }
     assert!(read(&out, 0) != read(&out, 59));
 
-    // Another scene is refused, and a file that breaks off is whole up to there.
-    let other = ReplayOptions { lights: Some(2), ..options.clone() };
-    assert!(replay::run(&other, |_| ()).unwrap_err().to_string().contains("is of the scene"));
+    // Another scene is refused, and a truncated file is valid up to its end.
+    options.scene.lights = Some(2);
+    assert!(replay::run(&options, |_| ()).unwrap_err().to_string().contains("is of the scene"));
+    options.scene.lights = None;
     let bytes = fs::read(&recording).unwrap();
     fs::write(&recording, &bytes[..bytes.len() * 2 / 3]).unwrap();
     let cut = replay::run(&ReplayOptions { out: None, ..options.clone() }, |_| ()).unwrap();

@@ -1,4 +1,4 @@
-//! The back ends under test, by name: one line here brings another before every test and report that judges them all.
+//! Back ends under test, by name. Every test and report that judges them all uses this list.
 
 use anyhow::Result;
 use gnomon_protocol::mask::{Mask, MaskShape};
@@ -8,28 +8,25 @@ use gnomon_server::visibility::{
     backend::{BackendError, compute::ComputeBackend, cpu::CpuBackend, ray_query},
 };
 
-/// A back end that masks can be traced with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum BackendName {
-    /// Native, on the processor.
+    /// Native code on the CPU.
     Cpu,
-    /// Kernels in WGSL, on any adapter.
+    /// WGSL kernels on any adapter.
     Compute,
-    /// The same kernels with the adapter's own ray queries, which few adapters have.
+    /// The same kernels with hardware ray queries.
     RayQuery,
 }
 
-/// An open back end: traces what a camera sees into a mask of its size.
+/// Traces a camera's view into a mask of its size.
 pub type Trace = Box<dyn FnMut(&Camera, &mut Mask) -> Result<TraceCost>>;
 
 impl BackendName {
-    /// All of them.
     pub const ALL: [Self; 3] = [Self::Cpu, Self::Compute, Self::RayQuery];
-    /// Those that every machine has, be it with a software adapter.
+    /// Those that run on every machine, on a software adapter if need be.
     pub const EVERYWHERE: [Self; 2] = [Self::Cpu, Self::Compute];
 
-    /// As on the server's command line.
-    #[must_use]
+    /// Name on the server's command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Cpu => "cpu",
@@ -38,10 +35,7 @@ impl BackendName {
         }
     }
 
-    /// Brings the scene to the back end. Software adapters count.
-    ///
-    /// # Errors
-    /// When the scene is refused, or there is no adapter.
+    /// Opens the back end for a scene. Software adapters count.
     pub fn open(self, scene: &Scene) -> Result<Trace> {
         let mut backend = match self {
             Self::Cpu => {
@@ -54,10 +48,7 @@ impl BackendName {
         Ok(Box::new(move |camera, mask| Ok(backend.trace(camera, mask)?)))
     }
 
-    /// Whether an adapter here, software or not, has what the back end needs.
-    ///
-    /// # Errors
-    /// When that cannot be found out.
+    /// Returns whether an adapter here, software or not, supports the back end.
     pub fn is_here(self, scene: &Scene) -> Result<bool> {
         if self != Self::RayQuery {
             return Ok(true);
@@ -69,10 +60,7 @@ impl BackendName {
         }
     }
 
-    /// One mask of the scene.
-    ///
-    /// # Errors
-    /// As [`Self::open`], or when the mask cannot be traced.
+    /// Opens the back end and traces one mask.
     pub fn mask(self, scene: &Scene, camera: &Camera) -> Result<Mask> {
         let lights = u32::try_from(scene.lights.len())?;
         let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, lights)?);

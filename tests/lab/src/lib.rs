@@ -1,4 +1,5 @@
-//! Gnomon's end-to-end tests and what they need: the f64 referee, scenes, metrics, a network to test on, and a rig that boots real programs.
+//! What Gnomon's end-to-end tests and reports are made of: the f64 referee, scenes, metrics, a network emulator, and a
+//! rig that runs the real programs.
 
 pub mod backends;
 pub mod cloister;

@@ -1,4 +1,4 @@
-//! `lab`: makes scenes and measures the programs. Every figure in our documents comes from one of its subcommands.
+//! `lab`: generates scenes and measures the programs. Every figure in the documents comes from one of its subcommands.
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -34,53 +34,55 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Judges the back ends by the f64 referee on the real scenes and on hard cases: writes accuracy.csv, hard_cases.csv
-    /// and pictures, prints Markdown.
+    /// Judge the back ends with the f64 referee on real scenes and hard cases: accuracy.csv, hard_cases.csv, pictures.
     Accuracy(AccuracyOptions),
-    /// Puts a server under load and through faults: prints what was promised and what was measured, and writes it as CSV.
+    /// Put a server under load and through faults, and compare promises with measurements.
     Chaos(ChaosOptions),
-    /// Measures what each codec makes of a path's masks, in bytes and in time: writes codec.csv.
+    /// Measure each codec on a path's masks, in bytes and time: codec.csv.
     Codec(CodecOptions),
-    /// Throws bad traffic at a server of its own, and says what that costs: prints Markdown, and fails where a goal is missed.
+    /// Send bad traffic to a server and measure its cost. Fails if a goal is missed.
     Hostile(HostileOptions),
-    /// Writes Gnomon's own scene: cloister.glb and its camera paths, cloister.json.
+    /// Write Gnomon's own scene: cloister.glb, and its camera paths, cloister.json.
     MakeScene {
-        /// Folder to write into.
+        /// Output folder.
         #[arg(long, default_value = "tests/assets")]
         out: PathBuf,
     },
-    /// Rebuilds the dissertation's Table 1 with the real programs on loopback: writes pipeline.csv, prints Markdown.
+    /// Rebuild the dissertation's Table 1 with the real programs on loopback: pipeline.csv.
     Pipeline(PipelineOptions),
-    /// Measures how wrong predicted visibility is, against how late it is: writes lag.csv, plots and a grid of pictures.
+    /// Measure the error of predicted visibility against its lag: lag.csv, plots and a grid of pictures.
     Lag(LagOptions),
-    /// Measures what carrying visibility over costs of a client's frame: writes predict_cost.csv.
+    /// Measure what prediction costs of a client's frame: predict_cost.csv.
     PredictCost(PredictCostOptions),
-    /// Stands between a client and a server on this machine as another network would.
+    /// Emulate a network between a client and a server on this machine.
     Link(LinkOptions),
-    /// Puts many clients that draw nothing on a running server, and says what each of them gets.
+    /// Run many clients without graphics against a running server.
     Load(LoadOptions),
-    /// Measures what lost packets do to the masks that a client shows, in a model of a session: writes loss.csv.
+    /// Measure the effect of packet loss on shown masks: loss.csv.
     Loss(LossOptions),
-    /// Measures the client behind networks of several kinds, against itself without a server: writes network.csv and plots.
+    /// Measure the client behind networks, against itself without a server: network.csv and plots.
     Network(NetworkOptions),
-    /// Turns every knob that trades speed for error, over the real scenes: writes pareto.csv and a plot of each scene.
+    /// Measure every setting that trades speed for error on the real scenes: pareto.csv and a plot per scene.
     Pareto(ParetoOptions),
-    /// Draws a client's recording again: the same pictures to the last bit on the same adapter.
+    /// Draw a client's recording again: the same pictures to the last bit on the same adapter.
     Replay(ReplayOptions),
-    /// Compares the back ends' masks with the f64 referee's, directly.
+    /// Compare the back ends' masks with the referee's, directly.
     TraceError(TraceErrorOptions),
-    /// Compares sending visibility with sending the picture as video: writes video.csv and plots.
+    /// Compare sending visibility with sending video: video.csv and plots.
     Video(VideoOptions),
 }
 
 fn run(arguments: Arguments) -> Result<()> {
-    match arguments.command {
+    let progress = |line: &str| eprintln!("{line}");
+    let say = |line: &str| println!("{line}");
+    let table = match arguments.command {
         Command::Accuracy(options) => {
-            let judged = accuracy::measure(&options, |line| eprintln!("{line}"))?;
+            let judged = accuracy::measure(&options, progress)?;
             print!("{}\n{}", judged.scenes.markdown(), judged.cases.markdown());
+            return Ok(());
         }
-        Command::Chaos(options) => print!("{}", chaos::run(&options, |line| eprintln!("{line}"))?.markdown()),
-        Command::Codec(options) => print!("{}", codec::measure(&options, |line| eprintln!("{line}"))?.markdown()),
+        Command::Chaos(options) => chaos::run(&options, progress)?,
+        Command::Codec(options) => codec::measure(&options, progress)?,
         Command::MakeScene { out } => {
             let made = cloister::generate(&out)?;
             println!(
@@ -93,33 +95,34 @@ fn run(arguments: Arguments) -> Result<()> {
                 made.triangles,
                 made.stored_triangles
             );
+            return Ok(());
         }
-        Command::Pipeline(options) => {
-            print!("{}", pipeline::measure(&options, |line| eprintln!("{line}"))?.markdown());
-        }
-        Command::Lag(options) => print!("{}", lag::measure(&options, |line| eprintln!("{line}"))?.markdown()),
-        Command::PredictCost(options) => {
-            print!("{}", predict_cost::measure(&options, |line| eprintln!("{line}"))?.markdown());
-        }
-        Command::Link(options) => link::run(&options, |line| println!("{line}")).map(drop)?,
+        Command::Pipeline(options) => pipeline::measure(&options, progress)?,
+        Command::Lag(options) => lag::measure(&options, progress)?,
+        Command::PredictCost(options) => predict_cost::measure(&options, progress)?,
+        Command::Link(options) => return link::run(&options, say).map(drop),
         Command::Hostile(options) => {
             let report = hostile::run(&options)?;
             print!("{}", report.table.markdown());
             anyhow::ensure!(report.holds, "a goal is missed");
+            return Ok(());
         }
-        Command::Load(options) => println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?),
-        Command::Loss(options) => print!("{}", loss::measure(&options, |line| eprintln!("{line}"))?.markdown()),
-        Command::Network(options) => {
-            print!("{}", network::measure(&options, |line| eprintln!("{line}"))?.markdown());
+        Command::Load(options) => {
+            println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?);
+            return Ok(());
         }
-        Command::Pareto(options) => pareto::measure(&options, |line| eprintln!("{line}"))?,
+        Command::Loss(options) => loss::measure(&options, progress)?,
+        Command::Network(options) => network::measure(&options, progress)?,
+        Command::Pareto(options) => return pareto::measure(&options, progress),
         Command::Replay(options) => {
-            let done = replay::run(&options, |line| println!("{line}"))?;
+            let done = replay::run(&options, say)?;
             println!("{} pictures, {} masks, {} network events", done.frames, done.masks, done.events);
+            return Ok(());
         }
-        Command::TraceError(options) => trace_error::compare(&options, |line| println!("{line}"))?,
-        Command::Video(options) => print!("{}", video::measure(&options, |line| eprintln!("{line}"))?.markdown()),
-    }
+        Command::TraceError(options) => return trace_error::compare(&options, say),
+        Command::Video(options) => video::measure(&options, progress)?,
+    };
+    print!("{}", table.markdown());
     Ok(())
 }
 

@@ -10,7 +10,10 @@ use std::{
     path::Path,
 };
 
-use crate::modules::{Crate, Target};
+use crate::{
+    modules::{Crate, Target},
+    read::read_crate,
+};
 
 /// For each file, the files that it imports from, and the names.
 type Graph = BTreeMap<usize, BTreeMap<usize, BTreeSet<String>>>;
@@ -20,7 +23,7 @@ type Graph = BTreeMap<usize, BTreeMap<usize, BTreeSet<String>>>;
 /// # Errors
 /// If a file of the crate cannot be read or parsed.
 pub fn circles(root: &Path) -> io::Result<Vec<String>> {
-    let read = Crate::read(root)?;
+    let read = read_crate(root)?;
     let graph = imports(&read);
     let reached: BTreeMap<usize, BTreeSet<usize>> = graph.keys().map(|file| (*file, reach(&graph, *file))).collect();
     let tied =

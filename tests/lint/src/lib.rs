@@ -5,6 +5,7 @@
 
 mod circles;
 mod modules;
+mod read;
 mod sources;
 mod uses;
 

@@ -2,11 +2,8 @@
 
 use std::{
     collections::{HashMap, HashSet},
-    fs, io,
-    path::{Path, PathBuf},
+    path::PathBuf,
 };
-
-use crate::uses::read_uses;
 
 /// A path's segments.
 pub(crate) type Names = Vec<String>;
@@ -55,33 +52,6 @@ pub(crate) struct Crate {
 const DEEPEST: usize = 16;
 
 impl Crate {
-    /// Reads the crate that starts with the file `root`.
-    pub(crate) fn read(root: &Path) -> io::Result<Self> {
-        let mut read = Self::default();
-        let folder = root.parent().unwrap_or(root);
-        read.read_file(root, folder, None)?;
-        Ok(read)
-    }
-
-    /// Reads a module's file, whose children lie in `folder`. Returns the module.
-    fn read_file(&mut self, path: &Path, folder: &Path, parent: Option<usize>) -> io::Result<usize> {
-        let text = fs::read_to_string(path)?;
-        let syntax =
-            syn::parse_file(&text).map_err(|error| io::Error::other(format!("{}: {error}", path.display())))?;
-        self.files.push(path.to_owned());
-        let module = self.add_module(self.files.len() - 1, parent);
-        for (parent, names) in read_uses(self, module, &syntax) {
-            let (name, inline) = names.split_last().map_or(("", &[][..]), |(name, inline)| (name.as_str(), inline));
-            let folder = inline.iter().fold(folder.to_owned(), |folder, name| folder.join(name));
-            let below = folder.join(name);
-            let beside = folder.join(format!("{name}.rs"));
-            let file = if beside.is_file() { beside } else { below.join("mod.rs") };
-            let child = self.read_file(&file, &below, Some(parent))?;
-            self.modules[parent].children.insert(name.to_owned(), child);
-        }
-        Ok(module)
-    }
-
     pub(crate) fn add_module(&mut self, file: usize, parent: Option<usize>) -> usize {
         self.modules.push(Module { file, parent, ..Module::default() });
         self.modules.len() - 1

@@ -166,7 +166,8 @@ pub(crate) fn cornice() -> Soup {
     soup
 }
 
-/// A moulding around a square room whose walls stand `half` metres from the centre; the section's x points into the room.
+/// A moulding around a square room whose walls stand `half` metres from the centre; the section's x points into the
+/// room.
 pub(crate) fn inward_band(half: f64, y: f64, section: &[DVec2], metres: f64) -> Soup {
     let corners = [(half, half), (-half, half), (-half, -half), (half, -half)].map(|(x, z)| DVec3::new(x, y, z));
     moulding(&corners, DVec3::Y, section, true, Ends::Loop, metres)

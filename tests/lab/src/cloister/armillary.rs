@@ -23,8 +23,8 @@ fn band(radius: f64, y: f64, width: f64, thickness: f64) -> Soup {
     moulding(&path, DVec3::Y, &section, true, Ends::Loop, 0.5)
 }
 
-/// The turning part; its axis is y, its centre the origin. Rings of equator, tropics, two meridians and the ecliptic, the
-/// axis with its arrow (the gnomon of this dial), and the earth.
+/// The turning part; its axis is y, its centre the origin. Rings of equator, tropics, two meridians and the ecliptic,
+/// the axis with its arrow (the gnomon of this dial), and the earth.
 pub(crate) fn rings() -> Soup {
     let mut soup = band(RADIUS, 0.0, 0.055, 0.012);
     for side in [-1.0, 1.0] {

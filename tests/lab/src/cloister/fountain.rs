@@ -12,7 +12,6 @@ use super::sweep::{Ends, circle, tube};
 /// Where the armillary sphere's foot stands, above the garth's centre.
 pub(crate) const STEM_TOP: f64 = 1.86;
 
-/// The basin with its steps.
 pub(crate) fn basin() -> Soup {
     let y = PLAZA_Y;
     let outline = [
@@ -50,7 +49,6 @@ fn eighth() -> DAffine3 {
     DAffine3::from_rotation_y(PI / 8.0)
 }
 
-/// The stem and the bowl.
 pub(crate) fn stem() -> Soup {
     let y = PLAZA_Y;
     let mut outline = profile(&[(0.42, y + 0.04), (0.42, y + 0.40), (0.36, y + 0.46)]);

@@ -13,13 +13,9 @@ use glam::DVec3;
 
 /// Where the well stands, in the world.
 pub(crate) const WELL: DVec3 = DVec3::new(3.9, 0.0, 3.9);
-/// Where the sundial stands.
 pub(crate) const SUNDIAL: DVec3 = DVec3::new(3.9, 0.0, -3.7);
-/// Where the tree stands.
 pub(crate) const TREE: DVec3 = DVec3::new(-4.5, 0.0, -4.2);
-/// Where the urn stands.
 pub(crate) const URN: DVec3 = DVec3::new(-3.9, GARTH, 3.9);
-/// Foot of the armillary sphere.
 pub(crate) const ARMILLARY: DVec3 = DVec3::new(0.0, fountain::STEM_TOP, 0.0);
 
 /// Adds everything that stands or hangs in the cloister, except what moves and what shines.

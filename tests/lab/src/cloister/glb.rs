@@ -11,15 +11,11 @@ pub(crate) type Id = usize;
 /// What can go wrong while a file is put together.
 #[derive(Debug, thiserror::Error)]
 pub enum GlbError {
-    /// The JSON part cannot be written.
     #[error("the file's JSON cannot be written: {0}")]
     Json(#[from] serde_json::Error),
     /// A part is longer than the format's 32-bit lengths.
     #[error("{bytes} bytes do not fit a binary glTF file")]
-    TooLong {
-        /// Its length.
-        bytes: usize,
-    },
+    TooLong { bytes: usize },
 }
 
 /// The parts of a file, in the order in which they were added.
@@ -35,11 +31,9 @@ pub(crate) struct Glb {
     nodes: Vec<Value>,
     roots: Vec<Id>,
     animations: Vec<Value>,
-    /// Triangles of each mesh.
     triangles: Vec<usize>,
 }
 
-/// How much a file holds.
 pub(crate) struct Counts {
     pub(crate) meshes: usize,
     pub(crate) instances: usize,
@@ -55,7 +49,6 @@ impl Glb {
         self.images.len() - 1
     }
 
-    /// Adds a material, a glTF material object.
     pub(crate) fn material(&mut self, material: Value) -> Id {
         self.materials.push(material);
         self.materials.len() - 1
@@ -73,7 +66,6 @@ impl Glb {
         self.meshes.len() - 1
     }
 
-    /// Adds a light, a KHR_lights_punctual light object.
     pub(crate) fn light(&mut self, light: Value) -> Id {
         self.lights.push(light);
         self.lights.len() - 1
@@ -112,7 +104,7 @@ impl Glb {
     /// The file's bytes.
     ///
     /// # Errors
-    /// When a part is longer than 4 GiB.
+    /// If a part is longer than 4 GiB.
     pub(crate) fn finish(mut self, generator: &str) -> Result<Vec<u8>, GlbError> {
         let textures: Vec<Value> = (0..self.images.len()).map(|i| json!({ "source": i, "sampler": 0 })).collect();
         pad(&mut self.binary, 0);
@@ -152,7 +144,6 @@ impl Glb {
         self.binary.len()
     }
 
-    /// What the file holds so far.
     pub(crate) fn counts(&self) -> Counts {
         let shown =
             self.nodes.iter().filter_map(|node| node.get("mesh")?.as_u64()).filter_map(|id| usize::try_from(id).ok());
@@ -218,13 +209,11 @@ pub(crate) fn mesh_node(name: &str, mesh: Id) -> Value {
     json!({ "name": name, "mesh": mesh })
 }
 
-/// The same node, moved.
 pub(crate) fn at(mut node: Value, translation: DVec3) -> Value {
     node["translation"] = json!(translation.as_vec3().to_array());
     node
 }
 
-/// The same node, turned about the vertical.
 pub(crate) fn turned(mut node: Value, turn_rad: f64) -> Value {
     node["rotation"] = json!(DQuat::from_rotation_y(turn_rad).as_quat().to_array());
     node

@@ -17,7 +17,8 @@ use super::{arcade, paving, roof, vault, walls};
 /// Smooth across edges flatter than this.
 pub(crate) const CREASE_DEG: f64 = 38.0;
 
-/// A node for each side, turned into place: south, east, north, west. Inside, x runs along the side and z points outwards.
+/// A node for each side, turned into place: south, east, north, west. Inside, x runs along the side and z points
+/// outwards.
 pub(crate) fn sides(glb: &mut Glb) -> [Id; 4] {
     // Quarter turns as matrices, whose entries are exact, so that bays meet without a gap.
     let turns = [("south", 0.0, 1.0), ("east", 1.0, 0.0), ("north", 0.0, -1.0), ("west", -1.0, 0.0)];
@@ -30,7 +31,6 @@ pub(crate) fn sides(glb: &mut Glb) -> [Id; 4] {
     })
 }
 
-/// Adds the house.
 pub(crate) fn add(glb: &mut Glb, palette: &Palette, sides: [Id; 4]) {
     add_arcade(glb, palette, sides);
     add_vaults(glb, palette, sides);

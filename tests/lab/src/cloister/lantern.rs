@@ -71,7 +71,6 @@ fn chain(from: f64, to: f64) -> Soup {
     soup
 }
 
-/// The panes.
 pub(crate) fn glass() -> Soup {
     let mut soup = Soup::default();
     for k in 0..CORNERS {

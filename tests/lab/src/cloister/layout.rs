@@ -1,7 +1,9 @@
-//! Where the parts of the cloister stand, in metres. +Y is up, +X is east, +Z is south; the garth's centre is the origin.
+//! Where the parts of the cloister stand, in metres. +Y is up, +X is east, +Z is south; the garth's centre is the
+//! origin.
 //!
-//! Each of the four sides is built once, in a frame whose x runs along the side and whose z points out of the garth, and
-//! is then turned into place. Lengths along a side are sums of powers of two, so that neighbouring bays meet exactly.
+//! Each of the four sides is built once, in a frame whose x runs along the side and whose z points out of the garth,
+//! and is then turned into place. Lengths along a side are sums of powers of two, so that neighbouring bays meet
+//! exactly.
 
 use glam::DVec3;
 
@@ -13,7 +15,6 @@ pub(crate) const BAYS: usize = 7;
 pub(crate) const HALF_RUN: f64 = 7.4375;
 /// Distance of the arcade wall's middle plane from the centre.
 pub(crate) const ARCADE: f64 = 7.75;
-/// Half the thickness of the arcade wall.
 pub(crate) const ARCADE_HALF: f64 = 0.25;
 /// Inner edge of the walk.
 pub(crate) const WALK_IN: f64 = 8.0;
@@ -43,7 +44,6 @@ pub(crate) const ARCADE_TOP: f64 = 4.34;
 pub(crate) const EAVE: (f64, f64) = (7.0, 4.2);
 /// Upper edge of the roof, at the outer wall.
 pub(crate) const ROOF_TOP: f64 = 5.7;
-/// Top of the outer wall.
 pub(crate) const WALL_TOP: f64 = 6.0;
 /// The wall texture's size; a bay, so that courses run on from bay to bay.
 pub(crate) const ASHLAR: f64 = BAY;

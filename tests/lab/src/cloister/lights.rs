@@ -43,7 +43,6 @@ pub(crate) fn add_sun(glb: &mut Glb) {
     glb.node(None, at(aimed(light_node("sun", sun), sun_direction()), DVec3::new(-9.0, 14.0, 12.0)));
 }
 
-/// Adds the lanterns and the spot light.
 pub(crate) fn add_lamps(glb: &mut Glb, palette: &Palette, sides: [Id; 4]) {
     let body = glb.mesh(
         "lantern",

@@ -6,7 +6,6 @@ use serde_json::{Value, json};
 use super::glb::{Glb, Id};
 use super::textures::{cloth, leaves, stone};
 
-/// Materials by their place in the file.
 pub(crate) struct Palette {
     pub(crate) ashlar: Id,
     pub(crate) stone: Id,
@@ -61,7 +60,6 @@ fn blended(name: &str, factor: [f64; 4]) -> Value {
         "pbrMetallicRoughness": { "baseColorFactor": factor, "metallicFactor": 0.0, "roughnessFactor": 0.1 } })
 }
 
-/// Adds all pictures and materials.
 pub(crate) fn add(glb: &mut Glb) -> Result<Palette, ImageError> {
     const JPEG: &str = "image/jpeg";
     const WHITE: [f64; 3] = [1.0; 3];

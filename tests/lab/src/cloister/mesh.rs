@@ -1,13 +1,14 @@
 //! Triangles on their way to a file: a soup to model in, and the welded, smoothed mesh that it becomes.
 //!
-//! Builders only make corners with a position and a texture coordinate. [`Soup::weld`] rounds positions, drops triangles
-//! without area, smooths normals across edges flatter than a crease angle, and shares equal vertices.
+//! Builders only make corners with a position and a texture coordinate. [`Soup::weld`] rounds positions, drops
+//! triangles without area, smooths normals across edges flatter than a crease angle, and shares equal vertices.
 
 use std::collections::HashMap;
 
 use glam::{DAffine3, DVec2, DVec3, Vec2, Vec3};
 
-/// Positions are rounded to this, in metres: what differs in the last bit between maths libraries does not reach the file.
+/// Positions are rounded to this, in metres: what differs in the last bit between maths libraries does not reach the
+/// file.
 const GRID_M: f64 = 1.0 / 65536.0;
 /// Triangles below this area are dropped, in square metres.
 const MIN_AREA_M2: f64 = 1e-9;
@@ -21,7 +22,6 @@ pub(crate) struct Soup {
     triangles: Vec<[Corner; 3]>,
 }
 
-/// Vertices and indices, ready for the file.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Mesh {
     pub(crate) positions: Vec<Vec3>,
@@ -31,7 +31,6 @@ pub(crate) struct Mesh {
 }
 
 impl Soup {
-    /// Adds one triangle.
     pub(crate) fn triangle(&mut self, a: Corner, b: Corner, c: Corner) {
         self.triangles.push([a, b, c]);
     }
@@ -56,7 +55,6 @@ impl Soup {
         }
     }
 
-    /// Adds everything in `other`.
     pub(crate) fn append(&mut self, other: Self) {
         self.triangles.extend(other.triangles);
     }
@@ -72,7 +70,6 @@ impl Soup {
         Self { triangles: triangles.collect() }
     }
 
-    /// The same soup, moved.
     pub(crate) fn moved(&self, by: DVec3) -> Self {
         self.placed(DAffine3::from_translation(by))
     }
@@ -164,7 +161,6 @@ impl Mesh {
         self.indices.push(index);
     }
 
-    /// Number of triangles.
     pub(crate) fn triangle_count(&self) -> usize {
         self.indices.len() / 3
     }

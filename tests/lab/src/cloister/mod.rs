@@ -33,40 +33,36 @@ mod well;
 
 pub use glb::GlbError;
 
-/// Name of the scene's file.
 pub const SCENE_FILE: &str = "cloister.glb";
-/// Name of the camera paths' file.
 pub const PATHS_FILE: &str = "cloister.json";
+
+/// Returns the path of a file in `tests/assets`.
+pub fn asset(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets").join(name)
+}
+
+/// Returns a report's options for the cloister along its walk.
+pub fn options() -> String {
+    format!("--scene {} --path {}#walk", asset(SCENE_FILE).display(), asset(PATHS_FILE).display())
+}
 
 /// What can go wrong while the scene is made.
 #[derive(Debug, thiserror::Error)]
 pub enum GenerateError {
-    /// A picture cannot be encoded.
     #[error("a picture of the cloister cannot be encoded: {0}")]
     Picture(#[from] image::ImageError),
-    /// The file cannot be put together.
     #[error(transparent)]
     Glb(#[from] GlbError),
-    /// A file cannot be written.
     #[error("cannot write {}: {source}", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
+    Write { path: PathBuf, source: std::io::Error },
 }
 
-/// What was made.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Report {
-    /// Size of the scene's file, in bytes.
     pub bytes: usize,
     /// Bytes of it that are pictures.
     pub picture_bytes: usize,
-    /// Meshes, each stored once.
     pub meshes: usize,
-    /// Nodes that show a mesh.
     pub instances: usize,
     /// Triangles that are stored.
     pub stored_triangles: usize,
@@ -75,9 +71,6 @@ pub struct Report {
 }
 
 /// Writes `cloister.glb` and `cloister.json` into the folder `out`.
-///
-/// # Errors
-/// When a picture cannot be encoded or a file cannot be written.
 pub fn generate(out: &Path) -> Result<Report, GenerateError> {
     let (scene, report) = scene()?;
     let mut paths = serde_json::to_vec_pretty(&paths::document()).map_err(GlbError::from)?;
@@ -89,7 +82,6 @@ pub fn generate(out: &Path) -> Result<Report, GenerateError> {
     Ok(report)
 }
 
-/// The scene's file, as bytes.
 fn scene() -> Result<(Vec<u8>, Report), GenerateError> {
     let mut glb = glb::Glb::default();
     let palette = materials::add(&mut glb)?;
@@ -119,7 +111,7 @@ mod tests {
     use super::*;
 
     fn committed(name: &str) -> Vec<u8> {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets").join(name);
+        let path = asset(name);
         std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
     }
 

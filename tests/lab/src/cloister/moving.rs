@@ -1,4 +1,5 @@
-//! What moves: the armillary sphere turns about its axis, the well's bucket swings on its rope. At rest both are sensible.
+//! What moves: the armillary sphere turns about its axis, the well's bucket swings on its rope. At rest both are
+//! sensible.
 
 use std::f64::consts::TAU;
 
@@ -16,7 +17,6 @@ const TURN_S: f64 = 24.0;
 /// Period and amplitude of the bucket's swing: a pendulum of 1.2 m takes 2.2 s.
 const SWING: (f64, f64) = (2.2, 0.16);
 
-/// Adds both objects with their animations.
 pub(crate) fn add(glb: &mut Glb, palette: &Palette) {
     let cradle = glb.mesh("armillary cradle", &[(palette.bronze, armillary::cradle().weld(CREASE_DEG))]);
     let rings = glb.mesh("armillary rings", &[(palette.bronze, armillary::rings().weld(CREASE_DEG))]);

@@ -39,12 +39,10 @@ const NORTH_WALK: [Key; 3] = [
     (10.0, [8.2, 1.6, -9.8], [9.6, 1.6, -4.0]),
 ];
 
-/// The paths by name.
 pub(crate) fn all() -> Vec<(&'static str, Vec<Key>)> {
     vec![("walk", WALK.to_vec()), ("orbit", orbit()), ("north_walk", NORTH_WALK.to_vec())]
 }
 
-/// The file's content.
 pub(crate) fn document() -> Value {
     let mut paths = Map::new();
     for (name, keys) in all() {

@@ -16,7 +16,6 @@ const WORN: f64 = 0.012;
 pub(crate) const PATH_HALF: f64 = 1.2;
 /// Radius of the raised round place in the middle.
 pub(crate) const PLAZA: f64 = 3.5;
-/// Level of that place.
 pub(crate) const PLAZA_Y: f64 = GARTH + 0.07;
 /// Inner edge of the path along the arcade.
 const RIM: f64 = 6.35;

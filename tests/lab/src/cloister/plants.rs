@@ -10,8 +10,8 @@ use super::shapes::{bevelled, part, profile, shaped_lathe, smooth_profile};
 use super::textures::atlas_cell;
 use super::textures::leaves::{BROAD, FROND, TUFT};
 
-/// A leaf card from `foot` along `along` (its length), `half` wide to each side, one atlas cell; `bend` (how far the middle
-/// lies off the straight line, and how far the tip does, in lengths) folds it into two pieces.
+/// A leaf card from `foot` along `along` (its length), `half` wide to each side, one atlas cell; `bend` (how far the
+/// middle lies off the straight line, and how far the tip does, in lengths) folds it into two pieces.
 pub(crate) fn card(cell: usize, foot: DVec3, along: DVec3, half: DVec3, bend: DVec2) -> Soup {
     let normal = half.cross(along).normalize_or_zero() * along.length();
     let rows = if bend == DVec2::ZERO { 1 } else { 2 };
@@ -140,7 +140,6 @@ pub(crate) fn pot() -> Soup {
     shaped_lathe(&profile(&outline), 24, 1.6, |_, _| 1.0).with_uv(|uv| atlas_cell(0, 2, (uv * 0.5).fract_gl()))
 }
 
-/// The soil in that pot.
 pub(crate) fn pot_soil() -> Soup {
     shaped_lathe(&profile(&[(0.46, 0.90), (0.0, 0.915)]), 16, 1.0, |_, _| 1.0)
 }
@@ -193,7 +192,6 @@ pub(crate) fn trough() -> Soup {
     soup.box_mapped(1.0)
 }
 
-/// The soil in the trough.
 pub(crate) fn trough_soil() -> Soup {
     bevelled(DVec3::new(-0.68, 0.09, -0.20), DVec3::new(0.68, 0.50, 0.20), 0.02).box_mapped(0.5)
 }

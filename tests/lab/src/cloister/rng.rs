@@ -10,7 +10,6 @@ impl Rng {
         Self(seed)
     }
 
-    /// The next 64 bits.
     pub(crate) fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         mix(self.0)
@@ -26,7 +25,6 @@ impl Rng {
         low + (high - low) * self.unit()
     }
 
-    /// Uniform below `count`.
     pub(crate) fn below(&mut self, count: usize) -> usize {
         usize::try_from(self.bits() % (count.max(1) as u64)).unwrap_or(0)
     }

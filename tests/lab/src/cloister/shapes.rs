@@ -6,7 +6,6 @@ use glam::{DVec2, DVec3};
 
 use super::mesh::Soup;
 
-/// `index / count` as a fraction.
 pub(crate) fn part(index: usize, count: usize) -> f64 {
     index as f64 / count as f64
 }

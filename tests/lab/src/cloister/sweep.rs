@@ -15,15 +15,14 @@ const MAX_MITRE: f64 = 2.0;
 pub(crate) enum Ends {
     /// The path runs into other solids: no caps.
     Open,
-    /// Flat caps.
     Capped,
     /// The path's end meets its beginning.
     Loop,
 }
 
-/// Draws `profile` along `path`, with mitred joints. `up` is perpendicular to the path's plane; the profile's x lies along
-/// tangent × up, its y along up. Looking along the path, the profile runs counter-clockwise around the solid; its last
-/// point joins its first when `closed`. Texture in units of `metres`.
+/// Draws `profile` along `path`, with mitred joints. `up` is perpendicular to the path's plane; the profile's x lies
+/// along tangent × up, its y along up. Looking along the path, the profile runs counter-clockwise around the solid; its
+/// last point joins its first when `closed`. Texture in units of `metres`.
 pub(crate) fn moulding(path: &[DVec3], up: DVec3, profile: &[DVec2], closed: bool, ends: Ends, metres: f64) -> Soup {
     let sides: Vec<DVec3> = (0..path.len()).map(|i| mitre(path, up, i, ends)).collect();
     rings(path, profile, closed, ends, metres, |i, p| path[i] + sides[i] * p.x + up * p.y)

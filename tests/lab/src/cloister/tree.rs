@@ -25,7 +25,6 @@ struct Branch {
     level: usize,
 }
 
-/// Grows the tree.
 pub(crate) fn grow(rng: &mut Rng) -> Tree {
     let mut tree = Tree { wood: Soup::default(), leaves: Soup::default() };
     let trunk = Branch {

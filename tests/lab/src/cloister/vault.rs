@@ -9,7 +9,6 @@ use super::mesh::Soup;
 use super::shapes::{part, profile};
 use super::sweep::{Ends, moulding};
 
-/// Half the walk's width.
 pub(crate) const WALK_HALF: f64 = (WALK_OUT - WALK_IN) * 0.5;
 const STEPS: usize = 16;
 /// Cells reach this much (as a part of half the walk) into the walls, so that no gap is left there.
@@ -32,7 +31,8 @@ pub(crate) fn cell() -> Soup {
         let (a, b) = (spaced(i, STEPS), spaced(i + 1, STEPS));
         for side in [-1.0, 1.0] {
             let end = side * (1.0 + INTO_WALL);
-            // Between the groin |v| = |u| and the wall v = ±1 the height follows u; between the groin and u = ±1 it follows v.
+            // Between the groin |v| = |u| and the wall v = ±1 the height follows u; between the groin and u = ±1 it
+            // follows v.
             let along_x = [
                 place(a, a.abs() * side, true),
                 place(b, b.abs() * side, true),
@@ -90,7 +90,8 @@ pub(crate) fn ribs() -> Soup {
     soup
 }
 
-/// The arch across the walk between two cells, in the plane x = 0. Scaled along x it fills the wider strip at the corners.
+/// The arch across the walk between two cells, in the plane x = 0. Scaled along x it fills the wider strip at the
+/// corners.
 pub(crate) fn transverse_arch() -> Soup {
     let section =
         profile(&[(-0.05, -0.11), (0.085, -0.11), (0.125, -0.075), (0.125, 0.075), (0.085, 0.11), (-0.05, 0.11)]);

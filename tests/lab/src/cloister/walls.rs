@@ -62,7 +62,6 @@ pub(crate) fn door_frame() -> Soup {
     soup
 }
 
-/// A door's leaf of boards.
 pub(crate) fn door_leaf() -> Soup {
     let (half, springing) = DOOR;
     let curve = arch_curve(half + 0.02, springing, 8);
@@ -75,7 +74,6 @@ pub(crate) fn door_leaf() -> Soup {
     soup
 }
 
-/// A door's straps, studs and ring.
 pub(crate) fn door_iron() -> Soup {
     let mut soup = Soup::default();
     for y in [0.4, 1.0, 1.6] {

@@ -9,14 +9,12 @@ use super::mesh::Soup;
 use super::shapes::{bevelled, lathe, part, profile, shaped_lathe, smooth};
 use super::sweep::{Ends, circle, tube};
 
-/// Top of the stone ring.
 const KERB: f64 = GARTH + 0.92;
 /// Where the bucket's rope hangs from, above the well's middle.
 pub(crate) const PULLEY: f64 = GARTH + 2.62;
 /// Radius of the ring on which the iron stands.
 const STAND: f64 = 0.74;
 
-/// Steps and ring.
 pub(crate) fn stone() -> Soup {
     let y = GARTH - 0.1;
     let step = [(1.45, y), (1.45, y + 0.23), (1.42, y + 0.26), (0.0, y + 0.26)];
@@ -171,7 +169,6 @@ pub(crate) fn bucket_iron() -> Soup {
     soup
 }
 
-/// The rope.
 pub(crate) fn rope() -> Soup {
     let mut soup = tube(&[DVec3::new(0.0, -0.1, 0.0), DVec3::Y * -ROPE], 6, Ends::Capped, |_| 0.011);
     let loop_path: Vec<DVec3> = circle(DVec3::Y * (-ROPE - 0.005), DVec3::Y * 0.025, DVec3::Z * 0.025, 12);
@@ -179,7 +176,6 @@ pub(crate) fn rope() -> Soup {
     soup
 }
 
-/// The bucket's staves.
 pub(crate) fn bucket() -> Soup {
     let top = -ROPE - 0.19;
     let outline =

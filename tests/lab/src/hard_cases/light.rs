@@ -1,22 +1,21 @@
-//! Lights in awkward places: grazing, in a wall's plane, on a surface, inside a mesh, very far away, and very many.
+//! Lights at difficult places: grazing, in a wall's plane, on a surface, inside a mesh, far away, and very many.
 
 use glam::{DVec3, Vec3};
 use gnomon_scene::{AlphaMode, Scene, camera::Camera};
 
-use super::{Case, Known, place::still_life};
+use super::{
+    case::{Case, Known, look},
+    place::still_life,
+};
 use crate::scenes::builder::SceneBuilder;
 
-fn look(from: [f64; 3], to: [f64; 3], (width, height): (u32, u32)) -> Camera {
-    Camera::looking_at(DVec3::from(from), DVec3::from(to), 0.9, width, height)
-}
-
-/// A sun that stands this high above the horizon.
+/// A sun at this height above the horizon.
 fn low_sun(degrees: f32) -> Vec3 {
     let height = degrees.to_radians();
     Vec3::new(-height.cos() * 0.8, -height.sin(), -height.cos() * 0.6)
 }
 
-/// A slope of long thin triangles, and nothing that could shadow it.
+/// A slope of long thin triangles without any occluder.
 fn bare_slope() -> SceneBuilder {
     let mut builder = SceneBuilder::new();
     for strip in 0..40_u8 {
@@ -26,7 +25,7 @@ fn bare_slope() -> SceneBuilder {
     builder
 }
 
-/// A ball in the middle of a hall, both closed, with a light in the ball.
+/// A ball in a hall, both closed, with a light inside the ball.
 fn light_in_ball(at: Vec3) -> Scene {
     SceneBuilder::new()
         .cuboid(Vec3::new(-4.0, -3.0, -4.0), Vec3::new(4.0, 3.0, 4.0))
@@ -63,9 +62,9 @@ pub(super) fn cases(size: (u32, u32), large: bool) -> Vec<Case> {
         cases.push(Case::all(format!("light-far-bare-1e{exponent}"), bare.build(), camera, Known::Lit));
     }
     for (name, at) in [("centre", Vec3::ZERO), ("aside", Vec3::new(0.3, -0.4, 0.5)), ("skin", Vec3::X * 0.99)] {
-        // In all directions: 3.5 million rays, where pictures are large.
+        // In all directions: 3.5 million rays in large pictures.
         for way in 0..if large { 20_u8 } else { 3 } {
-            // From the light itself through the ball's single-sided inside to the hall: every ray passes the ball.
+            // The camera stands at the light: every ray passes the ball's single-sided inside.
             let (eye, turn) = (at.as_dvec3(), f64::from(way) * 2.399_963);
             let height = 1.0 - (2.0 * f64::from(way) + 1.0) / if large { 20.0 } else { 3.0 };
             let towards = DVec3::new(turn.cos(), height, turn.sin());

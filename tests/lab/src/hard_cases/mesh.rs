@@ -1,28 +1,28 @@
-//! Meshes that break tests and hierarchies: aimed-at edges, thin gaps and sheets, slivers, heaps, and odd node matrices.
+//! Meshes that break intersection tests and hierarchies: aimed-at edges, thin gaps and sheets, slivers, heaps, and
+//! unusual node matrices.
 
 use std::fmt::Write as _;
 
 use anyhow::{Context, Result};
-use glam::{DVec3, Vec2, Vec3};
-use gnomon_scene::{AlphaMode, LoadOptions, Scene, camera::Camera};
+use glam::{Vec2, Vec3};
+use gnomon_scene::{AlphaMode, LoadOptions, Scene};
 
-use super::{Case, Known, place::still_life};
+use super::{
+    case::{Case, Known, look},
+    place::still_life,
+};
 use crate::scenes::builder::SceneBuilder;
-
-fn look(from: [f64; 3], to: [f64; 3], (width, height): (u32, u32)) -> Camera {
-    Camera::looking_at(DVec3::from(from), DVec3::from(to), 0.9, width, height)
-}
 
 fn flat(builder: SceneBuilder, corners: [Vec3; 3]) -> SceneBuilder {
     let [a, b, c] = corners;
     builder.triangle(corners, [(b - a).cross(c - a).normalize_or(Vec3::Y); 3], [Vec2::ZERO; 3])
 }
 
-/// A lamp at the camera behind a single-sided sheet in front of a wall: the camera sees the wall through the sheet's back,
-/// every pixel's centre aims at a corner or an edge of the sheet, and no light may pass.
+/// A lamp at the camera behind a single-sided sheet in front of a wall. The camera sees the wall through the sheet's
+/// back, every pixel centre aims at a corner or edge of the sheet, and no light may pass.
 fn aimed(size: (u32, u32), bumps: f32) -> Case {
     let camera = look([0.0; 3], [0.0, 0.0, -1.0], size);
-    // Corners lie on the rays of every other pixel's centre in both directions, one beyond the picture on each side.
+    // Corners lie on the rays of every other pixel centre in both directions, one beyond the picture on each side.
     let corner = |column: i64, row: i64| {
         #[expect(clippy::cast_precision_loss, reason = "pixels of a small picture")]
         let [x, y] = [(column, size.0), (row, size.1)].map(|(at, side)| (2 * at) as f64 * 2.0 / f64::from(side));
@@ -92,7 +92,7 @@ fn broken_triangles(size: (u32, u32)) -> Vec<Case> {
     vec![Case::judged("slivers", slivers.build(), view), Case::judged("zero-area-and-duplicates", heap.build(), view)]
 }
 
-/// Hierarchies that cannot be balanced, or in which boxes do not tell triangles apart.
+/// Meshes whose hierarchies cannot be balanced, or whose boxes do not separate triangles.
 fn heaps(size: (u32, u32), large: bool) -> Vec<Case> {
     let view = look([0.7, 2.1, 4.3], [0.0, 0.5, 0.0], size);
     let mut concentric = still_life();
@@ -104,7 +104,7 @@ fn heaps(size: (u32, u32), large: bool) -> Vec<Case> {
     }
     let mut row = still_life();
     for i in 0..3000_u16 {
-        // Each twice as far from the last as that one was, until it starts anew: a chain for a splitter by place.
+        // Distances double, then start anew: a chain for a spatial splitter.
         let at = Vec3::splat(1.5) + Vec3::new(-1.0, 0.1, -0.6) * 2.0_f32.powi(-i32::from(i % 40));
         row = flat(row, [at, at + Vec3::X * 0.01, at + Vec3::Y * (0.01 + 1e-6 * f32::from(i))]);
     }
@@ -121,7 +121,7 @@ fn heaps(size: (u32, u32), large: bool) -> Vec<Case> {
     ]
 }
 
-/// What the loader makes of a floor, and of a pyramid with this top under a node with this matrix, in columns.
+/// Loads a floor, and a pyramid with this top under a node with this column-major matrix.
 fn loaded(top: [f32; 3], matrix: [f32; 16]) -> Result<Scene> {
     let folder = tempfile::tempdir()?;
     let positions: [[f32; 3]; 9] = [
@@ -170,7 +170,7 @@ fn loaded(top: [f32; 3], matrix: [f32; 16]) -> Result<Scene> {
 
 const TOP: [f32; 3] = [0.0, 1.2, 0.0];
 
-/// Files that nobody may be asked to trace, and whether the loader took them.
+/// Files that must be refused, and whether the loader accepted them.
 pub(super) fn accepted() -> Vec<(&'static str, bool)> {
     let mut still = [0.0; 16];
     (still[0], still[5], still[10], still[15]) = (1.0, 1.0, 1.0, 1.0);

@@ -1,12 +1,12 @@
-//! Where things are, and how large: far from the origin, tiny and huge, and cameras in odd places.
+//! Places and scales: far from the origin, tiny and huge scenes, and unusual cameras.
 
 use glam::{DVec3, Vec3};
 use gnomon_scene::{Aabb, AlphaMode, Scene, camera::Camera};
 
-use super::{Case, Known};
+use super::case::{Case, Known};
 use crate::scenes::builder::SceneBuilder;
 
-/// A floor, a box, a ball and a pole on it, under a lamp, a spot and the sun.
+/// A floor, a box, a ball and a pole, under a lamp, a spot light and the sun.
 pub(super) fn still_life() -> SceneBuilder {
     SceneBuilder::new()
         .quad(Vec3::new(-6.0, 0.0, -6.0), Vec3::Z * 12.0, Vec3::X * 12.0)
@@ -24,7 +24,7 @@ fn view(scale: f64, origin_m: DVec3, size: (u32, u32)) -> Camera {
     Camera::looking_at(origin_m + eye, origin_m + DVec3::new(0.0, 0.5, 0.0) * scale, 0.9, size.0, size.1)
 }
 
-/// The scene `factor` times as large, around its origin.
+/// Scales the scene around its origin.
 fn scaled(mut scene: Scene, factor: f32) -> Scene {
     scene.positions.iter_mut().for_each(|position| *position *= factor);
     scene.bounds = Aabb { min: scene.bounds.min * factor, max: scene.bounds.max * factor };
@@ -47,7 +47,7 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
         let camera = view(f64::from(factor), DVec3::ZERO, size);
         cases.push(Case::judged(format!("scaled-1e{exponent}"), scaled(still_life().build(), factor), camera));
     }
-    // Not recentred: the same things at the far end of a long scene, where an f32 step is 2⁻¹⁰ m.
+    // Not recentred: the same objects at the far end of a long scene, where an f32 step is 2⁻¹⁰ m.
     let shift = Vec3::new(8192.0, 0.0, 0.0);
     let mut far = still_life().build();
     far.positions.iter_mut().for_each(|position| *position += shift);
@@ -63,7 +63,7 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
         .point_light(Vec3::new(0.4, 1.5, 1.0), f32::INFINITY)
         .sun(Vec3::new(-0.4, -1.0, -0.3));
     let camera = Camera::looking_at(DVec3::new(0.3, 0.9, 1.8), DVec3::new(0.1, 0.1, 0.0), 0.8, size.0, size.1);
-    // Rounding is taken of the largest coordinate, 10⁵ m, so decimetres along every edge are in doubt.
+    // Rounding follows the largest coordinate, 10⁵ m, so decimetres along every edge are in doubt.
     cases.push(Case::judged("ground-1e5", ground.build(), camera).doubtful(0.25));
 
     // Odd sizes put a pixel's centre on the axis: two components of its ray are 0.
@@ -78,7 +78,7 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
         let camera = Camera::looking_at(eye, DVec3::new(0.11, 1.0, 1.32), degrees.to_radians(), size.0, size.1);
         cases.push(Case::judged(format!("fov-{degrees}"), still_life().build(), camera));
     }
-    // In the ball, whose single-sided inside is passed through; and exactly on the floor.
+    // Inside the ball, whose single-sided inside does not block, and exactly on the floor.
     for (name, eye) in [("inside", DVec3::new(1.1, 0.8, 0.2)), ("on-surface", DVec3::new(0.7, 0.0, 3.0))] {
         let camera = Camera::looking_at(eye, DVec3::new(-1.0, 0.7, 0.0), 1.0, size.0, size.1);
         cases.push(Case::judged(format!("camera-{name}"), still_life().build(), camera));
@@ -88,12 +88,12 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
     cases
 }
 
-/// A closed box with the still life in it.
+/// The still life in a closed box.
 fn closed_room() -> Scene {
     still_life().material(AlphaMode::Opaque, true).cuboid(Vec3::new(-4.0, -0.5, -4.0), Vec3::new(4.0, 4.0, 4.5)).build()
 }
 
-/// A box with nothing but two lamps in it: every point sees both.
+/// A box with only two lamps: every point sees both.
 fn empty_room() -> Scene {
     SceneBuilder::new()
         .cuboid(Vec3::new(-3.0, 0.0, -2.1), Vec3::new(3.0, 2.9, 2.3))

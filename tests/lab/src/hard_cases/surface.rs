@@ -1,30 +1,26 @@
-//! What surfaces are made of: smooth normals on coarse meshes, alpha at its threshold, faces in one plane.
+//! Surfaces: smooth normals on coarse meshes, alpha at its cutoff, coplanar faces.
 
 use glam::{DVec3, Vec3};
 use gnomon_scene::{AlphaMode, Wrap, camera::Camera};
 
-use super::{Case, Known};
+use super::case::{Case, Known, look};
 use crate::scenes::builder::SceneBuilder;
 
 fn floor() -> SceneBuilder {
     SceneBuilder::new().quad(Vec3::new(-6.0, 0.0, -6.0), Vec3::Z * 12.0, Vec3::X * 12.0)
 }
 
-fn look(from: [f64; 3], to: [f64; 3], (width, height): (u32, u32)) -> Camera {
-    Camera::looking_at(DVec3::from(from), DVec3::from(to), 0.9, width, height)
-}
-
 pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
     let mut cases = Vec::new();
     let view = look([0.7, 2.1, 4.3], [0.0, 0.5, 0.0], size);
-    // Between the shading normal's terminator and the facets' own: Hanika, "Hacking the Shadow Terminator", Ray Tracing
-    // Gems II, ch. 4. Our rule is that the facet decides, and the bits must say so.
+    // Between the shading normal's terminator and the facets': Hanika, "Hacking the Shadow Terminator", Ray Tracing
+    // Gems II, ch. 4. By our rules the facet decides.
     for rings in [3, 5, 9] {
         let ball = floor().material(AlphaMode::Opaque, false).sphere(Vec3::Y * 1.2, 1.1, rings);
         let scene = ball.sun(Vec3::new(-1.0, -0.2, 0.1)).point_light(Vec3::new(2.5, 1.0, 1.5), f32::INFINITY).build();
         cases.push(Case::judged(format!("terminator-{rings}"), scene, view));
     }
-    // Alpha of exactly the cutoff is there; a step less is not.
+    // Alpha equal to the cutoff is opaque; one step less is not.
     for (name, alpha, cutoff) in [("at", 128, 128.0 / 255.0), ("below", 127, 128.0 / 255.0)] {
         let scene = floor()
             .material(AlphaMode::Mask { cutoff }, true)
@@ -40,7 +36,7 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
             known,
         ));
     }
-    // A chequer of texels far smaller than a pixel's footprint.
+    // A checkerboard of texels far smaller than a pixel's footprint.
     let chequer: Vec<u8> = (0..64_u8).map(|i| if (i / 8 + i) % 2 == 0 { 255 } else { 0 }).collect();
     let mut minified = floor()
         .material(AlphaMode::Mask { cutoff: 0.5 }, true)
@@ -51,7 +47,7 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
     minified.uvs.iter_mut().for_each(|uv| *uv *= 100.0);
     cases.push(Case::judged("alpha-minified", minified, view).doubtful(0.01));
 
-    // Two boxes that share a side's plane and overlap there, a sheet on the floor, and one laid twice.
+    // Two boxes with overlapping coplanar sides, a sheet on the floor, and a doubled one.
     let coplanar = floor()
         .quad(Vec3::new(-2.0, 0.0, -1.0), Vec3::Z * 3.0, Vec3::X * 3.0)
         .quad(Vec3::new(-2.0, 0.0, -1.0), Vec3::Z * 3.0, Vec3::X * 3.0)
@@ -61,7 +57,7 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
         .point_light(Vec3::new(1.0, 2.5, 2.0), f32::INFINITY)
         .build();
     cases.push(Case::judged("coplanar", coplanar, view));
-    // Faces in one tilted plane whose corners are rounded each for itself: nothing may shadow them.
+    // Faces in one tilted plane with independently rounded corners: none may shadow another.
     let (u, v) = (Vec3::new(0.7, 0.2, 0.1), Vec3::new(-0.1, 0.15, 0.8));
     let mut tilted = SceneBuilder::new();
     for i in 0..24_i8 {

@@ -1,4 +1,4 @@
-//! One client's datagrams, on their way through a link.
+//! One client's datagrams on their way through a link.
 
 use std::{
     cmp::Reverse,
@@ -17,33 +17,34 @@ use tokio::{
 };
 
 use super::{
-    LinkCounts, LinkSettings, Settings, Shared,
+    counters::{LinkCounts, Shared},
     impairment::{Counts, Direction, Impairment},
+    settings::{LinkSettings, Settings},
 };
 
-/// Largest UDP payload, in bytes.
 pub(super) const MAX_DATAGRAM_BYTES: usize = 65_507;
-/// Bytes that may be on their way in one direction: 1 Gbit/s for half a second.
+/// Most bytes in flight in one direction: 1 Gbit/s for half a second.
 const MAX_ON_THE_WAY_BYTES: usize = 64 << 20;
-/// What the memory of a datagram costs beside its bytes.
+/// Memory of a datagram besides its bytes.
 const OVERHEAD_BYTES: usize = 128;
-/// A client that is silent for so long is gone, and so is the server's answer.
+/// Silence after which a client is forgotten.
 const IDLE: Duration = Duration::from_secs(60);
-/// Timers tick in milliseconds and wake a tick late: what is due within one goes now, so that delays are right on average.
+/// Timers have millisecond resolution and fire a tick late, so a datagram due within a tick is sent now: delays are
+/// right on average.
 const TICK: Duration = Duration::from_millis(1);
-/// Kernel buffers: a frame of words at 1920×1080 in one go.
+/// Kernel buffers hold an uncompressed frame at 1920×1080.
 const SOCKET_BUFFER_BYTES: usize = 16 << 20;
 
-/// One direction: what becomes of datagrams, and those that are on their way.
-struct Lane {
+/// One direction: its impairment and the datagrams in flight.
+struct DelayLine {
     impairment: Impairment,
-    /// By time due and then by number.
+    /// Ordered by due time, then by number.
     on_the_way: BinaryHeap<Reverse<(Duration, u64, Bytes)>>,
     bytes: usize,
     number: u64,
 }
 
-impl Lane {
+impl DelayLine {
     fn new(settings: Settings, seed: u64, direction: Direction) -> Self {
         let impairment = Impairment::new(settings, seed, direction);
         Self { impairment, on_the_way: BinaryHeap::new(), bytes: 0, number: 0 }
@@ -74,10 +75,9 @@ impl Lane {
     }
 }
 
-/// A UDP socket with large buffers.
 pub(super) fn socket(address: SocketAddr) -> io::Result<UdpSocket> {
     let socket = socket2::Socket::new(socket2::Domain::for_address(address), socket2::Type::DGRAM, None)?;
-    // The kernel clamps them to what it allows.
+    // The kernel clamps these to its limits.
     let _ = socket.set_recv_buffer_size(SOCKET_BUFFER_BYTES);
     let _ = socket.set_send_buffer_size(SOCKET_BUFFER_BYTES);
     socket.set_nonblocking(true)?;
@@ -85,7 +85,7 @@ pub(super) fn socket(address: SocketAddr) -> io::Result<UdpSocket> {
     UdpSocket::from_std(socket.into())
 }
 
-/// Carries one client's datagrams until it has been silent for a minute, or nobody hands in datagrams any more.
+/// Carries one client's datagrams until it has been silent for a minute or the sender is dropped.
 pub(super) async fn carry(
     mut from_client: mpsc::Receiver<Bytes>,
     listener: Arc<UdpSocket>,
@@ -98,8 +98,8 @@ pub(super) async fn carry(
         if server.is_ipv4() { (Ipv4Addr::LOCALHOST, 0).into() } else { (Ipv6Addr::LOCALHOST, 0).into() };
     let to_server = socket(local)?;
     to_server.connect(server).await?;
-    let mut up = Lane::new(settings.up, settings.seed, Direction::Up);
-    let mut down = Lane::new(settings.down, settings.seed, Direction::Down);
+    let mut up = DelayLine::new(settings.up, settings.seed, Direction::Up);
+    let mut down = DelayLine::new(settings.down, settings.seed, Direction::Down);
     let mut buffer = vec![0; MAX_DATAGRAM_BYTES];
     let start = Instant::now();
     loop {
@@ -120,9 +120,9 @@ pub(super) async fn carry(
         match timeout(IDLE, event).await {
             Ok(Ok(Some((Direction::Up, bytes)))) => up.push(start.elapsed(), bytes, &mut counts.up),
             Ok(Ok(Some((Direction::Down, bytes)))) => down.push(start.elapsed(), bytes, &mut counts.down),
-            // Nobody is left to hand in anything, or nobody did for long.
+            // The sender is gone, or the client has been silent for too long.
             Ok(Ok(None)) | Err(_) => return Ok(()),
-            // A timer, or a port that is closed just now.
+            // A timer fired, or the peer's port is closed for now.
             Ok(Err(error)) if is_passing(&error) => {}
             Ok(Err(error)) => return Err(error),
         }
@@ -141,7 +141,7 @@ fn is_passing(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::ConnectionRefused)
 }
 
-/// A closed port loses a datagram, no more.
+/// A closed port only loses the datagram.
 fn passed(sent: io::Result<usize>) -> io::Result<()> {
     sent.map(drop).or_else(|error| if is_passing(&error) { Ok(()) } else { Err(error) })
 }
@@ -152,7 +152,7 @@ mod tests {
 
     #[test]
     fn datagrams_leave_in_time_and_memory_is_bounded() {
-        let mut lane = Lane::new("delay=5ms".parse().unwrap(), 1, Direction::Up);
+        let mut lane = DelayLine::new("delay=5ms".parse().unwrap(), 1, Direction::Up);
         let mut counts = Counts::default();
         for number in 0..3_u64 {
             lane.push(Duration::from_millis(number), Bytes::copy_from_slice(&number.to_le_bytes()), &mut counts);

@@ -1,9 +1,9 @@
-//! What becomes of a datagram in one direction of a link. Sans-IO: the time comes in as an argument.
+//! Decides each datagram's fate in one direction of a link. Sans-IO: time is an argument.
 //!
-//! A datagram's chances hang on the seed, the direction and the datagram's number alone, its jitter on seed, direction and
-//! time: under one seed the same datagrams fare the same, whatever the timing of others. Only the queue of a bottleneck
-//! looks at what else is there, as queues do, and a bursty channel forgets its state in a long silence: else a sender that
-//! waits longer after every loss would meet one bad state for many seconds, which no radio has.
+//! A datagram's chances depend only on the seed, the direction and its number; its jitter on seed, direction and time.
+//! The same seed gives the same fates, whatever the timing of other datagrams. Two parts depend on more: the
+//! bottleneck's queue on the other traffic, and a bursty channel on silence, in which it forgets its state. Otherwise a
+//! sender that backs off after each loss would stay in one bad state for many seconds, which no radio does.
 
 use std::{ops::AddAssign, time::Duration};
 
@@ -15,43 +15,38 @@ use super::{
 };
 use crate::cloister::rng::Rng;
 
-/// Jitter goes from one value to the next in this time, in seconds: about as fast as queues fill and empty.
+/// Time from one random jitter value to the next, in seconds: about as fast as queues fill and drain.
 const JITTER_STEP_S: f64 = 0.02;
 
-/// A bursty channel that carried nothing for so long may be in either state, whatever it was in.
+/// Silence after which a bursty channel's state is drawn anew.
 const FORGETTING: Duration = Duration::from_millis(100);
 
-/// Which way datagrams go.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
-    /// From client to server.
     Up,
-    /// From server to client.
     Down,
 }
 
-/// What became of datagrams. Those that came are those delivered, lost in any way, or dropped.
+/// Fates of datagrams. `arrived` is the sum of delivered, lost and dropped ones.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Counts {
-    /// Datagrams that came to the link.
     pub arrived: u64,
-    /// Datagrams sent on, late or corrupted ones included, second copies not.
+    /// Sent on, including late and corrupted ones, without duplicates.
     pub delivered: u64,
-    /// Lost, each for itself.
+    /// Lost independently.
     pub lost: u64,
     /// Lost in the bad state of a bursty channel.
     pub burst_lost: u64,
     /// Dropped because the bottleneck's queue was full.
     pub queue_dropped: u64,
-    /// Lost in an outage.
     pub outage: u64,
-    /// Of the delivered: with a flipped bit.
+    /// Delivered with a flipped bit.
     pub corrupted: u64,
-    /// Of the delivered: sent on twice.
+    /// Delivered twice.
     pub duplicated: u64,
-    /// Of the delivered: held back, for others to overtake.
+    /// Delivered late, so that others overtake.
     pub reordered: u64,
-    /// Dropped because the link's own memory was full: not part of the model, and 0 in a sound measurement.
+    /// Dropped because the link's own memory was full: not part of the model, and 0 in a valid measurement.
     pub overrun: u64,
 }
 
@@ -70,16 +65,14 @@ impl AddAssign for Counts {
     }
 }
 
-/// A datagram that the link sends on.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Delivery {
-    /// When it arrives, on the clock of [`Impairment::push`].
+    /// Arrival time, on the clock of [`Impairment::push`].
     pub due: Duration,
-    /// Its bytes.
     pub bytes: Bytes,
 }
 
-/// A datagram's chances, drawn in this order.
+/// Random draws for a datagram, in this order.
 struct Chances {
     loss: f64,
     state: f64,
@@ -89,7 +82,6 @@ struct Chances {
     bit: u64,
 }
 
-/// One direction of a link.
 #[derive(Debug, Clone)]
 pub struct Impairment {
     settings: Settings,
@@ -98,17 +90,14 @@ pub struct Impairment {
     index: u64,
     /// Whether the bursty channel is in its bad state.
     bad: bool,
-    /// When the last datagram came.
     last_push: Duration,
-    /// When the bottleneck has sent all that waits.
+    /// When the bottleneck's queue is empty.
     idle_at: Duration,
-    /// When the latest datagram that was not held back arrives.
+    /// Arrival of the latest datagram that was not held back.
     last_due: Duration,
 }
 
 impl Impairment {
-    /// A link at the beginning of its time.
-    #[must_use]
     pub fn new(settings: Settings, seed: u64, direction: Direction) -> Self {
         let mut seed = Rng::new(seed);
         let seed = match direction {
@@ -122,8 +111,8 @@ impl Impairment {
         Self { settings, seed, index: 0, bad: false, last_push: zero, idle_at: zero, last_due: zero }
     }
 
-    /// Takes a datagram at `now`, the time since the link's first one, and says what arrives and when: nothing, it, or it
-    /// twice. Times must not fall.
+    /// Takes a datagram at `now`, the time since the link's first one, and returns its deliveries: none, one or two.
+    /// `now` must not decrease.
     pub fn push(&mut self, now: Duration, datagram: Bytes, counts: &mut Counts) -> [Option<Delivery>; 2] {
         let silence = now.saturating_sub(self.last_push);
         self.last_push = now;
@@ -166,9 +155,9 @@ impl Impairment {
         [twice.then(|| delivery.clone()), Some(delivery)]
     }
 
-    /// Draws the chances of the next datagram, which comes after `silence`, and moves the bursty channel on.
+    /// Draws for the next datagram, which arrives after `silence`, and advances the bursty channel.
     fn chances(&mut self, silence: Duration) -> Chances {
-        // Seeds that differ by little give streams that overlap: hence the one step between.
+        // Streams of nearby seeds overlap: hence the extra step.
         let mut rng = Rng::new(Rng::new(self.seed ^ self.index).bits());
         self.index += 1;
         let chances = Chances {
@@ -189,13 +178,13 @@ impl Impairment {
         chances
     }
 
-    /// Delay and loss at a time: the trace's, or else the constant ones.
+    /// Delay and loss at a time: the trace's, or the constant ones.
     fn moment(&self, now: Duration) -> Moment {
         let Settings { delay, loss, trace, .. } = &self.settings;
         trace.as_ref().map_or(Moment { time: now, delay: *delay, loss: *loss }, |(_, trace)| trace.at(now))
     }
 
-    /// When a datagram leaves the bottleneck; `None` when its queue has no room.
+    /// Returns when a datagram leaves the bottleneck; `None` if the queue is full.
     fn pass_bottleneck(&mut self, now: Duration, bytes: usize) -> Option<Duration> {
         let Some(Rate { bits_per_s, queue_bytes }) = self.settings.rate else { return Some(now) };
         let waiting = self.idle_at.saturating_sub(now);
@@ -203,13 +192,13 @@ impl Impairment {
         if waiting_bytes + bytes as u128 > u128::from(queue_bytes) {
             return None;
         }
-        // Rounded up: the rate is never exceeded.
+        // Rounded up, so that the rate is never exceeded.
         let nanos = (bytes as u64 * 8_000_000_000).div_ceil(bits_per_s);
         self.idle_at = now.max(self.idle_at) + Duration::from_nanos(nanos);
         Some(self.idle_at)
     }
 
-    /// Smooth noise of −1 to 1 (value noise: random values at even times, and cosines between them).
+    /// Value noise from −1 to 1: random values at even times, joined by cosines.
     fn jitter_at(&self, now: Duration) -> f64 {
         let place = now.as_secs_f64() / JITTER_STEP_S;
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "not negative, and far below 2^53")]

@@ -1,27 +1,23 @@
 //! Networks by name.
 //!
-//! `lan` is a switch in the same building; its delay is below a tick of the link's timers. `wifi`: the delays of WiFi hops
-//! have a long tail, with 20 ms as the 90th percentile (Sui et al., *Characterizing and Improving WiFi Latency in
-//! Large-Scale Operational Networks*, MobiSys 2016); ours stays below that tail, which `outage` and `bad` stand for. `5g`:
-//! rates of mid-band networks (Narayanan et al., *A First Look at Commercial 5G Performance on Smartphones*, WWW 2020, 100
-//! to 200 Mbit/s). `lte`: medians of 13 Mbit/s down and 6 Mbit/s up (Huang et al., *A Close Examination of Performance and
-//! Power Characteristics of 4G LTE Networks*, MobiSys 2012). Delays and losses of `5g` and `lte`, and all of `bad`, are our
-//! own choice: a good cell, a middling cell, and a link that one would hang up on.
+//! `lan` is a switch in the same building; its delay is below a tick of the link's timers. `wifi`: the delays of WiFi
+//! hops have a long tail, with 20 ms as the 90th percentile (Sui et al., *Characterizing and Improving WiFi Latency in
+//! Large-Scale Operational Networks*, MobiSys 2016); ours stays below that tail, which `outage` and `bad` stand for.
+//! `5g`: rates of mid-band networks (Narayanan et al., *A First Look at Commercial 5G Performance on Smartphones*, WWW
+//! 2020, 100 to 200 Mbit/s). `lte`: medians of 13 Mbit/s down and 6 Mbit/s up (Huang et al., *A Close Examination of
+//! Performance and Power Characteristics of 4G LTE Networks*, MobiSys 2012). Delays and losses of `5g` and `lte`, and
+//! all of `bad`, are our own choice: a good cell, a middling cell, and a link that one would hang up on.
 
 use thiserror::Error;
 
 use super::settings::{LinkSettings, Settings};
 
-/// A network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Profile {
-    /// Its name on the command line.
     pub name: &'static str,
-    /// From client to server, as [`Settings::set`] takes it.
+    /// From client to server, as [`Settings::set`] parses it.
     pub up: &'static str,
-    /// From server to client.
     pub down: &'static str,
-    /// What is added to both.
     pub both: &'static str,
 }
 
@@ -30,39 +26,36 @@ const WIFI_UP: &str =
 const WIFI_DOWN: &str =
     "delay=3ms jitter=2ms loss=0.1% burst=0.2%x5 reorder=0.05% reorder-by=2ms rate=150Mbit queue=512KB";
 
-/// All of them.
+const fn profile(name: &'static str, up: &'static str, down: &'static str, both: &'static str) -> Profile {
+    Profile { name, up, down, both }
+}
+
 pub const PROFILES: [Profile; 6] = [
-    Profile {
-        name: "lan",
-        up: "delay=0.2ms rate=1Gbit queue=512KB",
-        down: "delay=0.2ms rate=1Gbit queue=512KB",
-        both: "",
-    },
-    Profile { name: "wifi", up: WIFI_UP, down: WIFI_DOWN, both: "" },
-    Profile {
-        name: "5g",
-        up: "delay=10ms jitter=4ms loss=0.1% burst=0.1%x10 rate=30Mbit queue=256KB",
-        down: "delay=10ms jitter=4ms loss=0.1% burst=0.1%x10 rate=120Mbit queue=1MB",
-        both: "",
-    },
-    Profile {
-        name: "lte",
-        up: "delay=35ms jitter=10ms loss=0.2% burst=0.3%x10 rate=6Mbit queue=128KB",
-        down: "delay=35ms jitter=10ms loss=0.2% burst=0.3%x10 rate=13Mbit queue=256KB",
-        both: "",
-    },
-    Profile {
-        name: "bad",
-        up: "delay=80ms jitter=40ms loss=2% burst=2%x8 reorder=1% reorder-by=10ms duplicate=0.5% \
+    profile("lan", "delay=0.2ms rate=1Gbit queue=512KB", "delay=0.2ms rate=1Gbit queue=512KB", ""),
+    profile("wifi", WIFI_UP, WIFI_DOWN, ""),
+    profile(
+        "5g",
+        "delay=10ms jitter=4ms loss=0.1% burst=0.1%x10 rate=30Mbit queue=256KB",
+        "delay=10ms jitter=4ms loss=0.1% burst=0.1%x10 rate=120Mbit queue=1MB",
+        "",
+    ),
+    profile(
+        "lte",
+        "delay=35ms jitter=10ms loss=0.2% burst=0.3%x10 rate=6Mbit queue=128KB",
+        "delay=35ms jitter=10ms loss=0.2% burst=0.3%x10 rate=13Mbit queue=256KB",
+        "",
+    ),
+    profile(
+        "bad",
+        "delay=80ms jitter=40ms loss=2% burst=2%x8 reorder=1% reorder-by=10ms duplicate=0.5% \
              corrupt=0.1% rate=2Mbit queue=64KB",
-        down: "delay=80ms jitter=40ms loss=2% burst=2%x8 reorder=1% reorder-by=10ms duplicate=0.5% \
+        "delay=80ms jitter=40ms loss=2% burst=2%x8 reorder=1% reorder-by=10ms duplicate=0.5% \
              corrupt=0.1% rate=8Mbit queue=128KB",
-        both: "",
-    },
-    Profile { name: "outage", up: WIFI_UP, down: WIFI_DOWN, both: "outage=5s+5s" },
+        "",
+    ),
+    profile("outage", WIFI_UP, WIFI_DOWN, "outage=5s+5s"),
 ];
 
-/// A name that no profile has.
 #[derive(Debug, Error)]
 #[error("{name:?} is no profile; there are {}", PROFILES.map(|profile| profile.name).join(", "))]
 pub struct UnknownProfile {
@@ -70,10 +63,6 @@ pub struct UnknownProfile {
 }
 
 impl Profile {
-    /// The profile of this name.
-    ///
-    /// # Errors
-    /// When there is none.
     pub fn named(name: &str) -> Result<Self, UnknownProfile> {
         PROFILES
             .into_iter()
@@ -81,10 +70,6 @@ impl Profile {
             .ok_or_else(|| UnknownProfile { name: name.to_owned() })
     }
 
-    /// Its settings.
-    ///
-    /// # Errors
-    /// Never, of the profiles in [`PROFILES`].
     pub fn settings(&self, seed: u64) -> Result<LinkSettings, super::settings::SettingsError> {
         let one = |text: &str| {
             let mut settings: Settings = text.parse()?;

@@ -1,4 +1,4 @@
-//! What a link does to datagrams, in each direction, and how that is written: `delay=20ms jitter=5ms loss=1%`.
+//! Impairments of a link in each direction, and their text form: `delay=20ms jitter=5ms loss=1%`.
 
 use std::{fmt, path::PathBuf, str::FromStr, sync::Arc, time::Duration};
 
@@ -8,44 +8,39 @@ use super::trace::{Trace, TraceError};
 
 /// Longest delay, jitter or queue.
 const MAX_DELAY: Duration = Duration::from_secs(60);
-/// Latest moment of an outage's start, and its greatest length.
+/// Latest start and greatest length of an outage.
 const MAX_OUTAGE: Duration = Duration::from_secs(86_400);
-/// Most outages of a direction.
 const MAX_OUTAGES: usize = 1000;
 
-/// One direction of a link. The default is a perfect one.
+/// One direction of a link. The default changes nothing.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Settings {
-    /// Time that every datagram takes.
     pub delay: Duration,
-    /// How much more or less than that it may be. It changes smoothly with time, and overtakes nothing.
+    /// Greatest deviation from `delay`. It changes smoothly and reorders nothing.
     pub jitter: Duration,
-    /// Probability that a datagram is lost, each for itself.
+    /// Probability that a datagram is lost, independently.
     pub loss: f64,
-    /// Losses in bursts.
     pub burst: Option<Burst>,
     /// Probability that a datagram is held back, so that others overtake it.
     pub reorder: f64,
-    /// How long it is held back.
     pub reorder_by: Duration,
     /// Probability that a datagram arrives twice.
     pub duplicate: f64,
     /// Probability that a datagram arrives with one bit flipped.
     pub corrupt: f64,
-    /// Bottleneck with a queue in front of it.
     pub rate: Option<Rate>,
-    /// Times at which nothing passes: start and length, since the link's first datagram.
+    /// Outages: start since the link's first datagram, and length.
     pub outages: Vec<(Duration, Duration)>,
-    /// Recorded delay and loss, in place of `delay` and `loss`, and the file, whose path has neither blanks nor commas.
+    /// Recorded delay and loss, which replace `delay` and `loss`, and the file. Its path has no blanks or commas.
     pub trace: Option<(PathBuf, Arc<Trace>)>,
 }
 
-/// Gilbert's and Elliott's channel: a good state, in which [`Settings::loss`] rules, and a bad one.
+/// The Gilbert-Elliott channel: a good state with [`Settings::loss`], and a bad state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Burst {
-    /// Share of the datagrams that meet the bad state, 0 to below 1.
+    /// Share of datagrams in the bad state, 0 to below 1.
     pub share: f64,
-    /// Mean number of datagrams until the bad state ends, at least 1.
+    /// Mean length of a bad state in datagrams, at least 1.
     pub length: f64,
     /// Probability that a datagram is lost in the bad state.
     pub loss: f64,
@@ -53,74 +48,51 @@ pub struct Burst {
 
 impl Burst {
     /// Probability per datagram that a bad state ends.
-    #[must_use]
     pub fn leave(&self) -> f64 {
         1.0 / self.length
     }
 
-    /// Probability per datagram that a good state ends, at most 1: such that the bad states have their share.
-    #[must_use]
+    /// Probability per datagram that a good state ends, at most 1, so that bad states have their share.
     pub fn enter(&self) -> f64 {
         (self.share * self.leave() / (1.0 - self.share)).min(1.0)
     }
 }
 
-/// A bottleneck.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Rate {
-    /// Bits a second.
     pub bits_per_s: u64,
-    /// Bytes that may wait, the one on the wire included; a datagram that finds no room is dropped.
+    /// Queue capacity in bytes, including the datagram on the wire; a datagram that does not fit is dropped.
     pub queue_bytes: u64,
 }
 
-/// Both directions of a link.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct LinkSettings {
-    /// From client to server.
     pub up: Settings,
-    /// From server to client.
     pub down: Settings,
-    /// Decides every chance.
     pub seed: u64,
 }
 
-/// Why a text is no setting.
 #[derive(Debug, Error)]
 pub enum SettingsError {
     /// Not `key=value`.
     #[error("{0:?} is no setting: write KEY=VALUE, delay=20ms for instance")]
     NoPair(String),
-    /// Another key.
     #[error(
         "{0:?} is no setting; there are delay, jitter, loss, burst, burst-loss, reorder, reorder-by, duplicate, \
          corrupt, rate, queue, outage and trace"
     )]
     Key(String),
-    /// A value that does not fit its key.
     #[error("{key}={value}: {expected} is expected")]
-    Value {
-        /// The key.
-        key: String,
-        /// What it was given.
-        value: String,
-        /// What it takes.
-        expected: &'static str,
-    },
-    /// Values that do not fit each other.
+    Value { key: String, value: String, expected: &'static str },
     #[error("{0}")]
     Together(&'static str),
-    /// A trace that cannot be used.
     #[error(transparent)]
     Trace(#[from] TraceError),
 }
 
 impl Settings {
-    /// Changes what `text` names: pairs of key and value, separated by spaces or commas. Either all of it is taken, or
-    /// nothing.
-    ///
-    /// # Errors
-    /// With the first pair that is wrong.
+    /// Sets the `key=value` pairs in `text`, separated by spaces or commas; all of them or, on an error, none. The
+    /// error names the first wrong pair.
     pub fn set(&mut self, text: &str) -> Result<(), SettingsError> {
         let mut changed = self.clone();
         // A queue may be given as time, which only means something at a rate.
@@ -200,20 +172,19 @@ impl Settings {
     }
 }
 
-/// What a datagram is held back where only `reorder=` is given.
+/// Delay of reordered datagrams if only `reorder=` is given.
 const DEFAULT_REORDER_BY: Duration = Duration::from_millis(5);
-/// The queue where only `rate=` is given.
+/// Queue length if only `rate=` is given.
 const DEFAULT_QUEUE: Duration = Duration::from_millis(100);
 
 impl Rate {
-    /// Bytes that pass in a time, at least one full datagram.
+    /// Bytes that pass in a time, at least one full datagram: a smaller queue would drop everything.
     fn bytes_in(self, wait: Duration) -> u64 {
         let bytes = u128::from(self.bits_per_s) * wait.as_nanos() / 8_000_000_000;
         u64::try_from(bytes).unwrap_or(u64::MAX).max(MIN_QUEUE_BYTES)
     }
 }
 
-/// A queue that cannot take one datagram would drop everything.
 const MIN_QUEUE_BYTES: u64 = 1500;
 
 impl FromStr for Settings {
@@ -226,7 +197,6 @@ impl FromStr for Settings {
 }
 
 impl fmt::Display for Settings {
-    /// As [`Settings::set`] takes it.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut words = Vec::new();
         let mut time = |key: &str, time: Duration| {
@@ -260,7 +230,7 @@ impl fmt::Display for Settings {
     }
 }
 
-/// Whole microseconds, as milliseconds.
+/// A time as milliseconds, in whole microseconds.
 struct Time(Duration);
 
 impl fmt::Display for Time {
@@ -274,7 +244,7 @@ impl fmt::Display for Time {
     }
 }
 
-/// Ten digits behind the point, as per cent.
+/// A probability in per cent, with ten decimals.
 struct Percent(f64);
 
 impl fmt::Display for Percent {
@@ -288,11 +258,11 @@ fn wrong(key: &str, value: &str, expected: &'static str) -> SettingsError {
     SettingsError::Value { key: key.to_owned(), value: value.to_owned(), expected }
 }
 
-/// A number and what it is multiplied by, according to its unit.
+/// Parses a number with a unit; returns it times the unit's factor.
 fn number(text: &str, units: &[(&str, f64)]) -> Option<f64> {
     units.iter().find_map(|&(unit, factor)| {
         let number = text.strip_suffix(unit)?;
-        // Signs, infinities and exponents are not for people.
+        // Signs, infinities and exponents are not accepted.
         let plain = number.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.');
         number.parse::<f64>().ok().filter(|_| plain).map(|number| number * factor)
     })
@@ -330,7 +300,8 @@ mod tests {
 
     #[test]
     fn a_text_says_everything_and_is_said_again() {
-        let text = "delay=20.5ms,jitter=5ms loss=1% burst=0.5%x8 burst-loss=80% reorder=2% reorder-by=3ms duplicate=0.1% \
+        let text = "delay=20.5ms,jitter=5ms loss=1% burst=0.5%x8 burst-loss=80% reorder=2% reorder-by=3ms \
+                    duplicate=0.1% \
                     corrupt=0.01% rate=50Mbit queue=50ms outage=5s+2s outage=20s+500us";
         let settings: Settings = text.parse().unwrap();
         assert_eq!((settings.delay, settings.jitter), (Duration::from_micros(20_500), Duration::from_millis(5)));

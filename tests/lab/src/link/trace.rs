@@ -6,64 +6,46 @@
 //! 0.5   40    2.5
 //! ```
 //!
-//! A line holds until the next one's time, the last one for ever. Columns are separated by blanks or commas; `#` begins a
-//! comment.
+//! A line holds until the time of the next, the last one forever. Columns are separated by blanks or commas; `#` begins
+//! a comment.
 
 use std::{fs::File, io::Read as _, path::Path, time::Duration};
 
 use thiserror::Error;
 
-/// Largest file that is read, in bytes.
 const MAX_BYTES: u64 = 16 << 20;
-/// Longest delay, in milliseconds.
 const MAX_DELAY_MS: f64 = 60_000.0;
 
-/// Why there is no trace.
 #[derive(Debug, Error)]
 pub enum TraceError {
-    /// The file cannot be read.
     #[error("trace {file}: {source}")]
-    Read {
-        /// The file.
-        file: String,
-        /// Why not.
-        source: std::io::Error,
-    },
-    /// A line that says something else.
+    Read { file: String, source: std::io::Error },
     #[error("trace {file}, line {line}: {reason}")]
     Line {
-        /// The file.
         file: String,
         /// Counted from 1.
         line: usize,
-        /// What is wrong.
         reason: String,
     },
-    /// No line at all.
     #[error("trace {0}: no line has a time, a delay and a loss")]
     Empty(String),
 }
 
-/// What was recorded at a time.
+/// Network conditions from `time` on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moment {
-    /// Since the start.
     pub time: Duration,
-    /// One-way delay from then on.
+    /// One way.
     pub delay: Duration,
-    /// Probability of loss from then on.
     pub loss: f64,
 }
 
-/// A recorded network. There is at least one moment, and times rise.
+/// A recorded network: at least one moment, in order of time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trace(Vec<Moment>);
 
 impl Trace {
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// When it cannot be read, is larger than 16 MiB, or is no trace.
+    /// Reads a trace of at most 16 MiB.
     pub fn load(file: &Path) -> Result<Self, TraceError> {
         let name = file.display().to_string();
         let read = |source| TraceError::Read { file: name.clone(), source };
@@ -75,10 +57,7 @@ impl Trace {
         Self::parse(&name, &text)
     }
 
-    /// Reads a trace's text; `name` is for messages.
-    ///
-    /// # Errors
-    /// With the number of the first line that is wrong.
+    /// Parses a trace; `name` is for errors, which give the number of the first wrong line.
     pub fn parse(name: &str, text: &str) -> Result<Self, TraceError> {
         let mut moments: Vec<Moment> = Vec::new();
         for (index, line) in text.lines().enumerate() {
@@ -96,8 +75,7 @@ impl Trace {
         if moments.is_empty() { Err(TraceError::Empty(name.to_owned())) } else { Ok(Self(moments)) }
     }
 
-    /// What holds at a time since the start. Before the first line, the first one does.
-    #[must_use]
+    /// Returns the conditions at a time since the start. Before the first line, those of the first line.
     pub fn at(&self, time: Duration) -> Moment {
         let after = self.0.partition_point(|moment| moment.time <= time);
         self.0[after.saturating_sub(1)]

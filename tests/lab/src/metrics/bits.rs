@@ -1,4 +1,4 @@
-//! How wrong a mask is, counted over the bits that matter.
+//! Errors of a mask, counted over the relevant bits.
 
 use std::{fmt, ops::AddAssign};
 
@@ -6,40 +6,37 @@ use gnomon_protocol::mask::Mask;
 
 use crate::reference::Truth;
 
-/// Wrong pixels that a report keeps as examples.
+/// Most wrong bits that are kept as examples.
 const EXAMPLES: usize = 8;
 
-/// Counts of bits, of one mask or summed over many.
+/// Bit counts of one mask, or summed over several.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RelevantError {
-    /// Bits that the referee calls relevant.
     pub relevant: u64,
-    /// Of these, bits that differ from the referee's.
+    /// Relevant bits that differ from the referee's.
     pub wrong: u64,
-    /// Of the wrong ones, those that are 1 where the referee says 0: light that leaks.
+    /// Wrong bits that are 1 where the referee has 0: light leaks.
     pub leaks: u64,
-    /// Leaks that the referee is sure of.
+    /// Leaks where the referee is certain.
     pub sure_leaks: u64,
-    /// Bits whose relevance or value rounding may change, whether they differ or not.
+    /// Bits whose relevance or value rounding may change, wrong or not.
     pub undecided: u64,
-    /// Wrong bits among these.
     pub wrong_undecided: u64,
-    /// Bits that are 1 where the referee says irrelevant, and is sure: a back end leaves them 0.
+    /// Bits that are 1 where the referee is certain that they are irrelevant: a back end must leave them 0.
     pub irrelevant_set: u64,
-    /// The first few wrong bits that are not undecided: light, x, y.
+    /// The first wrong bits that are not undecided: light, x, y.
     pub examples: Vec<[u32; 3]>,
-    /// The greatest distance of a wrong bit that is not undecided from an edge of the truth, in pixels: see
+    /// Greatest distance of a wrong bit that is not undecided from an edge of the truth, in pixels: see
     /// [`distance_from_edge_px`].
     pub worst_distance_px: f64,
 }
 
-/// How far from an edge of the truth a report looks, in pixels.
+/// Search radius for edges, in pixels.
 const FARTHEST_PX: u32 = 16;
 
-/// How far pixel (x, y) lies from the nearest edge in light `light`'s plane of the truth, in pixels: from the nearest
-/// centre of a pixel with another verdict (lit, dark, irrelevant, or no surface), less the half pixel by which the edge
-/// lies before that. [`FARTHEST_PX`] when there is none nearer.
-#[must_use]
+/// Returns the distance of pixel (x, y) to the nearest edge in light `light`'s plane of the truth, in pixels: to the
+/// nearest pixel centre with another verdict (lit, dark, irrelevant, no surface), less half a pixel. At most
+/// [`FARTHEST_PX`].
 pub fn distance_from_edge_px(truth: &Truth, light: u32, x: u32, y: u32) -> f64 {
     let state = |x: u32, y: u32| {
         let verdict = truth.at(x, y);
@@ -59,11 +56,7 @@ pub fn distance_from_edge_px(truth: &Truth, light: u32, x: u32, y: u32) -> f64 {
 }
 
 impl RelevantError {
-    /// Compares a mask with the truth, bit by bit.
-    ///
-    /// # Panics
-    /// When their sizes differ: masks of another size are not merely wrong.
-    #[must_use]
+    /// Compares a mask with the truth, bit by bit. Panics if their sizes differ.
     pub fn of(mask: &Mask, truth: &Truth) -> Self {
         let shape = mask.shape();
         assert_eq!((shape.width(), shape.height(), shape.lights()), (truth.width, truth.height, truth.lights));
@@ -100,21 +93,18 @@ impl RelevantError {
         error
     }
 
-    /// The share of relevant bits that are wrong, undecided ones included; 0 where nothing is relevant.
-    #[must_use]
+    /// Share of relevant bits that are wrong, including undecided ones; 0 if nothing is relevant.
     #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
     pub fn share(&self) -> f64 {
         if self.relevant == 0 { 0.0 } else { self.wrong as f64 / self.relevant as f64 }
     }
 
-    /// Bits that are wrong though the referee is sure.
-    #[must_use]
+    /// Wrong bits where the referee is certain.
     pub fn surely_wrong(&self) -> u64 {
         self.wrong - self.wrong_undecided
     }
 
-    /// The share of relevant bits that are wrong though the referee is sure; 0 where nothing is relevant.
-    #[must_use]
+    /// Share of relevant bits that are wrong where the referee is certain; 0 if nothing is relevant.
     #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
     pub fn sure_share(&self) -> f64 {
         if self.relevant == 0 { 0.0 } else { self.surely_wrong() as f64 / self.relevant as f64 }

@@ -1,4 +1,4 @@
-//! How far a shown picture is from the true one: PSNR, SSIM and FLIP.
+//! Error of a picture: PSNR, SSIM and FLIP.
 
 use image::RgbImage;
 
@@ -7,7 +7,6 @@ use super::ssim::{self, ssim};
 /// Smallest width and height that can be compared, in pixels: SSIM's window.
 pub const MIN_SIDE_PX: u32 = ssim::WINDOW_PX;
 
-/// The error of one picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImageError {
     /// Peak signal-to-noise ratio over all pixels and channels, in decibels; infinite for equal pictures.
@@ -18,11 +17,7 @@ pub struct ImageError {
     pub flip: f64,
 }
 
-/// Compares two 8-bit sRGB pictures.
-///
-/// # Panics
-/// When their sizes differ, or a side is below [`MIN_SIDE_PX`].
-#[must_use]
+/// Compares two 8-bit sRGB pictures. Panics if their sizes differ or a side is below [`MIN_SIDE_PX`].
 pub fn compare(shown: &RgbImage, truth: &RgbImage) -> ImageError {
     assert_eq!(shown.dimensions(), truth.dimensions(), "pictures of one size can be compared");
     ImageError { psnr_db: psnr_db(shown, truth), ssim: ssim(shown, truth), flip: flip(shown, truth) }
@@ -39,7 +34,7 @@ fn psnr_db(shown: &RgbImage, truth: &RgbImage) -> f64 {
 fn flip(shown: &RgbImage, truth: &RgbImage) -> f64 {
     let image = |image: &RgbImage| nv_flip::FlipImageRgb8::with_data(image.width(), image.height(), image.as_raw());
     let errors = nv_flip::flip(image(truth), image(shown), nv_flip::DEFAULT_PIXELS_PER_DEGREE).to_vec();
-    // The crate's own pool is a histogram; the mean of the map needs none.
+    // The crate's pool is a histogram; the mean does not need one.
     errors.iter().map(|&error| f64::from(error)).sum::<f64>() / errors.len() as f64
 }
 

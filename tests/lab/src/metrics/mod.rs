@@ -1,6 +1,7 @@
-//! How wrong a result is: masks over the bits that matter, pictures by what a viewer sees.
+//! Error metrics: of masks over relevant bits, and of pictures as a viewer sees them.
 
 pub mod bits;
+pub mod ffmpeg;
 pub mod image;
 mod ssim;
 pub mod vmaf;

@@ -1,8 +1,8 @@
 //! Structural similarity as Wang, Bovik, Sheikh and Simoncelli define it ("Image quality assessment: from error
 //! visibility to structural similarity", 2004): windows of 11×11 pixels under a Gaussian, on luma.
 //!
-//! The crate `image-compare` has another one: 8×8 blocks, and sums in the place of variances, so that its constant c₂
-//! counts 64 times less and faint noise on an even surface reads as a total loss of structure.
+//! The crate `image-compare` differs: it has 8×8 blocks, and sums instead of variances, so that its constant c₂ weighs
+//! 64 times less and faint noise on a plain surface counts as a total loss of structure.
 
 use image::RgbImage;
 use rayon::prelude::*;
@@ -15,10 +15,10 @@ const SIGMA_PX: f64 = 1.5;
 const C1: f64 = (0.01 * 255.0) * (0.01 * 255.0);
 const C2: f64 = (0.03 * 255.0) * (0.03 * 255.0);
 
-/// Sums that a window needs: of both pictures, their squares, and their product.
+/// Sums of a window: both pictures, their squares, their product.
 type Moments = [f64; 5];
 
-/// The mean over all windows that lie inside the pictures, which must have one size.
+/// Returns the mean over all windows inside the pictures, which must have one size.
 pub(super) fn ssim(shown: &RgbImage, truth: &RgbImage) -> f64 {
     let (width, height) = (truth.width() as usize, truth.height() as usize);
     assert!(width >= WINDOW && height >= WINDOW, "{width}×{height}: SSIM's window has {WINDOW}×{WINDOW} pixels");
@@ -49,7 +49,7 @@ pub(super) fn ssim(shown: &RgbImage, truth: &RgbImage) -> f64 {
         })
     };
     let windows = height - WINDOW + 1;
-    // Rows are added up in order, so that the figure does not depend on who was first.
+    // Rows are added in order, so that the sum does not depend on thread timing.
     let sums: Vec<f64> = (0..windows).into_par_iter().map(|y| of_row(y).sum()).collect();
     sums.iter().sum::<f64>() / (windows * columns) as f64
 }

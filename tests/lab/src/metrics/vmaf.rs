@@ -1,34 +1,29 @@
-//! VMAF, by an ffmpeg that has libvmaf: named by `GNOMON_FFMPEG`, or else the `ffmpeg` on the search path.
+//! VMAF by an ffmpeg with libvmaf: the one that `GNOMON_FFMPEG` names, or `ffmpeg` on the search path.
 //!
-//! Shown and true frame travel as one picture, one above the other, and are cut apart inside ffmpeg: no container, no
-//! timestamps, nothing that could pair a frame with another one's truth.
+//! Shown and true frame travel as one picture, one above the other, and ffmpeg cuts them apart: without container and
+//! timestamps, frames cannot be paired wrongly.
 
 use std::{
     env,
     ffi::OsStr,
-    fs::{self, File},
-    io::Write as _,
+    fs,
     path::{Path, PathBuf},
-    process::{Child, ChildStdin, Command, Stdio},
+    process::{Command, Stdio},
     sync::OnceLock,
 };
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use image::RgbImage;
 use serde_json::Value;
-use tempfile::TempDir;
 
-/// Variable that names the ffmpeg to use.
+use super::ffmpeg::Ffmpeg;
+
 pub const FFMPEG_VARIABLE: &str = "GNOMON_FFMPEG";
 
 const LOG: &str = "vmaf.json";
-const ERRORS: &str = "errors";
 
-/// The mean VMAF (model v0.6.1, 0 to 100) of shown frames against true ones; `None` where no ffmpeg has libvmaf, which
-/// is said once on standard error.
-///
-/// # Errors
-/// When the counts or sizes of the frames differ, there is no frame, or ffmpeg fails.
+/// Returns the mean VMAF (model v0.6.1, 0 to 100) of shown frames against true ones; `None` if no ffmpeg has libvmaf,
+/// which is printed once.
 pub fn vmaf(shown: &[RgbImage], truth: &[RgbImage], fps: f64) -> Result<Option<f64>> {
     ensure!(shown.len() == truth.len(), "{} frames shown, {} true ones", shown.len(), truth.len());
     let first = truth.first().context("no frames: VMAF of nothing")?;
@@ -39,21 +34,16 @@ pub fn vmaf(shown: &[RgbImage], truth: &[RgbImage], fps: f64) -> Result<Option<f
     run.finish().map(Some)
 }
 
-/// A measurement under way, for frames that need not all be in memory at once.
+/// A running measurement, for frames that need not all be in memory.
 #[derive(Debug)]
 pub struct Vmaf {
-    ffmpeg: Child,
-    stdin: Option<ChildStdin>,
-    folder: TempDir,
+    ffmpeg: Ffmpeg,
     size: (u32, u32),
     frames: usize,
 }
 
 impl Vmaf {
-    /// Starts ffmpeg for frames of `size` pixels; `None` where no ffmpeg has libvmaf, which is said once.
-    ///
-    /// # Errors
-    /// When the ffmpeg that was named has no libvmaf, or it does not start.
+    /// Starts ffmpeg for frames of `size` pixels. Returns `None`, and prints a line once, if no ffmpeg has libvmaf.
     pub fn start(size: (u32, u32), fps: f64) -> Result<Option<Self>> {
         match ffmpeg()? {
             None => Ok(None),
@@ -63,7 +53,7 @@ impl Vmaf {
 
     fn with(program: &Path, size: (u32, u32), fps: f64) -> Result<Self> {
         let (width, height) = size;
-        // Chroma counts for nothing in VMAF, and 4:4:4 takes odd sizes.
+        // VMAF ignores chroma, and 4:4:4 takes odd sizes.
         let cut = |y: u32| format!("crop={width}:{height}:0:{y},scale=out_color_matrix=bt709,format=yuv444p");
         let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
         let graph = format!(
@@ -72,65 +62,30 @@ impl Vmaf {
             cut(0),
             cut(height)
         );
-        let folder = tempfile::tempdir().context("making a temporary folder")?;
-        let errors = File::create(folder.path().join(ERRORS)).context("creating a log")?;
-        let mut ffmpeg = Command::new(program)
-            .args(["-hide_banner", "-nostats", "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24"])
-            .args(["-video_size", &format!("{width}x{}", 2 * height), "-framerate", &fps.to_string(), "-i", "pipe:0"])
-            .args(["-filter_complex", &graph, "-f", "null", "-"])
-            .current_dir(folder.path())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(errors)
-            .spawn()
-            .with_context(|| format!("starting {}", program.display()))?;
-        let stdin = ffmpeg.stdin.take();
-        Ok(Self { ffmpeg, stdin, folder, size, frames: 0 })
+        let arguments = ["-filter_complex", &graph, "-f", "null", "-"];
+        Ok(Self { ffmpeg: Ffmpeg::start(program, (width, 2 * height), fps, &arguments)?, size, frames: 0 })
     }
 
     /// Adds a frame and its truth.
-    ///
-    /// # Errors
-    /// When one is not of the agreed size, or ffmpeg takes no more.
     pub fn push(&mut self, shown: &RgbImage, truth: &RgbImage) -> Result<()> {
         for image in [shown, truth] {
             ensure!(image.dimensions() == self.size, "a frame of {:?} among {:?}", image.dimensions(), self.size);
         }
-        let stdin = self.stdin.as_mut().context("ffmpeg has no input")?;
-        if let Err(error) = stdin.write_all(shown.as_raw()).and_then(|()| stdin.write_all(truth.as_raw())) {
-            bail!("ffmpeg takes no more: {error}: {}", self.errors());
-        }
+        self.ffmpeg.write(shown.as_raw())?;
+        self.ffmpeg.write(truth.as_raw())?;
         self.frames += 1;
         Ok(())
     }
 
-    /// The mean over all frames.
-    ///
-    /// # Errors
-    /// When ffmpeg fails, or has compared another number of frames than it was given.
+    /// Returns the mean over all frames.
     pub fn finish(mut self) -> Result<f64> {
-        drop(self.stdin.take());
-        let status = self.ffmpeg.wait().context("waiting for ffmpeg")?;
-        ensure!(status.success(), "ffmpeg ended with {status}: {}", self.errors());
-        let log = fs::read_to_string(self.folder.path().join(LOG)).context("reading libvmaf's log")?;
+        self.ffmpeg.finish()?;
+        let log = fs::read_to_string(self.ffmpeg.folder().join(LOG)).context("reading libvmaf's log")?;
         mean_in(&log, self.frames)
     }
-
-    fn errors(&self) -> String {
-        fs::read_to_string(self.folder.path().join(ERRORS)).unwrap_or_default().trim().to_owned()
-    }
 }
 
-impl Drop for Vmaf {
-    fn drop(&mut self) {
-        // Already ended is as good.
-        if self.ffmpeg.kill().is_ok() {
-            drop(self.ffmpeg.wait());
-        }
-    }
-}
-
-/// The pooled mean in libvmaf's log, which must be of so many frames.
+/// Returns the pooled mean from libvmaf's log. Errors if it covers another number of frames.
 fn mean_in(log: &str, frames: usize) -> Result<f64> {
     let log: Value = serde_json::from_str(log).context("libvmaf's log")?;
     let compared = log["frames"].as_array().context("libvmaf's log lists no frames")?.len();
@@ -138,7 +93,7 @@ fn mean_in(log: &str, frames: usize) -> Result<f64> {
     log["pooled_metrics"]["vmaf"]["mean"].as_f64().context("libvmaf's log has no mean")
 }
 
-/// The ffmpeg to use, looked for once.
+/// Returns the ffmpeg to use; looks for it once.
 fn ffmpeg() -> Result<Option<PathBuf>> {
     static FOUND: OnceLock<Result<Option<PathBuf>, String>> = OnceLock::new();
     let found = FOUND.get_or_init(|| {
@@ -151,7 +106,7 @@ fn ffmpeg() -> Result<Option<PathBuf>> {
     found.clone().map_err(anyhow::Error::msg)
 }
 
-/// The named ffmpeg, which must then be one with libvmaf, or else the search path's, if it is one.
+/// Returns the named ffmpeg, or the search path's if it has libvmaf. Errors if the named one has none.
 fn find(named: Option<&OsStr>) -> Result<Option<PathBuf>> {
     let has_vmaf = |program: &Path| {
         let listed = Command::new(program).args(["-hide_banner", "-filters"]).stdin(Stdio::null()).output();
@@ -171,6 +126,7 @@ mod tests {
     use std::os::unix::fs::PermissionsExt as _;
 
     use image::Rgb;
+    use tempfile::TempDir;
 
     use super::*;
 
@@ -180,7 +136,7 @@ mod tests {
         (0..4).map(|t| RgbImage::from_fn(97, 65, |x, y| Rgb([noisy(value(x / 8, y / 8, t), x, y); 3]))).collect()
     }
 
-    /// A program that answers `-filters` with `filters` and otherwise ends well without a result.
+    /// A program that prints `filters` for `-filters` and otherwise succeeds without a result.
     fn impostor(filters: &str) -> (TempDir, PathBuf) {
         let folder = tempfile::tempdir().unwrap();
         let program = folder.path().join("ffmpeg");

@@ -1,8 +1,7 @@
-//! Alpha of MASK surfaces in f64: the bilinear rule, and how sure its answer is.
+//! Alpha of MASK surfaces in f64: bilinear filtering with an error bound.
 
 use gnomon_scene::{AlphaMode, Material, Scene, Wrap};
 
-/// Alpha test of one material.
 #[derive(Debug, Clone)]
 pub(super) struct AlphaTest {
     cutoff: f64,
@@ -19,7 +18,7 @@ struct Picture {
 }
 
 impl AlphaTest {
-    /// The material's test, when it is MASK.
+    /// Returns the test of a MASK material.
     pub(super) fn new(scene: &Scene, material: &Material) -> Option<Self> {
         let AlphaMode::Mask { cutoff } = material.alpha else { return None };
         let picture = material.base_color_texture.map(|texture| {
@@ -40,8 +39,8 @@ impl AlphaTest {
         self.picture.as_ref().map_or(0.0, |picture| picture.width.max(picture.height) as f64)
     }
 
-    /// How far the alpha at (u, v) lies above the cutoff, and how much of that f32 texture coordinates may have moved.
-    /// The surface is there when the first is not negative.
+    /// Returns how far the alpha at (u, v) lies above the cutoff, and the error of that from f32 texture coordinates.
+    /// The surface exists if the first is not negative.
     pub(super) fn margin(&self, u: f64, v: f64) -> (f64, f64) {
         let Some(picture) = &self.picture else { return (self.factor - self.cutoff, 0.0) };
         let (alpha, rounding) = picture.sample(u, v);
@@ -50,7 +49,7 @@ impl AlphaTest {
 }
 
 impl Picture {
-    /// Alpha at (u, v), 0 to 1, and how far f32 coordinates may have moved it.
+    /// Returns the alpha at (u, v), 0 to 1, and its error from f32 coordinates.
     fn sample(&self, u: f64, v: f64) -> (f64, f64) {
         #[expect(clippy::cast_precision_loss, reason = "pictures are smaller than 2^53 pixels")]
         let (x, y) = (u * self.width as f64 - 0.5, v * self.height as f64 - 0.5);
@@ -67,14 +66,14 @@ impl Picture {
         let corners = [texel(left, top), texel(right, top), texel(left, bottom), texel(right, bottom)];
         let upper = corners[0] + (corners[1] - corners[0]) * right_share;
         let lower = corners[2] + (corners[3] - corners[2]) * right_share;
-        // u is rounded when it is interpolated, multiplied and shifted; the steepest slope is the corners' spread.
+        // u is rounded when it is interpolated, multiplied and shifted; the corners' spread bounds the slope.
         let spread = corners.iter().copied().fold(0.0, f64::max) - corners.iter().copied().fold(1.0, f64::min);
         let rounding_texels = (x.abs() + y.abs() + 2.0) * f64::from(f32::EPSILON) * 2.0;
         (upper + (lower - upper) * bottom_share, (spread * rounding_texels).min(1.0))
     }
 }
 
-/// The texel that stands for `index` in a row or column of `count`.
+/// Returns the texel for `index` in a row or column of `count`, by the wrap mode.
 fn wrapped(index: i64, count: i64, wrap: Wrap) -> i64 {
     match wrap {
         Wrap::Repeat => index.rem_euclid(count),

@@ -1,7 +1,7 @@
-//! A plain BVH for the referee: two children a node, binned surface area heuristic, f64 boxes.
+//! A plain BVH for the referee: binary, binned surface area heuristic, f64 boxes.
 //!
 //! Wald, "On fast Construction of SAH-based Bounding Volume Hierarchies", 2007, with sixteen bins. Boxes are grown by a
-//! margin, so that a walk also meets the triangles that the ray passes within that margin of.
+//! margin, so that traversal also visits triangles that the ray passes within that margin.
 
 use glam::DVec3;
 
@@ -9,9 +9,9 @@ use super::triangle::Ray;
 
 const BINS: usize = 16;
 const LEAF: usize = 4;
-/// Below this depth nodes are halved by count, which bounds the depth of the whole tree.
+/// Below this depth nodes are split in half by count, which bounds the tree's depth.
 const SAH_DEPTH: usize = 60;
-/// [`SAH_DEPTH`] and 32 halvings: more than 2^32 triangles need.
+/// [`SAH_DEPTH`] plus 32 halvings, enough for 2^32 triangles.
 const STACK: usize = 96;
 
 #[derive(Debug, Clone, Copy)]
@@ -34,7 +34,7 @@ impl Bounds {
 
     /// Distances at which the ray enters and leaves.
     fn cross(&self, ray: &Ray) -> (f64, f64) {
-        // 0·∞ is NaN where the ray runs inside a face; `min` and `max` of f64 then take the other argument.
+        // 0·∞ is NaN if the ray runs inside a face; f64 `min` and `max` then return the other argument.
         let (a, b) = ((self.min - ray.origin) * ray.inverse, (self.max - ray.origin) * ray.inverse);
         let near = a.x.min(b.x).max(a.y.min(b.y)).max(a.z.min(b.z));
         let far = a.x.max(b.x).min(a.y.max(b.y)).min(a.z.max(b.z));
@@ -45,13 +45,12 @@ impl Bounds {
 #[derive(Debug)]
 struct Node {
     bounds: Bounds,
-    /// First place in `order` of a leaf, or the index of the first of two children.
+    /// First index into `order` of a leaf, or the first of two children.
     first: u32,
     /// Triangles of a leaf; 0 for inner nodes.
     count: u32,
 }
 
-/// The hierarchy: it holds indices of triangles, not the triangles.
 #[derive(Debug)]
 pub(super) struct Bvh {
     nodes: Vec<Node>,
@@ -65,7 +64,7 @@ struct Item {
 }
 
 impl Bvh {
-    /// A hierarchy over the triangles, each box grown by `margin_m`.
+    /// Builds a hierarchy over the triangles, each box grown by `margin_m`.
     #[expect(clippy::cast_possible_truncation, reason = "scenes index their triangles and vertices with u32")]
     pub(super) fn new(triangles: &[[DVec3; 3]], margin_m: f64) -> Self {
         let mut items: Vec<_> = triangles
@@ -101,8 +100,8 @@ impl Bvh {
         Self { nodes, order: items.into_iter().map(|item| item.index).collect() }
     }
 
-    /// Calls `meet` with every triangle whose grown box the ray crosses before `t_end`, nearer boxes first.
-    /// `meet` returns the new `t_end`; a negative one ends the walk.
+    /// Calls `meet` with every triangle whose grown box the ray crosses before `t_end`, nearer boxes first. `meet`
+    /// returns the new `t_end`; a negative one stops the traversal.
     pub(super) fn walk(&self, ray: &Ray, mut t_end: f64, mut meet: impl FnMut(u32) -> f64) {
         let mut stack = [(0_u32, 0.0_f64); STACK];
         let mut height = 1;
@@ -143,7 +142,7 @@ impl Bvh {
     }
 }
 
-/// Orders the items so that those of the left child stand first, and returns how many they are: never none or all.
+/// Partitions the items and returns how many go left: never none, never all.
 fn split(items: &mut [Item], depth: usize) -> usize {
     let half = items.len() / 2;
     let centres = items.iter().fold(Bounds::EMPTY, |all, item| all.join(Bounds { min: item.centre, max: item.centre }));
@@ -208,7 +207,7 @@ mod tests {
 
     fn triangles() -> impl Strategy<Value = Vec<[DVec3; 3]>> {
         let shape = (point(10.0), point(3.0), point(3.0)).prop_map(|(a, b, c)| [a, a + b, a + c]);
-        // Some flat against an axis, some stacked on one spot: what splits badly.
+        // Some are flat along an axis, some are stacked on one spot: both split badly.
         let flat = (point(10.0), point(3.0), point(3.0)).prop_map(|(a, b, c)| [a, a + b, a + c].map(|p| p.with_y(1.0)));
         let stacked = point(1.0).prop_map(|p| [p * 1e-3, DVec3::X, DVec3::Z]);
         prop::collection::vec(prop_oneof![shape, flat, stacked], 0..150)

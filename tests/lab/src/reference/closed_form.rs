@@ -1,4 +1,4 @@
-//! The referee, judged itself: shadows whose outline or area is known in closed form.
+//! Checks the referee against shadows whose outline or area is known in closed form.
 
 use std::f64::consts::PI;
 
@@ -16,13 +16,13 @@ fn floor(centre: Vec3, half_side: f32) -> SceneBuilder {
     SceneBuilder::new().quad(corner, Vec3::Z * 2.0 * half_side, Vec3::X * 2.0 * half_side)
 }
 
-/// A camera straight above `target` that sees a square of `2·half_side` on the floor.
+/// A camera above `target` that sees a square of `2·half_side` on the floor.
 fn above(target: DVec3, height: f64, half_side: f64, side_px: u32) -> Camera {
     let yfov_rad = 2.0 * (half_side / height).atan();
     Camera::looking_at(target + DVec3::Y * height, target, yfov_rad, side_px, side_px)
 }
 
-/// The floor point in world space that a camera above the floor sees at a pixel.
+/// Returns the floor point in world space at a pixel of a camera above it.
 fn floor_point(camera: &Camera, x: u32, y: u32) -> DVec3 {
     let (from, direction) = camera.ray(x, y);
     from - direction * (from.y / direction.y)
@@ -32,7 +32,7 @@ fn trace(scene: &Scene, camera: &Camera) -> Truth {
     Reference::new(scene).trace(camera)
 }
 
-/// Asserts that light 0's verdicts on a visible floor follow `lit`, pixel by pixel, and that almost none is in doubt.
+/// Asserts that light 0's verdicts on a visible floor follow `lit`, and that almost none is undecided.
 fn assert_floor(scene: &Scene, camera: &Camera, lit: impl Fn(DVec3) -> bool) {
     let truth = trace(scene, camera);
     let (mut shadow, mut doubts) = (0, 0);
@@ -53,7 +53,7 @@ fn assert_floor(scene: &Scene, camera: &Camera, lit: impl Fn(DVec3) -> bool) {
     assert!(doubts * 1000 < camera.width * camera.height, "{doubts} bits in doubt");
 }
 
-/// Area of light 0's shadow on the floor that the camera looks straight down upon.
+/// Area of light 0's shadow on the floor below the camera.
 fn shadow_area(scene: &Scene, camera: &Camera) -> f64 {
     let dark = trace(scene, camera).pixels.iter().filter(|v| v.relevant == 1 && v.lit == 0).count();
     let side = floor_point(camera, 1, 0).distance(floor_point(camera, 0, 0));
@@ -108,11 +108,11 @@ fn a_grid_of_slits_lets_stripes_of_light_through() {
         builder = builder.quad(Vec3::new(left, 2.0, -9.0), Vec3::Z * 18.0, Vec3::X * 0.3);
     }
     let scene = builder.point_light(Vec3::new(0.0, 8.0, 0.0), f32::INFINITY).build();
-    // From below the planks, so that they hide nothing.
+    // From below the planks, which then hide nothing.
     let camera = above(DVec3::new(0.11, 0.0, 0.07), 1.9, 1.5, 300);
     assert_floor(&scene, &camera, |p| {
         let x = p.x * 0.75;
-        // The planks' right edges were rounded to f32, by less than what makes a bit undecided.
+        // The planks' right edges were rounded to f32, by less than makes a bit undecided.
         x - (x / 0.5).floor() * 0.5 > f64::from(0.3_f32)
     });
     let lit = trace(&scene, &camera).pixels.iter().filter(|v| v.lit == 1).count();
@@ -139,15 +139,15 @@ fn masked_leaves_cast_the_shadow_of_their_alpha() {
     };
     let camera = above(DVec3::new(0.4, 0.0, 0.1), 0.9, 2.3, 300);
     assert_floor(&sheet(Wrap::ClampToEdge, 1.0), &camera, |p| under(p).is_none_or(|u| u < 0.375));
-    // Repeated, alpha falls again behind u = 0.75 and reaches ¼ at u = 1.125, which is 0.125 of the next one.
+    // Repeated, alpha falls again after u = 0.75 and reaches ¼ at u = 1.125, which is 0.125 of the next one.
     assert_floor(&sheet(Wrap::Repeat, 8.0), &camera, |p| {
         under(p).is_none_or(|u| (0.125..0.375).contains(&(u * 8.0).fract()))
     });
-    // Mirrored, the second half of each pair runs backwards.
+    // Mirrored, the second half of each pair is reversed.
     assert_floor(&sheet(Wrap::MirroredRepeat, 8.0), &camera, |p| {
         under(p).is_none_or(|u| !(0.375..1.625).contains(&((u * 8.0).rem_euclid(2.0))))
     });
-    // Holes let the camera through as well, and what is not there has no visibility of its own.
+    // The camera sees through holes too; a hole has no visibility of its own.
     let from_above = trace(&sheet(Wrap::ClampToEdge, 1.0), &above(DVec3::ZERO, 100.0, 2.5, 100));
     assert_eq!(from_above.at(20, 50), Verdict { surface: true, relevant: 1, lit: 1, undecided: 0 });
     assert_eq!(from_above.at(75, 50), Verdict { surface: true, relevant: 1, lit: 1, undecided: 0 });
@@ -178,7 +178,7 @@ fn range_and_cone_bound_what_is_relevant() {
 
 #[test]
 fn single_sided_backs_are_passed_through_but_stop_light() {
-    // A ceiling whose front faces down, seen from above: the camera looks through it, the sun does not.
+    // A ceiling that faces down, seen from above: the camera looks through it, the sun does not.
     let scene = floor(Vec3::ZERO, 30.0)
         .material(AlphaMode::Opaque, false)
         .quad(Vec3::new(-2.0, 3.0, -2.0), Vec3::X * 4.0, Vec3::Z * 4.0)
@@ -186,7 +186,7 @@ fn single_sided_backs_are_passed_through_but_stop_light() {
         .build();
     let lit = |p: DVec3| p.x.abs() > 2.0 || p.z.abs() > 2.0;
     assert_floor(&scene, &above(DVec3::ZERO, 40.0, 5.0, 200), lit);
-    // One whose front faces up, seen from between: the light meets its front, the rays towards it its back.
+    // One that faces up, seen from below: light meets its front, shadow rays its back.
     let scene = floor(Vec3::ZERO, 30.0)
         .material(AlphaMode::Opaque, false)
         .quad(Vec3::new(-2.0, 3.0, -2.0), Vec3::Z * 4.0, Vec3::X * 4.0)
@@ -201,10 +201,10 @@ fn relevance_follows_the_shading_normal_and_facing_the_plane() {
     let sun = |angle_deg: f32| -Vec3::new(angle_deg.to_radians().cos(), angle_deg.to_radians().sin(), 0.0);
     let mut scene = floor(Vec3::ZERO, 5.0).sun(sun(10.0)).sun(sun(-10.0)).sun(sun(170.0)).sun(sun(-170.0)).build();
     scene.normals.fill(Vec3::new(0.5, 0.75_f32.sqrt(), 0.0));
-    // From above: what faces the lean is relevant, and of this only what stands above the horizon is lit.
+    // From above: points that face the lean are relevant, and of those, only light above the horizon reaches them.
     let seen = trace(&scene, &above(DVec3::X * 0.3, 2.0, 1.0, 8));
     assert!(seen.pixels.iter().all(|v| (v.relevant, v.lit) == (0b0011, 0b0001)), "{:?}", seen.pixels[0]);
-    // From below both normals turn round.
+    // From below both normals are flipped.
     let eye = DVec3::new(0.3, -2.0, 0.2);
     let seen = trace(&scene, &Camera::looking_at(eye, eye + DVec3::Y, 1.0, 8, 8));
     assert!(seen.pixels.iter().all(|v| (v.relevant, v.lit) == (0b1100, 0b1000)), "{:?}", seen.pixels[0]);
@@ -220,7 +220,7 @@ fn a_closed_room_is_lit_everywhere_from_inside_and_nowhere_from_outside() {
     let inside = trace(&room(SceneBuilder::new().point_light(Vec3::new(0.3, 2.0, 0.4), f32::INFINITY)), &camera);
     assert!(inside.pixels.iter().all(|v| *v == Verdict { surface: true, relevant: 1, lit: 1, undecided: v.undecided }));
     assert!(inside.pixels.iter().filter(|v| v.undecided != 0).count() < 10);
-    // Faces that look at an outside lamp from within do so through walls.
+    // Faces that see an outside lamp from within see it through walls.
     let outside = trace(&room(SceneBuilder::new().point_light(Vec3::new(9.0, 9.0, 9.0), f32::INFINITY)), &camera);
     assert!(outside.pixels.iter().all(|v| v.surface && v.lit == 0));
     assert!(outside.pixels.iter().filter(|v| v.relevant == 1).count() > 10_000);
@@ -228,7 +228,7 @@ fn a_closed_room_is_lit_everywhere_from_inside_and_nowhere_from_outside() {
 
 #[test]
 fn doubt_is_cast_where_rounding_decides_and_only_there() {
-    // The shadow of an edge runs exactly through a row of pixel centres; a second light's edge does not.
+    // One light's shadow edge runs exactly through a row of pixel centres; the other's does not.
     let scene = floor(Vec3::ZERO, 8.0)
         .quad(Vec3::new(-8.0, 1.0, -8.0), Vec3::Z * 8.5, Vec3::X * 16.0)
         .sun(DOWN)

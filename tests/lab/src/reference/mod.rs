@@ -1,22 +1,22 @@
 //! The referee: a plain f64 tracer that shares no code with the back ends.
 //!
-//! It follows the rules of `gnomon_server::visibility` to the letter, from the scene and the camera's f64 rays alone,
-//! with its own BVH, triangle test and alpha sampling. For every pixel it says whether there is a surface, which lights
-//! are relevant, which of them reach it, and which of these answers are **undecided**: closer to the other answer than
-//! f32 can tell.
+//! It follows the rules of `gnomon_server::visibility` exactly, from the scene and the camera's f64 rays alone, with
+//! its own BVH, triangle test and alpha sampling. For every pixel it decides whether there is a surface, which lights
+//! are relevant, which of them reach it, and which of these decisions are **undecided**: closer to the other outcome
+//! than f32 can resolve.
 //!
 //! The shadow ray starts at the exact f64 point, pushed along the geometric normal by 1e-9 of the scene's magnitude
-//! (some 1e-8 m in a building; rounding in f64 is a million times smaller), and its own triangle cannot stop it.
+//! (some 1e-8 m in a building; f64 rounding is a million times smaller), and its own triangle cannot block it.
 //!
-//! **Undecided** is found by experiment. f32 cannot tell points apart that are closer than 2^-24 of their coordinates;
-//! a back end rounds the ray's start, its direction and the point a few times each, so it may honestly be off by
-//! `rounding_m` = 2^-21 of the scene's magnitude. A pixel for which any decision passes within that distance of an edge, of
-//! another surface, or of a limit (range, cone, facing, alpha cutoff) is judged eight more times, with the camera and the
-//! point moved by `rounding_m` along each diagonal, and bits that change are undecided. They stay in every figure: they
-//! are reported beside it, to explain a difference, never to excuse one.
+//! **Undecided** is found by experiment. f32 cannot resolve points closer than 2^-24 of their coordinates; a back end
+//! rounds the ray's start, its direction and the point a few times each, so it may be off by `rounding_m` = 2^-21 of
+//! the scene's magnitude. If any decision of a pixel passes within that distance of an edge, another surface or a limit
+//! (range, cone, facing, alpha cutoff), the pixel is judged eight more times, with the camera and the point moved by
+//! `rounding_m` along each diagonal; bits that change are undecided. They stay in every figure and are reported beside
+//! it, to explain a difference, never to excuse one.
 //!
-//! **Ties** are none of them: a plane that holds the camera or the light (to a thousandth of the push) does what the rules
-//! say, for sure, and the back ends must decide as much.
+//! **Ties** are decided: a plane that contains the camera or the light (to a thousandth of the push) follows the rules
+//! for certain, and back ends must agree.
 
 mod alpha;
 mod bvh;
@@ -32,48 +32,37 @@ use rayon::prelude::*;
 use alpha::AlphaTest;
 use bvh::Bvh;
 
-/// Lights count as far away from this many times the scene's greatest coordinate on.
+/// Lights beyond this multiple of the scene's greatest coordinate count as distant.
 const AFAR: f64 = 4.0;
 
-/// The referee's answers for one picture, row by row; bit k of a word is light k.
+/// Verdicts for one picture, row by row; bit k of a word is light k.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Truth {
-    /// Width in pixels.
     pub width: u32,
-    /// Height in pixels.
     pub height: u32,
-    /// Lights of the scene.
     pub lights: u32,
-    /// One entry a pixel.
+    /// One verdict per pixel.
     pub pixels: Vec<Verdict>,
 }
 
-/// The referee's answers for one pixel.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Verdict {
-    /// Whether the pixel sees a surface.
     pub surface: bool,
-    /// Lights that matter there.
+    /// Relevant lights.
     pub relevant: u32,
-    /// Relevant lights that reach it.
     pub lit: u32,
     /// Lights whose relevance or visibility rounding may change.
     pub undecided: u32,
 }
 
 impl Truth {
-    /// The verdict for pixel (x, y).
-    ///
-    /// # Panics
-    /// When the pixel lies outside the picture.
-    #[must_use]
+    /// Returns the verdict for pixel (x, y). Panics outside the picture.
     pub fn at(&self, x: u32, y: u32) -> Verdict {
         assert!(x < self.width && y < self.height, "({x}, {y}) outside {}×{}", self.width, self.height);
         self.pixels[(y * self.width + x) as usize]
     }
 }
 
-/// A scene, prepared for tracing.
 #[derive(Debug)]
 pub struct Reference {
     origin_m: DVec3,
@@ -82,15 +71,15 @@ pub struct Reference {
     bvh: Bvh,
     materials: Vec<Sheet>,
     lights: Vec<Light>,
-    /// What f32 cannot tell apart, in metres: see the module.
+    /// Resolution of f32 in this scene, in metres: see the module.
     rounding_m: f64,
-    /// How far shadow rays are pushed off their surface, in metres.
+    /// Offset of shadow rays from their surface, in metres.
     push_m: f64,
-    /// Distances below this are 0 but for rounding in f64, in metres.
+    /// Distances below this are 0 up to f64 rounding, in metres.
     exact_m: f64,
 }
 
-/// What a triangle is besides its corners.
+/// A triangle's data besides its corners.
 #[derive(Debug)]
 struct Surface {
     normals: [DVec3; 3],
@@ -98,7 +87,6 @@ struct Surface {
     material: u32,
 }
 
-/// How rays see a material.
 #[derive(Debug)]
 struct Sheet {
     double_sided: bool,
@@ -106,8 +94,7 @@ struct Sheet {
 }
 
 impl Reference {
-    /// Prepares the OPAQUE and MASK triangles of a scene. `rounding_m` follows from its size: see the module.
-    #[must_use]
+    /// Prepares the OPAQUE and MASK triangles of a scene. `rounding_m` follows from the scene's size: see the module.
     pub fn new(scene: &Scene) -> Self {
         let (mut corners, mut surfaces) = (Vec::new(), Vec::new());
         let traced = scene.tracing_triangles().len();
@@ -127,7 +114,7 @@ impl Reference {
         let lights = scene.lights.iter().filter(|light| light.kind != LightKind::Directional);
         let scene_m =
             corners.iter().flatten().map(|corner| corner.abs().max_element()).fold(f64::MIN_POSITIVE, f64::max);
-        // Of what lies farther away only the direction counts, and this is as sharp as that of what lies here.
+        // For more distant lights only the direction counts, which is as precise as at this distance.
         let magnitude_m = lights
             .map(|light| light.position.as_dvec3().abs().max_element().min(AFAR * scene_m))
             .fold(scene_m, f64::max);
@@ -149,8 +136,7 @@ impl Reference {
         }
     }
 
-    /// Judges every pixel of the camera's picture, on all threads of the current rayon pool.
-    #[must_use]
+    /// Judges every pixel of the camera's picture, on the current rayon pool.
     pub fn trace(&self, camera: &Camera) -> Truth {
         let mut pixels = vec![Verdict::default(); camera.width as usize * camera.height as usize];
         pixels.par_chunks_mut(camera.width as usize).zip(0..camera.height).for_each(|(row, y)| {

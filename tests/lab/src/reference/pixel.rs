@@ -1,4 +1,4 @@
-//! One pixel's judgement: the rules of `gnomon_server::visibility`, in f64, with doubts.
+//! Judges one pixel: the rules of `gnomon_server::visibility`, in f64, with doubts.
 
 use glam::DVec3;
 use gnomon_scene::{Light, LightKind, camera::Camera};
@@ -8,38 +8,36 @@ use super::{
     triangle::{Crossing, Ray},
 };
 
-/// How a pixel is judged: exactly, or moved by what f32 cannot tell.
+/// Perturbation of a judgement: none, or by what f32 cannot resolve.
 #[derive(Debug, Clone, Copy)]
 struct Nudge {
     /// Moves the camera and the shadow ray's start, in metres.
     offset: DVec3,
     /// Moves alpha samples, in units of their rounding.
     alpha: f64,
-    /// Moves limits (facing, range, cone, the light's end of a shadow ray), in units of theirs.
+    /// Moves limits (facing, range, cone, the light's end of a shadow ray), in units of their rounding.
     limit: f64,
 }
 
-/// Ties that are judged; more lie in one point only where a mesh has a fan or a heap there.
+/// Most ties that are judged; only a fan or heap of triangles has more in one point.
 const MOST_TIES: usize = 8;
 
-/// What a camera ray meets first.
 struct Nearest {
     first: (u32, Crossing),
-    /// Other triangles that it meets within rounding of the first: f32 may see either.
+    /// Other triangles within rounding of the first: f32 may see any of them.
     ties: Vec<(u32, Crossing)>,
 }
 
-/// The point that a pixel sees.
 struct Seen {
     triangle: u32,
     point: DVec3,
     /// Unit normal of the triangle's plane, towards the camera.
     geometric: DVec3,
-    /// Interpolated normal, negated when the back was met; any length.
+    /// Interpolated normal, negated on back faces; any length.
     shading: DVec3,
 }
 
-/// Set when a decision came closer than rounding to the other answer.
+/// Set if a decision came closer than rounding to the other outcome.
 #[derive(Default)]
 struct Doubt(bool);
 
@@ -57,7 +55,7 @@ impl Reference {
         let mut verdict =
             self.judge_nudged(origin, direction, Nudge { offset: DVec3::ZERO, alpha: 0.0, limit: 0.0 }, &mut doubt);
         if doubt.0 {
-            // A camera far outside the scene rounds more coarsely than the scene does.
+            // A camera far outside the scene rounds more coarsely than the scene.
             let rounding_m = self.rounding_m.max(origin.abs().max_element() * 2.0_f64.powi(-21));
             for corner in 0..8_u32 {
                 let sign = |bit: u32| if corner >> bit & 1 == 1 { 1.0 } else { -1.0 };
@@ -104,7 +102,7 @@ impl Reference {
         let mut ties = Vec::new();
         self.bvh.walk(ray, f64::INFINITY, |triangle| {
             let end = nearest.map_or(f64::INFINITY, |(_, crossing)| crossing.t);
-            // What holds the camera is not met, wherever the nudge moved it.
+            // A triangle whose plane contains the camera is never hit, however the camera is moved.
             let meeting =
                 self.meet(ray, triangle, nudge, true).filter(|_| !self.holds(triangle, ray.origin - nudge.offset));
             if meeting.is_some_and(|(crossing, ..)| crossing.t.abs() <= slack) {
@@ -127,10 +125,10 @@ impl Reference {
         let end = nearest.as_ref().map_or(f64::INFINITY, |(_, crossing)| crossing.t);
         doubt.about(nearest_doubt.is_finite() && nearest_doubt <= end + slack);
         let first = nearest?;
-        // What lies farther ahead was met before the nearest was.
+        // Anything farther ahead lies behind the nearest.
         let own = self.corners[first.0 as usize];
         ties.retain(|(triangle, crossing)| {
-            // The same triangle laid twice has the same verdict.
+            // A duplicated triangle has the same verdict.
             self.corners[*triangle as usize] != own && (crossing.t - end).abs() <= slack
         });
         ties.truncate(MOST_TIES);
@@ -148,7 +146,8 @@ impl Reference {
         Seen { triangle, point: ray.at(crossing.t), geometric: normal * side, shading: shading * side }
     }
 
-    /// Whether the ray meets the triangle: where, whether it is there, and whether that is in doubt. `None` for sure misses.
+    /// Returns where the ray hits the triangle, whether it is opaque there, and whether that is in doubt. `None` for
+    /// certain misses.
     fn meet(&self, ray: &Ray, triangle: u32, nudge: Nudge, sides_matter: bool) -> Option<(Crossing, bool, bool)> {
         let corners = &self.corners[triangle as usize];
         let crossing = ray.cross(corners)?;
@@ -162,7 +161,7 @@ impl Reference {
         let mut close = crossing.inside_m <= margin;
         if sides_matter && !sheet.double_sided {
             let [a, b, c] = *corners;
-            // A triangle that is seen so edge-on that its side is in doubt is narrower than the margin: `close` says so.
+            // A triangle so edge-on that its side is in doubt is narrower than the margin, so `close` covers it.
             there &= (b - a).cross(c - a).dot(ray.direction) < 0.0;
         }
         if let Some(alpha) = &sheet.alpha {
@@ -172,14 +171,14 @@ impl Reference {
             }
             let (above, rounding) = alpha.margin(uv[0], uv[1]);
             there &= above + nudge.alpha * rounding >= 0.0;
-            // Moving the ray moves the sample too; the eight nudges say whether that matters.
+            // Moving the ray moves the sample too; the eight nudges show whether that matters.
             close |= above.abs() <= rounding + self.alpha_slope(triangle) * margin;
         }
         (there || close).then_some((crossing, there, close))
     }
 
-    /// The most that alpha can change per metre on a triangle: one whole step a texel is its bound, so only texels a
-    /// metre count; taken from the edges' texture coordinates.
+    /// Greatest change of alpha per metre on a triangle. One full step per texel is its bound, so only texels per metre
+    /// count, from the edges' texture coordinates.
     fn alpha_slope(&self, triangle: u32) -> f64 {
         let corners = &self.corners[triangle as usize];
         let surface = &self.surfaces[triangle as usize];
@@ -196,7 +195,7 @@ impl Reference {
     fn relevant(&self, light: &Light, seen: &Seen, nudge: Nudge, doubt: &mut Doubt) -> bool {
         let margin = 4.0 * self.rounding_m;
         let to_light = towards(light, seen.point);
-        // Whether `above` is positive, within what rounding may move it.
+        // Compares `above` with 0, within its rounding.
         let mut within = |above: f64, rounding: f64| {
             doubt.about(above.abs() <= rounding);
             above + nudge.limit * rounding >= 0.0
@@ -224,7 +223,7 @@ impl Reference {
     fn reached(&self, light: &Light, seen: &Seen, nudge: Nudge, doubt: &mut Doubt) -> bool {
         let to_light = towards(light, seen.point);
         let facing = seen.geometric.dot(to_light);
-        // A light in the surface's own plane is not above it: rule 4 is sure of that.
+        // Rule 4 is certain that a light in the surface's own plane is not above it.
         if facing.abs() <= self.exact_m {
             return false;
         }
@@ -233,7 +232,7 @@ impl Reference {
         if facing + nudge.limit * margin <= 0.0 {
             return false;
         }
-        // Back ends push their starts up by more than rounding, so doubt moves a start along the surface and up, never down.
+        // Back ends push starts up by more than rounding, so doubt moves a start along the surface and up, never down.
         let down = seen.geometric * nudge.offset.dot(seen.geometric).min(0.0);
         let start = seen.point + seen.geometric * self.push_m + (nudge.offset - down);
         let (direction, end) = if light.kind == LightKind::Directional {
@@ -269,14 +268,14 @@ impl Reference {
         !stopped
     }
 
-    /// Whether a triangle's plane holds a point, but for what f64 cannot tell.
+    /// Returns whether a triangle's plane contains a point, up to f64 rounding.
     fn holds(&self, triangle: u32, point: DVec3) -> bool {
         let [a, b, c] = self.corners[triangle as usize];
         let normal = (b - a).cross(c - a);
         normal.dot(point - a).abs() <= self.exact_m * normal.length()
     }
 
-    /// How far rounding may move a unit vector's dot product with `to_light`.
+    /// Rounding of a unit vector's dot product with `to_light`.
     fn dot_margin(&self, light: &Light, to_light: DVec3) -> f64 {
         let rounding = 8.0 * f64::from(f32::EPSILON);
         if light.kind == LightKind::Directional {
@@ -287,7 +286,7 @@ impl Reference {
     }
 }
 
-/// From a point to a light; of unit length for directional lights.
+/// Vector from a point to a light; of unit length for directional lights.
 fn towards(light: &Light, point: DVec3) -> DVec3 {
     match light.kind {
         LightKind::Directional => -light.direction.as_dvec3(),

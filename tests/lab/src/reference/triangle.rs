@@ -1,29 +1,28 @@
-//! Ray against triangle, watertight, in f64, and how far from its edges the ray passes.
+//! Watertight ray-triangle intersection in f64, with the ray's distance from the triangle's edges.
 //!
-//! Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013. Their edge functions are evaluated
-//! on coordinates that depend on one vertex alone, so two triangles that share an edge agree about its side.
+//! Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013. Edge functions are evaluated on
+//! coordinates that depend on one vertex alone, so triangles that share an edge agree about its side.
 
 use glam::DVec3;
 
-/// A ray, ready for intersection: its largest direction component is the new z axis, and the shear that makes it (0, 0, 1).
+/// A ray prepared for intersection: its largest direction component is the new z axis, and a shear makes it (0, 0, 1).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ray {
-    /// Where it starts, in metres.
+    /// Origin, in metres.
     pub(super) origin: DVec3,
-    /// Its direction, not normalised; distances along it are in units of its length.
+    /// Direction, not normalised; distances along the ray are in units of its length.
     pub(super) direction: DVec3,
-    /// One over each component of the direction, for boxes.
+    /// Reciprocal of each direction component, for boxes.
     pub(super) inverse: DVec3,
     axes: [usize; 3],
     shear: [f64; 3],
 }
 
-/// Where the ray meets a triangle's plane.
+/// The intersection of a ray with a triangle's plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Crossing {
-    /// Distance in units of the direction's length. Where the ray misses: kept between those of the corners.
+    /// Distance in units of the direction's length. On a miss, clamped to the corners' distances.
     pub(super) t: f64,
-    /// Weights of the three corners.
     pub(super) weights: [f64; 3],
     /// Distance to the nearest edge in metres, measured across the ray; negative outside.
     pub(super) inside_m: f64,
@@ -39,7 +38,7 @@ impl Ray {
         } else {
             2
         };
-        // The winding need not be kept: both signs of the determinant are taken.
+        // The winding is not kept: both signs of the determinant are accepted.
         let axes = [(z + 1) % 3, (z + 2) % 3, z];
         let scale = 1.0 / direction[z];
         let shear = [direction[axes[0]] * scale, direction[axes[1]] * scale, scale];
@@ -50,7 +49,7 @@ impl Ray {
         self.origin + self.direction * t
     }
 
-    /// The crossing with a triangle: inside when `inside_m >= 0`. `None` where the triangle is seen exactly edge-on.
+    /// Returns the crossing with a triangle: inside if `inside_m >= 0`. `None` if the triangle is exactly edge-on.
     pub(super) fn cross(&self, corners: &[DVec3; 3]) -> Option<Crossing> {
         let [x, y, z] = self.axes;
         let [a, b, c] = corners.map(|corner| {
@@ -106,7 +105,7 @@ mod tests {
 
     #[test]
     fn no_ray_slips_between_triangles_that_share_an_edge_or_a_corner() {
-        // A fan around an awkward centre; rays aimed straight at the centre and at points of the spokes.
+        // A fan around an awkward centre; rays aim at the centre and at points of the spokes.
         let centre = DVec3::new(0.1, 0.7, 0.3);
         let rim: Vec<_> = (0..7)
             .map(|k| {

@@ -1,4 +1,4 @@
-//! How wrong the back ends are: on the real scenes against the referee, and on the hard cases against their bounds.
+//! `lab accuracy`: errors of the back ends, on real scenes against the referee and on hard cases against their bounds.
 
 use std::{
     fs,
@@ -18,19 +18,18 @@ use crate::{
     scenes::real::{JUDGED, RealScene},
 };
 
-/// What to judge, and where to put the results.
 #[derive(Debug, Clone, clap::Args)]
 pub struct AccuracyOptions {
-    /// Folder that holds the real scenes, when they are judged.
+    /// Folder of the real scenes.
     #[arg(long, env = crate::scenes::real::SCENES_VARIABLE)]
     pub scenes: Option<PathBuf>,
-    /// Real scenes to judge, by name; all of them without it.
+    /// Real scenes to judge, by name [default: all].
     #[arg(long, value_delimiter = ',')]
     pub only: Vec<String>,
     /// Size of the pictures of real scenes, WIDTHxHEIGHT.
     #[arg(long, value_parser = scene_args::size, default_value = "640x360")]
     pub size: (u32, u32),
-    /// Hard cases to judge, by a part of their names; all of them without it.
+    /// Hard cases to judge, by part of their names [default: all].
     #[arg(long, value_delimiter = ',')]
     pub cases: Vec<String>,
     /// Size of the pictures of hard cases, WIDTHxHEIGHT.
@@ -39,7 +38,7 @@ pub struct AccuracyOptions {
     /// What to judge.
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [Part::Scenes, Part::Cases])]
     pub parts: Vec<Part>,
-    /// Back ends to judge; one that no adapter here can run is left out, and said to be.
+    /// Back ends to judge; those without an adapter here are reported and left out.
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = BackendName::ALL)]
     pub backends: Vec<BackendName>,
     /// Folder for tables and pictures.
@@ -47,7 +46,6 @@ pub struct AccuracyOptions {
     pub out: PathBuf,
 }
 
-/// What there is to judge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Part {
     /// The real scenes: `accuracy.csv`.
@@ -56,19 +54,15 @@ pub enum Part {
     Cases,
 }
 
-/// What was judged.
 #[derive(Debug)]
 pub struct Judgement {
-    /// A row for every scene and back end, summed over the places that the scene is seen from.
+    /// One row per scene and back end, summed over its cameras.
     pub scenes: Table,
-    /// A row for every case, back end and measure.
+    /// One row per case, back end and measure.
     pub cases: Table,
 }
 
-/// Judges, writes tables and pictures, and tells `progress` each result as a line.
-///
-/// # Errors
-/// When a scene cannot be loaded, a back end cannot be opened, or a result cannot be written.
+/// Judges, writes tables and pictures, and reports each result to `progress`.
 pub fn measure(options: &AccuracyOptions, mut progress: impl FnMut(&str)) -> Result<Judgement> {
     fs::create_dir_all(&options.out).with_context(|| format!("creating {}", options.out.display()))?;
     let probe = hard_cases::all((8, 8), false)?;
@@ -108,7 +102,7 @@ fn judge_cases(
     Ok(table)
 }
 
-/// Where no referee was asked: the brighter the more lights reach the pixel.
+/// A mask without a truth: the more lights reach a pixel, the brighter it is.
 fn lit_picture(mask: &Mask) -> image::RgbImage {
     let shape = mask.shape();
     image::RgbImage::from_fn(shape.width(), shape.height(), |x, y| {
@@ -124,16 +118,8 @@ fn judge_scenes(
     wanted: bool,
     mut progress: impl FnMut(&str),
 ) -> Result<Table> {
-    let mut table = Table::new(&[
-        "scene",
-        "backend",
-        "size",
-        "lights",
-        "relevant_bits",
-        "wrong_bits",
-        "undecided_bits",
-        "worst_distance_px",
-    ]);
+    let mut table =
+        Table::new("scene | backend | size | lights | relevant_bits | wrong_bits | undecided_bits | worst_distance_px");
     let (width, height) = options.size;
     if !wanted {
         return Ok(table);
@@ -174,19 +160,13 @@ fn write(folder: &Path, name: &str, table: &Table) -> Result<()> {
 /// A real scene and the referee's verdicts on it.
 #[derive(Debug)]
 pub struct Judged {
-    /// The scene.
     pub scene: Scene,
-    /// The places that it is seen from.
     pub cameras: Vec<Camera>,
-    /// The verdicts from each of them.
     pub truths: Vec<Truth>,
 }
 
 impl Judged {
-    /// Loads a scene out of the folder of scenes, and has the referee judge it.
-    ///
-    /// # Errors
-    /// When the scene or its camera path cannot be read.
+    /// Loads a scene from the folder of scenes and has the referee judge it.
     pub fn new(real: &RealScene, folder: &Path, (width, height): (u32, u32)) -> Result<Self> {
         let lights_from = real.lights_from_json.then(|| real.json_in(folder));
         let options = LoadOptions { lights_from, ..LoadOptions::default() };
@@ -198,10 +178,7 @@ impl Judged {
         Ok(Self { scene, cameras, truths })
     }
 
-    /// A back end's masks from each of the places.
-    ///
-    /// # Errors
-    /// When the back end refuses the scene, or fails.
+    /// Returns a back end's masks, one per camera.
     pub fn masks(&self, backend: BackendName) -> Result<Vec<Mask>> {
         let mut trace = backend.open(&self.scene)?;
         let lights = u32::try_from(self.scene.lights.len())?;

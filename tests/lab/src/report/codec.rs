@@ -1,14 +1,14 @@
-//! `lab codec`: what each codec makes of the masks along a camera path, in bytes and in time.
+//! `lab codec`: bytes and time of each codec for the masks along a camera path.
 //!
-//! The cpu back end traces the masks. Every codec has to give each of them back bit by bit, and is timed on one core: the
-//! least of some rounds, since other programs only ever make it longer. Bytes are what crosses the network: headers of
-//! packets and frames are counted. zstd compresses the same planes that `planes-lz4` does; it is no codec of the product.
+//! The cpu back end traces the masks. Every codec must restore each of them exactly, and is timed on one core: the
+//! least of several rounds, since other programs only add time. Bytes are bytes on the wire, with packet and frame
+//! headers. zstd compresses the same planes as `planes-lz4`; it is not a codec of the product.
 //!
-//! Codecs that have references are measured without, and with the mask of so many frames before at 60 frames a second: 1 is the least
-//! that there can be, and 3 what a round trip of 40 ms leaves.
+//! Codecs with references are measured without one, and with the mask of N frames before at 60 frames a second: 1 is
+//! the least possible, 3 is what a round trip of 40 ms gives.
 //!
-//! With `--wrong-ppm` codecs that are sliced are measured on simplified masks as well: what clients get that let so many bits be
-//! wrong. Simplifying counts as encoding, and irrelevant bits as relevant ones.
+//! With `--wrong-ppm`, sliced codecs are also measured on simplified masks, as clients get them that allow wrong bits.
+//! The time of simplifying is included; irrelevant bits count like relevant ones.
 
 use std::time::Instant;
 
@@ -21,48 +21,34 @@ use gnomon_protocol::{
     packetizer::Packetizer,
 };
 
-use super::{scene_args::SceneArgs, table::Table};
+use super::{scene_args::SceneArgs, statistics::mean, table::Table};
 use crate::backends::BackendName;
 
-/// Columns of `codec.csv`.
-const HEAD: [&str; 11] = [
-    "scene",
-    "path",
-    "lights",
-    "codec",
-    "reference",
-    "mean_bytes",
-    "p99_bytes",
-    "packets_mean",
-    "encode_ms",
-    "decode_ms",
-    "wrong_relevant_bits",
-];
+const HEAD: &str = "scene | path | lights | codec | reference | mean_bytes \
+     | p99_bytes | packets_mean | encode_ms | decode_ms | wrong_relevant_bits";
 
-/// Level of zstd, its own default.
+/// zstd's default level.
 const ZSTD_LEVEL: i32 = 3;
 
-/// What to measure.
 #[derive(Debug, Clone, clap::Args)]
 pub struct CodecOptions {
     /// Scene, path, size, and how many frames of the path are measured.
     #[command(flatten)]
     pub scene: SceneArgs,
-    /// Times that each mask is coded.
+    /// Rounds per mask.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub rounds: u32,
     /// Ages of the references, in frames at 60 frames a second.
     #[arg(long, value_delimiter = ',', default_value = "1,3")]
     pub lags: Vec<u32>,
-    /// Bits that may be wrong, in parts of a million; each makes rows of its own.
+    /// Wrong bits to allow, in parts per million; each value makes its own rows.
     #[arg(long, value_delimiter = ',')]
     pub wrong_ppm: Vec<u16>,
-    /// Adds the rows to those that are in codec.csv, for a table of several scenes.
+    /// Append to codec.csv, for a table of several scenes.
     #[arg(long)]
     pub append: bool,
 }
 
-/// A codec under test.
 enum Subject {
     Own(Box<Own>),
     Zstd(Box<Zstd>),
@@ -71,12 +57,11 @@ enum Subject {
 struct Own {
     encoder: Encoder,
     decoder: Decoder,
-    /// Age in frames of what is coded against, and that.
+    /// Age of the reference in frames, and the reference.
     reference: Option<(u32, Reference)>,
-    /// Bits that may be wrong, in parts of a million.
+    /// Wrong bits allowed, in parts per million.
     wrong_ppm: u16,
     simplifier: Simplifier,
-    /// What is to be encoded.
     mask: Mask,
 }
 
@@ -92,7 +77,6 @@ impl Own {
         }
     }
 
-    /// Encodes [`Self::mask`].
     fn encode(&mut self, body: &mut Vec<u8>, with_reference: bool) -> Result<()> {
         self.simplifier.simplify(&mut self.mask, self.wrong_ppm);
         let reference = self.reference.as_ref().filter(|_| with_reference).map(|(_, reference)| reference);
@@ -132,7 +116,6 @@ impl Subject {
         }
     }
 
-    /// What the table calls its reference.
     fn reference(&self) -> String {
         match self {
             Self::Own(own) => own.reference.as_ref().map_or("none".into(), |(lag, _)| lag.to_string()),
@@ -140,7 +123,7 @@ impl Subject {
         }
     }
 
-    /// Takes these masks of earlier frames, with their ages, for references.
+    /// Keeps the mask of the right age as reference; `earlier` has masks of earlier frames with their ages.
     fn refer(&mut self, earlier: &[(u32, Mask)]) -> Result<()> {
         let Self::Own(own) = self else { return Ok(()) };
         let Some((lag, _)) = own.reference else { return Ok(()) };
@@ -152,14 +135,13 @@ impl Subject {
         Ok(())
     }
 
-    /// Takes a mask to encode, without counting the time of it.
+    /// Copies the mask to encode, outside the timed part.
     fn take(&mut self, mask: &Mask) {
         if let Self::Own(own) = self {
             own.mask.clone_from(mask);
         }
     }
 
-    /// Encodes the mask that was taken.
     fn encode(&mut self, mask: &Mask, body: &mut Vec<u8>) -> Result<()> {
         match self {
             Self::Own(own) => own.encode(body, true)?,
@@ -193,7 +175,7 @@ impl Subject {
     }
 }
 
-/// What a codec has done so far, a value a frame.
+/// Results of a codec, one value per frame.
 #[derive(Default)]
 struct Tally {
     bytes: Vec<f64>,
@@ -213,7 +195,7 @@ impl Tally {
             let begun = Instant::now();
             subject.encode(mask, &mut body)?;
             encode_ms = encode_ms.min(begun.elapsed().as_secs_f64() * 1e3);
-            // Later rounds know already how the mask has moved.
+            // Later rounds know the mask's motion already.
             if round == 0 {
                 self.bytes.push(packetizer.wire_bytes(&body) as f64);
                 self.packets.push(packetizer.packet_count(&body) as f64);
@@ -238,20 +220,13 @@ impl Tally {
             format!("{:.1}", mean(&self.packets)),
             format!("{:.2}", mean(&self.encode_ms)),
             format!("{:.2}", mean(&self.decode_ms)),
-            // Of all bits: so of the relevant ones as well.
+            // Over all bits, so also over the relevant ones.
             self.wrong_bits.to_string(),
         ]
     }
 }
 
-fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
-}
-
-/// Measures, writes `codec.csv`, tells `progress` where it is, and gives this scene's rows.
-///
-/// # Errors
-/// When the scene or the path cannot be read, a codec fails, or the table cannot be written.
+/// Measures, writes `codec.csv`, and returns this scene's rows.
 pub fn measure(options: &CodecOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
     let CodecOptions { scene: args, rounds, lags, wrong_ppm, append } = options;
     let (scene, path) = (args.load_scene()?, args.load_path()?);
@@ -263,7 +238,7 @@ pub fn measure(options: &CodecOptions, mut progress: impl FnMut(&str)) -> Result
     let mut tallied: Vec<_> = subjects.map(|subject| (subject, Tally::default())).collect();
     let one_core = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     for frame in 0..args.frames {
-        // In the middles of equal parts: before the path begins nothing moves.
+        // At the middle of each frame's share of the path: at its beginning nothing moves.
         let time_s = path.duration_s() * (f64::from(frame) + 0.5) / f64::from(args.frames);
         let mut earlier = Vec::new();
         for &lag in lags {
@@ -280,7 +255,7 @@ pub fn measure(options: &CodecOptions, mut progress: impl FnMut(&str)) -> Result
         progress(&format!("frame {} of {}", frame + 1, args.frames));
     }
 
-    let mut table = Table::new(&HEAD);
+    let mut table = Table::new(HEAD);
     for (subject, mut tally) in tallied {
         let first =
             [args.scene_name(), path.name().to_owned(), lights.to_string(), subject.name(), subject.reference()];
@@ -289,7 +264,7 @@ pub fn measure(options: &CodecOptions, mut progress: impl FnMut(&str)) -> Result
     let mut text = table.csv();
     if *append {
         let before = std::fs::read_to_string(args.result("codec.csv")?).context("reading the table to append to")?;
-        let head = Table::new(&HEAD).csv();
+        let head = Table::new(HEAD).csv();
         ensure!(before.starts_with(&head), "codec.csv has other columns");
         text.replace_range(..head.len(), &before);
     }

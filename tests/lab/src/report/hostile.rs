@@ -1,7 +1,8 @@
-//! `lab hostile`: bad traffic on a real server, and what it costs those who behave.
+//! `lab hostile`: what bad traffic costs a real server and its well-behaved clients.
 //!
-//! Garbage (random, long headers with random content, mutated and replayed first packets), first packets from addresses that never answer, a flood of
-//! handshakes that never say Hello, and tokens that are wrong, expired or used before. Beside garbage a client goes on getting its masks.
+//! The traffic: garbage (random packets, long headers with random content, mutated and replayed first packets), first
+//! packets from addresses that never answer, a flood of handshakes without a Hello, and tokens that are wrong, expired
+//! or used. A client receives masks beside the garbage.
 
 mod flood;
 mod packets;
@@ -22,22 +23,20 @@ use gnomon_client::{
     headless::stats::percentile,
     link::url::ServerUrl,
 };
-use gnomon_protocol::codec::CodecId;
 use gnomon_server::tokens::{self, Scope};
 
-use super::table::Table;
-use crate::rig::ServerProcess;
+use super::{ask::Ask, table::Table};
+use crate::rig::{ServerProcess, usage::usage};
 
-/// Memory that garbage may cost the server.
+/// Most memory that garbage may cost the server.
 const MEMORY_GROWTH_BYTES: u64 = 16 << 20;
 
-/// Reply over request that an address which never answers may draw.
+/// Most reply bytes per request byte to an address that never answers.
 const AMPLIFICATION: f64 = 0.1;
 
-/// Time in which a good client has to be in while handshakes flood the server.
+/// Time for a good client to get its first mask during the flood.
 const JOINS_WITHIN: Duration = Duration::from_secs(2);
 
-/// What to throw at a server.
 #[derive(Debug, Clone, clap::Args)]
 pub struct HostileOptions {
     /// Scene to trace: .gltf or .glb.
@@ -46,33 +45,29 @@ pub struct HostileOptions {
     /// Camera path of the good client, FILE or FILE#NAME.
     #[arg(long)]
     pub path: PathSpec,
-    /// Packets of garbage.
+    /// Number of garbage packets.
     #[arg(long, default_value_t = 1_000_000)]
     pub packets: u32,
-    /// Handshakes of the flood.
+    /// Number of handshakes in the flood.
     #[arg(long, default_value_t = 2_000)]
     pub handshakes: u32,
-    /// Longest time that garbage is sent, in seconds: what is not sent by then is missing from the figures.
+    /// Longest time to send garbage, in seconds.
     #[arg(long, default_value_t = 300)]
     pub seconds: u64,
-    /// Shows times, but lets none of them decide: for machines that have more to do.
+    /// Report times but do not judge them, for busy machines.
     #[arg(long)]
     pub ignore_times: bool,
 }
 
-/// What came of it, a row a goal.
+/// Results, one row per goal.
 #[derive(Debug, Clone)]
 pub struct HostileReport {
-    /// Goal, measured, wanted, whether it holds.
+    /// Columns: goal, measured, wanted, holds.
     pub table: Table,
-    /// Whether every goal is met.
     pub holds: bool,
 }
 
-/// Runs all of it on a server of its own.
-///
-/// # Errors
-/// When the server cannot be started, or something but a goal fails.
+/// Runs all attacks against a server of its own.
 #[expect(clippy::cast_precision_loss, reason = "counts as shares")]
 pub fn run(options: &HostileOptions) -> Result<HostileReport> {
     let folder = tempfile::tempdir().context("making a temporary folder")?;
@@ -91,26 +86,17 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
     let runtime = tokio::runtime::Runtime::new().context("starting a runtime")?;
     let id = server.program().id();
     let probe = |token: &str, frames, fps| {
-        let options = ProbeOptions {
-            connect_timeout: ProbeOptions::CONNECT_TIMEOUT,
-            url: url.clone(),
-            token: Some(token.to_owned()),
-            width: 96,
-            height: 54,
-            codec: CodecId::PlanesLz4,
-            frames,
-            fps,
-            start_time_s: 0.0,
-        };
+        let ask = Ask { size: (96, 54), fps, frames };
+        let options = ProbeOptions { token: Some(token.to_owned()), ..ask.of(&url) };
         run_probe(runtime.handle(), &options, &path)
     };
     let patience = Duration::from_secs(options.seconds);
-    let mut goals = Goals(Table::new(&["goal", "measured", "wanted", "holds"]), true);
+    let mut goals = Goals(Table::new("goal | measured | wanted | holds"), true);
 
-    // Garbage, beside a client.
+    // Garbage beside a client.
     let quiet = probe(&tokens.good, 200, Some(20.0))?;
     let first = packets::first(runtime.handle(), &path)?;
-    let before = resident_bytes(id)?;
+    let before = usage(id)?.resident_bytes;
     let unowned_before = metric(&admin, "gnomon_udp_received_total{owner=\"none\"}")?;
     let done = AtomicBool::new(false);
     let (sent, disturbed) = std::thread::scope(|scope| {
@@ -128,7 +114,7 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
     let sent = sent?;
     let disturbed: Vec<ProbeReport> =
         disturbed.map_err(|_| anyhow::anyhow!("the client panicked"))?.into_iter().collect::<Result<_, _>>()?;
-    let grown = resident_bytes(id)?.saturating_sub(before);
+    let grown = usage(id)?.resident_bytes.saturating_sub(before);
     let counted = metric(&admin, "gnomon_udp_received_total{owner=\"none\"}")? - unowned_before
         + metric(&admin, "gnomon_udp_kernel_drops_total")?;
     goals.add("packets of garbage sent", &sent.to_string(), &options.packets.to_string(), sent == options.packets);
@@ -178,7 +164,7 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
         factor <= AMPLIFICATION,
     );
 
-    // Handshakes that never say Hello, from another address than the good client's.
+    // Handshakes without a Hello, from another address than the good client's.
     let flooding = AtomicBool::new(true);
     let (opened, joined) = std::thread::scope(|scope| {
         let flood = scope.spawn(|| flood::run(runtime.handle(), address, options.handshakes, &flooding));
@@ -263,10 +249,4 @@ fn metric(admin: &str, name: &str) -> Result<u64> {
     let line =
         page.lines().find_map(|line| line.strip_prefix(name)).with_context(|| format!("no {name} in the metrics"))?;
     Ok(line.trim().parse()?)
-}
-
-fn resident_bytes(id: u32) -> Result<u64> {
-    let status = fs::read_to_string(format!("/proc/{id}/status"))?;
-    let kib = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("no VmRSS")?;
-    Ok(kib.trim().trim_end_matches("kB").trim().parse::<u64>()? * 1024)
 }

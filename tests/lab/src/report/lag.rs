@@ -1,27 +1,28 @@
-//! `lab lag`: how wrong predicted visibility is, against how late it is (the dissertation's Figures 13 and 16 to 19).
+//! `lab lag`: error of predicted visibility against its lag (the dissertation's Figures 13 and 16 to 19).
 //!
-//! For each measured frame, spread evenly over the path, the referee judges the frame itself, the cpu back end traces the mask of
-//! the frame that lies `lag` earlier, and the client's own renderer predicts the one from the other. There is no network and no
-//! clock: a second run gives the same figures.
+//! For each measured frame, spread evenly over the path, the referee judges the frame, the cpu back end traces the mask
+//! of the frame `lag` earlier, and the client's renderer predicts one from the other. Without a network or clock, a
+//! second run gives the same figures.
+
+mod outcome;
+mod plots;
 
 use anyhow::{Result, bail};
 use gnomon_client::{camera_path::CameraPath, guard::GuardSize, predictor::Predictor};
 use gnomon_protocol::mask::Mask;
 use gnomon_scene::{AlphaMode, Scene, camera::Camera, motion::Motion};
-use image::RgbImage;
 
-use super::{
-    lag_plots, predict_rig::PredictRig, prediction_error::PredictionError, scene_args::SceneArgs, table::Table,
-};
+pub use self::outcome::PosePrediction;
+use self::outcome::{Outcome, Setting};
+use super::{predict_rig::PredictRig, scene_args::SceneArgs, statistics::mean, table::Table};
 use crate::metrics::{
     image::{ImageError, compare},
     vmaf::vmaf,
 };
 
-/// Poses before the mask's that the server's extrapolation has seen.
+/// Earlier poses that the server's extrapolation has seen.
 const POSES_BEFORE: u32 = 12;
 
-/// What to measure.
 #[derive(Debug, Clone, clap::Args)]
 pub struct LagOptions {
     /// Scene, path, size, and how many frames of the path are measured.
@@ -33,62 +34,30 @@ pub struct LagOptions {
     /// Predictors: none, dissertation, dissertation-shadow, dissertation-copy, surface.
     #[arg(long, value_delimiter = ',', default_value = "none,dissertation,surface")]
     pub predict: Vec<Predictor>,
-    /// Guard bands: WxH extra pixels in all, half of them on each side.
+    /// Guard bands: WxH extra pixels in total, half on each side.
     #[arg(long, value_delimiter = ',', default_value = "0x0")]
     pub guard: Vec<GuardSize>,
-    /// Whether the server extrapolates poses to the moment that shows them.
+    /// Which pose the server traces for: the newest, or one extrapolated to the frame that shows it.
     #[arg(long, value_delimiter = ',', default_value = "off")]
     pub predict_pose: Vec<PosePrediction>,
     /// Frames a second of the client.
     #[arg(long, default_value_t = 60.0)]
     pub fps: f64,
-    /// Instead of following the path, turns on the spot where it begins, by this many degrees a second.
+    /// Turn on the spot at the path's beginning instead of following it, in degrees a second.
     #[arg(long)]
     pub turn: Option<f64>,
-    /// Takes MASK surfaces for OPAQUE ones.
+    /// Treat MASK surfaces as OPAQUE.
     #[arg(long)]
     pub ignore_alpha: bool,
-    /// Lets the client run on a software adapter.
+    /// Allow a software adapter.
     #[arg(long)]
     pub allow_software: bool,
-    /// Leaves out the comparison of pictures, which takes most of the time.
+    /// Skip the comparison of pictures, which takes most of the time.
     #[arg(long)]
     pub bits_only: bool,
 }
 
-/// Which pose the server traces for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum PosePrediction {
-    /// The newest one.
-    Off,
-    /// The newest one, moved on at constant velocity.
-    Velocity,
-}
-
-/// One row of the table: what is varied.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Setting {
-    pub(super) lag: u32,
-    pub(super) predictor: Predictor,
-    pub(super) guard: GuardSize,
-    pub(super) predict_pose: PosePrediction,
-}
-
-/// What a setting came to.
-#[derive(Debug, Default)]
-pub(super) struct Outcome {
-    pub(super) bits: PredictionError,
-    pub(super) known_share: Vec<f64>,
-    pub(super) images: Vec<ImageError>,
-    pub(super) vmaf: Option<f64>,
-    /// Pictures as they were shown, one a measured frame.
-    pub(super) shown: Vec<RgbImage>,
-}
-
-/// Measures, writes `lag.csv` and its plots, and tells `progress` each setting's figures as a line.
-///
-/// # Errors
-/// When the scene or the path cannot be read, there is no adapter, or a file cannot be written.
+/// Measures, writes `lag.csv` and its plots, and reports each setting to `progress`.
 pub fn measure(options: &LagOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
     let mut rig = Rig::new(options)?;
     let settings: Vec<Setting> = settings(options);
@@ -105,7 +74,7 @@ pub fn measure(options: &LagOptions, mut progress: impl FnMut(&str)) -> Result<T
         let mut traced: Option<(Camera, Mask)> = None;
         for (setting, outcome) in settings.iter().zip(&mut outcomes) {
             let traced_for = rig.traced_for(setting, time_s);
-            // Settings that differ in the predictor only share a mask.
+            // Settings that differ only in the predictor share a mask.
             let mask = match traced.take().filter(|(camera, _)| *camera == traced_for) {
                 Some((_, mask)) => mask,
                 None => rig.predict.trace(&traced_for)?,
@@ -130,12 +99,12 @@ pub fn measure(options: &LagOptions, mut progress: impl FnMut(&str)) -> Result<T
     let table = table(options, &settings, &outcomes);
     options.scene.write("lag.csv", &table.csv())?;
     if !options.bits_only {
-        lag_plots::draw(options, &settings, &outcomes, &truths)?;
+        plots::draw(&options.scene, &settings, &outcomes, &truths)?;
     }
     Ok(table)
 }
 
-/// Every combination, the predictor fastest: masks are shared between predictors.
+/// Every combination, the predictor varying fastest: predictors share masks.
 fn settings(options: &LagOptions) -> Vec<Setting> {
     let mut settings = Vec::new();
     for &lag in &options.lags {
@@ -151,33 +120,18 @@ fn settings(options: &LagOptions) -> Vec<Setting> {
 }
 
 fn table(options: &LagOptions, settings: &[Setting], outcomes: &[Outcome]) -> Table {
-    let mut table = Table::new(&[
-        "scene",
-        "path",
-        "lights",
-        "size",
-        "predictor",
-        "guard",
-        "server_prediction",
-        "lag",
-        "bit_error",
-        "known_share",
-        "psnr",
-        "ssim",
-        "flip",
-        "vmaf",
-        "known_inside_error",
-        "known_edge_error",
-        "unknown_error",
-    ]);
+    let mut table = Table::new(
+        "scene | path | lights | size | predictor | guard | server_prediction | lag | bit_error \
+         | known_share | psnr | ssim | flip | vmaf | known_inside_error | known_edge_error | unknown_error",
+    );
     let path = options.scene.path_text().to_string_lossy().into_owned();
     let path = path.rsplit_once('#').map_or("path", |(_, name)| name);
     let path = options.turn.map_or_else(|| path.to_owned(), |rate| format!("turn {rate}°/s"));
     for (setting, outcome) in settings.iter().zip(outcomes) {
         let bits = &outcome.bits;
-        let mean = |of: fn(&ImageError) -> f64, decimals: usize| {
-            let finite: Vec<f64> = outcome.images.iter().map(of).filter(|value| value.is_finite()).collect();
-            if finite.is_empty() { String::new() } else { format!("{:.decimals$}", mean_of(&finite)) }
+        let mean_image = |of: fn(&ImageError) -> f64, decimals: usize| {
+            let mean = outcome.mean_image(of);
+            if mean.is_nan() { String::new() } else { format!("{mean:.decimals$}") }
         };
         table.rows.push(vec![
             options.scene.scene_name(),
@@ -186,17 +140,13 @@ fn table(options: &LagOptions, settings: &[Setting], outcomes: &[Outcome]) -> Ta
             format!("{}x{}", options.scene.size.0, options.scene.size.1),
             setting.predictor.to_string(),
             setting.guard.to_string(),
-            match setting.predict_pose {
-                PosePrediction::Off => "off",
-                PosePrediction::Velocity => "velocity",
-            }
-            .to_owned(),
+            setting.predict_pose.name().to_owned(),
             setting.lag.to_string(),
             format!("{:.4}", bits.wrong_percent()),
-            format!("{:.4}", mean_of(&outcome.known_share)),
-            mean(|error| error.psnr_db, 2),
-            mean(|error| error.ssim, 4),
-            mean(|error| error.flip, 4),
+            format!("{:.4}", mean(&outcome.known_share)),
+            mean_image(|error| error.psnr_db, 2),
+            mean_image(|error| error.ssim, 4),
+            mean_image(|error| error.flip, 4),
             outcome.vmaf.map_or(String::new(), |vmaf| format!("{vmaf:.2}")),
             format!("{:.4}", bits.percent(bits.known_inside)),
             format!("{:.4}", bits.percent(bits.known_edge)),
@@ -206,12 +156,6 @@ fn table(options: &LagOptions, settings: &[Setting], outcomes: &[Outcome]) -> Ta
     table
 }
 
-#[expect(clippy::cast_precision_loss, reason = "a few frames")]
-pub(super) fn mean_of(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
-}
-
-/// What is the same for all settings.
 struct Rig {
     predict: PredictRig,
     path: CameraPath,
@@ -244,7 +188,7 @@ impl Rig {
         })
     }
 
-    /// When the measured frame is: in the middle of its share of the path.
+    /// Time of a measured frame: the middle of its share of the path.
     fn time_s(&self, frame: u32) -> f64 {
         self.first_s + self.span_s * (f64::from(frame) + 0.5) / f64::from(self.frames)
     }
@@ -256,8 +200,8 @@ impl Rig {
         Camera { orientation: glam::DQuat::from_rotation_y(rate * time_s) * start.orientation, ..start }
     }
 
-    /// The camera of the mask that is there at `time_s`: that of `lag` frames before, or what the server made of it and the
-    /// poses before it.
+    /// The camera of the newest mask at `time_s`: that of `lag` frames before, or the server's extrapolation from it
+    /// and the poses before.
     fn traced_for(&self, setting: &Setting, time_s: f64) -> Camera {
         let before = |frames: u32| time_s - f64::from(frames) / self.fps;
         let mut camera = self.camera(before(setting.lag));

@@ -1,24 +1,23 @@
-//! `lab link`: the network to test on as a program of its own, between a client and a server that a person starts.
+//! `lab link`: the network emulator as a program, between a client and a server that a person starts.
 
 use std::{net::SocketAddr, time::Duration};
 
 use anyhow::{Context, Result};
 
-use crate::link::{Counts, Link, LinkCounts, LinkSettings, profiles::Profile};
+use crate::link::{Counts, LinkCounts, LinkSettings, profiles::Profile, server};
 
-/// A link and how long it stands.
 #[derive(Debug, Clone, clap::Args)]
 pub struct LinkOptions {
     /// Loopback address for clients; port 0 takes a free one.
     #[arg(long, default_value = "127.0.0.1:0")]
     pub listen: SocketAddr,
-    /// The server on this machine: the URL that it printed, or ADDRESS:PORT of anything that speaks UDP.
+    /// The server on this machine: its printed URL, or ADDRESS:PORT of anything that speaks UDP.
     #[arg(long)]
     pub server: String,
     /// The network: lan, wifi, 5g, lte, bad or outage.
     #[arg(long, default_value = "wifi")]
     pub profile: String,
-    /// Changes to both directions, as the profiles are printed: "delay=50ms loss=1% outage=5s+2s".
+    /// Changes to both directions, in the format of the printed profiles: "delay=50ms loss=1% outage=5s+2s".
     #[arg(long, default_value = "", hide_default_value = true)]
     pub both: String,
     /// Changes from client to server.
@@ -27,19 +26,16 @@ pub struct LinkOptions {
     /// Changes from server to client.
     #[arg(long, default_value = "", hide_default_value = true)]
     pub down: String,
-    /// Decides every chance: under one seed the same datagrams fare the same.
+    /// Seed of all random decisions; the same seed gives the same fates.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Time after which the link ends, in seconds; Ctrl-C ends it at any time.
+    /// Seconds until the link ends [default: at Ctrl-C].
     #[arg(long)]
     pub seconds: Option<f64>,
 }
 
 impl LinkOptions {
-    /// The profile with its changes.
-    ///
-    /// # Errors
-    /// When there is no such profile, or a change is wrong.
+    /// Returns the profile with its changes.
     pub fn settings(&self) -> Result<LinkSettings> {
         let mut settings = Profile::named(&self.profile)?.settings(self.seed)?;
         settings.up.set(&format!("{} {}", self.both, self.up)).context("from client to server")?;
@@ -48,10 +44,7 @@ impl LinkOptions {
     }
 }
 
-/// Runs the link to its end. `say` hears of the settings, the address to connect to, and last the counters.
-///
-/// # Errors
-/// When a setting or an address is wrong, or the port is taken.
+/// Runs the link to its end. `say` gets the settings, the address to connect to, and at last the counters.
 pub fn run(options: &LinkOptions, mut say: impl FnMut(&str)) -> Result<LinkCounts> {
     let settings = options.settings()?;
     let seconds = options.seconds.map(Duration::try_from_secs_f64).transpose().context("--seconds")?;
@@ -60,7 +53,7 @@ pub fn run(options: &LinkOptions, mut say: impl FnMut(&str)) -> Result<LinkCount
     say(&format!("down: {}", settings.down));
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     runtime.block_on(async {
-        let link = Link::start(options.listen, &options.server, settings).await?;
+        let link = server::start(options.listen, &options.server, settings).await?;
         say(&link.url(&options.server)?);
         let end = async {
             match seconds {
@@ -73,8 +66,8 @@ pub fn run(options: &LinkOptions, mut say: impl FnMut(&str)) -> Result<LinkCount
             interrupted = tokio::signal::ctrl_c() => interrupted.context("waiting for Ctrl-C")?,
         }
         let counts = link.counts();
-        say(&format!("up:   {}", said(&counts.up)));
-        say(&format!("down: {}", said(&counts.down)));
+        say(&format!("up:   {}", describe(&counts.up)));
+        say(&format!("down: {}", describe(&counts.down)));
         if counts.refused > 0 {
             say(&format!("{} datagrams or connections of more clients than fit were refused", counts.refused));
         }
@@ -82,7 +75,7 @@ pub fn run(options: &LinkOptions, mut say: impl FnMut(&str)) -> Result<LinkCount
     })
 }
 
-fn said(counts: &Counts) -> String {
+fn describe(counts: &Counts) -> String {
     let Counts {
         arrived,
         delivered,
@@ -96,45 +89,34 @@ fn said(counts: &Counts) -> String {
         overrun,
     } = counts;
     format!(
-        "{arrived} arrived, {delivered} delivered ({corrupted} corrupted, {duplicated} duplicated, {reordered} held back), \
-         {lost} lost, {burst_lost} lost in bursts, {queue_dropped} dropped by the queue, {outage} lost in outages, \
-         {overrun} beyond the link's memory"
+        "{arrived} arrived, {delivered} delivered ({corrupted} corrupted, {duplicated} duplicated, \
+         {reordered} held back), {lost} lost, {burst_lost} lost in bursts, {queue_dropped} dropped by the queue, \
+         {outage} lost in outages, {overrun} beyond the link's memory"
     )
 }
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
-
     use super::*;
+    use crate::report::scene_args::parse;
 
-    #[derive(Parser)]
-    struct Arguments {
-        #[command(flatten)]
-        options: LinkOptions,
-    }
-
-    fn parsed(line: &[&str]) -> Result<LinkSettings> {
-        let all = ["lab", "--server", "127.0.0.1:9"].iter().chain(line);
-        Arguments::try_parse_from(all)?.options.settings()
+    fn parsed(line: &str) -> Result<LinkSettings> {
+        parse::<LinkOptions>(&format!("--server 127.0.0.1:9 {line}"))?.settings()
     }
 
     #[test]
     fn changes_go_before_the_profile_and_one_direction_before_both() {
-        let settings =
-            parsed(&["--profile", "lte", "--both", "loss=5%,delay=50ms", "--down", "loss=6%", "--seed", "9"]);
-        let settings = settings.unwrap();
+        let settings = parsed("--profile lte --both loss=5%,delay=50ms --down loss=6% --seed 9").unwrap();
         assert_eq!((settings.up.loss, settings.down.loss, settings.seed), (0.05, 0.06, 9));
         assert_eq!((settings.up.delay.as_millis(), settings.up.jitter.as_millis()), (50, 10));
-        assert!(parsed(&["--profile", "moon"]).unwrap_err().to_string().contains("no profile"));
-        assert!(format!("{:#}", parsed(&["--up", "loss=5"]).unwrap_err()).contains("client to server: loss=5"));
+        assert!(parsed("--profile moon").unwrap_err().to_string().contains("no profile"));
+        assert!(format!("{:#}", parsed("--up loss=5").unwrap_err()).contains("client to server: loss=5"));
     }
 
     #[test]
     fn only_loopback_is_linked() {
         let options = |server: &str, listen: &str| {
-            let line = ["lab", "--server", server, "--listen", listen, "--seconds", "0"];
-            run(&Arguments::parse_from(line).options, |_| {})
+            run(&parse(&format!("--server {server} --listen {listen} --seconds 0")).unwrap(), |_| {})
         };
         assert_eq!(options("127.0.0.1:9", "127.0.0.1:0").unwrap(), LinkCounts::default());
         for (server, listen) in [

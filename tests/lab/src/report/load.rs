@@ -1,4 +1,4 @@
-//! `lab load`: many clients that draw nothing on one server, and what each of them gets.
+//! `lab load`: many clients without graphics on one server, and what each gets.
 
 use std::path::PathBuf;
 
@@ -9,74 +9,61 @@ use gnomon_client::{
     headless::stats::percentile,
     link::url::ServerUrl,
 };
-use gnomon_protocol::codec::CodecId;
 use serde::Serialize;
 
-use super::scene_args::size;
+use super::{ask::Ask, scene_args::size};
 
-/// A load on a server that runs already.
 #[derive(Debug, Clone, clap::Args)]
 pub struct LoadOptions {
-    /// The line that the server printed.
+    /// The server's printed URL.
     pub url: ServerUrl,
-    /// Token, for a server that wants one.
+    /// Token, if the server requires one.
     #[arg(long, env = "GNOMON_TOKEN", hide_env_values = true)]
     pub token: Option<String>,
-    /// Clients at once.
+    /// Number of clients.
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub clients: u32,
-    /// Camera path, FILE or FILE#NAME; each client starts at another place of it.
+    /// Camera path, FILE or FILE#NAME; clients start at different places of it.
     #[arg(long)]
     pub path: PathSpec,
     /// Size of the masks, WIDTHxHEIGHT.
     #[arg(long, value_parser = size, default_value = "640x360")]
     pub size: (u32, u32),
-    /// Poses of each client.
+    /// Poses per client.
     #[arg(long, default_value_t = 600)]
     pub frames: u32,
-    /// Poses a second of each client; without it, each sends a pose when the mask of the one before has come.
+    /// Poses a second of each client [default: a pose whenever the mask of the one before has arrived].
     #[arg(long)]
     pub fps: Option<f64>,
-    /// File for the figures, as JSON; they are printed as well.
+    /// File for the figures as JSON, besides printing them.
     #[arg(long)]
     pub out: Option<PathBuf>,
 }
 
-/// What a load came to.
 #[derive(Debug, Clone, Serialize)]
 pub struct LoadReport {
-    /// What the server says traces.
     pub backend: String,
-    /// Clients at once.
     pub clients: u32,
-    /// Size of the masks, in pixels.
     pub size: (u32, u32),
-    /// Poses a second that each client sent; null where each waited for its masks.
+    /// Poses a second of each client; null if each waited for its masks.
     pub fps: Option<f64>,
-    /// Poses that all sent.
     pub poses: u64,
-    /// Masks that all received.
     pub masks: u64,
-    /// Frames of which only a part came.
+    /// Frames that arrived only in part.
     pub incomplete: u64,
-    /// Masks a second, of all clients together.
     pub masks_per_s: f64,
-    /// Masks a second of the client that got the fewest.
+    /// Of the client that got the fewest.
     pub slowest_client_masks_per_s: f64,
     /// Median time from pose to decoded mask, in milliseconds.
     pub response_ms_p50: Option<f64>,
-    /// 99th percentile of the same.
+    /// 99th percentile, in milliseconds.
     pub response_ms_p99: Option<f64>,
-    /// Mean size of a coded mask, in bytes.
+    /// Mean size of an encoded mask, in bytes.
     pub payload_bytes_mean: f64,
-    /// Mean number of packets of a mask.
+    /// Mean packets per mask.
     pub packets_mean: f64,
 }
 
-/// Runs the load and says what came of it.
-///
-/// # Errors
-/// When the path cannot be read, or any client fails.
 pub fn run(options: &LoadOptions) -> Result<LoadReport> {
     let path = CameraPath::load(&options.path).context("the camera path")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("the network's threads")?;
@@ -84,16 +71,11 @@ pub fn run(options: &LoadOptions) -> Result<LoadReport> {
     let reports: Vec<ProbeReport> = std::thread::scope(|scope| {
         let probes: Vec<_> = (0..options.clients)
             .map(|client| {
+                let ask = Ask { size: options.size, fps: options.fps, frames: options.frames };
                 let probe = ProbeOptions {
-                    url: options.url.clone(),
                     token: options.token.clone(),
-                    width: options.size.0,
-                    height: options.size.1,
-                    codec: CodecId::PlanesLz4,
-                    frames: options.frames,
-                    fps: options.fps,
-                    connect_timeout: ProbeOptions::CONNECT_TIMEOUT,
                     start_time_s: path.duration_s() * f64::from(client) / f64::from(options.clients),
+                    ..ask.of(&options.url)
                 };
                 let path = &path;
                 scope.spawn(move || run_probe(handle, &probe, path).with_context(|| format!("client {client}")))

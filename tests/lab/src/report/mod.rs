@@ -1,11 +1,11 @@
-//! Reports of the `lab`: tables that are measured by running the real programs.
+//! The lab's reports: tables measured on the real programs.
 
 pub mod accuracy;
+mod ask;
 pub mod chaos;
 pub mod codec;
 pub mod hostile;
 pub mod lag;
-mod lag_plots;
 pub mod link;
 pub mod load;
 pub mod loss;
@@ -20,6 +20,7 @@ mod recorded_error;
 pub mod replay;
 pub mod scene_args;
 mod shown;
+mod statistics;
 pub mod table;
 pub mod trace_error;
 pub mod video;

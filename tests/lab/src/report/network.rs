@@ -1,7 +1,8 @@
-//! `lab network`: the real client behind networks of several kinds, and by itself without a server, in turns.
+//! `lab network`: the real client behind several kinds of networks, and without a server, in turns.
 //!
-//! The promise is that no network slows the client down, and that its pictures stay nearly right. So client and server get a core each, the link sits on the
-//! server's, and every run behind a network is set against a run without a server right before it.
+//! The promise is that no network slows the client down, and that its pictures stay nearly right. Client and server get
+//! a core each, the link runs on the server's, and every run behind a network is compared with a run without a server
+//! just before it.
 
 use std::{ffi::OsString, net::SocketAddr, path::Path};
 
@@ -20,49 +21,48 @@ use super::{
     recorded_error::Judge,
     scene_args::SceneArgs,
     shown::Shown,
-    table::{Table, median},
+    statistics::median,
+    table::Table,
 };
 use crate::{
-    link::{Link, LinkCounts, LinkSettings, profiles::Profile},
+    link::{self, LinkCounts, LinkSettings, profiles::Profile},
     rig::{ClientJob, PATIENCE, ServerProcess},
 };
 
-/// What to measure.
 #[derive(Debug, Clone, clap::Args)]
 pub struct NetworkOptions {
     /// Scene, path, size, frames a run, and the folder for `network.csv` and the plots.
     #[command(flatten)]
     pub scene: SceneArgs,
-    /// Networks, of those that `lab link` knows.
+    /// Networks: profiles of `lab link`.
     #[arg(long, value_delimiter = ',', default_value = "lan,wifi,5g,lte,bad,outage")]
     pub profile: Vec<String>,
-    /// Runs a network; figures are their medians, plots show the last.
+    /// Runs per network; figures are medians, plots show the last run.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub runs: u32,
-    /// Decides every chance of the links.
+    /// Seed of the links.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Modes of the client: sequential, concurrent, auto.
     #[arg(long, value_delimiter = ',', default_value = "auto")]
     pub mode: Vec<Mode>,
-    /// Pictures that the referee judges of a further run behind each network, which is recorded.
+    /// Pictures for the referee to judge, from an extra recorded run behind each network.
     #[arg(long, default_value_t = 8)]
     pub samples: u32,
-    /// What carries the data: quic or lab-udp.
+    /// Transport: quic or lab-udp.
     #[arg(long, default_value = "quic")]
     pub transport: String,
-    /// Frames a second of the client; as fast as it can without.
+    /// Frames a second of the client [default: as fast as it can].
     #[arg(long)]
     pub fps: Option<f64>,
     /// The server's back end: auto, compute or cpu.
     #[arg(long, default_value = "auto")]
     pub backend: String,
-    /// Lets both programs use a software adapter.
+    /// Allow software adapters.
     #[arg(long)]
     pub allow_software: bool,
 }
 
-/// What a run's frames say.
 #[derive(Debug, Clone, Default)]
 struct Run {
     client_fps: f64,
@@ -78,7 +78,7 @@ impl Run {
         Ok(Self { client_fps, visibility_fps: summary["visibility_fps"].as_f64(), frames })
     }
 
-    /// Of the pictures that had a mask, so many had one that was no later than this.
+    /// Returns a quantile of the lag over pictures with a mask, in frames.
     fn lag(&self, share: f64) -> Option<f64> {
         let lags: Vec<f64> = self.frames.iter().filter_map(|frame| frame.lag.map(f64::from)).collect();
         percentile(&lags, share)
@@ -90,18 +90,18 @@ impl Run {
         (!self.frames.is_empty()).then(|| degraded as f64 / self.frames.len() as f64)
     }
 
-    /// Seconds since the first frame, and milliseconds from each frame to the next.
+    /// Seconds since the first frame, and milliseconds to the next frame.
     fn frame_times(&self) -> Vec<(f64, f64)> {
         self.frames.windows(2).map(|pair| (pair[0].t_ms / 1e3, pair[1].t_ms - pair[0].t_ms)).collect()
     }
 
-    /// Seconds since the first frame, and frames; not a number while there is no mask.
+    /// Seconds since the first frame, and lag in frames; NaN without a mask.
     fn lags(&self) -> Vec<(f64, f64)> {
         self.frames.iter().map(|frame| (frame.t_ms / 1e3, frame.lag.map_or(f64::NAN, f64::from))).collect()
     }
 }
 
-/// The cores of the two sides; the same one where there is but one.
+/// One core for each side; the same one on a single-core machine.
 #[derive(Debug, Clone, Copy)]
 struct Cores {
     client: CoreId,
@@ -118,7 +118,7 @@ impl Cores {
     }
 }
 
-/// Starts something on a core: children inherit it from the thread that starts them.
+/// Starts a process on a core: children inherit the affinity of the thread that starts them.
 fn on_core<T: Send>(core: CoreId, start: impl FnOnce() -> Result<T> + Send) -> Result<T> {
     std::thread::scope(|scope| {
         let pinned = scope.spawn(move || {
@@ -129,14 +129,13 @@ fn on_core<T: Send>(core: CoreId, start: impl FnOnce() -> Result<T> + Send) -> R
     })
 }
 
-/// A server, and what runs in front of it.
+/// A server, and the link's runtime.
 struct Stage<'a> {
     options: &'a NetworkOptions,
     cores: Cores,
     server: ServerProcess,
-    /// The links' threads.
     runtime: Runtime,
-    /// Scenes that clients have fetched: a slow network would show nothing but that.
+    /// Scene cache of the clients: otherwise a slow network would spend the run on fetching.
     cache: tempfile::TempDir,
 }
 
@@ -147,11 +146,11 @@ impl<'a> Stage<'a> {
         let (transport, backend) = (&options.transport, &options.backend);
         arguments.extend(["--transport".into(), transport.into(), "--backend".into(), backend.into()]);
         arguments.extend(software(options));
-        let server = on_core(cores.server, || ServerProcess::start(&options.scene.scene, &arguments))?;
+        let server = on_core(cores.server, || ServerProcess::start(&options.scene.file.scene, &arguments))?;
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .on_thread_start(move || {
-                // Refused only where it was refused to the server before.
+                // If this fails, pinning the server failed already.
                 core_affinity::set_for_current(cores.server);
             })
             .enable_all()
@@ -170,14 +169,14 @@ impl<'a> Stage<'a> {
 
     fn offline(&self) -> Result<Run> {
         let scene = &self.options.scene;
-        let mut arguments: Vec<OsString> = vec!["--offline".into(), (&scene.scene).into()];
+        let mut arguments: Vec<OsString> = vec!["--offline".into(), (&scene.file.scene).into()];
         arguments.extend(scene.light_arguments());
         self.client(None, arguments, scene.frames).context("without a server")
     }
 
     fn behind(&self, settings: LinkSettings, mode: Mode, recording: Option<&Path>) -> Result<(Run, LinkCounts)> {
         let free = SocketAddr::from(([127, 0, 0, 1], 0));
-        let link = self.runtime.block_on(Link::start(free, self.server.url(), settings))?;
+        let link = self.runtime.block_on(link::server::start(free, self.server.url(), settings))?;
         let url = link.url(self.server.url())?;
         let mut arguments = self.online_arguments(mode);
         arguments.extend(recording.into_iter().flat_map(|file| ["--record".into(), file.into()]));
@@ -195,7 +194,6 @@ impl<'a> Stage<'a> {
             frames,
             size: self.options.scene.size,
             folder: folder.path(),
-            wait: false,
             save_masks: false,
             arguments,
         };
@@ -208,10 +206,7 @@ fn software(options: &NetworkOptions) -> Option<OsString> {
     options.allow_software.then(|| "--allow-software".into())
 }
 
-/// Measures all networks, writes `network.csv` and the plots, and returns the table. `progress` hears of each run.
-///
-/// # Errors
-/// When a program is not built or fails, a profile does not exist, or the folder cannot be written.
+/// Measures all networks, writes `network.csv` and the plots, and reports each run to `progress`.
 pub fn measure(options: &NetworkOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
     let profiles: Vec<Profile> = options.profile.iter().map(|name| Ok(Profile::named(name)?)).collect::<Result<_>>()?;
     let ways: Vec<(&Profile, Mode)> =
@@ -232,13 +227,14 @@ pub fn measure(options: &NetworkOptions, mut progress: impl FnMut(&str)) -> Resu
             let ratio = run.client_fps / alone.client_fps;
             let (alone_fps, fps, down) = (alone.client_fps, run.client_fps, counts.down);
             progress(&format!(
-                "{}, {mode}, {number}/{}: {alone_fps:.1} frames/s alone, {fps:.1} behind it ({ratio:.3}); down {} of {} delivered",
+                "{}, {mode}, {number}/{}: {alone_fps:.1} frames/s alone, {fps:.1} behind it ({ratio:.3}); \
+                 down {} of {} delivered",
                 profile.name, options.runs, down.delivered, down.arrived
             ));
             runs.push((run, ratio));
         }
     }
-    // Recording takes time of the client's, so what is recorded is not timed.
+    // Recording slows the client, so the recorded run is not timed.
     progress("recording a run behind each network, and judging pictures of it");
     let judge = Judge::new(&options.scene, options.allow_software)?;
     let mut errors = Vec::new();
@@ -249,17 +245,10 @@ pub fn measure(options: &NetworkOptions, mut progress: impl FnMut(&str)) -> Resu
         errors.push(error.wrong_percent());
     }
     stage.server.stop()?;
-    let mut table = Table::new(&[
-        "profile",
-        "mode",
-        "client_fps",
-        "visibility_fps",
-        "lag_p50",
-        "lag_p99",
-        "bit_error",
-        "degraded_share",
-        "fps_ratio_to_offline",
-    ]);
+    let mut table = Table::new(
+        "profile | mode | client_fps | visibility_fps | lag_p50 | lag_p99 | bit_error | degraded_share \
+         | fps_ratio_to_offline",
+    );
     for (((profile, mode), runs), error) in ways.iter().zip(&runs).zip(errors) {
         table.rows.push(cells(profile.name, *mode, runs, error));
     }
@@ -317,12 +306,13 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+    use crate::report::scene_args::parse;
 
     fn frames() -> Vec<Value> {
         let lags = [None, Some(2), Some(4), Some(3)];
         let line = |(frame, lag): (usize, &Option<u32>)| {
             let state = if lag.is_none() { "degraded" } else { "concurrent" };
-            json!({ "t_ms": frame * 20, "lag": lag, "state": state, "visibility_share": 1.0, "mask_frame": lag, "look_ahead_ms": 0 })
+            json!({ "t_ms": frame * 20, "lag": lag, "state": state })
         };
         lags.iter().enumerate().map(line).collect()
     }
@@ -338,7 +328,7 @@ mod tests {
         let slower = Run { client_fps: 40.0, ..run.clone() };
         let row = cells("wifi", Mode::Auto, &[(run.clone(), 1.0), (slower, 0.8)], 0.25);
         assert_eq!(row, ["wifi", "auto", "45.0", "30.0", "3.0", "4.0", "0.2500", "0.2500", "0.900"]);
-        // What is not known is no zero.
+        // Unknown values are empty, not 0.
         let row = cells("lan", Mode::Sequential, &[(Run { client_fps: 1.0, ..Run::default() }, 1.0)], 0.5);
         assert_eq!(row, ["lan", "sequential", "1.0", "", "", "", "0.5000", "", "1.000"]);
     }
@@ -359,15 +349,8 @@ mod tests {
     #[test]
     fn the_plots_are_written() {
         let folder = tempfile::tempdir().unwrap();
-        let scene = SceneArgs {
-            scene: "a/hall.glb".into(),
-            lights_from: None,
-            lights: None,
-            path: None,
-            size: (64, 36),
-            frames: 4,
-            out: folder.path().join("out"),
-        };
+        let line = format!("--scene a/hall.glb --size 64x36 --frames 4 --out {}", folder.path().join("out").display());
+        let scene: SceneArgs = parse(&line).unwrap();
         let run = Run::read(&json!({ "client_fps": 50.0 }), &frames()).unwrap();
         write_plots(&scene, &[("wifi".to_owned(), &run), ("lte".to_owned(), &run)], &run).unwrap();
         for file in ["network_frame_time.svg", "network_lag.svg"] {

@@ -10,6 +10,7 @@
 mod front;
 mod judge;
 mod measure;
+mod row;
 mod tracer;
 mod viewer;
 
@@ -21,14 +22,14 @@ use gnomon_scene::{LoadOptions, Scene};
 
 use self::{
     front::{Trade, on_front},
-    judge::Verdict,
     measure::Bench,
-    tracer::{BACKENDS, Traced},
+    row::{Group, Row},
+    tracer::BACKENDS,
 };
 use super::{
     plot::{Axis, Better, Front, Plot, Series},
     scene_args::size,
-    table::{Table, median},
+    table::Table,
 };
 
 /// What to measure.
@@ -59,66 +60,6 @@ pub struct ParetoOptions {
     /// Folder for tables and plots.
     #[arg(long, default_value = "target/lab")]
     pub out: PathBuf,
-}
-
-/// Rows of one group and one scene are compared with each other.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Group {
-    Tracing,
-    Prediction,
-}
-
-#[derive(Debug, Clone)]
-struct Row {
-    scene: String,
-    backend: String,
-    knob: String,
-    value: String,
-    group: Group,
-    ms_p50: f64,
-    ms_p99: f64,
-    rays: f64,
-    node_visits: Option<u64>,
-    bytes: f64,
-    bit_error: f64,
-    psnr_db: f64,
-    flip: f64,
-    on_front: bool,
-    is_default: bool,
-}
-
-impl Row {
-    fn new(
-        [scene, backend, knob, value]: [&str; 4],
-        (group, is_default): (Group, bool),
-        traced: &[Traced],
-        node_visits: Option<u64>,
-        verdict: &Verdict,
-    ) -> Self {
-        let mut times: Vec<f64> = traced.iter().map(|traced| traced.ms).collect();
-        times.sort_by(f64::total_cmp);
-        #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^53")]
-        let mean = |of: fn(&Traced) -> u64| {
-            traced.iter().map(|traced| of(traced) as f64).sum::<f64>() / traced.len().max(1) as f64
-        };
-        Self {
-            scene: scene.to_owned(),
-            backend: backend.to_owned(),
-            knob: knob.to_owned(),
-            value: value.to_owned(),
-            group,
-            ms_p50: median(&times).unwrap_or(f64::NAN),
-            ms_p99: times.get(times.len().saturating_sub(1).min(times.len() * 99 / 100)).copied().unwrap_or(f64::NAN),
-            rays: mean(|traced| traced.rays),
-            node_visits,
-            bytes: mean(|traced| traced.bytes),
-            bit_error: verdict.bit_error(),
-            psnr_db: verdict.psnr_db(),
-            flip: verdict.flip(),
-            on_front: false,
-            is_default,
-        }
-    }
 }
 
 /// Measures all settings and writes `pareto.csv` and a plot per scene. Reports each step, and each default that is off
@@ -200,22 +141,10 @@ fn mark_front(rows: &mut [Row]) {
 }
 
 fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new(&[
-        "scene",
-        "backend",
-        "knob",
-        "value",
-        "ms_p50",
-        "ms_p99",
-        "rays",
-        "node_visits",
-        "bytes",
-        "bit_error",
-        "psnr",
-        "flip",
-        "on_front",
-        "is_default",
-    ]);
+    let mut table = Table::new(
+        "scene | backend | knob | value | ms_p50 | ms_p99 | rays | node_visits | bytes | bit_error | psnr \
+         | flip | on_front | is_default",
+    );
     table.rows.extend(rows.iter().map(|row| {
         let Row { ms_p50, ms_p99, rays, bytes, bit_error, psnr_db, flip, on_front, is_default, .. } = row;
         vec![

@@ -1,7 +1,7 @@
-//! The dissertation's Table 1 (§4.1), rebuilt as configurations of our own programs on loopback.
+//! `lab pipeline`: the dissertation's Table 1 (§4.1), rebuilt with our programs on loopback.
 //!
-//! Each row runs the real server and the real headless client as processes, along the same camera path, at the same
-//! size. A row's figures are medians over its runs.
+//! Each row runs the real server and the real headless client as processes, along the same camera path and at the same
+//! size. Figures are medians over the runs.
 
 use std::ffi::OsString;
 
@@ -9,41 +9,36 @@ use anyhow::{Context, Result};
 use gnomon_protocol::codec::CodecId;
 use serde_json::Value;
 
-use super::{
-    scene_args::SceneArgs,
-    table::{Table, median},
-};
+use super::{scene_args::SceneArgs, statistics::median, table::Table};
 use crate::rig::{ClientJob, PATIENCE, ServerProcess};
 
-/// What to measure.
 #[derive(Debug, Clone, clap::Args)]
 pub struct PipelineOptions {
     /// Scene, path, size, frames a run, and the folder for `pipeline.csv`.
     #[command(flatten)]
     pub scene: SceneArgs,
-    /// Runs a row; figures are their medians.
+    /// Runs per row; figures are their medians.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub runs: u32,
     /// The server's back end: auto, compute or cpu.
     #[arg(long, default_value = "auto")]
     pub backend: String,
-    /// Lets both programs use a software adapter.
+    /// Allow software adapters.
     #[arg(long)]
     pub allow_software: bool,
 }
 
-/// One configuration.
 #[derive(Debug, Clone, Copy)]
 struct Row {
     label: &'static str,
     transport: Option<&'static str>,
     codec: CodecId,
     wait: bool,
-    /// Frames a second that the dissertation reports for its like, where it has one.
+    /// The dissertation's frames a second for this configuration.
     dissertation_fps: Option<f64>,
 }
 
-/// The dissertation's rows are: Original TCP, UDP, UDP and LZ4, Parallel; its fifth adds prediction.
+/// The dissertation's rows: Original TCP, UDP, UDP and LZ4, Parallel; its fifth adds prediction.
 const ROWS: [Row; 7] = [
     Row { label: "a", transport: Some("lab-tcp"), codec: CodecId::Words, wait: true, dissertation_fps: Some(7.7) },
     Row { label: "b", transport: Some("lab-udp"), codec: CodecId::Words, wait: true, dissertation_fps: Some(6.9) },
@@ -54,7 +49,6 @@ const ROWS: [Row; 7] = [
     Row { label: "f", transport: None, codec: CodecId::PlanesLz4, wait: false, dissertation_fps: None },
 ];
 
-/// What a run's summary says.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Run {
     client_fps: f64,
@@ -66,7 +60,7 @@ struct Run {
 }
 
 impl Run {
-    /// Reads a summary. A client without a server has no lag and no payload: `null` counts as NaN and prints as –.
+    /// Reads a summary. Without a server there is no lag and no payload: `null` becomes NaN, which prints as –.
     fn read(summary: &Value) -> Result<Self> {
         let figure = |name: &str| {
             let value = summary.get(name).with_context(|| format!("the client's summary lacks {name:?}"))?;
@@ -83,23 +77,12 @@ impl Run {
     }
 }
 
-/// Measures all rows, writes `pipeline.csv`, and returns the table. `progress` hears of each row when it is done.
-///
-/// # Errors
-/// When a program is not built or fails, or the folder cannot be written.
+/// Measures all rows, writes `pipeline.csv`, and reports each row to `progress`.
 pub fn measure(options: &PipelineOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
-    let mut table = Table::new(&[
-        "row",
-        "configuration",
-        "client frames/s",
-        "visibility frames/s",
-        "lag, frames",
-        "bytes/frame",
-        "packets/frame",
-        "saving over words",
-        "incomplete frames",
-        "dissertation, frames/s",
-    ]);
+    let mut table = Table::new(
+        "row | configuration | client frames/s | visibility frames/s | lag, frames | bytes/frame \
+         | packets/frame | saving over words | incomplete frames | dissertation, frames/s",
+    );
     for row in &ROWS {
         let runs = runs_of(row, options)?;
         let cells = cells(row, &runs, options.scene.size);
@@ -119,17 +102,18 @@ fn runs_of(row: &Row, options: &PipelineOptions) -> Result<Vec<Run>> {
             let mut arguments = scene_arguments.clone();
             arguments.extend(["--transport".into(), transport.into(), "--backend".into(), (&options.backend).into()]);
             arguments.extend(software.clone());
-            Some(ServerProcess::start(&options.scene.scene, &arguments)?)
+            Some(ServerProcess::start(&options.scene.file.scene, &arguments)?)
         }
     };
     let mut runs = Vec::new();
     for _ in 0..options.runs {
         let folder = tempfile::tempdir().context("making a temporary folder")?;
         let mut arguments: Vec<OsString> = software.iter().cloned().collect();
+        arguments.extend(row.wait.then(|| "--wait".into()));
         if server.is_some() {
             arguments.extend(["--codec".into(), row.codec.to_string().into()]);
         } else {
-            arguments.extend(["--offline".into(), (&options.scene.scene).into()]);
+            arguments.extend(["--offline".into(), (&options.scene.file.scene).into()]);
             arguments.extend(scene_arguments.iter().cloned());
         }
         let job = ClientJob {
@@ -138,7 +122,6 @@ fn runs_of(row: &Row, options: &PipelineOptions) -> Result<Vec<Run>> {
             frames: options.scene.frames,
             size: options.scene.size,
             folder: folder.path(),
-            wait: row.wait,
             save_masks: false,
             arguments,
         };
@@ -158,7 +141,7 @@ fn cells(row: &Row, runs: &[Run], (width, height): (u32, u32)) -> Vec<String> {
     };
     let words_bytes = 4.0 * f64::from(width) * f64::from(height);
     let payloads: Vec<_> = runs.iter().map(|run| run.payload_bytes).filter(|bytes| bytes.is_finite()).collect();
-    // Uncompressed words save nothing: their frame's head makes them a few bytes longer.
+    // Uncompressed words save nothing: the frame header adds a few bytes.
     let compressed = row.transport.filter(|_| row.codec != CodecId::Words);
     let saving = compressed.and(median(&payloads)).map(|bytes| (1.0 - bytes / words_bytes) * 100.0);
     let configuration = match row.transport {

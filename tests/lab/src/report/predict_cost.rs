@@ -1,7 +1,7 @@
-//! `lab predict-cost`: what carrying visibility over costs of a client's frame.
+//! `lab predict-cost`: cost of prediction in a client's frame.
 //!
-//! No network and no server run meanwhile: masks are traced before, and each frame is drawn by every predictor in turn, so that
-//! whatever else the machine does falls on all alike.
+//! Masks are traced in advance, without a network or server, and every predictor draws each frame in turn, so that
+//! other load of the machine affects all alike.
 
 use std::time::Instant;
 
@@ -10,30 +10,25 @@ use glam::DVec3;
 use gnomon_client::predictor::Predictor;
 use gnomon_scene::camera::Camera;
 
-use super::{
-    predict_rig::PredictRig,
-    scene_args::SceneArgs,
-    table::{Table, median},
-};
+use super::{predict_rig::PredictRig, scene_args::SceneArgs, statistics::median, table::Table};
 
-/// What to measure.
 #[derive(Debug, Clone, clap::Args)]
 pub struct PredictCostOptions {
     /// Scene, path, size, and how many frames of the path are drawn.
     #[command(flatten)]
     pub scene: SceneArgs,
-    /// How old the mask is, in frames of 60 a second.
+    /// Age of the mask, in frames at 60 a second.
     #[arg(long, default_value_t = 6)]
     pub lag: u32,
-    /// Times that each frame is drawn in each way.
+    /// Rounds per frame and predictor.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     pub runs: u32,
-    /// Lets the client run on a software adapter.
+    /// Allow a software adapter.
     #[arg(long)]
     pub allow_software: bool,
 }
 
-/// A predictor, and whether the depth of the mask's view is still in the history or has to be drawn anew.
+/// A predictor, and whether the depth of the mask's view is kept in the history or drawn anew.
 const WAYS: [(Predictor, &str); 4] = [
     (Predictor::None, "unused"),
     (Predictor::Dissertation(gnomon_client::predictor::Unknown::Lit), "unused"),
@@ -41,13 +36,10 @@ const WAYS: [(Predictor, &str); 4] = [
     (Predictor::Surface, "drawn"),
 ];
 
-/// No pixel can tell it from nothing, and no picture in the history is of a camera that stands this far away.
+/// Offset that no pixel shows, but that makes a camera unknown to the history.
 const ELSEWHERE_M: f64 = 1e-9;
 
-/// Measures, writes `predict_cost.csv`, and returns the table. `progress` hears of each frame.
-///
-/// # Errors
-/// When the scene or the path cannot be read, there is no adapter, or a file cannot be written.
+/// Measures, writes `predict_cost.csv`, and reports each frame to `progress`.
 pub fn measure(options: &PredictCostOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
     let scene = &options.scene;
     let path = scene.load_path()?;
@@ -71,7 +63,7 @@ pub fn measure(options: &PredictCostOptions, mut progress: impl FnMut(&str)) -> 
                 let begun = Instant::now();
                 rig.show(&now, *predictor, Some((&mask, traced_for)))?;
                 let ms = begun.elapsed().as_secs_f64() * 1e3;
-                // The first time warms up.
+                // The first round warms up.
                 if run > 0 {
                     if way == 0 {
                         none_ms = ms;
@@ -83,7 +75,7 @@ pub fn measure(options: &PredictCostOptions, mut progress: impl FnMut(&str)) -> 
         }
         progress(&format!("frame {} of {} at {time_s:.3} s", frame + 1, scene.frames));
     }
-    let mut table = Table::new(&["scene", "size", "predictor", "depth", "lag", "ms_p50", "ratio_to_none"]);
+    let mut table = Table::new("scene | size | predictor | depth | lag | ms_p50 | ratio_to_none");
     for ((predictor, depth), (times, ratios)) in WAYS.iter().zip(times_ms.iter().zip(&ratios)) {
         let figure = |values: &[f64], decimals: usize| median(values).map(|value| format!("{value:.decimals$}"));
         table.rows.push(vec![

@@ -1,5 +1,5 @@
-//! Pictures with late visibility, without a network or a clock: the cpu back end traces the mask of one view, the client's own
-//! renderer carries it over to another, and the referee knows what is true there.
+//! Pictures with late visibility, without a network or clock: the cpu back end traces the mask of one view, the
+//! client's renderer predicts another view from it, and the referee has the truth.
 
 use anyhow::{Context, Result};
 use gnomon_client::{
@@ -20,7 +20,6 @@ use image::RgbImage;
 
 use crate::reference::{Reference, Truth};
 
-/// One scene at one size.
 pub(super) struct PredictRig {
     lights: u32,
     backend: CpuBackend,
@@ -43,25 +42,25 @@ impl PredictRig {
         })
     }
 
-    /// What the referee says of a view.
     pub(super) fn truth(&self, camera: &Camera) -> Truth {
         self.reference.trace(camera)
     }
 
-    /// What a server would send for a view.
+    /// Returns the mask that a server would send for a view.
     pub(super) fn trace(&self, camera: &Camera) -> Result<Mask> {
         let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, self.lights)?);
         self.backend.trace(camera, &mut mask);
         Ok(mask)
     }
 
-    /// What the same renderer shows without any lag.
+    /// Returns the renderer's picture without lag.
     pub(super) fn true_picture(&mut self, camera: &Camera) -> Result<RgbImage> {
         let mask = self.trace(camera)?;
         Ok(self.draw(camera, Predictor::None, Some((&mask, camera)))?.0)
     }
 
-    /// What the client shows of a view with this mask, and the view that it was traced for; or without any.
+    /// Returns the client's picture and visibility for a view, given a mask and the view that it was traced for, or
+    /// none.
     pub(super) fn draw(
         &mut self,
         camera: &Camera,
@@ -74,12 +73,12 @@ impl PredictRig {
         Ok((picture, self.renderer.read_visibility()?))
     }
 
-    /// The same, but the picture stays where it is; returns when it is done.
+    /// Draws without reading the picture back; returns when the GPU is done.
     pub(super) fn show(&mut self, camera: &Camera, predictor: Predictor, mask: Option<(&Mask, &Camera)>) -> Result<()> {
         self.shade(camera, predictor, mask, false).map(|_| ())
     }
 
-    /// Draws a view and waits for it: from now on its depth is in the renderer's history.
+    /// Draws a view, which puts its depth into the renderer's history.
     pub(super) fn see(&mut self, camera: &Camera) -> Result<()> {
         self.show(camera, Predictor::None, None)
     }
@@ -109,7 +108,7 @@ impl PredictRig {
         Ok(self.pictures.take_oldest()?.flatten())
     }
 
-    /// Share of the last picture's pixels whose visibility the mask said something of.
+    /// Share of the last picture's pixels that the mask covered.
     pub(super) fn known_share(&mut self) -> Option<f64> {
         self.renderer.known_share()
     }

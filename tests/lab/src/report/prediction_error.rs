@@ -1,26 +1,22 @@
-//! How wrong predicted visibility is, and where: inside, at shadow edges, or where nothing was known.
+//! Error of predicted visibility, by place: inside, at shadow edges, or unknown to the mask.
 
 use gnomon_client::render::PixelVisibility;
 
 use crate::reference::Truth;
 
-/// Counts of bits, summed over frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PredictionError {
-    /// Lights of the scene.
     pub lights: u32,
-    /// Bits that the referee calls relevant.
     pub relevant: u64,
-    /// Wrong ones of points that the mask's view saw, with a shadow's or a surface's edge next to them: what resampling costs.
+    /// Wrong bits of points that the mask's view saw, next to a shadow's or surface's edge: the cost of resampling.
     pub known_edge: u64,
-    /// Wrong ones of such points with no edge within a pixel.
+    /// Wrong bits of such points without an edge within a pixel.
     pub known_inside: u64,
-    /// Wrong ones of points that the mask's view did not see.
+    /// Wrong bits of points that the mask's view did not see.
     pub unknown: u64,
 }
 
 impl PredictionError {
-    /// Counts one picture.
     pub fn add(&mut self, visibility: &[PixelVisibility], truth: &Truth) {
         self.lights = truth.lights;
         for (place, (found, verdict)) in (0_u32..).zip(visibility.iter().zip(&truth.pixels)) {
@@ -40,21 +36,19 @@ impl PredictionError {
     }
 
     /// All wrong bits, in per cent of the relevant ones.
-    #[must_use]
     pub fn wrong_percent(&self) -> f64 {
         self.percent(self.known_edge + self.known_inside + self.unknown)
     }
 
     /// A count in per cent of the relevant bits.
-    #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
     pub fn percent(&self, count: u64) -> f64 {
         if self.relevant == 0 { 0.0 } else { count as f64 / self.relevant as f64 * 100.0 }
     }
 }
 
-/// The lights whose bit changes between a pixel and one of its eight neighbours; a neighbour where the light is irrelevant, or
-/// without a surface, counts as a change.
+/// Returns the lights whose bit differs between a pixel and one of its eight neighbours. A neighbour without a surface,
+/// or where the light is irrelevant, counts as different.
 fn edges(truth: &Truth, x: u32, y: u32) -> u32 {
     let here = truth.at(x, y);
     let mut edges = 0;

@@ -1,5 +1,5 @@
-//! How wrong the pictures of a recorded run were: each mask is taken as the client took it, in part where it came in part, the picture
-//! is drawn again, and the referee judges it.
+//! Error of a recorded run's pictures: masks are applied as the client received them, in parts too, pictures are drawn
+//! again, and the referee judges them.
 
 use std::path::Path;
 
@@ -11,7 +11,6 @@ use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use super::{prediction_error::PredictionError, replay::recorded_scene, scene_args::SceneArgs};
 use crate::reference::Reference;
 
-/// Judges recordings of one scene.
 pub(super) struct Judge {
     gpu: Gpu,
     loaded: Scene,
@@ -25,8 +24,8 @@ impl Judge {
         Ok(Self { gpu, reference: Reference::new(&loaded), loaded })
     }
 
-    /// The errors of `samples` of a run's pictures from `first` on, of `frames` in all. A picture in the middle of a fade counts as what
-    /// it shows more of.
+    /// Returns the error over `samples` pictures from `first` on, of `frames` in all. A picture in the middle of a fade
+    /// counts as what it shows more of.
     pub(super) fn error_of(
         &self,
         recording: &Path,

@@ -1,4 +1,4 @@
-//! `lab replay`: draws a client's recording again, without a network, and says what the network did.
+//! `lab replay`: draws a client's recording again, without a network, and prints the network's events.
 
 use std::{fs, io::BufWriter, path::PathBuf};
 
@@ -8,25 +8,19 @@ use gnomon_client::record::{
     replay::{Records, Replayed, replay},
 };
 use gnomon_protocol::ids::SceneDigest;
-use gnomon_scene::{LoadOptions, Scene};
+use gnomon_scene::Scene;
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 
-/// What to draw again.
+use super::scene_args::SceneFile;
+
 #[derive(Debug, Clone, clap::Args)]
 pub struct ReplayOptions {
-    /// The recording, as `gnomon-client --record` has written it.
+    /// Recording of `gnomon-client --record`.
     pub recording: PathBuf,
-    /// The scene that was looked at, `.gltf` or `.glb`.
-    #[arg(long)]
-    pub scene: PathBuf,
-    /// JSON file with lights, for a scene that has none.
-    #[arg(long)]
-    pub lights_from: Option<PathBuf>,
-    /// Keeps the first lights only.
-    #[arg(long)]
-    pub lights: Option<u32>,
-    /// Folder for a PNG a frame.
+    #[command(flatten)]
+    pub scene: SceneFile,
+    /// Folder for one PNG per frame.
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// Part of the graphics adapter's name.
@@ -34,27 +28,18 @@ pub struct ReplayOptions {
     pub adapter: Option<String>,
 }
 
-/// What was drawn.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Replay {
-    /// Pictures.
     pub frames: u64,
-    /// Masks that had come.
     pub masks: u64,
-    /// Network events.
     pub events: u64,
 }
 
-/// Draws all of it, and tells `say` about the network.
-///
-/// # Errors
-/// When the recording cannot be read, the scene is another one, or a picture cannot be drawn or written.
+/// Draws all pictures and reports network events to `say`.
 pub fn run(options: &ReplayOptions, mut say: impl FnMut(&str)) -> Result<Replay> {
     let (start, mut records) =
         Records::open(&options.recording).with_context(|| format!("opening {}", options.recording.display()))?;
-    let load = LoadOptions { lights_from: options.lights_from.clone(), max_lights: options.lights };
-    let loaded = Scene::load(&options.scene, &load).with_context(|| format!("loading {}", options.scene.display()))?;
-    let scene = recorded_scene(loaded, &start)?;
+    let scene = recorded_scene(options.scene.load()?, &start)?;
     let gpu = pollster::block_on(Gpu::open(&GpuOptions {
         adapter: options.adapter.clone(),
         allow_software: true,
@@ -100,12 +85,9 @@ pub fn run(options: &ReplayOptions, mut say: impl FnMut(&str)) -> Result<Replay>
     Ok(done)
 }
 
-/// The scene that a recording was made of, if it is this one.
-///
-/// # Errors
-/// When it is another one.
+/// Returns the recorded scene. Errors if `loaded` is another one.
 pub(super) fn recorded_scene(loaded: Scene, start: &Start) -> Result<Scene> {
-    // A server's scene comes packed.
+    // Servers send scenes packed.
     let Some(wanted) = &start.scene_digest else { return Ok(loaded) };
     let packed = loaded.pack()?;
     let found = SceneDigest(*blake3::hash(&packed).as_bytes()).to_string();

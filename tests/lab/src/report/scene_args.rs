@@ -1,4 +1,4 @@
-//! What every report is made of: a scene, its lights, a camera path, a size, and a folder for what comes out.
+//! Options shared by the reports: scene, lights, camera path, size, and folder for results.
 
 use std::{ffi::OsString, fs, path::PathBuf};
 
@@ -6,19 +6,25 @@ use anyhow::{Context, Result};
 use gnomon_client::camera_path::{CameraPath, PathSpec};
 use gnomon_scene::{LoadOptions, Scene};
 
-/// The options that all measuring subcommands share.
+/// A scene and its lights.
 #[derive(Debug, Clone, clap::Args)]
-pub struct SceneArgs {
+pub struct SceneFile {
     /// The scene, `.gltf` or `.glb`.
     #[arg(long)]
     pub scene: PathBuf,
     /// JSON file with lights, for a scene that has none.
     #[arg(long)]
     pub lights_from: Option<PathBuf>,
-    /// Keeps the first lights only.
+    /// Keeps only the first N lights.
     #[arg(long)]
     pub lights: Option<u32>,
-    /// Camera path, FILE or FILE#NAME; without it, the only one in lights_camera.json beside the scene.
+}
+
+#[derive(Debug, Clone, clap::Args)]
+pub struct SceneArgs {
+    #[command(flatten)]
+    pub file: SceneFile,
+    /// Camera path, FILE or FILE#NAME [default: the only one in lights_camera.json beside the scene].
     #[arg(long)]
     pub path: Option<OsString>,
     /// Size of the picture, WIDTHxHEIGHT.
@@ -32,39 +38,36 @@ pub struct SceneArgs {
     pub out: PathBuf,
 }
 
-impl SceneArgs {
-    /// The scene with its lights.
-    ///
-    /// # Errors
-    /// When it cannot be loaded.
-    pub fn load_scene(&self) -> Result<Scene> {
+impl SceneFile {
+    /// Loads the scene with its lights.
+    pub fn load(&self) -> Result<Scene> {
         let options = LoadOptions { lights_from: self.lights_from.clone(), max_lights: self.lights };
         Scene::load(&self.scene, &options).with_context(|| format!("loading {}", self.scene.display()))
     }
+}
 
-    /// The lights' options as the server, and the client without one, take them.
-    #[must_use]
+impl SceneArgs {
+    pub fn load_scene(&self) -> Result<Scene> {
+        self.file.load()
+    }
+
+    /// Returns the lights' options for the server, or for a client without one.
     pub fn light_arguments(&self) -> Vec<OsString> {
         let mut arguments = Vec::new();
-        if let Some(file) = &self.lights_from {
+        if let Some(file) = &self.file.lights_from {
             arguments.extend(["--lights-from".into(), file.into()]);
         }
-        if let Some(lights) = self.lights {
+        if let Some(lights) = self.file.lights {
             arguments.extend(["--lights".into(), lights.to_string().into()]);
         }
         arguments
     }
 
-    /// Where the camera path stands, as the client takes it: `FILE` or `FILE#NAME`.
-    #[must_use]
+    /// Returns the camera path as the client takes it: `FILE` or `FILE#NAME`.
     pub fn path_text(&self) -> OsString {
-        self.path.clone().unwrap_or_else(|| self.scene.with_file_name("lights_camera.json").into())
+        self.path.clone().unwrap_or_else(|| self.file.scene.with_file_name("lights_camera.json").into())
     }
 
-    /// The camera path.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     pub fn load_path(&self) -> Result<CameraPath> {
         let text = self.path_text();
         let text = text.to_str().with_context(|| format!("{} is no UTF-8", text.display()))?;
@@ -72,25 +75,18 @@ impl SceneArgs {
         Ok(CameraPath::load(&spec)?)
     }
 
-    /// The name of the scene in tables: its file's, without the ending.
-    #[must_use]
+    /// Returns the scene's name in tables: its file name without the extension.
     pub fn scene_name(&self) -> String {
-        self.scene.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+        self.file.scene.file_stem().unwrap_or_default().to_string_lossy().into_owned()
     }
 
-    /// The place of a result: in the folder for results, which is made when it is not there.
-    ///
-    /// # Errors
-    /// When the folder cannot be made.
+    /// Returns the path of a result; creates the folder.
     pub fn result(&self, name: &str) -> Result<PathBuf> {
         fs::create_dir_all(&self.out).with_context(|| format!("creating {}", self.out.display()))?;
         Ok(self.out.join(name))
     }
 
-    /// Writes `text` as the result `name`, and says where that is.
-    ///
-    /// # Errors
-    /// When it cannot be written.
+    /// Writes a result and returns its path.
     pub fn write(&self, name: &str, text: &str) -> Result<PathBuf> {
         let file = self.result(name)?;
         fs::write(&file, text).with_context(|| format!("writing {}", file.display()))?;
@@ -98,10 +94,13 @@ impl SceneArgs {
     }
 }
 
-/// A size from `WIDTHxHEIGHT`.
-///
-/// # Errors
-/// When the text is no such thing.
+/// Parses a report's options as `lab` does.
+pub fn parse<T: clap::Args>(line: &str) -> Result<T> {
+    let command = T::augment_args(clap::Command::new("lab").no_binary_name(true));
+    Ok(T::from_arg_matches(&command.try_get_matches_from(line.split_whitespace())?)?)
+}
+
+/// Parses `WIDTHxHEIGHT`.
 pub fn size(text: &str) -> Result<(u32, u32), String> {
     let parsed = text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
     parsed.ok_or_else(|| format!("{text:?} is no size: write it as 640x360"))

@@ -1,14 +1,13 @@
-//! What a line of the client's statistics says of a picture.
+//! A picture, as the client's statistics describe it.
 
 use gnomon_client::mode::State;
 use serde::Deserialize;
 
-/// A picture.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub(super) struct Shown {
-    /// Since the first frame, in milliseconds.
+    /// Time since the first frame, in milliseconds.
     pub(super) t_ms: f64,
     pub(super) state: State,
-    /// Frames that its mask was older.
+    /// Age of its mask, in frames.
     pub(super) lag: Option<u32>,
 }

@@ -1,23 +1,30 @@
-//! A table of text, as CSV for machines and as Markdown for documents.
+//! A table, written as CSV or Markdown.
 
-/// Rows of cells under a head.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Table {
-    /// Names of the columns.
     pub head: Vec<String>,
     /// Rows, each as long as the head.
     pub rows: Vec<Vec<String>>,
 }
 
 impl Table {
-    /// A table without rows.
-    #[must_use]
-    pub fn new(head: &[&str]) -> Self {
-        Self { head: head.iter().map(|&name| name.to_owned()).collect(), rows: Vec::new() }
+    /// Returns an empty table; `head` is `column | column | …`.
+    pub fn new(head: &str) -> Self {
+        Self { head: head.split(" | ").map(str::to_owned).collect(), rows: Vec::new() }
     }
 
-    /// RFC 4180 text: cells with commas, quotes or line ends are quoted.
-    #[must_use]
+    /// Returns a row's cell; empty if there is no such column.
+    pub fn text<'a>(&self, row: &'a [String], column: &str) -> &'a str {
+        let place = self.head.iter().position(|name| name == column);
+        place.and_then(|place| row.get(place)).map_or("", String::as_str)
+    }
+
+    /// Returns a row's number; NaN if there is none in that column.
+    pub fn number(&self, row: &[String], column: &str) -> f64 {
+        self.text(row, column).parse().unwrap_or(f64::NAN)
+    }
+
+    /// Returns RFC 4180 text.
     pub fn csv(&self) -> String {
         let cell = |cell: &String| {
             if cell.contains([',', '"', '\n', '\r']) {
@@ -29,8 +36,7 @@ impl Table {
         self.lines(|row| row.iter().map(cell).collect::<Vec<_>>().join(","))
     }
 
-    /// A Markdown table, numbers to the right.
-    #[must_use]
+    /// Returns a Markdown table with numbers aligned right.
     pub fn markdown(&self) -> String {
         let line = |cells: Vec<String>| format!("| {} |", cells.join(" | "));
         let rule = (0..self.head.len()).map(|column| {
@@ -50,31 +56,15 @@ impl Table {
     }
 }
 
-/// The middle value, or the mean of the two middle ones; `None` of nothing.
-#[must_use]
-pub fn median(values: &[f64]) -> Option<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let upper = sorted.get(sorted.len() / 2)?;
-    Some(if sorted.len() % 2 == 1 { *upper } else { f64::midpoint(sorted[sorted.len() / 2 - 1], *upper) })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn tables_are_quoted_and_aligned() {
-        let mut table = Table::new(&["what", "frames/s"]);
+        let mut table = Table::new("what | frames/s");
         table.rows.push(vec!["a, \"b\"|c".into(), "12.5".into()]);
         assert_eq!(table.csv(), "what,frames/s\n\"a, \"\"b\"\"|c\",12.5\n");
         assert_eq!(table.markdown(), "| what | frames/s |\n| --- | ---: |\n| a, \"b\"\\|c | 12.5 |\n");
-    }
-
-    #[test]
-    fn medians_are_the_middle() {
-        assert_eq!(median(&[]), None);
-        assert_eq!(median(&[3.0, 1.0, 2.0]), Some(2.0));
-        assert_eq!(median(&[4.0, 1.0, 2.0, 3.0]), Some(2.5));
     }
 }

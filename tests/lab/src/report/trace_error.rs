@@ -1,4 +1,4 @@
-//! How far a back end's masks are from the referee's, traced directly, without a network in between.
+//! `lab trace-error`: compares back ends' masks with the referee's, without a network.
 
 use anyhow::{Context, Result};
 use gnomon_protocol::mask::{Mask, MaskShape};
@@ -11,7 +11,6 @@ use crate::{
     reference::{Reference, Truth},
 };
 
-/// What to compare.
 #[derive(Debug, Clone, clap::Args)]
 pub struct TraceErrorOptions {
     /// Scene, path and size.
@@ -23,15 +22,12 @@ pub struct TraceErrorOptions {
     /// Back ends to compare; software adapters count.
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = BackendName::EVERYWHERE)]
     pub backends: Vec<BackendName>,
-    /// Writes a picture of each comparison.
+    /// Write a picture of each comparison.
     #[arg(long)]
     pub pictures: bool,
 }
 
-/// Compares, and tells `progress` each result as a line.
-///
-/// # Errors
-/// When the scene or the path cannot be read, there is no such back end, or a picture cannot be written.
+/// Reports each comparison to `progress`.
 pub fn compare(options: &TraceErrorOptions, mut progress: impl FnMut(&str)) -> Result<()> {
     let scene = options.scene.load_scene()?;
     let path = options.scene.load_path()?;
@@ -57,8 +53,7 @@ pub fn compare(options: &TraceErrorOptions, mut progress: impl FnMut(&str)) -> R
     Ok(())
 }
 
-/// Grey where right, the brighter the more lights reach the pixel; red for leaks, blue for false shadows, orange and cyan
-/// for the same in doubt.
+/// Grey where right, brighter for more lights; red for leaks, blue for false shadows; orange and cyan where undecided.
 pub(super) fn picture(mask: &Mask, truth: &Truth) -> image::RgbImage {
     image::RgbImage::from_fn(truth.width, truth.height, |x, y| {
         let verdict = truth.at(x, y);

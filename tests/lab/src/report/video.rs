@@ -1,8 +1,8 @@
-//! `lab video`: the same walk sent as pictures, and as visibility that the client shades itself.
+//! `lab video`: the same walk sent as pictures, and as visibility for the client to shade.
 //!
-//! What a viewer sees at each moment is compared with the picture of that moment without any network. A video shows the picture
-//! of one round trip ago; our client draws the newest pose with the visibility of one round trip ago, carried over. There is no
-//! network and no clock: lag is counted in frames, and nothing is lost, which favours video.
+//! Each shown picture is compared with the picture without a network. A video shows the picture of one round trip ago;
+//! our client draws the newest pose with predicted visibility of one round trip ago. Lag is counted in frames and
+//! nothing is lost, which favours video.
 
 mod stream;
 
@@ -32,18 +32,17 @@ use super::{
 };
 use crate::metrics::{image::compare, vmaf::vmaf};
 
-/// Poses before a mask's that the server's extrapolation has seen.
+/// Earlier poses that the server's extrapolation has seen.
 const POSES_BEFORE: u32 = 12;
 
-/// Visibility of the view that the server expects, which is what it does on a GPU.
+/// Visibility of the predicted view, as servers send it by default.
 const AHEAD: &str = "visibility";
-/// Visibility of the newest view that the server knows.
+/// Visibility of the newest known view.
 const BEHIND: &str = "visibility, not looking ahead";
 
-/// What to compare.
 #[derive(Debug, Clone, clap::Args)]
 pub struct VideoOptions {
-    /// Scene, path, size, and how many frames that follow each other are measured.
+    /// Scene, path, size, and number of consecutive frames to measure.
     #[command(flatten)]
     pub scene: SceneArgs,
     /// Frames a second.
@@ -58,31 +57,31 @@ pub struct VideoOptions {
     /// Rates of the video, in Mbit/s.
     #[arg(long, value_delimiter = ',', default_value = "2,5,10,20,40")]
     pub rates: Vec<f64>,
-    /// Preset of the video encoders: how hard they work.
+    /// Preset of the video encoders.
     #[arg(long, default_value = "veryfast")]
     pub preset: String,
     /// Codecs of visibility.
     #[arg(long, value_delimiter = ',', default_value = "planes-lz4,tiles-fast,tiles-small")]
     pub codecs: Vec<CodecId>,
-    /// Frames of video before the first measured one: its first picture is coded from nothing, within the same rate.
+    /// Frames of video before the first measured one: the first is coded without a reference at the same rate.
     #[arg(long, default_value_t = 30)]
     pub warm: u32,
-    /// The ffmpeg that codes video. For VMAF it wants libvmaf.
+    /// ffmpeg for the video codecs; needs libvmaf for VMAF.
     #[arg(long, env = crate::metrics::vmaf::FFMPEG_VARIABLE, default_value = "ffmpeg")]
     pub ffmpeg: PathBuf,
-    /// Lets the client run on a software adapter.
+    /// Allow a software adapter.
     #[arg(long)]
     pub allow_software: bool,
 }
 
 impl VideoOptions {
-    /// Frames that a round trip takes, rounded up.
+    /// Returns a round trip in frames, rounded up.
     fn lag(&self, rtt_ms: u32) -> u32 {
         (rtt_ms * self.fps.get()).div_ceil(1000)
     }
 }
 
-/// One way of sending, at one rate and round trip.
+/// A method at one rate and round trip.
 #[derive(Debug, Clone)]
 struct Row {
     method: &'static str,
@@ -94,10 +93,10 @@ struct Row {
     quality: Quality,
 }
 
-/// How near what was shown is to what was to be seen, over all frames.
+/// Quality over all frames.
 #[derive(Debug, Clone)]
 struct Quality {
-    /// Of the mean square error of all frames; infinite when all are as they should be.
+    /// From the mean square error over all frames; infinite if all are exact.
     psnr_db: f64,
     ssim: f64,
     flip: f64,
@@ -118,11 +117,7 @@ impl Quality {
     }
 }
 
-/// Measures, writes `video.csv` and its plots, and tells `progress` each row as it comes.
-///
-/// # Errors
-/// When the scene or the path cannot be read, there is no adapter, the ffmpeg lacks an encoder or fails, or a file cannot be
-/// written.
+/// Measures, writes `video.csv` and its plots, and reports each row to `progress`.
 pub fn measure(options: &VideoOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
     ensure!(!options.rtt.is_empty(), "--rtt needs a value");
     for codec in &options.video {
@@ -151,12 +146,13 @@ pub fn measure(options: &VideoOptions, mut progress: impl FnMut(&str)) -> Result
     Ok(table)
 }
 
-/// A session's encoder, and the masks that its client has not acknowledged yet.
+/// An encoder, and the masks that the client has not acknowledged.
 struct Sender {
     encoder: Encoder,
     packetizer: Packetizer,
     body: Vec<u8>,
-    /// Masks under way, the oldest first; the client has that one when they are as many as a round trip takes and one more.
+    /// Masks in flight, oldest first. The oldest is acknowledged once there are as many as a round trip takes, plus
+    /// one.
     sent: VecDeque<Reference>,
     acknowledged_after: usize,
 }
@@ -172,7 +168,7 @@ impl Sender {
         }
     }
 
-    /// Bytes that a mask takes on the wire, headers included.
+    /// Returns the mask's bytes on the wire, with headers.
     fn send(&mut self, frame: FrameNumber, mask: &Mask) -> Result<f64> {
         let reference = self.sent.front().filter(|_| self.sent.len() == self.acknowledged_after);
         self.encoder.encode_for(None, reference, mask, &mut self.body)?;
@@ -187,14 +183,13 @@ impl Sender {
     }
 }
 
-/// The walk, and what is to be seen on it.
+/// The walk and its true pictures.
 struct Bench<'a> {
     options: &'a VideoOptions,
     rig: PredictRig,
     path: CameraPath,
-    /// Every frame of the video, measured or not, as it should be seen.
+    /// True pictures of all frames, measured or not.
     truths: Vec<RgbImage>,
-    /// The first measured frame.
     first: u32,
 }
 
@@ -225,7 +220,7 @@ impl<'a> Bench<'a> {
         self.first as usize..self.truths.len()
     }
 
-    /// The walk as video, seen after each round trip.
+    /// Measures video after each round trip.
     fn video(&self, codec: VideoCodec, rate: f64) -> Result<Vec<Row>> {
         let options = self.options;
         let stream = Stream::encode(&options.ffmpeg, codec, (rate, &options.preset), self.fps(), &self.truths)?;
@@ -243,7 +238,7 @@ impl<'a> Bench<'a> {
         options.rtt.iter().map(|&rtt_ms| seen(rtt_ms)).collect()
     }
 
-    /// The walk with visibility from a server one round trip away: what is seen is the same for every codec.
+    /// Measures visibility from a server one round trip away; every codec shows the same pictures.
     fn split(&mut self, rtt_ms: u32, method: &'static str) -> Result<Vec<Row>> {
         let options = self.options;
         let lag = options.lag(rtt_ms);
@@ -264,7 +259,7 @@ impl<'a> Bench<'a> {
         Ok(options.codecs.iter().zip(bytes).map(row).collect())
     }
 
-    /// The walk with what the client knows by itself.
+    /// Measures the client without a server.
     fn without_server(&mut self) -> Result<Row> {
         let mut shown = Vec::new();
         for frame in self.first..self.first + self.options.scene.frames {
@@ -275,8 +270,8 @@ impl<'a> Bench<'a> {
         Ok(self.row("no server", "shadow maps".to_owned(), 0, 0.0, quality))
     }
 
-    /// What the server traces for the client that will show it in `frame`: where it expects the camera then, by the poses
-    /// that it knew `lag` frames before.
+    /// Returns the camera that the server traces for `frame`, extrapolated from the poses that it knew `lag` frames
+    /// before.
     fn traced_for(&self, frame: u32, lag: u32, method: &str) -> Camera {
         let time_s = |frame: u32| f64::from(frame) / self.fps();
         let newest = camera(&self.path, self.options, frame - lag);
@@ -302,22 +297,10 @@ fn camera(path: &CameraPath, options: &VideoOptions, frame: u32) -> Camera {
 }
 
 fn table(options: &VideoOptions, path: &str, rows: &[Row]) -> Table {
-    let mut table = Table::new(&[
-        "scene",
-        "path",
-        "size",
-        "fps",
-        "method",
-        "setting",
-        "rtt_ms",
-        "lag",
-        "frame_bytes",
-        "mbit_per_s",
-        "psnr",
-        "ssim",
-        "flip",
-        "vmaf",
-    ]);
+    let mut table = Table::new(
+        "scene | path | size | fps | method | setting | rtt_ms | lag | frame_bytes | mbit_per_s | psnr \
+         | ssim | flip | vmaf",
+    );
     table.rows.extend(rows.iter().map(|row| {
         vec![
             options.scene.scene_name(),
@@ -339,7 +322,7 @@ fn table(options: &VideoOptions, path: &str, rows: &[Row]) -> Table {
     table
 }
 
-/// Draws `video_*.svg`: quality against rate, a line for each codec and round trip.
+/// Draws `video_*.svg`: quality against rate, one line per codec and round trip.
 fn draw(options: &VideoOptions, rows: &[Row]) -> Result<()> {
     type Quantity = (&'static str, &'static str, fn(&Quality) -> f64);
     let quantities: [Quantity; 4] = [

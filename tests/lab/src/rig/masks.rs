@@ -1,4 +1,4 @@
-//! The masks that a client kept with `--save-masks`: one frame body a file, under the frame's number.
+//! Masks saved by a client's `--save-masks`: one frame body per file, named by frame number.
 
 use std::{collections::BTreeMap, fs, path::Path};
 
@@ -8,10 +8,7 @@ use gnomon_protocol::{
     mask::{Mask, MaskShape},
 };
 
-/// Reads every `frame_NUMBER.body` in a folder.
-///
-/// # Errors
-/// When the folder cannot be read, holds any other file, or a body does not decode.
+/// Reads every `frame_NUMBER.body` in a folder; any other file is an error.
 pub fn read(folder: &Path) -> Result<BTreeMap<u32, Mask>> {
     let mut masks = BTreeMap::new();
     for entry in fs::read_dir(folder).with_context(|| format!("listing {}", folder.display()))? {

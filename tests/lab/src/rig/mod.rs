@@ -1,8 +1,9 @@
-//! Boots a real server and real clients on this machine, as processes, and cleans up behind them.
+//! Runs a real server and real clients as processes.
 
 pub mod masks;
 pub mod program;
 pub mod ray_queries;
+pub mod usage;
 
 use std::{
     ffi::{OsStr, OsString},
@@ -16,10 +17,9 @@ use tempfile::TempDir;
 
 use program::{Outcome, Program};
 
-/// Time that a program gets for anything: loading Pink Room on one busy core takes seconds, never minutes.
+/// Longest wait for a program: loading Pink Room on one busy core takes seconds, never minutes.
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
-/// A running `gnomon-server`.
 #[derive(Debug)]
 pub struct ServerProcess {
     program: Program,
@@ -28,19 +28,13 @@ pub struct ServerProcess {
 }
 
 impl ServerProcess {
-    /// Starts a server on a free loopback port, with a certificate of its own, unless the arguments say otherwise, and waits until it
-    /// has printed its URL.
-    ///
-    /// # Errors
-    /// When it is not built, ends, or does not get ready.
+    /// Starts a server and waits for its URL. Unless the arguments say otherwise, it has a free loopback port and a new
+    /// certificate.
     pub fn start<A: AsRef<OsStr>>(scene: &Path, arguments: &[A]) -> Result<Self> {
         Self::start_in(scene, arguments, &[])
     }
 
-    /// As [`Self::start`], in an environment with these variables.
-    ///
-    /// # Errors
-    /// As [`Self::start`].
+    /// As [`Self::start`], with environment variables.
     pub fn start_in<A: AsRef<OsStr>>(scene: &Path, arguments: &[A], environment: &[(&str, &str)]) -> Result<Self> {
         let certificate = tempfile::tempdir().context("making a temporary folder")?;
         let mut all: Vec<OsString> = vec!["--scene".into(), scene.into()];
@@ -57,44 +51,32 @@ impl ServerProcess {
         Ok(Self { program, url, _certificate: certificate })
     }
 
-    /// The URL that it printed.
-    #[must_use]
     pub fn url(&self) -> &str {
         &self.url
     }
 
-    /// The process.
     pub fn program(&mut self) -> &mut Program {
         &mut self.program
     }
 
-    /// Kills it at once (SIGKILL).
-    ///
-    /// # Errors
-    /// When the operating system refuses.
+    /// Kills it (SIGKILL).
     pub fn kill(self) -> Result<()> {
         self.program.kill()
     }
 
-    /// Waits for its end, whatever that is.
-    ///
-    /// # Errors
-    /// When it does not end in time.
+    /// Waits for its end, whatever its status.
     pub fn wait(self, patience: Duration) -> Result<Outcome> {
         self.program.finish(patience)
     }
 
-    /// Asks it to stop (SIGTERM) and waits for its end.
-    ///
-    /// # Errors
-    /// When it does not end in time or reports failure.
+    /// Stops it (SIGTERM) and waits for its end. Errors if it reports failure.
     pub fn stop(self) -> Result<Outcome> {
         self.program.terminate()?;
         self.program.finish(PATIENCE)?.success()
     }
 }
 
-/// The first whole line's URL in what a server has said. A line that is still being written is not looked at.
+/// Returns the URL in a server's output. Ignores a last line that is not complete.
 fn url_in(said: &str) -> Option<String> {
     let whole = &said[..said.rfind('\n')? + 1];
     whole
@@ -105,32 +87,22 @@ fn url_in(said: &str) -> Option<String> {
         .map(str::to_owned)
 }
 
-/// A headless client's work: what to render, and what it leaves behind in a folder.
+/// A headless client's job and output folder.
 #[derive(Debug, Clone)]
 pub struct ClientJob<'a> {
-    /// The server's URL, or `None` for a client without a server, which then needs further arguments.
+    /// The server's URL; `None` needs `--offline` among the arguments.
     pub url: Option<&'a str>,
-    /// Camera path file, with `#NAME` where it has several.
+    /// Camera path: FILE or FILE#NAME.
     pub path: OsString,
-    /// Frames to render.
     pub frames: u32,
-    /// Width and height in pixels.
     pub size: (u32, u32),
-    /// Folder for the summary, the statistics and, with `save_masks`, the masks.
+    /// Folder for summary, statistics and saved masks.
     pub folder: &'a Path,
-    /// Whether each frame waits for its own mask.
-    pub wait: bool,
-    /// Whether received masks are kept.
     pub save_masks: bool,
-    /// Whatever else.
     pub arguments: Vec<OsString>,
 }
 
 impl ClientJob<'_> {
-    /// Starts the client.
-    ///
-    /// # Errors
-    /// When it is not built or cannot be started.
     pub fn start(&self) -> Result<Program> {
         let mut all: Vec<OsString> = self.url.map(OsString::from).into_iter().collect();
         all.extend(["--headless".into(), "--path".into(), self.path.clone()]);
@@ -138,9 +110,6 @@ impl ClientJob<'_> {
         all.extend(["--size".into(), format!("{}x{}", self.size.0, self.size.1).into()]);
         all.extend(["--summary".into(), self.folder.join("summary.json").into()]);
         all.extend(["--stats".into(), self.folder.join("stats.jsonl").into()]);
-        if self.wait {
-            all.push("--wait".into());
-        }
         if self.save_masks {
             all.extend(["--save-masks".into(), self.folder.join("masks").into()]);
         }
@@ -148,20 +117,14 @@ impl ClientJob<'_> {
         Program::start(&program::find("gnomon-client")?, &all, &[])
     }
 
-    /// The summary of a client that has ended.
-    ///
-    /// # Errors
-    /// When there is none, or no JSON in it.
+    /// Reads the summary of a client that has ended.
     pub fn summary(&self) -> Result<Value> {
         let path = self.folder.join("summary.json");
         let text = std::fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
         serde_json::from_str(&text).with_context(|| format!("parsing {}", path.display()))
     }
 
-    /// The statistics of a client that has ended: one object a frame.
-    ///
-    /// # Errors
-    /// When there are none, or a line is no JSON.
+    /// Reads the statistics of a client that has ended: one object per frame.
     pub fn stats(&self) -> Result<Vec<Value>> {
         let path = self.folder.join("stats.jsonl");
         let text = std::fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;

@@ -1,4 +1,4 @@
-//! Runs the project's own programs as child processes: finds them, collects what they say, ends them when dropped.
+//! Child processes: finds the project's programs, collects their output, and kills them when dropped.
 
 use std::{
     env,
@@ -12,13 +12,11 @@ use std::{
 use anyhow::{Context, Result, bail, ensure};
 use tempfile::TempDir;
 
-/// How often a running program is looked at.
+/// Polling interval.
 const POLL: Duration = Duration::from_millis(5);
 
-/// The built program `name`, which lies in the folder of the running one, or above it for tests.
-///
-/// # Errors
-/// When it is not there, or older than the sources that it is made of: a test of yesterday's program proves nothing.
+/// Returns the path of the built program `name`, in the running program's folder or above it. Errors if it is older
+/// than its sources: a test of an outdated program proves nothing.
 pub fn find(name: &str) -> Result<PathBuf> {
     let own = env::current_exe().context("the running program has no path")?;
     let folders = own.ancestors().skip(1).take(2);
@@ -36,8 +34,8 @@ pub fn find(name: &str) -> Result<PathBuf> {
     Ok(path)
 }
 
-/// A source of the program, as cargo lists them in the `.d` file beside it, that is newer than it, or gone. Programs
-/// that were copied somewhere else have no such list, and are what they are.
+/// Returns a source of the program, from cargo's `.d` file beside it, that is newer than it or missing. Copied programs
+/// have no such file and are not checked.
 fn newer_source(program: &Path) -> Result<Option<String>> {
     let list = program.with_extension("d");
     let text = match fs::read_to_string(&list) {
@@ -55,31 +53,24 @@ fn newer_source(program: &Path) -> Result<Option<String>> {
     Ok(newer)
 }
 
-/// A running program. Dropping it kills it, by its own process id, and waits until it is gone.
+/// A running program. Dropping it kills it and waits for its end.
 #[derive(Debug)]
 pub struct Program {
     name: String,
     child: Child,
-    /// Its standard output and error are files here: a pipe that nobody empties would stop it.
+    /// Output goes to files here: an unread pipe would block the program.
     folder: TempDir,
 }
 
-/// What became of a program.
 #[derive(Debug)]
 pub struct Outcome {
-    /// How it ended.
     pub status: ExitStatus,
-    /// All that it wrote to standard output.
     pub stdout: String,
-    /// All that it wrote to standard error.
     pub stderr: String,
 }
 
 impl Program {
-    /// Starts a program with no input, outside any `GNOMON_*` settings but those given.
-    ///
-    /// # Errors
-    /// When it cannot be started.
+    /// Starts a program without input, and without the caller's `GNOMON_*` variables.
     pub fn start<A: AsRef<OsStr>>(path: &Path, arguments: &[A], environment: &[(&str, &str)]) -> Result<Self> {
         let folder = tempfile::tempdir().context("making a temporary folder")?;
         let name = path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into());
@@ -90,11 +81,11 @@ impl Program {
         }
         let child = command
             .args(arguments)
-            // State and cache of a test stay with the test.
+            // State and cache stay with the test.
             .env("HOME", folder.path())
             .env("XDG_CACHE_HOME", folder.path().join("cache"))
             .env("XDG_STATE_HOME", folder.path().join("state"))
-            // Without it, libwayland, which Mesa's software Vulkan asks for screens, complains on standard error.
+            // Otherwise libwayland, which Mesa's software Vulkan asks for screens, complains on standard error.
             .env("XDG_RUNTIME_DIR", folder.path())
             .envs(environment.iter().copied())
             .stdin(Stdio::null())
@@ -105,16 +96,11 @@ impl Program {
         Ok(Self { name, child, folder })
     }
 
-    /// Its process id.
-    #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// All that it has written so far: standard output, then standard error.
-    ///
-    /// # Errors
-    /// When the files cannot be read.
+    /// Returns standard output and standard error so far.
     pub fn said(&self) -> Result<[String; 2]> {
         let read = |which: &str| {
             let bytes = fs::read(self.folder.path().join(which)).with_context(|| format!("reading {which}"))?;
@@ -123,18 +109,12 @@ impl Program {
         Ok([read("stdout")?, read("stderr")?])
     }
 
-    /// Whether it still runs.
-    ///
-    /// # Errors
-    /// When the operating system does not say.
     pub fn is_running(&mut self) -> Result<bool> {
         Ok(self.child.try_wait().context("asking for a child's status")?.is_none())
     }
 
-    /// Waits until `found` makes something of what it has said.
-    ///
-    /// # Errors
-    /// When it ends first, or has not said so within `patience`; its last words are in the message.
+    /// Waits until `found` accepts standard output or error. Errors, with the output, if the program ends first or
+    /// `patience` runs out.
     pub fn wait_for<T>(&mut self, patience: Duration, found: impl Fn(&str) -> Option<T>) -> Result<T> {
         let start = Instant::now();
         loop {
@@ -149,10 +129,7 @@ impl Program {
         }
     }
 
-    /// Waits for its end.
-    ///
-    /// # Errors
-    /// When it has not ended within `patience`: then it is killed, and its last words are in the message.
+    /// Waits for its end. After `patience` it is killed, and the error has its output.
     pub fn finish(mut self, patience: Duration) -> Result<Outcome> {
         let start = Instant::now();
         loop {
@@ -168,19 +145,13 @@ impl Program {
         }
     }
 
-    /// Kills it at once (SIGKILL): it gets no chance to say goodbye to anybody.
-    ///
-    /// # Errors
-    /// When the operating system refuses.
+    /// Kills it (SIGKILL).
     pub fn kill(mut self) -> Result<()> {
         self.child.kill().with_context(|| format!("killing {}", self.name))?;
         self.child.wait().with_context(|| format!("waiting for {}", self.name)).map(drop)
     }
 
     /// Asks it to stop (SIGTERM).
-    ///
-    /// # Errors
-    /// When `kill` cannot be run or refuses.
     pub fn terminate(&self) -> Result<()> {
         let status = Command::new("kill").args(["-TERM", &self.id().to_string()]).status().context("running kill")?;
         ensure!(status.success(), "kill -TERM {} failed", self.id());
@@ -190,7 +161,7 @@ impl Program {
 
 impl Drop for Program {
     fn drop(&mut self) {
-        // Already ended is as good; there is nobody to tell otherwise.
+        // It may have ended already.
         if self.child.kill().is_ok() {
             drop(self.child.wait());
         }
@@ -198,10 +169,7 @@ impl Drop for Program {
 }
 
 impl Outcome {
-    /// Demands success.
-    ///
-    /// # Errors
-    /// When it ended in any other way; its last words are in the message.
+    /// Errors unless the program succeeded.
     pub fn success(self) -> Result<Self> {
         ensure!(self.status.success(), "a child ended with {}:\n{}{}", self.status, self.stdout, self.stderr);
         Ok(self)

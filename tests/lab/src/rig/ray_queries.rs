@@ -1,9 +1,9 @@
-//! Tests on an adapter that has ray queries, which few machines have.
+//! Tests on an adapter with ray queries, which few machines have.
 //!
-//! A Vulkan loader chooses its driver when it is first asked, from VK_DRIVER_FILES. So a test starts its program again for
-//! itself alone, with the driver that `deploy/ray-query-driver` laid out. Without one, and without an adapter of the
-//! machine's own that has ray queries, it says on the terminal that it did not run. `make test` fetches the driver, and
-//! names it in GNOMON_RAY_QUERY_DRIVER: then it must be there, and must do.
+//! A Vulkan loader reads VK_DRIVER_FILES once, on first use. So a test runs its program again for itself alone, with
+//! the driver of `deploy/ray-query-driver`. Without the driver, and without such an adapter in the machine, it prints
+//! that it did not run. `make test` fetches the driver and names it in GNOMON_RAY_QUERY_DRIVER, which makes its absence
+//! a failure.
 
 use std::{
     env,
@@ -17,15 +17,12 @@ use gnomon_scene::Scene;
 
 use crate::backends::BackendName;
 
-/// Names the driver file, and makes its absence a failure.
+/// Names the driver file; its absence is then a failure.
 const DRIVER: &str = "GNOMON_RAY_QUERY_DRIVER";
-/// Tells the program that it is the one that was started with the driver.
+/// Marks the program that was started with the driver.
 const CHILD: &str = "GNOMON_RAY_QUERY_CHILD";
 
-/// The driver file that the environment names, or that was fetched; `None` when there is none.
-///
-/// # Errors
-/// When the environment names what is no file.
+/// Returns the driver file: the one in the environment, or the fetched one.
 pub fn driver() -> Result<Option<PathBuf>> {
     if let Some(named) = env::var_os(DRIVER) {
         let path = PathBuf::from(named);
@@ -36,11 +33,8 @@ pub fn driver() -> Result<Option<PathBuf>> {
     Ok(fetched.is_file().then_some(fetched))
 }
 
-/// Runs `body` where there are ray queries: in this program started again as `test` alone, or here. `probe` is a scene
-/// to try the machine's own adapter with.
-///
-/// # Errors
-/// When the program that was started again fails, or cannot be started.
+/// Runs `body` with ray queries: in this program started again for `test` alone, or here if the machine's own adapter
+/// supports the scene `probe`.
 pub fn with_ray_queries(test: &str, probe: &Scene, body: impl FnOnce()) -> Result<()> {
     if env::var_os(CHILD).is_some() {
         body();
@@ -59,7 +53,7 @@ pub fn with_ray_queries(test: &str, probe: &Scene, body: impl FnOnce()) -> Resul
         body();
         return Ok(());
     }
-    // Not `eprintln`, which the harness keeps to itself when a test passes.
+    // Not `eprintln`, which the harness captures.
     let line = format!("NOT RUN: {test}: no adapter here has ray queries (deploy/ray-query-driver lays one out)\n");
     Ok(std::io::stderr().write_all(line.as_bytes())?)
 }

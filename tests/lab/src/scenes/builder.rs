@@ -1,9 +1,9 @@
-//! Scenes built in code, of rectangles, boxes and spheres: what closed forms can judge.
+//! Scenes built in code from rectangles, boxes and spheres, which closed forms can judge.
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use gnomon_scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
 
-/// Collects triangles of one material after another.
+/// Collects triangles, grouped by material.
 #[derive(Debug)]
 pub struct SceneBuilder {
     scene: Scene,
@@ -16,8 +16,7 @@ impl Default for SceneBuilder {
 }
 
 impl SceneBuilder {
-    /// An empty scene with one white, opaque, double-sided material, which is the current one.
-    #[must_use]
+    /// Returns an empty scene whose current material is white, opaque and double-sided.
     pub fn new() -> Self {
         let scene = Scene {
             origin_m: DVec3::ZERO,
@@ -35,15 +34,13 @@ impl SceneBuilder {
         Self { scene }.material(AlphaMode::Opaque, true)
     }
 
-    /// Moves the local origin: positions stay as they are, relative to it.
-    #[must_use]
+    /// Moves the local origin; positions stay relative to it.
     pub fn origin(mut self, origin_m: DVec3) -> Self {
         self.scene.origin_m = origin_m;
         self
     }
 
-    /// Starts a white material. OPAQUE ones must come before MASK ones, those before BLEND.
-    #[must_use]
+    /// Starts a white material. OPAQUE materials must come before MASK, those before BLEND.
     pub fn material(mut self, alpha: AlphaMode, double_sided: bool) -> Self {
         self.scene.materials.push(Material {
             name: String::new(),
@@ -56,8 +53,7 @@ impl SceneBuilder {
         self
     }
 
-    /// Gives the current material a picture with the given alpha values, row by row.
-    #[must_use]
+    /// Gives the current material a texture with these alpha values, row by row.
     pub fn alpha_picture(mut self, width: u32, alpha: &[u8], wrap: Wrap) -> Self {
         let rgba: Vec<_> = alpha.iter().flat_map(|&a| [255, 255, 255, a]).collect();
         let height = u32::try_from(alpha.len()).unwrap_or(u32::MAX) / width;
@@ -73,8 +69,7 @@ impl SceneBuilder {
         self
     }
 
-    /// A triangle with its own corners, seen counter-clockwise from its front, and texture coordinates.
-    #[must_use]
+    /// Adds a triangle, counter-clockwise from its front, with its own normals and texture coordinates.
     pub fn triangle(mut self, corners: [Vec3; 3], normals: [Vec3; 3], uvs: [Vec2; 3]) -> Self {
         let scene = &mut self.scene;
         let first = u32::try_from(scene.positions.len()).unwrap_or(u32::MAX);
@@ -93,14 +88,13 @@ impl SceneBuilder {
         self
     }
 
-    /// A parallelogram from a corner along two sides; its front is where `side_u × side_v` points, and (u, v) runs from 0
-    /// to 1 along the sides.
-    #[must_use]
+    /// Adds a parallelogram from a corner along two sides. Its front is in the direction of `side_u × side_v`; (u, v)
+    /// runs from 0 to 1 along the sides.
     pub fn quad(self, corner: Vec3, side_u: Vec3, side_v: Vec3) -> Self {
         self.face([corner, corner + side_u, corner + side_u + side_v, corner + side_v])
     }
 
-    /// A flat face with four corners, in the order in which its front sees them counter-clockwise.
+    /// Adds a flat quadrilateral, counter-clockwise from its front.
     fn face(self, [a, b, c, d]: [Vec3; 4]) -> Self {
         let normals = [(b - a).cross(d - a).normalize(); 3];
         self.triangle([a, b, c], normals, [Vec2::ZERO, Vec2::X, Vec2::ONE]).triangle(
@@ -110,10 +104,8 @@ impl SceneBuilder {
         )
     }
 
-    /// A closed box with outward fronts.
-    #[must_use]
     pub fn cuboid(self, min: Vec3, max: Vec3) -> Self {
-        // Corners are picked and not computed, so that faces share them to the last bit.
+        // Corners are selected, not computed, so that faces share them to the last bit.
         let at = |x: bool, y: bool, z: bool| Vec3::select(glam::BVec3::new(x, y, z), max, min);
         let (o, i) = (false, true);
         self.face([at(o, o, o), at(o, i, o), at(i, i, o), at(i, o, o)])
@@ -124,11 +116,10 @@ impl SceneBuilder {
             .face([at(i, i, i), at(i, i, o), at(o, i, o), at(o, i, i)])
     }
 
-    /// A sphere with outward fronts and smooth normals, of `rings` × 2·`rings` patches. Its corners lie on the sphere.
-    #[must_use]
+    /// Adds a sphere with outward fronts and smooth normals, of `rings` × 2·`rings` patches with corners on the sphere.
     pub fn sphere(mut self, centre: Vec3, radius: f32, rings: u16) -> Self {
         let at = |ring: u16, sector: u16| {
-            // The seam and the poles come from equal arguments, so that the sphere is closed to the last bit.
+            // Seam and poles come from equal arguments, so that the sphere is closed to the last bit.
             let sector = if ring == 0 || ring == rings { 0 } else { sector % (2 * rings) };
             let polar = f32::from(ring) / f32::from(rings) * std::f32::consts::PI;
             let azimuth = f32::from(sector) / f32::from(rings) * std::f32::consts::PI;
@@ -150,20 +141,16 @@ impl SceneBuilder {
         self
     }
 
-    /// A light that shines everywhere from a point.
-    #[must_use]
+    /// Adds a point light.
     pub fn point_light(self, position: Vec3, range_m: f32) -> Self {
         self.light(LightKind::Point, position, Vec3::NEG_Y, range_m)
     }
 
-    /// A light from far away that travels along `direction`.
-    #[must_use]
+    /// Adds a directional light that travels along `direction`.
     pub fn sun(self, direction: Vec3) -> Self {
         self.light(LightKind::Directional, Vec3::ZERO, direction, f32::INFINITY)
     }
 
-    /// A cone of light along `direction`.
-    #[must_use]
     pub fn spot_light(self, position: Vec3, direction: Vec3, outer_cone_rad: f32) -> Self {
         let kind = LightKind::Spot { inner_cone_rad: outer_cone_rad * 0.5, outer_cone_rad };
         self.light(kind, position, direction, f32::INFINITY)
@@ -182,14 +169,12 @@ impl SceneBuilder {
         self
     }
 
-    /// The scene, with its bounds.
-    #[must_use]
     pub fn build(mut self) -> Scene {
         let mut points = self.scene.positions.iter().copied();
         let first = points.next().unwrap_or(Vec3::ZERO);
         self.scene.bounds =
             points.fold(Aabb { min: first, max: first }, |b, p| Aabb { min: b.min.min(p), max: b.max.max(p) });
-        // Materials without triangles would break no rule, but the loader makes none either.
+        // The loader makes no materials without triangles, so neither does this.
         debug_assert!(!self.scene.lights.is_empty(), "a scene has at least one light");
         self.scene
     }
@@ -205,7 +190,8 @@ mod tests {
             SceneBuilder::new().cuboid(Vec3::new(1.0, 2.0, 3.0), Vec3::new(4.0, 6.0, 8.0)).sun(Vec3::NEG_Y).build(),
             SceneBuilder::new().sphere(Vec3::new(1.0, 2.0, 3.0), 2.0, 24).sun(Vec3::NEG_Y).build(),
         ] {
-            // Gauss: a closed surface with outward fronts has this signed volume, and its areas' vectors cancel.
+            // By Gauss's theorem a closed surface with outward fronts has this signed volume, and its area vectors
+            // cancel.
             let (mut volume, mut area) = (0.0, DVec3::ZERO);
             for triangle in &scene.triangles {
                 let [a, b, c] = triangle.map(|i| scene.positions[i as usize].as_dvec3());

@@ -1,4 +1,4 @@
-//! The real scenes that the tests run on, and where in them the cameras stand.
+//! The real scenes of the tests, and their cameras.
 
 use std::path::{Path, PathBuf};
 
@@ -7,23 +7,22 @@ use glam::DVec3;
 use gnomon_scene::camera::Camera;
 use serde_json::Value;
 
-/// The variable that names the folder with the real scenes.
+/// Names the folder of real scenes.
 pub const SCENES_VARIABLE: &str = "GNOMON_SCENES";
 
-/// A real scene and the camera positions to judge it from.
+/// A real scene and its cameras.
 #[derive(Debug, Clone, Copy)]
 pub struct RealScene {
-    /// Name in reports.
     pub name: &'static str,
-    /// The file, inside the folder of scenes.
+    /// The file, relative to the folder of scenes.
     pub file: &'static str,
-    /// Whether its lights come from the `lights_camera.json` beside it.
+    /// Lights come from the `lights_camera.json` beside it.
     pub lights_from_json: bool,
-    /// Named camera path (or the file's only one), and the time on it in seconds.
+    /// Name of the camera path (`None`: the file's only one), and the time on it in seconds.
     pub stops: &'static [(Option<&'static str>, f64)],
 }
 
-/// The scenes that masks are judged on.
+/// Scenes that masks are judged on.
 pub const JUDGED: [RealScene; 6] = [
     RealScene {
         name: "sponza",
@@ -63,28 +62,27 @@ pub const JUDGED: [RealScene; 6] = [
     },
 ];
 
-/// Where a camera stands and looks.
+/// A camera's place and view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stop {
-    /// Position in world space, in metres.
+    /// Position, in metres.
     pub position_m: DVec3,
-    /// Point that it looks at, in metres.
+    /// Point to look at, in metres.
     pub target_m: DVec3,
     /// Full vertical field of view, in degrees.
     pub yfov_deg: f64,
 }
 
 impl Stop {
-    /// The camera for a picture of this size.
-    #[must_use]
+    /// Returns the camera for pictures of this size.
     pub fn camera(&self, width: u32, height: u32) -> Camera {
         Camera::looking_at(self.position_m, self.target_m, self.yfov_deg.to_radians(), width, height)
     }
 
-    /// A camera path that never leaves this place, as a client reads it.
-    #[must_use]
+    /// Returns a client's camera path that stays at this place.
     pub fn path_json(&self) -> Value {
-        let keyframe = |t: f64| serde_json::json!({ "t": t, "pos": self.position_m.to_array(), "target": self.target_m.to_array() });
+        let (position, target) = (self.position_m.to_array(), self.target_m.to_array());
+        let keyframe = |t: f64| serde_json::json!({ "t": t, "pos": position, "target": target });
         serde_json::json!({
             "yfov_deg": self.yfov_deg,
             "camera_path": { "keyframes": [keyframe(0.0), keyframe(1.0)] },
@@ -92,10 +90,7 @@ impl Stop {
     }
 }
 
-/// The folder with the real scenes.
-///
-/// # Errors
-/// When [`SCENES_VARIABLE`] is unset or names no folder.
+/// Returns the folder of real scenes.
 pub fn folder() -> Result<PathBuf> {
     let Some(folder) = std::env::var_os(SCENES_VARIABLE).map(PathBuf::from) else {
         bail!("{SCENES_VARIABLE} is not set: it must name the folder that holds sponza/, modern-hall/, …");
@@ -107,51 +102,34 @@ pub fn folder() -> Result<PathBuf> {
 }
 
 impl RealScene {
-    /// The scene file.
-    ///
-    /// # Errors
-    /// As [`folder`], or when the file is missing.
     pub fn path(&self) -> Result<PathBuf> {
         let path = folder()?.join(self.file);
         if path.is_file() { Ok(path) } else { bail!("{} is missing from {SCENES_VARIABLE}", path.display()) }
     }
 
     /// The `lights_camera.json` beside the scene file.
-    ///
-    /// # Errors
-    /// As [`Self::path`].
     pub fn json(&self) -> Result<PathBuf> {
         Ok(self.path()?.with_file_name("lights_camera.json"))
     }
 
     /// The `lights_camera.json` beside the scene file in a folder of scenes.
-    #[must_use]
     pub fn json_in(&self, folder: &Path) -> PathBuf {
         folder.join(self.file).with_file_name("lights_camera.json")
     }
 
-    /// The places to judge from.
-    ///
-    /// # Errors
-    /// When the JSON cannot be read or lacks a path.
+    /// Returns the cameras' places.
     pub fn stops(&self) -> Result<Vec<Stop>> {
         self.stops_in(&folder()?)
     }
 
-    /// The places to judge from, by a folder of scenes.
-    ///
-    /// # Errors
-    /// When the JSON cannot be read or lacks a path.
+    /// Returns the cameras' places, given the folder of scenes.
     pub fn stops_in(&self, folder: &Path) -> Result<Vec<Stop>> {
         let json = self.json_in(folder);
         self.stops.iter().map(|&(name, time_s)| stop(&json, name, time_s)).collect()
     }
 }
 
-/// The place on a camera path of a `lights_camera.json` at a time: position and target move straight between keyframes.
-///
-/// # Errors
-/// When the file cannot be read, or has no such path.
+/// Returns a place on a camera path; position and target are linear between keyframes.
 pub fn stop(json: &Path, name: Option<&str>, time_s: f64) -> Result<Stop> {
     let text = std::fs::read_to_string(json).with_context(|| format!("reading {}", json.display()))?;
     let value: Value = serde_json::from_str(&text).with_context(|| format!("parsing {}", json.display()))?;

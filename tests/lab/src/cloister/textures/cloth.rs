@@ -33,12 +33,10 @@ fn woven(field: DVec3, band: DVec3, line: DVec3, seed: u64) -> Picture {
     })
 }
 
-/// Teal with ochre.
 pub(crate) fn teal() -> Picture {
     woven(DVec3::new(0.07, 0.42, 0.44), DVec3::new(0.05, 0.28, 0.34), DVec3::new(0.88, 0.68, 0.30), 81)
 }
 
-/// Ochre with madder red.
 pub(crate) fn ochre() -> Picture {
     woven(DVec3::new(0.83, 0.58, 0.20), DVec3::new(0.60, 0.20, 0.13), DVec3::new(0.95, 0.86, 0.66), 82)
 }

@@ -7,11 +7,8 @@ use super::{Picture, clouds, step};
 
 /// Cells of the atlas, 2 × 2, each with its foot in the middle of its lower edge.
 pub(crate) const TWIG: usize = 0;
-/// One broad leaf.
 pub(crate) const BROAD: usize = 1;
-/// A feathered frond.
 pub(crate) const FROND: usize = 2;
-/// Blades with flowers.
 pub(crate) const TUFT: usize = 3;
 
 const SIZE: u32 = 512;
@@ -49,7 +46,6 @@ impl Leaflet {
     }
 }
 
-/// The whole atlas.
 pub(crate) fn atlas() -> Picture {
     let cells = [twig(), broad(), frond(), tuft()];
     Picture::new(SIZE, move |uv| {

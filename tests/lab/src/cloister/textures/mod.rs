@@ -87,7 +87,6 @@ pub(crate) fn clouds(uv: DVec2, cells: i64, octaves: u32, seed: u64) -> f64 {
     })
 }
 
-/// Opaque colour.
 pub(crate) fn solid(color: DVec3) -> DVec4 {
     color.clamp(DVec3::ZERO, DVec3::ONE).extend(1.0)
 }

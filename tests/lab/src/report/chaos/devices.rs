@@ -1,28 +1,29 @@
-//! Panics, and devices that are lost: a server inside this process, which can be told to fail.
+//! `lab chaos devices`: panics and lost devices, injected into a server in this process.
 
 use std::{
     sync::atomic::{AtomicBool, Ordering},
     time::{Duration, Instant},
 };
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, bail, ensure};
 use gnomon_client::headless::stats::{millis, percentile};
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape};
+use gnomon_scene::camera::Camera;
 use gnomon_server::{
     RunningServer, Server,
     config::{Backend, ServerConfig},
     visibility::{
         TraceRequest,
-        engine::{Fault, SessionPort},
+        engine::{Engine, Fault, SessionPort},
     },
 };
 
 use super::{
-    Finding, ServerArgs,
-    rig::{Ask, Probes, joined},
+    finding::Finding,
+    rig::{Probes, ServerArgs, joined},
 };
+use crate::report::ask::Ask;
 
-/// Options of `lab chaos devices`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct DevicesPart {
     /// The server.
@@ -31,24 +32,21 @@ pub struct DevicesPart {
     /// Panics, each in another session's work.
     #[arg(long, default_value_t = 1000)]
     pub panics: u32,
-    /// Losses of a device.
+    /// Device losses.
     #[arg(long, default_value_t = 100)]
     pub losses: u32,
-    /// With several devices: how long the sum of all rates is measured, in seconds.
+    /// Seconds to measure the total rate, if there are several devices.
     #[arg(long, default_value_t = 10)]
     pub seconds: u32,
 }
 
-/// How long anything may take before it counts as broken.
+/// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Within this a server whose device was lost has to trace again.
+/// Time to trace again after a device loss.
 const BACK_WITHIN: Duration = Duration::from_secs(2);
 
-/// Runs the panics and the losses, and with several devices the comparison of one with all.
-///
-/// # Errors
-/// When the server cannot be started.
+/// Measures panics and losses, and compares one device with all if there are several.
 pub fn measure(part: &DevicesPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("the server's threads")?;
     let folder = tempfile::tempdir().context("making a temporary folder")?;
@@ -69,9 +67,9 @@ pub fn measure(part: &DevicesPart, progress: &dyn Fn(&str)) -> Result<Vec<Findin
 fn config(server: &ServerArgs, folder: &std::path::Path) -> Result<ServerConfig> {
     let backend = <Backend as clap::ValueEnum>::from_str(&server.backend, true).map_err(anyhow::Error::msg)?;
     Ok(ServerConfig {
-        scene: Some(server.scene.scene.clone()),
-        lights_from: server.scene.lights_from.clone(),
-        lights: server.scene.lights,
+        scene: Some(server.scene.file.scene.clone()),
+        lights_from: server.scene.file.lights_from.clone(),
+        lights: server.scene.file.lights,
         listen: "127.0.0.1:0".parse()?,
         backend,
         allow_software: server.allow_software,
@@ -84,15 +82,15 @@ fn config(server: &ServerArgs, folder: &std::path::Path) -> Result<ServerConfig>
     })
 }
 
-/// Sessions one after the other, each of which panics at its first pose, and one more that must not.
+/// Runs sessions that each panic at their first pose, then one that must be served.
 fn panics(part: &DevicesPart, server: &RunningServer, probes: &Probes) -> Result<Finding> {
     let one = Ask { size: (64, 36), fps: None, frames: 1 };
-    // What is expected does not belong on the terminal a thousand times.
+    // Keeps a thousand expected panics off the terminal.
     let hook = std::panic::take_hook();
     std::panic::set_hook(Box::new(|_| {}));
     let mut closed = 0;
     for number in 0..part.panics {
-        // Only the engine that gets the session's pose panics; the others forget theirs with the next session.
+        // Only the engine that gets the pose panics; the others must forget the fault before the next session.
         for engine in server.engines() {
             engine.inject(Fault::Panic);
         }
@@ -103,7 +101,7 @@ fn panics(part: &DevicesPart, server: &RunningServer, probes: &Probes) -> Result
     }
     std::panic::set_hook(hook);
     let after = probes.run(Ask { frames: 10, ..one }, 0);
-    let losses: u64 = server.engines().iter().map(gnomon_server::visibility::engine::Engine::losses).sum();
+    let losses: u64 = server.engines().iter().map(Engine::losses).sum();
     let serves = after.as_ref().is_ok_and(|report| report.masks == 10);
     Ok(Finding::new(
         &format!("{} panics in sessions' work close these sessions only", part.panics),
@@ -112,13 +110,14 @@ fn panics(part: &DevicesPart, server: &RunningServer, probes: &Probes) -> Result
     ))
 }
 
-/// Losses one after the other, under two sessions: one of the engine itself, which says how long each took, and a client's.
+/// Loses devices one after the other under two sessions: one inside the engine, which times each recovery, and a
+/// client's.
 fn losses(part: &DevicesPart, server: &RunningServer, probes: &Probes) -> Result<Vec<Finding>> {
     let ended = AtomicBool::new(false);
     let (took_ms, client) = std::thread::scope(|scope| {
         let client = scope.spawn(|| {
             let mut sessions = 0;
-            // A session a few seconds long, again and again: each must live to its end.
+            // Sessions of a few seconds, repeated: each must live to its end.
             while !ended.load(Ordering::Acquire) {
                 probes
                     .run(Ask { size: (64, 36), fps: Some(10.0), frames: 50 }, 1)
@@ -133,12 +132,13 @@ fn losses(part: &DevicesPart, server: &RunningServer, probes: &Probes) -> Result
         Ok::<_, anyhow::Error>((took?, client))
     })?;
     let slowest = percentile(&took_ms, 1.0).unwrap_or(f64::NAN);
-    let counted: u64 = server.engines().iter().map(gnomon_server::visibility::engine::Engine::losses).sum();
+    let counted: u64 = server.engines().iter().map(Engine::losses).sum();
     Ok(vec![
         Finding::new(
             &format!("{} lost devices: serving again within 2 s each", part.losses),
             format!(
-                "{} masks came from new devices, after {:.0} ms (median) and {slowest:.0} ms (slowest); {counted} losses counted",
+                "{} masks came from new devices, after {:.0} ms (median) and {slowest:.0} ms (slowest); \
+                 {counted} losses counted",
                 took_ms.len(),
                 percentile(&took_ms, 0.5).unwrap_or(f64::NAN)
             ),
@@ -166,55 +166,34 @@ fn each_loss(part: &DevicesPart, server: &RunningServer) -> Result<Vec<f64>> {
         let engine = &engines[number as usize % engines.len()];
         let mut port = engine.open_session(shape)?;
         let before = engine.losses();
-        ask(&mut port, 0)?;
+        request(&mut port, shape, 0);
+        await_mask(&mut port)?;
         let begun = Instant::now();
         engine.inject(Fault::DeviceLost);
         while engine.losses() == before {
-            anyhow::ensure!(begun.elapsed() < PATIENCE, "the device was not lost");
+            ensure!(begun.elapsed() < PATIENCE, "the device was not lost");
             std::thread::sleep(Duration::from_millis(1));
         }
-        ask(&mut port, 1)?;
+        request(&mut port, shape, 1);
+        await_mask(&mut port)?;
         took_ms.push(millis(begun.elapsed()));
         while !engine.is_well() {
-            anyhow::ensure!(begun.elapsed() < PATIENCE, "the device did not come back");
+            ensure!(begun.elapsed() < PATIENCE, "the device did not come back");
             std::thread::sleep(Duration::from_millis(1));
         }
     }
     Ok(took_ms)
 }
 
-/// Asks for a mask and waits for it.
-fn ask(port: &mut SessionPort, frame: u32) -> Result<()> {
-    let to = glam::DVec3::new(0.3, 0.1, 1.0);
-    let camera = gnomon_scene::camera::Camera::looking_at(glam::DVec3::ZERO, to, 1.0, 64, 36);
-    let request = TraceRequest {
-        frame: FrameNumber(frame),
-        camera,
-        ahead: None,
-        received_at: Instant::now(),
-        interval: Duration::from_millis(16),
-    };
-    port.request(request);
-    let begun = Instant::now();
-    loop {
-        if port.masks.try_recv().is_ok() {
-            return Ok(());
-        }
-        if begun.elapsed() > PATIENCE {
-            bail!("no mask within {} s", PATIENCE.as_secs());
-        }
-        std::thread::sleep(Duration::from_micros(200));
-    }
-}
-
-/// All devices against one: masks a second of sessions that ask as fast as they are answered, and where sessions are when one is lost.
+/// Compares all devices with one: masks a second of sessions that never wait, and where sessions go when a device is
+/// lost.
 fn several(part: &DevicesPart, server: &RunningServer, probes: &Probes) -> Result<Vec<Finding>> {
     let engines = server.engines();
     let devices = engines.len();
     let lights = server.lights();
     let shape = MaskShape::new(1280, 720, lights)?;
-    // Two sessions a device keep its ring full; straight at the engines, so that nothing but the devices is measured.
-    let rate = |of: &[gnomon_server::visibility::engine::Engine]| -> Result<f64> {
+    // Three sessions per device keep its ring full, directly at the engine so that only the devices are measured.
+    let rate = |of: &[Engine]| -> Result<f64> {
         let masks: u64 = std::thread::scope(|scope| {
             let busy: Vec<_> = of
                 .iter()
@@ -224,7 +203,9 @@ fn several(part: &DevicesPart, server: &RunningServer, probes: &Probes) -> Resul
                         let mut port = engine.open_session(shape)?;
                         let (begun, mut masks) = (Instant::now(), 0);
                         while begun.elapsed() < Duration::from_secs(part.seconds.into()) {
-                            ask_of(&mut port, shape, masks)?;
+                            request(&mut port, shape, masks);
+                            let traced = port.masks.blocking_recv().context("the engine has ended")?;
+                            port.recycle(traced.mask);
                             masks += 1;
                         }
                         Ok::<u64, anyhow::Error>(masks.into())
@@ -238,7 +219,7 @@ fn several(part: &DevicesPart, server: &RunningServer, probes: &Probes) -> Resul
         Ok(masks as f64 / f64::from(part.seconds))
     };
     let (one, all) = (rate(&engines[..1])?, rate(engines)?);
-    let sessions = || engines.iter().map(gnomon_server::visibility::engine::Engine::sessions).collect::<Vec<_>>();
+    let sessions = || engines.iter().map(Engine::sessions).collect::<Vec<_>>();
     let (spread, moved) = std::thread::scope(|scope| {
         let count = u32::try_from(devices * 3).unwrap_or(6);
         let ask = Ask { size: (320, 180), fps: Some(20.0), frames: 200 };
@@ -279,18 +260,24 @@ fn several(part: &DevicesPart, server: &RunningServer, probes: &Probes) -> Resul
     ])
 }
 
-fn ask_of(port: &mut SessionPort, shape: MaskShape, frame: u32) -> Result<()> {
-    let to = glam::DVec3::new(0.3, 0.1, 1.0);
-    let camera = gnomon_scene::camera::Camera::looking_at(glam::DVec3::ZERO, to, 1.0, shape.width(), shape.height());
-    let interval = Duration::from_millis(16);
+/// Asks for a mask of this shape.
+fn request(port: &mut SessionPort, shape: MaskShape, frame: u32) {
+    let target = glam::DVec3::new(0.3, 0.1, 1.0);
     port.request(TraceRequest {
         frame: FrameNumber(frame),
-        camera,
+        camera: Camera::looking_at(glam::DVec3::ZERO, target, 1.0, shape.width(), shape.height()),
         ahead: None,
         received_at: Instant::now(),
-        interval,
+        interval: Duration::from_millis(16),
     });
-    let mask = port.masks.blocking_recv().context("the engine has ended")?;
-    port.recycle(mask.mask);
+}
+
+/// Waits for a mask, at most for [`PATIENCE`].
+fn await_mask(port: &mut SessionPort) -> Result<()> {
+    let begun = Instant::now();
+    while port.masks.try_recv().is_err() {
+        ensure!(begun.elapsed() < PATIENCE, "no mask within {} s", PATIENCE.as_secs());
+        std::thread::sleep(Duration::from_micros(200));
+    }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! A server that is told to stop while it serves: who hears it, who is admitted, what becomes of the frames, and how it ends.
+//! `lab chaos drain`: a server that stops while it serves.
 
 use std::{
     thread::sleep,
@@ -6,25 +6,25 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use gnomon_client::{ClientError, HeadlessOptions, Source, link::url::ServerUrl, run_headless};
+use gnomon_client::{ClientError, run_headless};
 use gnomon_protocol::message::Refusal;
 
 use super::{
-    Finding, ServerArgs,
-    rig::{Ask, Probes},
+    finding::Finding,
+    rig::{Probes, ServerArgs, headless},
 };
+use crate::report::ask::Ask;
 use crate::rig::PATIENCE;
 
-/// Options of `lab chaos drain`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct DrainPart {
     /// The server.
     #[command(flatten)]
     pub server: ServerArgs,
-    /// Clients that draw while the server stops.
+    /// Number of drawing clients.
     #[arg(long, default_value_t = 8)]
     pub clients: u32,
-    /// The server's grace, in milliseconds.
+    /// The server's drain period, in milliseconds.
     #[arg(long, default_value_t = 5000)]
     pub drain_ms: u32,
 }
@@ -32,21 +32,14 @@ pub struct DrainPart {
 /// Frames that each client draws, 20 a second.
 const FRAMES: u32 = 240;
 
-/// Runs two servers: the first one names the second one when it stops.
-///
-/// # Errors
-/// When a server or a client cannot be started.
+/// Runs two servers; the first names the second when it stops.
 pub fn measure(part: &DrainPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>> {
     let second = part.server.start(&[])?;
     let grace = part.drain_ms.to_string();
     let mut first = part.server.start(&["--alternative", second.url(), "--drain-ms", &grace])?;
     let probes = Probes::of(&part.server, first.url())?;
     let folder = tempfile::tempdir().context("making a temporary folder")?;
-    let mut options = HeadlessOptions::new(Source::Server(first.url().parse::<ServerUrl>()?));
-    (options.width, options.height, options.fps, options.frames) = (64, 36, Some(20.0), Some(FRAMES));
-    options.path = Some(part.server.scene.path_text().to_str().context("a path that is no UTF-8")?.parse()?);
-    options.cache_dir = Some(folder.path().join("cache"));
-    options.allow_software = true;
+    let options = headless(&part.server, first.url().parse()?, 20.0, FRAMES, folder.path())?;
     let clients = part.clients as usize;
     let (summaries, newcomer, ended, took) = std::thread::scope(|scope| {
         let running: Vec<_> = (0..clients).map(|_| scope.spawn(|| run_headless(&options))).collect();
@@ -58,7 +51,7 @@ pub fn measure(part: &DrainPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>
         let begun = Instant::now();
         first.program().terminate()?;
         sleep(Duration::from_millis(100));
-        // Beside the wait for the server's end: a newcomer to a server that has gone already hears nothing for seconds.
+        // In parallel with the wait: after the server's end a newcomer gets no answer for seconds.
         let newcomer = scope.spawn(|| probes.run(Ask { size: (64, 36), fps: Some(10.0), frames: 1 }, 0).map(drop));
         let ended = first.wait(PATIENCE)?;
         let took = begun.elapsed();
@@ -98,7 +91,7 @@ pub fn measure(part: &DrainPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>
             },
             match &newcomer {
                 Ok(()) => false,
-                // It may have gone already: then nobody is admitted either.
+                // The server may be gone already, which admits nobody either.
                 Err(error) => matches!(error, ClientError::Refused(Refusal::Draining)) || took < Duration::from_secs(1),
             },
         ),
@@ -114,5 +107,5 @@ pub fn measure(part: &DrainPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>
     ])
 }
 
-/// Time that last words may take beyond the grace.
+/// Time for closing messages beyond the drain period.
 const FAREWELL: Duration = Duration::from_secs(4);

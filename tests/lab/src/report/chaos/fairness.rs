@@ -1,4 +1,4 @@
-//! One greedy client beside modest ones: what it does to their latency.
+//! `lab chaos fairness`: effect of one greedy client on the latency of modest ones.
 
 use std::{thread::sleep, time::Duration};
 
@@ -6,11 +6,11 @@ use anyhow::{Context as _, Result};
 use gnomon_client::headless::stats::percentile;
 
 use super::{
-    Finding, ServerArgs,
-    rig::{Ask, Probes, joined},
+    finding::Finding,
+    rig::{Probes, ServerArgs, joined},
 };
+use crate::report::ask::Ask;
 
-/// Options of `lab chaos fairness`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct FairnessPart {
     /// The server; 32 lights make the greedy one greedier.
@@ -19,20 +19,17 @@ pub struct FairnessPart {
     /// Modest sessions, of 320×180 at 30 masks a second.
     #[arg(long, default_value_t = 4)]
     pub modest: u32,
-    /// How long each of the three rounds takes, in seconds.
+    /// Seconds for each of the three rounds.
     #[arg(long, default_value_t = 20)]
     pub seconds: u32,
-    /// Whether the greedy one comes first, so that it is admitted whatever it costs.
+    /// Start the greedy client first, so that it is admitted whatever it costs.
     #[arg(long)]
     pub greedy_first: bool,
 }
 
 const MODEST_FPS: u32 = 30;
 
-/// Runs three rounds: the modest ones alone, beside the greedy one, and alone again.
-///
-/// # Errors
-/// When the server or a modest session cannot be started.
+/// Runs three rounds: modest clients alone, beside the greedy one, and alone again.
 pub fn measure(part: &FairnessPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>> {
     let server = part.server.start(&[])?;
     let probes = Probes::of(&part.server, server.url())?;
@@ -44,7 +41,7 @@ pub fn measure(part: &FairnessPart, progress: &dyn Fn(&str)) -> Result<Vec<Findi
             let ask = Ask { size: (1920, 1080), fps: None, frames: 1 };
             let (mut masks, mut responses) = (0, Vec::new());
             let end = std::time::Instant::now() + Duration::from_secs(u64::from(part.seconds) + 1);
-            // In bursts of a session each: a greedy client comes back at once.
+            // One short session after another: a greedy client reconnects at once.
             while std::time::Instant::now() < end {
                 match probes.run(Ask { frames: 50, ..ask }, 0) {
                     Ok(report) => {

@@ -1,4 +1,4 @@
-//! Networks that lose, corrupt and fall silent, ports that change, and a server that is killed and started again.
+//! `lab chaos faults`: lossy, corrupting and silent networks, port changes, and a killed server.
 
 use std::{
     net::SocketAddr,
@@ -7,16 +7,16 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use gnomon_client::{HeadlessOptions, Source, link::url::ServerUrl, run_headless};
+use gnomon_client::{link::url::ServerUrl, run_headless};
 
 use super::{
-    Finding, ServerArgs,
+    finding::Finding,
     rebind::Rebinding,
-    rig::{Ask, Probes},
+    rig::{Probes, ServerArgs, headless},
 };
-use crate::link::{LinkSettings, UdpRelay};
+use crate::link::{LinkSettings, Relay, udp};
+use crate::report::ask::Ask;
 
-/// Options of `lab chaos faults`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct FaultsPart {
     /// The server.
@@ -28,12 +28,12 @@ pub struct FaultsPart {
     /// Changes of the client's port.
     #[arg(long, default_value_t = 100)]
     pub rebindings: u32,
-    /// Rounds of five seconds' silence and two seconds' answers.
+    /// Rounds of five seconds' silence and two seconds' service.
     #[arg(long, default_value_t = 4)]
     pub black_holes: u32,
 }
 
-/// How long a handshake through a bad network may take.
+/// Longest handshake through a bad network.
 const HANDSHAKE_PATIENCE: Duration = Duration::from_secs(60);
 
 /// Frames of the client whose server is killed, 30 a second.
@@ -41,10 +41,6 @@ const KILLED_FRAMES: u32 = 480;
 
 const FREE: &str = "127.0.0.1:0";
 
-/// Runs all of them.
-///
-/// # Errors
-/// When the server cannot be started.
 pub fn measure(part: &FaultsPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>> {
     let server = part.server.start(&[])?;
     let probes = Probes::of(&part.server, server.url())?;
@@ -71,9 +67,9 @@ fn address_of(url: &ServerUrl) -> Result<SocketAddr> {
     Ok(SocketAddr::new(url.host.parse().context("the server's address")?, url.port))
 }
 
-fn relay(probes: &Probes, url: &ServerUrl, settings: LinkSettings) -> Result<UdpRelay> {
+fn relay(probes: &Probes, url: &ServerUrl, settings: LinkSettings) -> Result<Relay> {
     let _inside = probes.handle().enter();
-    Ok(UdpRelay::start(FREE.parse()?, address_of(url)?, settings)?)
+    Ok(udp::start(FREE.parse()?, address_of(url)?, settings)?)
 }
 
 fn handshakes(part: &FaultsPart, probes: &Probes, url: &ServerUrl, trouble: &str) -> Result<Finding> {
@@ -82,10 +78,10 @@ fn handshakes(part: &FaultsPart, probes: &Probes, url: &ServerUrl, trouble: &str
     settings.down.set(trouble)?;
     let (mut done, mut slowest, mut last) = (0, Duration::ZERO, String::new());
     for number in 0..part.handshakes {
-        // A link of its own for each: the relay remembers clients.
+        // A new link for each: relays remember clients.
         let relay = relay(probes, url, LinkSettings { seed: u64::from(number), ..settings.clone() })?;
         let begun = Instant::now();
-        // One pose; what becomes of its mask is not the question.
+        // One pose; its mask does not matter.
         let ask = Ask { size: (64, 36), fps: Some(20.0), frames: 1 };
         match probes.run_at(&through(url, relay.address()), ask, number, HANDSHAKE_PATIENCE) {
             Ok(_) => done += 1,
@@ -138,7 +134,8 @@ fn rebindings(part: &FaultsPart, probes: &Probes, url: &ServerUrl) -> Result<Fin
     })
 }
 
-/// Kills the server while a client draws, starts it again on its port with its certificate, and waits for the client.
+/// Kills the server while a client draws, restarts it on the same port with the same certificate, and waits for the
+/// client.
 fn killed(part: &FaultsPart, progress: &dyn Fn(&str)) -> Result<Finding> {
     let folder = tempfile::tempdir().context("making a temporary folder")?;
     let certificate = folder.path().join("certificate");
@@ -146,11 +143,7 @@ fn killed(part: &FaultsPart, progress: &dyn Fn(&str)) -> Result<Finding> {
     let server = part.server.start(&["--cert-dir", certificate])?;
     let url: ServerUrl = server.url().parse()?;
     let listen = format!("{}:{}", url.host, url.port);
-    let mut options = HeadlessOptions::new(Source::Server(url));
-    (options.width, options.height, options.fps, options.frames) = (64, 36, Some(30.0), Some(KILLED_FRAMES));
-    options.path = Some(part.server.scene.path_text().to_str().context("a path that is no UTF-8")?.parse()?);
-    options.cache_dir = Some(folder.path().join("cache"));
-    options.allow_software = true;
+    let options = headless(&part.server, url, 30.0, KILLED_FRAMES, folder.path())?;
     let (ran, back) = std::thread::scope(|scope| {
         let client = scope.spawn(|| run_headless(&options));
         let mut server = server;
@@ -172,7 +165,8 @@ fn killed(part: &FaultsPart, progress: &dyn Fn(&str)) -> Result<Finding> {
         Ok(summary) => Finding::new(
             goal,
             format!(
-                "{:.2} s after the server listened; {} of {KILLED_FRAMES} frames drawn, {} reconnect(s), lost because: {}",
+                "{:.2} s after the server listened; {} of {KILLED_FRAMES} frames drawn, {} reconnect(s), \
+                 lost because: {}",
                 back.as_secs_f64(),
                 summary.frames_rendered,
                 summary.reconnects,

@@ -1,4 +1,4 @@
-//! Many light sessions beside a few heavy ones, one session too many, and sessions that stand still.
+//! `lab chaos load` and `idle`: many light sessions beside heavy ones, one too many, and idle sessions.
 
 use std::{thread::sleep, time::Duration};
 
@@ -7,23 +7,23 @@ use gnomon_client::{ClientError, headless::stats::percentile};
 use gnomon_protocol::message::Refusal;
 
 use super::{
-    Finding, ServerArgs,
-    rig::{Ask, Probes, joined, mib, usage},
+    finding::Finding,
+    rig::{Probes, ServerArgs, joined, mib},
 };
+use crate::{report::ask::Ask, rig::usage::usage};
 
-/// Options of `lab chaos load`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct LoadPart {
     /// The server.
     #[command(flatten)]
     pub server: ServerArgs,
-    /// Sessions of 64×36 at 10 masks a second.
+    /// Light sessions: 64×36 at 10 masks a second.
     #[arg(long, default_value_t = 200)]
     pub light: u32,
-    /// Sessions of 640×360.
+    /// Heavy sessions: 640×360.
     #[arg(long, default_value_t = 4)]
     pub heavy: u32,
-    /// Masks a second of the heavy ones.
+    /// Masks a second of a heavy session.
     #[arg(long, default_value_t = 30.0)]
     pub heavy_fps: f64,
     /// How long, in seconds.
@@ -31,13 +31,12 @@ pub struct LoadPart {
     pub seconds: u32,
 }
 
-/// Options of `lab chaos idle`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct IdlePart {
     /// The server.
     #[command(flatten)]
     pub server: ServerArgs,
-    /// Sessions whose client asks for a mask of 64×36 once a second, as one does whose camera stands still.
+    /// Sessions that request one mask of 64×36 a second, as a client with a still camera does.
     #[arg(long, default_value_t = 1000)]
     pub sessions: u32,
     /// How long, in seconds.
@@ -47,7 +46,6 @@ pub struct IdlePart {
 
 const LIGHT_FPS: f64 = 10.0;
 
-/// Pause between two sessions' starts.
 const PAUSE: Duration = Duration::from_millis(15);
 
 fn frames(fps: f64, seconds: u32) -> u32 {
@@ -56,10 +54,6 @@ fn frames(fps: f64, seconds: u32) -> u32 {
     frames.max(1)
 }
 
-/// Runs the load.
-///
-/// # Errors
-/// When the server or a probe cannot be started.
 pub fn measure(part: &LoadPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>> {
     let mut server = part.server.start(&[])?;
     let process = server.program().id();
@@ -80,7 +74,7 @@ pub fn measure(part: &LoadPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>>
         progress("all sessions are asked for");
         sleep(third);
         let early = usage(process)?;
-        // More than is left, whatever the machine: it has to be told so, and nobody else may notice.
+        // More than any machine has left: it must be refused, without effect on the others.
         let refused = probes.run(Ask { size: (640, 360), fps: Some(60_000.0), frames: 1 }, 0);
         sleep(third);
         let late = usage(process)?;
@@ -146,15 +140,11 @@ pub fn measure(part: &LoadPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>>
     Ok(findings)
 }
 
-/// Runs sessions that stand still.
-///
-/// # Errors
-/// When the server or a probe cannot be started.
 pub fn measure_idle(part: &IdlePart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>> {
     let mut server = part.server.start(&[])?;
     let process = server.program().id();
     let probes = Probes::of(&part.server, server.url())?;
-    // They live until the last one has begun and the measurement is over.
+    // Sessions outlive the start of the last one and the measurement.
     let start_s = PAUSE.as_secs_f64() * f64::from(part.sessions);
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "some minutes")]
     let life_s = part.seconds + (start_s * 3.0) as u32 + 10;

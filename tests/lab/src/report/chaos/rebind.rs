@@ -1,11 +1,11 @@
-//! A relay whose port towards the server changes: what a client's move from one network to another looks like to the server.
+//! A relay that changes its port towards the server, as a client does that moves to another network.
 
 use std::{net::SocketAddr, sync::Arc, time::Duration};
 
 use anyhow::Result;
 use tokio::{net::UdpSocket, sync::watch, task::JoinHandle};
 
-/// A relay for one client. It ends when it is dropped.
+/// A relay for one client. Dropping it ends it.
 pub(super) struct Rebinding {
     pub(super) address: SocketAddr,
     rebindings: watch::Receiver<u32>,
@@ -13,19 +13,18 @@ pub(super) struct Rebinding {
 }
 
 impl Rebinding {
-    /// Listens on a free port, and changes its other port every `period`.
+    /// Listens on a free port, and changes the port towards the server every `period`.
     pub(super) async fn start(server: SocketAddr, period: Duration) -> Result<Self> {
         let inner = Arc::new(UdpSocket::bind("127.0.0.1:0").await?);
         let address = inner.local_addr()?;
         let (count, rebindings) = watch::channel(0);
         let task = tokio::spawn(async move {
-            // A socket that fails ends the relay, and so the session, which the measurement sees.
+            // A socket error ends the relay and so the session, which the measurement reports.
             let _ = relay(&inner, server, period, &count).await;
         });
         Ok(Self { address, rebindings, task })
     }
 
-    /// How often the port has changed.
     pub(super) fn rebindings(&self) -> u32 {
         *self.rebindings.borrow()
     }

@@ -1,25 +1,46 @@
-//! A server as a process, probes of it as threads, and what the operating system says of the process.
+//! A server as a process, and probes as threads.
 
-use std::{fs, thread::ScopedJoinHandle, time::Duration};
+use std::{path::Path, thread::ScopedJoinHandle, time::Duration};
 
 use anyhow::{Context as _, Result};
 use gnomon_client::{
-    ClientError,
+    ClientError, HeadlessOptions, Source,
     app::probe::{ProbeOptions, ProbeReport, run_probe},
     camera_path::CameraPath,
     link::url::ServerUrl,
 };
-use gnomon_protocol::codec::CodecId;
 use tokio::runtime::{Builder, Runtime};
 
-use super::ServerArgs;
-use crate::rig::ServerProcess;
+use crate::{
+    report::{ask::Ask, scene_args::SceneArgs},
+    rig::ServerProcess,
+};
 
-/// Stack of a probe's thread: it draws nothing, and there may be a thousand.
+/// Stack size of a probe's thread, of which there may be a thousand.
 const STACK_BYTES: usize = 256 * 1024;
 
+/// Options of every part.
+#[derive(Debug, Clone, clap::Args)]
+pub struct ServerArgs {
+    /// Scene and path; each part sets its own size and frames.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// The server's back end: auto, compute, ray-query or cpu.
+    #[arg(long, default_value = "auto")]
+    pub backend: String,
+    /// Allow a software adapter.
+    #[arg(long)]
+    pub allow_software: bool,
+    /// Number of devices [default: all].
+    #[arg(long)]
+    pub devices: Option<u32>,
+    /// Time of each device that sessions may use per second, in milliseconds.
+    #[arg(long, default_value_t = 900)]
+    pub device_budget_ms: u32,
+}
+
 impl ServerArgs {
-    /// Starts the server as a process, with whatever else it is told.
+    /// Starts the server with further arguments.
     pub(super) fn start(&self, more: &[&str]) -> Result<ServerProcess> {
         let mut arguments: Vec<std::ffi::OsString> = vec!["--backend".into(), (&self.backend).into()];
         arguments.extend(["--device-budget-ms".into(), self.device_budget_ms.to_string().into()]);
@@ -32,26 +53,17 @@ impl ServerArgs {
         }
         arguments.extend(self.scene.light_arguments());
         arguments.extend(more.iter().map(Into::into));
-        ServerProcess::start(&self.scene.scene, &arguments)
+        ServerProcess::start(&self.scene.file.scene, &arguments)
     }
 }
 
-/// What a probe asks for.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Ask {
-    pub(super) size: (u32, u32),
-    pub(super) fps: Option<f64>,
-    pub(super) frames: u32,
-}
-
-/// The network of all probes of a measurement, and their path.
+/// The runtime of a measurement's probes, and their path.
 pub(super) struct Probes {
     runtime: Runtime,
     path: CameraPath,
     url: ServerUrl,
 }
 
-/// A probe on its way.
 pub(super) type Running<'scope> = ScopedJoinHandle<'scope, Result<ProbeReport, ClientError>>;
 
 impl Probes {
@@ -64,7 +76,7 @@ impl Probes {
         self.runtime.handle()
     }
 
-    /// Runs a probe to its end; the `number` decides where on the path it begins.
+    /// Runs a probe to its end; `number` decides where on the path it begins.
     pub(super) fn run(&self, ask: Ask, number: u32) -> Result<ProbeReport, ClientError> {
         self.run_at(&self.url, ask, number, ProbeOptions::CONNECT_TIMEOUT)
     }
@@ -76,21 +88,12 @@ impl Probes {
         number: u32,
         connect_timeout: Duration,
     ) -> Result<ProbeReport, ClientError> {
-        let options = ProbeOptions {
-            url: url.clone(),
-            token: None,
-            width: ask.size.0,
-            height: ask.size.1,
-            codec: CodecId::PlanesLz4,
-            frames: ask.frames,
-            fps: ask.fps,
-            start_time_s: self.path.duration_s() * f64::from(number % 97) / 97.0,
-            connect_timeout,
-        };
+        let start_time_s = self.path.duration_s() * f64::from(number % 97) / 97.0;
+        let options = ProbeOptions { start_time_s, connect_timeout, ..ask.of(url) };
         run_probe(self.runtime.handle(), &options, &self.path)
     }
 
-    /// Runs a probe in a thread of its own.
+    /// Runs a probe in its own thread.
     pub(super) fn spawn<'scope>(
         &'scope self,
         scope: &'scope std::thread::Scope<'scope, '_>,
@@ -102,42 +105,28 @@ impl Probes {
     }
 }
 
-/// The report of a probe that was spawned.
+/// A client that draws 64×36 pictures of the server's path, with its scene cache in `folder`.
+pub(super) fn headless(
+    server: &ServerArgs,
+    url: ServerUrl,
+    fps: f64,
+    frames: u32,
+    folder: &Path,
+) -> Result<HeadlessOptions> {
+    let mut options = HeadlessOptions::new(Source::Server(url));
+    (options.width, options.height, options.fps, options.frames) = (64, 36, Some(fps), Some(frames));
+    options.path = Some(server.scene.path_text().to_str().context("a path that is no UTF-8")?.parse()?);
+    options.cache_dir = Some(folder.join("cache"));
+    options.allow_software = true;
+    Ok(options)
+}
+
+/// Returns the report of a spawned probe.
 pub(super) fn joined(probe: Running<'_>) -> Result<ProbeReport> {
     let report = probe.join().map_err(|_| anyhow::anyhow!("a probe's thread panicked"))?;
     Ok(report?)
 }
 
-/// What a process uses.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Usage {
-    /// Resident memory, in bytes.
-    pub(super) resident_bytes: u64,
-    /// Open file descriptors.
-    pub(super) files: usize,
-    /// Processor time since its start, of all of its threads.
-    pub(super) processor: Duration,
-}
-
-/// What the process uses now, as Linux says it.
-pub(super) fn usage(process: u32) -> Result<Usage> {
-    let read = |file: &str| {
-        let path = format!("/proc/{process}/{file}");
-        fs::read_to_string(&path).with_context(|| format!("reading {path}"))
-    };
-    let status = read("status")?;
-    let kib =
-        status.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB")?.parse::<u64>().ok());
-    let stat = read("stat")?;
-    // The name in parentheses may hold blanks; utime and stime are the 12th and 13th fields behind it, in hundredths of a second.
-    let behind = stat.rsplit_once(')').context("no name in stat")?.1;
-    let ticks: u64 = behind.split_whitespace().skip(11).take(2).filter_map(|ticks| ticks.parse::<u64>().ok()).sum();
-    let files = fs::read_dir(format!("/proc/{process}/fd")).context("listing its files")?.count();
-    let resident_bytes = kib.context("no VmRSS in status")? * 1024;
-    Ok(Usage { resident_bytes, files, processor: Duration::from_millis(ticks * 10) })
-}
-
-/// Mebibytes, for people.
 #[expect(clippy::cast_precision_loss, reason = "sizes far below 2⁵³")]
 pub(super) fn mib(bytes: u64) -> f64 {
     bytes as f64 / f64::from(1 << 20)

@@ -1,4 +1,4 @@
-//! Clients that come and go for a long time: what stays behind of them.
+//! `lab chaos soak`: what remains of clients that come and go for a long time.
 
 use std::{
     collections::BTreeMap,
@@ -13,17 +13,20 @@ use std::{
 use anyhow::{Context as _, Result};
 
 use super::{
-    Finding, ServerArgs,
-    rig::{Ask, Probes, Usage, mib, usage},
+    finding::Finding,
+    rig::{Probes, ServerArgs, mib},
+};
+use crate::{
+    report::ask::Ask,
+    rig::usage::{Usage, usage},
 };
 
-/// Options of `lab chaos soak`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct SoakPart {
     /// The server.
     #[command(flatten)]
     pub server: ServerArgs,
-    /// Sessions that begin in a second.
+    /// Sessions started per second.
     #[arg(long, default_value_t = 10.0)]
     pub rate: f64,
     /// How long, in seconds.
@@ -31,16 +34,12 @@ pub struct SoakPart {
     pub seconds: u32,
 }
 
-/// Sizes of the masks, in turn, so that buffers come and go too.
+/// Mask sizes, in turn, so that buffers are reallocated too.
 const SIZES: [(u32, u32); 4] = [(64, 36), (160, 90), (96, 96), (320, 180)];
 
-/// Probes at a time. When all are busy the next one waits: the rate is the aim, not a flood.
+/// Most probes at a time; the next one waits if all are busy.
 const MOST: u32 = 64;
 
-/// Runs it.
-///
-/// # Errors
-/// When the server cannot be started.
 pub fn measure(part: &SoakPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>> {
     let mut server = part.server.start(&[])?;
     let process = server.program().id();
@@ -78,17 +77,17 @@ pub fn measure(part: &SoakPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>>
         while running.load(Ordering::Acquire) > 0 {
             sleep(Duration::from_millis(20));
         }
-        // What the last sessions leave is gone after the server's farewells.
+        // The server cleans up after the last sessions within its closing period.
         sleep(Duration::from_secs(3));
         Ok::<_, anyhow::Error>((early.context("it was too short")?, usage(process)?))
     })?;
     let (done, reasons) = (done.into_inner(), failed.into_inner().unwrap_or_else(PoisonError::into_inner));
     let failed: u32 = reasons.values().sum();
-    // Addresses make many of one; a few tell enough.
+    // Addresses make many variants of one reason; a few are enough.
     let reasons: String = reasons.iter().take(3).map(|(reason, times)| format!("; {times} × {reason}")).collect();
     let growth = mib(late.resident_bytes) - mib(early.resident_bytes);
     let outcome = server.stop().context("stopping the server")?;
-    // Cores of a machine are lent to others now and then; the sessions that were, count.
+    // A slow machine starts fewer sessions than planned, so only those that ran count.
     let sessions = outcome.stderr.matches("session ended").count();
     Ok(vec![
         Finding::new(

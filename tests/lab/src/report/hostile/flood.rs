@@ -1,4 +1,4 @@
-//! Handshakes that are completed and then say nothing: each holds one of the server's places for handshakes until its time is over.
+//! Handshakes that complete and then stay silent: each occupies one of the server's handshake slots until it times out.
 
 use std::{
     net::SocketAddr,
@@ -19,13 +19,12 @@ use rustls::{
 };
 use tokio::{runtime::Handle, task::JoinSet};
 
-/// Another address of this machine than good clients have.
+/// Another address of this machine than good clients use.
 const SOURCE: &str = "127.0.0.2:0";
 
-/// Attempts under way at a time.
 const AT_ONCE: usize = 256;
 
-/// Whoever floods a server does not care whose it is.
+/// Accepts any certificate.
 #[derive(Debug)]
 struct Careless(Arc<CryptoProvider>);
 
@@ -64,10 +63,7 @@ impl ServerCertVerifier for Careless {
     }
 }
 
-/// Tries `handshakes` while `flooding`, and says how many it began.
-///
-/// # Errors
-/// When no endpoint can be made.
+/// Starts up to `handshakes` while `flooding`, and returns how many.
 pub(super) fn run(runtime: &Handle, server: SocketAddr, handshakes: u32, flooding: &AtomicBool) -> Result<u32> {
     runtime.block_on(async {
         let provider = Arc::new(rustls::crypto::ring::default_provider());
@@ -90,7 +86,7 @@ pub(super) fn run(runtime: &Handle, server: SocketAddr, handshakes: u32, floodin
             begun += 1;
             tasks.spawn(async move {
                 if let Ok(connection) = connecting.await {
-                    // Silent until the server has had enough.
+                    // Stays silent until the server closes.
                     let _ = tokio::time::timeout(Duration::from_secs(10), connection.closed()).await;
                 }
             });

@@ -1,4 +1,4 @@
-//! Packets that nobody should send.
+//! Garbage packets.
 
 use std::{
     net::{Ipv4Addr, SocketAddr, UdpSocket},
@@ -6,24 +6,20 @@ use std::{
 };
 
 use anyhow::{Result, ensure};
-use gnomon_client::{
-    app::probe::{ProbeOptions, run_probe},
-    camera_path::CameraPath,
-    link::url::ServerUrl,
-};
-use gnomon_protocol::codec::CodecId;
+use gnomon_client::{app::probe::run_probe, camera_path::CameraPath, link::url::ServerUrl};
 use tokio::runtime::Handle;
 
-/// Sockets that garbage comes from.
+use crate::report::ask::Ask;
+
 const SOURCES: usize = 16;
 
-/// Packets between two pauses: loopback has no back-pressure, and what the kernel drops tests nothing.
+/// Packets between pauses: loopback has no back-pressure, and packets that the kernel drops test nothing.
 const BURST: u32 = 64;
 
-/// First packets sent to see what comes back.
+/// First packets sent to measure amplification.
 const ASKED: u64 = 500;
 
-/// A small generator that needs no crate and gives the same packets every time (xorshift64*, Vigna 2016).
+/// A generator with the same output every time (xorshift64*, Vigna 2016).
 struct Noise(u64);
 
 impl Noise {
@@ -46,30 +42,17 @@ impl Noise {
     }
 }
 
-/// A client's first packet, whole: what a recording holds.
-///
-/// # Errors
-/// When the client sends none.
+/// Captures a real client's first packet.
 pub(super) fn first(runtime: &Handle, path: &CameraPath) -> Result<Vec<u8>> {
-    let ear = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
-    ear.set_read_timeout(Some(Duration::from_secs(5)))?;
-    let url: ServerUrl = format!("gnomon://{}/?cert={}", ear.local_addr()?, "00".repeat(32)).parse()?;
-    let options = ProbeOptions {
-        connect_timeout: ProbeOptions::CONNECT_TIMEOUT,
-        url,
-        token: None,
-        width: 64,
-        height: 36,
-        codec: CodecId::PlanesLz4,
-        frames: 1,
-        fps: None,
-        start_time_s: 0.0,
-    };
+    let listener = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
+    listener.set_read_timeout(Some(Duration::from_secs(5)))?;
+    let url: ServerUrl = format!("gnomon://{}/?cert={}", listener.local_addr()?, "00".repeat(32)).parse()?;
+    let options = Ask { size: (64, 36), fps: None, frames: 1 }.of(&url);
     let mut packet = vec![0; 2048];
     std::thread::scope(|scope| {
-        // It never gets an answer, and gives up.
+        // It gets no answer and gives up.
         let connecting = scope.spawn(|| run_probe(runtime, &options, path).map(drop));
-        let length = ear.recv(&mut packet)?;
+        let length = listener.recv(&mut packet)?;
         packet.truncate(length);
         ensure!(connecting.join().is_ok_and(|ended| ended.is_err()), "nobody was there to connect to");
         ensure!(length >= 1200, "a first packet of {length} bytes");
@@ -77,10 +60,7 @@ pub(super) fn first(runtime: &Handle, path: &CameraPath) -> Result<Vec<u8>> {
     })
 }
 
-/// Sends garbage of every kind in turn, and says how much of it until `patience` ended.
-///
-/// # Errors
-/// When a socket fails.
+/// Sends every kind of garbage in turn; returns how many packets were sent before `patience` ended.
 pub(super) fn garbage(server: SocketAddr, first: &[u8], packets: u32, patience: Duration) -> Result<u32> {
     let sockets = (0..SOURCES).map(|_| UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))).collect::<Result<Vec<_>, _>>()?;
     let mut noise = Noise(0x9E37_79B9_7F4A_7C15);
@@ -89,12 +69,12 @@ pub(super) fn garbage(server: SocketAddr, first: &[u8], packets: u32, patience: 
     for number in 0..packets {
         packet.clear();
         match number % 4 {
-            // Anything.
+            // Random bytes.
             0 => {
                 packet.resize(1 + noise.below(1400), 0);
                 noise.fill(&mut packet);
             }
-            // A long header with the right version, and nothing right behind it.
+            // A long header with the right version, then random bytes.
             1 => {
                 packet.resize(1200, 0);
                 noise.fill(&mut packet);
@@ -108,11 +88,11 @@ pub(super) fn garbage(server: SocketAddr, first: &[u8], packets: u32, patience: 
                     packet[at] ^= u8::try_from(noise.below(255)).unwrap_or(0) + 1;
                 }
             }
-            // A real first packet, again.
+            // A real first packet, replayed.
             _ => packet.extend_from_slice(first),
         }
         let socket = &sockets[noise.below(SOURCES)];
-        // A full buffer loses one, as a network would.
+        // A full buffer loses the packet, as a network would.
         let _ = socket.send_to(&packet, server);
         if number % BURST == BURST - 1 {
             std::thread::sleep(Duration::from_millis(1));
@@ -124,10 +104,7 @@ pub(super) fn garbage(server: SocketAddr, first: &[u8], packets: u32, patience: 
     Ok(packets)
 }
 
-/// Bytes sent as a first packet from an address that never answers, and bytes that came back to it.
-///
-/// # Errors
-/// When a socket fails, or nothing comes back at all: then nothing was asked.
+/// Returns the bytes sent as first packets from an address that never answers, and the bytes received there.
 pub(super) fn amplification(server: SocketAddr, first: &[u8]) -> Result<(u64, u64)> {
     let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
     let (mut answered, mut answers) = (0, 0_u64);
@@ -140,7 +117,7 @@ pub(super) fn amplification(server: SocketAddr, first: &[u8]) -> Result<(u64, u6
             answers += 1;
         }
     }
-    // What a server tries again comes later.
+    // Retransmissions come later.
     socket.set_read_timeout(Some(Duration::from_secs(2)))?;
     while let Ok(length) = socket.recv(&mut answer) {
         answered += length as u64;

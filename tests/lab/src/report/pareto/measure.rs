@@ -8,8 +8,8 @@ use gnomon_protocol::{codec::CodecId, mask::Mask};
 use gnomon_scene::{LightKind, Scene, camera::Camera};
 
 use super::{
-    Group, Row,
     judge::{Stop, Verdict},
+    row::{Group, Row},
     tracer::{Patience, Traced, Tracer, node_visits},
     viewer::Viewer,
 };

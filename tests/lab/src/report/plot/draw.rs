@@ -1,6 +1,6 @@
 //! Draws a plot with `plotters`.
 
-use anyhow::{Result, anyhow};
+use anyhow::{Result, anyhow, ensure};
 use plotters::{
     coord::{
         Shift,
@@ -14,7 +14,7 @@ use plotters::{
 };
 
 use super::{
-    Axis, Plot, Style,
+    model::{Axis, Plot, Series, Style},
     ticks::{self, Ticks},
 };
 
@@ -27,11 +27,11 @@ const HEIGHT_PX: u32 = 420;
 const ENTRY_PX: i32 = 22;
 const MARK_PX: i32 = 4;
 const FONT: &str = "sans-serif";
-/// Longest line of which every point is marked; longer ones get about half as many marks.
+/// Longest line on which every point is marked; longer ones get about half as many marks.
 const MARKED_POINTS: usize = 24;
 
-/// Okabe and Ito's palette ("Color Universal Design", 2008), which the colour-blind can tell apart. Yellow, faint on
-/// white, comes last.
+/// Okabe and Ito's palette ("Color Universal Design", 2008), which colour-blind readers can tell apart. Yellow, faint
+/// on white, comes last.
 const COLOURS: [RGBColor; 8] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -44,7 +44,7 @@ const COLOURS: [RGBColor; 8] = [
 ];
 const FRONT: RGBColor = RGBColor(110, 110, 110);
 
-/// Outlines of marks, in units of [`MARK_PX`]; the empty one is a disc. No two look alike without their colours.
+/// Outlines of marks, in units of [`MARK_PX`]; the empty one is a disc. All differ without colour.
 const MARKS: [&[(i32, i32)]; 7] = [
     &[],
     &[(-1, -1), (1, -1), (1, 1), (-1, 1)],
@@ -55,7 +55,6 @@ const MARKS: [&[(i32, i32)]; 7] = [
     &[(-1, -2), (1, -2), (1, 2), (-1, 2)],
 ];
 
-/// An axis with our own ticks.
 struct Scale {
     ticks: Ticks,
     log: bool,
@@ -97,7 +96,17 @@ impl ValueFormatter<f64> for Scale {
     }
 }
 
-pub(super) fn svg(plot: &Plot, placed: &[Placed]) -> Result<String> {
+impl Plot {
+    /// Returns the plot as SVG. Equal plots give equal text. Errors if no point has a place on both axes.
+    pub fn svg(&self) -> Result<String> {
+        let places = |series: &Series| series.points.iter().map(|&point| self.place(point)).collect();
+        let placed: Vec<Placed> = self.series.iter().map(places).collect();
+        ensure!(placed.iter().flatten().any(Option::is_some), "nothing to plot under {:?}", self.title);
+        svg(self, &placed)
+    }
+}
+
+fn svg(plot: &Plot, placed: &[Placed]) -> Result<String> {
     let mut text = String::new();
     let names = plot.series.iter().map(|series| series.name.as_str()).chain(plot.front.map(|_| "Pareto front"));
     let longest = names.clone().map(|name| name.chars().count()).max().unwrap_or(0);
@@ -155,7 +164,7 @@ fn draw_series(
     }
     let every =
         if style == Style::Line && points.len() > MARKED_POINTS { points.len() / (MARKED_POINTS / 2) } else { 1 };
-    // Lines that lie on each other are marked at different points.
+    // Lines on top of each other are marked at different points.
     let marked = points.iter().skip(index % every).step_by(every).flatten();
     chart.draw_series(marked.map(|&point| EmptyElement::at(point) + mark(index)))?;
     Ok(())

@@ -1,4 +1,4 @@
-//! The Pareto front: what no other point beats in both directions at once.
+//! The Pareto front: points that no other point beats in both directions.
 
 /// Which end of an axis is the good one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -10,7 +10,6 @@ pub enum Better {
 }
 
 impl Better {
-    /// The value such that less is better.
     fn cost(self, value: f64) -> f64 {
         match self {
             Self::Low => value,
@@ -19,19 +18,14 @@ impl Better {
     }
 }
 
-/// The good ends of both axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Front {
-    /// Of the horizontal axis.
     pub x: Better,
-    /// Of the vertical axis.
     pub y: Better,
 }
 
 impl Front {
-    /// The points that no other point equals or beats in both directions, by rising x. Of equal points one stays; points
-    /// that are not finite never do.
-    #[must_use]
+    /// Returns the front by rising x. Of equal points one stays; points that are not finite are left out.
     pub fn of(self, points: &[(f64, f64)]) -> Vec<(f64, f64)> {
         let mut by_cost: Vec<_> = points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
         by_cost.sort_by(|a, b| {

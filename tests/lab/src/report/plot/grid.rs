@@ -1,29 +1,24 @@
-//! Pictures side by side under captions, as one picture.
+//! A grid of pictures with captions.
 
 use anyhow::{Context, Result, ensure};
 use image::{GenericImage as _, Rgb, RgbImage};
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
-/// Height of a caption's letters, in pixels.
 const LETTER_PX: u32 = 16;
 const CAPTION_PX: u32 = LETTER_PX + 8;
 const GAP_PX: u32 = 6;
-/// Largest side of the whole, in pixels.
+/// Largest side of the grid, in pixels.
 const MAX_SIDE_PX: u32 = 32_768;
 
-/// A picture and what stands over it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cell {
-    /// One line; what does not fit over the picture is cut off.
+    /// One line, cut off at the picture's width.
     pub caption: String,
-    /// The picture.
     pub picture: RgbImage,
 }
 
-/// Lays out rows of cells on white. Columns are as wide as their widest picture, rows as high as their highest.
-///
-/// # Errors
-/// When there is nothing to show, or the whole would have a side of more than 32,768 pixels.
+/// Lays out rows of cells on white. Columns are as wide as their widest picture, rows as high as their highest. Errors
+/// if there is no picture, or a side would exceed 32,768 pixels.
 pub fn grid(rows: &[Vec<Cell>]) -> Result<RgbImage> {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let width_of = |column: usize| rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.picture.width()).max();
@@ -52,7 +47,7 @@ pub fn grid(rows: &[Vec<Cell>]) -> Result<RgbImage> {
     Ok(whole)
 }
 
-/// Writes black letters with their upper left corner at `(x, y)`, as many as fit `width`.
+/// Writes black text with its upper left corner at `(x, y)`, cut off at `width`.
 fn write(whole: &mut RgbImage, text: &str, (x, y): (u32, u32), width: u32) {
     let letter_px = u32::try_from(get_raster_width(FontWeight::Regular, RasterHeight::Size16)).unwrap_or(LETTER_PX);
     for (letter, left) in text.chars().zip((x..).step_by(letter_px as usize)).take((width / letter_px) as usize) {

@@ -1,16 +1,16 @@
-//! Which values an axis names.
+//! Ticks of an axis.
 
-/// About this many names fit an axis.
+/// About as many labels as fit an axis.
 const NAMES: f64 = 6.0;
 
-/// A range of places, and those that get a name.
+/// A range, and its labelled places.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Ticks {
     pub(super) range: (f64, f64),
     pub(super) places: Vec<f64>,
 }
 
-/// Even steps of 1, 2 or 5 times a power of ten, around places from `low` to `high`.
+/// Even steps of 1, 2 or 5 times a power of ten, covering `low` to `high`.
 pub(super) fn linear(low: f64, high: f64) -> Ticks {
     let (low, high) = widen(low, high);
     let raw = (high - low) / NAMES;
@@ -22,7 +22,7 @@ pub(super) fn linear(low: f64, high: f64) -> Ticks {
     Ticks { range: (first * step, last * step), places }
 }
 
-/// Whole decades, and 2 and 5 times them where there are few; places are decimal logarithms.
+/// Whole decades, and 2 and 5 times them if there are few; places are decimal logarithms.
 pub(super) fn log(low: f64, high: f64) -> Ticks {
     let (low, high) = if low == high { (low - 0.3, high + 0.3) } else { (low, high) };
     let (first, last) = (low.floor(), high.ceil());
@@ -34,13 +34,13 @@ pub(super) fn log(low: f64, high: f64) -> Ticks {
         .take_while(|&decade| decade <= last)
         .flat_map(|decade| within.iter().map(move |by| decade + by.log10()))
         .collect();
-    // Not whole decades, but from name to name: two decades may hold what lies in a quarter of one.
+    // From label to label rather than whole decades: values may span a quarter of one.
     let start = places.iter().copied().rfind(|&place| place <= low + 1e-9).unwrap_or(first);
     let end = places.iter().copied().find(|&place| place >= high - 1e-9).unwrap_or(last);
     Ticks { range: (start, end), places: places.into_iter().filter(|place| (start..=end).contains(place)).collect() }
 }
 
-/// Values that lie close together get room; all else that is near zero starts there, so that heights can be compared.
+/// Widens a range of one value, and starts ranges near zero at zero, so that heights compare.
 fn widen(low: f64, high: f64) -> (f64, f64) {
     if low == high {
         return if low == 0.0 { (0.0, 1.0) } else { (low - low.abs() * 0.1, high + high.abs() * 0.1) };
@@ -48,7 +48,7 @@ fn widen(low: f64, high: f64) -> (f64, f64) {
     if low > 0.0 && low < 0.4 * high { (0.0, high) } else { (low, high) }
 }
 
-/// A value as text: up to four significant digits, no zeros behind them.
+/// Formats a value with up to four significant digits and no trailing zeros.
 pub(super) fn name(value: f64) -> String {
     if value.abs() < 1e-12 {
         return "0".to_owned();

@@ -1,30 +1,24 @@
-//! A video stream by ffmpeg, coded as hosts of streamed games do it: no frame waits for a later one, and none may be larger
-//! than its share of the rate.
+//! A video stream encoded as game-streaming hosts do: no frame waits for a later one, and none exceeds its share of the
+//! rate.
 
 use std::{
     fmt,
-    fs::{self, File},
-    io::Write as _,
     path::{Path, PathBuf},
     process::{Command, Output, Stdio},
 };
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use image::RgbImage;
-use tempfile::TempDir;
+
+use crate::metrics::ffmpeg::{Ffmpeg, QUIET};
 
 const FILE: &str = "stream.mkv";
-const ERRORS: &str = "errors";
 
-/// Quiet, and no questions.
-const QUIET: [&str; 4] = ["-hide_banner", "-nostats", "-loglevel", "error"];
-
-/// Pictures are sRGB; streams are 8-bit 4:2:0 of BT.709, as every hardware decoder takes them.
+/// Pictures are sRGB; streams are 8-bit 4:2:0 in BT.709, as every hardware decoder takes them.
 const TO_VIDEO: &str = "scale=out_color_matrix=bt709:out_range=tv:flags=accurate_rnd+full_chroma_int,format=yuv420p";
 const FROM_VIDEO: &str =
     "scale=in_color_matrix=bt709:in_range=tv:flags=accurate_rnd+full_chroma_int+full_chroma_inp,format=rgb24";
 
-/// An encoder of ffmpeg's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum VideoCodec {
     /// H.264.
@@ -41,7 +35,7 @@ impl VideoCodec {
         }
     }
 
-    /// No key frames but the first, and one slice buffer of a frame: what the encoder does not do by `-tune` and `-b:v`.
+    /// No key frames but the first.
     fn arguments(self) -> [&'static str; 2] {
         match self {
             Self::X264 => ["-x264-params", "keyint=infinite:scenecut=0"],
@@ -59,10 +53,7 @@ impl fmt::Display for VideoCodec {
     }
 }
 
-/// Whether this ffmpeg has what a codec needs.
-///
-/// # Errors
-/// When it does not run, or has no such encoder.
+/// Errors if ffmpeg lacks the codec's encoder.
 pub(super) fn check(ffmpeg: &Path, codec: VideoCodec) -> Result<()> {
     let listed = Command::new(ffmpeg).args(["-hide_banner", "-encoders"]).stdin(Stdio::null()).output();
     let listed = listed.with_context(|| format!("running {} (Debian: ffmpeg)", ffmpeg.display()))?;
@@ -71,19 +62,16 @@ pub(super) fn check(ffmpeg: &Path, codec: VideoCodec) -> Result<()> {
     Ok(())
 }
 
-/// A coded stream.
 pub(super) struct Stream {
-    ffmpeg: PathBuf,
-    folder: TempDir,
+    program: PathBuf,
+    /// Keeps the folder with the stream.
+    encoder: Ffmpeg,
     size: (u32, u32),
     frame_bytes: Vec<u64>,
 }
 
 impl Stream {
-    /// Codes `pictures`, of one size, at `fps` and so many Mbit/s.
-    ///
-    /// # Errors
-    /// When there is no picture, or ffmpeg fails.
+    /// Encodes `pictures`, all of one size.
     pub(super) fn encode(
         ffmpeg: &Path,
         codec: VideoCodec,
@@ -92,33 +80,16 @@ impl Stream {
         pictures: &[RgbImage],
     ) -> Result<Self> {
         let size = pictures.first().context("a video of nothing")?.dimensions();
-        let folder = tempfile::tempdir().context("making a temporary folder")?;
         let kbit = |value: f64| format!("{:.0}k", value * 1e3);
-        let errors = File::create(folder.path().join(ERRORS)).context("creating a log")?;
-        let mut child = Command::new(ffmpeg)
-            .args(QUIET)
-            .args(["-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", &format!("{}x{}", size.0, size.1)])
-            .args(["-framerate", &fps.to_string(), "-i", "pipe:0", "-vf", TO_VIDEO])
-            .args(["-c:v", codec.encoder(), "-preset", preset, "-tune", "zerolatency"])
-            .args(["-b:v", &kbit(mbit_per_s), "-maxrate", &kbit(mbit_per_s), "-bufsize", &kbit(mbit_per_s / fps)])
-            .args(codec.arguments())
-            .arg(FILE)
-            .current_dir(folder.path())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(errors)
-            .spawn()
-            .with_context(|| format!("starting {}", ffmpeg.display()))?;
-        let mut stdin = child.stdin.take().context("ffmpeg has no input")?;
-        let written = pictures.iter().try_for_each(|picture| stdin.write_all(picture.as_raw()));
-        drop(stdin);
-        let status = child.wait().context("waiting for ffmpeg")?;
-        let said = fs::read_to_string(folder.path().join(ERRORS)).unwrap_or_default();
-        if let Err(error) = written {
-            bail!("ffmpeg takes no more: {error}: {said}");
-        }
-        ensure!(status.success(), "ffmpeg ended with {status}: {said}");
-        let mut stream = Self { ffmpeg: ffmpeg.to_owned(), folder, size, frame_bytes: Vec::new() };
+        let (rate, buffer) = (kbit(mbit_per_s), kbit(mbit_per_s / fps));
+        let mut arguments = vec!["-vf", TO_VIDEO, "-c:v", codec.encoder(), "-preset", preset, "-tune", "zerolatency"];
+        arguments.extend(["-b:v", &rate, "-maxrate", &rate, "-bufsize", &buffer]);
+        arguments.extend(codec.arguments());
+        arguments.push(FILE);
+        let mut encoder = Ffmpeg::start(ffmpeg, size, fps, &arguments)?;
+        pictures.iter().try_for_each(|picture| encoder.write(picture.as_raw()))?;
+        encoder.finish()?;
+        let mut stream = Self { program: ffmpeg.to_owned(), encoder, size, frame_bytes: Vec::new() };
         let listed = stream.read(&["-c", "copy", "-f", "framecrc", "pipe:1"])?;
         stream.frame_bytes = packet_sizes(&String::from_utf8_lossy(&listed))?;
         let coded = stream.frame_bytes.len();
@@ -131,10 +102,7 @@ impl Stream {
         &self.frame_bytes
     }
 
-    /// All pictures, as a viewer gets them.
-    ///
-    /// # Errors
-    /// When ffmpeg fails, or gives another number of pictures.
+    /// Returns the decoded pictures.
     pub(super) fn decode(&self) -> Result<Vec<RgbImage>> {
         let raw = self.read(&["-vf", FROM_VIDEO, "-f", "rawvideo", "pipe:1"])?;
         let (width, height) = self.size;
@@ -144,17 +112,17 @@ impl Stream {
         raw.chunks_exact(bytes).map(picture).collect()
     }
 
-    /// What ffmpeg prints when it reads the stream.
+    /// Returns ffmpeg's output for the stream.
     fn read(&self, arguments: &[&str]) -> Result<Vec<u8>> {
-        let mut command = Command::new(&self.ffmpeg);
-        command.args(QUIET).args(["-i", FILE]).args(arguments).current_dir(self.folder.path()).stdin(Stdio::null());
+        let mut command = Command::new(&self.program);
+        command.args(QUIET).args(["-i", FILE]).args(arguments).current_dir(self.encoder.folder()).stdin(Stdio::null());
         let Output { status, stdout, stderr } = command.output().context("running ffmpeg")?;
         ensure!(status.success(), "ffmpeg ended with {status}: {}", String::from_utf8_lossy(&stderr));
         Ok(stdout)
     }
 }
 
-/// The sizes in ffmpeg's list of packets: `stream, dts, pts, duration, size, checksum`.
+/// Parses the sizes in ffmpeg's packet list: `stream, dts, pts, duration, size, checksum`.
 fn packet_sizes(list: &str) -> Result<Vec<u64>> {
     let size = |line: &str| line.split(',').nth(4)?.trim().parse().ok();
     let lines = list.lines().filter(|line| !line.starts_with('#') && !line.trim().is_empty());

@@ -1,5 +1,5 @@
-//! A relay for `lab-udp`: the control conversation over TCP, delayed but whole, and the data port that it names, behind a
-//! link.
+//! A relay for `lab-udp`: the control connection over TCP, delayed but lossless, and a link for the data port that it
+//! agrees.
 
 use std::{io, net::SocketAddr, sync::Arc, time::Duration};
 
@@ -9,60 +9,31 @@ use tokio::{
     io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _},
     net::{TcpListener, TcpStream},
     sync::{Semaphore, mpsc},
-    task::{AbortHandle, JoinSet},
+    task::JoinSet,
     time::{Instant, sleep_until},
 };
 
-use super::{LinkCounts, LinkSettings, Shared, UdpRelay, loopback_only, relay::BREATH};
+use super::{
+    counters::{LinkCounts, Shared},
+    handle::{Relay, loopback_only},
+    settings::LinkSettings,
+    udp::{self, BREATH},
+};
 
-/// Conversations at once.
 const MAX_CLIENTS: usize = 64;
-/// Pieces of a conversation that may be on their way.
+/// Most pieces of a connection in flight.
 const WAITING_PIECES: usize = 64;
-/// Largest piece, in bytes.
 const PIECE_BYTES: usize = 64 << 10;
 
-/// A running relay. It ends when it is dropped.
-#[derive(Debug)]
-pub struct LabRelay {
-    address: SocketAddr,
-    shared: Shared,
-    task: AbortHandle,
-}
-
-impl LabRelay {
-    /// Listens on `listen` (port 0 takes a free one) and relays to the control port `server` of a `lab-udp` server. Needs
-    /// a tokio runtime.
-    ///
-    /// # Errors
-    /// When an address is not loopback, or the port is taken.
-    pub async fn start(listen: SocketAddr, server: SocketAddr, settings: LinkSettings) -> io::Result<Self> {
-        let server = loopback_only(server)?;
-        let listener = TcpListener::bind(loopback_only(listen)?).await?;
-        let address = listener.local_addr()?;
-        let shared = Shared::default();
-        let task = tokio::spawn(accept(listener, server, settings, shared.clone())).abort_handle();
-        Ok(Self { address, shared, task })
-    }
-
-    /// Where clients connect to.
-    #[must_use]
-    pub const fn address(&self) -> SocketAddr {
-        self.address
-    }
-
-    /// What became of the datagrams so far.
-    #[must_use]
-    pub fn counts(&self) -> LinkCounts {
-        self.shared.get()
-    }
-}
-
-impl Drop for LabRelay {
-    fn drop(&mut self) {
-        // The task owns all conversations.
-        self.task.abort();
-    }
+/// Listens on `listen` (port 0 takes a free one) and relays to the control port `server` of a `lab-udp` server. Needs a
+/// tokio runtime.
+pub async fn start(listen: SocketAddr, server: SocketAddr, settings: LinkSettings) -> io::Result<Relay> {
+    let server = loopback_only(server)?;
+    let listener = TcpListener::bind(loopback_only(listen)?).await?;
+    let address = listener.local_addr()?;
+    let shared = Shared::default();
+    let task = tokio::spawn(accept(listener, server, settings, shared.clone())).abort_handle();
+    Ok(Relay { address, shared, task })
 }
 
 async fn accept(listener: TcpListener, server: SocketAddr, settings: LinkSettings, shared: Shared) {
@@ -71,7 +42,7 @@ async fn accept(listener: TcpListener, server: SocketAddr, settings: LinkSetting
     let mut number = 0;
     loop {
         let Ok((client, _)) = listener.accept().await else {
-            // Too many open files, for instance.
+            // For example, too many open files.
             tokio::time::sleep(BREATH).await;
             continue;
         };
@@ -84,7 +55,7 @@ async fn accept(listener: TcpListener, server: SocketAddr, settings: LinkSetting
         number += 1;
         let shared = shared.clone();
         conversations.spawn(async move {
-            // How a conversation ends is its peers' affair: both see their streams close.
+            // Both peers see their streams close, however this ends.
             let _ = converse(client, server, settings, shared).await;
             drop(place);
         });
@@ -100,11 +71,11 @@ async fn converse(client: TcpStream, server: SocketAddr, settings: LinkSettings,
     let (up_delay, down_delay) = (settings.up.delay, settings.down.delay);
     let up = delayed(up_delay, server_write, |pieces| copy(client_read, pieces));
     let down = delayed(down_delay, client_write, |pieces| copy_messages(server_read, pieces, server, settings, shared));
-    // A peer may say goodbye and still be answered: each direction ends by itself.
+    // Each direction ends by itself: a peer may close its side and still receive.
     tokio::try_join!(up, down).map(drop)
 }
 
-/// What comes in through a channel goes out again after `delay`.
+/// Forwards each piece after `delay`.
 async fn delayed<F: Future<Output = io::Result<()>>>(
     delay: Duration,
     mut out: impl AsyncWrite + Unpin,
@@ -132,7 +103,7 @@ async fn copy(mut from: impl AsyncRead + Unpin, pieces: mpsc::Sender<(Instant, B
     }
 }
 
-/// Copies the server's messages up to its Welcome, whose data port becomes that of a link, and then bytes.
+/// Copies the server's Welcome with the data port replaced by a link's, then bytes unchanged.
 async fn copy_messages(
     mut from: impl AsyncRead + Unpin,
     pieces: mpsc::Sender<(Instant, Bytes)>,
@@ -145,19 +116,19 @@ async fn copy_messages(
     from.read_exact(&mut prefix).await?;
     let mut body = vec![0; message::decode_length(prefix).map_err(invalid)?];
     from.read_exact(&mut body).await?;
-    // The link lives as long as the conversation.
+    // The link lives as long as the connection.
     let mut _link = None;
     let first = match message::decode(&body) {
         Ok(ServerMessage::Welcome(mut welcome)) => {
             if let Some(port) = welcome.data_port {
                 let free = SocketAddr::new(server.ip(), 0);
-                let link = UdpRelay::with(free, SocketAddr::new(server.ip(), port), settings, shared)?;
+                let link = udp::start_counting(free, SocketAddr::new(server.ip(), port), settings, shared)?;
                 welcome.data_port = Some(link.address().port());
                 _link = Some(link);
             }
             message::encode(&ServerMessage::Welcome(welcome)).map_err(invalid)?
         }
-        // A refusal, or what the client has to judge.
+        // A refusal, or something that the client must judge.
         _ => [&prefix[..], &body].concat(),
     };
     send(&pieces, first.into()).await?;

@@ -1,35 +1,27 @@
-//! The pictures of `lab lag`: error against lag, a line for each way of predicting, and a grid of what was shown.
+//! Plots of error against lag, one line per way of predicting, and a grid of pictures.
 
 use anyhow::{Context, Result};
 use image::{Rgb, RgbImage};
 
-use super::{
-    lag::{LagOptions, Outcome, PosePrediction, Setting, mean_of},
+use super::outcome::{Outcome, PosePrediction, Setting};
+use crate::report::{
     plot::{
         Axis, Plot, Series,
         grid::{Cell, grid},
     },
+    scene_args::SceneArgs,
 };
-use crate::metrics::image::ImageError;
 
-/// A quantity that is drawn: its file, its axis, and its value.
+/// File name, axis and value of a plot.
 type Quantity = (&'static str, Axis, fn(&Outcome) -> f64);
 
-/// Draws `lag_*.svg`, and `lag_grid.png`: for each lag what was shown, and where it differs from the truth.
-///
-/// # Errors
-/// When a file cannot be written.
-pub(super) fn draw(
-    options: &LagOptions,
-    settings: &[Setting],
-    outcomes: &[Outcome],
-    truths: &[RgbImage],
-) -> Result<()> {
+/// Draws `lag_*.svg`, and `lag_grid.png`: the shown picture of each lag, and its difference from the truth.
+pub(super) fn draw(scene: &SceneArgs, settings: &[Setting], outcomes: &[Outcome], truths: &[RgbImage]) -> Result<()> {
     let quantities: [Quantity; 5] = [
         ("bit_error", Axis::log("wrong bits, % of the relevant ones"), |outcome| outcome.bits.wrong_percent()),
-        ("psnr", Axis::linear("PSNR, dB"), |outcome| mean_image(outcome, |error| error.psnr_db)),
-        ("ssim", Axis::linear("SSIM"), |outcome| mean_image(outcome, |error| error.ssim)),
-        ("flip", Axis::linear("FLIP"), |outcome| mean_image(outcome, |error| error.flip)),
+        ("psnr", Axis::linear("PSNR, dB"), |outcome| outcome.mean_image(|error| error.psnr_db)),
+        ("ssim", Axis::linear("SSIM"), |outcome| outcome.mean_image(|error| error.ssim)),
+        ("flip", Axis::linear("FLIP"), |outcome| outcome.mean_image(|error| error.flip)),
         ("vmaf", Axis::linear("VMAF"), |outcome| outcome.vmaf.unwrap_or(f64::NAN)),
     ];
     for (name, axis, value) in quantities {
@@ -37,12 +29,12 @@ pub(super) fn draw(
         if series.iter().all(|series| series.points.is_empty()) {
             continue;
         }
-        let title = format!("{}: {name} against lag", options.scene.scene_name());
+        let title = format!("{}: {name} against lag", scene.scene_name());
         let plot = Plot::new(&title, Axis::linear("lag, frames"), axis, series);
-        options.scene.write(&format!("lag_{name}.svg"), &plot.svg()?)?;
+        scene.write(&format!("lag_{name}.svg"), &plot.svg()?)?;
     }
-    let file = options.scene.result("lag_grid.png")?;
-    let rows = rows(options, settings, outcomes, truths);
+    let file = scene.result("lag_grid.png")?;
+    let rows = rows(settings, outcomes, truths);
     grid(&rows)?.save(&file).with_context(|| format!("writing {}", file.display()))
 }
 
@@ -74,11 +66,13 @@ fn name(setting: &Setting) -> String {
     name
 }
 
-/// Of the middle frame: a row a lag, and for each way of predicting the picture and its difference from the truth, four times
-/// as strong.
-fn rows(options: &LagOptions, settings: &[Setting], outcomes: &[Outcome], truths: &[RgbImage]) -> Vec<Vec<Cell>> {
+/// Rows for the middle frame, one per lag: the picture of each way of predicting, and its difference from the truth
+/// times four.
+fn rows(settings: &[Setting], outcomes: &[Outcome], truths: &[RgbImage]) -> Vec<Vec<Cell>> {
     let middle = truths.len() / 2;
-    let rows = options.lags.iter().map(|lag| {
+    let mut lags: Vec<u32> = settings.iter().map(|setting| setting.lag).collect();
+    lags.dedup();
+    let rows = lags.iter().map(|lag| {
         let of_lag = settings.iter().zip(outcomes).filter(|(setting, _)| setting.lag == *lag);
         of_lag
             .flat_map(|(setting, outcome)| {
@@ -107,9 +101,4 @@ fn small(picture: &RgbImage) -> RgbImage {
     let width = picture.width().min(480);
     let height = (picture.height() * width / picture.width()).max(1);
     image::imageops::resize(picture, width, height, image::imageops::FilterType::Triangle)
-}
-
-fn mean_image(outcome: &Outcome, of: fn(&ImageError) -> f64) -> f64 {
-    let finite: Vec<f64> = outcome.images.iter().map(of).filter(|value| value.is_finite()).collect();
-    if finite.is_empty() { f64::NAN } else { mean_of(&finite) }
 }

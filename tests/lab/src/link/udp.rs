@@ -1,73 +1,41 @@
-//! A UDP relay on loopback: whoever sends to it gets a link of their own to the server, and answers through it.
+//! A UDP relay on loopback: each client gets its own link to the server.
 
 use std::{collections::HashMap, io, net::SocketAddr, sync::Arc, time::Duration};
 
 use bytes::Bytes;
-use tokio::{
-    net::UdpSocket,
-    sync::mpsc,
-    task::{AbortHandle, JoinSet},
+use tokio::{net::UdpSocket, sync::mpsc, task::JoinSet};
+
+use super::{
+    counters::{LinkCounts, Shared},
+    flow,
+    handle::{Relay, loopback_only},
+    settings::LinkSettings,
 };
 
-use super::{LinkCounts, LinkSettings, Shared, flow, loopback_only};
-
-/// Clients at once.
 const MAX_CLIENTS: usize = 64;
-/// Datagrams of a client that may wait for its link to take them.
+/// Most datagrams of a client that wait for its link.
 const WAITING_DATAGRAMS: usize = 1024;
-/// Time until a socket that failed is asked again.
+/// Pause after a socket error.
 pub(super) const BREATH: Duration = Duration::from_millis(1);
 
-/// A running relay. It ends when it is dropped.
-#[derive(Debug)]
-pub struct UdpRelay {
-    address: SocketAddr,
+/// Listens on `listen` (port 0 takes a free one) and relays to `server`. The nth client's link has the seed plus n.
+/// Needs a tokio runtime.
+pub fn start(listen: SocketAddr, server: SocketAddr, settings: LinkSettings) -> io::Result<Relay> {
+    start_counting(listen, server, settings, Shared::default())
+}
+
+/// As [`start`], with counters that others share.
+pub(super) fn start_counting(
+    listen: SocketAddr,
+    server: SocketAddr,
+    settings: LinkSettings,
     shared: Shared,
-    task: AbortHandle,
-}
-
-impl UdpRelay {
-    /// Listens on `listen` (port 0 takes a free one) and relays to `server`. The nth client's chances are those of the
-    /// seed and n. Needs a tokio runtime.
-    ///
-    /// # Errors
-    /// When an address is not loopback, or the port is taken.
-    pub fn start(listen: SocketAddr, server: SocketAddr, settings: LinkSettings) -> io::Result<Self> {
-        Self::with(listen, server, settings, Shared::default())
-    }
-
-    /// The same, counting into counters that others share.
-    pub(super) fn with(
-        listen: SocketAddr,
-        server: SocketAddr,
-        settings: LinkSettings,
-        shared: Shared,
-    ) -> io::Result<Self> {
-        let server = loopback_only(server)?;
-        let listener = flow::socket(loopback_only(listen)?)?;
-        let address = listener.local_addr()?;
-        let task = tokio::spawn(relay(Arc::new(listener), server, settings, shared.clone())).abort_handle();
-        Ok(Self { address, shared, task })
-    }
-
-    /// Where clients send to.
-    #[must_use]
-    pub const fn address(&self) -> SocketAddr {
-        self.address
-    }
-
-    /// What became of the datagrams so far.
-    #[must_use]
-    pub fn counts(&self) -> LinkCounts {
-        self.shared.get()
-    }
-}
-
-impl Drop for UdpRelay {
-    fn drop(&mut self) {
-        // The task owns all links and their tasks.
-        self.task.abort();
-    }
+) -> io::Result<Relay> {
+    let server = loopback_only(server)?;
+    let listener = flow::socket(loopback_only(listen)?)?;
+    let address = listener.local_addr()?;
+    let task = tokio::spawn(relay(Arc::new(listener), server, settings, shared.clone())).abort_handle();
+    Ok(Relay { address, shared, task })
 }
 
 async fn relay(listener: Arc<UdpSocket>, server: SocketAddr, settings: LinkSettings, shared: Shared) {
@@ -76,12 +44,12 @@ async fn relay(listener: Arc<UdpSocket>, server: SocketAddr, settings: LinkSetti
     let mut number = 0;
     let mut buffer = vec![0; flow::MAX_DATAGRAM_BYTES];
     loop {
-        // An answer to a client that is gone comes back as an error of this socket: no reason to leave the others.
+        // A reply to a client that is gone comes back as an error of this socket; other clients go on.
         let Ok((length, client)) = listener.recv_from(&mut buffer).await else {
             tokio::time::sleep(BREATH).await;
             continue;
         };
-        // Links that have ended are of no use, and their results of no interest.
+        // Links that have ended have no results of interest.
         while links.try_join_next().is_some() {}
         let datagram = Bytes::copy_from_slice(&buffer[..length]);
         let datagram = match clients.get(&client).map(|link| link.try_send(datagram.clone())) {
@@ -100,7 +68,7 @@ async fn relay(listener: Arc<UdpSocket>, server: SocketAddr, settings: LinkSetti
         let (link, datagrams) = mpsc::channel(WAITING_DATAGRAMS);
         let settings = LinkSettings { seed: settings.seed.wrapping_add(number), ..settings.clone() };
         number += 1;
-        // There is room for the first one.
+        // The new channel has room for it.
         let _ = link.try_send(datagram);
         links.spawn(flow::carry(datagrams, Arc::clone(&listener), client, server, settings, shared.clone()));
         clients.insert(client, link);
@@ -135,7 +103,7 @@ mod tests {
     #[tokio::test]
     async fn clients_get_answers_to_their_own_questions() {
         let server = flow::socket(FREE).unwrap();
-        let relay = UdpRelay::start(FREE, server.local_addr().unwrap(), LinkSettings::default()).unwrap();
+        let relay = start(FREE, server.local_addr().unwrap(), LinkSettings::default()).unwrap();
         let clients = [flow::socket(FREE).unwrap(), flow::socket(FREE).unwrap()];
         let mut addresses = Vec::new();
         for (number, client) in (0..).zip(&clients) {
@@ -158,13 +126,13 @@ mod tests {
     #[tokio::test]
     async fn a_dropped_relay_is_gone_with_all_its_links() {
         let server = flow::socket(FREE).unwrap();
-        let relay = UdpRelay::start(FREE, server.local_addr().unwrap(), LinkSettings::default()).unwrap();
+        let relay = start(FREE, server.local_addr().unwrap(), LinkSettings::default()).unwrap();
         let address = relay.address();
         let client = flow::socket(FREE).unwrap();
         client.send_to(b"x", address).await.unwrap();
         let (_, link) = received(&server).await;
         drop(relay);
-        // Its ports are free as soon as its tasks have ended.
+        // The ports are free once the tasks have ended.
         timeout(PATIENCE, async {
             while flow::socket(address).is_err() || flow::socket(link).is_err() {
                 tokio::time::sleep(Duration::from_millis(1)).await;
@@ -178,11 +146,11 @@ mod tests {
     async fn strangers_and_crowds_are_turned_away() {
         let other: SocketAddr = "192.0.2.1:9".parse().unwrap();
         for (listen, server) in [(FREE, other), (other, FREE), ("0.0.0.0:0".parse().unwrap(), FREE)] {
-            let error = UdpRelay::start(listen, server, LinkSettings::default()).unwrap_err();
+            let error = start(listen, server, LinkSettings::default()).unwrap_err();
             assert!(error.to_string().contains("is not loopback"), "{error}");
         }
         let server = flow::socket(FREE).unwrap();
-        let relay = UdpRelay::start(FREE, server.local_addr().unwrap(), LinkSettings::default()).unwrap();
+        let relay = start(FREE, server.local_addr().unwrap(), LinkSettings::default()).unwrap();
         let mut clients = Vec::new();
         for _ in 0..MAX_CLIENTS {
             let client = flow::socket(FREE).unwrap();
