@@ -25,7 +25,10 @@ pub enum ClientError {
     Path(#[from] PathError),
     #[error(transparent)]
     Scene(#[from] SceneError),
-    #[error("no answer from {url} within {} s: is gnomon-server running there, and does UDP reach it?", after.as_secs_f64())]
+    #[error(
+        "no answer from {url} within {} s: is gnomon-server running there, and does UDP reach it?",
+        after.as_secs_f64()
+    )]
     Unreachable { url: Box<ServerUrl>, after: Duration },
     #[error("cannot connect to {url}: {reason}")]
     Connect { url: Box<ServerUrl>, reason: String },
@@ -34,7 +37,8 @@ pub enum ClientError {
     Certificate(Box<ServerUrl>),
     /// The server shows another certificate than the one pinned on the first visit.
     #[error(
-        "{0} has another certificate than on the first visit: use the URL that the server printed, if it is still that server"
+        "{0} has another certificate than on the first visit: use the URL that the server printed, if it is still that \
+         server"
     )]
     CertificateChanged(Box<ServerUrl>),
     #[error(transparent)]
@@ -62,7 +66,10 @@ pub enum ClientError {
     #[error("the session ended after {rendered} of {wanted} frames: {reason}")]
     Ended { rendered: u32, wanted: u32, reason: String },
     /// A frame's mask did not arrive (`--wait`).
-    #[error("no visibility for frame {frame} within {} s after {asked} requests: the path to the server loses too much", after.as_secs())]
+    #[error(
+        "no visibility for frame {frame} within {} s after {asked} requests: the path to the server loses too much",
+        after.as_secs()
+    )]
     NoVisibility { frame: FrameNumber, after: Duration, asked: u32 },
     /// The operating system refuses a thread or a runtime.
     #[error("cannot start: {0}")]

@@ -1,7 +1,7 @@
 //! Runs the frame loop on this machine: clock, server link, recording.
 //!
-//! A headless run and a window share it. They differ in where poses come from, which they pass to [`FrameDriver::draw`], and in where
-//! pictures go, which is a [`Sink`].
+//! A headless run and a window share it. They differ in where poses come from, which they pass to
+//! [`FrameDriver::draw`], and in where pictures go, which is a [`Sink`].
 
 use std::time::{Duration, Instant};
 

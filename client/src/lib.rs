@@ -3,7 +3,8 @@
 //! A frame's way: [`camera_path`] → pose out (`link/send.rs`) → G-buffer ([`render`]) → mask in (`link/receive.rs`) →
 //! `link/mask_buffer.rs` → shading → picture and statistics ([`headless`]). `frame_driver.rs` is where they meet.
 //!
-//! In a [`window`], poses come from a person ([`input`]) and pictures go to the screen, with an overlay. The rest is the same.
+//! In a [`window`], poses come from a person ([`input`]) and pictures go to the screen, with an overlay. The rest is
+//! the same.
 
 pub mod app;
 pub mod cli;

@@ -1,4 +1,4 @@
-//! From options to a scene: a local file, or what a server sends, and the session behind it.
+//! From options to a scene: a local file, or a server's scene and the session behind it.
 
 use std::sync::Arc;
 
@@ -8,41 +8,76 @@ use tokio::runtime::Runtime;
 
 use crate::{
     app::servers::{KnownServers, fingerprint},
+    camera_path::CameraPath,
+    default_path::default_path,
     error::ClientError,
     link::scene_cache::SceneCache,
     link::{
         certificate::fetch_certificate,
+        pending_session::PendingSession,
         receive_options::Reception,
-        reconnect::admit_patiently,
+        reconnect::open_with_retry,
         server_link::ServerLink,
-        session::{Admitted, Introduction, rate_hz},
+        session_spec::{SessionOptions, rate_hz},
         url::{ServerUrl, Transport},
     },
+    occluders::Occluders,
     options::{HeadlessOptions, Source},
+    render::exposure::Exposure,
 };
 
-/// Threads for the network: one can decode while another one sends.
+/// One thread can decode while another one sends.
 const NETWORK_THREADS: usize = 3;
 
-/// What the server agreed to, and the runtime that its tasks run on.
+/// A session that can start, and the runtime of its tasks.
 pub(crate) struct Connected {
     url: ServerUrl,
     runtime: Runtime,
-    admitted: Admitted,
+    pending: PendingSession,
 }
 
-/// How far getting a scene has come.
+/// All that drawing needs.
+pub(crate) struct Loaded {
+    pub(crate) scene: Scene,
+    pub(crate) connected: Option<Connected>,
+    pub(crate) camera_path: CameraPath,
+    pub(crate) exposure: Exposure,
+}
+
+/// Gets the scene as [`get_scene`], then a camera path and an exposure that suit it where `options` name none. Blocks.
+///
+/// # Errors
+/// As [`get_scene`].
+pub(crate) fn load(
+    options: &HeadlessOptions,
+    largest_mask: (u32, u32),
+    camera_path: Option<CameraPath>,
+    progress: impl FnMut(Step<'_>),
+) -> Result<Loaded, ClientError> {
+    let (scene, connected) = get_scene(options, largest_mask, progress)?;
+    let occluders = Occluders::largest_of(&scene);
+    let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
+    let exposure = Exposure::of_scene(&scene, &occluders);
+    let exposure = options.exposure_ev.map_or(exposure, |ev| exposure.at_ev(ev));
+    Ok(Loaded { scene, connected, camera_path, exposure })
+}
+
+/// Progress of getting a scene.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Step<'a> {
-    /// The server has let the client in.
     Admitted(&'a Welcome),
-    /// So many of the scene's bytes have come.
-    Fetching { have: u64, length: u64 },
-    /// All bytes are there, and are checked.
+    /// In bytes.
+    Fetching {
+        have: u64,
+        length: u64,
+    },
     Unpacking,
 }
 
-/// Gets the scene, and the server's consent to masks of at most `largest_mask` pixels. Blocks.
+/// Gets the scene, and a session with masks of at most `largest_mask` pixels. Blocks.
+///
+/// # Errors
+/// Errors if the file or the server's scene cannot be loaded, or the server refuses.
 pub(crate) fn get_scene(
     options: &HeadlessOptions,
     largest_mask: (u32, u32),
@@ -61,7 +96,7 @@ pub(crate) fn get_scene(
                 .enable_all()
                 .build()?;
             let (width, height) = largest_mask;
-            let introduction = Introduction {
+            let session = SessionOptions {
                 token: options.token.clone(),
                 width,
                 height,
@@ -73,7 +108,7 @@ pub(crate) fn get_scene(
             };
             let mut known = KnownServers::load();
             let cache = SceneCache::new(options.cache_dir.clone());
-            let (url, admitted, packed) = runtime.block_on(async {
+            let (url, pending, packed) = runtime.block_on(async {
                 let pinned = known.certificate_of(url);
                 let first_use = url.transport == Transport::Quic && url.certificate.is_none() && url.ca.is_none();
                 let url = match pinned {
@@ -85,45 +120,48 @@ pub(crate) fn get_scene(
                     Some(digest) if first_use => ServerUrl { certificate: Some(digest), ..url.clone() },
                     _ => url.clone(),
                 };
-                let admitted = admit_patiently(&url, &introduction).await;
-                let mut admitted = admitted.map_err(|error| match error {
+                let opened = open_with_retry(&url, &session).await;
+                let mut pending = opened.map_err(|error| match error {
                     ClientError::Certificate(url) if first_use => ClientError::CertificateChanged(url),
                     error => error,
                 })?;
                 if first_use || options.remember {
                     known.remember(&url);
                 }
-                progress(Step::Admitted(&admitted.welcome));
-                let packed = admitted.scene(&cache, |have, length| progress(Step::Fetching { have, length })).await?;
-                Ok::<_, ClientError>((url, admitted, packed))
+                progress(Step::Admitted(&pending.welcome));
+                let packed =
+                    pending.fetch_scene(&cache, |have, length| progress(Step::Fetching { have, length })).await?;
+                Ok::<_, ClientError>((url, pending, packed))
             })?;
             progress(Step::Unpacking);
             let scene = Scene::unpack(&packed)?;
-            let (lights, said) = (scene.lights.len(), admitted.welcome.lights);
-            if lights != said as usize {
-                let reason = format!("it says {said} lights, and its scene has {lights}");
+            let (lights, announced) = (scene.lights.len(), pending.welcome.lights);
+            if lights != announced as usize {
+                let reason = format!("it announced {announced} lights, and its scene has {lights}");
                 return Err(ClientError::Protocol { url: Box::new(url), reason });
             }
-            Ok((scene, Some(Connected { url, runtime, admitted })))
+            Ok((scene, Some(Connected { url, runtime, pending })))
         }
     }
 }
 
 impl Connected {
-    /// Where the server is, with the certificate that it has to show.
+    /// Returns the server's URL, with its pinned certificate.
     pub(crate) fn url(&self) -> &ServerUrl {
         &self.url
     }
 
-    /// What the server said of itself and the scene.
     pub(crate) fn welcome(&self) -> &Welcome {
-        &self.admitted.welcome
+        &self.pending.welcome
     }
 
-    /// Lets frames begin, with masks of at most `shape`.
+    /// Starts the session, with masks of at most `shape`.
+    ///
+    /// # Errors
+    /// Errors if the connection breaks.
     pub(crate) fn start(self, shape: MaskShape, reception: Reception) -> Result<ServerLink, ClientError> {
-        let Self { runtime, admitted, .. } = self;
-        let (session, masks) = runtime.block_on(admitted.start(shape, reception))?;
+        let Self { runtime, pending, .. } = self;
+        let (session, masks) = runtime.block_on(pending.start(shape, reception))?;
         Ok(ServerLink::new(Arc::new(runtime), session, masks))
     }
 }

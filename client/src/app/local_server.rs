@@ -51,8 +51,8 @@ pub struct LocalScene {
     pub lights: Option<u32>,
 }
 
-/// Creates a folder that is removed when dropped. Its name cannot be guessed, and only this user can read it: the server's key
-/// lies in it.
+/// Creates a folder that is removed when dropped. Its name cannot be guessed, and only this user can read it: the
+/// server's key lies in it.
 ///
 /// # Errors
 /// Errors if the system's temporary folder cannot be written.
@@ -70,8 +70,8 @@ pub struct LocalServer {
     _folder: TempDir,
 }
 
-/// The thread that started the server. The system ends a child with the thread that started it ([`command`]), so the thread
-/// lives as long.
+/// The thread that started the server. The system ends a child with the thread that started it ([`command`]), so the
+/// thread lives as long.
 #[derive(Debug)]
 struct ServerProcess {
     /// Dropping it stops the server.

@@ -1,4 +1,4 @@
-//! A client that draws nothing: poses out, masks in, and how long each took. For measuring servers.
+//! A client without renderer, for measuring servers: poses out, masks in, response times.
 
 use std::{
     collections::VecDeque,
@@ -14,59 +14,55 @@ use crate::{
     headless::stats::millis,
     link::{
         mask_buffer::{MaskReader, Waited},
+        pending_session::PendingSession,
         receive_options::Reception,
-        session::{Introduction, Session, admit, rate_hz},
+        session::Session,
+        session_spec::{SessionOptions, rate_hz},
         url::ServerUrl,
     },
 };
 
-/// How long a mask may take before the probe asks for the next frame instead.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// Time after which the probe requests the next frame instead.
+const MASK_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// What a probe asks for.
 #[derive(Debug, Clone)]
 pub struct ProbeOptions {
-    /// The server.
     pub url: ServerUrl,
-    /// Token, for a server that wants one.
     pub token: Option<String>,
-    /// Width of the masks, in pixels.
+    /// In pixels.
     pub width: u32,
-    /// Height of the masks, in pixels.
+    /// In pixels.
     pub height: u32,
-    /// Codec of the masks.
     pub codec: CodecId,
     /// Poses to send.
     pub frames: u32,
-    /// Poses a second; without, each pose follows the mask of the one before.
+    /// Poses a second; `None` sends each pose after the mask of the last.
     pub fps: Option<f64>,
-    /// Where on the path the first pose is, in seconds.
+    /// Time on the path of the first pose, in seconds.
     pub start_time_s: f64,
-    /// How long the server may take to answer at first.
     pub connect_timeout: Duration,
 }
 
 impl ProbeOptions {
-    /// How long a server may take to answer when nothing else is said.
-    pub const CONNECT_TIMEOUT: Duration = PATIENCE;
+    /// Default of `connect_timeout`.
+    pub const CONNECT_TIMEOUT: Duration = MASK_TIMEOUT;
 }
 
-/// What a probe saw.
 #[derive(Debug, Clone)]
 pub struct ProbeReport {
-    /// What the server says traces.
+    /// The server's tracing device.
     pub backend: String,
     /// Poses sent.
     pub poses: u32,
     /// Masks received whole.
     pub masks: u64,
-    /// Frames of which something came, but not all.
+    /// Frames that arrived only in part.
     pub incomplete: u64,
     /// From the first pose to the last mask.
     pub duration: Duration,
-    /// From a pose's departure until its mask was decoded, in milliseconds, for each mask seen.
+    /// From sending a pose to decoding its mask, in milliseconds, for each mask.
     pub responses_ms: Vec<f64>,
-    /// Bytes of all masks, packet headers not counted.
+    /// Bytes of all masks, without packet headers.
     pub payload_bytes: u64,
     /// Packets of all masks.
     pub packets: u64,
@@ -75,9 +71,9 @@ pub struct ProbeReport {
 /// Runs one probe to its end. Blocks the calling thread; the network runs on `runtime`.
 ///
 /// # Errors
-/// When the server cannot be reached, refuses, or ends the session.
+/// Errors if the server cannot be reached, refuses, or ends the session.
 pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) -> Result<ProbeReport, ClientError> {
-    let introduction = Introduction {
+    let session = SessionOptions {
         token: options.token.clone(),
         width: options.width,
         height: options.height,
@@ -87,10 +83,10 @@ pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) ->
         resume: None,
         connect_timeout: options.connect_timeout,
     };
-    let admitted = runtime.block_on(admit(&options.url, &introduction))?;
-    let backend = admitted.welcome.backend.clone();
-    let shape = MaskShape::new(options.width, options.height, admitted.welcome.lights)?;
-    let (session, masks) = runtime.block_on(admitted.start(shape, Reception::default()))?;
+    let pending = runtime.block_on(PendingSession::open(&options.url, &session))?;
+    let backend = pending.welcome.backend.clone();
+    let shape = MaskShape::new(options.width, options.height, pending.welcome.lights)?;
+    let (session, masks) = runtime.block_on(pending.start(shape, Reception::default()))?;
     let mut probe = Probe { session, masks, awaited: VecDeque::new(), responses_ms: Vec::new() };
     let begun = Instant::now();
     let ran = probe.run(options, path, begun);
@@ -113,7 +109,7 @@ pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) ->
 struct Probe {
     session: Session,
     masks: MaskReader,
-    /// Frames whose masks have not come, and when their poses left.
+    /// Frames whose masks are missing, and when their poses were sent.
     awaited: VecDeque<(FrameNumber, Instant)>,
     responses_ms: Vec<f64>,
 }
@@ -129,18 +125,18 @@ impl Probe {
             self.awaited.push_back((FrameNumber(frame), now));
             if options.fps.is_some() {
                 let next = begun + Duration::from_secs_f64(f64::from(frame + 1) * step_s);
-                while self.take_one(next)? {}
-            } else if !self.take_one(now + PATIENCE)? {
+                while self.wait_for_mask(next)? {}
+            } else if !self.wait_for_mask(now + MASK_TIMEOUT)? {
                 self.awaited.clear();
             }
         }
-        // What is still under way counts, as long as it comes without a pause.
-        while !self.awaited.is_empty() && self.take_one(Instant::now() + Duration::from_millis(500))? {}
+        // Masks in flight count, as long as they arrive without a pause.
+        while !self.awaited.is_empty() && self.wait_for_mask(Instant::now() + Duration::from_millis(500))? {}
         Ok(())
     }
 
-    /// Waits for a mask until `deadline`; whether one came is the answer. Frames before it will not come any more.
-    fn take_one(&mut self, deadline: Instant) -> Result<bool, ClientError> {
+    /// Waits for a mask until `deadline`. Returns whether one arrived. Frames before it will not arrive any more.
+    fn wait_for_mask(&mut self, deadline: Instant) -> Result<bool, ClientError> {
         match self.masks.wait_for_any(deadline) {
             Waited::Arrived => {}
             Waited::TimedOut | Waited::Lost => return Ok(false),
@@ -160,12 +156,12 @@ impl Probe {
     }
 }
 
-/// The pose at a time on the path, which starts again when it ends.
+/// Returns the pose at a time on the path, which repeats.
 fn pose(path: &CameraPath, time_s: f64, since_first: Duration, size: [u32; 2]) -> Pose {
     let duration_s = path.duration_s();
     let on_path_s = if duration_s > 0.0 { time_s % duration_s } else { 0.0 };
     let camera = path.camera(on_path_s, 1, 1);
-    #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³², as the pose says")]
+    #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³²")]
     let client_time_ms = since_first.as_millis() as u32;
     Pose {
         position_m: camera.position_m.to_array(),

@@ -8,16 +8,14 @@ use gnomon_scene::camera::Camera;
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use crate::{
-    app::connect::{Step, get_scene},
+    app::connect::{Loaded, Step, load},
     camera_path::CameraPath,
-    default_path::default_path,
     error::ClientError,
     frame_driver::{FrameDriver, Served, Shown, Sink},
     headless::pictures::PictureWriter,
     headless::progress::Progress,
     headless::stats::{FrameStats, StatsFile, Summary, mean, percentile},
     mode::{ModeMachine, State},
-    occluders::Occluders,
     options::{HeadlessOptions, MAX_FRAMES, Source},
     record::Recorder,
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, readback::PictureReader},
@@ -51,19 +49,15 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         ..GpuOptions::default()
     }))?;
     let progress = Progress::new(options.progress);
-    let (scene, connected) = get_scene(options, options.largest_mask(), |step| {
-        if let Step::Fetching { have, length } = step {
-            progress.fetching(have, length);
-        }
-    })?;
+    let Loaded { scene, connected, camera_path, exposure } =
+        load(options, options.largest_mask(), camera_path, |step| {
+            if let Step::Fetching { have, length } = step {
+                progress.fetching(have, length);
+            }
+        })?;
     let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
     let (width, height) = options.largest_mask();
     let shape = MaskShape::new(width, height, lights)?;
-
-    let occluders = Occluders::largest_of(&scene);
-    let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
-    let exposure = Exposure::of_scene(&scene, &occluders);
-    let exposure = options.exposure_ev.map_or(exposure, |ev| exposure.at_ev(ev));
     let renderer =
         FrameRenderer::new(&gpu, &scene, (options.width, options.height), exposure, PICTURE_FORMAT, options.predictor)?;
     let reader = PictureReader::new(&gpu, options.width, options.height, PICTURES_AHEAD);

@@ -6,8 +6,8 @@ use bytes::Bytes;
 use gnomon_protocol::limits::MAX_LAB_PACKET_BYTES;
 use tokio::{net::UdpSocket, sync::mpsc, task::JoinHandle};
 
-/// Packets that may wait while the receive task decodes: four frames of words at 1920×1080. The kernel's buffer often holds
-/// only three packets of this size.
+/// Packets that may wait while the receive task decodes: four frames of words at 1920×1080. The kernel's buffer often
+/// holds only three packets of this size.
 const WAITING_PACKETS: usize = 512;
 
 /// Packets over UDP. A task of its own empties the socket.

@@ -116,7 +116,8 @@ impl ServerConnection {
         Self { reader, writer: ControlWriter::new(writer, WRITE_TIMEOUT), transport, server }
     }
 
-    /// Returns why the connection closed; the server's own reason if it gave one. `None` while it is open, and on lab transports.
+    /// Returns why the connection closed; the server's own reason if it gave one. `None` while it is open, and on lab
+    /// transports.
     pub(crate) fn close_reason(&self) -> Option<String> {
         let TransportHandle::Quic(_, connection) = &self.transport else { return None };
         match connection.close_reason()? {

@@ -9,8 +9,8 @@ use parking_lot::Mutex;
 
 use super::connection::QuicHandle;
 
-/// Silence that counts as an outage: a server answers one ping a second. The connection may outlive it, but a new one is tried
-/// beside it.
+/// Silence that counts as an outage: a server answers one ping a second. The connection may outlive it, but a new one
+/// is tried beside it.
 const OUTAGE: Duration = Duration::from_secs(2);
 
 const CHECK_INTERVAL: Duration = Duration::from_millis(200);

@@ -1,13 +1,10 @@
 //! The mask queue between two threads: the receive task publishes, the renderer takes or waits.
 
-use std::{
-    collections::VecDeque,
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
-    time::Instant,
-};
+use std::{collections::VecDeque, sync::Arc, time::Instant};
 
 use gnomon_client_core::mask::{queue::MaskQueue, received::ReceivedMask};
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape};
+use parking_lot::{Condvar, Mutex};
 
 #[derive(Debug, Default)]
 struct Shared {
@@ -16,13 +13,8 @@ struct Shared {
 }
 
 impl Shared {
-    /// Ignores poisoning: the queue only swaps pointers, so a panic cannot leave it half changed.
-    fn lock(&self) -> MutexGuard<'_, MaskQueue> {
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn end(&self, reason: String) {
-        self.lock().end(reason);
+        self.queue.lock().end(reason);
         self.changed.notify_all();
     }
 }
@@ -70,13 +62,13 @@ impl MaskWriter {
 
     /// Hands the back buffer to the renderer; [`MaskQueue::publish`] says what it replaces.
     pub fn publish(&mut self) {
-        self.shared.lock().publish(&mut self.back);
+        self.shared.queue.lock().publish(&mut self.back);
         self.shared.changed.notify_all();
     }
 
     /// Reports a frame that arrived only in part.
     pub fn lose(&self) {
-        self.shared.lock().report_loss();
+        self.shared.queue.lock().report_loss();
         self.shared.changed.notify_all();
     }
 
@@ -114,7 +106,7 @@ impl Drop for MaskWriter {
 impl MaskReader {
     /// Takes the waiting masks, if there are any. Returns the newest mask and whether it is new.
     pub fn newest(&mut self) -> Option<(&ReceivedMask, bool)> {
-        let changed = self.shared.lock().take(&mut self.front);
+        let changed = self.shared.queue.lock().take(&mut self.front);
         self.front().map(|front| (front, changed))
     }
 
@@ -146,7 +138,7 @@ impl MaskReader {
         is_awaited: impl Fn(&ReceivedMask, bool) -> bool,
     ) -> Waited {
         let shared = Arc::clone(&self.shared);
-        let mut queue = shared.lock();
+        let mut queue = shared.queue.lock();
         loop {
             let fresh = queue.take(&mut self.front);
             if self.front().is_some_and(|front| is_awaited(front, fresh)) {
@@ -158,18 +150,17 @@ impl MaskReader {
             if queue.take_loss() && ends_on_loss {
                 return Waited::Lost;
             }
-            let now = Instant::now();
-            if now >= deadline {
+            if Instant::now() >= deadline {
                 return Waited::TimedOut;
             }
-            (queue, _) = shared.changed.wait_timeout(queue, deadline - now).unwrap_or_else(PoisonError::into_inner);
+            shared.changed.wait_until(&mut queue, deadline);
         }
     }
 
     /// Returns why no more masks will arrive, or `None` while they may.
     #[must_use]
     pub fn ended(&self) -> Option<String> {
-        self.shared.lock().ended().map(str::to_owned)
+        self.shared.queue.lock().ended().map(str::to_owned)
     }
 }
 

@@ -119,7 +119,8 @@ impl QuicError {
     }
 }
 
-/// Time after which another handshake starts beside one that has not finished: each lost packet doubles a handshake's wait.
+/// Time after which another handshake starts beside one that has not finished: each lost packet doubles a handshake's
+/// wait.
 const NEXT_HANDSHAKE: Duration = Duration::from_millis(1500);
 
 /// Handshakes that are tried with one address.
@@ -136,8 +137,8 @@ pub(super) enum Trust<'a> {
     Authority { file: &'a Path, name: &'a str },
 }
 
-/// Connects to the server at `address`. On a network that loses or corrupts many packets one handshake may fail, so several
-/// run side by side and the first success wins.
+/// Connects to the server at `address`. On a network that loses or corrupts many packets one handshake may fail, so
+/// several run side by side and the first success wins.
 ///
 /// # Errors
 /// Errors if the server shows a certificate that `trust` does not accept, or all handshakes fail.

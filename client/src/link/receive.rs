@@ -1,10 +1,6 @@
 //! The receive task: datagrams to the [`FrameReceiver`], its masks to the mask buffer, its feedback to the send task.
 
-use std::{
-    convert::Infallible,
-    sync::{Arc, Mutex, PoisonError},
-    time::Instant,
-};
+use std::{convert::Infallible, sync::Arc, time::Instant};
 
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
@@ -13,6 +9,7 @@ use gnomon_protocol::{
     receive::{Arrival, FrameReceiver, Requests},
 };
 use gnomon_transport::root_cause;
+use parking_lot::Mutex;
 use tokio::sync::watch;
 
 pub(crate) use gnomon_protocol::receive::ReceiverCounters as Received;
@@ -28,11 +25,11 @@ pub(crate) struct Requested(Arc<Mutex<Requests>>);
 
 impl Requested {
     pub(crate) fn change(&self, change: impl FnOnce(&mut Requests)) {
-        change(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner));
+        change(&mut self.0.lock());
     }
 
     fn get(&self) -> Requests {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        *self.0.lock()
     }
 }
 
@@ -48,8 +45,8 @@ pub(crate) struct ReceiveTask {
 }
 
 impl ReceiveTask {
-    /// Receives until the link is gone. Returns the reason and the renderer's end, still open: the control stream may know a
-    /// better reason.
+    /// Receives until the link is gone. Returns the reason and the renderer's end, still open: the control stream may
+    /// know a better reason.
     pub(crate) async fn run(mut self) -> (String, MaskWriter) {
         match self.receive().await {
             Ok(never) => match never {},
@@ -81,7 +78,7 @@ impl ReceiveTask {
             if let Some(feedback) = self.receiver.poll_loss_feedback() {
                 self.report_losses.send_replace(Some(feedback));
             }
-            *self.counters.lock().unwrap_or_else(PoisonError::into_inner) = self.receiver.counters();
+            *self.counters.lock() = self.receiver.counters();
             if self.receiver.poll_loss() {
                 self.writer.lose();
             }

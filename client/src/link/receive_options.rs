@@ -53,6 +53,7 @@ pub(crate) struct Reception {
     pub(crate) reports_losses: bool,
     /// Folder for the body of each whole frame. Each is then coded without a reference.
     pub(crate) save_masks: Option<PathBuf>,
-    /// File to which each delivered mask adds a line: frame, packets received or restored, packets restored, packets missing.
+    /// File to which each delivered mask adds a line: frame, packets received or restored, packets restored, packets
+    /// missing.
     pub(crate) mask_log: Option<PathBuf>,
 }

@@ -1,8 +1,8 @@
 //! Packed scenes on disk, by their digest.
 //!
-//! `DIGEST.scene` is used only if its bytes have that digest. A scene that is being fetched grows in `DIGEST.part`, which one
-//! client at a time holds locked. A fetch that broke off resumes where it stopped. If the cache cannot be written, clients
-//! work without it.
+//! `DIGEST.scene` is used only if its bytes have that digest. A scene that is being fetched grows in `DIGEST.part`,
+//! which one client at a time holds locked. A fetch that broke off resumes where it stopped. If the cache cannot be
+//! written, clients work without it.
 
 use std::{
     fs::{File, OpenOptions},
@@ -162,8 +162,8 @@ impl SceneFetch {
         Ok(())
     }
 
-    /// Returns the scene and caches it. `None` if the bytes from an earlier run were damaged: they are discarded, and all has
-    /// to be fetched again.
+    /// Returns the scene and caches it. `None` if the bytes from an earlier run were damaged: they are discarded, and
+    /// all has to be fetched again.
     ///
     /// # Errors
     /// Errors if the server sent another scene.

@@ -1,4 +1,5 @@
-//! The send task: sends the newest pose, acknowledgement and loss feedback. What was replaced before its turn is not sent.
+//! The send task: sends the newest pose, acknowledgement and loss feedback. What was replaced before its turn is not
+//! sent.
 
 use std::{convert::Infallible, io};
 

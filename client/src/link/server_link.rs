@@ -1,4 +1,5 @@
-//! The link to a server: poses go out, masks come in. When the server is lost, a new connection is sought in the background.
+//! The link to a server: poses go out, masks come in. When the server is lost, a new connection is sought in the
+//! background.
 
 use std::{
     sync::Arc,
@@ -12,7 +13,7 @@ use tokio::runtime::Runtime;
 use super::{
     mask_buffer::{MaskReader, Waited},
     receive::Received,
-    reconnect::Redial,
+    reconnect::Reconnect,
     session::Session,
     state::LinkState,
 };
@@ -32,7 +33,7 @@ pub(crate) struct ServerLink {
     runtime: Arc<Runtime>,
     session: Session,
     masks: MaskReader,
-    redial: Option<Redial>,
+    reconnect: Option<Reconnect>,
     poses_repeated: u32,
     reconnects: u32,
     /// Counters of earlier connections.
@@ -54,7 +55,7 @@ impl ServerLink {
             runtime,
             session,
             masks,
-            redial: None,
+            reconnect: None,
             poses_repeated: 0,
             reconnects: 0,
             received_before: Received::default(),
@@ -63,10 +64,10 @@ impl ServerLink {
 
     pub(crate) fn state(&self) -> LinkState {
         let health = self.session.health();
-        match (&self.redial, self.masks.ended(), health.draining) {
+        match (&self.reconnect, self.masks.ended(), health.draining) {
             (None, Some(reason), _) => LinkState::Lost { reason, retry_at: None },
-            (Some(redial), Some(_), _) => redial.state(),
-            (Some(redial), None, _) if health.silent => redial.state(),
+            (Some(reconnect), Some(_), _) => reconnect.state(),
+            (Some(reconnect), None, _) if health.silent => reconnect.state(),
             (_, None, Some(notice)) => LinkState::Draining {
                 reason: notice.reason,
                 deadline: notice.deadline,
@@ -76,8 +77,9 @@ impl ServerLink {
         }
     }
 
-    /// Starts or ends the search for a connection: sought when the server is lost, silent, or about to stop and names another one. The
-    /// old connection serves for as long as it can. Returns whether a new one has just taken its place.
+    /// Starts or ends the search for a connection: sought when the server is lost, silent, or about to stop and names
+    /// another one. The old connection serves for as long as it can. Returns whether a new one has just taken its
+    /// place.
     pub(crate) fn maintain(&mut self) -> bool {
         let health = self.session.health();
         let lost = self.masks.ended().or_else(|| health.silent.then(|| "the server is silent".to_owned()));
@@ -85,19 +87,19 @@ impl ServerLink {
             let url = notice.alternative?;
             url.parse().inspect_err(|error| tracing::warn!(%error, url, "the server's alternative is no URL")).ok()
         });
-        match (&mut self.redial, lost, alternative) {
+        match (&mut self.reconnect, lost, alternative) {
             (None, None, None) => {}
             (None, lost, alternative) => {
                 let reason = lost.unwrap_or_else(|| "the server stops".to_owned());
-                let (runtime, again) = (self.runtime.handle(), self.session.again().clone());
-                self.redial = Some(Redial::start(runtime, again, alternative, reason));
+                let (runtime, spec) = (self.runtime.handle(), self.session.spec().clone());
+                self.reconnect = Some(Reconnect::start(runtime, spec, alternative, reason));
             }
             // The outage is over.
-            (Some(_), None, None) => self.redial = None,
-            (Some(redial), _, _) => {
-                if let Some((session, masks)) = redial.take_found() {
-                    tracing::info!(server = %session.again().url, "connected again");
-                    self.redial = None;
+            (Some(_), None, None) => self.reconnect = None,
+            (Some(reconnect), _, _) => {
+                if let Some((session, masks)) = reconnect.poll() {
+                    tracing::info!(server = %session.spec().url, "connected again");
+                    self.reconnect = None;
                     self.received_before = self.received();
                     self.masks = masks;
                     let old = std::mem::replace(&mut self.session, session);
@@ -130,9 +132,9 @@ impl ServerLink {
         self.masks.taken()
     }
 
-    /// Waits for exactly this frame's mask; [`Self::taken_masks`] has it then. Sends the pose again at once when a part of the mask was
-    /// lost, or else after four round trips and twice the slowest response of late, and then after twice as long each time, so that a
-    /// slow server is not flooded.
+    /// Waits for exactly this frame's mask; [`Self::taken_masks`] has it then. Sends the pose again at once when a part
+    /// of the mask was lost, or else after four round trips and twice the slowest response of late, and then after
+    /// twice as long each time, so that a slow server is not flooded.
     ///
     /// # Errors
     /// What `ended` makes of the reason if no more masks will arrive; [`ClientError::NoVisibility`] after [`GIVE_UP`].
@@ -147,7 +149,8 @@ impl ServerLink {
         let usual = matcher.slowest_response().map_or(FIRST_RESPONSE, |slowest| slowest * 2);
         let mut patience = (round_trip * 4).max(MIN_PATIENCE).max(usual);
         let mut asked = 1;
-        // Whether this frame's mask is in the front buffer and was rejected: waiting for the frame would return at once.
+        // Whether this frame's mask is in the front buffer and was rejected: waiting for the frame would return at
+        // once.
         let mut rejected = false;
         loop {
             let deadline = Instant::now() + patience;

@@ -44,8 +44,8 @@ pub struct ServerUrl {
     pub host: String,
     /// UDP port (QUIC), or TCP port of the control conversation (lab transports).
     pub port: u16,
-    /// SHA-256 of the certificate that the server must show. `None` if `ca` is there, on a first visit (`?cert=first-use`), and
-    /// for lab transports.
+    /// SHA-256 of the certificate that the server must show. `None` if `ca` is there, on a first visit
+    /// (`?cert=first-use`), and for lab transports.
     pub certificate: Option<[u8; 32]>,
     /// Local PEM file with the authorities that may sign the server's certificate.
     pub ca: Option<PathBuf>,
@@ -63,8 +63,8 @@ pub enum UrlError {
     #[error("the URL has no port: use the line that the server printed, gnomon://HOST:PORT/?cert=SHA256")]
     Port,
     #[error(
-        "the URL lacks ?cert=SHA256, which identifies the server: use the line that the server printed, or name the PEM file of its \
-         authority as ?ca=FILE"
+        "the URL lacks ?cert=SHA256, which identifies the server: use the line that the server printed, or name the \
+         PEM file of its authority as ?ca=FILE"
     )]
     NoCertificate,
     #[error("cert={0:?} is not a SHA-256: it must have 64 hexadecimal digits")]

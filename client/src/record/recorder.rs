@@ -27,7 +27,8 @@ pub(crate) struct Recorder {
 }
 
 impl Recorder {
-    /// Starts the recording that `options` request, if they do. `width` and `height` are those of the pictures, in pixels.
+    /// Starts the recording that `options` request, if they do. `width` and `height` are those of the pictures, in
+    /// pixels.
     pub(crate) fn for_run(
         options: &HeadlessOptions,
         (width, height): (u32, u32),

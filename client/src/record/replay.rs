@@ -1,4 +1,5 @@
-//! Draws a recording again: the same calls to the same renderer give the same pictures, bit by bit, on the same adapter.
+//! Draws a recording again: the same calls to the same renderer give the same pictures, bit by bit, on the same
+//! adapter.
 
 use std::{
     fs::File,

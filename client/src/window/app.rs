@@ -192,7 +192,7 @@ impl App {
                 let motion = self.controls.take(step_s, f64::from(screen.size().1));
                 let first = play.figures.now().is_none();
                 let drawn = play.frame(screen, &mut self.settings, &motion, step_s).map(drop);
-                if let Some(text) = play.said.take() {
+                if let Some(text) = play.message.take() {
                     self.notice = Some((text, now));
                 }
                 if first {

@@ -1,33 +1,19 @@
 //! Gets the scene on a thread of its own while the window shows the progress.
 
 use std::{
-    sync::{
-        Arc,
-        mpsc::{Receiver, TryRecvError, sync_channel},
-    },
+    sync::Arc,
     time::{Duration, Instant},
 };
 
-use gnomon_scene::Scene;
 use parking_lot::Mutex;
 
+use super::background::Background;
 use crate::{
-    app::connect::{Connected, Step, get_scene},
+    app::connect::{Loaded, Step, load},
     camera_path::CameraPath,
-    default_path::default_path,
     error::ClientError,
-    occluders::Occluders,
     options::HeadlessOptions,
-    render::exposure::Exposure,
 };
-
-/// All that drawing needs.
-pub(crate) struct Loaded {
-    pub(crate) scene: Scene,
-    pub(crate) connected: Option<Connected>,
-    pub(crate) camera_path: CameraPath,
-    pub(crate) exposure: Exposure,
-}
 
 /// Progress of the loading thread.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,30 +26,35 @@ pub(crate) enum Progress {
 /// A scene that is being loaded.
 pub(crate) struct Loading {
     progress: Arc<Mutex<Progress>>,
-    done: Receiver<Result<Loaded, ClientError>>,
+    work: Background<Loaded>,
 }
 
 impl Loading {
     /// Starts the thread.
     ///
     /// # Errors
-    /// Errors if there can be no thread.
+    /// Errors if the system refuses a thread.
     pub(crate) fn start(
         options: HeadlessOptions,
         largest_mask: (u32, u32),
         camera_path: Option<CameraPath>,
     ) -> Result<Self, ClientError> {
         let progress = Arc::new(Mutex::new(Progress::Connecting));
-        let (send, done) = sync_channel(1);
         let shared = Arc::clone(&progress);
-        std::thread::Builder::new().name("loading".to_owned()).spawn(move || {
-            let loaded = load(&options, largest_mask, camera_path, |progress| {
-                *shared.lock() = progress;
-            });
-            // A window that was closed meanwhile has dropped its end.
-            let _ = send.send(loaded);
+        let work = Background::spawn("loading", move || {
+            let mut since = None;
+            load(&options, largest_mask, camera_path, |step| match step {
+                Step::Admitted(welcome) => {
+                    tracing::info!(backend = welcome.backend, lights = welcome.lights, "admitted");
+                }
+                Step::Fetching { have, length } => {
+                    let since = *since.get_or_insert_with(Instant::now);
+                    *shared.lock() = Progress::Fetching { have, length, since };
+                }
+                Step::Unpacking => *shared.lock() = Progress::Unpacking,
+            })
         })?;
-        Ok(Self { progress, done })
+        Ok(Self { progress, work })
     }
 
     pub(crate) fn progress(&self) -> Progress {
@@ -72,36 +63,8 @@ impl Loading {
 
     /// Returns the result once loading has ended.
     pub(crate) fn poll(&self) -> Option<Result<Loaded, ClientError>> {
-        match self.done.try_recv() {
-            Ok(result) => Some(result),
-            Err(TryRecvError::Empty) => None,
-            Err(TryRecvError::Disconnected) => {
-                Some(Err(ClientError::System(std::io::Error::other("the loading thread has stopped"))))
-            }
-        }
+        self.work.poll()
     }
-}
-
-fn load(
-    options: &HeadlessOptions,
-    largest_mask: (u32, u32),
-    camera_path: Option<CameraPath>,
-    mut report: impl FnMut(Progress),
-) -> Result<Loaded, ClientError> {
-    let mut since = None;
-    let (scene, connected) = get_scene(options, largest_mask, |step| match step {
-        Step::Admitted(welcome) => tracing::info!(backend = welcome.backend, lights = welcome.lights, "admitted"),
-        Step::Fetching { have, length } => {
-            let since = *since.get_or_insert_with(Instant::now);
-            report(Progress::Fetching { have, length, since });
-        }
-        Step::Unpacking => report(Progress::Unpacking),
-    })?;
-    let occluders = Occluders::largest_of(&scene);
-    let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
-    let exposure = Exposure::of_scene(&scene, &occluders);
-    let exposure = options.exposure_ev.map_or(exposure, |ev| exposure.at_ev(ev));
-    Ok(Loaded { scene, connected, camera_path, exposure })
 }
 
 impl Progress {

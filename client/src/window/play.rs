@@ -1,4 +1,4 @@
-//! A scene that is being looked at: poses from a person or from the camera path, frames from the loop that headless runs use.
+//! A scene on the screen: poses from a person or the camera path, frames from the driver that headless runs use.
 
 use std::time::{Duration, Instant};
 
@@ -8,12 +8,12 @@ use gnomon_scene::camera::Camera;
 use gnomon_shaders::gpu::Gpu;
 
 use super::{
-    loading::Loaded,
-    reference::{Reference, Starting, local_scene},
+    background::Background,
+    reference::{self, Ready, Reference, local_scene},
     screen::Screen,
 };
 use crate::{
-    app::local_server::LocalServer,
+    app::{connect::Loaded, local_server::LocalServer},
     camera_path::CameraPath,
     error::ClientError,
     frame_driver::FrameDriver,
@@ -29,55 +29,54 @@ use crate::{
     window::overlay::figures::Figures,
 };
 
-/// Time in which a person crosses the scene at first, in seconds.
+/// Time to cross the scene at the initial speed, in seconds.
 const CROSSING_S: f64 = 12.0;
 
-/// Speeds to begin with, in metres a second: from a stroll to a drive.
-const FIRST_SPEEDS_M_PER_S: (f64, f64) = (0.3, 20.0);
+/// Bounds of the initial speed: from a stroll to a drive.
+const INITIAL_SPEEDS_M_PER_S: (f64, f64) = (0.3, 20.0);
 
-/// A window that has not changed its size for so long gets pictures of its new size; until then they are stretched.
-const SETTLED: Duration = Duration::from_millis(150);
+/// Pictures are stretched until the window has kept its new size for so long.
+const RESIZE_DELAY: Duration = Duration::from_millis(150);
 
-/// The scene and whoever looks at it.
 pub(crate) struct Play {
     driver: FrameDriver,
-    /// Where the server is, and what it said of itself.
+    /// The server's URL and its Welcome.
     pub(crate) server: Option<(ServerUrl, Welcome)>,
     pub(crate) figures: Figures,
     pub(crate) fly: Fly,
     camera_path: CameraPath,
-    /// Where on the path the camera is, in seconds, while it follows the path.
-    on_path_s: Option<f64>,
+    /// Follow the path instead of the person.
+    follows_path: bool,
+    /// Time on the path, in seconds.
     path_s: f64,
     next: u32,
     applied: Settings,
     view: DebugView,
     /// Largest picture, in pixels.
     largest: (u32, u32),
-    /// A size that the window has, and since when.
-    wanted: ((u32, u32), Instant),
+    /// The window's size, and since when.
+    window_size: ((u32, u32), Instant),
     stats: Option<StatsFile>,
     options: HeadlessOptions,
-    reference: Beside,
-    /// Something that the person should know, once.
-    pub(crate) said: Option<String>,
+    reference: LocalReference,
+    /// A message to show once.
+    pub(crate) message: Option<String>,
 }
 
-/// How it is with the local reference.
-enum Beside {
-    Unwanted,
-    Starting(Starting),
+enum LocalReference {
+    Off,
+    Starting(Background<Ready>),
     Drawing(Box<Reference>),
 }
 
-/// The largest mask that will ever be asked for around pictures of at most `picture` pixels.
+/// Returns the largest mask that will be requested for pictures of at most `picture` pixels.
 pub(crate) fn largest_mask(picture: (u32, u32)) -> (u32, u32) {
-    // Guard bands can be chosen later.
+    // The person may choose a guard band later.
     let band = GuardSize { width: 640, height: 360 }.around(picture);
     (picture.0 + band.width, picture.1 + band.height)
 }
 
-/// `size`, made smaller where it is larger than pictures may be; its shape is kept.
+/// Shrinks a size to what pictures may have. Keeps its aspect ratio.
 pub(crate) fn fitted((width, height): (u32, u32), largest: (u32, u32)) -> (u32, u32) {
     let (width, height) = (f64::from(width.max(1)), f64::from(height.max(1)));
     let side = (f64::from(largest.0) / width).min(f64::from(largest.1) / height);
@@ -88,7 +87,7 @@ pub(crate) fn fitted((width, height): (u32, u32), largest: (u32, u32)) -> (u32, 
 }
 
 impl Play {
-    /// Begins with what has been loaded, in pictures as large as the screen.
+    /// Starts the session, with pictures as large as the screen.
     pub(crate) fn start(
         screen: &Screen,
         loaded: Loaded,
@@ -102,7 +101,7 @@ impl Play {
         let size = fitted(screen.size(), largest);
         let renderer = FrameRenderer::new(&screen.gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predictor)?;
         let extent_m = f64::from((scene.bounds.max - scene.bounds.min).length());
-        let speed = (extent_m / CROSSING_S).clamp(FIRST_SPEEDS_M_PER_S.0, FIRST_SPEEDS_M_PER_S.1);
+        let speed = (extent_m / CROSSING_S).clamp(INITIAL_SPEEDS_M_PER_S.0, INITIAL_SPEEDS_M_PER_S.1);
         let (width, height) = largest_mask(largest);
         let shape = MaskShape::new(width, height, lights)?;
         let server = connected.as_ref().map(|connected| (connected.url().clone(), connected.welcome().clone()));
@@ -124,35 +123,32 @@ impl Play {
             figures: Figures::default(),
             fly: Fly::from_camera(&first, speed),
             camera_path,
-            on_path_s: None,
+            follows_path: false,
             path_s: options.start_time_s,
             next: 0,
-            // Chosen while the scene came: the renderer knows of none of it.
+            // The renderer does not know what was chosen during loading.
             applied: Settings { split: Split::Off, ..settings.clone() },
             view: DebugView::Picture,
             largest,
-            wanted: (size, Instant::now()),
+            window_size: (size, Instant::now()),
             stats: options.stats.as_deref().map(StatsFile::create).transpose()?,
             options: options.clone(),
-            reference: Beside::Unwanted,
-            said: None,
+            reference: LocalReference::Off,
+            message: None,
         })
     }
 
-    /// The camera path instead of the person, or the person again, from where the camera is.
+    /// Switches between the camera path and the person, who continues from the camera's place on the path.
     pub(crate) fn toggle_path(&mut self) {
-        let (width, height) = self.driver.frames.renderer.size();
-        match self.on_path_s.take() {
-            None => self.on_path_s = Some(self.path_s),
-            Some(time_s) => {
-                let camera = self.camera_path.camera(time_s, width, height);
-                self.fly = Fly::from_camera(&camera, self.fly.speed_m_per_s());
-                self.path_s = time_s;
-            }
+        if self.follows_path {
+            let (width, height) = self.size();
+            let camera = self.camera_path.camera(self.path_s, width, height);
+            self.fly = Fly::from_camera(&camera, self.fly.speed_m_per_s());
         }
+        self.follows_path = !self.follows_path;
     }
 
-    /// Draws the next frame, `step_s` seconds after the one before.
+    /// Draws the next frame, `step_s` seconds after the last.
     pub(crate) fn frame(
         &mut self,
         screen: &mut Screen,
@@ -160,18 +156,15 @@ impl Play {
         motion: &Motion,
         step_s: f64,
     ) -> Result<FrameStats, ClientError> {
-        self.follow(screen.size())?;
+        self.resize(screen.size())?;
         self.apply(screen, settings)?;
         let (width, height) = self.driver.frames.renderer.size();
-        let camera = match &mut self.on_path_s {
-            Some(time_s) => {
-                *time_s += step_s;
-                self.camera_path.camera(*time_s, width, height)
-            }
-            None => {
-                self.fly.step(motion, step_s);
-                self.fly.camera(width, height)
-            }
+        let camera = if self.follows_path {
+            self.path_s += step_s;
+            self.camera_path.camera(self.path_s, width, height)
+        } else {
+            self.fly.step(motion, step_s);
+            self.fly.camera(width, height)
         };
         let scene_time_s = self.driver.frames.started().elapsed().as_secs_f64();
         if settings.split == Split::Reference {
@@ -179,8 +172,8 @@ impl Play {
                 Ok(drawn) => screen.right_half = drawn.map(|picture| (picture, width / 2)),
                 Err(error) => {
                     tracing::warn!(%error, "no local reference");
-                    self.reference = Beside::Unwanted;
-                    self.said = Some(format!("no local reference: {error}"));
+                    self.reference = LocalReference::Off;
+                    self.message = Some(format!("no local reference: {error}"));
                     settings.split = Split::Off;
                 }
             }
@@ -196,66 +189,65 @@ impl Play {
         Ok(drawn)
     }
 
-    /// Width and height of the pictures, in pixels.
+    /// Returns width and height of the pictures, in pixels.
     pub(crate) fn size(&self) -> (u32, u32) {
         self.driver.frames.renderer.size()
     }
 
-    /// Whether there is a local reference to be shown.
     pub(crate) fn has_reference(&self) -> bool {
-        matches!(self.reference, Beside::Drawing(_))
+        matches!(self.reference, LocalReference::Drawing(_))
     }
 
-    /// Something about the server that the person should know.
+    /// Returns a message about the server; `None` while all is well.
     pub(crate) fn notice(&self) -> Option<String> {
         self.driver.link_state()?.message(Instant::now())
     }
 
-    /// The whole picture as it should be, once there is a server beside the client that knows.
+    /// Returns the reference picture, once the local server runs.
     fn draw_reference(&mut self, gpu: &Gpu, looked_at: (Camera, f64)) -> Result<Option<wgpu::Texture>, ClientError> {
         let (size, largest) = (self.size(), largest_mask(self.largest));
         match &mut self.reference {
-            Beside::Unwanted => {
+            LocalReference::Off => {
                 let welcome = self.server.as_ref().map(|(_, welcome)| welcome);
                 let scene = local_scene(&self.options, welcome)?;
                 let digest = welcome.map(|welcome| welcome.scene_digest);
-                self.reference = Beside::Starting(Starting::begin(scene, digest, &self.options, largest)?);
-                self.said = Some("a server on this machine is started for the reference".to_owned());
+                self.reference = LocalReference::Starting(reference::start(scene, digest, &self.options, largest)?);
+                self.message = Some("starting a local server for the reference".to_owned());
                 Ok(None)
             }
-            Beside::Starting(starting) => {
-                if let Some(ready) = starting.take() {
+            LocalReference::Starting(starting) => {
+                if let Some(ready) = starting.poll() {
                     let exposure = self.driver.frames.renderer.exposure();
                     let reference = Reference::new(gpu, ready?, size, exposure, largest)?;
-                    self.reference = Beside::Drawing(Box::new(reference));
+                    self.reference = LocalReference::Drawing(Box::new(reference));
                 }
                 Ok(None)
             }
-            Beside::Drawing(reference) => {
+            LocalReference::Drawing(reference) => {
                 reference.draw(gpu, size, looked_at, (self.applied.lights_on, self.view)).map(Some)
             }
         }
     }
 
-    /// Leaves the server and writes what is still to be written.
+    /// Leaves the server and finishes all files.
     pub(crate) fn finish(mut self) -> Result<(), ClientError> {
         self.driver.leave();
         self.driver.recorder.take().map_or(Ok(()), Recorder::finish)?;
         self.stats.map_or(Ok(()), StatsFile::finish)
     }
 
-    /// Writes down what the renderer is told.
+    /// Adds a record to the recording, if there is one.
     fn record(&mut self, record: &Record) -> Result<(), ClientError> {
         self.driver.recorder.as_mut().map_or(Ok(()), |recorder| recorder.write(record))
     }
 
-    /// Follows the window's size.
-    fn follow(&mut self, screen: (u32, u32)) -> Result<(), ClientError> {
+    /// Resizes the pictures after the window.
+    fn resize(&mut self, screen: (u32, u32)) -> Result<(), ClientError> {
         let size = fitted(screen, self.largest);
-        if self.wanted.0 != size {
-            self.wanted = (size, Instant::now());
+        if self.window_size.0 != size {
+            self.window_size = (size, Instant::now());
         }
-        if size != self.size() && self.wanted.1.elapsed() >= SETTLED {
+        if size != self.size() && self.window_size.1.elapsed() >= RESIZE_DELAY {
             self.driver.frames.renderer.resize(size)?;
             self.record(&Record::Size([size.0, size.1]))?;
             self.driver.frames.guard = GuardChoice::new(self.applied.guard, size);
@@ -269,14 +261,14 @@ impl Play {
         self.driver.frames.renderer.set_split(unlit_from_px);
         self.record(&Record::Split(unlit_from_px))?;
         if split == Split::Reference {
-            // Its server's masks are in no recording.
-            let text = "the right half is a local reference, and is not drawn again".to_owned();
+            // The local server's masks are not recorded.
+            let text = "the right half is a local reference, which replays do not draw".to_owned();
             self.record(&Record::Event { frame: self.next, text })?;
         }
         Ok(())
     }
 
-    /// Does what has been chosen since the frame before.
+    /// Applies what the person has chosen since the last frame.
     fn apply(&mut self, screen: &mut Screen, settings: &Settings) -> Result<(), ClientError> {
         if settings.predictor != self.applied.predictor {
             self.driver.frames.renderer.set_predictor(settings.predictor);
@@ -310,7 +302,7 @@ impl Play {
     }
 }
 
-/// What can be changed, as the command line has it.
+/// Returns the initial settings.
 pub(crate) fn settings(options: &HeadlessOptions, vsync: bool) -> Settings {
     Settings {
         predictor: options.predictor,
@@ -336,7 +328,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pictures_are_as_large_as_the_window_and_never_larger_than_agreed() {
+    fn pictures_fit_the_window_and_the_agreed_size() {
         for (window, largest, picture) in [
             ((1280, 720), (1920, 1080), (1280, 720)),
             ((3840, 2160), (1920, 1080), (1920, 1080)),

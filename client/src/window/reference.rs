@@ -1,13 +1,10 @@
-//! The local reference: the right half of the picture, shaded with what a server on this machine has traced for exactly it.
+//! The local reference: a server on this machine traces exactly the picture in the right half.
 //!
-//! The server is a child on loopback with the scene that the client was sent. The picture waits for its mask, so that both halves are of
-//! the same moment; a machine that traces slowly shows fewer pictures meanwhile. Once started it stays until the window closes, and an idle
-//! session costs nothing.
+//! The server is a child process on loopback with the scene that the client received. The picture waits for its mask,
+//! so that both halves show the same moment; a slow machine shows fewer pictures meanwhile. Once started, the server
+//! runs until the window closes: an idle session costs nothing.
 
-use std::{
-    sync::mpsc::{Receiver, TryRecvError, sync_channel},
-    time::Instant,
-};
+use std::time::Instant;
 
 use gnomon_client_core::frame::frame_loop::{FrameLoop, MaskSource};
 use gnomon_protocol::{
@@ -18,6 +15,7 @@ use gnomon_protocol::{
 use gnomon_scene::{Scene, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 
+use super::background::Background;
 use crate::{
     app::connect::{Connected, get_scene},
     app::local_server::{LocalScene, LocalServer, LocalServerError, temporary_folder},
@@ -30,10 +28,10 @@ use crate::{
     render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView, exposure::Exposure, targets},
 };
 
-/// The scene that a window shows, for a server on this machine.
+/// Returns the file of the scene that the window shows.
 ///
 /// # Errors
-/// When the client has no file of it: its cache cannot be written.
+/// Errors if the scene is not cached.
 pub(super) fn local_scene(
     options: &HeadlessOptions,
     welcome: Option<&Welcome>,
@@ -51,46 +49,25 @@ pub(super) fn local_scene(
     }
 }
 
-/// A reference that is on its way.
-pub(super) struct Starting(Receiver<Result<Ready, ClientError>>);
-
-/// A server that listens, and a session with it.
+/// A local server and a session with it.
 pub(super) struct Ready {
     server: LocalServer,
     scene: Scene,
     connected: Connected,
 }
 
-impl Starting {
-    /// Starts the server on a thread of its own. `digest` is what its scene must have.
-    ///
-    /// # Errors
-    /// When there can be no thread.
-    pub(super) fn begin(
-        scene: LocalScene,
-        digest: Option<SceneDigest>,
-        options: &HeadlessOptions,
-        largest: (u32, u32),
-    ) -> Result<Self, ClientError> {
-        let (send, done) = sync_channel(1);
-        let options = options.clone();
-        std::thread::Builder::new().name("reference".to_owned()).spawn(move || {
-            // A window that has been closed meanwhile wants nothing, and the server goes.
-            let _ = send.send(prepare(&scene, digest, &options, largest));
-        })?;
-        Ok(Self(done))
-    }
-
-    /// What came of it, once that is known.
-    pub(super) fn take(&self) -> Option<Result<Ready, ClientError>> {
-        match self.0.try_recv() {
-            Ok(result) => Some(result),
-            Err(TryRecvError::Empty) => None,
-            Err(TryRecvError::Disconnected) => {
-                Some(Err(ClientError::System(std::io::Error::other("the thread of the reference has stopped"))))
-            }
-        }
-    }
+/// Starts the server on a thread of its own. Its scene must have `digest`, if there is one.
+///
+/// # Errors
+/// Errors if the system refuses a thread.
+pub(super) fn start(
+    scene: LocalScene,
+    digest: Option<SceneDigest>,
+    options: &HeadlessOptions,
+    largest_mask: (u32, u32),
+) -> Result<Background<Ready>, ClientError> {
+    let options = options.clone();
+    Background::spawn("reference", move || prepare(&scene, digest, &options, largest_mask))
 }
 
 fn prepare(
@@ -112,29 +89,29 @@ fn prepare(
             Ok(Ready { server, scene, connected })
         }
         _ => {
-            let reason = "it traces another scene than the server".to_owned();
+            let reason = "the local server has another scene".to_owned();
             Err(ClientError::Protocol { url: Box::new(server.url().clone()), reason })
         }
     }
 }
 
-/// Draws what the picture should be.
+/// Draws the reference picture.
 pub(super) struct Reference {
     driver: FrameDriver,
     target: wgpu::Texture,
     view: wgpu::TextureView,
     next: u32,
-    /// Lights and debug view, as they were set last.
-    shown: (u32, DebugView),
-    /// Goes after the session with it.
+    /// Lights and debug view that were set last.
+    applied: (u32, DebugView),
+    /// Dropped after the session with it has ended.
     _server: LocalServer,
 }
 
 impl Reference {
-    /// Begins, in pictures of `size` pixels.
+    /// Starts the session, for pictures of `size` pixels.
     ///
     /// # Errors
-    /// When the adapter does not hold the scene twice.
+    /// Errors if the adapter has no memory for a second copy of the scene.
     pub(super) fn new(
         gpu: &Gpu,
         ready: Ready,
@@ -153,13 +130,13 @@ impl Reference {
         let frames = FrameLoop::new(renderer, machine, guard, MaskSource::Awaited, Instant::now());
         let driver = FrameDriver::new(frames, Some(link), None, u32::MAX);
         let (target, view) = picture(gpu, size);
-        Ok(Self { driver, target, view, next: 0, shown: (u32::MAX, DebugView::Picture), _server: server })
+        Ok(Self { driver, target, view, next: 0, applied: (u32::MAX, DebugView::Picture), _server: server })
     }
 
-    /// Draws what `camera` sees, in pictures of `size` pixels. Waits for its mask.
+    /// Draws the picture from `camera`, in `size` pixels. Waits for its mask.
     ///
     /// # Errors
-    /// When the server or the adapter failed.
+    /// Errors if the server or the adapter fails.
     pub(super) fn draw(
         &mut self,
         gpu: &Gpu,
@@ -171,8 +148,8 @@ impl Reference {
             self.driver.frames.renderer.resize(size)?;
             (self.target, self.view) = picture(gpu, size);
         }
-        if self.shown != (lights_on, view) {
-            self.shown = (lights_on, view);
+        if self.applied != (lights_on, view) {
+            self.applied = (lights_on, view);
             self.driver.frames.renderer.set_lights_on(lights_on);
             self.driver.frames.renderer.set_debug_view(view);
         }
@@ -195,7 +172,7 @@ fn picture(gpu: &Gpu, size: (u32, u32)) -> (wgpu::Texture, wgpu::TextureView) {
     (texture, view)
 }
 
-/// A picture that is only drawn.
+/// Draws into a texture and reads nothing back.
 struct Picture<'a>(&'a wgpu::TextureView);
 
 impl Sink for Picture<'_> {

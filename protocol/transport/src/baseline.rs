@@ -1,5 +1,5 @@
-//! The dissertation's transports (§3.1), for measurements on loopback: control over TCP, and a data socket beside it, UDP or
-//! TCP. Nothing is encrypted and nobody is authenticated.
+//! The dissertation's transports (§3.1), for measurements on loopback: control over TCP, and a data socket beside it,
+//! UDP or TCP. Nothing is encrypted and nobody is authenticated.
 
 use std::{
     io,

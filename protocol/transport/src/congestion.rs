@@ -28,8 +28,8 @@ struct Adapter {
 
 /// Sets whether the window may grow although the sender does not fill it.
 ///
-/// Frames that are cut down to the window never fill it. quinn takes their sender for application-limited, and the window
-/// would not grow. Does nothing on a connection with another controller.
+/// Frames that are cut down to the window never fill it. quinn takes their sender for application-limited, and the
+/// window would not grow. Does nothing on a connection with another controller.
 pub fn ignore_app_limit(connection: &quinn::Connection, ignore: bool) {
     // quinn returns a copy of the controller, which shares the flag with its original.
     if let Ok(adapter) = connection.congestion_state().into_any().downcast::<Adapter>() {

@@ -12,7 +12,8 @@ pub const ALPN: &[u8] = b"gnomon/1";
 /// Round trip assumed before it is measured. quinn resends a lost first packet after three times as long.
 const INITIAL_RTT: Duration = Duration::from_millis(100);
 
-/// Kernel buffers of a QUIC socket: a frame of words at 1920×1080 at the client, the datagrams of all sessions at the server.
+/// Kernel buffers of a QUIC socket: a frame of words at 1920×1080 at the client, the datagrams of all sessions at the
+/// server.
 pub const SOCKET_BUFFER_BYTES: usize = 8 << 20;
 
 /// Returns the settings that both ends share. Datagram buffers and stream limits are left to the caller.

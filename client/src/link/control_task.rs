@@ -1,0 +1,86 @@
+//! The control task of a running session: pings, and the server's messages.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use gnomon_protocol::message::{ClientMessage, ServerMessage};
+use gnomon_transport::{
+    control::{ControlReader, ControlWriter},
+    root_cause,
+};
+use parking_lot::Mutex;
+use tokio::time::MissedTickBehavior;
+
+use super::health::{Draining, HealthCell};
+
+/// Interval of the pings that measure the round trip.
+const PING_INTERVAL: Duration = Duration::from_secs(1);
+
+/// The smoothed round trip of pings; `None` before the first answer.
+pub(super) type RoundTrip = Arc<Mutex<Option<Duration>>>;
+
+pub(super) struct ControlTask {
+    pub(super) reader: ControlReader<ServerMessage>,
+    pub(super) writer: ControlWriter<ClientMessage>,
+    pub(super) round_trip: RoundTrip,
+    pub(super) health: HealthCell,
+}
+
+impl ControlTask {
+    /// Runs until the session ends, and returns the reason.
+    pub(super) async fn run(&mut self) -> String {
+        let mut interval = tokio::time::interval(PING_INTERVAL);
+        interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut next = 0_u64;
+        let mut unanswered: Option<(u64, Instant)> = None;
+        loop {
+            let event = tokio::select! {
+                _ = interval.tick() => None,
+                message = self.reader.next() => Some(message),
+            };
+            match event {
+                // One ping at a time: a late answer is a long round trip, and no reason for another ping.
+                None if unanswered.is_some() => {}
+                None => {
+                    unanswered = Some((next, Instant::now()));
+                    if let Err(error) = self.writer.write(&ClientMessage::Ping(next)).await {
+                        return format!("connection lost: {}", root_cause(&error));
+                    }
+                    next += 1;
+                }
+                Some(Ok(ServerMessage::Pong(number))) => {
+                    if let Some((_, sent)) = unanswered.take_if(|(awaited, _)| *awaited == number) {
+                        let mut round_trip = self.round_trip.lock();
+                        *round_trip = Some(smoothed(*round_trip, sent.elapsed()));
+                    }
+                }
+                Some(Ok(ServerMessage::Draining { reason, deadline_ms, alternative })) => {
+                    let redirect = alternative.as_ref().map(|url| format!("; continuing at {url}")).unwrap_or_default();
+                    tracing::warn!("the server stops in {deadline_ms} ms: {reason}{redirect}");
+                    let deadline = Instant::now() + Duration::from_millis(deadline_ms.into());
+                    self.health.update(|health| health.draining = Some(Draining { reason, deadline, alternative }));
+                }
+                Some(Ok(ServerMessage::Closing { reason })) => return format!("the server closed it: {reason}"),
+                Some(Ok(message)) => {
+                    let violation = format!("the server violates the protocol: {message:?}");
+                    return violation.chars().take(200).collect();
+                }
+                Some(Err(error)) => return format!("connection lost: {}", root_cause(&error)),
+            }
+        }
+    }
+
+    /// Says Bye and ends the stream.
+    pub(super) async fn leave(&mut self) {
+        // The server may have left first.
+        let _ = self.writer.write(&ClientMessage::Bye).await;
+        self.writer.finish().await;
+    }
+}
+
+/// Exponential smoothing with weight 1/8 (RFC 6298).
+fn smoothed(before: Option<Duration>, sample: Duration) -> Duration {
+    before.map_or(sample, |before| (before * 7 + sample) / 8)
+}
