@@ -9,10 +9,9 @@ use gnomon_client::{
     camera_path::CameraPath,
 };
 use gnomon_lab::rig::{
-    PATIENCE,
+    Ask, PATIENCE,
     program::{Program, find},
 };
-use gnomon_protocol::codec::CodecId;
 use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
 
 /// Writes an authority's certificate to `NAME.pem`, and returns its issuer.
@@ -60,17 +59,8 @@ fn an_authority_is_trusted_across_certificate_rotations() {
     fs::write(folder.join("path.json"), path.to_string()).unwrap();
     let path = CameraPath::load(&folder.join("path.json").display().to_string().parse().unwrap()).unwrap();
     let masks = |url: &str| {
-        let options = ProbeOptions {
-            url: url.parse().unwrap(),
-            token: None,
-            width: 32,
-            height: 32,
-            codec: CodecId::PlanesLz4,
-            frames: 1,
-            fps: None,
-            start_time_s: 0.0,
-            connect_timeout: Duration::from_secs(5),
-        };
+        let ask = Ask { size: (32, 32), fps: None, frames: 1 };
+        let options = ProbeOptions { connect_timeout: Duration::from_secs(5), ..ask.of(&url.parse().unwrap()) };
         run_probe(runtime.handle(), &options, &path).map(|report| report.masks)
     };
     assert_eq!(masks(&pinning).unwrap(), 1);

@@ -9,7 +9,7 @@ use gnomon_client::{
     app::probe::{ProbeOptions, ProbeReport, run_probe},
     camera_path::CameraPath,
 };
-use gnomon_protocol::codec::CodecId;
+use gnomon_lab::rig::Ask;
 use gnomon_server::{
     RunningServer, Server,
     clock::step,
@@ -56,17 +56,8 @@ fn sessions_go_on_and_tokens_and_certificates_expire_by_the_clock() {
     let server = start(&runtime, folder.path(), &(day_entry + &ever_entry));
     let path = path(folder.path());
     let run = |token: &str, frames: u32| -> Result<ProbeReport, ClientError> {
-        let options = ProbeOptions {
-            url: server.url().parse().unwrap(),
-            token: Some(token.to_owned()),
-            width: 64,
-            height: 36,
-            codec: CodecId::PlanesLz4,
-            frames,
-            fps: Some(20.0),
-            start_time_s: 0.0,
-            connect_timeout: ProbeOptions::CONNECT_TIMEOUT,
-        };
+        let ask = Ask { size: (64, 36), fps: Some(20.0), frames };
+        let options = ProbeOptions { token: Some(token.to_owned()), ..ask.of(&server.url().parse().unwrap()) };
         run_probe(runtime.handle(), &options, &path)
     };
     let refused = |token: &str| run(token, 1).unwrap_err().to_string();

@@ -18,10 +18,8 @@ use crate::{
 /// For each file, the files that it imports from, and the names.
 type Graph = BTreeMap<usize, BTreeMap<usize, BTreeSet<String>>>;
 
-/// Returns a description of each import circle of the crate that starts with the file `root`.
-///
-/// # Errors
-/// If a file of the crate cannot be read or parsed.
+/// Returns a description of each import circle of the crate that starts with the file `root`. Errors if a file of the
+/// crate cannot be read or parsed.
 pub fn circles(root: &Path) -> io::Result<Vec<String>> {
     let read = read_crate(root)?;
     let graph = imports(&read);

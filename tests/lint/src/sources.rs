@@ -21,9 +21,6 @@ pub struct Sources {
 
 impl Sources {
     /// Finds all sources below `folder`.
-    ///
-    /// # Errors
-    /// If a folder cannot be read.
     pub fn find(folder: &Path) -> io::Result<Self> {
         let mut sources = Self::default();
         sources.walk(folder)?;
@@ -74,9 +71,6 @@ fn has_extension(path: &Path, extensions: &[&str]) -> bool {
 
 /// Returns a line for each Rust file of more than 500 lines and each line of more than 120 characters. A line that
 /// cannot be broken may be longer: a row of a Markdown table, an address, a line of a listing.
-///
-/// # Errors
-/// If a file cannot be read.
 pub fn too_long(files: &[PathBuf]) -> io::Result<Vec<String>> {
     let mut found = Vec::new();
     for file in files {

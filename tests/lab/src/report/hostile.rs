@@ -25,8 +25,8 @@ use gnomon_client::{
 };
 use gnomon_server::tokens::{self, Scope};
 
-use super::{ask::Ask, table::Table};
-use crate::rig::{ServerProcess, usage::usage};
+use super::table::Table;
+use crate::rig::{Ask, ServerProcess, usage::usage};
 
 /// Most memory that garbage may cost the server.
 const MEMORY_GROWTH_BYTES: u64 = 16 << 20;

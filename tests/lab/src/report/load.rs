@@ -11,7 +11,8 @@ use gnomon_client::{
 };
 use serde::Serialize;
 
-use super::{ask::Ask, scene_args::size};
+use super::scene_args::size;
+use crate::rig::Ask;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct LoadOptions {

@@ -1,7 +1,6 @@
 //! The lab's reports: tables measured on the real programs.
 
 pub mod accuracy;
-mod ask;
 pub mod chaos;
 pub mod codec;
 pub mod hostile;

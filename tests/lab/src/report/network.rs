@@ -142,10 +142,7 @@ struct Stage<'a> {
 impl<'a> Stage<'a> {
     fn new(options: &'a NetworkOptions) -> Result<Self> {
         let cores = Cores::of_this_machine()?;
-        let mut arguments = options.scene.light_arguments();
-        let (transport, backend) = (&options.transport, &options.backend);
-        arguments.extend(["--transport".into(), transport.into(), "--backend".into(), backend.into()]);
-        arguments.extend(software(options));
+        let arguments = options.scene.server_arguments(&options.transport, &options.backend, options.allow_software);
         let server = on_core(cores.server, || ServerProcess::start(&options.scene.file.scene, &arguments))?;
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
@@ -186,24 +183,12 @@ impl<'a> Stage<'a> {
 
     fn client(&self, url: Option<&str>, mut arguments: Vec<OsString>, frames: u32) -> Result<Run> {
         let folder = tempfile::tempdir().context("making a temporary folder")?;
-        arguments.extend(software(self.options));
         arguments.extend(self.options.fps.into_iter().flat_map(|fps| ["--fps".into(), fps.to_string().into()]));
-        let job = ClientJob {
-            url,
-            path: self.options.scene.path_text(),
-            frames,
-            size: self.options.scene.size,
-            folder: folder.path(),
-            save_masks: false,
-            arguments,
-        };
+        let job = self.options.scene.client_job(url, folder.path(), arguments, self.options.allow_software);
+        let job = ClientJob { frames, ..job };
         on_core(self.cores.client, || job.start())?.finish(PATIENCE)?.success()?;
         Run::read(&job.summary()?, &job.stats()?)
     }
-}
-
-fn software(options: &NetworkOptions) -> Option<OsString> {
-    options.allow_software.then(|| "--allow-software".into())
 }
 
 /// Measures all networks, writes `network.csv` and the plots, and reports each run to `progress`.

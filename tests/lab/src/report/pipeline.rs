@@ -10,7 +10,7 @@ use gnomon_protocol::codec::CodecId;
 use serde_json::Value;
 
 use super::{scene_args::SceneArgs, statistics::median, table::Table};
-use crate::rig::{ClientJob, PATIENCE, ServerProcess};
+use crate::rig::{PATIENCE, ServerProcess};
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct PipelineOptions {
@@ -94,37 +94,29 @@ pub fn measure(options: &PipelineOptions, mut progress: impl FnMut(&str)) -> Res
 }
 
 fn runs_of(row: &Row, options: &PipelineOptions) -> Result<Vec<Run>> {
-    let scene_arguments = options.scene.light_arguments();
-    let software = options.allow_software.then(|| OsString::from("--allow-software"));
     let server = match row.transport {
         None => None,
         Some(transport) => {
-            let mut arguments = scene_arguments.clone();
-            arguments.extend(["--transport".into(), transport.into(), "--backend".into(), (&options.backend).into()]);
-            arguments.extend(software.clone());
+            let arguments = options.scene.server_arguments(transport, &options.backend, options.allow_software);
             Some(ServerProcess::start(&options.scene.file.scene, &arguments)?)
         }
     };
     let mut runs = Vec::new();
     for _ in 0..options.runs {
         let folder = tempfile::tempdir().context("making a temporary folder")?;
-        let mut arguments: Vec<OsString> = software.iter().cloned().collect();
-        arguments.extend(row.wait.then(|| "--wait".into()));
+        let mut arguments: Vec<OsString> = row.wait.then(|| "--wait".into()).into_iter().collect();
         if server.is_some() {
             arguments.extend(["--codec".into(), row.codec.to_string().into()]);
         } else {
             arguments.extend(["--offline".into(), (&options.scene.file.scene).into()]);
-            arguments.extend(scene_arguments.iter().cloned());
+            arguments.extend(options.scene.light_arguments());
         }
-        let job = ClientJob {
-            url: server.as_ref().map(ServerProcess::url),
-            path: options.scene.path_text(),
-            frames: options.scene.frames,
-            size: options.scene.size,
-            folder: folder.path(),
-            save_masks: false,
+        let job = options.scene.client_job(
+            server.as_ref().map(ServerProcess::url),
+            folder.path(),
             arguments,
-        };
+            options.allow_software,
+        );
         job.start()?.finish(PATIENCE)?.success()?;
         runs.push(Run::read(&job.summary()?)?);
     }

@@ -1,10 +1,16 @@
 //! Options shared by the reports: scene, lights, camera path, size, and folder for results.
 
-use std::{ffi::OsString, fs, path::PathBuf};
+use std::{
+    ffi::OsString,
+    fs,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, Result};
 use gnomon_client::camera_path::{CameraPath, PathSpec};
 use gnomon_scene::{LoadOptions, Scene};
+
+use crate::rig::ClientJob;
 
 /// A scene and its lights.
 #[derive(Debug, Clone, clap::Args)]
@@ -66,6 +72,27 @@ impl SceneArgs {
     /// Returns the camera path as the client takes it: `FILE` or `FILE#NAME`.
     pub fn path_text(&self) -> OsString {
         self.path.clone().unwrap_or_else(|| self.file.scene.with_file_name("lights_camera.json").into())
+    }
+
+    /// Returns a client's job along the whole path.
+    pub fn client_job<'a>(
+        &self,
+        url: Option<&'a str>,
+        folder: &'a Path,
+        mut arguments: Vec<OsString>,
+        allow_software: bool,
+    ) -> ClientJob<'a> {
+        arguments.extend(allow_software.then(|| "--allow-software".into()));
+        let (path, frames, size) = (self.path_text(), self.frames, self.size);
+        ClientJob { url, path, frames, size, folder, save_masks: false, arguments }
+    }
+
+    /// Returns a server's arguments for its transport and back end, and the scene's lights.
+    pub fn server_arguments(&self, transport: &str, backend: &str, allow_software: bool) -> Vec<OsString> {
+        let mut arguments = self.light_arguments();
+        arguments.extend(["--transport", transport, "--backend", backend].map(Into::into));
+        arguments.extend(allow_software.then(|| "--allow-software".into()));
+        arguments
     }
 
     pub fn load_path(&self) -> Result<CameraPath> {

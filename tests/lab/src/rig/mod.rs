@@ -1,5 +1,6 @@
 //! Runs a real server and real clients as processes.
 
+mod ask;
 pub mod masks;
 pub mod program;
 pub mod ray_queries;
@@ -15,7 +16,8 @@ use anyhow::{Context, Result};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use program::{Outcome, Program};
+pub use self::ask::Ask;
+use self::program::{Outcome, Program};
 
 /// Longest wait for a program: loading Pink Room on one busy core takes seconds, never minutes.
 pub const PATIENCE: Duration = Duration::from_secs(300);

@@ -22,44 +22,23 @@ pub struct RealScene {
     pub stops: &'static [(Option<&'static str>, f64)],
 }
 
+const START_AND_3_S: &[(Option<&str>, f64)] = &[(None, 0.0), (None, 3.0)];
+
+const fn scene(name: &'static str, file: &'static str, lights_from_json: bool) -> RealScene {
+    RealScene { name, file, lights_from_json, stops: START_AND_3_S }
+}
+
 /// Scenes that masks are judged on.
 pub const JUDGED: [RealScene; 6] = [
     RealScene {
-        name: "sponza",
-        file: "sponza/sponza_lights.gltf",
-        lights_from_json: false,
         stops: &[(Some("A_atrium_dolly"), 0.0), (Some("B_corner_into_aisle"), 3.5)],
+        ..scene("sponza", "sponza/sponza_lights.gltf", false)
     },
-    RealScene {
-        name: "modern-hall",
-        file: "modern-hall/modern-hall.glb",
-        lights_from_json: false,
-        stops: &[(None, 0.0), (None, 3.0)],
-    },
-    RealScene {
-        name: "grey-white-room",
-        file: "grey-white-room/grey-white-room.glb",
-        lights_from_json: true,
-        stops: &[(None, 0.0), (None, 3.0)],
-    },
-    RealScene {
-        name: "pink-room-partial",
-        file: "pink-room-partial/pink-room-partial.glb",
-        lights_from_json: true,
-        stops: &[(None, 0.0), (None, 3.0)],
-    },
-    RealScene {
-        name: "breakfast-room",
-        file: "breakfast-room/breakfast-room.glb",
-        lights_from_json: true,
-        stops: &[(None, 0.0), (None, 3.0)],
-    },
-    RealScene {
-        name: "sponza-dabrovic",
-        file: "sponza-dabrovic/sponza-dabrovic.glb",
-        lights_from_json: true,
-        stops: &[(None, 0.0), (None, 3.0)],
-    },
+    scene("modern-hall", "modern-hall/modern-hall.glb", false),
+    scene("grey-white-room", "grey-white-room/grey-white-room.glb", true),
+    scene("pink-room-partial", "pink-room-partial/pink-room-partial.glb", true),
+    scene("breakfast-room", "breakfast-room/breakfast-room.glb", true),
+    scene("sponza-dabrovic", "sponza-dabrovic/sponza-dabrovic.glb", true),
 ];
 
 /// A camera's place and view.

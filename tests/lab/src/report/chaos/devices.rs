@@ -22,11 +22,10 @@ use super::{
     finding::Finding,
     rig::{Probes, ServerArgs, joined},
 };
-use crate::report::ask::Ask;
+use crate::rig::Ask;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct DevicesPart {
-    /// The server.
     #[command(flatten)]
     pub server: ServerArgs,
     /// Panics, each in another session's work.

@@ -13,12 +13,11 @@ use super::{
     finding::Finding,
     rig::{Probes, ServerArgs, headless},
 };
-use crate::report::ask::Ask;
+use crate::rig::Ask;
 use crate::rig::PATIENCE;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct DrainPart {
-    /// The server.
     #[command(flatten)]
     pub server: ServerArgs,
     /// Number of drawing clients.

@@ -9,7 +9,7 @@ use super::{
     finding::Finding,
     rig::{Probes, ServerArgs, joined},
 };
-use crate::report::ask::Ask;
+use crate::rig::Ask;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct FairnessPart {

@@ -15,11 +15,10 @@ use super::{
     rig::{Probes, ServerArgs, headless},
 };
 use crate::link::{LinkSettings, Relay, udp};
-use crate::report::ask::Ask;
+use crate::rig::Ask;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct FaultsPart {
-    /// The server.
     #[command(flatten)]
     pub server: ServerArgs,
     /// Handshakes through each bad network.

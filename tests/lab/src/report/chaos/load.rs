@@ -10,11 +10,10 @@ use super::{
     finding::Finding,
     rig::{Probes, ServerArgs, joined, mib},
 };
-use crate::{report::ask::Ask, rig::usage::usage};
+use crate::rig::{Ask, usage::usage};
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct LoadPart {
-    /// The server.
     #[command(flatten)]
     pub server: ServerArgs,
     /// Light sessions: 64×36 at 10 masks a second.
@@ -33,7 +32,6 @@ pub struct LoadPart {
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct IdlePart {
-    /// The server.
     #[command(flatten)]
     pub server: ServerArgs,
     /// Sessions that request one mask of 64×36 a second, as a client with a still camera does.

@@ -12,8 +12,8 @@ use gnomon_client::{
 use tokio::runtime::{Builder, Runtime};
 
 use crate::{
-    report::{ask::Ask, scene_args::SceneArgs},
-    rig::ServerProcess,
+    report::scene_args::SceneArgs,
+    rig::{Ask, ServerProcess},
 };
 
 /// Stack size of a probe's thread, of which there may be a thousand.

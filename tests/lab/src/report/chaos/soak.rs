@@ -16,14 +16,13 @@ use super::{
     finding::Finding,
     rig::{Probes, ServerArgs, mib},
 };
-use crate::{
-    report::ask::Ask,
-    rig::usage::{Usage, usage},
+use crate::rig::{
+    Ask,
+    usage::{Usage, usage},
 };
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct SoakPart {
-    /// The server.
     #[command(flatten)]
     pub server: ServerArgs,
     /// Sessions started per second.

@@ -9,7 +9,7 @@ use anyhow::{Result, ensure};
 use gnomon_client::{app::probe::run_probe, camera_path::CameraPath, link::url::ServerUrl};
 use tokio::runtime::Handle;
 
-use crate::report::ask::Ask;
+use crate::rig::Ask;
 
 const SOURCES: usize = 16;
 

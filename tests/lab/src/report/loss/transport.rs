@@ -17,7 +17,7 @@ use super::options::{FPS, LossOptions, Outcome};
 use crate::{
     link::{self, LinkSettings, Settings},
     report::{recorded_error::Judge, shown::Shown},
-    rig::{ClientJob, PATIENCE, ServerProcess},
+    rig::{PATIENCE, ServerProcess},
 };
 
 /// A server, and what judges its clients.
@@ -49,10 +49,8 @@ impl<'a> Stage<'a> {
     pub(super) fn new(options: &'a LossOptions, transport: &str) -> Result<Self> {
         let folder = tempfile::tempdir().context("making a temporary folder")?;
         let log = folder.path().join("server.log");
-        let mut arguments = options.scene.light_arguments();
-        arguments.extend(["--transport".into(), transport.into(), "--backend".into(), (&options.backend).into()]);
+        let mut arguments = options.scene.server_arguments(transport, &options.backend, options.allow_software);
         arguments.extend(["--log".into(), "json".into(), "--log-file".into(), (&log).into()]);
-        arguments.extend(options.allow_software.then(|| "--allow-software".into()));
         let environment = [("RUST_LOG", "warn,gnomon_server::session::driver=debug")];
         let server = ServerProcess::start_in(&options.scene.file.scene, &arguments, &environment)?;
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
@@ -72,16 +70,7 @@ impl<'a> Stage<'a> {
         arguments.extend(["--fps".into(), FPS.to_string().into(), "--codec".into(), codec.to_string().into()]);
         arguments.extend(["--packets".into(), packets.to_string().into(), "--mask-log".into(), (&mask_log).into()]);
         arguments.extend(["--record".into(), (&recording).into()]);
-        arguments.extend(options.allow_software.then(|| "--allow-software".into()));
-        let job = ClientJob {
-            url: Some(&url),
-            path: options.scene.path_text(),
-            frames: options.scene.frames,
-            size: options.scene.size,
-            folder: folder.path(),
-            save_masks: false,
-            arguments,
-        };
+        let job = options.scene.client_job(Some(&url), folder.path(), arguments, options.allow_software);
         job.start()?.finish(PATIENCE)?.success()?;
         let (sent, received) = (self.sent()?, received(&fs::read_to_string(&mask_log)?)?);
         let mut outcome = summarise(&sent, &received, options.warm_up);

@@ -4,17 +4,17 @@ use gnomon_client::{app::probe::ProbeOptions, link::url::ServerUrl};
 use gnomon_protocol::codec::CodecId;
 
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Ask {
+pub struct Ask {
     /// Size of the masks, in pixels.
-    pub(super) size: (u32, u32),
+    pub size: (u32, u32),
     /// Poses a second; without it, each pose waits for the mask of the one before.
-    pub(super) fps: Option<f64>,
-    pub(super) frames: u32,
+    pub fps: Option<f64>,
+    pub frames: u32,
 }
 
 impl Ask {
     /// Returns a probe without a token, from the beginning of its path.
-    pub(super) fn of(self, url: &ServerUrl) -> ProbeOptions {
+    pub fn of(self, url: &ServerUrl) -> ProbeOptions {
         ProbeOptions {
             url: url.clone(),
             token: None,
