@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{files, scenes};
+use common::{files, one_light, scenes};
 use gnomon_scene::{LightKind, LoadOptions, Scene, SceneError};
 
 /// File, triangles kept, zero-area triangles dropped, lowest and highest corner in metres.
@@ -95,11 +95,9 @@ fn expected() -> impl Iterator<Item = (String, usize, u64, [f64; 3], [f64; 3])> 
 #[test]
 fn every_small_scene_has_its_triangles_and_bounds() {
     let folder = tempfile::tempdir().unwrap();
-    let lights = folder.path().join("lights.json");
-    std::fs::write(&lights, r#"{"lights":[{"type":"point","position":[0,1,0]}]}"#).unwrap();
+    let options = one_light(folder.path());
     for (file, triangles, dropped, min, max) in expected() {
         let path = scenes().join(&file);
-        let options = LoadOptions { lights_from: Some(lights.clone()), max_lights: None };
         let loaded = Scene::load_with_report(&path, &options);
         let (scene, report) = loaded.unwrap_or_else(|error| panic!("{file}: {error}"));
         assert_eq!((scene.triangles.len(), report.dropped_triangles), (triangles, dropped), "{file}");

@@ -8,7 +8,7 @@ mod common;
 
 use std::{fmt::Write as _, path::Path};
 
-use common::{peak_kib, scenes};
+use common::{one_light, peak_kib, scenes};
 use gnomon_scene::{LoadOptions, Scene, SceneError};
 use proptest::prelude::*;
 
@@ -19,9 +19,7 @@ fn load(bytes: &[u8]) -> Result<Scene, SceneError> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene");
     std::fs::write(&path, bytes).unwrap();
-    let lights = folder.path().join("lights.json");
-    std::fs::write(&lights, r#"{"lights":[{"type":"point","position":[0,1,0]}]}"#).unwrap();
-    Scene::load(&path, &LoadOptions { lights_from: Some(lights), max_lights: None })
+    Scene::load(&path, &one_light(folder.path()))
 }
 
 fn fault(json: &str) -> String {

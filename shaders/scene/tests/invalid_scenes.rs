@@ -14,7 +14,7 @@ use std::{
     time::Duration,
 };
 
-use common::{files, peak_kib, scenes};
+use common::{files, one_light, peak_kib, scenes};
 use gnomon_scene::{LoadOptions, Scene, SceneError};
 use serde_json::Value;
 
@@ -78,23 +78,14 @@ const REFUSED: [(&str, &str); 7] = [
     ("KHR_lights_punctual/data/light/unknown_type.gltf", "spherical"),
 ];
 
-/// Loads with one light from a file, so that none fails for lack of lights.
-fn load(path: &Path, lights: &Path) -> Result<Scene, SceneError> {
-    let options = LoadOptions { lights_from: Some(lights.to_owned()), max_lights: None };
+fn load(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
     let (sender, receiver) = mpsc::sync_channel(1);
-    let file = path.to_owned();
+    let (file, options) = (path.to_owned(), options.clone());
     let worker = thread::spawn(move || sender.send(Scene::load(&file, &options)).is_ok());
     let result = receiver.recv_timeout(HANG);
     let result = result.unwrap_or_else(|error| panic!("{}: panicked or hung ({error})", path.display()));
     assert!(worker.join().unwrap());
     result
-}
-
-fn with_lights<T>(test: impl FnOnce(&Path) -> T) -> T {
-    let folder = tempfile::tempdir().unwrap();
-    let lights = folder.path().join("lights.json");
-    std::fs::write(&lights, r#"{"lights":[{"type":"point","position":[0,1,0]}]}"#).unwrap();
-    test(&lights)
 }
 
 /// Returns the validator's errors about a file, as (code, pointer). `None` without a report.
@@ -114,43 +105,42 @@ fn reported(path: &Path) -> Option<Vec<(String, String)>> {
 
 #[test]
 fn every_file_loads_or_fails_clearly() {
-    with_lights(|lights| {
-        let mut used = [false; ALLOWED.len()];
-        let (mut walked, mut judged, mut loaded, mut wrong) = (0, 0, 0, Vec::new());
-        for path in files(&scenes().join("invalid")) {
-            walked += 1;
-            let result = load(&path, lights);
-            loaded += usize::from(result.is_ok());
-            let Some(errors) = reported(&path) else { continue };
-            judged += 1;
-            match result {
-                // Without triangles the load fails, whether or not the fault was found.
-                Ok(_) | Err(SceneError::NoTriangles { .. }) => {
-                    for (code, pointer) in errors {
-                        let allowed =
-                            ALLOWED.iter().position(|(c, p, _)| (c.is_empty() || *c == code) && pointer.contains(p));
-                        match allowed {
-                            Some(index) => used[index] = true,
-                            None => wrong.push(format!("{} has {code} at {pointer}, but loads", path.display())),
-                        }
+    let folder = tempfile::tempdir().unwrap();
+    let options = one_light(folder.path());
+    let mut used = [false; ALLOWED.len()];
+    let (mut walked, mut judged, mut loaded, mut wrong) = (0, 0, 0, Vec::new());
+    for path in files(&scenes().join("invalid")) {
+        walked += 1;
+        let result = load(&path, &options);
+        loaded += usize::from(result.is_ok());
+        let Some(errors) = reported(&path) else { continue };
+        judged += 1;
+        match result {
+            // Without triangles the load fails, whether or not the fault was found.
+            Ok(_) | Err(SceneError::NoTriangles { .. }) => {
+                for (code, pointer) in errors {
+                    let allowed =
+                        ALLOWED.iter().position(|(c, p, _)| (c.is_empty() || *c == code) && pointer.contains(p));
+                    match allowed {
+                        Some(index) => used[index] = true,
+                        None => wrong.push(format!("{} has {code} at {pointer}, but loads", path.display())),
                     }
                 }
-                Err(error) if errors.is_empty() => {
-                    let known =
-                        REFUSED.iter().any(|(file, says)| path.ends_with(file) && error.to_string().contains(says));
-                    if !known {
-                        wrong.push(format!("{} is legal, but: {error}", path.display()));
-                    }
-                }
-                Err(_) => {}
             }
+            Err(error) if errors.is_empty() => {
+                let known = REFUSED.iter().any(|(file, says)| path.ends_with(file) && error.to_string().contains(says));
+                if !known {
+                    wrong.push(format!("{} is legal, but: {error}", path.display()));
+                }
+            }
+            Err(_) => {}
         }
-        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-        let stale: Vec<_> = ALLOWED.iter().zip(used).filter(|(_, used)| !used).collect();
-        assert!(stale.is_empty(), "allowances without a file: {stale:?}");
-        assert!(walked > 500 && judged > 200 && loaded > 0, "{walked} files, {judged} reports, {loaded} loaded");
-        println!("{walked} files, {judged} judged by their reports, {loaded} loaded");
-    });
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    let stale: Vec<_> = ALLOWED.iter().zip(used).filter(|(_, used)| !used).collect();
+    assert!(stale.is_empty(), "allowances without a file: {stale:?}");
+    assert!(walked > 500 && judged > 200 && loaded > 0, "{walked} files, {judged} reports, {loaded} loaded");
+    println!("{walked} files, {judged} judged by their reports, {loaded} loaded");
     let peak = peak_kib();
     println!("peak of memory: {peak} KiB");
     assert!(peak < MAX_PEAK_KIB, "peak of memory: {peak} KiB");
@@ -173,22 +163,22 @@ const UNSUPPORTED: [(&str, &str); 11] = [
 
 #[test]
 fn unsupported_features_are_named() {
-    with_lights(|lights| {
-        let folder = scenes().join("unsupported");
-        let mut count = 0;
-        for path in files(&folder) {
-            if !path.extension().is_some_and(|extension| extension == "gltf" || extension == "glb") {
-                continue;
-            }
-            let name = path.strip_prefix(&folder).unwrap().display().to_string();
-            let feature = match name.as_str() {
-                "textures/CesiumBalloonKTX2.glb" => "KHR_texture_basisu",
-                _ => UNSUPPORTED.iter().find(|(part, _)| name.starts_with(part)).map(|(_, feature)| *feature).unwrap(),
-            };
-            let error = load(&path, lights).expect_err(&name).to_string();
-            assert!(error.contains(feature) && error.contains("not supported"), "{name}: {error}");
-            count += 1;
+    let folder = tempfile::tempdir().unwrap();
+    let options = one_light(folder.path());
+    let unsupported = scenes().join("unsupported");
+    let mut count = 0;
+    for path in files(&unsupported) {
+        if !path.extension().is_some_and(|extension| extension == "gltf" || extension == "glb") {
+            continue;
         }
-        assert_eq!(count, 22);
-    });
+        let name = path.strip_prefix(&unsupported).unwrap().display().to_string();
+        let feature = match name.as_str() {
+            "textures/CesiumBalloonKTX2.glb" => "KHR_texture_basisu",
+            _ => UNSUPPORTED.iter().find(|(part, _)| name.starts_with(part)).map(|(_, feature)| *feature).unwrap(),
+        };
+        let error = load(&path, &options).expect_err(&name).to_string();
+        assert!(error.contains(feature) && error.contains("not supported"), "{name}: {error}");
+        count += 1;
+    }
+    assert_eq!(count, 22);
 }

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use gnomon_scene::LoadOptions;
+
 /// Returns the folder that `GNOMON_SCENES` names.
 #[allow(dead_code, reason = "each test file uses what it needs")]
 pub(crate) fn scenes() -> PathBuf {
@@ -18,6 +20,14 @@ pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
     let mut paths: Vec<PathBuf> = entries.filter_map(|entry| entry.ok().map(|entry| entry.path())).collect();
     paths.sort();
     paths.into_iter().flat_map(|path| if path.is_dir() { files(&path) } else { vec![path] }).collect()
+}
+
+/// Writes a lights file with one light into `folder`. With these options no scene fails to load for lack of lights.
+#[allow(dead_code, reason = "each test file uses what it needs")]
+pub(crate) fn one_light(folder: &Path) -> LoadOptions {
+    let lights = folder.join("lights.json");
+    std::fs::write(&lights, r#"{"lights":[{"type":"point","position":[0,1,0]}]}"#).unwrap();
+    LoadOptions { lights_from: Some(lights), max_lights: None }
 }
 
 /// Returns the largest resident size that this process has had.
