@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use crate::{limits::MAX_LIGHTS, pack::PackError};
 
-/// Why a scene could not be loaded. Every message names the file or the object, and the numbers that are wrong.
+/// Why a scene could not be loaded. Every message names the file or the object, and the rule that it breaks.
 #[derive(Debug, Error)]
 pub enum SceneError {
     #[error("cannot read {}: {source}", path.display())]

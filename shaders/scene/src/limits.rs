@@ -8,7 +8,7 @@ use glam::{DVec3, Vec2};
 /// Largest scene file or file beside it, in bytes.
 pub const MAX_FILE_BYTES: u64 = 512 << 20;
 
-/// Largest JSON text, in bytes. Larger geometry belongs into a `.bin` or a `.glb`, not into data URIs.
+/// Largest JSON text, in bytes. Larger geometry belongs in a `.bin` or a `.glb`, not into data URIs.
 pub const MAX_JSON_BYTES: u64 = 64 << 20;
 
 /// Largest sum of all buffers, in bytes.

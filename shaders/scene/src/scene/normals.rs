@@ -1,4 +1,4 @@
-//! Geometric normals, and shading normals where a file's are missing or zero.
+//! Geometric normals, and replacements for zero shading normals.
 
 use glam::{DVec3, Vec3};
 

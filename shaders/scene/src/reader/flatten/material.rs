@@ -1,7 +1,7 @@
 //! Reads materials and the textures of their base colours (glTF 2.0, §3.9).
 //!
 //! Only base colour, emission, alpha and sidedness are read. A material with an emissive *texture* does not emit: its
-//! factor alone would make the whole surface glow, and the texture a few spots.
+//! factor alone would make the whole surface glow, where the texture lights a few spots.
 
 use std::collections::HashMap;
 

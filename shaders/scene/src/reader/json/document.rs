@@ -36,7 +36,7 @@ pub(crate) fn parse(json: &[u8]) -> Result<Document, String> {
     let document = deserializer.deserialize_map(DocumentVisitor).map_err(|error| error.to_string())?;
     deserializer.end().map_err(|error| error.to_string())?;
     let asset = &document.json.asset;
-    // Minor versions are compatible, unless the file asks for a least one (§2.5).
+    // Minor versions are compatible, unless the file asks for a newer reader (§2.5).
     if asset.version.split_once('.').map(|(major, _)| major) != Some("2") {
         return Err(format!("its asset version is {:.32?}, not 2.0", asset.version));
     }
@@ -49,7 +49,7 @@ pub(crate) fn parse(json: &[u8]) -> Result<Document, String> {
 /// Sets of texture coordinates that are read.
 pub(crate) const TEXCOORDS: std::ops::Range<u32> = 0..4;
 
-/// Returns a texture's image, for whose lack `gltf::json` has the largest index.
+/// Returns a texture's image. `gltf::json` gives the largest index to a texture without one.
 pub(crate) fn source(texture: &Texture) -> Option<Index<Image>> {
     Some(texture.source).filter(|source| *source != Index::new(u32::MAX))
 }
