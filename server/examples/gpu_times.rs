@@ -7,6 +7,8 @@
 //! one at a time; then frames per second with the ring full; and the share of the relevant bits in which the two back
 //! ends differ. Ends with an error if that share exceeds `--tolerance`.
 
+mod view;
+
 use std::{
     path::PathBuf,
     time::{Duration, Instant},
@@ -14,9 +16,8 @@ use std::{
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use glam::DVec3;
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{LoadOptions, Scene, camera::Camera};
+use gnomon_scene::{Scene, camera::Camera};
 use gnomon_server::visibility::{
     TraceCost,
     backend::{
@@ -26,29 +27,19 @@ use gnomon_server::visibility::{
 };
 use serde::Serialize;
 
+use self::view::{ViewArguments, size};
+
 /// Traces a scene repeatedly on a graphics adapter and prints the speed.
 #[derive(Debug, Parser)]
 struct Arguments {
-    /// The scene: .gltf or .glb.
-    scene: PathBuf,
-    /// Lights for a scene that has none.
-    #[arg(long)]
-    lights_from: Option<PathBuf>,
+    #[command(flatten)]
+    view: ViewArguments,
     /// Numbers of lights: the first N of the scene's.
     #[arg(long, value_delimiter = ',', default_values_t = [1, 4, 8])]
     lights: Vec<usize>,
     /// Size of the mask.
-    #[arg(long, default_value = "1920x1080", value_parser = pair)]
+    #[arg(long, default_value = "1920x1080", value_parser = size)]
     size: (u32, u32),
-    /// Position of the camera, in metres.
-    #[arg(long, default_value = "-8.5,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
-    from: DVec3,
-    /// Point that the camera looks at, in metres.
-    #[arg(long, default_value = "0,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
-    to: DVec3,
-    /// Full vertical field of view, in degrees.
-    #[arg(long, default_value_t = 60.0)]
-    yfov: f64,
     /// Frames to time.
     #[arg(long, default_value_t = 50)]
     frames: usize,
@@ -100,17 +91,6 @@ struct Report {
     cpu_backend: String,
     setup_s: f64,
     rows: Vec<Row>,
-}
-
-fn pair(text: &str) -> Result<(u32, u32)> {
-    let (width, height) = text.split_once('x').context("a size is WIDTHxHEIGHT")?;
-    Ok((width.parse()?, height.parse()?))
-}
-
-fn point(text: &str) -> Result<DVec3> {
-    let numbers: Vec<f64> = text.split(',').map(str::parse).collect::<Result<_, _>>()?;
-    let numbers: [f64; 3] = numbers.try_into().ok().context("a point is X,Y,Z")?;
-    Ok(DVec3::from_array(numbers))
 }
 
 fn spread(costs: &[(TraceCost, f64)], of: impl Fn(&(TraceCost, f64)) -> f64) -> Spread {
@@ -175,12 +155,10 @@ fn measure(scene: &Scene, compute: &mut ComputeBackend, camera: &Camera, frames:
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     ensure!(arguments.frames > 0, "nothing to time in 0 frames");
-    let options = LoadOptions { lights_from: arguments.lights_from.clone(), max_lights: None };
-    let whole = Scene::load(&arguments.scene, &options)?;
-    let (width, height) = arguments.size;
-    let camera = Camera::looking_at(arguments.from, arguments.to, arguments.yfov.to_radians(), width, height);
+    let whole = arguments.view.load(None)?;
+    let camera = arguments.view.camera(arguments.size);
     let mut report = Report {
-        scene: arguments.scene.display().to_string(),
+        scene: arguments.view.scene.display().to_string(),
         triangles: whole.tracing_triangles().len(),
         backend: String::new(),
         cpu_backend: CpuBackend::new(&whole, None)?.describe(),

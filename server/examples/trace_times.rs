@@ -6,38 +6,28 @@
 //! Frames are timed by wall-clock time, which includes other programs' time on the core. On a busy machine use the line
 //! by processor time.
 
+mod view;
+
 use std::{num::NonZeroUsize, path::PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use glam::DVec3;
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{LoadOptions, Scene, camera::Camera};
 use gnomon_server::visibility::backend::cpu::{CpuBackend, TraversalStats};
+
+use self::view::{ViewArguments, size};
 
 /// Traces a scene repeatedly and prints the speed.
 #[derive(Debug, Parser)]
 struct Arguments {
-    /// The scene: .gltf or .glb.
-    scene: PathBuf,
-    /// Lights for a scene that has none.
-    #[arg(long)]
-    lights_from: Option<PathBuf>,
+    #[command(flatten)]
+    view: ViewArguments,
     /// Keep the first N lights.
     #[arg(long)]
     lights: Option<u32>,
     /// Size of the mask.
-    #[arg(long, default_value = "640x360", value_parser = pair)]
+    #[arg(long, default_value = "640x360", value_parser = size)]
     size: (u32, u32),
-    /// Position of the camera, in metres.
-    #[arg(long, default_value = "-8.5,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
-    from: DVec3,
-    /// Point that the camera looks at, in metres.
-    #[arg(long, default_value = "0,1.7,-0.35", value_parser = point, allow_hyphen_values = true)]
-    to: DVec3,
-    /// Full vertical field of view, in degrees.
-    #[arg(long, default_value_t = 60.0)]
-    yfov: f64,
     /// Frames to time.
     #[arg(long, default_value_t = 25)]
     frames: usize,
@@ -49,24 +39,12 @@ struct Arguments {
     picture: Option<PathBuf>,
 }
 
-fn pair(text: &str) -> Result<(u32, u32)> {
-    let (width, height) = text.split_once('x').context("a size is WIDTHxHEIGHT")?;
-    Ok((width.parse()?, height.parse()?))
-}
-
-fn point(text: &str) -> Result<DVec3> {
-    let numbers: Vec<f64> = text.split(',').map(str::parse).collect::<Result<_, _>>()?;
-    let numbers: [f64; 3] = numbers.try_into().ok().context("a point is X,Y,Z")?;
-    Ok(DVec3::from_array(numbers))
-}
-
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     ensure!(arguments.frames > 0, "nothing to time in 0 frames");
-    let options = LoadOptions { lights_from: arguments.lights_from.clone(), max_lights: arguments.lights };
-    let scene = Scene::load(&arguments.scene, &options)?;
+    let scene = arguments.view.load(arguments.lights)?;
     let (width, height) = arguments.size;
-    let camera = Camera::looking_at(arguments.from, arguments.to, arguments.yfov.to_radians(), width, height);
+    let camera = arguments.view.camera(arguments.size);
     let mut mask = Mask::new(MaskShape::new(width, height, u32::try_from(scene.lights.len())?)?);
 
     for (nth, &threads) in arguments.threads.iter().enumerate() {

@@ -50,7 +50,7 @@ struct AlphaMaterial {
     // Size of the picture, in texels.
     width: u32,
     height: u32,
-    // What happens outside 0 to 1: u in the low half, v in the high half; see `wrapped` in shared/texels.wgsl.
+    // Wrap modes: u in the low half, v in the high half; see `wrapped` in shared/texels.wgsl.
     wraps: u32,
     // A point stops rays when texel · factor is at least the cutoff.
     cutoff: f32,

@@ -241,7 +241,7 @@ fn auto_never_takes_a_software_adapter() {
     assert!(engine.description().starts_with("cpu") || !engine.description().contains("llvmpipe"));
 }
 
-/// A worker with one session on a device that the test may destroy and that can be reopened so many times.
+/// A worker with one session on a device that the test may destroy and that can be reopened `reopened` times.
 fn worker_on(gpu: &Gpu, reopened: u32) -> (SessionPort, Arc<Shared>, std::thread::JoinHandle<()>) {
     let scene = room();
     let first = Tracer::on_device(ComputeBackend::new(&scene, gpu.clone()).unwrap());

@@ -47,7 +47,7 @@ pub(super) struct Job {
 /// A frame between two of its parts.
 pub(super) struct PartialFrame {
     pub(super) job: Job,
-    /// Rows of tiles of a part.
+    /// Rows of tiles in each part.
     rows_per_part: u32,
     progress: Progress,
 }
@@ -116,7 +116,7 @@ impl Tracer {
         Self::Cpu(Box::new(backend))
     }
 
-    /// Begins a frame, of which each [`Self::advance`] traces so many rows of tiles.
+    /// Begins a frame. Each [`Self::advance`] traces `rows_per_part` rows of tiles.
     ///
     /// # Errors
     /// If the device has failed.

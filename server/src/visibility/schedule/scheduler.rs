@@ -300,7 +300,8 @@ mod tests {
                 let key = scheduler.next(due).unwrap();
                 run(&mut scheduler, key, costs_ms[usize::try_from(key).unwrap()]);
                 let all: Vec<f64> = (0..).zip(&costs_ms).map(|(key, _)| used(&scheduler, key)).collect();
-                let (low, high) = all.iter().fold((f64::MAX, 0.0_f64), |(low, high), used| (low.min(*used), high.max(*used)));
+                let low = all.iter().copied().fold(f64::MAX, f64::min);
+                let high = all.iter().copied().fold(0.0, f64::max);
                 prop_assert!(high - low <= LEAD_MS + most + 1e-6, "turn {turn}: {all:?}");
             }
         }

@@ -1,4 +1,4 @@
-//! What is on its way through the device: frames, and the submissions that they are cut into.
+//! Frames on their way through the device, and the submissions that they are split into.
 
 use std::{
     collections::VecDeque,

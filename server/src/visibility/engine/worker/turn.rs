@@ -56,7 +56,7 @@ impl Worker {
 
     pub(super) fn take_up_sessions(&mut self) -> Result<(), TraceError> {
         while let Ok(session) = self.pending.try_recv() {
-            // A session that closes before it is taken up wakes nobody.
+            // A session that closes before it is taken up does not wake this thread.
             if session.port.is_closed() {
                 continue;
             }

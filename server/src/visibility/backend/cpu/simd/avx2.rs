@@ -21,7 +21,7 @@ pub(in super::super) struct Avx2(());
 pub(in super::super) struct Register(__m256);
 
 impl Avx2 {
-    /// The proof, where there is one.
+    /// `None` without AVX2 and FMA.
     pub(in super::super) fn detect() -> Option<Self> {
         (is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")).then_some(Self(()))
     }
