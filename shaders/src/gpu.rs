@@ -4,7 +4,6 @@ use std::sync::OnceLock;
 
 use thiserror::Error;
 
-/// Which adapter to take.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GpuOptions {
     /// Part of the adapter's name, in any case. `#2` at the end takes the second of the adapters that match, best
@@ -16,7 +15,6 @@ pub struct GpuOptions {
     pub allow_software: bool,
 }
 
-/// An open device.
 #[derive(Debug, Clone)]
 pub struct Gpu {
     /// Name, driver and kind of the adapter.

@@ -81,7 +81,6 @@ pub struct MaskLayer {
 pub struct Prediction {
     /// The masks, newest first.
     pub layers: [MaskLayer; MAX_MASK_LAYERS],
-    /// Number of masks.
     pub count: u32,
     /// 0 none, 1 the dissertation's, 2 by surface.
     pub predictor: u32,
@@ -209,7 +208,6 @@ impl Light {
 pub struct Lighting {
     /// Ambient irradiance from above, exposed.
     pub ambient_above: Vec3,
-    /// Number of lights.
     pub count: u32,
     /// Ambient irradiance from below, exposed.
     pub ambient_below: Vec3,

@@ -33,16 +33,13 @@ use std::time::{Duration, Instant};
 use gnomon_protocol::{ids::FrameNumber, mask::Mask, pose::Pose};
 use gnomon_scene::camera::Camera;
 
-/// A mask to trace.
 #[derive(Debug, Clone, Copy)]
 pub struct TraceRequest {
-    /// The client's frame.
     pub frame: FrameNumber,
     /// The view, and the size of the mask.
     pub camera: Camera,
     /// The extrapolated pose of `camera`. `None`: it is the client's own pose of this frame.
     pub ahead: Option<Pose>,
-    /// When the pose arrived.
     pub received_at: Instant,
     /// Recent time between the session's poses. The mask is due after it.
     pub interval: Duration,
@@ -51,12 +48,10 @@ pub struct TraceRequest {
 /// A traced mask and its cost.
 #[derive(Debug)]
 pub struct TracedMask {
-    /// The client's frame.
     pub frame: FrameNumber,
     pub mask: Mask,
     /// The extrapolated pose that it was traced for. `None`: it is the client's own pose of this frame.
     pub ahead: Option<Pose>,
-    /// When the pose arrived.
     pub received_at: Instant,
     pub cost: TraceCost,
 }

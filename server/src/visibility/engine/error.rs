@@ -7,7 +7,6 @@ use thiserror::Error;
 use super::shared::WAITING_SESSIONS;
 use crate::visibility::{backend::BackendError, schedule::capacity::Overload};
 
-/// Why the engine does not start.
 #[derive(Debug, Error)]
 pub enum EngineError {
     #[error(transparent)]
@@ -19,7 +18,6 @@ pub enum EngineError {
     Died,
 }
 
-/// Why a session is refused.
 #[derive(Debug, Error)]
 pub enum OpenError {
     #[error("all {0} sessions are taken")]

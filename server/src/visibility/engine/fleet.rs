@@ -72,7 +72,6 @@ impl Fleet {
         &self.engines
     }
 
-    /// Open sessions.
     #[must_use]
     pub fn sessions(&self) -> usize {
         self.engines.iter().map(Engine::sessions).sum()

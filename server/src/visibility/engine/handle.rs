@@ -124,7 +124,6 @@ impl Engine {
         &self.description
     }
 
-    /// Open sessions.
     #[must_use]
     pub fn sessions(&self) -> usize {
         self.shared.sessions().len()
@@ -148,7 +147,6 @@ impl Engine {
         self.shared.is_well()
     }
 
-    /// Injects a fault.
     #[cfg(any(test, feature = "faults"))]
     pub fn inject(&self, fault: Fault) {
         self.shared.faults.add(fault);

@@ -94,12 +94,10 @@ pub(super) fn session_port(thread: Thread, costs: Arc<SessionCosts>) -> (Session
 }
 
 impl SessionPort {
-    /// As [`RequestSender::request`].
     pub fn request(&self, request: TraceRequest) {
         self.requests.request(request);
     }
 
-    /// As [`RequestSender::recycle`].
     pub fn recycle(&self, mask: Mask) {
         self.requests.recycle(mask);
     }
@@ -140,7 +138,7 @@ impl MaskReceiver {
         mask
     }
 
-    /// Unread masks.
+    /// Number of unread masks.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.masks.len()

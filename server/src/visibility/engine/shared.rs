@@ -37,7 +37,6 @@ pub(super) struct Shared {
     pub(super) model: CostModel,
     #[cfg(any(test, feature = "faults"))]
     pub(super) faults: super::faults::Faults,
-    /// The server's other engines.
     pub(super) peers: OnceLock<Vec<Peer>>,
     /// Open sessions, one for each [`SessionPermit`].
     sessions: Mutex<Vec<Arc<SessionCosts>>>,
@@ -127,10 +126,7 @@ impl Shared {
 }
 
 impl SessionPermit {
-    /// Adds a session if `fits` accepts it beside what the other sessions need.
-    ///
-    /// # Errors
-    /// Those of `fits`.
+    /// Adds a session if `fits` accepts it beside what the other sessions need. Errors are those of `fits`.
     pub(super) fn acquire<E>(
         shared: &Arc<Shared>,
         costs: &Arc<SessionCosts>,

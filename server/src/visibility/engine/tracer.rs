@@ -21,7 +21,6 @@ use crate::visibility::{
     schedule::scheduler::SessionKey,
 };
 
-/// What an engine traces with.
 pub(super) enum Tracer {
     /// Kernels on a device. `in_flight` are the frames that are wholly submitted, oldest first.
     Device {
@@ -59,7 +58,6 @@ enum Progress {
 
 /// What has become of a frame after one of its parts.
 pub(super) enum Advance {
-    /// More parts are left.
     Partial(PartialFrame),
     /// All parts are submitted: [`Tracer::collect`] returns the frame once it has landed.
     InFlight,
@@ -116,10 +114,7 @@ impl Tracer {
         Self::Cpu(Box::new(backend))
     }
 
-    /// Begins a frame. Each [`Self::advance`] traces `rows_per_part` rows of tiles.
-    ///
-    /// # Errors
-    /// If the device has failed.
+    /// Begins a frame. Each [`Self::advance`] traces `rows_per_part` rows of tiles. Errors if the device has failed.
     pub(super) fn begin(&mut self, job: Job, rows_per_part: u32) -> Result<PartialFrame, TraceError> {
         let progress = match self {
             Self::Device { backend, .. } => match backend.begin(&job.request.camera, job.mask.shape()) {
@@ -131,10 +126,8 @@ impl Tracer {
         Ok(PartialFrame { job, rows_per_part, progress })
     }
 
-    /// Submits the next part of a frame to the device, or traces it on the processor.
-    ///
-    /// # Errors
-    /// If the device has failed or the work panics.
+    /// Submits the next part of a frame to the device, or traces it on the processor. Errors if the device has failed
+    /// or the work panics.
     pub(super) fn advance(&mut self, frame: PartialFrame) -> Result<Advance, TraceError> {
         let rows = frame.next_rows();
         let PartialFrame { mut job, rows_per_part, progress } = frame;
@@ -171,10 +164,7 @@ impl Tracer {
         }
     }
 
-    /// Waits up to `patience` for the oldest submission.
-    ///
-    /// # Errors
-    /// If the device has failed.
+    /// Waits up to `patience` for the oldest submission. Errors if the device has failed.
     pub(super) fn wait(&mut self, patience: Duration) -> Result<(), BackendError> {
         let Self::Device { backend, .. } = self else { return Ok(()) };
         // A long mask is read piece by piece, without waiting in between.
@@ -182,10 +172,8 @@ impl Tracer {
         backend.wait(patience)
     }
 
-    /// Returns the oldest frame in flight if it has landed. Does not wait.
-    ///
-    /// # Errors
-    /// If the device has failed or the work panics.
+    /// Returns the oldest frame in flight if it has landed. Does not wait. Errors if the device has failed or the work
+    /// panics.
     pub(super) fn collect(&mut self) -> Result<Option<(Job, TraceCost)>, TraceError> {
         let Self::Device { backend, in_flight } = self else { return Ok(None) };
         let Some(job) = in_flight.front_mut() else { return Ok(None) };
@@ -206,10 +194,8 @@ impl Tracer {
         }
     }
 
-    /// Traces a whole mask and waits for it. `None` if the device is lost.
-    ///
-    /// # Errors
-    /// If the device has failed or frames are in flight.
+    /// Traces a whole mask and waits for it. `None` if the device is lost. Errors if the device has failed or frames
+    /// are in flight.
     pub(super) fn trace(&mut self, camera: &Camera, mask: &mut Mask) -> Result<Option<TraceCost>, BackendError> {
         match self {
             Self::Device { backend, .. } => backend.trace(camera, mask).map(Some),
@@ -247,10 +233,8 @@ impl Tracer {
         }
     }
 
-    /// Makes buffers that just fit these shapes; frames in flight would be lost.
-    ///
-    /// # Errors
-    /// If the device has too little memory: then there are no buffers at all.
+    /// Makes buffers that just fit these shapes; frames in flight would be lost. Errors if the device has too little
+    /// memory: then there are no buffers at all.
     pub(super) fn fit(&mut self, shapes: impl IntoIterator<Item = MaskShape>) -> Result<(), BackendError> {
         match self {
             Self::Device { backend, .. } => backend.fit(shapes),

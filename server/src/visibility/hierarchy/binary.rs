@@ -143,7 +143,6 @@ mod tests {
 
     use super::*;
 
-    /// A cube's box.
     fn cube(centre: Vec3A, side: f32) -> Aabb {
         Aabb::new(centre - side * 0.5, centre + side * 0.5)
     }

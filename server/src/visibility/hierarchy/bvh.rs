@@ -20,9 +20,7 @@ pub struct F8(pub [f32; WIDTH]);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Child {
     None,
-    /// Index of a node.
     Node(u32),
-    /// Index of a leaf.
     Leaf(u32),
 }
 
@@ -94,7 +92,6 @@ pub struct Leaf {
 pub struct WideBvh {
     /// Nodes, parents before children.
     pub nodes: Vec<Node>,
-    /// Leaves.
     pub leaves: Vec<Leaf>,
     /// Nodes on the longest path from the root to a leaf.
     pub depth: usize,

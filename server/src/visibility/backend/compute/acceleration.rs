@@ -24,11 +24,8 @@ pub(super) fn structure_type() -> wgpu::BindingType {
     wgpu::BindingType::AccelerationStructure { vertex_return: false }
 }
 
-/// Builds the structure over `triangles`.
-///
-/// # Errors
-/// If the adapter cannot build a structure of so many triangles. What the device itself refuses, its error handler
-/// gets.
+/// Builds the structure over `triangles`. Errors if the adapter cannot build a structure of so many triangles. What the
+/// device itself refuses, its error handler gets.
 pub(super) fn build_structure(gpu: &Gpu, triangles: &[TracedTriangle]) -> Result<wgpu::Tlas, BackendError> {
     let limit = gpu.device.limits().max_blas_primitive_count;
     let Some(count) = u32::try_from(triangles.len()).ok().filter(|&count| count <= limit) else {

@@ -30,7 +30,6 @@ pub(super) struct Geometry {
     pub(super) normals: Vec<[Vec3; 4]>,
     /// Texture coordinates of the triangles with holes, three each.
     pub(super) alpha_uvs: Vec<Vec2>,
-    /// Materials with holes.
     pub(super) alpha_materials: Vec<AlphaMaterial>,
     /// Alpha pictures, one after the other.
     pub(super) alpha_texels: Vec<u8>,
@@ -46,10 +45,8 @@ enum Opacity {
 }
 
 impl Geometry {
-    /// The triangles that stop rays, with the hierarchy that `traversal` needs.
-    ///
-    /// # Errors
-    /// If 32-bit indices do not suffice.
+    /// The triangles that stop rays, with the hierarchy that `traversal` needs. Errors if 32-bit indices do not
+    /// suffice.
     pub(super) fn build(scene: &Scene, traversal: Traversal) -> Result<Self, BackendError> {
         let mut geometry = Self::default();
         let opacities = geometry.add_alpha(scene)?;
@@ -172,7 +169,6 @@ pub(super) fn build_hierarchy(shapes: &[Triangle]) -> CwBvh {
     compress(&binary)
 }
 
-/// Levels of nodes.
 fn depth(nodes: &[CwBvhNode]) -> u32 {
     let mut deepest = 0;
     let mut waiting = vec![(0_usize, 1_u32)];

@@ -43,7 +43,6 @@ const FRAME_BUFFERS: usize = 3;
 /// Storage buffers that a kernel reads or writes.
 const BUFFERS: u32 = 10;
 
-/// Pipelines of both kernels.
 #[derive(Debug)]
 pub(super) struct Kernels {
     /// `visibility/primary.wgsl`.
@@ -54,12 +53,10 @@ pub(super) struct Kernels {
     frame: wgpu::BindGroupLayout,
 }
 
-/// One frame's buffers.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FrameBuffers<'a> {
     /// 16 bytes a pixel between the kernels.
     pub(super) surfaces: &'a wgpu::Buffer,
-    /// The mask's words.
     pub(super) mask: &'a wgpu::Buffer,
     /// The number of shadow rays.
     pub(super) ray_count: &'a wgpu::Buffer,
@@ -67,10 +64,8 @@ pub(super) struct FrameBuffers<'a> {
 
 impl Kernels {
     /// Compiles the kernels, with `has_alpha` for a scene whose triangles have holes. `offset_roundings` replaces
-    /// `OFFSET_ROUNDINGS` of `visibility/primary.wgsl`.
-    ///
-    /// # Errors
-    /// If the device lacks a feature or a limit that they need. What the device itself refuses, its error handler gets.
+    /// `OFFSET_ROUNDINGS` of `visibility/primary.wgsl`. Errors if the device lacks a feature or a limit that they need.
+    /// What the device itself refuses, its error handler gets.
     pub(super) fn new(
         gpu: &Gpu,
         traversal: Traversal,

@@ -41,7 +41,6 @@ const PENDING: u8 = 0;
 const MAPPED: u8 = 1;
 const FAILED: u8 = 2;
 
-/// Sizes of the buffers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Capacity {
     surface_bytes: u64,
@@ -78,7 +77,6 @@ pub(super) struct Ring {
     pub(super) slots: [Slot; SLOTS],
 }
 
-/// Buffers of one frame.
 #[derive(Debug)]
 pub(super) struct Slot {
     pub(super) group: wgpu::BindGroup,
@@ -189,10 +187,7 @@ impl Slot {
         });
     }
 
-    /// Whether the frame is in the host's memory.
-    ///
-    /// # Errors
-    /// If the device failed to copy it there.
+    /// Whether the frame is in the host's memory. Errors if the device failed to copy it there.
     pub(super) fn is_ready(&self) -> Result<bool, String> {
         match self.state.load(Ordering::Acquire) {
             FAILED => Err("a mask could not be read back".to_owned()),
@@ -200,10 +195,8 @@ impl Slot {
         }
     }
 
-    /// Copies these words of a frame that is ready into `mask`, which has the frame's shape.
-    ///
-    /// # Errors
-    /// If the buffer is not mapped.
+    /// Copies these words of a frame that is ready into `mask`, which has the frame's shape. Errors if the buffer is
+    /// not mapped.
     pub(super) fn read(&self, mask: &mut Mask, words: Range<usize>) -> Result<(), String> {
         let bytes = MASK_AT + 8 * words.start as u64..MASK_AT + 8 * words.end as u64;
         let view = self.host.get_mapped_range(bytes).map_err(|error| error.to_string())?;
@@ -215,10 +208,7 @@ impl Slot {
     }
 
     /// Returns the timestamps and the number of shadow rays of a frame that was traced in `parts` parts, and unmaps the
-    /// buffer.
-    ///
-    /// # Errors
-    /// If the buffer is not mapped.
+    /// buffer. Errors if the buffer is not mapped.
     pub(super) fn finish(&self, parts: u32) -> Result<(Vec<u64>, u64), String> {
         let view = self.host.get_mapped_range(..MASK_AT).map_err(|error| error.to_string())?;
         let mut head = view.as_chunks().0.iter().copied().map(u64::from_le_bytes);

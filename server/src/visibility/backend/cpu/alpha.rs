@@ -30,8 +30,7 @@ struct MaskMaterial {
 }
 
 impl Alpha {
-    /// # Errors
-    /// If a MASK material's picture is not decoded.
+    /// Errors if a MASK material's picture is not decoded.
     pub(super) fn new(scene: &Scene) -> Result<Self, BackendError> {
         let mut alpha = Self { first: 0, triangles: Vec::new(), materials: Vec::new(), pictures: Vec::new() };
         let mut places = vec![None; scene.materials.len()];

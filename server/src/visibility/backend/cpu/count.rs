@@ -15,7 +15,6 @@ pub(super) trait Counter: Default + Send {
     fn alpha(&mut self, _rays: u32) {}
 }
 
-/// Counts nothing.
 #[derive(Debug, Default)]
 pub(super) struct Silent;
 

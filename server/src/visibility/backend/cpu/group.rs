@@ -104,7 +104,6 @@ pub(super) struct Group {
 }
 
 impl Group {
-    /// A group without rays.
     pub(super) fn empty(projection: Projection) -> Self {
         let nothing = [F8([f32::INFINITY; 8]), F8([f32::NEG_INFINITY; 8])];
         Self {

@@ -60,7 +60,6 @@ pub(super) type Coordinates = [[F8; PACKETS]; 3];
 pub(super) struct Surface {
     /// Bit i of `lanes[p]`: ray i of packet p hit a surface.
     pub(super) lanes: [u8; PACKETS],
-    /// Interpolated points.
     pub(super) point: Coordinates,
     /// The points pushed off the surface: starts of shadow rays.
     pub(super) pushed: Coordinates,

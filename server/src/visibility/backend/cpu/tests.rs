@@ -13,7 +13,6 @@ use crate::visibility::{TraceCost, backend::BackendError};
 mod brute;
 mod real;
 
-/// A scene under construction.
 struct Builder(Scene);
 
 impl Builder {

@@ -26,7 +26,6 @@ pub(super) struct Picture {
     pub(super) height: u32,
 }
 
-/// Time and work of tiles.
 #[derive(Debug, Default)]
 pub(super) struct TileCost<C> {
     pub(super) primary: Duration,

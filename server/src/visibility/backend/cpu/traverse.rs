@@ -29,7 +29,6 @@ impl Default for Scratch {
     }
 }
 
-/// The nearest triangles.
 pub(super) struct Hits {
     /// 1/z of each ray's nearest hit, by packet; 0 without one.
     pub(super) inverse_depth: [F8; PACKETS],

@@ -21,10 +21,7 @@ pub(super) struct World {
 }
 
 impl World {
-    /// Builds the tree on the current rayon pool.
-    ///
-    /// # Errors
-    /// If the alpha of a MASK material is not decoded.
+    /// Builds the tree on the current rayon pool. Errors if the alpha of a MASK material is not decoded.
     pub(super) fn new(scene: &Scene) -> Result<Self, BackendError> {
         let flags = triangle_flags(scene);
         let middle = (scene.bounds.min + scene.bounds.max) * 0.5;

@@ -25,7 +25,6 @@ pub(super) struct Room {
     pub(super) whole: bool,
     /// The first part of a frame.
     pub(super) first_part: bool,
-    /// A further part.
     pub(super) next_part: bool,
     /// Cost above which a frame is split, in milliseconds.
     pub(super) split_above_ms: f64,

@@ -55,10 +55,8 @@ impl Worker {
         }
     }
 
-    /// Traces two masks for no session: then the device is warm and the cost of a mask is known.
-    ///
-    /// # Errors
-    /// If the device fails.
+    /// Traces two masks for no session: then the device is warm and the cost of a mask is known. Errors if the device
+    /// fails.
     pub(in super::super) fn warm_up(&mut self, camera: &Camera, shape: MaskShape) -> Result<(), BackendError> {
         let mut mask = Mask::new(shape);
         for _ in 0..2 {

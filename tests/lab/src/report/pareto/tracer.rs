@@ -29,7 +29,6 @@ pub(super) struct Tracer {
     wrong_ppm: u16,
 }
 
-/// Cost of a frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Traced {
     /// Wall-clock time of tracing and encoding, in milliseconds.
@@ -117,7 +116,6 @@ pub(super) fn automatic(scene: &Scene) -> &'static str {
 /// How long a measurement takes samples.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Patience {
-    /// Samples that are enough.
     pub(super) samples: usize,
     /// Time after which one sample is enough.
     pub(super) time: Duration,

@@ -53,7 +53,6 @@ operator!(Add, add, _mm256_add_ps);
 operator!(Sub, sub, _mm256_sub_ps);
 operator!(Mul, mul, _mm256_mul_ps);
 
-/// An intrinsic on registers.
 macro_rules! call {
     ($($body:tt)*) => {
         // SAFETY: `self` proves that the processor has AVX2 and FMA; pointers come from references to aligned F8.

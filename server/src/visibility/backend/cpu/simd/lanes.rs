@@ -5,7 +5,6 @@ use std::ops::{Add, Mul, Sub};
 
 /// Eight lanes of f32 and their masks.
 pub(in super::super) trait Simd: Copy + Send + Sync {
-    /// Eight numbers.
     type F: Copy + Add<Output = Self::F> + Sub<Output = Self::F> + Mul<Output = Self::F>;
     /// Eight yes or no.
     type M: Copy;
