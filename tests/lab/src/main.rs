@@ -7,21 +7,8 @@ use clap::{Parser, Subcommand};
 use gnomon_lab::{
     cloister,
     report::{
-        accuracy::{self, AccuracyOptions},
-        chaos::{self, ChaosOptions},
-        codec::{self, CodecOptions},
-        hostile::{self, HostileOptions},
-        lag::{self, LagOptions},
-        link::{self, LinkOptions},
-        load::{self, LoadOptions},
-        loss::{self, LossOptions},
-        network::{self, NetworkOptions},
-        pareto::{self, ParetoOptions},
-        pipeline::{self, PipelineOptions},
-        predict_cost::{self, PredictCostOptions},
-        replay::{self, ReplayOptions},
-        trace_error::{self, TraceErrorOptions},
-        video::{self, VideoOptions},
+        accuracy, chaos, codec, hostile, lag, link, load, loss, network, pareto, pipeline, predict_cost, replay,
+        trace_error, video,
     },
 };
 
@@ -35,13 +22,13 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Judge the back ends with the f64 referee on real scenes and hard cases: accuracy.csv, hard_cases.csv, pictures.
-    Accuracy(AccuracyOptions),
+    Accuracy(accuracy::AccuracyOptions),
     /// Put a server under load and through faults, and compare promises with measurements.
-    Chaos(ChaosOptions),
+    Chaos(chaos::ChaosOptions),
     /// Measure each codec on a path's masks, in bytes and time: codec.csv.
-    Codec(CodecOptions),
+    Codec(codec::CodecOptions),
     /// Send bad traffic to a server and measure its cost. Fails if a goal is missed.
-    Hostile(HostileOptions),
+    Hostile(hostile::HostileOptions),
     /// Write Gnomon's own scene: cloister.glb, and its camera paths, cloister.json.
     MakeScene {
         /// Output folder.
@@ -49,27 +36,27 @@ enum Command {
         out: PathBuf,
     },
     /// Rebuild the dissertation's Table 1 with the real programs on loopback: pipeline.csv.
-    Pipeline(PipelineOptions),
+    Pipeline(pipeline::PipelineOptions),
     /// Measure the error of predicted visibility against its lag: lag.csv, plots and a grid of pictures.
-    Lag(LagOptions),
+    Lag(lag::LagOptions),
     /// Measure what prediction costs of a client's frame: predict_cost.csv.
-    PredictCost(PredictCostOptions),
+    PredictCost(predict_cost::PredictCostOptions),
     /// Emulate a network between a client and a server on this machine.
-    Link(LinkOptions),
+    Link(link::LinkOptions),
     /// Run many clients without graphics against a running server.
-    Load(LoadOptions),
+    Load(load::LoadOptions),
     /// Measure the effect of packet loss on shown masks: loss.csv.
-    Loss(LossOptions),
+    Loss(loss::LossOptions),
     /// Measure the client behind networks, against itself without a server: network.csv and plots.
-    Network(NetworkOptions),
+    Network(network::NetworkOptions),
     /// Measure every setting that trades speed for error on the real scenes: pareto.csv and a plot per scene.
-    Pareto(ParetoOptions),
+    Pareto(pareto::ParetoOptions),
     /// Draw a client's recording again: the same pictures to the last bit on the same adapter.
-    Replay(ReplayOptions),
+    Replay(replay::ReplayOptions),
     /// Compare the back ends' masks with the referee's, directly.
-    TraceError(TraceErrorOptions),
+    TraceError(trace_error::TraceErrorOptions),
     /// Compare sending visibility with sending video: video.csv and plots.
-    Video(VideoOptions),
+    Video(video::VideoOptions),
 }
 
 fn run(arguments: Arguments) -> Result<()> {

@@ -101,10 +101,7 @@ impl Glb {
             "channels": [{ "sampler": 0, "target": { "node": node, "path": "rotation" } }] }));
     }
 
-    /// The file's bytes.
-    ///
-    /// # Errors
-    /// If a part is longer than 4 GiB.
+    /// Returns the file. Errors if a part is longer than 4 GiB.
     pub(crate) fn finish(mut self, generator: &str) -> Result<Vec<u8>, GlbError> {
         let textures: Vec<Value> = (0..self.images.len()).map(|i| json!({ "source": i, "sampler": 0 })).collect();
         pad(&mut self.binary, 0);

@@ -32,7 +32,6 @@ use super::{
     table::Table,
 };
 
-/// What to measure.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ParetoOptions {
     /// Folder of the six real scenes.
@@ -64,9 +63,6 @@ pub struct ParetoOptions {
 
 /// Measures all settings and writes `pareto.csv` and a plot per scene. Reports each step, and each default that is off
 /// the front, to `progress`.
-///
-/// # Errors
-/// If a scene cannot be read, an available back end fails, or a result cannot be written.
 pub fn measure(options: &ParetoOptions, mut progress: impl FnMut(&str)) -> Result<()> {
     for name in &options.backends {
         ensure!(BACKENDS.contains(&name.as_str()), "{name:?} is no back end: {}", BACKENDS.join(", "));
