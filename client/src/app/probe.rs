@@ -34,7 +34,6 @@ pub struct ProbeOptions {
     /// In pixels.
     pub height: u32,
     pub codec: CodecId,
-    /// Poses to send.
     pub frames: u32,
     /// Poses a second; `None` sends each pose after the mask of the last.
     pub fps: Option<f64>,
@@ -52,9 +51,8 @@ impl ProbeOptions {
 pub struct ProbeReport {
     /// The server's tracing device.
     pub backend: String,
-    /// Poses sent.
     pub poses: u32,
-    /// Masks received whole.
+    /// Masks that arrived whole.
     pub masks: u64,
     /// Frames that arrived only in part.
     pub incomplete: u64,

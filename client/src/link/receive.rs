@@ -88,7 +88,7 @@ impl ReceiveTask {
         }
     }
 
-    /// Decodes the frame that has come out, if one has, into the back buffer.
+    /// Decodes a finished frame into the back buffer. Returns whether there was one.
     fn poll_frame(&mut self) -> Result<bool, String> {
         let back = self.writer.back();
         let frame = match self.receiver.poll_frame(&mut back.mask, &mut back.coverage) {
