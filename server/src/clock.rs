@@ -28,7 +28,6 @@ impl quinn_proto::TimeSource for SteadyClock {
     }
 }
 
-/// Sets the clock, for tests.
 #[cfg(any(test, feature = "faults"))]
 pub mod step {
     use std::{

@@ -7,7 +7,6 @@ use std::{
     sync::atomic::{AtomicU64, Ordering},
 };
 
-/// # Errors
 /// Errors if the file cannot be read, or is longer than `limit_bytes`.
 pub(crate) fn read_small(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
@@ -20,8 +19,6 @@ pub(crate) fn read_small(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
 
 /// Creates a file that only its owner may read, unless it exists; returns whether it did. The file appears whole or not
 /// at all: a crash leaves no partial key, and two servers that start at once keep the same one.
-///
-/// # Errors
 /// Errors if the folder cannot be written.
 pub(crate) fn create_private(path: &Path, bytes: &[u8]) -> io::Result<bool> {
     static SCRATCH: AtomicU64 = AtomicU64::new(0);

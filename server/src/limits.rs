@@ -52,7 +52,6 @@ pub const INCOMING_BUFFER_TOTAL_BYTES: u64 = 2 * 1024 * 1024;
 /// Unread datagrams of a session: about 200 poses. Older ones are dropped.
 pub const DATAGRAM_RECEIVE_BUFFER_BYTES: usize = 32 * 1024;
 
-/// Unread bytes per stream.
 pub const STREAM_RECEIVE_WINDOW_BYTES: u32 = 64 * 1024;
 
 /// Scene bytes in flight to one client.
@@ -61,7 +60,6 @@ pub const SEND_WINDOW_BYTES: u64 = 4 * 1024 * 1024;
 /// Streams of a client: the control stream, and those of HTTP/3.
 pub const MAX_BIDI_STREAMS: u32 = 4;
 
-/// As [`MAX_BIDI_STREAMS`].
 pub const MAX_UNI_STREAMS: u32 = 8;
 
 /// Queued control messages of a session, including scene chunks.
@@ -107,7 +105,6 @@ pub const FINISH_TIMEOUT: Duration = Duration::from_secs(2);
 /// Suggested to refused clients.
 pub const RETRY_AFTER: Duration = Duration::from_secs(5);
 
-/// Largest token file.
 pub const MAX_TOKEN_FILE_BYTES: u64 = 1024 * 1024;
 
 /// Largest certificate or key file.
@@ -135,5 +132,4 @@ pub const MAX_HTTP_ANSWER_BYTES: usize = 64 * 1024;
 /// Queued log lines; more are counted and dropped.
 pub const MAX_WAITING_LOG_LINES: usize = 8192;
 
-/// Tokens in one file.
 pub const MAX_TOKENS: usize = 10_000;

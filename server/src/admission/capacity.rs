@@ -104,8 +104,6 @@ impl HostCapacity {
 
     /// Reserves room for a session of up to `rate_hz` masks a second. The first session always fits: it can disturb
     /// no other.
-    ///
-    /// # Errors
     /// Errors if the cores or the network lack capacity.
     pub(crate) fn reserve(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<Reservation, OverCapacity> {
         let requested_hz = rate_hz.unwrap_or(LEAST_HZ);

@@ -22,7 +22,7 @@ use super::{
 };
 use crate::{
     limits::LINGER,
-    metrics::registry::RefusalCause,
+    metrics::causes::RefusalCause,
     net::link::{CloseCode, Link},
     visibility::engine::{OpenError, SessionPort},
 };
@@ -64,8 +64,6 @@ pub(crate) enum HandshakeError {
 }
 
 /// Reads the Hello and answers it. The caller bounds the time.
-///
-/// # Errors
 /// Errors if the client is refused (after it was told so), or breaks off.
 pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<AdmittedClient, HandshakeError> {
     let admitted = match read_hello(&mut link.reader).await? {

@@ -65,9 +65,7 @@ impl SessionPermits {
     }
 
     /// Takes over the permit of the session that `resume` names, which then ends, or a free one.
-    ///
-    /// # Errors
-    /// [`Refusal::Full`] when none is free, [`Refusal::Draining`] after [`Self::close`].
+    /// Errors: [`Refusal::Full`] when none is free, [`Refusal::Draining`] after [`Self::close`].
     pub(crate) fn acquire(&self, resume: Option<ResumeToken>) -> Result<SessionPermit, Refusal> {
         if self.free.is_closed() {
             return Err(Refusal::Draining);

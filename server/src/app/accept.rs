@@ -16,7 +16,7 @@ use crate::{
         time_limit,
     },
     limits,
-    metrics::registry::RefusalCause,
+    metrics::causes::RefusalCause,
     net::endpoint::{Arrival, Endpoint},
     phase::stopping,
     session,

@@ -59,19 +59,16 @@ impl RunningServer {
         self.services.engine.description().to_owned()
     }
 
-    /// Open sessions.
     #[must_use]
     pub fn sessions(&self) -> usize {
         self.services.permits.in_use()
     }
 
-    /// Lights of the scene.
     #[must_use]
     pub fn lights(&self) -> u32 {
         self.services.scene.lights
     }
 
-    /// One engine per device.
     #[must_use]
     pub fn engines(&self) -> &[Engine] {
         self.services.engine.engines()

@@ -13,7 +13,6 @@ pub(super) fn load_options(config: &ServerConfig) -> LoadOptions {
     LoadOptions { lights_from: config.lights_from.clone(), max_lights: config.lights }
 }
 
-/// # Errors
 /// Errors if the scene cannot be loaded, or is too large for clients.
 pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<(Arc<Scene>, SceneAsset), StartError> {
     let (scene, report) = Scene::load_with_report(path, options)

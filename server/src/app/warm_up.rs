@@ -9,10 +9,8 @@ use crate::visibility::{TraceRequest, engine::Engine};
 
 const TIMEOUT: Duration = Duration::from_secs(120);
 
-/// Side of the mask.
 const SIDE_PX: u16 = 64;
 
-/// # Errors
 /// Errors if no mask arrives in time.
 pub(super) async fn warm_up(engine: &Engine, lights: u32) -> Result<(), String> {
     let shape = MaskShape::new(SIDE_PX.into(), SIDE_PX.into(), lights).map_err(|error| error.to_string())?;

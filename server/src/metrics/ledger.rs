@@ -20,7 +20,6 @@ macro_rules! ledger {
             newest_requested: AtomicU64,
         }
 
-        /// A reading of the counters.
         #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
         pub(crate) struct Totals {
             $($(#[$doc])* pub(crate) $name: u64,)*
@@ -46,11 +45,9 @@ macro_rules! ledger {
 }
 
 ledger! {
-    /// Control messages received.
     messages,
     /// Poses used.
     poses,
-    /// Feedback datagrams.
     acknowledgements,
     /// Datagrams that are no valid pose.
     poses_bad,
@@ -60,13 +57,11 @@ ledger! {
     poses_over_rate,
     /// Datagrams dropped unread: newer ones displaced them, or the session ended.
     poses_unread,
-    /// Masks traced.
     frames_traced,
     /// Masks encoded, or tried.
     frames_encoded,
     /// Core time of encoding, in microseconds.
     encode_us,
-    /// Frames sent.
     frames_sent,
     /// Frames sent in part, because the network carried no more.
     frames_cut,
@@ -94,7 +89,6 @@ ledger! {
     quic_lost,
 }
 
-/// Times of a frame's stages.
 #[derive(Debug, Default)]
 pub(crate) struct Stages {
     /// Tracing: primary rays and shadow rays.
@@ -135,7 +129,6 @@ impl Stages {
     }
 }
 
-/// A monotonic counter.
 #[derive(Debug, Default)]
 pub(crate) struct Counter(AtomicU64);
 

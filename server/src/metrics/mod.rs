@@ -1,5 +1,6 @@
 //! Counters: a ledger per session, and their sum for Prometheus.
 
+pub(crate) mod causes;
 pub(crate) mod ledger;
 pub(crate) mod page;
 pub(crate) mod process;

@@ -11,11 +11,11 @@ use prometheus_client::{
 
 use super::ledger::{StageCounts, as_f64};
 use super::{
+    causes::{EndCause, RefusalCause},
     process::ProcessFacts,
-    registry::{EndCause, RefusalCause, Snapshot},
+    registry::Snapshot,
 };
 
-/// A reading of all metrics.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Page {
     pub(crate) ready: bool,
@@ -32,7 +32,6 @@ pub(crate) struct Page {
 pub(crate) const CONTENT_TYPE: &str = prometheus_text::CONTENT_TYPE;
 
 impl Page {
-    /// # Errors
     /// Never, since writing to a string does not fail.
     pub(crate) fn text(self) -> Result<String, fmt::Error> {
         let mut registry = Registry::with_prefix("gnomon");

@@ -16,61 +16,12 @@ use std::{
 use parking_lot::Mutex;
 use serde::Serialize;
 
+use super::causes::{EndCause, RefusalCause};
 use super::ledger::{Ledger, StageCounts, Totals, as_f64};
 use crate::net::{
     link::{Closer, TransportCounts},
     socket::SocketCounts,
 };
-
-/// Defines an enum with a metric label for each variant.
-macro_rules! causes {
-    ($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident = $label:literal,)* }) => {
-        $(#[$meta])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-        pub(crate) enum $name {
-            $($(#[$doc])* $variant,)*
-        }
-
-        impl $name {
-            /// Metric labels, in order.
-            pub(crate) const LABELS: &[&str] = &[$($label),*];
-        }
-    };
-}
-
-causes! {
-    /// Why a peer got no session.
-    RefusalCause {
-        Token = "token",
-        /// No permit was free.
-        Full = "full",
-        /// Devices, cores or network lack capacity.
-        Budget = "budget",
-        /// Its address is at its session limit.
-        Address = "address",
-        Draining = "draining",
-        /// Another protocol version, or an impossible request.
-        Unsupported = "unsupported",
-        /// It broke off, or broke the protocol.
-        Broken = "broken",
-        /// No Hello in time.
-        Silent = "silent",
-        /// Too many handshakes under way.
-        Handshakes = "handshakes",
-    }
-}
-
-causes! {
-    /// How a session ended.
-    EndCause {
-        Left = "left",
-        /// The connection was lost, or the client silent.
-        Lost = "lost",
-        Violation = "violation",
-        Failed = "failed",
-        Stopping = "stopping",
-    }
-}
 
 #[derive(Debug, Default)]
 pub(crate) struct Metrics {
@@ -90,8 +41,7 @@ struct Sessions {
     past: Sum,
 }
 
-/// Describes a session in `/sessions`.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 pub(crate) struct About {
     pub(crate) id: u64,
     pub(crate) client: String,
@@ -114,14 +64,12 @@ impl std::fmt::Debug for Entry {
     }
 }
 
-/// Totals of many sessions.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Sum {
     pub(crate) totals: Totals,
     pub(crate) stages: StageCounts,
 }
 
-/// A reading of all counters.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Snapshot {
     pub(crate) open: usize,
@@ -136,12 +84,8 @@ pub(crate) struct Snapshot {
 /// An entry of `/sessions`.
 #[derive(Debug, Serialize)]
 pub(crate) struct Listed {
-    id: u64,
-    client: String,
-    peer: SocketAddr,
-    carrier: &'static str,
-    size_px: [u32; 2],
-    codec: String,
+    #[serde(flatten)]
+    about: About,
     seconds: f64,
     poses: u64,
     frames_traced: u64,
@@ -223,15 +167,9 @@ impl Metrics {
     pub(crate) fn list(&self) -> Vec<Listed> {
         let listed = |entry: &Entry| {
             let (totals, stages) = (entry.ledger.totals(), entry.ledger.stages.counts());
-            let About { id, client, peer, carrier, size_px, codec } = entry.about.clone();
             let [.., pose_to_sent] = &stages.0;
             Listed {
-                id,
-                client,
-                peer,
-                carrier,
-                size_px,
-                codec,
+                about: entry.about.clone(),
                 seconds: entry.opened_at.elapsed().as_secs_f64(),
                 poses: totals.poses,
                 frames_traced: totals.frames_traced,

@@ -19,7 +19,6 @@ const OCTAVES: usize = 22;
 
 const BUCKETS: usize = 1 + OCTAVES * PER_OCTAVE;
 
-/// A histogram of durations.
 #[derive(Debug)]
 pub(crate) struct Times {
     buckets: [AtomicU64; BUCKETS],
@@ -50,7 +49,6 @@ impl Times {
     }
 }
 
-/// A reading of [`Times`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Counts {
     buckets: [u64; BUCKETS],

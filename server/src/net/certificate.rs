@@ -31,7 +31,6 @@ use crate::{clock, config::ServerConfig, files, hex, limits};
 /// Holds the self-signed certificate and its key.
 const IDENTITY_FILE: &str = "identity.pem";
 
-/// ALPN of WebTransport.
 pub(crate) const ALPN_WEB: &[u8] = b"h3";
 
 const BROWSER_LIFE: Duration = Duration::from_secs(13 * 24 * 3600);
@@ -61,7 +60,6 @@ pub(crate) struct Certificates {
     provider: Arc<CryptoProvider>,
 }
 
-/// Source of the permanent certificate.
 #[derive(Debug)]
 enum Files {
     Operator {
@@ -99,8 +97,6 @@ struct BrowserCertificate {
 
 impl Certificates {
     /// Reads the permanent certificate, or makes it.
-    ///
-    /// # Errors
     /// Errors if the folder or file cannot be used, or its content is damaged.
     pub(crate) fn open(config: &ServerConfig, provider: Arc<CryptoProvider>) -> Result<Self, CertificateError> {
         let files = match (&config.cert_file, &config.key_file) {
@@ -119,9 +115,7 @@ impl Certificates {
 
     /// Rereads the permanent certificate for later handshakes, and returns its SHA-256. An unusable one changes
     /// nothing.
-    ///
-    /// # Errors
-    /// As [`Self::open`].
+    /// Errors as [`Self::open`].
     pub(crate) fn reload(&self) -> Result<String, CertificateError> {
         let read = Arc::new(self.files.read(&self.provider)?);
         *self.permanent.lock() = read;

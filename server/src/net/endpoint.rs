@@ -55,8 +55,6 @@ pub(crate) enum Endpoint {
 }
 
 /// Binds the configured address.
-///
-/// # Errors
 /// Errors if the address is taken or cannot be used.
 pub(crate) fn bind(config: &ServerConfig) -> Result<Bound, ListenError> {
     let address = config.listen;
@@ -84,7 +82,6 @@ pub(crate) fn bind(config: &ServerConfig) -> Result<Bound, ListenError> {
 }
 
 impl Bound {
-    /// # Errors
     /// Errors if the system does not know the address.
     pub(crate) fn local_addr(&self) -> io::Result<SocketAddr> {
         match self {
@@ -94,8 +91,6 @@ impl Bound {
     }
 
     /// Starts to receive packets, counting them in `counts`.
-    ///
-    /// # Errors
     /// Errors if TLS or the runtime refuses.
     pub(crate) fn open(
         self,
@@ -245,8 +240,6 @@ impl Arrival {
     }
 
     /// Completes the transport's handshake, and waits for the client's control stream.
-    ///
-    /// # Errors
     /// Errors if the peer breaks off, or speaks another protocol.
     pub(crate) async fn into_link(self) -> Result<Link, ArrivalError> {
         let peer = self.peer();

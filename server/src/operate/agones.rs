@@ -66,7 +66,6 @@ impl Sidecar {
     }
 }
 
-/// Never returns.
 pub(crate) async fn run(readiness: Readiness, metrics: Arc<Metrics>) {
     send_heartbeats(Sidecar::from_environment(), readiness, metrics, HEARTBEAT).await;
 }
@@ -76,7 +75,6 @@ pub(crate) async fn shutdown() {
     logged_ok("shutdown", &Sidecar::from_environment().post("/shutdown").await);
 }
 
-/// State between heartbeats.
 #[derive(Debug, Default)]
 struct Reported {
     ready: bool,

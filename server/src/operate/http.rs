@@ -27,7 +27,6 @@ pub(crate) enum SendError {
     Silent(Duration),
 }
 
-/// # Errors
 /// Errors unless a success status arrives within `limit`.
 pub(crate) async fn send(
     address: impl ToSocketAddrs,

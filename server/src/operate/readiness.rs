@@ -9,7 +9,6 @@ pub(crate) enum Stage {
     /// Loading the scene, building hierarchies, warming up the device.
     Starting,
     Ready,
-    /// Asking clients to leave.
     Draining,
     /// Tracing has failed for good, with the reason.
     Failed(String),

@@ -18,7 +18,6 @@ pub(super) struct Session {
     pub(super) stream_task: JoinSet<Result<(), DriveError>>,
     /// Taken by Start.
     pub(super) stream: Option<Stream>,
-    /// Scene fetches so far.
     pub(super) fetches: u32,
     pub(super) ledger: Arc<Ledger>,
     pub(super) services: Arc<Services>,

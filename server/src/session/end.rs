@@ -3,19 +3,15 @@
 use tokio::task::JoinError;
 
 use super::driver::DriveError;
-use crate::{metrics::registry::EndCause, net::link::CloseCode};
+use crate::{metrics::causes::EndCause, net::link::CloseCode};
 
 #[derive(Debug)]
 pub(super) enum End {
     /// The client said Bye, or ended its stream.
     Left,
-    /// The server stops.
     Stopping,
-    /// The connection is lost.
     Lost(String),
-    /// The client broke the protocol.
     Violation(String),
-    /// The server failed.
     Failed(String),
 }
 

@@ -53,8 +53,6 @@ impl Outbox {
     }
 
     /// Hands one message to the writer once it has room. Never returns while there is nothing to send. Cancel-safe.
-    ///
-    /// # Errors
     /// Errors if the stream is broken, or the client has not read for too long.
     pub(super) async fn pump(&mut self, scene: &[u8]) -> Result<(), ControlError> {
         let Some(queue) = self.queue.clone() else { return std::future::pending().await };

@@ -28,8 +28,6 @@ pub(super) struct Stream {
 
 impl Stream {
     /// Runs until the server stops.
-    ///
-    /// # Errors
     /// Errors if the link or the engine fails.
     pub(super) async fn run(self, services: Arc<Services>, ledger: Arc<Ledger>) -> Result<(), DriveError> {
         let (receiver, sender) = self.data.open(services.handshake_timeout).await?;

@@ -12,7 +12,6 @@ use crate::{files, hex, limits};
 /// SHA-256 of a token.
 pub(super) type Digest = [u8; 32];
 
-/// One `[[token]]` as written.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Entry {
@@ -38,7 +37,6 @@ fn session_only() -> Vec<Scope> {
     vec![Scope::Session]
 }
 
-/// A checked entry.
 #[derive(Debug, Clone)]
 pub(crate) struct Listed {
     pub(super) digest: Digest,
@@ -65,15 +63,13 @@ pub enum TokenError {
     Random,
 }
 
-/// # Errors
-/// As [`parse`], and if the file cannot be read.
+/// Errors as [`parse`], and if the file cannot be read.
 pub(super) fn read(path: &Path) -> Result<Vec<Listed>, TokenError> {
     let bytes = files::read_small(path, limits::MAX_TOKEN_FILE_BYTES)
         .map_err(|reason| TokenError::Read { path: path.to_owned(), reason })?;
     parse(path, bytes)
 }
 
-/// # Errors
 /// Errors if an entry is malformed, or if no token has the scope session.
 pub(crate) fn parse(path: &Path, bytes: Vec<u8>) -> Result<Vec<Listed>, TokenError> {
     let malformed = |reason: String| TokenError::Malformed { path: path.to_owned(), reason };

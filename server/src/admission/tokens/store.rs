@@ -45,7 +45,6 @@ struct State {
 }
 
 impl TokenStore {
-    /// # Errors
     /// Errors if the file cannot be read, an entry is malformed, or no token has the scope session.
     pub(crate) fn read(path: &Path) -> Result<Self, TokenError> {
         let state = Mutex::new(State { listed: file::read(path)?, spent: HashSet::new() });
@@ -53,9 +52,7 @@ impl TokenStore {
     }
 
     /// Reads the file again and returns how many tokens it lists. Open sessions stay; an unusable file changes nothing.
-    ///
-    /// # Errors
-    /// As [`Self::read`].
+    /// Errors as [`Self::read`].
     pub(crate) fn reload(&self) -> Result<usize, TokenError> {
         let listed = file::read(&self.path)?;
         let mut state = self.state.lock();
@@ -70,8 +67,6 @@ impl TokenStore {
     }
 
     /// Checks a token, and spends it if it is for a single use.
-    ///
-    /// # Errors
     /// Errors if the token does not grant `scope` now.
     pub(crate) fn admit(&self, token: Option<&str>, scope: Scope) -> Result<(), TokenRejection> {
         self.examine(token, scope, unix_s(clock::wall()), true)

@@ -26,8 +26,6 @@ pub(crate) struct LabUdpData {
 
 impl LabUdpData {
     /// Binds a free port of `ip`.
-    ///
-    /// # Errors
     /// Errors if no port is free.
     pub(crate) fn bind(ip: IpAddr) -> io::Result<Self> {
         let socket = bind_data_socket(ip)?;
@@ -48,7 +46,6 @@ impl LabUdpData {
     }
 }
 
-/// Poses over UDP.
 pub(crate) struct LabUdpReceiver {
     socket: Arc<UdpSocket>,
     connected: bool,
@@ -76,7 +73,6 @@ impl LabUdpReceiver {
     }
 }
 
-/// Packets over UDP.
 pub(crate) struct LabUdpSender {
     socket: Arc<UdpSocket>,
     pace: Pace,
@@ -126,8 +122,6 @@ pub(crate) struct LabTcpData {
 
 impl LabTcpData {
     /// Listens on a free port of `ip`.
-    ///
-    /// # Errors
     /// Errors if no port is free.
     pub(crate) async fn bind(ip: IpAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(SocketAddr::new(ip, 0)).await?;

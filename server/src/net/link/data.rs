@@ -30,8 +30,6 @@ impl DataLink {
     }
 
     /// Opens both directions. On `lab-tcp` it waits for the client to connect.
-    ///
-    /// # Errors
     /// Errors if the client does not connect within `limit`.
     pub(crate) async fn open(self, limit: Duration) -> io::Result<(DataReceiver, DataSender)> {
         match self {
@@ -55,7 +53,6 @@ impl DataLink {
     }
 }
 
-/// Receives poses and feedback.
 pub(crate) enum DataReceiver {
     Quic(QuicData),
     LabUdp(LabUdpReceiver),
@@ -63,7 +60,6 @@ pub(crate) enum DataReceiver {
 }
 
 impl DataReceiver {
-    /// # Errors
     /// Errors if the link is lost.
     pub(crate) async fn receive(&mut self) -> io::Result<Bytes> {
         match self {
@@ -113,7 +109,6 @@ impl DataSender {
         }
     }
 
-    /// # Errors
     /// Errors if the link is lost.
     pub(crate) async fn send(&mut self, packet: Bytes) -> io::Result<()> {
         match self {
@@ -124,8 +119,6 @@ impl DataSender {
     }
 
     /// Sends the packets that `send` has buffered.
-    ///
-    /// # Errors
     /// Errors if the link is lost.
     pub(crate) async fn flush(&mut self) -> io::Result<()> {
         match self {

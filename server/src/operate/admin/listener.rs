@@ -34,7 +34,6 @@ pub(crate) struct Admin {
 }
 
 impl Admin {
-    /// # Errors
     /// Errors if the address is taken or cannot be used.
     pub(crate) async fn start(address: SocketAddr, status: &Arc<Status>) -> Result<Self, AdminError> {
         let failed = |reason| AdminError { address, reason };

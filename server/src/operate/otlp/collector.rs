@@ -2,7 +2,6 @@
 
 use std::{fmt, str::FromStr};
 
-/// OTLP over HTTP.
 const DEFAULT_PORT: u16 = 4318;
 
 /// `http://HOST[:PORT][/PATH]`, by default port 4318 and `/v1/metrics`. Without TLS, since a collector runs beside the

@@ -27,12 +27,10 @@ use crate::{
     },
 };
 
-/// Time between reports.
 const PERIOD: Duration = Duration::from_secs(10);
 
 const TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Never returns.
 pub(crate) async fn run(collector: Collector, status: Arc<Status>) {
     report_every(PERIOD, collector, status).await;
 }

@@ -1,4 +1,4 @@
-//! Recognizes poses that are newer than the newest.
+//! Recognizes poses that are newer than all before.
 
 use gnomon_protocol::ids::FrameNumber;
 

@@ -1,10 +1,9 @@
-//! Limits the datagrams of one client.
+//! Limits the datagrams of one client to [`MAX_POSES_PER_SECOND`].
 
 use std::time::{Duration, Instant};
 
 use crate::limits::MAX_POSES_PER_SECOND;
 
-/// Allows [`MAX_POSES_PER_SECOND`] in each second.
 #[derive(Debug)]
 pub(super) struct RateLimit {
     window_began_at: Instant,

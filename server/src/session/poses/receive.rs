@@ -18,7 +18,6 @@ use crate::{
     visibility::{TraceRequest, engine::RequestSender},
 };
 
-/// # Errors
 /// Returns only when the link is lost.
 pub(in crate::session) async fn receive_poses(
     mut receiver: DataReceiver,

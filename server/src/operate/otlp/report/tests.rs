@@ -60,7 +60,7 @@ async fn a_collector_gets_what_the_page_shows_also_after_it_was_away() {
     let collector: Collector = format!("http://{}", listener.local_addr().unwrap()).parse().unwrap();
     let (reports, status) = (Arc::new(Mutex::new(Vec::new())), status());
     let collecting = tokio::spawn(collect(listener, Arc::clone(&reports)));
-    status.metrics.refused(crate::metrics::registry::RefusalCause::Full);
+    status.metrics.refused(crate::metrics::causes::RefusalCause::Full);
     let reporting = tokio::spawn(report_every(Duration::from_millis(20), collector, Arc::clone(&status)));
     let waiting = async {
         while reports.lock().unwrap().len() < 2 {
@@ -128,7 +128,7 @@ fn a_collectors_url_is_understood_or_refused() {
         assert_eq!(meant.parse::<Collector>().unwrap(), collector);
     }
     for (text, why) in [
-        ("", "no URL"),
+        ("", "not a URL"),
         ("collector:4318", "not of the form http://HOST:4318"),
         ("https://collector", "not of the form"),
         ("http:collector:80", "not of the form"),

@@ -1,0 +1,51 @@
+//! Why peers were refused, and how sessions ended.
+
+/// Defines an enum with a metric label for each variant.
+macro_rules! causes {
+    ($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident = $label:literal,)* }) => {
+        $(#[$meta])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub(crate) enum $name {
+            $($(#[$doc])* $variant,)*
+        }
+
+        impl $name {
+            /// Metric labels, in order.
+            pub(crate) const LABELS: &[&str] = &[$($label),*];
+        }
+    };
+}
+
+causes! {
+    /// Why a peer got no session.
+    RefusalCause {
+        Token = "token",
+        /// No permit was free.
+        Full = "full",
+        /// Devices, cores or network lack capacity.
+        Budget = "budget",
+        /// Its address is at its session limit.
+        Address = "address",
+        Draining = "draining",
+        /// Another protocol version, or an impossible request.
+        Unsupported = "unsupported",
+        /// It broke off, or broke the protocol.
+        Broken = "broken",
+        /// No Hello in time.
+        Silent = "silent",
+        /// Too many handshakes under way.
+        Handshakes = "handshakes",
+    }
+}
+
+causes! {
+    /// How a session ended.
+    EndCause {
+        Left = "left",
+        /// The connection was lost, or the client silent.
+        Lost = "lost",
+        Violation = "violation",
+        Failed = "failed",
+        Stopping = "stopping",
+    }
+}
