@@ -81,7 +81,7 @@ impl Session {
                 let length = self.services.scene.packed.len();
                 self.fetches += 1;
                 if self.stream.is_none() || self.fetches > limits::MAX_SCENE_FETCHES {
-                    return violation("too many scene fetches, or one after Start");
+                    return violation("the scene may be fetched only before Start, and a few times");
                 }
                 match usize::try_from(offset).ok().filter(|offset| *offset <= length) {
                     Some(offset) => self.outbox.send_scene_from(offset),
