@@ -1,218 +1,282 @@
-//! The command line and its environment variables. What is not said here may be said in the configuration file.
+//! The command line, and the run that it asks for.
 
-use std::{path::PathBuf, str::FromStr};
+use std::{path::PathBuf, time::Duration};
 
 use clap::Parser;
-use gnomon_protocol::codec::CodecId;
+use etcetera::BaseStrategy as _;
+use gnomon_settings::{Bounds as _, Layers, Loaded, SettingsError, Shell};
+use thiserror::Error;
 
 use crate::{
-    camera_path::PathSpec,
-    guard::Guard,
-    link::{receive_options::Packets, url::ServerUrl},
-    mode::Mode,
-    predictor::Predictor,
+    app::servers::KnownServers,
+    config::ClientSettings,
+    error::ClientError,
+    options::{HeadlessOptions, Source, WindowOptions},
 };
 
-/// The version, and the commit that the program is made of.
+/// The version, and the commit that the program is built from.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), env!("GNOMON_COMMIT"));
 
-/// A thin client of a Gnomon server: rasterises a scene, and shades it with visibility that the server traces.
+/// Thin client of a Gnomon server: rasterises a scene and shades it with visibility that the server traces
+///
+/// A setting is a flag, an environment variable or a key of the TOML file (the flag's name with underscores).
+/// Flags override variables, which override the file.
 #[derive(Debug, Clone, Parser)]
-#[command(name = "gnomon-client", version = VERSION, about, max_term_width = 120)]
+#[command(name = "gnomon-client", version = VERSION, max_term_width = 120)]
 pub struct Arguments {
-    /// The line that the server printed: gnomon://HOST:PORT/?cert=SHA256
-    #[arg(env = "GNOMON_URL", value_name = "URL")]
-    pub url: Option<ServerUrl>,
+    #[command(flatten)]
+    pub settings: ClientSettings,
     /// Draw into files instead of a window
-    #[arg(long, help_heading = "What is shown")]
+    #[arg(long, help_heading = "Picture")]
     pub headless: bool,
-    /// Start the gnomon-server that lies beside this program, with the scene that this program carries, and look at it
-    #[arg(long, conflicts_with_all = ["url", "offline", "headless"], help_heading = "What is shown")]
+    /// Start the gnomon-server beside this program with a built-in scene, and show it
+    #[arg(long, conflicts_with_all = ["url", "offline", "headless"], help_heading = "Picture")]
     pub demo: bool,
     /// Draw this glTF scene without a server: every light reaches everything
-    #[arg(long, value_name = "SCENE", help_heading = "What is shown")]
+    #[arg(long, value_name = "SCENE", help_heading = "Picture")]
     pub offline: Option<PathBuf>,
-    /// With --offline: lights for a scene without any (a lights_camera.json file)
-    #[arg(long, value_name = "FILE", requires = "offline", help_heading = "What is shown")]
+    /// With --offline: lights_camera.json file with lights, for a scene without any
+    #[arg(long, value_name = "FILE", requires = "offline", help_heading = "Picture")]
     pub lights_from: Option<PathBuf>,
-    /// With --offline: keep the first N lights
-    #[arg(long, value_name = "N", requires = "offline", help_heading = "What is shown")]
+    /// With --offline: keep only the first N lights
+    #[arg(long, value_name = "N", requires = "offline", help_heading = "Picture")]
     pub lights: Option<u32>,
-    /// Camera path: a lights_camera.json file, and the path's name if it has several [default: one that suits the scene]
-    #[arg(long, value_name = "FILE[#NAME]", help_heading = "What is shown")]
-    pub path: Option<PathSpec>,
-    /// Frames to draw [default: once along the path]
-    #[arg(long, value_name = "N", help_heading = "Headless runs")]
-    pub frames: Option<u32>,
-    /// Frames a second, in real time [default: as fast as possible, with the frames spread evenly over the path]
-    #[arg(long, value_name = "F", help_heading = "Headless runs")]
-    pub fps: Option<f64>,
-    /// Where on the path to begin, in seconds
-    #[arg(long, value_name = "S", help_heading = "What is shown")]
-    pub start_time: Option<f64>,
-    /// Size of the pictures, or of the window at first, in pixels [default: 1280x720]
-    #[arg(long, env = "GNOMON_SIZE", value_name = "WxH", help_heading = "What is shown")]
-    pub size: Option<Size>,
-    /// Folder for pictures: a PNG a frame, or from a window one for each press of P
-    #[arg(long, value_name = "DIR", help_heading = "Headless runs")]
-    pub out: Option<PathBuf>,
-    /// File for a JSON line a frame
-    #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
-    pub stats: Option<PathBuf>,
-    /// File for a recording, which `lab replay` draws again
-    #[arg(long, value_name = "FILE", help_heading = "What is shown")]
+    /// Record the run into this file; `lab replay` draws it again
+    #[arg(long, value_name = "FILE", help_heading = "Picture")]
     pub record: Option<PathBuf>,
-    /// File for the summary, which is printed as well
-    #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
-    pub summary: Option<PathBuf>,
-    /// Folder for the encoded masks, a file a frame
-    #[arg(long, value_name = "DIR", help_heading = "Headless runs")]
-    pub save_masks: Option<PathBuf>,
-    /// Log of received masks, one line each: frame, packets received or restored, packets restored, packets missing
-    #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
-    pub mask_log: Option<PathBuf>,
-    /// Token, for a server that wants one
-    #[arg(long, env = "GNOMON_TOKEN", hide_env_values = true, value_name = "TOKEN", help_heading = "Server")]
-    pub token: Option<String>,
-    /// Codec of the masks: words, words-lz4, planes-lz4, tiles-small or tiles-fast [default: tiles-fast]
-    #[arg(long, env = "GNOMON_CODEC", value_name = "CODEC", help_heading = "Server")]
-    pub codec: Option<CodecId>,
-    /// Bits of a mask that may be wrong where that spares bytes, in per cent, up to 1 [default: 0]
-    #[arg(long, env = "GNOMON_LOSSY", value_name = "PERCENT", help_heading = "Server")]
-    pub lossy: Option<f64>,
-    /// What is done about lost packets of tiles-small and tiles-fast: whole-frame, slices or parity [default: parity]
-    #[arg(long, env = "GNOMON_PACKETS", value_name = "WAY", help_heading = "Late visibility")]
-    pub packets: Option<Packets>,
-    /// Part of the graphics adapter's name [default: the first real GPU, or else software]
-    #[arg(long, env = "GNOMON_ADAPTER", value_name = "NAME", help_heading = "Program")]
-    pub adapter: Option<String>,
-    /// Whether a software adapter will do [default: true]
-    #[arg(long, env = "GNOMON_ALLOW_SOFTWARE", value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true", help_heading = "Program")]
-    pub allow_software: Option<bool>,
-    /// Shade each frame with exactly its own mask, and wait for it
-    #[arg(long, help_heading = "Headless runs")]
-    pub wait: bool,
-    /// How visibility is carried over to newer frames: none, dissertation, dissertation-shadow, dissertation-copy or surface
-    /// [default: surface]
-    #[arg(long, env = "GNOMON_PREDICT", value_name = "PREDICTOR", help_heading = "Late visibility")]
-    pub predict: Option<Predictor>,
-    /// Which pose is drawn: the newest mask's (sequential), the newest (concurrent), or what the lag suggests (auto)
-    /// [default: auto]
-    #[arg(long, env = "GNOMON_MODE", value_name = "MODE", help_heading = "Late visibility")]
-    pub mode: Option<Mode>,
-    /// Extra pixels of the masks, half of them on each side: auto, 0 or WxH [default: 0]
-    #[arg(long, env = "GNOMON_GUARD", value_name = "WxH", help_heading = "Late visibility")]
-    pub guard: Option<Guard>,
-    /// Whether the server traces for where the camera will be when the mask is shown [default: true on a GPU]
-    #[arg(long, env = "GNOMON_PREDICT_POSE", value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true", help_heading = "Late visibility")]
-    pub predict_pose: Option<bool>,
-    /// With --mode auto: the largest lag, in frames, that is drawn sequentially; 0 never is [default: 0]
-    #[arg(long, env = "GNOMON_SEQUENTIAL_LAG", value_name = "N", help_heading = "Late visibility")]
-    pub sequential_lag: Option<u32>,
-    /// With --mode auto: frames in a row with such a lag before sequential begins again [default: 10]
-    #[arg(long, env = "GNOMON_CALM_FRAMES", value_name = "N", help_heading = "Late visibility")]
-    pub calm_frames: Option<u32>,
-    /// The largest lag, in frames, that visibility is predicted over; the dissertation has 50 [default: 100]
-    #[arg(long, env = "GNOMON_PREDICTION_LAG", value_name = "N", help_heading = "Late visibility")]
-    pub prediction_lag: Option<u32>,
-    /// How long received visibility takes to fade out when it is too late, and back in, in seconds [default: 0.25]
-    #[arg(long, env = "GNOMON_FADE", value_name = "S", help_heading = "Late visibility")]
-    pub fade: Option<f64>,
-    /// Exposure: 1 lux is shown as 2^-EV; the summary says what was used [default: what suits the scene and its lights]
-    #[arg(long, value_name = "EV", allow_negative_numbers = true, help_heading = "What is shown")]
-    pub exposure: Option<f32>,
-    /// Folder for cached scenes [default: the platform's cache folder]
-    #[arg(long, env = "GNOMON_CACHE_DIR", value_name = "DIR", help_heading = "Server")]
-    pub cache_dir: Option<PathBuf>,
-    /// How long the server may take to answer at first, in seconds [default: 5]
-    #[arg(long, env = "GNOMON_CONNECT_TIMEOUT", value_name = "S", help_heading = "Server")]
-    pub connect_timeout: Option<f64>,
-    /// Whether pictures wait for the screen [default: true]
-    #[arg(long, env = "GNOMON_VSYNC", value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true", help_heading = "Window")]
-    pub vsync: Option<bool>,
-    /// Take the whole screen
-    #[arg(long, help_heading = "Window")]
-    pub full_screen: bool,
-    /// Leave after so long, in seconds: for scripts
-    #[arg(long, value_name = "SECONDS", help_heading = "Window")]
+    /// Close the window after S seconds, for scripts
+    #[arg(long, value_name = "S", help_heading = "Window", bounds(0.0, 1e9))]
     pub exit_after: Option<f64>,
-    /// Configuration file (TOML); flags and environment variables go before it [default: client.toml in the platform's place]
+    /// TOML file with settings [default: gnomon/client.toml in the user's configuration folder]
     #[arg(long, env = "GNOMON_CLIENT_CONFIG", value_name = "FILE", help_heading = "Program")]
     pub config: Option<PathBuf>,
-    /// Read the configuration, say what is wrong with it, and leave
+    /// Print every setting with its source as JSON, and exit
     #[arg(long, help_heading = "Program")]
     pub check_config: bool,
-    /// Print completions for this shell, and leave
+    /// Print completions for this shell, and exit
     #[arg(long, value_name = "SHELL", help_heading = "Program")]
-    pub completions: Option<clap_complete::Shell>,
-    /// Print a man page, and leave
+    pub completions: Option<Shell>,
+    /// Print a man page, and exit
     #[arg(long, help_heading = "Program")]
     pub man: bool,
-    /// What to log to standard error, as tracing's filters say it
+    /// Filter of the log on standard error, in tracing's syntax
     #[arg(long, env = "RUST_LOG", value_name = "FILTER", default_value = "warn", help_heading = "Program")]
     pub log: String,
 }
 
-/// Width and height, in pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Size {
-    /// Width in pixels.
-    pub width: u32,
-    /// Height in pixels.
-    pub height: u32,
+/// What to run.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Run {
+    Headless(HeadlessOptions),
+    Window(WindowOptions),
 }
 
-impl FromStr for Size {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let parse = || {
-            let (width, height) = text.split_once(['x', '×'])?;
-            Some(Self { width: width.parse().ok()?, height: height.parse().ok()? })
-        };
-        parse().ok_or_else(|| format!("{text:?} is no size: WIDTHxHEIGHT in pixels is expected, 1280x720 for instance"))
+impl Run {
+    /// Checks what can be checked before anything is opened.
+    ///
+    /// # Errors
+    /// Names the first settings that do not go together.
+    pub fn validate(&self) -> Result<(), ClientError> {
+        match self {
+            Self::Headless(options) => options.validate(),
+            Self::Window(options) => options.run.validate(),
+        }
     }
+}
+
+/// Flags that do not go together.
+#[derive(Debug, Error)]
+pub enum ConfigError {
+    #[error(
+        "which server? Pass the URL that gnomon-server printed, --demo to start one here, or --offline SCENE to draw \
+         without one"
+    )]
+    NoSource,
+    #[error("a URL and --offline: choose one")]
+    TwoSources,
+    /// A flag that means nothing in a window.
+    #[error("--{0}: with --headless only")]
+    HeadlessOnly(&'static str),
+}
+
+/// Reads flags, environment and TOML file.
+///
+/// # Errors
+/// Names the flag, variable or key of what is wrong.
+pub fn load(layers: Layers) -> Result<Loaded<Arguments>, SettingsError> {
+    let folder = etcetera::choose_base_strategy().ok().map(|base| base.config_dir().join("gnomon"));
+    let own_file = folder.map(|folder| folder.join("client.toml")).filter(|file| file.is_file());
+    Layers { own_file, ..layers }.load::<Arguments, ClientSettings>()
+}
+
+/// Returns the run that the command line asks for.
+///
+/// # Errors
+/// Errors if it is not clear what to draw, or if a window is asked for what only headless runs do.
+pub fn resolve(loaded: Loaded<Arguments>) -> Result<Run, ConfigError> {
+    let Loaded { program: arguments, sources, .. } = loaded;
+    let is_flag = |key: &&str| sources.get(*key) == Some(&gnomon_settings::Source::Flag);
+    let mut settings = arguments.settings;
+    let source = match (arguments.offline, settings.url.clone()) {
+        (Some(scene), None) => Source::Offline { scene, lights_from: arguments.lights_from, lights: arguments.lights },
+        (None, Some(url)) => Source::Server(url),
+        // A window goes back to the last server.
+        (None, None) => match KnownServers::load().servers().first() {
+            Some(url) if !arguments.headless && !arguments.check_config => Source::Server(url.clone()),
+            _ => return Err(ConfigError::NoSource),
+        },
+        (Some(_), Some(_)) => return Err(ConfigError::TwoSources),
+    };
+    if !arguments.headless {
+        if let Some(name) = ["wait", "frames", "fps", "summary"].into_iter().find(is_flag) {
+            return Err(ConfigError::HeadlessOnly(name));
+        }
+        // The file and the environment may set them for headless runs.
+        (settings.wait, settings.frames, settings.fps, settings.summary) = (false, None, None, None);
+    }
+    let remember = !arguments.headless && !arguments.demo;
+    let run = HeadlessOptions { source, settings, record: arguments.record, remember, progress: true };
+    if arguments.headless {
+        return Ok(Run::Headless(run));
+    }
+    Ok(Run::Window(WindowOptions { run, exit_after: arguments.exit_after.map(Duration::from_secs_f64) }))
 }
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory as _;
+    use gnomon_protocol::codec::CodecId;
 
     use super::*;
+    use crate::{
+        config::Size,
+        guard::Guard,
+        mode::{Mode, Thresholds},
+        predictor::Predictor,
+    };
+
+    const URL: &str = "gnomon+lab-udp://127.0.0.1:5";
+
+    fn run_with(file: &str, line: &str) -> Result<Run, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("client.toml");
+        std::fs::write(&path, file).unwrap();
+        let arguments: Vec<_> = ["gnomon-client"].into_iter().chain(line.split_whitespace()).collect();
+        let layers = Layers { own_file: Some(path), ..Layers::of(&arguments, &[]) };
+        let loaded = layers.load::<Arguments, ClientSettings>().map_err(|error| error.to_string())?;
+        resolve(loaded).map_err(|error| error.to_string())
+    }
+
+    fn options_with(file: &str, line: &str) -> Result<HeadlessOptions, String> {
+        run_with(file, line).map(|run| match run {
+            Run::Headless(options) => options,
+            Run::Window(options) => options.run,
+        })
+    }
 
     #[test]
-    fn the_command_line_is_consistent() {
-        Arguments::command().debug_assert();
-        // Whoever reads the help finds every flag under a heading.
-        let loose: Vec<_> = (Arguments::command().get_arguments())
+    fn every_setting_has_all_its_forms() {
+        let problems = gnomon_settings::problems::<Arguments, ClientSettings>(gnomon_settings::variables::CLIENT);
+        assert!(problems.is_empty(), "{problems:#?}");
+        let command = gnomon_settings::command::<Arguments, ClientSettings>();
+        let loose: Vec<_> = (command.get_arguments())
             .filter(|argument| argument.get_help_heading().is_none() && argument.get_long().is_some())
             .map(|argument| argument.get_id().to_string())
             .collect();
-        assert!(loose.is_empty(), "{loose:?}");
-        let parse = |line: &str| Arguments::try_parse_from(line.split(' '));
-        let parsed = parse("gnomon-client gnomon+lab-udp://127.0.0.1:5 --headless --size 640x360 --wait").unwrap();
-        assert_eq!(parsed.size, Some(Size { width: 640, height: 360 }));
-        assert!(parsed.wait && parsed.headless && parsed.allow_software.is_none());
-        let parsed = parse("gnomon-client --allow-software --offline a.gltf --exposure -3.5").unwrap();
-        assert_eq!((parsed.allow_software, parsed.exposure), (Some(true), Some(-3.5)));
-        assert_eq!(parse("gnomon-client --allow-software=false").unwrap().allow_software, Some(false));
-        let parsed =
-            parse("gnomon-client --mode sequential --guard 128x72 --predict none --predict-pose --fade 0").unwrap();
-        assert_eq!((parsed.mode, parsed.predict), (Some(Mode::Sequential), Some(Predictor::None)));
-        assert_eq!((parsed.predict_pose, parsed.fade), (Some(true), Some(0.0)));
-        assert_eq!(parsed.guard.map(|guard| guard.to_string()).as_deref(), Some("128x72"));
-        for wrong in [
-            "--mode fast",
-            "--guard 63x36",
-            "--predict all",
-            "--size 640",
-            "--size -1x3",
-            "--codec zip",
-            "--lights 3",
-            "http://x:1",
-            "--colour",
+        assert!(loose.is_empty(), "flags without a heading in the help: {loose:?}");
+    }
+
+    #[test]
+    fn flags_reach_their_settings() {
+        let options = options_with("", "gnomon+lab-udp://127.0.0.1:5 --headless --size 640x360 --wait").unwrap();
+        assert_eq!(options.settings.size, Size { width: 640, height: 360 });
+        assert!(options.settings.wait && options.settings.allow_software);
+        let options = options_with("", "--allow-software --offline a.gltf --exposure -3.5").unwrap();
+        assert_eq!((options.settings.allow_software, options.settings.exposure), (true, Some(-3.5)));
+        assert!(!options_with("", &format!("{URL} --allow-software=false")).unwrap().settings.allow_software);
+        let line = format!("{URL} --mode sequential --guard 128x72 --predict none --predict-pose --fade 0");
+        let settings = options_with("", &line).unwrap().settings;
+        assert_eq!((settings.mode, settings.predict), (Mode::Sequential, Predictor::None));
+        assert_eq!((settings.predict_pose, settings.fade), (Some(true), 0.0));
+        assert_eq!(settings.guard.to_string(), "128x72");
+    }
+
+    #[test]
+    fn without_headless_there_is_a_window() {
+        let Run::Window(options) =
+            run_with("vsync = false\n", &format!("{URL} --exit-after 2.5 --full-screen")).unwrap()
+        else {
+            panic!("no window");
+        };
+        assert_eq!((options.run.settings.vsync, options.run.settings.full_screen), (false, true));
+        assert_eq!(options.exit_after, Some(Duration::from_millis(2500)));
+        assert!(matches!(run_with("", &format!("{URL} --headless")), Ok(Run::Headless(_))));
+        let Run::Window(options) = run_with("wait = true\nframes = 7\n", URL).unwrap() else { panic!("no window") };
+        assert_eq!((options.run.settings.wait, options.run.settings.frames, options.run.remember), (false, None, true));
+    }
+
+    #[test]
+    fn flags_go_before_the_file_and_the_file_before_defaults() {
+        let file = format!("url = \"{URL}\"\nsize = \"64x36\"\ncodec = \"words\"\nwait = true\nframes = 7\n");
+        let options = options_with(&file, "--headless --frames 9").unwrap();
+        assert_eq!((options.settings.size, options.settings.codec), (Size { width: 64, height: 36 }, CodecId::Words));
+        assert_eq!((options.settings.frames, options.settings.wait), (Some(9), true));
+        assert!(matches!(options.source, Source::Server(url) if url.port == 5));
+        assert_eq!(options_with("", &format!("{URL} --headless")).unwrap().settings.size.width, 1280);
+    }
+
+    #[test]
+    fn what_hides_the_network_is_configuration() {
+        let file = format!(
+            "url = \"{URL}\"\nmode = \"sequential\"\nguard = \"auto\"\npredict = \"none\"\npredict_pose = true\n\
+             sequential_lag = 2\ncalm_frames = 5\nprediction_lag = 30\nfade = 0.5\n"
+        );
+        let options = options_with(&file, "--headless --mode concurrent --fade 0.125 --predict-pose=false").unwrap();
+        let settings = &options.settings;
+        assert_eq!((settings.mode, settings.guard, settings.predict), (Mode::Concurrent, Guard::Auto, Predictor::None));
+        let expected = Thresholds { sequential_lag: 2, calm_frames: 5, prediction_lag: 30, fade_s: 0.125 };
+        assert_eq!((settings.thresholds(), settings.predict_pose), (expected, Some(false)));
+        let default = options_with("", &format!("{URL} --headless")).unwrap().settings;
+        assert_eq!((default.mode, default.thresholds()), (Mode::Auto, Thresholds::default()));
+        assert_eq!((default.guard, default.predict_pose), (Guard::default(), None));
+    }
+
+    #[test]
+    fn mistakes_say_what_to_do() {
+        for (file, line, expected) in [
+            ("", "--headless", "which server?"),
+            ("", "gnomon+lab-udp://127.0.0.1:5 --wait", "--headless"),
+            ("", "gnomon+lab-udp://127.0.0.1:5 --exit-after 1e12", "--exit-after 1e12: must be 0 to 1000000000"),
+            ("", "gnomon+lab-udp://127.0.0.1:5 --headless --offline a.gltf", "choose one"),
+            ("", "--mode fast", "--mode fast: must be one of auto, concurrent, sequential"),
+            ("", "--guard 63x36", "even"),
+            ("", "--predict all", "must be one of none, dissertation"),
+            ("", "--size 640", "WIDTHxHEIGHT"),
+            ("", "--size -1x3", "--size"),
+            ("", "--codec zip", "must be one of words, words-lz4"),
+            ("", "--lights 3", "--offline"),
+            ("", "http://x:1", "gnomon://"),
+            ("", "--colour", "'--colour'"),
+            ("", "--frames 0", "--frames 0: must be 1 to 10000000"),
+            ("", "--fps 0", "--fps 0: must be 0.001 to 100000"),
+            ("", "--start-time -1", "--start-time"),
+            ("", "--start-time nan", "--start-time nan: must be 0 to 1000000000"),
+            ("", "--exposure 41", "--exposure 41: must be -40 to 40"),
+            ("", "--fade 61", "--fade 61: must be 0 to 60"),
+            ("", "--prediction-lag 256", "--prediction-lag 256: must be 0 to 255"),
+            ("", "--lossy 1.5", "--lossy 1.5: must be 0 to 1"),
+            ("colour = 1", "--headless", "unknown key \"colour\""),
+            ("guard = \"63x36\"", "--headless", "even"),
+            ("mode = \"fast\"", "--headless", "sequential"),
+            ("size = \"big\"", "--headless", "WIDTHxHEIGHT"),
+            ("url = \"gnomon://a:1\"", "--headless", "cert"),
+            (
+                "connect_timeout = 0",
+                "--headless --offline a.gltf",
+                "line 1: connect_timeout = 0: must be 0.001 to 3600",
+            ),
         ] {
-            assert!(parse(&format!("gnomon-client {wrong}")).is_err(), "{wrong}");
+            let error = run_with(file, line).unwrap_err();
+            assert!(error.contains(expected) && !error.contains('\n'), "{file:?} {line:?}: {error}");
         }
     }
 }

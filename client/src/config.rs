@@ -1,323 +1,238 @@
-//! What a run is told, from all sides: defaults < TOML file < environment < flags.
+//! The client's settings: each is declared once, here. [`gnomon_settings`] reads them.
 
-use std::{
-    io::Read as _,
-    path::{Path, PathBuf},
-    time::Duration,
-};
+use std::{path::PathBuf, str::FromStr, time::Duration};
 
-use etcetera::BaseStrategy as _;
-use gnomon_protocol::codec::CodecId;
-use serde::Deserialize;
-use thiserror::Error;
+use gnomon_protocol::{codec::CodecId, limits::MAX_WRONG_PPM, reassembler::Policy};
+use gnomon_settings::{Bounds as _, one_of};
+use gnomon_shaders::gpu::Gpu;
 
 use crate::{
-    app::servers::KnownServers,
     camera_path::PathSpec,
-    cli::{Arguments, Size},
-    guard::Guard,
-    link::{receive_options::Packets, url::ServerUrl},
+    guard::{Guard, GuardChoice},
+    link::{
+        receive_options::{Packets, Reception},
+        url::ServerUrl,
+    },
     mode::{Mode, Thresholds},
-    options::{HeadlessOptions, Source, WindowOptions},
+    pose_history::HISTORY_FRAMES,
     predictor::Predictor,
 };
 
-/// Largest configuration file that is read, in bytes.
-const MAX_FILE_BYTES: u64 = 1 << 20;
+/// Most frames of a headless run.
+pub const MAX_FRAMES: u32 = 10_000_000;
 
-/// The configuration file. Its keys are the flags' names, with `_` for `-`.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct FileConfig {
-    url: Option<ServerUrl>,
-    #[serde(default, deserialize_with = "parsed")]
-    path: Option<PathSpec>,
-    frames: Option<u32>,
-    fps: Option<f64>,
-    start_time: Option<f64>,
-    #[serde(default, deserialize_with = "parsed")]
-    size: Option<Size>,
-    out: Option<PathBuf>,
-    stats: Option<PathBuf>,
-    summary: Option<PathBuf>,
-    save_masks: Option<PathBuf>,
-    mask_log: Option<PathBuf>,
-    token: Option<String>,
-    #[serde(default, deserialize_with = "parsed")]
-    codec: Option<CodecId>,
-    lossy: Option<f64>,
-    packets: Option<Packets>,
-    adapter: Option<String>,
-    allow_software: Option<bool>,
-    wait: Option<bool>,
-    predict: Option<Predictor>,
-    mode: Option<Mode>,
-    guard: Option<Guard>,
-    predict_pose: Option<bool>,
-    sequential_lag: Option<u32>,
-    calm_frames: Option<u32>,
-    prediction_lag: Option<u32>,
-    fade: Option<f64>,
-    exposure: Option<f32>,
-    cache_dir: Option<PathBuf>,
-    connect_timeout: Option<f64>,
-    vsync: Option<bool>,
-    full_screen: Option<bool>,
-}
+/// Parts per million in a per cent.
+const PPM_PER_PERCENT: f64 = 10_000.0;
 
-/// What is to be done.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Run {
-    /// Draw into files.
-    Headless(HeadlessOptions),
-    /// Draw into a window.
-    Window(WindowOptions),
-}
+/// Largest [`ClientSettings::lossy`].
+const MAX_LOSSY_PERCENT: f64 = MAX_WRONG_PPM as f64 / PPM_PER_PERCENT;
 
-/// Why there is nothing to run.
-#[derive(Debug, Error)]
-pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("cannot read configuration {}: {source}", file.display())]
-    Read {
-        /// The file.
-        file: PathBuf,
-        /// Why not.
-        source: std::io::Error,
-    },
-    /// The file is not what is expected.
-    #[error("configuration {}: {reason}", file.display())]
-    Malformed {
-        /// The file.
-        file: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
-    /// Neither a server nor a scene.
-    #[error(
-        "which server? Pass the URL that gnomon-server printed, --demo to start one here, or --offline SCENE to draw without one"
+const MODES: [Mode; 3] = [Mode::Auto, Mode::Concurrent, Mode::Sequential];
+
+/// What a person can choose, in a window or without one. The doc comments are the `--help` texts.
+#[derive(Debug, Clone, PartialEq, clap::Args)]
+pub struct ClientSettings {
+    /// URL that the server printed: gnomon://HOST:PORT/?cert=SHA256 [default in a window: the last server]
+    #[arg(value_name = "URL")]
+    pub url: Option<ServerUrl>,
+    /// Camera path: a lights_camera.json file, and the path's name if it has several [default: one to suit the scene]
+    #[arg(long, value_name = "FILE[#NAME]", help_heading = "Picture")]
+    pub path: Option<PathSpec>,
+    /// Where to begin on the path, in s
+    #[arg(long, value_name = "S", default_value_t = 0.0, bounds(0.0, 1e9), help_heading = "Picture")]
+    pub start_time: f64,
+    /// Size of the pictures, or of the window at first, in pixels
+    #[arg(long, value_name = "WxH", default_value = "1280x720", help_heading = "Picture")]
+    pub size: Size,
+    /// Exposure: 1 lux is shown as 2^-EV; the summary says what was used [default: what suits the scene and its lights]
+    #[arg(long, value_name = "EV", allow_negative_numbers = true, bounds(-40.0, 40.0_f32), help_heading = "Picture")]
+    pub exposure: Option<f32>,
+    /// Frames to draw [default: once along the path]
+    #[arg(long, value_name = "N", bounds(1, MAX_FRAMES), help_heading = "Headless runs")]
+    pub frames: Option<u32>,
+    /// Frames per second, in real time [default: as fast as possible, spread evenly over the path]
+    #[arg(long, value_name = "F", bounds(0.001, 100_000.0), help_heading = "Headless runs")]
+    pub fps: Option<f64>,
+    /// Shade each frame with its own mask, and wait for it
+    #[arg(long, help_heading = "Headless runs")]
+    pub wait: bool,
+    /// Folder for pictures: a PNG per frame, or in a window one per press of P
+    #[arg(long, value_name = "DIR", help_heading = "Headless runs")]
+    pub out: Option<PathBuf>,
+    /// File for statistics, a JSON line per frame
+    #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
+    pub stats: Option<PathBuf>,
+    /// File for the summary, which is printed as well
+    #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
+    pub summary: Option<PathBuf>,
+    /// Folder for the encoded masks, a file per frame
+    #[arg(long, value_name = "DIR", help_heading = "Headless runs")]
+    pub save_masks: Option<PathBuf>,
+    /// Log of received masks, one line each: frame, packets received or restored, packets restored, packets missing
+    #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
+    pub mask_log: Option<PathBuf>,
+    /// Token, for a server that requires one
+    #[arg(long, hide_env_values = true, value_name = "TOKEN", help_heading = "Server")]
+    pub token: Option<String>,
+    /// Codec of the masks
+    #[arg(
+        long, value_name = "CODEC", default_value_t = CodecId::TilesFast, value_parser = one_of(CodecId::ALL),
+        help_heading = "Server"
     )]
-    NoSource,
-    /// Both a server and a scene.
-    #[error("a URL and --offline: choose one")]
-    TwoSources,
-    /// Something that a window does not do.
-    #[error("--{0}: with --headless only")]
-    HeadlessOnly(&'static str),
-    /// A time to leave that is none.
-    #[error("--exit-after: {0} s: 0 to 1e9 are possible")]
-    ExitAfter(f64),
-    /// A timeout that is none.
-    #[error("--connect-timeout: {0} s: 0.001 to 3600 are possible")]
-    Timeout(f64),
+    pub codec: CodecId,
+    /// Share of mask bits that may be wrong where that saves bytes, in per cent
+    #[arg(
+        long,
+        value_name = "PERCENT",
+        default_value_t = 0.0,
+        bounds(0.0, MAX_LOSSY_PERCENT),
+        help_heading = "Server"
+    )]
+    pub lossy: f64,
+    /// Folder for cached scenes [default: the platform's cache folder]
+    #[arg(long, value_name = "DIR", help_heading = "Server")]
+    pub cache_dir: Option<PathBuf>,
+    /// Most time for the server's first answer, in s
+    #[arg(long, value_name = "S", default_value_t = 5.0, bounds(0.001, 3600.0), help_heading = "Server")]
+    pub connect_timeout: f64,
+    /// What a lost packet of tiles-small or tiles-fast costs: its frame, its slice, or nothing once parity restores it
+    #[arg(
+        long, value_name = "WAY", default_value_t, value_parser = one_of(Packets::ALL),
+        help_heading = "Late visibility"
+    )]
+    pub packets: Packets,
+    /// How visibility is carried over to newer frames
+    #[arg(
+        long, value_name = "PREDICTOR", default_value_t,
+        value_parser = one_of(Predictor::ALL.map(|(_, it)| it)), help_heading = "Late visibility"
+    )]
+    pub predict: Predictor,
+    /// Pose to draw: the newest mask's (sequential), the newest (concurrent), or one of them by the lag (auto)
+    #[arg(long, value_name = "MODE", default_value_t, value_parser = one_of(MODES), help_heading = "Late visibility")]
+    pub mode: Mode,
+    /// Extra mask pixels around the picture, half on each side: auto, 0 or WxH
+    #[arg(long, value_name = "WxH", default_value_t, help_heading = "Late visibility")]
+    pub guard: Guard,
+    /// Let the server trace for where the camera will be when the mask is shown [default: true on a GPU]
+    #[arg(long, help_heading = "Late visibility")]
+    pub predict_pose: Option<bool>,
+    /// With --mode auto: largest lag that is drawn sequentially, in frames; 0 for never
+    #[arg(
+        long, value_name = "N", default_value_t = Thresholds::default().sequential_lag,
+        help_heading = "Late visibility"
+    )]
+    pub sequential_lag: u32,
+    /// With --mode auto: frames in a row with such a lag before sequential begins again
+    #[arg(
+        long, value_name = "N", default_value_t = Thresholds::default().calm_frames,
+        help_heading = "Late visibility"
+    )]
+    pub calm_frames: u32,
+    /// Largest lag that visibility is predicted over, in frames; the dissertation has 50
+    #[arg(
+        long, value_name = "N", default_value_t = Thresholds::default().prediction_lag,
+        bounds(0, HISTORY_FRAMES - 1), help_heading = "Late visibility"
+    )]
+    pub prediction_lag: u32,
+    /// Time for visibility that is too late to fade out, and back in, in s
+    #[arg(
+        long, value_name = "S", default_value_t = Thresholds::default().fade_s, bounds(0.0, 60.0),
+        help_heading = "Late visibility"
+    )]
+    pub fade: f64,
+    /// Present pictures in step with the screen
+    #[arg(long, default_value_t = true, help_heading = "Window")]
+    pub vsync: bool,
+    /// Take the whole screen
+    #[arg(long, help_heading = "Window")]
+    pub full_screen: bool,
+    /// Part of the graphics adapter's name [default: the first real GPU, or else software]
+    #[arg(long, value_name = "NAME", help_heading = "Program")]
+    pub adapter: Option<String>,
+    /// Allow a software adapter
+    #[arg(long, default_value_t = true, help_heading = "Program")]
+    pub allow_software: bool,
 }
 
-/// A value that is written as text.
-fn parsed<'de, D: serde::Deserializer<'de>, T: std::str::FromStr<Err: std::fmt::Display>>(
-    deserializer: D,
-) -> Result<Option<T>, D::Error> {
-    String::deserialize(deserializer)?.parse().map(Some).map_err(serde::de::Error::custom)
+impl Default for ClientSettings {
+    fn default() -> Self {
+        gnomon_settings::defaults()
+    }
 }
 
-impl FileConfig {
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// When it cannot be read, or has a key or value that is not known.
-    pub fn load(file: &Path) -> Result<Self, ConfigError> {
-        let read = |source| ConfigError::Read { file: file.into(), source };
-        let mut text = String::new();
-        let opened = std::fs::File::open(file).map_err(read)?;
-        let bytes = opened.take(MAX_FILE_BYTES + 1).read_to_string(&mut text).map_err(read)?;
-        let malformed = |reason| ConfigError::Malformed { file: file.into(), reason };
-        if bytes as u64 > MAX_FILE_BYTES {
-            return Err(malformed(format!("more than {MAX_FILE_BYTES} bytes")));
+impl ClientSettings {
+    /// When the choice of the pose to draw changes.
+    #[must_use]
+    pub const fn thresholds(&self) -> Thresholds {
+        Thresholds {
+            sequential_lag: self.sequential_lag,
+            calm_frames: self.calm_frames,
+            prediction_lag: self.prediction_lag,
+            fade_s: self.fade,
         }
-        toml::from_str(&text).map_err(|error| malformed(error.to_string().trim_end().replace('\n', " ")))
+    }
+
+    #[must_use]
+    pub fn connect_timeout(&self) -> Duration {
+        Duration::try_from_secs_f64(self.connect_timeout).unwrap_or(Duration::MAX)
+    }
+
+    /// How each mask's guard band is chosen.
+    pub(crate) fn guard_choice(&self) -> GuardChoice {
+        GuardChoice::new(self.guard, (self.size.width, self.size.height))
+    }
+
+    /// Returns whether the server traces for the predicted pose. Unless chosen, it does except for a software adapter:
+    /// such a mask is of a view that was never drawn, so its depth must be drawn for the prediction, which costs a GPU
+    /// little and a processor a tenth of its frame and more (`lab predict-cost`).
+    pub(crate) fn looks_ahead(&self, gpu: &Gpu) -> bool {
+        self.predict_pose.unwrap_or(!gpu.is_software())
+    }
+
+    /// Mask bits that may be wrong, in parts per million.
+    pub(crate) fn wrong_ppm(&self) -> u16 {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the range")]
+        let ppm = (self.lossy * PPM_PER_PERCENT).round().clamp(0.0, f64::from(MAX_WRONG_PPM)) as u16;
+        ppm
+    }
+
+    /// How frames are received. A client that waits for its own mask wants all of it, and only prediction by surface
+    /// finds elsewhere what a mask lacks.
+    pub(crate) fn reception(&self) -> Reception {
+        let in_part = self.codec.is_sliced()
+            && !self.wait
+            && self.packets != Packets::WholeFrame
+            && self.predict == Predictor::Surface;
+        Reception {
+            policy: if in_part { Policy::Slices } else { Policy::WholeFrame },
+            reports_losses: in_part && self.packets == Packets::Parity,
+            save_masks: self.save_masks.clone(),
+            mask_log: self.mask_log.clone(),
+        }
+    }
+
+    /// Width and height of the largest mask to request.
+    pub(crate) fn largest_mask(&self) -> (u32, u32) {
+        let band = self.guard_choice().largest();
+        (self.size.width + band.width, self.size.height + band.height)
     }
 }
 
-/// Puts everything together.
-///
-/// # Errors
-/// When the configuration file is wrong, or it is not clear what to draw.
-pub fn resolve(arguments: Arguments) -> Result<Run, ConfigError> {
-    let file = match arguments.config.clone().or_else(own_file) {
-        Some(file) => FileConfig::load(&file)?,
-        None => FileConfig::default(),
-    };
-    let headless = arguments.headless;
-    let vsync = arguments.vsync.or(file.vsync).unwrap_or(true);
-    let full_screen = arguments.full_screen || file.full_screen.unwrap_or(false);
-    let exit_after = arguments.exit_after;
-    let exit_after = exit_after
-        .map(|after_s| match after_s {
-            0.0..=1e9 => Ok(Duration::from_secs_f64(after_s)),
-            _ => Err(ConfigError::ExitAfter(after_s)),
-        })
-        .transpose()?;
-    let demo = arguments.demo;
-    let only = [
-        (arguments.wait, "wait"),
-        (arguments.frames.is_some(), "frames"),
-        (arguments.fps.is_some(), "fps"),
-        (arguments.summary.is_some(), "summary"),
-    ];
-    let mut run = resolve_run(arguments, file)?;
-    if headless {
-        return Ok(Run::Headless(run));
-    }
-    if let Some((_, name)) = only.into_iter().find(|(given, _)| *given) {
-        return Err(ConfigError::HeadlessOnly(name));
-    }
-    // What the file says of headless runs is not about this one.
-    (run.wait, run.frames, run.fps, run.summary) = (false, None, None, None);
-    run.remember = !demo;
-    Ok(Run::Window(WindowOptions { run, vsync, full_screen, exit_after }))
+/// Width and height, in pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Size {
+    pub width: u32,
+    pub height: u32,
 }
 
-/// The file in the platform's place, if there is one.
-fn own_file() -> Option<PathBuf> {
-    let folder = etcetera::choose_base_strategy().ok()?.config_dir().join("gnomon");
-    Some(folder.join("client.toml")).filter(|file| file.is_file())
-}
+impl FromStr for Size {
+    type Err = String;
 
-fn resolve_run(arguments: Arguments, file: FileConfig) -> Result<HeadlessOptions, ConfigError> {
-    let source = match (arguments.offline, arguments.url.or(file.url)) {
-        (Some(scene), None) => Source::Offline { scene, lights_from: arguments.lights_from, lights: arguments.lights },
-        (None, Some(url)) => Source::Server(url),
-        // In a window, the server of the last time.
-        (None, None) => match KnownServers::load().servers().first() {
-            Some(url) if !arguments.headless && !arguments.check_config => Source::Server(url.clone()),
-            _ => return Err(ConfigError::NoSource),
-        },
-        (Some(_), Some(_)) => return Err(ConfigError::TwoSources),
-    };
-    let default = HeadlessOptions::new(source);
-    let size = arguments.size.or(file.size).unwrap_or(Size { width: default.width, height: default.height });
-    let connect_timeout = match arguments.connect_timeout.or(file.connect_timeout) {
-        None => default.connect_timeout,
-        Some(seconds) if (0.001..=3600.0).contains(&seconds) => Duration::from_secs_f64(seconds),
-        Some(seconds) => return Err(ConfigError::Timeout(seconds)),
-    };
-    let thresholds = Thresholds {
-        sequential_lag: arguments.sequential_lag.or(file.sequential_lag).unwrap_or(default.thresholds.sequential_lag),
-        calm_frames: arguments.calm_frames.or(file.calm_frames).unwrap_or(default.thresholds.calm_frames),
-        prediction_lag: arguments.prediction_lag.or(file.prediction_lag).unwrap_or(default.thresholds.prediction_lag),
-        fade_s: arguments.fade.or(file.fade).unwrap_or(default.thresholds.fade_s),
-    };
-    Ok(HeadlessOptions {
-        path: arguments.path.or(file.path),
-        frames: arguments.frames.or(file.frames),
-        fps: arguments.fps.or(file.fps),
-        start_time_s: arguments.start_time.or(file.start_time).unwrap_or(default.start_time_s),
-        width: size.width,
-        height: size.height,
-        out: arguments.out.or(file.out),
-        stats: arguments.stats.or(file.stats),
-        record: arguments.record,
-        summary: arguments.summary.or(file.summary),
-        save_masks: arguments.save_masks.or(file.save_masks),
-        mask_log: arguments.mask_log.or(file.mask_log),
-        token: arguments.token.or(file.token),
-        codec: arguments.codec.or(file.codec).unwrap_or(default.codec),
-        lossy_percent: arguments.lossy.or(file.lossy).unwrap_or(default.lossy_percent),
-        packets: arguments.packets.or(file.packets).unwrap_or(default.packets),
-        adapter: arguments.adapter.or(file.adapter),
-        allow_software: arguments.allow_software.or(file.allow_software).unwrap_or(default.allow_software),
-        wait: arguments.wait || file.wait.unwrap_or(default.wait),
-        predictor: arguments.predict.or(file.predict).unwrap_or(default.predictor),
-        mode: arguments.mode.or(file.mode).unwrap_or(default.mode),
-        thresholds,
-        guard: arguments.guard.or(file.guard).unwrap_or(default.guard),
-        predict_pose: arguments.predict_pose.or(file.predict_pose),
-        exposure_ev: arguments.exposure.or(file.exposure),
-        cache_dir: arguments.cache_dir.or(file.cache_dir),
-        connect_timeout,
-        progress: true,
-        ..default
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use clap::Parser as _;
-
-    use super::*;
-
-    fn run_with(file: &str, line: &str) -> Result<Run, ConfigError> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("client.toml");
-        std::fs::write(&path, file).unwrap();
-        let mut arguments = Arguments::parse_from(format!("gnomon-client {line}").trim().split(' '));
-        arguments.config = Some(path);
-        resolve(arguments)
-    }
-
-    fn resolve_with(file: &str, line: &str) -> Result<HeadlessOptions, ConfigError> {
-        run_with(file, line).map(|run| match run {
-            Run::Headless(options) => options,
-            Run::Window(options) => options.run,
-        })
-    }
-
-    #[test]
-    fn without_headless_there_is_a_window() {
-        let Run::Window(options) =
-            run_with("vsync = false\n", &format!("{URL} --exit-after 2.5 --full-screen")).unwrap()
-        else {
-            panic!("no window");
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parse = || {
+            let (width, height) = text.split_once(['x', '×'])?;
+            Some(Self { width: width.parse().ok()?, height: height.parse().ok()? })
         };
-        assert_eq!((options.vsync, options.full_screen), (false, true));
-        assert_eq!(options.exit_after, Some(Duration::from_millis(2500)));
-        assert!(matches!(run_with("", &format!("{URL} --headless")), Ok(Run::Headless(_))));
-        let Run::Window(options) = run_with("wait = true\nframes = 7\n", URL).unwrap() else { panic!("no window") };
-        assert_eq!((options.run.wait, options.run.frames, options.run.remember), (false, None, true));
-    }
-
-    const URL: &str = "gnomon+lab-udp://127.0.0.1:5";
-
-    #[test]
-    fn flags_go_before_the_file_and_the_file_before_defaults() {
-        let file = format!("url = \"{URL}\"\nsize = \"64x36\"\ncodec = \"words\"\nwait = true\nframes = 7\n");
-        let options = resolve_with(&file, "--headless --frames 9").unwrap();
-        assert_eq!((options.width, options.height, options.codec), (64, 36, CodecId::Words));
-        assert_eq!((options.frames, options.wait), (Some(9), true));
-        assert!(matches!(options.source, Source::Server(url) if url.port == 5));
-        assert_eq!(resolve_with("", &format!("{URL} --headless")).unwrap().width, 1280);
-    }
-
-    #[test]
-    fn what_hides_the_network_is_configuration() {
-        let file = format!(
-            "url = \"{URL}\"\nmode = \"sequential\"\nguard = \"auto\"\npredict = \"none\"\npredict_pose = true\n\
-             sequential_lag = 2\ncalm_frames = 5\nprediction_lag = 30\nfade = 0.5\n"
-        );
-        let options = resolve_with(&file, "--headless --mode concurrent --fade 0.125 --predict-pose=false").unwrap();
-        assert_eq!((options.mode, options.guard, options.predictor), (Mode::Concurrent, Guard::Auto, Predictor::None));
-        let expected = Thresholds { sequential_lag: 2, calm_frames: 5, prediction_lag: 30, fade_s: 0.125 };
-        assert_eq!((options.thresholds, options.predict_pose), (expected, Some(false)));
-        let default = resolve_with("", &format!("{URL} --headless")).unwrap();
-        assert_eq!((default.mode, default.thresholds), (Mode::Auto, Thresholds::default()));
-        assert_eq!((default.guard, default.predict_pose), (Guard::default(), None));
-    }
-
-    #[test]
-    fn mistakes_say_what_to_do() {
-        for (file, line, expected) in [
-            ("", "--headless", "which server?"),
-            ("", "gnomon+lab-udp://127.0.0.1:5 --wait", "--headless"),
-            ("", "gnomon+lab-udp://127.0.0.1:5 --exit-after 1e12", "exit-after"),
-            ("", "gnomon+lab-udp://127.0.0.1:5 --headless --offline a.gltf", "choose one"),
-            ("colour = 1", "--headless", "colour"),
-            ("guard = \"63x36\"", "--headless", "even"),
-            ("mode = \"fast\"", "--headless", "sequential"),
-            ("size = \"big\"", "--headless", "WIDTHxHEIGHT"),
-            ("url = \"gnomon://a:1\"", "--headless", "cert"),
-            ("connect_timeout = 0", "--headless --offline a.gltf", "connect-timeout"),
-        ] {
-            let error = resolve_with(file, line).unwrap_err().to_string();
-            assert!(error.contains(expected) && !error.contains('\n'), "{error}");
-        }
+        parse().ok_or_else(|| "must be WIDTHxHEIGHT in pixels, such as 1280x720".to_owned())
     }
 }

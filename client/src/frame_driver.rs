@@ -76,6 +76,7 @@ impl FrameDriver {
     }
 
     /// Returns the age in frames of the masks that the last picture was drawn with, newest first.
+    #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window shows it"))]
     pub(crate) fn mask_lags(&self) -> [u32; MAX_LAYERS] {
         self.frames.mask_lags(FrameNumber(self.drawn.saturating_sub(1)))
     }

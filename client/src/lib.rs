@@ -15,7 +15,7 @@ pub mod headless;
 pub mod link;
 pub mod options;
 pub mod record;
-pub mod settings;
+#[cfg(feature = "window")]
 pub mod window;
 
 pub use error::ClientError;

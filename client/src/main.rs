@@ -1,31 +1,24 @@
-//! The thin client's program.
+//! The `gnomon-client` binary.
 
 use std::{io::Write as _, process::ExitCode};
 
 use anyhow::Context as _;
-use clap::{CommandFactory as _, Parser as _};
+#[cfg(feature = "window")]
+use gnomon_client::{app::demo::Demo, window::run_window};
 use gnomon_client::{
-    app::demo::Demo,
-    cli::Arguments,
-    config::{Run, resolve},
+    cli::{self, Arguments, Run, resolve},
+    config::ClientSettings,
     run_headless,
-    window::run_window,
 };
+use gnomon_settings::{Layers, Loaded};
 use tracing_subscriber::EnvFilter;
 
 fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
-        Ok(arguments) => arguments,
-        // Help and version are no errors, and go to standard output.
-        Err(answer) if !answer.use_stderr() => answer.exit(),
-        Err(error) => {
-            let text = error.to_string();
-            let line = text.lines().next().unwrap_or_default();
-            eprintln!("gnomon-client: {} (see --help)", line.trim_start_matches("error: "));
-            return ExitCode::from(2);
-        }
+    let loaded = match cli::load(Layers::of_process()) {
+        Ok(loaded) => loaded,
+        Err(error) => return error.report("gnomon-client"),
     };
-    match run(arguments) {
+    match run(loaded) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("gnomon-client: {}", one_line(&error));
@@ -46,50 +39,59 @@ fn one_line(error: &anyhow::Error) -> String {
     })
 }
 
-/// Writes to standard output. A reader that has gone away, as `head` does, makes no failure.
-fn print(text: &[u8]) -> anyhow::Result<()> {
-    match std::io::stdout().write_all(text) {
+/// Writes a line to standard output. A reader that has gone away, as `head` does, is no failure.
+fn print(text: &str) -> anyhow::Result<()> {
+    match writeln!(std::io::stdout(), "{text}") {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error).context("standard output"),
         _ => Ok(()),
     }
 }
 
-fn run(mut arguments: Arguments) -> anyhow::Result<()> {
-    if let Some(shell) = arguments.completions {
-        let mut text = Vec::new();
-        clap_complete::generate(shell, &mut Arguments::command(), "gnomon-client", &mut text);
-        return print(&text);
-    }
-    if arguments.man {
-        let mut text = Vec::new();
-        clap_mangen::Man::new(Arguments::command()).render(&mut text).context("--man")?;
-        return print(&text);
+#[cfg(not(feature = "window"))]
+const NO_WINDOW: &str =
+    "this gnomon-client is built without its window: pass --headless, or `cargo build --release -p gnomon-client`";
+
+fn run(loaded: Loaded<Arguments>) -> anyhow::Result<()> {
+    let arguments = &loaded.program;
+    if let Some(page) = gnomon_settings::page::<Arguments, ClientSettings>(arguments.completions, arguments.man)? {
+        return print(&page);
     }
     let filter = EnvFilter::try_new(&arguments.log).with_context(|| format!("--log {:?}", arguments.log))?;
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
-    let check_only = arguments.check_config;
-    let demo = (arguments.demo && !check_only).then(Demo::start).transpose()?;
-    if let Some(demo) = &demo {
-        arguments.url = Some(demo.url().clone());
-        if arguments.path.is_none() {
-            arguments.path = Some(demo.path().parse()?);
-        }
+    if arguments.check_config {
+        let report = loaded.to_json();
+        resolve(loaded)?.validate()?;
+        return print(&report);
     }
-    let run = resolve(arguments)?;
-    match &run {
-        Run::Headless(options) => options.validate()?,
-        Run::Window(options) => options.run.validate()?,
+    if arguments.demo {
+        #[cfg(feature = "window")]
+        return run_demo(loaded);
+        #[cfg(not(feature = "window"))]
+        anyhow::bail!(NO_WINDOW);
     }
-    if check_only {
-        println!("the configuration is good");
-        return Ok(());
+    run_resolved(loaded)
+}
+
+/// Runs against a server of its own, which stops at the end.
+#[cfg(feature = "window")]
+fn run_demo(mut loaded: Loaded<Arguments>) -> anyhow::Result<()> {
+    let demo = Demo::start()?;
+    let settings = &mut loaded.program.settings;
+    settings.url = Some(demo.url().clone());
+    if settings.path.is_none() {
+        settings.path = Some(demo.path().parse()?);
     }
+    run_resolved(loaded)
+}
+
+fn run_resolved(loaded: Loaded<Arguments>) -> anyhow::Result<()> {
+    let run = resolve(loaded)?;
+    run.validate()?;
     match run {
-        Run::Headless(options) => {
-            let summary = run_headless(&options)?;
-            print(format!("{}\n", summary.to_json()).as_bytes())?;
-        }
-        Run::Window(options) => run_window(options)?,
+        Run::Headless(options) => print(&run_headless(&options)?.to_json()),
+        #[cfg(feature = "window")]
+        Run::Window(options) => Ok(run_window(options)?),
+        #[cfg(not(feature = "window"))]
+        Run::Window(_) => anyhow::bail!(NO_WINDOW),
     }
-    Ok(())
 }

@@ -21,16 +21,16 @@ const FADE_S: f64 = 0.1;
 
 fn options(stage: &Stage, folder: &Path, frames: u32) -> HeadlessOptions {
     let mut options = stage.options(folder);
-    (options.frames, options.fps) = (Some(frames), Some(60.0));
-    options.thresholds.prediction_lag = PREDICTION_LAG;
-    options.thresholds.fade_s = FADE_S;
-    options.stats = Some(folder.join("stats.jsonl"));
+    (options.settings.frames, options.settings.fps) = (Some(frames), Some(60.0));
+    options.settings.prediction_lag = PREDICTION_LAG;
+    options.settings.fade = FADE_S;
+    options.settings.stats = Some(folder.join("stats.jsonl"));
     options
 }
 
 fn run(options: &HeadlessOptions) -> (Summary, Vec<Value>) {
     let summary = run_headless(options).unwrap();
-    let stats = std::fs::read_to_string(options.stats.as_ref().unwrap()).unwrap();
+    let stats = std::fs::read_to_string(options.settings.stats.as_ref().unwrap()).unwrap();
     (summary, stats.lines().map(|line| serde_json::from_str(line).unwrap()).collect())
 }
 
@@ -51,7 +51,7 @@ fn an_outage_fades_out_and_back_in() {
         let stage = Stage::start("lab-udp", Script { lose, ..Script::default() });
         let folder = tempfile::tempdir().unwrap();
         let mut options = options(&stage, folder.path(), 160);
-        options.mode = mode;
+        options.settings.mode = mode;
         let (summary, lines) = run(&options);
         assert_eq!((summary.frames_rendered, lines.len()), (160, 160), "no frame is missing");
         assert_eq!(summary.connection_lost, None);
@@ -134,7 +134,7 @@ fn a_still_camera_requests_rarely_and_is_no_outage() {
     let still = r#"{"camera_path": {"keyframes": [{"t": 0, "pos": [0, 1, 1], "target": [0, 0, 0]}]}}"#;
     std::fs::write(&path, still).unwrap();
     let mut options = options(&stage, folder.path(), 150);
-    options.path = Some(path.to_str().unwrap().parse().unwrap());
+    options.settings.path = Some(path.to_str().unwrap().parse().unwrap());
     let (summary, lines) = run(&options);
     // 2.5 s: some requests until the first mask, then one a second.
     assert!(summary.frames_received < 75, "{}", summary.frames_received);
@@ -172,9 +172,9 @@ fn a_waiting_run_rejects_masks_of_another_size() {
     let stage = Stage::start("lab-udp", Script { smaller: vec![1], ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     let mut options = stage.options(folder.path());
-    options.wait = true;
-    options.stats = Some(folder.path().join("stats.jsonl"));
-    options.save_masks = Some(folder.path().join("masks"));
+    options.settings.wait = true;
+    options.settings.stats = Some(folder.path().join("stats.jsonl"));
+    options.settings.save_masks = Some(folder.path().join("masks"));
     let (summary, lines) = run(&options);
     assert_eq!((summary.frames_with_mask, summary.masks_rejected.wrong_size), (4, 1));
     assert!(lines.iter().all(|line| line["mask_frame"] == line["frame"]), "{lines:?}");

@@ -35,11 +35,11 @@ fn a_waiting_run_shades_every_frame_with_its_own_mask() {
         let stage = Stage::start(transport, Script::default());
         let folder = tempfile::tempdir().unwrap();
         let mut options = stage.options(folder.path());
-        options.wait = true;
-        options.codec = CodecId::WordsLz4;
-        options.save_masks = Some(folder.path().join("masks"));
-        options.out = Some(folder.path().join("pictures"));
-        options.stats = Some(folder.path().join("stats.jsonl"));
+        options.settings.wait = true;
+        options.settings.codec = CodecId::WordsLz4;
+        options.settings.save_masks = Some(folder.path().join("masks"));
+        options.settings.out = Some(folder.path().join("pictures"));
+        options.settings.stats = Some(folder.path().join("stats.jsonl"));
         let summary = run_headless(&options).unwrap();
         assert_eq!((summary.frames_rendered, summary.frames_with_mask, summary.frames_received), (4, 4, 4));
         assert_eq!((summary.lag_frames_mean, summary.frames_incomplete), (Some(0.0), 0));
@@ -92,8 +92,8 @@ fn a_lost_mask_is_requested_again() {
     let stage = Stage::start("lab-udp", script);
     let folder = tempfile::tempdir().unwrap();
     let mut options = stage.options(folder.path());
-    options.wait = true;
-    options.save_masks = Some(folder.path().join("masks"));
+    options.settings.wait = true;
+    options.settings.save_masks = Some(folder.path().join("masks"));
     let summary = run_headless(&options).unwrap();
     assert_eq!((summary.frames_rendered, summary.frames_with_mask, summary.frames_received), (4, 4, 4));
     assert_eq!((summary.frames_incomplete, summary.lag_frames_p99), (1, Some(0.0)));
@@ -107,7 +107,7 @@ fn a_mask_received_twice_counts_once() {
     let stage = Stage::start("lab-tcp", Script { late: vec![2], ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     let mut options = stage.options(folder.path());
-    options.wait = true;
+    options.settings.wait = true;
     let summary = run_headless(&options).unwrap();
     assert!(summary.poses_repeated >= 1, "{}", summary.poses_repeated);
     assert_eq!((summary.frames_with_mask, summary.frames_received, summary.frames_incomplete), (4, 4, 0));
@@ -130,10 +130,10 @@ fn the_slices_that_arrive_are_shown() {
         let stage = Stage::start("lab-udp", Script { lose, ..Script::default() });
         let folder = tempfile::tempdir().unwrap();
         let mut options = stage.options(folder.path());
-        options.codec = codec;
-        options.frames = Some(40);
-        options.fps = Some(60.0);
-        options.save_masks = Some(folder.path().join("masks"));
+        options.settings.codec = codec;
+        options.settings.frames = Some(40);
+        options.settings.fps = Some(60.0);
+        options.settings.save_masks = Some(folder.path().join("masks"));
         let summary = run_headless(&options).unwrap();
         assert_eq!((summary.frames_received, summary.frames_bad, summary.frames_incomplete), (0, 0, 0), "{codec}");
         assert!(summary.frames_partial > 10 && summary.frames_with_mask > 10, "{codec}: {summary:?}");
@@ -149,7 +149,8 @@ fn a_late_slice_is_still_decoded() {
     let stage = Stage::start("lab-udp", script);
     let folder = tempfile::tempdir().unwrap();
     let mut options = stage.options(folder.path());
-    (options.codec, options.frames, options.fps) = (CodecId::TilesSmall, Some(12), Some(4.0));
+    (options.settings.codec, options.settings.frames, options.settings.fps) =
+        (CodecId::TilesSmall, Some(12), Some(4.0));
     let summary = run_headless(&options).unwrap();
     assert_eq!((summary.frames_bad, summary.frames_incomplete), (0, 0));
     // The last one may not have arrived yet.
@@ -164,9 +165,9 @@ fn masks_are_decoded_against_the_right_references_only() {
         let stage = Stage::start("lab-udp", script);
         let folder = tempfile::tempdir().unwrap();
         let mut options = stage.options(folder.path());
-        (options.wait, options.codec, options.frames) = (true, codec, Some(8));
-        options.out = Some(folder.path().join("pictures"));
-        options.save_masks = save.then(|| folder.path().join("masks"));
+        (options.settings.wait, options.settings.codec, options.settings.frames) = (true, codec, Some(8));
+        options.settings.out = Some(folder.path().join("pictures"));
+        options.settings.save_masks = save.then(|| folder.path().join("masks"));
         let summary = run_headless(&options).unwrap();
         assert_eq!((summary.frames_rendered, summary.frames_with_mask), (8, 8), "{codec}");
         let picture = |frame: u32| std::fs::read(folder.path().join(format!("pictures/frame_{frame:06}.png"))).unwrap();
@@ -190,7 +191,7 @@ fn frames_of_another_shape_are_counted_and_ignored() {
     let stage = Stage::start("lab-udp", Script { wrong_shape: vec![1], ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     let mut options = stage.options(folder.path());
-    options.wait = true;
+    options.settings.wait = true;
     let summary = run_headless(&options).unwrap();
     assert_eq!((summary.frames_rendered, summary.frames_with_mask, summary.frames_bad), (4, 4, 1));
 }
@@ -200,7 +201,7 @@ fn a_server_that_leaves_ends_the_run_with_its_reason() {
     let stage = Stage::start("lab-tcp", Script { close_at: Some(2), ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     let mut options = stage.options(folder.path());
-    options.wait = true;
+    options.settings.wait = true;
     let error = run_headless(&options).unwrap_err();
     assert!(matches!(error, ClientError::Ended { rendered: 2, wanted: 4, .. }), "{error:?}");
     assert!(error.to_string().contains("curtain"), "{error}");

@@ -58,13 +58,14 @@ pub(crate) fn load(
     let occluders = Occluders::largest_of(&scene);
     let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
     let exposure = Exposure::of_scene(&scene, &occluders);
-    let exposure = options.exposure_ev.map_or(exposure, |ev| exposure.at_ev(ev));
+    let exposure = options.settings.exposure.map_or(exposure, |ev| exposure.at_ev(ev));
     Ok(Loaded { scene, connected, camera_path, exposure })
 }
 
 /// Progress of getting a scene.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Step<'a> {
+    #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window shows it"))]
     Admitted(&'a Welcome),
     /// In bytes.
     Fetching {
@@ -97,23 +98,23 @@ pub(crate) fn get_scene(
                 .build()?;
             let (width, height) = largest_mask;
             let session = SessionOptions {
-                token: options.token.clone(),
+                token: options.settings.token.clone(),
                 width,
                 height,
-                codec: options.codec,
-                rate_hz: rate_hz(options.fps),
-                wrong_ppm: options.wrong_ppm(),
+                codec: options.settings.codec,
+                rate_hz: rate_hz(options.settings.fps),
+                wrong_ppm: options.settings.wrong_ppm(),
                 resume: None,
-                connect_timeout: options.connect_timeout,
+                connect_timeout: options.settings.connect_timeout(),
             };
             let mut known = KnownServers::load();
-            let cache = SceneCache::new(options.cache_dir.clone());
+            let cache = SceneCache::new(options.settings.cache_dir.clone());
             let (url, pending, packed) = runtime.block_on(async {
                 let pinned = known.certificate_of(url);
                 let first_use = url.transport == Transport::Quic && url.certificate.is_none() && url.ca.is_none();
                 let url = match pinned {
                     None if first_use => {
-                        let digest = fetch_certificate(url, options.connect_timeout).await?;
+                        let digest = fetch_certificate(url, options.settings.connect_timeout()).await?;
                         tracing::warn!(server = %url, certificate = fingerprint(&digest), "first visit: pinned");
                         ServerUrl { certificate: Some(digest), ..url.clone() }
                     }
@@ -147,6 +148,7 @@ pub(crate) fn get_scene(
 
 impl Connected {
     /// Returns the server's URL, with its pinned certificate.
+    #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window shows it"))]
     pub(crate) fn url(&self) -> &ServerUrl {
         &self.url
     }

@@ -1,6 +1,7 @@
 //! The program around a run: finding a server and its scene, and servers of its own.
 
 pub(crate) mod connect;
+#[cfg(feature = "window")]
 pub mod demo;
 pub mod local_server;
 pub mod probe;

@@ -10,13 +10,14 @@ use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use crate::{
     app::connect::{Loaded, Step, load},
     camera_path::CameraPath,
+    config::{ClientSettings, MAX_FRAMES, Size},
     error::ClientError,
     frame_driver::{FrameDriver, Served, Shown, Sink},
     headless::pictures::PictureWriter,
     headless::progress::Progress,
     headless::stats::{FrameStats, StatsFile, Summary, mean, percentile},
     mode::{ModeMachine, State},
-    options::{HeadlessOptions, MAX_FRAMES, Source},
+    options::{HeadlessOptions, Source},
     record::Recorder,
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, readback::PictureReader},
 };
@@ -32,48 +33,49 @@ const PICTURES_AHEAD: usize = 2;
 /// # Errors
 /// With the one thing that kept the run from drawing all of its frames.
 pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
+    let settings = &options.settings;
+    let Size { width, height } = settings.size;
     options.validate()?;
     // Cheap things that can fail come first, before a server is bothered.
-    let camera_path = options.path.as_ref().map(CameraPath::load).transpose()?;
-    let pictures = options.out.as_deref().map(PictureWriter::start).transpose()?;
-    let stats = options.stats.as_deref().map(StatsFile::create).transpose()?;
-    if let Some(folder) = &options.save_masks {
+    let camera_path = settings.path.as_ref().map(CameraPath::load).transpose()?;
+    let pictures = settings.out.as_deref().map(PictureWriter::start).transpose()?;
+    let stats = settings.stats.as_deref().map(StatsFile::create).transpose()?;
+    if let Some(folder) = &settings.save_masks {
         std::fs::create_dir_all(folder).map_err(|source| ClientError::Write { path: folder.clone(), source })?;
     }
-    if let Some(file) = &options.mask_log {
+    if let Some(file) = &settings.mask_log {
         std::fs::File::create(file).map_err(|source| ClientError::Write { path: file.clone(), source })?;
     }
     let gpu = pollster::block_on(Gpu::open(&GpuOptions {
-        adapter: options.adapter.clone(),
-        allow_software: options.allow_software,
+        adapter: settings.adapter.clone(),
+        allow_software: settings.allow_software,
         ..GpuOptions::default()
     }))?;
     let progress = Progress::new(options.progress);
     let Loaded { scene, connected, camera_path, exposure } =
-        load(options, options.largest_mask(), camera_path, |step| {
+        load(options, settings.largest_mask(), camera_path, |step| {
             if let Step::Fetching { have, length } = step {
                 progress.fetching(have, length);
             }
         })?;
     let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
-    let (width, height) = options.largest_mask();
-    let shape = MaskShape::new(width, height, lights)?;
-    let renderer =
-        FrameRenderer::new(&gpu, &scene, (options.width, options.height), exposure, PICTURE_FORMAT, options.predictor)?;
-    let reader = PictureReader::new(&gpu, options.width, options.height, PICTURES_AHEAD);
+    let largest = settings.largest_mask();
+    let shape = MaskShape::new(largest.0, largest.1, lights)?;
+    let renderer = FrameRenderer::new(&gpu, &scene, (width, height), exposure, PICTURE_FORMAT, settings.predict)?;
+    let reader = PictureReader::new(&gpu, width, height, PICTURES_AHEAD);
     drop(scene);
 
     let welcome = connected.as_ref().map(|connected| connected.welcome().clone());
-    let link = connected.map(|connected| connected.start(shape, options.reception())).transpose()?;
-    let timing = timing(options, &camera_path);
-    let machine = ModeMachine::new(options.mode, options.thresholds);
+    let link = connected.map(|connected| connected.start(shape, settings.reception())).transpose()?;
+    let timing = timing(settings, &camera_path);
+    let machine = ModeMachine::new(settings.mode, settings.thresholds());
     let source = match &link {
         None => MaskSource::Offline,
-        Some(_) if options.wait => MaskSource::Awaited,
-        Some(_) => MaskSource::Streamed { look_ahead: options.looks_ahead(&gpu) },
+        Some(_) if settings.wait => MaskSource::Awaited,
+        Some(_) => MaskSource::Streamed { look_ahead: settings.looks_ahead(&gpu) },
     };
-    let frames = FrameLoop::new(renderer, machine, options.guard_choice(), source, Instant::now());
-    let recorder = Recorder::for_run(options, (options.width, options.height), welcome.as_ref(), exposure, &gpu)?;
+    let frames = FrameLoop::new(renderer, machine, settings.guard_choice(), source, Instant::now());
+    let recorder = Recorder::for_run(options, (width, height), welcome.as_ref(), exposure, &gpu)?;
     let mut driver = FrameDriver::new(frames, link, recorder, timing.frames);
     let mut files = Files { reader, pictures, stats };
     let mut tally = Tally::default();
@@ -82,7 +84,7 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         &mut files,
         &timing,
         &mut tally,
-        |frame| camera_path.camera(timing.time_s(frame), options.width, options.height),
+        |frame| camera_path.camera(timing.time_s(frame), width, height),
         &progress,
     );
     progress.finish();
@@ -92,7 +94,7 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     files.finish()?;
     driver.recorder.take().map_or(Ok(()), Recorder::finish)?;
     let summary = summary(options, (&tally, &served), welcome.as_ref(), lights, exposure, &camera_path, &gpu);
-    if let Some(path) = &options.summary {
+    if let Some(path) = &settings.summary {
         summary.write(path)?;
     }
     Ok(summary)
@@ -211,19 +213,19 @@ impl Sink for Files {
     }
 }
 
-fn timing(options: &HeadlessOptions, path: &CameraPath) -> Timing {
-    let rest = (path.duration_s() - options.start_time_s).max(0.0);
-    let frames = options.frames.unwrap_or_else(|| {
-        let frames = (rest * options.fps.unwrap_or(DEFAULT_STEPS_PER_S)).round() + 1.0;
+fn timing(settings: &ClientSettings, path: &CameraPath) -> Timing {
+    let rest = (path.duration_s() - settings.start_time).max(0.0);
+    let frames = settings.frames.unwrap_or_else(|| {
+        let frames = (rest * settings.fps.unwrap_or(DEFAULT_STEPS_PER_S)).round() + 1.0;
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the range")]
         let frames = frames.clamp(1.0, f64::from(MAX_FRAMES)) as u32;
         frames
     });
-    let step_s = match options.fps {
+    let step_s = match settings.fps {
         Some(fps) => 1.0 / fps,
         None => rest / f64::from(frames.saturating_sub(1).max(1)),
     };
-    Timing { frames, start_s: options.start_time_s, step_s, paced: options.fps.is_some() }
+    Timing { frames, start_s: settings.start_time, step_s, paced: settings.fps.is_some() }
 }
 
 fn summary(
@@ -235,6 +237,8 @@ fn summary(
     path: &CameraPath,
     gpu: &Gpu,
 ) -> Summary {
+    let settings = &options.settings;
+    let Size { width, height } = settings.size;
     let duration_s = tally.duration.as_secs_f64().max(1e-9);
     let received = served.link.received;
     let came = received.frames + received.cut;
@@ -266,19 +270,19 @@ fn summary(
         packets_mean: of_each(received.packets),
         rtt_ms: served.link.round_trip.map(crate::headless::stats::millis),
         duration_s,
-        size: format!("{}x{}", options.width, options.height),
+        size: format!("{width}x{height}"),
         lights,
         scene_digest: welcome.map(|welcome| welcome.scene_digest.to_string()),
         adapter: gpu.info.name.clone(),
         backend: welcome.map(|welcome| welcome.backend.clone()),
-        codec: welcome.map(|_| options.codec.to_string()),
-        lossy_percent: options.lossy_percent,
+        codec: welcome.map(|_| settings.codec.to_string()),
+        lossy_percent: settings.lossy,
         transport: transport.to_owned(),
-        wait: options.wait,
-        predictor: options.predictor.to_string(),
-        mode: options.mode,
-        guard: options.guard.to_string(),
-        predict_pose: options.looks_ahead(gpu),
+        wait: settings.wait,
+        predictor: settings.predict.to_string(),
+        mode: settings.mode,
+        guard: settings.guard.to_string(),
+        predict_pose: settings.looks_ahead(gpu),
         connection_lost: served.lost.clone(),
         reconnects: served.link.reconnects,
         exposure_ev: exposure.ev(),
@@ -295,29 +299,19 @@ mod tests {
     }
 
     #[test]
-    fn numbers_out_of_range_are_refused_before_anything_is_opened() {
+    fn options_that_do_not_go_together_are_refused_before_anything_is_opened() {
         assert!(options().validate().is_ok());
-        let change = |change: fn(&mut HeadlessOptions)| {
+        let change = |change: fn(&mut ClientSettings)| {
             let mut changed = options();
-            change(&mut changed);
+            change(&mut changed.settings);
             run_headless(&changed).unwrap_err().to_string()
         };
         for (text, expected) in [
-            (change(|o| o.width = 0), "0×720"),
-            (change(|o| o.height = 4097), "1280×4097"),
-            (change(|o| (o.width, o.height) = (4096, 4096)), "4096×4096"),
-            (change(|o| o.frames = Some(0)), "--frames"),
-            (change(|o| o.fps = Some(0.0)), "--fps"),
-            (change(|o| o.fps = Some(f64::NAN)), "--fps"),
-            (change(|o| o.start_time_s = -1.0), "--start-time"),
-            (change(|o| o.exposure_ev = Some(f32::INFINITY)), "--exposure"),
-            (change(|o| o.wait = true), "--wait"),
-            (change(|o| o.thresholds.fade_s = -0.1), "--fade"),
-            (change(|o| o.thresholds.fade_s = f64::NAN), "--fade"),
-            (change(|o| o.lossy_percent = 1.01), "--lossy"),
-            (change(|o| o.lossy_percent = f64::NAN), "--lossy"),
-            (change(|o| o.thresholds.prediction_lag = 256), "--prediction-lag"),
-            (change(|o| o.thresholds.sequential_lag = 101), "--sequential-lag"),
+            (change(|s| s.size.width = 0), "0×720"),
+            (change(|s| s.size.height = 4097), "1280×4097"),
+            (change(|s| s.size = Size { width: 4096, height: 4096 }), "4096×4096"),
+            (change(|s| s.wait = true), "--wait"),
+            (change(|s| s.sequential_lag = 101), "--sequential-lag"),
         ] {
             assert!(text.contains(expected), "{text}");
         }
@@ -331,8 +325,9 @@ mod tests {
             target_m: glam::DVec3::X,
         };
         let path = CameraPath::new("test", vec![key(0.0), key(4.0)], 1.0).unwrap();
-        let with =
-            |frames, fps, start_time_s| timing(&HeadlessOptions { frames, fps, start_time_s, ..options() }, &path);
+        let with = |frames, fps, start_time| {
+            timing(&ClientSettings { frames, fps, start_time, ..ClientSettings::default() }, &path)
+        };
         let times = |timing: Timing| (timing.frames, timing.time_s(0), timing.time_s(timing.frames - 1), timing.paced);
         assert_eq!(times(with(Some(5), None, 0.0)), (5, 0.0, 4.0, false));
         assert_eq!(times(with(Some(1), None, 1.0)), (1, 1.0, 1.0, false));

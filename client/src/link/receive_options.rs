@@ -3,11 +3,9 @@
 use std::{fmt, path::PathBuf, str::FromStr};
 
 use gnomon_protocol::reassembler::Policy;
-use serde::Deserialize;
 
 /// What is done about lost packets where each packet can be decoded alone.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Packets {
     /// They lose their frame, as in the dissertation.
     WholeFrame,
@@ -19,7 +17,7 @@ pub enum Packets {
 }
 
 impl Packets {
-    const ALL: [Self; 3] = [Self::WholeFrame, Self::Slices, Self::Parity];
+    pub(crate) const ALL: [Self; 3] = [Self::WholeFrame, Self::Slices, Self::Parity];
 
     const fn name(self) -> &'static str {
         match self {

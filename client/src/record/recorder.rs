@@ -41,7 +41,7 @@ impl Recorder {
             scene_digest: welcome.map(|welcome| welcome.scene_digest.to_string()),
             size_px: [width, height],
             exposure: exposure.into(),
-            predictor: options.predictor,
+            predictor: options.settings.predict,
             adapter: gpu.info.name.clone(),
         };
         Self::create(path, start).map(Some)

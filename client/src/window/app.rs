@@ -28,7 +28,7 @@ use crate::{
     error::ClientError,
     input::{Controls, keys::Command},
     options::{Source, WindowOptions},
-    settings::Settings,
+    window::settings::Settings,
 };
 
 /// How long a notice stays on the screen.
@@ -46,9 +46,9 @@ const MIN_SIZE: PhysicalSize<u32> = PhysicalSize::new(160, 90);
 /// Errors if there can be no window, or the last attempt to show a picture failed.
 pub fn run_window(options: WindowOptions) -> Result<(), ClientError> {
     options.run.validate()?;
-    let camera_path = options.run.path.as_ref().map(CameraPath::load).transpose()?;
+    let camera_path = options.run.settings.path.as_ref().map(CameraPath::load).transpose()?;
     let event_loop = EventLoop::new().map_err(|error| ClientError::Window(error.to_string()))?;
-    let settings = play::settings(&options.run, options.vsync);
+    let settings = play::settings(&options.run.settings);
     let mut app = App {
         began: Instant::now(),
         camera_path,
@@ -105,18 +105,21 @@ pub(super) struct App {
 
 impl App {
     fn open(&mut self, event_loop: &ActiveEventLoop) -> Result<(), ClientError> {
-        let run = &self.options.run;
-        let full_screen = self.options.full_screen.then_some(Fullscreen::Borderless(None));
+        let settings = &self.options.run.settings;
+        let full_screen = settings.full_screen.then_some(Fullscreen::Borderless(None));
         let attributes = Window::default_attributes()
             .with_title("Gnomon")
-            .with_inner_size(PhysicalSize::new(run.width, run.height))
+            .with_inner_size(PhysicalSize::new(settings.size.width, settings.size.height))
             .with_min_inner_size(MIN_SIZE)
             .with_fullscreen(full_screen);
         let window = event_loop.create_window(attributes).map_err(|error| ClientError::Window(error.to_string()))?;
         let window = Arc::new(window);
-        let adapter =
-            GpuOptions { adapter: run.adapter.clone(), allow_software: run.allow_software, ..GpuOptions::default() };
-        let screen = Screen::open(&window, &adapter, self.options.vsync)?;
+        let adapter = GpuOptions {
+            adapter: settings.adapter.clone(),
+            allow_software: settings.allow_software,
+            ..GpuOptions::default()
+        };
+        let screen = Screen::open(&window, &adapter, settings.vsync)?;
         let context = egui::Context::default();
         overlay::set_style(&context);
         let side = usize::try_from(screen.gpu.device.limits().max_texture_dimension_2d).ok();
@@ -241,7 +244,7 @@ impl App {
             }
             Command::Picture => {
                 if let (Stage::Playing(_), Some(View { screen, .. })) = (&self.stage, &mut self.view)
-                    && let Some(file) = free_name(self.options.run.out.as_deref().unwrap_or(Path::new("")))
+                    && let Some(file) = free_name(self.options.run.settings.out.as_deref().unwrap_or(Path::new("")))
                 {
                     screen.save_picture(file);
                 }

@@ -15,6 +15,7 @@ mod painter;
 mod play;
 mod reference;
 mod screen;
+mod settings;
 #[cfg(test)]
 mod tests;
 

@@ -15,6 +15,7 @@ use super::{
 use crate::{
     app::{connect::Loaded, local_server::LocalServer},
     camera_path::CameraPath,
+    config::ClientSettings,
     error::ClientError,
     frame_driver::FrameDriver,
     guard::{Guard, GuardChoice, GuardSize},
@@ -25,8 +26,10 @@ use crate::{
     options::HeadlessOptions,
     record::{Record, Recorder},
     render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView},
-    settings::{Settings, Split},
-    window::overlay::figures::Figures,
+    window::{
+        overlay::figures::Figures,
+        settings::{Settings, Split},
+    },
 };
 
 /// Time to cross the scene at the initial speed, in seconds.
@@ -105,18 +108,18 @@ impl Play {
         let (width, height) = largest_mask(largest);
         let shape = MaskShape::new(width, height, lights)?;
         let server = connected.as_ref().map(|connected| (connected.url().clone(), connected.welcome().clone()));
-        let link = connected.map(|connected| connected.start(shape, options.reception())).transpose()?;
-        let machine = ModeMachine::new(settings.mode, options.thresholds);
+        let link = connected.map(|connected| connected.start(shape, options.settings.reception())).transpose()?;
+        let machine = ModeMachine::new(settings.mode, options.settings.thresholds());
         let guard = GuardChoice::new(settings.guard, size);
         let source = match &link {
             None => MaskSource::Offline,
-            Some(_) => MaskSource::Streamed { look_ahead: options.looks_ahead(&screen.gpu) },
+            Some(_) => MaskSource::Streamed { look_ahead: options.settings.looks_ahead(&screen.gpu) },
         };
         let frames = FrameLoop::new(renderer, machine, guard, source, Instant::now());
         let welcome = server.as_ref().map(|(_, welcome)| welcome);
         let recorder = Recorder::for_run(options, size, welcome, exposure, &screen.gpu)?;
         let driver = FrameDriver::new(frames, link, recorder, u32::MAX);
-        let first = camera_path.camera(options.start_time_s, size.0, size.1);
+        let first = camera_path.camera(options.settings.start_time, size.0, size.1);
         Ok(Self {
             driver,
             server,
@@ -124,14 +127,14 @@ impl Play {
             fly: Fly::from_camera(&first, speed),
             camera_path,
             follows_path: false,
-            path_s: options.start_time_s,
+            path_s: options.settings.start_time,
             next: 0,
             // The renderer does not know what was chosen during loading.
             applied: Settings { split: Split::Off, ..settings.clone() },
             view: DebugView::Picture,
             largest,
             window_size: (size, Instant::now()),
-            stats: options.stats.as_deref().map(StatsFile::create).transpose()?,
+            stats: options.settings.stats.as_deref().map(StatsFile::create).transpose()?,
             options: options.clone(),
             reference: LocalReference::Off,
             message: None,
@@ -303,11 +306,11 @@ impl Play {
 }
 
 /// Returns the initial settings.
-pub(crate) fn settings(options: &HeadlessOptions, vsync: bool) -> Settings {
+pub(crate) fn settings(chosen: &ClientSettings) -> Settings {
     Settings {
-        predictor: options.predictor,
-        mode: options.mode,
-        guard: match options.guard {
+        predictor: chosen.predict,
+        mode: chosen.mode,
+        guard: match chosen.guard {
             Guard::Fixed(size) => Guard::Fixed(GuardSize { width: size.width.min(640), height: size.height.min(360) }),
             Guard::Auto => Guard::Auto,
         },
@@ -317,7 +320,7 @@ pub(crate) fn settings(options: &HeadlessOptions, vsync: bool) -> Settings {
         lights: 0,
         lights_on: 0,
         first_digit: 0,
-        vsync,
+        vsync: chosen.vsync,
         overlay: false,
         help: false,
     }

@@ -41,7 +41,7 @@ pub(super) fn local_scene(
             Ok(LocalScene { file: scene.clone(), lights_from: lights_from.clone(), lights: *lights })
         }
         (Source::Server(_), welcome) => {
-            let cache = SceneCache::new(options.cache_dir.clone());
+            let cache = SceneCache::new(options.settings.cache_dir.clone());
             let file = welcome.and_then(|welcome| cache.cached_file(welcome.scene_digest));
             let file = file.ok_or_else(|| LocalServerError::NotCached(cache.folder().to_owned()))?;
             Ok(LocalScene { file, lights_from: None, lights: None })
@@ -77,12 +77,9 @@ fn prepare(
     largest: (u32, u32),
 ) -> Result<Ready, ClientError> {
     let server = LocalServer::start(temporary_folder("reference")?, scene)?;
-    let local = HeadlessOptions {
-        token: None,
-        cache_dir: options.cache_dir.clone(),
-        wait: true,
-        ..HeadlessOptions::new(Source::Server(server.url().clone()))
-    };
+    let mut local = HeadlessOptions::new(Source::Server(server.url().clone()));
+    local.settings.cache_dir.clone_from(&options.settings.cache_dir);
+    local.settings.wait = true;
     let (scene, connected) = get_scene(&local, largest, |_| ())?;
     match connected {
         Some(connected) if digest.is_none_or(|digest| digest == connected.welcome().scene_digest) => {
@@ -121,11 +118,11 @@ impl Reference {
     ) -> Result<Self, ClientError> {
         let Ready { server, scene, connected } = ready;
         let options = HeadlessOptions::new(Source::Server(server.url().clone()));
-        let renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, options.predictor)?;
+        let renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, options.settings.predict)?;
         let lights = connected.welcome().lights;
         let link = connected.start(MaskShape::new(largest.0, largest.1, lights)?, Default::default())?;
         let no_band = Guard::Fixed(GuardSize { width: 0, height: 0 });
-        let machine = ModeMachine::new(options.mode, options.thresholds);
+        let machine = ModeMachine::new(options.settings.mode, options.settings.thresholds());
         let guard = GuardChoice::new(no_band, size);
         let frames = FrameLoop::new(renderer, machine, guard, MaskSource::Awaited, Instant::now());
         let driver = FrameDriver::new(frames, Some(link), None, u32::MAX);

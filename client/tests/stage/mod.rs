@@ -11,7 +11,7 @@ use std::{
 };
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
-use gnomon_client::{HeadlessOptions, Source};
+use gnomon_client::{HeadlessOptions, Source, config::Size};
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
     codec::{CodecId, Encoder, Reference},
@@ -148,8 +148,9 @@ impl Stage {
     pub(crate) fn options(&self, folder: &Path) -> HeadlessOptions {
         let url = self.url().parse().unwrap();
         let mut options = HeadlessOptions::new(Source::Server(url));
-        (options.width, options.height, options.frames) = (64, 36, Some(4));
-        options.cache_dir = Some(folder.join("cache"));
+        options.settings.size = Size { width: 64, height: 36 };
+        options.settings.frames = Some(4);
+        options.settings.cache_dir = Some(folder.join("cache"));
         options
     }
 

@@ -12,7 +12,7 @@ use crate::{
     mode::State,
     predictor::Predictor,
     render::debug_view::DebugView,
-    settings::{GUARDS, LIGHTS_AT_A_TIME, MODES, Settings, Split},
+    window::settings::{GUARDS, LIGHTS_AT_A_TIME, MODES, Settings, Split},
 };
 
 /// What the panel shows beside figures and settings.

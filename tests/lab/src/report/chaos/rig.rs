@@ -7,6 +7,7 @@ use gnomon_client::{
     ClientError, HeadlessOptions, Source,
     app::probe::{ProbeOptions, ProbeReport, run_probe},
     camera_path::CameraPath,
+    config::Size,
     link::url::ServerUrl,
 };
 use tokio::runtime::{Builder, Runtime};
@@ -114,10 +115,12 @@ pub(super) fn headless(
     folder: &Path,
 ) -> Result<HeadlessOptions> {
     let mut options = HeadlessOptions::new(Source::Server(url));
-    (options.width, options.height, options.fps, options.frames) = (64, 36, Some(fps), Some(frames));
-    options.path = Some(server.scene.path_text().to_str().context("a path that is no UTF-8")?.parse()?);
-    options.cache_dir = Some(folder.join("cache"));
-    options.allow_software = true;
+    let settings = &mut options.settings;
+    settings.size = Size { width: 64, height: 36 };
+    (settings.fps, settings.frames) = (Some(fps), Some(frames));
+    settings.path = Some(server.scene.path_text().to_str().context("a path that is no UTF-8")?.parse()?);
+    settings.cache_dir = Some(folder.join("cache"));
+    settings.allow_software = true;
     Ok(options)
 }
 

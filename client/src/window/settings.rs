@@ -14,7 +14,7 @@ use crate::{
 
 /// What stands in the right half of the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Split {
+pub(crate) enum Split {
     /// The same as in the left.
     #[default]
     Off,
@@ -35,39 +35,39 @@ impl fmt::Display for Split {
 }
 
 /// Lights that digits mean at a time.
-pub const LIGHTS_AT_A_TIME: u32 = 9;
+pub(crate) const LIGHTS_AT_A_TIME: u32 = 9;
 
 /// The choices.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// How visibility is carried over.
-    pub predictor: Predictor,
+    pub(crate) predictor: Predictor,
     /// Which pose is drawn.
-    pub mode: Mode,
+    pub(crate) mode: Mode,
     /// The guard band.
-    pub guard: Guard,
+    pub(crate) guard: Guard,
     /// What is shown.
-    pub view: DebugView,
+    pub(crate) view: DebugView,
     /// What stands in the right half.
-    pub split: Split,
+    pub(crate) split: Split,
     /// Whether there is a server beside this program that could trace a reference.
-    pub reference: bool,
+    pub(crate) reference: bool,
     /// Lights of the scene.
-    pub lights: u32,
+    pub(crate) lights: u32,
     /// A bit for each light that is on.
-    pub lights_on: u32,
+    pub(crate) lights_on: u32,
     /// The light that the digit 1 means.
-    pub first_digit: u32,
+    pub(crate) first_digit: u32,
     /// Whether pictures wait for the screen.
-    pub vsync: bool,
+    pub(crate) vsync: bool,
     /// Whether figures and choices are shown.
-    pub overlay: bool,
+    pub(crate) overlay: bool,
     /// Whether the keys are explained.
-    pub help: bool,
+    pub(crate) help: bool,
 }
 
 /// The guard bands that a key goes through.
-pub const GUARDS: [Guard; 4] = [
+pub(crate) const GUARDS: [Guard; 4] = [
     Guard::Fixed(GuardSize { width: 0, height: 0 }),
     Guard::Fixed(GuardSize { width: 64, height: 36 }),
     Guard::Fixed(GuardSize { width: 128, height: 72 }),
@@ -75,7 +75,7 @@ pub const GUARDS: [Guard; 4] = [
 ];
 
 /// The modes that a key goes through.
-pub const MODES: [Mode; 3] = [Mode::Auto, Mode::Concurrent, Mode::Sequential];
+pub(crate) const MODES: [Mode; 3] = [Mode::Auto, Mode::Concurrent, Mode::Sequential];
 
 fn after<T: Copy + PartialEq>(all: &[T], now: T) -> T {
     let place = all.iter().position(|one| *one == now).map_or(0, |place| (place + 1) % all.len().max(1));
@@ -84,7 +84,7 @@ fn after<T: Copy + PartialEq>(all: &[T], now: T) -> T {
 
 impl Settings {
     /// All that can be shown, in the order in which a key goes through it.
-    pub fn views(&self) -> impl Iterator<Item = DebugView> {
+    pub(crate) fn views(&self) -> impl Iterator<Item = DebugView> {
         let lights = (0..self.lights).map(DebugView::Light);
         [
             DebugView::Picture,
@@ -99,19 +99,19 @@ impl Settings {
 
     /// What can stand in the right half.
     #[must_use]
-    pub const fn splits(&self) -> &'static [Split] {
+    pub(crate) const fn splits(&self) -> &'static [Split] {
         const SPLITS: [Split; 3] = [Split::Off, Split::Unlit, Split::Reference];
         if self.reference { &SPLITS } else { SPLITS.split_at(2).0 }
     }
 
     /// The lights that digits mean, counted from 1.
     #[must_use]
-    pub fn digits(&self) -> (u32, u32) {
+    pub(crate) fn digits(&self) -> (u32, u32) {
         (self.first_digit + 1, (self.first_digit + LIGHTS_AT_A_TIME).min(self.lights).max(1))
     }
 
     /// Does what a key says, if it is about a choice.
-    pub fn apply(&mut self, command: Command) {
+    pub(crate) fn apply(&mut self, command: Command) {
         match command {
             Command::Help => self.help = !self.help,
             Command::Overlay => self.overlay = !self.overlay,
