@@ -25,7 +25,6 @@ use crate::{
     record::{Record, Recorder},
 };
 
-/// Where pictures go.
 pub(crate) trait Sink {
     /// Shades the surfaces that `renderer` has drawn for `camera` ([`FrameRenderer::shade`]) and shows the picture.
     fn show(
@@ -62,7 +61,7 @@ pub(crate) struct FrameDriver {
 
 /// Totals of a run.
 #[derive(Debug, Default)]
-pub(crate) struct Served {
+pub(crate) struct RunTotals {
     pub(crate) link: LinkTotals,
     pub(crate) rejections: Rejections,
     /// Why the server was lost, the first time.
@@ -86,12 +85,12 @@ impl FrameDriver {
     }
 
     /// Leaves the server and returns the totals.
-    pub(crate) fn leave(&mut self) -> Served {
+    pub(crate) fn leave(&mut self) -> RunTotals {
         let link = self.link.take().map(ServerLink::leave).unwrap_or_default();
         let mut rejections = self.frames.matcher.rejections();
         // The receive task drops most of them before they become masks.
         rejections.future += link.received.future;
-        Served { link, rejections, lost: self.lost.take() }
+        RunTotals { link, rejections, lost: self.lost.take() }
     }
 
     /// Draws frame number `frame` from `camera` at `scene_time_s` into `sink`. Frame numbers ascend.
@@ -203,7 +202,6 @@ impl FrameDriver {
     }
 }
 
-/// Measures stages.
 struct Clock(Instant);
 
 impl Clock {

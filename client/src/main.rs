@@ -27,14 +27,14 @@ fn main() -> ExitCode {
     }
 }
 
-/// The error with what led to it, in one line. Most messages name their cause themselves; it is not said twice.
+/// Returns the error and its causes in one line. Skips causes that a message names already.
 fn one_line(error: &anyhow::Error) -> String {
     error.chain().fold(String::new(), |line, cause| {
         let cause = cause.to_string().replace('\n', " ");
         match line.as_str() {
             "" => cause,
-            said if said.contains(&cause) => line,
-            said => format!("{said}: {cause}"),
+            text if text.contains(&cause) => line,
+            text => format!("{text}: {cause}"),
         }
     })
 }

@@ -1,4 +1,4 @@
-//! A headless run, from options to summary: open the adapter, get the scene, draw the frames, say how it went.
+//! A headless run, from options to summary.
 
 use std::time::{Duration, Instant};
 
@@ -12,7 +12,7 @@ use crate::{
     camera_path::CameraPath,
     config::{ClientSettings, MAX_FRAMES, Size},
     error::ClientError,
-    frame_driver::{FrameDriver, Served, Shown, Sink},
+    frame_driver::{FrameDriver, RunTotals, Shown, Sink},
     headless::pictures::PictureWriter,
     headless::progress::Progress,
     headless::stats::{FrameStats, StatsFile, Summary, mean, percentile},
@@ -22,16 +22,16 @@ use crate::{
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, readback::PictureReader},
 };
 
-/// Frames a second that a path is cut into when neither `--frames` nor `--fps` says otherwise.
+/// Frames a second along the path without `--frames` and `--fps`.
 const DEFAULT_STEPS_PER_S: f64 = 30.0;
 
-/// Pictures that may be under way on the adapter.
+/// Pictures in flight on the adapter.
 const PICTURES_AHEAD: usize = 2;
 
-/// Runs from start to end. Blocks; inside an asynchronous program, call it where blocking is allowed.
+/// Runs from start to end. Blocks.
 ///
 /// # Errors
-/// With the one thing that kept the run from drawing all of its frames.
+/// Errors with what kept the run from drawing all of its frames.
 pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     let settings = &options.settings;
     let Size { width, height } = settings.size;
@@ -89,42 +89,40 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     );
     progress.finish();
     tally.duration = driver.frames.started().elapsed();
-    let served = driver.leave();
+    let totals = driver.leave();
     drawn?;
     files.finish()?;
     driver.recorder.take().map_or(Ok(()), Recorder::finish)?;
-    let summary = summary(options, (&tally, &served), welcome.as_ref(), lights, exposure, &camera_path, &gpu);
+    let summary = summary(options, (&tally, &totals), welcome.as_ref(), lights, exposure, &camera_path, &gpu);
     if let Some(path) = &settings.summary {
         summary.write(path)?;
     }
     Ok(summary)
 }
 
-/// When frames are, and where on the path.
+/// The times of the frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Timing {
     frames: u32,
     start_s: f64,
     step_s: f64,
-    /// Whether a step also takes that long.
+    /// Frames are drawn in real time.
     paced: bool,
 }
 
 impl Timing {
-    /// Where on the path the frame is, in seconds.
+    /// Returns the frame's time on the path, in seconds.
     fn time_s(&self, frame: u32) -> f64 {
         self.start_s + f64::from(frame) * self.step_s
     }
 }
 
-/// What a run leaves on disk.
 struct Files {
     reader: PictureReader,
     pictures: Option<PictureWriter>,
     stats: Option<StatsFile>,
 }
 
-/// What a run's frames came to.
 #[derive(Debug, Default)]
 struct Tally {
     frames: u32,
@@ -168,13 +166,13 @@ fn draw_all(
         }
         progress.drawing(index + 1, timing.frames);
     }
-    while files.keep_oldest()? {}
+    while files.write_oldest()? {}
     Ok(())
 }
 
 impl Files {
-    /// Waits for the oldest picture under way and hands it to the writers; whether there was one is the answer.
-    fn keep_oldest(&mut self) -> Result<bool, ClientError> {
+    /// Waits for the oldest picture in flight and passes it to the writers. Returns whether there was one.
+    fn write_oldest(&mut self) -> Result<bool, ClientError> {
         let Some(picture) = self.reader.take_oldest()? else { return Ok(false) };
         if let (Some(picture), Some(writer)) = (picture, &self.pictures) {
             writer.write(picture)?;
@@ -207,7 +205,7 @@ impl Sink for Files {
         self.reader.submitted(frame.0.into(), submission, copied);
         let shade = begun.elapsed();
         while self.reader.is_full() {
-            self.keep_oldest()?;
+            self.write_oldest()?;
         }
         Ok(Shown { shade, readback: begun.elapsed().saturating_sub(shade) })
     }
@@ -230,7 +228,7 @@ fn timing(settings: &ClientSettings, path: &CameraPath) -> Timing {
 
 fn summary(
     options: &HeadlessOptions,
-    (tally, served): (&Tally, &Served),
+    (tally, totals): (&Tally, &RunTotals),
     welcome: Option<&Welcome>,
     lights: u32,
     exposure: Exposure,
@@ -240,9 +238,9 @@ fn summary(
     let settings = &options.settings;
     let Size { width, height } = settings.size;
     let duration_s = tally.duration.as_secs_f64().max(1e-9);
-    let received = served.link.received;
-    let came = received.frames + received.cut;
-    let of_each = |sum: u64| (came > 0).then(|| sum as f64 / came as f64);
+    let received = totals.link.received;
+    let arrived = received.frames + received.cut;
+    let mean_of = |sum: u64| (arrived > 0).then(|| sum as f64 / arrived as f64);
     let transport = match &options.source {
         Source::Server(url) => url.transport.name(),
         Source::Offline { .. } => "offline",
@@ -255,8 +253,8 @@ fn summary(
         frames_partial: received.partial,
         frames_incomplete: received.incomplete,
         frames_bad: received.bad,
-        poses_repeated: served.link.poses_repeated,
-        masks_rejected: served.rejections,
+        poses_repeated: totals.link.poses_repeated,
+        masks_rejected: totals.rejections,
         degraded_share: welcome.map(|_| f64::from(tally.frames_degraded) / f64::from(tally.frames.max(1))),
         known_share_mean: mean(&tally.known_shares),
         lag_frames_mean: mean(&tally.lags),
@@ -265,10 +263,10 @@ fn summary(
         response_ms_mean: mean(&tally.responses_ms),
         response_ms_p99: percentile(&tally.responses_ms, 0.99),
         client_fps: f64::from(tally.frames) / duration_s,
-        visibility_fps: welcome.map(|_| (came + received.partial) as f64 / duration_s),
-        payload_bytes_mean: of_each(received.payload_bytes),
-        packets_mean: of_each(received.packets),
-        rtt_ms: served.link.round_trip.map(crate::headless::stats::millis),
+        visibility_fps: welcome.map(|_| (arrived + received.partial) as f64 / duration_s),
+        payload_bytes_mean: mean_of(received.payload_bytes),
+        packets_mean: mean_of(received.packets),
+        rtt_ms: totals.link.round_trip.map(crate::headless::stats::millis),
         duration_s,
         size: format!("{width}x{height}"),
         lights,
@@ -283,8 +281,8 @@ fn summary(
         mode: settings.mode,
         guard: settings.guard.to_string(),
         predict_pose: settings.looks_ahead(gpu),
-        connection_lost: served.lost.clone(),
-        reconnects: served.link.reconnects,
+        connection_lost: totals.lost.clone(),
+        reconnects: totals.link.reconnects,
         exposure_ev: exposure.ev(),
         path: path.name().to_owned(),
     }
@@ -318,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_divide_the_path_or_keep_to_the_clock() {
+    fn frames_divide_the_path_or_follow_the_clock() {
         let key = |time_s: f64| crate::camera_path::Keyframe {
             time_s,
             position_m: glam::DVec3::ZERO,
