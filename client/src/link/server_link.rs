@@ -137,7 +137,8 @@ impl ServerLink {
     /// twice as long each time, so that a slow server is not flooded.
     ///
     /// # Errors
-    /// What `ended` makes of the reason if no more masks will arrive; [`ClientError::NoVisibility`] after [`MASK_TIMEOUT`].
+    /// Errors with `ended(reason)` if no more masks will arrive, and with [`ClientError::NoVisibility`] after
+    /// [`MASK_TIMEOUT`].
     pub(crate) fn wait_for(
         &mut self,
         frame: FrameNumber,
