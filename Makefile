@@ -33,6 +33,9 @@ lint:
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	cargo clippy -p gnomon-client --no-default-features --locked -- -D warnings
 	cargo test --locked --quiet -p gnomon-lint
+	@if [ -d "$$(rustc --print target-libdir --target wasm32-unknown-unknown)" ]; then \
+	  cargo check --locked --target wasm32-unknown-unknown -p gnomon-client-core; \
+	else echo 'make lint: the core is not checked for browsers: rustup target add wasm32-unknown-unknown' >&2; fi
 
 deny:
 	cargo deny --locked check bans licenses sources

@@ -67,10 +67,10 @@ pub enum ClientError {
     Ended { rendered: u32, wanted: u32, reason: String },
     /// A frame's mask did not arrive (`--wait`).
     #[error(
-        "no visibility for frame {frame} within {} s after {requests} requests: the path to the server loses too much",
+        "no visibility for frame {frame} within {} s after {asked} requests: the path to the server loses too much",
         after.as_secs()
     )]
-    NoVisibility { frame: FrameNumber, after: Duration, requests: u32 },
+    NoVisibility { frame: FrameNumber, after: Duration, asked: u32 },
     /// The operating system refuses a thread or a runtime.
     #[error("cannot start: {0}")]
     System(#[from] std::io::Error),

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use gnomon_client_core::{
     frame::{
         frame_loop::{FrameLoop, MaskSource},
-        pose_history::Rejections,
         stats::{FrameStats, StageTimes},
     },
+    mask::pose_history::Rejections,
     render::FrameRenderer,
 };
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS};

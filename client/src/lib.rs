@@ -7,6 +7,7 @@
 //! the same.
 
 pub mod app;
+pub mod camera_path;
 pub mod cli;
 pub mod config;
 pub mod error;
@@ -20,9 +21,11 @@ pub mod window;
 
 pub use error::ClientError;
 pub use gnomon_client_core::{
-    camera::{default_path, path as camera_path},
-    frame::{guard, mode, pose_history},
-    input, occluders, predictor, render,
+    camera::default_path,
+    frame::{guard, mode},
+    input,
+    mask::pose_history,
+    occluders, predictor, render,
 };
 pub use headless::{run::run_headless, stats::Summary};
 pub use options::{HeadlessOptions, Source};

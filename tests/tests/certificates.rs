@@ -6,7 +6,7 @@ use std::{fs, path::Path, process::Command, time::Duration};
 
 use gnomon_client::{
     app::probe::{ProbeOptions, run_probe},
-    camera_path::CameraPath,
+    camera_path::PathSpec,
 };
 use gnomon_lab::rig::{
     Ask, PATIENCE,
@@ -57,7 +57,7 @@ fn an_authority_is_trusted_across_certificate_rotations() {
     let keyframe = |t: f64| serde_json::json!({ "t": t, "pos": [0.0, 2.5, 0.5], "target": [0.0, 0.0, 0.0] });
     let path = serde_json::json!({ "yfov_deg": 60.0, "camera_path": { "keyframes": [keyframe(0.0), keyframe(1.0)] } });
     fs::write(folder.join("path.json"), path.to_string()).unwrap();
-    let path = CameraPath::load(&folder.join("path.json").display().to_string().parse().unwrap()).unwrap();
+    let path = folder.join("path.json").display().to_string().parse::<PathSpec>().unwrap().load().unwrap();
     let masks = |url: &str| {
         let ask = Ask { size: (32, 32), fps: None, frames: 1 };
         let options = ProbeOptions { connect_timeout: Duration::from_secs(5), ..ask.of(&url.parse().unwrap()) };

@@ -7,7 +7,7 @@ use std::{fs, net::Ipv4Addr, path::Path, time::Duration};
 use gnomon_client::{
     ClientError,
     app::probe::{ProbeOptions, ProbeReport, run_probe},
-    camera_path::CameraPath,
+    camera_path::{CameraPath, PathSpec},
 };
 use gnomon_lab::rig::Ask;
 use gnomon_server::{
@@ -42,7 +42,7 @@ fn path(folder: &Path) -> CameraPath {
     let path = json!({ "yfov_deg": 60.0, "camera_path": { "keyframes": [keyframe(0.0), keyframe(30.0)] } });
     let file = folder.join("path.json");
     fs::write(&file, path.to_string()).unwrap();
-    CameraPath::load(&file.to_str().unwrap().parse().unwrap()).unwrap()
+    file.to_str().unwrap().parse::<PathSpec>().unwrap().load().unwrap()
 }
 
 #[test]

@@ -93,7 +93,7 @@ impl Client {
         let stats = job.stats().unwrap();
         assert_eq!(stats.len(), FRAMES as usize);
         let spec: PathSpec = self.folder.path().join("path.json").to_str().unwrap().parse().unwrap();
-        let path = CameraPath::load(&spec).unwrap();
+        let path = spec.load().unwrap();
         let frames = (0..FRAMES).zip(&stats).map(|(frame, line)| {
             assert_eq!(
                 (&line["frame"], &line["mask_frame"]),

@@ -4,7 +4,7 @@
 
 use std::{net::SocketAddr, path::Path};
 
-use gnomon_client::camera_path::{CameraPath, PathSpec};
+use gnomon_client::camera_path::PathSpec;
 use gnomon_lab::{
     cloister::asset,
     link::{self, Counts, LinkCounts, LinkSettings, profiles::Profile},
@@ -90,7 +90,7 @@ fn cloister() -> Scene {
 
 /// Traces the mask of a frame's own pose.
 fn traced(backend: &CpuBackend, lights: u32, frame: u32) -> Mask {
-    let path = CameraPath::load(&path_text().parse::<PathSpec>().unwrap()).unwrap();
+    let path = path_text().parse::<PathSpec>().unwrap().load().unwrap();
     let mut camera = path.camera(f64::from(frame) * (1.0 / 30.0), SIZE.0, SIZE.1);
     // The server normalises received orientations.
     camera.orientation = camera.orientation.normalize();

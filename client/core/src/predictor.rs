@@ -12,8 +12,8 @@ pub enum Predictor {
     None,
     /// As the dissertation (§3.6): the nearest sample; points outside the mask's picture are unknown.
     Dissertation(Unknown),
-    /// By the surface: a sample counts where its own point lies on the surface that is asked about, shadow edges are placed
-    /// between samples, and what no sample saw is looked up in the client's shadow maps.
+    /// By the surface: a sample counts where its own point lies on the surface that is asked about, shadow edges are
+    /// placed between samples, and what no sample saw is looked up in the client's shadow maps.
     #[default]
     Surface,
 }
@@ -44,6 +44,19 @@ impl Predictor {
         ("dissertation-copy", Self::Dissertation(Unknown::Copy)),
         ("surface", Self::Surface),
     ];
+}
+
+impl Predictor {
+    /// The values of `predictor` and `unknown` in `predict.wgsl`.
+    pub(crate) fn shader_constants(self) -> (u32, u32) {
+        match self {
+            Self::None => (0, 0),
+            Self::Dissertation(Unknown::Lit) => (1, 0),
+            Self::Dissertation(Unknown::Shadow) => (1, 1),
+            Self::Dissertation(Unknown::Copy) => (1, 2),
+            Self::Surface => (2, 0),
+        }
+    }
 }
 
 impl fmt::Display for Predictor {

@@ -34,6 +34,7 @@ pub struct ProbeOptions {
     /// In pixels.
     pub height: u32,
     pub codec: CodecId,
+    /// Poses to send.
     pub frames: u32,
     /// Poses a second; `None` sends each pose after the mask of the last.
     pub fps: Option<f64>,
@@ -51,8 +52,9 @@ impl ProbeOptions {
 pub struct ProbeReport {
     /// The server's tracing device.
     pub backend: String,
+    /// Poses sent.
     pub poses: u32,
-    /// Masks that arrived whole.
+    /// Masks received whole.
     pub masks: u64,
     /// Frames that arrived only in part.
     pub incomplete: u64,

@@ -9,7 +9,7 @@ use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use crate::{
     app::connect::{Loaded, Step, load},
-    camera_path::CameraPath,
+    camera_path::{CameraPath, PathSpec},
     config::{ClientSettings, MAX_FRAMES, Size},
     error::ClientError,
     frame_driver::{FrameDriver, RunTotals, Shown, Sink},
@@ -37,7 +37,7 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     let Size { width, height } = settings.size;
     options.validate()?;
     // Cheap things that can fail come first, before a server is bothered.
-    let camera_path = settings.path.as_ref().map(CameraPath::load).transpose()?;
+    let camera_path = settings.path.as_ref().map(PathSpec::load).transpose()?;
     let pictures = settings.out.as_deref().map(PictureWriter::start).transpose()?;
     let stats = settings.stats.as_deref().map(StatsFile::create).transpose()?;
     if let Some(folder) = &settings.save_masks {

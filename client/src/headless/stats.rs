@@ -1,4 +1,4 @@
-//! Statistics of a run: one line a frame, and a summary.
+//! What a run measures: a line a frame, and a summary at its end.
 
 use std::{
     fs::File,
@@ -11,77 +11,90 @@ use serde::Serialize;
 
 use crate::{error::ClientError, mode::Mode, pose_history::Rejections};
 
+/// A whole run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
+    /// Pictures drawn.
     pub frames_rendered: u32,
-    /// Pictures shaded with a mask.
+    /// Of these, pictures that were shaded with a mask.
     pub frames_with_mask: u32,
-    /// Masks that arrived whole.
+    /// Masks that came whole.
     pub frames_received: u64,
-    /// Masks whose tiles the server sent in part, to fit the path's bandwidth.
+    /// Masks of which the server left parts out, because the network bore no more.
     pub frames_cut: u64,
-    /// Masks shown without tiles that were lost.
+    /// Masks that were shown although some of their tiles did not come.
     pub frames_partial: u64,
-    /// Masks that arrived in part and were not shown.
+    /// Masks of which something came, but not all, and which were not shown.
     pub frames_incomplete: u64,
-    /// Whole frames that did not decode to a mask of the agreed shape.
+    /// Whole frames that were no mask of the agreed shape.
     pub frames_bad: u64,
-    /// Poses sent again because their mask did not arrive (`--wait`).
+    /// Poses that were sent a second time because their mask did not come (`--wait`).
     pub poses_repeated: u32,
-    /// Whole masks that were rejected, by cause.
+    /// Whole masks that were not used, by cause.
     pub masks_rejected: Rejections,
-    /// Share of the pictures drawn in the state `degraded`.
+    /// Share of the pictures that were drawn with masks too late or none at all.
     pub degraded_share: Option<f64>,
-    /// Mean share of a picture's pixels whose visibility came from masks.
+    /// Mean share of a picture's pixels whose visibility a mask said something of.
     pub known_share_mean: Option<f64>,
-    /// Age of masks in frames.
+    /// Mean of the frames that masks were older than their pictures.
     pub lag_frames_mean: Option<f64>,
+    /// Their median.
     pub lag_frames_p50: Option<f64>,
+    /// Their 99th percentile.
     pub lag_frames_p99: Option<f64>,
-    /// Time from sending a pose to receiving its mask.
+    /// Mean time from a pose's departure to its mask, of the frames that were shaded with their own.
     pub response_ms_mean: Option<f64>,
+    /// Its 99th percentile.
     pub response_ms_p99: Option<f64>,
-    /// Pictures a second, from the first pose to the last finished picture.
+    /// Pictures a second, from the first pose until the last picture was done.
     pub client_fps: f64,
     /// Masks a second, over the same time.
     pub visibility_fps: Option<f64>,
-    /// Mean bytes of a mask on the wire, without packet headers.
+    /// Mean bytes of a mask on the wire, headers not counted.
     pub payload_bytes_mean: Option<f64>,
+    /// Mean packets of a mask.
     pub packets_mean: Option<f64>,
     /// Smoothed round trip of pings.
     pub rtt_ms: Option<f64>,
-    /// Time since the first pose.
+    /// Time that the run took, from the first pose on, in seconds.
     pub duration_s: f64,
     /// `WIDTHxHEIGHT` in pixels.
     pub size: String,
+    /// Lights of the scene.
     pub lights: u32,
-    /// BLAKE3 digest of the packed scene; `None` offline.
+    /// BLAKE3 digest of the packed scene; none offline.
     pub scene_digest: Option<String>,
+    /// The graphics adapter.
     pub adapter: String,
-    /// The server's tracing device.
+    /// What the server traces on.
     pub backend: Option<String>,
+    /// The codec of the masks.
     pub codec: Option<String>,
-    /// Bits of a mask that may be wrong.
+    /// Bits of a mask that the server was allowed to send wrong, in per cent.
     pub lossy_percent: f64,
     /// `quic`, `lab-udp`, `lab-tcp`, or `offline`.
     pub transport: String,
-    /// Each frame waited for its own mask.
+    /// Whether each frame waited for its own mask.
     pub wait: bool,
+    /// How visibility was carried over.
     pub predictor: String,
+    /// How the pose to draw was chosen.
     pub mode: Mode,
+    /// The guard band that was asked for.
     pub guard: String,
-    /// The server traced ahead of the pose.
+    /// Whether the server was asked to look ahead.
     pub predict_pose: bool,
-    /// Why the server was lost, the first time.
+    /// Why the server was lost on the way, if it was.
     pub connection_lost: Option<String>,
+    /// How often a lost server, or the one that it named, was found again.
     pub reconnects: u32,
-    /// As `--exposure` takes it.
+    /// The exposure, as `--exposure` takes it.
     pub exposure_ev: f32,
-    /// Name of the camera path.
+    /// The camera path's name.
     pub path: String,
 }
 
-/// Writes [`FrameStats`], one JSON line each.
+/// Writes [`FrameStats`], a line each.
 #[derive(Debug)]
 pub struct StatsFile {
     path: PathBuf,
@@ -89,17 +102,19 @@ pub struct StatsFile {
 }
 
 impl StatsFile {
-    /// Creates or truncates the file.
+    /// Makes the file anew.
     ///
     /// # Errors
-    /// Errors if it cannot be created.
+    /// When it cannot be made.
     pub fn create(path: &Path) -> Result<Self, ClientError> {
         let file = File::create(path).map_err(|source| ClientError::Write { path: path.into(), source })?;
         Ok(Self { path: path.into(), file: BufWriter::new(file) })
     }
 
+    /// Adds a line.
+    ///
     /// # Errors
-    /// Errors if the line cannot be written.
+    /// When it cannot be written.
     pub fn write(&mut self, stats: &FrameStats) -> Result<(), ClientError> {
         let written = serde_json::to_writer(&mut self.file, stats).map_err(Into::into);
         written
@@ -107,24 +122,27 @@ impl StatsFile {
             .map_err(|source| ClientError::Write { path: self.path.clone(), source })
     }
 
-    /// Flushes the file.
+    /// Writes what is still in memory.
     ///
     /// # Errors
-    /// Errors if it cannot be written.
+    /// When it cannot be written.
     pub fn finish(mut self) -> Result<(), ClientError> {
         self.file.flush().map_err(|source| ClientError::Write { path: self.path, source })
     }
 }
 
 impl Summary {
+    /// The summary as one JSON object.
     #[must_use]
     pub fn to_json(&self) -> String {
-        // Serialization cannot fail: the struct has no maps.
+        // Nothing in it can fail to be JSON: no maps, no bytes.
         serde_json::to_string_pretty(self).unwrap_or_default()
     }
 
+    /// Writes the JSON object to a file.
+    ///
     /// # Errors
-    /// Errors if the file cannot be written.
+    /// When it cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), ClientError> {
         std::fs::write(path, self.to_json() + "\n").map_err(|source| ClientError::Write { path: path.into(), source })
     }
@@ -180,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn the_summary_has_the_keys_that_scripts_read() {
+    fn the_summary_has_what_scripts_look_for() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("summary.json");
         summary().write(&file).unwrap();
@@ -220,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn each_frame_is_a_line() {
+    fn a_frame_is_a_line() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("stats.jsonl");
         let mut file = StatsFile::create(&path).unwrap();

@@ -88,7 +88,7 @@ impl ReceiveTask {
         }
     }
 
-    /// Decodes a finished frame into the back buffer. Returns whether there was one.
+    /// Decodes the frame that has come out, if one has, into the back buffer.
     fn poll_frame(&mut self) -> Result<bool, String> {
         let back = self.writer.back();
         let frame = match self.receiver.poll_frame(&mut back.mask, &mut back.coverage) {

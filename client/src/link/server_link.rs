@@ -23,10 +23,10 @@ use crate::error::ClientError;
 const FIRST_RESPONSE: Duration = Duration::from_secs(2);
 
 /// Shortest time before a pose is sent again.
-const MIN_RESEND_AFTER: Duration = Duration::from_millis(250);
+const MIN_PATIENCE: Duration = Duration::from_millis(250);
 
-/// Longest wait for one frame's mask.
-const MASK_TIMEOUT: Duration = Duration::from_secs(120);
+/// How long one frame is waited for in all.
+const GIVE_UP: Duration = Duration::from_secs(120);
 
 /// A session with a server, replaced by another one when the server is lost.
 pub(crate) struct ServerLink {
@@ -133,7 +133,7 @@ impl ServerLink {
     }
 
     /// Waits for exactly this frame's mask; [`Self::taken_masks`] has it then. Sends the pose again at once when a part
-    /// of the mask was lost, or else after four round trips and twice the slowest recent response, and then after
+    /// of the mask was lost, or else after four round trips and twice the slowest response of late, and then after
     /// twice as long each time, so that a slow server is not flooded.
     ///
     /// # Errors
@@ -148,13 +148,13 @@ impl ServerLink {
         let begun = Instant::now();
         let round_trip = self.session.round_trip().unwrap_or_default();
         let usual = matcher.slowest_response().map_or(FIRST_RESPONSE, |slowest| slowest * 2);
-        let mut resend_after = (round_trip * 4).max(MIN_RESEND_AFTER).max(usual);
-        let mut requests = 1;
+        let mut patience = (round_trip * 4).max(MIN_PATIENCE).max(usual);
+        let mut asked = 1;
         // Whether this frame's mask is in the front buffer and was rejected: waiting for the frame would return at
         // once.
         let mut rejected = false;
         loop {
-            let deadline = Instant::now() + resend_after;
+            let deadline = Instant::now() + patience;
             let mut waited =
                 if rejected { self.masks.wait_for_any(deadline) } else { self.masks.wait_for(frame, deadline) };
             if waited == Waited::Arrived {
@@ -174,18 +174,18 @@ impl ServerLink {
             }
             match waited {
                 Waited::Ended(reason) => return Err(ended(reason)),
-                Waited::Arrived | Waited::TimedOut | Waited::Lost if begun.elapsed() > MASK_TIMEOUT => {
-                    return Err(ClientError::NoVisibility { frame, after: begun.elapsed(), requests });
+                Waited::Arrived | Waited::TimedOut | Waited::Lost if begun.elapsed() > GIVE_UP => {
+                    return Err(ClientError::NoVisibility { frame, after: begun.elapsed(), asked });
                 }
                 waited => {
                     if let Some(request) = matcher.request(frame) {
                         self.session.send_pose_again(frame, request.pose, rejected);
                         matcher.repeated(frame);
                         self.poses_repeated += 1;
-                        requests += 1;
+                        asked += 1;
                     }
                     if waited == Waited::TimedOut {
-                        resend_after = (resend_after * 2).min(MASK_TIMEOUT / 4);
+                        patience = (patience * 2).min(GIVE_UP / 4);
                     }
                 }
             }

@@ -42,6 +42,7 @@ pub(crate) struct Session {
 }
 
 impl Session {
+    /// Starts the tasks.
     pub(super) fn start(spec: SessionSpec, connection: OpenConnection, files: Option<MaskFiles>) -> (Self, MaskReader) {
         let OpenConnection { reader, writer, sender, receiver: datagrams, quic } = connection;
         let (mask_writer, mask_reader) = mask_buffer(spec.shape);

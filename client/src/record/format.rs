@@ -11,7 +11,7 @@ pub const FIRST_LINE: &str = "gnomon recording 2\n";
 /// Longest record: the largest mask, filled with noise.
 pub const MAX_RECORD_BYTES: u32 = 128 << 20;
 
-/// A recording ends by itself here.
+/// Largest recording.
 pub const MAX_BYTES: u64 = 2 << 30;
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -61,11 +61,13 @@ pub enum Record {
     Start(Start),
     /// New size of the pictures, in pixels.
     Size([u32; 2]),
+    /// New predictor.
     Predictor(Predictor),
     /// Lights that are on, one bit each.
     LightsOn(u32),
     /// First column that is drawn without shadows.
     Split(Option<u32>),
+    /// New debug view.
     View(DebugView),
     /// A mask was given to the renderer.
     Mask {
@@ -90,10 +92,7 @@ pub enum Record {
         timing: Timing,
     },
     /// A message about the network.
-    Event {
-        frame: u32,
-        text: String,
-    },
+    Event { frame: u32, text: String },
 }
 
 impl From<&Camera> for RecordedCamera {

@@ -1,4 +1,4 @@
-//! Recordings: everything that the renderer was given in a run, with times and network events.
+//! Recordings: everything that the renderer was told in a run, with times and network events.
 //!
 //! A recording is a line with the format's version, then records: each its length (u32, little-endian) and its postcard
 //! bytes. It contains masks as they were used, so [`replay`] draws the same pictures without a network. A recording

@@ -91,6 +91,7 @@ impl Recorder {
         written.map_err(|source| self.failed(source))
     }
 
+    /// Flushes the file.
     pub(crate) fn finish(mut self) -> Result<(), ClientError> {
         let flushed = self.file.flush();
         flushed.map_err(|source| self.failed(source))

@@ -24,7 +24,7 @@ use super::{
 };
 use crate::{
     app::servers,
-    camera_path::CameraPath,
+    camera_path::{CameraPath, PathSpec},
     error::ClientError,
     input::{Controls, keys::Command},
     options::{Source, WindowOptions},
@@ -46,7 +46,7 @@ const MIN_SIZE: PhysicalSize<u32> = PhysicalSize::new(160, 90);
 /// Errors if there can be no window, or the last attempt to show a picture failed.
 pub fn run_window(options: WindowOptions) -> Result<(), ClientError> {
     options.run.validate()?;
-    let camera_path = options.run.settings.path.as_ref().map(CameraPath::load).transpose()?;
+    let camera_path = options.run.settings.path.as_ref().map(PathSpec::load).transpose()?;
     let event_loop = EventLoop::new().map_err(|error| ClientError::Window(error.to_string()))?;
     let settings = play::settings(&options.run.settings);
     let mut app = App {

@@ -3,14 +3,11 @@
 use gnomon_protocol::mask::{Mask, MaskShape};
 
 use super::painter::{Painter, Shapes};
-use crate::{
-    input::{Controls, fly::Fly, keys::MoveKey},
-    render::{
-        debug_view::DebugView,
-        predict::MaskView,
-        readback::{PictureReader, texels},
-        testing::{camera, draw, floor_and_lights, gpu, renderer},
-    },
+use crate::render::{
+    debug_view::DebugView,
+    predict::MaskView,
+    readback::{PictureReader, texels},
+    testing::{camera, draw, floor_and_lights, gpu, renderer},
 };
 
 const SIZE: (u32, u32) = (96, 54);
@@ -71,68 +68,4 @@ fn a_picture_on_the_screen_has_every_byte_of_a_headless_one() {
     assert_eq!(wide[..4], [0, 0, 0, 255]);
     let (row, margin) = ((SIZE.0 as usize + 40) * 4, 20 * 4);
     assert_eq!(wide[margin..row - margin], headless.rgba[..SIZE.0 as usize * 4]);
-}
-
-#[test]
-fn lights_split_and_views_change_what_they_say_and_nothing_else() {
-    let gpu = gpu();
-    let (scene, mask) = (floor_and_lights(), mask());
-    let camera = camera(SIZE.0, SIZE.1);
-    let mut one = renderer(&gpu, &scene, mask.shape());
-    let plain = draw(&gpu, &mut one, &camera, Some(&mask));
-    let lit = draw(&gpu, &mut one, &camera, None);
-    one.set_split(Some(SIZE.0 / 2));
-    let split = draw(&gpu, &mut one, &camera, Some(&mask));
-    let half = SIZE.0 as usize * 2;
-    let rows = |picture: &[u8]| picture.chunks(half * 2).map(<[u8]>::to_vec).collect::<Vec<_>>();
-    for ((plain, lit), split) in rows(&plain.rgba).iter().zip(rows(&lit.rgba)).zip(rows(&split.rgba)) {
-        assert_eq!((&split[..half], &split[half..]), (&plain[..half], &lit[half..]));
-    }
-    one.set_split(None);
-    one.set_lights_on(0);
-    let dark = draw(&gpu, &mut one, &camera, Some(&mask));
-    assert!(dark.rgba != plain.rgba);
-    one.set_lights_on(u32::MAX);
-    let views = [DebugView::Light(0), DebugView::Light(1), DebugView::Unknown, DebugView::Depth, DebugView::Normals];
-    let mut seen = vec![plain.rgba.clone()];
-    for view in views {
-        one.set_debug_view(view);
-        seen.push(draw(&gpu, &mut one, &camera, Some(&mask)).rgba);
-    }
-    for (index, picture) in seen.iter().enumerate() {
-        assert!(!seen[..index].contains(picture), "view {index} shows what another one shows");
-    }
-    one.set_debug_view(DebugView::Picture);
-    assert_eq!(draw(&gpu, &mut one, &camera, Some(&mask)).rgba, plain.rgba);
-}
-
-#[test]
-fn a_light_s_view_is_its_plane_of_the_mask() {
-    let gpu = gpu();
-    let (scene, mask) = (floor_and_lights(), mask());
-    let camera = camera(SIZE.0, SIZE.1);
-    let mut one = renderer(&gpu, &scene, mask.shape());
-    one.set_debug_view(DebugView::Light(1));
-    let picture = draw(&gpu, &mut one, &camera, Some(&mask));
-    let mut surfaces = 0;
-    for (index, [red, _, blue, _]) in (0..).zip(picture.rgba.as_chunks::<4>().0) {
-        // Yellow where the light reaches, blue where it does not, black where nothing is.
-        if (*red, *blue) != (0, 0) {
-            surfaces += 1;
-            assert_eq!(red > blue, mask.get(1, index % SIZE.0, index / SIZE.0), "pixel {index}");
-        }
-    }
-    assert!(surfaces > 500, "{surfaces}");
-}
-
-#[test]
-fn a_press_between_two_frames_is_in_the_very_next_one() {
-    let mut controls = Controls::default();
-    let mut fly = Fly::from_camera(&camera(SIZE.0, SIZE.1), 1.0);
-    let before = fly.camera(SIZE.0, SIZE.1);
-    fly.step(&controls.take(0.016, 54.0), 0.016);
-    assert_eq!(fly.camera(SIZE.0, SIZE.1), before);
-    controls.held.set(MoveKey::Forward, true);
-    fly.step(&controls.take(0.016, 54.0), 0.016);
-    assert!(fly.camera(SIZE.0, SIZE.1) != before);
 }

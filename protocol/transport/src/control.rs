@@ -33,6 +33,7 @@ pub enum ControlError {
     TooLong {
         /// Length from the prefix.
         bytes: usize,
+        /// The reader's limit.
         limit: usize,
     },
     /// [`ControlReader::next_within`] timed out.

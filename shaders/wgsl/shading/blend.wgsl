@@ -1,5 +1,6 @@
-// BLEND surfaces, drawn over the shaded picture from far to near. They have no visibility of their own, so a light reaches
-// them when it reaches the surface behind them; where its bit there is irrelevant, or there is no surface, it reaches them.
+// BLEND surfaces, drawn over the shaded picture from far to near. They have no visibility of their own, so a light
+// reaches them when it reaches the surface behind them; where its bit there is irrelevant, or there is no surface, it
+// reaches them.
 
 #import "shading/inputs.wgsl"
 #import "shading/material.wgsl"

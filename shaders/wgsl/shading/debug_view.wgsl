@@ -1,6 +1,7 @@
 // What lies behind the picture: a light's visibility, what is unknown, how old it is, depth, normals.
 //
-// Colours are told apart by brightness as well, and are those that colour-blind people tell apart too (Okabe and Ito, 2008).
+// Colours are told apart by brightness as well, and are those that colour-blind people tell apart too (Okabe and Ito,
+// 2008).
 
 #import "shading/view.wgsl"
 

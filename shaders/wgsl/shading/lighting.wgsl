@@ -1,4 +1,5 @@
-// Light on a point: every light with its bit of the visibility mask, and a little ambient light. Twin: `shading::Lighting`.
+// Light on a point: every light with its bit of the visibility mask, and a little ambient light. Twin:
+// `shading::Lighting`.
 
 const DIRECTIONAL: u32 = 0u;
 const POINT: u32 = 1u;

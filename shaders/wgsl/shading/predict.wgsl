@@ -1,11 +1,12 @@
-// Prediction: the visibility of every pixel's surface, from a mask that was traced for another view, and from what the client
-// knows by itself where that view did not see the surface.
+// Prediction: the visibility of every pixel's surface, from a mask that was traced for another view, and from what the
+// client knows by itself where that view did not see the surface.
 //
-// Visibility belongs to a point of the scene, not to a pixel, so each surface point is looked up where the mask's view saw it.
-// The dissertation (§3.6) takes the nearest sample, whatever it saw, and treats only points outside the picture as unknown. Here
-// a sample counts only when its own point lies in the plane of the surface that is asked about: nothing bleeds across edges, and
-// what was hidden is found to be unknown. Where the samples around the point disagree about a light, a shadow's edge runs between
-// them, and a wider kernel places it between the samples instead of along their borders (the dissertation's Figure 20).
+// Visibility belongs to a point of the scene, not to a pixel, so each surface point is looked up where the mask's view
+// saw it. The dissertation (§3.6) takes the nearest sample, whatever it saw, and treats only points outside the picture
+// as unknown. Here a sample counts only when its own point lies in the plane of the surface that is asked about:
+// nothing bleeds across edges, and what was hidden is found to be unknown. Where the samples around the point disagree
+// about a light, a shadow's edge runs between them, and a wider kernel places it between the samples instead of along
+// their borders (the dissertation's Figure 20).
 //
 // Masks can come in part. What has not come of the newest one is looked up in those before it, each in its own view.
 
@@ -39,8 +40,8 @@ struct Prediction {
     lights: u32,
 }
 
-// Whether there may be several masks, or one of which parts are missing. Without, the shader needs fewer registers: a client's whole frame
-// takes 7 to 9 % less time on an H200, whatever predicts.
+// Whether there may be several masks, or one of which parts are missing. Without, the shader needs fewer registers: a
+// client's whole frame takes 7 to 9 % less time on an H200, whatever predicts.
 override layered: bool = true;
 
 const PREDICT_NOTHING: u32 = 0u;
@@ -97,7 +98,8 @@ struct Told {
     oldest: u32,
 }
 
-// Four samples of the mask that form a square, in textureGather's order: lower left, lower right, upper right, upper left.
+// Four samples of the mask that form a square, in textureGather's order: lower left, lower right, upper right, upper
+// left.
 struct Quad {
     // Whether the sample's own point lies on the surface that is asked about.
     on_surface: vec4<bool>,
@@ -116,8 +118,8 @@ fn came_at(layer: u32, sample: vec2i) -> u32 {
 
 // The square whose upper left sample is `corner`.
 //
-// A sample's point is up to a few footprints away within the plane. The packed normal is off by up to 1/100, and a curved surface
-// by less than a fifth of a footprint unless it bends by more than 20° from one sample to the next.
+// A sample's point is up to a few footprints away within the plane. The packed normal is off by up to 1/100, and a
+// curved surface by less than a fifth of a footprint unless it bends by more than 20° from one sample to the next.
 fn quad_at(place: Place, corner: vec2f) -> Quad {
     let size = vec2f(vec2u(prediction.layers[place.layer].view.width, prediction.layers[place.layer].view.height));
     let middle = (corner + 1.0) / size;
@@ -159,8 +161,8 @@ fn quad_at(place: Place, corner: vec2f) -> Quad {
 // How close to a sample's centre a place counts as being there, in pixels of the mask.
 const ON_CENTRE_PX: f32 = 0.2;
 
-// The weights of samples on the surface. Measured on Sponza at 1080p, wrong bits of known points at lag 6: nearest 0.34 %, bilinear
-// 0.30, this 0.27; wider ones gain on straight edges what they lose on leaves.
+// The weights of samples on the surface. Measured on Sponza at 1080p, wrong bits of known points at lag 6: nearest 0.34
+// %, bilinear 0.30, this 0.27; wider ones gain on straight edges what they lose on leaves.
 fn edge_weights(quad: Quad) -> vec4f {
     return select(vec4f(0.0), exp(-0.85 * quad.distance_2), quad.on_surface);
 }
@@ -208,8 +210,8 @@ fn by_surface(place: Place) -> Found {
     if disputed == 0u {
         return Found(known, some);
     }
-    // Next to a sample's centre that sample is right, and a kernel would round corners off: a mask that was traced for nearly this
-    // view has such centres everywhere.
+    // Next to a sample's centre that sample is right, and a kernel would round corners off: a mask that was traced for
+    // nearly this view has such centres everywhere.
     let on_centre = quad.on_surface & (quad.distance_2 < vec4f(ON_CENTRE_PX * ON_CENTRE_PX));
     let certain = any_of(select(vec4u(0u), quad.came, on_centre)) & disputed;
     var word = (some & ~not_every) | (any_of(select(vec4u(0u), quad.words, on_centre)) & certain);
@@ -268,7 +270,8 @@ fn from_mask(layer: u32, pixel: vec2u, point: vec3f, normal: vec3f) -> Found {
     return from_other_view(layer, point, normal);
 }
 
-// What the masks say of the surface point that a pixel shows: of each light, what the newest one says that says something.
+// What the masks say of the surface point that a pixel shows: of each light, what the newest one says that says
+// something.
 fn from_masks(pixel: vec2u, point: vec3f, normal: vec3f) -> Told {
     if prediction.count == 0u {
         return Told(NOTHING, 0u);
@@ -316,7 +319,8 @@ fn by_itself(pixel: vec2u, point: vec3f, normal: vec3f) -> u32 {
     return 0xffffffffu;
 }
 
-// x: the lights that reach the pixel as far as can be told; y: what the client alone would say, where the shading needs it.
+// x: the lights that reach the pixel as far as can be told; y: what the client alone would say, where the shading needs
+// it.
 @fragment
 fn predict(@builtin(position) place: vec4f) -> @location(0) vec2u {
     let pixel = vec2u(place.xy);
@@ -330,8 +334,8 @@ fn predict(@builtin(position) place: vec4f) -> @location(0) vec2u {
     let found = told.found;
     let unknown = prediction.lights & ~found.known;
     if unknown == 0u && view.visibility_share >= 1.0 {
-        // No shading reads y now, and in unknown pixels it equals x. The complement of x tells a measuring reader that x was known; of
-        // that, the lowest three bits by which mask.
+        // No shading reads y now, and in unknown pixels it equals x. The complement of x tells a measuring reader that
+        // x was known; of that, the lowest three bits by which mask.
         return vec2u(found.word, ~found.word ^ told.oldest);
     }
     let own = by_itself(pixel, point, normal);

@@ -1,4 +1,5 @@
-// The picture on the screen: texel for texel where they are of one size, and stretched to fit with its shape kept otherwise.
+// The picture on the screen: texel for texel where they are of one size, and stretched to fit with its shape kept
+// otherwise.
 
 #import "shading/view.wgsl"
 

@@ -1,5 +1,5 @@
-// What the client knows of its lights by itself: shadow maps of the scene at rest, drawn once (`render/predict/shadow_map.rs`).
-// They fill in where no received visibility can be carried over.
+// What the client knows of its lights by itself: shadow maps of the scene at rest, drawn once
+// (`render/predict/shadow_map.rs`). They fill in where no received visibility can be carried over.
 
 #import "shading/view.wgsl"
 #import "shading/lighting.wgsl"
@@ -34,14 +34,15 @@ fn shadow_view_of(light: Light, point: vec3f) -> u32 {
 // How far off its surface a point is looked up, in texels: for surfaces that are not quite planes.
 const OFF_SURFACE_TEXELS: f32 = 0.2;
 
-// Where a point lies in its light's square, in texels with whole numbers at their centres; its reversed depth; its distance.
+// Where a point lies in its light's square, in texels with whole numbers at their centres; its reversed depth; its
+// distance.
 fn map_place(shadow: ShadowView, point: vec3f) -> vec4f {
     let clip = shadow.clip_from_local * vec4f(point, 1.0);
     return vec4f((clip.xy / clip.w * vec2f(0.5, -0.5) + 0.5) * shadow.side - 0.5, clip.z / clip.w, clip.w);
 }
 
-// Whether the map leaves the surface at `point`, with this normal towards the eye, in the light: the majority of the four texels
-// around it, by their bilinear weights.
+// Whether the map leaves the surface at `point`, with this normal towards the eye, in the light: the majority of the
+// four texels around it, by their bilinear weights.
 fn shadow_map_lit(map: texture_depth_2d, shadow: ShadowView, kind: u32, toward: vec3f, point: vec3f, normal: vec3f) -> bool {
     let facing = dot(normal, toward);
     if facing <= 0.0 {

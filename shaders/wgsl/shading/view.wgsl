@@ -57,8 +57,9 @@ fn unpack_normal(bits: u32) -> vec3f {
     return from_octahedral(unpack2x16snorm(bits));
 }
 
-// The second word of the G-buffer: 1 + the material's index in the lower half, 0 where there is no surface; in the upper half
-// the triangle's own normal, towards the eye, in two 8-bit numbers. Its error of up to 1/100 counts in `predict.wgsl`.
+// The second word of the G-buffer: 1 + the material's index in the lower half, 0 where there is no surface; in the
+// upper half the triangle's own normal, towards the eye, in two 8-bit numbers. Its error of up to 1/100 counts in
+// `predict.wgsl`.
 fn pack_material(material: u32, plane_normal: vec3f) -> u32 {
     return (material + 1u) | (pack4x8snorm(vec4f(octahedral(plane_normal), 0.0, 0.0)) << 16u);
 }

@@ -1,19 +1,16 @@
-//! Camera paths: keyframes from a file, and where the camera is at a time.
+//! Camera paths: keyframes, and where the camera is at a time.
 //!
 //! Between two keyframes the position moves in a straight line at constant speed, and the direction of view turns at a
 //! constant rate along the great circle from the one keyframe's direction to the next one's. Time before the first
 //! keyframe counts as its time; beyond the last one the camera runs back to the first, and on to and fro.
 
-use std::{collections::BTreeMap, fmt, io::Read as _, path::PathBuf, str::FromStr};
+use std::collections::BTreeMap;
 
 use glam::{DQuat, DVec3};
 use gnomon_protocol::limits::{MAX_POSITION_M, YFOV_RANGE_RAD};
 use gnomon_scene::camera::Camera;
 use serde::Deserialize;
 use thiserror::Error;
-
-/// Largest path file that is read, in bytes.
-const MAX_FILE_BYTES: u64 = 16 << 20;
 
 /// Most keyframes of a path.
 const MAX_KEYFRAMES: usize = 100_000;
@@ -40,47 +37,13 @@ pub struct CameraPath {
     yfov_rad: f64,
 }
 
-/// A path's place on a command line: `FILE` or `FILE#NAME`.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct PathSpec {
-    /// The file.
-    pub file: PathBuf,
-    /// The path's name in it.
-    pub name: Option<String>,
-}
-
-/// Why there is no path.
+/// Why a text gives no path.
 #[derive(Debug, Error)]
 pub enum PathError {
-    /// The file cannot be read.
-    #[error("cannot read camera path {}: {source}", file.display())]
-    Read {
-        /// The file.
-        file: PathBuf,
-        /// The reason.
-        source: std::io::Error,
-    },
-    /// The file is too large.
-    #[error("camera path {} has more than {MAX_FILE_BYTES} bytes", .0.display())]
-    TooLarge(PathBuf),
-    /// The file is not of the expected form.
-    #[error("camera path {}: {reason}", file.display())]
-    Malformed {
-        /// The file.
-        file: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
-    /// The file has no path of that name.
-    #[error("{} has no camera path {wanted:?}: it has {}", file.display(), found.join(", "))]
-    NoSuchPath {
-        /// The file.
-        file: PathBuf,
-        /// The name asked for.
-        wanted: String,
-        /// The names that there are.
-        found: Vec<String>,
-    },
+    #[error("{0}")]
+    Malformed(String),
+    #[error("no camera path {wanted:?}: it has {}", found.join(", "))]
+    NoSuchPath { wanted: String, found: Vec<String> },
 }
 
 #[derive(Debug, Deserialize)]
@@ -102,24 +65,6 @@ struct KeyframeEntry {
     t: f64,
     pos: [f64; 3],
     target: [f64; 3],
-}
-
-impl FromStr for PathSpec {
-    type Err = std::convert::Infallible;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        Ok(match text.rsplit_once('#') {
-            Some((file, name)) if !name.is_empty() => Self { file: file.into(), name: Some(name.to_owned()) },
-            _ => Self { file: text.trim_end_matches('#').into(), name: None },
-        })
-    }
-}
-
-impl fmt::Display for PathSpec {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.file.display())?;
-        self.name.as_ref().map_or(Ok(()), |name| write!(f, "#{name}"))
-    }
 }
 
 impl CameraPath {
@@ -152,38 +97,29 @@ impl CameraPath {
     }
 
     /// A path that stays at one keyframe, which must be good.
-    pub fn standing(name: &str, keyframe: Keyframe, yfov_rad: f64) -> Self {
+    pub(crate) fn standing(name: &str, keyframe: Keyframe, yfov_rad: f64) -> Self {
         Self { name: name.to_owned(), keyframes: vec![keyframe], yfov_rad }
     }
 
-    /// Reads a path from a `lights_camera.json` file: the one that `spec` names, or else `camera_path`, or else the
-    /// first of `camera_paths` by name.
+    /// Parses a path from the text of a `lights_camera.json` file: the one called `name`, or else `camera_path`, or
+    /// else the first of `camera_paths` by name.
     ///
     /// # Errors
-    /// When the file cannot be read, is malformed, or has no such path.
-    pub fn load(spec: &PathSpec) -> Result<Self, PathError> {
-        let file = || spec.file.clone();
-        let read = |source| PathError::Read { file: file(), source };
-        let mut text = String::new();
-        let opened = std::fs::File::open(&spec.file).map_err(read)?;
-        let bytes = opened.take(MAX_FILE_BYTES + 1).read_to_string(&mut text).map_err(read)?;
-        if bytes as u64 > MAX_FILE_BYTES {
-            return Err(PathError::TooLarge(file()));
-        }
-        let malformed = |reason: String| PathError::Malformed { file: file(), reason };
-        let parsed: PathFile = serde_json::from_str(&text).map_err(|error| malformed(error.to_string()))?;
+    /// If the text is malformed or has no such path.
+    pub fn parse(text: &str, name: Option<&str>) -> Result<Self, PathError> {
+        let malformed = PathError::Malformed;
+        let parsed: PathFile = serde_json::from_str(text).map_err(|error| malformed(error.to_string()))?;
         let mut paths = parsed.camera_paths;
         if let Some(path) = parsed.camera_path {
             paths.insert("camera_path".to_owned(), path);
         }
-        let name = match &spec.name {
-            Some(name) => name.clone(),
+        let name = match name {
+            Some(name) => name.to_owned(),
             None if paths.contains_key("camera_path") => "camera_path".to_owned(),
             None => paths.keys().next().cloned().ok_or_else(|| malformed("it has no camera path".to_owned()))?,
         };
         let Some(entry) = paths.get(&name) else {
-            let found = paths.into_keys().collect();
-            return Err(PathError::NoSuchPath { file: file(), wanted: name, found });
+            return Err(PathError::NoSuchPath { wanted: name, found: paths.into_keys().collect() });
         };
         let keyframes = (entry.keyframes.iter())
             .map(|keyframe| Keyframe {
@@ -196,7 +132,6 @@ impl CameraPath {
         Self::new(&name, keyframes, yfov_deg.to_radians()).map_err(|reason| malformed(format!("{name}: {reason}")))
     }
 
-    /// The path's name.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
@@ -300,9 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn files_are_read_by_name() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("paths.json");
+    fn paths_are_parsed_by_name() {
         let keys = |x: f64| format!(r#"[{{"t": 0, "pos": [{x}, 0, 0], "target": [{x}, 0, -1]}}]"#);
         let text = format!(
             r#"{{"units": "m", "yfov_deg": 40, "camera_paths": {{
@@ -310,18 +243,14 @@ mod tests {
             keys(2.0),
             keys(1.0)
         );
-        std::fs::write(&file, text).unwrap();
-        let load = |name: &str| CameraPath::load(&format!("{}{name}", file.display()).parse().unwrap());
-        assert_eq!(load("").unwrap().name(), "a");
-        let (a, b) = (load("#a").unwrap(), load("#b").unwrap());
+        let parse = |name| CameraPath::parse(&text, name);
+        assert_eq!(parse(None).unwrap().name(), "a");
+        let (a, b) = (parse(Some("a")).unwrap(), parse(Some("b")).unwrap());
         assert_eq!((look(&a, 0.0).0.x, look(&b, 0.0).0.x), (1.0, 2.0));
         assert!((a.yfov_rad.to_degrees() - 50.0).abs() < 1e-9 && (b.yfov_rad.to_degrees() - 40.0).abs() < 1e-9);
-        assert!(load("#c").unwrap_err().to_string().ends_with("it has a, b"));
-        std::fs::write(&file, "{}").unwrap();
-        assert!(load("").unwrap_err().to_string().contains("no camera path"));
-        std::fs::write(&file, "{\"camera_path\": 7}").unwrap();
-        assert!(matches!(load(""), Err(PathError::Malformed { .. })));
-        std::fs::remove_file(&file).unwrap();
-        assert!(matches!(load(""), Err(PathError::Read { .. })));
+        assert!(parse(Some("c")).unwrap_err().to_string().ends_with("it has a, b"));
+        assert!(CameraPath::parse("{}", None).unwrap_err().to_string().contains("no camera path"));
+        let number = CameraPath::parse("{\"camera_path\": 7}", None);
+        assert!(matches!(number, Err(PathError::Malformed(_))));
     }
 }

@@ -12,11 +12,10 @@ use web_time::Instant;
 use super::{
     guard::GuardChoice,
     mode::{Decision, ModeMachine, Observation, State},
-    pose_history::MaskRequest,
     stats::{FrameStats, StageTimes, millis},
 };
 use crate::{
-    mask::{matcher::MaskMatcher, received::ReceivedMask},
+    mask::{matcher::MaskMatcher, pose_history::MaskRequest, received::ReceivedMask},
     render::{FrameRenderer, RenderError, predict::MaskView},
 };
 
@@ -129,7 +128,8 @@ impl FrameLoop {
         PoseRequest { pose: sends.then_some(pose), look_ahead_ms }
     }
 
-    /// Gives the renderer those of `masks` that answer a request, oldest first. Returns the response time of the newest one.
+    /// Gives the renderer those of `masks` that answer a request, oldest first. Returns the response time of the newest
+    /// one.
     ///
     /// # Errors
     /// If the adapter failed.
@@ -222,7 +222,8 @@ impl FrameLoop {
     }
 }
 
-/// Returns by how many pixels the middle of the picture moves, right and up, when the camera turns from `before` to `now`.
+/// Returns by how many pixels the middle of the picture moves, right and up, when the camera turns from `before` to
+/// `now`.
 fn turn_px(before: &Camera, now: &Camera) -> (f64, f64) {
     let forward = before.orientation.inverse() * (now.orientation * DVec3::NEG_Z);
     let (half_width, half_height) = now.half_extent();

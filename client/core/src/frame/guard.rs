@@ -1,5 +1,5 @@
-//! The guard band: a mask of a wider field than the picture, so that a camera that turns still finds visibility at the edge of its
-//! picture.
+//! The guard band: a mask of a wider field than the picture, so that a camera that turns still finds visibility at the
+//! edge of its picture.
 
 use std::{fmt, str::FromStr};
 
@@ -109,7 +109,8 @@ impl From<Guard> for String {
     }
 }
 
-/// What an automatic guard band can be, from none to the largest: few steps, for each change costs both ends new memory.
+/// What an automatic guard band can be, from none to the largest: few steps, for each change costs both ends new
+/// memory.
 const STEPS: [GuardSize; 5] = [
     GuardSize { width: 0, height: 0 },
     GuardSize { width: 64, height: 36 },
@@ -147,8 +148,9 @@ impl GuardChoice {
         }
     }
 
-    /// The guard band for the next mask. `lag_frames` is how late masks are, `turn_px` by how many pixels the picture's middle
-    /// moves each frame, across and up. A larger band is taken at once, a smaller one when it would have done for a while.
+    /// The guard band for the next mask. `lag_frames` is how late masks are, `turn_px` by how many pixels the picture's
+    /// middle moves each frame, across and up. A larger band is taken at once, a smaller one when it would have done
+    /// for a while.
     pub fn next(&mut self, lag_frames: f64, turn_px: (f64, f64)) -> GuardSize {
         if self.guard == Guard::Auto {
             let needs = |step: &GuardSize| {

@@ -3,5 +3,4 @@
 pub mod frame_loop;
 pub mod guard;
 pub mod mode;
-pub mod pose_history;
 pub mod stats;

@@ -1,4 +1,5 @@
-//! Which pose is drawn, and how much received visibility counts: a state machine that hides the network (dissertation §3.6).
+//! Which pose is drawn, and how much received visibility counts: a state machine that hides the network (dissertation
+//! §3.6).
 //!
 //! | state | drawn from | lit with |
 //! |---|---|---|
@@ -6,7 +7,8 @@
 //! | concurrent | the newest pose | the newest mask, predicted |
 //! | degraded | the newest pose | what the client knows by itself, faded in |
 //!
-//! The share of received visibility never moves faster than one fade a [`Thresholds::fade_s`], whatever the network does.
+//! The share of received visibility never moves faster than one fade a [`Thresholds::fade_s`], whatever the network
+//! does.
 
 use std::{fmt, str::FromStr};
 
@@ -51,14 +53,15 @@ impl FromStr for Mode {
 /// When the state changes. Lags are in frames of the client.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Thresholds {
-    /// The largest lag that is sequential in [`Mode::Auto`]; 0 never is. The dissertation has 2. Ours is 0: at a lag of 1 or 2
-    /// prediction by surface is wrong in a few tenths of a per cent of the bits, and the newest input is shown one or two frames
-    /// earlier for it.
+    /// The largest lag that is sequential in [`Mode::Auto`]; 0 never is. The dissertation has 2. Ours is 0: at a lag of
+    /// 1 or 2 prediction by surface is wrong in a few tenths of a per cent of the bits, and the newest input is shown
+    /// one or two frames earlier for it.
     pub sequential_lag: u32,
     /// Frames in a row with such a lag before sequential begins again.
     pub calm_frames: u32,
-    /// The largest lag that is predicted over. The dissertation has 50. Ours is 100: measured on Sponza without leaves, prediction
-    /// is then wrong in 0.48 % of the bits, and at 200 in 0.98 %; what the client knows by itself is wrong in about 0.9 %.
+    /// The largest lag that is predicted over. The dissertation has 50. Ours is 100: measured on Sponza without leaves,
+    /// prediction is then wrong in 0.48 % of the bits, and at 200 in 0.98 %; what the client knows by itself is wrong
+    /// in about 0.9 %.
     pub prediction_lag: u32,
     /// How long a fade from all received visibility to none takes, in seconds.
     pub fade_s: f64,

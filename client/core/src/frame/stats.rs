@@ -34,8 +34,8 @@ pub struct FrameStats {
     pub link: &'static str,
     /// How much received visibility counted, 0 to 1, against what the client knows by itself.
     pub visibility_share: f32,
-    /// Share of a picture's pixels whose visibility a mask said something of (the sky counts); of the latest picture whose count
-    /// had come back from the adapter.
+    /// Share of a picture's pixels whose visibility a mask said something of (the sky counts); of the latest picture
+    /// whose count had come back from the adapter.
     pub known_share: Option<f64>,
     /// The frame whose mask it was shaded with; none while there was no mask that fits.
     pub mask_frame: Option<u32>,

@@ -18,7 +18,8 @@ const FAST: f64 = 4.0;
 /// How far up or down a person can look, in radians: not quite straight, where left and right would change places.
 const MOST_PITCH_RAD: f64 = FRAC_PI_2 - 0.01;
 
-/// The longest that one step may take, in seconds: a window that was dragged or hidden must not throw the camera through a wall.
+/// The longest that one step may take, in seconds: a window that was dragged or hidden must not throw the camera
+/// through a wall.
 const LONGEST_STEP_S: f64 = 0.1;
 
 /// What a step does.

@@ -62,7 +62,7 @@ pub const HELP: [(&str, &str); 16] = [
     ("Tab", "camera path"),
     ("F", "full screen"),
     ("P", "picture to a PNG file"),
-    ("O", "figures and settings"),
+    ("O", "figures and choices"),
     ("V", "next debug view"),
     ("B", "right half: without visibility, or a local reference"),
     ("1 to 9", "each light on and off"),

@@ -167,4 +167,17 @@ mod tests {
         controls.wheel(0.5);
         assert_eq!((controls.take(0.1, 720.0).faster, controls.take(0.1, 720.0).faster), (1.5, 0.0));
     }
+
+    #[test]
+    fn a_press_between_two_frames_moves_the_next_one() {
+        let camera = gnomon_scene::camera::Camera::looking_at(glam::DVec3::ZERO, glam::DVec3::X, 1.0, 96, 54);
+        let mut controls = Controls::default();
+        let mut fly = fly::Fly::from_camera(&camera, 1.0);
+        let before = fly.camera(96, 54);
+        fly.step(&controls.take(0.016, 54.0), 0.016);
+        assert_eq!(fly.camera(96, 54), before);
+        controls.held.set(MoveKey::Forward, true);
+        fly.step(&controls.take(0.016, 54.0), 0.016);
+        assert!(fly.camera(96, 54) != before);
+    }
 }

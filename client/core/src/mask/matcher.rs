@@ -10,11 +10,13 @@ use gnomon_protocol::{
 use gnomon_scene::camera::Camera;
 use web_time::Instant;
 
-use super::received::ReceivedMask;
-use crate::frame::pose_history::{MaskRequest, PoseHistory, Rejection, Rejections};
+use super::{
+    pose_history::{MaskRequest, PoseHistory, Rejection, Rejections},
+    received::ReceivedMask,
+};
 
-/// Interval of requests while the camera stands still and its mask is complete: short enough to keep the server warm, long enough to
-/// cost next to nothing.
+/// Interval of requests while the camera stands still and its mask is complete: short enough to keep the server warm,
+/// long enough to cost next to nothing.
 const REFRESH: Duration = Duration::from_secs(1);
 
 /// Matches masks with requests and keeps the latencies that follow from it.
@@ -25,7 +27,8 @@ pub struct MaskMatcher {
     current: Option<CurrentMask>,
     /// Tiles that have arrived for the current mask's view, from all masks of that view.
     coverage: Option<Coverage>,
-    /// Views of the latest masks and the frames that requested them, newest first: as many as the renderer keeps layers.
+    /// Views of the latest masks and the frames that requested them, newest first: as many as the renderer keeps
+    /// layers.
     views: VecDeque<(Camera, FrameNumber)>,
     last_request: Option<Instant>,
     /// The last frame whose pose was sent more than once.
@@ -69,8 +72,8 @@ pub struct MatchedMask {
 }
 
 impl MaskMatcher {
-    /// Returns whether to request a mask for `view`, and counts it as requested if so. False while every tile of that view has
-    /// arrived, except once per [`REFRESH`].
+    /// Returns whether to request a mask for `view`, and counts it as requested if so. False while every tile of that
+    /// view has arrived, except once per [`REFRESH`].
     pub fn should_request(&mut self, frame: FrameNumber, view: &Camera, now: Instant) -> bool {
         let complete = self.coverage.as_ref().is_some_and(Coverage::is_whole);
         let answer = self.current.as_mut().filter(|current| complete && current.traced_for == *view);
@@ -139,8 +142,8 @@ impl MaskMatcher {
         self.current = Some(CurrentMask { request, traced_for, as_of, bytes, packets });
         self.views.truncate(MAX_LAYERS - 1);
         self.views.push_front((traced_for, request.frame));
-        // Karn's rule for round trips: the response to a repeated pose says nothing about the server. Counted, one lost frame
-        // would make the next loss cost twice as much.
+        // Karn's rule for round trips: the response to a repeated pose says nothing about the server. Counted, one lost
+        // frame would make the next loss cost twice as much.
         if self.repeated != Some(request.frame) && !more {
             let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
             self.slowest_response = response.map(|response| response.max(faded)).or(self.slowest_response);
@@ -184,7 +187,8 @@ impl MaskMatcher {
         self.slowest_response
     }
 
-    /// Returns how far ahead masks should be traced, in milliseconds: the smoothed time from sending a pose until its mask is shown.
+    /// Returns how far ahead masks should be traced, in milliseconds: the smoothed time from sending a pose until its
+    /// mask is shown.
     #[must_use]
     pub fn look_ahead_ms(&self) -> u16 {
         let latency = self.latency.map_or(0, |latency| latency.as_millis());

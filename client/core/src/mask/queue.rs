@@ -1,12 +1,12 @@
 //! Hands masks from the receiver to the renderer by swapping buffers; no mask is copied.
 //!
-//! The receiver decodes into its back buffer, and the renderer reads its front buffers; neither is shared. [`MaskQueue::publish`]
-//! swaps the back buffer into the queue, and [`MaskQueue::take`] swaps the queue with the front buffers. A lock around the queue
-//! protects these swaps alone: the dissertation's client holds its mutex while it copies to the GPU (§3.3), so its receiver waits for
-//! the renderer.
+//! The receiver decodes into its back buffer, and the renderer reads its front buffers; neither is shared.
+//! [`MaskQueue::publish`] swaps the back buffer into the queue, and [`MaskQueue::take`] swaps the queue with the front
+//! buffers. A lock around the queue protects these swaps alone: the dissertation's client holds its mutex while it
+//! copies to the GPU (§3.3), so its receiver waits for the renderer.
 //!
-//! A complete mask replaces all masks that the renderer has not taken. A partial mask does not: the tiles that it lacks are looked up
-//! in the masks before it. The queue holds as many as the renderer keeps layers ([`max_layers`]).
+//! A complete mask replaces all masks that the renderer has not taken. A partial mask does not: the tiles that it lacks
+//! are looked up in the masks before it. The queue holds as many as the renderer keeps layers ([`max_layers`]).
 
 use std::collections::VecDeque;
 
@@ -48,7 +48,8 @@ impl MaskQueue {
         self.loss = false;
     }
 
-    /// Swaps the waiting masks, oldest first, with those in `front`. Returns false and leaves `front` alone if none wait.
+    /// Swaps the waiting masks, oldest first, with those in `front`. Returns false and leaves `front` alone if none
+    /// wait.
     pub fn take(&mut self, front: &mut VecDeque<ReceivedMask>) -> bool {
         if self.waiting.is_empty() {
             return false;
@@ -81,6 +82,7 @@ impl MaskQueue {
 }
 
 #[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "tests have a clock")]
 mod tests {
     use gnomon_protocol::{ids::FrameNumber, mask::MaskShape};
     use web_time::Instant;
@@ -119,7 +121,7 @@ mod tests {
     fn a_partial_mask_replaces_only_an_earlier_part_of_its_own_frame() {
         let mut ends = Ends::new();
         ends.publish(1, true);
-        [2, 2, 3].map(|frame| ends.publish(frame, false));
+        [2, 2, 3].into_iter().for_each(|frame| ends.publish(frame, false));
         assert_eq!(ends.take().unwrap(), [1, 2, 3]);
         ends.publish(4, false);
         ends.publish(5, true);

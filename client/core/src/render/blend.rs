@@ -8,9 +8,9 @@ use glam::Vec3;
 use gnomon_scene::AlphaMode;
 
 use super::{
-    RenderError,
+    error::RenderError,
+    pipeline::shader,
     scene_upload::{Batch, SceneUpload, VERTEX_LAYOUT},
-    shader,
     targets::{DEPTH, LIGHT, Targets},
 };
 

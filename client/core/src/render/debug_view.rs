@@ -8,7 +8,10 @@ use gnomon_shaders::shading::View;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    RenderError, cleared, covering_pipeline, predict::depth_history::DepthHistory, shader, targets::Targets, uniform,
+    error::RenderError,
+    pipeline::{bind_group, bind_group_layout, cleared, covering_pipeline, picture, shader, uniform},
+    predict::depth_history::DepthHistory,
+    targets::Targets,
 };
 
 /// What is shown.
@@ -104,22 +107,16 @@ impl DebugPass {
 
     /// Goes on with pictures of another size.
     pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
-        let picture = wgpu::BindingResource::TextureView;
+        let view = wgpu::BindingResource::TextureView;
         let group = |depth| {
             let resources = [
                 self.view.as_entire_binding(),
                 self.choice.as_entire_binding(),
-                picture(&targets.visibility),
-                picture(depth),
-                picture(&targets.normal_material),
+                view(&targets.visibility),
+                view(depth),
+                view(&targets.normal_material),
             ];
-            let entries: Vec<_> =
-                (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
-            device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("debug view"),
-                layout: &self.layout,
-                entries: &entries,
-            })
+            bind_group(device, "debug view", &self.layout, &resources)
         };
         self.groups = history.views().map(group).collect();
     }
@@ -145,11 +142,6 @@ impl DebugPass {
 }
 
 fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let picture = |sample_type| wgpu::BindingType::Texture {
-        sample_type,
-        view_dimension: wgpu::TextureViewDimension::D2,
-        multisampled: false,
-    };
     let bindings = [
         uniform::<View>(),
         uniform::<Choice>(),
@@ -157,14 +149,76 @@ fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         picture(wgpu::TextureSampleType::Depth),
         picture(wgpu::TextureSampleType::Uint),
     ];
-    let entries: Vec<_> = (0..)
-        .zip(bindings)
-        .map(|(binding, ty)| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: wgpu::ShaderStages::FRAGMENT,
-            ty,
-            count: None,
-        })
-        .collect();
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("debug view"), entries: &entries })
+    bind_group_layout(device, "debug view", wgpu::ShaderStages::FRAGMENT, &bindings)
+}
+
+#[cfg(test)]
+mod tests {
+    use gnomon_protocol::mask::{Mask, MaskShape};
+
+    use super::*;
+    use crate::render::testing::{camera, draw, floor_and_lights, gpu, renderer};
+
+    const SIZE: (u32, u32) = (96, 54);
+
+    fn mask() -> Mask {
+        let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, 2).unwrap());
+        for (index, word) in mask.words_mut().iter_mut().enumerate() {
+            *word = 0x9E37_79B9_7F4A_7C15_u64.wrapping_mul(index as u64 + 1);
+        }
+        mask
+    }
+
+    #[test]
+    fn lights_split_and_views_change_only_their_own_part() {
+        let gpu = gpu();
+        let (scene, mask) = (floor_and_lights(), mask());
+        let camera = camera(SIZE.0, SIZE.1);
+        let mut one = renderer(&gpu, &scene, mask.shape());
+        let plain = draw(&gpu, &mut one, &camera, Some(&mask));
+        let lit = draw(&gpu, &mut one, &camera, None);
+        one.set_split(Some(SIZE.0 / 2));
+        let split = draw(&gpu, &mut one, &camera, Some(&mask));
+        let half = SIZE.0 as usize * 2;
+        let rows = |picture: &[u8]| picture.chunks(half * 2).map(<[u8]>::to_vec).collect::<Vec<_>>();
+        for ((plain, lit), split) in rows(&plain.rgba).iter().zip(rows(&lit.rgba)).zip(rows(&split.rgba)) {
+            assert_eq!((&split[..half], &split[half..]), (&plain[..half], &lit[half..]));
+        }
+        one.set_split(None);
+        one.set_lights_on(0);
+        let dark = draw(&gpu, &mut one, &camera, Some(&mask));
+        assert!(dark.rgba != plain.rgba);
+        one.set_lights_on(u32::MAX);
+        let views =
+            [DebugView::Light(0), DebugView::Light(1), DebugView::Unknown, DebugView::Depth, DebugView::Normals];
+        let mut seen = vec![plain.rgba.clone()];
+        for view in views {
+            one.set_debug_view(view);
+            seen.push(draw(&gpu, &mut one, &camera, Some(&mask)).rgba);
+        }
+        for (index, picture) in seen.iter().enumerate() {
+            assert!(!seen[..index].contains(picture), "view {index} shows what another one shows");
+        }
+        one.set_debug_view(DebugView::Picture);
+        assert_eq!(draw(&gpu, &mut one, &camera, Some(&mask)).rgba, plain.rgba);
+    }
+
+    #[test]
+    fn a_lights_view_is_its_plane_of_the_mask() {
+        let gpu = gpu();
+        let (scene, mask) = (floor_and_lights(), mask());
+        let camera = camera(SIZE.0, SIZE.1);
+        let mut one = renderer(&gpu, &scene, mask.shape());
+        one.set_debug_view(DebugView::Light(1));
+        let picture = draw(&gpu, &mut one, &camera, Some(&mask));
+        let mut surfaces = 0;
+        for (index, [red, _, blue, _]) in (0..).zip(picture.rgba.as_chunks::<4>().0) {
+            // Yellow where the light reaches, blue where it does not, black where nothing is.
+            if (*red, *blue) != (0, 0) {
+                surfaces += 1;
+                assert_eq!(red > blue, mask.get(1, index % SIZE.0, index / SIZE.0), "pixel {index}");
+            }
+        }
+        assert!(surfaces > 500, "{surfaces}");
+    }
 }

@@ -1,7 +1,8 @@
 //! How bright the picture is: from the scene and its lights alone, so that every run shows the same picture.
 //!
 //! A few hundred points, spread over the scene's surfaces by area, are lit by every light that the largest triangles
-//! ([`Occluders`]) do not hide. The exposure puts a high percentile of what they receive at a fixed place of the tone curve.
+//! ([`Occluders`]) do not hide. The exposure puts a high percentile of what they receive at a fixed place of the tone
+//! curve.
 
 use glam::Vec3;
 use gnomon_scene::{Light as SceneLight, Scene, limits::MAX_LIGHTS};

@@ -4,11 +4,10 @@ use gnomon_scene::AlphaMode;
 use gnomon_shaders::shading::View;
 
 use super::{
-    RenderError, cleared,
+    error::RenderError,
+    pipeline::{bind_group, bind_group_layout, cleared, shader, uniform},
     scene_upload::{Batch, SceneUpload, VERTEX_LAYOUT},
-    shader,
     targets::{COLOR, DEPTH, NORMAL_MATERIAL, Targets},
-    uniform,
 };
 
 /// The pass's pipelines and its view of the camera.
@@ -29,20 +28,8 @@ impl GbufferPass {
         view: &wgpu::Buffer,
         material_layout: &wgpu::BindGroupLayout,
     ) -> Result<Self, RenderError> {
-        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("G-buffer"),
-            entries: &[wgpu::BindGroupLayoutEntry {
-                binding: 0,
-                visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
-                ty: uniform::<View>(),
-                count: None,
-            }],
-        });
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("G-buffer"),
-            layout: &layout,
-            entries: &[wgpu::BindGroupEntry { binding: 0, resource: view.as_entire_binding() }],
-        });
+        let layout = bind_group_layout(device, "G-buffer", wgpu::ShaderStages::VERTEX_FRAGMENT, &[uniform::<View>()]);
+        let group = bind_group(device, "G-buffer", &layout, &[view.as_entire_binding()]);
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("G-buffer"),
             bind_group_layouts: &[Some(&layout), Some(material_layout)],

@@ -1,6 +1,9 @@
 //! Brings a finished picture to a screen, texel for texel where both are of one size.
 
-use super::{RenderError, covering_pipeline, shader};
+use super::{
+    error::RenderError,
+    pipeline::{self, bind_group, bind_group_layout, covering_pipeline, shader, uniform},
+};
 
 /// The pass.
 #[derive(Debug)]
@@ -14,27 +17,12 @@ pub struct PresentPass {
 impl PresentPass {
     /// For screens of `format`, which must not be an sRGB format: pictures are encoded already.
     pub fn new(device: &wgpu::Device, format: wgpu::TextureFormat) -> Result<Self, RenderError> {
-        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: wgpu::ShaderStages::FRAGMENT,
-            ty,
-            count: None,
-        };
-        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("present"),
-            entries: &[
-                entry(
-                    0,
-                    wgpu::BindingType::Texture {
-                        sample_type: wgpu::TextureSampleType::Float { filterable: true },
-                        view_dimension: wgpu::TextureViewDimension::D2,
-                        multisampled: false,
-                    },
-                ),
-                entry(1, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
-                entry(2, super::uniform::<[f32; 4]>()),
-            ],
-        });
+        let bindings = [
+            pipeline::picture(wgpu::TextureSampleType::Float { filterable: true }),
+            wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
+            uniform::<[f32; 4]>(),
+        ];
+        let layout = bind_group_layout(device, "present", wgpu::ShaderStages::FRAGMENT, &bindings);
         let between = device.create_sampler(&wgpu::SamplerDescriptor {
             label: Some("present"),
             mag_filter: wgpu::FilterMode::Linear,
@@ -63,15 +51,12 @@ impl PresentPass {
         #[expect(clippy::cast_precision_loss, reason = "sides of pictures are far below 2²⁴")]
         let screen_px = [width as f32, height as f32, 0.0, 0.0];
         queue.write_buffer(&self.screen_px, 0, bytemuck::cast_slice(&screen_px));
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("present"),
-            layout: &self.layout,
-            entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(picture) },
-                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&self.between) },
-                wgpu::BindGroupEntry { binding: 2, resource: self.screen_px.as_entire_binding() },
-            ],
-        });
+        let resources = [
+            wgpu::BindingResource::TextureView(picture),
+            wgpu::BindingResource::Sampler(&self.between),
+            self.screen_px.as_entire_binding(),
+        ];
+        let group = bind_group(device, "present", &self.layout, &resources);
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &group, &[]);
         pass.draw(0..3, 0..1);

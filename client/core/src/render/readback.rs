@@ -4,7 +4,10 @@ use std::collections::VecDeque;
 
 use gnomon_shaders::gpu::Gpu;
 
-use super::{PICTURE_FORMAT, RenderError, targets};
+use super::{
+    error::RenderError,
+    targets::{self, PICTURE_FORMAT},
+};
 
 /// Bytes of a texel of [`PICTURE_FORMAT`].
 const TEXEL_BYTES: u32 = 4;

@@ -5,10 +5,12 @@ use std::collections::HashMap;
 use glam::{Vec2, Vec3};
 use gnomon_scene::{AlphaMode, Scene, Texture, Wrap};
 use gnomon_shaders::shading::Material;
+use rayon::prelude::*;
 use wgpu::util::DeviceExt as _;
 
 use super::{
-    RenderError,
+    error::RenderError,
+    pipeline::{bind_group, bind_group_layout, constant, picture, uniform},
     texture::{self, Srgb},
 };
 
@@ -114,23 +116,12 @@ fn batches(scene: &Scene) -> Vec<Batch> {
 }
 
 fn material_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let entry =
-        |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::FRAGMENT, ty, count: None };
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("material"),
-        entries: &[
-            entry(0, super::uniform::<Material>()),
-            entry(
-                1,
-                wgpu::BindingType::Texture {
-                    sample_type: wgpu::TextureSampleType::Float { filterable: true },
-                    view_dimension: wgpu::TextureViewDimension::D2,
-                    multisampled: false,
-                },
-            ),
-            entry(2, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
-        ],
-    })
+    let bindings = [
+        uniform::<Material>(),
+        picture(wgpu::TextureSampleType::Float { filterable: true }),
+        wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
+    ];
+    bind_group_layout(device, "material", wgpu::ShaderStages::FRAGMENT, &bindings)
 }
 
 fn materials(
@@ -144,30 +135,24 @@ fn materials(
     let white = texture::upload(device, queue, (1, 1), texture::WHITE.to_vec(), &[]);
     let mut samplers = HashMap::new();
     let groups = (0_u32..).zip(&scene.materials).map(|(index, material)| {
-        let uniform = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some("material"),
-            contents: bytemuck::bytes_of(&Material::new(material, index)),
-            usage: wgpu::BufferUsages::UNIFORM,
-        });
+        let uniform = constant(device, "material", &Material::new(material, index));
         let texture = material.base_color_texture;
         let (wrap_u, wrap_v) = texture.map_or((Wrap::Repeat, Wrap::Repeat), |texture| (texture.wrap_u, texture.wrap_v));
         let modes = [wrap_u, wrap_v].map(address_mode);
         let sampler = samplers.entry(modes).or_insert_with(|| sampler(device, modes, anisotropy));
         let view = texture.and_then(|texture| images.get(&texture.image)).unwrap_or(&white);
-        device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("material"),
-            layout,
-            entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: uniform.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(view) },
-                wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::Sampler(sampler) },
-            ],
-        })
+        let resources = [
+            uniform.as_entire_binding(),
+            wgpu::BindingResource::TextureView(view),
+            wgpu::BindingResource::Sampler(sampler),
+        ];
+        bind_group(device, "material", layout, &resources)
     });
     Ok(groups.collect())
 }
 
-/// Every image that a material names, with its mips. These are made on all cores, a core an image.
+/// Uploads every image that a material names, with its mips. Threads compute the mips of one image each; a browser,
+/// which has one thread, computes them in turn.
 fn images(
     device: &wgpu::Device,
     queue: &wgpu::Queue,
@@ -191,23 +176,14 @@ fn images(
         }
     }
     let srgb = Srgb::new();
-    let workers = std::thread::available_parallelism().map_or(1, usize::from);
     let mut views = HashMap::new();
-    // A few images at a time, so that no more mips than workers lie in memory beside the scene.
-    for group in wanted.chunks(workers) {
-        let made: Vec<Vec<u8>> = std::thread::scope(|scope| {
-            let running: Vec<_> = group
-                .iter()
-                .map(|(image, weigh)| {
-                    let (image, srgb) = (&scene.images[*image as usize], &srgb);
-                    scope.spawn(move || srgb.mips(&image.rgba, image.width, image.height, *weigh))
-                })
-                .collect();
-            running
-                .into_iter()
-                .map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-                .collect()
-        });
+    // A few images at a time: no more mips than threads are in memory beside the scene.
+    for group in wanted.chunks(rayon::current_num_threads()) {
+        let mips = |(image, weigh): &(u32, bool)| {
+            let image = &scene.images[*image as usize];
+            srgb.mips(&image.rgba, image.width, image.height, *weigh)
+        };
+        let made: Vec<Vec<u8>> = group.par_iter().map(mips).collect();
         for ((index, _), mips) in group.iter().zip(made) {
             let image = &scene.images[*index as usize];
             let view = texture::upload(device, queue, (image.width, image.height), image.rgba.clone(), &mips);

@@ -6,12 +6,11 @@ use gnomon_shaders::shading::{Lighting, View};
 use wgpu::util::DeviceExt as _;
 
 use super::{
-    RenderError, cleared, covering_pipeline,
+    error::RenderError,
     exposure::EMISSIVE,
+    pipeline::{bind_group, bind_group_layout, cleared, covering_pipeline, picture, shader, storage, uniform},
     predict::depth_history::DepthHistory,
-    shader,
     targets::{LIGHT, Targets},
-    uniform,
 };
 
 /// The pass, and the bindings that the blending pass shares with it.
@@ -55,24 +54,18 @@ impl ShadePass {
 
     /// Goes on with pictures of another size.
     pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
-        let picture = wgpu::BindingResource::TextureView;
+        let view = wgpu::BindingResource::TextureView;
         let group = |depth| {
             let resources = [
                 self.view.as_entire_binding(),
                 self.lighting.as_entire_binding(),
-                picture(&targets.visibility),
+                view(&targets.visibility),
                 self.emitted.as_entire_binding(),
-                picture(depth),
-                picture(&targets.color),
-                picture(&targets.normal_material),
+                view(depth),
+                view(&targets.color),
+                view(&targets.normal_material),
             ];
-            let entries: Vec<_> =
-                (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
-            device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("shading"),
-                layout: &self.layout,
-                entries: &entries,
-            })
+            bind_group(device, "shading", &self.layout, &resources)
         };
         self.groups = history.views().map(group).collect();
     }
@@ -98,33 +91,14 @@ impl ShadePass {
 }
 
 fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let storage = wgpu::BindingType::Buffer {
-        ty: wgpu::BufferBindingType::Storage { read_only: true },
-        has_dynamic_offset: false,
-        min_binding_size: None,
-    };
-    let picture = |sample_type| wgpu::BindingType::Texture {
-        sample_type,
-        view_dimension: wgpu::TextureViewDimension::D2,
-        multisampled: false,
-    };
     let bindings = [
         uniform::<View>(),
         uniform::<Lighting>(),
         picture(wgpu::TextureSampleType::Uint),
-        storage,
+        storage(true),
         picture(wgpu::TextureSampleType::Depth),
         picture(wgpu::TextureSampleType::Float { filterable: false }),
         picture(wgpu::TextureSampleType::Uint),
     ];
-    let entries: Vec<_> = (0..)
-        .zip(bindings)
-        .map(|(binding, ty)| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
-            ty,
-            count: None,
-        })
-        .collect();
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("shading"), entries: &entries })
+    bind_group_layout(device, "shading", wgpu::ShaderStages::VERTEX_FRAGMENT, &bindings)
 }

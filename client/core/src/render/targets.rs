@@ -1,29 +1,30 @@
-//! The pictures that the passes write and read: all of one size, made once.
+//! The textures that the passes write and read, all of the picture's size.
 
-/// What the G-buffer's first colour target holds: base colour.
-pub const COLOR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
-/// What its second one holds: packed shading normal; packed material and plane normal.
-pub const NORMAL_MATERIAL: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
-/// What prediction finds: the lights that reach a pixel, and those that the client alone would say do.
-pub const VISIBILITY: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
+/// Finished pictures: sRGB-encoded bytes.
+pub const PICTURE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
+/// First colour target of the G-buffer: base colour.
+pub(crate) const COLOR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
+/// Second colour target of the G-buffer: packed shading normal; packed material and plane normal.
+pub(crate) const NORMAL_MATERIAL: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
+/// Predicted visibility; `predict.wgsl` says what its two words are.
+pub(crate) const VISIBILITY: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
 /// Reversed-Z depth, kept in [`super::predict::depth_history`].
-pub const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+pub(crate) const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// Shaded light, before tone mapping.
-pub const LIGHT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
+pub(crate) const LIGHT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 
-/// The pictures between the passes.
 #[derive(Debug)]
-pub struct Targets {
-    pub width: u32,
-    pub height: u32,
-    pub color: wgpu::TextureView,
-    pub normal_material: wgpu::TextureView,
-    pub visibility: wgpu::TextureView,
-    pub light: wgpu::TextureView,
+pub(crate) struct Targets {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    pub(crate) color: wgpu::TextureView,
+    pub(crate) normal_material: wgpu::TextureView,
+    pub(crate) visibility: wgpu::TextureView,
+    pub(crate) light: wgpu::TextureView,
 }
 
 impl Targets {
-    pub fn new(device: &wgpu::Device, width: u32, height: u32) -> Self {
+    pub(crate) fn new(device: &wgpu::Device, width: u32, height: u32) -> Self {
         let picture = |label, format| {
             let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
             let usage = if format == LIGHT { usage } else { usage | wgpu::TextureUsages::COPY_SRC };
@@ -51,8 +52,8 @@ pub fn texture(
     layered_texture(device, label, [width, height, 1], format, usage)
 }
 
-/// A texture of one level and some layers: its width, height, and how many they are.
-pub fn layered_texture(
+/// A texture of one level, of this width, height and number of layers.
+pub(crate) fn layered_texture(
     device: &wgpu::Device,
     label: &'static str,
     [width, height, depth_or_array_layers]: [u32; 3],

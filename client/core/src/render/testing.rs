@@ -8,10 +8,11 @@ use gnomon_scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene, cam
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use super::{
-    FrameRenderer, PICTURE_FORMAT,
     exposure::Exposure,
     predict::MaskView,
     readback::{Picture, PictureReader},
+    renderer::FrameRenderer,
+    targets::PICTURE_FORMAT,
 };
 use crate::{occluders::Occluders, predictor::Predictor};
 

@@ -2,7 +2,12 @@
 
 use gnomon_shaders::shading::Tone;
 
-use super::{RenderError, cleared, constant, covering_pipeline, exposure, shader, targets::Targets, uniform};
+use super::{
+    error::RenderError,
+    exposure,
+    pipeline::{bind_group, bind_group_layout, cleared, constant, covering_pipeline, picture, shader, uniform},
+    targets::Targets,
+};
 
 /// The pass.
 #[derive(Debug)]
@@ -19,26 +24,8 @@ impl TonePass {
         targets: &Targets,
         format: wgpu::TextureFormat,
     ) -> Result<Self, RenderError> {
-        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: wgpu::ShaderStages::FRAGMENT,
-            ty,
-            count: None,
-        };
-        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("tone"),
-            entries: &[
-                entry(0, uniform::<Tone>()),
-                entry(
-                    1,
-                    wgpu::BindingType::Texture {
-                        sample_type: wgpu::TextureSampleType::Float { filterable: false },
-                        view_dimension: wgpu::TextureViewDimension::D2,
-                        multisampled: false,
-                    },
-                ),
-            ],
-        });
+        let bindings = [uniform::<Tone>(), picture(wgpu::TextureSampleType::Float { filterable: false })];
+        let layout = bind_group_layout(device, "tone", wgpu::ShaderStages::FRAGMENT, &bindings);
         let tone = constant(device, "tone", &exposure::tone());
         let group = group(device, &layout, &tone, targets);
         let module = shader(device, "shading/tone.wgsl")?;
@@ -69,12 +56,6 @@ fn group(
     tone: &wgpu::Buffer,
     targets: &Targets,
 ) -> wgpu::BindGroup {
-    device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("tone"),
-        layout,
-        entries: &[
-            wgpu::BindGroupEntry { binding: 0, resource: tone.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&targets.light) },
-        ],
-    })
+    let resources = [tone.as_entire_binding(), wgpu::BindingResource::TextureView(&targets.light)];
+    bind_group(device, "tone", layout, &resources)
 }

@@ -19,7 +19,7 @@ use std::{
 use anyhow::{Context as _, Result};
 use gnomon_client::{
     app::probe::{ProbeOptions, ProbeReport, run_probe},
-    camera_path::{CameraPath, PathSpec},
+    camera_path::PathSpec,
     headless::stats::percentile,
     link::url::ServerUrl,
 };
@@ -72,7 +72,7 @@ pub struct HostileReport {
 pub fn run(options: &HostileOptions) -> Result<HostileReport> {
     let folder = tempfile::tempdir().context("making a temporary folder")?;
     let tokens = Tokens::write(folder.path())?;
-    let path = CameraPath::load(&options.path)?;
+    let path = options.path.load()?;
     let arguments = [
         "--backend=cpu".to_owned(),
         "--admin=0".to_owned(),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result};
 use gnomon_client::{
     app::probe::{ProbeOptions, ProbeReport, run_probe},
-    camera_path::{CameraPath, PathSpec},
+    camera_path::PathSpec,
     headless::stats::percentile,
     link::url::ServerUrl,
 };
@@ -66,7 +66,7 @@ pub struct LoadReport {
 }
 
 pub fn run(options: &LoadOptions) -> Result<LoadReport> {
-    let path = CameraPath::load(&options.path).context("the camera path")?;
+    let path = options.path.load().context("the camera path")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("the network's threads")?;
     let handle = runtime.handle();
     let reports: Vec<ProbeReport> = std::thread::scope(|scope| {

@@ -17,7 +17,7 @@ mod viewer;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
-use gnomon_client::camera_path::CameraPath;
+use gnomon_client::camera_path::{CameraPath, PathSpec};
 use gnomon_scene::{LoadOptions, Scene};
 
 use self::{
@@ -121,8 +121,8 @@ fn load(options: &ParetoOptions, name: &str) -> Result<(Scene, CameraPath)> {
     if name == "sponza" {
         spec.push("#A_atrium_dolly");
     }
-    let spec = spec.to_str().with_context(|| format!("{} is no UTF-8", folder.display()))?.parse()?;
-    Ok((scene, CameraPath::load(&spec)?))
+    let spec = spec.to_str().with_context(|| format!("{} is no UTF-8", folder.display()))?;
+    Ok((scene, spec.parse::<PathSpec>()?.load()?))
 }
 
 fn mark_front(rows: &mut [Row]) {

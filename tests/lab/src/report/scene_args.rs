@@ -99,7 +99,7 @@ impl SceneArgs {
         let text = self.path_text();
         let text = text.to_str().with_context(|| format!("{} is no UTF-8", text.display()))?;
         let spec: PathSpec = text.parse()?;
-        Ok(CameraPath::load(&spec)?)
+        Ok(spec.load()?)
     }
 
     /// Returns the scene's name in tables: its file name without the extension.

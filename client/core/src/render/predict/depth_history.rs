@@ -1,9 +1,10 @@
-//! The depth of the latest pictures: whether a point was visible in the view that a mask was traced for is told by the depth that
-//! was drawn for that view.
+//! The depth of the latest pictures: whether a point was visible in the view that a mask was traced for is told by the
+//! depth that was drawn for that view.
 //!
-//! The G-buffer pass draws each picture's depth into the next texture of a ring, so keeping it costs memory and no time: 4 bytes a
-//! pixel and picture. The ring is as long as [`BUDGET_BYTES`] allow. A mask that is older than the ring, or was traced for a view that
-//! was never drawn (a guard band, a pose that the server predicted), has its depth drawn anew ([`super::depth_pass`]).
+//! The G-buffer pass draws each picture's depth into the next texture of a ring, so keeping it costs memory and no
+//! time: 4 bytes a pixel and picture. The ring is as long as [`BUDGET_BYTES`] allow. A mask that is older than the
+//! ring, or was traced for a view that was never drawn (a guard band, a pose that the server predicted), has its depth
+//! drawn anew ([`super::depth_pass`]).
 
 use gnomon_scene::camera::Camera;
 

@@ -3,9 +3,9 @@
 use gnomon_scene::AlphaMode;
 
 use crate::render::{
-    RenderError,
+    error::RenderError,
+    pipeline::{bind_group, bind_group_layout, shader, uniform},
     scene_upload::{SceneUpload, VERTEX_LAYOUT},
-    shader,
     targets::DEPTH,
 };
 
@@ -32,15 +32,7 @@ fn pipeline_of(masked: bool, both: bool) -> usize {
 
 impl DepthPass {
     pub(crate) fn new(device: &wgpu::Device, scene: &SceneUpload) -> Result<Self, RenderError> {
-        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("depth"),
-            entries: &[wgpu::BindGroupLayoutEntry {
-                binding: 0,
-                visibility: wgpu::ShaderStages::VERTEX,
-                ty: crate::render::uniform::<glam::Mat4>(),
-                count: None,
-            }],
-        });
+        let layout = bind_group_layout(device, "depth", wgpu::ShaderStages::VERTEX, &[uniform::<glam::Mat4>()]);
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("depth"),
             bind_group_layouts: &[Some(&layout), Some(&scene.material_layout)],
@@ -86,11 +78,7 @@ impl DepthPass {
 
     /// A view's bindings: a buffer that begins with its matrix `clip_from_local`.
     pub(crate) fn group(&self, device: &wgpu::Device, view: wgpu::BindingResource<'_>) -> wgpu::BindGroup {
-        device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("depth"),
-            layout: &self.layout,
-            entries: &[wgpu::BindGroupEntry { binding: 0, resource: view }],
-        })
+        bind_group(device, "depth", &self.layout, &[view])
     }
 
     /// Draws the OPAQUE and MASK surfaces into a pass with a depth attachment only.

@@ -1,8 +1,10 @@
-//! The masks that visibility is looked up in, the newest first: what has not come of one may have come of the one before.
+//! The masks that visibility is looked up in, the newest first: what has not come of one may have come of the one
+//! before.
 //!
-//! A whole mask stands alone. One of which parts are missing lies over those before it; each has its own view and the depth that was
-//! seen in it, so what is found in any of them was traced for that very point, and nothing is resampled twice. All are layers of
-//! the same textures: 8 bytes a pixel each, one layer until a mask comes in part, and then as many as were needed at once.
+//! A whole mask stands alone. One of which parts are missing lies over those before it; each has its own view and the
+//! depth that was seen in it, so what is found in any of them was traced for that very point, and nothing is resampled
+//! twice. All are layers of the same textures: 8 bytes a pixel each, one layer until a mask comes in part, and then as
+//! many as were needed at once.
 
 use glam::DVec3;
 use gnomon_protocol::{
@@ -14,13 +16,14 @@ use gnomon_scene::camera::Camera;
 use gnomon_shaders::{gpu::Gpu, shading::View};
 
 use super::{
-    MaskView,
     depth_history::DepthHistory,
     depth_pass::{self, DepthPass, Faces},
+    mask_view::MaskView,
     mask_words::{MaskPlanes, WORDS, WordsPass},
 };
 use crate::render::{
-    RenderError, check_side,
+    error::RenderError,
+    pipeline::{check_side, constant},
     scene_upload::SceneUpload,
     targets::{DEPTH, layered_texture},
 };
@@ -167,7 +170,7 @@ impl Layers {
                 continue;
             }
             let view = View::new(&layer.traced_for, origin_m, 1.0);
-            let view = crate::render::constant(&gpu.device, "mask's view", &view);
+            let view = constant(&gpu.device, "mask's view", &view);
             let matrix = pass.group(&gpu.device, view.as_entire_binding());
             let drawn = layer_of(depth, layer.slot);
             let mut render = depth_pass::begin(encoder, "depth of the mask's view", &drawn);

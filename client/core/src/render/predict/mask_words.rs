@@ -2,7 +2,10 @@
 
 use gnomon_protocol::mask::{Mask, MaskShape};
 
-use crate::render::{RenderError, cleared, constant, covering_pipeline, shader, uniform};
+use crate::render::{
+    error::RenderError,
+    pipeline::{bind_group, bind_group_layout, cleared, constant, covering_pipeline, shader, storage, uniform},
+};
 
 /// What a mask's words are kept in.
 pub(crate) const WORDS: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
@@ -33,21 +36,8 @@ pub(crate) struct MaskPlanes {
 
 impl WordsPass {
     pub(crate) fn new(device: &wgpu::Device) -> Result<Self, RenderError> {
-        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: wgpu::ShaderStages::FRAGMENT,
-            ty,
-            count: None,
-        };
-        let planes = wgpu::BindingType::Buffer {
-            ty: wgpu::BufferBindingType::Storage { read_only: true },
-            has_dynamic_offset: false,
-            min_binding_size: None,
-        };
-        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("mask"),
-            entries: &[entry(0, uniform::<MaskSize>()), entry(1, planes)],
-        });
+        let bindings = [uniform::<MaskSize>(), storage(true)];
+        let layout = bind_group_layout(device, "mask", wgpu::ShaderStages::FRAGMENT, &bindings);
         let module = shader(device, "shading/mask_words.wgsl")?;
         let pipeline = covering_pipeline(device, &module, &[&layout], "gather", WORDS);
         Ok(Self { layout, pipeline })
@@ -71,13 +61,7 @@ impl WordsPass {
         let size = MaskSize { width: shape.width(), height: shape.height(), lights: shape.lights(), unused: 0 };
         let size = constant(device, "mask size", &size);
         let resources = [size.as_entire_binding(), planes.as_entire_binding()];
-        let entries: Vec<_> =
-            (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("mask"),
-            layout: &self.layout,
-            entries: &entries,
-        });
+        let group = bind_group(device, "mask", &self.layout, &resources);
         Ok(MaskPlanes { planes, group })
     }
 

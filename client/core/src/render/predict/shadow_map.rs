@@ -1,8 +1,9 @@
 //! What the client knows of its lights by itself: shadow maps, drawn once when the scene is there.
 //!
-//! Received visibility says nothing of surfaces that its view did not see. There the client looks into a map of its own: coarser than
-//! what the server traces, but never older. All maps share one square of [`BUDGET_BYTES`]: a cube of six for a point light, one
-//! for a spot, and one of four times the texels for a directional light, which covers the whole scene.
+//! Received visibility says nothing of surfaces that its view did not see. There the client looks into a map of its
+//! own: coarser than what the server traces, but never older. All maps share one square of [`BUDGET_BYTES`]: a cube of
+//! six for a point light, one for a spot, and one of four times the texels for a directional light, which covers the
+//! whole scene.
 
 use glam::{DMat4, DVec3, DVec4, Mat4, Vec3};
 use gnomon_scene::{Aabb, Light, LightKind, Scene};
@@ -11,6 +12,7 @@ use wgpu::util::DeviceExt as _;
 
 use super::depth_pass::{self, DepthPass, Faces};
 use crate::render::{
+    pipeline::constant,
     scene_upload::SceneUpload,
     targets::{DEPTH, texture},
 };
@@ -61,7 +63,7 @@ impl ShadowMap {
             let groups: Vec<wgpu::BindGroup> = views
                 .iter()
                 .map(|view| {
-                    let buffer = crate::render::constant(device, "light's view", &view.clip_from_local);
+                    let buffer = constant(device, "light's view", &view.clip_from_local);
                     pass.group(device, buffer.as_entire_binding())
                 })
                 .collect();
@@ -191,7 +193,8 @@ fn parallel(direction: Vec3, bounds: &Aabb, side: f64) -> (Mat4, f64) {
     });
     let (low, high) =
         corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), corner| (low.min(corner), high.max(corner)));
-    // A square, so that texels are square, with room for the four texels around a point at its edge and a margin in depth.
+    // A square, so that texels are square, with room for the four texels around a point at its edge and a margin in
+    // depth.
     let extent = (high - low).max_element().max(1e-6);
     let wide = (high.x - low.x).max(high.y - low.y).max(extent * 1e-3) * side / (side - 2.0 * MARGIN_TEXELS);
     let deep = (high.z - low.z).max(extent * 1e-3) * 1.02;

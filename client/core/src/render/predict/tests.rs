@@ -26,8 +26,8 @@ use crate::{
 
 const SIZE: (u32, u32) = (160, 90);
 
-/// How far from a pixel's centre its surroundings are looked at, in pixels: a prediction may be wrong where light or surface
-/// changes that near, as the mask knows them at its own pixels' centres only.
+/// How far from a pixel's centre its surroundings are looked at, in pixels: a prediction may be wrong where light or
+/// surface changes that near, as the mask knows them at its own pixels' centres only.
 const EDGE_PX: f64 = 1.5;
 
 /// The sun lights the wall from the front, the lamp from behind: its shadow lies on the floor where it is seen.
@@ -170,7 +170,8 @@ fn away_from_edges_every_pixel_is_right_and_says_whether_the_mask_knew_it() {
     let calm = each_calm_pixel(&scene, &now, |pixel, draw, point, word| {
         assert_eq!((shown[pixel].word ^ word) & RELEVANT[draw], 0, "pixel {pixel}, draw {draw}: {:?}", shown[pixel]);
         shadowed += usize::from(word != 0b11);
-        // Where the point was in the picture before, by how many pixels it was inside, and whether something stood before it.
+        // Where the point was in the picture before, by how many pixels it was inside, and whether something stood
+        // before it.
         let place = then.orientation.inverse() * (point - eye);
         let pixels = f64::from(SIZE.1) / 2.0 / (then.yfov_rad / 2.0).tan() / -place.z;
         let inside = f64::min(
@@ -355,8 +356,9 @@ fn place_in(scene: &Scene, camera: &Camera, draw: usize, point: DVec3) -> Option
     (visible && inside(x, SIZE.0) && inside(y, SIZE.1)).then_some((x, y))
 }
 
-/// The newest mask has the upper half of one light and the lower half of the other one; the one before has the left two thirds of both,
-/// and the one before that has all. Each point is what the newest mask says that has it; bits that have not come are never seen.
+/// The newest mask has the upper half of one light and the lower half of the other one; the one before has the left two
+/// thirds of both, and the one before that has all. Each point is what the newest mask says that has it; bits that have
+/// not come are never seen.
 #[test]
 fn what_has_not_come_is_looked_up_in_the_masks_before() {
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
@@ -404,8 +406,8 @@ fn what_has_not_come_is_looked_up_in_the_masks_before() {
     assert_eq!(renderer.predict.layers.stack().len(), 1);
 }
 
-/// More masks than there are layers, each with its own row of places, from the lowest up: the newest eight are found, and what only
-/// older ones had is unknown.
+/// More masks than there are layers, each with its own row of places, from the lowest up: the newest eight are found,
+/// and what only older ones had is unknown.
 #[test]
 fn there_are_so_many_layers_and_no_more() {
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));

@@ -14,8 +14,8 @@ pub struct MaskRequest {
     pub frame: FrameNumber,
     /// The picture's camera.
     pub camera: Camera,
-    /// The same with the guard band around it. Kept as it was computed: made again from the pose, its quaternion would be normalised
-    /// twice, may differ in its last bit, and would then count as another view.
+    /// The same with the guard band around it. Kept as it was computed: made again from the pose, its quaternion would
+    /// be normalised twice, may differ in its last bit, and would then count as another view.
     pub mask_camera: Camera,
     /// The pose as sent, with the mask's size and field of view.
     pub pose: Pose,
@@ -126,6 +126,7 @@ impl PoseHistory {
 }
 
 #[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "tests have a clock")]
 mod tests {
     use glam::{DQuat, DVec3};
 

@@ -1,0 +1,142 @@
+//! What the passes are made of: bindings, uniform buffers, shader modules, pipelines that cover the picture.
+
+use gnomon_shaders::splice::splice;
+use wgpu::util::DeviceExt as _;
+
+use super::error::RenderError;
+
+/// Errors if the adapter allows no texture with a side this long.
+pub(crate) fn check_side(device: &wgpu::Device, side: u32) -> Result<(), RenderError> {
+    let limit = device.limits().max_texture_dimension_2d;
+    if side > limit {
+        return Err(RenderError::TooLarge { what: "picture side", needed: side.into(), limit: limit.into() });
+    }
+    Ok(())
+}
+
+/// The binding type of a uniform buffer with exactly one `T`.
+pub(crate) fn uniform<T>() -> wgpu::BindingType {
+    wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: false,
+        min_binding_size: wgpu::BufferSize::new(size_of::<T>() as u64),
+    }
+}
+
+/// A uniform buffer that never changes.
+pub(crate) fn constant<T: bytemuck::NoUninit>(device: &wgpu::Device, label: &'static str, value: &T) -> wgpu::Buffer {
+    device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+        label: Some(label),
+        contents: bytemuck::bytes_of(value),
+        usage: wgpu::BufferUsages::UNIFORM,
+    })
+}
+
+/// Makes the shader module of `wgsl/{path}`.
+pub(crate) fn shader(device: &wgpu::Device, path: &'static str) -> Result<wgpu::ShaderModule, RenderError> {
+    let text = splice(path)?;
+    let source = wgpu::ShaderSource::Wgsl(text.into());
+    Ok(device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(path), source }))
+}
+
+/// A pipeline that covers the picture with one triangle and has one target.
+pub(crate) fn covering_pipeline(
+    device: &wgpu::Device,
+    module: &wgpu::ShaderModule,
+    layouts: &[&wgpu::BindGroupLayout],
+    fragment: &'static str,
+    format: wgpu::TextureFormat,
+) -> wgpu::RenderPipeline {
+    covering_pipeline_with(device, module, layouts, (fragment, &[]), format)
+}
+
+/// As [`covering_pipeline`], with values for the fragment shader's overrides.
+pub(crate) fn covering_pipeline_with(
+    device: &wgpu::Device,
+    module: &wgpu::ShaderModule,
+    layouts: &[&wgpu::BindGroupLayout],
+    (fragment, constants): (&'static str, &[(&str, f64)]),
+    format: wgpu::TextureFormat,
+) -> wgpu::RenderPipeline {
+    let groups: Vec<_> = layouts.iter().copied().map(Some).collect();
+    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(fragment),
+        bind_group_layouts: &groups,
+        immediate_size: 0,
+    });
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some(fragment),
+        layout: Some(&layout),
+        vertex: wgpu::VertexState {
+            module,
+            entry_point: Some("cover"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: None,
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module,
+            entry_point: Some(fragment),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants,
+                ..wgpu::PipelineCompilationOptions::default()
+            },
+            targets: &[Some(format.into())],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+/// A colour attachment that is cleared to zero.
+pub(crate) fn cleared(view: &wgpu::TextureView) -> Option<wgpu::RenderPassColorAttachment<'_>> {
+    Some(wgpu::RenderPassColorAttachment {
+        view,
+        depth_slice: None,
+        resolve_target: None,
+        ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store: wgpu::StoreOp::Store },
+    })
+}
+
+/// The binding type of a single-sampled 2D texture.
+pub(crate) fn picture(sample_type: wgpu::TextureSampleType) -> wgpu::BindingType {
+    wgpu::BindingType::Texture { sample_type, view_dimension: wgpu::TextureViewDimension::D2, multisampled: false }
+}
+
+pub(crate) fn storage(read_only: bool) -> wgpu::BindingType {
+    wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Storage { read_only },
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    }
+}
+
+/// A layout whose bindings are numbered in order.
+pub(crate) fn bind_group_layout(
+    device: &wgpu::Device,
+    label: &'static str,
+    visibility: wgpu::ShaderStages,
+    bindings: &[wgpu::BindingType],
+) -> wgpu::BindGroupLayout {
+    let entries: Vec<_> = (0..)
+        .zip(bindings)
+        .map(|(binding, ty)| wgpu::BindGroupLayoutEntry { binding, visibility, ty: *ty, count: None })
+        .collect();
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
+}
+
+/// A group whose bindings are numbered in order.
+pub(crate) fn bind_group(
+    device: &wgpu::Device,
+    label: &'static str,
+    layout: &wgpu::BindGroupLayout,
+    resources: &[wgpu::BindingResource<'_>],
+) -> wgpu::BindGroup {
+    let entries: Vec<_> = (0..)
+        .zip(resources)
+        .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource: resource.clone() })
+        .collect();
+    device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
+}

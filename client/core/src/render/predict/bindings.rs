@@ -1,0 +1,28 @@
+//! What `predict.wgsl` binds.
+
+use gnomon_shaders::shading::{Lighting, Prediction, View};
+
+use crate::render::pipeline::{bind_group_layout, storage, uniform};
+
+/// The layouts of the pass's three groups: scene and lights, the picture's surfaces, masks.
+pub(super) fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 3] {
+    let pictures =
+        |view_dimension| {
+            [wgpu::TextureSampleType::Depth, wgpu::TextureSampleType::Uint]
+                .map(|sample_type| wgpu::BindingType::Texture { sample_type, view_dimension, multisampled: false })
+        };
+    let [depth, words] = pictures(wgpu::TextureViewDimension::D2);
+    let [depths, all_words] = pictures(wgpu::TextureViewDimension::D2Array);
+    let nearest = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering);
+    let layout = |label, bindings: &[wgpu::BindingType]| {
+        bind_group_layout(device, label, wgpu::ShaderStages::FRAGMENT, bindings)
+    };
+    [
+        layout(
+            "prediction: scene",
+            &[uniform::<View>(), uniform::<Lighting>(), depth, storage(true), uniform::<Prediction>(), storage(false)],
+        ),
+        layout("prediction: surfaces", &[depth, words]),
+        layout("prediction: masks", &[all_words, all_words, depths, nearest]),
+    ]
+}

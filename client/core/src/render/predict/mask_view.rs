@@ -1,0 +1,14 @@
+use gnomon_protocol::{coverage::Coverage, mask::Mask};
+use gnomon_scene::camera::Camera;
+
+/// A mask and the view that it was traced for.
+#[derive(Debug, Clone, Copy)]
+pub struct MaskView<'a> {
+    pub mask: &'a Mask,
+    /// Which of its tiles have arrived; `None` if all have.
+    pub coverage: Option<&'a Coverage>,
+    /// Whether it adds tiles to the newest mask.
+    pub more: bool,
+    /// Its camera, with the mask's own width, height and field of view.
+    pub traced_for: &'a Camera,
+}

@@ -1,0 +1,248 @@
+//! Runs the prediction of a frame.
+
+use bytemuck::Zeroable as _;
+use glam::DVec3;
+use gnomon_protocol::{limits::MAX_LAYERS, mask::MaskShape};
+use gnomon_scene::{Scene, camera::Camera};
+use gnomon_shaders::{
+    gpu::Gpu,
+    shading::{MAX_MASK_LAYERS, MaskLayer, Prediction, View},
+};
+
+use super::{
+    bindings, depth_history::DepthHistory, depth_pass::DepthPass, known::UnknownCount, layers::Layers,
+    mask_view::MaskView, mask_words::WordsPass, shadow_map::ShadowMap,
+};
+use crate::{
+    predictor::Predictor,
+    render::{
+        error::RenderError,
+        pipeline::{bind_group, cleared, covering_pipeline_with, shader},
+        scene_upload::SceneUpload,
+        targets::{Targets, VISIBILITY},
+    },
+};
+
+// `shaders` knows nothing of the protocol.
+const _: () = assert!(MAX_LAYERS == MAX_MASK_LAYERS);
+
+/// The pass and its state.
+#[derive(Debug)]
+pub(crate) struct PredictPass {
+    predictor: Predictor,
+    /// For at most one whole mask, and for several or a partial one.
+    pipelines: [wgpu::RenderPipeline; 2],
+    scene_group: wgpu::BindGroup,
+    surface_layout: wgpu::BindGroupLayout,
+    mask_layout: wgpu::BindGroupLayout,
+    /// The picture's own surfaces, by the slot of its depth in the history.
+    surface_groups: Vec<wgpu::BindGroup>,
+    nearest: wgpu::Sampler,
+    uniform: wgpu::Buffer,
+    depth_pass: DepthPass,
+    words_pass: WordsPass,
+    unknown: UnknownCount,
+    lights: u32,
+    pixels: u32,
+    pub(super) layers: Layers,
+}
+
+impl PredictPass {
+    pub(crate) fn new(
+        gpu: &Gpu,
+        scene: &Scene,
+        upload: &SceneUpload,
+        targets: &Targets,
+        history: &DepthHistory,
+        (view, lighting): (&wgpu::Buffer, &wgpu::Buffer),
+        predictor: Predictor,
+    ) -> Result<Self, RenderError> {
+        let device = &gpu.device;
+        let depth_pass = DepthPass::new(device, upload)?;
+        let shadow_map = ShadowMap::new(device, &gpu.queue, scene, upload, &depth_pass);
+        let unknown = UnknownCount::new(device);
+        let uniform = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("prediction"),
+            size: size_of::<Prediction>() as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let [scene_layout, surface_layout, mask_layout] = bindings::layouts(device);
+        let picture = wgpu::BindingResource::TextureView;
+        let scene_group = bind_group(
+            device,
+            "prediction",
+            &scene_layout,
+            &[
+                view.as_entire_binding(),
+                lighting.as_entire_binding(),
+                picture(&shadow_map.texture),
+                shadow_map.views.as_entire_binding(),
+                uniform.as_entire_binding(),
+                unknown.binding(),
+            ],
+        );
+        let surface_groups = surface_groups(device, &surface_layout, targets, history);
+        let module = shader(device, "shading/predict.wgsl")?;
+        let words_pass = WordsPass::new(device)?;
+        let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
+        // A picture without a mask still binds one.
+        let smallest =
+            MaskShape::new(1, 1, lights.clamp(1, 32)).map_err(|error| RenderError::Device(error.to_string()))?;
+        let layers = Layers::new(device, &words_pass, smallest)?;
+        let layouts = [&scene_layout, &surface_layout, &mask_layout];
+        let pipelines = [0.0, 1.0].map(|layered| {
+            covering_pipeline_with(device, &module, &layouts, ("predict", &[("layered", layered)]), VISIBILITY)
+        });
+        Ok(Self {
+            predictor,
+            pipelines,
+            scene_group,
+            surface_layout,
+            mask_layout,
+            surface_groups,
+            nearest: device.create_sampler(&wgpu::SamplerDescriptor::default()),
+            uniform,
+            depth_pass,
+            words_pass,
+            unknown,
+            lights,
+            pixels: targets.width * targets.height,
+            layers,
+        })
+    }
+
+    /// Predicts by `predictor` from the next picture on.
+    pub(crate) fn set_predictor(&mut self, predictor: Predictor) {
+        self.predictor = predictor;
+    }
+
+    /// Changes the pictures' size. The masks stay.
+    pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
+        self.surface_groups = surface_groups(device, &self.surface_layout, targets, history);
+        self.pixels = targets.width * targets.height;
+    }
+
+    /// Uploads a mask, or clears them. Returns whether the mask is used: its lights must be the scene's, and its size
+    /// its camera's. A partial mask is laid over those before it.
+    ///
+    /// # Errors
+    /// If a mask of this size exceeds a limit of the adapter.
+    pub(crate) fn set_mask(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        view: Option<MaskView<'_>>,
+    ) -> Result<bool, RenderError> {
+        let fits = |view: &MaskView<'_>| {
+            let shape = view.mask.shape();
+            (shape.width(), shape.height(), shape.lights())
+                == (view.traced_for.width, view.traced_for.height, self.lights)
+        };
+        let Some(view) = view.filter(fits) else {
+            self.layers.clear();
+            return Ok(false);
+        };
+        if self.layers.shape() != view.mask.shape() {
+            self.layers = Layers::new(&gpu.device, &self.words_pass, view.mask.shape())?;
+        }
+        self.layers.push(gpu, encoder, &self.words_pass, view);
+        Ok(true)
+    }
+
+    /// The masks' views, newest first.
+    pub(crate) fn mask_views(&self) -> impl Iterator<Item = &Camera> {
+        self.layers.stack().iter().map(|layer| &layer.traced_for)
+    }
+
+    /// Predicts into the visibility picture. The G-buffer holds what `camera` sees.
+    pub(crate) fn encode(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        (camera, origin_m): (&Camera, DVec3),
+        (targets, history, upload): (&Targets, &DepthHistory, &SceneUpload),
+    ) {
+        let (predictor, unknown) = self.predictor.shader_constants();
+        let (layers, count) = self.usable_layers(camera, origin_m);
+        let prediction = Prediction {
+            layers,
+            // At most `MAX_LAYERS`.
+            count: u32::try_from(count).unwrap_or(0),
+            predictor,
+            unknown,
+            lights: u32::MAX.checked_shr(32 - self.lights.min(32)).unwrap_or(0),
+        };
+        gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&prediction));
+        // Only prediction by surface reads the depth of the masks' views.
+        if self.predictor == Predictor::Surface && layers[..count].iter().any(|layer| layer.same_view == 0) {
+            self.layers.need_depth(gpu, encoder, (count, origin_m), &self.depth_pass, (history, upload));
+        }
+        let mask_group = self.mask_group(&gpu.device);
+        self.unknown.clear(encoder);
+        {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("prediction"),
+                color_attachments: &[cleared(&targets.visibility)],
+                ..wgpu::RenderPassDescriptor::default()
+            });
+            let layered = layers[..count].iter().any(|layer| layer.whole == 0);
+            pass.set_pipeline(&self.pipelines[usize::from(layered)]);
+            pass.set_bind_group(0, &self.scene_group, &[]);
+            pass.set_bind_group(1, &self.surface_groups[history.current()], &[]);
+            pass.set_bind_group(2, &mask_group, &[]);
+            pass.draw(0..3, 0..1);
+        }
+        self.unknown.copy(encoder);
+    }
+
+    /// Returns the share of pixels that masks told (the sky counts), in the newest picture whose count is back.
+    pub(crate) fn known_share(&mut self) -> Option<f64> {
+        self.unknown.newest().map(|unknown| 1.0 - f64::from(unknown) / f64::from(self.pixels))
+    }
+
+    /// Returns the masks from which a picture for `camera` is predicted, and their number.
+    fn usable_layers(&self, camera: &Camera, origin_m: DVec3) -> ([MaskLayer; MAX_LAYERS], usize) {
+        let mut layers = [MaskLayer::zeroed(); MAX_LAYERS];
+        let size = |camera: &Camera| (camera.width, camera.height);
+        // The baselines read the newest mask alone, missing tiles included.
+        let most = if self.predictor == Predictor::Surface { MAX_LAYERS } else { 1 };
+        let stack = self.layers.stack().iter().take(most);
+        let usable = stack.filter(|layer| self.predictor != Predictor::None || size(&layer.traced_for) == size(camera));
+        let mut count = 0;
+        for (place, layer) in layers.iter_mut().zip(usable) {
+            let same_view = self.predictor == Predictor::None || layer.traced_for == *camera;
+            *place = MaskLayer {
+                view: View::new(&layer.traced_for, origin_m, 1.0),
+                slot: layer.slot,
+                same_view: same_view.into(),
+                whole: u32::from(layer.coverage.is_none() || most == 1),
+                unused: 0,
+            };
+            count += 1;
+        }
+        (layers, count)
+    }
+
+    fn mask_group(&self, device: &wgpu::Device) -> wgpu::BindGroup {
+        let picture = wgpu::BindingResource::TextureView;
+        let [words, coverage, depth] = self.layers.pictures();
+        let resources =
+            [picture(&words), picture(&coverage), picture(&depth), wgpu::BindingResource::Sampler(&self.nearest)];
+        bind_group(device, "prediction", &self.mask_layout, &resources)
+    }
+}
+
+/// The picture's own surfaces, by the slot of its depth in the history.
+fn surface_groups(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    targets: &Targets,
+    history: &DepthHistory,
+) -> Vec<wgpu::BindGroup> {
+    let picture = wgpu::BindingResource::TextureView;
+    history
+        .views()
+        .map(|depth| bind_group(device, "prediction", layout, &[picture(depth), picture(&targets.normal_material)]))
+        .collect()
+}

@@ -1,0 +1,296 @@
+//! Runs the passes of a frame.
+
+use gnomon_scene::{Scene, camera::Camera};
+use gnomon_shaders::{
+    device_failure::DeviceFailure,
+    gpu::Gpu,
+    shading::{Lighting, View},
+};
+use wgpu::util::DeviceExt as _;
+
+use super::{
+    blend::BlendPass,
+    debug_view::{DebugPass, DebugView},
+    error::RenderError,
+    exposure::Exposure,
+    gbuffer::GbufferPass,
+    pipeline::check_side,
+    predict::{MaskView, PredictPass, depth_history::DepthHistory},
+    readback,
+    scene_upload::SceneUpload,
+    shade::ShadePass,
+    targets::Targets,
+    tone::TonePass,
+};
+use crate::predictor::Predictor;
+
+/// What a pixel was shaded with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PixelVisibility {
+    /// Bit k is 1 when light k reaches the pixel.
+    pub word: u32,
+    /// Whether masks told it for every light. False where there is no surface, and at a visibility share below 1.
+    pub known: bool,
+    /// What the client alone predicts; 0 at a visibility share of 1.
+    pub own: u32,
+}
+
+/// Draws frames of one scene at one size.
+#[derive(Debug)]
+pub struct FrameRenderer {
+    gpu: Gpu,
+    origin_m: glam::DVec3,
+    exposure: Exposure,
+    view: wgpu::Buffer,
+    scene: SceneUpload,
+    pub(super) targets: Targets,
+    pub(super) history: DepthHistory,
+    pub(super) predict: PredictPass,
+    gbuffer: GbufferPass,
+    shade: ShadePass,
+    blend: BlendPass,
+    tone: TonePass,
+    debug: DebugPass,
+    debug_view: DebugView,
+    lighting: wgpu::Buffer,
+    lights: Lighting,
+    /// Bit k is 1 if light k is on.
+    lights_on: u32,
+    /// First column that is lit without visibility, if any.
+    split_px: Option<u32>,
+    /// Visibility share of the last picture.
+    visibility_share: f32,
+    failure: DeviceFailure,
+}
+
+impl FrameRenderer {
+    /// Uploads `scene` and makes the passes for pictures of this size in pixels. Pictures are drawn into views of
+    /// `format`, which must not be an sRGB format: the tone pass encodes.
+    ///
+    /// # Errors
+    /// If the scene or the picture exceeds a limit of the adapter, or the adapter fails.
+    pub fn new(
+        gpu: &Gpu,
+        scene: &Scene,
+        (width, height): (u32, u32),
+        exposure: Exposure,
+        format: wgpu::TextureFormat,
+        predictor: Predictor,
+    ) -> Result<Self, RenderError> {
+        let device = &gpu.device;
+        let failure = DeviceFailure::watch(device);
+        check_side(device, width.max(height))?;
+        // Anisotropic filtering is nearly free on a GPU and costs several times the rest of the frame in software.
+        let scene_upload = SceneUpload::new(device, &gpu.queue, scene, if gpu.is_software() { 1 } else { 8 })?;
+        let targets = Targets::new(device, width, height);
+        let history = DepthHistory::new(device, width, height);
+        let view = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("view"),
+            size: size_of::<View>() as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let gbuffer = GbufferPass::new(device, &view, &scene_upload.material_layout)?;
+        let lights = exposure.lighting(&scene.lights);
+        let lighting = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("lighting"),
+            contents: bytemuck::bytes_of(&lights),
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        });
+        let constants = (&view, &lighting);
+        let predict = PredictPass::new(gpu, scene, &scene_upload, &targets, &history, constants, predictor)?;
+        let shade = ShadePass::new(device, constants, &targets, &history, scene)?;
+        let blend = BlendPass::new(device, shade.layout(), &scene_upload)?;
+        let tone = TonePass::new(device, &targets, format)?;
+        let debug = DebugPass::new(device, &view, &targets, &history, format)?;
+        let renderer = Self {
+            gpu: gpu.clone(),
+            origin_m: scene.origin_m,
+            exposure,
+            view,
+            scene: scene_upload,
+            targets,
+            history,
+            predict,
+            gbuffer,
+            shade,
+            blend,
+            tone,
+            debug,
+            debug_view: DebugView::Picture,
+            lighting,
+            lights,
+            lights_on: u32::MAX,
+            split_px: None,
+            visibility_share: 1.0,
+            failure,
+        };
+        renderer.check()?;
+        Ok(renderer)
+    }
+
+    /// Changes the pictures' size in pixels. Scene and masks stay.
+    ///
+    /// # Errors
+    /// If the picture exceeds a limit of the adapter, or the adapter fails.
+    pub fn resize(&mut self, (width, height): (u32, u32)) -> Result<(), RenderError> {
+        let device = &self.gpu.device;
+        check_side(device, width.max(height))?;
+        self.targets = Targets::new(device, width, height);
+        self.history = DepthHistory::new(device, width, height);
+        self.predict.resize(device, &self.targets, &self.history);
+        self.shade.resize(device, &self.targets, &self.history);
+        self.tone.resize(device, &self.targets);
+        self.debug.resize(device, &self.targets, &self.history);
+        self.check()
+    }
+
+    /// Width and height of the pictures, in pixels.
+    #[must_use]
+    pub fn size(&self) -> (u32, u32) {
+        (self.targets.width, self.targets.height)
+    }
+
+    /// Sets what pictures show from the next one on.
+    pub fn set_debug_view(&mut self, view: DebugView) {
+        self.debug_view = view;
+    }
+
+    /// Turns light k on if bit k is 1, off otherwise, from the next picture on.
+    pub fn set_lights_on(&mut self, lights_on: u32) {
+        self.lights_on = lights_on;
+        self.write_lighting();
+    }
+
+    /// Sets the first column, if any, that is lit without visibility: there every light reaches everything.
+    pub fn set_split(&mut self, split_px: Option<u32>) {
+        self.split_px = split_px;
+        self.write_lighting();
+    }
+
+    fn write_lighting(&self) {
+        let mut lights = self.lights;
+        lights.lit_from_px = self.split_px.unwrap_or(u32::MAX);
+        for (k, light) in lights.lights.iter_mut().enumerate() {
+            if self.lights_on & (1 << k) == 0 {
+                light.intensity = glam::Vec3::ZERO;
+            }
+        }
+        self.gpu.queue.write_buffer(&self.lighting, 0, bytemuck::bytes_of(&lights));
+    }
+
+    #[must_use]
+    pub fn exposure(&self) -> Exposure {
+        self.exposure
+    }
+
+    /// Draws the surfaces that `camera` sees, at the renderer's size. Returns once the work is submitted, so that the
+    /// adapter works while the frame's mask is awaited.
+    ///
+    /// # Errors
+    /// If the adapter failed.
+    pub fn draw_surfaces(&mut self, camera: &Camera) -> Result<(), RenderError> {
+        let camera = self.sized(camera);
+        self.write_view(&camera, 1.0);
+        self.history.begin(&camera);
+        let mut encoder = self.encoder();
+        self.gbuffer.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene);
+        self.gpu.queue.submit([encoder.finish()]);
+        self.check()
+    }
+
+    /// Uploads the mask from which the next pictures' visibility is predicted. Returns whether it is used: a mask whose
+    /// lights are not the scene's, or whose size is not its camera's, clears the visibility as `None` does.
+    ///
+    /// # Errors
+    /// If a mask of this size exceeds a limit of the adapter.
+    pub fn set_mask(&mut self, mask: Option<MaskView<'_>>) -> Result<bool, RenderError> {
+        let mut encoder = self.encoder();
+        let used = self.predict.set_mask(&self.gpu, &mut encoder, mask)?;
+        self.gpu.queue.submit([encoder.finish()]);
+        Ok(used)
+    }
+
+    /// The views that the masks in use were traced for, newest first.
+    pub fn mask_views(&self) -> impl Iterator<Item = &Camera> {
+        self.predict.mask_views()
+    }
+
+    /// Sets how visibility is carried over to another view, from the next picture on.
+    pub fn set_predictor(&mut self, predictor: Predictor) {
+        self.predict.set_predictor(predictor);
+    }
+
+    /// Shades the surfaces that [`Self::draw_surfaces`] drew for the same `camera` into `target`, and submits the work
+    /// together with the commands that `more` adds, such as a copy to the host. `visibility_share`, from 0 to 1, weighs
+    /// visibility predicted from masks against what the client predicts alone.
+    ///
+    /// # Errors
+    /// If the adapter failed.
+    pub fn shade(
+        &mut self,
+        camera: &Camera,
+        visibility_share: f32,
+        target: &wgpu::TextureView,
+        more: impl FnOnce(&mut wgpu::CommandEncoder),
+    ) -> Result<wgpu::SubmissionIndex, RenderError> {
+        let camera = self.sized(camera);
+        self.visibility_share = visibility_share.clamp(0.0, 1.0);
+        self.write_view(&camera, self.visibility_share);
+        let mut encoder = self.encoder();
+        let pictures = (&self.targets, &self.history, &self.scene);
+        self.predict.encode(&self.gpu, &mut encoder, (&camera, self.origin_m), pictures);
+        self.shade.encode(&mut encoder, &self.targets, &self.history);
+        let eye = (camera.position_m - self.origin_m).as_vec3();
+        let group = self.shade.group(&self.history);
+        self.blend.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene, group, eye);
+        match self.debug_view {
+            DebugView::Picture => self.tone.encode(&mut encoder, target),
+            view => self.debug.encode(&self.gpu.queue, &mut encoder, view, &self.history, target),
+        }
+        more(&mut encoder);
+        let submission = self.gpu.queue.submit([encoder.finish()]);
+        self.check().map(|()| submission)
+    }
+
+    /// Returns the share of pixels whose visibility masks told (the sky counts), in the newest picture whose count is
+    /// back. Does not wait.
+    #[must_use]
+    pub fn known_share(&mut self) -> Option<f64> {
+        self.predict.known_share()
+    }
+
+    /// Reads back the visibility that the last picture was shaded with, row by row. Waits for the adapter: for
+    /// measurements, not for frames.
+    ///
+    /// # Errors
+    /// If the adapter failed.
+    pub fn read_visibility(&self) -> Result<Vec<PixelVisibility>, RenderError> {
+        let words = readback::texels(&self.gpu, &self.targets.visibility, wgpu::TextureAspect::All)?;
+        let full_share = self.visibility_share >= 1.0;
+        let pixel = |[a, b, c, d, e, f, g, h]: &[u8; 8]| {
+            let (word, second) = (u32::from_le_bytes([*a, *b, *c, *d]), u32::from_le_bytes([*e, *f, *g, *h]));
+            // At full share the two words differ in known pixels alone (`predict.wgsl`).
+            let (known, own) = if full_share { (word != second, 0) } else { (false, second) };
+            PixelVisibility { word, known, own }
+        };
+        Ok(words.as_chunks().0.iter().map(pixel).collect())
+    }
+
+    fn sized(&self, camera: &Camera) -> Camera {
+        Camera { width: self.targets.width, height: self.targets.height, ..*camera }
+    }
+
+    fn encoder(&self) -> wgpu::CommandEncoder {
+        self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+
+    fn write_view(&self, camera: &Camera, visibility_share: f32) {
+        let view = View::new(camera, self.origin_m, visibility_share);
+        self.gpu.queue.write_buffer(&self.view, 0, bytemuck::bytes_of(&view));
+    }
+
+    fn check(&self) -> Result<(), RenderError> {
+        self.failure.get().map_or(Ok(()), |reason| Err(RenderError::Device(reason)))
+    }
+}
