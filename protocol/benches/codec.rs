@@ -15,7 +15,7 @@ use std::{hint::black_box, num::NonZeroUsize};
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder, Reference, Simplifier},
+    codec::{CodecId, Decoder, EncodedFrame, Encoder, Reference, Simplifier},
     ids::FrameNumber,
     mask::{Mask, MaskShape},
 };
@@ -49,7 +49,8 @@ fn discs(moved: i64) -> Mask {
 
 fn codecs(criterion: &mut Criterion) {
     let (before, mask) = (discs(0), discs(3));
-    let (mut encoder, mut reference, mut body) = (Encoder::new(CodecId::TilesSmall), Reference::new(), Vec::new());
+    let (mut encoder, mut reference, mut body) =
+        (Encoder::new(CodecId::TilesSmall), Reference::new(), EncodedFrame::default());
     encoder.encode(&before, &mut body).unwrap();
     assert!(encoder.keep(FrameNumber(0), &mut reference));
     let plain = CodecId::ALL.into_iter().map(|codec| (codec, None));

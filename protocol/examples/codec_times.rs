@@ -13,7 +13,7 @@ use std::{
 };
 
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder},
+    codec::{CodecId, Decoder, EncodedFrame, Encoder},
     ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
     mask::{Mask, MaskShape},
@@ -90,7 +90,7 @@ fn measure(codec: CodecId, masks: &[Mask]) -> Result<(), Failure> {
     let (mut encoder, mut decoder) = (Encoder::new(codec), Decoder::new());
     let mut packetizer = Packetizer::new(MAX_PACKET_BYTES);
     let mut reassembler = Reassembler::new(Policy::WholeFrame);
-    let (mut body, mut decoded) = (Vec::new(), masks[0].clone());
+    let (mut body, mut decoded) = (EncodedFrame::default(), masks[0].clone());
     let (mut bytes, mut packet_count) = (0, 0);
     let mut times: [Vec<Duration>; 4] = Default::default();
     let rounds = 20;

@@ -14,6 +14,14 @@ impl fmt::Display for FrameNumber {
     }
 }
 
+/// Names a mask that later ones are coded against.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ReferenceName {
+    pub frame: FrameNumber,
+    /// Digest of the mask's shape and bits. It detects mistakes, not a peer that means to deceive.
+    pub digest: u32,
+}
+
 /// A session, unique for the life of one server process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct SessionId(pub u64);

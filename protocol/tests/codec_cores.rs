@@ -5,8 +5,7 @@
 mod common;
 
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder, Reference},
-    frame::pieces,
+    codec::{CodecId, Decoder, EncodedFrame, Encoder, Reference},
     ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
     mask::{Mask, MaskShape},
@@ -35,7 +34,7 @@ fn grains(shape: MaskShape, moved: u32) -> Mask {
 fn any_number_of_cores_gives_the_same() {
     let shape = MaskShape::new(1000, 520, 3).unwrap();
     let (before, sent) = (grains(shape, 0), grains(shape, 7));
-    let (mut reference, mut body) = (Reference::new(), Vec::new());
+    let (mut reference, mut body) = (Reference::new(), EncodedFrame::default());
     let mut encoder = Encoder::new(CodecId::TilesSmall);
     encoder.encode(&before, &mut body).unwrap();
     assert!(encoder.keep(FrameNumber(1), &mut reference));
@@ -45,7 +44,7 @@ fn any_number_of_cores_gives_the_same() {
         for threads in [1, 2, 5] {
             pool(threads).install(|| {
                 let (mut encoder, mut decoder) = (Encoder::new(codec), Decoder::new());
-                let (mut body, mut received) = (Vec::new(), grains(shape, 1));
+                let (mut body, mut received) = (EncodedFrame::default(), grains(shape, 1));
                 encoder.encode_for(None, reference, &sent, &mut body).unwrap();
                 decoder.decode_against(reference, &body, &mut received).unwrap();
                 assert!(received == sent);
@@ -67,9 +66,9 @@ fn parts_in_any_order_are_decoded_on_any_number_of_cores() {
     let shape = MaskShape::new(1000, 520, 2).unwrap();
     let sent = grains(shape, 0);
     for codec in [CodecId::TilesFast, CodecId::TilesSmall] {
-        let (mut body, mut random) = (Vec::new(), Random(5));
+        let (mut body, mut random) = (EncodedFrame::default(), Random(5));
         Encoder::new(codec).encode(&sent, &mut body).unwrap();
-        let mut parts: Vec<&[u8]> = pieces(&body, MAX_PACKET_BYTES).collect();
+        let mut parts: Vec<&[u8]> = body.payloads(MAX_PACKET_BYTES).collect();
         assert!(parts.len() > 12);
         parts.remove(3);
         let in_order = parts.concat();

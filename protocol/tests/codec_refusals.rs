@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
 use gnomon_protocol::{
-    codec::{CodecId, DecodeError, Decoder, Encoder},
+    codec::{CodecId, DecodeError, Decoder, EncodedFrame, Encoder},
     frame::FrameError,
     mask::{Mask, MaskShape},
 };
@@ -142,7 +142,7 @@ fn slices_with_too_few_or_too_many_bits_are_refused() {
         }
     }
     for codec in [CodecId::TilesSmall, CodecId::TilesFast] {
-        let mut body = Vec::new();
+        let mut body = EncodedFrame::default();
         Encoder::new(codec).for_packets_of(60_000).encode(&mask, &mut body).unwrap();
         let (head, slice) = (&body[12..17], &body[17..]);
         let with = |bits: &[u8]| decode(&tiles(codec.number(), &[&[head, bits].concat()])).0;

@@ -7,8 +7,8 @@ mod common;
 use std::num::NonZeroU16;
 
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder},
-    frame::{FRAME_HEAD_BYTES, Frame, pieces},
+    codec::{CodecId, Decoder, EncodedFrame, Encoder},
+    frame::{FRAME_HEAD_BYTES, Frame},
     header::HEADER_BYTES,
     limits::{MAX_FRAME_BYTES, MAX_FRAME_PACKETS, MAX_PACKET_BYTES},
     mask::{Mask, MaskShape},
@@ -77,7 +77,7 @@ proptest! {
     ) {
         let shape = MaskShape::new(width, height, lights).unwrap();
         let sent = mask(shape, pattern, seed);
-        let (mut decoder, mut body) = (Decoder::new(), vec![1, 2, 3]);
+        let (mut decoder, mut body) = (Decoder::new(), EncodedFrame::from(vec![1, 2, 3]));
         // A mask of another shape, with bits set: nothing of it may shine through.
         let mut received = mask(MaskShape::new(9, 17, 2).unwrap(), Pattern::AllLit, 0);
         for codec in CodecId::ALL {
@@ -87,7 +87,7 @@ proptest! {
             if codec.is_sliced() {
                 // A block of noise takes up to 1 KiB, and is never cut.
                 let room = packet_bytes.saturating_sub(HEADER_BYTES).max(1024 + FRAME_HEAD_BYTES + 4);
-                prop_assert!(pieces(&body, room).all(|part| part.len() <= room && Frame::parts(part).count() == 1));
+                prop_assert!(body.payloads(room).all(|part| part.len() <= room && Frame::parts(part).count() == 1));
             } else {
                 prop_assert_eq!(frame.slice_count(), usize::from(slices).min(shape.tiles_y() as usize));
             }
@@ -105,10 +105,10 @@ proptest! {
     ) {
         let shape = MaskShape::new(width, height, lights).unwrap();
         let (before, sent) = (mask(shape, Pattern::Checkers, 0), mask(shape, pattern, seed));
-        let (mut decoder, mut body, mut random) = (Decoder::new(), Vec::new(), Random(seed));
+        let (mut decoder, mut body, mut random) = (Decoder::new(), EncodedFrame::default(), Random(seed));
         for codec in CodecId::ALL.into_iter().filter(|codec| codec.is_sliced()) {
             Encoder::new(codec).for_packets_of(0).encode(&sent, &mut body).unwrap();
-            let mut parts: Vec<&[u8]> = pieces(&body, MAX_PACKET_BYTES).collect();
+            let mut parts: Vec<&[u8]> = body.payloads(MAX_PACKET_BYTES).collect();
             (1..parts.len()).for_each(|place| parts.swap(place, random.index(place + 1)));
             let mut received = before.clone();
             for (count, part) in (1..).zip(&parts) {
@@ -132,7 +132,7 @@ proptest! {
     ) {
         let shape = MaskShape::new(width, height, lights).unwrap();
         let sent = mask(shape, Pattern::Noise, seed);
-        let mut body = Vec::new();
+        let mut body = EncodedFrame::default();
         Encoder::new(CodecId::Words).encode(&sent, &mut body).unwrap();
         let frame = Frame::parse(&body).unwrap();
         let (_, slice) = frame.slices().next().unwrap();
@@ -153,7 +153,7 @@ fn bits_outside_the_picture_do_not_travel() {
     let mut dirty = clean.clone();
     dirty.words_mut().fill(u64::MAX);
     assert_ne!(dirty, clean);
-    let (mut expected, mut body, mut received) = (Vec::new(), Vec::new(), Mask::new(shape));
+    let (mut expected, mut body, mut received) = (EncodedFrame::default(), EncodedFrame::default(), Mask::new(shape));
     for codec in CodecId::ALL {
         let mut encoder = Encoder::new(codec);
         encoder.encode(&clean, &mut expected).unwrap();
@@ -170,7 +170,7 @@ fn the_largest_masks_fit_a_frame() {
         let shape = MaskShape::new(width, height, 32).unwrap();
         let mut sent = Mask::new(shape);
         let mut random = Random(7);
-        let (mut body, mut received) = (Vec::new(), Mask::new(shape));
+        let (mut body, mut received) = (EncodedFrame::default(), Mask::new(shape));
         // Noise in the upper half: as long as LZ4 can make it there, and short below.
         let words = shape.words();
         sent.words_mut()[..words / 2].fill_with(|| random.next());

@@ -6,6 +6,7 @@ mod common;
 
 use bytes::Bytes;
 use gnomon_protocol::{
+    codec::EncodedFrame,
     fec::{MAX_PROTECTED_PACKETS, PARITY_ROOM_BYTES, ParityEncoder},
     header::{HEADER_BYTES, PacketHeader},
     ids::FrameNumber,
@@ -20,13 +21,13 @@ use crate::common::Random;
 /// What the packets of a frame carry, and all that are sent: n packets, and then their parity.
 struct Sent {
     number: u32,
-    pieces: Vec<Vec<u8>>,
+    payloads: Vec<Vec<u8>>,
     packets: Vec<Bytes>,
 }
 
 impl Sent {
     fn data(&self) -> usize {
-        self.pieces.len()
+        self.payloads.len()
     }
 }
 
@@ -35,11 +36,12 @@ fn stream(frames: u32, most: usize, random: &mut Random) -> Vec<Sent> {
     let (mut packetizer, mut encoder) = (Packetizer::new(40), ParityEncoder::default());
     let frame = |number: u32| {
         let body: Vec<u8> = (0..1 + random.index(24 * most)).map(|_| random.byte()).collect();
-        let pieces: Vec<Vec<u8>> = packetizer.pieces(&body).map(<[u8]>::to_vec).collect();
+        let body = EncodedFrame::from(body);
+        let payloads: Vec<Vec<u8>> = body.payloads(packetizer.payload_bytes()).map(<[u8]>::to_vec).collect();
         let mut packets: Vec<Bytes> = packetizer.packets(FrameNumber(number), number, &body).unwrap().collect();
-        let parity = encoder.encode(packetizer.pieces(&body), random.below(9).to_le_bytes()[0]);
+        let parity = encoder.encode(body.payloads(packetizer.payload_bytes()), random.below(9).to_le_bytes()[0]);
         packets.extend(packetizer.parity_packets(FrameNumber(number), number, parity));
-        Sent { number, pieces, packets }
+        Sent { number, payloads, packets }
     };
     (0..frames).map(frame).collect()
 }
@@ -99,7 +101,7 @@ proptest! {
             let Some((number, packets, put_together, missing, body)) = out else { continue };
             let lost = (0..sent.data()).filter(|place| !came.contains(place)).collect::<Vec<_>>();
             let known = came.iter().chain(lost.iter().filter(|_| whole));
-            prop_assert_eq!(body, known.flat_map(|place| sent.pieces[*place].clone()).collect::<Vec<u8>>());
+            prop_assert_eq!(body, known.flat_map(|place| sent.payloads[*place].clone()).collect::<Vec<u8>>());
             let count = |places: &[usize]| u16::try_from(places.len()).unwrap();
             prop_assert_eq!((number, put_together), (sent.number, if whole { count(&lost) } else { 0 }));
             prop_assert_eq!((packets, missing), (count(&came) + put_together, count(&lost) - put_together));
@@ -129,7 +131,7 @@ proptest! {
                 let progress = reassembler.push(&packet);
                 prop_assert!(parity || progress.is_ok(), "{:?}", progress);
                 if !parity && matches!(progress, Ok(Progress::Stored | Progress::Complete)) {
-                    came.extend_from_slice(&sent.pieces[place]);
+                    came.extend_from_slice(&sent.payloads[place]);
                 }
                 if matches!(progress, Ok(Progress::Complete)) {
                     break;
@@ -149,12 +151,13 @@ proptest! {
 #[test]
 fn the_smallest_and_the_largest_frames_have_parity() {
     for (packets, parity, last) in [(1, 1, 1), (1, 1, 2), (1, 5, 1000), (MAX_PROTECTED_PACKETS, 255, 7)] {
-        let piece_bytes = MAX_PACKET_BYTES - HEADER_BYTES - PARITY_ROOM_BYTES;
-        let mut packetizer = Packetizer::new(HEADER_BYTES + piece_bytes);
-        let body: Vec<u8> = (1..=255).cycle().take((packets - 1) * piece_bytes + last).collect();
+        let payload_bytes = MAX_PACKET_BYTES - HEADER_BYTES - PARITY_ROOM_BYTES;
+        let mut packetizer = Packetizer::new(HEADER_BYTES + payload_bytes);
+        let body: Vec<u8> = (1..=255).cycle().take((packets - 1) * payload_bytes + last).collect();
+        let body = EncodedFrame::from(body);
         let honest: Vec<Bytes> = packetizer.packets(FrameNumber(3), 9, &body).unwrap().collect();
         let mut encoder = ParityEncoder::default();
-        let made = encoder.encode(packetizer.pieces(&body), parity);
+        let made = encoder.encode(body.payloads(packetizer.payload_bytes()), parity);
         assert_eq!(made.count(), usize::from(parity));
         let parity_packets: Vec<Bytes> = packetizer.parity_packets(FrameNumber(3), 9, made).collect();
         assert!(parity_packets.iter().all(|packet| packet.len() <= MAX_PACKET_BYTES));
@@ -167,20 +170,20 @@ fn the_smallest_and_the_largest_frames_have_parity() {
         assert_eq!((usize::from(frame.restored), frame.missing, frame.body.len()), (lost, 0, body.len()));
         let (came, restored) =
             frame.body.split_at(body.len() - honest[..lost].iter().map(|one| one.len() - 16).sum::<usize>());
-        assert!([restored, came].concat() == body);
+        assert!([restored, came].concat() == body.body());
     }
     // Beyond the bound there is none.
-    let body = vec![1; (MAX_PROTECTED_PACKETS + 1) * 8];
-    assert_eq!(ParityEncoder::default().encode(Packetizer::new(24).pieces(&body), 5).count(), 0);
+    let body = EncodedFrame::from(vec![1; (MAX_PROTECTED_PACKETS + 1) * 8]);
+    assert_eq!(ParityEncoder::default().encode(body.payloads(8), 5).count(), 0);
 }
 
 #[test]
 fn parity_that_is_none_is_refused() {
     let mut packetizer = Packetizer::new(40);
-    let body = [7; 60];
+    let body = EncodedFrame::from(vec![7; 60]);
     let honest: Vec<Bytes> = packetizer.packets(FrameNumber(3), 9, &body).unwrap().collect();
     let mut encoder = ParityEncoder::default();
-    let parity = encoder.encode(packetizer.pieces(&body), 2);
+    let parity = encoder.encode(body.payloads(packetizer.payload_bytes()), 2);
     let parity: Vec<Bytes> = packetizer.parity_packets(FrameNumber(3), 9, parity).collect();
     let with = |place: usize, byte: u8| {
         let mut bad = parity[0].to_vec();

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
-    codec::{CodecId, DecodeError, Encoder},
+    codec::{CodecId, DecodeError, EncodedFrame, Encoder},
     coverage::{Coverage, PLACE_TILES},
     header::HEADER_BYTES,
     ids::FrameNumber,
@@ -54,7 +54,7 @@ impl Server {
     }
 
     fn send(&mut self, frame: u32, mask: &Mask) -> Vec<Bytes> {
-        let mut body = Vec::new();
+        let mut body = EncodedFrame::default();
         self.encoder.encode_for(None, self.references.reference(), mask, &mut body).unwrap();
         self.references.keep(&self.encoder, FrameNumber(frame));
         self.packetizer.packets(FrameNumber(frame), frame, &body).unwrap().collect()
@@ -252,12 +252,14 @@ fn a_body_that_is_no_mask_is_counted_and_the_receiver_goes_on() {
     let large = MaskShape::new(500, 308, 3).unwrap();
     let mut client = Client::new(Policy::WholeFrame, shape(), 9);
     let mut packetizer = Packetizer::new(MAX_PACKET_BYTES);
-    let mut bodies = [Vec::new(), Vec::new(), Vec::new()];
+    let mut bodies = [(); 3].map(|()| EncodedFrame::default());
     // Another shape than was agreed on, no frame at all, and a slice cut short.
     Encoder::new(CodecId::TilesFast).encode(&disc(large, 0), &mut bodies[0]).unwrap();
-    bodies[1] = vec![7; 40];
+    bodies[1] = vec![7; 40].into();
     Encoder::new(CodecId::PlanesLz4).encode(&disc(shape(), 0), &mut bodies[2]).unwrap();
-    *bodies[2].last_mut().unwrap() ^= 0xFF;
+    let mut cut = bodies[2].to_vec();
+    *cut.last_mut().unwrap() ^= 0xFF;
+    bodies[2] = cut.into();
     let mut reasons = Vec::new();
     for (frame, body) in (0..).zip(&bodies) {
         let packets: Vec<_> = packetizer.packets(FrameNumber(frame), frame, body).unwrap().collect();

@@ -9,7 +9,7 @@ use std::num::NonZeroU16;
 
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
-    codec::{CodecId, Encoder, ReferenceName},
+    codec::{CodecId, EncodedFrame, Encoder, ReferenceName},
     fuzzing,
     header::PacketHeader,
     ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
@@ -151,9 +151,9 @@ fn codec() {
         }
         for codec in CodecId::ALL {
             for slices in [1, 3] {
-                let mut body = Vec::new();
+                let mut body = EncodedFrame::default();
                 Encoder::with_slices(codec, NonZeroU16::new(slices).unwrap()).encode(&mask, &mut body).unwrap();
-                seeds.push(body);
+                seeds.push(body.into_body());
             }
         }
     }

@@ -5,7 +5,7 @@
 mod common;
 
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder, Reference, Simplifier},
+    codec::{CodecId, Decoder, EncodedFrame, Encoder, Reference, Simplifier},
     ids::FrameNumber,
     mask::{Mask, MaskShape},
 };
@@ -35,7 +35,7 @@ fn wrong_bits(a: &Mask, b: &Mask) -> u64 {
 fn all_codecs_give_the_simplified_mask_back_in_fewer_bytes() {
     let mut simplifier = Simplifier::default();
     for codec in CodecId::ALL {
-        let (mut encoder, mut decoder, mut body) = (Encoder::new(codec), Decoder::new(), Vec::new());
+        let (mut encoder, mut decoder, mut body) = (Encoder::new(codec), Decoder::new(), EncodedFrame::default());
         let mut bytes = Vec::new();
         for wrong_ppm in [0, 1000, 5000] {
             let whole = speckled(0, 1);
@@ -60,7 +60,8 @@ fn all_codecs_give_the_simplified_mask_back_in_fewer_bytes() {
 #[test]
 fn errors_do_not_add_up_from_frame_to_frame() {
     let mut simplifier = Simplifier::default();
-    let (mut encoder, mut decoder, mut body) = (Encoder::new(CodecId::TilesSmall), Decoder::new(), Vec::new());
+    let (mut encoder, mut decoder, mut body) =
+        (Encoder::new(CodecId::TilesSmall), Decoder::new(), EncodedFrame::default());
     let (mut sent, mut kept) = (Reference::new(), Reference::new());
     let mut decoded = Mask::new(speckled(0, 0).shape());
     for frame in 0..6 {

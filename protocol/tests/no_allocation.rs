@@ -9,7 +9,7 @@ use std::{
 };
 
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder},
+    codec::{CodecId, Decoder, EncodedFrame, Encoder},
     frame::Frame,
     ids::FrameNumber,
     mask::{Mask, MaskShape},
@@ -69,7 +69,7 @@ fn counts(codec: CodecId, shape: MaskShape, references: bool, frames: u32, body_
     let (mut sent_masks, mut kept_masks) = (SentMasks::default(), KeptMasks::default());
     let mut packetizer = Packetizer::new(1161);
     let mut reassembler = Reassembler::new(Policy::WholeFrame);
-    let (mut body, mut received, mut counts) = (Vec::with_capacity(body_bytes), Mask::new(shape), Vec::new());
+    let (mut body, mut received, mut counts) = (EncodedFrame::with_capacity(body_bytes), Mask::new(shape), Vec::new());
     for (frame, sent) in (0..frames).zip(masks.iter().cycle()) {
         let before = count();
         encoder.encode_for(None, sent_masks.reference(), sent, &mut body).unwrap();

@@ -43,12 +43,14 @@ fn stream(lengths: &[usize], steps: &[u32], from_sequence: u32) -> (BTreeMap<Fra
     for (length, step) in lengths.iter().zip(steps.iter().cycle()) {
         number += step;
         let body: Vec<u8> = (0..*length).map(|byte| (byte * 31 + number as usize * 7).to_le_bytes()[0]).collect();
-        packets.extend(packetizer.packets(FrameNumber(number), number * 8, &body).unwrap().map(|packet| {
-            // The packetizer starts at 0; a stream seen later may wrap anywhere.
-            let (header, data) = PacketHeader::decode(&packet).unwrap();
-            let header = PacketHeader { sequence: header.sequence.wrapping_add(from_sequence), ..header };
-            Bytes::from([&header.encode()[..], data].concat())
-        }));
+        packets.extend(packetizer.packets(FrameNumber(number), number * 8, &body.clone().into()).unwrap().map(
+            |packet| {
+                // The packetizer starts at 0; a stream seen later may wrap anywhere.
+                let (header, data) = PacketHeader::decode(&packet).unwrap();
+                let header = PacketHeader { sequence: header.sequence.wrapping_add(from_sequence), ..header };
+                Bytes::from([&header.encode()[..], data].concat())
+            },
+        ));
         frames.insert(FrameNumber(number), body);
     }
     (frames, packets)

@@ -9,8 +9,8 @@ use std::collections::VecDeque;
 
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
-    codec::{CodecId, DecodeError, Decoder, Encoder, Reference},
-    frame::{Frame, pieces},
+    codec::{CodecId, DecodeError, Decoder, EncodedFrame, Encoder, Reference},
+    frame::Frame,
     ids::FrameNumber,
     limits::{MAX_PACKET_BYTES, MAX_REFERENCE_BYTES, MAX_REFERENCES},
     mask::{Mask, MaskShape},
@@ -40,7 +40,7 @@ fn mask(shape: MaskShape, seed: u64, moved: (i64, i64), noise: u64) -> Mask {
 /// What a client that has the whole frame keeps of it.
 fn reference(mask: &Mask, frame: u32) -> Reference {
     let (mut encoder, mut reference) = (Encoder::new(CodecId::TilesSmall), Reference::new());
-    encoder.encode(mask, &mut Vec::new()).unwrap();
+    encoder.encode(mask, &mut EncodedFrame::default()).unwrap();
     assert!(encoder.keep(FrameNumber(frame), &mut reference));
     reference
 }
@@ -60,7 +60,7 @@ proptest! {
         let shape = MaskShape::new(width, height, lights).unwrap();
         let before = reference(&mask(shape, seed, (0, 0), 0), 7);
         let sent = mask(shape, seed ^ u64::from(other), moved, noise);
-        let (mut decoder, mut body, mut random) = (Decoder::new(), Vec::new(), Random(seed));
+        let (mut decoder, mut body, mut random) = (Decoder::new(), EncodedFrame::default(), Random(seed));
         let mut encoder = Encoder::new(CodecId::TilesSmall).for_packets_of(packet_bytes);
         encoder.encode_for(None, Some(&before), &sent, &mut body).unwrap();
         prop_assert_eq!(Frame::parse(&body).unwrap().head.reference, Some(before.name()));
@@ -74,7 +74,7 @@ proptest! {
 
         // A block of noise takes up to 1 KiB, and is never cut.
         let room = packet_bytes.max(1024 + 64);
-        let mut parts: Vec<&[u8]> = pieces(&body, room).collect();
+        let mut parts: Vec<&[u8]> = body.payloads(room).collect();
         prop_assert!(parts.iter().all(|part| part.len() <= room && Frame::parts(part).count() == 1));
         (1..parts.len()).for_each(|place| parts.swap(place, random.index(place + 1)));
         let mut received = mask(shape, seed ^ 3, (0, 0), 9);
@@ -107,7 +107,7 @@ proptest! {
             down.push_back((frame, sent, body));
             if down.len() > late {
                 let (frame, sent, body) = down.pop_front().unwrap();
-                let parts = pieces(&body, Server::PACKET_BYTES).filter(|_| random.below(100) >= lost).collect::<Vec<_>>();
+                let parts = body.payloads(Server::PACKET_BYTES).filter(|_| random.below(100) >= lost).collect::<Vec<_>>();
                 if !parts.is_empty() {
                     up.push_back(client.receive(frame, &sent, &parts.concat()).into_iter().collect());
                 }
@@ -211,8 +211,8 @@ impl Server {
         Self { encoder: Encoder::new(CodecId::TilesSmall).for_packets_of(300), references: SentMasks::default() }
     }
 
-    fn send(&mut self, frame: u32, mask: &Mask) -> Vec<u8> {
-        let mut body = Vec::new();
+    fn send(&mut self, frame: u32, mask: &Mask) -> EncodedFrame {
+        let mut body = EncodedFrame::default();
         self.encoder.encode_for(None, self.references.reference(), mask, &mut body).unwrap();
         self.references.keep(&self.encoder, FrameNumber(frame));
         assert!(self.references.memory_bytes() <= MAX_REFERENCE_BYTES + MAX_REFERENCE_BYTES / MAX_REFERENCES * 4);
@@ -273,7 +273,7 @@ fn what_has_only_moved_costs_next_to_nothing() {
         mask
     };
     let (before, sent) = (reference(&grains((0, 40)), 1), grains((13, 36)));
-    let (mut alone, mut with) = (Vec::new(), Vec::new());
+    let (mut alone, mut with) = (EncodedFrame::default(), EncodedFrame::default());
     let mut encoder = Encoder::new(CodecId::TilesSmall);
     encoder.encode(&sent, &mut alone).unwrap();
     encoder.encode_for(None, Some(&before), &sent, &mut with).unwrap();
@@ -286,7 +286,7 @@ fn nothing_is_decoded_against_a_wrong_reference() {
     let (right, sent) = (mask(shape, 1, (0, 0), 0), mask(shape, 1, (4, 1), 3));
     let mut wrong = right.clone();
     wrong.set(2, 199, 89, !wrong.get(2, 199, 89));
-    let (mut body, mut decoder) = (Vec::new(), Decoder::new());
+    let (mut body, mut decoder) = (EncodedFrame::default(), Decoder::new());
     let known = reference(&right, 7);
     // One bit differs, another frame, another shape, none.
     let smaller = MaskShape::new(200, 89, 3).unwrap();

@@ -8,12 +8,11 @@ mod common;
 use std::collections::VecDeque;
 
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder, part_words},
+    codec::{CodecId, Decoder, EncodedFrame, Encoder, part_words},
     coverage::{Coverage, max_layers},
-    frame::pieces,
     header::HEADER_BYTES,
     mask::{Mask, MaskShape},
-    refresh::{Choice, FULL_WEIGHT, Refresh},
+    refresh::{FULL_WEIGHT, Refresh, Selection},
 };
 use proptest::prelude::*;
 
@@ -49,7 +48,7 @@ proptest! {
         let shape = MaskShape::new(300, 200, 2).unwrap();
         let codec = if fast { CodecId::TilesFast } else { CodecId::TilesSmall };
         let (mut encoder, mut decoder, mut refresh) = (Encoder::new(codec).for_packets_of(200), Decoder::new(), Refresh::default());
-        let (mut shown, mut body, mut mask) = (Mask::new(shape), Vec::new(), noise(shape, &mut random));
+        let (mut shown, mut body, mut mask) = (Mask::new(shape), EncodedFrame::default(), noise(shape, &mut random));
         let (mut coverage, mut layers, mut unchanged) = (Coverage::whole(shape), VecDeque::new(), 0);
         let mut lost = false;
         for frame in 0..40 {
@@ -57,14 +56,14 @@ proptest! {
                 scribble(&mut mask, &mut random);
             }
             encoder.encode(&mask, &mut body).unwrap();
-            let all = body.len() + pieces(&body, usize::MAX).count() * HEADER_BYTES;
+            let all = body.len() + body.parts().len() * HEADER_BYTES;
             let before = body.len();
-            let choice = refresh.choose(&mask, &mut body, budget, lossy);
-            let count = pieces(&body, usize::MAX).count();
-            match choice {
-                Choice::Whole => prop_assert!(all <= budget),
-                Choice::Parts => prop_assert!(budget < all && body.len() + count * HEADER_BYTES <= budget),
-                Choice::Nothing => {
+            let selection = refresh.select(&mask, &mut body, budget, lossy);
+            let count = body.parts().len();
+            match selection {
+                Selection::Whole => prop_assert!(all <= budget),
+                Selection::Parts => prop_assert!(budget < all && body.len() + count * HEADER_BYTES <= budget),
+                Selection::Nothing => {
                     let round = if lossy { max_layers(shape) / 2 - 1 } else { max_layers(shape) - 2 };
                     prop_assert!(budget < all / round + 200 && body.len() == before);
                     refresh.sent(&mask);
@@ -78,13 +77,13 @@ proptest! {
                 continue;
             }
             let mut expected = shown.clone();
-            for words in pieces(&body, usize::MAX).flat_map(|part| part_words(shape, part).collect::<Vec<_>>()) {
+            for words in body.parts().iter().flat_map(|part| part_words(shape, part)) {
                 expected.words_mut()[words.clone()].copy_from_slice(&mask.words()[words]);
             }
             decoder.decode_onto(None, &body, &mut shown).unwrap();
             prop_assert!(shown == expected);
             decoder.coverage(shape, &mut coverage);
-            prop_assert_eq!(coverage.is_whole(), choice == Choice::Whole);
+            prop_assert_eq!(coverage.is_whole(), selection == Selection::Whole);
             refresh.sent(&mask);
             layers.push_back(coverage.clone());
             if layers.len() > max_layers(shape) {
@@ -107,9 +106,9 @@ fn large_changes_come_first_and_waiting_counts() {
     let shape = MaskShape::new(1536, 256, 1).unwrap();
     let mut random = Random(5);
     let mut encoder = Encoder::new(CodecId::TilesFast).for_packets_of(400);
-    let (mut refresh, mut body, mut mask) = (Refresh::default(), Vec::new(), noise(shape, &mut random));
+    let (mut refresh, mut body, mut mask) = (Refresh::default(), EncodedFrame::default(), noise(shape, &mut random));
     encoder.encode(&mask, &mut body).unwrap();
-    assert_eq!(refresh.choose(&mask, &mut body, usize::MAX, false), Choice::Whole);
+    assert_eq!(refresh.select(&mask, &mut body, usize::MAX, false), Selection::Whole);
     refresh.sent(&mask);
     for (x, y) in (0..256).flat_map(|x| (0..256).map(move |y| (x, y))) {
         let lit = mask.get(0, x, y);
@@ -120,9 +119,9 @@ fn large_changes_come_first_and_waiting_counts() {
     let mut stripes = Vec::new();
     for _ in 0..max_layers(shape) {
         encoder.encode(&mask, &mut body).unwrap();
-        let budget = (body.len() + pieces(&body, usize::MAX).count() * HEADER_BYTES) / 4;
-        assert_eq!(refresh.choose(&mask, &mut body, budget, false), Choice::Parts);
-        let columns = pieces(&body, usize::MAX).flat_map(|part| part_words(shape, part));
+        let budget = (body.len() + body.parts().len() * HEADER_BYTES) / 4;
+        assert_eq!(refresh.select(&mask, &mut body, budget, false), Selection::Parts);
+        let columns = body.parts().iter().flat_map(|part| part_words(shape, part));
         let mut sent: Vec<_> = columns.map(|words| words.start % shape.tiles_x() as usize / 32).collect();
         sent.sort_unstable();
         sent.dedup();
@@ -153,19 +152,20 @@ fn bits_of_dim_lights_count_less() {
     for (dim, first) in [(0, 5), (1, 0)] {
         let mut weights = vec![FULL_WEIGHT; 2];
         weights[dim] = 3;
-        let (mut refresh, mut body, mut mask) = (Refresh::new(weights), Vec::new(), noise(shape, &mut random));
+        let (mut refresh, mut body, mut mask) =
+            (Refresh::new(weights), EncodedFrame::default(), noise(shape, &mut random));
         encoder.encode(&mask, &mut body).unwrap();
-        assert_eq!(refresh.choose(&mask, &mut body, usize::MAX, false), Choice::Whole);
+        assert_eq!(refresh.select(&mask, &mut body, usize::MAX, false), Selection::Whole);
         refresh.sent(&mask);
         // Light 0 changes in the leftmost stripe, light 1 in the rightmost.
         changed(&mut mask, 0, 0);
         changed(&mut mask, 1, 1280);
         encoder.encode(&mask, &mut body).unwrap();
-        let budget = (body.len() + pieces(&body, usize::MAX).count() * HEADER_BYTES) / 4;
+        let budget = (body.len() + body.parts().len() * HEADER_BYTES) / 4;
         // A round's share may go anywhere, but the rest goes there.
-        assert_eq!(refresh.choose(&mask, &mut body, budget, false), Choice::Parts);
+        assert_eq!(refresh.select(&mask, &mut body, budget, false), Selection::Parts);
         let mut bits = [0; 6];
-        for words in pieces(&body, usize::MAX).flat_map(|part| part_words(shape, part)) {
+        for words in body.parts().iter().flat_map(|part| part_words(shape, part)) {
             bits[words.start % shape.tiles() % shape.tiles_x() as usize / 32] += words.len();
         }
         assert!(bits[first] > bits[5 - first], "light {dim} is dim: {bits:?}");
@@ -176,11 +176,10 @@ fn bits_of_dim_lights_count_less() {
 fn frames_that_are_not_sliced_stay_whole() {
     let mut random = Random(9);
     let mask = noise(MaskShape::new(300, 200, 2).unwrap(), &mut random);
-    let mut body = Vec::new();
+    let mut body = EncodedFrame::default();
     Encoder::new(CodecId::PlanesLz4).encode(&mask, &mut body).unwrap();
     let before = body.clone();
-    assert_eq!(Refresh::default().choose(&mask, &mut body, 10, false), Choice::Whole);
+    assert_eq!(Refresh::default().select(&mask, &mut body, 10, false), Selection::Whole);
     assert_eq!(body, before);
-    assert_eq!(part_words(mask.shape(), &body).count(), 0);
-    assert_eq!(part_words(mask.shape(), &[1, 2, 3]).count(), 0);
+    assert!(body.parts().is_empty());
 }

@@ -7,6 +7,7 @@ mod common;
 
 use bytes::Bytes;
 use gnomon_protocol::{
+    codec::EncodedFrame,
     header::PacketHeader,
     ids::FrameNumber,
     packetizer::Packetizer,
@@ -73,7 +74,7 @@ fn model(arrived: &[Option<Bytes>]) -> Vec<Out> {
 fn stream(frames: u32, random: &mut Random) -> Vec<Bytes> {
     let (mut packets, mut sequence) = (Vec::new(), u32::MAX - frames);
     for frame in 0..frames {
-        let body = vec![frame.to_le_bytes()[0]; 1 + random.index(6)];
+        let body = EncodedFrame::from(vec![frame.to_le_bytes()[0]; 1 + random.index(6)]);
         for packet in Packetizer::new(17).packets(FrameNumber(frame), frame, &body).unwrap() {
             let header = PacketHeader { sequence, ..header(&packet) };
             // The data says which packet it was.
@@ -134,7 +135,7 @@ proptest! {
 
 #[test]
 fn a_packet_that_contradicts_its_frame_drops_it() {
-    let body = [1; 5];
+    let body = EncodedFrame::from(vec![1; 5]);
     let honest: Vec<_> = Packetizer::new(17).packets(FrameNumber(7), 9, &body).unwrap().collect();
     let bent = |index: usize, change: fn(&mut PacketHeader)| {
         let mut header = header(&honest[index]);
@@ -165,13 +166,13 @@ fn a_packet_that_contradicts_its_frame_drops_it() {
 fn a_frame_that_gets_too_long_is_dropped_and_ends_the_one_before() {
     let mut reassembler = Reassembler::with_max_frame_bytes(Policy::Slices, 4);
     let packets = |frame, bytes: &[u8]| -> Vec<Bytes> {
-        Packetizer::new(18).packets(FrameNumber(frame), 0, bytes).unwrap().collect()
+        Packetizer::new(18).packets(FrameNumber(frame), 0, &bytes.to_vec().into()).unwrap().collect()
     };
     assert_eq!(reassembler.push(&packets(1, &[1; 6])[2]), Ok(Progress::Stored));
     assert_eq!(reassembler.push(&packets(1, &[1; 6])[0]), Ok(Progress::Stored));
     assert!(matches!(reassembler.push(&packets(1, &[1; 6])[1]), Err(PacketError::TooLong { limit: 4, .. })));
     assert_eq!(reassembler.push(&packets(2, &[2; 6])[1]), Ok(Progress::Stored));
-    let long = Packetizer::new(30).packets(FrameNumber(3), 0, &[3; 5]).unwrap().next().unwrap();
+    let long = Packetizer::new(30).packets(FrameNumber(3), 0, &vec![3; 5].into()).unwrap().next().unwrap();
     assert!(matches!(reassembler.push(&long), Err(PacketError::TooLong { limit: 4, .. })));
     let ended = reassembler.frame().unwrap();
     assert_eq!((ended.frame, ended.packets, ended.missing, ended.body), (FrameNumber(2), 1, 2, &[2, 2][..]));

@@ -7,7 +7,7 @@ use std::{
 };
 
 use gnomon_protocol::{
-    codec::{CodecId, Encoder},
+    codec::{CodecId, EncodedFrame, Encoder},
     coverage::Coverage,
     mask::Mask,
     message::Welcome,
@@ -66,11 +66,11 @@ impl Recorder {
         if self.full {
             return Ok(());
         }
-        let mut body = Vec::new();
-        let encoded = self.encoder.encode(mask, &mut body);
+        let mut encoded_mask = EncodedFrame::default();
+        let encoded = self.encoder.encode(mask, &mut encoded_mask);
         encoded.map_err(|error| self.failed(std::io::Error::other(error)))?;
         let coverage = (!coverage.is_whole()).then(|| coverage.words().to_vec());
-        self.write(&Record::Mask { frame, traced_for: traced_for.into(), body, coverage })
+        self.write(&Record::Mask { frame, traced_for: traced_for.into(), body: encoded_mask.into_body(), coverage })
     }
 
     /// Adds a record, unless the recording has reached its largest size.

@@ -14,7 +14,7 @@ use glam::{DVec3, Vec2, Vec3, Vec4};
 use gnomon_client::{HeadlessOptions, Source, config::Size};
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
-    codec::{CodecId, Encoder, Reference},
+    codec::{CodecId, EncodedFrame, Encoder, Reference},
     ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
     limits::{MAX_PACKET_BYTES, SCENE_CHUNK_BYTES},
     loss::LossFeedback,
@@ -277,7 +277,7 @@ impl Session<'_> {
 fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: CodecId, observed: &Mutex<Observed>) {
     let mut link = Link::open(data);
     let (mut encoder, mut packetizer, mut body) =
-        (Encoder::new(codec).for_packets_of(PACKET_BYTES), Packetizer::new(PACKET_BYTES), Vec::new());
+        (Encoder::new(codec).for_packets_of(PACKET_BYTES), Packetizer::new(PACKET_BYTES), EncodedFrame::default());
     let (mut latest, mut owed, mut references) = (None, false, SentMasks::default());
     while let Some(packet) = link.receive() {
         if let Ok(acknowledgement) = Acknowledgement::decode(&packet) {

@@ -54,19 +54,19 @@ impl ParityEncoder {
         Parity { packet_bytes, data: &self.output }
     }
 
-    /// Makes `parity` parity packets of a frame whose packets carry these pieces, as [`pieces`](crate::frame::pieces) cuts them. There
-    /// are none where the frame has more than [`MAX_PROTECTED_PACKETS`], or its pieces leave no room for parity's own head.
-    pub fn encode<'a>(&mut self, pieces: impl Iterator<Item = &'a [u8]> + Clone, parity: u8) -> Parity<'_> {
+    /// Makes `parity` parity packets for packets that carry these payloads. Makes none if there are more than
+    /// [`MAX_PROTECTED_PACKETS`], or if they leave no room for the head of a parity packet.
+    pub fn encode<'a>(&mut self, payloads: impl Iterator<Item = &'a [u8]> + Clone, parity: u8) -> Parity<'_> {
         self.output.clear();
         let (packets, longest) =
-            pieces.clone().fold((0, 0), |(count, most), piece: &[u8]| (count + 1, piece.len().max(most)));
+            payloads.clone().fold((0, 0), |(count, most), payload: &[u8]| (count + 1, payload.len().max(most)));
         if parity > 0
             && (1..=MAX_PROTECTED_PACKETS).contains(&packets)
             && longest + PARITY_ROOM_BYTES + HEADER_BYTES <= MAX_PACKET_BYTES
         {
             let shard_bytes = (LENGTH_BYTES + longest).next_multiple_of(2);
             self.shard.resize(shard_bytes, 0);
-            if self.make(pieces, packets, parity, shard_bytes).is_err() {
+            if self.make(payloads, packets, parity, shard_bytes).is_err() {
                 // The bounds above are all that the coder asks for.
                 self.output.clear();
             }
@@ -76,7 +76,7 @@ impl ParityEncoder {
 
     fn make<'a>(
         &mut self,
-        pieces: impl Iterator<Item = &'a [u8]>,
+        payloads: impl Iterator<Item = &'a [u8]>,
         packets: usize,
         parity: u8,
         shard_bytes: usize,
@@ -88,8 +88,8 @@ impl ParityEncoder {
             }
             none => none.insert(ReedSolomonEncoder::new(packets, parity.into(), shard_bytes)?),
         };
-        for piece in pieces {
-            fill_shard(&mut self.shard, piece);
+        for payload in payloads {
+            fill_shard(&mut self.shard, payload);
             coder.add_original_shard(&self.shard)?;
         }
         let [n0, n1, ..] = packets.to_le_bytes();

@@ -12,7 +12,7 @@ use serde::{Serialize, de::DeserializeOwned};
 pub use self::slices::slices;
 use crate::{
     acknowledgement::Acknowledgement,
-    codec::{CodecId, Decoder, Encoder, Reference},
+    codec::{CodecId, Decoder, EncodedFrame, Encoder, Reference},
     fec::ParityEncoder,
     frame::{Frame, FrameHead},
     header::{HEADER_BYTES, PacketHeader},
@@ -96,21 +96,20 @@ pub fn moved(bytes: &[u8]) {
     for (word, place) in mask.words_mut().iter_mut().zip(1u64..) {
         *word = place.wrapping_mul(0x9E37_79B9_7F4A_7C15);
     }
-    let (mut encoder, mut decoder, mut body) = (Encoder::new(CodecId::TilesSmall), Decoder::new(), Vec::new());
-    let mut reference = Reference::new();
-    assert_eq!(encoder.encode(&mask, &mut body), Ok(()));
+    let (mut encoder, mut decoder) = (Encoder::new(CodecId::TilesSmall), Decoder::new());
+    let (mut reference, mut encoded, mut body) = (Reference::new(), EncodedFrame::default(), Vec::new());
+    assert_eq!(encoder.encode(&mask, &mut encoded), Ok(()));
     assert!(encoder.keep(FrameNumber(5), &mut reference));
     let blocks = width.div_ceil(64) * height.div_ceil(8) * lights;
     let head = FrameHead { codec: CodecId::TilesSmall, shape, traced_for: None, reference: Some(reference.name()) };
     let slice = [&[0, 0, 0], &blocks.to_le_bytes()[..2], bits].concat();
-    body.clear();
     head.begin(1, &mut body);
     head.set_slice_length(&mut body, 0, u32::try_from(slice.len()).unwrap_or(u32::MAX));
     body.extend_from_slice(&slice);
     if decoder.decode_against(Some(&reference), &body, &mut mask).is_ok() {
         let mut again = Mask::new(tiny_shape());
-        assert_eq!(encoder.encode_for(None, Some(&reference), &mask, &mut body), Ok(()));
-        assert!(decoder.decode_against(Some(&reference), &body, &mut again).is_ok());
+        assert_eq!(encoder.encode_for(None, Some(&reference), &mask, &mut encoded), Ok(()));
+        assert!(decoder.decode_against(Some(&reference), &encoded, &mut again).is_ok());
         assert!(again == mask, "a mask changes on its way from its reference");
     }
 }
@@ -129,7 +128,7 @@ pub fn acknowledgement(bytes: &[u8]) {
 }
 
 fn gives_back(codec: CodecId, mask: &Mask, decoder: &mut Decoder) {
-    let (mut body, mut again) = (Vec::new(), Mask::new(tiny_shape()));
+    let (mut body, mut again) = (EncodedFrame::default(), Mask::new(tiny_shape()));
     // Noise in 32 lights near the largest size is all that cannot be encoded, and no input here is as long.
     assert_eq!(Encoder::new(codec).encode(mask, &mut body), Ok(()));
     assert!(decoder.decode(&body, &mut again).is_ok_and(|found| found == codec));
@@ -218,14 +217,15 @@ fn reassemble(policy: Policy, bytes: &[u8]) {
 /// place, a place in it, and what that byte is changed by, of parity only.
 pub fn parity(bytes: &[u8]) {
     let Some((&counts, steps)) = bytes.split_first() else { return };
-    let body: Vec<u8> = (0..=counts & 15).flat_map(|piece| [piece + 1; 9]).collect();
+    let body: Vec<u8> = (0..=counts & 15).flat_map(|payload| [payload + 1; 9]).collect();
+    let body = EncodedFrame::from(body);
     let (mut packetizer, mut encoder) = (Packetizer::new(HEADER_BYTES + 9), ParityEncoder::default());
     let mut packets: Vec<Vec<u8>> = Vec::new();
     if let Ok(honest) = packetizer.packets(FrameNumber(1), 1, &body) {
         packets.extend(honest.map(Vec::from));
     }
     let honest = packets.len();
-    let parity = encoder.encode(packetizer.pieces(&body), counts >> 4);
+    let parity = encoder.encode(body.payloads(9), counts >> 4);
     packets.extend(packetizer.parity_packets(FrameNumber(1), 1, parity).map(Vec::from));
     let mut reassembler = Reassembler::with_max_frame_bytes(Policy::Slices, 4 * MAX_BODY_BYTES);
     let mut came = Vec::new();

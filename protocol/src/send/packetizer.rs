@@ -1,4 +1,4 @@
-//! Cuts a frame's body into packets.
+//! Cuts encoded frames into packets.
 
 use std::num::NonZeroU16;
 
@@ -6,43 +6,31 @@ use bytes::{Bytes, BytesMut};
 use thiserror::Error;
 
 use crate::{
+    codec::EncodedFrame,
     fec::Parity,
-    frame::pieces,
     header::{HEADER_BYTES, PacketHeader},
     ids::FrameNumber,
     limits::{MAX_FRAME_BYTES, MAX_FRAME_PACKETS, MAX_LAB_PACKET_BYTES},
 };
 
-/// Why a body cannot be sent.
+/// Why a frame cannot be sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum PacketizeError {
-    /// There is nothing to send.
     #[error("frame {0} is empty")]
     Empty(FrameNumber),
-    /// Longer than any frame may be.
     #[error("frame {frame} has {bytes} bytes, at most {MAX_FRAME_BYTES} are allowed")]
-    TooLong {
-        /// The frame.
-        frame: FrameNumber,
-        /// Its length.
-        bytes: usize,
-    },
+    TooLong { frame: FrameNumber, bytes: usize },
     /// More packets than the header can count.
     #[error("frame {frame} takes {packets} packets, at most {MAX_FRAME_PACKETS} are allowed")]
-    TooManyPackets {
-        /// The frame.
-        frame: FrameNumber,
-        /// Packets that it would take.
-        packets: usize,
-    },
+    TooManyPackets { frame: FrameNumber, packets: usize },
     /// The number is the header's placeholder.
     #[error("frame number {0} stands for no frame")]
     FrameNumber(FrameNumber),
 }
 
-/// Cuts bodies into packets and numbers these; one for each direction of a session.
+/// Cuts frames into packets and numbers them; one for each direction of a session.
 ///
-/// The packets' memory is one buffer, taken anew only while packets of earlier frames are still held somewhere.
+/// Packets share one buffer, which is allocated anew only while packets of earlier frames are still held.
 #[derive(Debug)]
 pub struct Packetizer {
     payload_bytes: usize,
@@ -51,69 +39,64 @@ pub struct Packetizer {
 }
 
 impl Packetizer {
-    /// Packets of at most `max_packet_bytes` bytes, header included; values outside 17 to [`MAX_LAB_PACKET_BYTES`]
-    /// are brought to the nearer end. Sequence numbers start at 0 (§3.1).
+    /// Makes packets of at most `max_packet_bytes` bytes, header included, clamped to 17 to [`MAX_LAB_PACKET_BYTES`]. Sequence
+    /// numbers start at 0 (§3.1).
     #[must_use]
     pub fn new(max_packet_bytes: usize) -> Self {
         let packet_bytes = max_packet_bytes.clamp(HEADER_BYTES + 1, MAX_LAB_PACKET_BYTES);
         Self { payload_bytes: packet_bytes - HEADER_BYTES, next_sequence: 0, buffer: BytesMut::new() }
     }
 
-    /// Packets that a body takes.
+    /// Returns the number of packets that a frame takes.
     #[must_use]
-    pub fn packet_count(&self, body: &[u8]) -> usize {
-        pieces(body, self.payload_bytes).count()
+    pub fn packet_count(&self, encoded: &EncodedFrame) -> usize {
+        encoded.payload_count(self.payload_bytes)
     }
 
-    /// Bytes that a body takes on the wire, headers included.
+    /// Returns the bytes that a frame takes on the wire, headers included.
     #[must_use]
-    pub fn wire_bytes(&self, body: &[u8]) -> usize {
-        body.len() + self.packet_count(body) * HEADER_BYTES
+    pub fn wire_bytes(&self, encoded: &EncodedFrame) -> usize {
+        encoded.body().len() + self.packet_count(encoded) * HEADER_BYTES
     }
 
-    /// What each of a body's packets carries.
-    pub fn pieces<'a>(&self, body: &'a [u8]) -> impl Iterator<Item = &'a [u8]> + Clone + use<'a> {
-        pieces(body, self.payload_bytes)
-    }
-
-    /// The most that a packet carries, for who cuts bodies elsewhere.
+    /// Returns the most bytes that a packet carries, header excluded.
     #[must_use]
     pub const fn payload_bytes(&self) -> usize {
         self.payload_bytes
     }
 
-    /// Sequence number of the next packet.
     #[must_use]
     pub const fn next_sequence(&self) -> u32 {
         self.next_sequence
     }
 
-    /// The packets of one frame, in order, as [`pieces`] cuts it. Each takes its sequence number when it is
-    /// made, so packets that are never taken from the iterator leave no gap.
+    /// Returns the packets of a frame, in order, as [`EncodedFrame::payloads`] cuts it. A packet gets its sequence number when the
+    /// iterator yields it, so packets that are never taken leave no gap.
     ///
-    /// `timestamp_ms` wraps after 49.7 days; `u32::MAX`, which is the header's placeholder, is sent as the ms before.
+    /// `timestamp_ms` wraps after 49.7 days. `u32::MAX`, the header's placeholder, is sent as the millisecond before.
     ///
     /// # Errors
-    /// When the body is empty, too long, or takes too many packets, or when `frame` is the placeholder `u32::MAX`.
+    /// If the body is empty, too long, or takes too many packets, or if `frame` is the placeholder `u32::MAX`.
     pub fn packets<'a>(
         &'a mut self,
         frame: FrameNumber,
         timestamp_ms: u32,
-        body: &'a [u8],
+        encoded: &'a EncodedFrame,
     ) -> Result<impl Iterator<Item = Bytes> + 'a, PacketizeError> {
         if frame.0 == u32::MAX {
             return Err(PacketizeError::FrameNumber(frame));
         }
-        if body.len() > MAX_FRAME_BYTES {
-            return Err(PacketizeError::TooLong { frame, bytes: body.len() });
+        let bytes = encoded.body().len();
+        if bytes > MAX_FRAME_BYTES {
+            return Err(PacketizeError::TooLong { frame, bytes });
         }
-        let packets = self.packet_count(body);
+        let packets = self.packet_count(encoded);
         let counted = u16::try_from(packets).ok().filter(|_| packets <= MAX_FRAME_PACKETS);
         let counted = NonZeroU16::new(counted.ok_or(PacketizeError::TooManyPackets { frame, packets })?);
         let frame_packets = counted.ok_or(PacketizeError::Empty(frame))?;
-        self.buffer.reserve(body.len() + packets * HEADER_BYTES);
+        self.buffer.reserve(bytes + packets * HEADER_BYTES);
         let Self { payload_bytes, next_sequence, buffer } = self;
-        Ok(pieces(body, *payload_bytes).enumerate().map(move |(index, payload)| {
+        Ok(encoded.payloads(*payload_bytes).enumerate().map(move |(index, payload)| {
             let header = PacketHeader {
                 sequence: *next_sequence,
                 frame: Some(frame),
@@ -130,7 +113,7 @@ impl Packetizer {
         }))
     }
 
-    /// The parity packets of the frame whose [`Self::packets`] were made last, all of them.
+    /// Returns the parity packets of the frame whose [`Self::packets`] were made last. All of them must be taken.
     pub fn parity_packets<'a>(
         &'a mut self,
         frame: FrameNumber,
@@ -143,7 +126,7 @@ impl Packetizer {
             let header = PacketHeader {
                 sequence: *next_sequence,
                 frame: Some(frame),
-                // Parity is made of packets that were not longer.
+                // Parity fits a packet.
                 data_bytes: u16::try_from(data.len()).unwrap_or(u16::MAX),
                 frame_packets: None,
                 first: false,
@@ -162,7 +145,7 @@ mod tests {
     use super::*;
 
     fn packets(packetizer: &mut Packetizer, frame: u32, body: &[u8]) -> Vec<Bytes> {
-        packetizer.packets(FrameNumber(frame), 9, body).unwrap().collect()
+        packetizer.packets(FrameNumber(frame), 9, &body.to_vec().into()).unwrap().collect()
     }
 
     #[test]
@@ -173,8 +156,8 @@ mod tests {
             let packets = packets(&mut packetizer, frame, &body);
             let lengths: Vec<_> = packets.iter().map(Bytes::len).collect();
             assert_eq!(lengths, [1161, 1161, 16 + 3000 - 2 * 1145]);
-            assert_eq!(packetizer.packet_count(&body), 3);
-            assert_eq!(packetizer.wire_bytes(&body), 3048);
+            assert_eq!(packetizer.packet_count(&body.clone().into()), 3);
+            assert_eq!(packetizer.wire_bytes(&body.clone().into()), 3048);
             let mut data = Vec::new();
             for (index, packet) in (0u32..).zip(&packets) {
                 let (header, payload) = PacketHeader::decode(packet).unwrap();
@@ -193,13 +176,13 @@ mod tests {
     /// §3.1 counts 127 packets for the uncompressed words of 1920×1080 pixels.
     #[test]
     fn the_dissertations_frame_takes_127_lab_packets() {
-        assert_eq!(Packetizer::new(MAX_LAB_PACKET_BYTES).packet_count(&vec![0; 1920 * 1080 * 4]), 127);
+        assert_eq!(Packetizer::new(MAX_LAB_PACKET_BYTES).packet_count(&vec![0; 1920 * 1080 * 4].into()), 127);
     }
 
     #[test]
     fn any_allowed_frame_fits_the_count_at_the_datagram_size() {
         let packetizer = Packetizer::new(crate::limits::MAX_PACKET_BYTES);
-        assert!(packetizer.packet_count(&vec![0; MAX_FRAME_BYTES]) <= MAX_FRAME_PACKETS);
+        assert!(packetizer.packet_count(&vec![0; MAX_FRAME_BYTES].into()) <= MAX_FRAME_PACKETS);
     }
 
     #[test]
@@ -216,7 +199,7 @@ mod tests {
     #[test]
     fn the_placeholder_timestamp_is_not_sent() {
         let mut packetizer = Packetizer::new(100);
-        let packet = packetizer.packets(FrameNumber(0), u32::MAX, &[1]).unwrap().next().unwrap();
+        let packet = packetizer.packets(FrameNumber(0), u32::MAX, &vec![1].into()).unwrap().next().unwrap();
         assert_eq!(PacketHeader::decode(&packet).unwrap().0.timestamp_ms, Some(u32::MAX - 1));
     }
 
@@ -225,18 +208,20 @@ mod tests {
         // Sizes outside the range are brought to its ends: 1 byte of data a packet, and 65,507 bytes in all.
         let mut small = Packetizer::new(0);
         let frame = FrameNumber(3);
-        let error = |packetizer: &mut Packetizer, frame, body: &[u8]| packetizer.packets(frame, 0, body).err().unwrap();
+        let error = |packetizer: &mut Packetizer, frame, body: &[u8]| {
+            packetizer.packets(frame, 0, &body.to_vec().into()).err().unwrap()
+        };
         assert_eq!(error(&mut small, frame, &[]), PacketizeError::Empty(frame));
         let packets = 32_768;
         assert_eq!(error(&mut small, frame, &vec![0; packets]), PacketizeError::TooManyPackets { frame, packets });
-        assert_eq!(small.packets(frame, 0, &vec![0; packets - 1]).unwrap().count(), packets - 1);
+        assert_eq!(small.packets(frame, 0, &vec![0; packets - 1].into()).unwrap().count(), packets - 1);
         let placeholder = FrameNumber(u32::MAX);
         assert_eq!(error(&mut small, placeholder, &[1]), PacketizeError::FrameNumber(placeholder));
         assert_eq!(small.next_sequence(), 32_767);
         let bytes = MAX_FRAME_BYTES + 1;
         let mut large = Packetizer::new(usize::MAX);
         assert_eq!(error(&mut large, frame, &vec![0; bytes]), PacketizeError::TooLong { frame, bytes });
-        assert_eq!(large.packet_count(&[0; 65_491]), 1);
-        assert_eq!(large.packet_count(&[0; 65_492]), 2);
+        assert_eq!(large.packet_count(&vec![0; 65_491].into()), 1);
+        assert_eq!(large.packet_count(&vec![0; 65_492].into()), 2);
     }
 }

@@ -1,39 +1,36 @@
-//! Which parts of a frame are sent when the path does not bear all of it: those that change most of what the client shows, and none
-//! never.
+//! Which parts of a frame to send when the path cannot carry all of it.
 //!
-//! A frame whose packets stand alone may leave some out: what it lacks the client looks up in the masks before it
-//! ([`crate::coverage`]). So a byte budget decides nothing but which tiles are fresh. A client keeps [`max_layers`] masks, so all tiles
-//! come round before these are gone: as much of a frame goes to those that were sent longest ago. The rest goes to the largest
-//! changes: a part weighs as many bits as differ from what was sent of its tiles last, each as much as its light gives, times the frames
-//! since then. So where only dim lights change tiles are sent less often. Where the
-//! budget is too small for a round nothing is sent, and budgets add up until it is not: the frames become fewer.
+//! A client looks up tiles that it lacks in earlier masks ([`crate::coverage`]), so a byte budget only decides which tiles are
+//! fresh. A client keeps [`max_layers`] masks, so every tile must be refreshed before these are gone: that share of each frame goes
+//! to the parts that were sent longest ago. The rest goes to the parts that changed most: the weight of a part is the number of bits
+//! that differ from what was sent last, each times its light's brightness, times the part's age in frames. So tiles that only dim
+//! lights change are sent less often. A budget too small for the first share sends nothing; budgets then add up, and frames
+//! become fewer.
 //!
-//! A frame that is not sent whole is nobody's reference: neither end keeps it.
+//! Neither end keeps a frame that was not sent whole as a reference.
 
 use std::{cmp::Reverse, ops::Range, time::Duration};
 
 use crate::{
-    codec::part_words,
+    codec::{EncodedFrame, Part, part_words},
     coverage::max_layers,
-    frame::{Frame, pieces},
     header::HEADER_BYTES,
     mask::{Mask, MaskShape},
 };
 
-/// What is known of a path.
+/// State of the network path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct PathState {
     /// Bytes that may be in flight.
     pub window_bytes: u64,
-    /// Round trip, queues counted.
+    /// Includes queueing.
     pub round_trip: Duration,
-    /// Bytes that wait to be sent.
     pub waiting_bytes: u64,
 }
 
 impl PathState {
-    /// Bytes that a frame may have on the wire when the next one follows after `interval`: what the window lets through until then, less
-    /// what still waits.
+    /// Returns the bytes on the wire that a frame may take if the next one follows after `interval`: what the window lets through
+    /// until then, less what is waiting.
     #[must_use]
     pub fn frame_budget(&self, interval: Duration) -> usize {
         let share =
@@ -45,126 +42,113 @@ impl PathState {
 /// Weight of a bit of the brightest light.
 pub const FULL_WEIGHT: u32 = 256;
 
-/// What is sent of a frame.
+/// How much of a frame is sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Choice {
-    /// All of it.
+pub enum Selection {
     #[default]
     Whole,
-    /// Some parts.
     Parts,
-    /// Nothing: with so little, tiles would not come round in time.
+    /// The budget is too small to refresh every tile in time.
     Nothing,
 }
 
-/// Frames in which all tiles come round, or two more: parts do not begin with the same tiles in each. Where packets are lost, two rounds
-/// have to come before the client has forgotten what was there. A client that keeps but two masks, of more than 4.3 million pixels, has
-/// whole frames or none.
-fn frames_of_round(shape: MaskShape, lossy: bool) -> usize {
+/// Frames in which every tile is refreshed, two fewer than the client keeps: parts do not begin with the same tiles in each frame. If
+/// packets are lost, two refreshes must fit. A client that keeps only two masks (more than 4.3 million pixels) gets whole frames or
+/// none.
+fn refresh_frames(shape: MaskShape, lossy: bool) -> usize {
     let layers = max_layers(shape);
     if lossy { layers / 2 - 1 } else { layers - 2 }.max(1)
 }
 
-/// A part of the frame at hand.
+/// A part of the frame, as a candidate.
 #[derive(Debug, Clone, Copy)]
-struct Part {
-    /// Where it begins in the body, and its bytes.
-    start: usize,
-    bytes: usize,
-    /// Frames since some of it was sent last.
+struct Candidate {
+    wire_bytes: usize,
+    /// Frames since any of its tiles was sent.
     age: u32,
-    /// How much the client's tiles differ from it, and for how long.
     weight: u64,
-    chosen: bool,
+    selected: bool,
 }
 
-/// What the client was sent, and when; its memory serves every frame.
+/// Selects the parts to send; keeps its memory from frame to frame.
 #[derive(Debug, Default)]
 pub struct Refresh {
-    /// Of each light's bits; lights beyond have full weight.
+    /// Weight of each light's bits; [`FULL_WEIGHT`] for further lights.
     weights: Vec<u32>,
-    /// What was sent of each tile last.
+    /// The newest bits sent of each tile.
     sent: Option<Mask>,
-    /// The frame that each run of tiles was sent in last, by its first tile, and the frame at hand. Only frames that are sent count.
+    /// The sent frame in which each block was sent last, at its first tile; and the current one. Frames that are not sent do not count.
     sent_in: Vec<u32>,
     frame: u32,
-    parts: Vec<Part>,
+    candidates: Vec<Candidate>,
     order: Vec<usize>,
-    /// Tiles of the parts that were chosen, unless all were.
-    chosen: Vec<Range<usize>>,
-    choice: Choice,
+    /// Tiles of the selected parts, unless all were selected.
+    selected: Vec<Range<usize>>,
+    selection: Selection,
 }
 
 impl Refresh {
-    /// Of a scene whose lights' bits weigh so much, each at most [`FULL_WEIGHT`].
+    /// `weights` are those of the lights' bits, each at most [`FULL_WEIGHT`].
     #[must_use]
     pub fn new(weights: Vec<u32>) -> Self {
         Self { weights, ..Self::default() }
     }
 
-    /// Takes parts out of the frame of a mask until it fits `budget_bytes`, its packets' headers counted. A body that is not sliced
-    /// stays as it is, and so does one of which nothing is to be sent. `lossy` says that packets are lost on the way.
-    pub fn choose(&mut self, mask: &Mask, body: &mut Vec<u8>, budget_bytes: usize, lossy: bool) -> Choice {
+    /// Removes parts from a mask's frame until it fits `budget_bytes`, packet headers included. Leaves the frame as it is if it is not
+    /// sliced, or if nothing is to be sent. `lossy`: packets are lost on the path.
+    pub fn select(&mut self, mask: &Mask, frame: &mut EncodedFrame, budget_bytes: usize, lossy: bool) -> Selection {
         self.begin(mask.shape());
-        let mut start = 0;
-        for part in pieces(body, usize::MAX) {
-            self.parts.push(Part { start, bytes: part.len(), age: 0, weight: 0, chosen: false });
-            start += part.len();
-        }
-        let wire_bytes = body.len() + self.parts.len() * HEADER_BYTES;
-        let sliced = Frame::parse(body).is_ok_and(|frame| frame.head.codec.is_sliced());
-        // As much of each frame as makes a round, and the part that goes beyond it.
-        let round_bytes = wire_bytes / frames_of_round(mask.shape(), lossy);
-        let longest = self.parts.iter().map(|part| part.bytes + HEADER_BYTES).max().unwrap_or(0);
-        self.choice = if !sliced || wire_bytes <= budget_bytes {
-            Choice::Whole
-        } else if budget_bytes < round_bytes + longest {
-            Choice::Nothing
+        let wire_bytes = frame.body().len() + frame.parts().len() * HEADER_BYTES;
+        // The share of each frame that refreshes every tile in time.
+        let refresh_bytes = wire_bytes / refresh_frames(mask.shape(), lossy);
+        let longest = frame.parts().iter().map(|part| part.bytes + HEADER_BYTES).max().unwrap_or(0);
+        self.selection = if frame.parts().is_empty() || wire_bytes <= budget_bytes {
+            Selection::Whole
+        } else if budget_bytes < refresh_bytes + longest {
+            Selection::Nothing
         } else {
-            self.leave_out(mask, body, (budget_bytes, round_bytes));
-            Choice::Parts
+            self.select_parts(mask, frame, budget_bytes, refresh_bytes);
+            Selection::Parts
         };
-        self.choice
+        self.selection
     }
 
-    fn leave_out(&mut self, mask: &Mask, body: &mut Vec<u8>, (budget_bytes, round_bytes): (usize, usize)) {
-        let mut parts = std::mem::take(&mut self.parts);
-        for part in &mut parts {
-            (part.age, part.weight) = self.weight(mask, &body[part.start..part.start + part.bytes]);
-        }
+    fn select_parts(&mut self, mask: &Mask, frame: &mut EncodedFrame, budget_bytes: usize, refresh_bytes: usize) {
+        let mut candidates = std::mem::take(&mut self.candidates);
+        candidates.clear();
+        candidates.extend(frame.parts().iter().map(|part| self.candidate(mask, part)));
         self.order.clear();
-        self.order.extend(0..parts.len());
+        self.order.extend(0..candidates.len());
         let mut left = budget_bytes;
-        // Equal ones in the picture's order.
-        self.order.sort_by_key(|index| Reverse((parts[*index].age, parts[*index].weight)));
+        // Stable, so that equals stay in the picture's order.
+        self.order.sort_by_key(|index| Reverse((candidates[*index].age, candidates[*index].weight)));
         for index in &self.order {
-            if budget_bytes - left >= round_bytes {
+            if budget_bytes - left >= refresh_bytes {
                 break;
             }
-            left -= parts[*index].bytes + HEADER_BYTES;
-            parts[*index].chosen = true;
+            left -= candidates[*index].wire_bytes;
+            candidates[*index].selected = true;
         }
-        self.order.sort_by_key(|index| Reverse(parts[*index].weight));
+        self.order.sort_by_key(|index| Reverse(candidates[*index].weight));
         for index in &self.order {
-            let needed = parts[*index].bytes + HEADER_BYTES;
-            if !parts[*index].chosen && needed <= left {
-                left -= needed;
-                parts[*index].chosen = true;
+            let candidate = &mut candidates[*index];
+            if !candidate.selected && candidate.wire_bytes <= left {
+                left -= candidate.wire_bytes;
+                candidate.selected = true;
             }
         }
-        let mut end = 0;
-        for part in parts.iter().filter(|part| part.chosen) {
-            self.chosen.extend(part_words(mask.shape(), &body[part.start..part.start + part.bytes]));
-            body.copy_within(part.start..part.start + part.bytes, end);
-            end += part.bytes;
-        }
-        body.truncate(end);
-        self.parts = parts;
+        frame.retain_parts(|index, part| {
+            let selected = candidates[index].selected;
+            if selected {
+                self.selected.extend(part_words(mask.shape(), part));
+            }
+            selected
+        });
+        self.candidates = candidates;
     }
 
     fn begin(&mut self, shape: MaskShape) {
-        self.parts.clear();
-        self.chosen.clear();
+        self.selected.clear();
         if self.sent.as_ref().is_none_or(|sent| sent.shape() != shape) {
             self.sent = Some(Mask::new(shape));
             self.sent_in.clear();
@@ -173,34 +157,34 @@ impl Refresh {
         }
     }
 
-    /// Age and weight of a part.
-    fn weight(&self, mask: &Mask, part: &[u8]) -> (u32, u64) {
-        let Some(sent) = &self.sent else { return (u32::MAX, 0) };
+    fn candidate(&self, mask: &Mask, part: &Part) -> Candidate {
         let (mut changed, mut age) = (0, 0);
-        for words in part_words(mask.shape(), part) {
+        let words = part_words(mask.shape(), part);
+        for (words, sent) in words.filter_map(|words| Some((words.clone(), &self.sent.as_ref()?.words()[words]))) {
             age = self.frame.wrapping_sub(self.sent_in[words.start]).max(age);
             let weight = self.weights.get(words.start / mask.shape().tiles()).copied().unwrap_or(FULL_WEIGHT);
-            let bits = mask.words()[words.clone()].iter().zip(&sent.words()[words]);
+            let bits = mask.words()[words].iter().zip(sent);
             changed += bits.map(|(now, then)| u64::from((now ^ then).count_ones())).sum::<u64>() * u64::from(weight);
         }
-        (age, changed * (1 + u64::from(age)) + u64::from(age))
+        let weight = changed * (1 + u64::from(age)) + u64::from(age);
+        Candidate { wire_bytes: part.bytes + HEADER_BYTES, age, weight, selected: false }
     }
 
-    /// The mask's frame has been sent, as it was chosen.
+    /// Records that the mask's frame was sent as selected.
     pub fn sent(&mut self, mask: &Mask) {
         let Some(sent) = self.sent.as_mut().filter(|sent| sent.shape() == mask.shape()) else { return };
-        match self.choice {
-            Choice::Whole => {
+        match self.selection {
+            Selection::Whole => {
                 sent.words_mut().copy_from_slice(mask.words());
                 self.sent_in.fill(self.frame);
             }
-            Choice::Parts => {
-                for words in self.chosen.drain(..) {
+            Selection::Parts => {
+                for words in self.selected.drain(..) {
                     self.sent_in[words.start] = self.frame;
                     sent.words_mut()[words.clone()].copy_from_slice(&mask.words()[words]);
                 }
             }
-            Choice::Nothing => return,
+            Selection::Nothing => return,
         }
         self.frame = self.frame.wrapping_add(1);
     }

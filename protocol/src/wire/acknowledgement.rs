@@ -7,8 +7,8 @@
 use thiserror::Error;
 
 use crate::{
-    codec::ReferenceName,
     header::{HEADER_BYTES, HeaderError, PacketHeader},
+    ids::ReferenceName,
 };
 
 /// Bytes of a digest.

@@ -15,18 +15,18 @@
 //! All little-endian. A slice can be decoded without the others: slice i of n covers the rows of tiles from
 //! ⌊i·rows/n⌋ up to ⌊(i+1)·rows/n⌋ ([`slice_tile_rows`]), so a frame has at most as many slices as rows of tiles. Where
 //! the codec [slices](CodecId::is_sliced), a body is one such frame after the other, its *parts*, with a slice each that says
-//! itself what it covers. A part fits a datagram and can be read alone ([`Frame::parts`], [`pieces`]).
+//! itself what it covers. A part fits a datagram and can be read alone ([`Frame::parts`]).
 
 use std::ops::Range;
 
 use thiserror::Error;
 
 use crate::{
-    codec::{CodecId, ReferenceName},
-    ids::FrameNumber,
+    ids::{FrameNumber, ReferenceName},
     limits::{MAX_FRAME_BYTES, MAX_FRAME_SLICES},
     mask::{MaskShape, ShapeError},
     pose::{POSE_BYTES, Pose, PoseError},
+    wire::CodecId,
 };
 
 /// Bytes before the table of slice lengths, without a pose.
@@ -256,23 +256,6 @@ impl<'a> Frame<'a> {
             (slice_tile_rows(shape, index, count), slice)
         })
     }
-}
-
-/// What the packets of a frame carry, at most `most` bytes each: all but the last are full, and of a frame that is sliced
-/// each carries one part. A body that is no frame, or whose parts are too long, is cut anywhere.
-pub fn pieces(body: &[u8], most: usize) -> impl Iterator<Item = &[u8]> + Clone + use<'_> {
-    let parts = move || {
-        let mut rest = body;
-        std::iter::from_fn(move || {
-            let (_, after) = Frame::parse_part(rest).ok().filter(|(part, _)| part.head.codec.is_sliced())?;
-            let (part, after) = rest.split_at(rest.len() - after.len());
-            rest = after;
-            Some(part)
-        })
-    };
-    let fits = parts().all(|part| part.len() <= most) && parts().map(<[u8]>::len).sum::<usize>() == body.len();
-    let chunks = if fits { &[] } else { body };
-    parts().take_while(move |_| fits).chain(chunks.chunks(most.max(1)))
 }
 
 fn lengths(table: &[u8]) -> impl Iterator<Item = u32> + use<'_> {

@@ -20,9 +20,9 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use thiserror::Error;
 
 use crate::{
-    codec::CodecId,
     ids::{ResumeToken, SceneDigest, SessionId},
     limits::{MAX_MESSAGE_BYTES, MAX_TEXT_BYTES, MAX_TOKEN_BYTES, SCENE_CHUNK_BYTES},
+    wire::CodecId,
 };
 
 /// What a client says.

@@ -6,6 +6,7 @@ mod control;
 mod driver;
 mod end;
 mod feedback;
+mod frame_encoder;
 mod outbox;
 mod poses;
 pub(crate) mod run;

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::{lz4, planes, words};
 use crate::{
-    codec::DecodeError,
+    codec::error::DecodeError,
     mask::{Mask, MaskShape, TILE_PX},
 };
 

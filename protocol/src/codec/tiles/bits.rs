@@ -12,7 +12,7 @@ pub(super) struct BitWriter<'a> {
 
 /// A place in the output to go back to.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Here {
+pub(super) struct Position {
     held: u64,
     count: u32,
     end: usize,
@@ -24,12 +24,12 @@ impl<'a> BitWriter<'a> {
     }
 
     /// A place to come back to.
-    pub(super) fn here(&self) -> Here {
-        Here { held: self.held, count: self.count, end: self.output.len() }
+    pub(super) fn position(&self) -> Position {
+        Position { held: self.held, count: self.count, end: self.output.len() }
     }
 
     /// Takes everything back that was written since.
-    pub(super) fn back_to(&mut self, Here { held, count, end }: Here) {
+    pub(super) fn rollback(&mut self, Position { held, count, end }: Position) {
         (self.held, self.count) = (held, count);
         self.output.truncate(end);
     }
@@ -163,9 +163,9 @@ mod tests {
         }
         numbers.iter().for_each(|number| writer.put_number(*number));
         let bytes = writer.bytes();
-        let here = writer.here();
+        let position = writer.position();
         pieces.clone().for_each(|(bits, count)| writer.put(bits, count));
-        writer.back_to(here);
+        writer.rollback(position);
         writer.finish();
         assert_eq!(output.len(), 1 + bytes);
         let mut reader = BitReader::new(&output[1..]);

@@ -53,12 +53,12 @@ impl Extent {
 
 /// A block and what is often asked of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Known {
+pub(super) struct DecodedBlock {
     pub(super) rows: Block,
     pub(super) extent: Extent,
 }
 
-impl Known {
+impl DecodedBlock {
     pub(super) fn new(rows: Block) -> Self {
         Self { rows, extent: Extent::of(&rows) }
     }
@@ -72,15 +72,15 @@ impl Known {
 
 /// The block at a place. What of it lies outside the picture repeats the picture's edge, which makes no tile mixed; a
 /// decoder does not learn it.
-pub(super) fn gather(mask: &Mask, order: &Order, place: Place) -> Known {
+pub(super) fn gather(mask: &Mask, order: &Order, place: Place) -> DecodedBlock {
     let shape = mask.shape();
     let words = &mask.words()[place.light * shape.tiles()..][order.tiles(place)];
     let height = shape.height() as usize - place.y * TILE_PX as usize;
     let columns = shape.width() as usize - place.x * BLOCK_TILES * TILE_PX as usize;
     if columns >= 64 && height >= 8 {
         match words.iter().fold((u64::MAX, 0), |(all, any), word| (all & word, any | word)) {
-            (_, 0) => return Known::flat(false),
-            (u64::MAX, _) => return Known::flat(true),
+            (_, 0) => return DecodedBlock::flat(false),
+            (u64::MAX, _) => return DecodedBlock::flat(true),
             _ => {}
         }
     }
@@ -99,7 +99,7 @@ pub(super) fn gather(mask: &Mask, order: &Order, place: Place) -> Known {
         let last = rows[height - 1];
         rows[height..].fill(last);
     }
-    Known::new(rows)
+    DecodedBlock::new(rows)
 }
 
 /// The tiles of the block at a place, as [`gather`] has its rows.
@@ -119,7 +119,7 @@ const fn is_at_edge(shape: MaskShape, place: Place) -> bool {
 }
 
 /// Writes the block's tiles to their places, without what lies outside the picture.
-pub(super) fn scatter(order: &Order, place: Place, known: &Known, mask: &mut Mask) {
+pub(super) fn scatter(order: &Order, place: Place, known: &DecodedBlock, mask: &mut Mask) {
     let flat = known.extent.value().is_some();
     let tiles = if flat { known.rows } else { transpose_bytes(known.rows) };
     scatter_tiles(order, place, &tiles, mask);

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 
 use super::{
     bits::{BitReader, BitWriter},
-    fast::{LONG_CONTEXTS, SHORT_CONTEXTS},
+    fast::{LONG_CONTEXTS, SHORT_CONTEXTS, SymbolCoder},
 };
 
 /// The symbol of the escape, behind all that it stands for.
@@ -37,7 +37,7 @@ impl Codes {
 }
 
 /// What a decoder finds under the next bits: the symbol, above it the bits that it takes, and at the top whether it is the escape. In
-/// one small number, since the tables are to stay near the core.
+/// one small number, since the tables are to stay neighbours the core.
 #[derive(Debug, Clone, Copy, Default)]
 struct Entry(u16);
 
@@ -138,6 +138,36 @@ fn tables(lengths: &[u8; ESCAPE + 1], most_bits: u32, read: &mut Vec<Entry>) -> 
         }
     }
     codes
+}
+
+pub(super) struct SymbolWriter<'a, 'b>(pub(super) &'a mut BitWriter<'b>, pub(super) &'a Codes);
+
+impl SymbolCoder for SymbolWriter<'_, '_> {
+    #[inline(always)]
+    fn short(&mut self, context: usize, symbol: u8) -> u8 {
+        self.1.short.write(self.0, context, symbol);
+        symbol
+    }
+
+    #[inline(always)]
+    fn long(&mut self, context: usize, symbol: u8) -> u8 {
+        self.1.long.write(self.0, context, symbol);
+        symbol
+    }
+}
+
+pub(super) struct SymbolReader<'a, 'b>(pub(super) &'a mut BitReader<'b>, pub(super) &'a Codes);
+
+impl SymbolCoder for SymbolReader<'_, '_> {
+    #[inline(always)]
+    fn short(&mut self, context: usize, _: u8) -> u8 {
+        self.1.short.read(self.0, context)
+    }
+
+    #[inline(always)]
+    fn long(&mut self, context: usize, _: u8) -> u8 {
+        self.1.long.read(self.0, context)
+    }
 }
 
 /// How often each symbol came in each context.

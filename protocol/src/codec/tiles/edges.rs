@@ -7,39 +7,17 @@
 //! same for all lights.
 
 use super::{
-    near::{BEYOND, Part},
-    range::Bits,
-    small::States,
-    state::{QUICK, SLOW},
+    bit_model::{QUICK, SLOW},
+    contexts::{ASTRAY, Contexts, FAR, FLAT, MANY, MET, PAIR, SINGLE, STILL, STIR, TURN},
+    models::Models,
+    neighbours::{BEYOND, RowPart},
+    range::BinaryCoder,
 };
-
-// Contexts of bits.
-const FLAT: usize = 0;
-/// Rows without a change under a row without one.
-const STILL: usize = FLAT + 128;
-/// How much farther than three pixels an edge has moved.
-const FAR: usize = STILL + 640;
-/// Whether two edges have met.
-const MET: usize = FAR + 16;
-/// Pixels of rows that were expected to be flat, by the template;
-const TURN: usize = MET + 2;
-/// of those below many edges, also by the light before;
-const MANY: usize = TURN + (1 << 10);
-/// of those that were expected to stay as above or to have the edges of the row above, also by whether they already differ from that.
-const STIR: usize = MANY + (1 << 12);
-const ASTRAY: usize = STIR + (1 << 13);
-/// All of them.
-pub(super) const BIT_CONTEXTS: usize = ASTRAY + (1 << 13);
-
-// Contexts of choices: those of a single edge, and those of two.
-const PAIR: usize = 8 * 4 * 2 * 7 * 3;
-/// All of them.
-pub(super) const CHOICE_CONTEXTS: usize = PAIR + 64 * 4 * 3 * 7;
 
 /// The symbol of rows that are no row with the edges of the row above.
 const IRREGULAR: usize = 7;
 
-/// Symbols of an edge that has moved by −8 to 8 pixels to the right: by how much, and by three or more.
+/// SymbolCoder of an edge that has moved by −8 to 8 pixels to the right: by how much, and by three or more.
 const SYMBOLS: [u8; 17] = [6, 6, 6, 6, 6, 6, 4, 2, 0, 1, 3, 5, 5, 5, 5, 5, 5];
 
 /// What a symbol says at least.
@@ -53,7 +31,7 @@ const fn slopes() -> [u8; 256] {
     let mut slopes = [7; 256];
     let mut window: usize = 0;
     while window < slopes.len() {
-        // From far to near: what is found last stays.
+        // From far to neighbours: what is found last stays.
         let order = [6, 0, 5, 1, 4, 2, 3];
         let mut next = 0;
         while next < order.len() {
@@ -111,20 +89,19 @@ const ALONE: usize = 6;
 /// The same with less detail: the middle, left of it, right of it, elsewhere.
 const BESIDE_PAIR: [u8; 7] = [3, 1, 0, 2, 3, 3, 3];
 
-/// Codes eight pixels and gives them back; a decoder is given any. `first` is the first context of these bits.
+/// Codes eight pixels. Returns the coded pixels; what a decoder passes in is ignored.
 #[inline(always)]
-pub(super) fn code<B: Bits>(
+pub(super) fn code<B: BinaryCoder>(
     bits: &mut B,
-    hot: &mut B::Hot,
-    states: &mut States,
-    first: usize,
-    part: &Part<'_>,
+    registers: &mut B::Registers,
+    models: &mut Models,
+    part: &RowPart<'_>,
     truth: u32,
 ) -> u32 {
     let (above, second) = (part.above(1), part.above(2));
     let (twelve, ten) = (above >> (BEYOND - 2) & 0xFFF, above >> (BEYOND - 1) & 0x3FF);
     let over = second >> (BEYOND - 1) & 0x3FF;
-    let mut row = Row { bits, hot, states, first, part, truth, twelve, over };
+    let mut row = Row { bits, registers, models, part, truth, twelve, over };
     let around = twelve | over << 12 | part.before << 22;
     if matches!(around, 0 | 0xFF_FFFF) {
         return row.flat(around & 0xFF);
@@ -143,33 +120,32 @@ pub(super) fn code<B: Bits>(
 }
 
 /// A row that is being coded.
-struct Row<'a, 'p, B: Bits> {
+struct Row<'a, 'p, B: BinaryCoder> {
     bits: &'a mut B,
-    hot: &'a mut B::Hot,
-    states: &'a mut States,
-    first: usize,
-    part: &'a Part<'p>,
+    registers: &'a mut B::Registers,
+    models: &'a mut Models,
+    part: &'a RowPart<'p>,
     truth: u32,
     /// The row above from two pixels to the left on, and the one above that from one to the left on.
     twelve: u32,
     over: u32,
 }
 
-impl<B: Bits> Row<'_, '_, B> {
+impl<B: BinaryCoder> Row<'_, '_, B> {
     #[inline(always)]
     fn bit(&mut self, context: usize, bit: bool) -> bool {
-        self.bits.bit_in::<QUICK>(self.hot, &mut self.states.bits[self.first + context], bit)
+        self.bits.bit_in::<QUICK>(self.registers, &mut self.models.bits[context], bit)
     }
 
     #[inline(always)]
-    fn choice(&mut self, context: usize, symbol: usize) -> usize {
-        self.bits.choice_in(self.hot, self.states.choices.at(context), symbol)
+    fn symbol(&mut self, context: usize, symbol: usize) -> usize {
+        self.bits.symbol_in(self.registers, self.models.symbols.at(context), symbol)
     }
 
     /// Nothing around changes.
     #[inline(always)]
     fn flat(&mut self, value: u32) -> u32 {
-        let context = FLAT + (self.part.surroundings() << 1 | usize::from(value != 0));
+        let context = FLAT.at(self.part.surroundings() << 1 | usize::from(value != 0));
         if self.bit(context, self.truth == value) { value } else { self.pixels::<false>(TURN, Some(value)) }
     }
 
@@ -192,10 +168,10 @@ impl<B: Bits> Row<'_, '_, B> {
         let before = ((self.part.before ^ lit) & 3) as usize;
         let context = (((before * 4 + over) * 4 + ends) * 5 + other) * 2 + usize::from(self.part.is_last());
         let value = lit & 0xFF;
-        if self.bit(STILL + context, self.truth == value) { value } else { self.pixels::<true>(STIR, Some(value)) }
+        if self.bit(STILL.at(context), self.truth == value) { value } else { self.pixels::<true>(STIR, Some(value)) }
     }
 
-    /// Where the light before this one changes near an edge.
+    /// Where the light before this one changes neighbours an edge.
     #[inline(always)]
     fn beside(&self, edge: u32) -> usize {
         self.part.other().map_or(ALONE, |row| usize::from(BESIDE[((row ^ row >> 1) >> (edge + 5) & 0x1F) as usize]))
@@ -212,7 +188,7 @@ impl<B: Bits> Row<'_, '_, B> {
         let own = (self.truth ^ flip) & 0xFF;
         let moved = (own | 0x100).trailing_zeros();
         let regular = own == 0xFF << moved & 0xFF;
-        match self.edge(context * 3 + at_end(edge), regular, edge, moved, [0, 8]) {
+        match self.edge(SINGLE.at(context * 3 + at_end(edge)), regular, edge, moved, [0, 8]) {
             Some(moved) => (0xFF << moved ^ flip) & 0xFF,
             None => self.pixels::<true>(ASTRAY, Some((0xFF << edge ^ flip) & 0xFF)),
         }
@@ -229,7 +205,7 @@ impl<B: Bits> Row<'_, '_, B> {
         let context = self.pair_context(edges[0], flip, lags);
         let Some(from) = self.edge(context, regular, edges[0], from, [0, 7]) else {
             let flat = flip & 0xFF;
-            return if self.bit(MET + lags, self.truth == flat) {
+            return if self.bit(MET.at(lags), self.truth == flat) {
                 flat
             } else {
                 self.pixels::<true>(ASTRAY, Some(flat))
@@ -247,7 +223,7 @@ impl<B: Bits> Row<'_, '_, B> {
         let [above, second] = [1, 2].map(|nth| self.part.above(nth) ^ flip);
         let around = above >> (edge + 6) & 1 | (above >> (edge + 9) & 1) << 1 | (second >> (edge + 6) & 0xF) << 2;
         let beside = usize::from(BESIDE_PAIR[self.beside(edge)]);
-        PAIR + ((around as usize * 4 + beside) * 3 + at_end(edge)) * 7 + before
+        PAIR.at(((around as usize * 4 + beside) * 3 + at_end(edge)) * 7 + before)
     }
 
     /// Codes where an edge has gone to, within limits that a decoder keeps; nothing where the row is irregular.
@@ -255,14 +231,17 @@ impl<B: Bits> Row<'_, '_, B> {
     fn edge(&mut self, context: usize, regular: bool, edge: u32, moved: u32, limits: [u32; 2]) -> Option<u32> {
         let by = moved.cast_signed() - edge.cast_signed();
         let symbol = if regular { SYMBOLS[(by + 8).cast_unsigned() as usize % 17].into() } else { IRREGULAR };
-        let symbol = self.choice(context, symbol);
+        let symbol = self.symbol(context, symbol);
         if symbol == IRREGULAR {
             return None;
         }
         let mut now = edge.cast_signed() + MOVES[symbol % 8];
         if symbol >= 5 {
-            let (step, limit, context) =
-                if symbol == 5 { (1, limits[1].cast_signed(), FAR) } else { (-1, limits[0].cast_signed(), FAR + 8) };
+            let (step, limit, context) = if symbol == 5 {
+                (1, limits[1].cast_signed(), FAR.at(0))
+            } else {
+                (-1, limits[0].cast_signed(), FAR.at(8))
+            };
             let mut steps = 0;
             while steps < 5 && now != limit && self.bit(context + steps, moved.cast_signed() != now) {
                 now += step;
@@ -274,11 +253,11 @@ impl<B: Bits> Row<'_, '_, B> {
 
     /// Pixel by pixel. `expected` is what they are known not to be.
     #[inline(always)]
-    fn pixels<const OTHER: bool>(&mut self, first: usize, expected: Option<u32>) -> u32 {
+    fn pixels<const OTHER: bool>(&mut self, contexts: Contexts, expected: Option<u32>) -> u32 {
         let [across, down] = if OTHER { self.part.changes() } else { [0; 2] };
         // Each pixel's context, as far as it is known, is at the bottom after a shift, in pieces.
         let pieces = u64::from(self.twelve | self.over << 16) | u64::from(across) << 32 | u64::from(down) << 48;
-        let (mut coded, mut before, mut hot) = (0, self.part.before, *self.hot);
+        let (mut coded, mut before, mut registers) = (0, self.part.before, *self.registers);
         // 0 as long as they are as expected.
         let mut differs = 0;
         for x in 0..8 {
@@ -289,8 +268,8 @@ impl<B: Bits> Row<'_, '_, B> {
             let bit = match expected {
                 Some(expected) if x == 7 && differs == 0 => !expected >> 7 & 1,
                 _ => {
-                    let state = &mut self.states.bits[self.first + first + context as usize];
-                    u32::from(self.bits.bit_in::<SLOW>(&mut hot, state, self.truth >> x & 1 == 1))
+                    let model = &mut self.models.bits[contexts.at(context as usize)];
+                    u32::from(self.bits.bit_in::<SLOW>(&mut registers, model, self.truth >> x & 1 == 1))
                 }
             };
             if let Some(expected) = expected {
@@ -299,7 +278,7 @@ impl<B: Bits> Row<'_, '_, B> {
             coded |= bit << x;
             before = before >> 1 | bit << 1;
         }
-        *self.hot = hot;
+        *self.registers = registers;
         coded
     }
 }

@@ -6,7 +6,7 @@
 
 use super::{
     block::{Block, Kind},
-    near::{UNKNOWN, uniformity},
+    neighbours::{UNKNOWN, uniformity},
 };
 
 /// Contexts of a pair of tiles: the tile to the left, and the two above.
@@ -22,7 +22,7 @@ pub(super) const SHORT_CONTEXTS: usize = PAIR_CONTEXTS + ROW_CONTEXTS;
 pub(super) const LONG_CONTEXTS: usize = 3 * 4;
 
 /// Either direction of the coder, or a counter.
-pub(super) trait Symbols {
+pub(super) trait SymbolCoder {
     /// Codes `symbol` and gives it back; a decoder gives the symbol that was coded instead.
     fn short(&mut self, context: usize, symbol: u8) -> u8;
 
@@ -32,7 +32,7 @@ pub(super) trait Symbols {
 
 /// What is known around a block: the tiles of the block above, and the tile to the left.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Beside<'a> {
+pub(super) struct TileNeighbours<'a> {
     pub(super) above: Option<&'a Block>,
     pub(super) left: Option<u64>,
 }
@@ -49,21 +49,26 @@ pub(super) const fn kind(tile: u64) -> Kind {
 
 /// What each tile of a block holds that goes on as the tile to the left, or else as the pixel above.
 #[inline(always)]
-pub(super) fn expected(beside: Beside<'_>) -> u64 {
-    match beside.left {
+pub(super) fn predicted(neighbours: TileNeighbours<'_>) -> u64 {
+    match neighbours.left {
         Some(flat @ (0 | u64::MAX)) => flat,
-        _ => beside.above.map_or(0, |above| (above[0] >> 56 & 1).wrapping_neg()),
+        _ => neighbours.above.map_or(0, |above| (above[0] >> 56 & 1).wrapping_neg()),
     }
 }
 
-/// Codes the first `tiles` tiles of a block that is not all as expected, and gives them back; a decoder is given any block.
+/// Codes the first `tiles` tiles of a block that is not all as predicted, and gives them back; a decoder is given any block.
 #[inline(always)]
-pub(super) fn code(symbols: &mut impl Symbols, beside: Beside<'_>, tiles: usize, block: &Block) -> Block {
-    let above = beside.above.unwrap_or(&[0; 8]);
+pub(super) fn code(
+    symbols: &mut impl SymbolCoder,
+    neighbours: TileNeighbours<'_>,
+    tiles: usize,
+    block: &Block,
+) -> Block {
+    let above = neighbours.above.unwrap_or(&[0; 8]);
     let mut kinds = [Kind::Dark as u8; 8];
-    let mut before = beside.left.map_or(UNKNOWN, |left| kind(left) as usize);
+    let mut before = neighbours.left.map_or(UNKNOWN, |left| kind(left) as usize);
     for (pair, own) in block.as_chunks::<2>().0.iter().enumerate().take(tiles.div_ceil(2)) {
-        let over = beside
+        let over = neighbours
             .above
             .map_or(UNKNOWN * 5, |above| uniformity(above[pair * 2] >> 56) * 4 + uniformity(above[pair * 2 + 1] >> 56));
         let symbol = symbols.short(over * 4 + before, kind(own[0]) as u8 * 3 + kind(own[1]) as u8);
@@ -72,7 +77,8 @@ pub(super) fn code(symbols: &mut impl Symbols, beside: Beside<'_>, tiles: usize,
         before = usize::from(symbol % 3);
     }
     let mut coded = [0; 8];
-    let (mut left, mut left_kind) = (beside.left.unwrap_or(0), beside.left.map_or(UNKNOWN, |left| kind(left) as usize));
+    let (mut left, mut left_kind) =
+        (neighbours.left.unwrap_or(0), neighbours.left.map_or(UNKNOWN, |left| kind(left) as usize));
     for (((coded, own), above), kind) in coded.iter_mut().zip(block).zip(above).zip(kinds) {
         *coded = match kind {
             0 => 0,
@@ -89,7 +95,7 @@ const EACH_ROW: u64 = 0x0101_0101_0101_0101;
 
 /// Codes a mixed tile; `above` are the row above it and the one above that.
 #[inline(always)]
-fn code_tile(symbols: &mut impl Symbols, above: [u8; 2], left: u64, left_kind: usize, truth: u64) -> u64 {
+fn code_tile(symbols: &mut impl SymbolCoder, above: [u8; 2], left: u64, left_kind: usize, truth: u64) -> u64 {
     let differs = truth ^ (truth << 8 | u64::from(above[0]));
     let [mut place, before] = above.map(|row| PLACES[usize::from(row)]);
     let context = usize::from(THREE[usize::from(place)]) * 4 + left_kind;

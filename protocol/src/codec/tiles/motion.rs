@@ -1,14 +1,14 @@
 //! How blocks have moved since the reference: one vector for all lights of a place, since it is the camera that moves.
 //!
-//! A vector is expected to be that of the place above, or else of the one to the left, as far as these are in the slice. The
+//! A vector is predicted to be that of the place above, or else of the one to the left, as far as these are in the slice. The
 //! encoder looks for a better one among the vectors around and of the frame before, and then step by step.
 
 use super::{
-    block::Known,
+    bit_model::BitModel,
+    block::DecodedBlock,
     order::Place,
-    range::Bits,
+    range::BinaryCoder,
     reference::{MAX_MOTION_PX, Reference, Vector},
-    state::State,
 };
 
 /// Bits that a vector of its own is thought to cost, in wrong pixels.
@@ -17,59 +17,59 @@ const OWN_COST: u32 = 2;
 /// Wrong pixels for each light from which on far steps are tried.
 const FAR_COST: u32 = 24;
 
-/// How far a thorough search goes, across and down.
+/// How far a searches search goes, across and down.
 const FAR_PX: [i16; 2] = [24, 12];
 
 /// Probabilities of vectors.
 #[derive(Debug, Clone)]
-pub(super) struct MotionStates {
-    pub(super) own: [State; 2],
-    pub(super) axes: [AxisStates; 2],
+pub(super) struct MotionModels {
+    pub(super) own: [BitModel; 2],
+    pub(super) axes: [AxisModels; 2],
 }
 
-/// Of how far a vector differs from the expected one, on one axis.
+/// Of how far a vector differs from the predicted one, on one axis.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct AxisStates {
-    pub(super) differs: [State; 2],
-    pub(super) negative: State,
+pub(super) struct AxisModels {
+    pub(super) differs: [BitModel; 2],
+    pub(super) negative: BitModel,
     /// By the number of bits so far.
-    pub(super) longer: [State; 12],
-    pub(super) rest: [State; 12],
+    pub(super) longer: [BitModel; 12],
+    pub(super) rest: [BitModel; 12],
 }
 
 /// Codes a vector and gives it back; nothing where it is too long, which no encoder makes.
 pub(super) fn code(
-    bits: &mut impl Bits,
-    states: &mut MotionStates,
+    bits: &mut impl BinaryCoder,
+    models: &mut MotionModels,
     certain: bool,
-    expected: Vector,
+    predicted: Vector,
     truth: Vector,
 ) -> Option<Vector> {
-    if !bits.bit(&mut states.own[usize::from(certain)], truth != expected) {
-        return Some(expected);
+    if !bits.bit(&mut models.own[usize::from(certain)], truth != predicted) {
+        return Some(predicted);
     }
-    let [across, down] = &mut states.axes;
+    let [across, down] = &mut models.axes;
     // Vectors are at most 2⁹ long, so differences are within 16 bits.
-    let x = code_difference(bits, across, false, truth.x - expected.x);
-    let y = code_difference(bits, down, x != 0, truth.y - expected.y);
-    expected.plus(x, y)
+    let x = code_difference(bits, across, false, truth.x - predicted.x);
+    let y = code_difference(bits, down, x != 0, truth.y - predicted.y);
+    predicted.plus(x, y)
 }
 
 /// A sign, and the number in Elias' γ code with adaptive bits.
-fn code_difference(bits: &mut impl Bits, states: &mut AxisStates, other: bool, truth: i16) -> i16 {
-    if !bits.bit(&mut states.differs[usize::from(other)], truth != 0) {
+fn code_difference(bits: &mut impl BinaryCoder, models: &mut AxisModels, other: bool, truth: i16) -> i16 {
+    if !bits.bit(&mut models.differs[usize::from(other)], truth != 0) {
         return 0;
     }
-    let negative = bits.bit(&mut states.negative, truth < 0);
+    let negative = bits.bit(&mut models.negative, truth < 0);
     let length = truth.unsigned_abs();
     let mut more = 0;
     // 2¹⁰ is the longest difference: 11 bits.
-    while more < 11 && bits.bit(&mut states.longer[more], length >> more > 1) {
+    while more < 11 && bits.bit(&mut models.longer[more], length >> more > 1) {
         more += 1;
     }
     let mut number = 1;
     for place in (0..more).rev() {
-        number = number << 1 | i16::from(bits.bit(&mut states.rest[place], length >> place & 1 == 1));
+        number = number << 1 | i16::from(bits.bit(&mut models.rest[place], length >> place & 1 == 1));
     }
     if negative { -number } else { number }
 }
@@ -80,14 +80,14 @@ pub(super) struct Search<'a> {
     /// The place, of the first of the lights.
     pub(super) place: Place,
     /// The blocks of the lights, from the first on.
-    pub(super) own: &'a [Known],
-    pub(super) expected: Vector,
+    pub(super) own: &'a [DecodedBlock],
+    pub(super) predicted: Vector,
 }
 
 impl Search<'_> {
     /// Wrong pixels, as far as they are fewer than `limit`.
     fn cost(&self, vector: Vector, limit: u32) -> u32 {
-        let mut cost = if vector == self.expected { 0 } else { OWN_COST };
+        let mut cost = if vector == self.predicted { 0 } else { OWN_COST };
         for (light, own) in (self.place.light..).zip(self.own) {
             let moved = self.reference.block(Place { light, ..self.place }, vector);
             cost += own.rows.iter().zip(moved).map(|(own, moved)| (own ^ moved).count_ones()).sum::<u32>();
@@ -98,9 +98,9 @@ impl Search<'_> {
         cost
     }
 
-    /// The best vector that is found. `thorough` is how many more places may be searched all over.
-    pub(super) fn best(&self, candidates: impl IntoIterator<Item = Vector>, thorough: &mut u32) -> Vector {
-        let mut best = (self.cost(self.expected, u32::MAX), self.expected);
+    /// The best vector that is found. `searches` is how many more places may be searched all over.
+    pub(super) fn best(&self, candidates: impl IntoIterator<Item = Vector>, searches: &mut u32) -> Vector {
+        let mut best = (self.cost(self.predicted, u32::MAX), self.predicted);
         let take = |best: &mut (u32, Vector), vector: Vector| {
             let cost = self.cost(vector, best.0);
             let better = cost < best.0;
@@ -137,10 +137,10 @@ impl Search<'_> {
             }
         }
         // What is found here is what the places around begin with.
-        if best.0 > limit && *thorough > 0 {
-            *thorough -= 1;
+        if best.0 > limit && *searches > 0 {
+            *searches -= 1;
             for (x, y) in (-FAR_PX[1]..=FAR_PX[1]).flat_map(|y| (-FAR_PX[0]..=FAR_PX[0]).map(move |x| (x, y))) {
-                if let Some(vector) = self.expected.plus(x, y) {
+                if let Some(vector) = self.predicted.plus(x, y) {
                     take(&mut best, vector);
                 }
             }

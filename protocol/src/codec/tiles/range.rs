@@ -1,11 +1,11 @@
 //! A binary range coder (Martin 1979; the carry is held back as in Schindler's and LZMA's coders).
 //!
 //! The interval is kept in 64 bits and leaves in words of 32. What has left is never touched again, because a word waits
-//! until no carry can reach it: so an encoder can go back to an earlier state and cut its output there.
+//! until no carry can reach it: so an encoder can go back to an earlier model and cut its output there.
 
 use super::{
-    choice::{Choice, PARTS_BITS, SYMBOLS},
-    state::{SLOW, State},
+    bit_model::{BitModel, SLOW},
+    symbol_model::{PARTS_BITS, SYMBOLS, SymbolModel},
 };
 
 /// Bytes that leave the coder at once.
@@ -15,28 +15,28 @@ const WORD_BYTES: usize = 4;
 const TAIL_BYTES: usize = 8;
 
 /// Either direction of the coder: one model serves both.
-pub(super) trait Bits {
+pub(super) trait BinaryCoder {
     /// What changes with every bit. A loop keeps it in registers, which it cannot do with the rest.
-    type Hot: Copy;
+    type Registers: Copy;
 
-    fn hot(&self) -> Self::Hot;
+    fn registers(&self) -> Self::Registers;
 
-    fn set_hot(&mut self, hot: Self::Hot);
+    fn set_registers(&mut self, registers: Self::Registers);
 
-    /// Codes `bit` and gives it back; a decoder gives the bit that was coded instead. The state learns at `RATE`.
-    fn bit_in<const RATE: u32>(&mut self, hot: &mut Self::Hot, state: &mut State, bit: bool) -> bool;
+    /// Codes `bit` and gives it back; a decoder gives the bit that was coded instead. The model learns at `RATE`.
+    fn bit_in<const RATE: u32>(&mut self, registers: &mut Self::Registers, model: &mut BitModel, bit: bool) -> bool;
 
     /// The same, of a bit outside any loop: there are few such.
     #[inline(always)]
-    fn bit(&mut self, state: &mut State, bit: bool) -> bool {
-        let mut hot = self.hot();
-        let bit = self.bit_in::<SLOW>(&mut hot, state, bit);
-        self.set_hot(hot);
+    fn bit(&mut self, model: &mut BitModel, bit: bool) -> bool {
+        let mut registers = self.registers();
+        let bit = self.bit_in::<SLOW>(&mut registers, model, bit);
+        self.set_registers(registers);
         bit
     }
 
     /// Codes one of eight symbols and gives it back, as [`Self::bit_in`] does.
-    fn choice_in(&mut self, hot: &mut Self::Hot, choice: &mut Choice, symbol: usize) -> usize;
+    fn symbol_in(&mut self, registers: &mut Self::Registers, model: &mut SymbolModel, symbol: usize) -> usize;
 }
 
 /// The encoder's interval.
@@ -59,7 +59,7 @@ struct Held {
 
 /// A place in the output to go back to.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Here {
+pub(super) struct Position {
     interval: Interval,
     held: Held,
 }
@@ -81,12 +81,12 @@ impl<'a> RangeEncoder<'a> {
     }
 
     /// A place to come back to.
-    pub(super) const fn here(&self) -> Here {
-        Here { interval: self.interval, held: self.held }
+    pub(super) const fn position(&self) -> Position {
+        Position { interval: self.interval, held: self.held }
     }
 
     /// Takes everything back that was coded since.
-    pub(super) fn back_to(&mut self, Here { interval, held }: Here) {
+    pub(super) fn rollback(&mut self, Position { interval, held }: Position) {
         (self.interval, self.held) = (interval, held);
         self.output.truncate(held.end);
     }
@@ -99,9 +99,9 @@ impl<'a> RangeEncoder<'a> {
 
     /// Moves the interval's lower end up.
     #[inline(always)]
-    fn raise(&mut self, hot: &mut Interval, by: u64) {
-        let (low, carry) = hot.low.overflowing_add(by);
-        hot.low = low;
+    fn raise(&mut self, registers: &mut Interval, by: u64) {
+        let (low, carry) = registers.low.overflowing_add(by);
+        registers.low = low;
         if carry {
             self.carry();
         }
@@ -109,11 +109,11 @@ impl<'a> RangeEncoder<'a> {
 
     /// Widens an interval that has become narrow. No bit and no symbol takes more than 12 bits, so once is enough.
     #[inline(always)]
-    fn widen(&mut self, hot: &mut Interval) {
-        if high_word(hot.range) == 0 {
-            self.take(high_word(hot.low));
-            hot.low <<= 32;
-            hot.range <<= 32;
+    fn widen(&mut self, registers: &mut Interval) {
+        if high_word(registers.range) == 0 {
+            self.take(high_word(registers.low));
+            registers.low <<= 32;
+            registers.range <<= 32;
         }
     }
 
@@ -175,39 +175,39 @@ impl<'a> RangeEncoder<'a> {
     }
 }
 
-impl Bits for RangeEncoder<'_> {
-    type Hot = Interval;
+impl BinaryCoder for RangeEncoder<'_> {
+    type Registers = Interval;
 
-    fn hot(&self) -> Interval {
+    fn registers(&self) -> Interval {
         self.interval
     }
 
-    fn set_hot(&mut self, hot: Interval) {
-        self.interval = hot;
+    fn set_registers(&mut self, registers: Interval) {
+        self.interval = registers;
     }
 
     #[inline(always)]
-    fn bit_in<const RATE: u32>(&mut self, hot: &mut Interval, state: &mut State, bit: bool) -> bool {
-        let bound = (hot.range >> 16) * u64::from(state.one());
+    fn bit_in<const RATE: u32>(&mut self, registers: &mut Interval, model: &mut BitModel, bit: bool) -> bool {
+        let bound = (registers.range >> 16) * u64::from(model.one());
         if bit {
-            hot.range = bound;
+            registers.range = bound;
         } else {
-            self.raise(hot, bound);
-            hot.range -= bound;
+            self.raise(registers, bound);
+            registers.range -= bound;
         }
-        state.learn::<RATE>(bit);
-        self.widen(hot);
+        model.learn::<RATE>(bit);
+        self.widen(registers);
         bit
     }
 
     #[inline(always)]
-    fn choice_in(&mut self, hot: &mut Interval, choice: &mut Choice, symbol: usize) -> usize {
-        let part = hot.range >> PARTS_BITS;
-        let [from, to] = choice.share(symbol);
-        self.raise(hot, part * u64::from(from));
-        hot.range = part * u64::from(to - from);
-        choice.learn(symbol);
-        self.widen(hot);
+    fn symbol_in(&mut self, registers: &mut Interval, model: &mut SymbolModel, symbol: usize) -> usize {
+        let part = registers.range >> PARTS_BITS;
+        let [from, to] = model.share(symbol);
+        self.raise(registers, part * u64::from(from));
+        registers.range = part * u64::from(to - from);
+        model.learn(symbol);
+        self.widen(registers);
         symbol
     }
 }
@@ -261,10 +261,10 @@ impl<'a> RangeDecoder<'a> {
 
     /// As [`RangeEncoder::widen`].
     #[inline(always)]
-    fn widen(&mut self, hot: &mut Window) {
-        if high_word(hot.range) == 0 {
-            hot.range <<= 32;
-            hot.code = hot.code << 32 | u64::from(self.next());
+    fn widen(&mut self, registers: &mut Window) {
+        if high_word(registers.range) == 0 {
+            registers.range <<= 32;
+            registers.code = registers.code << 32 | u64::from(self.next());
         }
     }
 
@@ -277,43 +277,43 @@ impl<'a> RangeDecoder<'a> {
     }
 }
 
-impl Bits for RangeDecoder<'_> {
-    type Hot = Window;
+impl BinaryCoder for RangeDecoder<'_> {
+    type Registers = Window;
 
-    fn hot(&self) -> Window {
+    fn registers(&self) -> Window {
         self.window
     }
 
-    fn set_hot(&mut self, hot: Window) {
-        self.window = hot;
+    fn set_registers(&mut self, registers: Window) {
+        self.window = registers;
     }
 
     #[inline(always)]
-    fn bit_in<const RATE: u32>(&mut self, hot: &mut Window, state: &mut State, _: bool) -> bool {
-        let bound = (hot.range >> 16) * u64::from(state.one());
-        let bit = hot.code < bound;
+    fn bit_in<const RATE: u32>(&mut self, registers: &mut Window, model: &mut BitModel, _: bool) -> bool {
+        let bound = (registers.range >> 16) * u64::from(model.one());
+        let bit = registers.code < bound;
         if bit {
-            hot.range = bound;
+            registers.range = bound;
         } else {
-            hot.code -= bound;
-            hot.range -= bound;
+            registers.code -= bound;
+            registers.range -= bound;
         }
-        state.learn::<RATE>(bit);
-        self.widen(hot);
+        model.learn::<RATE>(bit);
+        self.widen(registers);
         bit
     }
 
     #[inline(always)]
-    fn choice_in(&mut self, hot: &mut Window, choice: &mut Choice, _: usize) -> usize {
-        let part = hot.range >> PARTS_BITS;
+    fn symbol_in(&mut self, registers: &mut Window, model: &mut SymbolModel, _: usize) -> usize {
+        let part = registers.range >> PARTS_BITS;
         // All symbols at once: a search would be guessed wrong too often.
-        let begins = |symbol: usize| hot.code >= part * u64::from(choice.share(symbol)[0]);
+        let begins = |symbol: usize| registers.code >= part * u64::from(model.share(symbol)[0]);
         let symbol: usize = (1..SYMBOLS).map(|symbol| usize::from(begins(symbol))).sum();
-        let [from, to] = choice.share(symbol);
-        hot.code -= part * u64::from(from);
-        hot.range = part * u64::from(to - from);
-        choice.learn(symbol);
-        self.widen(hot);
+        let [from, to] = model.share(symbol);
+        registers.code -= part * u64::from(from);
+        registers.range = part * u64::from(to - from);
+        model.learn(symbol);
+        self.widen(registers);
         symbol
     }
 }
@@ -339,17 +339,17 @@ mod tests {
     #[test]
     fn bits_come_back_and_the_slice_is_used_up() {
         for (seed, count) in (0..40).flat_map(|seed| [0, 1, 2, 50, 3000].map(|count| (seed, count))) {
-            let (mut output, mut states) = (vec![9], [State::EVEN; 2]);
+            let (mut output, mut models) = (vec![9], [BitModel::EVEN; 2]);
             let mut encoder = RangeEncoder::new(&mut output);
             for (context, bit) in bits(seed, count) {
-                encoder.bit(&mut states[context], bit);
+                encoder.bit(&mut models[context], bit);
             }
             let most = encoder.most_bytes();
             encoder.finish();
             assert!(output.len() - 1 <= most);
-            let (mut decoder, mut states) = (RangeDecoder::new(&output[1..]), [State::EVEN; 2]);
+            let (mut decoder, mut models) = (RangeDecoder::new(&output[1..]), [BitModel::EVEN; 2]);
             for (context, bit) in bits(seed, count) {
-                assert_eq!(decoder.bit(&mut states[context], false), bit);
+                assert_eq!(decoder.bit(&mut models[context], false), bit);
             }
             assert!(decoder.is_at_end());
         }
@@ -359,16 +359,16 @@ mod tests {
     fn going_back_leaves_no_trace() {
         for seed in 0..200 {
             let encode = |count: usize, detour: usize| {
-                let (mut output, mut states) = (vec![], [State::EVEN; 2]);
+                let (mut output, mut models) = (vec![], [BitModel::EVEN; 2]);
                 let mut encoder = RangeEncoder::new(&mut output);
                 for (context, bit) in bits(seed, count) {
-                    encoder.bit(&mut states[context], bit);
+                    encoder.bit(&mut models[context], bit);
                 }
-                let here = encoder.here();
+                let position = encoder.position();
                 for (context, bit) in bits(seed + 7, detour) {
-                    encoder.bit(&mut states[context], bit);
+                    encoder.bit(&mut models[context], bit);
                 }
-                encoder.back_to(here);
+                encoder.rollback(position);
                 encoder.finish();
                 output
             };
@@ -379,18 +379,18 @@ mod tests {
     /// All ones take the interval's lower end, all zeros its upper end: carries run through words of ones.
     #[test]
     fn a_carry_runs_through_words_of_ones() {
-        let certain = State::from_packed(0x000F);
+        let certain = BitModel::from_packed(0x000F);
         let (mut output, mut state) = (vec![], certain);
         let mut encoder = RangeEncoder::new(&mut output);
         for _ in 0..200_000 {
             encoder.bit(&mut state, false);
         }
-        let mut even = State::EVEN;
+        let mut even = BitModel::EVEN;
         for place in 0..64 {
             encoder.bit(&mut even, place % 3 == 0);
         }
         encoder.finish();
-        let (mut decoder, mut state, mut even) = (RangeDecoder::new(&output), certain, State::EVEN);
+        let (mut decoder, mut state, mut even) = (RangeDecoder::new(&output), certain, BitModel::EVEN);
         assert!((0..200_000).all(|_| !decoder.bit(&mut state, true)));
         assert!((0..64).all(|place| decoder.bit(&mut even, false) == (place % 3 == 0)));
         assert!(decoder.is_at_end());

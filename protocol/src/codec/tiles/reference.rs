@@ -6,22 +6,16 @@
 use std::fmt;
 
 use super::{
-    block::{Block, Known},
+    block::{Block, DecodedBlock},
     order::{Order, Place},
 };
-use crate::{ids::FrameNumber, mask::MaskShape};
+use crate::{
+    ids::{FrameNumber, ReferenceName},
+    mask::MaskShape,
+};
 
-/// How far a vector may point, in pixels, each way and axis.
+/// How far a vector may point, in pixels, each mode and axis.
 pub(super) const MAX_MOTION_PX: i16 = 511;
-
-/// Names a mask: its frame, and a digest of its bits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ReferenceName {
-    /// The frame that the mask was of.
-    pub frame: FrameNumber,
-    /// A digest of its shape and bits. It finds mistakes, and is no protection against a peer that means to deceive.
-    pub digest: u32,
-}
 
 /// A mask that later ones can be coded against.
 #[derive(Clone, PartialEq, Eq)]
@@ -123,7 +117,7 @@ impl Reference {
     }
 
     /// Takes over what the blocks of a frame came to.
-    pub(super) fn fill(&mut self, frame: FrameNumber, shape: MaskShape, blocks: &[Known]) {
+    pub(super) fn fill(&mut self, frame: FrameNumber, shape: MaskShape, blocks: &[DecodedBlock]) {
         let order = Order::new(shape);
         let across = order.blocks_across();
         (self.stride, self.rows) = (across + 2, shape.tiles_y() as usize * 8);

@@ -1,31 +1,31 @@
 //! The model of what differs from a reference that has been moved: which bits it takes, and in what contexts.
 //!
-//! For each place first whether all lights are as expected with the expected vector. If not, the vector, and for each light
-//! whether its block is as expected; of the others which tiles are not, and the rows of these: one bit where nothing changes
+//! For each place first whether all lights are as predicted with the predicted vector. If not, the vector, and for each light
+//! whether its block is as predicted; of the others which tiles are not, and the rows of these: one bit where nothing changes
 //! around, or else one for those pixels around which nothing changes, and each of the others. A pixel's context is the three above, the one to the left, the nine around it in the reference:
-//! JBIG2's refinement template (ITU-T T.88, §6.3.5.3); and what in the light before was not as expected here.
+//! JBIG2's refinement template (ITU-T T.88, §6.3.5.3); and what in the light before was not as predicted here.
 
 use super::{
-    block::{Block, Kind, Known},
-    motion::{AxisStates, MotionStates},
-    near::Near,
-    range::Bits,
+    bit_model::{BitModel, SLOW},
+    block::{Block, DecodedBlock, Kind},
+    motion::{AxisModels, MotionModels},
+    neighbours::Neighbours,
+    range::BinaryCoder,
     reference::Line,
-    state::{SLOW, State},
 };
 
 /// Probabilities, for every context.
 #[derive(Debug, Clone)]
-pub(super) struct RefineStates {
-    pub(super) place: [State; 18],
-    pub(super) motion: MotionStates,
-    pub(super) block: [State; 54],
-    pub(super) tile: [State; 162],
-    pub(super) kind: [[State; 2]; 12],
-    pub(super) still: [State; 24],
+pub(super) struct RefineModels {
+    pub(super) place: [BitModel; 18],
+    pub(super) motion: MotionModels,
+    pub(super) block: [BitModel; 54],
+    pub(super) tile: [BitModel; 162],
+    pub(super) kind: [[BitModel; 2]; 12],
+    pub(super) still: [BitModel; 24],
     /// Whether the steady pixels of a row are as what is around them.
-    pub(super) steady: [State; 16],
-    pub(super) pixel: [State; PIXELS],
+    pub(super) steady: [BitModel; 16],
+    pub(super) pixel: [BitModel; PIXELS],
 }
 
 /// Contexts of a pixel.
@@ -34,7 +34,7 @@ const PIXELS: usize = 1 << 15;
 /// The context of what is not in the slice.
 pub(super) const UNKNOWN: usize = 2;
 
-/// What is known around a block beside the blocks themselves: which of its tiles are as expected.
+/// What is known around a block beside the blocks themselves: which of its tiles are as predicted.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Agreement {
     pub(super) above: Option<u8>,
@@ -47,81 +47,81 @@ fn whole(tiles: Option<u8>) -> usize {
     tiles.map_or(UNKNOWN, |tiles| usize::from(tiles == u8::MAX))
 }
 
-/// Codes whether a block is as expected.
+/// Codes whether a block is as predicted.
 pub(super) fn code_block(
-    bits: &mut impl Bits,
-    states: &mut RefineStates,
+    bits: &mut impl BinaryCoder,
+    models: &mut RefineModels,
     agreement: Agreement,
-    expected: &Known,
+    predicted: &DecodedBlock,
     truth: bool,
 ) -> bool {
     let Agreement { above, left, other } = agreement;
-    let mixed = usize::from(expected.extent.value().is_none());
+    let mixed = usize::from(predicted.extent.value().is_none());
     let context = ((whole(above) * 3 + whole(left)) * 3 + whole(other)) * 2 + mixed;
-    bits.bit(&mut states.block[context], truth)
+    bits.bit(&mut models.block[context], truth)
 }
 
-/// What a block is expected to be.
-pub(super) struct Guess<'a> {
+/// What a block is predicted to be.
+pub(super) struct Prediction<'a> {
     /// Its rows, from the one above it to the one below it.
     pub(super) lines: [Line; 10],
-    pub(super) block: &'a Known,
-    /// Pixels that are not as expected in the light before this one.
+    pub(super) block: &'a DecodedBlock,
+    /// Pixels that are not as predicted in the light before this one.
     pub(super) wrong: Option<&'a Block>,
 }
 
-/// Codes a block that is not as expected, and gives it back with its tiles that are; a decoder is given any block.
+/// Codes a block that is not as predicted, and gives it back with its tiles that are; a decoder is given any block.
 pub(super) fn code(
-    bits: &mut impl Bits,
-    states: &mut RefineStates,
-    near: &Near<'_>,
+    bits: &mut impl BinaryCoder,
+    models: &mut RefineModels,
+    neighbours: &Neighbours<'_>,
     agreement: Agreement,
-    guess: &Guess<'_>,
-    block: &Known,
-) -> (Known, u8) {
-    let &Guess { lines, block: expected, wrong } = guess;
+    prediction: &Prediction<'_>,
+    block: &DecodedBlock,
+) -> (DecodedBlock, u8) {
+    let &Prediction { lines, block: predicted, wrong } = prediction;
     let bit_of = |tiles: Option<u8>, tile: usize| tiles.map_or(UNKNOWN, |tiles| usize::from(tiles >> tile & 1));
     let (mut equal, mut mixed, mut filled) = (u8::MAX, 0_u64, 0_u64);
     let mut before = bit_of(agreement.left, 7);
-    for tile in 0..near.tiles {
+    for tile in 0..neighbours.tiles {
         let byte = 0xFF << (tile * 8);
-        let from = expected.extent.kind(tile);
+        let from = predicted.extent.kind(tile);
         let context = (bit_of(agreement.above, tile) * 3 + before) * 3 + bit_of(agreement.other, tile);
-        let differs = expected.rows.iter().zip(&block.rows).any(|(expected, own)| (expected ^ own) & byte != 0);
-        before = usize::from(bits.bit(&mut states.tile[context * 3 + from as usize], !differs));
+        let differs = predicted.rows.iter().zip(&block.rows).any(|(predicted, own)| (predicted ^ own) & byte != 0);
+        before = usize::from(bits.bit(&mut models.tile[context * 3 + from as usize], !differs));
         if before == 1 {
             continue;
         }
         equal &= !(1 << tile);
         let beyond = bit_of(agreement.above, (tile + 1).min(7)).min(1) + 2 * bit_of(agreement.other, tile).min(1);
-        let states = &mut states.kind[from as usize * 4 + beyond];
+        let models = &mut models.kind[from as usize * 4 + beyond];
         let kind = block.extent.kind(tile);
-        if bits.bit(&mut states[0], kind == Kind::Mixed) {
+        if bits.bit(&mut models[0], kind == Kind::Mixed) {
             mixed |= byte;
         } else {
             let lit = match from {
                 Kind::Dark => true,
                 Kind::Lit => false,
-                Kind::Mixed => bits.bit(&mut states[1], kind == Kind::Lit),
+                Kind::Mixed => bits.bit(&mut models[1], kind == Kind::Lit),
             };
             filled |= if lit { byte } else { 0 };
         }
     }
-    // Bits of tiles that are not as expected.
+    // Bits of tiles that are not as predicted.
     let differing = (0..8).filter(|tile| equal >> tile & 1 == 0).fold(0_u64, |bits, tile| bits | 0xFF << (tile * 8));
 
     let mut rows = [0; 8];
-    let mut above = near.above.map_or(lines[0], |above| {
+    let mut above = neighbours.above.map_or(lines[0], |above| {
         let [left, right] = lines[0].ends();
         Line::new(
-            near.above_left.map_or(left, |above| above.rows[7] >> 63),
+            neighbours.above_left.map_or(left, |above| above.rows[7] >> 63),
             above.rows[7],
-            near.above_right.map_or(right, |above| above.rows[7]),
+            neighbours.above_right.map_or(right, |above| above.rows[7]),
         )
     });
     for (place, row) in rows.iter_mut().enumerate() {
         let [line_left, line_right] = lines[place + 1].ends();
-        let left = near.left.map_or(line_left, |left| left.rows[place] >> 63);
+        let left = neighbours.left.map_or(line_left, |left| left.rows[place] >> 63);
         let beside = wrong.map_or(0, |wrong| wrong[place]);
         let (mut coded, mut rest) = (lines[place + 1].row() & !differing | filled, mixed);
         while rest != 0 {
@@ -139,16 +139,16 @@ pub(super) fn code(
                 (place * 3 + beside, value)
             });
             let byte = match still {
-                Some((context, value)) if bits.bit(&mut states.still[context], own == value) => value,
-                Some(_) => template.code(bits, &mut states.pixel, own),
-                None => template.code_changing(bits, states, own),
+                Some((context, value)) if bits.bit(&mut models.still[context], own == value) => value,
+                Some(_) => template.code(bits, &mut models.pixel, own),
+                None => template.code_changing(bits, models, own),
             };
             coded |= u64::from(byte) << shift;
         }
         *row = coded;
         above = Line::new(left, coded, line_right);
     }
-    (Known::new(rows), equal)
+    (DecodedBlock::new(rows), equal)
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "the lowest byte is wanted")]
@@ -173,7 +173,7 @@ struct Template {
     lines: [u32; 3],
     /// The pixel to the left.
     before: u32,
-    /// Which of the pixels are not as expected in the light before this one, and which of those to the right of each.
+    /// Which of the pixels are not as predicted in the light before this one, and which of those to the right of each.
     other: u32,
 }
 
@@ -185,7 +185,7 @@ impl Template {
         (over == all && same == all && under == all && self.above == all).then_some(all & 0xFF)
     }
 
-    /// The pixels around which nothing changes, neither above nor in the reference, and where the light before was as expected.
+    /// The pixels around which nothing changes, neither above nor in the reference, and where the light before was as predicted.
     #[inline(always)]
     fn steady(&self) -> Steady {
         let [over, same, under] = self.lines;
@@ -195,30 +195,36 @@ impl Template {
     }
 
     /// One bit says of all steady pixels that they are as they should, which are about half of the pixels.
-    fn code_changing(&self, bits: &mut impl Bits, states: &mut RefineStates, truth: u32) -> u32 {
+    fn code_changing(&self, bits: &mut impl BinaryCoder, models: &mut RefineModels, truth: u32) -> u32 {
         let steady = self.steady();
         if steady.pixels != 0 {
             let beside = self.other & 0xFF != 0;
             let of = (steady.pixels.count_ones() - 1) << 1 | u32::from(beside);
-            if bits.bit(&mut states.steady[of as usize % 16], (truth ^ steady.lit) & steady.pixels == 0) {
-                return self.code_unsteady(bits, &mut states.pixel, truth, steady);
+            if bits.bit(&mut models.steady[of as usize % 16], (truth ^ steady.lit) & steady.pixels == 0) {
+                return self.code_unsteady(bits, &mut models.pixel, truth, steady);
             }
         }
-        self.code(bits, &mut states.pixel, truth)
+        self.code(bits, &mut models.pixel, truth)
     }
 
     #[inline(always)]
-    fn code_unsteady(&self, bits: &mut impl Bits, states: &mut [State; PIXELS], truth: u32, steady: Steady) -> u32 {
+    fn code_unsteady(
+        &self,
+        bits: &mut impl BinaryCoder,
+        models: &mut [BitModel; PIXELS],
+        truth: u32,
+        steady: Steady,
+    ) -> u32 {
         // With the pixel to the left.
-        let (quarters, mut hot) = (self.quarters(), bits.hot());
+        let (quarters, mut registers) = (self.quarters(), bits.registers());
         let (mut coded, mut rest) = (steady.lit << 1 | self.before, !steady.pixels & 0xFF);
         while rest != 0 {
             let x = rest.trailing_zeros();
             rest &= rest - 1;
-            let state = &mut states[self.context(quarters, x, coded >> x & 1) % PIXELS];
-            coded |= u32::from(bits.bit_in::<SLOW>(&mut hot, state, truth >> x & 1 == 1)) << (x + 1);
+            let model = &mut models[self.context(quarters, x, coded >> x & 1) % PIXELS];
+            coded |= u32::from(bits.bit_in::<SLOW>(&mut registers, model, truth >> x & 1 == 1)) << (x + 1);
         }
-        bits.set_hot(hot);
+        bits.set_registers(registers);
         coded >> 1
     }
 
@@ -239,37 +245,37 @@ impl Template {
     }
 
     #[inline(always)]
-    fn code(&self, bits: &mut impl Bits, states: &mut [State; PIXELS], truth: u32) -> u32 {
-        let (quarters, mut hot) = (self.quarters(), bits.hot());
+    fn code(&self, bits: &mut impl BinaryCoder, models: &mut [BitModel; PIXELS], truth: u32) -> u32 {
+        let (quarters, mut registers) = (self.quarters(), bits.registers());
         let (mut coded, mut before) = (0, self.before);
         for x in 0..8 {
-            let state = &mut states[self.context(quarters, x, before) % PIXELS];
-            before = u32::from(bits.bit_in::<SLOW>(&mut hot, state, truth >> x & 1 == 1));
+            let model = &mut models[self.context(quarters, x, before) % PIXELS];
+            before = u32::from(bits.bit_in::<SLOW>(&mut registers, model, truth >> x & 1 == 1));
             coded |= before << x;
         }
-        bits.set_hot(hot);
+        bits.set_registers(registers);
         coded
     }
 }
 
-impl RefineStates {
-    /// All states, in the order of their file.
-    pub(super) fn all(&mut self) -> impl Iterator<Item = &mut State> {
-        let Self { place, motion: MotionStates { own, axes }, block, tile, kind, still, steady, pixel } = self;
-        let axes = axes.iter_mut().flat_map(|AxisStates { differs, negative, longer, rest }| {
+impl RefineModels {
+    /// All models, in the order of their file.
+    pub(super) fn all(&mut self) -> impl Iterator<Item = &mut BitModel> {
+        let Self { place, motion: MotionModels { own, axes }, block, tile, kind, still, steady, pixel } = self;
+        let axes = axes.iter_mut().flat_map(|AxisModels { differs, negative, longer, rest }| {
             differs.iter_mut().chain([negative]).chain(longer).chain(rest)
         });
         let few = place.iter_mut().chain(own).chain(axes).chain(block).chain(tile);
         few.chain(kind.as_flattened_mut()).chain(still).chain(steady).chain(pixel)
     }
 
-    /// States that have counted nothing.
+    /// Models that have counted nothing.
     pub(super) const fn blank() -> Self {
-        let none = State::NONE;
-        let axis = AxisStates { differs: [none; 2], negative: none, longer: [none; 12], rest: [none; 12] };
+        let none = BitModel::NONE;
+        let axis = AxisModels { differs: [none; 2], negative: none, longer: [none; 12], rest: [none; 12] };
         Self {
             place: [none; 18],
-            motion: MotionStates { own: [none; 2], axes: [axis; 2] },
+            motion: MotionModels { own: [none; 2], axes: [axis; 2] },
             block: [none; 54],
             tile: [none; 162],
             kind: [[none; 2]; 12],

@@ -9,7 +9,7 @@ struct Slot<S> {
     slice: u8,
 }
 
-/// States of one kind, one for each context.
+/// Models of one kind, one for each context.
 #[derive(Debug)]
 pub(super) struct Table<S: 'static, const CONTEXTS: usize> {
     slots: Box<[Slot<S>; CONTEXTS]>,

@@ -1,54 +1,83 @@
-//! What masks teach the models.
+//! Counts the symbols of masks, to make the prior probabilities and codes.
 
 use super::{
-    Way, block,
+    bit_model::BitModel,
+    block,
+    block_range::Blocks,
     codes::Counts,
-    fast::{self, Symbols},
-    lane::{Blocks, Lane},
+    fast::{self, SymbolCoder},
+    inter::InterCoder,
+    mode::Mode,
+    models::Models,
     order::Order,
-    prior,
+    range::BinaryCoder,
     reference::Reference,
+    refine::RefineModels,
     small,
+    symbol_model::SymbolModel,
 };
 use crate::{ids::FrameNumber, mask::Mask};
 
-/// Counts what masks teach the models, each with one that may serve it as a reference: the bytes of `prior.bin`, `codes.bin`
-/// and `refine.bin`.
+/// Counts the symbols of masks, each with its reference if it has one. Returns the bytes of `prior.bin`, `codes.bin` and `refine.bin`.
 #[must_use]
 pub fn train<'a>(masks: impl IntoIterator<Item = (&'a Mask, Option<&'a Mask>)>) -> [Vec<u8>; 3] {
-    let mut blocks = Blocks::default();
-    let mut lane = Lane { states: prior::uncounted(), ..Lane::new() };
+    let (mut blocks, mut models, mut inter) = (Blocks::default(), Models::uncounted(), InterCoder::new());
     let (mut counts, mut reference) = (Counts::new(), Reference::new());
     for (mask, before) in masks {
         let order = Order::new(mask.shape());
-        blocks.make_room(&order, Way::Moved(&reference));
+        blocks.make_room(&order, Mode::Inter(&reference));
         if let Some(before) = before.filter(|before| before.shape() == mask.shape()) {
             for (number, place) in order.walk(0..order.blocks()) {
-                blocks.known[number] = block::gather(before, &order, place);
+                blocks.decoded[number] = block::gather(before, &order, place);
             }
-            reference.fill(FrameNumber(0), mask.shape(), &blocks.known);
-            lane.count_moved(&mut prior::Counter, &reference, mask, &mut blocks.all(&order));
+            reference.fill(FrameNumber(0), mask.shape(), &blocks.decoded);
+            inter.count(&mut Counter, &reference, mask, &mut blocks.all(&order));
         }
-        let mut run = blocks.all(&order);
+        let mut range = blocks.all(&order);
         for (number, place) in order.walk(0..order.blocks()) {
             let block = block::gather(mask, &order, place);
-            let near = run.near(place, 0, number);
-            small::code(&mut prior::Counter, &mut lane.states, &near, &block);
-            run.known[number] = block;
+            let neighbours = range.neighbours(place, 0, number);
+            small::code(&mut Counter, &mut models, &neighbours, &block);
+            range.decoded[number] = block;
         }
         for (number, place) in order.walk(0..order.blocks()) {
             let tiles = block::gather_tiles(mask, &order, place);
-            let beside = run.beside(place, 0, number);
-            if tiles != [fast::expected(beside); 8] {
-                fast::code(&mut counts, beside, order.tiles(place).len(), &tiles);
+            let neighbours = range.tile_neighbours(place, 0, number);
+            if tiles != [fast::predicted(neighbours); 8] {
+                fast::code(&mut counts, neighbours, order.tiles(place).len(), &tiles);
             }
-            run.put_tiles(number, tiles);
+            range.put_tiles(number, tiles);
         }
     }
-    [prior::pack(&lane.states), counts.pack(), prior::pack_refined(&mut lane.moved.states)]
+    [models.pack(), counts.pack(), pack_refined(&mut inter.models)]
 }
 
-impl Symbols for Counts {
+fn pack_refined(counted: &mut RefineModels) -> Vec<u8> {
+    counted.all().flat_map(|model| model.packed_count().to_le_bytes()).collect()
+}
+
+/// Counts instead of coding.
+struct Counter;
+
+impl BinaryCoder for Counter {
+    type Registers = ();
+
+    fn registers(&self) {}
+
+    fn set_registers(&mut self, (): ()) {}
+
+    fn bit_in<const RATE: u32>(&mut self, (): &mut (), model: &mut BitModel, bit: bool) -> bool {
+        model.count(bit);
+        bit
+    }
+
+    fn symbol_in(&mut self, (): &mut (), model: &mut SymbolModel, symbol: usize) -> usize {
+        model.count(symbol);
+        symbol
+    }
+}
+
+impl SymbolCoder for Counts {
     fn short(&mut self, context: usize, symbol: u8) -> u8 {
         self.short[context][usize::from(symbol)] += 1;
         symbol

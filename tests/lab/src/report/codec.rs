@@ -14,7 +14,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use gnomon_protocol::{
-    codec::{CodecId, Decoder, Encoder, Reference, Simplifier},
+    codec::{CodecId, Decoder, EncodedFrame, Encoder, Reference, Simplifier},
     ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
     mask::{Mask, MaskShape},
@@ -77,10 +77,10 @@ impl Own {
         }
     }
 
-    fn encode(&mut self, body: &mut Vec<u8>, with_reference: bool) -> Result<()> {
+    fn encode(&mut self, frame: &mut EncodedFrame, with_reference: bool) -> Result<()> {
         self.simplifier.simplify(&mut self.mask, self.wrong_ppm);
         let reference = self.reference.as_ref().filter(|_| with_reference).map(|(_, reference)| reference);
-        Ok(self.encoder.encode_for(None, reference, &self.mask, body)?)
+        Ok(self.encoder.encode_for(None, reference, &self.mask, frame)?)
     }
 }
 
@@ -129,7 +129,7 @@ impl Subject {
         let Some((lag, _)) = own.reference else { return Ok(()) };
         let (_, mask) = earlier.iter().find(|(age, _)| *age == lag).context("no mask of this age")?;
         own.mask.clone_from(mask);
-        own.encode(&mut Vec::new(), false)?;
+        own.encode(&mut EncodedFrame::default(), false)?;
         let Own { encoder, reference: Some((_, reference)), .. } = &mut **own else { return Ok(()) };
         ensure!(encoder.keep(FrameNumber(0), reference), "the mask is no reference");
         Ok(())
@@ -142,15 +142,13 @@ impl Subject {
         }
     }
 
-    fn encode(&mut self, mask: &Mask, body: &mut Vec<u8>) -> Result<()> {
+    fn encode(&mut self, mask: &Mask, frame: &mut EncodedFrame) -> Result<()> {
         match self {
-            Self::Own(own) => own.encode(body, true)?,
+            Self::Own(own) => own.encode(frame, true)?,
             Self::Zstd(zstd) => {
                 zstd.planes.clear();
                 zstd.planes.extend(mask.words().iter().flat_map(|word| word.to_le_bytes()));
-                body.resize(zstd::zstd_safe::compress_bound(zstd.planes.len()), 0);
-                let bytes = zstd.compressor.compress_to_buffer(&zstd.planes, &mut body[..])?;
-                body.truncate(bytes);
+                *frame = zstd.compressor.compress(&zstd.planes)?.into();
             }
         }
         Ok(())
@@ -187,7 +185,7 @@ struct Tally {
 
 impl Tally {
     fn add(&mut self, subject: &mut Subject, mask: &Mask, rounds: u32) -> Result<()> {
-        let (mut body, mut decoded) = (Vec::new(), Mask::new(mask.shape()));
+        let (mut body, mut decoded) = (EncodedFrame::default(), Mask::new(mask.shape()));
         let (mut encode_ms, mut decode_ms) = (f64::INFINITY, f64::INFINITY);
         let packetizer = Packetizer::new(MAX_PACKET_BYTES);
         for round in 0..rounds {

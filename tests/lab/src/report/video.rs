@@ -13,7 +13,7 @@ use std::{collections::VecDeque, num::NonZero, path::PathBuf};
 use anyhow::{Context, Result, ensure};
 use gnomon_client::{camera_path::CameraPath, predictor::Predictor};
 use gnomon_protocol::{
-    codec::{CodecId, Encoder, Reference},
+    codec::{CodecId, EncodedFrame, Encoder, Reference},
     ids::FrameNumber,
     limits::MAX_PACKET_BYTES,
     mask::Mask,
@@ -150,7 +150,7 @@ pub fn measure(options: &VideoOptions, mut progress: impl FnMut(&str)) -> Result
 struct Sender {
     encoder: Encoder,
     packetizer: Packetizer,
-    body: Vec<u8>,
+    body: EncodedFrame,
     /// Masks in flight, oldest first. The oldest is acknowledged once there are as many as a round trip takes, plus
     /// one.
     sent: VecDeque<Reference>,
@@ -162,7 +162,7 @@ impl Sender {
         Self {
             encoder: Encoder::new(codec),
             packetizer: Packetizer::new(MAX_PACKET_BYTES),
-            body: Vec::new(),
+            body: EncodedFrame::default(),
             sent: VecDeque::new(),
             acknowledged_after: lag as usize + 1,
         }

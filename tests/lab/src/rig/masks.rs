@@ -27,7 +27,7 @@ pub fn read(folder: &Path) -> Result<BTreeMap<u32, Mask>> {
 
 #[cfg(test)]
 mod tests {
-    use gnomon_protocol::codec::{CodecId, Encoder};
+    use gnomon_protocol::codec::{CodecId, EncodedFrame, Encoder};
 
     use super::*;
 
@@ -36,9 +36,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut mask = Mask::new(MaskShape::new(20, 9, 3).unwrap());
         mask.set(2, 19, 8, true);
-        let mut body = Vec::new();
+        let mut body = EncodedFrame::default();
         Encoder::new(CodecId::PlanesLz4).encode(&mask, &mut body).unwrap();
-        fs::write(folder.path().join("frame_000012.body"), &body).unwrap();
+        fs::write(folder.path().join("frame_000012.body"), body.body()).unwrap();
         assert_eq!(read(folder.path()).unwrap(), BTreeMap::from([(12, mask)]));
         fs::write(folder.path().join("frame_000013.body"), &body[1..]).unwrap();
         assert!(read(folder.path()).unwrap_err().to_string().contains("frame_000013.body"));

@@ -10,7 +10,7 @@ use bytes::Bytes;
 use gnomon_client::link::receive_options::Packets;
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
-    codec::{CodecId, DecodeError, Encoder},
+    codec::{CodecId, DecodeError, EncodedFrame, Encoder},
     coverage::Coverage,
     fec::{PARITY_ROOM_BYTES, ParityEncoder, parity_packets},
     ids::FrameNumber,
@@ -117,7 +117,7 @@ struct Sender {
     down: Impairment,
     up: Impairment,
     counts: Counts,
-    body: Vec<u8>,
+    body: EncodedFrame,
 }
 
 impl Sender {
@@ -132,7 +132,7 @@ impl Sender {
             down: Impairment::new(settings.clone(), seed, Direction::Down),
             up: Impairment::new(settings.clone(), seed, Direction::Up),
             counts: Counts::default(),
-            body: Vec::new(),
+            body: EncodedFrame::default(),
         }
     }
 
@@ -154,7 +154,7 @@ impl Sender {
         outcome.frames += 1;
         outcome.packets += packets.len() as u64;
         let parity = parity_packets(self.losses.model(), packets.len());
-        let parity = self.parity.encode(self.packetizer.pieces(&self.body), parity);
+        let parity = self.parity.encode(self.body.payloads(self.packetizer.payload_bytes()), parity);
         packets.extend(self.packetizer.parity_packets(FrameNumber(number), number, parity));
         for packet in packets {
             outcome.bytes += packet.len() as u64;

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use gnomon_protocol::{
-    codec::{CodecId, Encoder, Simplifier},
+    codec::{CodecId, EncodedFrame, Encoder, Simplifier},
     mask::{Mask, MaskShape},
 };
 use gnomon_scene::{Scene, camera::Camera};
@@ -24,7 +24,7 @@ pub(super) struct Tracer {
     lights: u32,
     /// Kept from frame to frame, as sessions do.
     encoder: Encoder,
-    body: Vec<u8>,
+    body: EncodedFrame,
     simplifier: Simplifier,
     wrong_ppm: u16,
 }
@@ -64,7 +64,7 @@ impl Tracer {
     fn new(kind: Kind, scene: &Scene) -> Result<Self> {
         let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
         let (encoder, simplifier) = (Encoder::new(CodecId::PlanesLz4), Simplifier::default());
-        Ok(Self { kind, lights, encoder, body: Vec::new(), simplifier, wrong_ppm: 0 })
+        Ok(Self { kind, lights, encoder, body: EncodedFrame::default(), simplifier, wrong_ppm: 0 })
     }
 
     /// Lets `wrong_ppm` bits in a million be wrong.

@@ -12,9 +12,9 @@ pub(super) const QUICK: u32 = 4;
 
 /// How likely a bit is in some context: the probability of 1, of 2³².
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct State(u32);
+pub(super) struct BitModel(u32);
 
-impl State {
+impl BitModel {
     /// Nothing counted.
     pub(super) const NONE: Self = Self(0);
 
@@ -64,7 +64,7 @@ mod tests {
 
     #[test]
     fn no_bit_becomes_impossible() {
-        let mut state = State::EVEN;
+        let mut state = BitModel::EVEN;
         for bit in [true, false] {
             (0..10_000).for_each(|_| state.learn::<SLOW>(bit));
             assert!((LEAST..=0x1_0000 - LEAST).contains(&state.one()));

@@ -1,8 +1,8 @@
 //! How likely each of eight symbols is, which learns: what a model asks where two answers are too few.
 
-use super::state::SLOW;
+use super::bit_model::SLOW;
 
-/// Symbols of a choice.
+/// SymbolCoder of a choice.
 pub(super) const SYMBOLS: usize = 8;
 
 /// Parts of the interval that are shared out by what was learnt.
@@ -33,9 +33,9 @@ const TARGETS: [[i16; SYMBOLS]; SYMBOLS] = {
 
 /// What each symbol takes of the interval: where it begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Choice([i16; SYMBOLS]);
+pub(super) struct SymbolModel([i16; SYMBOLS]);
 
-impl Choice {
+impl SymbolModel {
     /// All symbols alike.
     pub(super) const EVEN: Self = {
         let step = TOP / 8;
@@ -95,7 +95,7 @@ mod tests {
 
     #[test]
     fn every_symbol_keeps_a_share_whatever_comes() {
-        let mut choice = Choice::EVEN;
+        let mut choice = SymbolModel::EVEN;
         for step in 0..5000_usize {
             choice.learn(if step < 2000 {
                 0
@@ -117,10 +117,10 @@ mod tests {
 
     #[test]
     fn counts_become_shares() {
-        let mut counted = Choice::NONE;
+        let mut counted = SymbolModel::NONE;
         assert_eq!(counted.packed_count(), None);
         (0..30).for_each(|step| counted.count(if step % 3 == 0 { 5 } else { 2 }));
-        let choice = Choice::from_packed(counted.packed_count().unwrap());
+        let choice = SymbolModel::from_packed(counted.packed_count().unwrap());
         let parts = |symbol: usize| choice.share(symbol)[1] - choice.share(symbol)[0];
         assert!((21_000..22_000).contains(&parts(2)) && (10_500..11_000).contains(&parts(5)), "{choice:?}");
     }

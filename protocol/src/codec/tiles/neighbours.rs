@@ -1,7 +1,7 @@
 //! What is around a block and around a part of a row, and the walk over the rows: what the models have in common.
 
 use super::{
-    block::{Block, Known},
+    block::{Block, DecodedBlock},
     order::{Order, Place},
 };
 
@@ -10,21 +10,21 @@ pub(super) const UNKNOWN: usize = 3;
 
 /// What a block's bits may depend on: the blocks around it, as far as they come before it in its slice.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Near<'a> {
-    pub(super) above: Option<&'a Known>,
-    pub(super) above_left: Option<&'a Known>,
-    pub(super) above_right: Option<&'a Known>,
-    pub(super) left: Option<&'a Known>,
+pub(super) struct Neighbours<'a> {
+    pub(super) above: Option<&'a DecodedBlock>,
+    pub(super) above_left: Option<&'a DecodedBlock>,
+    pub(super) above_right: Option<&'a DecodedBlock>,
+    pub(super) left: Option<&'a DecodedBlock>,
     /// The same place in the light before this one.
-    pub(super) other: Option<&'a Known>,
+    pub(super) other: Option<&'a DecodedBlock>,
     /// Tiles of the block that lie in the picture.
     pub(super) tiles: usize,
 }
 
-impl<'a> Near<'a> {
+impl<'a> Neighbours<'a> {
     /// What is known around block `number` of a slice that begins with block `first`; `before` are the blocks between.
     #[inline(always)]
-    pub(super) fn new(before: &'a [Known], order: &Order, place: Place, first: usize, number: usize) -> Self {
+    pub(super) fn new(before: &'a [DecodedBlock], order: &Order, place: Place, first: usize, number: usize) -> Self {
         let known = |number: Option<usize>| number.and_then(|number| before.get(number.wrapping_sub(first)));
         let around = order.around(number, place);
         Self {
@@ -49,9 +49,9 @@ pub(super) const fn uniformity(row: u64) -> usize {
 
 /// A row with eight pixels beyond either end, as bytes: they are read where they lie, four at once.
 #[derive(Debug, Clone, Copy, Default)]
-struct Wide([u8; 16]);
+struct WideRow([u8; 16]);
 
-impl Wide {
+impl WideRow {
     /// With the rows to the left and to the right.
     #[inline(always)]
     fn new(left: u64, row: u64, right: u64) -> Self {
@@ -61,7 +61,7 @@ impl Wide {
     /// A row that goes on as it ends.
     #[inline(always)]
     fn alone(row: u64) -> Self {
-        Self::new(on_and_on(row), row, on_and_on(row >> 63))
+        Self::new(replicated(row), row, replicated(row >> 63))
     }
 
     /// The tile that begins at pixel `shift`, from eight pixels to the left to eight to the right, and what is beyond.
@@ -73,7 +73,7 @@ impl Wide {
 }
 
 /// What a row's end goes on as, where nothing is known beyond it.
-const fn on_and_on(end: u64) -> u64 {
+const fn replicated(end: u64) -> u64 {
     (end & 1).wrapping_neg()
 }
 
@@ -83,9 +83,9 @@ pub(super) const BEYOND: u32 = 8;
 /// The rows of a block that are known so far, and what is known around them.
 pub(super) struct Rows {
     /// From the third row above the block on.
-    own: [Wide; 11],
+    own: [WideRow; 11],
     /// Of the light before this one, from the first row on, which is there twice.
-    other: [Wide; 9],
+    other: [WideRow; 9],
     /// Whether there is one.
     has_other: bool,
     mixed: u64,
@@ -94,7 +94,7 @@ pub(super) struct Rows {
 
 /// Eight pixels of a row, and what is known around them.
 #[derive(Clone, Copy)]
-pub(super) struct Part<'a> {
+pub(super) struct RowPart<'a> {
     rows: &'a Rows,
     shift: u32,
     place: usize,
@@ -102,7 +102,7 @@ pub(super) struct Part<'a> {
     pub(super) before: u32,
 }
 
-impl Part<'_> {
+impl RowPart<'_> {
     /// The first row above, the second or the third, from [`BEYOND`] pixels to the left to as many to the right; higher bits mean nothing.
     #[inline(always)]
     pub(super) fn above(&self, nth: usize) -> u32 {
@@ -150,43 +150,43 @@ impl Part<'_> {
 /// surroundings and the pixels, which a decoder does not know yet, and gives the pixels back.
 #[inline(always)]
 pub(super) fn code_rows(
-    near: &Near<'_>,
+    neighbours: &Neighbours<'_>,
     truth: &Block,
     mixed: u64,
     lit: u64,
-    mut code: impl FnMut(&Part<'_>, u32) -> u32,
-) -> Known {
+    mut code: impl FnMut(&RowPart<'_>, u32) -> u32,
+) -> DecodedBlock {
     let mut block = [0; 8];
-    let mut rows = Rows { own: [Wide::default(); 11], other: [Wide::default(); 9], has_other: false, mixed, lit };
-    if let Some(above) = near.above {
+    let mut rows = Rows { own: [WideRow::default(); 11], other: [WideRow::default(); 9], has_other: false, mixed, lit };
+    if let Some(above) = neighbours.above {
         for (place, wide) in (5..8).zip(&mut rows.own) {
             let row = above.rows[place];
-            let left = near.above_left.map_or(0, |left| left.rows[place]);
-            let right = near.above_right.map_or(on_and_on(row >> 63), |right| right.rows[place]);
-            *wide = Wide::new(left, row, right);
+            let left = neighbours.above_left.map_or(0, |left| left.rows[place]);
+            let right = neighbours.above_right.map_or(replicated(row >> 63), |right| right.rows[place]);
+            *wide = WideRow::new(left, row, right);
         }
     }
-    if let Some(other) = near.other {
+    if let Some(other) = neighbours.other {
         rows.has_other = true;
-        rows.other[0] = Wide::alone(other.rows[0]);
+        rows.other[0] = WideRow::alone(other.rows[0]);
         for (wide, row) in rows.other[1..].iter_mut().zip(other.rows) {
-            *wide = Wide::alone(row);
+            *wide = WideRow::alone(row);
         }
     }
     for place in 0..8 {
-        let left = near.left.map_or(0, |left| left.rows[place]);
+        let left = neighbours.left.map_or(0, |left| left.rows[place]);
         let (mut coded, mut rest) = (lit, mixed);
         while rest != 0 {
             let shift = rest.trailing_zeros() & 0x38;
             rest &= !(0xFF << shift);
             let before = low_bits((coded << 2 | left >> 62) >> shift & 3);
-            let part = Part { rows: &rows, shift, place, before };
+            let part = RowPart { rows: &rows, shift, place, before };
             coded |= u64::from(code(&part, low_bits(truth[place] >> shift & 0xFF))) << shift;
         }
         block[place] = coded;
-        rows.own[place + 3] = Wide::new(left, coded, on_and_on(coded >> 63));
+        rows.own[place + 3] = WideRow::new(left, coded, replicated(coded >> 63));
     }
-    Known::new(block)
+    DecodedBlock::new(block)
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "what is wanted lies in the lowest bits")]
