@@ -59,12 +59,12 @@ impl SettingsError {
     }
 }
 
-/// The first line of clap's message and its tips.
+/// The first paragraph of clap's message and its tips.
 fn usage(error: &clap::Error) -> String {
     let text = error.to_string();
-    let mut lines = text.lines();
-    let first = lines.next().unwrap_or_default().trim_start_matches("error: ").to_owned();
-    let tips = lines.filter_map(|line| line.trim().strip_prefix("tip: "));
+    let (first, rest) = text.split_once("\n\n").unwrap_or((text.as_str(), ""));
+    let first = one_line(first.trim_start_matches("error: "));
+    let tips = rest.lines().filter_map(|line| line.trim().strip_prefix("tip: "));
     tips.fold(first, |line, tip| format!("{line}; {tip}"))
 }
 
