@@ -105,9 +105,9 @@ mod tests {
             self.back.frame = FrameNumber(frame);
             let (shape, coverage) = (self.back.mask.shape(), &mut self.back.coverage);
             if whole {
-                coverage.set_whole(shape)
+                coverage.set_whole(shape);
             } else {
-                coverage.set_none(shape)
+                coverage.set_none(shape);
             }
             self.queue.publish(&mut self.back);
         }

@@ -1,6 +1,6 @@
 //! A small scene and an adapter, for the tests of the passes.
 
-#![allow(clippy::expect_used, reason = "for tests only")]
+#![allow(clippy::expect_used, clippy::unwrap_used, reason = "for tests only")]
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use gnomon_protocol::mask::{Mask, MaskShape};
