@@ -5,7 +5,6 @@ use std::path::Path;
 use gnomon_lint::{Sources, circles, too_long};
 
 #[test]
-#[ignore = "circles are being mended"]
 fn no_import_circles() {
     let sources = Sources::find(Path::new("../..")).unwrap();
     assert!(sources.roots.len() > 10, "{:?}", sources.roots);
