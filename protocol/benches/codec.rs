@@ -1,4 +1,5 @@
-//! How long the codecs take for one mask, beside `lz4_flex` on the same planes: the ratio is what a frame costs over LZ4's.
+//! How long the codecs take for one mask, beside `lz4_flex` on the same planes: the ratio is what a frame costs over
+//! LZ4's.
 //!
 //! ```text
 //! cargo bench -p gnomon-protocol --bench codec
@@ -6,8 +7,9 @@
 //!
 //! What shares a frame out to several cores is timed on one, two and four threads, as far as there are so many.
 //!
-//! The mask is made up: 1920×1080 pixels, four lights, shadows of discs, one light in four with edges as ragged as leaves have
-//! them. The reference is the same mask three pixels earlier. What makes a mask lossy first is timed with the copy that it changes.
+//! The mask is made up: 1920×1080 pixels, four lights, shadows of discs, one light in four with edges as ragged as
+//! leaves have them. The reference is the same mask three pixels earlier. What makes a mask lossy first is timed with
+//! the copy that it changes.
 
 #![allow(missing_docs, clippy::unwrap_used, reason = "a benchmark that fails has nothing to say")]
 

@@ -4,8 +4,9 @@
 //! cargo run --release -p gnomon-protocol --example train_tiles protocol/src/codec/tiles FRAME.body …
 //! ```
 //!
-//! The frames are as `gnomon-client --save-masks` writes them, in any codec. One that has the same name as the one before it but for
-//! its number is taken with that as its reference. The files, `prior.bin`, `codes.bin` and `refine.bin`, are part of the protocol.
+//! The frames are as `gnomon-client --save-masks` writes them, in any codec. One that has the same name as the one
+//! before it but for its number is taken with that as its reference. The files, `prior.bin`, `codes.bin` and
+//! `refine.bin`, are part of the protocol.
 
 use std::{env, fs, path::PathBuf};
 

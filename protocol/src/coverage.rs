@@ -46,7 +46,8 @@ impl Coverage {
         self.words.resize(Self::places(shape).into_iter().map(|side| side as usize).product(), word);
     }
 
-    /// Says that the bits of a light have come at a place, counted from the left and from the top. Places outside the mask are none.
+    /// Says that the bits of a light have come at a place, counted from the left and from the top. Places outside the
+    /// mask are none.
     pub(crate) fn add(&mut self, x: usize, y: usize, light: usize) {
         let across = Self::places(self.shape)[0] as usize;
         if let Some(word) = self.words.get_mut(y * across + x) {

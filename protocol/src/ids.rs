@@ -32,7 +32,8 @@ impl fmt::Display for SessionId {
     }
 }
 
-/// What a client that comes back names its session by: whoever knows it takes the session's place over. Secret, so it is never shown.
+/// What a client that comes back names its session by: whoever knows it takes the session's place over. Secret, so it
+/// is never shown.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ResumeToken(pub [u8; 16]);
 

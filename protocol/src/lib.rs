@@ -1,7 +1,7 @@
 //! What crosses Gnomon's wire.
 //!
-//! Sans-IO: bytes and time come in as arguments; nothing here owns a socket, a clock or a GPU. The folders follow a frame:
-//! [`mask`] → `codec/` → `send/` → `wire/` → (the network) → `receive/` → `codec/` → [`mask`].
+//! Sans-IO: bytes and time come in as arguments; nothing here owns a socket, a clock or a GPU. The folders follow a
+//! frame: [`mask`] → `codec/` → `send/` → `wire/` → (the network) → `receive/` → `codec/` → [`mask`].
 
 pub mod codec;
 pub mod coverage;

@@ -1,8 +1,8 @@
 //! Where a client looked from: the only thing that it sends for every frame.
 //!
 //! The dissertation sends three vectors of three f32 (§3.5, 36 bytes). Ours are f64, so that a scene may lie far from
-//! its origin, and carry the field of view, the scene's time, the size of the mask that is wanted and how far ahead it is
-//! wanted for: 82 bytes, little-endian, in the order of the fields.
+//! its origin, and carry the field of view, the scene's time, the size of the mask that is wanted and how far ahead it
+//! is wanted for: 82 bytes, little-endian, in the order of the fields.
 
 use thiserror::Error;
 
@@ -31,11 +31,11 @@ pub struct Pose {
     pub scene_time_s: f64,
     /// Time that the client has spent since its first frame, in milliseconds; wraps.
     pub client_time_ms: u32,
-    /// Width and height of the mask, in pixels. A client that shows a smaller picture asks for a guard band around it; both are
-    /// seen through the same field of view per pixel, so `yfov_rad` is the mask's.
+    /// Width and height of the mask, in pixels. A client that shows a smaller picture asks for a guard band around it;
+    /// both are seen through the same field of view per pixel, so `yfov_rad` is the mask's.
     pub mask_px: [u16; 2],
-    /// How long after `client_time_ms` the mask will be shown, in milliseconds, as far as the client can tell. The server traces
-    /// for where the camera will be then, and says so in the frame's head; 0 asks for this very pose.
+    /// How long after `client_time_ms` the mask will be shown, in milliseconds, as far as the client can tell. The
+    /// server traces for where the camera will be then, and says so in the frame's head; 0 asks for this very pose.
     pub look_ahead_ms: u16,
 }
 

@@ -1,8 +1,8 @@
 //! Which masks either end keeps as references, and when it lets go of them.
 //!
-//! The server keeps what it has sent until a later one is acknowledged; the client keeps what it has acknowledged until the server
-//! codes against a later one. Both keep a few masks and a few bytes at most: what does not fit is not kept, and costs bytes on
-//! the wire and nothing else.
+//! The server keeps what it has sent until a later one is acknowledged; the client keeps what it has acknowledged until
+//! the server codes against a later one. Both keep a few masks and a few bytes at most: what does not fit is not kept,
+//! and costs bytes on the wire and nothing else.
 
 use std::collections::VecDeque;
 
@@ -123,7 +123,8 @@ impl SentMasks {
         }
     }
 
-    /// Lets go of every other mask that is not acknowledged: so some remain, however long acknowledgements are under way.
+    /// Lets go of every other mask that is not acknowledged: so some remain, however long acknowledgements are under
+    /// way.
     fn thin_out(&mut self) {
         let in_use = usize::from(self.acknowledged);
         let mut place = in_use;
@@ -144,20 +145,21 @@ pub struct KeptMasks {
     full: u32,
 }
 
-/// Times in a row that the client finds no room before it begins anew. The server goes to newer masks long before that, unless it has let
-/// go of all those that the client has: then neither end would move again.
+/// Times in a row that the client finds no room before it begins anew. The server goes to newer masks long before that,
+/// unless it has let go of all those that the client has: then neither end would move again.
 const MOST_FULL: u32 = 64;
 
 impl KeptMasks {
-    /// The mask that a frame is coded against, if it is kept. Older ones are not needed any more: the server does not go back.
+    /// The mask that a frame is coded against, if it is kept. Older ones are not needed any more: the server does not
+    /// go back.
     pub fn reference(&mut self, name: ReferenceName) -> Option<&Reference> {
         self.ring.find(name)?;
         self.ring.drop_before(name);
         self.ring.kept.front()
     }
 
-    /// Keeps what was decoded last, as `frame`, and says what to tell the server: nothing when not all of the frame had come. When
-    /// as much is kept as may be, that the newest of it is there, or, when that goes on, that nothing is.
+    /// Keeps what was decoded last, as `frame`, and says what to tell the server: nothing when not all of the frame had
+    /// come. When as much is kept as may be, that the newest of it is there, or, when that goes on, that nothing is.
     pub fn keep(&mut self, decoder: &Decoder, frame: FrameNumber) -> Option<Acknowledgement> {
         if self.ring.is_full() {
             self.full += 1;

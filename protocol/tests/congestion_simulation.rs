@@ -259,9 +259,9 @@ fn a_bottleneck_is_used_and_its_queue_kept_near_the_target() {
     }
 }
 
-/// Frames that want 48 Mbit/s, each cut down to its budget, through 10 Mbit/s and a queue of 100 ms: nothing is ever dropped, what is there
-/// is used, and a frame's last datagram is through the queue three frames after it was made, 99 times of 100: one frame is what it takes
-/// by itself, and the controller lets a queue of 12 ms stand.
+/// Frames that want 48 Mbit/s, each cut down to its budget, through 10 Mbit/s and a queue of 100 ms: nothing is ever
+/// dropped, what is there is used, and a frame's last datagram is through the queue three frames after it was made, 99
+/// times of 100: one frame is what it takes by itself, and the controller lets a queue of 12 ms stand.
 #[test]
 fn budgeted_frames_neither_wait_nor_overflow() {
     for (bits_per_s, loss_per_mille) in [(10_000_000, 0), (10_000_000, 10), (20_000_000, 0)] {

@@ -1,4 +1,5 @@
-//! Parity: any n of a frame's n + m packets are enough, wrong parity never changes what has come, and memory is bounded.
+//! Parity: any n of a frame's n + m packets are enough, wrong parity never changes what has come, and memory is
+//! bounded.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 

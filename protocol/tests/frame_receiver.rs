@@ -363,7 +363,8 @@ fn tiles_that_do_not_arrive_keep_their_value() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Packets are lost, repeated and reordered, feedback is lost, and deadlines pass: every delivered place is that of its frame.
+    /// Packets are lost, repeated and reordered, feedback is lost, and deadlines pass: every delivered place is that of
+    /// its frame.
     #[test]
     fn every_delivered_place_is_right(
         seed in any::<u64>(),

@@ -20,7 +20,8 @@ use gnomon_protocol::{
 
 use crate::common::Random;
 
-/// Noise, the seeds, and damaged seeds, `rounds` of each. With `GNOMON_FUZZ_SEEDS=FOLDER` the seeds are written there for the targets.
+/// Noise, the seeds, and damaged seeds, `rounds` of each. With `GNOMON_FUZZ_SEEDS=FOLDER` the seeds are written there
+/// for the targets.
 #[expect(clippy::unwrap_used, reason = "a test's helper")]
 fn drive(entry: fn(&[u8]), seeds: &[Vec<u8>], rounds: u32) {
     let mut random = Random(1);

@@ -1,4 +1,5 @@
-//! Frames of simplified masks: every codec gives the simplified mask back, it takes fewer bytes, and it is the reference.
+//! Frames of simplified masks: every codec gives the simplified mask back, it takes fewer bytes, and it is the
+//! reference.
 
 #![allow(clippy::unwrap_used, reason = "a helper outside the test functions uses it too")]
 

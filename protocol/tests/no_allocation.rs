@@ -61,8 +61,8 @@ fn mask(shape: MaskShape, step: u32) -> Mask {
     mask
 }
 
-/// How often a session asks for memory, frame by frame. Its masks come back every third frame; `body_bytes` is what the body has room for
-/// from the beginning. Where there are references, each mask is acknowledged at once.
+/// How often a session asks for memory, frame by frame. Its masks come back every third frame; `body_bytes` is what the
+/// body has room for from the beginning. Where there are references, each mask is acknowledged at once.
 fn counts(codec: CodecId, shape: MaskShape, references: bool, frames: u32, body_bytes: usize) -> Vec<u64> {
     let masks = [0, 5, 9].map(|step| mask(shape, step));
     let (mut encoder, mut decoder) = (Encoder::new(codec), Decoder::new());
@@ -94,8 +94,8 @@ fn counts(codec: CodecId, shape: MaskShape, references: bool, frames: u32, body_
     counts
 }
 
-/// All in one test: when one ends beside another, the harness takes memory of its own. And within a pool, as rayon's queue of what
-/// comes from outside does now and then.
+/// All in one test: when one ends beside another, the harness takes memory of its own. And within a pool, as rayon's
+/// queue of what comes from outside does now and then.
 #[test]
 fn a_warm_session_takes_no_memory() {
     let few_tiles = MaskShape::new(333, 222, 4).unwrap();

@@ -1,5 +1,5 @@
-//! Slices that are coded against a mask that both ends have: they give the mask back bit by bit, never against another one, and
-//! whatever is lost on the way, the ends agree again.
+//! Slices that are coded against a mask that both ends have: they give the mask back bit by bit, never against another
+//! one, and whatever is lost on the way, the ends agree again.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -88,7 +88,8 @@ proptest! {
         prop_assert!(received == sent);
     }
 
-    /// Poses go up and masks come down, late; packets and acknowledgements are lost, repeated and come in another order.
+    /// Poses go up and masks come down, late; packets and acknowledgements are lost, repeated and come in another
+    /// order.
     #[test]
     fn the_ends_agree_whatever_is_lost(
         seed in any::<u64>(),
@@ -127,7 +128,8 @@ proptest! {
     }
 }
 
-/// Where nothing is lost, all frames are coded with a reference but those that are sent before the first is acknowledged.
+/// Where nothing is lost, all frames are coded with a reference but those that are sent before the first is
+/// acknowledged.
 #[test]
 fn references_are_used_as_soon_as_they_are_known() {
     for late in 0..=4 {
@@ -149,8 +151,8 @@ fn references_are_used_over_long_ways() {
     }
 }
 
-/// Acknowledgements that are held up for long fill what the client keeps. It goes on with what it has, begins anew when that does
-/// not end, and is together with the server again afterwards.
+/// Acknowledgements that are held up for long fill what the client keeps. It goes on with what it has, begins anew when
+/// that does not end, and is together with the server again afterwards.
 #[test]
 fn the_ends_come_together_after_a_delay() {
     for (late, held_up) in (0..=4).flat_map(|late| [2, 16, 40, 70, 100, 150].map(|held_up| (late, held_up))) {
@@ -158,8 +160,8 @@ fn the_ends_come_together_after_a_delay() {
         let ends = begins + held_up;
         let frames = converse(ends + 120, late, u32::MAX, |frame| (begins..ends).contains(&frame));
         let lost = frames.iter().filter(|frame| !frame.was_shown).count();
-        // It keeps 16 masks, and says for 64 frames more which is the newest. From then on, nothing that is coded against what it had is
-        // of use until the server has heard so.
+        // It keeps 16 masks, and says for 64 frames more which is the newest. From then on, nothing that is coded
+        // against what it had is of use until the server has heard so.
         let most = (held_up as usize).saturating_sub(70) + 2 * late + 1;
         assert!(lost <= most && (held_up > 2 || lost == 0), "{lost} lost, {late} late, held up for {held_up}");
         assert!(held_up < 100 || lost > 0, "it never began anew, {late} late, held up for {held_up}");

@@ -1,5 +1,5 @@
-//! Byte budgets: a frame of which parts are left out stays within its budget, what is sent is right, what changes most comes first,
-//! and everything comes in the end.
+//! Byte budgets: a frame of which parts are left out stays within its budget, what is sent is right, what changes most
+//! comes first, and everything comes in the end.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -99,8 +99,8 @@ proptest! {
     }
 }
 
-/// A sixth of the picture changes wholly, another one in a few pixels: the first one is sent, then the other, and what does not
-/// change when its time comes.
+/// A sixth of the picture changes wholly, another one in a few pixels: the first one is sent, then the other, and what
+/// does not change when its time comes.
 #[test]
 fn large_changes_come_first_and_waiting_counts() {
     let shape = MaskShape::new(1536, 256, 1).unwrap();

@@ -1,5 +1,5 @@
-//! Under the `Slices` policy, whatever the network does to a stream of packets and whenever somebody looks: what comes of a frame
-//! before it ends comes out, each packet's data as new once.
+//! Under the `Slices` policy, whatever the network does to a stream of packets and whenever somebody looks: what comes
+//! of a frame before it ends comes out, each packet's data as new once.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 

@@ -40,12 +40,13 @@ impl Decoder {
         Self { raw: Vec::new(), tiles: tiles::Workspace::new() }
     }
 
-    /// Decodes a whole frame into `mask`, which takes the frame's shape. To expect a certain shape, check [`Frame::parse`]'s head
-    /// first. Sizes are checked before memory is taken: at most the mask and the raw bytes of one slice, or a few times the mask
-    /// for sliced frames.
+    /// Decodes a whole frame into `mask`, which takes the frame's shape. To expect a certain shape, check
+    /// [`Frame::parse`]'s head first. Sizes are checked before memory is taken: at most the mask and the raw bytes of
+    /// one slice, or a few times the mask for sliced frames.
     ///
     /// # Errors
-    /// If the body is not exactly one frame, or is coded against a reference. The mask's shape and bits then mean nothing.
+    /// If the body is not exactly one frame, or is coded against a reference. The mask's shape and bits then mean
+    /// nothing.
     pub fn decode(&mut self, body: &[u8], mask: &mut Mask) -> Result<CodecId, DecodeError> {
         self.decode_against(None, body, mask)
     }
@@ -90,8 +91,8 @@ impl Decoder {
     /// Decodes the parts of a sliced frame that have arrived, in any order. The rest of `mask` stays as it is.
     ///
     /// # Errors
-    /// If the body does not consist of parts of one frame with the mask's shape, or is coded against another reference. Some
-    /// tiles of `mask` may have changed, but none if the reference is missing.
+    /// If the body does not consist of parts of one frame with the mask's shape, or is coded against another reference.
+    /// Some tiles of `mask` may have changed, but none if the reference is missing.
     pub fn decode_onto(
         &mut self,
         reference: Option<&Reference>,
@@ -102,8 +103,8 @@ impl Decoder {
         self.decode_more(reference, body, mask)
     }
 
-    /// As [`Self::decode_onto`], for more parts of the frame that was decoded last. Once all have arrived, the mask can be
-    /// [kept](Self::keep).
+    /// As [`Self::decode_onto`], for more parts of the frame that was decoded last. Once all have arrived, the mask can
+    /// be [kept](Self::keep).
     ///
     /// # Errors
     /// As [`Self::decode_onto`].
@@ -146,8 +147,8 @@ impl Decoder {
         self.tiles.coverage(shape, coverage);
     }
 
-    /// Turns the mask that was decoded last into a reference named `frame`. Returns false, and leaves `reference` as it is, if parts
-    /// of it are missing or its codec has no references.
+    /// Turns the mask that was decoded last into a reference named `frame`. Returns false, and leaves `reference` as it
+    /// is, if parts of it are missing or its codec has no references.
     pub fn keep(&self, frame: FrameNumber, reference: &mut Reference) -> bool {
         self.tiles.keep(frame, reference)
     }

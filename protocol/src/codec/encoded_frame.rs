@@ -34,7 +34,8 @@ impl EncodedFrame {
         &self.parts
     }
 
-    /// Returns what each packet carries: one part if every part fits `most` bytes, otherwise `most` bytes in all but the last.
+    /// Returns what each packet carries: one part if every part fits `most` bytes, otherwise `most` bytes in all but
+    /// the last.
     pub fn payloads(&self, most: usize) -> impl Iterator<Item = &[u8]> + Clone {
         let body = &self.body;
         let (parts, rest) = if self.fits(most) { (&self.parts[..], &[][..]) } else { (&[][..], &body[..]) };

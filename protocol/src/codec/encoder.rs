@@ -41,8 +41,8 @@ impl Encoder {
         Self::with_slices(codec, NonZeroU16::MIN)
     }
 
-    /// Makes frames of `slices` slices, but at most one per row of tiles. [Sliced](CodecId::is_sliced) codecs make as many as
-    /// packets are needed.
+    /// Makes frames of `slices` slices, but at most one per row of tiles. [Sliced](CodecId::is_sliced) codecs make as
+    /// many as packets are needed.
     #[must_use]
     pub fn with_slices(codec: CodecId, slices: NonZeroU16) -> Self {
         Self {
@@ -74,8 +74,8 @@ impl Encoder {
         self.encode_for(None, None, mask, frame)
     }
 
-    /// As [`Self::encode`], for a mask that was traced for another pose than the client's own, and against a reference that the
-    /// client has. Codecs without references ignore it, as do masks of another shape.
+    /// As [`Self::encode`], for a mask that was traced for another pose than the client's own, and against a reference
+    /// that the client has. Codecs without references ignore it, as do masks of another shape.
     ///
     /// # Errors
     /// As [`Self::encode`].
@@ -113,8 +113,8 @@ impl Encoder {
         checked_length(body)
     }
 
-    /// Turns the mask that was encoded last into a reference named `frame`. Returns false, and leaves `reference` as it is, if the
-    /// codec has no references.
+    /// Turns the mask that was encoded last into a reference named `frame`. Returns false, and leaves `reference` as it
+    /// is, if the codec has no references.
     pub fn keep(&self, frame: FrameNumber, reference: &mut Reference) -> bool {
         self.tiles.keep(frame, reference)
     }

@@ -7,9 +7,9 @@
 //! | `planes-lz4` | for each light the slice's 8×8 tiles, a u64 each | LZ4 block |
 //! | `tiles-small`, `tiles-fast` | – | [`tiles`], in as many slices as datagrams are needed |
 //!
-//! A compressed slice that would not be shorter than its raw bytes is sent raw. The decoder is strict: a slice gives exactly its
-//! raw bytes; bits of words without a light, and bits of tiles outside the picture, are 0 or the frame is refused. The encoder
-//! writes such bits as 0 whatever the mask has there.
+//! A compressed slice that would not be shorter than its raw bytes is sent raw. The decoder is strict: a slice gives
+//! exactly its raw bytes; bits of words without a light, and bits of tiles outside the picture, are 0 or the frame is
+//! refused. The encoder writes such bits as 0 whatever the mask has there.
 //!
 //! All codecs are lossless. A [`Simplifier`] before them trades wrong bits for bytes.
 //!

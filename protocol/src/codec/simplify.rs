@@ -1,8 +1,9 @@
 //! What makes a frame lossy: pixels that stand out are turned over before it is coded, within a budget of wrong bits.
 //!
-//! A pixel that differs from what surrounds it costs a codec many bits and the picture little. Each that is turned over shortens the
-//! border between light and shadow by two sides of a pixel or more. Which ones are depends on the mask and the budget alone,
-//! so it is the same on every machine. Both ends know only what comes out: it is also the reference of later frames.
+//! A pixel that differs from what surrounds it costs a codec many bits and the picture little. Each that is turned over
+//! shortens the border between light and shadow by two sides of a pixel or more. Which ones are depends on the mask and
+//! the budget alone, so it is the same on every machine. Both ends know only what comes out: it is also the reference
+//! of later frames.
 
 use crate::{
     limits::MAX_WRONG_PPM,
@@ -22,7 +23,8 @@ const PASSES: [usize; KINDS + 1] = [0, 1, 2, 2];
 /// How often a tile is looked at in a pass, at most: a line ends elsewhere when its end is gone.
 const ROUNDS: usize = 3;
 
-/// Every other pixel. No two of them are neighbours, in a tile and across its borders, so they can be turned over at once.
+/// Every other pixel. No two of them are neighbours, in a tile and across its borders, so they can be turned over at
+/// once.
 const CHESSBOARD: [u64; 2] = [0xAA55_AA55_AA55_AA55, 0x55AA_55AA_55AA_55AA];
 
 const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
@@ -39,7 +41,8 @@ pub struct Simplifier {
 }
 
 impl Simplifier {
-    /// Turns at most `wrong_ppm` of a million of the mask's bits over, and never more than [`MAX_WRONG_PPM`]. Says how many.
+    /// Turns at most `wrong_ppm` of a million of the mask's bits over, and never more than [`MAX_WRONG_PPM`]. Says how
+    /// many.
     ///
     /// Where more stand out than may be turned over, these are spread over the frame.
     pub fn simplify(&mut self, mask: &mut Mask, wrong_ppm: u16) -> u64 {
@@ -117,7 +120,8 @@ fn first_of(pixels: u64, count: u64) -> u64 {
     pixels & !rest
 }
 
-/// The places of these words of the whole mask, which are in order. Rows are counted: dividing would take longer than all else.
+/// The places of these words of the whole mask, which are in order. Rows are counted: dividing would take longer than
+/// all else.
 fn places(shape: MaskShape, words: &[u32]) -> impl Iterator<Item = (u32, Place)> {
     let (mut y, mut row) = (0, 0);
     words.iter().map(move |&word| {
@@ -174,7 +178,8 @@ impl Place {
         steps.map(|step| words.get(self.word.wrapping_add(step)).copied().unwrap_or_default())
     }
 
-    /// Its pixels that differ from the neighbour to the left, to the right, above and below. Beyond the picture nothing differs.
+    /// Its pixels that differ from the neighbour to the left, to the right, above and below. Beyond the picture nothing
+    /// differs.
     #[inline(always)]
     fn differing(&self, words: &[u64]) -> [u64; 4] {
         let [own, left, right, above, below] = self.cross(words);

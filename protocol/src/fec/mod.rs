@@ -1,11 +1,12 @@
 //! Forward error correction over a frame's packets: parity packets, any of which stands in for any packet that is lost.
 //!
-//! Nothing is sent twice: it would come too late. Instead a frame of n packets, each of which stands alone, gets m more, and any n
-//! of the n + m are enough (Reed and Solomon's code, by `reed-solomon-simd`). How many there are follows from the loss that the
-//! client measured ([`parity_packets`]); without loss there are none.
+//! Nothing is sent twice: it would come too late. Instead a frame of n packets, each of which stands alone, gets m
+//! more, and any n of the n + m are enough (Reed and Solomon's code, by `reed-solomon-simd`). How many there are
+//! follows from the loss that the client measured ([`parity_packets`]); without loss there are none.
 //!
 //! A parity packet has the frame number and timestamp of its frame, no number of packets, by which it is known, and no
-//! first-packet flag. Its sequence number is that of the frame's first packet, and n, and its place among the m. Its data:
+//! first-packet flag. Its sequence number is that of the frame's first packet, and n, and its place among the m. Its
+//! data:
 //!
 //! | bytes | field |
 //! |---|---|
@@ -14,8 +15,8 @@
 //! | 3 | its place among them, from 0 |
 //! | to the end | the shard, an even number of bytes |
 //!
-//! All little-endian. The n shards that the code works on are the data of the frame's packets, each after its length (u16) and
-//! before as many zeros as make all equally long.
+//! All little-endian. The n shards that the code works on are the data of the frame's packets, each after its length
+//! (u16) and before as many zeros as make all equally long.
 //!
 //! A packet that is put together from wrong parity is wrong, and may be read as tiles that it was not: parity is as
 //! trustworthy as the packets. But parity never touches what has come itself.

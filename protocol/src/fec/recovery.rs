@@ -4,8 +4,8 @@ use reed_solomon_simd::ReedSolomonDecoder;
 
 use super::{LENGTH_BYTES, ParityPacket, fill_shard, shard_data};
 
-/// What is known of the frame at hand beside its data. Its memory is bounded by the bounds of [`ParityPacket`] and the number of
-/// a frame's packets, and serves every frame.
+/// What is known of the frame at hand beside its data. Its memory is bounded by the bounds of [`ParityPacket`] and the
+/// number of a frame's packets, and serves every frame.
 #[derive(Default)]
 pub(crate) struct Recovery {
     coder: Option<ReedSolomonDecoder>,
@@ -95,8 +95,8 @@ impl Recovery {
         self.shards.capacity()
     }
 
-    /// Appends the data of all packets that are missing to `body`, in their order, if there is enough to know it and the body has
-    /// room for it.
+    /// Appends the data of all packets that are missing to `body`, in their order, if there is enough to know it and
+    /// the body has room for it.
     pub(crate) fn recover(&mut self, body: &mut Vec<u8>, max_body_bytes: usize) -> Recovered {
         let Some(kind) = self.kind else { return Recovered::Nothing };
         if self.came.len() >= kind.packets || self.came.len() + self.places.len() < kind.packets {

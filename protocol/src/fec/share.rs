@@ -1,9 +1,9 @@
 //! How many parity packets a frame gets.
 //!
-//! Losses come in runs. The channel is taken for one of two states (Gilbert's): in the good one all packets come, in the bad one
-//! none. Two figures that the client can measure say all of it: the share of packets lost, and how long a run of losses is on
-//! average. From them follows how likely it is that k of N packets are lost, and so what share of a frame's packets is lost in spite of m
-//! parity packets: where k > m, all k of them.
+//! Losses come in runs. The channel is taken for one of two states (Gilbert's): in the good one all packets come, in
+//! the bad one none. Two figures that the client can measure say all of it: the share of packets lost, and how long a
+//! run of losses is on average. From them follows how likely it is that k of N packets are lost, and so what share of a
+//! frame's packets is lost in spite of m parity packets: where k > m, all k of them.
 
 /// Most parity packets that a frame can have.
 const MOST: usize = u8::MAX as usize;
@@ -20,8 +20,8 @@ pub struct LossModel {
     pub run: f64,
 }
 
-/// Most parity packets for a frame of `packets`, whatever the loss: twice the frame, and a little for small ones, which a run of
-/// losses hits whole.
+/// Most parity packets for a frame of `packets`, whatever the loss: twice the frame, and a little for small ones, which
+/// a run of losses hits whole.
 fn most_parity(packets: usize) -> usize {
     (packets * 2 + 4).min(MOST)
 }

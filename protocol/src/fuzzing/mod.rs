@@ -86,8 +86,8 @@ pub fn codec(bytes: &[u8]) {
     gives_back(CodecId::PlanesLz4, &tiny, &mut decoder);
 }
 
-/// Bits of a slice that is coded against a reference decode to some mask or to nothing, and what they decode to comes back bit by
-/// bit, against the same reference. The first byte picks one of some shapes.
+/// Bits of a slice that is coded against a reference decode to some mask or to nothing, and what they decode to comes
+/// back bit by bit, against the same reference. The first byte picks one of some shapes.
 pub fn moved(bytes: &[u8]) {
     let Some((&pick, bits)) = bytes.split_first() else { return };
     let (width, height, lights) = [(1, 1, 1), (64, 8, 3), (130, 20, 2), (300, 33, 1)][usize::from(pick) % 4];
@@ -114,8 +114,8 @@ pub fn moved(bytes: &[u8]) {
     }
 }
 
-/// An acknowledgement that decodes encodes to the same bytes, but for the digest of no frame; what is told of losses does too, and
-/// neither is the other.
+/// An acknowledgement that decodes encodes to the same bytes, but for the digest of no frame; what is told of losses
+/// does too, and neither is the other.
 pub fn acknowledgement(bytes: &[u8]) {
     if let Ok(feedback) = LossFeedback::decode(bytes) {
         assert_eq!(feedback.encode(), bytes);
@@ -148,8 +148,8 @@ const MAX_BODY_BYTES: usize = 64;
 /// counts add up. As long as only honest packets came, in whatever order, every frame that comes out is byte-exact.
 ///
 /// The bytes are a list of packets. One that begins with a byte below 0x80 is that many bytes as they are. Otherwise
-/// the next byte names frame (upper four bits) and packet (lower four, modulo) of an honest packet, whose number of packets
-/// and first-packet flag the first byte's low six bits change when its bit 6 is set.
+/// the next byte names frame (upper four bits) and packet (lower four, modulo) of an honest packet, whose number of
+/// packets and first-packet flag the first byte's low six bits change when its bit 6 is set.
 pub fn reassembler(bytes: &[u8]) {
     for policy in [Policy::WholeFrame, Policy::Slices] {
         reassemble(policy, bytes);
@@ -211,10 +211,11 @@ fn reassemble(policy: Policy, bytes: &[u8]) {
     assert_eq!(stats.stored + stats.ignored() + stats.malformed, packets);
 }
 
-/// Whatever parity comes beside a frame's packets, what has come of these stays as it is, in order, and memory is bounded.
+/// Whatever parity comes beside a frame's packets, what has come of these stays as it is, in order, and memory is
+/// bounded.
 ///
-/// The first byte says how many packets (low four bits) and parity packets the frame has. Then each three bytes send one of them: its
-/// place, a place in it, and what that byte is changed by, of parity only.
+/// The first byte says how many packets (low four bits) and parity packets the frame has. Then each three bytes send
+/// one of them: its place, a place in it, and what that byte is changed by, of parity only.
 pub fn parity(bytes: &[u8]) {
     let Some((&counts, steps)) = bytes.split_first() else { return };
     let body: Vec<u8> = (0..=counts & 15).flat_map(|payload| [payload + 1; 9]).collect();

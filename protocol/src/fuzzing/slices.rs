@@ -6,8 +6,8 @@ use crate::{
     mask::{Mask, MaskShape},
 };
 
-/// The bytes of one slice decode to some mask or to nothing, and what they decode to comes back bit by bit from the same codec. The first
-/// two bytes pick the codec and one of some shapes: mutations need not find a head.
+/// The bytes of one slice decode to some mask or to nothing, and what they decode to comes back bit by bit from the
+/// same codec. The first two bytes pick the codec and one of some shapes: mutations need not find a head.
 pub fn slices(bytes: &[u8]) {
     let [codec, pick, slice @ ..] = bytes else { return };
     let codec = CodecId::ALL[usize::from(*codec) % CodecId::ALL.len()];

@@ -14,8 +14,8 @@
 //!    [`MAX_LOSS_PERCENT`] (10 %) shrinks the window to 0.85; less loss changes nothing.
 //! 4. *Marks.* A congestion mark (ECN, reported as a loss of 0 bytes) counts as too much delay.
 //! 5. *Growth.* While the sender could use more than the window, and the delay is below the target, acknowledged bytes
-//!    open the window: by half of them until it first shrinks or the delay passes half the target, after that by up to 8
-//!    datagrams a round trip, less the nearer the delay is to the target.
+//!    open the window: by half of them until it first shrinks or the delay passes half the target, after that by up to
+//! 8    datagrams a round trip, less the nearer the delay is to the target.
 //! 6. *Drain.* A full window keeps a queue below the target standing, which rule 1 would in time take for the path
 //!    itself. So after a period in which no round trip came within 3 ms of the base, the window is three quarters of
 //!    what fills the path without a queue (window × base / standing), for two round trips and at least 50 ms; then it
@@ -27,8 +27,8 @@
 //! between [`FLOOR_DATAGRAMS`] datagrams and [`MAX_WINDOW_BYTES`]. Not known: how it shares a path with other kinds
 //! of traffic. A queue that overflows below 12 ms is only noticed when it loses more than 10 %.
 //!
-//! Behind quinn's trait: `on_ack` passes `now − sent` as the round trip, not `RttEstimator::get`, which is smoothed and so
-//! hides the smallest ones; `on_congestion_event` is [`DelayController::on_loss`], `on_mtu_update`
+//! Behind quinn's trait: `on_ack` passes `now − sent` as the round trip, not `RttEstimator::get`, which is smoothed and
+//! so hides the smallest ones; `on_congestion_event` is [`DelayController::on_loss`], `on_mtu_update`
 //! [`DelayController::on_datagram_bytes`].
 
 use std::time::Duration;

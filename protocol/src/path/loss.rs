@@ -1,9 +1,9 @@
-//! How many packets are lost, and how many one after the other: measured by the client, told to the server, and believed by it
-//! with some inertia.
+//! How many packets are lost, and how many one after the other: measured by the client, told to the server, and
+//! believed by it with some inertia.
 //!
-//! The client tells totals since its session began, so that nothing is missing when what it says is lost: in a packet of its own,
-//! with placeholders in the header's fields but sequence number and data size, and three numbers (u32, little-endian): packets that
-//! should have come, packets that did not, and runs of these. All three wrap.
+//! The client tells totals since its session began, so that nothing is missing when what it says is lost: in a packet
+//! of its own, with placeholders in the header's fields but sequence number and data size, and three numbers (u32,
+//! little-endian): packets that should have come, packets that did not, and runs of these. All three wrap.
 
 use std::time::Duration;
 

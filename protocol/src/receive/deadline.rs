@@ -1,8 +1,9 @@
 //! When to deliver a frame although some of its packets are missing.
 //!
-//! Waiting for lost packets delays the others; not waiting shows gaps that would have closed. So the time from a frame's first
-//! packet to its last is measured, and a frame may take the smoothed time plus four mean deviations (the retransmission rule of
-//! RFC 6298, §2). Packets that arrive even later are delivered one mean deviation after the first of them.
+//! Waiting for lost packets delays the others; not waiting shows gaps that would have closed. So the time from a
+//! frame's first packet to its last is measured, and a frame may take the smoothed time plus four mean deviations (the
+//! retransmission rule of RFC 6298, §2). Packets that arrive even later are delivered one mean deviation after the
+//! first of them.
 
 use std::time::Duration;
 

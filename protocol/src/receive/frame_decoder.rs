@@ -53,8 +53,8 @@ impl FrameDecoder {
         }
     }
 
-    /// Decodes a frame into `mask` and its arrived tiles into `coverage`. Returns the pose that it was traced for, if its head has
-    /// one. Writes what to tell the server into `acknowledgement`.
+    /// Decodes a frame into `mask` and its arrived tiles into `coverage`. Returns the pose that it was traced for, if
+    /// its head has one. Writes what to tell the server into `acknowledgement`.
     pub(super) fn decode(
         &mut self,
         frame: &CompleteFrame<'_>,

@@ -1,8 +1,8 @@
 //! The receiving end of a session: datagrams and time in; masks, feedback and the next deadline out.
 //!
 //! Where each packet of a frame can be decoded alone, a frame is delivered in part when its missing packets are overdue
-//! ([`super::deadline`]) or a newer frame begins, and again when more of it has arrived. [`Coverage`] says which tiles have
-//! arrived; the others keep the value that they had.
+//! ([`super::deadline`]) or a newer frame begins, and again when more of it has arrived. [`Coverage`] says which tiles
+//! have arrived; the others keep the value that they had.
 
 use std::ops::Add;
 
@@ -85,8 +85,8 @@ pub struct ReceivedFrame<'a> {
     pub received_at: Instant,
 }
 
-/// Turns the datagrams of one session into masks. After each [`Self::push`] and [`Self::handle_timeout`], poll for a frame and
-/// for feedback.
+/// Turns the datagrams of one session into masks. After each [`Self::push`] and [`Self::handle_timeout`], poll for a
+/// frame and for feedback.
 #[derive(Debug)]
 pub struct FrameReceiver {
     config: ReceiverConfig,
@@ -302,8 +302,8 @@ impl Add for ReceiverCounters {
     }
 }
 
-/// A reassembler for frames as long as the largest shape's can be: its words uncompressed, what LZ4 adds to noise (one byte in
-/// 255), and the heads of a frame and its parts.
+/// A reassembler for frames as long as the largest shape's can be: its words uncompressed, what LZ4 adds to noise (one
+/// byte in 255), and the heads of a frame and its parts.
 fn new_reassembler(config: ReceiverConfig) -> Reassembler {
     let words = config.largest.pixels() * 4;
     Reassembler::with_max_frame_bytes(config.policy, (words + words / 255 + 64 * 1024).min(MAX_FRAME_BYTES))

@@ -24,8 +24,8 @@ impl Requests {
         self.newest = self.newest.max(Some(frame));
     }
 
-    /// Records that the pose of `frame` is about to be sent again, because no mask arrived or, if `refused`, because the
-    /// client could not use it.
+    /// Records that the pose of `frame` is about to be sent again, because no mask arrived or, if `refused`, because
+    /// the client could not use it.
     pub fn request_again(&mut self, frame: FrameNumber, refused: bool) {
         self.again = Some(Again { frame, refused });
         self.request(frame);
@@ -36,8 +36,8 @@ impl Requests {
         header.frame.is_some() && header.frame > self.newest
     }
 
-    /// Returns whether the packet is the first of a second attempt. A first attempt that arrived whole in the meantime is
-    /// kept. `decoded` is the newest frame that was decoded.
+    /// Returns whether the packet is the first of a second attempt. A first attempt that arrived whole in the meantime
+    /// is kept. `decoded` is the newest frame that was decoded.
     pub(super) fn is_second_attempt(&self, header: &PacketHeader, decoded: Option<FrameNumber>) -> bool {
         self.again.is_some_and(|Again { frame, refused }| {
             header.first

@@ -39,8 +39,8 @@ pub struct Packetizer {
 }
 
 impl Packetizer {
-    /// Makes packets of at most `max_packet_bytes` bytes, header included, clamped to 17 to [`MAX_LAB_PACKET_BYTES`]. Sequence
-    /// numbers start at 0 (§3.1).
+    /// Makes packets of at most `max_packet_bytes` bytes, header included, clamped to 17 to [`MAX_LAB_PACKET_BYTES`].
+    /// Sequence numbers start at 0 (§3.1).
     #[must_use]
     pub fn new(max_packet_bytes: usize) -> Self {
         let packet_bytes = max_packet_bytes.clamp(HEADER_BYTES + 1, MAX_LAB_PACKET_BYTES);
@@ -70,8 +70,8 @@ impl Packetizer {
         self.next_sequence
     }
 
-    /// Returns the packets of a frame, in order, as [`EncodedFrame::payloads`] cuts it. A packet gets its sequence number when the
-    /// iterator yields it, so packets that are never taken leave no gap.
+    /// Returns the packets of a frame, in order, as [`EncodedFrame::payloads`] cuts it. A packet gets its sequence
+    /// number when the iterator yields it, so packets that are never taken leave no gap.
     ///
     /// `timestamp_ms` wraps after 49.7 days. `u32::MAX`, the header's placeholder, is sent as the millisecond before.
     ///

@@ -1,8 +1,9 @@
 //! What the client says about the masks that it has, so that later ones can be coded against them.
 //!
-//! An acknowledgement is a packet of its own, since it wants to be there before the next pose: a header with placeholders in the
-//! fields that only visibility has, and 4 bytes, the digest of the mask of the header's frame. Where the header has no frame
-//! either, the client has no mask, or none that it was asked for, and wants slices that need none.
+//! An acknowledgement is a packet of its own, since it wants to be there before the next pose: a header with
+//! placeholders in the fields that only visibility has, and 4 bytes, the digest of the mask of the header's frame.
+//! Where the header has no frame either, the client has no mask, or none that it was asked for, and wants slices that
+//! need none.
 
 use thiserror::Error;
 

@@ -42,8 +42,8 @@ impl CodecId {
         }
     }
 
-    /// Whether each slice of a frame names what it covers, fits a datagram, and needs nothing but itself. The other codecs
-    /// cut the picture into equal parts.
+    /// Whether each slice of a frame names what it covers, fits a datagram, and needs nothing but itself. The other
+    /// codecs cut the picture into equal parts.
     #[must_use]
     pub const fn is_sliced(self) -> bool {
         matches!(self, Self::TilesSmall | Self::TilesFast)

@@ -12,9 +12,9 @@
 //! | 4n more | length of each slice in bytes, u32 |
 //! | to the end | the slices, one after the other |
 //!
-//! All little-endian. A slice can be decoded without the others: slice i of n covers the rows of tiles from
-//! ⌊i·rows/n⌋ up to ⌊(i+1)·rows/n⌋ ([`slice_tile_rows`]), so a frame has at most as many slices as rows of tiles. Where
-//! the codec [slices](CodecId::is_sliced), a body is one such frame after the other, its *parts*, with a slice each that says
+//! All little-endian. A slice can be decoded without the others: slice i of n covers the rows of tiles from ⌊i·rows/n⌋
+//! up to ⌊(i+1)·rows/n⌋ ([`slice_tile_rows`]), so a frame has at most as many slices as rows of tiles. Where the codec
+//! [slices](CodecId::is_sliced), a body is one such frame after the other, its *parts*, with a slice each that says
 //! itself what it covers. A part fits a datagram and can be read alone ([`Frame::parts`]).
 
 use std::ops::Range;
@@ -48,7 +48,8 @@ pub struct FrameHead {
     pub codec: CodecId,
     /// Shape of the mask.
     pub shape: MaskShape,
-    /// The pose that the mask was traced for, where the server has looked ahead; the client's own pose of this frame without.
+    /// The pose that the mask was traced for, where the server has looked ahead; the client's own pose of this frame
+    /// without.
     pub traced_for: Option<Pose>,
     /// What the slices are coded against; only of codecs that [have references](CodecId::has_references).
     pub reference: Option<ReferenceName>,
@@ -125,7 +126,8 @@ impl FrameHead {
         body[place..place + 4].copy_from_slice(&bytes.to_le_bytes());
     }
 
-    /// Writes the head for `slices` slices of length 0 at the end of `body`; [`Self::set_slice_length`] fills the table in.
+    /// Writes the head for `slices` slices of length 0 at the end of `body`; [`Self::set_slice_length`] fills the table
+    /// in.
     pub(crate) fn begin(&self, slices: u16, body: &mut Vec<u8>) {
         let (width, height, lights) = self.shape.into();
         body.push(self.codec.number());

@@ -60,8 +60,8 @@ pub struct Hello {
     pub codec: CodecId,
     /// Masks a second that it wants, at most; 0 for as many as it can get. The server plans with it.
     pub rate_hz: u16,
-    /// Bits of a frame that may be wrong where that spares bytes, in parts of a million, at most [`crate::limits::MAX_WRONG_PPM`]; 0
-    /// for none.
+    /// Bits of a frame that may be wrong where that spares bytes, in parts of a million, at most
+    /// [`crate::limits::MAX_WRONG_PPM`]; 0 for none.
     pub wrong_ppm: u16,
     /// [`Welcome::resume`] of the session that this one goes on with, after its connection was lost.
     pub resume: Option<ResumeToken>,

@@ -1,4 +1,5 @@
-//! The codecs to compare with: the dissertation's words and bit planes, raw or LZ4. Each slice covers whole rows of tiles.
+//! The codecs to compare with: the dissertation's words and bit planes, raw or LZ4. Each slice covers whole rows of
+//! tiles.
 
 mod lz4;
 mod planes;

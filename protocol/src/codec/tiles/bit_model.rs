@@ -3,8 +3,8 @@
 /// Smallest probability of either bit, of 65,536: no bit takes more than 12 bits.
 const LEAST: u32 = 16;
 
-/// How far the probability moves at each bit, as a power of two: what it begins with was counted over many masks, so it need not
-/// move faster at first.
+/// How far the probability moves at each bit, as a power of two: what it begins with was counted over many masks, so it
+/// need not move faster at first.
 pub(super) const SLOW: u32 = 5;
 
 /// The same where there are few contexts, and masks differ more.

@@ -34,8 +34,8 @@ impl CoderThread {
         Self { models: Models::new(), inter: InterCoder::new(), parts: Vec::new(), output: Vec::new() }
     }
 
-    /// Encodes a range into [`Self::output`], a part for each slice. The bits of a slice take at most `bits_bytes` bytes, unless one
-    /// block does not fit (at most 1 KiB).
+    /// Encodes a range into [`Self::output`], a part for each slice. The bits of a slice take at most `bits_bytes`
+    /// bytes, unless one block does not fit (at most 1 KiB).
     pub(super) fn encode(
         &mut self,
         mode: Mode<'_>,

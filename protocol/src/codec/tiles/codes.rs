@@ -1,8 +1,8 @@
 //! Prefix codes for `tiles-fast`: one for each context, fixed, and at most 7 bits long, or 10.
 //!
-//! What was frequent has a code of its own; all else is an escape and 8 bits. The codes are canonical: `codes.bin` holds
-//! their lengths, as the example `train_tiles` counted them over masks of several scenes. A change of them is a change of
-//! the protocol.
+//! What was frequent has a code of its own; all else is an escape and 8 bits. The codes are canonical: `codes.bin`
+//! holds their lengths, as the example `train_tiles` counted them over masks of several scenes. A change of them is a
+//! change of the protocol.
 
 use std::sync::LazyLock;
 
@@ -26,8 +26,8 @@ pub(super) struct Codes {
 }
 
 impl Codes {
-    /// From the lengths, those of the short codes first: for each context the number of symbols, each symbol with its length, and
-    /// the escape's length.
+    /// From the lengths, those of the short codes first: for each context the number of symbols, each symbol with its
+    /// length, and the escape's length.
     fn from_lengths(mut bytes: &[u8]) -> Self {
         Self {
             short: Set::from_lengths(SHORT_CONTEXTS, &mut bytes),
@@ -36,8 +36,8 @@ impl Codes {
     }
 }
 
-/// What a decoder finds under the next bits: the symbol, above it the bits that it takes, and at the top whether it is the escape. In
-/// one small number, since the tables are to stay neighbours the core.
+/// What a decoder finds under the next bits: the symbol, above it the bits that it takes, and at the top whether it is
+/// the escape. In one small number, since the tables are to stay neighbours the core.
 #[derive(Debug, Clone, Copy, Default)]
 struct Entry(u16);
 
@@ -120,7 +120,8 @@ impl<const MOST_BITS: u32> Set<MOST_BITS> {
     }
 }
 
-/// Canonical codes: shorter ones first, and among those of one length the lower symbols. Those for reading go to the end of `read`.
+/// Canonical codes: shorter ones first, and among those of one length the lower symbols. Those for reading go to the
+/// end of `read`.
 fn tables(lengths: &[u8; ESCAPE + 1], most_bits: u32, read: &mut Vec<Entry>) -> [u16; ESCAPE + 1] {
     let mut codes = [0; ESCAPE + 1];
     let (start, places) = (read.len(), 1 << most_bits);

@@ -1,4 +1,5 @@
-//! The contexts of `tiles-small`: for each kind of bit or symbol, how many there are and where they begin in the models.
+//! The contexts of `tiles-small`: for each kind of bit or symbol, how many there are and where they begin in the
+//! models.
 
 /// Consecutive contexts of one kind.
 #[derive(Debug, Clone, Copy)]

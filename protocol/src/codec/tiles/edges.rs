@@ -1,10 +1,10 @@
 //! Eight pixels of a row, by the edges of the row above.
 //!
-//! A silhouette goes on from row to row, so what is to be said of a row is how far its edges have moved: one symbol each where the
-//! row above has one edge or two. The context of an edge is how it moved before, and where the light before this one has one. Where
-//! nothing around changes, one bit says that nothing does. Only rows that are neither (and those below three edges) are coded pixel by
-//! pixel: in JBIG2's 10-pixel template (ITU-T T.88, §6.2.5.3), and whether the light before changes here, since silhouettes are the
-//! same for all lights.
+//! A silhouette goes on from row to row, so what is to be said of a row is how far its edges have moved: one symbol
+//! each where the row above has one edge or two. The context of an edge is how it moved before, and where the light
+//! before this one has one. Where nothing around changes, one bit says that nothing does. Only rows that are neither
+//! (and those below three edges) are coded pixel by pixel: in JBIG2's 10-pixel template (ITU-T T.88, §6.2.5.3), and
+//! whether the light before changes here, since silhouettes are the same for all lights.
 
 use super::{
     bit_model::{QUICK, SLOW},
@@ -23,8 +23,8 @@ const SYMBOLS: [u8; 17] = [6, 6, 6, 6, 6, 6, 4, 2, 0, 1, 3, 5, 5, 5, 5, 5, 5];
 /// What a symbol says at least.
 const MOVES: [i32; 8] = [0, 1, -1, 2, -2, 3, -3, 0];
 
-/// Where a window of eight pixels changes from 0 to 1, seen from its middle: 3 pixels to the right to 3 to the left, nearest first, or
-/// nowhere.
+/// Where a window of eight pixels changes from 0 to 1, seen from its middle: 3 pixels to the right to 3 to the left,
+/// nearest first, or nowhere.
 static SLOPES: [u8; 256] = slopes();
 
 const fn slopes() -> [u8; 256] {
@@ -65,7 +65,8 @@ static BENDS: [u8; 64] = {
     bends
 };
 
-/// Where five pairs of neighbours differ: nearest to the middle first, the second from the left, the middle, and so on; 5 where none does.
+/// Where five pairs of neighbours differ: nearest to the middle first, the second from the left, the middle, and so on;
+/// 5 where none does.
 const BESIDE: [u8; 32] = {
     let mut beside = [5; 32];
     let mut pairs: usize = 0;
@@ -177,7 +178,8 @@ impl<B: BinaryCoder> Row<'_, '_, B> {
         self.part.other().map_or(ALONE, |row| usize::from(BESIDE[((row ^ row >> 1) >> (edge + 5) & 0x1F) as usize]))
     }
 
-    /// The row above changes once, left of pixel `edge`, from a value to the other one: from 1 where all bits of `flip` are set.
+    /// The row above changes once, left of pixel `edge`, from a value to the other one: from 1 where all bits of `flip`
+    /// are set.
     #[inline(always)]
     fn single(&mut self, edge: u32, flip: u32) -> u32 {
         let [second, third] = [2, 3].map(|nth| self.part.above(nth) ^ flip);

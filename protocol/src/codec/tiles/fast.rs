@@ -1,8 +1,9 @@
 //! The model of `tiles-fast`: few symbols, each with one look into a table.
 //!
-//! How many blocks are as the tiles before them, and then a block that is not: what its tiles hold, in pairs, and for each mixed tile
-//! which of its rows differ from the row above, and by which pixels those do. The context of a row is where the row above changes and
-//! to which side that last moved: so the codes know that an edge runs on as it ran. Tiles stay what they are in a mask, a word each.
+//! How many blocks are as the tiles before them, and then a block that is not: what its tiles hold, in pairs, and for
+//! each mixed tile which of its rows differ from the row above, and by which pixels those do. The context of a row is
+//! where the row above changes and to which side that last moved: so the codes know that an edge runs on as it ran.
+//! Tiles stay what they are in a mask, a word each.
 
 use super::{
     block::{Block, Kind},
@@ -12,7 +13,8 @@ use super::{
 /// Contexts of a pair of tiles: the tile to the left, and the two above.
 pub(super) const PAIR_CONTEXTS: usize = 64;
 
-/// Contexts of a row: nine kinds of the row above, three ways that it came there, and whether the pixel to the left goes on as it is above.
+/// Contexts of a row: nine kinds of the row above, three ways that it came there, and whether the pixel to the left
+/// goes on as it is above.
 const ROW_CONTEXTS: usize = 9 * 6;
 
 /// Contexts of short codes.
@@ -56,7 +58,8 @@ pub(super) fn predicted(neighbours: TileNeighbours<'_>) -> u64 {
     }
 }
 
-/// Codes the first `tiles` tiles of a block that is not all as predicted, and gives them back; a decoder is given any block.
+/// Codes the first `tiles` tiles of a block that is not all as predicted, and gives them back; a decoder is given any
+/// block.
 #[inline(always)]
 pub(super) fn code(
     symbols: &mut impl SymbolCoder,

@@ -1,7 +1,7 @@
 //! Slices predicted from a reference: motion, and what differs from the moved reference.
 //!
-//! Blocks are coded place by place, all lights of a place in the slice together. [`motion`] codes the vectors and [`refine`] the
-//! differences. Encoder and decoder range the same code.
+//! Blocks are coded place by place, all lights of a place in the slice together. [`motion`] codes the vectors and
+//! [`refine`] the differences. Encoder and decoder range the same code.
 
 use std::ops::Range;
 
@@ -136,8 +136,8 @@ impl InterCoder {
         }
     }
 
-    /// Codes the blocks `group` of one place, whose first is at `place`. An encoder takes them from `truth`; a decoder passes `None`
-    /// and finds them in the range afterwards. Returns false for bits that no encoder makes.
+    /// Codes the blocks `group` of one place, whose first is at `place`. An encoder takes them from `truth`; a decoder
+    /// passes `None` and finds them in the range afterwards. Returns false for bits that no encoder makes.
     fn code_place(
         &mut self,
         bits: &mut impl BinaryCoder,

@@ -1,7 +1,7 @@
 //! How blocks have moved since the reference: one vector for all lights of a place, since it is the camera that moves.
 //!
-//! A vector is predicted to be that of the place above, or else of the one to the left, as far as these are in the slice. The
-//! encoder looks for a better one among the vectors around and of the frame before, and then step by step.
+//! A vector is predicted to be that of the place above, or else of the one to the left, as far as these are in the
+//! slice. The encoder looks for a better one among the vectors around and of the frame before, and then step by step.
 
 use super::{
     bit_model::BitModel,

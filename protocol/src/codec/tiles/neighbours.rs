@@ -103,7 +103,8 @@ pub(super) struct RowPart<'a> {
 }
 
 impl RowPart<'_> {
-    /// The first row above, the second or the third, from [`BEYOND`] pixels to the left to as many to the right; higher bits mean nothing.
+    /// The first row above, the second or the third, from [`BEYOND`] pixels to the left to as many to the right; higher
+    /// bits mean nothing.
     #[inline(always)]
     pub(super) fn above(&self, nth: usize) -> u32 {
         self.rows.own[(self.place % 8 + 3 - nth) % 11].window(self.shift)
@@ -146,8 +147,8 @@ impl RowPart<'_> {
     }
 }
 
-/// Walks over the rows of the mixed tiles; the tiles of `lit` are lit, and all others dark. `code` is given eight pixels'
-/// surroundings and the pixels, which a decoder does not know yet, and gives the pixels back.
+/// Walks over the rows of the mixed tiles; the tiles of `lit` are lit, and all others dark. `code` is given eight
+/// pixels' surroundings and the pixels, which a decoder does not know yet, and gives the pixels back.
 #[inline(always)]
 pub(super) fn code_rows(
     neighbours: &Neighbours<'_>,

@@ -1,7 +1,7 @@
 //! The order in which a frame's blocks are coded.
 //!
-//! A block is 8 tiles of a row, 64×8 pixels, of one light. Blocks follow each other in upright stripes of 4 blocks
-//! (256 pixels): in a stripe row by row from the top, in a row from the left, and at one place all lights in turn. So the
+//! A block is 8 tiles of a row, 64×8 pixels, of one light. Blocks follow each other in upright stripes of 4 blocks (256
+//! pixels): in a stripe row by row from the top, in a row from the left, and at one place all lights in turn. So the
 //! run of blocks that a slice holds is about as wide as it is high, and few of them miss a neighbour.
 
 use std::ops::Range;

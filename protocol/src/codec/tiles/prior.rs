@@ -1,8 +1,8 @@
 //! The probabilities that `tiles-small` begins every slice with.
 //!
-//! They are averages over masks of several scenes, counted by the example `train_tiles`. `prior.bin` holds the bits, two bytes a
-//! context, and then the symbol models that occurred, each with its context; `refine.bin` the bits of slices with a reference.
-//! Changing them changes the protocol.
+//! They are averages over masks of several scenes, counted by the example `train_tiles`. `prior.bin` holds the bits,
+//! two bytes a context, and then the symbol models that occurred, each with its context; `refine.bin` the bits of
+//! slices with a reference. Changing them changes the protocol.
 
 use std::sync::LazyLock;
 

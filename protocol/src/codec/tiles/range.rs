@@ -1,7 +1,7 @@
 //! A binary range coder (Martin 1979; the carry is held back as in Schindler's and LZMA's coders).
 //!
-//! The interval is kept in 64 bits and leaves in words of 32. What has left is never touched again, because a word waits
-//! until no carry can reach it: so an encoder can go back to an earlier model and cut its output there.
+//! The interval is kept in 64 bits and leaves in words of 32. What has left is never touched again, because a word
+//! waits until no carry can reach it: so an encoder can go back to an earlier model and cut its output there.
 
 use super::{
     bit_model::{BitModel, SLOW},

@@ -1,7 +1,8 @@
 //! A mask that both ends have: what later masks are coded against, moved block by block.
 //!
-//! It holds what the blocks of a whole frame came to, so that both ends hold the same bits wherever these lie, also those beyond
-//! the picture's edge. A digest stands in every slice that is coded against it: nothing is decoded against another mask.
+//! It holds what the blocks of a whole frame came to, so that both ends hold the same bits wherever these lie, also
+//! those beyond the picture's edge. A digest stands in every slice that is coded against it: nothing is decoded against
+//! another mask.
 
 use std::fmt;
 
@@ -22,7 +23,8 @@ pub(super) const MAX_MOTION_PX: i16 = 511;
 pub struct Reference {
     name: ReferenceName,
     shape: Option<MaskShape>,
-    /// Words between a row's beginning and the next one's: a row's pixels, and a word at either end that goes on as it ends.
+    /// Words between a row's beginning and the next one's: a row's pixels, and a word at either end that goes on as it
+    /// ends.
     stride: usize,
     /// Rows of a plane.
     rows: usize,
@@ -41,7 +43,8 @@ impl Default for Reference {
     }
 }
 
-/// How far a block has moved since the reference, in pixels to the right and down: its bits are at the block's place and this.
+/// How far a block has moved since the reference, in pixels to the right and down: its bits are at the block's place
+/// and this.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Vector {
     pub(super) x: i16,

@@ -1,9 +1,10 @@
 //! The model of what differs from a reference that has been moved: which bits it takes, and in what contexts.
 //!
-//! For each place first whether all lights are as predicted with the predicted vector. If not, the vector, and for each light
-//! whether its block is as predicted; of the others which tiles are not, and the rows of these: one bit where nothing changes
-//! around, or else one for those pixels around which nothing changes, and each of the others. A pixel's context is the three above, the one to the left, the nine around it in the reference:
-//! JBIG2's refinement template (ITU-T T.88, §6.3.5.3); and what in the light before was not as predicted here.
+//! For each place first whether all lights are as predicted with the predicted vector. If not, the vector, and for each
+//! light whether its block is as predicted; of the others which tiles are not, and the rows of these: one bit where
+//! nothing changes around, or else one for those pixels around which nothing changes, and each of the others. A pixel's
+//! context is the three above, the one to the left, the nine around it in the reference: JBIG2's refinement template
+//! (ITU-T T.88, §6.3.5.3); and what in the light before was not as predicted here.
 
 use super::{
     bit_model::{BitModel, SLOW},
@@ -185,7 +186,8 @@ impl Template {
         (over == all && same == all && under == all && self.above == all).then_some(all & 0xFF)
     }
 
-    /// The pixels around which nothing changes, neither above nor in the reference, and where the light before was as predicted.
+    /// The pixels around which nothing changes, neither above nor in the reference, and where the light before was as
+    /// predicted.
     #[inline(always)]
     fn steady(&self) -> Steady {
         let [over, same, under] = self.lines;

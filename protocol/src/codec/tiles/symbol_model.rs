@@ -50,7 +50,8 @@ impl SymbolModel {
         Self(packed.map(u16::cast_signed))
     }
 
-    /// Where a symbol's share begins and ends, in parts of the interval. Without a branch, which would be guessed wrong too often.
+    /// Where a symbol's share begins and ends, in parts of the interval. Without a branch, which would be guessed wrong
+    /// too often.
     #[inline(always)]
     pub(super) fn share(&self, symbol: usize) -> [u32; 2] {
         #[expect(clippy::cast_possible_truncation, reason = "there are eight symbols")]

@@ -45,8 +45,8 @@ impl Workspace {
         }
     }
 
-    /// Turns the frame that was coded last into a reference. Returns false, and leaves `reference` as it is, if its codec has none
-    /// or blocks of it are missing.
+    /// Turns the frame that was coded last into a reference. Returns false, and leaves `reference` as it is, if its
+    /// codec has none or blocks of it are missing.
     pub(in crate::codec) fn keep(&self, frame: FrameNumber, reference: &mut Reference) -> bool {
         let Some(shape) = self.shape.filter(|_| self.is_reference) else { return false };
         let blocks = self.seen.iter().map(|bits| bits.count_ones() as usize).sum::<usize>();
@@ -95,8 +95,8 @@ impl Workspace {
         }
     }
 
-    /// Appends a part for each slice of at most `slice_bytes` bytes. A slice is longer only if one block does not fit (at most
-    /// 1 KiB).
+    /// Appends a part for each slice of at most `slice_bytes` bytes. A slice is longer only if one block does not fit
+    /// (at most 1 KiB).
     pub(in crate::codec) fn encode(
         &mut self,
         mode: Mode<'_>,

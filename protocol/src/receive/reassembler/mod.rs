@@ -1,9 +1,9 @@
 //! The greedy reassembler: packets in, frames out.
 //!
 //! Data goes straight to its place in one buffer, which is kept from frame to frame and never grows beyond its limit; a
-//! second one of that kind holds a frame that came in part.
-//! Frames come out in increasing order; one that came out in part may come out once more with more of it, and never with less.
-//! Which packets are taken is the [`Policy`]'s business.
+//! second one of that kind holds a frame that came in part. Frames come out in increasing order; one that came out in
+//! part may come out once more with more of it, and never with less. Which packets are taken is the [`Policy`]'s
+//! business.
 //!
 //! The reassembler believes what the packets say, as the dissertation's does: that nobody but the peer can send them
 //! is the transport's duty. (A forged frame number near 2³² would make it ignore all that follows.)
@@ -32,8 +32,8 @@ pub enum Policy {
     /// All packets of a frame, in order, or none (dissertation §3.2, Figure 2).
     #[default]
     WholeFrame,
-    /// Those that come, in any order, and those that [parity](crate::fec) stands in for: for frames whose packets can each be
-    /// read alone ([`CodecId::is_sliced`](crate::codec::CodecId::is_sliced)).
+    /// Those that come, in any order, and those that [parity](crate::fec) stands in for: for frames whose packets can
+    /// each be read alone ([`CodecId::is_sliced`](crate::codec::CodecId::is_sliced)).
     Slices,
 }
 
@@ -77,7 +77,8 @@ pub enum PacketError {
         /// Its frame.
         frame: FrameNumber,
     },
-    /// It says that it is parity, and has numbers out of their bounds, or others than its frame's packets. The frame goes on.
+    /// It says that it is parity, and has numbers out of their bounds, or others than its frame's packets. The frame
+    /// goes on.
     #[error("packet {0} is no parity of its frame")]
     Parity(u32),
     /// The frame has become longer than allowed. It is dropped.
@@ -210,8 +211,8 @@ impl Reassembler {
         progress
     }
 
-    /// Delivers what has arrived of the current frame, which goes on: [`Self::frame`] returns it until the next packet. Returns
-    /// false if nothing has arrived since the last delivery, and always under [`Policy::WholeFrame`].
+    /// Delivers what has arrived of the current frame, which goes on: [`Self::frame`] returns it until the next packet.
+    /// Returns false if nothing has arrived since the last delivery, and always under [`Policy::WholeFrame`].
     pub fn deliver_partial(&mut self) -> bool {
         self.out = None;
         let State::Slices(state) = &mut self.state else { return false };
@@ -235,7 +236,8 @@ impl Reassembler {
         }
     }
 
-    /// The frame that the last packet completed or ended, or that [`Self::deliver_partial`] delivered; the newer one, if a packet did both.
+    /// The frame that the last packet completed or ended, or that [`Self::deliver_partial`] delivered; the newer one,
+    /// if a packet did both.
     #[must_use]
     pub fn frame(&self) -> Option<CompleteFrame<'_>> {
         let Out { frame, timestamp_ms, packets, restored, missing, known_bytes, ended } = self.out?;

@@ -1,8 +1,8 @@
 //! The `Slices` policy: every packet carries a part of its frame that can be read alone, so what comes is kept.
 //!
-//! A frame begins with whichever of its packets comes first, and takes the others in any order. It ends when all have come or
-//! when a packet of a newer frame comes; then it comes out with what is there, unless that has come out already, because whoever
-//! waits for it had waited long enough. It is settled after that, and so are all older ones.
+//! A frame begins with whichever of its packets comes first, and takes the others in any order. It ends when all have
+//! come or when a packet of a newer frame comes; then it comes out with what is there, unless that has come out
+//! already, because whoever waits for it had waited long enough. It is settled after that, and so are all older ones.
 
 use super::{
     IgnoredCause,
@@ -13,14 +13,16 @@ use crate::ids::FrameNumber;
 /// The frame at hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Current {
-    /// The packet that came first, whichever it was; where only parity has come, what that says of the frame's first one.
+    /// The packet that came first, whichever it was; where only parity has come, what that says of the frame's first
+    /// one.
     pub(super) begun_by: FramePacket,
     /// Packets taken, those put together from parity among them.
     pub(super) taken: u16,
     pub(super) restored: u16,
     /// Their data.
     bytes: usize,
-    /// Places of the outermost packets that came, and of the frame's first once it has, counted from the one that came first.
+    /// Places of the outermost packets that came, and of the frame's first once it has, counted from the one that came
+    /// first.
     lowest: i64,
     highest: i64,
     first: Option<i64>,
@@ -132,7 +134,8 @@ impl Slices {
         self.current.is_some_and(|current| frame > current.begun_by.frame)
     }
 
-    /// Decides about parity of a frame that is not newer than the one at hand, by what it says of the frame's first packet.
+    /// Decides about parity of a frame that is not newer than the one at hand, by what it says of the frame's first
+    /// packet.
     pub(super) fn parity(&mut self, first: &FramePacket) -> Verdict {
         match self.current.filter(|current| current.begun_by.frame == first.frame) {
             Some(Current { begun_by, .. }) if is_alike(&begun_by, first) => Verdict::Append,

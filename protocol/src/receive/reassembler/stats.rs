@@ -12,8 +12,8 @@ pub struct ReassemblerStats {
     pub stored: u64,
     /// Frames that came out whole.
     pub frames_complete: u64,
-    /// Frames that came out in part, under [`Policy::Slices`](super::Policy::Slices). One that a whole newer frame ended
-    /// is counted, although only the newer one is given out.
+    /// Frames that came out in part, under [`Policy::Slices`](super::Policy::Slices). One that a whole newer frame
+    /// ended is counted, although only the newer one is given out.
     pub frames_partial: u64,
     /// Frames of which something arrived and which did not come out: dropped, abandoned, or never begun because the
     /// first packet was not there. A frame of which nothing arrived is unknown here, and so is one that only arrived
