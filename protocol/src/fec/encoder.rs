@@ -5,12 +5,12 @@ use reed_solomon_simd::ReedSolomonEncoder;
 use super::{LENGTH_BYTES, MAX_PROTECTED_PACKETS, PARITY_HEAD_BYTES, PARITY_ROOM_BYTES, fill_shard};
 use crate::{header::HEADER_BYTES, limits::MAX_PACKET_BYTES};
 
-/// Makes parity; keeps its memory from frame to frame.
+/// Makes parity packets; reuses its memory from frame to frame.
 #[derive(Default)]
 pub struct ParityEncoder {
     coder: Option<ReedSolomonEncoder>,
     shard: Vec<u8>,
-    /// Data of the parity packets, one after the other.
+    /// Data of the parity packets, concatenated.
     output: Vec<u8>,
 }
 
@@ -20,7 +20,6 @@ impl std::fmt::Debug for ParityEncoder {
     }
 }
 
-/// The parity of one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Parity<'a> {
     packet_bytes: usize,
@@ -34,12 +33,12 @@ impl<'a> Parity<'a> {
         self.data.len() / self.packet_bytes.max(1)
     }
 
-    /// Their data, which every parity packet has as much of.
+    /// Data of each packet. All have the same length.
     pub(crate) fn data(&self) -> impl Iterator<Item = &'a [u8]> + use<'a> {
         self.data.chunks(self.packet_bytes.max(1))
     }
 
-    /// Bytes of data of all of them.
+    /// Bytes of data in all packets.
     #[must_use]
     pub const fn bytes(&self) -> usize {
         self.data.len()
@@ -47,15 +46,15 @@ impl<'a> Parity<'a> {
 }
 
 impl ParityEncoder {
-    /// The parity that was made last.
+    /// Returns the parity made last.
     #[must_use]
     pub fn last(&self) -> Parity<'_> {
         let packet_bytes = PARITY_HEAD_BYTES + self.shard.len();
         Parity { packet_bytes, data: &self.output }
     }
 
-    /// Makes `parity` parity packets for packets that carry these payloads. Makes none if there are more than
-    /// [`MAX_PROTECTED_PACKETS`], or if they leave no room for the head of a parity packet.
+    /// Makes `parity` parity packets for packets with these payloads. Makes none if there are more than
+    /// [`MAX_PROTECTED_PACKETS`], or if the payloads leave no room for the head of a parity packet.
     pub fn encode<'a>(&mut self, payloads: impl Iterator<Item = &'a [u8]> + Clone, parity: u8) -> Parity<'_> {
         self.output.clear();
         let (packets, longest) =
@@ -67,7 +66,7 @@ impl ParityEncoder {
             let shard_bytes = (LENGTH_BYTES + longest).next_multiple_of(2);
             self.shard.resize(shard_bytes, 0);
             if self.make(payloads, packets, parity, shard_bytes).is_err() {
-                // The bounds above are all that the coder asks for.
+                // Cannot happen: the checks above are the coder's only conditions.
                 self.output.clear();
             }
         }

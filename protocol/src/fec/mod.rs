@@ -1,24 +1,25 @@
-//! Forward error correction over a frame's packets: parity packets, any of which stands in for any packet that is lost.
+//! Forward error correction over a frame's packets. Any parity packet can replace any lost packet.
 //!
-//! Nothing is sent twice: it would come too late. Instead a frame of n packets, each of which stands alone, gets m
-//! more, and any n of the n + m are enough (Reed and Solomon's code, by `reed-solomon-simd`). How many there are
-//! follows from the loss that the client measured ([`parity_packets`]); without loss there are none.
+//! Nothing is retransmitted: it would arrive too late. Instead, a frame of n packets gets m parity packets, and any n
+//! of the n + m restore the frame (Reed and Solomon's code, by `reed-solomon-simd`). m follows from the loss that the
+//! client measured ([`parity_packets`]); without loss it is 0.
 //!
-//! A parity packet has the frame number and timestamp of its frame, no number of packets, by which it is known, and no
-//! first-packet flag. Its sequence number is that of the frame's first packet, and n, and its place among the m. Its
-//! data:
+//! A parity packet has the frame number and timestamp of its frame and no first-packet flag. Its number of packets is
+//! the placeholder, which marks it as parity. Its sequence number is the first packet's, plus n, plus its index among
+//! the m. Its data:
 //!
 //! | bytes | field |
 //! |---|---|
-//! | 0–1 | packets of the frame that it stands in for, n |
+//! | 0–1 | packets of the frame that it protects, n |
 //! | 2 | parity packets of the frame, m |
-//! | 3 | its place among them, from 0 |
+//! | 3 | its index among them, from 0 |
 //! | to the end | the shard, an even number of bytes |
 //!
-//! All little-endian. The n shards that the code works on are the data of the frame's packets, each after its length
-//! (u16) and before as many zeros as make all equally long.
+//! All little-endian. The code works on n shards: the data of each packet, after its length (u16), padded with zeros to
+//! the same length.
 //!
-//! A packet that is put together from wrong parity is wrong, and may be read as tiles that it was not: parity is as
+//! A packet restored from wrong parity is wrong, and its tiles may decode as others. So parity must be as trustworthy
+//! as the packets. It never changes data that has arrived.
 //! trustworthy as the packets. But parity never touches what has come itself.
 
 mod encoder;
@@ -40,13 +41,13 @@ pub(crate) const PARITY_HEAD_BYTES: usize = 4;
 /// Bytes before a packet's data in its shard.
 const LENGTH_BYTES: usize = 2;
 
-/// What the packets of a frame leave free, so that parity of them fits a packet: head, length, and an odd byte.
+/// Bytes that a frame's packets leave free, so that their parity fits a packet: head, length, and an odd byte.
 pub const PARITY_ROOM_BYTES: usize = PARITY_HEAD_BYTES + LENGTH_BYTES + 1;
 
-/// Most packets of a frame that can have parity: half a megabyte.
+/// Most packets of a frame with parity: half a megabyte.
 pub const MAX_PROTECTED_PACKETS: usize = 512;
 
-/// A parity packet, its numbers within their bounds.
+/// A parity packet with all numbers in range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct ParityPacket<'a> {
     pub(crate) frame: FrameNumber,
@@ -60,12 +61,12 @@ pub(crate) struct ParityPacket<'a> {
 }
 
 impl<'a> ParityPacket<'a> {
-    /// Whether a packet with this header says that it is parity.
+    /// Returns whether a packet with this header is parity.
     pub(crate) const fn is_one(header: &PacketHeader) -> bool {
         header.frame_packets.is_none() && header.frame.is_some() && header.timestamp_ms.is_some() && !header.first
     }
 
-    /// The packet from its parts, unless a number is out of its bounds.
+    /// Returns `None` if a number is out of range.
     pub(crate) fn parse(header: &PacketHeader, data: &'a [u8]) -> Option<Self> {
         let (&[n0, n1, parity, place], shard) = data.split_first_chunk()?;
         let packets = NonZeroU16::new(u16::from_le_bytes([n0, n1]))?;
@@ -85,7 +86,7 @@ impl<'a> ParityPacket<'a> {
     }
 }
 
-/// Puts a packet's data into a shard.
+/// Copies a packet's length and data into a shard.
 fn fill_shard(shard: &mut [u8], data: &[u8]) {
     let (length, rest) = shard.split_at_mut(LENGTH_BYTES);
     // No packet is longer than 64 KiB.
@@ -94,7 +95,7 @@ fn fill_shard(shard: &mut [u8], data: &[u8]) {
     rest[data.len()..].fill(0);
 }
 
-/// The data in a shard, if it is one that [`fill_shard`] makes.
+/// Returns the data in a shard, if [`fill_shard`] could have made it.
 fn shard_data(shard: &[u8]) -> Option<&[u8]> {
     let (length, rest) = shard.split_first_chunk::<LENGTH_BYTES>()?;
     let (data, zeros) = rest.split_at_checked(usize::from(u16::from_le_bytes(*length)))?;

@@ -1,18 +1,18 @@
-//! Puts together what is missing of a frame, from its parity and what has come.
+//! Restores a frame's missing packets from its parity and the packets that arrived.
 
 use reed_solomon_simd::ReedSolomonDecoder;
 
 use super::{LENGTH_BYTES, ParityPacket, fill_shard, shard_data};
 
-/// What is known of the frame at hand beside its data. Its memory is bounded by the bounds of [`ParityPacket`] and the
-/// number of a frame's packets, and serves every frame.
+/// What is known of the current frame besides its data. Its memory is bounded by [`ParityPacket`]'s limits and the
+/// number of a frame's packets, and is reused for every frame.
 #[derive(Default)]
 pub(crate) struct Recovery {
     coder: Option<ReedSolomonDecoder>,
-    /// Where in the body the data of each packet lies that has come.
+    /// Where in the body the data of each arrived packet lies.
     came: Vec<Piece>,
     kind: Option<Kind>,
-    /// Places of the parity packets that have come, and their shards one after the other.
+    /// Indices of the arrived parity packets, and their shards, concatenated.
     places: Vec<u8>,
     shards: Vec<u8>,
     shard: Vec<u8>,
@@ -26,7 +26,7 @@ struct Piece {
     bytes: usize,
 }
 
-/// What all parity packets of a frame say.
+/// What all parity packets of a frame have in common.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Kind {
     first_sequence: u32,
@@ -35,14 +35,13 @@ struct Kind {
     shard_bytes: usize,
 }
 
-/// What was put together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Recovered {
-    /// There is not enough for it, or nothing to do.
+    /// Too little has arrived, or nothing is missing.
     Nothing,
-    /// All that was missing: so many packets.
+    /// Every missing packet was restored; their number.
     All(u16),
-    /// What has come does not fit together. The parity is forgotten.
+    /// The parity contradicts the packets. It is discarded.
     Contradiction,
 }
 
@@ -53,7 +52,7 @@ impl std::fmt::Debug for Recovery {
 }
 
 impl Recovery {
-    /// Another frame begins.
+    /// Starts another frame.
     pub(crate) fn begin(&mut self) {
         self.came.clear();
         self.forget_parity();
@@ -65,13 +64,12 @@ impl Recovery {
         self.shards.clear();
     }
 
-    /// A packet of the frame has come; its data lies in the body from `start` on.
+    /// Records a packet of the frame. Its data lies in the body from `start` on.
     pub(crate) fn came(&mut self, sequence: u32, start: usize, bytes: usize) {
         self.came.push(Piece { sequence, start, bytes });
     }
 
-    /// A parity packet of the frame has come. Says whether it was kept: not when it was there already. Nothing when it
-    /// contradicts the others.
+    /// Records a parity packet of the frame. Returns whether it was new, or `None` if it contradicts the others.
     pub(crate) fn parity(&mut self, packet: &ParityPacket<'_>) -> Option<bool> {
         let kind = Kind {
             first_sequence: packet.first_sequence,
@@ -90,13 +88,12 @@ impl Recovery {
         Some(new)
     }
 
-    /// Bytes of memory that parity is kept in.
+    /// Bytes of memory that hold parity.
     pub(crate) const fn memory_bytes(&self) -> usize {
         self.shards.capacity()
     }
 
-    /// Appends the data of all packets that are missing to `body`, in their order, if there is enough to know it and
-    /// the body has room for it.
+    /// Appends the data of all missing packets to `body`, in order, if enough has arrived and the body has room.
     pub(crate) fn recover(&mut self, body: &mut Vec<u8>, max_body_bytes: usize) -> Recovered {
         let Some(kind) = self.kind else { return Recovered::Nothing };
         if self.came.len() >= kind.packets || self.came.len() + self.places.len() < kind.packets {

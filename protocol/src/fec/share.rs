@@ -1,32 +1,32 @@
 //! How many parity packets a frame gets.
 //!
-//! Losses come in runs. The channel is taken for one of two states (Gilbert's): in the good one all packets come, in
-//! the bad one none. Two figures that the client can measure say all of it: the share of packets lost, and how long a
-//! run of losses is on average. From them follows how likely it is that k of N packets are lost, and so what share of a
-//! frame's packets is lost in spite of m parity packets: where k > m, all k of them.
+//! Losses come in bursts. The channel is modelled with two states (Gilbert): all packets arrive in the good one, and
+//! none in the bad one. The client measures its two parameters: the share of packets lost, and the mean length of a
+//! burst. They give the probability that k of N packets are lost, and so the share of packets that stays lost with m
+//! parity packets: all k where k > m.
 
-/// Most parity packets that a frame can have.
+/// Most parity packets of a frame.
 const MOST: usize = u8::MAX as usize;
 
-/// What remains lost is at most this share of the packets, or a twentieth of the loss if that is more.
+/// Loss that may remain: this share of the packets, or a twentieth of the measured loss if that is more.
 const LEAST_RESIDUAL: f64 = 0.0004;
 
-/// A channel's losses.
+/// Loss of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct LossModel {
-    /// Share of the packets that is lost, 0 to 1.
+    /// Share of packets lost, 0 to 1.
     pub loss: f64,
-    /// Mean number of packets that are lost one after the other, at least 1.
+    /// Mean number of consecutive packets lost, at least 1.
     pub run: f64,
 }
 
-/// Most parity packets for a frame of `packets`, whatever the loss: twice the frame, and a little for small ones, which
-/// a run of losses hits whole.
+/// Most parity packets for a frame of `packets`, whatever the loss: twice the frame, and a few more because a burst can
+/// hit the whole of a small one.
 fn most_parity(packets: usize) -> usize {
     (packets * 2 + 4).min(MOST)
 }
 
-/// Parity packets for a frame of `packets`: the fewest that leave no more lost than is allowed.
+/// Returns the fewest parity packets that keep the remaining loss of a frame of `packets` within its limit.
 #[must_use]
 pub fn parity_packets(model: LossModel, packets: usize) -> u8 {
     let loss = model.loss.clamp(0.0, 0.5);
@@ -34,17 +34,17 @@ pub fn parity_packets(model: LossModel, packets: usize) -> u8 {
         return 0;
     }
     let allowed = (loss / 20.0).max(LEAST_RESIDUAL);
-    // Losses each for itself are runs of 1 / (1 − loss).
+    // Independent losses have a mean run of 1 / (1 − loss).
     let run = model.run.clamp(1.0 / (1.0 - loss), 1000.0);
     let (leave, enter) = (1.0 / run, loss / (run * (1.0 - loss)));
     let most = most_parity(packets);
-    // Probability that k packets were lost so far, the last one not, or the last one as well.
+    // Probability that k packets were lost so far, with the last one arrived (good) or lost (bad).
     let (mut good, mut bad) = ([0.0; MOST + 1], [0.0; MOST + 2]);
     (good[0], bad[1]) = (1.0 - loss, loss);
     let mut sent = 1;
     for parity in 0..=most {
         while sent < packets + parity {
-            // One packet more, from the most losses to none: each k reads what k − 1 was.
+            // Adds one packet. k descends, because each k reads the old k − 1.
             for lost in (0..=most).rev() {
                 let (was_good, was_bad) = (good[lost], bad[lost]);
                 bad[lost + 1] = was_good * enter + was_bad * (1.0 - leave);
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn there_is_none_without_loss_and_more_with_more_of_it() {
+    fn parity_is_zero_without_loss_and_grows_with_it() {
         assert_eq!(parity(0.0, 1.0, 20), 0);
         assert_eq!(parity(-1.0, f64::NAN, 20), 0);
         for packets in [1, 2, 10, 20, 100, 500] {
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn no_measurement_breaks_it() {
+    fn any_measurement_is_accepted() {
         for loss in [f64::NAN, f64::INFINITY, -f64::INFINITY, 1.0, 1e-300] {
             for run in [f64::NAN, f64::INFINITY, 0.0, -1.0, 1e300] {
                 for packets in [0, 1, 512] {
@@ -95,9 +95,8 @@ mod tests {
         }
     }
 
-    /// The same channel, played: what remains lost is what was allowed.
     #[test]
-    fn what_remains_lost_is_what_was_allowed() {
+    fn the_remaining_loss_is_the_allowed_one() {
         let mut state = 1_u64;
         let mut unit = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

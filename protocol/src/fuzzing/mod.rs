@@ -1,5 +1,5 @@
-//! Properties that hold for any bytes. The fuzz targets (`tests/fuzz`) and the stable smoke test
-//! (`tests/fuzz_smoke.rs`) call these; nothing else should. Each panics when its property does not hold.
+//! Properties that hold for any bytes. Only the fuzz targets (`tests/fuzz`) and the stable smoke test
+//! (`tests/fuzz_smoke.rs`) call these. Each panics if its property does not hold.
 //!
 //! All targets, for a minute, with the stable toolchain: `make fuzz` (`tests/fuzz/build` and `run`).
 
@@ -26,7 +26,7 @@ use crate::{
     reassembler::{Policy, Progress, Reassembler},
 };
 
-/// A header that decodes encodes to the same bytes, and its payload is all that follows it.
+/// A header that decodes encodes to the same bytes, and its payload is the rest of the input.
 pub fn header(bytes: &[u8]) {
     if let Ok((header, payload)) = PacketHeader::decode(bytes) {
         assert_eq!(header.encode(), bytes[..HEADER_BYTES]);
@@ -47,8 +47,8 @@ pub fn pose(bytes: &[u8]) {
     }
 }
 
-/// A message that decodes, from either side, encodes to no more bytes than it came from, and these decode to it.
-/// (Not to the same bytes: postcard reads numbers with leading zero groups.)
+/// A message that decodes, from either side, encodes to at most as many bytes, which decode to the same message. (Not
+/// to the same bytes: postcard accepts numbers with leading zero groups.)
 pub fn message(bytes: &[u8]) {
     one_message::<ClientMessage>(bytes);
     one_message::<ServerMessage>(bytes);
@@ -68,8 +68,8 @@ fn one_message<M: Serialize + DeserializeOwned + CheckText + PartialEq + std::fm
     }
 }
 
-/// A frame that decodes has the shape that its head says, within the limits, and every codec gives the mask back bit
-/// by bit: so nothing is set outside the picture. A decoder that has failed decodes the next frame as a new one does.
+/// A frame that decodes has the shape in its head, within the limits, and every codec round-trips the mask bit by bit,
+/// so no bit is set outside the picture. After an error, a decoder decodes the next frame as a new one does.
 pub fn codec(bytes: &[u8]) {
     let tiny = Mask::new(tiny_shape());
     let (mut decoder, mut mask) = (Decoder::new(), tiny.clone());
@@ -86,8 +86,8 @@ pub fn codec(bytes: &[u8]) {
     gives_back(CodecId::PlanesLz4, &tiny, &mut decoder);
 }
 
-/// Bits of a slice that is coded against a reference decode to some mask or to nothing, and what they decode to comes
-/// back bit by bit, against the same reference. The first byte picks one of some shapes.
+/// Slice bits coded against a reference give a mask or an error. A mask round-trips bit by bit against the same
+/// reference. The first byte picks the shape.
 pub fn moved(bytes: &[u8]) {
     let Some((&pick, bits)) = bytes.split_first() else { return };
     let (width, height, lights) = [(1, 1, 1), (64, 8, 3), (130, 20, 2), (300, 33, 1)][usize::from(pick) % 4];
@@ -114,8 +114,8 @@ pub fn moved(bytes: &[u8]) {
     }
 }
 
-/// An acknowledgement that decodes encodes to the same bytes, but for the digest of no frame; what is told of losses
-/// does too, and neither is the other.
+/// An acknowledgement that decodes encodes to the same bytes, except for the digest when it names no frame. So does
+/// loss feedback, and no bytes decode as both.
 pub fn acknowledgement(bytes: &[u8]) {
     if let Ok(feedback) = LossFeedback::decode(bytes) {
         assert_eq!(feedback.encode(), bytes);
@@ -129,13 +129,13 @@ pub fn acknowledgement(bytes: &[u8]) {
 
 fn gives_back(codec: CodecId, mask: &Mask, decoder: &mut Decoder) {
     let (mut body, mut again) = (EncodedFrame::default(), Mask::new(tiny_shape()));
-    // Noise in 32 lights near the largest size is all that cannot be encoded, and no input here is as long.
+    // Only noise in 32 lights near the largest size cannot be encoded, and no input here is that long.
     assert_eq!(Encoder::new(codec).encode(mask, &mut body), Ok(()));
     assert!(decoder.decode(&body, &mut again).is_ok_and(|found| found == codec));
     assert!(again == *mask, "{codec} changes the mask");
 }
 
-/// The smallest shape. Within the limits, as the smallest always is.
+/// Returns the smallest shape, which is always within the limits.
 fn tiny_shape() -> MaskShape {
     let Ok(shape) = MaskShape::new(1, 1, 1) else { unreachable!("1×1×1 is a shape") };
     shape
@@ -144,12 +144,12 @@ fn tiny_shape() -> MaskShape {
 /// The longest frame that [`reassembler`] allows.
 const MAX_BODY_BYTES: usize = 64;
 
-/// Whatever packets come, frames come out in increasing order and within their limit, memory stays within it, and the
-/// counts add up. As long as only honest packets came, in whatever order, every frame that comes out is byte-exact.
+/// For any packets, frames are delivered in increasing order and within their limit, memory stays within it, and the
+/// counts add up. While only honest packets arrive, in any order, every delivered frame is byte-exact.
 ///
-/// The bytes are a list of packets. One that begins with a byte below 0x80 is that many bytes as they are. Otherwise
-/// the next byte names frame (upper four bits) and packet (lower four, modulo) of an honest packet, whose number of
-/// packets and first-packet flag the first byte's low six bits change when its bit 6 is set.
+/// The input is a list of packets. A first byte below 0x80 is the length of a raw packet. Otherwise, the next byte
+/// names the frame (upper four bits) and packet (lower four, modulo) of an honest packet; if bit 6 of the first byte is
+/// set, its low six bits alter the number of packets and the first-packet flag.
 pub fn reassembler(bytes: &[u8]) {
     for policy in [Policy::WholeFrame, Policy::Slices] {
         reassemble(policy, bytes);
@@ -177,12 +177,12 @@ fn reassemble(policy: Policy, bytes: &[u8]) {
         let frame = reassembler.frame();
         match progress {
             Ok(progress) => assert_eq!(frame.is_some(), matches!(progress, Progress::Complete | Progress::Partial)),
-            // Even a packet that is refused can end the frame before it.
+            // Even a refused packet can end the frame before it.
             Err(_) => assert!(frame.is_none_or(|frame| frame.missing > 0)),
         }
         if let Some(frame) = frame {
             complete += u64::from(frame.missing == 0);
-            // A frame that came out in part comes out again with more of it.
+            // A partial frame is delivered again only with more of it.
             assert!(newest < Some((frame.frame, frame.packets)), "{newest:?}, then {frame:?}");
             assert!(frame.known_bytes < frame.body.len());
             newest = Some((frame.frame, frame.packets));
@@ -211,11 +211,10 @@ fn reassemble(policy: Policy, bytes: &[u8]) {
     assert_eq!(stats.stored + stats.ignored() + stats.malformed, packets);
 }
 
-/// Whatever parity comes beside a frame's packets, what has come of these stays as it is, in order, and memory is
-/// bounded.
+/// For any parity, the packets of a frame that arrived stay unchanged and in order, and memory is bounded.
 ///
-/// The first byte says how many packets (low four bits) and parity packets the frame has. Then each three bytes send
-/// one of them: its place, a place in it, and what that byte is changed by, of parity only.
+/// The first byte gives the frame's number of packets (low four bits) and of parity packets. Then each three bytes send
+/// one of them: its index, an offset into it, and the change to that byte (parity only).
 pub fn parity(bytes: &[u8]) {
     let Some((&counts, steps)) = bytes.split_first() else { return };
     let body: Vec<u8> = (0..=counts & 15).flat_map(|payload| [payload + 1; 9]).collect();
@@ -233,7 +232,7 @@ pub fn parity(bytes: &[u8]) {
     for &[place, at, change] in steps.as_chunks::<3>().0 {
         let place = usize::from(place) % packets.len();
         let mut packet = packets[place].clone();
-        // The frame's number stays, and that it is parity.
+        // The frame's number and the parity mark stay.
         let at = usize::from(at) % packet.len();
         if place >= honest && !(4..12).contains(&at) {
             packet[at] ^= change;
@@ -247,14 +246,14 @@ pub fn parity(bytes: &[u8]) {
         }
         if let Some(frame) = reassembler.frame() {
             assert!(frame.body.starts_with(&came) && frame.missing == 0);
-            // Where only parity has come, there is nothing that contradicts it.
+            // With only parity, nothing can contradict it.
             assert!(came.is_empty() || usize::from(frame.packets) == honest);
         }
         assert!(reassembler.parity_bytes() <= 2 * 255 * MAX_PACKET_BYTES);
     }
 }
 
-/// Packets of an honest frame: 1 to 7.
+/// Number of packets of an honest frame: 1 to 7.
 fn honest_count(frame: u8) -> u8 {
     1 + frame * 5 % 7
 }
@@ -267,7 +266,7 @@ fn honest_data(frame: u8, index: u8) -> impl Iterator<Item = u8> {
 fn honest_packet(frame: u8, index: u8, change: u8) -> Vec<u8> {
     let data: Vec<u8> = honest_data(frame, index).collect();
     let header = PacketHeader {
-        // The last frames' numbers lie beyond the wrap.
+        // The last frames' sequence numbers lie beyond the wrap.
         sequence: (u32::MAX - 60).wrapping_add(u32::from(frame) * 8 + u32::from(index)),
         frame: Some(FrameNumber(u32::from(frame))),
         data_bytes: u16::from(data.len().to_le_bytes()[0]),

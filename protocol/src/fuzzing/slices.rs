@@ -1,4 +1,4 @@
-//! Slices behind a head that is valid.
+//! Slices after a valid head.
 
 use crate::{
     codec::{CodecId, Decoder, EncodedFrame, Encoder},
@@ -6,8 +6,8 @@ use crate::{
     mask::{Mask, MaskShape},
 };
 
-/// The bytes of one slice decode to some mask or to nothing, and what they decode to comes back bit by bit from the
-/// same codec. The first two bytes pick the codec and one of some shapes: mutations need not find a head.
+/// The bytes of one slice give a mask or an error, and the mask round-trips bit by bit in the same codec. The first two
+/// bytes pick codec and shape, so that mutations need not find a head.
 pub fn slices(bytes: &[u8]) {
     let [codec, pick, slice @ ..] = bytes else { return };
     let codec = CodecId::ALL[usize::from(*codec) % CodecId::ALL.len()];

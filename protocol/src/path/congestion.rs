@@ -1,33 +1,33 @@
-//! How many bytes may be in flight: a controller that listens to delay and is deaf to a little loss.
+//! Congestion control: limits the bytes in flight by delay, and ignores a little loss.
 //!
 //! Quinn's own controllers take every loss for congestion; at 1 % of random loss they deliver 8 % of a stream of
-//! frames. Frames are worth most when they are young, and a lost packet is never sent again, so what counts is the
-//! queue in the path. The rules, each on the feedback that quinn's `congestion::Controller` gives:
+//! frames. Here, frames lose value with age and lost packets are never sent again, so what counts is the queue in the
+//! path. The rules, applied to the feedback of quinn's `congestion::Controller`:
 //!
 //! 1. *Base.* The path's own round trip is the smallest one seen in the last 5 to 10 s (two periods of 5 s, the older
 //!    one forgotten), so that a longer route is learnt within 10 s.
 //! 2. *Delay.* Queueing delay is the *standing* round trip above the base, and standing is the smallest one of the last
 //!    20 to 40 ms, or of half to one base round trip if that is longer. The smallest, because jitter, late
-//!    acknowledgements and a frame's own burst come and go in that time, and a queue that is too long does not. Above
+//!    acknowledgements and a frame's own burst pass in that time, and an overlong queue does not. Above
 //!    [`TARGET_DELAY`] (12 ms) the window shrinks to 0.85 of itself, at most once a round trip.
 //! 3. *Loss.* Loss is judged in rounds of at least 200 datagrams and one round trip. A round that lost more than
 //!    [`MAX_LOSS_PERCENT`] (10 %) shrinks the window to 0.85; less loss changes nothing.
 //! 4. *Marks.* A congestion mark (ECN, reported as a loss of 0 bytes) counts as too much delay.
 //! 5. *Growth.* While the sender could use more than the window, and the delay is below the target, acknowledged bytes
 //!    open the window: by half of them until it first shrinks or the delay passes half the target, after that by up to
-//! 8    datagrams a round trip, less the nearer the delay is to the target.
-//! 6. *Drain.* A full window keeps a queue below the target standing, which rule 1 would in time take for the path
+//!    8 datagrams a round trip, fewer the nearer the delay is to the target.
+//! 6. *Drain.* A full window keeps a standing queue below the target, which rule 1 would in time take for the path
 //!    itself. So after a period in which no round trip came within 3 ms of the base, the window is three quarters of
 //!    what fills the path without a queue (window × base / standing), for two round trips and at least 50 ms; then it
-//!    takes its former size.
+//!    returns to its former size.
 //! 7. *Outage.* When all packets were lost for longer than quinn's persistent-congestion period, the window falls to
 //!    the floor and grows as at the start.
 //!
-//! The window starts at what the caller says (quinn paces by window over round trip) and stays
-//! between [`FLOOR_DATAGRAMS`] datagrams and [`MAX_WINDOW_BYTES`]. Not known: how it shares a path with other kinds
-//! of traffic. A queue that overflows below 12 ms is only noticed when it loses more than 10 %.
+//! The caller sets the initial window (quinn paces by window over round trip). It stays between [`FLOOR_DATAGRAMS`]
+//! datagrams and [`MAX_WINDOW_BYTES`]. Not known: how it shares a path with other kinds of traffic. A queue that
+//! overflows below 12 ms is only noticed when it loses more than 10 %.
 //!
-//! Behind quinn's trait: `on_ack` passes `now − sent` as the round trip, not `RttEstimator::get`, which is smoothed and
+//! In quinn's adapter: `on_ack` passes `now − sent` as the round trip, not `RttEstimator::get`, which is smoothed and
 //! so hides the smallest ones; `on_congestion_event` is [`DelayController::on_loss`], `on_mtu_update`
 //! [`DelayController::on_datagram_bytes`].
 
@@ -55,31 +55,31 @@ const MIN_DRAIN: Duration = Duration::from_millis(50);
 const LOSS_ROUND_DATAGRAMS: u64 = 200;
 const GROWTH_DATAGRAMS: u64 = 8;
 
-/// The controller: a state machine without clock or socket. `now` may not go back.
+/// The controller: a state machine without clock or socket. `now` must not go back.
 #[derive(Debug, Clone)]
 pub struct DelayController {
     initial_window_bytes: u64,
     window_bytes: u64,
     datagram_bytes: u64,
-    /// Whether the window has not shrunk yet.
+    /// True until the window first shrinks.
     starting: bool,
     base: Lowest,
     standing: Lowest,
     shrunk_at: Option<Instant>,
     drain: Option<Drain>,
     round: LossRound,
-    /// Growth that is no whole byte yet, in bytes × window bytes.
+    /// Growth of less than a byte, in bytes × window bytes.
     growth_credit: u64,
 }
 
-/// A while with a smaller window, in which the queue runs empty.
+/// A period with a smaller window, in which the queue drains.
 #[derive(Debug, Clone, Copy)]
 struct Drain {
     until: Instant,
     window_bytes: u64,
 }
 
-/// The smallest round trip of this period and of the one before.
+/// The smallest round trip of the current period and of the one before.
 #[derive(Debug, Clone, Copy, Default)]
 struct Lowest {
     period_start: Option<Instant>,
@@ -87,7 +87,7 @@ struct Lowest {
     last: Option<Duration>,
 }
 
-/// What was acknowledged and lost since the round began.
+/// Bytes acknowledged and lost since the round began.
 #[derive(Debug, Clone, Copy, Default)]
 struct LossRound {
     start: Option<Instant>,
@@ -96,7 +96,7 @@ struct LossRound {
 }
 
 impl DelayController {
-    /// A controller with its first window, for datagrams of about `datagram_bytes`.
+    /// Returns a controller with this initial window, for datagrams of about `datagram_bytes`.
     #[must_use]
     pub fn new(initial_window_bytes: u64, datagram_bytes: u16) -> Self {
         let datagram_bytes = u64::from(datagram_bytes.max(1));
@@ -115,26 +115,26 @@ impl DelayController {
         }
     }
 
-    /// Bytes that may be in flight now.
+    /// Returns the bytes that may be in flight now.
     #[must_use]
     pub fn window_bytes(&self) -> u64 {
         self.drain.map_or(self.window_bytes, |drain| drain.window_bytes.min(self.window_bytes))
     }
 
-    /// The window that the controller began with.
+    /// Returns the initial window.
     #[must_use]
     pub const fn initial_window_bytes(&self) -> u64 {
         self.initial_window_bytes
     }
 
-    /// The standing round trip above the base: what queues add.
+    /// Returns the queueing delay: the standing round trip above the base.
     #[must_use]
     pub fn queueing_delay(&self) -> Duration {
         self.base.min().map_or(Duration::ZERO, |base| self.round_trip().saturating_sub(base))
     }
 
-    /// `bytes` were acknowledged. `app_limited` says that the sender had nothing more to send; `rtt` is the time since
-    /// these bytes were sent, not smoothed.
+    /// Records `bytes` acknowledged. `app_limited`: the sender had nothing more to send. `rtt` is the unsmoothed time
+    /// since these bytes were sent.
     pub fn on_ack(&mut self, now: Instant, bytes: u64, app_limited: bool, rtt: Duration) {
         let base_before = self.base.last;
         let ended = self.base.sample(now, rtt, BASE_PERIOD);
@@ -167,8 +167,7 @@ impl DelayController {
         self.standing.min().unwrap_or(Duration::ZERO)
     }
 
-    /// `lost_bytes` were found lost; 0 stands for a congestion mark. `persistent` says that everything was lost for a
-    /// long time.
+    /// Records `lost_bytes` lost; 0 means a congestion mark. `persistent`: everything was lost for a long time.
     pub fn on_loss(&mut self, now: Instant, lost_bytes: u64, persistent: bool) {
         if persistent {
             self.window_bytes = self.floor();
@@ -183,7 +182,7 @@ impl DelayController {
         }
     }
 
-    /// The path carries datagrams of another size.
+    /// Sets the size of the path's datagrams.
     pub fn on_datagram_bytes(&mut self, datagram_bytes: u16) {
         self.datagram_bytes = u64::from(datagram_bytes.max(1));
         self.window_bytes = self.window_bytes.clamp(self.floor(), MAX_WINDOW_BYTES);
@@ -245,7 +244,7 @@ impl Lowest {
         self.this.into_iter().chain(self.last).min()
     }
 
-    /// Takes a sample; returns the lowest of the period that it ends, if it does.
+    /// Takes a sample. If it ends a period, returns that period's lowest.
     fn sample(&mut self, now: Instant, rtt: Duration, period: Duration) -> Option<Duration> {
         let start = *self.period_start.get_or_insert(now);
         let mut ended = None;
@@ -265,7 +264,7 @@ mod tests {
     const WINDOW: u64 = 400_000;
     const BASE_MS: u64 = 40;
 
-    /// A controller, a clock, and a base round trip of 40 ms that it knows.
+    /// A controller, a clock, and a known base round trip of 40 ms.
     struct Bench {
         controller: DelayController,
         now: Instant,
@@ -287,7 +286,7 @@ mod tests {
             }
         }
 
-        /// One datagram per ms, each `every`th lost.
+        /// One datagram per ms, one in `every` lost.
         fn loses(&mut self, count: u64, every: u64) {
             for place in 1..=count {
                 self.now += Duration::from_millis(1);
@@ -305,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn the_window_starts_as_told_within_its_bounds() {
+    fn the_initial_window_is_clamped_to_its_bounds() {
         for (told, window) in [(0, 12_000), (WINDOW, WINDOW), (u64::MAX, MAX_WINDOW_BYTES)] {
             let controller = DelayController::new(told, 1200);
             assert_eq!((controller.window_bytes(), controller.initial_window_bytes()), (window, window));
@@ -315,19 +314,19 @@ mod tests {
     #[test]
     fn delay_above_the_target_shrinks_once_a_round_trip() {
         let mut bench = Bench::new();
-        // Short of the target, for as long as it takes to stand.
+        // At the target, until it counts as standing.
         bench.acks(100, BASE_MS + 12, true);
         assert_eq!(bench.controller.queueing_delay(), TARGET_DELAY);
         assert_eq!(bench.window(), WINDOW);
         bench.acks(40, BASE_MS + 13, true);
         assert_eq!(bench.window(), WINDOW / 20 * 17);
-        // The next one 53 ms after the first; that came when the last lower round trip had been forgotten.
+        // Shrinks again 53 ms after the first time, when the last lower round trip has been forgotten.
         bench.acks(53, BASE_MS + 13, true);
         assert_eq!(bench.window(), WINDOW / 20 * 17 / 20 * 17);
     }
 
     #[test]
-    fn delay_that_does_not_stand_is_none() {
+    fn delay_that_does_not_stand_is_ignored() {
         let mut bench = Bench::new();
         for _ in 0..50 {
             bench.acks(15, BASE_MS + 200, true);
@@ -377,7 +376,7 @@ mod tests {
         assert_eq!(bench.window(), WINDOW + 100 * 1200 / 2);
         bench.controller.on_loss(bench.now, 0, false);
         let shrunk = bench.window();
-        // A window's worth of acknowledgements is a round trip's.
+        // A window of acknowledgements takes one round trip.
         bench.acks(shrunk / 1200, BASE_MS, false);
         let grown = bench.window() - shrunk;
         assert!((7 * 1200..=8 * 1200).contains(&grown), "{grown}");
@@ -390,12 +389,12 @@ mod tests {
         let window = bench.window();
         assert!(!bench.controller.starting);
         bench.acks(200, BASE_MS + 12, false);
-        // The first of these still stood at 7 ms.
+        // At the first of these the delay still stood at 7 ms.
         assert!(bench.window() - window < 1200, "{}", bench.window() - window);
     }
 
     #[test]
-    fn who_has_nothing_to_send_does_not_grow() {
+    fn the_window_of_an_idle_sender_does_not_grow() {
         let mut bench = Bench::new();
         bench.acks(1000, BASE_MS, true);
         assert_eq!(bench.window(), WINDOW);
@@ -421,7 +420,7 @@ mod tests {
         bench.acks(200, BASE_MS, true);
         assert_eq!(bench.window(), WINDOW);
         assert_eq!(bench.controller.queueing_delay(), Duration::ZERO);
-        // Where the base was there all the time, there is no drain.
+        // A path that returns to its base has no drain.
         let mut quiet = Bench::new();
         for _ in 0..12_000 {
             quiet.acks(1, BASE_MS + 3, true);

@@ -1,9 +1,8 @@
-//! How many packets are lost, and how many one after the other: measured by the client, told to the server, and
-//! believed by it with some inertia.
+//! Packet loss: how many packets are lost, and how many in a row. The client measures it, and the server smooths it.
 //!
-//! The client tells totals since its session began, so that nothing is missing when what it says is lost: in a packet
-//! of its own, with placeholders in the header's fields but sequence number and data size, and three numbers (u32,
-//! little-endian): packets that should have come, packets that did not, and runs of these. All three wrap.
+//! The client reports totals since its session began, so that a lost report costs nothing. A report is a packet of its
+//! own: the header's fields except sequence number and data size are placeholders, and three numbers follow (u32,
+//! little-endian): packets expected, packets lost, and runs of lost packets. All three wrap.
 
 use std::time::Duration;
 
@@ -15,44 +14,43 @@ use crate::{
     header::{HEADER_BYTES, HeaderError, PacketHeader},
 };
 
-/// How often the client tells.
+/// How often the client reports.
 pub const FEEDBACK_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Bytes of what it tells, header included.
+/// Bytes of a report, header included.
 pub const FEEDBACK_BYTES: usize = HEADER_BYTES + TOTALS_BYTES;
 
 const TOTALS_BYTES: usize = 12;
 
-/// A packet is lost when so many later ones have come; until then it may be late.
+/// A packet counts as lost once this many later ones have arrived; until then it may be late.
 const WINDOW: u32 = u64::BITS;
 
-/// A sequence number so far ahead is that of another stream.
+/// A larger jump in sequence numbers means another stream.
 const LONGEST_GAP: u32 = 4096;
 
-/// What was counted, modulo 2³².
+/// Totals, modulo 2³².
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LossTotals {
-    /// Packets that should have come.
     pub expected: u32,
-    /// Of these, packets that did not.
+    /// Expected packets that did not arrive.
     pub lost: u32,
-    /// Runs of packets that did not come one after the other.
+    /// Runs of consecutive lost packets.
     pub runs: u32,
 }
 
-/// Counts what is missing in a stream of sequence numbers, which wrap and may come out of order.
+/// Counts what is missing in a stream of sequence numbers, which wrap and may be reordered.
 #[derive(Debug, Clone, Default)]
 pub struct LossMeter {
-    /// The newest number, and how many up to it are still watched.
+    /// The newest number, and how many numbers up to it are still watched.
     newest: Option<(u32, u32)>,
-    /// Bit k: number newest − k has come.
+    /// Bit k: number newest − k has arrived.
     came: u64,
     in_run: bool,
     totals: LossTotals,
 }
 
 impl LossMeter {
-    /// A packet with this sequence number has come.
+    /// Records that a packet arrived.
     pub fn take(&mut self, sequence: u32) {
         let Some((newest, mut watched)) = self.newest else { return self.start(sequence) };
         let ahead = sequence.wrapping_sub(newest);
@@ -82,7 +80,7 @@ impl LossMeter {
         (self.newest, self.came, self.in_run) = (Some((sequence, 1)), 1, false);
     }
 
-    /// The oldest number that is watched has had its time.
+    /// Counts the oldest watched number as arrived or lost.
     fn judge(&mut self) {
         let lost = self.came >> (WINDOW - 1) == 0;
         let totals = &mut self.totals;
@@ -92,7 +90,7 @@ impl LossMeter {
         self.in_run = lost;
     }
 
-    /// What has been counted so far.
+    /// Returns the totals so far.
     #[must_use]
     pub const fn totals(&self) -> LossTotals {
         self.totals
@@ -121,31 +119,27 @@ impl LossReporter {
     }
 }
 
-/// What the client tells.
+/// The client's report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LossFeedback {
-    /// Number of the telling, +1 each; wraps.
+    /// Number of the report, +1 each; wraps.
     pub sequence: u32,
-    /// What it has counted.
     pub totals: LossTotals,
 }
 
 /// Why bytes are no [`LossFeedback`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum FeedbackError {
-    /// They are no packet at all.
     #[error(transparent)]
     Header(#[from] HeaderError),
-    /// The data is not three numbers.
     #[error("feedback has {TOTALS_BYTES} bytes of data, not {0}")]
     Length(usize),
-    /// The header says that it belongs to a frame.
-    #[error("packet {0} is no feedback: its header describes a frame")]
+    #[error("packet {0} is not feedback: its header describes a frame")]
     Frame(u32),
 }
 
 impl LossFeedback {
-    /// The packet's bytes.
+    /// Encodes the report.
     #[must_use]
     pub fn encode(&self) -> [u8; FEEDBACK_BYTES] {
         let header = PacketHeader {
@@ -166,10 +160,10 @@ impl LossFeedback {
         packet
     }
 
-    /// Feedback from its bytes.
+    /// Decodes a report.
     ///
     /// # Errors
-    /// When they are no packet, one of a frame, or have other data than three numbers.
+    /// Errors if the bytes are no packet, describe a frame, or do not carry exactly three numbers.
     pub fn decode(datagram: &[u8]) -> Result<Self, FeedbackError> {
         let (header, data) = PacketHeader::decode(datagram)?;
         let numbers: [u8; TOTALS_BYTES] = data.try_into().map_err(|_| FeedbackError::Length(data.len()))?;
@@ -183,31 +177,30 @@ impl LossFeedback {
     }
 }
 
-/// What counted so long ago counts half.
+/// Age at which a measurement counts half.
 const HALF_LIFE: Duration = Duration::from_secs(4);
 
-/// Loss of more than this share begins to be loss, and of less than [`NO_LOSS`] is none any more.
+/// Loss starts to count above this share, and stops below [`NO_LOSS`].
 const LOSS: f64 = 0.001;
 
 /// See [`LOSS`].
 const NO_LOSS: f64 = 0.0002;
 
-/// Losses that are no mere chance.
+/// Fewer lost packets may be chance.
 const LEAST_LOST: f64 = 1.5;
 
-/// The server's side: what it believes of the channel. `now` may not go back.
+/// The server's estimate of the channel. `now` must not go back.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct LossEstimate {
     heard: Option<(LossFeedback, Instant)>,
     expected: f64,
     lost: f64,
     runs: f64,
-    /// Whether there is loss.
     lossy: bool,
 }
 
 impl LossEstimate {
-    /// Hears what the client tells. What is old or cannot be changes nothing.
+    /// Takes the client's report. Old or impossible reports change nothing.
     pub fn hear(&mut self, now: Instant, feedback: LossFeedback) {
         let Some((before, at)) = self.heard else {
             self.add(feedback.totals, LossTotals::default(), 1.0);
@@ -240,13 +233,13 @@ impl LossEstimate {
         self.lost / self.expected.max(1.0)
     }
 
-    /// Whether the client tells of losses at all: then it takes frames in part.
+    /// Returns whether the client reports losses at all, which means that it takes partial frames.
     #[must_use]
     pub const fn is_told(&self) -> bool {
         self.heard.is_some()
     }
 
-    /// The channel's losses; none where there are next to none.
+    /// Returns the channel's loss; zero when negligible.
     #[must_use]
     pub fn model(&self) -> LossModel {
         if self.lossy {
@@ -268,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_come_is_counted_with_its_runs() {
+    fn lost_packets_and_their_runs_are_counted() {
         assert_eq!(counted(0..64), LossTotals::default());
         assert_eq!(counted(0..164), LossTotals { expected: 100, lost: 0, runs: 0 });
         let gaps = (0..164).filter(|number| ![10, 11, 12, 40, 150].contains(number));
@@ -286,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn feedback_comes_back_and_is_nothing_else() {
+    fn feedback_round_trips_and_nothing_else_decodes() {
         let feedback =
             LossFeedback { sequence: 9, totals: LossTotals { expected: 0x0403_0201, lost: 5, runs: u32::MAX } };
         let bytes = feedback.encode();
@@ -304,7 +297,7 @@ mod tests {
         assert!(matches!(LossFeedback::decode(&bytes[..20]), Err(FeedbackError::Header(_))));
     }
 
-    /// Told ten times a second of 30 packets each.
+    /// Reports ten times a second, of 30 packets each.
     fn told(estimate: &mut LossEstimate, begin: Instant, seconds: std::ops::Range<u32>, lost: u32, run: u32) {
         let mut totals = estimate.heard.map(|(feedback, _)| feedback.totals).unwrap_or_default();
         for tenth in seconds.start * 10..seconds.end * 10 {
@@ -317,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn loss_is_believed_soon_and_forgotten_late() {
+    fn loss_is_noticed_soon_and_forgotten_late() {
         let (mut estimate, begin) = (LossEstimate::default(), Instant::now());
         assert!(!estimate.is_told());
         told(&mut estimate, begin, 0..5, 0, 1);
@@ -330,13 +323,13 @@ mod tests {
         assert!(estimate.model().loss > 0.005);
         told(&mut estimate, begin, 30..80, 0, 1);
         assert_eq!(estimate.model(), LossModel::default());
-        // A loss in a minute is none.
+        // One loss in a minute counts as none.
         told(&mut estimate, begin, 80..81, 1, 1);
         assert_eq!(estimate.model(), LossModel::default());
     }
 
     #[test]
-    fn what_cannot_be_and_what_is_old_change_nothing() {
+    fn impossible_and_old_reports_change_nothing() {
         let (mut estimate, begin) = (LossEstimate::default(), Instant::now());
         told(&mut estimate, begin, 0..10, 3, 1);
         let before = estimate.model();

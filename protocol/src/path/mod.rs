@@ -1,4 +1,4 @@
-//! What either end measures of the network path.
+//! Measurements of the network path, at either end.
 
 pub mod average;
 pub mod congestion;

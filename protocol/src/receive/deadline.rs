@@ -1,6 +1,6 @@
 //! When to deliver a frame although some of its packets are missing.
 //!
-//! Waiting for lost packets delays the others; not waiting shows gaps that would have closed. So the time from a
+//! Waiting for lost packets delays the others, and not waiting shows gaps that would have closed. So the time from a
 //! frame's first packet to its last is measured, and a frame may take the smoothed time plus four mean deviations (the
 //! retransmission rule of RFC 6298, §2). Packets that arrive even later are delivered one mean deviation after the
 //! first of them.
@@ -93,7 +93,7 @@ impl Deadline {
 }
 
 impl Current {
-    /// A frame of which one packet arrived measures nothing.
+    /// A frame with one arrived packet measures nothing.
     fn measure(&self, spread: &mut Spread) {
         if self.packets > 1 {
             spread.update(self.last.saturating_duration_since(self.first));

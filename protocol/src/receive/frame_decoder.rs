@@ -14,7 +14,7 @@ use crate::{
     references::KeptMasks,
 };
 
-/// A reassembled frame that is no mask.
+/// A reassembled frame that is not a mask.
 #[derive(Debug, Error)]
 #[error("frame {frame}: {reason}")]
 pub struct BadFrame {
@@ -22,7 +22,6 @@ pub struct BadFrame {
     pub reason: BadFrameReason,
 }
 
-/// Why a frame is no mask.
 #[derive(Debug, Error)]
 pub enum BadFrameReason {
     #[error(transparent)]
@@ -53,8 +52,8 @@ impl FrameDecoder {
         }
     }
 
-    /// Decodes a frame into `mask` and its arrived tiles into `coverage`. Returns the pose that it was traced for, if
-    /// its head has one. Writes what to tell the server into `acknowledgement`.
+    /// Decodes a frame into `mask` and its arrived tiles into `coverage`. Returns the traced pose if the head has one.
+    /// Writes what to tell the server into `acknowledgement`.
     pub(super) fn decode(
         &mut self,
         frame: &CompleteFrame<'_>,
@@ -99,7 +98,7 @@ impl FrameDecoder {
     }
 }
 
-/// Returns whether a mask of this shape was agreed on. Which shape a frame was requested with is known where poses are.
+/// Returns whether a mask of this shape was agreed on. The exact shape requested is only known where poses are.
 fn is_within(largest: MaskShape, shape: MaskShape) -> bool {
     shape.lights() == largest.lights() && shape.width() <= largest.width() && shape.height() <= largest.height()
 }

@@ -42,7 +42,7 @@ pub struct ReceiverConfig {
 pub struct ReceiverCounters {
     /// Whole frames that decoded.
     pub frames: u64,
-    /// Frames that the server had left parts out of, and of which the others decoded.
+    /// Decoded frames that the server had left parts out of.
     pub cut: u64,
     /// Frames that were delivered with packets missing.
     pub partial: u64,
@@ -58,12 +58,12 @@ pub struct ReceiverCounters {
     pub packets: u64,
 }
 
-/// What became of a datagram.
+/// What happened to a datagram.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Arrival {
-    /// It went to the reassembler.
+    /// Passed to the reassembler.
     Packet(Progress),
-    /// It was dropped: its frame was not requested yet.
+    /// Dropped: its frame was not requested yet.
     Unrequested(FrameNumber),
 }
 
@@ -71,7 +71,7 @@ pub enum Arrival {
 #[derive(Debug, Clone, Copy)]
 pub struct ReceivedFrame<'a> {
     pub frame: FrameNumber,
-    /// The pose that it was traced for, where the server has looked ahead; otherwise that of the request.
+    /// The pose it was traced for, if the server looked ahead; otherwise the request's.
     pub traced_for: Option<Pose>,
     /// Its encoded bytes, as in [`CompleteFrame::body`](super::reassembler::CompleteFrame::body).
     pub body: &'a [u8],
@@ -79,7 +79,6 @@ pub struct ReceivedFrame<'a> {
     pub packets: u16,
     pub restored: u16,
     pub missing: u16,
-    /// Every tile of the mask has arrived.
     pub is_whole: bool,
     /// Time of the datagram or deadline that delivered it.
     pub received_at: Instant,
@@ -98,12 +97,12 @@ pub struct FrameReceiver {
     counters: ReceiverCounters,
     /// Incomplete frames of earlier reassemblers.
     incomplete_before: u64,
-    /// A frame has arrived in part. The reassembler counts it as incomplete only when it gives it up.
+    /// A frame has arrived in part. The reassembler only counts it as incomplete when it abandons it.
     in_progress: bool,
     newest_decoded: Option<FrameNumber>,
     /// The frame delivered last, if packets of it were missing.
     delivered_in_part: Option<FrameNumber>,
-    /// The reassembler has a frame that was not polled yet.
+    /// The reassembler has a frame that has not been polled.
     is_ready: bool,
     has_lost: bool,
     last_event: Option<Instant>,
@@ -150,10 +149,10 @@ impl FrameReceiver {
         self.requests = requests;
     }
 
-    /// Takes a datagram that arrived at `now`. A frame that was not polled is dropped.
+    /// Takes a datagram that arrived at `now`. Drops a frame that has not been polled.
     ///
     /// # Errors
-    /// As [`Reassembler::push`]. The receiver goes on.
+    /// As [`Reassembler::push`]. The receiver stays usable.
     pub fn push(&mut self, datagram: &[u8], now: Instant) -> Result<Arrival, PacketError> {
         self.is_ready = false;
         let header = PacketHeader::decode(datagram).ok().map(|(header, _)| header);
@@ -162,7 +161,7 @@ impl FrameReceiver {
                 self.counters.future += u64::from(header.first);
                 return Ok(Arrival::Unrequested(frame));
             }
-            // Frames come out of a reassembler in increasing order, so a second attempt needs a new one.
+            // A reassembler delivers frames in increasing order, so a second attempt needs a new one.
             if self.requests.is_second_attempt(&header, self.newest_decoded) {
                 self.incomplete_before = self.incomplete() + u64::from(self.in_progress);
                 self.reassembler = new_reassembler(self.config);
@@ -194,7 +193,7 @@ impl FrameReceiver {
         progress.map(Arrival::Packet)
     }
 
-    /// Returns when to call [`Self::handle_timeout`], if no datagram comes before.
+    /// Returns when to call [`Self::handle_timeout`], unless a datagram arrives first.
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
         self.deadline.due()
@@ -214,10 +213,11 @@ impl FrameReceiver {
         self.last_event = Some(now);
     }
 
-    /// Decodes the frame that has come out, if one has, into `mask` and `coverage`.
+    /// Decodes the delivered frame, if there is one, into `mask` and `coverage`.
     ///
     /// # Errors
-    /// When it is no mask, lacks its reference, or exceeds the agreed shape. `mask` and `coverage` then mean nothing.
+    /// Errors if it is not a mask, lacks its reference, or exceeds the agreed shape. `mask` and `coverage` are then
+    /// undefined.
     pub fn poll_frame(
         &mut self,
         mask: &mut Mask,
@@ -270,7 +270,7 @@ impl FrameReceiver {
         self.acknowledgement.take()
     }
 
-    /// Returns the loss feedback to send, if it is time.
+    /// Returns the loss feedback to send, if it is due.
     pub fn poll_loss_feedback(&mut self) -> Option<LossFeedback> {
         self.loss_feedback.take()
     }
@@ -302,8 +302,8 @@ impl Add for ReceiverCounters {
     }
 }
 
-/// A reassembler for frames as long as the largest shape's can be: its words uncompressed, what LZ4 adds to noise (one
-/// byte in 255), and the heads of a frame and its parts.
+/// Returns a reassembler for the longest frame of the largest shape: its words uncompressed, LZ4's overhead on noise
+/// (one byte in 255), and the heads of a frame and its parts.
 fn new_reassembler(config: ReceiverConfig) -> Reassembler {
     let words = config.largest.pixels() * 4;
     Reassembler::with_max_frame_bytes(config.policy, (words + words / 255 + 64 * 1024).min(MAX_FRAME_BYTES))

@@ -1,10 +1,10 @@
-//! Which frames the client has requested, and which of them a second time.
+//! The frames that the client has requested, once or twice.
 
 use crate::{header::PacketHeader, ids::FrameNumber};
 
-/// The newest frame that was requested, and the one that was requested again.
+/// The newest requested frame, and the one requested again.
 ///
-/// Packets of frames beyond the newest are dropped: the reassembler would take every frame before them for an old one.
+/// Packets of frames beyond the newest are dropped: the reassembler would take all earlier frames for old ones.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Requests {
     newest: Option<FrameNumber>,
@@ -36,8 +36,8 @@ impl Requests {
         header.frame.is_some() && header.frame > self.newest
     }
 
-    /// Returns whether the packet is the first of a second attempt. A first attempt that arrived whole in the meantime
-    /// is kept. `decoded` is the newest frame that was decoded.
+    /// Returns whether the packet is the first of a second attempt. False if the first attempt has arrived whole in the
+    /// meantime. `decoded` is the newest decoded frame.
     pub(super) fn is_second_attempt(&self, header: &PacketHeader, decoded: Option<FrameNumber>) -> bool {
         self.again.is_some_and(|Again { frame, refused }| {
             header.first

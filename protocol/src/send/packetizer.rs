@@ -24,7 +24,7 @@ pub enum PacketizeError {
     #[error("frame {frame} takes {packets} packets, at most {MAX_FRAME_PACKETS} are allowed")]
     TooManyPackets { frame: FrameNumber, packets: usize },
     /// The number is the header's placeholder.
-    #[error("frame number {0} stands for no frame")]
+    #[error("frame number {0} is reserved")]
     FrameNumber(FrameNumber),
 }
 
@@ -53,7 +53,7 @@ impl Packetizer {
         encoded.payload_count(self.payload_bytes)
     }
 
-    /// Returns the bytes that a frame takes on the wire, headers included.
+    /// Returns the bytes of a frame on the wire, headers included.
     #[must_use]
     pub fn wire_bytes(&self, encoded: &EncodedFrame) -> usize {
         encoded.body().len() + self.packet_count(encoded) * HEADER_BYTES
@@ -71,7 +71,7 @@ impl Packetizer {
     }
 
     /// Returns the packets of a frame, in order, as [`EncodedFrame::payloads`] cuts it. A packet gets its sequence
-    /// number when the iterator yields it, so packets that are never taken leave no gap.
+    /// number when the iterator yields it, so packets not taken leave no gap.
     ///
     /// `timestamp_ms` wraps after 49.7 days. `u32::MAX`, the header's placeholder, is sent as the millisecond before.
     ///
@@ -113,7 +113,7 @@ impl Packetizer {
         }))
     }
 
-    /// Returns the parity packets of the frame whose [`Self::packets`] were made last. All of them must be taken.
+    /// Returns the parity packets of the frame last passed to [`Self::packets`]. All of them must be taken.
     pub fn parity_packets<'a>(
         &'a mut self,
         frame: FrameNumber,
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn packets_are_full_but_the_last_and_say_the_same_of_their_frame() {
+    fn all_packets_but_the_last_are_full_and_describe_the_same_frame() {
         let body: Vec<u8> = (0..=255).cycle().take(3000).collect();
         let mut packetizer = Packetizer::new(1161);
         for (frame, sequence) in [(4, 0), (7, 3)] {
@@ -204,8 +204,8 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_sent_is_refused_and_takes_no_sequence_number() {
-        // Sizes outside the range are brought to its ends: 1 byte of data a packet, and 65,507 bytes in all.
+    fn unsendable_frames_are_refused_and_take_no_sequence_number() {
+        // Sizes are clamped to the range: 1 byte of data a packet, and 65,507 bytes in all.
         let mut small = Packetizer::new(0);
         let frame = FrameNumber(3);
         let error = |packetizer: &mut Packetizer, frame, body: &[u8]| {

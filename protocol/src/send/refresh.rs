@@ -1,11 +1,11 @@
 //! Which parts of a frame to send when the path cannot carry all of it.
 //!
-//! A client looks up tiles that it lacks in earlier masks ([`crate::coverage`]), so a byte budget only decides which
-//! tiles are fresh. A client keeps [`max_layers`] masks, so every tile must be refreshed before these are gone: that
-//! share of each frame goes to the parts that were sent longest ago. The rest goes to the parts that changed most: the
-//! weight of a part is the number of bits that differ from what was sent last, each times its light's brightness, times
-//! the part's age in frames. So tiles that only dim lights change are sent less often. A budget too small for the first
-//! share sends nothing; budgets then add up, and frames become fewer.
+//! A client looks up missing tiles in earlier masks ([`crate::coverage`]), so a byte budget only decides which tiles
+//! are fresh. It keeps [`max_layers`] masks, so every tile must be refreshed before these are gone: a share of each
+//! frame goes to the parts that were sent longest ago. The rest goes to the parts with the greatest weight: the number
+//! of bits that changed since they were last sent, each times its light's brightness, times the part's age in frames.
+//! So tiles that only dim lights change are sent less often. A budget too small for the first share sends nothing;
+//! budgets then add up, and fewer frames are sent.
 //!
 //! Neither end keeps a frame that was not sent whole as a reference.
 
@@ -30,7 +30,7 @@ pub struct PathState {
 
 impl PathState {
     /// Returns the bytes on the wire that a frame may take if the next one follows after `interval`: what the window
-    /// lets through until then, less what is waiting.
+    /// lets through until then, minus the bytes that are waiting.
     #[must_use]
     pub fn frame_budget(&self, interval: Duration) -> usize {
         let share =
@@ -52,9 +52,9 @@ pub enum Selection {
     Nothing,
 }
 
-/// Frames in which every tile is refreshed, two fewer than the client keeps: parts do not begin with the same tiles in
-/// each frame. If packets are lost, two refreshes must fit. A client that keeps only two masks (more than 4.3 million
-/// pixels) gets whole frames or none.
+/// Frames within which every tile is refreshed: two fewer than the client keeps, because parts do not begin with the
+/// same tiles in each frame. If packets are lost, two refreshes must fit. A client that keeps only two masks (more than
+/// 4.3 million pixels) gets whole frames or none.
 fn refresh_frames(shape: MaskShape, lossy: bool) -> usize {
     let layers = max_layers(shape);
     if lossy { layers / 2 - 1 } else { layers - 2 }.max(1)
@@ -70,15 +70,14 @@ struct Candidate {
     selected: bool,
 }
 
-/// Selects the parts to send; keeps its memory from frame to frame.
+/// Selects the parts to send; reuses its memory from frame to frame.
 #[derive(Debug, Default)]
 pub struct Refresh {
-    /// Weight of each light's bits; [`FULL_WEIGHT`] for further lights.
+    /// Weight of each light's bits; [`FULL_WEIGHT`] for lights beyond the list.
     weights: Vec<u32>,
-    /// The newest bits sent of each tile.
+    /// Each tile's bits as last sent.
     sent: Option<Mask>,
-    /// The sent frame in which each block was sent last, at its first tile; and the current one. Frames that are not
-    /// sent do not count.
+    /// For each block, at its first tile, the frame it was last sent in; and the current frame. Only sent frames count.
     sent_in: Vec<u32>,
     frame: u32,
     candidates: Vec<Candidate>,
@@ -89,14 +88,14 @@ pub struct Refresh {
 }
 
 impl Refresh {
-    /// `weights` are those of the lights' bits, each at most [`FULL_WEIGHT`].
+    /// Returns a selector with these weights of the lights' bits, each at most [`FULL_WEIGHT`].
     #[must_use]
     pub fn new(weights: Vec<u32>) -> Self {
         Self { weights, ..Self::default() }
     }
 
-    /// Removes parts from a mask's frame until it fits `budget_bytes`, packet headers included. Leaves the frame as it
-    /// is if it is not sliced, or if nothing is to be sent. `lossy`: packets are lost on the path.
+    /// Removes parts from a mask's frame until it fits `budget_bytes`, packet headers included. Leaves the frame
+    /// unchanged if it is not sliced or nothing is to be sent. `lossy`: the path loses packets.
     pub fn select(&mut self, mask: &Mask, frame: &mut EncodedFrame, budget_bytes: usize, lossy: bool) -> Selection {
         self.begin(mask.shape());
         let wire_bytes = frame.body().len() + frame.parts().len() * HEADER_BYTES;
@@ -121,7 +120,7 @@ impl Refresh {
         self.order.clear();
         self.order.extend(0..candidates.len());
         let mut left = budget_bytes;
-        // Stable, so that equals stay in the picture's order.
+        // Stable, so equal candidates stay in picture order.
         self.order.sort_by_key(|index| Reverse((candidates[*index].age, candidates[*index].weight)));
         for index in &self.order {
             if budget_bytes - left >= refresh_bytes {

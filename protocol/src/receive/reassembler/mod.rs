@@ -1,12 +1,11 @@
 //! The greedy reassembler: packets in, frames out.
 //!
-//! Data goes straight to its place in one buffer, which is kept from frame to frame and never grows beyond its limit; a
-//! second one of that kind holds a frame that came in part. Frames come out in increasing order; one that came out in
-//! part may come out once more with more of it, and never with less. Which packets are taken is the [`Policy`]'s
-//! business.
+//! Data goes straight to its place in one buffer, which is reused for every frame and never grows beyond its limit; a
+//! second such buffer holds a frame that ended in part. Frames are delivered in increasing order. A partial frame may
+//! be delivered again with more of it, never with less. The [`Policy`] decides which packets are taken.
 //!
-//! The reassembler believes what the packets say, as the dissertation's does: that nobody but the peer can send them
-//! is the transport's duty. (A forged frame number near 2³² would make it ignore all that follows.)
+//! The reassembler trusts the packets, as the dissertation's does: the transport must ensure that only the peer can
+//! send them. (A forged frame number near 2³² would make it ignore all that follows.)
 
 mod slices;
 mod stats;
@@ -32,95 +31,75 @@ pub enum Policy {
     /// All packets of a frame, in order, or none (dissertation §3.2, Figure 2).
     #[default]
     WholeFrame,
-    /// Those that come, in any order, and those that [parity](crate::fec) stands in for: for frames whose packets can
-    /// each be read alone ([`CodecId::is_sliced`](crate::codec::CodecId::is_sliced)).
+    /// Any packets that arrive, in any order, and those restored from [parity](crate::fec): for frames whose packets
+    /// can each be decoded alone ([`CodecId::is_sliced`](crate::codec::CodecId::is_sliced)).
     Slices,
 }
 
-/// What a packet did.
+/// The effect of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Progress {
-    /// Nothing of it was kept.
+    /// Nothing was kept.
     Ignored(IgnoredCause),
     /// Its data is in the buffer.
     Stored,
     /// Its data is in the buffer, and the frame is complete: [`Reassembler::frame`] has it until the next packet.
     Complete,
-    /// Its data is in the buffer, and the frame before its own ends in part, of which something has not come out yet:
-    /// [`Reassembler::frame`] has that until the next packet.
+    /// Its data is in the buffer. It ended the previous frame, which has data that was not delivered:
+    /// [`Reassembler::frame`] has that frame until the next packet.
     Partial,
 }
 
-/// Why bytes are no packet of a frame.
+/// Why bytes are not a packet of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum PacketError {
-    /// They are no packet at all.
     #[error(transparent)]
     Header(#[from] HeaderError),
     /// A field that every frame packet has is a placeholder.
     #[error("packet {sequence} has no {field}")]
-    Placeholder {
-        /// The packet.
-        sequence: u32,
-        /// Its missing field.
-        field: &'static str,
-    },
-    /// It carries nothing.
+    Placeholder { sequence: u32, field: &'static str },
     #[error("packet {0} carries no data")]
     Empty(u32),
-    /// It has another number of packets or timestamp than its frame's first packet, or the first-packet flag in the
-    /// wrong place. The frame is dropped.
+    /// Its number of packets or timestamp differs from its frame's first packet, or the first-packet flag is misplaced.
+    /// The frame is dropped.
     #[error("packet {sequence} contradicts the other packets of frame {frame}")]
-    Contradiction {
-        /// The packet.
-        sequence: u32,
-        /// Its frame.
-        frame: FrameNumber,
-    },
-    /// It says that it is parity, and has numbers out of their bounds, or others than its frame's packets. The frame
-    /// goes on.
+    Contradiction { sequence: u32, frame: FrameNumber },
+    /// A parity packet with numbers out of range or unlike those of its frame's packets. The frame goes on.
     #[error("packet {0} is no parity of its frame")]
     Parity(u32),
-    /// The frame has become longer than allowed. It is dropped.
+    /// The frame exceeds the limit and is dropped.
     #[error("frame {frame} has more than {limit} bytes")]
-    TooLong {
-        /// The frame.
-        frame: FrameNumber,
-        /// The most allowed.
-        limit: usize,
-    },
+    TooLong { frame: FrameNumber, limit: usize },
 }
 
-/// A frame that has come out.
+/// A delivered frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CompleteFrame<'a> {
-    /// Its number.
     pub frame: FrameNumber,
     /// When its sender made it, in ms since the sender's first frame.
     pub timestamp_ms: u32,
-    /// Packets that came, or were put together.
+    /// Packets that arrived or were restored.
     pub packets: u16,
-    /// Of these, packets that were put together from parity.
+    /// Packets restored from parity.
     pub restored: u16,
-    /// Packets that did not: none but under [`Policy::Slices`].
+    /// Packets missing; 0 except under [`Policy::Slices`].
     pub missing: u16,
-    /// Its bytes, as far as they came: in the packets' own order where none is missing and [`Policy::Slices`] does not
-    /// hold, and otherwise in the order in which they came.
+    /// The bytes that arrived: in packet order under [`Policy::WholeFrame`], in order of arrival under
+    /// [`Policy::Slices`].
     pub body: &'a [u8],
-    /// Bytes at the body's beginning that came out before, with the same frame in part.
+    /// Bytes at the start of the body that were delivered before, with the same frame in part.
     pub known_bytes: usize,
 }
 
-/// Puts frames together. See the module.
 #[derive(Debug)]
 pub struct Reassembler {
     state: State,
     body: Vec<u8>,
-    /// Data of a frame that ended in part.
+    /// Data of a partial frame that has ended.
     ended_body: Vec<u8>,
-    /// The frame that has come out.
+    /// The delivered frame.
     out: Option<Out>,
-    /// What stands in for missing packets of the frame at hand.
+    /// Parity of the current frame.
     recovery: Recovery,
     max_frame_bytes: usize,
     stats: ReassemblerStats,
@@ -135,7 +114,7 @@ struct Out {
     restored: u16,
     missing: u16,
     known_bytes: usize,
-    /// Whether the body is that of a frame which has ended.
+    /// True if the body is in `ended_body`.
     ended: bool,
 }
 
@@ -165,13 +144,13 @@ enum State {
 }
 
 impl Reassembler {
-    /// A reassembler for frames of up to [`MAX_FRAME_BYTES`].
+    /// Returns a reassembler for frames of up to [`MAX_FRAME_BYTES`].
     #[must_use]
     pub fn new(policy: Policy) -> Self {
         Self::with_max_frame_bytes(policy, MAX_FRAME_BYTES)
     }
 
-    /// A reassembler for frames of up to `max_frame_bytes`, for who knows how long a frame can be.
+    /// Returns a reassembler for frames of up to `max_frame_bytes`.
     #[must_use]
     pub fn with_max_frame_bytes(policy: Policy, max_frame_bytes: usize) -> Self {
         Self {
@@ -188,11 +167,11 @@ impl Reassembler {
         }
     }
 
-    /// Takes a packet, header included.
+    /// Takes a packet with its header.
     ///
     /// # Errors
-    /// When it is no frame packet, or contradicts its frame. It is counted and changes nothing else, except that a
-    /// frame which contradicts itself or gets too long is dropped. The reassembler goes on.
+    /// Errors if it is not a frame packet or contradicts its frame. It is counted and changes nothing else, except that
+    /// a contradictory or too long frame is dropped. The reassembler stays usable.
     pub fn push(&mut self, datagram: &[u8]) -> Result<Progress, PacketError> {
         self.stats.packets += 1;
         self.stats.bytes += datagram.len() as u64;
@@ -236,8 +215,8 @@ impl Reassembler {
         }
     }
 
-    /// The frame that the last packet completed or ended, or that [`Self::deliver_partial`] delivered; the newer one,
-    /// if a packet did both.
+    /// Returns the frame that the last packet completed or ended (the newer one if it did both), or that
+    /// [`Self::deliver_partial`] delivered.
     #[must_use]
     pub fn frame(&self) -> Option<CompleteFrame<'_>> {
         let Out { frame, timestamp_ms, packets, restored, missing, known_bytes, ended } = self.out?;
@@ -245,19 +224,19 @@ impl Reassembler {
         Some(CompleteFrame { frame, timestamp_ms, packets, restored, missing, body, known_bytes })
     }
 
-    /// What has happened so far.
+    /// Returns the counts so far.
     #[must_use]
     pub const fn stats(&self) -> &ReassemblerStats {
         &self.stats
     }
 
-    /// Bytes of memory that the buffers hold.
+    /// Returns the bytes of memory in the buffers.
     #[must_use]
     pub const fn buffer_bytes(&self) -> usize {
         self.body.capacity() + self.ended_body.capacity()
     }
 
-    /// Bytes of memory that parity is kept in.
+    /// Returns the bytes of memory that hold parity.
     #[must_use]
     pub const fn parity_bytes(&self) -> usize {
         self.recovery.memory_bytes()
@@ -335,7 +314,7 @@ impl Reassembler {
         Ok(self.progress())
     }
 
-    /// Puts together what is missing of the frame at hand, if that is possible.
+    /// Restores the current frame's missing packets, if enough parity has arrived.
     fn recover(&mut self) {
         let State::Slices(state) = &mut self.state else { return };
         let before = self.body.len();
@@ -363,7 +342,7 @@ impl Reassembler {
         progress
     }
 
-    /// Appends, and grows the buffer by doubling, but not beyond the limit.
+    /// Appends. The buffer grows by doubling, up to the limit.
     fn append(&mut self, data: &[u8]) {
         let needed = self.body.len() + data.len();
         if needed > self.body.capacity() {

@@ -1,8 +1,8 @@
-//! The `Slices` policy: every packet carries a part of its frame that can be read alone, so what comes is kept.
+//! The `Slices` policy: every packet carries a part of its frame that can be decoded alone, so every packet is kept.
 //!
-//! A frame begins with whichever of its packets comes first, and takes the others in any order. It ends when all have
-//! come or when a packet of a newer frame comes; then it comes out with what is there, unless that has come out
-//! already, because whoever waits for it had waited long enough. It is settled after that, and so are all older ones.
+//! A frame begins with its first packet to arrive, and takes the others in any order. It ends when all have arrived, or
+//! when a packet of a newer frame arrives. Then everything not yet delivered is delivered. After that, the frame and
+//! all older ones are settled.
 
 use super::{
     IgnoredCause,
@@ -10,34 +10,33 @@ use super::{
 };
 use crate::ids::FrameNumber;
 
-/// The frame at hand.
+/// The current frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Current {
-    /// The packet that came first, whichever it was; where only parity has come, what that says of the frame's first
-    /// one.
+    /// The packet that arrived first. If only parity has arrived: the frame's first packet, as the parity describes it.
     pub(super) begun_by: FramePacket,
-    /// Packets taken, those put together from parity among them.
+    /// Packets taken, restored ones included.
     pub(super) taken: u16,
     pub(super) restored: u16,
-    /// Their data.
+    /// Bytes of data in the packets taken.
     bytes: usize,
-    /// Places of the outermost packets that came, and of the frame's first once it has, counted from the one that came
-    /// first.
+    /// Lowest and highest index of the packets that arrived, and the index of the frame's first packet if it did, all
+    /// relative to the packet that arrived first.
     lowest: i64,
     highest: i64,
     first: Option<i64>,
-    /// Packets that have come out, and their data.
+    /// Packets delivered, and the bytes of their data.
     given: u16,
     pub(super) given_bytes: usize,
 }
 
-/// Whether two packets say the same of their frame.
+/// Returns whether two packets agree about their frame.
 fn is_alike(one: &FramePacket, other: &FramePacket) -> bool {
     one.packets == other.packets && one.timestamp_ms == other.timestamp_ms
 }
 
 impl Current {
-    /// A frame of which `taken` packets have come: this one or none.
+    /// Returns a frame begun by a packet. `taken` is 1, or 0 for parity.
     fn begun_by(packet: &FramePacket, taken: u16) -> Self {
         Self {
             begun_by: *packet,
@@ -52,18 +51,17 @@ impl Current {
         }
     }
 
-    /// Packets that have not come.
     pub(super) fn missing(&self) -> u16 {
         self.begun_by.packets.get() - self.taken
     }
 
-    /// Where a packet lies, from the one that came first.
+    /// Returns a packet's index relative to the one that arrived first.
     fn place(&self, packet: &FramePacket) -> i64 {
         // Wrapping: a session lives longer than 2³² packets.
         i64::from(packet.sequence.wrapping_sub(self.begun_by.sequence).cast_signed())
     }
 
-    /// Takes a packet into the frame's extent; nothing when the frame would be contradicted by it.
+    /// Returns the frame extended by a packet, or `None` if they contradict each other.
     fn extended(&self, packet: &FramePacket, place: i64) -> Option<Self> {
         let first = if packet.first { Some(place) } else { self.first };
         let (lowest, highest) = (self.lowest.min(place), self.highest.max(place));
@@ -81,8 +79,8 @@ impl Current {
 pub(super) struct Slices {
     max_frame_bytes: usize,
     pub(super) current: Option<Current>,
-    /// A bit for each place that a packet of the frame at hand can have, from the one that came first: as many below it
-    /// as above.
+    /// One bit for each index that a packet of the current frame can have, relative to the one that arrived first: as
+    /// many below it as above.
     seen: Vec<u64>,
     /// Newest settled frame.
     settled: Option<FrameNumber>,
@@ -104,7 +102,7 @@ impl Slices {
         }
     }
 
-    /// Whether all packets of the frame at hand have come.
+    /// Returns the current frame if all its packets have arrived.
     pub(super) fn complete(&self) -> Option<Current> {
         self.current.filter(|current| current.missing() == 0)
     }
@@ -117,25 +115,25 @@ impl Slices {
         Some(out)
     }
 
-    /// The frame at hand ends here, in part. It comes out if something of it has not yet.
+    /// Ends the current frame in part. Returns it if some of it was not delivered.
     pub(super) fn end(&mut self) -> Option<Current> {
         let ended = self.current.take()?;
         *(if ended.taken > 0 { &mut self.frames_partial } else { &mut self.frames_incomplete }) += 1;
         Some(ended).filter(|ended| ended.taken > ended.given)
     }
 
-    /// Makes room for what follows: a frame that is complete is at hand no more.
+    /// Drops the current frame if it is complete.
     pub(super) fn leave_complete(&mut self) {
         self.current = self.current.filter(|current| current.missing() > 0);
     }
 
-    /// Whether a packet of this frame ends the one at hand, because that is older.
+    /// Returns whether a packet of `frame` ends the current, older frame.
     pub(super) fn is_newer(&self, frame: FrameNumber) -> bool {
         self.current.is_some_and(|current| frame > current.begun_by.frame)
     }
 
-    /// Decides about parity of a frame that is not newer than the one at hand, by what it says of the frame's first
-    /// packet.
+    /// Decides about parity of a frame not newer than the current one. `first` is the frame's first packet, as the
+    /// parity describes it.
     pub(super) fn parity(&mut self, first: &FramePacket) -> Verdict {
         match self.current.filter(|current| current.begun_by.frame == first.frame) {
             Some(Current { begun_by, .. }) if is_alike(&begun_by, first) => Verdict::Append,
@@ -149,7 +147,7 @@ impl Slices {
         }
     }
 
-    /// So many packets have been put together, all that were missing.
+    /// Records that all missing packets were restored.
     pub(super) fn restored(&mut self, packets: u16, bytes: usize) {
         if let Some(current) = &mut self.current {
             current.taken += packets;
@@ -163,13 +161,13 @@ impl Slices {
         self.settled.is_some_and(|settled| frame <= settled)
     }
 
-    /// Decides about a packet that is not newer than the frame at hand.
+    /// Decides about a packet of a frame not newer than the current one.
     pub(super) fn packet(&mut self, packet: &FramePacket) -> Verdict {
         let Some(current) = self.current.filter(|current| current.begun_by.frame == packet.frame) else {
             return self.begin(packet);
         };
         if current.taken == 0 {
-            // So far there was parity only, which counts for less than what it stands in for.
+            // So far only parity has arrived, and packets outrank parity.
             let alike = is_alike(&current.begun_by, packet);
             let verdict = self.start(packet);
             return if alike && verdict == Verdict::Begin { Verdict::Append } else { verdict };
@@ -210,7 +208,7 @@ impl Slices {
         Verdict::Begin
     }
 
-    /// Whether the place has not been seen before. It is less than `packets` away from the first that came.
+    /// Marks an index and returns whether it is new. It lies less than `packets` away from 0.
     fn see(&mut self, place: i64, packets: u16) -> bool {
         let bit = usize::try_from(place + i64::from(packets)).unwrap_or(0);
         let Some(word) = self.seen.get_mut(bit / 64) else { return false };

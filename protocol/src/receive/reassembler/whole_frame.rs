@@ -3,15 +3,15 @@
 //! Waiting (the initial state): the first packet of a frame newer than all that is settled begins that frame; other
 //! packets are ignored. At a frame i:
 //! - the packet that is next in sequence is taken, and the last one completes the frame;
-//! - any other packet of i drops i, except one that has already been taken: the network may duplicate, that says
-//!   nothing about loss, and the figures have no case for it, so it is ignored;
+//! - any other packet of i drops i, except a duplicate of one already taken: it says nothing about loss and the
+//!   figures have no case for it, so it is ignored;
 //! - packets of older frames are ignored;
 //! - a packet of a newer frame j abandons i. Here we are greedier than Figure 2, which goes back to waiting and so
 //!   loses j as well: if it is j's first packet, j begins at once; if not, j is lost and we wait for a newer one.
 //!
-//! A frame that came out, was dropped or was abandoned is settled, and so are all older ones: frames come out in
-//! strictly increasing order. Frame numbers do not wrap (u32 at 120 Hz: 414 days); sequence numbers do, after some
-//! days, and are only ever compared with those of the same frame.
+//! A frame that was delivered, dropped or abandoned is settled, and so are all older ones: frames are delivered in
+//! strictly increasing order. Frame numbers do not wrap (u32 at 120 Hz: 414 days); sequence numbers wrap after some
+//! days, and are only compared with those of the same frame.
 
 use std::num::NonZeroU16;
 
@@ -31,40 +31,37 @@ pub(super) struct FramePacket {
 /// Why a packet was ignored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum IgnoredCause {
-    /// No frame is begun, and this is no first packet.
+    /// No frame has begun, and this is not a first packet.
     NotFirst,
-    /// Its frame came out, was dropped, or is older than the one at hand.
+    /// Its frame was delivered, dropped, or is older than the current one.
     Old,
-    /// It has been stored already.
     Duplicate,
-    /// It is not the next one of the frame at hand; the frame is dropped.
+    /// It is not the next packet of the current frame, which is dropped.
     OutOfOrder,
-    /// It belongs to a newer frame but is not its first packet; both frames are lost.
+    /// It belongs to a newer frame but is not its first packet. Both frames are lost.
     Newer,
 }
 
 /// What to do with a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Verdict {
-    /// Its data opens the buffer; the frame needs more.
+    /// Store the data at the start of the buffer. The frame needs more.
     Begin,
-    /// Its data goes to the end of the buffer; the frame needs more, or is complete.
+    /// Append the data to the buffer. The frame needs more, or is complete.
     Append,
-    /// Nothing is stored.
     Ignore(IgnoredCause),
-    /// It contradicts the frame that it says it belongs to: that is dropped.
+    /// It contradicts its frame, which is dropped.
     Contradiction,
-    /// With it, its frame is longer than allowed: that is dropped.
+    /// It makes its frame longer than allowed. The frame is dropped.
     TooLong,
 }
 
-/// The frame at hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Current {
     pub(super) first: FramePacket,
     /// Packets taken, at least one.
     pub(super) taken: u16,
-    /// Their data.
+    /// Bytes of data in the packets taken.
     bytes: usize,
 }
 
@@ -73,7 +70,7 @@ impl Current {
         self.taken == self.first.packets.get()
     }
 
-    /// Whether the fields that all packets of a frame share are those of the first packet.
+    /// Returns whether the packet agrees with the first one in the fields that all packets of a frame share.
     fn agrees_with(&self, packet: &FramePacket) -> bool {
         packet.packets == self.first.packets && packet.timestamp_ms == self.first.timestamp_ms
     }
@@ -86,7 +83,7 @@ pub(super) struct WholeFrame {
     current: Option<Current>,
     /// Newest settled frame.
     settled: Option<FrameNumber>,
-    /// Newest frame that is counted as incomplete because packets of it came, but no first one.
+    /// Newest frame counted as incomplete because packets of it arrived without the first.
     headless: Option<FrameNumber>,
     pub(super) frames_complete: u64,
     pub(super) frames_incomplete: u64,
@@ -97,12 +94,12 @@ impl WholeFrame {
         Self { max_frame_bytes, current: None, settled: None, headless: None, frames_complete: 0, frames_incomplete: 0 }
     }
 
-    /// Makes room for what follows: a frame that is complete is at hand no more.
+    /// Drops the current frame if it is complete.
     pub(super) fn leave_complete(&mut self) {
         self.current = self.current.filter(|current| !current.is_complete());
     }
 
-    /// The frame that the last packet completed. To be left before the next packet.
+    /// Returns the frame that the last packet completed. Call [`Self::leave_complete`] before the next packet.
     pub(super) fn complete(&self) -> Option<Current> {
         self.current.filter(Current::is_complete)
     }
@@ -148,7 +145,7 @@ impl WholeFrame {
         Verdict::Append
     }
 
-    /// Gives the frame at hand up, if there is one.
+    /// Drops the current frame, if any.
     fn drop_current(&mut self) {
         if let Some(Current { first, .. }) = self.current.take() {
             self.settled = Some(first.frame);
@@ -181,7 +178,7 @@ impl WholeFrame {
             self.settled = Some(first.frame);
             self.frames_complete += 1;
             if self.headless == Some(first.frame) {
-                // Its second packet came before its first, and then once more.
+                // Its second packet arrived before its first, and then again.
                 self.frames_incomplete -= 1;
             }
         }
