@@ -1,15 +1,14 @@
-//! How long the codecs take for one mask, beside `lz4_flex` on the same planes: the ratio is what a frame costs over
-//! LZ4's.
+//! Times every codec on one mask, beside `lz4_flex` on the same planes.
 //!
 //! ```text
 //! cargo bench -p gnomon-protocol --bench codec
 //! ```
 //!
-//! What shares a frame out to several cores is timed on one, two and four threads, as far as there are so many.
+//! Codecs that run on several threads are timed on one, two and four of them, if the machine has as many cores.
 //!
-//! The mask is made up: 1920×1080 pixels, four lights, shadows of discs, one light in four with edges as ragged as
-//! leaves have them. The reference is the same mask three pixels earlier. What makes a mask lossy first is timed with
-//! the copy that it changes.
+//! The mask is synthetic: 1920×1080 pixels, four lights, shadows of discs, one light in four with edges as ragged as
+//! those of leaves. The reference is the same mask three pixels earlier. Times of the simplifier include copying the
+//! mask.
 
 #![allow(missing_docs, clippy::unwrap_used, reason = "a benchmark that fails has nothing to say")]
 
@@ -25,7 +24,7 @@ use gnomon_protocol::{
 const WIDTH: i64 = 1920;
 const HEIGHT: i64 = 1080;
 
-/// 24 discs a light, moved to the right by so many pixels.
+/// 24 discs a light, moved to the right by `moved` pixels.
 fn discs(moved: i64) -> Mask {
     let mut state = 1_u32;
     let mut random = |limit: i64| {

@@ -1,11 +1,11 @@
-//! How long each codec takes on one core, and how many bytes it makes.
+//! Prints how long each codec takes on one core, and how many bytes it makes.
 //!
 //! ```text
 //! cargo run --release -p gnomon-protocol --example codec_times [WIDTH HEIGHT LIGHTS] [FRAME.body …]
 //! ```
 //!
-//! Without frames it makes masks of its own: shadows of discs, with edges as ragged as leaves have them in one light of
-//! four. With frames (as `gnomon-client --save-masks` writes them), it takes theirs.
+//! Without frames it uses synthetic masks: shadows of discs, with edges as ragged as those of leaves in one light of
+//! four. With frames (as `gnomon-client --save-masks` writes them), it uses their masks.
 
 use std::{
     env, fs,
@@ -29,7 +29,7 @@ fn main() -> Result<(), Failure> {
     let shape = match numbers[..] {
         [] => MaskShape::new(1920, 1080, 4)?,
         [width, height, lights] => MaskShape::new(width, height, lights)?,
-        _ => return Err("give WIDTH HEIGHT LIGHTS, or none of them".into()),
+        _ => return Err("give all of WIDTH HEIGHT LIGHTS, or none".into()),
     };
     let files = &arguments[numbers.len()..];
     let masks = if files.is_empty() { made_up(shape) } else { read(files)? };
@@ -53,7 +53,7 @@ fn read(files: &[String]) -> Result<Vec<Mask>, Failure> {
         .collect()
 }
 
-/// Five frames of 24 discs a light that move 3 pixels a frame.
+/// Five frames of 24 discs a light, which move 3 pixels a frame.
 fn made_up(shape: MaskShape) -> Vec<Mask> {
     let mut state = 1u32;
     let mut random = |limit: u32| {
@@ -72,7 +72,7 @@ fn made_up(shape: MaskShape) -> Vec<Mask> {
         for [light, x, y, radius] in discs.iter().map(|[light, x, y, radius]| [*light, x + step * 3, *y, *radius]) {
             for py in (y - radius).max(0)..(y + radius).min(shape.height().into()) {
                 for px in (x - radius).max(0)..(x + radius).min(shape.width().into()) {
-                    // One light's edges are ragged over the outer fifth of the disc.
+                    // One light in four has ragged edges over the outer fifth of the disc.
                     let ragged = if light % 4 == 3 { ((px * 7919) ^ (py * 104_729)) % 5 * radius / 20 } else { 0 };
                     if (px - x).pow(2) + (py - y).pow(2) < (radius - ragged).pow(2) {
                         let [light, px, py] = [light, px, py].map(|value| u32::try_from(value).unwrap_or(0));
@@ -109,7 +109,7 @@ fn measure(codec: CodecId, masks: &[Mask]) -> Result<(), Failure> {
         }
         times[2].push(start.elapsed());
 
-        let received = reassembler.frame().ok_or("the frame did not come out")?;
+        let received = reassembler.frame().ok_or("the packets do not make a frame")?;
         let start = Instant::now();
         decoder.decode(received.body, &mut decoded)?;
         times[3].push(start.elapsed());

@@ -1,12 +1,11 @@
-//! Counts anew what the `tiles` codecs know before they have seen anything.
+//! Counts symbols over masks, and writes the prior probabilities and codes of the `tiles` codecs.
 //!
 //! ```text
 //! cargo run --release -p gnomon-protocol --example train_tiles protocol/src/codec/tiles FRAME.body …
 //! ```
 //!
-//! The frames are as `gnomon-client --save-masks` writes them, in any codec. One that has the same name as the one
-//! before it but for its number is taken with that as its reference. The files, `prior.bin`, `codes.bin` and
-//! `refine.bin`, are part of the protocol.
+//! `gnomon-client --save-masks` writes such frames, in any codec. A frame is coded against the one before it if their
+//! names differ only in the number. The output, `prior.bin`, `codes.bin` and `refine.bin`, is part of the protocol.
 
 use std::{env, fs, path::PathBuf};
 
@@ -17,7 +16,7 @@ use gnomon_protocol::{
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = env::args().skip(1);
-    let folder = PathBuf::from(arguments.next().ok_or("give the folder to write into, and frames")?);
+    let folder = PathBuf::from(arguments.next().ok_or("give the output folder, then frames")?);
     let masks = arguments.map(|file| {
         let mut mask = Mask::new(MaskShape::new(1, 1, 1)?);
         Decoder::new().decode(&fs::read(&file)?, &mut mask)?;

@@ -1,4 +1,4 @@
-//! From frame bodies to masks.
+//! Decodes frame bodies into masks.
 
 use std::fmt;
 
@@ -16,7 +16,7 @@ use crate::{
     wire::CodecId,
 };
 
-/// Decodes frames; keeps its memory from frame to frame.
+/// Decodes frames. Reuses its memory from frame to frame.
 pub struct Decoder {
     raw: Vec<u8>,
     tiles: tiles::Workspace,
@@ -40,18 +40,17 @@ impl Decoder {
         Self { raw: Vec::new(), tiles: tiles::Workspace::new() }
     }
 
-    /// Decodes a whole frame into `mask`, which takes the frame's shape. To expect a certain shape, check
-    /// [`Frame::parse`]'s head first. Sizes are checked before memory is taken: at most the mask and the raw bytes of
-    /// one slice, or a few times the mask for sliced frames.
+    /// Decodes a whole frame into `mask`, which takes the frame's shape. To require a shape, check [`Frame::parse`]'s
+    /// head first. Sizes are checked before memory is allocated: at most the mask and the raw bytes of one slice, or a
+    /// few times the mask for sliced frames.
     ///
     /// # Errors
-    /// If the body is not exactly one frame, or is coded against a reference. The mask's shape and bits then mean
-    /// nothing.
+    /// If the body is not exactly one frame, or is coded against a reference. The mask's content is then unspecified.
     pub fn decode(&mut self, body: &[u8], mask: &mut Mask) -> Result<CodecId, DecodeError> {
         self.decode_against(None, body, mask)
     }
 
-    /// As [`Self::decode`], for a frame that may be coded against this reference.
+    /// As [`Self::decode`], for a frame that may be coded against `reference`.
     ///
     /// # Errors
     /// As [`Self::decode`], or if the frame is coded against another reference.
@@ -88,11 +87,11 @@ impl Decoder {
         Ok(codec)
     }
 
-    /// Decodes the parts of a sliced frame that have arrived, in any order. The rest of `mask` stays as it is.
+    /// Decodes the parts of a sliced frame that have arrived, in any order. Other tiles of `mask` keep their bits.
     ///
     /// # Errors
     /// If the body does not consist of parts of one frame with the mask's shape, or is coded against another reference.
-    /// Some tiles of `mask` may have changed, but none if the reference is missing.
+    /// Some tiles of `mask` may have changed; none if the reference is missing.
     pub fn decode_onto(
         &mut self,
         reference: Option<&Reference>,
@@ -103,8 +102,8 @@ impl Decoder {
         self.decode_more(reference, body, mask)
     }
 
-    /// As [`Self::decode_onto`], for more parts of the frame that was decoded last. Once all have arrived, the mask can
-    /// be [kept](Self::keep).
+    /// As [`Self::decode_onto`], for more parts of the last decoded frame. Once all have arrived, the mask can be
+    /// [kept](Self::keep).
     ///
     /// # Errors
     /// As [`Self::decode_onto`].
@@ -142,26 +141,26 @@ impl Decoder {
         decoded.map_err(|(slice, failure)| DecodeError::of_tiles(slice, failure))
     }
 
-    /// Writes which tiles of the last decoded frame arrived. `shape` is the frame's.
+    /// Writes which tiles of the last decoded frame, of shape `shape`, arrived.
     pub fn coverage(&self, shape: MaskShape, coverage: &mut Coverage) {
         self.tiles.coverage(shape, coverage);
     }
 
-    /// Turns the mask that was decoded last into a reference named `frame`. Returns false, and leaves `reference` as it
-    /// is, if parts of it are missing or its codec has no references.
+    /// Makes `reference` the last decoded mask, named `frame`. Returns false, and leaves `reference` unchanged, if
+    /// parts are missing or the codec has no references.
     pub fn keep(&self, frame: FrameNumber, reference: &mut Reference) -> bool {
         self.tiles.keep(frame, reference)
     }
 }
 
-/// Returns the reference that a frame names, if it names one. It must be the given one.
+/// Returns the reference that a frame names, if any. Errors unless it is `reference`.
 fn named<'a>(head: &FrameHead, reference: Option<&'a Reference>) -> Result<Option<&'a Reference>, DecodeError> {
     let Some(name) = head.reference else { return Ok(None) };
     let known = reference.filter(|known| known.name() == name && known.shape() == Some(head.shape));
     known.map(Some).ok_or(DecodeError::Reference(name))
 }
 
-/// Checks that the parts hold all blocks of the picture, in order.
+/// Errors unless the parts hold all blocks of the picture, in order.
 fn check_cover(shape: MaskShape, body: &[u8]) -> Result<(), DecodeError> {
     let (mut next, mut count) = (0, 0);
     for (slice, part) in Frame::parts(body).enumerate() {

@@ -1,14 +1,13 @@
-//! What an encoder makes of a mask: bytes, and where they may be cut into packets.
+//! An encoded mask: bytes, and where they may be split into packets.
 
 use std::ops::Deref;
 
 use super::part::Part;
 
-/// An encoded mask.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct EncodedFrame {
     pub(super) body: Vec<u8>,
-    /// The parts of a sliced frame, in the body's order; none of another frame.
+    /// The parts of a sliced frame, in the body's order; empty for other frames.
     pub(super) parts: Vec<Part>,
 }
 
@@ -34,8 +33,8 @@ impl EncodedFrame {
         &self.parts
     }
 
-    /// Returns what each packet carries: one part if every part fits `most` bytes, otherwise `most` bytes in all but
-    /// the last.
+    /// Returns the payload of each packet: one part each if every part fits `most` bytes, otherwise `most` bytes in all
+    /// but the last.
     pub fn payloads(&self, most: usize) -> impl Iterator<Item = &[u8]> + Clone {
         let body = &self.body;
         let (parts, rest) = if self.fits(most) { (&self.parts[..], &[][..]) } else { (&[][..], &body[..]) };
@@ -57,7 +56,7 @@ impl EncodedFrame {
         !self.parts.is_empty() && self.parts.iter().all(|part| part.bytes <= most)
     }
 
-    /// Removes the parts that `keep` refuses. `keep` is given each part's index and itself.
+    /// Removes the parts for which `keep`, given index and part, returns false.
     pub(crate) fn retain_parts(&mut self, mut keep: impl FnMut(usize, &Part) -> bool) {
         let Self { body, parts } = self;
         let (mut index, mut start, mut end) = (0, 0, 0);
@@ -83,7 +82,7 @@ impl Deref for EncodedFrame {
 }
 
 impl From<Vec<u8>> for EncodedFrame {
-    /// A body that may be cut anywhere.
+    /// A body that may be split anywhere.
     fn from(body: Vec<u8>) -> Self {
         Self { body, parts: Vec::new() }
     }

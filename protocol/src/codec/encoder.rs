@@ -1,4 +1,4 @@
-//! From masks to encoded frames.
+//! Encodes masks.
 
 use std::{fmt, num::NonZeroU16};
 
@@ -19,7 +19,7 @@ use crate::{
     wire::CodecId,
 };
 
-/// Encodes masks; keeps its memory from frame to frame.
+/// Encodes masks. Reuses its memory from frame to frame.
 pub struct Encoder {
     codec: CodecId,
     slices: NonZeroU16,
@@ -41,8 +41,8 @@ impl Encoder {
         Self::with_slices(codec, NonZeroU16::MIN)
     }
 
-    /// Makes frames of `slices` slices, but at most one per row of tiles. [Sliced](CodecId::is_sliced) codecs make as
-    /// many as packets are needed.
+    /// Makes frames of `slices` slices, at most one per row of tiles. [Sliced](CodecId::is_sliced) codecs ignore the
+    /// number and make one slice per packet.
     #[must_use]
     pub fn with_slices(codec: CodecId, slices: NonZeroU16) -> Self {
         Self {
@@ -54,7 +54,7 @@ impl Encoder {
         }
     }
 
-    /// Lets each part of a sliced frame fit a packet of `max_packet_bytes` bytes, header included.
+    /// Makes each part of a sliced frame fit a packet of `max_packet_bytes` bytes, header included.
     #[must_use]
     pub fn for_packets_of(mut self, max_packet_bytes: usize) -> Self {
         self.packet_bytes = max_packet_bytes;
@@ -66,7 +66,7 @@ impl Encoder {
         self.codec
     }
 
-    /// Encodes a mask into `frame`, whose content it replaces.
+    /// Encodes a mask into `frame`, replacing its content.
     ///
     /// # Errors
     /// If the frame would be longer than [`MAX_FRAME_BYTES`].
@@ -74,8 +74,8 @@ impl Encoder {
         self.encode_for(None, None, mask, frame)
     }
 
-    /// As [`Self::encode`], for a mask that was traced for another pose than the client's own, and against a reference
-    /// that the client has. Codecs without references ignore it, as do masks of another shape.
+    /// As [`Self::encode`], for a mask traced for another pose than the client's, and against a reference that the
+    /// client has. The reference is ignored by codecs without references and for masks of another shape.
     ///
     /// # Errors
     /// As [`Self::encode`].
@@ -113,8 +113,8 @@ impl Encoder {
         checked_length(body)
     }
 
-    /// Turns the mask that was encoded last into a reference named `frame`. Returns false, and leaves `reference` as it
-    /// is, if the codec has no references.
+    /// Makes `reference` the last encoded mask, named `frame`. Returns false, and leaves `reference` unchanged, if the
+    /// codec has no references.
     pub fn keep(&self, frame: FrameNumber, reference: &mut Reference) -> bool {
         self.tiles.keep(frame, reference)
     }

@@ -1,4 +1,4 @@
-//! Which kind of coder a codec uses.
+//! The kind of coder that each codec uses.
 
 use super::{baseline, tiles};
 use crate::wire::CodecId;

@@ -1,19 +1,18 @@
-//! Visibility codecs: a mask to bytes and back.
+//! Visibility codecs: masks to bytes and back.
 //!
 //! | codec | raw bytes of a slice | in the frame |
 //! |---|---|---|
-//! | `words` | a u32 a pixel, row by row (dissertation §3.1) | as they are |
+//! | `words` | a u32 a pixel, row by row (dissertation §3.1) | uncompressed |
 //! | `words-lz4` | the same | LZ4 block (dissertation §3.5) |
 //! | `planes-lz4` | for each light the slice's 8×8 tiles, a u64 each | LZ4 block |
 //! | `tiles-small`, `tiles-fast` | – | [`tiles`], in as many slices as datagrams are needed |
 //!
-//! A compressed slice that would not be shorter than its raw bytes is sent raw. The decoder is strict: a slice gives
-//! exactly its raw bytes; bits of words without a light, and bits of tiles outside the picture, are 0 or the frame is
-//! refused. The encoder writes such bits as 0 whatever the mask has there.
+//! A slice that LZ4 does not shorten is sent raw. The decoder is strict: a slice yields exactly its raw bytes, and bits
+//! without a light or outside the picture must be 0. The encoder writes such bits as 0.
 //!
 //! All codecs are lossless. A [`Simplifier`] before them trades wrong bits for bytes.
 //!
-//! Encoder and decoder keep their memory: once they have seen the largest frame, they allocate nothing.
+//! Encoder and decoder reuse their memory: after the largest frame they allocate nothing.
 
 mod baseline;
 mod decoder;

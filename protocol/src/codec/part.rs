@@ -5,8 +5,6 @@ use std::ops::Range;
 /// A part of a sliced frame: it fits a packet and can be decoded alone.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Part {
-    /// Bytes of the part in the frame's body.
     pub bytes: usize,
-    /// The blocks that it holds.
     pub(super) blocks: Range<usize>,
 }

@@ -1,50 +1,46 @@
-//! What makes a frame lossy: pixels that stand out are turned over before it is coded, within a budget of wrong bits.
+//! Makes a frame lossy before it is coded: flips pixels that stand out, within a budget of wrong bits.
 //!
-//! A pixel that differs from what surrounds it costs a codec many bits and the picture little. Each that is turned over
-//! shortens the border between light and shadow by two sides of a pixel or more. Which ones are depends on the mask and
-//! the budget alone, so it is the same on every machine. Both ends know only what comes out: it is also the reference
-//! of later frames.
+//! A pixel that differs from its surroundings costs many bits and matters little. Each flip shortens the border between
+//! light and shadow by two or more pixel sides. The choice depends only on the mask and the budget, so it is the same
+//! on every machine. Both ends know only the result, which is also the reference of later frames.
 
 use crate::{
     limits::MAX_WRONG_PPM,
     mask::{Mask, MaskShape, inside},
 };
 
-/// Kinds of pixels that stand out, the best first; each kind has those of the one before as well.
+/// Kinds of pixels that stand out, the best first; each kind includes the one before.
 ///
-/// 0. All four neighbours differ, and the four at the corners.
+/// 0. All four neighbours and all four corner neighbours differ.
 /// 1. All four neighbours differ.
-/// 2. Three of them do: bumps, notches, ends of lines.
+/// 2. Three neighbours differ: bumps, notches, ends of lines.
 const KINDS: usize = 3;
 
-/// The kinds in turn. The last has most, and what its first pass leaves of the budget behind, the second uses.
+/// Kinds in the order of passes. The last kind has the most pixels: its second pass spends what its first left.
 const PASSES: [usize; KINDS + 1] = [0, 1, 2, 2];
 
-/// How often a tile is looked at in a pass, at most: a line ends elsewhere when its end is gone.
+/// Most times that a pass visits a tile: removing the end of a line makes a new end.
 const ROUNDS: usize = 3;
 
-/// Every other pixel. No two of them are neighbours, in a tile and across its borders, so they can be turned over at
-/// once.
+/// Every other pixel. No two are neighbours, within a tile or across tiles, so all can be flipped at once.
 const CHESSBOARD: [u64; 2] = [0xAA55_AA55_AA55_AA55, 0x55AA_55AA_55AA_55AA];
 
 const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
 const LAST_COLUMN: u64 = FIRST_COLUMN << 7;
 const FIRST_ROW: u64 = 0xFF;
 
-/// Turns pixels over; keeps its memory from frame to frame.
+/// Flips pixels. Reuses its memory from frame to frame.
 #[derive(Debug, Default)]
 pub struct Simplifier {
-    /// Words of both values, and room for all.
+    /// Indices of words that are neither 0 nor all ones; has room for every word.
     mixed: Vec<u32>,
-    /// Words that have pixels of each kind.
+    /// Indices of words with pixels of each kind.
     found: [Vec<u32>; KINDS],
 }
 
 impl Simplifier {
-    /// Turns at most `wrong_ppm` of a million of the mask's bits over, and never more than [`MAX_WRONG_PPM`]. Says how
-    /// many.
-    ///
-    /// Where more stand out than may be turned over, these are spread over the frame.
+    /// Flips at most `wrong_ppm` millionths of the mask's bits, never more than [`MAX_WRONG_PPM`]. Returns how many. If
+    /// more pixels stand out, the flips are spread over the frame.
     pub fn simplify(&mut self, mask: &mut Mask, wrong_ppm: u16) -> u64 {
         let shape = mask.shape();
         let bits = shape.pixels() as u64 * u64::from(shape.lights());
@@ -65,7 +61,7 @@ impl Simplifier {
         if self.mixed.len() < words.len() {
             self.mixed.resize(words.len(), 0);
         }
-        // In a word of one value no pixel stands out. There is no branch because it could not be foretold.
+        // A word of one value has no pixel that stands out. Branchless, because a branch would be mispredicted.
         let mut mixed = 0;
         for (word, pixels) in (0..).zip(words) {
             self.mixed[mixed] = word;
@@ -73,7 +69,7 @@ impl Simplifier {
         }
         self.found.iter_mut().for_each(Vec::clear);
         for (word, place) in places(shape, &self.mixed[..mixed]) {
-            // From the last kind on, because it has those of the others.
+            // The last kind first, because it includes the others.
             for kind in (0..KINDS).rev() {
                 if place.pixels(words, kind) == 0 {
                     break;
@@ -84,13 +80,13 @@ impl Simplifier {
     }
 }
 
-/// Turns at most `limit` pixels of a kind in these words over, and says how many.
+/// Flips at most `limit` pixels of a kind in the words `found`. Returns how many.
 fn turn(mask: &mut Mask, found: &[u32], kind: usize, limit: u64) -> u64 {
     let shape = mask.shape();
     let words = mask.words_mut();
     let mut turned = 0;
     for (number, (_, place)) in (1..).zip(places(shape, found)) {
-        // Each word's share of the limit, and what those before have left.
+        // The limit is shared out evenly; a word may also use what those before it left.
         let due = number * limit / found.len() as u64;
         if turned == due {
             continue;
@@ -111,7 +107,7 @@ fn turn(mask: &mut Mask, found: &[u32], kind: usize, limit: u64) -> u64 {
     turned
 }
 
-/// The first `count` of these pixels.
+/// Returns the lowest `count` of these pixels.
 fn first_of(pixels: u64, count: u64) -> u64 {
     if u64::from(pixels.count_ones()) <= count {
         return pixels;
@@ -120,8 +116,8 @@ fn first_of(pixels: u64, count: u64) -> u64 {
     pixels & !rest
 }
 
-/// The places of these words of the whole mask, which are in order. Rows are counted: dividing would take longer than
-/// all else.
+/// Returns each word with its place. `words` are ascending indices in the whole mask. Rows are counted because a
+/// division would cost more than all the rest.
 fn places(shape: MaskShape, words: &[u32]) -> impl Iterator<Item = (u32, Place)> {
     let (mut y, mut row) = (0, 0);
     words.iter().map(move |&word| {
@@ -132,17 +128,17 @@ fn places(shape: MaskShape, words: &[u32]) -> impl Iterator<Item = (u32, Place)>
     })
 }
 
-/// A word of a mask, and what lies around it.
+/// A word of a mask and its surroundings.
 #[derive(Debug, Clone, Copy)]
 struct Place {
     word: usize,
     tiles_x: usize,
-    /// Its pixels that have a neighbour to the left, to the right, above and below.
+    /// Pixels that have a neighbour to the left, to the right, above and below.
     with: [u64; 4],
 }
 
 impl Place {
-    /// Of this word of the whole mask, which is the tile `x` from the left and `y` from above.
+    /// `word` is an index in the whole mask; `x` and `y` count its tile from the left and from the top.
     #[inline]
     fn new(shape: MaskShape, word: u32, (x, y): (u32, u32)) -> Self {
         let (is_first_x, is_last_x) = (x == 0, x + 1 == shape.tiles_x());
@@ -159,7 +155,7 @@ impl Place {
         Self { word: word as usize, tiles_x: shape.tiles_x() as usize, with }
     }
 
-    /// Its pixels of a kind.
+    /// Returns the word's pixels of a kind.
     #[inline(always)]
     fn pixels(&self, words: &[u64], kind: usize) -> u64 {
         let [left, right, above, below] = self.differing(words);
@@ -171,15 +167,15 @@ impl Place {
         }
     }
 
-    /// The word and those to the left, to the right, above and below. Where there is none, any.
+    /// Returns the word and those to the left, to the right, above and below. A missing word may have any value.
     #[inline(always)]
     fn cross(&self, words: &[u64]) -> [u64; 5] {
         let steps = [0, 1_usize.wrapping_neg(), 1, self.tiles_x.wrapping_neg(), self.tiles_x];
         steps.map(|step| words.get(self.word.wrapping_add(step)).copied().unwrap_or_default())
     }
 
-    /// Its pixels that differ from the neighbour to the left, to the right, above and below. Beyond the picture nothing
-    /// differs.
+    /// Returns the pixels that differ from the neighbour to the left, to the right, above and below. A missing
+    /// neighbour never differs.
     #[inline(always)]
     fn differing(&self, words: &[u64]) -> [u64; 4] {
         let [own, left, right, above, below] = self.cross(words);
@@ -187,13 +183,12 @@ impl Place {
         std::array::from_fn(|side| (own ^ there[side]) & self.with[side])
     }
 
-    /// Its pixels that differ from all four at their corners, of those that have all four neighbours.
+    /// Returns the pixels that differ from all four corner neighbours. Only valid for pixels with four neighbours.
     fn differing_at_corners(&self, words: &[u64]) -> u64 {
         let [own, left, right, above, below] = self.cross(words);
         let row = |step| Self { word: self.word.wrapping_add(step), ..*self }.cross(words);
         let [_, above_left, above_right, ..] = row(self.tiles_x.wrapping_neg());
         let [_, below_left, below_right, ..] = row(self.tiles_x);
-        // What lies a row above or below.
         let (upper, lower) = (from_above(own, above), from_below(own, below));
         (own ^ from_left(upper, from_above(left, above_left)))
             & (own ^ from_right(upper, from_above(right, above_right)))
@@ -202,7 +197,7 @@ impl Place {
     }
 }
 
-/// What lies to the left of each pixel.
+/// The left neighbour of each pixel.
 const fn from_left(own: u64, left: u64) -> u64 {
     (own & !LAST_COLUMN) << 1 | (left & LAST_COLUMN) >> 7
 }
@@ -225,7 +220,7 @@ mod tests {
 
     use super::*;
 
-    /// A mask of noise: a pixel in `2^thin` is lit.
+    /// Noise: one pixel in `2^thin` is lit.
     fn noise(shape: MaskShape, thin: u32, mut seed: u64) -> Mask {
         let mut mask = Mask::new(shape);
         for light in 0..shape.lights() {
@@ -237,7 +232,7 @@ mod tests {
         mask
     }
 
-    /// Whether a pixel is of a kind, said pixel by pixel.
+    /// Reference implementation, pixel by pixel.
     fn is_of_kind(mask: &Mask, kind: usize, [light, x, y]: [u32; 3]) -> bool {
         let differs = |dx: u32, dy: u32| {
             let (x_2, y_2) = (x.wrapping_add(dx), y.wrapping_add(dy));
@@ -254,7 +249,7 @@ mod tests {
         }
     }
 
-    /// Sides of pixels between light and shadow.
+    /// Counts pixel sides between light and shadow.
     fn border(mask: &Mask) -> u64 {
         let shape = mask.shape();
         let mut sides = 0;
@@ -276,7 +271,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
         #[test]
-        fn words_find_what_pixels_find(
+        fn word_search_matches_pixel_search(
             width in 1_u32..30, height in 1_u32..30, lights in 1_u32..3, thin in 1_u32..5, seed: u64,
         ) {
             let shape = MaskShape::new(width, height, lights).unwrap();
@@ -291,7 +286,7 @@ mod tests {
                 let all: Vec<u32> = (0..u32::try_from(shape.words()).unwrap()).collect();
                 let found: Vec<u64> = places(shape, &all).map(|(_, place)| place.pixels(mask.words(), kind)).collect();
                 prop_assert_eq!(&found, expected.words());
-                // None is missed where the whole mask is searched.
+                // The search of a whole mask misses none.
                 let mut simplifier = Simplifier::default();
                 simplifier.find(&mask);
                 let with_some = (0..).zip(&found).filter(|(_, pixels)| **pixels != 0).map(|(word, _)| word);
@@ -300,7 +295,7 @@ mod tests {
         }
 
         #[test]
-        fn the_budget_is_kept_and_each_wrong_bit_shortens_the_border(
+        fn the_budget_holds_and_each_wrong_bit_shortens_the_border(
             width in 1_u32..200, height in 1_u32..120, lights in 1_u32..4, thin in 1_u32..6, seed: u64,
             wrong_ppm in prop_oneof![Just(0_u16), 1..=MAX_WRONG_PPM, Just(u16::MAX)],
         ) {
@@ -319,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_that_stand_alone_go_first_and_bumps_after_them() {
+    fn isolated_pixels_are_flipped_before_bumps() {
         let shape = MaskShape::new(100, 100, 1).unwrap();
         let mut mask = Mask::new(shape);
         // An edge with a bump across the border of two tiles, and three specks.
@@ -344,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn few_are_spread_over_the_frame() {
+    fn a_small_budget_is_spread_over_the_frame() {
         let shape = MaskShape::new(800, 800, 1).unwrap();
         let mut mask = Mask::new(shape);
         (0..800).step_by(8).for_each(|y| (0..800).step_by(8).for_each(|x| mask.set(0, x + 3, y + 3, true)));
@@ -375,7 +370,7 @@ mod tests {
         }
     }
 
-    /// As long as the arithmetic is that of whole numbers, this holds everywhere.
+    /// Integer arithmetic makes this hold everywhere.
     #[test]
     fn the_result_is_the_same_on_any_machine() {
         let mut mask = noise(MaskShape::new(203, 101, 3).unwrap(), 3, 7);

@@ -1,5 +1,4 @@
-//! The codecs to compare with: the dissertation's words and bit planes, raw or LZ4. Each slice covers whole rows of
-//! tiles.
+//! Codecs to compare with: the dissertation's words and bit planes, raw or LZ4. Each slice covers whole rows of tiles.
 
 mod lz4;
 mod planes;

@@ -1,10 +1,9 @@
-//! Bit planes as bytes: for each light the slice's tiles, row by row, a u64 each, little-endian. The mask's own layout.
+//! Bit planes as bytes, in the mask's layout: for each light the slice's tiles, row by row, a little-endian u64 each.
 
 use std::ops::Range;
 
 use crate::mask::{MaskShape, inside};
 
-/// Bytes of a tile.
 pub(super) const TILE_BYTES: usize = 8;
 
 /// Bits outside the picture are set.
@@ -14,7 +13,7 @@ pub(super) struct StrayPixels {
     pub(super) tile: usize,
 }
 
-/// The tiles of a slice, as places in a plane, that lie across the picture's right or lower edge.
+/// Returns the slice's tiles at the picture's right and lower edge: index in the plane, and bits inside the picture.
 fn edge_tiles(shape: MaskShape, rows: Range<usize>) -> impl Iterator<Item = (usize, u64)> {
     let (last_x, last_y) = (shape.tiles_x() as usize - 1, shape.tiles_y() as usize - 1);
     rows.flat_map(move |y| {
@@ -23,8 +22,8 @@ fn edge_tiles(shape: MaskShape, rows: Range<usize>) -> impl Iterator<Item = (usi
     })
 }
 
-/// Writes the planes of the rows of tiles `rows`; `bytes` has room for exactly these. Bits outside the picture are
-/// written as 0, whatever they are.
+/// Writes the planes of the rows of tiles `rows` into `bytes`, which has exactly their length. Bits outside the picture
+/// become 0.
 pub(super) fn write(shape: MaskShape, planes: &[u64], rows: &Range<usize>, bytes: &mut [u8]) {
     let tiles_x = shape.tiles_x() as usize;
     let part = rows.start * tiles_x..rows.end * tiles_x;
@@ -40,7 +39,6 @@ pub(super) fn write(shape: MaskShape, planes: &[u64], rows: &Range<usize>, bytes
     }
 }
 
-/// Reads the planes of the rows of tiles `rows`.
 pub(super) fn read(shape: MaskShape, bytes: &[u8], rows: &Range<usize>, planes: &mut [u64]) -> Result<(), StrayPixels> {
     let tiles_x = shape.tiles_x() as usize;
     let part = rows.start * tiles_x..rows.end * tiles_x;

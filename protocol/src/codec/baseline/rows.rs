@@ -1,4 +1,4 @@
-//! The codecs that cut a picture into equal parts of whole rows of tiles: what a part is in bytes.
+//! Slices of equally many rows of tiles, and their bytes.
 
 use std::ops::Range;
 
@@ -8,7 +8,6 @@ use crate::{
     mask::{Mask, MaskShape, TILE_PX},
 };
 
-/// How a part is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::codec) enum Form {
     Words,
@@ -16,7 +15,6 @@ pub(in crate::codec) enum Form {
     PlanesLz4,
 }
 
-/// The encoder's memory.
 pub(in crate::codec) struct Writer {
     raw: Vec<u8>,
     lz4: lz4::Compressor,
@@ -27,7 +25,6 @@ impl Writer {
         Self { raw: Vec::new(), lz4: lz4::Compressor::new() }
     }
 
-    /// Appends the rows of tiles `rows`.
     pub(in crate::codec) fn append(&mut self, form: Form, mask: &Mask, rows: &Range<usize>, body: &mut Vec<u8>) {
         let (shape, words) = (mask.shape(), mask.words());
         match form {
@@ -58,7 +55,7 @@ impl Writer {
     }
 }
 
-/// Whether so many bytes can stand for the rows of tiles `rows` at all. To be asked before taking memory for these.
+/// Errors if `found` bytes cannot hold the rows of tiles `rows`. Check before allocating memory for them.
 pub(in crate::codec) fn check_length(
     form: Form,
     shape: MaskShape,
@@ -74,7 +71,7 @@ pub(in crate::codec) fn check_length(
     if fits { Ok(()) } else { Err(DecodeError::SliceLength { slice, found, raw }) }
 }
 
-/// Reads the rows of tiles `rows`, which are slice `slice`. `memory` is kept from slice to slice.
+/// Reads slice `slice`, which holds the rows of tiles `rows`. `memory` is reused from slice to slice.
 pub(in crate::codec) fn read(
     form: Form,
     memory: &mut Vec<u8>,
@@ -111,7 +108,7 @@ pub(in crate::codec) fn read(
     }
 }
 
-/// Bytes that the rows of tiles `rows` take before compression; there is at least one row.
+/// Returns the bytes of the rows of tiles `rows` before compression. `rows` is not empty.
 fn raw_bytes(form: Form, shape: MaskShape, rows: &Range<usize>) -> usize {
     match form {
         Form::Words | Form::WordsLz4 => {
@@ -122,7 +119,7 @@ fn raw_bytes(form: Form, shape: MaskShape, rows: &Range<usize>) -> usize {
     }
 }
 
-/// The first `len` bytes of a buffer that is only ever lengthened.
+/// Returns the first `len` bytes of a buffer, which grows if it is shorter.
 fn at_least(buffer: &mut Vec<u8>, len: usize) -> &mut [u8] {
     if buffer.len() < len {
         buffer.resize(len, 0);

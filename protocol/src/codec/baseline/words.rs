@@ -1,7 +1,7 @@
-//! Bit planes to the dissertation's words and back: one u32 a pixel, bit k for light k, row by row, little-endian.
+//! Bit planes to the dissertation's words and back: a u32 a pixel, bit k for light k, row by row, little-endian.
 //!
 //! Works on one row of tiles at a time. In a tile, eight lights make an 8×8×8 cube of bits (light, row, column); words
-//! want it as (row, column, light). One transposition of bytes and eight of bits turn it, in registers.
+//! need (row, column, light). One transposition of bytes and eight of bits convert it in registers.
 
 use crate::{
     codec::transpose::{transpose_bits, transpose_bytes},
@@ -10,17 +10,15 @@ use crate::{
 
 const SIDE: usize = TILE_PX as usize;
 
-/// Bytes of a word.
 pub(super) const WORD_BYTES: usize = 4;
 
-/// The words of one tile: rows of pixels.
 type TileWords = [[u32; SIDE]; SIDE];
 
-/// Bits that stand for no light of the frame are set.
+/// Bits without a light in the frame are set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct StrayLights(pub(super) u32);
 
-/// Writes the words of one row of tiles; `bytes` has room for exactly these.
+/// Writes the words of one row of tiles into `bytes`, which has exactly their length.
 pub(super) fn from_planes(shape: MaskShape, planes: &[u64], tile_row: usize, bytes: &mut [u8]) {
     let row_bytes = shape.width() as usize * WORD_BYTES;
     let lights = shape.lights() as usize;
@@ -77,7 +75,6 @@ pub(super) fn to_planes(
     }
 }
 
-/// One tile's words from its planes.
 fn words_of(planes: &[u64; 32], lights: usize) -> TileWords {
     let mut words: TileWords = [[0; SIDE]; SIDE];
     for (group, eight) in planes.as_chunks::<8>().0[..lights.div_ceil(8)].iter().enumerate() {
@@ -91,7 +88,6 @@ fn words_of(planes: &[u64; 32], lights: usize) -> TileWords {
     words
 }
 
-/// One tile's planes from its words.
 fn planes_of(words: &TileWords, lights: usize) -> [u64; 32] {
     let mut planes = [0; 32];
     for (group, eight) in planes.as_chunks_mut::<8>().0[..lights.div_ceil(8)].iter_mut().enumerate() {
@@ -109,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_bit_of_a_tile_has_its_place_in_a_word() {
+    fn every_bit_of_a_tile_becomes_one_bit_of_a_word() {
         for light in 0..32 {
             for place in 0..64 {
                 let mut planes = [0; 32];
