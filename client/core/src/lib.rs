@@ -1,6 +1,6 @@
-//! What every Gnomon client has: it decides what to draw, from which pose, lit with which mask, and draws it.
+//! The client's core: decides what to draw, from which pose and with which mask, and draws it.
 //!
-//! No socket, file, thread or clock: time, bytes and masks come in as arguments, so the crate also builds for browsers.
+//! No socket, file, thread or clock: time, bytes and masks are arguments, so the crate also builds for browsers.
 
 pub mod camera;
 pub mod frame;

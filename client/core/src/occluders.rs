@@ -1,16 +1,14 @@
-//! The scene's largest triangles, to ask coarsely what stands in the way of a ray.
+//! The scene's largest triangles, for coarse ray casts.
 //!
-//! Walls, floors and ceilings are large; what they hide decides how bright a room is and where a camera has room. A few
-//! thousand of them answer that in milliseconds, without building an acceleration structure on a thin client. Which
-//! lights reach a pixel is never asked here: that is the server's part.
+//! Walls, floors and ceilings are large, and decide how bright a room is and where a camera fits. A few thousand
+//! triangles can be tested in milliseconds, without an acceleration structure on a thin client. These ray casts never
+//! decide which lights reach a pixel: the server does.
 
 use glam::Vec3;
 use gnomon_scene::Scene;
 
-/// Triangles that are kept.
 pub const MAX_OCCLUDERS: usize = 4096;
 
-/// Triangles.
 #[derive(Debug, Clone, Default)]
 pub struct Occluders {
     triangles: Vec<Triangle>,
@@ -23,17 +21,16 @@ struct Triangle {
     double_sided: bool,
 }
 
-/// What a ray meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Met {
     /// Distance, in lengths of the ray's direction.
     pub distance: f32,
-    /// Whether it is a side that is drawn.
+    /// True if the side that was hit is drawn.
     pub visible: bool,
 }
 
 impl Occluders {
-    /// The largest triangles of `scene` that stop rays.
+    /// Returns the [`MAX_OCCLUDERS`] largest triangles of `scene` that stop rays.
     #[must_use]
     pub fn largest_of(scene: &Scene) -> Self {
         let mut all = Self::all_of(scene);
@@ -46,7 +43,7 @@ impl Occluders {
         all
     }
 
-    /// All triangles of `scene` that stop rays: for a handful of rays.
+    /// Returns all triangles of `scene` that stop rays: slow, for a handful of rays.
     #[must_use]
     pub fn all_of(scene: &Scene) -> Self {
         let tracing = scene.tracing_triangles();
@@ -63,7 +60,7 @@ impl Occluders {
         Self { triangles }
     }
 
-    /// The nearest triangle along `direction`, up to `to` of its lengths.
+    /// Returns the nearest hit along `direction` within `to` lengths of it.
     #[must_use]
     pub fn nearest(&self, origin: Vec3, direction: Vec3, to: f32) -> Option<Met> {
         let mut nearest = None;
@@ -81,7 +78,7 @@ impl Occluders {
         nearest
     }
 
-    /// Whether any triangle stands between `from` and `to` along `direction`.
+    /// Returns whether a triangle lies between `from` and `to`, in lengths of `direction`.
     #[must_use]
     pub fn blocks(&self, origin: Vec3, direction: Vec3, from: f32, to: f32) -> bool {
         self.triangles.iter().any(|triangle| {
@@ -90,7 +87,7 @@ impl Occluders {
     }
 }
 
-/// Where a ray meets a triangle's plane inside the triangle (Möller and Trumbore, 1997).
+/// Intersects a ray with a triangle (Möller and Trumbore, 1997). The result may be negative: behind the origin.
 fn meet([corner, edge_1, edge_2]: &[Vec3; 3], origin: Vec3, direction: Vec3) -> Option<f32> {
     let across = direction.cross(*edge_2);
     let determinant = edge_1.dot(across);
@@ -120,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_stops_what_runs_into_it_and_nothing_else() {
+    fn a_wall_stops_only_rays_that_hit_it() {
         let wall = square_at(3.0);
         let met = wall.nearest(Vec3::new(0.0, 0.3, 0.2), Vec3::X, 10.0).unwrap();
         assert!((met.distance - 3.0).abs() < 1e-6 && !met.visible, "{met:?}");

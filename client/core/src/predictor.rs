@@ -1,19 +1,18 @@
-//! How visibility that was traced for one view is carried over to another one: the choices there are.
+//! The ways to predict visibility from a mask that was traced for another view.
 
 use std::{fmt, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 
-/// How the client predicts visibility.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Predictor {
-    /// Not at all: each pixel takes its own bit of the newest mask, whatever that was traced for.
+    /// No prediction: each pixel takes its own bit of the newest mask, whatever view that was traced for.
     None,
-    /// As the dissertation (§3.6): the nearest sample; points outside the mask's picture are unknown.
+    /// The dissertation's (§3.6): the nearest sample; points outside the mask's picture are unknown.
     Dissertation(Unknown),
-    /// By the surface: a sample counts where its own point lies on the surface that is asked about, shadow edges are
-    /// placed between samples, and what no sample saw is looked up in the client's shadow maps.
+    /// By surface: a sample counts if its point lies on the pixel's surface. Shadow edges are placed between samples;
+    /// points that no sample saw are looked up in the client's shadow maps.
     #[default]
     Surface,
 }
@@ -30,13 +29,11 @@ pub enum Unknown {
     Copy,
 }
 
-/// No predictor has this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is no predictor: none, dissertation, dissertation-shadow, dissertation-copy or surface")]
+#[error("unknown predictor {0:?}: use none, dissertation, dissertation-shadow, dissertation-copy or surface")]
 pub struct UnknownPredictor(pub String);
 
 impl Predictor {
-    /// Every predictor, with its name.
     pub const ALL: [(&'static str, Self); 5] = [
         ("none", Self::None),
         ("dissertation", Self::Dissertation(Unknown::Lit)),
@@ -94,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_lead_back_to_their_predictors() {
+    fn names_round_trip() {
         for (name, predictor) in Predictor::ALL {
             assert_eq!(name.parse(), Ok(predictor));
             assert_eq!(predictor.to_string(), name);

@@ -1,7 +1,7 @@
-//! A camera path for who names none: around an object, or through a room.
+//! The camera path used when none is given: around an object, or through a room.
 //!
-//! Rays against the scene's largest triangles tell which it is. From a place that walls surround, the camera moves
-//! along a long free line with a free view; otherwise it goes half around the scene, looking at its middle.
+//! Ray casts against the scene's largest triangles decide. Inside walls, the camera moves along a long free line with
+//! an open view; otherwise it goes half way around the scene, looking at its centre.
 
 use std::f32::consts::{FRAC_PI_4, TAU};
 
@@ -13,22 +13,20 @@ use crate::{
     occluders::Occluders,
 };
 
-/// Directions that are tried around a place.
+/// Directions tried around a position.
 const DIRECTIONS: u8 = 16;
 
-/// Share of the directions that a wall must end for a place to be inside.
+/// A position is inside if at least this share of the directions hit a wall.
 const INSIDE: f32 = 0.7;
 
-/// Ways that are looked at closely.
+/// Candidate ways that are tested against all triangles.
 const PROMISING: usize = 24;
 
-/// Field of view, in radians.
+/// Vertical field of view.
 const YFOV_RAD: f64 = 1.0;
 
-/// Time that the path takes, in seconds.
 const DURATION_S: f64 = 8.0;
 
-/// A path that shows `scene`.
 #[must_use]
 pub fn default_path(scene: &Scene, occluders: &Occluders) -> CameraPath {
     let local = walk_inside(scene, occluders).unwrap_or_else(|| orbit(scene));
@@ -42,11 +40,11 @@ pub fn default_path(scene: &Scene, occluders: &Occluders) -> CameraPath {
         .collect();
     let origin = Keyframe { time_s: 0.0, position_m: DVec3::ZERO, target_m: DVec3::NEG_Z };
     CameraPath::new("default", keyframes, YFOV_RAD)
-        // A scene whose bounds are no box (nothing in it, or nothing but a point) has nothing to show.
+        // The keyframes are invalid only if the scene is empty or a single point: there is nothing to show.
         .unwrap_or_else(|_| CameraPath::standing("default", origin, YFOV_RAD))
 }
 
-/// Half a turn around the scene, a little from above.
+/// Half a circle around the scene, slightly from above.
 fn orbit(scene: &Scene) -> Vec<(Vec3, Vec3)> {
     let middle = (scene.bounds.min + scene.bounds.max) * 0.5;
     let radius = ((scene.bounds.max - scene.bounds.min).length() * 0.5).max(0.05);
@@ -59,11 +57,11 @@ fn orbit(scene: &Scene) -> Vec<(Vec3, Vec3)> {
         .collect()
 }
 
-/// A way to go, from the largest triangles alone.
+/// A straight way to walk, found with the largest triangles alone.
 struct Way {
     start: Vec3,
     forward: Vec3,
-    /// Free line ahead of the start.
+    /// Distance to the first wall ahead of the start.
     free: f32,
 }
 
@@ -74,7 +72,7 @@ fn walk_inside(scene: &Scene, occluders: &Occluders) -> Option<Vec<(Vec3, Vec3)>
     let mut ways = Vec::new();
     for (x, z) in shares.iter().flat_map(|x| shares.iter().map(move |z| (*x, *z))) {
         let above = low + size * Vec3::new(x, 0.5, z);
-        // Eye level over the floor there, but no higher than the middle of the scene.
+        // Eye level above the floor there, but not above the scene's vertical centre.
         let Some(floor) = occluders.nearest(above, Vec3::NEG_Y, size.y).filter(|floor| floor.visible) else { continue };
         let height = floor.distance;
         let position = above - Vec3::Y * (height - 1.6_f32.min(height * 0.9)).max(0.0);
@@ -82,7 +80,7 @@ fn walk_inside(scene: &Scene, occluders: &Occluders) -> Option<Vec<(Vec3, Vec3)>
     }
     ways.sort_by(|one, other| other.free.total_cmp(&one.free));
     ways.truncate(PROMISING);
-    // The small things count too, from here on: nobody wants to start behind a column.
+    // From here on small triangles count too: the path must not start behind a column.
     let all = Occluders::all_of(scene);
     let (view, way) = (ways.into_iter().map(|way| (free_view(&way, reach, &all), way)))
         .max_by(|(one, _), (other, _)| one.total_cmp(other))?;
@@ -91,7 +89,7 @@ fn walk_inside(scene: &Scene, occluders: &Occluders) -> Option<Vec<(Vec3, Vec3)>
     (view > reach * 1e-2).then(|| vec![(way.start, way.start + target), (end, end + target)])
 }
 
-/// Ways along the floor from a place that walls surround: their visible sides, or the place is inside of an object.
+/// Returns ways along the floor if visible sides of walls surround `position`; back sides mean the inside of an object.
 fn ways_from(position: Vec3, reach: f32, occluders: &Occluders) -> Vec<Way> {
     let directions = (0..DIRECTIONS).map(|index| {
         let angle = TAU * f32::from(index) / f32::from(DIRECTIONS);
@@ -110,7 +108,7 @@ fn ways_from(position: Vec3, reach: f32, occluders: &Occluders) -> Vec<Way> {
         .collect()
 }
 
-/// Distance to the nearest thing in the middle of the view.
+/// Returns the distance to the nearest hit around the centre of the view.
 fn free_view(way: &Way, reach: f32, all: &Occluders) -> f32 {
     let side = way.forward.cross(Vec3::Y);
     [(0.0, 0.0), (0.12, 0.0), (-0.12, 0.0), (0.25, 0.05), (-0.25, 0.05), (0.0, -0.05)]
@@ -128,7 +126,7 @@ mod tests {
     use crate::render::testing::floor_and_lights;
 
     #[test]
-    fn an_open_scene_is_gone_around() {
+    fn an_open_scene_is_orbited() {
         let scene = floor_and_lights();
         let path = default_path(&scene, &Occluders::largest_of(&scene));
         let middle = scene.origin_m + DVec3::new(0.0, 0.5, 0.0);
@@ -167,7 +165,7 @@ mod tests {
         }
         let (first, last) = (path.camera(0.0, 1, 1).position_m, path.camera(8.0, 1, 1).position_m);
         assert!(first.distance(last) > 3.0, "{first} {last}");
-        // The same box, of which only the outside is drawn, is an object.
+        // The same box with only its outside drawn is an object.
         scene.materials[0].double_sided = false;
         scene.triangles.iter_mut().for_each(|corners| {
             let [a, b, c] = corners.map(|index| scene.positions[index as usize]);

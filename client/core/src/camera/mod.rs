@@ -1,4 +1,4 @@
-//! Where the camera goes when nobody steers it.
+//! Camera paths: where the camera goes when nobody steers it.
 
 pub mod default_path;
 pub mod path;

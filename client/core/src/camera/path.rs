@@ -1,8 +1,8 @@
-//! Camera paths: keyframes, and where the camera is at a time.
+//! Camera paths: keyframes, and the camera's position at any time.
 //!
-//! Between two keyframes the position moves in a straight line at constant speed, and the direction of view turns at a
-//! constant rate along the great circle from the one keyframe's direction to the next one's. Time before the first
-//! keyframe counts as its time; beyond the last one the camera runs back to the first, and on to and fro.
+//! Between two keyframes the position moves in a straight line at constant speed, and the view direction turns at a
+//! constant rate along the great circle. Before the first keyframe, the path shows the first one. After the last one,
+//! the camera goes back to the first, and so on to and fro.
 
 use std::collections::BTreeMap;
 
@@ -12,24 +12,21 @@ use gnomon_scene::camera::Camera;
 use serde::Deserialize;
 use thiserror::Error;
 
-/// Most keyframes of a path.
 const MAX_KEYFRAMES: usize = 100_000;
 
-/// Vertical field of view where the file gives none, in degrees.
+/// Vertical field of view if the file gives none.
 const DEFAULT_YFOV_DEG: f64 = 60.0;
 
-/// A camera at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Keyframe {
-    /// Time, in seconds.
     pub time_s: f64,
-    /// Position in world space, in metres.
+    /// In world space.
     pub position_m: DVec3,
-    /// Point that the camera looks at, in world space.
+    /// The point that the camera looks at, in world space.
     pub target_m: DVec3,
 }
 
-/// Keyframes in order of time, at least one.
+/// At least one keyframe, in order of time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraPath {
     name: String,
@@ -37,7 +34,6 @@ pub struct CameraPath {
     yfov_rad: f64,
 }
 
-/// Why a text gives no path.
 #[derive(Debug, Error)]
 pub enum PathError {
     #[error("{0}")]
@@ -68,11 +64,11 @@ struct KeyframeEntry {
 }
 
 impl CameraPath {
-    /// A path through these keyframes.
+    /// Makes a path through these keyframes.
     ///
     /// # Errors
-    /// With what is wrong: none or too many keyframes, times that do not grow, values that are not finite, too large or
-    /// too far out, or a target at the camera's own place.
+    /// If there are none or too many, times do not increase, a value is not finite or too large, or a keyframe looks at
+    /// its own position.
     pub fn new(name: &str, keyframes: Vec<Keyframe>, yfov_rad: f64) -> Result<Self, String> {
         if keyframes.is_empty() || keyframes.len() > MAX_KEYFRAMES {
             return Err(format!("{} keyframes: a path has 1 to {MAX_KEYFRAMES}", keyframes.len()));
@@ -96,13 +92,13 @@ impl CameraPath {
         Ok(Self { name: name.to_owned(), keyframes, yfov_rad })
     }
 
-    /// A path that stays at one keyframe, which must be good.
+    /// A path that stays at one keyframe, which must be valid.
     pub(crate) fn standing(name: &str, keyframe: Keyframe, yfov_rad: f64) -> Self {
         Self { name: name.to_owned(), keyframes: vec![keyframe], yfov_rad }
     }
 
-    /// Parses a path from the text of a `lights_camera.json` file: the one called `name`, or else `camera_path`, or
-    /// else the first of `camera_paths` by name.
+    /// Parses a path from a `lights_camera.json` file: `name`, or else `camera_path`, or else the first of
+    /// `camera_paths` by name.
     ///
     /// # Errors
     /// If the text is malformed or has no such path.
@@ -137,13 +133,13 @@ impl CameraPath {
         &self.name
     }
 
-    /// Time from the first to the last keyframe, in seconds.
+    /// Time from the first keyframe to the last.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.keyframes[self.keyframes.len() - 1].time_s - self.keyframes[0].time_s
     }
 
-    /// The camera `time_s` seconds after the first keyframe, for a picture of this size.
+    /// Returns the camera `time_s` seconds after the first keyframe, for a picture of this size.
     #[must_use]
     pub fn camera(&self, time_s: f64, width: u32, height: u32) -> Camera {
         let duration = self.duration_s();

@@ -30,10 +30,9 @@ pub enum MaskSource {
     Streamed { look_ahead: bool },
 }
 
-/// What a frame asks of the server.
 #[derive(Debug, Clone, Copy)]
 pub struct PoseRequest {
-    /// The pose to send; `None` if the frame needs no new mask.
+    /// `None` if the frame needs no new mask.
     pub pose: Option<Pose>,
     pub look_ahead_ms: u16,
 }
@@ -45,7 +44,7 @@ pub struct Drawing {
     pub decision: Decision,
 }
 
-/// Decides frame after frame, and owns the renderer.
+/// Makes the decisions of each frame, and owns the renderer.
 #[derive(Debug)]
 pub struct FrameLoop {
     pub renderer: FrameRenderer,
@@ -104,7 +103,7 @@ impl FrameLoop {
         let looks_ahead =
             self.source == MaskSource::Streamed { look_ahead: true } && self.state != Some(State::Sequential);
         let look_ahead_ms = if looks_ahead { self.matcher.look_ahead_ms() } else { 0 };
-        // Wraps after 49 days, as the field's doc says.
+        // Wraps after 49 days, as documented at the field.
         #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³²")]
         let client_time_ms = now.duration_since(self.started).as_millis() as u32;
         let pose = Pose {
@@ -152,7 +151,7 @@ impl FrameLoop {
         Ok(response)
     }
 
-    /// Chooses the camera to draw from and how much received visibility counts.
+    /// Chooses the camera to draw from and the weight of received visibility.
     pub fn choose(&mut self, frame: FrameNumber, camera: &Camera, now: Instant) -> Drawing {
         let previous = self.previous.replace((*camera, now));
         if !matches!(self.source, MaskSource::Streamed { .. }) {
@@ -233,7 +232,7 @@ fn turn_px(before: &Camera, now: &Camera) -> (f64, f64) {
     (px(forward.x, half_width, now.width), px(forward.y, half_height, now.height))
 }
 
-/// Longest way of a camera in one frame that is not a jump, in metres.
+/// Camera motion per frame above which it counts as a jump, in metres.
 const JUMP_M: f64 = 0.5;
 
 /// Returns whether the camera turned or moved so far in `lag` frames that almost no visibility can be carried over.
@@ -267,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_is_a_large_turn_or_a_long_way_in_a_short_time() {
+    fn a_jump_is_a_large_turn_or_a_fast_move() {
         let here = camera(DVec3::ZERO, 0.0, 0.0);
         for (there, lag, jumped) in [
             (camera(DVec3::X * 0.4, 0.9, 0.0), 1, false),

@@ -1,5 +1,5 @@
-//! The guard band: a mask of a wider field than the picture, so that a camera that turns still finds visibility at the
-//! edge of its picture.
+//! The guard band: a mask with a wider field than the picture, so that a turning camera finds visibility at the
+//! picture's edges.
 
 use std::{fmt, str::FromStr};
 
@@ -10,19 +10,17 @@ use thiserror::Error;
 /// Extra pixels of a mask, half of them on each side: the dissertation's 64×36, 128×72 and 640×360 (§4.3).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct GuardSize {
-    /// Extra pixels of its width; even.
+    /// Even.
     pub width: u32,
-    /// Extra pixels of its height; even.
+    /// Even.
     pub height: u32,
 }
 
-/// The guard band that a client asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Guard {
-    /// Always the same.
     Fixed(GuardSize),
-    /// As much as the camera turns while a mask is under way.
+    /// Wide enough for the camera's turn while a mask is under way.
     Auto,
 }
 
@@ -32,22 +30,21 @@ impl Default for Guard {
     }
 }
 
-/// A text is no guard band.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error("{0:?} is no guard band: auto, 0, or WIDTHxHEIGHT extra pixels, even numbers of at most 2048")]
+#[error("invalid guard band {0:?}: use auto, 0, or WIDTHxHEIGHT extra pixels, even and at most 2048")]
 pub struct NoGuard(pub String);
 
 /// Largest extra width or height, in pixels.
 const MOST_PX: u32 = 2048;
 
 impl GuardSize {
-    /// Pixels to the left and right, above and below.
+    /// Returns the pixels on the left and right, and above and below.
     #[must_use]
     pub fn per_side(self) -> (u32, u32) {
         (self.width / 2, self.height / 2)
     }
 
-    /// As much of it as a mask around a picture of this size may have.
+    /// Returns the band, limited to what a mask around a picture of this size may have.
     #[must_use]
     pub fn around(self, (width, height): (u32, u32)) -> Self {
         let side = |extra: u32, picture: u32| extra.min(MAX_SIDE_PX.saturating_sub(picture)) & !1;
@@ -109,8 +106,7 @@ impl From<Guard> for String {
     }
 }
 
-/// What an automatic guard band can be, from none to the largest: few steps, for each change costs both ends new
-/// memory.
+/// The automatic guard bands. There are few, because each change makes both ends reallocate.
 const STEPS: [GuardSize; 5] = [
     GuardSize { width: 0, height: 0 },
     GuardSize { width: 64, height: 36 },
@@ -119,7 +115,7 @@ const STEPS: [GuardSize; 5] = [
     GuardSize { width: 640, height: 360 },
 ];
 
-/// Frames for which a smaller band would have done before it is taken.
+/// Frames for which a smaller band must suffice before it is chosen.
 const PATIENCE_FRAMES: u32 = 90;
 
 /// Chooses the guard band frame by frame.
@@ -128,7 +124,7 @@ pub struct GuardChoice {
     guard: Guard,
     picture: (u32, u32),
     step: usize,
-    /// Frames since more than the next smaller step was needed.
+    /// Frames since the next smaller step was last too small.
     calm_frames: u32,
 }
 
@@ -139,7 +135,7 @@ impl GuardChoice {
         Self { guard, picture, step: 0, calm_frames: 0 }
     }
 
-    /// The largest that will ever be chosen: what the server is told at first.
+    /// Returns the largest band that will ever be chosen; the session starts with it.
     #[must_use]
     pub fn largest(&self) -> GuardSize {
         match self.guard {
@@ -148,9 +144,8 @@ impl GuardChoice {
         }
     }
 
-    /// The guard band for the next mask. `lag_frames` is how late masks are, `turn_px` by how many pixels the picture's
-    /// middle moves each frame, across and up. A larger band is taken at once, a smaller one when it would have done
-    /// for a while.
+    /// Returns the guard band for the next mask. `lag_frames` is the age of masks on arrival; `turn_px` is how far the
+    /// picture's centre moves per frame, across and up. The band grows at once and shrinks after a while.
     pub fn next(&mut self, lag_frames: f64, turn_px: (f64, f64)) -> GuardSize {
         if self.guard == Guard::Auto {
             let needs = |step: &GuardSize| {
@@ -158,7 +153,7 @@ impl GuardChoice {
                 f64::from(x) >= turn_px.0.abs() * lag_frames && f64::from(y) >= turn_px.1.abs() * lag_frames
             };
             let needed = STEPS.iter().position(needs).unwrap_or(STEPS.len() - 1);
-            // Less than half a pixel on the way is no turning.
+            // A turn of less than half a pixel during the lag is ignored.
             let needed = if turn_px.0.abs().max(turn_px.1.abs()) * lag_frames < 0.5 { 0 } else { needed };
             self.calm_frames = if needed < self.step { self.calm_frames + 1 } else { 0 };
             if needed > self.step {
@@ -210,10 +205,10 @@ mod tests {
     }
 
     #[test]
-    fn the_band_follows_lag_times_turning_rate_up_at_once_and_down_in_time() {
+    fn the_band_grows_at_once_and_shrinks_after_a_while() {
         let mut choice = GuardChoice::new(Guard::Auto, HD);
         assert_eq!(choice.largest(), STEPS[4]);
-        // Lag, pixels a frame across and up, frames of this, the step after them.
+        // Lag, pixels a frame across and up, number of such frames, expected step.
         for (lag, turn, frames, step) in [
             (6.0, (0.0, 0.0), 100, 0),
             (6.0, (0.01, 0.0), 1, 0),

@@ -1,4 +1,4 @@
-//! What a frame is drawn from and lit with: [`frame_loop`] decides with the help of the others.
+//! Decides each frame's camera and masks; [`frame_loop`] is the entry point.
 
 pub mod frame_loop;
 pub mod guard;

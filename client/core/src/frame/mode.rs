@@ -1,28 +1,26 @@
-//! Which pose is drawn, and how much received visibility counts: a state machine that hides the network (dissertation
-//! §3.6).
+//! Decides which pose is drawn and how much received visibility counts: a state machine that hides the network
+//! (dissertation §3.6).
 //!
 //! | state | drawn from | lit with |
 //! |---|---|---|
-//! | sequential | the pose that the newest mask was asked for | that mask, exactly |
+//! | sequential | the pose that requested the newest mask | that mask, exactly |
 //! | concurrent | the newest pose | the newest mask, predicted |
-//! | degraded | the newest pose | what the client knows by itself, faded in |
+//! | degraded | the newest pose | the client's own prediction, faded in |
 //!
-//! The share of received visibility never moves faster than one fade a [`Thresholds::fade_s`], whatever the network
-//! does.
+//! The weight of received visibility changes by at most one full fade per [`Thresholds::fade_s`].
 
 use std::{fmt, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 
-/// How the client chooses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Mode {
-    /// Always sequential, as long as masks come.
+    /// Sequential while masks arrive.
     Sequential,
-    /// Always concurrent, as long as masks come.
+    /// Concurrent while masks arrive.
     Concurrent,
-    /// Sequential while masks are hardly late, concurrent from then on.
+    /// Sequential while masks are almost on time, concurrent otherwise.
     #[default]
     Auto,
 }
@@ -45,25 +43,25 @@ impl FromStr for Mode {
             "sequential" => Ok(Self::Sequential),
             "concurrent" => Ok(Self::Concurrent),
             "auto" => Ok(Self::Auto),
-            _ => Err(format!("{text:?} is no mode: sequential, concurrent or auto")),
+            _ => Err(format!("unknown mode {text:?}: use sequential, concurrent or auto")),
         }
     }
 }
 
-/// When the state changes. Lags are in frames of the client.
+/// When the state changes. Lags are in client frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Thresholds {
-    /// The largest lag that is sequential in [`Mode::Auto`]; 0 never is. The dissertation has 2. Ours is 0: at a lag of
-    /// 1 or 2 prediction by surface is wrong in a few tenths of a per cent of the bits, and the newest input is shown
-    /// one or two frames earlier for it.
+    /// The largest lag that is sequential in [`Mode::Auto`]; 0 disables it. The dissertation has 2. Ours is 0: at a lag
+    /// of 1 or 2, prediction by surface is wrong in a few tenths of a per cent of the bits, and in return the newest
+    /// input is shown one or two frames earlier.
     pub sequential_lag: u32,
-    /// Frames in a row with such a lag before sequential begins again.
+    /// Consecutive frames with such a lag before sequential begins again.
     pub calm_frames: u32,
-    /// The largest lag that is predicted over. The dissertation has 50. Ours is 100: measured on Sponza without leaves,
-    /// prediction is then wrong in 0.48 % of the bits, and at 200 in 0.98 %; what the client knows by itself is wrong
-    /// in about 0.9 %.
+    /// The largest lag that is predicted over. The dissertation has 50. Ours is 100: on Sponza without leaves,
+    /// prediction is then wrong in 0.48 % of the bits, and at 200 in 0.98 %; the client's own prediction is wrong in
+    /// about 0.9 %.
     pub prediction_lag: u32,
-    /// How long a fade from all received visibility to none takes, in seconds.
+    /// Duration of a fade from full received visibility to none.
     pub fade_s: f64,
 }
 
@@ -73,39 +71,36 @@ impl Default for Thresholds {
     }
 }
 
-/// What the client is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum State {
-    /// The newest mask's own frame is drawn.
+    /// Draws the newest mask's own frame.
     Sequential,
-    /// The newest pose is drawn, with predicted visibility.
+    /// Draws the newest pose with predicted visibility.
     Concurrent,
-    /// Masks are too late, or do not come: the newest pose is drawn, with what the client knows by itself.
+    /// Masks are too late or absent: draws the newest pose with the client's own prediction.
     Degraded,
 }
 
-/// What happened since the frame before.
+/// What changed since the previous frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
-    /// This frame's number less that of the newest mask's frame; `None` when there is no mask.
+    /// This frame's number minus that of the newest mask's frame; `None` if there is no mask.
     pub lag: Option<u32>,
-    /// Whether the camera has jumped since the newest mask's frame: nothing can be carried over.
+    /// True if the camera jumped since the newest mask's frame, so no visibility can be carried over.
     pub jumped: bool,
-    /// Time since the frame before, in seconds.
+    /// Time since the previous frame.
     pub step_s: f64,
 }
 
-/// What to do for this frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decision {
     /// For statistics and logs.
     pub state: State,
-    /// How much received visibility counts, 0 to 1.
+    /// Weight of received visibility, 0 to 1.
     pub visibility_share: f32,
 }
 
-/// The state machine.
 #[derive(Debug, Clone)]
 pub struct ModeMachine {
     mode: Mode,
@@ -116,24 +111,24 @@ pub struct ModeMachine {
 }
 
 impl ModeMachine {
-    /// Begins degraded: there is no mask yet.
+    /// Starts degraded: there is no mask yet.
     #[must_use]
     pub fn new(mode: Mode, thresholds: Thresholds) -> Self {
         Self { mode, thresholds, state: State::Degraded, calm_frames: 0, share: 0.0 }
     }
 
-    /// Goes on in another mode. What fades fades on.
+    /// Changes the mode. A fade in progress continues.
     pub fn set_mode(&mut self, mode: Mode) {
         self.mode = mode;
         self.calm_frames = 0;
     }
 
-    /// One frame.
+    /// Advances by one frame.
     pub fn step(&mut self, seen: Observation) -> Decision {
         let Thresholds { sequential_lag, calm_frames, prediction_lag, fade_s } = self.thresholds;
         let calm = seen.lag.is_some_and(|lag| lag <= sequential_lag);
         self.calm_frames = if calm { self.calm_frames.saturating_add(1) } else { 0 };
-        // The dissertation's 2 frames are meant for jumps as well: a jump is waited out, but not for ever.
+        // The dissertation's 2 frames also apply after a jump: wait for a new mask, but with a limit.
         let waits_for_jump = seen.jumped && sequential_lag > 0 && seen.lag.is_some_and(|lag| lag <= 6 * sequential_lag);
         self.state = match (seen.lag, self.mode) {
             (None, _) => State::Degraded,
@@ -173,7 +168,7 @@ mod tests {
     #[test]
     fn states_follow_the_table() {
         use State::{Concurrent, Degraded, Sequential};
-        // Lag, jump, frames of this, the state after them.
+        // Lag, jump, number of such frames, state after them.
         let automatic: &[(Option<u32>, bool, u32, State)] = &[
             (None, false, 100, Degraded),
             (Some(2), false, 1, Concurrent),
@@ -225,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn the_share_fades_and_never_jumps() {
+    fn the_share_fades_without_jumps() {
         let mut machine = ModeMachine::new(Mode::Auto, Thresholds::default());
         let mut shares = vec![0.0];
         let lags =
@@ -236,12 +231,12 @@ mod tests {
         let most = STEP_S / 0.25 + 1e-6;
         assert!(shares.windows(2).all(|pair| f64::from(pair[1] - pair[0]).abs() <= most), "{shares:?}");
         assert_eq!((shares[30], shares[99], shares[129], shares[159]), (1.0, 0.0, 1.0, 0.0));
-        // The first mask after an outage counts at once, if not in full.
+        // The first mask after an outage counts at once, though not fully.
         assert!(shares[100] > 0.0);
     }
 
     #[test]
-    fn a_fade_of_no_time_is_a_switch() {
+    fn a_fade_of_zero_duration_switches_at_once() {
         let mut machine = ModeMachine::new(Mode::Auto, Thresholds { fade_s: 0.0, ..Thresholds::default() });
         assert_eq!(machine.step(seen(Some(1), false)).visibility_share, 1.0);
         assert_eq!(machine.step(seen(None, false)).visibility_share, 0.0);

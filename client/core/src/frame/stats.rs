@@ -1,4 +1,4 @@
-//! What a frame measures.
+//! Measurements of each frame.
 
 use std::time::Duration;
 
@@ -17,61 +17,57 @@ pub struct StageTimes {
     pub upload: Duration,
     /// Encoding and submitting the other passes.
     pub shade: Duration,
-    /// Waiting for an earlier picture, reading it back and handing it on.
+    /// Waiting for an earlier picture, reading it back and passing it on.
     pub readback: Duration,
 }
 
-/// One frame, as a JSON line. Times are in milliseconds of the renderer's thread.
+/// One frame, as a JSON line. Stage times are those of the renderer's thread.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FrameStats {
-    /// The frame's number.
     pub frame: u32,
-    /// When its pose was taken, since the first frame's.
+    /// When its pose was taken, counted from the first frame.
     pub t_ms: f64,
-    /// What the client was doing: `sequential`, `concurrent` or `degraded`.
     pub state: State,
-    /// How it stood with the server: `live`, `draining`, `lost` or `refused`; `offline` without one.
+    /// Connection state: `live`, `draining`, `lost`, `refused`, or `offline` without a server.
     pub link: &'static str,
-    /// How much received visibility counted, 0 to 1, against what the client knows by itself.
+    /// Weight of received visibility against the client's own prediction, 0 to 1.
     pub visibility_share: f32,
-    /// Share of a picture's pixels whose visibility a mask said something of (the sky counts); of the latest picture
-    /// whose count had come back from the adapter.
+    /// Share of pixels whose visibility came from a mask (the sky counts), for the latest picture whose count was read
+    /// back.
     pub known_share: Option<f64>,
-    /// The frame whose mask it was shaded with; none while there was no mask that fits.
+    /// The frame of the mask used; `None` if no mask fits.
     pub mask_frame: Option<u32>,
-    /// Frames that the mask is older than the picture.
+    /// Age of the mask in frames.
     pub lag: Option<u32>,
-    /// Width of the mask that this frame asked for, guard band included.
+    /// Size of the requested mask, guard band included.
     pub mask_width: u16,
-    /// Its height.
     pub mask_height: u16,
-    /// How far ahead the mask was asked to be traced for.
+    /// How far ahead of the pose the mask was to be traced.
     pub look_ahead_ms: u16,
-    /// From a pose's departure until the mask for it was whole, where this frame took a new mask.
+    /// From sending a pose until its mask was complete, if this frame took a new mask.
     pub response_ms: Option<f64>,
-    /// Handing over the G-buffer pass.
+    /// Submitting the G-buffer pass.
     pub surfaces_ms: f64,
     /// Waiting for the frame's own mask (`--wait`).
     pub wait_ms: f64,
-    /// Sending the mask to the adapter.
+    /// Uploading the mask to the adapter.
     pub upload_ms: f64,
-    /// Handing over the other passes.
+    /// Submitting the other passes.
     pub shade_ms: f64,
-    /// Waiting for an earlier picture, reading it back, and handing it to the writers.
+    /// Waiting for an earlier picture, reading it back and passing it to the writers.
     pub readback_ms: f64,
-    /// Bytes that the mask's frame had on the wire, headers not counted.
+    /// Size of the mask's frame on the wire, without headers.
     pub bytes: Option<usize>,
-    /// Packets that it came in.
     pub packets: Option<u16>,
 }
 
-/// The mean, if there is any value.
+/// Returns the mean; `None` for no values.
 #[must_use]
 pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// The smallest value that at least `share` of the values do not exceed (nearest rank), if there is any value.
+/// Returns the smallest value that at least `share` of the values do not exceed (nearest rank); `None` for no values.
 #[must_use]
 pub fn percentile(values: &[f64], share: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
@@ -81,7 +77,7 @@ pub fn percentile(values: &[f64], share: f64) -> Option<f64> {
     sorted.get(rank.saturating_sub(1).min(sorted.len().saturating_sub(1))).copied()
 }
 
-/// Milliseconds, with microseconds behind the point.
+/// Returns milliseconds, rounded to microseconds.
 #[must_use]
 pub fn millis(duration: Duration) -> f64 {
     (duration.as_secs_f64() * 1e6).round() / 1e3
@@ -92,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn percentiles_are_of_the_nearest_rank() {
+    fn percentiles_use_the_nearest_rank() {
         let values: Vec<f64> = (1..=200).rev().map(f64::from).collect();
         assert_eq!(percentile(&values, 0.99), Some(198.0));
         assert_eq!(percentile(&values, 0.5), Some(100.0));

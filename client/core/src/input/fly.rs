@@ -1,4 +1,4 @@
-//! A camera that a person flies: it walks where it looks, turns without rolling, and is as fast as the wheel says.
+//! A camera that a person flies: it moves where it looks and never rolls. The wheel sets its speed.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -6,23 +6,22 @@ use glam::{DQuat, DVec3};
 use gnomon_protocol::limits::MAX_POSITION_M;
 use gnomon_scene::camera::Camera;
 
-/// Speeds that can be chosen, in metres a second.
+/// Range of speeds.
 const SPEEDS_M_PER_S: (f64, f64) = (0.02, 2000.0);
 
-/// Factor of a notch of the wheel.
+/// Speed factor of a notch of the wheel.
 const NOTCH: f64 = 1.25;
 
-/// Factor while the key for it is held.
+/// Speed factor while the fast key is held.
 const FAST: f64 = 4.0;
 
-/// How far up or down a person can look, in radians: not quite straight, where left and right would change places.
+/// Largest pitch: not quite vertical, where left and right would swap.
 const MOST_PITCH_RAD: f64 = FRAC_PI_2 - 0.01;
 
-/// The longest that one step may take, in seconds: a window that was dragged or hidden must not throw the camera
-/// through a wall.
+/// Longest time step: after a window was dragged or hidden, the camera must not fly through a wall.
 const LONGEST_STEP_S: f64 = 0.1;
 
-/// What a step does.
+/// The input of one step.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Motion {
     /// Along the view, −1 to 1.
@@ -31,17 +30,17 @@ pub struct Motion {
     pub right: f64,
     /// Up in the world, −1 to 1.
     pub up: f64,
-    /// Turn to the left, in radians.
+    /// To the left.
     pub yaw_rad: f64,
-    /// Turn up, in radians.
+    /// Up.
     pub pitch_rad: f64,
-    /// Notches by which all further motion is faster.
+    /// Wheel notches; they change the speed from this step on.
     pub faster: f64,
-    /// Whether this step is fast.
+    /// True if the fast key is held.
     pub fast: bool,
 }
 
-/// A camera without a picture.
+/// A camera without a picture size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fly {
     position_m: DVec3,
@@ -52,7 +51,7 @@ pub struct Fly {
 }
 
 impl Fly {
-    /// Goes on from where `camera` is, without its roll.
+    /// Continues from `camera`, without its roll.
     #[must_use]
     pub fn from_camera(camera: &Camera, speed_m_per_s: f64) -> Self {
         let forward = camera.orientation * DVec3::NEG_Z;
@@ -65,7 +64,7 @@ impl Fly {
         }
     }
 
-    /// Moves for `step_s` seconds. Whether anything changed is the answer.
+    /// Moves for `step_s` seconds. Returns whether anything changed.
     pub fn step(&mut self, motion: &Motion, step_s: f64) -> bool {
         let before = *self;
         self.speed_m_per_s = (self.speed_m_per_s * NOTCH.powf(motion.faster)).clamp(SPEEDS_M_PER_S.0, SPEEDS_M_PER_S.1);
@@ -73,20 +72,19 @@ impl Fly {
         self.pitch_rad = (self.pitch_rad + motion.pitch_rad).clamp(-MOST_PITCH_RAD, MOST_PITCH_RAD);
         let along = self.orientation() * DVec3::new(motion.right, 0.0, -motion.forward) + DVec3::Y * motion.up;
         let speed = self.speed_m_per_s * if motion.fast { FAST } else { 1.0 };
-        // Straight and across at once is no faster than straight.
+        // Diagonal motion is no faster than straight motion.
         let step = along.clamp_length_max(1.0) * speed * step_s.clamp(0.0, LONGEST_STEP_S);
         let most = DVec3::splat(MAX_POSITION_M);
         self.position_m = (self.position_m + step).clamp(-most, most);
         *self != before
     }
 
-    /// How fast it walks, in metres a second.
     #[must_use]
     pub fn speed_m_per_s(&self) -> f64 {
         self.speed_m_per_s
     }
 
-    /// What it sees, in a picture of this size in pixels.
+    /// Returns the camera for a picture of this size in pixels.
     #[must_use]
     pub fn camera(&self, width: u32, height: u32) -> Camera {
         Camera { position_m: self.position_m, orientation: self.orientation(), yfov_rad: self.yfov_rad, width, height }
@@ -110,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn it_takes_over_any_camera_that_does_not_roll() {
+    fn it_continues_from_any_camera_without_roll() {
         for target in [DVec3::X, DVec3::new(0.3, 0.8, -0.2), DVec3::new(-4.0, -1.0, 3.0), DVec3::Z] {
             let camera = Camera::looking_at(DVec3::new(1.0, 2.0, 3.0), DVec3::new(1.0, 2.0, 3.0) + target, 0.9, 64, 36);
             let taken = Fly::from_camera(&camera, 1.0).camera(64, 36);
@@ -136,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn across_is_no_faster_and_a_long_step_is_short() {
+    fn diagonals_are_no_faster_and_long_steps_are_capped() {
         let mut fly = at_origin();
         fly.step(&Motion { forward: 1.0, right: 1.0, up: 1.0, ..Motion::default() }, 0.1);
         assert!((fly.position_m.length() - 0.2).abs() < 1e-9);
@@ -146,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn it_never_looks_over_its_own_head_and_stays_in_the_world() {
+    fn pitch_and_position_stay_in_range() {
         let mut fly = at_origin();
         for _ in 0..100 {
             fly.step(&Motion { pitch_rad: 1.0, yaw_rad: 3.0, faster: 9.0, forward: 1.0, ..Motion::default() }, 0.1);
@@ -160,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn the_wheel_makes_it_faster_and_slower_by_the_same() {
+    fn wheel_steps_up_and_down_cancel_out() {
         let mut fly = at_origin();
         fly.step(&Motion { faster: 3.0, ..Motion::default() }, 0.1);
         assert!((fly.speed_m_per_s() - 2.0 * NOTCH.powi(3)).abs() < 1e-9);

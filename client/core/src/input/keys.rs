@@ -1,58 +1,52 @@
-//! What a key can ask for: a direction while it is held, or a command once.
+//! Keys: a direction while held, or a command when pressed.
 
-/// A direction, for as long as its key is held.
+/// A direction, while its key is held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MoveKey {
     /// Along the view.
     Forward,
-    /// Against it.
     Back,
-    /// To the left.
     Left,
-    /// To the right.
     Right,
     /// Up in the world.
     Up,
     /// Down in the world.
     Down,
-    /// Any way, faster.
+    /// Faster, in any direction.
     Fast,
 }
 
-/// Something that a key does once.
+/// What a key does when pressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Command {
-    /// The camera path instead of the person, or the person again.
+    /// Switches between the camera path and manual control.
     Path,
-    /// The whole screen, or a window again.
+    /// Switches between full screen and window.
     FullScreen,
-    /// Keep a picture.
+    /// Saves a picture.
     Picture,
-    /// What the keys do.
+    /// Shows the keys.
     Help,
-    /// Figures and choices.
+    /// Shows figures and settings.
     Overlay,
-    /// The next way to predict.
+    /// Next predictor.
     Predictor,
-    /// The next mode.
     Mode,
-    /// The next guard band.
     Guard,
-    /// The next debug view.
+    /// Next debug view.
     View,
-    /// The next thing for the right half of the picture.
+    /// Next content of the picture's right half.
     Split,
-    /// Wait for the screen or not.
+    /// Turns vsync on or off.
     Vsync,
-    /// The light that this digit means, counted from 0, on or off.
+    /// Turns on or off the light of this digit, counted from 0.
     Digit(u32),
-    /// Digits mean the next lights.
+    /// Assigns the digits to the next lights.
     NextLights,
-    /// The end.
     Leave,
 }
 
-/// Every command's key and what it does, for whoever asks.
+/// Every key and what it does.
 pub const HELP: [(&str, &str); 16] = [
     ("W A S D, arrows", "walk"),
     ("Q E", "down and up"),
@@ -72,12 +66,12 @@ pub const HELP: [(&str, &str); 16] = [
     ("H, Esc", "this help, leave"),
 ];
 
-/// Keys that are down, a bit each.
+/// Keys that are held, one bit each.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Held(u8);
 
 impl Held {
-    /// Notes a key's press or release.
+    /// Records a key's press or release.
     pub fn set(&mut self, key: MoveKey, down: bool) {
         let bit = 1 << key as u8;
         self.0 = if down { self.0 | bit } else { self.0 & !bit };

@@ -1,7 +1,7 @@
-//! What a person does, and the motion that it comes to: pure, so that a test can do it.
+//! Turns input into camera motion. Pure, so that tests can drive it.
 //!
-//! [`keys`] names keys, [`touch`] follows fingers. [`Controls`] gathers all of it between two frames and
-//! gives one [`fly::Motion`], which moves a [`fly::Fly`].
+//! [`keys`] names keys and [`touch`] follows fingers. [`Controls`] collects input between two frames and returns one
+//! [`fly::Motion`], which moves a [`fly::Fly`].
 
 pub mod fly;
 pub mod keys;
@@ -9,34 +9,31 @@ pub mod touch;
 
 use self::{fly::Motion, keys::Held, touch::Touches};
 
-/// Radians that the view turns while the pointer moves by the height of the window.
+/// Turn of the view while the pointer moves by the window's height.
 const TURN_PER_HEIGHT_RAD: f64 = 2.0;
 
-/// How fast a stick that is pushed all the way turns the view, in radians a second.
+/// Turning rate at full deflection of a stick.
 const STICK_TURN_RAD_PER_S: f64 = 2.2;
 
-/// Share of a stick's way in which it counts as let go.
+/// Share of a stick's travel that counts as released.
 const DEAD_ZONE: f64 = 0.15;
 
-/// Both sticks and triggers of a gamepad; each from −1 to 1, right and up being positive.
+/// Sticks and triggers of a gamepad, each from −1 to 1; right and up are positive.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Sticks {
     /// Left stick.
     pub walk: (f64, f64),
     /// Right stick.
     pub look: (f64, f64),
-    /// Right trigger less left trigger.
+    /// Right trigger minus left trigger.
     pub climb: f64,
 }
 
-/// Everything that moves the camera, since the frame before.
+/// Input that moves the camera, collected since the previous frame.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Controls {
-    /// Keys that are down.
     pub held: Held,
-    /// Fingers that are down.
     pub touches: Touches,
-    /// Where the sticks are.
     pub sticks: Sticks,
     dragging: bool,
     dragged_px: (f64, f64),
@@ -45,7 +42,7 @@ pub struct Controls {
 }
 
 impl Controls {
-    /// The pointer is somewhere else, in pixels from the window's upper left corner.
+    /// Sets the pointer's position, in pixels from the window's upper left corner.
     pub fn pointer_at(&mut self, x: f64, y: f64) {
         if let Some((old_x, old_y)) = self.pointer_px.replace((x, y)).filter(|_| self.dragging) {
             self.dragged_px.0 += x - old_x;
@@ -53,29 +50,29 @@ impl Controls {
         }
     }
 
-    /// The button that turns the view is pressed, or let go.
+    /// Records the press or release of the button that turns the view.
     pub fn drag(&mut self, pressed: bool) {
         self.dragging = pressed;
     }
 
-    /// The wheel has turned by so many notches, away from the person being positive.
+    /// Adds notches of the wheel; away from the person is positive.
     pub fn wheel(&mut self, notches: f64) {
         self.wheel += notches;
     }
 
-    /// The window is not looked at any more: whatever is down counts as let go, since nobody will say when it is.
+    /// The window lost focus: everything held counts as released, since no release will be reported.
     pub fn let_go(&mut self) {
         *self = Self { pointer_px: self.pointer_px, ..Self::default() };
     }
 
-    /// The motion that `step_s` seconds make of it, in a window of this height in pixels.
+    /// Returns the motion for `step_s` seconds in a window of this height, and clears what was collected.
     #[must_use]
     pub fn take(&mut self, step_s: f64, height_px: f64) -> Motion {
         let (dragged_x, dragged_y) = std::mem::take(&mut self.dragged_px);
         let (touched_x, touched_y) = self.touches.take_look_px();
         let (walk_x, walk_y) = self.touches.walk(height_px);
         let stick = |(x, y): (f64, f64)| {
-            // Round, so that a slow turn is slow in every direction.
+            // Radial, so that slow turns are equally slow in every direction.
             let length = x.hypot(y).min(1.0);
             let scale = if length > DEAD_ZONE { (length - DEAD_ZONE) / (1.0 - DEAD_ZONE) / length } else { 0.0 };
             (x * scale, y * scale)
@@ -88,7 +85,7 @@ impl Controls {
             forward: (self.held.forward() + stick_y + walk_y).clamp(-1.0, 1.0),
             right: (self.held.right() + stick_x + walk_x).clamp(-1.0, 1.0),
             up: (self.held.up() + climb).clamp(-1.0, 1.0),
-            // The view follows the pointer; a finger takes the scene along, and so the view turns the other way.
+            // The view follows the pointer. A finger drags the scene, so the view turns the other way.
             yaw_rad: (touched_x - dragged_x) * per_px - look_x * STICK_TURN_RAD_PER_S * step_s,
             pitch_rad: (touched_y - dragged_y) * per_px + look_y * STICK_TURN_RAD_PER_S * step_s,
             faster: std::mem::take(&mut self.wheel),
@@ -102,7 +99,7 @@ mod tests {
     use super::{keys::MoveKey, *};
 
     #[test]
-    fn nothing_done_is_no_motion() {
+    fn no_input_is_no_motion() {
         assert_eq!(Controls::default().take(0.1, 720.0), Motion::default());
     }
 
@@ -118,13 +115,13 @@ mod tests {
         controls.held.set(MoveKey::Back, true);
         controls.held.set(MoveKey::Fast, true);
         let motion = controls.take(0.1, 720.0);
-        assert_eq!((motion.forward, motion.fast), (0.0, true), "both ways is no way");
+        assert_eq!((motion.forward, motion.fast), (0.0, true), "opposite keys cancel out");
         controls.let_go();
         assert_eq!(controls.take(0.1, 720.0), Motion::default());
     }
 
     #[test]
-    fn the_pointer_turns_only_while_its_button_is_down_and_each_pixel_once() {
+    fn the_pointer_turns_the_view_only_while_its_button_is_down() {
         let mut controls = Controls::default();
         controls.pointer_at(10.0, 10.0);
         controls.pointer_at(400.0, 10.0);
@@ -150,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn sticks_turn_by_time_and_rest_in_their_dead_zone() {
+    fn sticks_turn_over_time_and_have_a_dead_zone() {
         let mut controls = Controls::default();
         controls.sticks.look = (1.0, 0.0);
         controls.sticks.walk = (0.0, -1.0);

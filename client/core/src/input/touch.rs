@@ -1,9 +1,8 @@
-//! Fingers: one looks around, two walk.
+//! Touch input: one finger looks around, two walk.
 
-/// Fingers that are followed.
 const MOST_FINGERS: usize = 4;
 
-/// How far two fingers have to go for full speed, as a share of the window's height.
+/// Travel of two fingers for full speed, as a share of the window's height.
 const FULL_SPEED: f64 = 0.2;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -13,7 +12,6 @@ struct Finger {
     at_px: (f64, f64),
 }
 
-/// The fingers on the screen.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Touches {
     fingers: Vec<Finger>,
@@ -21,19 +19,19 @@ pub struct Touches {
 }
 
 impl Touches {
-    /// A finger touches the screen.
+    /// Starts following a finger.
     pub fn begin(&mut self, id: u64, x: f64, y: f64) {
         self.end(id);
         if self.fingers.len() < MOST_FINGERS {
             self.fingers.push(Finger { id, began_px: (x, y), at_px: (x, y) });
-            // Two fingers walk from where they are when the second one comes.
+            // Two fingers walk from where they are when the second one touches.
             for finger in &mut self.fingers {
                 finger.began_px = finger.at_px;
             }
         }
     }
 
-    /// A finger is somewhere else.
+    /// Moves a finger.
     pub fn go(&mut self, id: u64, x: f64, y: f64) {
         let alone = self.fingers.len() == 1;
         if let Some(finger) = self.fingers.iter_mut().find(|finger| finger.id == id) {
@@ -45,17 +43,17 @@ impl Touches {
         }
     }
 
-    /// A finger leaves the screen.
+    /// Ends a finger's touch.
     pub fn end(&mut self, id: u64) {
         self.fingers.retain(|finger| finger.id != id);
     }
 
-    /// By how much one finger has turned the view since this was asked last, in pixels.
+    /// Returns how far one finger has turned the view since the last call, in pixels.
     pub(crate) fn take_look_px(&mut self) -> (f64, f64) {
         std::mem::take(&mut self.look_px)
     }
 
-    /// How fast two fingers walk: to the right and ahead, each −1 to 1.
+    /// Returns the walking speed of two fingers, to the right and ahead, each −1 to 1.
     pub(crate) fn walk(&self, height_px: f64) -> (f64, f64) {
         let [one, other, ..] = self.fingers.as_slice() else { return (0.0, 0.0) };
         let mean = |of: fn(&Finger) -> f64| (of(one) + of(other)) / 2.0 / (FULL_SPEED * height_px.max(1.0));
@@ -89,7 +87,7 @@ mod tests {
         touches.go(1, 100.0, 280.0);
         let _ = touches.take_look_px();
         touches.begin(2, 200.0, 280.0);
-        assert_eq!(touches.walk(500.0), (0.0, 0.0), "not before they move");
+        assert_eq!(touches.walk(500.0), (0.0, 0.0), "no motion yet");
         touches.go(1, 150.0, 230.0);
         touches.go(2, 250.0, 230.0);
         assert_eq!(touches.walk(500.0), (0.5, 0.5));

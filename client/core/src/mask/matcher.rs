@@ -15,8 +15,8 @@ use super::{
     received::ReceivedMask,
 };
 
-/// Interval of requests while the camera stands still and its mask is complete: short enough to keep the server warm,
-/// long enough to cost next to nothing.
+/// Interval of requests while the camera stands still and its mask is complete: keeps the server warm at almost no
+/// cost.
 const REFRESH: Duration = Duration::from_secs(1);
 
 /// Matches masks with requests and keeps the latencies that follow from it.
@@ -27,13 +27,13 @@ pub struct MaskMatcher {
     current: Option<CurrentMask>,
     /// Tiles that have arrived for the current mask's view, from all masks of that view.
     coverage: Option<Coverage>,
-    /// Views of the latest masks and the frames that requested them, newest first: as many as the renderer keeps
+    /// Views of the latest masks and the frames that requested them, newest first; at most as many as the renderer's
     /// layers.
     views: VecDeque<(Camera, FrameNumber)>,
     last_request: Option<Instant>,
     /// The last frame whose pose was sent more than once.
     repeated: Option<FrameNumber>,
-    /// Fading maximum of response times.
+    /// Decaying maximum of response times.
     slowest_response: Option<Duration>,
     /// From sending a pose until its mask is shown, smoothed.
     latency: Option<Duration>,
@@ -45,9 +45,9 @@ pub struct CurrentMask {
     pub request: MaskRequest,
     /// The view that it was traced for.
     traced_for: Camera,
-    /// The newest frame that it fully answers: its own, or a later one of a camera that has not moved since.
+    /// The newest frame that it fully answers: its own, or a later one if the camera has not moved since.
     as_of: FrameNumber,
-    /// Bytes of its frame on the wire, without packet headers.
+    /// Size of its frame on the wire, without packet headers.
     pub bytes: usize,
     pub packets: u16,
 }
@@ -65,7 +65,7 @@ impl CurrentMask {
 pub struct MatchedMask {
     /// The view that it was traced for.
     pub traced_for: Camera,
-    /// Whether it adds tiles to the mask before it.
+    /// True if it adds tiles to the previous mask.
     pub more: bool,
     /// From sending the pose until the mask arrived.
     pub response: Option<Duration>,
@@ -142,8 +142,8 @@ impl MaskMatcher {
         self.current = Some(CurrentMask { request, traced_for, as_of, bytes, packets });
         self.views.truncate(MAX_LAYERS - 1);
         self.views.push_front((traced_for, request.frame));
-        // Karn's rule for round trips: the response to a repeated pose says nothing about the server. Counted, one lost
-        // frame would make the next loss cost twice as much.
+        // Karn's rule for round trips: the response to a repeated pose says nothing about the server. If it counted,
+        // one lost frame would make the next loss cost twice as much.
         if self.repeated != Some(request.frame) && !more {
             let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
             self.slowest_response = response.map(|response| response.max(faded)).or(self.slowest_response);
@@ -164,7 +164,7 @@ impl MaskMatcher {
         self.rejections
     }
 
-    /// The mask that was accepted last.
+    /// Returns the mask that was accepted last.
     #[must_use]
     pub fn current(&self) -> Option<&CurrentMask> {
         self.current.as_ref()
@@ -181,7 +181,7 @@ impl MaskMatcher {
         lags
     }
 
-    /// The longest response of late to a pose that was sent once.
+    /// Returns the longest recent response to a pose that was sent once.
     #[must_use]
     pub fn slowest_response(&self) -> Option<Duration> {
         self.slowest_response

@@ -1,5 +1,5 @@
-//! Received masks on their way to the renderer: [`queue`] hands them over, [`matcher`] finds the request that each one
-//! answers in the [`pose_history`].
+//! Received masks on their way to the renderer: [`queue`] passes them on, and [`matcher`] finds the request that each
+//! one answers in the [`pose_history`].
 
 pub mod matcher;
 pub mod pose_history;

@@ -5,7 +5,7 @@ use gnomon_scene::camera::Camera;
 use serde::Serialize;
 use web_time::Instant;
 
-/// Frames kept: four seconds at 60 frames/s, and more than any lag that is worth predicting over.
+/// Four seconds at 60 frames/s; more than any lag worth predicting over.
 pub const HISTORY_FRAMES: u32 = 256;
 
 /// A frame and the mask requested for it.
@@ -14,8 +14,8 @@ pub struct MaskRequest {
     pub frame: FrameNumber,
     /// The picture's camera.
     pub camera: Camera,
-    /// The same with the guard band around it. Kept as it was computed: made again from the pose, its quaternion would
-    /// be normalised twice, may differ in its last bit, and would then count as another view.
+    /// The same with the guard band. Stored as computed: if it were rebuilt from the pose, its quaternion would be
+    /// normalised twice, could differ in the last bit, and would count as another view.
     pub mask_camera: Camera,
     /// The pose as sent, with the mask's size and field of view.
     pub pose: Pose,
@@ -50,7 +50,6 @@ pub struct Rejections {
 }
 
 impl Rejections {
-    /// Counts one rejection.
     pub fn count(&mut self, rejection: Rejection) {
         let counter = match rejection {
             Rejection::Future => &mut self.future,

@@ -1,12 +1,12 @@
-//! Hands masks from the receiver to the renderer by swapping buffers; no mask is copied.
+//! Passes masks from the receiver to the renderer by swapping buffers; no mask is copied.
 //!
 //! The receiver decodes into its back buffer, and the renderer reads its front buffers; neither is shared.
 //! [`MaskQueue::publish`] swaps the back buffer into the queue, and [`MaskQueue::take`] swaps the queue with the front
-//! buffers. A lock around the queue protects these swaps alone: the dissertation's client holds its mutex while it
+//! buffers. A lock around the queue protects only these swaps. The dissertation's client holds its mutex while it
 //! copies to the GPU (§3.3), so its receiver waits for the renderer.
 //!
-//! A complete mask replaces all masks that the renderer has not taken. A partial mask does not: the tiles that it lacks
-//! are looked up in the masks before it. The queue holds as many as the renderer keeps layers ([`max_layers`]).
+//! A complete mask replaces all masks that the renderer has not taken. A partial mask does not: its missing tiles are
+//! looked up in earlier masks. The queue holds at most as many masks as the renderer has layers ([`max_layers`]).
 
 use std::collections::VecDeque;
 
@@ -14,22 +14,21 @@ use gnomon_protocol::coverage::max_layers;
 
 use super::received::ReceivedMask;
 
-/// Masks that wait for the renderer, and spare buffers.
+/// Masks waiting for the renderer, and spare buffers.
 #[derive(Debug, Default)]
 pub struct MaskQueue {
     /// Masks that the renderer has not taken, oldest first.
     waiting: VecDeque<ReceivedMask>,
     spare: Vec<ReceivedMask>,
-    /// Whether a frame was lost since the last mask.
+    /// True if a frame was lost since the last mask.
     loss: bool,
     /// Why no more masks will arrive.
     ended: Option<String>,
 }
 
 impl MaskQueue {
-    /// Swaps the filled `back` buffer into the queue and leaves a spare one in its place.
-    ///
-    /// Allocates only while fewer buffers exist than masks can wait.
+    /// Swaps the filled `back` buffer into the queue and leaves a spare one in its place. Allocates only if there is no
+    /// spare.
     pub fn publish(&mut self, back: &mut ReceivedMask) {
         let next = self.spare.pop();
         let next = next.unwrap_or_else(|| ReceivedMask::blank(back.mask.shape(), back.received_at));
@@ -37,7 +36,7 @@ impl MaskQueue {
         if mask.coverage.is_whole() {
             self.spare.extend(self.waiting.drain(..));
         }
-        // A mask that comes again with more tiles replaces its earlier self.
+        // More tiles of the newest mask's frame replace that mask.
         if self.waiting.back().is_some_and(|newest| newest.frame == mask.frame) {
             self.spare.extend(self.waiting.pop_back());
         }
@@ -48,8 +47,7 @@ impl MaskQueue {
         self.loss = false;
     }
 
-    /// Swaps the waiting masks, oldest first, with those in `front`. Returns false and leaves `front` alone if none
-    /// wait.
+    /// Swaps the waiting masks, oldest first, with `front`. Returns false and leaves `front` alone if none wait.
     pub fn take(&mut self, front: &mut VecDeque<ReceivedMask>) -> bool {
         if self.waiting.is_empty() {
             return false;
@@ -69,7 +67,7 @@ impl MaskQueue {
         std::mem::take(&mut self.loss)
     }
 
-    /// Notes that no more masks will arrive. The first reason is kept.
+    /// Records that no more masks will arrive. The first reason is kept.
     pub fn end(&mut self, reason: String) {
         self.ended.get_or_insert(reason);
     }

@@ -1,4 +1,4 @@
-//! A mask as it came over the wire.
+//! A received mask.
 
 use gnomon_protocol::{
     coverage::Coverage,
@@ -8,7 +8,6 @@ use gnomon_protocol::{
 };
 use web_time::Instant;
 
-/// A decoded mask and how it was received.
 #[derive(Debug, Clone)]
 pub struct ReceivedMask {
     /// The frame whose pose requested it.
@@ -18,7 +17,7 @@ pub struct ReceivedMask {
     pub coverage: Coverage,
     /// The pose that it was traced for, if the server looked ahead; `None` means the frame's own pose.
     pub traced_for: Option<Pose>,
-    /// Bytes of the encoded frame, without packet headers.
+    /// Size of the encoded frame, without packet headers.
     pub payload_bytes: usize,
     pub packets: u16,
     /// When its last packet arrived.
@@ -26,7 +25,7 @@ pub struct ReceivedMask {
 }
 
 impl ReceivedMask {
-    /// Memory for a mask of `shape`.
+    /// An all-zero mask of `shape`, as a buffer.
     #[must_use]
     pub fn blank(shape: MaskShape, now: Instant) -> Self {
         Self {

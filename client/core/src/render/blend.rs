@@ -1,8 +1,8 @@
-//! BLEND surfaces: drawn over the shaded picture, from far to near, behind nothing that is nearer.
+//! BLEND surfaces, drawn over the shaded picture from far to near and tested against its depth.
 //!
-//! They are sorted by the middle of each run of triangles, which is right unless such runs reach into each other. Of a
-//! double-sided surface the back faces are drawn first. The server traces no BLEND surface, so they borrow the
-//! visibility of what lies behind them (`blend.wgsl`).
+//! They are sorted by the centre of each run of triangles, which is right unless runs overlap in depth. Back faces of a
+//! double-sided surface are drawn first. The server traces no BLEND surface, so they use the visibility of what lies
+//! behind them (`blend.wgsl`).
 
 use glam::Vec3;
 use gnomon_scene::AlphaMode;
@@ -14,7 +14,6 @@ use super::{
     targets::{DEPTH, LIGHT, Targets},
 };
 
-/// The pass's pipelines.
 #[derive(Debug)]
 pub(crate) struct BlendPass {
     back_faces: wgpu::RenderPipeline,
@@ -69,7 +68,7 @@ impl BlendPass {
         Ok(Self { back_faces: pipeline(wgpu::Face::Front), front_faces: pipeline(wgpu::Face::Back) })
     }
 
-    /// Draws nothing, and starts no pass, in a scene without BLEND materials.
+    /// Does nothing, and starts no pass, in a scene without BLEND materials.
     pub(crate) fn encode(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -93,7 +92,7 @@ impl BlendPass {
                 resolve_target: None,
                 ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store },
             })],
-            // Read-only: the same depth is tested against and read by the shader.
+            // Read-only: depth is both tested and read by the shader.
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: depth,
                 depth_ops: None,

@@ -1,4 +1,4 @@
-//! Looks behind the picture: what the passes know of each pixel, in place of what it looks like.
+//! Debug views: show the passes' data for each pixel instead of the picture.
 
 use std::fmt;
 
@@ -14,22 +14,20 @@ use super::{
     targets::Targets,
 };
 
-/// What is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum DebugView {
-    /// The picture.
     #[default]
     Picture,
-    /// Where a light reaches, as the picture is shaded with it.
+    /// Visibility of one light, as used for shading.
     Light(u32),
-    /// Pixels that the mask says nothing of, while received visibility counts fully.
+    /// Pixels whose visibility no mask gives, while received visibility counts fully.
     Unknown,
-    /// The same, and how many frames old the masks are that told of the others.
+    /// Unknown pixels, and the age of the mask used by each other pixel.
     Age {
-        /// Frames that each mask is older than the picture, the newest first.
+        /// Age of each mask in frames, newest first.
         lags: [u32; MAX_LAYERS],
     },
-    /// Distance along the view.
+    /// Along the view.
     Depth,
     /// Shading normals, in world space.
     Normals,
@@ -48,7 +46,7 @@ impl fmt::Display for DebugView {
     }
 }
 
-/// Twin of `Choice` in `debug_view.wgsl`.
+/// Layout of `Choice` in `debug_view.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 struct Choice {
@@ -72,13 +70,13 @@ impl From<DebugView> for Choice {
     }
 }
 
-/// The pass, which stands in the tone pass's place.
+/// Replaces the tone pass.
 #[derive(Debug)]
 pub(crate) struct DebugPass {
     layout: wgpu::BindGroupLayout,
     view: wgpu::Buffer,
     choice: wgpu::Buffer,
-    /// By the place of the picture's depth in the history.
+    /// By the slot of the picture's depth in the history.
     groups: Vec<wgpu::BindGroup>,
     pipeline: wgpu::RenderPipeline,
 }
@@ -105,7 +103,6 @@ impl DebugPass {
         Ok(pass)
     }
 
-    /// Goes on with pictures of another size.
     pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
         let view = wgpu::BindingResource::TextureView;
         let group = |depth| {
@@ -197,14 +194,14 @@ mod tests {
             seen.push(draw(&gpu, &mut one, &camera, Some(&mask)).rgba);
         }
         for (index, picture) in seen.iter().enumerate() {
-            assert!(!seen[..index].contains(picture), "view {index} shows what another one shows");
+            assert!(!seen[..index].contains(picture), "view {index} equals an earlier one");
         }
         one.set_debug_view(DebugView::Picture);
         assert_eq!(draw(&gpu, &mut one, &camera, Some(&mask)).rgba, plain.rgba);
     }
 
     #[test]
-    fn a_lights_view_is_its_plane_of_the_mask() {
+    fn a_light_view_shows_its_plane_of_the_mask() {
         let gpu = gpu();
         let (scene, mask) = (floor_and_lights(), mask());
         let camera = camera(SIZE.0, SIZE.1);
@@ -213,7 +210,7 @@ mod tests {
         let picture = draw(&gpu, &mut one, &camera, Some(&mask));
         let mut surfaces = 0;
         for (index, [red, _, blue, _]) in (0..).zip(picture.rgba.as_chunks::<4>().0) {
-            // Yellow where the light reaches, blue where it does not, black where nothing is.
+            // Yellow: lit. Blue: unlit. Black: no surface.
             if (*red, *blue) != (0, 0) {
                 surfaces += 1;
                 assert_eq!(red > blue, mask.get(1, index % SIZE.0, index / SIZE.0), "pixel {index}");

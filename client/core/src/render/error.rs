@@ -5,7 +5,7 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum RenderError {
     /// The scene or the picture exceeds a limit of the adapter, in bytes or pixels.
-    #[error("the graphics adapter takes {limit} for {what}, and {needed} are needed")]
+    #[error("the graphics adapter allows {limit} for {what}, but {needed} are needed")]
     TooLarge { what: &'static str, needed: u64, limit: u64 },
     #[error("the graphics adapter failed: {0}")]
     Device(String),

@@ -1,7 +1,7 @@
-//! How bright the picture is: from the scene and its lights alone, so that every run shows the same picture.
+//! Exposure, computed from the scene and its lights alone, so that every run shows the same picture.
 //!
-//! A few hundred points, spread over the scene's surfaces by area, are lit by every light that the largest triangles
-//! ([`Occluders`]) do not hide. The exposure puts a high percentile of what they receive at a fixed place of the tone
+//! A few hundred points, distributed over the surfaces by area, are lit by every light that the largest triangles
+//! ([`Occluders`]) do not hide. The exposure maps a high percentile of their irradiance to a fixed point of the tone
 //! curve.
 
 use glam::Vec3;
@@ -11,38 +11,36 @@ use gnomon_shaders::shading::{Light, Lighting, Tone};
 use super::predict::shadow_map;
 use crate::occluders::Occluders;
 
-/// Points that are lit.
 const SAMPLES: u16 = 768;
 
 /// Share of the lit points that receive less than the reference.
 const PERCENTILE: f64 = 0.70;
 
-/// Exposed irradiance at the reference: white paint there comes out a little below white.
+/// Exposed irradiance at the reference: white paint there appears slightly below white.
 const REFERENCE: f32 = 0.62;
 
-/// Ambient irradiance from above and below, as a share of the reference: shadows stay dark, but can be read.
+/// Ambient irradiance from above and below, as a share of the reference: shadows are dark but legible.
 const AMBIENT_ABOVE: Vec3 = Vec3::new(0.165, 0.178, 0.205);
 const AMBIENT_BELOW: Vec3 = Vec3::new(0.095, 0.087, 0.078);
 
-/// Exposed radiance of the sky, where nothing is.
+/// Exposed radiance of the sky, where there is no surface.
 const ZENITH: Vec3 = Vec3::new(0.20, 0.37, 0.72);
 const HORIZON: Vec3 = Vec3::new(0.78, 0.86, 0.95);
 
-/// What an emissive factor of 1 comes out as. Files use it as paint, not as the cd/m² that it is by the book: beside
-/// lights of some thousand lux it would be black.
+/// Exposed radiance of an emissive factor of 1. By the specification the factor is in cd/m², but files use it as paint:
+/// beside lights of several thousand lux it would be black.
 pub const EMISSIVE: f32 = 1.6;
 
-/// The scene's exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exposure {
-    /// Factor from lux to exposed irradiance.
+    /// Exposed irradiance per lux.
     pub scale: f32,
-    /// Irradiance at the reference, in lux.
+    /// Irradiance at the reference.
     pub reference_lux: f32,
 }
 
 impl Exposure {
-    /// The exposure that fits `scene`.
+    /// Returns the exposure that suits `scene`.
     #[must_use]
     pub fn of_scene(scene: &Scene, occluders: &Occluders) -> Self {
         let lights: Vec<Light> = scene.lights.iter().map(|light| Light::new(light, 1.0)).collect();
@@ -57,24 +55,24 @@ impl Exposure {
         received.sort_unstable_by(f32::total_cmp);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index below the length")]
         let place = (received.len() as f64 * PERCENTILE) as usize;
-        // Nothing lit: any exposure is as good as another, and the ambient light still shows the scene.
+        // Nothing is lit: any exposure will do, since the ambient light still shows the scene.
         let reference_lux = received.get(place).copied().unwrap_or(1.0);
         Self { scale: REFERENCE / reference_lux, reference_lux }
     }
 
-    /// The same scene shown at another exposure: 1 lux is shown as 2^−EV.
+    /// Returns the exposure that shows 1 lux as 2^−EV.
     #[must_use]
     pub fn at_ev(self, ev: f32) -> Self {
         Self { scale: (-ev).exp2(), ..self }
     }
 
-    /// The exposure as an EV: what [`Self::at_ev`] takes.
+    /// Returns the EV, as [`Self::at_ev`] takes it.
     #[must_use]
     pub fn ev(self) -> f32 {
         -self.scale.log2()
     }
 
-    /// The lights as the shaders want them.
+    /// Returns the lights in the shaders' layout.
     #[must_use]
     pub fn lighting(self, lights: &[SceneLight]) -> Lighting {
         let ambient = self.reference_lux * self.scale;
@@ -103,7 +101,6 @@ impl From<Exposure> for [f32; 2] {
     }
 }
 
-/// The tone curve that the picture is shown with.
 #[must_use]
 pub fn tone() -> Tone {
     Tone::new(1.25, 0.97, 9.0, 0.18, 0.19)
@@ -119,7 +116,7 @@ fn unhidden_lux(light: &Light, point: Vec3, normal: Vec3, reach: f32, occluders:
     if occluders.blocks(point, toward, reach * 1e-4, distance * 0.999) { 0.0 } else { lux }
 }
 
-/// Points and normals, evenly spread by area.
+/// Points and normals, distributed evenly by area.
 fn sample_points(scene: &Scene) -> Vec<(Vec3, Vec3)> {
     let triangles = scene.tracing_triangles();
     let mut total = 0.0;
@@ -154,7 +151,7 @@ mod tests {
     use crate::render::testing::floor_and_lights;
 
     #[test]
-    fn the_exposure_follows_the_lights_and_nothing_else() {
+    fn the_exposure_depends_only_on_the_lights() {
         let scene = floor_and_lights();
         let occluders = Occluders::largest_of(&scene);
         let first = Exposure::of_scene(&scene, &occluders);
@@ -170,7 +167,7 @@ mod tests {
     fn light_that_a_wall_hides_does_not_count() {
         let scene = floor_and_lights();
         let mut hidden = scene.clone();
-        // A lamp far below the floor, which a one-sided normal would see if the floor did not hide it.
+        // A lamp far below the floor: it would face the back of the floor's points if the floor did not hide it.
         hidden.lights.push(SceneLight {
             position: Vec3::new(0.0, -5.0, 0.0),
             intensity: 1e9,

@@ -1,4 +1,4 @@
-//! The G-buffer pass: depth, base colour, and packed normal with material, of the nearest surface in every pixel.
+//! The G-buffer pass: depth, base colour, packed normal and material of the nearest surface in every pixel.
 
 use gnomon_scene::AlphaMode;
 use gnomon_shaders::shading::View;
@@ -10,7 +10,6 @@ use super::{
     targets::{COLOR, DEPTH, NORMAL_MATERIAL, Targets},
 };
 
-/// The pass's pipelines and its view of the camera.
 #[derive(Debug)]
 pub(crate) struct GbufferPass {
     group: wgpu::BindGroup,

@@ -1,7 +1,7 @@
 //! The renderer: G-buffer → predicted visibility → shading → blended surfaces → tone mapping.
 //!
-//! It draws into any texture view and knows no files, windows or network. `renderer.rs` runs the passes, each of which
-//! has a file; [`predict`] carries visibility over from the views that masks were traced for.
+//! It draws into any texture view and uses no files, windows or network. `renderer.rs` runs the passes, one file each.
+//! [`predict`] carries visibility over from the views that masks were traced for.
 
 mod blend;
 pub mod debug_view;

@@ -1,11 +1,11 @@
-//! What the passes are made of: bindings, uniform buffers, shader modules, pipelines that cover the picture.
+//! Building blocks of the passes: bindings, uniform buffers, shader modules, full-screen pipelines.
 
 use gnomon_shaders::splice::splice;
 use wgpu::util::DeviceExt as _;
 
 use super::error::RenderError;
 
-/// Errors if the adapter allows no texture with a side this long.
+/// Errors if the adapter allows no texture with sides of this length.
 pub(crate) fn check_side(device: &wgpu::Device, side: u32) -> Result<(), RenderError> {
     let limit = device.limits().max_texture_dimension_2d;
     if side > limit {
@@ -14,7 +14,7 @@ pub(crate) fn check_side(device: &wgpu::Device, side: u32) -> Result<(), RenderE
     Ok(())
 }
 
-/// The binding type of a uniform buffer with exactly one `T`.
+/// Binding type of a uniform buffer that holds one `T`.
 pub(crate) fn uniform<T>() -> wgpu::BindingType {
     wgpu::BindingType::Buffer {
         ty: wgpu::BufferBindingType::Uniform,
@@ -50,7 +50,7 @@ pub(crate) fn covering_pipeline(
     covering_pipeline_with(device, module, layouts, (fragment, &[]), format)
 }
 
-/// As [`covering_pipeline`], with values for the fragment shader's overrides.
+/// [`covering_pipeline`] with values for the fragment shader's overrides.
 pub(crate) fn covering_pipeline_with(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,
@@ -100,7 +100,7 @@ pub(crate) fn cleared(view: &wgpu::TextureView) -> Option<wgpu::RenderPassColorA
     })
 }
 
-/// The binding type of a single-sampled 2D texture.
+/// Binding type of a single-sampled 2D texture.
 pub(crate) fn picture(sample_type: wgpu::TextureSampleType) -> wgpu::BindingType {
     wgpu::BindingType::Texture { sample_type, view_dimension: wgpu::TextureViewDimension::D2, multisampled: false }
 }
@@ -113,7 +113,7 @@ pub(crate) fn storage(read_only: bool) -> wgpu::BindingType {
     }
 }
 
-/// A layout whose bindings are numbered in order.
+/// Bindings are numbered in order.
 pub(crate) fn bind_group_layout(
     device: &wgpu::Device,
     label: &'static str,
@@ -127,7 +127,7 @@ pub(crate) fn bind_group_layout(
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
 }
 
-/// A group whose bindings are numbered in order.
+/// Bindings are numbered in order.
 pub(crate) fn bind_group(
     device: &wgpu::Device,
     label: &'static str,

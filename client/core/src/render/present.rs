@@ -1,11 +1,10 @@
-//! Brings a finished picture to a screen, texel for texel where both are of one size.
+//! Draws a finished picture to a screen, texel for texel if the sizes match.
 
 use super::{
     error::RenderError,
     pipeline::{self, bind_group, bind_group_layout, covering_pipeline, shader, uniform},
 };
 
-/// The pass.
 #[derive(Debug)]
 pub struct PresentPass {
     layout: wgpu::BindGroupLayout,
@@ -15,7 +14,7 @@ pub struct PresentPass {
 }
 
 impl PresentPass {
-    /// For screens of `format`, which must not be an sRGB format: pictures are encoded already.
+    /// `format` must not be an sRGB format: pictures are already encoded.
     pub fn new(device: &wgpu::Device, format: wgpu::TextureFormat) -> Result<Self, RenderError> {
         let bindings = [
             pipeline::picture(wgpu::TextureSampleType::Float { filterable: true }),
@@ -40,7 +39,7 @@ impl PresentPass {
         Ok(Self { layout, between, screen_px, pipeline })
     }
 
-    /// Covers the screen that `pass` draws to, of this size in pixels, with `picture`.
+    /// Fills the target of `pass`, of this size in pixels, with `picture`.
     pub fn draw(
         &self,
         (device, queue): (&wgpu::Device, &wgpu::Queue),

@@ -1,4 +1,4 @@
-//! Pictures back to the host: a ring of buffers, so that one picture travels while the next one is drawn.
+//! Reads pictures back through a ring of buffers, so that one is copied while the next is drawn.
 
 use std::collections::VecDeque;
 
@@ -12,13 +12,13 @@ use super::{
 /// Bytes of a texel of [`PICTURE_FORMAT`].
 const TEXEL_BYTES: u32 = 4;
 
-/// Where pictures are drawn, and how they come back.
+/// Textures to draw into, and their way back to the host.
 #[derive(Debug)]
 pub struct PictureReader {
     gpu: Gpu,
     width: u32,
     height: u32,
-    /// One texture and one buffer a picture under way.
+    /// One texture and one buffer for each picture under way.
     slots: Vec<Slot>,
     next: usize,
     under_way: VecDeque<(u64, usize, wgpu::SubmissionIndex)>,
@@ -34,22 +34,20 @@ struct Slot {
 /// A picture on the host.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Picture {
-    /// Number that [`PictureReader::submitted`] gave it.
+    /// The number given to [`PictureReader::submitted`].
     pub frame: u64,
-    /// Width in pixels.
     pub width: u32,
-    /// Height in pixels.
     pub height: u32,
     /// sRGB-encoded RGBA, 8 bits a channel, row by row from the top.
     pub rgba: Vec<u8>,
 }
 
 impl PictureReader {
-    /// A reader of pictures of this size, of which `ahead` may be under way at once.
+    /// For pictures of this size, with at most `ahead` under way.
     #[must_use]
     pub fn new(gpu: &Gpu, width: u32, height: u32, ahead: usize) -> Self {
         let slot = || {
-            // A window shows the very picture that can be copied.
+            // A window shows the same texture that can be copied.
             let usage = wgpu::TextureUsages::RENDER_ATTACHMENT
                 | wgpu::TextureUsages::COPY_SRC
                 | wgpu::TextureUsages::COPY_DST
@@ -67,19 +65,19 @@ impl PictureReader {
         Self { gpu: gpu.clone(), width, height, slots, next: 0, under_way: VecDeque::new() }
     }
 
-    /// Width and height of the pictures, in pixels.
+    /// In pixels.
     #[must_use]
     pub fn size(&self) -> (u32, u32) {
         (self.width, self.height)
     }
 
-    /// Where the next picture is to be drawn. There is room once [`Self::is_full`] is false.
+    /// Returns the texture for the next picture. [`Self::is_full`] must be false.
     #[must_use]
     pub fn target(&self) -> wgpu::TextureView {
         self.slots[self.next].view.clone()
     }
 
-    /// Puts `other`'s columns from `first_px` on into the picture in [`Self::target`]. Both are of the same size.
+    /// Copies `other`'s columns from `first_px` on into [`Self::target`]. Both have the same size.
     pub fn replace_from(&self, encoder: &mut wgpu::CommandEncoder, other: &wgpu::Texture, first_px: u32) {
         let origin = wgpu::Origin3d { x: first_px, ..wgpu::Origin3d::ZERO };
         let place = |texture| wgpu::TexelCopyTextureInfo { origin, ..wgpu::Texture::as_image_copy(texture) };
@@ -91,13 +89,13 @@ impl PictureReader {
         encoder.copy_texture_to_texture(place(other), place(&self.slots[self.next].texture), size);
     }
 
-    /// Whether every slot holds a picture that has not been taken.
+    /// Returns whether every slot holds a picture that has not been taken.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.under_way.len() == self.slots.len()
     }
 
-    /// Adds the copy of the picture in [`Self::target`] to the commands that draw it.
+    /// Adds the copy of [`Self::target`] to the commands that draw it.
     pub fn copy(&self, encoder: &mut wgpu::CommandEncoder) {
         let slot = &self.slots[self.next];
         encoder.copy_texture_to_buffer(
@@ -114,22 +112,22 @@ impl PictureReader {
         );
     }
 
-    /// Notes that the picture in [`Self::target`] is picture `frame`, and on its way; `copied` says whether it comes to
-    /// the host, or is only waited for.
+    /// Records that picture `frame` in [`Self::target`] was submitted. If `copied` is false, it is waited for but not
+    /// read back.
     pub fn submitted(&mut self, frame: u64, submission: wgpu::SubmissionIndex, copied: bool) {
         if copied {
-            // The result is asked for when the range is read, which fails if the mapping did.
+            // No callback: reading the range fails if the mapping did.
             self.slots[self.next].buffer.map_async(wgpu::MapMode::Read, .., |_| ());
         }
         self.under_way.push_back((frame, if copied { self.next } else { usize::MAX }, submission));
         self.next = (self.next + 1) % self.slots.len();
     }
 
-    /// Waits for the oldest picture under way. `None` inside when it does not come to the host, outside when there is
-    /// none under way.
+    /// Waits for the oldest picture under way. Returns `None` if there is none, and `Some(None)` if it is not read
+    /// back.
     ///
     /// # Errors
-    /// When the adapter failed.
+    /// If the adapter failed.
     pub fn take_oldest(&mut self) -> Result<Option<Option<Picture>>, RenderError> {
         let Some((frame, slot, submission)) = self.under_way.pop_front() else { return Ok(None) };
         let failed = |reason: &dyn std::fmt::Display| RenderError::Device(reason.to_string());
@@ -151,10 +149,10 @@ impl PictureReader {
     }
 }
 
-/// A texture's rows on the host, without their padding. Waits for the adapter.
+/// Returns a texture's rows without their padding. Waits for the adapter.
 ///
 /// # Errors
-/// When the adapter failed.
+/// If the adapter failed.
 pub fn texels(gpu: &Gpu, view: &wgpu::TextureView, aspect: wgpu::TextureAspect) -> Result<Vec<u8>, RenderError> {
     let texture = view.texture();
     let row = texture.width() * texture.format().block_copy_size(Some(aspect)).unwrap_or(TEXEL_BYTES);
@@ -182,7 +180,7 @@ pub fn texels(gpu: &Gpu, view: &wgpu::TextureView, aspect: wgpu::TextureAspect) 
     Ok(mapped.chunks_exact(padded as usize).flat_map(|line| line[..row as usize].to_vec()).collect())
 }
 
-/// Bytes from one row of a copied picture to the next.
+/// Stride of a copied picture's rows.
 fn row_bytes(width: u32) -> u32 {
     (width * TEXEL_BYTES).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT)
 }

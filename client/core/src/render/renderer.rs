@@ -24,14 +24,13 @@ use super::{
 };
 use crate::predictor::Predictor;
 
-/// What a pixel was shaded with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PixelVisibility {
-    /// Bit k is 1 when light k reaches the pixel.
+    /// Bit k is 1 if light k reaches the pixel.
     pub word: u32,
-    /// Whether masks told it for every light. False where there is no surface, and at a visibility share below 1.
+    /// True if masks gave the visibility of every light. False without a surface, and at a visibility share below 1.
     pub known: bool,
-    /// What the client alone predicts; 0 at a visibility share of 1.
+    /// The client's own prediction; 0 at a visibility share of 1.
     pub own: u32,
 }
 
@@ -56,7 +55,7 @@ pub struct FrameRenderer {
     lights: Lighting,
     /// Bit k is 1 if light k is on.
     lights_on: u32,
-    /// First column that is lit without visibility, if any.
+    /// First column lit without visibility.
     split_px: Option<u32>,
     /// Visibility share of the last picture.
     visibility_share: f32,
@@ -80,7 +79,7 @@ impl FrameRenderer {
         let device = &gpu.device;
         let failure = DeviceFailure::watch(device);
         check_side(device, width.max(height))?;
-        // Anisotropic filtering is nearly free on a GPU and costs several times the rest of the frame in software.
+        // Anisotropic filtering is almost free on a GPU, but in software costs several times the rest of the frame.
         let scene_upload = SceneUpload::new(device, &gpu.queue, scene, if gpu.is_software() { 1 } else { 8 })?;
         let targets = Targets::new(device, width, height);
         let history = DepthHistory::new(device, width, height);
@@ -162,7 +161,7 @@ impl FrameRenderer {
         self.write_lighting();
     }
 
-    /// Sets the first column, if any, that is lit without visibility: there every light reaches everything.
+    /// Sets the first column, if any, that is lit without visibility, as if every light reached everything.
     pub fn set_split(&mut self, split_px: Option<u32>) {
         self.split_px = split_px;
         self.write_lighting();
@@ -184,8 +183,8 @@ impl FrameRenderer {
         self.exposure
     }
 
-    /// Draws the surfaces that `camera` sees, at the renderer's size. Returns once the work is submitted, so that the
-    /// adapter works while the frame's mask is awaited.
+    /// Draws the surfaces that `camera` sees, at the renderer's size. Returns on submission, so that the adapter works
+    /// while the client waits for the frame's mask.
     ///
     /// # Errors
     /// If the adapter failed.
@@ -199,8 +198,8 @@ impl FrameRenderer {
         self.check()
     }
 
-    /// Uploads the mask from which the next pictures' visibility is predicted. Returns whether it is used: a mask whose
-    /// lights are not the scene's, or whose size is not its camera's, clears the visibility as `None` does.
+    /// Uploads the mask for predicting the next pictures' visibility. Returns whether it is used: a mask whose lights
+    /// are not the scene's, or whose size is not its camera's, clears the visibility as `None` does.
     ///
     /// # Errors
     /// If a mask of this size exceeds a limit of the adapter.
@@ -216,14 +215,14 @@ impl FrameRenderer {
         self.predict.mask_views()
     }
 
-    /// Sets how visibility is carried over to another view, from the next picture on.
+    /// Sets how visibility is predicted from the next picture on.
     pub fn set_predictor(&mut self, predictor: Predictor) {
         self.predict.set_predictor(predictor);
     }
 
     /// Shades the surfaces that [`Self::draw_surfaces`] drew for the same `camera` into `target`, and submits the work
-    /// together with the commands that `more` adds, such as a copy to the host. `visibility_share`, from 0 to 1, weighs
-    /// visibility predicted from masks against what the client predicts alone.
+    /// with the commands that `more` adds, such as a copy to the host. `visibility_share`, 0 to 1, weighs visibility
+    /// predicted from masks against the client's own prediction.
     ///
     /// # Errors
     /// If the adapter failed.
@@ -253,15 +252,14 @@ impl FrameRenderer {
         self.check().map(|()| submission)
     }
 
-    /// Returns the share of pixels whose visibility masks told (the sky counts), in the newest picture whose count is
-    /// back. Does not wait.
+    /// Returns the share of pixels whose visibility came from masks (the sky counts), for the newest picture whose
+    /// count was read back. Does not wait.
     #[must_use]
     pub fn known_share(&mut self) -> Option<f64> {
         self.predict.known_share()
     }
 
-    /// Reads back the visibility that the last picture was shaded with, row by row. Waits for the adapter: for
-    /// measurements, not for frames.
+    /// Reads back the visibility used for the last picture, row by row. Waits for the adapter: for measurements only.
     ///
     /// # Errors
     /// If the adapter failed.
@@ -270,7 +268,7 @@ impl FrameRenderer {
         let full_share = self.visibility_share >= 1.0;
         let pixel = |[a, b, c, d, e, f, g, h]: &[u8; 8]| {
             let (word, second) = (u32::from_le_bytes([*a, *b, *c, *d]), u32::from_le_bytes([*e, *f, *g, *h]));
-            // At full share the two words differ in known pixels alone (`predict.wgsl`).
+            // At full share the two words differ only in known pixels (`predict.wgsl`).
             let (known, own) = if full_share { (word != second, 0) } else { (false, second) };
             PixelVisibility { word, known, own }
         };

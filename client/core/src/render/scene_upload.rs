@@ -1,4 +1,4 @@
-//! The scene on the adapter: vertices, indices, one bind group a material.
+//! The scene on the adapter: vertices, indices, and one bind group for each material.
 
 use std::collections::HashMap;
 
@@ -25,37 +25,34 @@ struct Vertex {
 
 const ATTRIBUTES: [wgpu::VertexAttribute; 3] = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Float32x2];
 
-/// How vertices lie in their buffer.
 pub(crate) const VERTEX_LAYOUT: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
     array_stride: size_of::<Vertex>() as u64,
     step_mode: wgpu::VertexStepMode::Vertex,
     attributes: &ATTRIBUTES,
 };
 
-/// Triangles of one material that are drawn at once.
+/// Triangles of one material, drawn together.
 #[derive(Debug, Clone)]
 pub(crate) struct Batch {
     pub(crate) material: usize,
     pub(crate) indices: std::ops::Range<u32>,
     pub(crate) alpha: AlphaMode,
     pub(crate) double_sided: bool,
-    /// Middle of the triangles, by which blended batches are sorted.
+    /// Centre of the triangles; blended batches are sorted by it.
     pub(crate) centre: Vec3,
 }
 
-/// The scene's resources.
 #[derive(Debug)]
 pub(crate) struct SceneUpload {
     pub(crate) vertices: wgpu::Buffer,
     pub(crate) indices: wgpu::Buffer,
     pub(crate) batches: Vec<Batch>,
     pub(crate) material_layout: wgpu::BindGroupLayout,
-    /// One a material of the scene.
+    /// One for each material of the scene.
     pub(crate) materials: Vec<wgpu::BindGroup>,
 }
 
 impl SceneUpload {
-    /// Uploads `scene`.
     pub(crate) fn new(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
@@ -67,7 +64,7 @@ impl SceneUpload {
             if bytes.len() as u64 > limit {
                 return Err(RenderError::TooLarge { what, needed: bytes.len() as u64, limit });
             }
-            // An empty scene is still a picture of the sky; an empty buffer cannot be bound.
+            // An empty scene still shows the sky, but an empty buffer cannot be bound.
             let contents = if bytes.is_empty() { &[0; size_of::<Vertex>()] } else { bytes };
             Ok(device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(what), contents, usage }))
         };
@@ -151,14 +148,14 @@ fn materials(
     Ok(groups.collect())
 }
 
-/// Uploads every image that a material names, with its mips. Threads compute the mips of one image each; a browser,
-/// which has one thread, computes them in turn.
+/// Uploads every image that a material uses, with its mips. Each thread computes one image's mips; a browser has one
+/// thread.
 fn images(
     device: &wgpu::Device,
     queue: &wgpu::Queue,
     scene: &Scene,
 ) -> Result<HashMap<u32, wgpu::TextureView>, RenderError> {
-    // Whether texels count by their alpha in the mips: where some material reads it.
+    // True if some material reads the image's alpha: mips then weigh texels by it.
     let mut wanted: HashMap<u32, bool> = HashMap::new();
     for material in &scene.materials {
         if let Some(Texture { image, .. }) = material.base_color_texture {
@@ -177,7 +174,7 @@ fn images(
     }
     let srgb = Srgb::new();
     let mut views = HashMap::new();
-    // A few images at a time: no more mips than threads are in memory beside the scene.
+    // A few images at a time, to bound memory: at most one set of mips for each thread.
     for group in wanted.chunks(rayon::current_num_threads()) {
         let mips = |(image, weigh): &(u32, bool)| {
             let image = &scene.images[*image as usize];

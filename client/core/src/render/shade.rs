@@ -1,4 +1,4 @@
-//! The shading pass: every light with its visibility, on every pixel's surface; the sky where there is none.
+//! The shading pass: lights every pixel's surface by its visibility, and draws the sky where there is none.
 
 use glam::Vec4;
 use gnomon_scene::Scene;
@@ -13,15 +13,15 @@ use super::{
     targets::{LIGHT, Targets},
 };
 
-/// The pass, and the bindings that the blending pass shares with it.
+/// The pass, and the bindings that it shares with the blending pass.
 #[derive(Debug)]
 pub(crate) struct ShadePass {
     layout: wgpu::BindGroupLayout,
     view: wgpu::Buffer,
     lighting: wgpu::Buffer,
-    /// Emitted light of every material.
+    /// Emitted light of each material.
     emitted: wgpu::Buffer,
-    /// By the place of the picture's depth in the history.
+    /// By the slot of the picture's depth in the history.
     groups: Vec<wgpu::BindGroup>,
     pipeline: wgpu::RenderPipeline,
 }
@@ -52,7 +52,6 @@ impl ShadePass {
         Ok(pass)
     }
 
-    /// Goes on with pictures of another size.
     pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
         let view = wgpu::BindingResource::TextureView;
         let group = |depth| {

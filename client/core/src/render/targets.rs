@@ -1,12 +1,12 @@
-//! The textures that the passes write and read, all of the picture's size.
+//! The textures that the passes write and read, of the picture's size.
 
-/// Finished pictures: sRGB-encoded bytes.
+/// sRGB-encoded.
 pub const PICTURE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 /// First colour target of the G-buffer: base colour.
 pub(crate) const COLOR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
 /// Second colour target of the G-buffer: packed shading normal; packed material and plane normal.
 pub(crate) const NORMAL_MATERIAL: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
-/// Predicted visibility; `predict.wgsl` says what its two words are.
+/// Predicted visibility; `predict.wgsl` defines its two words.
 pub(crate) const VISIBILITY: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
 /// Reversed-Z depth, kept in [`super::predict::depth_history`].
 pub(crate) const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
@@ -41,7 +41,6 @@ impl Targets {
     }
 }
 
-/// A texture of one level.
 pub fn texture(
     device: &wgpu::Device,
     label: &'static str,
@@ -52,7 +51,7 @@ pub fn texture(
     layered_texture(device, label, [width, height, 1], format, usage)
 }
 
-/// A texture of one level, of this width, height and number of layers.
+/// A texture of one mip level with this width, height and number of layers.
 pub(crate) fn layered_texture(
     device: &wgpu::Device,
     label: &'static str,

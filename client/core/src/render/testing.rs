@@ -1,4 +1,4 @@
-//! A small scene and an adapter, for the tests of the passes.
+//! A small scene and an adapter for tests.
 
 #![allow(clippy::expect_used, clippy::unwrap_used, reason = "for tests only")]
 
@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{occluders::Occluders, predictor::Predictor};
 
-/// An adapter; software will do. There always is one where tests run.
+/// Opens an adapter, software if need be. Tests require one.
 pub fn gpu() -> Gpu {
     let options = GpuOptions { allow_software: true, ..GpuOptions::default() };
     pollster::block_on(Gpu::open(&options)).expect("tests need a graphics adapter: install mesa-vulkan-drivers")
@@ -74,13 +74,12 @@ pub fn camera(width: u32, height: u32) -> Camera {
     Camera::looking_at(origin + DVec3::new(0.0, 1.4, 3.0), origin + DVec3::new(0.0, 0.4, 0.0), 1.1, width, height)
 }
 
-/// A renderer of `scene` at this size, which takes masks as they are.
+/// A renderer of `scene` at this size, without prediction.
 pub fn renderer(gpu: &Gpu, scene: &Scene, shape: MaskShape) -> FrameRenderer {
     let exposure = Exposure::of_scene(scene, &Occluders::largest_of(scene));
     FrameRenderer::new(gpu, scene, (shape.width(), shape.height()), exposure, PICTURE_FORMAT, Predictor::None).unwrap()
 }
 
-/// One picture.
 pub fn draw(gpu: &Gpu, renderer: &mut FrameRenderer, camera: &Camera, mask: Option<&Mask>) -> Picture {
     let mut reader = PictureReader::new(gpu, camera.width, camera.height, 1);
     renderer.draw_surfaces(camera).unwrap();

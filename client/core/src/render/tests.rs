@@ -1,4 +1,4 @@
-//! The passes against what the CPU expects of them.
+//! Compares the passes with results computed on the CPU.
 
 use glam::{DVec3, Vec3, Vec4};
 use gnomon_protocol::mask::{Mask, MaskShape};
@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{occluders::Occluders, predictor::Predictor};
 
-/// Material and depth of the nearest surface on a pixel's ray, and how near the ray comes to one of its edges.
+/// Material and depth of the nearest surface on a pixel's ray, and the ray's distance to the nearest triangle edge.
 fn nearest(scene: &Scene, camera: &Camera, x: u32, y: u32) -> (u32, f64, f64) {
     let (origin, direction) = camera.ray(x, y);
     let origin = origin - scene.origin_m;
@@ -62,7 +62,7 @@ fn the_g_buffer_holds_the_surface_that_each_pixels_centre_sees() {
         for x in 0..150 {
             let place = (y * 150 + x) as usize;
             let (material, depth, margin) = nearest(&scene, &camera, x, y);
-            // A hundredth of a pixel: fixed-point rasterisation cannot be closer to an edge than that.
+            // A hundredth of a pixel, the precision of fixed-point rasterisation.
             if margin < 1e-4 {
                 continue;
             }
@@ -88,13 +88,13 @@ fn the_g_buffer_holds_the_surface_that_each_pixels_centre_sees() {
 }
 
 #[test]
-fn a_bit_of_0_removes_exactly_its_light() {
+fn a_cleared_bit_removes_exactly_its_light() {
     let (gpu, scene) = (gpu(), floor_and_lights());
     let (width, height) = (96, 54);
     let shape = MaskShape::new(width, height, 2).unwrap();
     let camera = camera(width, height);
     let exposure = Exposure::of_scene(&scene, &Occluders::largest_of(&scene));
-    // What it looks like with any subset of the lights, without a mask.
+    // The picture with every subset of the lights, without a mask.
     let subsets: Vec<Vec<u8>> = (0..4_u32)
         .map(|bits| {
             let mut part = scene.clone();
@@ -114,7 +114,7 @@ fn a_bit_of_0_removes_exactly_its_light() {
         })
         .collect();
     assert!(subsets[3] != subsets[2] && subsets[3] != subsets[1] && subsets[1] != subsets[0]);
-    // Every pixel gets a subset of its own.
+    // Each pixel gets its own subset.
     let subset_of = |x: u32, y: u32| (x / 3 + y * 7) % 4;
     let mut mask = Mask::new(shape);
     for y in 0..height {
@@ -135,7 +135,7 @@ fn a_bit_of_0_removes_exactly_its_light() {
     }
 }
 
-/// What the screen shows of exposed light, by the definitions in `tone.wgsl`: bytes before they are rounded.
+/// Displayed values for exposed light, by the definitions in `tone.wgsl`, before rounding to bytes.
 fn shown(light: Vec3) -> [f32; 3] {
     let peak = light.max_element();
     let top = exposure::tone().curve(peak).clamp(0.0, 1.0);
@@ -164,7 +164,7 @@ fn lights_fall_off_with_distance_range_and_cone_as_the_host_computes_it() {
         lamp(spot, Vec3::new(-1.0, 3.0, 1.0), Vec3::new(1.0, 0.6, 0.3), 20.0, f32::INFINITY),
         lamp(LightKind::Point, Vec3::new(1.5, 0.8, 0.5), Vec3::new(0.3, 0.5, 1.0), 2.0, 2.0),
     ];
-    // Paint that the base colour's 8 bits keep as it is.
+    // A paint that 8 bits of base colour represent exactly.
     let paint = ((188.0_f32 / 255.0 + 0.055) / 1.055).powf(2.4);
     scene.materials[0].base_color = Vec4::new(paint, paint, paint, 1.0);
     let (width, height) = (150, 83);
@@ -190,7 +190,7 @@ fn lights_fall_off_with_distance_range_and_cone_as_the_host_computes_it() {
         }
         let place = ((y * width + x) * 4) as usize;
         for (found, expected) in picture[place..place + 3].iter().zip(shown(irradiance * paint)) {
-            // The dither moves a value by half a byte, rounding by another half, 16-bit light by less than 0.1.
+            // Error budget: dither half a byte, rounding half, 16-bit light less than 0.1.
             assert!((f32::from(*found) - expected).abs() < 1.2, "({x}, {y}): {found}, expected {expected}");
         }
     }
@@ -198,7 +198,7 @@ fn lights_fall_off_with_distance_range_and_cone_as_the_host_computes_it() {
 }
 
 #[test]
-fn a_surface_too_bright_for_any_number_is_white() {
+fn a_surface_beyond_f16_range_is_white() {
     let (gpu, mut scene) = (gpu(), floor_and_lights());
     scene.lights.truncate(1);
     scene.lights[0] = Light {
@@ -229,7 +229,7 @@ fn a_surface_too_bright_for_any_number_is_white() {
 }
 
 #[test]
-fn no_mask_or_one_of_another_size_leaves_every_light_on() {
+fn without_a_mask_of_its_size_every_light_is_on() {
     let (gpu, scene) = (gpu(), floor_and_lights());
     let shape = MaskShape::new(64, 40, 2).unwrap();
     let camera = camera(64, 40);
@@ -245,9 +245,9 @@ fn no_mask_or_one_of_another_size_leaves_every_light_on() {
 }
 
 #[test]
-fn a_masked_surface_has_holes_where_its_full_size_alpha_says_so() {
+fn a_masked_surface_has_holes_where_its_alpha_is_low() {
     let (gpu, mut scene) = (gpu(), floor_and_lights());
-    // The wall gets a picture of 4 × 4 texels, of which those of the left half are cut away.
+    // The wall gets a texture of 4 × 4 texels; its left half is transparent.
     let rgba: Vec<u8> = (0..16_u8).flat_map(|i| [255, 255, 255, if i % 4 < 2 { 0 } else { 255 }]).collect();
     scene.images.push(Image { encoded: Vec::new(), width: 4, height: 4, rgba });
     scene.materials[1].base_color_texture =
@@ -269,7 +269,7 @@ fn a_masked_surface_has_holes_where_its_full_size_alpha_says_so() {
         let depth = (-1.0 - (origin - scene.origin_m).z) / direction.z;
         let point: DVec3 = origin - scene.origin_m + direction * depth;
         let inside = point.x.abs() < 0.49 && (0.01..0.99).contains(&point.y);
-        // Halfway between the second and the third column of texels, the bilinear alpha is a half.
+        // The bilinear alpha is one half midway between the second and third columns of texels.
         if inside && point.x.abs() > 0.005 {
             assert_eq!(surface[1] & 0xffff == 2, point.x > 0.0, "({x}, {y}) sees the wall at {point}");
             *(if point.x > 0.0 { &mut leaves } else { &mut holes }) += 1;
@@ -279,10 +279,10 @@ fn a_masked_surface_has_holes_where_its_full_size_alpha_says_so() {
 }
 
 #[test]
-fn blended_surfaces_let_through_what_their_alpha_leaves() {
+fn blended_surfaces_let_light_through_by_their_alpha() {
     let (gpu, plain) = (gpu(), floor_and_lights());
     let mut scene = plain.clone();
-    // A pane of black glass before the left half of the wall.
+    // A pane of black glass in front of the wall's left half.
     let corners = [(-0.5, 0.1), (0.0, 0.1), (0.0, 0.9), (-0.5, 0.9)].map(|(x, y)| Vec3::new(x, y, -0.9));
     scene.positions.extend(corners);
     scene.normals.extend([Vec3::Z; 4]);

@@ -1,11 +1,11 @@
-//! Base colour textures: sRGB pictures with mips made on the CPU, so that every adapter shows the same ones.
+//! Base colour textures: sRGB with mips made on the CPU, so that every adapter shows the same ones.
 
 use wgpu::util::DeviceExt as _;
 
-/// A white texel, for materials without a picture.
+/// Used by materials without a texture.
 pub(crate) const WHITE: [u8; 4] = [255; 4];
 
-/// sRGB to linear light in 16 bits, and back.
+/// Lookup tables between sRGB and linear 16-bit light.
 pub(crate) struct Srgb {
     linear: [u16; 256],
     encoded: Vec<u8>,
@@ -27,8 +27,8 @@ impl Srgb {
         }
     }
 
-    /// All mips of a picture after the first, one after the other, down to one texel. `weigh` lets texels count by
-    /// their alpha, so that what is cut away does not bleed into what is left.
+    /// Returns all mips after the first level, concatenated, down to one texel. `weigh` weighs texels by alpha, so that
+    /// cut-away texels do not bleed into visible ones.
     pub(crate) fn mips(&self, rgba: &[u8], width: u32, height: u32, weigh: bool) -> Vec<u8> {
         let (mut width, mut height) = (width as usize, height as usize);
         let mut level: Vec<[u16; 4]> = rgba
@@ -83,7 +83,7 @@ fn average(four: &[[u16; 4]; 4], weigh: bool) -> [u16; 4] {
     mean
 }
 
-/// A texture with all of its mips, from the picture and what [`Srgb::mips`] made of it.
+/// Uploads the first level and the mips from [`Srgb::mips`].
 pub(crate) fn upload(
     device: &wgpu::Device,
     queue: &wgpu::Queue,
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn mips_go_down_to_one_texel_whatever_the_shape() {
+    fn mips_of_any_shape_end_with_one_texel() {
         let srgb = Srgb::new();
         for (width, height, texels) in [(1, 1, 0), (5, 3, 2 + 1), (8, 1, 4 + 2 + 1), (3, 7, 3 + 1)] {
             let picture = vec![9; width as usize * height as usize * 4];

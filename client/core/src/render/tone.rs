@@ -1,4 +1,4 @@
-//! The tone pass: from light to what a screen shows.
+//! The tone pass: maps exposed light to displayed values.
 
 use gnomon_shaders::shading::Tone;
 
@@ -9,7 +9,6 @@ use super::{
     targets::Targets,
 };
 
-/// The pass.
 #[derive(Debug)]
 pub(crate) struct TonePass {
     layout: wgpu::BindGroupLayout,
@@ -33,7 +32,6 @@ impl TonePass {
         Ok(Self { layout, tone, group, pipeline })
     }
 
-    /// Goes on with pictures of another size.
     pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets) {
         self.group = group(device, &self.layout, &self.tone, targets);
     }

@@ -1,10 +1,10 @@
-//! What `predict.wgsl` binds.
+//! Bind group layouts of `predict.wgsl`.
 
 use gnomon_shaders::shading::{Lighting, Prediction, View};
 
 use crate::render::pipeline::{bind_group_layout, storage, uniform};
 
-/// The layouts of the pass's three groups: scene and lights, the picture's surfaces, masks.
+/// Layouts of the pass's three groups: scene and lights, the picture's surfaces, masks.
 pub(super) fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 3] {
     let pictures =
         |view_dimension| {

@@ -1,25 +1,21 @@
-//! The depth of the latest pictures: whether a point was visible in the view that a mask was traced for is told by the
-//! depth that was drawn for that view.
+//! The depth of the latest pictures. It tells whether a point was visible in the view that a mask was traced for.
 //!
-//! The G-buffer pass draws each picture's depth into the next texture of a ring, so keeping it costs memory and no
-//! time: 4 bytes a pixel and picture. The ring is as long as [`BUDGET_BYTES`] allow. A mask that is older than the
-//! ring, or was traced for a view that was never drawn (a guard band, a pose that the server predicted), has its depth
-//! drawn anew ([`super::depth_pass`]).
+//! The G-buffer pass draws each picture's depth into the next texture of a ring, so keeping it costs no time and 4
+//! bytes a pixel and picture. [`BUDGET_BYTES`] limits the ring. If a mask is older than the ring, or its view was never
+//! drawn (a guard band, a pose predicted by the server), its depth is drawn again ([`super::depth_pass`]).
 
 use gnomon_scene::camera::Camera;
 
 use crate::render::targets::{DEPTH, texture};
 
-/// Memory for the ring, in bytes: 64 pictures of 640×360, 16 of 1920×1080.
+/// 64 pictures of 640×360, 16 of 1920×1080.
 const BUDGET_BYTES: u64 = 133 << 20;
 
-/// Pictures of a ring, whatever they take: the one that is drawn, and three that masks are on the way for.
+/// Minimum, whatever the memory: the current picture, and three with masks under way.
 const LEAST_PICTURES: u64 = 4;
 
-/// Most pictures of a ring: as many as poses are remembered.
 const MOST_PICTURES: u64 = 64;
 
-/// The ring.
 #[derive(Debug)]
 pub(crate) struct DepthHistory {
     slots: Vec<Slot>,
@@ -29,7 +25,7 @@ pub(crate) struct DepthHistory {
 #[derive(Debug)]
 struct Slot {
     view: wgpu::TextureView,
-    /// What the texture holds.
+    /// The view whose depth the texture holds.
     camera: Option<Camera>,
 }
 
@@ -44,33 +40,32 @@ impl DepthHistory {
         Self { slots: (0..pictures(width, height)).map(slot).collect(), current: 0 }
     }
 
-    /// The textures, by their place in the ring.
+    /// The textures in ring order.
     pub(crate) fn views(&self) -> impl Iterator<Item = &wgpu::TextureView> {
         self.slots.iter().map(|slot| &slot.view)
     }
 
-    /// The texture that the newest picture's depth is in.
+    /// The newest picture's depth.
     pub(crate) fn view(&self) -> &wgpu::TextureView {
         &self.slots[self.current].view
     }
 
-    /// The texture in this place of the ring.
     pub(crate) fn view_at(&self, place: usize) -> &wgpu::TextureView {
         &self.slots[place].view
     }
 
-    /// Place of the newest picture in the ring.
+    /// Index of the newest picture in the ring.
     pub(crate) fn current(&self) -> usize {
         self.current
     }
 
-    /// Goes on to the texture for a new picture.
+    /// Advances to the texture for a new picture.
     pub(crate) fn begin(&mut self, camera: &Camera) {
         self.current = (self.current + 1) % self.slots.len();
         self.slots[self.current].camera = Some(*camera);
     }
 
-    /// The place of the picture that was drawn for exactly this camera, if it is still there.
+    /// Returns the index of the picture drawn for exactly this camera, if it is still in the ring.
     pub(crate) fn find(&self, camera: &Camera) -> Option<usize> {
         self.slots.iter().position(|slot| slot.camera.as_ref() == Some(camera))
     }
@@ -86,7 +81,7 @@ mod tests {
     use crate::render::testing::{camera, gpu};
 
     #[test]
-    fn the_ring_is_as_long_as_its_memory_allows() {
+    fn the_budget_limits_the_ring() {
         assert_eq!(pictures(640, 360), 64);
         assert_eq!(pictures(1920, 1080), 16);
         assert_eq!(pictures(3840, 2160), 4);

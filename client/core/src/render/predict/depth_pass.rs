@@ -1,4 +1,4 @@
-//! Depth alone, for views that no picture was drawn for: those that masks were traced for, and the lights' own.
+//! Draws depth alone, for views without a picture: those of masks and lights.
 
 use gnomon_scene::AlphaMode;
 
@@ -9,7 +9,6 @@ use crate::render::{
     targets::DEPTH,
 };
 
-/// The pass's pipelines.
 #[derive(Debug)]
 pub(crate) struct DepthPass {
     layout: wgpu::BindGroupLayout,
@@ -17,12 +16,11 @@ pub(crate) struct DepthPass {
     pipelines: [wgpu::RenderPipeline; 4],
 }
 
-/// Which faces are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Faces {
     /// Those that a camera sees.
     Seen,
-    /// Both: light is stopped from either side.
+    /// Both, since either side stops light.
     Both,
 }
 
@@ -76,7 +74,7 @@ impl DepthPass {
         Ok(Self { layout, pipelines })
     }
 
-    /// A view's bindings: a buffer that begins with its matrix `clip_from_local`.
+    /// Binds a buffer that begins with the view's matrix `clip_from_local`.
     pub(crate) fn group(&self, device: &wgpu::Device, view: wgpu::BindingResource<'_>) -> wgpu::BindGroup {
         bind_group(device, "depth", &self.layout, &[view])
     }
@@ -101,7 +99,7 @@ impl DepthPass {
     }
 }
 
-/// Begins a pass that draws depth into `view`, from nothing.
+/// Begins a pass that clears `view` and draws depth into it.
 pub(crate) fn begin<'a>(
     encoder: &'a mut wgpu::CommandEncoder,
     label: &'static str,

@@ -1,19 +1,18 @@
-//! How many pixels' visibility was unknown: a counter on the adapter, read without waiting for it.
+//! Counts the pixels with unknown visibility on the adapter; the host reads the counter without waiting.
 
 use std::sync::{
     Arc,
     atomic::{AtomicBool, Ordering},
 };
 
-/// Counters that may be on their way at once; while all are, a frame is not counted.
+/// Readbacks in flight; while all are busy, frames are not counted.
 const SLOTS: usize = 3;
 
-/// The counter and its way back.
 #[derive(Debug)]
 pub(crate) struct UnknownCount {
     counter: wgpu::Buffer,
     slots: Vec<Slot>,
-    /// Order in which slots were sent, oldest first.
+    /// Slots in flight, oldest first.
     under_way: std::collections::VecDeque<usize>,
     newest: Option<u32>,
 }
@@ -21,7 +20,7 @@ pub(crate) struct UnknownCount {
 #[derive(Debug)]
 struct Slot {
     buffer: wgpu::Buffer,
-    /// The driver has said that the buffer can be read.
+    /// Set by the driver's callback once the buffer can be read.
     arrived: Arc<AtomicBool>,
 }
 
@@ -52,25 +51,25 @@ impl UnknownCount {
         self.counter.as_entire_binding()
     }
 
-    /// Before the pass that counts.
+    /// Call before the pass that counts.
     pub(crate) fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
         encoder.clear_buffer(&self.counter, 0, None);
     }
 
-    /// After it: sends the counter on its way when there is a free slot.
+    /// Call after it: starts a readback if a slot is free.
     pub(crate) fn copy(&mut self, encoder: &mut wgpu::CommandEncoder) {
         let Some(free) = (0..SLOTS).find(|slot| !self.under_way.contains(slot)) else { return };
         let slot = &self.slots[free];
         encoder.copy_buffer_to_buffer(&self.counter, 0, &slot.buffer, 0, 4);
         let arrived = Arc::clone(&slot.arrived);
         encoder.map_buffer_on_submit(&slot.buffer, wgpu::MapMode::Read, .., move |result| {
-            // A mapping that failed stays under way; the device is lost then, and says so elsewhere.
+            // A failed mapping stays under way. It means that the device is lost, which is reported elsewhere.
             arrived.store(result.is_ok(), Ordering::Release);
         });
         self.under_way.push_back(free);
     }
 
-    /// The newest count that has come back, in pixels.
+    /// Returns the newest count that was read back, in pixels.
     pub(crate) fn newest(&mut self) -> Option<u32> {
         while let Some(&oldest) = self.under_way.front() {
             let slot = &self.slots[oldest];

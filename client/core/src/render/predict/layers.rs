@@ -1,10 +1,9 @@
-//! The masks that visibility is looked up in, the newest first: what has not come of one may have come of the one
-//! before.
+//! The masks that visibility is looked up in, newest first: tiles missing from one may be in an earlier one.
 //!
-//! A whole mask stands alone. One of which parts are missing lies over those before it; each has its own view and the
-//! depth that was seen in it, so what is found in any of them was traced for that very point, and nothing is resampled
-//! twice. All are layers of the same textures: 8 bytes a pixel each, one layer until a mask comes in part, and then as
-//! many as were needed at once.
+//! A complete mask stands alone. A partial one lies over earlier masks. Each has its own view and that view's depth, so
+//! a value found in any of them was traced for that very point, and nothing is resampled twice. All are layers of the
+//! same textures, at 8 bytes a pixel. There is one layer until the first partial mask, and then as many as were ever
+//! needed at once.
 
 use glam::DVec3;
 use gnomon_protocol::{
@@ -28,38 +27,36 @@ use crate::render::{
     targets::{DEPTH, layered_texture},
 };
 
-/// The layers.
 #[derive(Debug)]
 pub(crate) struct Layers {
     shape: MaskShape,
     planes: MaskPlanes,
     words: wgpu::Texture,
-    /// Lights that have come, a texel a place.
+    /// Bits of the lights that arrived, one texel for each tile position.
     coverage: wgpu::Texture,
-    /// Of one texel until it is needed: most pictures of clients that wait need none.
+    /// One texel until it is needed: most pictures of clients that wait for masks need none.
     depth: wgpu::Texture,
-    /// The newest first.
+    /// Newest first.
     stack: Vec<Layer>,
 }
 
-/// A mask.
 #[derive(Debug, Clone)]
 pub(crate) struct Layer {
     /// Layer of the textures.
     pub(crate) slot: u32,
     /// The view that it was traced for.
     pub(crate) traced_for: Camera,
-    /// Nothing where all has come.
+    /// `None` if all tiles have arrived.
     pub(crate) coverage: Option<Coverage>,
-    /// Whether the view's depth is there.
+    /// True if the view's depth was drawn.
     has_depth: bool,
 }
 
 impl Layers {
-    /// No mask yet, and memory for one of this shape.
+    /// Allocates memory for one mask of this shape.
     ///
     /// # Errors
-    /// When the adapter cannot hold one.
+    /// If it exceeds a limit of the adapter.
     pub(crate) fn new(device: &wgpu::Device, pass: &WordsPass, shape: MaskShape) -> Result<Self, RenderError> {
         check_side(device, shape.width().max(shape.height()))?;
         let planes = pass.memory(device, shape)?;
@@ -72,7 +69,7 @@ impl Layers {
         self.shape
     }
 
-    /// The masks, the newest first.
+    /// Newest first.
     pub(crate) fn stack(&self) -> &[Layer] {
         &self.stack
     }
@@ -81,7 +78,7 @@ impl Layers {
         self.stack.clear();
     }
 
-    /// Lays a mask of [`Self::shape`] over the others, or in their place if all of it has come.
+    /// Lays a mask of [`Self::shape`] over the others, or replaces them if it is complete.
     pub(crate) fn push(
         &mut self,
         gpu: &Gpu,
@@ -105,7 +102,7 @@ impl Layers {
         self.stack.insert(0, Layer { slot, traced_for: *traced_for, coverage, has_depth });
     }
 
-    /// A slot that no mask lies in: the oldest one's when there is no other.
+    /// Returns a free slot, or the oldest mask's if there is none.
     fn free_slot(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder) -> u32 {
         let most = max_layers(self.shape);
         self.stack.truncate(most - 1);
@@ -118,7 +115,7 @@ impl Layers {
         slot
     }
 
-    /// Goes on in larger textures.
+    /// Moves the layers to larger textures.
     fn grow(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder, count: u32) {
         let move_over = |encoder: &mut wgpu::CommandEncoder, old: &mut wgpu::Texture, new: wgpu::Texture| {
             encoder.copy_texture_to_texture(old.as_image_copy(), new.as_image_copy(), old.size());
@@ -144,7 +141,7 @@ impl Layers {
         );
     }
 
-    /// Sees to it that the depth of the newest `count` masks' views is there: it is drawn when no picture has it.
+    /// Ensures that the newest `count` masks have the depth of their views; draws it if no picture has it.
     pub(crate) fn need_depth(
         &mut self,
         gpu: &Gpu,
@@ -178,7 +175,7 @@ impl Layers {
         }
     }
 
-    /// Words, coverage and depth of all layers. The depth is of no meaning before it was [needed](Self::need_depth).
+    /// Words, coverage and depth of all layers. The depth is valid only after [`Self::need_depth`].
     pub(crate) fn pictures(&self) -> [wgpu::TextureView; 3] {
         [&self.words, &self.coverage, &self.depth].map(|texture| {
             texture.create_view(&wgpu::TextureViewDescriptor {

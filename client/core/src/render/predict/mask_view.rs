@@ -5,9 +5,9 @@ use gnomon_scene::camera::Camera;
 #[derive(Debug, Clone, Copy)]
 pub struct MaskView<'a> {
     pub mask: &'a Mask,
-    /// Which of its tiles have arrived; `None` if all have.
+    /// `None` if all tiles have arrived.
     pub coverage: Option<&'a Coverage>,
-    /// Whether it adds tiles to the newest mask.
+    /// True if it adds tiles to the newest mask.
     pub more: bool,
     /// Its camera, with the mask's own width, height and field of view.
     pub traced_for: &'a Camera,

@@ -1,4 +1,4 @@
-//! From a mask as it came, bit planes, to one word of all lights for each of its pixels, on the adapter.
+//! Converts a received mask's bit planes to one word of all lights for each pixel, on the adapter.
 
 use gnomon_protocol::mask::{Mask, MaskShape};
 
@@ -7,10 +7,9 @@ use crate::render::{
     pipeline::{bind_group, bind_group_layout, cleared, constant, covering_pipeline, shader, storage, uniform},
 };
 
-/// What a mask's words are kept in.
 pub(crate) const WORDS: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 
-/// Twin of `MaskSize` in `mask_words.wgsl`.
+/// Layout of `MaskSize` in `mask_words.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct MaskSize {
@@ -20,7 +19,6 @@ struct MaskSize {
     unused: u32,
 }
 
-/// The pass from planes to words.
 #[derive(Debug)]
 pub(crate) struct WordsPass {
     layout: wgpu::BindGroupLayout,
@@ -43,10 +41,10 @@ impl WordsPass {
         Ok(Self { layout, pipeline })
     }
 
-    /// Memory for masks of this shape.
+    /// Allocates memory for masks of this shape.
     ///
     /// # Errors
-    /// When the adapter cannot bind that much.
+    /// If the adapter cannot bind that much.
     pub(crate) fn memory(&self, device: &wgpu::Device, shape: MaskShape) -> Result<MaskPlanes, RenderError> {
         let (needed, limit) = (shape.words() as u64 * 8, device.limits().max_storage_buffer_binding_size);
         if needed > limit {
@@ -65,7 +63,7 @@ impl WordsPass {
         Ok(MaskPlanes { planes, group })
     }
 
-    /// Sends a mask to the adapter; the commands in `encoder` make words of it in `words`. `planes` are of its shape.
+    /// Uploads a mask; the commands in `encoder` convert it to `words`. `planes` has the mask's shape.
     pub(crate) fn write(
         &self,
         queue: &wgpu::Queue,
@@ -73,7 +71,7 @@ impl WordsPass {
         (planes, mask): (&MaskPlanes, &Mask),
         words: &wgpu::TextureView,
     ) {
-        // A u64 in little-endian order is the low u32 first, which is how the shader indexes it.
+        // A little-endian u64 has its low u32 first, as the shader indexes it.
         #[cfg(target_endian = "big")]
         compile_error!("masks are uploaded as they lie in memory");
         queue.write_buffer(&planes.planes, 0, bytemuck::cast_slice(mask.words()));

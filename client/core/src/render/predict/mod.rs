@@ -1,8 +1,8 @@
-//! The prediction pass: from masks that were traced for other views to the visibility of every pixel of this one.
+//! The prediction pass: from masks traced for other views to the visibility of every pixel of the current view.
 //!
-//! [`mask_words`] turns received bit planes into one word a pixel, and [`layers`] keeps the newest masks.
-//! [`depth_history`] knows what their views saw, or [`depth_pass`] draws it again. [`shadow_map`] fills in what they
-//! did not see, and [`known`] counts how much that was. [`pass`] runs them all and writes two words a pixel
+//! [`mask_words`] converts received bit planes to one word a pixel, and [`layers`] keeps the newest masks.
+//! [`depth_history`] has the depth of their views, or [`depth_pass`] draws it again. [`shadow_map`] covers what they
+//! did not see, and [`known`] counts those pixels. [`pass`] runs them all and writes two words a pixel
 //! (`wgsl/shading/predict.wgsl`), which the shading passes read.
 
 mod bindings;

@@ -1,4 +1,4 @@
-//! Runs the prediction of a frame.
+//! Runs a frame's prediction.
 
 use bytemuck::Zeroable as _;
 use glam::DVec3;
@@ -23,14 +23,13 @@ use crate::{
     },
 };
 
-// `shaders` knows nothing of the protocol.
+// `shaders` does not depend on the protocol crate.
 const _: () = assert!(MAX_LAYERS == MAX_MASK_LAYERS);
 
-/// The pass and its state.
 #[derive(Debug)]
 pub(crate) struct PredictPass {
     predictor: Predictor,
-    /// For at most one whole mask, and for several or a partial one.
+    /// For at most one complete mask, and for several or a partial one.
     pipelines: [wgpu::RenderPipeline; 2],
     scene_group: wgpu::BindGroup,
     surface_layout: wgpu::BindGroupLayout,
@@ -86,7 +85,7 @@ impl PredictPass {
         let module = shader(device, "shading/predict.wgsl")?;
         let words_pass = WordsPass::new(device)?;
         let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
-        // A picture without a mask still binds one.
+        // The mask must be bound even when there is none.
         let smallest =
             MaskShape::new(1, 1, lights.clamp(1, 32)).map_err(|error| RenderError::Device(error.to_string()))?;
         let layers = Layers::new(device, &words_pass, smallest)?;
@@ -112,7 +111,7 @@ impl PredictPass {
         })
     }
 
-    /// Predicts by `predictor` from the next picture on.
+    /// Sets the predictor from the next picture on.
     pub(crate) fn set_predictor(&mut self, predictor: Predictor) {
         self.predictor = predictor;
     }
@@ -124,7 +123,7 @@ impl PredictPass {
     }
 
     /// Uploads a mask, or clears them. Returns whether the mask is used: its lights must be the scene's, and its size
-    /// its camera's. A partial mask is laid over those before it.
+    /// its camera's. A partial mask is laid over earlier ones.
     ///
     /// # Errors
     /// If a mask of this size exceeds a limit of the adapter.
@@ -150,12 +149,12 @@ impl PredictPass {
         Ok(true)
     }
 
-    /// The masks' views, newest first.
+    /// Newest first.
     pub(crate) fn mask_views(&self) -> impl Iterator<Item = &Camera> {
         self.layers.stack().iter().map(|layer| &layer.traced_for)
     }
 
-    /// Predicts into the visibility picture. The G-buffer holds what `camera` sees.
+    /// Writes the visibility picture. The G-buffer holds what `camera` sees.
     pub(crate) fn encode(
         &mut self,
         gpu: &Gpu,
@@ -196,7 +195,7 @@ impl PredictPass {
         self.unknown.copy(encoder);
     }
 
-    /// Returns the share of pixels that masks told (the sky counts), in the newest picture whose count is back.
+    /// Returns the share of pixels known from masks (the sky counts), for the newest picture whose count was read back.
     pub(crate) fn known_share(&mut self) -> Option<f64> {
         self.unknown.newest().map(|unknown| 1.0 - f64::from(unknown) / f64::from(self.pixels))
     }
@@ -205,7 +204,7 @@ impl PredictPass {
     fn usable_layers(&self, camera: &Camera, origin_m: DVec3) -> ([MaskLayer; MAX_LAYERS], usize) {
         let mut layers = [MaskLayer::zeroed(); MAX_LAYERS];
         let size = |camera: &Camera| (camera.width, camera.height);
-        // The baselines read the newest mask alone, missing tiles included.
+        // The baselines read only the newest mask, missing tiles included.
         let most = if self.predictor == Predictor::Surface { MAX_LAYERS } else { 1 };
         let stack = self.layers.stack().iter().take(most);
         let usable = stack.filter(|layer| self.predictor != Predictor::None || size(&layer.traced_for) == size(camera));

@@ -1,9 +1,8 @@
-//! What the client knows of its lights by itself: shadow maps, drawn once when the scene is there.
+//! The client's own shadow maps, drawn once when the scene is loaded.
 //!
-//! Received visibility says nothing of surfaces that its view did not see. There the client looks into a map of its
-//! own: coarser than what the server traces, but never older. All maps share one square of [`BUDGET_BYTES`]: a cube of
-//! six for a point light, one for a spot, and one of four times the texels for a directional light, which covers the
-//! whole scene.
+//! Received visibility lacks surfaces that its view did not see. There the client looks into a map of its own: coarser
+//! than the server's rays, but never late. All maps share one square of [`BUDGET_BYTES`]: six cube faces for a point
+//! light, one map for a spot, and one of four times the texels for a directional light, which covers the whole scene.
 
 use glam::{DMat4, DVec3, DVec4, Mat4, Vec3};
 use gnomon_scene::{Aabb, Light, LightKind, Scene};
@@ -17,19 +16,19 @@ use crate::render::{
     targets::{DEPTH, texture},
 };
 
-/// Memory for all maps, in bytes.
+/// Memory for all maps.
 const BUDGET_BYTES: u64 = 64 << 20;
 
-/// Longest side of the square that holds them: half of it in each direction fills the budget.
+/// Longest side of the square: half of it in each direction fills the budget.
 const MOST_SIDE: u32 = 4096;
 
-/// Nearest that something can be to a lamp and still cast a shadow in the map, in metres.
+/// Near plane of a lamp: nearer objects cast no shadow in the map.
 const NEAR_M: f64 = 0.005;
 
-/// Texels that a cube's face sees beyond its edges, so that the four texels around a point lie on one face.
+/// Texels by which a cube face extends beyond its edges, so that the four texels around a point lie on one face.
 const MARGIN_TEXELS: f64 = 2.0;
 
-/// Views of the map that a light of this kind takes.
+/// Number of views for a light of this kind.
 pub(crate) fn views_of(kind: LightKind) -> u32 {
     match kind {
         LightKind::Point => 6,
@@ -37,7 +36,6 @@ pub(crate) fn views_of(kind: LightKind) -> u32 {
     }
 }
 
-/// The map and its views.
 #[derive(Debug)]
 pub(crate) struct ShadowMap {
     pub(crate) texture: wgpu::TextureView,
@@ -89,13 +87,13 @@ impl ShadowMap {
     }
 }
 
-/// The side of the square in texels, and every light's views in it, one light after the other.
+/// Returns the square's side in texels, and every light's views, one light after the other.
 fn layout(lights: &[Light], bounds: &Aabb, limit: u32) -> (u32, Vec<ShadowView>) {
     let directional = lights.iter().filter(|light| light.kind == LightKind::Directional).count();
     let others: u32 =
         lights.iter().filter(|light| light.kind != LightKind::Directional).map(|light| views_of(light.kind)).sum();
     let cells = directional * 4 + others as usize;
-    // The grid's cells: directional lights take blocks of 2×2, which fill rows of two from the top.
+    // Cells of the grid: directional lights take blocks of 2×2, which fill rows of two from the top.
     let grid = (2_usize..).find(|side| {
         let blocks = side / 2;
         side * side >= cells && (blocks * blocks) >= directional
@@ -116,7 +114,7 @@ fn layout(lights: &[Light], bounds: &Aabb, limit: u32) -> (u32, Vec<ShadowView>)
         }
         (x, y)
     };
-    // Directional lights choose first, for only whole blocks will do.
+    // Directional lights are placed first, since they need whole blocks.
     let blocks: Vec<(usize, usize)> = (0..directional).map(|_| place(2)).collect();
     let mut blocks = blocks.into_iter();
     let mut views = Vec::new();
@@ -166,7 +164,7 @@ fn toward(forward: DVec3) -> DMat4 {
     DMat4::from_cols(right.extend(0.0), right.cross(forward).extend(0.0), (-forward).extend(0.0), DVec4::W).transpose()
 }
 
-/// That of a cube's face, in the order of `cube_face` in `shadow_map.wgsl`.
+/// The rotation of a cube face, in the order of `cube_face` in `shadow_map.wgsl`.
 fn face_rotation(face: u32) -> DMat4 {
     let axis = [DVec3::X, DVec3::Y, DVec3::Z][face as usize / 2 % 3];
     toward(if face.is_multiple_of(2) { axis } else { -axis })
@@ -183,7 +181,7 @@ fn perspective(position: Vec3, rotation: DMat4, half: f64) -> Mat4 {
     (projection * rotation * DMat4::from_translation(-position.as_dvec3())).as_mat4()
 }
 
-/// All of `bounds` along `direction`, nearest depth 1 and farthest 0; and the side of a texel in metres.
+/// Covers all of `bounds` along `direction`, nearest depth 1 and farthest 0. Also returns a texel's side in metres.
 fn parallel(direction: Vec3, bounds: &Aabb, side: f64) -> (Mat4, f64) {
     let rotation = toward(direction.as_dvec3());
     let (low, high) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
@@ -193,7 +191,7 @@ fn parallel(direction: Vec3, bounds: &Aabb, side: f64) -> (Mat4, f64) {
     });
     let (low, high) =
         corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), corner| (low.min(corner), high.max(corner)));
-    // A square, so that texels are square, with room for the four texels around a point at its edge and a margin in
+    // Square, so that texels are square, with room for the four texels around a point at its edge and a margin in
     // depth.
     let extent = (high - low).max_element().max(1e-6);
     let wide = (high.x - low.x).max(high.y - low.y).max(extent * 1e-3) * side / (side - 2.0 * MARGIN_TEXELS);
@@ -227,7 +225,7 @@ mod tests {
     const BOUNDS: Aabb = Aabb { min: Vec3::new(-4.0, 0.0, -2.0), max: Vec3::new(5.0, 3.0, 8.0) };
 
     #[test]
-    fn squares_lie_beside_each_other_in_the_map() {
+    fn map_squares_do_not_overlap() {
         let spot = LightKind::Spot { inner_cone_rad: 0.1, outer_cone_rad: 0.5 };
         for kinds in [
             vec![],
@@ -255,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn every_point_around_a_lamp_lies_on_the_face_that_the_shader_picks() {
+    fn points_around_a_lamp_lie_on_the_face_that_the_shader_picks() {
         let lamp = light(LightKind::Point);
         let (_, views) = layout(std::slice::from_ref(&lamp), &BOUNDS, 4096);
         let steps = [-1.0_f32, -0.7, -0.2, 0.0, 0.3, 0.9, 1.0];
@@ -265,7 +263,7 @@ mod tests {
             if size.max_element() == 0.0 {
                 continue;
             }
-            // Twin of `cube_face`.
+            // Mirrors `cube_face`.
             let axis = if size.x >= size.y && size.x >= size.z {
                 0
             } else if size.y >= size.z {
@@ -281,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn a_directional_view_holds_the_whole_scene_and_nearer_is_more() {
+    fn a_directional_view_covers_the_scene_with_reversed_depth() {
         let (_, views) = layout(&[light(LightKind::Directional)], &BOUNDS, 4096);
         let clip = |point: Vec3| views[0].clip_from_local.project_point3(point);
         for i in 0..8 {

@@ -1,4 +1,4 @@
-//! The prediction pass against rays that are traced one by one in f64.
+//! Compares the prediction pass with single rays traced in f64.
 
 use std::f64::consts::PI;
 
@@ -26,11 +26,11 @@ use crate::{
 
 const SIZE: (u32, u32) = (160, 90);
 
-/// How far from a pixel's centre its surroundings are looked at, in pixels: a prediction may be wrong where light or
-/// surface changes that near, as the mask knows them at its own pixels' centres only.
+/// Radius in pixels that must be uniform around a pixel for its prediction to be checked: the mask samples light and
+/// surface only at its own pixels' centres.
 const EDGE_PX: f64 = 1.5;
 
-/// The sun lights the wall from the front, the lamp from behind: its shadow lies on the floor where it is seen.
+/// The sun lights the wall from the front, the lamp from behind, so that its shadow on the floor is in view.
 fn scene_with_shadows() -> Scene {
     let mut scene = floor_and_lights();
     scene.lights[0].direction = Vec3::new(0.5, -0.7, -0.4).normalize();
@@ -38,10 +38,10 @@ fn scene_with_shadows() -> Scene {
     scene
 }
 
-/// Lights whose shadow on the draw matters.
+/// Lights whose shadow on each draw is checked.
 const RELEVANT: [u32; 2] = [0b11, 0b01];
 
-/// The draw that a ray meets first, and where.
+/// Returns the draw that a ray hits first, and the point.
 fn first_hit(scene: &Scene, origin: DVec3, direction: DVec3, least: f64) -> Option<(usize, f64)> {
     let mut found: Option<(usize, f64)> = None;
     for (number, draw) in scene.draws.iter().enumerate() {
@@ -61,7 +61,7 @@ fn first_hit(scene: &Scene, origin: DVec3, direction: DVec3, least: f64) -> Opti
     found
 }
 
-/// What is seen through a place of the picture, in pixels: the draw, the point, and the lights that reach it.
+/// Returns what is visible at a position in the picture, in pixels: draw, point, and lights that reach it.
 fn seen(scene: &Scene, camera: &Camera, x: f64, y: f64) -> Option<(usize, DVec3, u32)> {
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let half_height = (camera.yfov_rad / 2.0).tan();
@@ -82,7 +82,7 @@ fn seen(scene: &Scene, camera: &Camera, x: f64, y: f64) -> Option<(usize, DVec3,
     Some((draw, point, word))
 }
 
-/// The mask of a view, or whatever `bits` makes of what each pixel sees.
+/// The mask of a view, with `bits` applied to what each pixel sees.
 fn mask_of(scene: &Scene, camera: &Camera, bits: impl Fn(usize, u32) -> u32) -> Mask {
     let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, 2).unwrap());
     for y in 0..camera.height {
@@ -107,7 +107,7 @@ fn predict(
     predict_from(gpu, renderer, camera, &[MaskView { mask, coverage: None, more: false, traced_for }])
 }
 
-/// Draws `camera` after these masks have come.
+/// Draws `camera` after these masks arrived.
 fn predict_from(
     gpu: &Gpu,
     renderer: &mut FrameRenderer,
@@ -132,13 +132,13 @@ fn with_predictor(gpu: &Gpu, scene: &Scene, predictor: Predictor) -> FrameRender
     renderer
 }
 
-/// The view before: half a metre to the left, and turned a little.
+/// An earlier view: half a metre to the left, and turned a little.
 fn before(now: &Camera) -> Camera {
     let turn = glam::DQuat::from_rotation_y(PI / 60.0);
     Camera { position_m: now.position_m - DVec3::X * 0.5, orientation: turn * now.orientation, ..*now }
 }
 
-/// Calls `check` with each pixel in whose surroundings nothing changes: its draw, its point and its lights.
+/// Calls `check` with draw, point and lights of each pixel whose surroundings are uniform.
 fn each_calm_pixel(scene: &Scene, camera: &Camera, mut check: impl FnMut(usize, usize, DVec3, u32)) -> usize {
     let mut calm = 0;
     for y in 0..camera.height {
@@ -159,7 +159,7 @@ fn each_calm_pixel(scene: &Scene, camera: &Camera, mut check: impl FnMut(usize, 
 }
 
 #[test]
-fn away_from_edges_every_pixel_is_right_and_says_whether_the_mask_knew_it() {
+fn away_from_edges_every_pixel_and_its_known_flag_are_right() {
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
     let then = before(&now);
     let mask = mask_of(&scene, &then, |_, word| word);
@@ -170,8 +170,7 @@ fn away_from_edges_every_pixel_is_right_and_says_whether_the_mask_knew_it() {
     let calm = each_calm_pixel(&scene, &now, |pixel, draw, point, word| {
         assert_eq!((shown[pixel].word ^ word) & RELEVANT[draw], 0, "pixel {pixel}, draw {draw}: {:?}", shown[pixel]);
         shadowed += usize::from(word != 0b11);
-        // Where the point was in the picture before, by how many pixels it was inside, and whether something stood
-        // before it.
+        // Where the point was in the earlier picture, how many pixels inside its border, and whether it was covered.
         let place = then.orientation.inverse() * (point - eye);
         let pixels = f64::from(SIZE.1) / 2.0 / (then.yfov_rad / 2.0).tan() / -place.z;
         let inside = f64::min(
@@ -204,7 +203,7 @@ fn away_from_edges_every_pixel_is_right_and_says_whether_the_mask_knew_it() {
 fn nothing_bleeds_from_one_surface_to_another() {
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
     let then = before(&now);
-    // No light on the wall, all light on the floor: whatever a known pixel has tells where it came from.
+    // All light on the floor, none on the wall: a known pixel's word tells which surface it came from.
     let of_draw = [0b11, 0b00];
     let mask = mask_of(&scene, &then, |draw, _| of_draw[draw]);
     let known_from_the_other_surface = |predictor| {
@@ -213,7 +212,7 @@ fn nothing_bleeds_from_one_surface_to_another() {
         let (mut known, mut wrong) = ([0; 2], 0);
         for y in 0..SIZE.1 {
             for x in 0..SIZE.0 {
-                // Rasterisation may see either surface where an edge passes through the pixel's very centre.
+                // Rasterisation may see either surface where an edge passes through the pixel's centre.
                 let at = |d: f64| seen(&scene, &now, f64::from(x) + 0.5 + d, f64::from(y) + 0.5 + d).map(|seen| seen.0);
                 let Some(draw) = at(0.0).filter(|&draw| at(0.01) == Some(draw) && at(-0.01) == Some(draw)) else {
                     continue;
@@ -227,13 +226,13 @@ fn nothing_bleeds_from_one_surface_to_another() {
         wrong
     };
     assert_eq!(known_from_the_other_surface(Predictor::Surface), 0);
-    // It is not that nothing could: the nearest sample does.
+    // The test can fail: the nearest-sample predictor does.
     let wrong = known_from_the_other_surface(Predictor::Dissertation(Unknown::Lit));
     assert!(wrong > 0);
 }
 
 #[test]
-fn the_masks_own_view_is_taken_bit_for_bit() {
+fn the_masks_own_view_is_copied_bit_for_bit() {
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
     let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, 2).unwrap());
     let bit =
@@ -260,9 +259,9 @@ fn the_masks_own_view_is_taken_bit_for_bit() {
 }
 
 #[test]
-fn the_dissertations_predictor_fills_what_lies_outside_in_its_three_ways() {
+fn the_dissertations_predictor_fills_outside_points_in_three_ways() {
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
-    // A quarter of a turn away: nothing of the new picture was in the old one.
+    // Half a turn away: nothing in the new picture was in the old one.
     let away = Camera { orientation: glam::DQuat::from_rotation_y(PI) * now.orientation, ..now };
     let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, 2).unwrap());
     (0..SIZE.1).for_each(|y| (0..SIZE.0).for_each(|x| mask.set(1, x, y, true)));
@@ -276,7 +275,7 @@ fn the_dissertations_predictor_fills_what_lies_outside_in_its_three_ways() {
 }
 
 #[test]
-fn depth_that_was_kept_and_depth_that_is_drawn_anew_say_the_same() {
+fn kept_depth_and_redrawn_depth_give_the_same_result() {
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
     let then = before(&now);
     let mask = mask_of(&scene, &then, |_, word| word);
@@ -290,7 +289,7 @@ fn depth_that_was_kept_and_depth_that_is_drawn_anew_say_the_same() {
 }
 
 #[test]
-fn a_guard_band_knows_what_a_turn_brings_into_view() {
+fn a_guard_band_covers_what_a_turn_brings_into_view() {
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
     let then = Camera { orientation: glam::DQuat::from_rotation_y(PI / 60.0) * now.orientation, ..now };
     let unknown = |extra: u32| {
@@ -310,7 +309,7 @@ fn a_guard_band_knows_what_a_turn_brings_into_view() {
 }
 
 #[test]
-fn without_any_mask_the_client_shows_what_its_shadow_maps_know() {
+fn without_a_mask_the_shadow_maps_are_used() {
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
     let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
     let mut reader = PictureReader::new(&gpu, SIZE.0, SIZE.1, 1);
@@ -329,7 +328,7 @@ fn without_any_mask_the_client_shows_what_its_shadow_maps_know() {
     assert!(shadowed > 100, "{shadowed} shadowed");
 }
 
-/// A mask whose bits are all these, of which that much has come: `came` is asked for each place.
+/// A mask whose pixels all have this word; `came` gives the lights that arrived for each tile position.
 fn in_part(word: u32, came: impl Fn(u32, u32) -> u32) -> (Mask, Coverage) {
     let shape = MaskShape::new(SIZE.0, SIZE.1, 2).unwrap();
     let mut mask = Mask::new(shape);
@@ -341,7 +340,7 @@ fn in_part(word: u32, came: impl Fn(u32, u32) -> u32) -> (Mask, Coverage) {
     (mask, Coverage::from_words(shape, words).unwrap())
 }
 
-/// Where a point is in a view, in pixels; nothing where something stands before it, or near its edge.
+/// Projects a point into a view, in pixels. Returns `None` if it is covered or near an edge.
 fn place_in(scene: &Scene, camera: &Camera, draw: usize, point: DVec3) -> Option<(f64, f64)> {
     let eye = camera.position_m - scene.origin_m;
     let place = camera.orientation.inverse() * (point - eye);
@@ -356,11 +355,11 @@ fn place_in(scene: &Scene, camera: &Camera, draw: usize, point: DVec3) -> Option
     (visible && inside(x, SIZE.0) && inside(y, SIZE.1)).then_some((x, y))
 }
 
-/// The newest mask has the upper half of one light and the lower half of the other one; the one before has the left two
-/// thirds of both, and the one before that has all. Each point is what the newest mask says that has it; bits that have
-/// not come are never seen.
+/// The newest mask has the upper half of one light and the lower half of the other; the one before has the left two
+/// thirds of both; the oldest has everything. Each point must come from the newest mask that has it, and bits that did
+/// not arrive must never be used.
 #[test]
-fn what_has_not_come_is_looked_up_in_the_masks_before() {
+fn missing_tiles_are_looked_up_in_earlier_masks() {
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
     let views = [0.6, 0.3, 0.1].map(|left| Camera { position_m: now.position_m - DVec3::X * left, ..now });
     let (oldest, all) = in_part(0b00, |_, _| 0b11);
@@ -378,7 +377,7 @@ fn what_has_not_come_is_looked_up_in_the_masks_before() {
     each_calm_pixel(&scene, &now, |pixel, draw, point, _| {
         let places = views.each_ref().map(|view| place_in(&scene, view, draw, point));
         let [_, Some((x, _)), Some((_, y))] = places else { return };
-        // Not where what has come ends.
+        // Skips the borders of what arrived.
         if (x - 128.0).abs() < 2.0 || (y - 48.0).abs() < 2.0 {
             return;
         }
@@ -399,17 +398,17 @@ fn what_has_not_come_is_looked_up_in_the_masks_before() {
         assert_eq!(oldest, if x < 128.0 { 1 } else { 2 }, "pixel {pixel}: {places:?}");
     });
     assert!(seen_in.iter().all(|pixels| *pixels > 300), "{seen_in:?}");
-    // A whole mask puts the others out of use.
+    // A complete mask replaces the others.
     let view = masks[0];
     let shown = predict_from(&gpu, &mut renderer, &now, &[view]);
     assert!(shown.iter().all(|pixel| !pixel.known || pixel.word == 0b00));
     assert_eq!(renderer.predict.layers.stack().len(), 1);
 }
 
-/// More masks than there are layers, each with its own row of places, from the lowest up: the newest eight are found,
-/// and what only older ones had is unknown.
+/// More masks than layers, each with one row of tile positions, from the lowest up: the newest eight are found, and
+/// rows that only older ones had are unknown.
 #[test]
-fn there_are_so_many_layers_and_no_more() {
+fn the_number_of_layers_is_limited() {
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
     let rows = 11;
     let views: Vec<Camera> = (0..rows)
@@ -438,7 +437,7 @@ fn there_are_so_many_layers_and_no_more() {
         }
     });
     assert!(known[0] > 100 && known[1] > 1000, "{known:?}");
-    // The camera stands still: what has come for the same view adds up, and more of the same mask stands in its place.
+    // The camera stands still: tiles for the same view add up, and more tiles of the same mask replace it.
     let masks = [&parts[3], &parts[4]].map(|(mask, coverage)| MaskView {
         mask,
         coverage: Some(coverage),
