@@ -12,7 +12,7 @@ use parking_lot::Mutex;
 #[derive(Debug)]
 pub(crate) struct AddressLimit {
     max: usize,
-    /// Whether loopback is limited too. Behind a local proxy every client has that address.
+    /// True if loopback is limited too. Behind a local proxy every client has that address.
     loopback: bool,
     /// Only addresses that hold a permit, so the permits bound its size.
     counts: Mutex<HashMap<IpAddr, usize>>,

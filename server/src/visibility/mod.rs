@@ -2,24 +2,25 @@
 //!
 //! # The rules that every back end follows
 //!
-//! 1. **Surface point.** A pixel's ray (`gnomon_scene::camera::RayBasis`) meets the nearest OPAQUE or MASK triangle.
-//!    Back faces of single-sided materials are passed through. A MASK point is there when the bilinear sample of the
-//!    full-size alpha picture, times the factor, is at least the cutoff. BLEND triangles are never met, nor is a
-//!    triangle whose plane holds the camera as far as rounding can tell.
-//! 2. **Normals.** The geometric normal is the triangle's plane's, turned towards the camera. The shading normal is
-//!    interpolated from the vertices, and negated when the back face was met.
-//! 3. **Relevance.** Light k matters at the point when it is not switched off (of no intensity, or black), the shading
-//!    normal faces it, and the point lies within its range and inside its outer cone. Irrelevant bits are 0.
-//! 4. **Facing.** Where the geometric normal faces away from a relevant light the surface hides it from itself: bit 0,
-//!    no ray. It faces the light when that is above the shadow ray's start by more than rounding can account for (5
-//!    rounding units of the way to the light), so that no light in a surface's own plane speckles it.
+//! 1. **Surface point.** A pixel's ray (`gnomon_scene::camera::RayBasis`) hits the nearest OPAQUE or MASK triangle. It
+//!    passes through back faces of single-sided materials. It hits a MASK triangle where the bilinear sample of the
+//!    full-size alpha picture, times the factor, is at least the cutoff. It ignores BLEND triangles, and triangles
+//!    whose plane contains the camera within rounding error.
+//! 2. **Normals.** The geometric normal is that of the triangle's plane, turned towards the camera. The shading normal
+//!    is interpolated from the vertices, and negated where the ray hit the back face.
+//! 3. **Relevance.** A light is relevant at the point if it is switched on (nonzero intensity, colour not black), the
+//!    shading normal faces it, and the point lies within its range and outer cone. Other lights' bits are 0.
+//! 4. **Facing.** Where the geometric normal faces away from a relevant light, the surface shadows itself: bit 0, no
+//!    ray. The normal faces the light if the light's height above the shadow ray's start exceeds the rounding error (5
+//!    rounding units of the way to the light). So a light in a surface's own plane does not speckle it.
 //! 5. **Shadow ray.** It starts at the point, interpolated from the vertices and pushed along the geometric normal by a
-//!    proven bound on how far interpolation took it off the plane: 16 rounding units of the magnitudes that were summed
-//!    (the idea of Wächter and Binder, Ray Tracing Gems, ch. 6, whose 256 are a rule of thumb). It ends at the light,
-//!    or beyond the scene for a directional light. Any OPAQUE triangle, from either side, and any MASK triangle whose
-//!    alpha is there, stops it, unless the start or the light lies on the triangle's plane as far as rounding can tell:
-//!    6 rounding units of the distance's terms, with a plane normal computed in f64. So a lamp that sits on a surface
-//!    lights what is around it, on both sides of a surface without thickness. Bit 1 when nothing stops it.
+//!    proven bound on how far interpolation moved it off the plane: 16 rounding units of the summed magnitudes (the
+//!    idea of Wächter and Binder, Ray Tracing Gems, ch. 6, whose 256 is a rule of thumb). It ends at the light, or
+//!    beyond the scene for a directional light. Any OPAQUE triangle stops it, from either side, as does any MASK
+//!    triangle that passes the alpha test. A triangle does not stop it if the start or the light lies in the triangle's
+//!    plane within rounding error: 6 rounding units of the distance's terms, with a plane normal computed in f64. So a
+//!    lamp on a surface lights its surroundings, on both sides of a zero-thickness surface. The bit is 1 if nothing
+//!    stops the ray.
 
 pub mod backend;
 pub mod engine;

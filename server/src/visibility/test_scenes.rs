@@ -5,7 +5,7 @@ use std::f32::consts::{PI, TAU};
 use glam::{DVec3, Quat, Vec2, Vec3, Vec4};
 use gnomon_scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
 
-/// Material of [`TestScene`] for each kind of surface.
+/// Materials of [`TestScene`], one for each kind of surface.
 pub(crate) const DOUBLE_SIDED: u32 = 0;
 pub(crate) const SINGLE_SIDED: u32 = 1;
 pub(crate) const LEAF: u32 = 2;
@@ -31,7 +31,7 @@ impl TestScene {
         self
     }
 
-    /// A parallelogram from `corner` along `u` and `v`, seen from where u × v points. Its texture is repeated thrice.
+    /// A parallelogram from `corner` along `u` and `v`, facing along u × v. Its texture repeats three times.
     pub(crate) fn quad(mut self, material: u32, corner: Vec3, u: Vec3, v: Vec3) -> Self {
         let normal = u.cross(v).normalize();
         let at = |s: f32, t: f32| (corner + u * s + v * t, normal, Vec2::new(3.0 * s - 0.7, 3.0 * t + 0.2));
@@ -41,7 +41,7 @@ impl TestScene {
         self
     }
 
-    /// A box, seen from outside, or from inside when `inside`.
+    /// A box that faces outwards, or inwards if `inside`.
     pub(crate) fn cuboid(mut self, material: u32, min: Vec3, max: Vec3, inside: bool) -> Self {
         let size = max - min;
         for axis in 0..3 {
@@ -55,10 +55,10 @@ impl TestScene {
         self
     }
 
-    /// A closed sphere with smooth normals, seen from inside or outside.
+    /// A closed sphere with smooth normals that faces outwards, or inwards if `inside`.
     pub(crate) fn sphere(mut self, material: u32, centre: Vec3, radius: f32, rings: u16, inside: bool) -> Self {
         let turn = if inside { -1.0 } else { 1.0 };
-        // The same rounding for every use of a corner, and one point at each pole: the mesh has no gaps.
+        // Every use of a corner rounds alike, and each pole is one point: the mesh has no gaps.
         let at = |ring: u16, sector: u16| {
             let sectors = 2 * rings;
             let (polar, around) =

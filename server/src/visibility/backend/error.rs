@@ -5,7 +5,7 @@ use thiserror::Error;
 
 #[derive(Debug, Error)]
 pub enum BackendError {
-    /// There is no adapter, or it gives no device.
+    /// There is no adapter, or it provides no device.
     #[error(transparent)]
     Gpu(#[from] GpuError),
     /// The adapter lacks a feature or a limit that the kernels need.

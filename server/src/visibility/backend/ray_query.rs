@@ -1,8 +1,8 @@
 //! The `ray-query` back end: the frames, rules and kernels of `compute`, with the adapter's own acceleration structure
-//! in place of our hierarchy.
+//! instead of our hierarchy.
 //!
 //! wgpu calls ray queries experimental. Adapters without hardware for them do not offer them, except recent software
-//! Vulkan, which the tests run on.
+//! Vulkan, which the tests use.
 
 use gnomon_scene::Scene;
 use gnomon_shaders::gpu::Gpu;
@@ -15,16 +15,15 @@ use super::{
 /// Opens an adapter that has ray queries and uploads the scene. Builds the structure and compiles the kernels.
 ///
 /// # Errors
-/// If there is no such adapter, it has no ray queries or lacks what else the kernels need, or the scene does not fit
-/// it.
+/// If there is no such adapter, it lacks ray queries or other needs of the kernels, or the scene does not fit it.
 pub fn open(scene: &Scene, adapter: Option<String>, allow_software: bool) -> Result<ComputeBackend, BackendError> {
     ComputeBackend::open_traversing(scene, adapter, allow_software, Traversal::RayQuery, None)
 }
 
-/// Opens an adapter with ray queries where it has them and the scene fits, and with `compute` otherwise.
+/// Opens an adapter with ray queries if it has them and the scene fits, and with `compute` otherwise.
 ///
 /// # Errors
-/// If there is no such adapter, or it can do neither.
+/// If there is no such adapter, or it supports neither.
 pub fn open_preferred(
     scene: &Scene,
     adapter: Option<String>,

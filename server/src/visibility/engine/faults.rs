@@ -9,7 +9,7 @@ pub enum Fault {
     DeviceLost,
 }
 
-/// Injected faults of one engine that have not happened yet.
+/// Injected faults of one engine, until they happen.
 #[derive(Debug, Default)]
 pub(super) struct Faults {
     panics: AtomicU32,

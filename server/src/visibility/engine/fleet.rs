@@ -1,5 +1,5 @@
-//! The engines of a server, one for each device. Sessions go where the measured load is least. An engine that loses its
-//! device hands its sessions to the others.
+//! The engines of a server, one per device. A new session goes to the engine with the least measured load. An engine
+//! that loses its device hands its sessions to the others.
 
 use std::{num::NonZeroUsize, sync::Arc};
 
@@ -14,8 +14,8 @@ use super::{
     port::SessionPort,
 };
 
-/// Running engines, at least one. Dropping them stops them and waits for their threads, so it does not belong on an
-/// async worker.
+/// Running engines, at least one. Dropping them stops their threads and waits for them, so don't drop them on an async
+/// worker.
 #[derive(Debug)]
 pub struct Fleet {
     engines: Vec<Engine>,
@@ -23,15 +23,15 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    /// Starts an engine on each device, all at once.
+    /// Starts an engine on each device, in parallel.
     ///
     /// # Errors
-    /// If one of them does not start.
+    /// If an engine does not start.
     pub fn start(scene: &Arc<Scene>, options: &EngineOptions) -> Result<Self, EngineError> {
         let wanted = options.adapter.as_deref();
         let adapters = match options.backend {
             BackendChoice::Cpu => 1,
-            // `count` leaves software adapters out: then there is one device.
+            // `count` does not count software adapters, but one device is always opened.
             BackendChoice::Auto | BackendChoice::Compute | BackendChoice::RayQuery => {
                 pollster::block_on(Gpu::count(wanted)).max(1)
             }
@@ -61,7 +61,7 @@ impl Fleet {
         Ok(Self { engines, description })
     }
 
-    /// Back ends and adapters, for people.
+    /// Back ends and adapters, in readable form.
     #[must_use]
     pub fn description(&self) -> &str {
         &self.description
@@ -77,10 +77,10 @@ impl Fleet {
         self.engines.iter().map(Engine::sessions).sum()
     }
 
-    /// Opens a session on the least loaded device that admits it. `rate_hz` is the most masks per second that it wants.
+    /// Opens a session on the least loaded device that admits it, for up to `rate_hz` masks per second.
     ///
     /// # Errors
-    /// The error of the least loaded device, if none admits it.
+    /// If no device admits it: the error of the least loaded one.
     pub fn open(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<SessionPort, OpenError> {
         let mut by_load: Vec<(bool, f64, usize, &Engine)> = (self.engines.iter())
             .map(|engine| (!engine.is_well(), engine.load_ms(), engine.sessions(), engine))
@@ -98,7 +98,7 @@ impl Fleet {
         Err(first.unwrap_or(OpenError::Busy))
     }
 
-    /// Waits until all engines have ended. Returns the last one's reason.
+    /// Waits until all engines have ended. Returns the last reason.
     pub async fn ended(&self) -> String {
         let mut reason = String::new();
         for engine in &self.engines {

@@ -36,8 +36,8 @@ const WARM_UP_PX: (u32, u32) = (320, 180);
 /// Stack of the engine's thread. obvhs builds hierarchies recursively.
 const STACK_BYTES: usize = 16 << 20;
 
-/// A running engine: one thread owns one device, traces for all of its sessions in turn, and is the only one to wait
-/// for the device. Dropping the engine stops it and waits for the thread, so it does not belong on an async worker.
+/// A running engine: its thread owns one device, traces for all sessions in turn, and is the only one to wait for the
+/// device. Dropping the engine stops the thread and waits for it, so don't drop it on an async worker.
 #[derive(Debug)]
 pub struct Engine {
     description: String,
@@ -52,8 +52,8 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// Prepares the scene for tracing and starts the thread. Builds the hierarchy and compiles the kernels, so it does
-    /// not belong on an async worker. Keeps the scene, to reopen a lost device.
+    /// Prepares the scene for tracing and starts the thread. Builds the hierarchy and compiles the kernels, so don't
+    /// call it on an async worker. Keeps the scene, to reopen a lost device.
     ///
     /// # Errors
     /// If the back end cannot be opened for this scene.
@@ -81,7 +81,7 @@ impl Engine {
                             worker.run();
                         }
                     }
-                    // Sending fails only when `start` has returned.
+                    // Sending fails only after `start` has returned.
                     Err(error) => drop(ready.send(Err(error))),
                 }
                 drop(guard);
@@ -104,7 +104,7 @@ impl Engine {
         })
     }
 
-    /// Lets engines take over each other's sessions when a device is lost. Called once.
+    /// Lets engines take over each other's sessions when a device is lost. Call it once.
     pub(super) fn connect_peers(engines: &[Self]) {
         for engine in engines {
             let others = engines.iter().filter(|other| !Arc::ptr_eq(&other.shared, &engine.shared));
@@ -118,7 +118,7 @@ impl Engine {
         }
     }
 
-    /// Back end and adapter, for people: `compute on …`, `cpu: …`.
+    /// Back end and adapter, in readable form: `compute on …`, `cpu: …`.
     #[must_use]
     pub fn description(&self) -> &str {
         &self.description
@@ -129,19 +129,19 @@ impl Engine {
         self.shared.sessions().len()
     }
 
-    /// Milliseconds of the device that the sessions need per second.
+    /// Device time that the sessions need, in milliseconds per second.
     #[must_use]
     pub fn load_ms(&self) -> f64 {
         self.shared.load_ms()
     }
 
-    /// How often the device was lost.
+    /// Number of times that the device was lost.
     #[must_use]
     pub fn losses(&self) -> u64 {
         self.shared.losses.load(Ordering::Relaxed)
     }
 
-    /// Whether the device can trace now.
+    /// Returns whether the device can trace now.
     #[must_use]
     pub fn is_well(&self) -> bool {
         self.shared.is_well()
@@ -153,7 +153,7 @@ impl Engine {
         self.waker.unpark();
     }
 
-    /// Removes the injected panics that have not happened yet.
+    /// Cancels injected panics that have not happened yet.
     #[cfg(any(test, feature = "faults"))]
     pub fn forget_faults(&self) {
         while self.shared.faults.take(Fault::Panic) {}
@@ -162,16 +162,16 @@ impl Engine {
     /// Opens a session without a rate and without an admission test.
     ///
     /// # Errors
-    /// Those of [`Self::open`], except [`OpenError::Overload`].
+    /// As [`Self::open`], except [`OpenError::Overload`].
     pub fn open_session(&self, shape: MaskShape) -> Result<SessionPort, OpenError> {
         self.open_if(shape, None, |_, _| Ok(()))
     }
 
-    /// Opens a session for masks of at most this shape, `rate_hz` of them per second. Returns at once; the port closes
-    /// later if the device has no memory for it.
+    /// Opens a session for masks of at most this shape, `rate_hz` of them per second. Returns at once. If the device
+    /// has no memory for the session, its port closes later.
     ///
     /// # Errors
-    /// If all sessions are taken, the device has too little time for another, the shape is not this scene's or too
+    /// If there are too many sessions, the device has too little time left, the shape does not fit the scene or is too
     /// large, or the engine has stopped.
     pub fn open(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<SessionPort, OpenError> {
         self.open_if(shape, rate_hz, |needs, new| admit(needs.iter().copied(), new, self.budget_ms))
@@ -216,7 +216,7 @@ impl Engine {
     /// Waits until the engine has ended. Returns the reason.
     pub async fn ended(&self) -> String {
         let mut ended = self.shared.ended.subscribe();
-        // Waiting does not fail: the sender lives as long as `self`.
+        // Waiting cannot fail: the sender lives as long as `self`.
         let reason = ended.wait_for(Option::is_some).await.ok().and_then(|reason| reason.clone());
         reason.unwrap_or_default()
     }
@@ -232,7 +232,7 @@ impl Engine {
     }
 }
 
-/// The view of the warm-up masks: from the middle of the scene.
+/// The warm-up view, from the middle of the scene.
 fn warm_up_view(scene: &Scene) -> Option<(Camera, MaskShape)> {
     let (width, height) = WARM_UP_PX;
     let shape = MaskShape::new(width, height, u32::try_from(scene.lights.len()).ok()?).ok()?;
@@ -247,7 +247,7 @@ impl Drop for Engine {
     }
 }
 
-/// Records why the thread ends, also when it panics.
+/// Records why the thread ends, even when it panics.
 struct EndGuard(Arc<Shared>);
 
 impl Drop for EndGuard {

@@ -14,9 +14,9 @@ use crate::visibility::backend::{
     ray_query,
 };
 
-/// What an engine says about its back end.
+/// An engine's description of its back end.
 pub(super) struct About {
-    /// Back end and adapter, for people.
+    /// Back end and adapter, in readable form.
     pub(super) description: String,
     pub(super) limit: Option<PictureLimit>,
 }
@@ -40,7 +40,7 @@ pub(super) fn open_tracer(scene: &Scene, options: &EngineOptions) -> Result<(Tra
         BackendChoice::Cpu => on_cpu(),
         BackendChoice::Auto => match ray_query::open_preferred(scene, adapter(), false) {
             Ok(backend) => Ok(on_device(backend)),
-            // A named adapter that is missing is an error, not a reason to trace elsewhere.
+            // If a named adapter is missing, fail instead of tracing elsewhere.
             Err(error @ BackendError::Gpu(GpuError::NoAdapter { wanted: Some(_), .. })) => Err(error),
             Err(BackendError::Gpu(error @ (GpuError::NoAdapter { .. } | GpuError::SoftwareOnly(_)))) => {
                 tracing::info!(reason = %error, "tracing on the processor");

@@ -1,14 +1,13 @@
-//! What an engine traces with, and for how many sessions.
+//! An engine's options.
 
 use std::num::NonZeroUsize;
 
-/// The back end to trace with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum BackendChoice {
-    /// `ray-query` on a GPU with ray queries, `compute` on any other GPU, `cpu` when there is no GPU or only a software
-    /// adapter.
+    /// `ray-query` on a GPU with ray queries, `compute` on any other GPU, `cpu` without a GPU or with a software
+    /// adapter only.
     Auto,
-    /// Kernels on a graphics adapter, with its own ray queries.
+    /// Kernels on a graphics adapter, with its hardware ray queries.
     RayQuery,
     /// Kernels on a graphics adapter.
     Compute,
@@ -16,25 +15,24 @@ pub enum BackendChoice {
     Cpu,
 }
 
-/// How to trace, and for how many sessions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EngineOptions {
     pub backend: BackendChoice,
     /// Part of the adapter's name, for `compute` and `ray-query`.
     pub adapter: Option<String>,
-    /// Whether a software adapter may be used.
+    /// Permits software adapters.
     pub allow_software: bool,
     /// Threads for `cpu`. `None`: one per core.
     pub threads: Option<NonZeroUsize>,
-    /// Most sessions open at a time.
+    /// Most sessions open at once.
     pub max_sessions: usize,
-    /// Milliseconds of each device that sessions may need per second.
+    /// Device time that the sessions of a device may need, in milliseconds per second.
     pub budget_ms: f64,
     /// Engines to start. `None`: one for each adapter of the best kind. More engines than adapters share adapters.
     pub devices: Option<NonZeroUsize>,
 }
 
 impl EngineOptions {
-    /// Nearly all of a device's time. The rest is for work that is not measured.
+    /// Nearly all of a device's time. The rest is for unmeasured work.
     pub const DEFAULT_BUDGET_MS: f64 = 900.0;
 }

@@ -1,8 +1,8 @@
-//! A session's port to the engine: the newest pose in, masks out, and no call waits for the device.
+//! A session's port to the engine: poses in, masks out. No call waits for the device.
 //!
-//! Poses go through a `watch` channel, so a new pose replaces one that was not taken yet. Masks come through a bounded
-//! channel in which the engine reserves a place before it starts a trace. While a session leaves its masks unread,
-//! nothing is traced for it, and the waiting pose stays the newest.
+//! Poses go through a `watch` channel, so a new pose replaces one that the engine has not taken. Masks come through a
+//! bounded channel, in which the engine reserves a place before it starts a trace. While a session does not read its
+//! masks, the engine traces nothing for it and keeps its newest pose.
 
 use std::{
     sync::{
@@ -17,10 +17,10 @@ use tokio::sync::{mpsc, watch};
 
 use crate::visibility::{TraceRequest, TracedMask, schedule::costs::SessionCosts};
 
-/// Masks of one session that are being traced or wait to be read. Two: one is encoded while the next is traced.
+/// Masks of one session that are being traced or unread. Two: one is encoded while the next is traced.
 pub const OUTSTANDING_MASKS: usize = 2;
 
-/// The session's halves of its channels. Dropping either closes the session in the engine.
+/// The session's channel ends. Dropping either closes the session in the engine.
 #[derive(Debug)]
 pub struct SessionPort {
     pub requests: RequestSender,
@@ -28,7 +28,7 @@ pub struct SessionPort {
     pub costs: Arc<SessionCosts>,
 }
 
-/// Takes a session's newest pose, and the memory of masks that it has read.
+/// Sends a session's newest pose, and the memory of masks that it has read.
 #[derive(Debug)]
 pub struct RequestSender {
     newest: watch::Sender<Option<TraceRequest>>,
@@ -36,18 +36,18 @@ pub struct RequestSender {
     waker: EngineWaker,
 }
 
-/// Returns a session's traced masks.
+/// Receives a session's traced masks.
 #[derive(Debug)]
 pub struct MaskReceiver {
     masks: mpsc::Receiver<TracedMask>,
     waker: EngineWaker,
 }
 
-/// Wakes the thread of the session's engine when it is parked. Costs next to nothing when it is not.
+/// Wakes the engine's thread if it is parked. Costs next to nothing if it is not.
 #[derive(Debug, Clone)]
 pub(super) struct EngineWaker(Arc<Mutex<Thread>>);
 
-/// The engine's halves of a [`SessionPort`]'s channels.
+/// The engine's ends of a [`SessionPort`]'s channels.
 #[derive(Debug)]
 pub(super) struct EnginePort {
     pub(super) newest: watch::Receiver<Option<TraceRequest>>,
@@ -65,7 +65,7 @@ impl EngineWaker {
         self.thread().unpark();
     }
 
-    /// Wakes the thread of another engine from now on.
+    /// Wakes this thread, of another engine, from now on.
     pub(super) fn move_to(&self, thread: Thread) {
         *self.thread() = thread;
         self.wake();
@@ -81,7 +81,7 @@ pub(super) fn session_port(thread: Thread, costs: Arc<SessionCosts>) -> (Session
     let waker = EngineWaker::new(thread);
     let (newest, newest_end) = watch::channel(None);
     let (masks_end, masks) = mpsc::channel(OUTSTANDING_MASKS);
-    // One more than can be outstanding: a session may hold its last mask while it gives older ones back.
+    // One more than can be outstanding: a session may hold its last mask while it returns older ones.
     let (used, used_end) = sync_channel(OUTSTANDING_MASKS + 1);
     (
         SessionPort {
@@ -104,8 +104,8 @@ impl SessionPort {
 }
 
 impl RequestSender {
-    /// Requests a mask. Replaces an earlier request that the engine has not taken yet. A picture larger than the
-    /// session was opened for is logged and dropped.
+    /// Requests a mask. Replaces an earlier request that the engine has not taken. A view larger than the session was
+    /// opened for is logged and dropped.
     pub fn request(&self, request: TraceRequest) {
         self.newest.send_replace(Some(request));
         self.waker.wake();
@@ -114,7 +114,7 @@ impl RequestSender {
     /// Returns a mask's memory for a later mask.
     pub fn recycle(&self, mask: Mask) {
         match self.used.try_send(mask) {
-            // Without room the memory is freed.
+            // If the channel is full or closed, the memory is freed.
             Ok(()) | Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {}
         }
     }
@@ -128,7 +128,7 @@ impl MaskReceiver {
         mask
     }
 
-    /// Returns the next mask if it is there.
+    /// Returns the next mask without waiting.
     ///
     /// # Errors
     /// If there is none yet, or the engine has stopped.
@@ -147,7 +147,7 @@ impl MaskReceiver {
     /// As [`Self::recv`], for threads outside an async runtime.
     ///
     /// # Panics
-    /// If called inside one.
+    /// If called inside an async runtime.
     pub fn blocking_recv(&mut self) -> Option<TracedMask> {
         let mask = self.masks.blocking_recv();
         self.waker.wake();
@@ -157,7 +157,7 @@ impl MaskReceiver {
 
 impl Drop for RequestSender {
     fn drop(&mut self) {
-        // Fields are dropped after this function, but the channel must be closed before the engine wakes.
+        // Fields are dropped after this function, but the channel must close before the engine wakes.
         let (other, _) = watch::channel(None);
         drop(std::mem::replace(&mut self.newest, other));
         self.waker.wake();
@@ -172,7 +172,7 @@ impl Drop for MaskReceiver {
 }
 
 impl EnginePort {
-    /// Whether the session has dropped one of its halves.
+    /// Returns whether the session has dropped one of its ends.
     pub(super) fn is_closed(&self) -> bool {
         self.masks.is_closed() || self.newest.has_changed().is_err()
     }

@@ -1,5 +1,4 @@
-//! State that an engine, its thread and the server's other engines share, and the sessions that they hand to each
-//! other.
+//! State shared by an engine, its thread and the server's other engines, and the sessions that they hand over.
 
 use std::{
     sync::{
@@ -22,16 +21,16 @@ use crate::visibility::{
     },
 };
 
-/// Sessions that may wait for the engine's thread to take them up.
+/// Most sessions waiting for the engine's thread to open them.
 pub(super) const WAITING_SESSIONS: usize = 64;
 
 #[derive(Debug, Default)]
 pub(super) struct Shared {
     /// Tells the thread to end.
     pub(super) stop: AtomicBool,
-    /// The device is lost and not reopened yet.
+    /// The device is lost and not yet reopened.
     pub(super) lost: AtomicBool,
-    /// How often the device was lost.
+    /// Number of times that the device was lost.
     pub(super) losses: AtomicU64,
     /// Expected cost of masks on this device.
     pub(super) model: CostModel,
@@ -44,7 +43,7 @@ pub(super) struct Shared {
     pub(super) ended: watch::Sender<Option<String>>,
 }
 
-/// Another engine, which takes sessions over when this one's device is lost.
+/// Another engine, which takes over sessions when this one's device is lost.
 #[derive(Debug)]
 pub(super) struct Peer {
     pub(super) shared: Weak<Shared>,
@@ -55,16 +54,16 @@ pub(super) struct Peer {
 /// A session on its way to an engine's thread: new, or handed over by an engine that lost its device.
 #[derive(Debug)]
 pub(super) struct PendingSession {
-    /// The largest mask that the session may ask for.
+    /// The largest mask that the session may request.
     pub(super) shape: MaskShape,
     pub(super) port: EnginePort,
     pub(super) costs: Arc<SessionCosts>,
     pub(super) permit: SessionPermit,
-    /// A request whose trace was lost with its device.
+    /// A request whose trace was lost with the device.
     pub(super) retry: Option<TraceRequest>,
 }
 
-/// One of an engine's sessions. Dropping it frees the place.
+/// A place among an engine's sessions, freed on drop.
 #[derive(Debug)]
 pub(super) struct SessionPermit {
     shared: Arc<Shared>,
@@ -72,7 +71,7 @@ pub(super) struct SessionPermit {
 }
 
 impl Shared {
-    /// Notes why the thread has ended. The first reason stays.
+    /// Records why the thread has ended. Keeps the first reason.
     pub(super) fn end(&self, reason: String) {
         self.ended.send_if_modified(|ended| {
             let is_first = ended.is_none();
@@ -89,17 +88,17 @@ impl Shared {
         self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Milliseconds of the device that the sessions need per second.
+    /// Device time that the sessions need, in milliseconds per second.
     pub(super) fn load_ms(&self) -> f64 {
         self.sessions().iter().map(|costs| costs.need().per_second_ms()).sum()
     }
 
-    /// Whether the device can trace now.
+    /// Returns whether the device can trace now.
     pub(super) fn is_well(&self) -> bool {
         !self.lost.load(Ordering::Acquire) && self.ended.borrow().is_none() && !self.stop.load(Ordering::Acquire)
     }
 
-    /// Hands a session to the least loaded of the other engines whose devices are well. Returns it when none takes it.
+    /// Hands a session to the least loaded engine that still has its device. Returns the session if none takes it.
     pub(super) fn hand_over(&self, mut session: PendingSession) -> Option<PendingSession> {
         let peers = self.peers.get().map(Vec::as_slice).unwrap_or_default();
         let well = |peer: &Peer| peer.shared.upgrade().filter(|shared| shared.is_well());
@@ -126,7 +125,7 @@ impl Shared {
 }
 
 impl SessionPermit {
-    /// Adds a session if `fits` accepts it beside what the other sessions need. Errors are those of `fits`.
+    /// Adds a session if `fits` accepts it beside the needs of the other sessions. Errors are those of `fits`.
     pub(super) fn acquire<E>(
         shared: &Arc<Shared>,
         costs: &Arc<SessionCosts>,

@@ -72,7 +72,7 @@ fn shape(width: u32, height: u32) -> MaskShape {
     MaskShape::new(width, height, 5).unwrap()
 }
 
-/// Waits, but not for ever, until `condition` holds.
+/// Waits until `condition` holds, with a time limit.
 fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !condition() {
@@ -130,7 +130,7 @@ fn the_newest_pose_wins_and_an_idle_reader_blocks_no_other() {
         let (engine, _) = engine(backend);
         let mut sleeper = engine.open_session(shape(64, 48)).unwrap();
         let mut reader = engine.open_session(shape(40, 40)).unwrap();
-        // The sleeper's channel fills, and its poses go on coming.
+        // The reader's channel fills while poses keep coming.
         for frame in 0..200 {
             sleeper.request(request(frame, 64, 48));
             if frame % 40 == 0 {
@@ -140,7 +140,7 @@ fn the_newest_pose_wins_and_an_idle_reader_blocks_no_other() {
         }
         eventually("two masks for the sleeper", || sleeper.masks.waiting() == OUTSTANDING_MASKS);
         let older = [next_mask(&mut sleeper).frame, next_mask(&mut sleeper).frame];
-        // Reading made room, and the pose that had waited is the last one.
+        // Reading made room. The waiting pose is the last one sent.
         assert_eq!(next_mask(&mut sleeper).frame, FrameNumber(199));
         assert!(older[0] < older[1] && older[1] < FrameNumber(199), "{older:?}");
         assert!(sleeper.masks.try_recv().is_err());
@@ -156,7 +156,7 @@ fn a_session_that_closes_in_mid_frame_disturbs_no_other() {
             let leaver = engine.open_session(shape(80 + 8 * round, 60)).unwrap();
             leaver.request(request(round, 80 + 8 * round, 60));
             reader.request(request(round, 40, 40));
-            // Either end's drop closes the session.
+            // Dropping either end closes the session.
             let SessionPort { requests, masks, .. } = leaver;
             if round % 2 == 0 {
                 drop(requests);
@@ -236,12 +236,12 @@ fn impossible_sessions_and_engines_are_refused_with_reasons() {
 
 #[test]
 fn auto_never_takes_a_software_adapter() {
-    // On a machine with a GPU it takes that.
+    // On a machine with a GPU it takes the GPU.
     let engine = Engine::start(Arc::new(room()), &options(BackendChoice::Auto)).unwrap();
     assert!(engine.description().starts_with("cpu") || !engine.description().contains("llvmpipe"));
 }
 
-/// A worker with one session on a device that the test may destroy and that can be reopened `reopened` times.
+/// A worker with one session on a device that the test may destroy and the worker may reopen `reopened` times.
 fn worker_on(gpu: &Gpu, reopened: u32) -> (SessionPort, Arc<Shared>, std::thread::JoinHandle<()>) {
     let scene = room();
     let first = Tracer::on_device(ComputeBackend::new(&scene, gpu.clone()).unwrap());
@@ -288,7 +288,7 @@ fn sessions_and_their_poses_survive_a_lost_device() {
     port.request(request(1, 64, 64));
     let before = next_mask(&mut port);
     gpu.device.destroy();
-    // The pose that was lost with the device is traced on the new one, without a new request.
+    // The pose that was lost with the device is traced on the new one without a new request.
     port.request(request(2, 64, 64));
     assert_eq!(next_mask(&mut port).frame, FrameNumber(2));
     port.request(request(1, 64, 64));
@@ -359,7 +359,7 @@ fn sessions_spread_over_devices_and_move_when_one_is_lost() {
 #[test]
 fn a_session_beyond_the_budget_is_refused() {
     let (engine, _) = engine(BackendChoice::Cpu);
-    // The first is always admitted, and asks for more than the budget.
+    // The first is always admitted, even though it exceeds the budget.
     let first = engine.open(shape(400, 300), Some(60_000.0)).unwrap();
     let refused = engine.open(shape(400, 300), Some(1.0)).unwrap_err();
     assert!(matches!(refused, OpenError::Overload(Overload::Time { .. })), "{refused}");

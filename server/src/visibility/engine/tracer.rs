@@ -22,13 +22,13 @@ use crate::visibility::{
 };
 
 pub(super) enum Tracer {
-    /// Kernels on a device. `in_flight` are the frames that are wholly submitted, oldest first.
+    /// Kernels on a device. `in_flight`: wholly submitted frames, oldest first.
     Device {
         backend: Box<ComputeBackend>,
         in_flight: VecDeque<Job>,
     },
     Cpu(Box<CpuBackend>),
-    /// The device is lost and not reopened yet.
+    /// The device is lost and not yet reopened.
     Lost,
 }
 
@@ -39,11 +39,11 @@ pub(super) struct Job {
     /// When the mask is due.
     pub(super) due: Instant,
     pub(super) mask: Mask,
-    /// The mask's place in the session's channel.
+    /// The mask's reserved place in the session's channel.
     pub(super) permit: OwnedPermit<TracedMask>,
 }
 
-/// A frame between two of its parts.
+/// A frame that is interrupted between two parts.
 pub(super) struct PartialFrame {
     pub(super) job: Job,
     /// Rows of tiles in each part.
@@ -56,17 +56,17 @@ enum Progress {
     Cpu { next_row: u32, cost: TraceCost },
 }
 
-/// What has become of a frame after one of its parts.
+/// State of a frame after one of its parts.
 pub(super) enum Advance {
     Partial(PartialFrame),
-    /// All parts are submitted: [`Tracer::collect`] returns the frame once it has landed.
+    /// All parts are submitted. [`Tracer::collect`] returns the frame once it has landed.
     InFlight,
     Traced(Job, TraceCost),
 }
 
-/// Why tracing failed, with the job that was worked on. Frames in flight stay with the tracer: see [`Tracer::lose`].
+/// Why tracing failed, and the affected job. Frames in flight stay with the tracer: see [`Tracer::lose`].
 pub(super) enum TraceError {
-    /// The device failed. The job's request can be traced on another device.
+    /// The device failed. Another device can trace the job's request.
     Device { error: BackendError, job: Option<Box<Job>> },
     /// The work on this job panicked.
     Panicked { job: Box<Job> },
@@ -167,7 +167,7 @@ impl Tracer {
     /// Waits up to `patience` for the oldest submission. Errors if the device has failed.
     pub(super) fn wait(&mut self, patience: Duration) -> Result<(), BackendError> {
         let Self::Device { backend, .. } = self else { return Ok(()) };
-        // A long mask is read piece by piece, without waiting in between.
+        // The host reads a long mask piece by piece, without waiting between pieces.
         let patience = if backend.has_landed()? { Duration::ZERO } else { patience };
         backend.wait(patience)
     }
@@ -204,18 +204,18 @@ impl Tracer {
         }
     }
 
-    /// Whether [`Self::advance`] returns only once the part is traced.
+    /// Returns whether [`Self::advance`] waits until the part is traced.
     pub(super) fn is_synchronous(&self) -> bool {
         !matches!(self, Self::Device { .. })
     }
 
-    /// Whether it can go on after a panic. The processor's back end changes nothing of its own while it traces; the
-    /// state of a device's queue is unknown.
+    /// Returns whether the back end can continue after a panic. The CPU's does not change its own state while it
+    /// traces. The state of a device's queue is unknown.
     pub(super) fn survives_panics(&self) -> bool {
         matches!(self, Self::Cpu(_))
     }
 
-    /// `None` where nothing limits what may begin.
+    /// Returns `None` if nothing limits how many frames may begin.
     pub(super) fn load(&mut self) -> Option<DeviceLoad> {
         let Self::Device { backend, in_flight } = self else { return None };
         Some(DeviceLoad {
@@ -225,7 +225,7 @@ impl Tracer {
         })
     }
 
-    /// Whether masks of this shape need no larger buffers.
+    /// Returns whether masks of this shape fit the present buffers.
     pub(super) fn fits(&self, shape: MaskShape) -> bool {
         match self {
             Self::Device { backend, .. } => backend.fits(shape),
@@ -233,8 +233,8 @@ impl Tracer {
         }
     }
 
-    /// Makes buffers that just fit these shapes; frames in flight would be lost. Errors if the device has too little
-    /// memory: then there are no buffers at all.
+    /// Resizes the buffers to just fit these shapes, losing any frames in flight. Errors if the device has too little
+    /// memory: then it has no buffers at all.
     pub(super) fn fit(&mut self, shapes: impl IntoIterator<Item = MaskShape>) -> Result<(), BackendError> {
         match self {
             Self::Device { backend, .. } => backend.fit(shapes),
@@ -242,7 +242,7 @@ impl Tracer {
         }
     }
 
-    /// Destroys the device, as a real loss would.
+    /// Destroys the device, like a real loss.
     #[cfg(any(test, feature = "faults"))]
     pub(super) fn destroy_device(&self) {
         if let Self::Device { backend, .. } = self {

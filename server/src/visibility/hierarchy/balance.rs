@@ -1,13 +1,13 @@
-//! Bounds the depth of a binary hierarchy: subtrees that are too deep are rebuilt from equal halves, and nothing else
-//! changes.
+//! Bounds the depth of a binary hierarchy: rebuilds subtrees that are too deep from equal halves, and changes nothing
+//! else.
 //!
-//! The surface-area heuristic turns a chain of triangles with growing distances into a chain of nodes. The kernels'
-//! stack has a fixed size, and parts of obvhs recurse, so every hierarchy must fit by construction.
+//! The surface-area heuristic turns a chain of triangles at growing distances into a chain of nodes. The kernels' stack
+//! has a fixed size, and parts of obvhs recurse, so every hierarchy must fit by construction.
 
 use obvhs::bvh2::{Bvh2, node::Bvh2Node};
 
-/// Rebuilds as little of `binary` as needed, so that no path from the root passes more than `levels` inner nodes. Each
-/// leaf holds one primitive. `levels` is raised to the least depth that so many leaves need.
+/// Rebuilds as little of `binary` as possible, so that no path from the root has more than `levels` inner nodes. Each
+/// leaf holds one primitive. Raises `levels` to the least depth for the number of leaves.
 pub(crate) fn bound_depth(binary: &mut Bvh2, levels: u32) {
     if binary.nodes.is_empty() {
         return;
@@ -19,7 +19,7 @@ pub(crate) fn bound_depth(binary: &mut Bvh2, levels: u32) {
         if depth + subtrees[n].height <= levels {
             continue;
         }
-        // Each child has fewer leaves, so it can still be balanced one level farther down.
+        // Each child has fewer leaves, so it can still be balanced one level down.
         if depth + 1 + halvings(subtrees[n].leaves - 1) <= levels {
             let first = binary.nodes[n].first_index as usize;
             open.extend([(first, depth + 1), (first + 1, depth + 1)]);
@@ -27,7 +27,7 @@ pub(crate) fn bound_depth(binary: &mut Bvh2, levels: u32) {
             balance(&mut binary.nodes, n);
         }
     }
-    // The builder's notes describe the old tree.
+    // The builder's data describe the old tree.
     binary.parents.clear();
     binary.primitives_to_nodes.clear();
     binary.children_are_ordered_after_parents = false;
@@ -64,12 +64,12 @@ fn measure(nodes: &[Bvh2Node]) -> Vec<Subtree> {
     subtrees
 }
 
-/// How often so many leaves are halved until each is alone.
+/// Number of halvings until each leaf is alone.
 fn halvings(leaves: usize) -> u32 {
     leaves.max(1).next_power_of_two().trailing_zeros()
 }
 
-/// Replaces the subtree at `root` by a balanced tree over its leaves, in the same nodes.
+/// Replaces the subtree at `root` by a balanced tree over its leaves, in place.
 fn balance(nodes: &mut [Bvh2Node], root: usize) {
     let (mut leaves, mut pairs) = (Vec::new(), Vec::new());
     let mut open = vec![root];
@@ -107,7 +107,7 @@ mod tests {
 
     use super::*;
 
-    /// A triangle at each of these distances along a diagonal.
+    /// Triangles at these distances along a diagonal.
     fn chain(places: impl Iterator<Item = f32>) -> Vec<Triangle> {
         places
             .map(|at| {

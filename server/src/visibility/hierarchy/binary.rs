@@ -1,10 +1,10 @@
-//! Binary hierarchies, in a build time that no scene can blow up. The back ends convert them to wide ones.
+//! Binary hierarchies with a bounded build time for any scene. The back ends convert them to wide ones.
 //!
-//! They are built bottom up: boxes in the order of a space-filling curve, where in each round mutual nearest neighbours
-//! merge (Meister and Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy Construction", 2018),
-//! then obvhs' reinsertion. obvhs has this clustering too, but its time grows with the square of the number of boxes
-//! whose distances tie. A row of equal triangles, many copies of one, or shells around one centre have one pair of
-//! mutual nearest boxes per round, and a million of them would take hours. Here a hash breaks ties, and a round that
+//! They are built bottom up: boxes are sorted along a space-filling curve, and in each round mutual nearest neighbours
+//! merge (Meister and Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy Construction", 2018).
+//! obvhs' reinsertion follows. obvhs has this clustering, too, but its time grows with the square of the number of
+//! boxes whose distances tie. A row of equal triangles, many copies of one, or shells around one centre have one pair
+//! of mutual nearest boxes per round, and a million of them would take hours. Here a hash breaks ties, and a round that
 //! finds few pairs merges neighbours on the curve.
 
 use obvhs::{
@@ -15,17 +15,17 @@ use rayon::prelude::*;
 
 use super::balance::{bound_depth, height};
 
-/// A round that would merge less than one pair in so many boxes pairs neighbours on the curve instead.
+/// A round that would merge fewer than one pair in this many boxes pairs neighbours on the curve instead.
 const STALLED: usize = 8;
 
 /// Most inner nodes on a path from the root to a leaf.
 const MOST_LEVELS: u32 = 96;
 
-/// How far along the curve the nearest box is searched, to either side. This and [`REINSERTION`] are obvhs' values for
-/// a slow build, since a scene is built once and traced for days. On Sponza a group of camera rays visits 21.4 nodes
-/// and 22.9 leaves; with half the reach and a quarter of the share it visits 23.3 and 27.3.
+/// How far along the curve to search the nearest box, to either side. This and [`REINSERTION`] are obvhs' values for a
+/// slow build, since a scene is built once and traced for days. On Sponza a group of camera rays visits 21.4 nodes and
+/// 22.9 leaves; with half the reach and a quarter of the share it visits 23.3 and 27.3.
 const REACH: usize = 24;
-/// Share of nodes that the first pass of reinsertion moves to better places.
+/// Share of nodes that the first reinsertion pass moves to better places.
 const REINSERTION: f32 = 0.2;
 
 /// Builds a hierarchy with a leaf for each of fewer than 2³¹ boxes. Runs on the current rayon pool.
@@ -36,7 +36,7 @@ pub(crate) fn build(boxes: &[Aabb]) -> Bvh2 {
     }
     let mut clusters = along_curve(boxes);
     tree.nodes = vec![Bvh2Node::default(); 2 * boxes.len() - 1];
-    // Siblings are placed from the end, so that the top of the tree comes first, as reinsertion expects.
+    // Siblings are allocated from the end, so that the top of the tree comes first, as reinsertion expects.
     let mut free = tree.nodes.len();
     while clusters.len() > 1 {
         let nearest = nearest(&clusters);
@@ -59,7 +59,7 @@ pub(crate) fn build(boxes: &[Aabb]) -> Bvh2 {
                     tree.nodes[free + 1] = clusters[other];
                     merged.push(Bvh2Node::new(cluster.aabb().union(clusters[other].aabb()), 0, place(free)));
                 }
-                // Merged by its partner.
+                // Already merged by its partner.
                 Some(_) => {}
             }
         }
@@ -67,8 +67,7 @@ pub(crate) fn build(boxes: &[Aabb]) -> Bvh2 {
     }
     tree.nodes[0] = clusters[0];
     let mut optimizer = ReinsertionOptimizer::default();
-    // The passes of obvhs' own loop, which overflows its stack when one pass makes the tree deeper than the next
-    // expects.
+    // The passes of obvhs' own loop, which overflows its stack if one pass makes the tree deeper than the next expects.
     for pass in (1_u8..32).step_by(2) {
         tree.max_depth = tree.max_depth.max(height(&tree.nodes) as usize + 1);
         optimizer.run(&mut tree, REINSERTION, Some(vec![1.0 / f32::from(pass)]));
@@ -105,7 +104,7 @@ fn spread(cell: f32) -> u64 {
     (bits | bits << 2) & 0x1249_2492_4924_9249
 }
 
-/// For each of at least two clusters, the one within reach whose union with it is smallest.
+/// Returns for each of at least two clusters the one within reach whose union with it is smallest.
 fn nearest(clusters: &[Bvh2Node]) -> Vec<usize> {
     let among = |i: usize| {
         let own = clusters[i].aabb();
@@ -113,7 +112,7 @@ fn nearest(clusters: &[Bvh2Node]) -> Vec<usize> {
         let begin = i.saturating_sub(REACH);
         let within_reach = &clusters[begin..(i + REACH + 1).min(clusters.len())];
         for (other, candidate) in (begin..).zip(within_reach) {
-            // Ties must look the same from both ends, and must not all go to the same side.
+            // Ties must look the same from both ends, and must not all favour the same side.
             let cost = (own.union(candidate.aabb()).half_area(), tie_break(i.min(other), i.max(other)));
             if other != i && cost < best_cost {
                 (best, best_cost) = (other, cost);

@@ -1,4 +1,4 @@
-//! A BVH with eight children per node and leaves of up to eight triangles, for code that tests eight boxes at once.
+//! A BVH with eight children per node and up to eight triangles per leaf, for code that tests eight boxes at once.
 //!
 //! A binary tree (`binary`) is collapsed into the cheapest eight-wide one by dynamic programming (Ylitie, Karras and
 //! Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", HPG 2017, §3.1). Boxes stay f32,
@@ -29,7 +29,7 @@ const LEAF_BIT: u32 = 1 << 31;
 /// The word of a missing child.
 const NO_CHILD: u32 = u32::MAX;
 
-/// A node: the boxes of its children side by side. A missing child's box is inverted (+∞ to −∞), so it is never hit.
+/// A node: its children's boxes side by side. A missing child's box is inverted (+∞ to −∞), so rays never hit it.
 #[derive(Debug, Clone)]
 #[repr(C, align(64))]
 pub struct Node {
@@ -76,7 +76,7 @@ pub struct Leaf {
     pub corners: [[F8; 3]; 3],
     /// Index of each triangle in the list that the tree was built from.
     pub triangles: [u32; WIDTH],
-    /// Product of two sides' sizes (sums of absolute coordinates), in square metres. A rounding moves the product of
+    /// Product of two sides' sizes (sums of absolute coordinates), in square metres. One rounding moves the product of
     /// the normal and a distance by this times the distance.
     pub span: F8,
     /// Bit i: slot i is used.
@@ -186,7 +186,7 @@ impl<'a> Collapse<'a> {
             .fold((f32::INFINITY, 1), |best, option| if option.0 < best.0 { option } else { best })
     }
 
-    /// The binary nodes that become the children of the wide node made from binary node n.
+    /// Returns the binary nodes that become the children of binary node n's wide node.
     fn wide_children(&self, n: usize) -> Vec<usize> {
         let mut found = Vec::with_capacity(WIDTH);
         let mut open = vec![(n, WIDTH)];
@@ -232,7 +232,7 @@ impl<'a> Collapse<'a> {
                     word(wide.nodes.len() - 1)
                 };
             }
-            // The first child's subtree comes next, near its parent in memory.
+            // The first child's subtree comes next, to be near its parent in memory.
             open[first_open..].reverse();
         }
         wide
@@ -274,7 +274,7 @@ impl<'a> Collapse<'a> {
     }
 }
 
-/// The children of binary node n. `None` for a leaf, which has one triangle.
+/// Returns the children of binary node n, or `None` for a leaf, which has one triangle.
 fn children(binary: &Bvh2, n: usize) -> Option<[usize; 2]> {
     let node = &binary.nodes[n];
     let first = node.first_index as usize;
@@ -290,7 +290,7 @@ fn word(index: usize) -> u32 {
 mod tests {
     use super::*;
 
-    /// Triangles scattered by a small generator, which make an unbalanced tree.
+    /// Pseudo-randomly scattered triangles, which make an unbalanced tree.
     fn scattered(count: u32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
         let mut state = 1_u32;
         let mut next = || {

@@ -1,27 +1,27 @@
-//! Admission: whether a device can serve one more session. Pure arithmetic over what its sessions cost.
+//! Admission: decides from measured costs whether a device can serve one more session. Pure arithmetic.
 //!
-//! A device serves its sessions' rates when two things hold. The time that they need per second is within its budget.
-//! And the longest part of a frame, which cannot be interrupted, leaves each session time for its own mask before that
-//! is due: a simplified test for non-preemptive deadline scheduling (Jeffay, Stanat and Martel 1991).
+//! A device serves its sessions' rates if two things hold. First, they need no more time per second than its budget.
+//! Second, the longest part of a frame, which cannot be interrupted, leaves each session time for its own mask before
+//! it is due: a simplified test for non-preemptive deadline scheduling (Jeffay, Stanat and Martel 1991).
 
 use std::fmt;
 
 use super::parts::blocking_ms;
 
-/// Rate that is planned for a session that asked for none, in masks per second: it takes what others leave.
+/// Planned rate of a session without a requested rate, in masks per second. It takes what the others leave.
 pub(crate) const LEAST_HZ: f64 = 1.0;
 
-/// Share of its rate that is planned for an idle session: most idle sessions do not wake at the same time.
+/// Share of its rate planned for an idle session: most idle sessions do not wake at the same time.
 pub(crate) const IDLE_SHARE: f64 = 0.1;
 
-/// What a session needs of its device.
+/// A session's need of device time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Need {
     /// Device time of a mask, in milliseconds.
     pub cost_ms: f64,
-    /// Requested masks per second. `None`: it takes what it gets.
+    /// Requested masks per second. `None`: best effort.
     pub rate_hz: Option<f64>,
-    /// Whether it has recently asked for a mask.
+    /// True if it has requested a mask recently.
     pub active: bool,
 }
 
@@ -37,9 +37,9 @@ impl Need {
 /// Why a device cannot serve another session.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Overload {
-    /// The session needs more device time per second than the budget has left.
+    /// The session needs more device time per second than the budget leaves.
     Time { needed_ms: f64, left_ms: f64 },
-    /// Even a part of a frame would make another session late. The others tolerate frames of `tolerated_ms`.
+    /// Even one part of its frame would make another session late. The others tolerate frames of `tolerated_ms`.
     LongFrame { frame_ms: f64, tolerated_ms: f64 },
 }
 
@@ -61,7 +61,7 @@ impl fmt::Display for Overload {
     }
 }
 
-/// Admits a new session to a device with these sessions and this budget, in milliseconds per second. The first session
+/// Admits a new session beside `sessions` on a device with this budget, in milliseconds per second. The first session
 /// is always admitted: it cannot make another one late.
 ///
 /// # Errors
@@ -72,7 +72,7 @@ pub fn admit(sessions: impl IntoIterator<Item = Need>, new: Need, budget_ms: f64
         any = true;
         used_ms += session.per_second_ms();
         if let Some(rate) = session.rate_hz {
-            // What its period leaves beside its own frame.
+            // What its period leaves after its own frame.
             shortest_ms = f64::min(shortest_ms, 1e3 / rate - session.cost_ms);
         }
     }
@@ -106,7 +106,7 @@ mod tests {
         while admit(sessions.iter().copied(), light, 900.0).is_ok() {
             sessions.push(light);
         }
-        // 480 ms for the heavy ones, 2 ms for each of the others.
+        // 480 ms for the heavy ones, 2 ms for each other one.
         assert_eq!(sessions.len(), 2 + 210);
         let refused = admit(sessions, light, 900.0).unwrap_err();
         assert!(matches!(refused, Overload::Time { .. }) && refused.to_string().contains("2.0 ms"), "{refused}");
@@ -118,7 +118,7 @@ mod tests {
         let greedy = Need { cost_ms: 40.0, rate_hz: None, active: true };
         assert_eq!(admit([], Need { cost_ms: 5000.0, ..greedy }, 900.0), Ok(()));
         assert_eq!(admit([modest], greedy, 900.0), Ok(()), "it can be interrupted");
-        // The hundredth part of it is longer than a period.
+        // A hundredth of it is longer than a period.
         let refused = admit([modest], Need { cost_ms: 3000.0, ..greedy }, 9000.0).unwrap_err();
         assert!(refused.to_string().contains("3000.0 ms"), "{refused}");
         // A session without a rate is no reason to refuse others.
@@ -133,7 +133,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever is admitted, in any order: after the first one the budget is never overspent by another.
+        /// Whatever is admitted, in any order, no session after the first overspends the budget.
         #[test]
         fn the_budget_holds(asked in prop::collection::vec((0.01_f64..50.0, 1.0_f64..144.0), 1..200)) {
             let mut admitted: Vec<Need> = Vec::new();

@@ -16,7 +16,7 @@ const IDLE_AFTER: Duration = Duration::from_secs(10);
 /// Weight of the newest mask in the expected cost of the next.
 const NEWEST_SHARE: f64 = 0.125;
 
-/// The cost of one session. Every number but the expected cost only grows.
+/// Counters of one session. All but the expected cost only grow.
 #[derive(Debug)]
 pub struct SessionCosts {
     opened_at: Instant,
@@ -30,12 +30,12 @@ pub struct SessionCosts {
     queue_us: AtomicU64,
 }
 
-/// The cost of a session so far.
+/// A snapshot of a session's cost.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct CostTotals {
     pub traced: u64,
     pub device_ms: f64,
-    /// Sum over all masks of the time from the pose's arrival until tracing began.
+    /// Time from a pose's arrival until its trace begins, summed over all masks.
     pub queue_ms: f64,
 }
 
@@ -79,7 +79,7 @@ impl SessionCosts {
         Need { cost_ms: self.expected_ms(), rate_hz: self.rate_hz, active }
     }
 
-    /// Records that a trace begins, of a pose that has waited for this time.
+    /// Records that the trace of a pose begins, after it has waited this long.
     pub(crate) fn record_begin(&self, waited: Duration) {
         let micros = |time: Duration| u64::try_from(time.as_micros()).unwrap_or(u64::MAX);
         self.asked_us.store(micros(self.opened_at.elapsed()), Ordering::Relaxed);
@@ -98,10 +98,10 @@ impl SessionCosts {
     }
 }
 
-/// Expected cost of masks on a device by their size, for new sessions.
+/// Predicts the cost of new sessions' masks on a device from their size.
 #[derive(Debug, Default)]
 pub(crate) struct CostModel {
-    /// Device time per pixel, in picoseconds; 0 before anything was traced.
+    /// Device time per pixel, in picoseconds; 0 before the first mask.
     per_pixel_ps: AtomicU64,
 }
 
@@ -118,7 +118,7 @@ impl CostModel {
         self.per_pixel_ps.store((before_ps + (newest_ps - before_ps) * share).max(1.0) as u64, Ordering::Relaxed);
     }
 
-    /// Expected cost of a mask of this many pixels, in milliseconds, beside the sessions `known`.
+    /// Expected cost of a mask of this many pixels, in milliseconds. `known`: pixels and costs of the open sessions.
     #[expect(clippy::cast_precision_loss, reason = "pixels and picoseconds far below 2⁵³")]
     pub(crate) fn expected_ms<'a>(&self, pixels: usize, known: impl IntoIterator<Item = &'a SessionCosts>) -> f64 {
         let by_pixels = self.per_pixel_ps.load(Ordering::Relaxed) as f64 * pixels as f64 * 1e-9;

@@ -1,4 +1,4 @@
-//! Sharing one device among sessions: whose turn it is, what masks cost, and whether one more session fits.
+//! Shares one device among sessions: whose turn it is, what masks cost, and whether one more session fits.
 
 pub mod capacity;
 pub mod costs;

@@ -1,16 +1,16 @@
-//! Splits long frames of sessions that share a device. A frame can be interrupted between two parts, so that no session
-//! waits for the whole frame of another.
+//! Splits long frames of sessions that share a device. A frame can be interrupted between parts, so that no session
+//! waits for another's whole frame.
 //!
-//! A part is a band of rows of tiles, sized by the recent cost of the session's masks. Each part costs a little extra
-//! time, so a frame is traced whole unless another session would wait much longer than its own mask takes.
+//! A part is a band of rows of tiles, sized by the recent cost of the session's masks. Each part adds a little
+//! overhead, so a frame is traced whole unless another session would wait much longer than its own mask takes.
 
 use gnomon_protocol::mask::MaskShape;
 
-/// Expected cost of a part, in milliseconds: long enough to fill a large device. On an H200 parts of 0.15 ms made a
-/// greedy client's frames take twice as long as whole ones, and parts of 0.5 ms a sixth longer (`lab chaos fairness`).
+/// Target cost of a part, in milliseconds: long enough to fill a large device. On an H200, parts of 0.15 ms doubled the
+/// time of a greedy client's frames, and parts of 0.5 ms added a sixth (`lab chaos fairness`).
 pub const PART_MS: f64 = 0.5;
 
-/// Most parts of a frame. The device timestamps each.
+/// Most parts of a frame. The device timestamps each one.
 pub const MAX_PARTS: u32 = 128;
 
 /// A frame is traced whole up to this multiple of the shortest frame's cost.
@@ -21,8 +21,8 @@ pub(crate) fn split_above_ms(shortest_ms: f64) -> f64 {
     WHOLE_RATIO * shortest_ms.max(PART_MS)
 }
 
-/// Longest time for which a frame of this cost blocks other sessions, in milliseconds. Masks of fewer than
-/// [`MAX_PARTS`] rows of tiles have fewer parts, but are small.
+/// Longest time that a frame of this cost blocks other sessions, in milliseconds. Masks of fewer than [`MAX_PARTS`]
+/// rows of tiles have fewer parts, but are small.
 pub(crate) fn blocking_ms(cost_ms: f64) -> f64 {
     cost_ms.min((cost_ms / f64::from(MAX_PARTS)).max(WHOLE_RATIO * PART_MS))
 }
@@ -42,7 +42,7 @@ mod tests {
     #[test]
     fn parts_have_the_wanted_cost_and_are_never_too_many() {
         let shape = |width, height| MaskShape::new(width, height, 4).unwrap();
-        // 135 rows of 12 ms.
+        // 135 rows in 12 ms.
         assert_eq!(rows_per_part(shape(1920, 1080), 12.0), 6);
         assert_eq!(rows_per_part(shape(1920, 1080), 1.0), 68);
         assert_eq!(rows_per_part(shape(1920, 1080), 0.0), 135);

@@ -1,66 +1,64 @@
-//! Chooses the session whose work is done next: the one whose mask is due first, of those that have not had more than
-//! their share.
+//! Chooses the session that works next: the one whose mask is due first, among those within their share.
 //!
-//! A session's share is counted in virtual time: milliseconds of the device that it has used. Of the waiting sessions,
-//! those whose virtual time is at most [`LEAD_MS`] ahead of the one farthest behind may go, in the order of their
-//! deadlines. No waiting session falls behind another by more than the lead and one piece of work: start-time fair
-//! queueing (Goyal, Vin and Cheng 1996) with deadlines inside the window.
+//! A session's share is counted in virtual time: milliseconds of device time that it has used. Of the waiting sessions,
+//! those whose virtual time is at most [`LEAD_MS`] ahead of the least go in the order of their deadlines. So no waiting
+//! session falls behind another by more than the lead and one piece of work: start-time fair queueing (Goyal, Vin and
+//! Cheng 1996) with deadlines inside the window.
 //!
-//! A session loses the time that it does not ask for, except for [`SAVED_MS`]. That is more than the lead, so a session
-//! that asks for less than its share goes before greedy ones, whatever their deadlines are.
+//! A session loses its unused time, except for [`SAVED_MS`]. That is more than the lead, so a session that uses less
+//! than its share goes before greedy ones, whatever their deadlines are.
 //!
-//! Work is a frame, or a part of a long one (`parts.rs`). A frame is interrupted only between two parts.
+//! Work is a frame, or a part of a long one (`parts.rs`). A frame is interrupted only between parts.
 
 use std::{collections::VecDeque, time::Instant};
 
-/// How far ahead of other waiting sessions a session may be, in milliseconds of the device. A larger lead gives
+/// How far a session may be ahead of other waiting sessions, in milliseconds of device time. A larger lead gives
 /// deadlines more weight.
 pub const LEAD_MS: f64 = 4.0;
 
-/// How far behind the others a session restarts after it did not use its share, in milliseconds of the device.
+/// How far behind the others a session restarts after using less than its share, in milliseconds of device time.
 pub const SAVED_MS: f64 = 8.0;
 
 /// Weight of the newest frame in the expected cost of the next.
 const NEWEST_SHARE: f64 = 0.25;
 
-/// The turns of the sessions that share a back end. Pure: it has neither clock nor device.
+/// Turns of the sessions that share a back end. Pure: without clock or device.
 #[derive(Debug)]
 pub struct Scheduler {
     sessions: Vec<Turn>,
     per_session: usize,
-    /// Least virtual time of the waiting sessions at the last choice. Never decreases.
+    /// Least virtual time among the waiting sessions at the last choice. Never decreases.
     clock_ms: f64,
 }
 
 /// Identifies a session within its engine.
 pub type SessionKey = u64;
 
-/// A piece of work that a session waits for.
+/// The piece of work that a session waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Demand {
     /// When the mask is due.
     pub due: Instant,
-    /// Whether it continues a frame that has begun.
+    /// True if it continues a frame that has begun.
     pub resumes: bool,
-    /// Whether the device has room for it now.
+    /// True if the device has room for it now.
     pub fits: bool,
 }
 
 #[derive(Debug)]
 struct Turn {
     key: SessionKey,
-    /// Virtual time.
     used_ms: f64,
-    /// Expected cost of its next frame.
+    /// Expected cost of its next frame, in milliseconds.
     expected_ms: f64,
-    /// The charge for each of its frames in flight, oldest first.
+    /// Charge for each of its frames in flight, oldest first.
     in_flight: VecDeque<f64>,
-    /// Whether it waited, or had frames in flight, at the last choice.
+    /// True if it waited or had frames in flight at the last choice.
     waited: bool,
 }
 
 impl Scheduler {
-    /// A scheduler that lets each session have at most `per_session` frames in flight.
+    /// Allows each session at most `per_session` frames in flight.
     #[must_use]
     pub fn new(per_session: usize) -> Self {
         Self { sessions: Vec::new(), per_session, clock_ms: 0.0 }
@@ -76,7 +74,7 @@ impl Scheduler {
         self.sessions.retain(|turn| turn.key != key);
     }
 
-    /// Returns the session that goes next, among those whose `demand` fits.
+    /// Returns the session to go next, among those whose `demand` fits.
     pub fn next(&mut self, mut demand: impl FnMut(SessionKey) -> Option<Demand>) -> Option<SessionKey> {
         let (per_session, clock_ms) = (self.per_session, self.clock_ms);
         let mut waiting: Vec<(usize, Instant)> = Vec::new();
@@ -110,7 +108,7 @@ impl Scheduler {
         }
     }
 
-    /// Charges the expected cost of this share of the session's newest frame, which goes to the device now.
+    /// Charges this share of the expected cost of the session's newest frame, which the device now works on.
     pub fn charge(&mut self, key: SessionKey, share: f64) {
         if let Some(turn) = self.turn(key)
             && let Some(charged_ms) = turn.in_flight.back_mut()
@@ -120,8 +118,7 @@ impl Scheduler {
         }
     }
 
-    /// Replaces the charge for the session's oldest frame in flight by its cost. Ignores sessions that have been
-    /// removed.
+    /// Replaces the charge for the session's oldest frame in flight by its measured cost. Ignores removed sessions.
     pub fn finished(&mut self, key: SessionKey, cost_ms: f64) {
         if let Some(turn) = self.turn(key)
             && let Some(charged_ms) = turn.in_flight.pop_front()
@@ -131,14 +128,14 @@ impl Scheduler {
         }
     }
 
-    /// Takes back the charge for the session's newest frame, which is dropped.
+    /// Reverts the charge for the session's newest frame, which is dropped.
     pub fn abandoned(&mut self, key: SessionKey) {
         if let Some(turn) = self.turn(key) {
             turn.used_ms -= turn.in_flight.pop_back().unwrap_or_default();
         }
     }
 
-    /// Takes back the charges for all frames in flight, which are lost.
+    /// Reverts the charges for all frames in flight, which are lost.
     pub fn lost_all(&mut self) {
         for turn in &mut self.sessions {
             turn.used_ms -= turn.in_flight.drain(..).sum::<f64>();
@@ -176,7 +173,7 @@ mod tests {
         scheduler.finished(key, cost_ms);
     }
 
-    /// A frame that is due then, and fits.
+    /// A frame that is due at `due` and fits.
     fn frame(due: Instant) -> Demand {
         Demand { due, resumes: false, fits: true }
     }
@@ -210,7 +207,7 @@ mod tests {
         }
         let mut turns = [0, 0];
         for _ in 0..40 {
-            // Whoever is chosen gets the later deadline.
+            // The chosen session gets a later deadline.
             let later = |key: SessionKey| now + Duration::from_millis(turns[usize::try_from(key).unwrap() - 1]);
             let key = scheduler.next(|key| Some(frame(later(key)))).unwrap();
             turns[usize::try_from(key).unwrap() - 1] += 1;
@@ -241,7 +238,7 @@ mod tests {
         let now = Instant::now();
         let mut scheduler = scheduler(&[1, 2]);
         for round in 0..500 {
-            // The greedy one is always late; the modest one comes every 33 parts and has time.
+            // The greedy one is always late. The modest one comes every 33 parts and has time.
             let modest = (round > 60 && round % 33 == 0).then_some(frame(now + Duration::from_secs(1)));
             let greedy = Demand { resumes: true, ..frame(now) };
             let key = scheduler.next(|key| if key == 1 { Some(greedy) } else { modest }).unwrap();
@@ -282,7 +279,7 @@ mod tests {
 
     proptest! {
         /// Whatever the costs and deadlines are, sessions that always wait have used the same time, up to the lead and
-        /// one frame. Each frame costs what was expected, so nothing is corrected afterwards.
+        /// one frame. Each frame costs what was expected, so no charge is corrected.
         #[test]
         fn waiting_sessions_get_equal_shares(
             costs_ms in prop::collection::vec(0.05_f64..40.0, 2..8),
@@ -306,8 +303,8 @@ mod tests {
             }
         }
 
-        /// A waiting session goes before the others have used their saved time, the lead and a frame each, even when
-        /// its deadline is the last of all.
+        /// A waiting session goes before each of the others has used its saved time, the lead and one frame, even with
+        /// the last deadline.
         #[test]
         fn nobody_starves(
             costs_ms in prop::collection::vec(0.05_f64..40.0, 6),

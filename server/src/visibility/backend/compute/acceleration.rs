@@ -1,6 +1,6 @@
-//! The adapter's own acceleration structure, for ray queries: one bottom level over the scene's triangles and one
-//! instance of it, since nothing moves. Its triangles are a little larger than the scene's ([`enlarge`]). They are in
-//! the scene's order, so that a candidate's number is its triangle's.
+//! The adapter's own acceleration structure, for ray queries: one bottom level over the scene's triangles, and one
+//! instance of it, since nothing moves. Its triangles are slightly enlarged ([`enlarge`]). They keep the scene's order,
+//! so a candidate's index is its triangle's.
 
 use glam::Vec3;
 use gnomon_shaders::{gpu::Gpu, host::TracedTriangle};
@@ -24,8 +24,8 @@ pub(super) fn structure_type() -> wgpu::BindingType {
     wgpu::BindingType::AccelerationStructure { vertex_return: false }
 }
 
-/// Builds the structure over `triangles`. Errors if the adapter cannot build a structure of so many triangles. What the
-/// device itself refuses, its error handler gets.
+/// Builds the structure over `triangles`. Errors if the adapter cannot build one over so many. The device's error
+/// handler gets what the device itself refuses.
 pub(super) fn build_structure(gpu: &Gpu, triangles: &[TracedTriangle]) -> Result<wgpu::Tlas, BackendError> {
     let limit = gpu.device.limits().max_blas_primitive_count;
     let Some(count) = u32::try_from(triangles.len()).ok().filter(|&count| count <= limit) else {
@@ -56,7 +56,7 @@ pub(super) fn build_structure(gpu: &Gpu, triangles: &[TracedTriangle]) -> Result
         vertex_count: count.saturating_mul(3),
         index_format: None,
         index_count: None,
-        // Not opaque: the kernels test every candidate themselves (wgsl/visibility/ray_query.wgsl).
+        // Not opaque, so that the kernels test every candidate themselves (wgsl/visibility/ray_query.wgsl).
         flags: wgpu::AccelerationStructureGeometryFlags::empty(),
     };
     let bottom = gpu.device.create_blas(

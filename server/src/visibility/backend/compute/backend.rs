@@ -1,4 +1,4 @@
-//! The back end itself: a device with a scene on it, and the buffers that its masks need.
+//! The back end: a device with a scene, and the buffers for its masks.
 
 use std::collections::VecDeque;
 
@@ -53,7 +53,7 @@ pub struct DeviceMemory {
     pub lights_bytes: u64,
     /// Alpha materials, their pictures, and texture coordinates.
     pub alpha_bytes: u64,
-    /// The words of one mask; 0 before there are buffers.
+    /// Words of one mask; 0 while there are no buffers.
     pub mask_bytes: u64,
 }
 
@@ -66,8 +66,8 @@ impl ComputeBackend {
         Self::open_traversing(scene, adapter, allow_software, Traversal::Hierarchy, None)
     }
 
-    /// As [`Self::open`], with shadow rays that start `offset_roundings` rounding units off their surface, instead of
-    /// what the rule says. For tests that plant this fault.
+    /// As [`Self::open`], with shadow rays that start `offset_roundings` rounding units off their surface. For tests
+    /// that plant this fault.
     ///
     /// # Errors
     /// Those of [`Self::open`].
@@ -166,17 +166,17 @@ impl ComputeBackend {
         PictureLimit::of(&self.gpu)
     }
 
-    /// Whether there are buffers for masks of this shape.
+    /// Returns whether there are buffers for masks of this shape.
     #[must_use]
     pub fn fits(&self, shape: MaskShape) -> bool {
         self.ring.as_ref().is_some_and(|ring| ring.capacity.holds(shape))
     }
 
-    /// Makes buffers that just hold masks of all these shapes, or none without a shape. Does nothing if they are there
+    /// Makes buffers that just fit masks of all these shapes, or none without a shape. Does nothing if they exist
     /// already. Frames in flight are lost, so collect them first.
     ///
     /// # Errors
-    /// If the device has too little memory: then there are no buffers at all, and nothing can be submitted.
+    /// If the device has too little memory. Then there are no buffers, and nothing can be submitted.
     pub fn fit(&mut self, shapes: impl IntoIterator<Item = MaskShape>) -> Result<(), BackendError> {
         let needed = Capacity::of(shapes);
         if self.ring.as_ref().map(|ring| ring.capacity).unwrap_or_default() == needed {
@@ -199,19 +199,19 @@ impl ComputeBackend {
         self.failure.take().map_or(Ok(()), |reason| Err(BackendError::Device(reason)))
     }
 
-    /// Destroys the device: whatever is asked of it next fails, as after a real loss.
+    /// Destroys the device. All later requests fail, as after a real loss.
     #[cfg(any(test, feature = "faults"))]
     pub fn destroy_device(&self) {
         self.gpu.device.destroy();
     }
 
-    /// Whether the kernels test alpha: only for a scene whose triangles have holes.
+    /// Returns whether the kernels test alpha: only if the scene's triangles have holes.
     #[must_use]
     pub fn tests_alpha(&self) -> bool {
         self.tests_alpha
     }
 
-    /// The memory that the scene and one mask take on the device.
+    /// Device memory of the scene and one mask.
     #[must_use]
     pub fn memory(&self) -> DeviceMemory {
         DeviceMemory { mask_bytes: self.ring.as_ref().map_or(0, |ring| ring.capacity.mask_bytes), ..self.memory }
@@ -230,7 +230,7 @@ fn upload(gpu: &Gpu, scene: &Scene, geometry: Geometry) -> Result<[wgpu::Buffer;
         if bytes > limit {
             return Err(BackendError::SceneTooLarge { what, bytes, limit, adapter: gpu.info.name.clone() });
         }
-        // A binding may not be empty. Nothing reads this filler.
+        // A binding must not be empty. Nothing reads this filler.
         let contents = if contents.is_empty() { &[0; 64] } else { contents };
         Ok(gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(what), contents, usage }))
     };

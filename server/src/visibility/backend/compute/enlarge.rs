@@ -1,16 +1,16 @@
-//! The triangles of the adapter's structure: a little larger than the scene's.
+//! The triangles of the adapter's structure: slightly larger than the scene's.
 //!
 //! An adapter may lose a ray that passes exactly through an edge, as software Vulkan does. Then light leaks, or a pixel
-//! sees what lies behind. Enlarged triangles overlap at their edges, so a ray there has both as candidates, and the
-//! kernels' own watertight test decides which one it hits.
+//! sees what lies behind. Enlarged triangles overlap at their edges. So a ray through an edge gets both triangles as
+//! candidates, and the kernels' own watertight test decides which one it hits.
 
 use glam::Vec3;
 use gnomon_shaders::host::TracedTriangle;
 
-/// How far edges move outwards, relative to the scene's greatest coordinate: 64 rounding units, where an adapter's test
-/// may be off by a few.
+/// How far edges move outwards, relative to the scene's greatest coordinate: 64 rounding units. An adapter's test may
+/// be off by a few.
 const PAD: f64 = 1.0 / (1 << 18) as f64;
-/// A corner moves at most this many times as far as its edges. Tips of needles would move without bound.
+/// A corner moves at most this many times as far as its edges. Needle tips would otherwise move without bound.
 const FARTHEST: f64 = 1024.0;
 
 /// The corners of each triangle, enlarged.
@@ -27,7 +27,7 @@ fn enlarge(corners: [Vec3; 3], pad_m: f64) -> [Vec3; 3] {
     std::array::from_fn(|i| {
         let [a, b, c] = [0, 1, 2].map(|step| exact[(i + step) % 3]);
         let [to_b, to_c] = [(b - a).normalize_or_zero(), (c - a).normalize_or_zero()];
-        // Back along both edges, so far that each edge moves outwards by the pad.
+        // Moves back along both edges, so that each edge moves outwards by the pad.
         let sine = to_b.cross(to_c).length();
         let outwards = (to_b + to_c) * -(pad_m / sine.max(f64::MIN_POSITIVE)).min(pad_m * FARTHEST);
         (a + outwards.clamp_length_max(pad_m * FARTHEST)).as_vec3()
@@ -58,20 +58,20 @@ mod tests {
             let sine = |[a, b, c]: [DVec3; 3]| (b - a).normalize_or_zero().cross((c - a).normalize_or_zero()).length();
             let sharpest =
                 sine([first, second, third]).min(sine([second, third, first])).min(sine([third, first, second]));
-            // Needles get less, since their tips would be far away; 1e-6 is the rounding of these coordinates.
+            // Needles move less, since their tips would be far away. 1e-6 is the rounding of these coordinates.
             let least = 1e-4 * (sharpest * 500.0).min(1.0) - 2e-6;
             let larger = enlarge(corners, 1e-4).map(Vec3::as_dvec3);
             for (from, to, inner) in [(0, 1, 2), (1, 2, 0), (2, 0, 1)] {
                 let (from, to) = (larger[from], larger[to]);
                 let inwards = normal.cross((to - from).normalize_or_zero());
-                // Every old corner is inside every new edge.
+                // Every old corner lies inside every new edge.
                 for corner in [first, second, third] {
                     assert!(inwards.dot(corner - from) >= least, "{corners:?} edge opposite {inner}");
                 }
             }
             assert!(larger.iter().zip(corners).all(|(l, c)| l.distance(c.as_dvec3()) < 0.103));
         }
-        // A triangle without an area is never hit, and must not give a NaN.
+        // A triangle without an area is never hit, and must not yield a NaN.
         assert!(enlarge([Vec3::ONE; 3], 1e-4).iter().all(|corner| corner.is_finite()));
         let line = enlarge([Vec3::ZERO, Vec3::X, Vec3::X * 2.0], 1e-4);
         assert!(line.iter().all(|corner| corner.is_finite()) && line[0].length() < 1.0);

@@ -1,7 +1,7 @@
 //! The steps of a frame on the device: begin, submit whole or in parts, wait, collect.
 //!
-//! A part is a band of rows of tiles with both kernels, or the copy of a piece of the mask to the host. Parts of
-//! different frames may follow each other in any order: all that outlives a part lies in the frame's own slot.
+//! A part runs both kernels on a band of rows of tiles, or copies a piece of the mask to the host. Parts of different
+//! frames may follow each other in any order: all data that outlives a part lies in the frame's own slot.
 
 use std::time::{Duration, Instant};
 
@@ -17,7 +17,7 @@ use super::{
 };
 use crate::visibility::{TraceCost, backend::BackendError, schedule::parts::MAX_PARTS};
 
-/// A long mask is copied to the host, and read there, in pieces of this size: some 0.1 ms each.
+/// Long masks are copied to the host, and read there, in pieces of this size, about 0.1 ms each.
 const PIECE_BYTES: u64 = 8 * PIECE_WORDS as u64;
 const PIECE_WORDS: usize = 1 << 17;
 
@@ -28,7 +28,7 @@ impl ComputeBackend {
         self.in_flight.len()
     }
 
-    /// Submissions that the device has not been seen to finish.
+    /// Submissions that may still be running.
     pub fn submissions_open(&mut self) -> usize {
         self.submissions.count()
     }
@@ -61,8 +61,8 @@ impl ComputeBackend {
         Ok(PartialSubmission { lease, shape, view, begun_at: Instant::now(), parts: 0, copied_bytes: 0 })
     }
 
-    /// Submits the next part of a frame: `rows` rows of tiles, or a piece of its mask. With at least as many rows as
-    /// the frame has, everything that is left. Returns at once, with what is left then.
+    /// Submits the next part of a frame: `rows` rows of tiles, or a piece of its mask. Submits all of the rest if
+    /// `rows` covers the frame. Returns the remaining work at once.
     ///
     /// # Errors
     /// If the device has failed, or the frame is cut into more than [`MAX_PARTS`] parts.
@@ -102,7 +102,7 @@ impl ComputeBackend {
             frame.view.first_row = rows.end;
             frame.parts += 1;
         }
-        // A piece of a long mask is a part of its own.
+        // A long mask is copied piece by piece, each a part.
         let whole_mask = whole || slot.mask_bytes(shape) <= PIECE_BYTES;
         if frame.is_traced() && (whole_mask || !traces) {
             let piece = if whole_mask { u64::MAX } else { PIECE_BYTES };
@@ -133,7 +133,7 @@ impl ComputeBackend {
     /// Waits up to `patience` for the oldest submission.
     ///
     /// # Errors
-    /// If the device has failed: it cannot be used any more.
+    /// If the device has failed. It is unusable then.
     pub fn wait(&mut self, patience: Duration) -> Result<(), BackendError> {
         let waiting = match self.submissions.oldest() {
             Some(oldest) if !patience.is_zero() => {
@@ -149,10 +149,10 @@ impl ComputeBackend {
         self.check_device()
     }
 
-    /// Whether the oldest frame in flight is in the host's memory.
+    /// Returns whether the oldest frame in flight is in the host's memory.
     ///
     /// # Errors
-    /// If the device failed to copy it there.
+    /// If the device failed to copy it.
     pub fn has_landed(&self) -> Result<bool, BackendError> {
         match (&self.ring, self.in_flight.front()) {
             (Some(ring), Some(oldest)) => ring.slots[oldest.lease.slot()].is_ready().map_err(BackendError::Device),
@@ -160,12 +160,12 @@ impl ComputeBackend {
         }
     }
 
-    /// Collects the oldest frame in flight, waiting for the device up to `patience`. `None` if there is no such frame,
-    /// it has not landed in time, or a piece of a long mask is left to read: call it again. `mask` takes the frame's
-    /// shape; every word of it is written.
+    /// Collects the oldest frame in flight, waiting for the device up to `patience`. Returns `None` if there is none,
+    /// it has not landed in time, or a piece of a long mask is left to read: call again then. Gives `mask` the frame's
+    /// shape and writes every word.
     ///
     /// # Errors
-    /// If the device has failed: it cannot be used any more.
+    /// If the device has failed. It is unusable then.
     pub fn collect(&mut self, patience: Duration, mask: &mut Mask) -> Result<Option<TraceCost>, BackendError> {
         if !self.has_landed()? {
             self.wait(patience)?;
@@ -188,7 +188,7 @@ impl ComputeBackend {
         let (ticks, shadow_rays) = slot.finish(oldest.parts).map_err(BackendError::Device)?;
         let stages = match &self.timing {
             Some(timing) => timing.stages(&ticks),
-            // Without a clock on the device, all of it counts as tracing.
+            // Without a device clock, all of the time counts as tracing.
             None => Stages { shadow_ms: (seen_at - oldest.begun_at).as_secs_f64() * 1e3, ..Stages::default() },
         };
         let cost = TraceCost {

@@ -1,4 +1,4 @@
-//! The scene as the kernels read it: obvhs' CWBVH, and the triangles in the order of its leaves.
+//! The scene in the kernels' format: obvhs' CWBVH, and the triangles in the order of its leaves.
 
 use std::collections::HashMap;
 
@@ -18,20 +18,18 @@ use crate::visibility::{
     hierarchy::{balance::bound_depth, binary},
 };
 
-/// Everything that the kernels read, except the lights.
 #[derive(Debug, Default)]
 pub(super) struct Geometry {
-    /// Nodes of the hierarchy, the root first. Empty when nothing stops a ray or the adapter has its own hierarchy.
+    /// Nodes of the hierarchy, the root first. Empty if nothing stops rays or the adapter has its own hierarchy.
     pub(super) nodes: Vec<CwBvhNode>,
-    /// The triangles of a leaf follow each other.
+    /// The triangles of each leaf are contiguous.
     pub(super) triangles: Vec<TracedTriangle>,
-    /// Shading normals of each triangle's corners, then the unit normal of its plane; zero for a triangle without an
-    /// area.
+    /// Shading normals of each triangle's corners, then the unit normal of its plane (zero without an area).
     pub(super) normals: Vec<[Vec3; 4]>,
     /// Texture coordinates of the triangles with holes, three each.
     pub(super) alpha_uvs: Vec<Vec2>,
     pub(super) alpha_materials: Vec<AlphaMaterial>,
-    /// Alpha pictures, one after the other.
+    /// Alpha pictures, concatenated.
     pub(super) alpha_texels: Vec<u8>,
 }
 
@@ -40,13 +38,13 @@ pub(super) struct Geometry {
 enum Opacity {
     Everywhere,
     Nowhere,
-    /// Where alpha says so: index into [`Geometry::alpha_materials`].
+    /// Where the alpha test passes: index into [`Geometry::alpha_materials`].
     ByAlpha(u32),
 }
 
 impl Geometry {
-    /// The triangles that stop rays, with the hierarchy that `traversal` needs. Errors if 32-bit indices do not
-    /// suffice.
+    /// Collects the triangles that stop rays, and builds the hierarchy that `traversal` needs. Errors if 32-bit indices
+    /// do not suffice.
     pub(super) fn build(scene: &Scene, traversal: Traversal) -> Result<Self, BackendError> {
         let mut geometry = Self::default();
         let opacities = geometry.add_alpha(scene)?;
@@ -82,7 +80,7 @@ impl Geometry {
         Ok(geometry)
     }
 
-    /// Size of what only triangles with holes need.
+    /// Memory that only triangles with holes need.
     pub(super) fn alpha_bytes(&self) -> u64 {
         let bytes = size_of_val(&*self.alpha_materials) + self.alpha_texels.len() + size_of_val(&*self.alpha_uvs);
         bytes as u64
@@ -91,7 +89,7 @@ impl Geometry {
     /// Adds the alpha pictures of MASK materials. Returns the opacity of every material.
     fn add_alpha(&mut self, scene: &Scene) -> Result<Vec<Opacity>, BackendError> {
         let mut opacities = Vec::with_capacity(scene.materials.len());
-        // Materials share pictures: each image's texels are stored once.
+        // Materials share pictures, so each image's texels are stored once.
         let mut first_texels = HashMap::new();
         for material in &scene.materials {
             opacities.push(match (material.alpha, material.base_color_texture) {
@@ -154,7 +152,7 @@ fn index_of_next<T>(what: &str, list: &[T]) -> Result<u32, BackendError> {
         .map_err(|_| BackendError::Setup(format!("the scene has {} {what}, more than 2^32", list.len())))
 }
 
-/// The hierarchy over these triangles, in the kernels' format.
+/// Builds the hierarchy over these triangles in the kernels' format.
 pub(super) fn build_hierarchy(shapes: &[Triangle]) -> CwBvh {
     let mut binary = binary::build(&shapes.iter().map(Boundable::aabb).collect::<Vec<_>>());
     // A leaf of this format holds at most three triangles.
@@ -163,8 +161,7 @@ pub(super) fn build_hierarchy(shapes: &[Triangle]) -> CwBvh {
     if depth(&hierarchy.nodes) <= TRAVERSAL_STACK {
         return hierarchy;
     }
-    // Every level of wide nodes can push one entry on a traversal's stack, and spans at least one level of binary
-    // nodes.
+    // Every level of wide nodes can push one entry on the stack, and spans at least one level of binary nodes.
     bound_depth(&mut binary, TRAVERSAL_STACK);
     compress(&binary)
 }
@@ -189,7 +186,7 @@ mod tests {
 
     #[test]
     fn no_hierarchy_is_deeper_than_the_stack() {
-        // Each triangle is as far from the last as that one is large: the builder makes a chain of nodes.
+        // Each triangle is its own size away from the last: the builder makes a chain of nodes.
         let chain: Vec<Triangle> = (0..120)
             .flat_map(|i| {
                 let v0 = Vec3A::new(1.0, 0.4, -0.7) * 2.0_f32.powi(i - 60);
@@ -219,7 +216,7 @@ mod tests {
         expected.sort_unstable();
         assert_eq!(built, expected);
         assert_eq!(geometry.normals.len(), built.len());
-        // Each leaf has two triangles in this scene, and only they have holes.
+        // In this scene each leaf has two triangles, and only they have holes.
         let with_holes = geometry.triangles.iter().filter(|t| t.kind & !TRIANGLE_SINGLE_SIDED != 0).count();
         assert_eq!((with_holes, geometry.alpha_uvs.len(), geometry.alpha_texels.len()), (2, 6, 16 * 12));
     }

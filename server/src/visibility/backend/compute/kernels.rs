@@ -1,4 +1,4 @@
-//! The two kernels as pipelines, and the layouts of what they read and write.
+//! The two kernels as pipelines, and the layouts of their bindings.
 
 use gnomon_shaders::{
     gpu::Gpu,
@@ -9,17 +9,16 @@ use gnomon_shaders::{
 use super::acceleration;
 use crate::visibility::backend::BackendError;
 
-/// How the kernels find the triangles on a ray's way.
+/// How the kernels find the triangles along a ray.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in super::super) enum Traversal {
-    /// They walk obvhs' compressed hierarchy: the `compute` back end.
+    /// Walk obvhs' compressed hierarchy: the `compute` back end.
     Hierarchy,
-    /// The adapter walks a structure of its own: the `ray-query` back end.
+    /// Query the adapter's own structure: the `ray-query` back end.
     RayQuery,
 }
 
 impl Traversal {
-    /// The device features that it needs.
     pub(super) fn features(self) -> wgpu::Features {
         match self {
             Self::Hierarchy => wgpu::Features::empty(),
@@ -28,11 +27,10 @@ impl Traversal {
     }
 }
 
-/// Device features without which the kernels cannot run. The camera travels inside the command buffer, so that a frame
-/// creates no resource.
+/// Device features that the kernels need. The camera travels in the command buffer, so a frame creates no resources.
 pub(super) const NEEDED: wgpu::Features = wgpu::Features::IMMEDIATES;
 
-/// Device features that measure what a frame costs.
+/// Device features for measuring the cost of a frame.
 pub(super) const TIMING: wgpu::Features =
     wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS);
 
@@ -63,9 +61,9 @@ pub(super) struct FrameBuffers<'a> {
 }
 
 impl Kernels {
-    /// Compiles the kernels, with `has_alpha` for a scene whose triangles have holes. `offset_roundings` replaces
-    /// `OFFSET_ROUNDINGS` of `visibility/primary.wgsl`. Errors if the device lacks a feature or a limit that they need.
-    /// What the device itself refuses, its error handler gets.
+    /// Compiles the kernels. `has_alpha`: the scene's triangles have holes. `offset_roundings` replaces
+    /// `OFFSET_ROUNDINGS` of `visibility/primary.wgsl`. Errors if the device lacks a feature or a limit. The device's
+    /// error handler gets what the device itself refuses.
     pub(super) fn new(
         gpu: &Gpu,
         traversal: Traversal,

@@ -6,7 +6,7 @@ use gnomon_shaders::gpu::Gpu;
 use super::ring::Capacity;
 use crate::visibility::backend::BackendError;
 
-/// The largest buffer of a device, known without asking the device.
+/// A device's largest buffer. Usable without access to the device.
 #[derive(Debug, Clone)]
 pub struct PictureLimit {
     bytes: u64,
@@ -25,7 +25,7 @@ impl PictureLimit {
     /// Checks that masks of this shape can be traced.
     ///
     /// # Errors
-    /// If they need a larger buffer than the device has, with the numbers.
+    /// If they need a larger buffer than the device has. Names both sizes.
     pub fn check(&self, shape: MaskShape) -> Result<(), BackendError> {
         let bytes = Capacity::of([shape]).largest_bytes();
         if bytes <= self.bytes {

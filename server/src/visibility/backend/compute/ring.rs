@@ -1,8 +1,7 @@
-//! The buffers of frames that have begun: one frame is traced while an earlier one is copied and others are
-//! interrupted.
+//! The buffers of frames that have begun: one frame is traced, an earlier one is copied, and others are interrupted.
 //!
 //! Buffers are made when a session needs larger ones, never for a frame. All frames share the buffer between the two
-//! kernels: the queue runs their parts one after the other, and nothing in it outlives a part.
+//! kernels: the queue runs their parts one after the other, and its content does not outlive a part.
 
 use std::{
     ops::Range,
@@ -22,15 +21,15 @@ use super::{
 /// Whole frames in flight on the device: one is traced, one copied, one waits.
 pub const RING_FRAMES: usize = 3;
 
-/// Frames that have buffers: those in flight, and as many that are interrupted.
+/// Frames that have buffers: those in flight, and as many interrupted ones.
 pub const SLOTS: usize = 2 * RING_FRAMES;
 
-/// Bytes per pixel between the kernels: a position, and a bit for each light.
+/// Bytes per pixel between the kernels: a position, and a bit per light.
 const SURFACE_BYTES: u64 = 16;
 const TILE_PIXELS: u64 = 64;
 /// Offset of the ray count in the host's buffer.
 const RAY_COUNT_AT: u64 = 0;
-/// The number of shadow rays is a u32, and padding keeps the timestamps aligned.
+/// The number of shadow rays is a u32. Padding aligns the timestamps.
 const RAY_COUNT_BYTES: u64 = 8;
 /// Offset of the timestamps.
 const TIMES_AT: u64 = RAY_COUNT_AT + RAY_COUNT_BYTES;
@@ -48,7 +47,7 @@ pub(super) struct Capacity {
 }
 
 impl Capacity {
-    /// Enough for every one of these shapes.
+    /// Sizes that fit every one of these shapes.
     pub(super) fn of(shapes: impl IntoIterator<Item = MaskShape>) -> Self {
         shapes.into_iter().fold(Self::default(), |sum, shape| Self {
             surface_bytes: sum.surface_bytes.max(shape.tiles() as u64 * TILE_PIXELS * SURFACE_BYTES),
@@ -88,7 +87,7 @@ pub(super) struct Slot {
     taken: Arc<AtomicBool>,
 }
 
-/// A slot that is taken until this is dropped.
+/// A leased slot, freed on drop.
 #[derive(Debug)]
 pub(super) struct Lease {
     slot: usize,
@@ -131,7 +130,7 @@ impl Ring {
         Self { capacity, slots }
     }
 
-    /// Takes a slot, if one is free.
+    /// Leases a slot, if one is free.
     pub(super) fn lease(&self) -> Option<Lease> {
         let (index, slot) = self.slots.iter().enumerate().find(|(_, slot)| slot.is_free())?;
         slot.taken.store(true, Ordering::Release);
@@ -154,7 +153,7 @@ impl Slot {
         encoder.clear_buffer(&self.ray_count, 0, None);
     }
 
-    /// Copies up to `most` bytes of the mask from byte `from` on, and returns how many. Encode after the kernels.
+    /// Copies up to `most` bytes of the mask from byte `from` on, and returns their number. Encode after the kernels.
     pub(super) fn copy_mask(&self, encoder: &mut wgpu::CommandEncoder, shape: MaskShape, from: u64, most: u64) -> u64 {
         let bytes = self.mask_bytes(shape).saturating_sub(from).min(most);
         encoder.copy_buffer_to_buffer(&self.mask, from, &self.host, MASK_AT + from, bytes);
@@ -178,7 +177,7 @@ impl Slot {
         encoder.copy_buffer_to_buffer(&self.timestamps, 0, &self.host, TIMES_AT, bytes);
     }
 
-    /// Maps the host's buffer; [`Self::is_ready`] tells when it is mapped. Call after submission.
+    /// Maps the host's buffer; see [`Self::is_ready`]. Call after submission.
     pub(super) fn map(&self, shape: MaskShape) {
         self.state.store(PENDING, Ordering::Release);
         let state = Arc::clone(&self.state);
@@ -187,7 +186,7 @@ impl Slot {
         });
     }
 
-    /// Whether the frame is in the host's memory. Errors if the device failed to copy it there.
+    /// Returns whether the frame is in the host's memory. Errors if the device failed to copy it there.
     pub(super) fn is_ready(&self) -> Result<bool, String> {
         match self.state.load(Ordering::Acquire) {
             FAILED => Err("a mask could not be read back".to_owned()),
@@ -195,8 +194,8 @@ impl Slot {
         }
     }
 
-    /// Copies these words of a frame that is ready into `mask`, which has the frame's shape. Errors if the buffer is
-    /// not mapped.
+    /// Copies these words of a ready frame into `mask`, which has the frame's shape. Errors if the buffer is not
+    /// mapped.
     pub(super) fn read(&self, mask: &mut Mask, words: Range<usize>) -> Result<(), String> {
         let bytes = MASK_AT + 8 * words.start as u64..MASK_AT + 8 * words.end as u64;
         let view = self.host.get_mapped_range(bytes).map_err(|error| error.to_string())?;
@@ -207,8 +206,8 @@ impl Slot {
         Ok(())
     }
 
-    /// Returns the timestamps and the number of shadow rays of a frame that was traced in `parts` parts, and unmaps the
-    /// buffer. Errors if the buffer is not mapped.
+    /// Returns the timestamps of `parts` parts and the number of shadow rays, and unmaps the buffer. Errors if the
+    /// buffer is not mapped.
     pub(super) fn finish(&self, parts: u32) -> Result<(Vec<u64>, u64), String> {
         let view = self.host.get_mapped_range(..MASK_AT).map_err(|error| error.to_string())?;
         let mut head = view.as_chunks().0.iter().copied().map(u64::from_le_bytes);

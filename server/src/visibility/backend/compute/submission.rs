@@ -1,4 +1,4 @@
-//! Frames on their way through the device, and the submissions that they are split into.
+//! Frames on the device, and the submissions that they are split into.
 
 use std::{
     collections::VecDeque,
@@ -15,7 +15,7 @@ use gnomon_shaders::host::TracedView;
 
 use super::ring::Lease;
 
-/// A frame whose last part is not submitted yet. Dropping it frees its slot.
+/// A frame whose last part is not yet submitted. Dropping it frees its slot.
 #[derive(Debug)]
 pub struct PartialSubmission {
     pub(super) lease: Lease,
@@ -24,25 +24,25 @@ pub struct PartialSubmission {
     pub(super) begun_at: Instant,
     /// Tracing parts submitted.
     pub(super) parts: u32,
-    /// Bytes of the mask whose copy to the host is submitted.
+    /// Bytes of the mask whose copy to the host has been submitted.
     pub(super) copied_bytes: u64,
 }
 
 impl PartialSubmission {
-    /// The rows of tiles that the next part traces, when it should trace `rows`.
+    /// Rows of tiles that the next part traces if it should trace `rows`.
     #[must_use]
     pub fn next_rows(&self, rows: u32) -> Range<u32> {
         let first = self.view.first_row.min(self.shape.tiles_y());
         first..first.saturating_add(rows).min(self.shape.tiles_y())
     }
 
-    /// Whether all rows are submitted; pieces of the mask may be left to copy.
+    /// Returns whether all rows are submitted. Pieces of the mask may still need copying.
     pub(super) fn is_traced(&self) -> bool {
         self.view.first_row >= self.shape.tiles_y()
     }
 }
 
-/// A frame that is wholly submitted.
+/// A wholly submitted frame.
 #[derive(Debug)]
 pub(super) struct InFlight {
     pub(super) lease: Lease,
@@ -53,12 +53,12 @@ pub(super) struct InFlight {
     pub(super) read_words: usize,
 }
 
-/// Submissions that the device may not have finished.
+/// Submissions that may still be running.
 #[derive(Debug, Default)]
 pub(super) struct Submissions {
     waiting: VecDeque<wgpu::SubmissionIndex>,
     made: u64,
-    /// Counted by the device's callbacks.
+    /// Incremented by the device's callbacks.
     done: Arc<AtomicU64>,
 }
 
@@ -70,7 +70,7 @@ impl Submissions {
         queue.on_submitted_work_done(move || _ = done.fetch_add(1, Ordering::Release));
     }
 
-    /// Forgets the finished ones and returns how many are left.
+    /// Forgets finished submissions and returns the number of others.
     pub(super) fn count(&mut self) -> usize {
         let open = self.made - self.done.load(Ordering::Acquire).min(self.made);
         while self.waiting.len() as u64 > open {

@@ -1,4 +1,4 @@
-//! The kernels against closed forms, against obvhs' own traversal, and against the `cpu` back end.
+//! Compares the kernels with closed forms, with obvhs' own traversal, and with the `cpu` back end.
 
 use glam::{DVec3, Vec3, Vec3A};
 use gnomon_protocol::mask::{Mask, MaskShape};
@@ -23,7 +23,7 @@ fn mask_for(scene: &Scene, camera: &Camera) -> Mask {
 
 fn trace(scene: &Scene, camera: &Camera) -> (Mask, TraceCost) {
     let mut mask = mask_for(scene, camera);
-    // Garbage that must be overwritten.
+    // Garbage that the trace must overwrite.
     mask.words_mut().fill(0xdead_beef_dead_beef);
     let cost = backend(scene).trace(camera, &mut mask).unwrap();
     (mask, cost)
@@ -45,7 +45,7 @@ fn cameras() -> Vec<Camera> {
     vec![
         look([-4.2, 1.6, 3.4], [1.0, 1.0, -1.5], 160, 90),
         look([4.5, 3.6, -3.5], [-1.0, 0.5, 1.0], 157, 91),
-        // Straight down and along an axis: zeros in directions.
+        // Straight down and along an axis: directions with zeros.
         look([0.0, 3.5, 0.0], [0.0, 0.0, 0.0], 128, 128),
         look([-4.0, 1.0, 0.5], [4.0, 1.0, 0.5], 129, 65),
     ]
@@ -62,7 +62,7 @@ fn masks_equal_those_of_the_cpu_back_end() {
         let on_cpu = cpu.trace(&camera, &mut b);
         let (wrong, rays) = (differing(&a, &b), on_cpu.shadow_rays);
         assert!(ones(&a) > 1000, "{} bits of {camera:?}", ones(&a));
-        // Both round; where a shadow's edge passes within rounding of a pixel's centre they may disagree.
+        // Both round, and may disagree where a shadow's edge passes within rounding of a pixel's centre.
         assert!(u64::from(wrong) * 1000 <= rays, "{wrong} bits of {rays} differ for {camera:?}");
         assert_eq!(on_device.primary_rays, u64::from(camera.width * camera.height));
         assert!(on_device.shadow_rays.abs_diff(rays) * 1000 <= rays, "{} of {rays} rays", on_device.shadow_rays);
@@ -90,9 +90,9 @@ fn no_ray_passes_through_the_edges_of_a_closed_mesh() {
     for rings in [4, 17, 64] {
         let closed =
             |light: Vec3| TestScene::default().sphere(SINGLE_SIDED, Vec3::ZERO, 3.0, rings, true).point(light).build();
-        // On the axes, where rays meet corners and run along edges.
+        // Along the axes, where rays hit corners and run along edges.
         let camera = Camera::looking_at(DVec3::ZERO, DVec3::NEG_Z, 2.0, 160, 120);
-        // A light at the eye reaches all that the eye sees, and the eye must see a surface everywhere.
+        // A light at the eye reaches everything that the eye sees, and the eye must see a surface everywhere.
         let (lit, cost) = trace(&closed(Vec3::ZERO), &camera);
         assert_eq!((ones(&lit), cost.shadow_rays), (160 * 120, 160 * 120), "{rings} rings");
         for outside in [Vec3::new(0.0, 0.0, 9.0), Vec3::new(0.0, 9.0, 9.0), Vec3::new(1.3, -4.0, 7.0)] {
@@ -105,7 +105,7 @@ fn no_ray_passes_through_the_edges_of_a_closed_mesh() {
 
 #[test]
 fn a_surface_does_not_shadow_itself() {
-    // A slope of one large triangle, seen near the local origin, where coordinates are small but their error is not.
+    // One large sloping triangle, seen near the local origin, where coordinates are small but their error is not.
     let slope = TestScene::default()
         .triangle(
             DOUBLE_SIDED,
@@ -121,13 +121,13 @@ fn a_surface_does_not_shadow_itself() {
 
 #[test]
 fn a_shadow_lies_where_geometry_says() {
-    // A unit square 1 m above the floor, the light 2 m above: its shadow is a square of 2 m.
+    // A unit square 1 m above the floor, with the light at 2 m: its shadow is a square of 2 m.
     let scene = TestScene::default()
         .quad(SINGLE_SIDED, Vec3::new(-5.0, 0.0, 5.0), Vec3::X * 10.0, Vec3::NEG_Z * 10.0)
         .quad(SINGLE_SIDED, Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z)
         .point(Vec3::new(0.0, 2.0, 0.0))
         .build();
-    // The square is seen from behind its single side, which lets the eye pass.
+    // The camera sees the square from behind and looks through it, since it is single-sided.
     let camera = Camera::looking_at(DVec3::new(0.0, 3.0, 0.0), DVec3::ZERO, 1.5, 120, 120);
     let (mask, _) = trace(&scene, &camera);
     for y in 0..120 {
@@ -181,14 +181,14 @@ fn far_from_the_origin_of_the_world_nothing_changes() {
         |at: DVec3| Camera::looking_at(at + DVec3::new(0.5, 0.25, 3.0), at + DVec3::new(-0.5, 0.0, -2.0), 1.0, 96, 64);
     let (near_mask, _) = trace(&scene(DVec3::ZERO), &look(DVec3::ZERO));
     let (far_mask, _) = trace(&scene(far), &look(far));
-    // An f64 at 2·10⁸ m has 3·10⁻⁸ m between its values.
+    // An f64 at 2·10⁸ m has a spacing of 3·10⁻⁸ m.
     assert!(differing(&near_mask, &far_mask) <= 2);
     assert!(ones(&near_mask) > 1000);
 }
 
 #[test]
 fn the_kernels_traverse_the_hierarchy_as_obvhs_does() {
-    // A cloud of slivers and large triangles, in which wrong nodes would not go unnoticed.
+    // A cloud of slivers and large triangles, in which wrong nodes would show.
     let mut random = 1_u32;
     let mut next = || {
         random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -228,7 +228,7 @@ fn the_kernels_traverse_the_hierarchy_as_obvhs_does() {
                 let normal = triangle(hit.primitive_id as usize).compute_normal();
                 let normal = if normal.dot(ray.direction) > 0.0 { -normal } else { normal };
                 let point = ray.origin + ray.direction * hit.t + normal * 1e-4;
-                // The shading normal is the front's, negated where the back is seen: the same thing here.
+                // The shading normal is the front's, negated where the back is seen: the same here.
                 let shadow = Ray::new(point, light - point, 0.0, 1.0);
                 lit = normal.dot(light - point) > 0.0
                     && hierarchy.ray_traverse_miss(shadow, |ray, id| triangle(id).intersect(ray));
@@ -277,7 +277,7 @@ fn sizes_that_do_not_fit_are_refused_with_numbers() {
     assert!(error.contains("100×100") && error.contains("173056") && error.contains("1000"), "{error}");
 }
 
-/// A device with other features and limits than the server asks for.
+/// A device with other features and limits than the server requests.
 fn device(features: wgpu::Features, limit: impl Fn(&mut wgpu::Limits)) -> Gpu {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
     let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
@@ -309,7 +309,7 @@ fn devices_without_needed_features_are_refused() {
     }));
     assert!(error.contains("too large") && error.contains("10000"), "{error}");
 
-    // Without a clock masks are traced all the same.
+    // Masks are traced without a clock, too.
     let mut compute = ComputeBackend::new(&scene, device(needed, |_| {})).unwrap();
     let camera = cameras()[0];
     let mut mask = mask_for(&scene, &camera);

@@ -1,4 +1,4 @@
-//! The device's clock: how long each stage of a frame takes.
+//! The device's clock: measures each stage of a frame.
 
 use crate::visibility::schedule::parts::MAX_PARTS;
 
@@ -47,7 +47,7 @@ impl Timing {
         }
     }
 
-    /// Writes the time at which everything encoded before is done.
+    /// Records when all earlier commands are done.
     pub(super) fn write(&self, encoder: &mut wgpu::CommandEncoder, query: u32) {
         encoder.write_timestamp(&self.queries, query);
     }
@@ -59,7 +59,7 @@ impl Timing {
 }
 
 fn stages(ticks: &[u64], tick_ns: f64) -> Stages {
-    // A clock that stepped back, or that power management reset, counts as no time rather than as centuries.
+    // A clock that stepped back, or that power management reset, counts as zero time.
     #[expect(clippy::cast_precision_loss, reason = "2^53 ns are 104 days")]
     let ms = |from: u64, to: u64| to.saturating_sub(from) as f64 * tick_ns / 1e6;
     let (parts, end) = ticks.as_chunks::<{ PART_QUERIES as usize }>();

@@ -7,11 +7,11 @@ use crate::visibility::backend::BackendError;
 /// Texture coordinates of the MASK triangles, and their materials' alpha.
 #[derive(Debug)]
 pub(super) struct Alpha {
-    /// Index of the first MASK triangle: the OPAQUE ones come first.
+    /// Index of the first MASK triangle. OPAQUE ones come first.
     first: u32,
     triangles: Vec<MaskTriangle>,
     materials: Vec<MaskMaterial>,
-    /// One for each image, however many materials show it.
+    /// One per image, however many materials use it.
     pictures: Vec<AlphaPicture>,
 }
 
@@ -25,7 +25,7 @@ struct MaskTriangle {
 struct MaskMaterial {
     cutoff: f32,
     factor: f32,
-    /// Index of the picture, and how it repeats.
+    /// Index of the picture, and how it wraps.
     picture: Option<(usize, [Wrap; 2])>,
 }
 
@@ -71,8 +71,8 @@ impl Alpha {
         Ok(alpha)
     }
 
-    /// Whether the point of MASK triangle `triangle` with these weights of its corners passes the alpha test. The
-    /// weights need not sum to 1.
+    /// Returns whether a point of MASK triangle `triangle` passes the alpha test. `weights` of its corners need not sum
+    /// to 1.
     pub(super) fn passes(&self, triangle: u32, weights: [f32; 3]) -> bool {
         let triangle = &self.triangles[(triangle - self.first) as usize];
         let material = &self.materials[triangle.material as usize];
@@ -103,7 +103,6 @@ fn sample(picture: &AlphaPicture, [wrap_u, wrap_v]: [Wrap; 2], u: f32, v: f32) -
     mix(row(rows[0]), row(rows[1]), y - y0)
 }
 
-/// Whether the picture was decoded.
 fn is_decoded(picture: &AlphaPicture) -> bool {
     !picture.alpha.is_empty() && picture.alpha.len() == picture.width as usize * picture.height as usize
 }

@@ -1,4 +1,4 @@
-//! The back end itself: a prepared scene, and the threads that trace it.
+//! The back end: a prepared scene, and the threads that trace it.
 
 use std::{num::NonZeroUsize, ops::Range};
 
@@ -20,10 +20,10 @@ use crate::visibility::{TraceCost, backend::BackendError};
 /// Most triangles that leaf and node indices can address.
 const MAX_TRIANGLES: usize = (1 << 31) - 1;
 
-/// Neighbouring tiles of a row that a thread takes at a time.
+/// Neighbouring tiles of a row, taken by a thread at once.
 const RUN_TILES: usize = 16;
 
-/// Traces on the processor. Each call uses all of the back end's threads.
+/// Traces on the processor. Each call uses all threads of the back end.
 pub struct CpuBackend {
     world: World,
     origin_m: glam::DVec3,
@@ -32,8 +32,8 @@ pub struct CpuBackend {
 }
 
 impl CpuBackend {
-    /// Builds the tree, copies the triangles and the alpha pictures, and starts the threads: one for each processor by
-    /// default.
+    /// Builds the tree, copies the triangles and the alpha pictures, and starts the threads (default: one per
+    /// processor).
     ///
     /// # Errors
     /// If the threads cannot be started, the scene has more than 2³¹ − 1 triangles that stop rays, or the alpha of a
@@ -74,9 +74,9 @@ impl CpuBackend {
         )
     }
 
-    /// Traces what `camera` sees into `mask`, which has the camera's size and a plane for each light of the scene.
-    /// Writes every word. The times are sums over the threads, divided by their number: with idle threads both are less
-    /// than wall-clock time.
+    /// Traces the view of `camera` into `mask`, which has the camera's size and a plane for each light of the scene.
+    /// Writes every word. Times are sums over the threads, divided by their number: with idle threads they are below
+    /// wall-clock time.
     ///
     /// # Panics
     /// If the mask's shape is not the camera's and the scene's.
@@ -85,7 +85,7 @@ impl CpuBackend {
         self.run::<Silent>(camera, mask, rows).0
     }
 
-    /// As [`Self::trace`], for these rows of tiles only: writes no other words.
+    /// As [`Self::trace`], but only for these rows of tiles. Writes no other words.
     ///
     /// # Panics
     /// If the mask's shape is not the camera's and the scene's.
@@ -93,7 +93,7 @@ impl CpuBackend {
         self.run::<Silent>(camera, mask, rows).0
     }
 
-    /// As [`Self::trace`], but slower. Also returns the traversal counts of camera rays and of shadow rays.
+    /// As [`Self::trace`], but slower. Also returns traversal counts for camera rays and for shadow rays.
     ///
     /// # Panics
     /// If the mask's shape is not the camera's and the scene's.
@@ -145,14 +145,14 @@ impl CpuBackend {
     }
 }
 
-/// Neighbouring tiles of one row, and their words in every plane.
+/// Neighbouring tiles of a row, and their words in every plane.
 struct Run<'a> {
     tile_x: u32,
     tile_y: u32,
     words: Vec<&'a mut [u64]>,
 }
 
-/// Splits these rows of the mask into runs, so that threads write their words in place.
+/// Splits these rows of the mask into runs, so that threads write words in place.
 fn share_out(mask: &mut Mask, rows: Range<u32>) -> Vec<Run<'_>> {
     let shape = mask.shape();
     let (tiles_x, lights) = (shape.tiles_x() as usize, shape.lights() as usize);

@@ -1,7 +1,7 @@
-//! Counters of traversal, which cost nothing where they are not wanted.
+//! Counters of traversal. They cost nothing where they are unused.
 
 pub(super) trait Counter: Default + Send {
-    /// A group enters the tree.
+    /// A group starts traversal.
     fn group(&mut self) {}
     /// A group visits a node.
     fn node(&mut self) {}
@@ -26,17 +26,17 @@ pub struct TraversalStats {
     pub groups: u64,
     /// Nodes that groups visited; each tests eight boxes.
     pub nodes: u64,
-    /// Leaves that groups visited; each prepares up to eight triangles.
+    /// Leaves that groups visited; each holds up to eight triangles.
     pub leaves: u64,
     /// Triangles in those leaves.
     pub triangles: u64,
-    /// Triangles that some packet had to be tested against.
+    /// Triangles that were tested against at least one packet.
     pub tested_triangles: u64,
     /// Tests of a triangle against a packet of eight rays.
     pub packet_tests: u64,
     /// Packet tests with a ray inside the triangle's edges.
     pub candidates: u64,
-    /// Tests of a triangle's alpha by a ray.
+    /// Alpha tests of a ray with a triangle.
     pub alpha_tests: u64,
 }
 

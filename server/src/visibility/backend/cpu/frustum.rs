@@ -1,7 +1,7 @@
-//! The space that a group's rays sweep, against the eight boxes of a node at once.
+//! The space that a group's rays sweep, tested against the eight boxes of a node at once.
 //!
-//! In the group's frame the rays lie between two planes x = b + a·z, and two more for y. A box is outside when it lies
-//! beyond one of the four, behind the origin, or farther than `z_far`. All 64 rays cost what one would.
+//! In the group's frame the rays lie between two planes x = b + a·z, and two more for y. A box is outside if it lies
+//! beyond one of the four, behind the origin, or farther than `z_far`. Testing 64 rays costs as much as testing one.
 
 use super::{
     group::Group,
@@ -10,11 +10,11 @@ use super::{
 use crate::visibility::hierarchy::bvh::Node;
 
 /// Widening of the planes: a slope for rays from an apex, relative to the scene's size for parallel rays. An edge
-/// function is off by a few roundings (2⁻²⁴ each) of its corners' distance from the origin. So a ray can hit a triangle
-/// that it misses by that much, and must then hit its box too.
+/// function is off by a few roundings (2⁻²⁴ each) of its corners' distance from the origin. A ray may hit a triangle
+/// that it misses by that much, so it must then hit the box, too.
 const SLACK: f32 = 1.0 / (1 << 20) as f32;
 
-/// The planes. Each vector holds one number in all lanes.
+/// The planes. Each vector repeats one number in all lanes.
 pub(super) struct Frustum<S: Simd> {
     axes: [usize; 3],
     w_negative: bool,
@@ -29,8 +29,7 @@ pub(super) struct Frustum<S: Simd> {
 }
 
 impl<S: Simd> Frustum<S> {
-    /// The space that `group` sweeps. `scene_size_m` bounds the scene's coordinates relative to the origin of parallel
-    /// rays.
+    /// The space swept by `group`. `scene_size_m` bounds scene coordinates relative to the origin of parallel rays.
     #[inline(always)]
     pub(super) fn new<const PARALLEL: bool>(s: S, group: &Group, scene_size_m: f32) -> Self {
         let projection = &group.projection;
@@ -64,7 +63,7 @@ impl<S: Simd> Frustum<S> {
         }
     }
 
-    /// The children of `node` that the rays may hit before `z_far`, and where each box begins along z.
+    /// Returns the children of `node` that rays may hit before `z_far`, and where each box begins along z.
     #[inline(always)]
     pub(super) fn intersect(&self, s: S, node: &Node, z_far: S::F) -> (u8, S::F) {
         let [u, v, w] = self.axes;
@@ -76,7 +75,7 @@ impl<S: Simd> Frustum<S> {
         let high_x = s.load(&node.max[u]) - self.origin[0];
         let low_y = s.load(&node.min[v]) - self.origin[1];
         let high_y = s.load(&node.max[v]) - self.origin[1];
-        // Each plane is compared at the end of the box where it admits most.
+        // Compares each plane at the end of the box where it admits most.
         let in_x = s.and(s.ge(high_x, self.plane(s, 0, z0, z1)), s.ge(self.plane(s, 1, z1, z0), low_x));
         let in_y = s.and(s.ge(high_y, self.plane(s, 2, z0, z1)), s.ge(self.plane(s, 3, z1, z0), low_y));
         (s.bits(s.and(s.and(in_x, in_y), s.ge(z1, z0))), z0)

@@ -1,13 +1,13 @@
-//! A group of up to 64 rays that share an origin or a direction, and so form a picture of the scene.
+//! A group of up to 64 rays that share an origin or a direction, and so form a projection of the scene.
 //!
-//! Camera rays start at the camera. Shadow rays, traced backwards, start at the light or run along the sun's direction.
-//! Seen from there a group's rays are points (x, y) of a projection plane, a triangle is a triangle of that plane, and
-//! the signs of three edge functions tell whether a ray hits it, as in a rasteriser (Olano and Greer, "Triangle Scan
-//! Conversion using 2D Homogeneous Coordinates", 1997). Two triangles compute a shared edge's function from the same
-//! numbers with opposite signs, bit for bit, so no ray slips between them.
+//! Camera rays start at the camera. Shadow rays are traced backwards: they start at the light, or run along the sun's
+//! direction. Seen from there a group's rays are points (x, y) of a projection plane, and a triangle is a triangle of
+//! that plane. The signs of three edge functions tell whether a ray hits it, as in a rasteriser (Olano and Greer,
+//! "Triangle Scan Conversion using 2D Homogeneous Coordinates", 1997). Two triangles compute a shared edge's function
+//! from the same numbers with opposite signs, bit for bit, so no ray slips between them.
 //!
-//! The plane is a face of a cube around the origin. Each ray belongs to the face that its direction points to, so that
-//! |x|, |y| ≤ 1. A tile whose rays point to several faces makes several groups.
+//! The plane is a face of a cube around the origin. Each ray belongs to the face that its direction points to, so |x|,
+//! |y| ≤ 1. A tile whose rays point to several faces makes several groups.
 
 use glam::Vec3;
 
@@ -32,8 +32,8 @@ pub(super) fn face_of(direction: Vec3) -> Face {
     face + u8::from(direction[axis] < 0.0)
 }
 
-/// The map from scene points to points of the plane. Coordinates (u, v, w) are the scene's, permuted, with w mirrored
-/// on negative faces. The frame stays right-handed, so that normals keep their sense.
+/// Maps scene points to the plane. Coordinates (u, v, w) are the scene's, permuted, with w mirrored on negative faces.
+/// The frame stays right-handed, so normals keep their orientation.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Projection {
     /// The scene axes of u, v and w.
@@ -42,8 +42,8 @@ pub(super) struct Projection {
     pub(super) w_sign: f32,
     /// The apex, or a reference point in the scene for parallel rays: (u, v, w), w not mirrored.
     pub(super) origin: [f32; 3],
-    /// Change of u and v along w of parallel rays, or of the ray from a distant apex through the reference point; else
-    /// 0.
+    /// Change of u and v along w, for parallel rays, or for the ray from a distant apex through the reference point;
+    /// else 0.
     pub(super) shear: [f32; 2],
     /// One over a distant apex's distance along w, by which its rays spread along w; else 0.
     pub(super) spread: f32,
@@ -67,9 +67,9 @@ impl Projection {
         Self { shear: [direction[u] / depth, direction[v] / depth], ..this }
     }
 
-    /// Rays that start at `apex`, so far from `reference` that scene points relative to the apex would lose their
-    /// digits. They are projected onto the plane through the reference point instead, as parallel rays are, but for a
-    /// factor of almost 1.
+    /// Rays that start at `apex`, so far from `reference` that scene points relative to the apex would lose precision.
+    /// They are projected onto the plane through the reference point instead, like parallel rays but for a factor of
+    /// almost 1.
     pub(super) fn from_distant(apex: Vec3, reference: Vec3) -> Self {
         let direction = reference - apex;
         let this = Self::along(direction, reference);
@@ -84,7 +84,7 @@ impl Projection {
     }
 }
 
-/// The rays as points of the plane.
+/// Rays as points of the plane.
 #[derive(Debug, Clone)]
 pub(super) struct Group {
     pub(super) projection: Projection,
@@ -136,7 +136,7 @@ impl Group {
         self.group_y = [self.group_y[0].min(lowest[1]), self.group_y[1].max(highest[1])];
     }
 
-    /// Shrinks the group's bounds to the packets that are left.
+    /// Shrinks the group's bounds to the remaining packets.
     #[inline(always)]
     pub(super) fn shrink<S: Simd>(&mut self, s: S) {
         let left = s.mask(self.packets);

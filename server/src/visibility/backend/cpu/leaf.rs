@@ -1,4 +1,4 @@
-//! The eight triangles of a leaf, prepared for a group: edge functions, and which triangles may be hit at all.
+//! The eight triangles of a leaf, prepared for a group: edge functions, and which triangles rays may hit at all.
 //!
 //! Corners a, b, c are in the group's homogeneous frame: (u, v, w) from the apex, sheared (u, v, 1) for parallel rays,
 //! (u, v, 1 + spread·w) for rays from a distant apex. The sign of (x, y, 1) · (a × b) tells on which side of the edge
@@ -19,7 +19,7 @@ use crate::visibility::hierarchy::bvh::Leaf;
 /// Eight triangles side by side, for tests against packets.
 #[derive(Default)]
 pub(super) struct Prepared {
-    /// Coefficients of the edge functions opposite corners 0, 1, 2, with signs such that all three are ≥ 0 inside.
+    /// Coefficients of the edge functions opposite corners 0, 1, 2. Signs are such that all three are ≥ 0 inside.
     pub(super) edges: [[F8; 3]; 3],
     /// Coefficients of 1/z on the triangle's plane; for closest hits only.
     pub(super) inverse_depth: [F8; 3],
@@ -27,8 +27,8 @@ pub(super) struct Prepared {
     pub(super) back: u8,
 }
 
-/// The greatest value of k·(x, y, 1) over a rectangle. It is rounded as the value at each point is, and rounding is
-/// monotone, so it is never below the value at any point.
+/// The maximum of k·(x, y, 1) over a rectangle. It is rounded like the value at each point. Rounding is monotone, so it
+/// is never below the value at any point.
 #[inline(always)]
 fn highest_over<S: Simd>(s: S, k: V3<S>, x: &[f32; 2], y: &[f32; 2]) -> S::F {
     let best_x = s.select_negative(k[0], s.splat(x[0]), s.splat(x[1]));
@@ -54,8 +54,8 @@ fn corner<S: Simd, const PARALLEL: bool>(s: S, projection: &Projection, corner: 
     }
 }
 
-/// Prepares `leaf` for `group`. Returns the triangles that some ray may hit: not seen edge-on, not wholly outside an
-/// edge and, for closest hits, not seen from a back that is culled nor wholly beyond 1/z = `inverse_far`.
+/// Prepares `leaf` for `group`. Returns the triangles that some ray may hit: not edge-on, not wholly outside an edge
+/// and, for closest hits, neither showing a culled back nor wholly beyond 1/z = `inverse_far`.
 #[inline(always)]
 pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
     s: S,
@@ -67,8 +67,8 @@ pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
     prepare_as::<S, PARALLEL, CLOSEST, false>(s, leaf, group, inverse_far, prepared)
 }
 
-/// As [`prepare`], when rounding leaves some triangle's side in doubt. A function of its own, so that the common path
-/// keeps its registers.
+/// As [`prepare`], if rounding leaves some triangle's side in doubt. A separate function, so that the common path keeps
+/// its registers.
 #[cold]
 #[inline(never)]
 fn prepare_settled<S: Simd, const CLOSEST: bool>(
@@ -94,7 +94,7 @@ fn prepare_as<S: Simd, const PARALLEL: bool, const CLOSEST: bool, const SETTLE: 
     let b = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[1]);
     let c = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[2]);
     let normal = vector::cross(s, vector::sub::<S>(b, a), vector::sub::<S>(c, a));
-    // Positive when the normal points along the rays; zero when the triangle is edge-on.
+    // Positive if the normal points along the rays, zero if the triangle is edge-on.
     let mut distance = vector::dot(s, normal, a);
     if !PARALLEL {
         let rounding = s.load(&leaf.span) * vector::size(s, a);
@@ -133,9 +133,9 @@ fn prepare_as<S: Simd, const PARALLEL: bool, const CLOSEST: bool, const SETTLE: 
 /// distance's size: 4 for the normal, 1 for the distance, 3 for products and sums.
 const APEX_ROUNDINGS: f32 = 8.0;
 
-/// Recomputes the distances of the triangles in `slots` in f64, and makes them 0 where the plane holds the apex as far
-/// as rounding of the corners can tell. So a surface does not shadow a lamp on it, and is not seen by a camera on it.
-/// The sign of a distance decides the signs of the edges: a wrong one would let light through.
+/// Recomputes the distances of the triangles in `slots` in f64. Sets them to 0 where the plane contains the apex within
+/// the rounding error of the corners, so that a surface neither shadows a lamp on it nor is seen by a camera on it. The
+/// sign of a distance decides the signs of the edges: a wrong one would let light through.
 fn settle(leaf: &Leaf, projection: &Projection, slots: u8, distances: &mut F8) {
     let [u, v, w] = projection.axes;
     let [x, y, z] = projection.origin.map(f64::from);
@@ -170,11 +170,11 @@ fn of_slot<S: Simd>(s: S, k: &[F8; 3], slot: usize) -> V3<S> {
     [s.splat(k[0].0[slot]), s.splat(k[1].0[slot]), s.splat(k[2].0[slot])]
 }
 
-/// One triangle's edge functions, in all lanes.
+/// A triangle's edge functions, in all lanes.
 #[derive(Clone, Copy)]
 pub(super) struct Edges<S: Simd> {
     edges: [V3<S>; 3],
-    /// Whether each rises with x, and with y. Tells the corner of a rectangle where it is highest.
+    /// True where a function rises with x, and with y: selects the corner of a rectangle with its maximum.
     rising: [[bool; 2]; 3],
 }
 
@@ -196,7 +196,7 @@ impl Prepared {
     }
 }
 
-/// Whether triangle `slot`'s edge function rises with x, and with y.
+/// Returns whether triangle `slot`'s edge function rises with x, and with y.
 #[inline(always)]
 fn rising(k: &[F8; 3], slot: usize) -> [bool; 2] {
     [k[0].0[slot].is_sign_positive(), k[1].0[slot].is_sign_positive()]
@@ -208,14 +208,14 @@ impl<S: Simd> Edges<S> {
         [vector::at(s, self.edges[0], x, y), vector::at(s, self.edges[1], x, y), vector::at(s, self.edges[2], x, y)]
     }
 
-    /// The packets of `group` that may hit the triangle, tested side by side by their bounds.
+    /// Returns the packets of `group` that may hit the triangle, by their bounds.
     #[inline(always)]
     pub(super) fn packets(&self, s: S, group: &Group) -> u8 {
         let inside = [self.highest(s, 0, group), self.highest(s, 1, group), self.highest(s, 2, group)];
         s.bits(s.ge(vector::least(s, inside), s.splat(0.0))) & group.packets
     }
 
-    /// The greatest value of edge function `i` over each packet's bounds.
+    /// The maximum of edge function `i` over each packet's bounds.
     #[inline(always)]
     fn highest(&self, s: S, i: usize, group: &Group) -> S::F {
         let x = &group.packet_x[usize::from(self.rising[i][0])];

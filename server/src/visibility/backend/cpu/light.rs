@@ -1,4 +1,4 @@
-//! Lights: the surface points where they matter, and the directions of their shadow rays.
+//! Lights: which surface points need shadow rays, and in which directions.
 
 use glam::Vec3;
 use gnomon_scene::{Light, LightKind};
@@ -14,7 +14,7 @@ const FACING_ROUNDINGS: f32 = 5.0;
 pub(super) struct PreparedLight {
     /// Infinitely far away, along −`direction`.
     pub(super) directional: bool,
-    /// So far from the scene that its rays are almost parallel.
+    /// True if it is so far from the scene that its rays are almost parallel.
     pub(super) distant: bool,
     pub(super) position: Vec3,
     /// Unit vector in which the light travels.
@@ -35,15 +35,14 @@ impl PreparedLight {
             directional: light.kind == LightKind::Directional,
             distant: light.position.distance(middle) > size_m,
             position: light.position,
-            // A light that is switched off reaches no point, and no normal faces it.
+            // A light that is switched off reaches no point, since no normal faces the zero vector.
             direction: if light.shines() { light.direction } else { Vec3::ZERO },
             range_squared: if light.shines() { light.range_m * light.range_m } else { -1.0 },
             cos_outer,
         }
     }
 
-    /// The lanes of packet `p` that need a shadow ray: the light matters at their points, and these do not face away
-    /// from it.
+    /// Returns the lanes of packet `p` that need a shadow ray: the light is relevant and the surface faces it.
     #[inline(always)]
     pub(super) fn rays<S: Simd>(&self, s: S, surface: &Surface, p: usize) -> u8 {
         let zero = s.splat(0.0);
@@ -53,7 +52,7 @@ impl PreparedLight {
         } else {
             vector::sub::<S>(vector::splat(s, self.position.to_array()), vector::load_packet(s, &surface.point, p))
         };
-        // The start is above its surface, so a light that is not above the start may lie in the surface's plane.
+        // The start lies above its surface. A light that is not above the start may lie in the surface's plane.
         let from_start = if self.directional {
             to_light
         } else {
@@ -76,7 +75,7 @@ impl PreparedLight {
         lanes
     }
 
-    /// The rays of each cube face around the light: a group each.
+    /// Groups the rays by cube face around the light.
     #[inline(always)]
     pub(super) fn faces<S: Simd>(&self, s: S, surface: &Surface, rays: &[u8; PACKETS]) -> [[u8; PACKETS]; 6] {
         let mut faces = [[0; PACKETS]; 6];
@@ -94,7 +93,7 @@ impl PreparedLight {
     }
 }
 
-/// The lanes whose directions point to each face: [`super::group::face_of`] for eight directions.
+/// Returns the lanes whose directions point to each face: [`super::group::face_of`] for eight directions.
 #[inline(always)]
 pub(super) fn lanes_by_face<S: Simd>(s: S, direction: [S::F; 3]) -> [u8; 6] {
     let [x, y, z] = [s.abs(direction[0]), s.abs(direction[1]), s.abs(direction[2])];

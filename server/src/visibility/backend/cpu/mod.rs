@@ -1,13 +1,13 @@
 //! The `cpu` back end: threads share the tiles, and rays are traced in groups of 64 as packets of eight.
 //!
-//! A tile's way: [`tile`] aims its 64 camera rays → [`group`] projects them to points of a plane → [`traverse`] takes
-//! the group through the tree, testing eight boxes against all rays at once ([`frustum`]), then eight triangles
-//! ([`leaf`]), then packets → [`surface`] finds points and normals → [`light`] picks the lights that need shadow rays →
-//! [`regroup`] sorts rays that end far apart → [`traverse`] again, from the light.
+//! Steps of a tile: [`tile`] makes its 64 camera rays → [`group`] projects them to points of a plane → [`traverse`]
+//! takes the group through the tree, testing eight boxes against all rays at once ([`frustum`]), then eight triangles
+//! ([`leaf`]), then packets → [`surface`] computes points and normals → [`light`] picks the lights that need shadow
+//! rays → [`regroup`] sorts rays that end far apart → [`traverse`] again, from the light.
 //!
-//! Every result depends on its own ray and the triangles alone, not on the other rays of its group or on threads. So
-//! masks are the same from run to run and for any number of threads. They may differ in single bits between processors
-//! with and without AVX2 (see [`simd`]).
+//! Each result depends only on its own ray and the triangles, not on the group or on threads. So masks are the same in
+//! every run and for any number of threads. They may differ in single bits between processors with and without AVX2
+//! (see [`simd`]).
 
 mod alpha;
 mod backend;

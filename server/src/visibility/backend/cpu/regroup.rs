@@ -1,10 +1,9 @@
 //! Sorts shadow rays that end far apart into groups and packets whose rays run close together.
 //!
-//! Neighbouring pixels see neighbouring points, except at silhouettes. There a tile's shadow rays fan out from the
-//! light into two or more bundles, and a group that sweeps the space between them tests most of its nodes and triangles
-//! in vain. Seen from the light the rays are points of a plane, and a group's cost grows with the area that they spread
-//! over. So the points are split in two wherever that saves area, and each part is sorted into packets of eight
-//! neighbours.
+//! Neighbouring pixels see neighbouring points, except at silhouettes. There a tile's shadow rays form two or more
+//! bundles, and a group that spans the gap tests most of its nodes and triangles in vain. Seen from the light the rays
+//! are points of a plane, and a group's cost grows with the area that they cover. So the points are split in two
+//! wherever that saves area, and each part is sorted into packets of eight neighbours.
 
 use super::{
     group::{Group, PACKETS, Projection},
@@ -15,18 +14,18 @@ use super::{
 /// Rays in a full group.
 const RAYS: usize = 8 * PACKETS;
 
-/// A part is split when that leaves less than this share of its area.
+/// A part is split if that leaves less than this share of its area.
 const WORTH: f32 = 0.8;
 
-/// A group's rays in a list: x and y on the plane, and the ray's index in the group.
+/// A group's rays as a list: x and y on the plane, and the ray's index in the group.
 pub(super) struct Regrouping {
     rays: [(f32, f32, u8); RAYS],
     count: usize,
-    /// Added to the sides of a part when its area is computed, since triangles have a size too.
+    /// Added to a part's sides before its area is computed, since triangles have a size, too.
     padding: f32,
 }
 
-/// Consecutive ranges, stored as their ends. Small, because every group makes one.
+/// Consecutive ranges, stored as their ends. Compact, because every group makes one.
 pub(super) struct Ranges {
     ends: [u8; RAYS],
     count: usize,
@@ -76,8 +75,7 @@ impl Regrouping {
     /// Sorts the rays. Each range of the result is a new group, in the order of its packets.
     pub(super) fn sort(&mut self) -> Ranges {
         let mut done = Ranges { ends: [0; RAYS], count: 0, next: 0, from: 0 };
-        // A stack of the ends of the parts that are left. The top part is the first; each begins where the one above it
-        // ends.
+        // A stack of the ends of the remaining parts. The top part is the first; each begins where the one above ends.
         let mut open = [0; RAYS];
         open[0] = self.count;
         let (mut left, mut from) = (1, 0);
@@ -99,7 +97,7 @@ impl Regrouping {
         done
     }
 
-    /// Splits `from..to` in the middle of its longer side and returns where, if that saves enough area.
+    /// Splits `from..to` in the middle of its longer side if that saves enough area. Returns where.
     fn split(&mut self, from: usize, to: usize) -> Option<usize> {
         let rays = &mut self.rays[from..to];
         if rays.len() < 2 {
@@ -122,8 +120,7 @@ impl Regrouping {
         (parts < whole.area(self.padding) * WORTH).then_some(from + low)
     }
 
-    /// Sorts `from..to` so that each eight rays are neighbours: halves it across its longer side at a multiple of
-    /// eight.
+    /// Sorts `from..to` into packets of eight neighbours: halves it across its longer side at a multiple of eight.
     fn pack(&mut self, from: usize, to: usize) {
         let rays = &mut self.rays[from..to];
         if rays.len() <= 8 {
@@ -140,7 +137,7 @@ impl Regrouping {
         self.pack(from + middle, to);
     }
 
-    /// The new group of the rays `from..to`. `points` are the old group's.
+    /// Makes the new group from the rays `from..to`. `points` are the old group's.
     #[inline(always)]
     pub(super) fn part<S: Simd>(
         &self,
@@ -169,7 +166,7 @@ impl Regrouping {
 }
 
 impl Part {
-    /// Adds the rays that are left in the new group to the old group's lanes.
+    /// Adds the rays that remain in the new group to the old group's lanes.
     pub(super) fn add_left(&self, old_lanes: &mut [u8; PACKETS]) {
         for (lanes, places) in self.group.lanes.iter().zip(&self.places) {
             for (lane, place) in places.iter().enumerate() {
@@ -208,7 +205,7 @@ impl Rectangle {
         Self { min, max }
     }
 
-    /// Whether the longer side is along x, and its middle.
+    /// Returns true if the longer side is along x, and the middle of that side.
     fn longer_side(self) -> (bool, f32) {
         let along_x = self.max.0 - self.min.0 >= self.max.1 - self.min.1;
         (along_x, if along_x { (self.min.0 + self.max.0) * 0.5 } else { (self.min.1 + self.max.1) * 0.5 })
@@ -226,7 +223,7 @@ mod tests {
     use super::*;
     use crate::visibility::backend::cpu::simd::{Level, WithSimd};
 
-    /// Regroups the rays that are given, ray i at place i. Returns each part's places and points.
+    /// Regroups the given rays, ray i at place i. Returns each part's places and points.
     struct Regroup<'a>(&'a [Option<(f32, f32)>; RAYS]);
 
     impl WithSimd for Regroup<'_> {
@@ -280,7 +277,7 @@ mod tests {
             let parts = Level::detect().dispatch(Regroup(&at));
             let mut seen = [false; RAYS];
             for packets in &parts {
-                // All packets of a part but the last are full.
+                // All packets of a part except the last are full.
                 assert!(packets.iter().rev().skip(1).all(|packet| packet.len() == 8));
                 for &(place, point) in packets.iter().flatten() {
                     let (x, y) = at[usize::from(place)].unwrap();
@@ -310,7 +307,7 @@ mod tests {
 
     #[test]
     fn a_packets_rays_are_neighbours() {
-        // An 8×8 grid in scrambled order: packed well, no packet is larger than 4×2 of it.
+        // An 8×8 grid in scrambled order. Well packed, no packet spans more than 4×2 of it.
         let at = std::array::from_fn(|i| {
             let i = u16::try_from(i * 29 % 64).unwrap();
             Some((f32::from(i % 8), f32::from(i / 8)))

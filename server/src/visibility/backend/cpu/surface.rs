@@ -15,7 +15,7 @@ use super::{
 pub(super) struct Corners {
     positions: [[f32; 3]; 3],
     normals: [[f32; 3]; 3],
-    /// Computed in f64: for long thin triangles an f32 cross product loses most digits. Zero without an area.
+    /// Computed in f64: an f32 cross product of a long thin triangle loses most digits. Zero without an area.
     geometric: [f32; 3],
 }
 
@@ -50,7 +50,7 @@ impl Corners {
 
 /// How far above the surface shadow rays start, in rounding units of Σ |nᵢ|·Σₖ |wₖ|·|pₖᵢ| with unit normal n, corners p
 /// and weights w. Interpolation may move the point off the plane by 3 for products and sums, by up to 8 because weights
-/// that do not sum to 1 scale it, and by 1 where the start is rounded. That is 12. Errors of the weights only slide the
+/// that do not sum to 1 scale it, and by 1 for rounding the start: 12 in all. Errors of the weights only slide the
 /// point along the plane. Twin: `OFFSET_ROUNDINGS` in visibility/primary.wgsl, which derives the 8.
 const OFFSET_ROUNDINGS: f32 = 16.0;
 
@@ -61,11 +61,11 @@ pub(super) struct Surface {
     /// Bit i of `lanes[p]`: ray i of packet p hit a surface.
     pub(super) lanes: [u8; PACKETS],
     pub(super) point: Coordinates,
-    /// The points pushed off the surface: starts of shadow rays.
+    /// Starts of shadow rays: the points, pushed off the surface.
     pub(super) pushed: Coordinates,
     /// Unit normals of the triangles, towards the camera.
     pub(super) geometric: Coordinates,
-    /// Interpolated normals, not normalised, negated where the back was hit.
+    /// Interpolated normals, not normalised, negated where the ray hit the back.
     pub(super) shading: Coordinates,
 }
 
@@ -77,8 +77,7 @@ impl Default for Surface {
 }
 
 impl Surface {
-    /// Fills packet `p`, whose rays leave `apex` along `direction` and hit `triangles`. Outside `lanes` these may be
-    /// any triangles.
+    /// Fills packet `p`, whose rays leave `apex` along `direction` and hit `triangles` (arbitrary outside `lanes`).
     #[inline(always)]
     pub(super) fn set_packet<S: Simd>(
         &mut self,
@@ -115,7 +114,7 @@ impl Surface {
         let from_a = vector::sub::<S>(a, apex);
         let from_b = vector::sub::<S>(b, apex);
         let from_c = vector::sub::<S>(c, apex);
-        // The edge functions as in `leaf`: the corners' weights up to a common factor.
+        // Edge functions as in `leaf`: the corners' weights up to a common factor.
         let weights = [
             vector::dot(s, direction, vector::cross_of_edge(s, from_b, from_c)),
             vector::dot(s, direction, vector::cross_of_edge(s, from_c, from_a)),
@@ -125,10 +124,10 @@ impl Surface {
         let weights = vector::scale::<S>(weights, s.div(s.splat(1.0), sum));
 
         let normal = vector::load(s, &geometric);
-        // Negative where the normal points away from the camera: the back was hit.
+        // Negative if the normal points away from the camera: the ray hit the back.
         let facing = s.splat(0.0) - vector::dot(s, normal, from_a);
         let geometric = vector::xor_sign(s, normal, facing);
-        // Weights of a thin triangle seen nearly edge-on may be negative or larger than 1.
+        // Weights of a thin triangle that is nearly edge-on may be negative or exceed 1.
         let sizes = [s.abs(weights[0]), s.abs(weights[1]), s.abs(weights[2])];
         let mut terms = s.splat(0.0);
         let mut point = [s.splat(0.0); 3];
@@ -183,7 +182,7 @@ mod tests {
         let mut heights = Vec::new();
         for round in 0..4000 {
             let mut vector = |size: f32| Vec3::new(next(), next(), next()) * size;
-            // Scenes of all sizes, near their origin and far from it; every other triangle is a sliver.
+            // Scenes of all sizes, near and far from their origin. Every other triangle is a sliver.
             let size = 10.0_f32.powi(round % 9 - 4);
             let eye = vector(3.0 * size);
             let mut direction = [F8::default(); 3];
@@ -215,7 +214,7 @@ mod tests {
             }
         }
         heights.sort_by(f64::total_cmp);
-        // Leaves out the few that are seen nearly edge-on, whose weights mean little.
+        // Excludes the few that are nearly edge-on, whose weights mean little.
         let most = heights[heights.len() * 99 / 100] / f64::from(ROUNDING);
         assert!(most <= 32.0, "{most} roundings of the largest coordinates");
     }

@@ -1,4 +1,4 @@
-//! The back end against a brute-force f64 tracer, and against shapes whose answer is known without one.
+//! Compares the back end with a brute-force f64 tracer, and with shapes whose masks are known.
 
 use std::num::NonZeroUsize;
 
@@ -87,10 +87,10 @@ fn quad(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> Vec<[Vec3; 3]> {
     vec![[a, b, c], [a, c, d]]
 }
 
-/// A closed sphere of `rings`×2·`rings` quads, facing outwards, or inwards when `inside`.
+/// A closed sphere of `rings`×2·`rings` quads that faces outwards, or inwards if `inside`.
 fn sphere(centre: Vec3, radius: f32, rings: u16, inside: bool) -> Vec<[Vec3; 3]> {
     let at = |ring: u16, sector: u16| {
-        // Both ends of a ring, and a pole however it is reached, must be the same corner.
+        // Both ends of a ring are the same corner, and so is a pole in every sector.
         let sector = if ring == 0 || ring == rings { 0 } else { sector % (2 * rings) };
         let (polar, azimuth) = [ring, sector].map(|i| std::f32::consts::PI * f32::from(i) / f32::from(rings)).into();
         let polar: f32 = polar;
@@ -130,7 +130,7 @@ fn camera(scene: &Scene, from: Vec3, to: Vec3, width: u32, height: u32) -> Camer
     Camera::looking_at(scene.origin_m + from.as_dvec3(), scene.origin_m + to.as_dvec3(), 1.2, width, height)
 }
 
-/// A room with a bit of everything: every light kind, MASK with and without a picture, single-sided backs, BLEND.
+/// A room with every kind of light, MASK with and without a picture, single-sided backs, and BLEND.
 fn medley() -> Scene {
     let mut b = Builder::new();
     let alpha: Vec<u8> = (0..16_u8).flat_map(|i| [9, 9, 9, if i % 3 == 0 { 255 } else { i * 11 }]).collect();
@@ -145,7 +145,7 @@ fn medley() -> Scene {
     let v = Vec3::new;
     b.draw(floor, &quad(v(-9.0, 0.0, 9.0), v(9.0, 0.0, 9.0), v(9.0, 0.0, -9.0), v(-9.0, 0.0, -9.0)));
     b.draw(floor, &sphere(v(1.0, 1.2, 0.3), 1.0, 12, false));
-    // Seen from its back by the camera, so that it only throws a shadow.
+    // The camera sees its back, so it only casts a shadow.
     b.draw(floor, &quad(v(-2.0, 2.0, 1.0), v(-2.0, 3.0, 1.0), v(-1.0, 3.0, 1.2), v(-1.0, 2.0, 1.2)));
     b.draw(both, &quad(v(-4.0, 0.3, -1.0), v(-3.0, 0.3, -1.5), v(-3.0, 2.0, -1.0), v(-4.0, 2.0, -0.5)));
     b.draw(leaves, &quad(v(2.0, 0.5, 2.0), v(4.0, 0.5, 1.0), v(4.0, 2.5, 1.0), v(2.0, 2.5, 2.0)));
@@ -154,7 +154,7 @@ fn medley() -> Scene {
     b.draw(glass, &quad(v(-9.0, 5.0, 9.0), v(9.0, 5.0, 9.0), v(9.0, 5.0, -9.0), v(-9.0, 5.0, -9.0)));
     b.light(LightKind::Directional, Vec3::ZERO, v(0.3, -1.0, 0.2), f32::INFINITY);
     b.light(LightKind::Point, v(-1.0, 3.5, 3.0), v(0.0, 0.0, -1.0), f32::INFINITY);
-    // In the thick of it, with its reach ending on the floor, so that its rays leave through all faces.
+    // Amid the objects, with its range ending on the floor, so that its rays leave through all faces.
     b.light(LightKind::Point, v(0.0, 0.4, 2.0), v(0.0, 0.0, -1.0), 2.5);
     let cone = LightKind::Spot { inner_cone_rad: 0.2, outer_cone_rad: 0.5 };
     b.light(cone, v(3.0, 5.0, 4.0), v(-0.3, -1.0, -0.6), 12.0);
@@ -184,14 +184,13 @@ fn disagreement(scene: &Scene, backend: &CpuBackend, camera: &Camera) -> (u64, u
 #[test]
 fn the_medley_agrees_with_brute_force_on_every_level() {
     let scene = medley();
-    // 203 and 117 are no multiples of a tile.
+    // 203 and 117 are not multiples of a tile's side.
     let camera = camera(&scene, Vec3::new(-0.5, 2.2, 7.0), Vec3::new(0.0, 1.0, 0.0), 203, 117);
     for level in [Level::detect(), Level::Portable] {
         let backend = CpuBackend::with_level(&scene, NonZeroUsize::new(2), level).unwrap();
         let (wrong, relevant) = disagreement(&scene, &backend, &camera);
         assert!(relevant > 20_000, "{relevant}");
-        // One in a thousand is the promise; a test that cannot see a missing triangle would be worthless, hence the
-        // next.
+        // The tolerance is one in a thousand. The next test proves that this one can detect a missing triangle.
         assert!(wrong * 1000 <= relevant, "{}: {wrong} of {relevant} bits differ", level.name());
     }
     let mut poorer = scene.clone();
@@ -228,7 +227,7 @@ fn from_inside_a_closed_sphere_no_ray_escapes_and_none_is_stopped() {
         for way in [Vec3::new(1.0, 0.1, 0.2), Vec3::new(-0.3, 1.0, -0.4), Vec3::new(0.0, -1.0, 0.0), Vec3::ONE] {
             let camera = camera(&scene, centre, centre + way, 512, 512);
             let (mask, cost) = trace(&backend, &scene, &camera);
-            // Convex, seen from inside: every pixel sees the wall, every point of it sees both lights.
+            // Convex, seen from inside: every pixel sees the wall, and both lights reach every point of it.
             assert_eq!(cost.shadow_rays, 2 * 512 * 512);
             let dark = mask.words().iter().map(|word| word.count_zeros()).sum::<u32>();
             assert_eq!(dark, 0, "{rings} rings, towards {way}");
@@ -244,7 +243,7 @@ fn no_light_leaks_through_a_closed_sphere() {
         let centre = Vec3::new(-4.0, 3.0, 2.5);
         let v = |x: f32, y: f32, z: f32| centre + Vec3::new(x, y, z);
         b.draw(material, &sphere(centre, 2.0, rings, false));
-        // A table inside the sphere, which the camera, inside as well, looks down on.
+        // The camera looks down on a table; both are inside the sphere.
         b.draw(material, &quad(v(-1.2, 0.0, 1.2), v(1.2, 0.0, 1.2), v(1.2, 0.0, -1.2), v(-1.2, 0.0, -1.2)));
         for light in [v(0.0, 9.0, 0.0), v(3.0, 4.0, -2.0), v(-2.0, 2.1, 0.01), v(0.5, 80.0, 90.0)] {
             b.light(LightKind::Point, light, Vec3::Y, f32::INFINITY);
@@ -258,7 +257,7 @@ fn no_light_leaks_through_a_closed_sphere() {
         let lit = |mask: &Mask| mask.words().iter().map(|word| word.count_ones()).sum::<u32>();
         assert_eq!(lit(&mask), 0, "{rings} rings");
 
-        // The smallest hole is seen: one triangle at the pole less, below the light straight overhead.
+        // Even the smallest hole shows: one triangle is missing at the pole, below the light straight overhead.
         let mut holed = scene.clone();
         let hole = holed.triangles[0];
         for corner in hole {

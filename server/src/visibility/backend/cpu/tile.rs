@@ -18,7 +18,7 @@ use super::{
 };
 use crate::visibility::hierarchy::bvh::Child;
 
-/// The picture that a tile is a part of.
+/// The picture that contains a tile.
 #[derive(Clone, Copy)]
 pub(super) struct Picture {
     pub(super) basis: RayBasis,
@@ -35,7 +35,7 @@ pub(super) struct TileCost<C> {
     pub(super) shadow_stats: C,
 }
 
-/// Memory that a thread uses for one tile after another.
+/// Memory that a thread reuses from tile to tile.
 pub(super) struct TileScratch {
     directions: [[F8; PACKETS]; 3],
     hits: Hits,
@@ -67,7 +67,7 @@ fn word_bits(p: usize, lanes: u8) -> u64 {
     u64::from(lanes & 15) << row | u64::from(lanes >> 4) << (row + 8)
 }
 
-/// Exact: a picture's sides are at most 4096 pixels.
+/// Exact: a picture's sides have at most 4096 pixels.
 #[expect(clippy::cast_precision_loss, reason = "pixel coordinates are below 2^24")]
 fn float(x: u32) -> f32 {
     x as f32
@@ -161,7 +161,7 @@ fn aim<S: Simd>(
     present
 }
 
-/// Traces the shadow rays `rays` of a light. Returns the tile's word: the pixels that the light reaches.
+/// Traces the shadow rays `rays` of a light. Returns the tile's word: pixels that the light reaches.
 #[inline(always)]
 fn light_tile<S: Simd, C: Counter>(
     s: S,

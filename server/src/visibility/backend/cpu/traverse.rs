@@ -1,4 +1,4 @@
-//! A group of rays on its way through the tree: [`intersect`] finds the nearest triangles, [`occluded`] whether any
+//! Takes a group of rays through the tree: [`intersect`] finds the nearest triangles, [`occluded`] tests whether any
 //! triangle stops a ray.
 
 use super::{
@@ -16,10 +16,10 @@ use crate::visibility::hierarchy::bvh::{Child, Leaf, Node};
 
 /// Memory that a thread reuses from group to group.
 pub(super) struct Scratch {
-    /// What is left to visit, and where its box begins along z.
+    /// Nodes and leaves left to visit, and where each one's box begins along z.
     stack: Vec<(Child, f32)>,
     prepared: Prepared,
-    /// The child that last stopped a shadow ray to this light. It is visited first.
+    /// The child that last stopped a shadow ray to this light, visited first.
     pub(super) blocker: Child,
 }
 
@@ -45,8 +45,8 @@ impl Default for Hits {
 /// Boxes are culled with this margin, since 1/z has a relative error.
 const DEPTH_SLACK: f32 = 1.0 + 1.0 / (1 << 20) as f32;
 
-/// Finds the nearest triangle of every ray in `group`, whose rays start at an apex. `hits` may hold the hits of other
-/// groups' rays; this group's must be empty.
+/// Finds the nearest triangle of every ray in `group`, whose rays start at an apex. `hits` may hold other groups' hits,
+/// but none of this group's.
 #[inline(always)]
 pub(super) fn intersect<S: Simd, C: Counter>(
     s: S,
@@ -57,7 +57,7 @@ pub(super) fn intersect<S: Simd, C: Counter>(
     count: &mut C,
 ) {
     let frustum = Frustum::new::<false>(s, group, 0.0);
-    // The least 1/z that still matters, by packet and over all: that of the farthest hit, 0 while a ray has none.
+    // The least 1/z that still matters, by packet and overall: that of the farthest hit, 0 while a ray has none.
     let mut packet_far = F8([f32::INFINITY; PACKETS]);
     for p in 0..PACKETS {
         if group.packets >> p & 1 == 1 {
@@ -131,8 +131,8 @@ pub(super) fn intersect<S: Simd, C: Counter>(
     }
 }
 
-/// Removes from `group` every ray that a triangle stops before it ends at its point in `points` (scene axes, by
-/// packet). The rays that are left reach their points.
+/// Removes from `group` every ray that a triangle stops before its end point in `points` (scene axes, by packet). The
+/// remaining rays reach their points.
 #[inline(always)]
 pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
     s: S,
@@ -245,7 +245,7 @@ fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
     far + far.abs() * (DEPTH_SLACK - 1.0)
 }
 
-/// The points that lie behind the plane of triangle `slot`, seen along the rays, by more than rounding can account for
+/// Returns the points behind the plane of triangle `slot`, seen along the rays, by more than the rounding error
 /// ([`PLANE_ROUNDINGS`]).
 #[inline(always)]
 fn behind_plane<S: Simd>(s: S, normal: [f32; 3], leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
@@ -260,7 +260,7 @@ fn behind_plane<S: Simd>(s: S, normal: [f32; 3], leaf: &Leaf, slot: usize, back:
     s.gt(distance, terms * s.splat(PLANE_ROUNDINGS * ROUNDING))
 }
 
-/// The lanes whose hit of a MASK triangle passes its alpha test.
+/// Returns the lanes whose hit of a MASK triangle passes the alpha test.
 #[inline(always)]
 fn alpha_filter<S: Simd>(s: S, alpha: &Alpha, triangle: u32, edges: [S::F; 3], lanes: u8) -> u8 {
     let mut weights = [F8::default(); 3];

@@ -1,7 +1,7 @@
-//! Vectors of three, eight side by side.
+//! Vectors of three coordinates, eight side by side.
 //!
-//! These are `#[inline(always)]` functions instead of closures and `map`. A closure is compiled as a function of its
-//! own, without the instructions of the level that it is used on, and every operation in it becomes a call.
+//! These are `#[inline(always)]` functions instead of closures and `map`. A closure is compiled as a separate function
+//! without the instructions of the level that uses it, and every operation in it becomes a call.
 
 use super::simd::{F8, Simd};
 
@@ -55,14 +55,14 @@ pub(super) fn cross<S: Simd>(s: S, a: V3<S>, b: V3<S>) -> V3<S> {
     [s.fms(a[1], b[2], a[2] * b[1]), s.fms(a[2], b[0], a[0] * b[2]), s.fms(a[0], b[1], a[1] * b[0])]
 }
 
-/// Twice a × b, computed so that swapping a and b negates it to the last bit, and so that its error is a few roundings
-/// of |a|·|b − a| rather than of |a|·|b|: (a + b) × (b − a).
+/// Twice a × b, as (a + b) × (b − a): swapping a and b negates it to the last bit, and its error is a few roundings of
+/// |a|·|b − a| rather than of |a|·|b|.
 #[inline(always)]
 pub(super) fn cross_of_edge<S: Simd>(s: S, a: V3<S>, b: V3<S>) -> V3<S> {
     cross(s, add::<S>(a, b), sub::<S>(b, a))
 }
 
-/// The sum of the coordinates' sizes.
+/// The sum of the coordinates' absolute values.
 #[inline(always)]
 pub(super) fn size<S: Simd>(s: S, a: V3<S>) -> S::F {
     s.abs(a[0]) + s.abs(a[1]) + s.abs(a[2])
@@ -74,7 +74,6 @@ pub(super) fn at<S: Simd>(s: S, k: V3<S>, x: S::F, y: S::F) -> S::F {
     s.fma(k[0], x, s.fma(k[1], y, k[2]))
 }
 
-/// The smallest of three.
 #[inline(always)]
 pub(super) fn least<S: Simd>(s: S, a: V3<S>) -> S::F {
     s.min(s.min(a[0], a[1]), a[2])

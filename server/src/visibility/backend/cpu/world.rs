@@ -1,4 +1,4 @@
-//! Everything that tracing reads.
+//! All data that tracing reads.
 
 use glam::Vec3;
 use gnomon_scene::{AlphaMode, Scene};
@@ -16,12 +16,12 @@ pub(super) struct World {
     pub(super) lights: Vec<PreparedLight>,
     /// The origin of parallel rays: the middle of the scene.
     pub(super) middle: Vec3,
-    /// Bound on the distance of the scene's coordinates from its middle, even sheared.
+    /// Bound on the distance of scene coordinates from the middle, even when sheared.
     pub(super) size_m: f32,
 }
 
 impl World {
-    /// Builds the tree on the current rayon pool. Errors if the alpha of a MASK material is not decoded.
+    /// Builds the tree on the current rayon pool. Errors if the alpha picture of a MASK material is not decoded.
     pub(super) fn new(scene: &Scene) -> Result<Self, BackendError> {
         let flags = triangle_flags(scene);
         let middle = (scene.bounds.min + scene.bounds.max) * 0.5;
@@ -45,7 +45,7 @@ fn triangle_flags(scene: &Scene) -> Vec<TriangleFlags> {
         if material.alpha == AlphaMode::Blend {
             break;
         }
-        // Without a picture alpha is the same everywhere, so a triangle that passes needs no test.
+        // Without a picture alpha is constant, so a triangle that passes needs no test.
         let masked = matches!(material.alpha, AlphaMode::Mask { cutoff }
             if material.base_color_texture.is_some() || material.base_color.w < cutoff);
         let of_draw = TriangleFlags { single_sided: !material.double_sided, masked };

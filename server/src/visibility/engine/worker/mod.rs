@@ -1,4 +1,4 @@
-//! The engine's thread. It takes up sessions, gives them the device in turn, and recovers when the device fails.
+//! The engine's thread. It opens sessions, gives them turns on the device, and recovers when the device fails.
 
 mod recovery;
 mod session;

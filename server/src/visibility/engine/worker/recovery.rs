@@ -1,5 +1,5 @@
 //! Recovery from failures. A panic closes the session whose frame it was. When the device fails, its sessions move to
-//! other engines or stay, and the device, its pipelines and its buffers are made anew.
+//! other engines or wait while the device, its pipelines and its buffers are rebuilt.
 
 use std::{sync::atomic::Ordering, time::Duration};
 
@@ -13,14 +13,14 @@ use crate::visibility::{
     schedule::scheduler::SessionKey,
 };
 
-/// Losses without a traced mask in between after which the device is given up.
+/// Consecutive losses, without a traced mask in between, after which the worker gives up the device.
 const MAX_LOSSES_IN_A_ROW: u32 = 3;
 
-/// Time that a driver gets to recover before it is asked again.
+/// Time that a driver gets to recover before the next attempt.
 const PAUSE: Duration = Duration::from_millis(100);
 
 impl Worker {
-    /// Goes on after a failure. Returns false when the device is given up.
+    /// Recovers from a failure. Returns false if the device is given up.
     pub(super) fn recover(&mut self, failure: TraceError) -> bool {
         let (error, job) = match failure {
             TraceError::Device { error, job } => (error, job.map(|job| *job)),
@@ -40,7 +40,7 @@ impl Worker {
             self.losses_in_a_row += 1;
             let (sessions, in_a_row) = (self.sessions.len(), self.losses_in_a_row);
             tracing::error!(error = %reason, sessions, in_a_row, "the device is lost");
-            // All of the old device must be gone before a new one is opened.
+            // The old device must be gone before a new one is opened.
             self.tracer.lose();
             self.move_sessions();
             if self.losses_in_a_row >= MAX_LOSSES_IN_A_ROW {
@@ -71,8 +71,8 @@ impl Worker {
         self.shrink_buffers()
     }
 
-    /// Drops the device. The frames that it had are lost, but each session's newest request is kept, to be traced again
-    /// unless a newer one comes. `job` is the one that was worked on: newer than the same session's frames in flight.
+    /// Drops the device. Its frames are lost, but each session's newest request is kept and traced again unless a newer
+    /// one comes. `job` is the affected job, newer than the same session's frames in flight.
     fn keep_lost_requests(&mut self, job: Option<Job>) {
         self.restart_partial_frames();
         self.scheduler.lost_all();
@@ -84,8 +84,7 @@ impl Worker {
         }
     }
 
-    /// Drops the frames that have begun and are not wholly submitted. Their requests are traced again, unless newer
-    /// ones come.
+    /// Drops frames that are not wholly submitted. Their requests are traced again unless newer ones come.
     pub(super) fn restart_partial_frames(&mut self) {
         for (&key, session) in &mut self.sessions {
             if let Some(partial) = session.partial.take() {
@@ -95,7 +94,7 @@ impl Worker {
         }
     }
 
-    /// Gives the sessions to engines whose devices are well, as far as these take them.
+    /// Hands sessions to engines with working devices, as far as these accept them.
     fn move_sessions(&mut self) {
         self.remove_closed();
         let pending: Vec<PendingSession> = self.pending.try_iter().collect();

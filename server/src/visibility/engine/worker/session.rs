@@ -1,4 +1,4 @@
-//! A session that the engine's thread has taken up, and what it demands of the scheduler.
+//! A session on the engine's thread, and its demand for the scheduler.
 
 use std::time::{Duration, Instant};
 
@@ -7,21 +7,21 @@ use crate::visibility::{
     schedule::{parts, scheduler::Demand},
 };
 
-/// How long the shortest frames among the sessions are remembered.
+/// How long the shortest frame cost among the sessions is remembered.
 const THRESHOLD_LASTS: Duration = Duration::from_millis(10);
 
 pub(super) struct ActiveSession {
     pub(super) opened: PendingSession,
-    /// When the mask that it waits for is due.
+    /// Due time of the mask that it waits for.
     pub(super) due: Option<Instant>,
-    /// Its frame that is traced in parts.
+    /// Its frame that is being traced in parts.
     pub(super) partial: Option<PartialFrame>,
 }
 
-/// What the device has room for.
+/// What the device has room for now.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Room {
-    /// A frame that is traced whole.
+    /// A whole frame.
     pub(super) whole: bool,
     /// The first part of a frame.
     pub(super) first_part: bool,
@@ -37,12 +37,12 @@ pub(super) struct SplitThreshold {
 }
 
 impl SplitThreshold {
-    /// Call when sessions come or go.
+    /// Call it when sessions come or go.
     pub(super) fn forget(&mut self) {
         self.found = None;
     }
 
-    /// The threshold in milliseconds, for active sessions whose frames cost so much.
+    /// The threshold in milliseconds, from the frame costs of the active sessions.
     pub(super) fn get(&mut self, costs_ms: impl Iterator<Item = f64>) -> f64 {
         match self.found {
             Some((at, threshold_ms)) if at.elapsed() < THRESHOLD_LASTS => threshold_ms,
@@ -64,8 +64,8 @@ impl ActiveSession {
         self.opened.port.is_closed()
     }
 
-    /// Returns the piece of work that it waits for, if any. The due time of a mask stays when a newer pose replaces the
-    /// one that it was first asked for.
+    /// Returns the work that it waits for, if any. A newer pose does not move the due time of a mask that was requested
+    /// earlier.
     pub(super) fn demand(&mut self, room: Room) -> Option<Demand> {
         if let Some(partial) = &self.partial {
             return Some(Demand { due: partial.job.due, resumes: true, fits: room.next_part });

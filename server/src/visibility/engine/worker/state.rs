@@ -1,4 +1,4 @@
-//! What the engine's thread keeps between two rounds.
+//! State of the engine's thread between rounds.
 
 use std::{
     collections::HashMap,
@@ -19,7 +19,7 @@ use crate::visibility::{
     schedule::scheduler::{Scheduler, SessionKey},
 };
 
-/// Opens a tracer like the one that was lost.
+/// Reopens a lost tracer.
 pub(super) type Reopen = Box<dyn FnMut() -> Result<Tracer, BackendError> + Send>;
 
 pub(in super::super) struct Worker {
@@ -31,7 +31,7 @@ pub(in super::super) struct Worker {
     next_key: SessionKey,
     pub(super) scheduler: Scheduler,
     pub(super) split_threshold: SplitThreshold,
-    /// Times that the device was lost since it last traced a mask.
+    /// Device losses since the last traced mask.
     pub(super) losses_in_a_row: u32,
 }
 
@@ -55,7 +55,7 @@ impl Worker {
         }
     }
 
-    /// Traces two masks for no session: then the device is warm and the cost of a mask is known. Errors if the device
+    /// Traces two masks without a session, to warm up the device and learn the cost of a mask. Errors if the device
     /// fails.
     pub(in super::super) fn warm_up(&mut self, camera: &Camera, shape: MaskShape) -> Result<(), BackendError> {
         let mut mask = Mask::new(shape);
@@ -75,14 +75,14 @@ impl Worker {
         self.next_key - 1
     }
 
-    /// Forgets a session; its port closes.
+    /// Removes a session and so closes its port.
     pub(super) fn close(&mut self, session: SessionKey) {
         self.scheduler.remove(session);
         self.sessions.remove(&session);
         self.split_threshold.forget();
     }
 
-    /// Forgets the sessions whose ports were dropped.
+    /// Removes sessions whose ports were dropped.
     pub(super) fn remove_closed(&mut self) {
         let closed = |(&key, session): (&SessionKey, &ActiveSession)| session.is_closed().then_some(key);
         let closed: Vec<SessionKey> = self.sessions.iter().filter_map(closed).collect();
@@ -96,7 +96,7 @@ impl Worker {
         self.sessions.values().map(|session| session.opened.shape).collect()
     }
 
-    /// Gives back the memory of buffers larger than the open sessions need.
+    /// Shrinks buffers that are larger than the open sessions need.
     pub(super) fn shrink_buffers(&mut self) -> Result<(), BackendError> {
         self.tracer.fit(self.shapes())
     }

@@ -1,5 +1,4 @@
-//! Frames in parts, step by step: work between two parts changes no bit, and no session waits for the whole of a long
-//! frame.
+//! Frames in parts, step by step: interleaved work changes no bit, and no session waits for the whole of a long frame.
 
 use std::{
     sync::{
@@ -33,7 +32,7 @@ use crate::visibility::{
     test_scenes::room,
 };
 
-/// Expected to take 12 ms, and so cut into parts of four of its 90 rows beside short ones.
+/// Expected to take 12 ms, and so cut into parts of four of its 90 rows while there are short frames.
 const LONG: (u32, u32, f64) = (1280, 720, 12.0);
 const SHORT: (u32, u32, f64) = (64, 40, 0.05);
 
@@ -63,7 +62,7 @@ fn camera(frame: u32, (width, height, _): (u32, u32, f64)) -> Camera {
 
 fn ask(port: &SessionPort, frame: u32, kind: (u32, u32, f64)) {
     let received_at = Instant::now();
-    // A short one is due sooner.
+    // A short frame is due sooner.
     let (camera, interval) = (camera(frame, kind), Duration::from_millis(u64::from(kind.0)));
     port.request(TraceRequest { frame: FrameNumber(frame), camera, ahead: None, received_at, interval });
 }
@@ -87,7 +86,7 @@ impl Rig {
         port
     }
 
-    /// Works until there is a mask.
+    /// Works until a mask arrives.
     fn mask(&mut self, port: &mut SessionPort) -> TracedMask {
         loop {
             if let Ok(traced) = port.masks.try_recv() {
@@ -97,7 +96,7 @@ impl Rig {
         }
     }
 
-    /// Does one piece of work, or waits for one that the device does.
+    /// Does one piece of work, or waits for the device.
     fn step(&mut self) {
         if !self.work() {
             expect(self.worker.land(Duration::from_millis(1)));
@@ -114,7 +113,7 @@ impl Rig {
     }
 }
 
-/// The value, without a failure of the device or a panic.
+/// Unwraps a result.
 fn expect<T>(result: Result<T, TraceError>) -> T {
     result.unwrap_or_else(|error| match error {
         TraceError::Device { error, .. } => panic!("{error}"),
@@ -136,7 +135,7 @@ fn short_frames_overtake_a_long_one_and_no_bit_changes() {
         let mut rig = Rig::new(open());
         let (mut greedy, mut modest) = (rig.open(LONG), rig.open(SHORT));
         ask(&greedy, 1, LONG);
-        // It begins, and its first part is traced.
+        // The long frame begins, and its first part is traced.
         assert!(rig.work() && rig.work());
         assert_eq!(rig.interrupted(), 1);
         for frame in 10..15 {
@@ -144,7 +143,7 @@ fn short_frames_overtake_a_long_one_and_no_bit_changes() {
             let traced = rig.mask(&mut modest);
             assert!(traced.frame == FrameNumber(frame) && traced.mask == whole(&mut reference, frame, SHORT));
             modest.recycle(traced.mask);
-            // Later ones may wait their turn. How much time they have used depends on the machine.
+            // Later frames may wait their turn: how much time they have used depends on the machine.
             if frame == 10 {
                 assert_eq!(rig.interrupted(), 1, "it waited for the long one");
                 assert!(greedy.masks.try_recv().is_err());
@@ -154,7 +153,7 @@ fn short_frames_overtake_a_long_one_and_no_bit_changes() {
         let expected = whole(&mut reference, 1, LONG);
         assert!(traced.frame == FrameNumber(1) && traced.mask == expected);
         assert_eq!(traced.cost.primary_rays, 1280 * 720);
-        // Alone, the same frame is traced whole, and is the same.
+        // Alone, the same frame is traced whole, with the same bits.
         drop(modest);
         rig.worker.remove_closed();
         greedy.recycle(traced.mask);
@@ -180,7 +179,7 @@ fn an_interrupted_frame_ends_with_its_session_and_restarts_when_buffers_grow() {
         }
         drop(leaving);
         rig.worker.remove_closed();
-        // Larger than all before.
+        // Larger than all earlier masks.
         let _larger = rig.open((1920, 1080, 20.0));
         ask(&modest, 4, SHORT);
         assert_eq!(rig.mask(&mut modest).frame, FrameNumber(4));

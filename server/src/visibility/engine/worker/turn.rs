@@ -7,15 +7,15 @@ use super::state::Worker;
 use crate::visibility::{backend::BackendError, engine::faults::Fault};
 use crate::visibility::{backend::compute::RING_FRAMES, engine::tracer::TraceError};
 
-/// How long the thread waits for the device before it looks for new poses, while another frame may begin. A frame takes
-/// a GPU milliseconds, so this costs little time and few wake-ups, and none when nothing is in flight.
+/// How long the thread waits for the device before it checks for new poses, while another frame may begin. A frame
+/// takes a GPU milliseconds, so polling costs little time and few wake-ups, and none when nothing is in flight.
 const POLL: Duration = Duration::from_micros(500);
 
-/// How long it waits when the ring is full. Nothing may begin, but a shutdown should be noticed.
+/// How long it waits when the ring is full: no frame may begin, but it must notice a shutdown.
 const FULL_RING_WAIT: Duration = Duration::from_millis(100);
 
 impl Worker {
-    /// Traces until the engine is stopped or its device fails for good. Ports close when this returns.
+    /// Traces until the engine is stopped or gives up its device. Ports close when this returns.
     pub(in super::super) fn run(mut self) {
         while !self.shared.stop.load(Ordering::Acquire) {
             if let Err(error) = self.turn()
@@ -26,8 +26,8 @@ impl Worker {
         }
     }
 
-    /// One round: does all work that can be done now, or else waits. `park` returns at once after a wake-up during the
-    /// round, so none is lost between looking and waiting.
+    /// One round: does all work that is possible now, or else waits. `park` returns at once after a wake-up during the
+    /// round, so no wake-up is lost.
     fn turn(&mut self) -> Result<(), TraceError> {
         #[cfg(any(test, feature = "faults"))]
         self.lose_device_on_demand()?;
@@ -36,7 +36,7 @@ impl Worker {
         let mut worked = false;
         while self.work()? {
             worked = true;
-            // Sessions come, go and are stopped between two parts.
+            // Check between two parts for sessions that come, go or are stopped.
             if self.tracer.is_synchronous() {
                 return Ok(());
             }
@@ -56,12 +56,12 @@ impl Worker {
 
     pub(super) fn take_up_sessions(&mut self) -> Result<(), TraceError> {
         while let Ok(session) = self.pending.try_recv() {
-            // A session that closes before it is taken up does not wake this thread.
+            // A session that closes before this thread opens it does not wake the thread.
             if session.port.is_closed() {
                 continue;
             }
             if !self.tracer.fits(session.shape) {
-                // Larger buffers replace the ring, so it must be empty.
+                // Larger buffers replace the ring, which must be empty.
                 self.restart_partial_frames();
                 while self.tracer.load().is_some_and(|load| load.in_flight > 0) {
                     self.land(FULL_RING_WAIT)?;
@@ -69,7 +69,7 @@ impl Worker {
                 let shapes = self.shapes();
                 if let Err(error) = self.tracer.fit(shapes.iter().copied().chain([session.shape])) {
                     tracing::warn!(%error, shape = ?session.shape, "no memory for a session");
-                    // The others fitted before. The new session's port closes as it is dropped here.
+                    // The other sessions fitted before. The new session's port closes as it is dropped here.
                     self.tracer.fit(shapes)?;
                     continue;
                 }

@@ -1,4 +1,4 @@
-//! The work on frames: a frame begins for the newest pose of the session whose turn it is, advances, and is delivered.
+//! Work on frames: begin one for the newest pose of the session whose turn it is, advance it, deliver it.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -22,12 +22,12 @@ use crate::visibility::{
 };
 
 /// Submissions in flight beyond which no part is added. The second keeps the device busy until this thread has seen the
-/// end of the first.
+/// first end.
 const PARTS_IN_FLIGHT: usize = 2;
 
 impl Worker {
-    /// Does the next piece of work that the device has room for: the first part of a frame, a whole frame, or a further
-    /// part. Returns whether there was one.
+    /// Does the next piece of work that fits the device: a whole frame, the first part of a frame, or a further part.
+    /// Returns whether there was one.
     pub(super) fn work(&mut self) -> Result<bool, TraceError> {
         loop {
             let room = self.room();
@@ -60,23 +60,23 @@ impl Worker {
         let interrupted = self.sessions.values().any(|session| session.partial.is_some());
         Room {
             // Whole frames wait for the same room as the parts of an interrupted frame, so that the scheduler chooses
-            // between them. With more room than parts have they would overtake it for ever.
+            // between them. With more room than parts have, they would always overtake it.
             whole: load.in_flight < RING_FRAMES && load.free_slots > 0 && (next_part || !interrupted),
-            // Leaves a slot for every frame that may fly, however many are interrupted.
+            // Leaves a slot for every frame that may be in flight, however many are interrupted.
             first_part: load.free_slots > 0 && load.free_slots + load.in_flight > RING_FRAMES,
             next_part,
             split_above_ms,
         }
     }
 
-    /// Returns the job for a session's newest pose, or `None` if there is nothing to trace after all.
+    /// Returns the job for a session's newest pose, or `None` if there is nothing to trace.
     fn next_job(&mut self, key: SessionKey) -> Option<Job> {
         #[cfg(any(test, feature = "faults"))]
         self.panic_on_demand();
         let session = self.sessions.get_mut(&key)?;
         let due = session.due.take();
         let PendingSession { shape: largest, port, costs, retry, .. } = &mut session.opened;
-        // Only this thread takes permits, so the one that was free just now still is, unless the port closed.
+        // Only this thread takes permits, so a free one stays free unless the port closes.
         let permit = port.masks.clone().try_reserve_owned();
         let lost = retry.take().filter(|_| !port.newest.has_changed().unwrap_or(false));
         let newest = *port.newest.borrow_and_update();
@@ -91,7 +91,7 @@ impl Worker {
         Some(Job { session: key, request, due, mask, permit })
     }
 
-    /// Begins a frame. Traces all of it unless it is split.
+    /// Begins a frame, and traces all of it unless it is split.
     fn begin(&mut self, job: Job, room: Room) -> Result<(), TraceError> {
         let (key, shape) = (job.session, job.mask.shape());
         let expected_ms = self.sessions.get(&key).map_or(0.0, |session| session.opened.costs.expected_ms());
@@ -106,7 +106,6 @@ impl Worker {
         Ok(())
     }
 
-    /// Traces the next part of a frame.
     fn advance(&mut self, frame: PartialFrame) -> Result<(), TraceError> {
         let key = frame.job.session;
         self.scheduler.charge(key, frame.next_share());
@@ -122,7 +121,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Waits up to `patience` for the oldest submission, then delivers all frames that have landed.
+    /// Waits up to `patience` for the oldest submission, then delivers all completed frames.
     pub(super) fn land(&mut self, patience: Duration) -> Result<(), TraceError> {
         self.tracer.wait(patience)?;
         while let Some((job, cost)) = self.tracer.collect()? {

@@ -16,7 +16,7 @@ use super::lanes::{F8, Simd, WithSimd};
 #[derive(Debug, Clone, Copy)]
 pub(in super::super) struct Avx2(());
 
-/// Eight numbers in a register. Only [`Avx2`] makes them, so they are a proof as well.
+/// Eight numbers in a register. Only [`Avx2`] makes them, so they are proof as well.
 #[derive(Debug, Clone, Copy)]
 pub(in super::super) struct Register(__m256);
 

@@ -3,10 +3,10 @@
 pub(in super::super) use crate::visibility::hierarchy::bvh::F8;
 use std::ops::{Add, Mul, Sub};
 
-/// Eight lanes of f32 and their masks.
+/// Operations on eight lanes of f32 and their masks.
 pub(in super::super) trait Simd: Copy + Send + Sync {
     type F: Copy + Add<Output = Self::F> + Sub<Output = Self::F> + Mul<Output = Self::F>;
-    /// Eight yes or no.
+    /// Eight booleans.
     type M: Copy;
     fn splat(self, x: f32) -> Self::F;
     fn load(self, x: &F8) -> Self::F;
@@ -26,9 +26,9 @@ pub(in super::super) trait Simd: Copy + Send + Sync {
     fn abs(self, a: Self::F) -> Self::F;
     /// a with its sign flipped where `sign`'s sign bit is set.
     fn xor_sign(self, a: Self::F, sign: Self::F) -> Self::F;
-    /// a ≥ b; no where either is NaN.
+    /// a ≥ b; false where either is NaN.
     fn ge(self, a: Self::F, b: Self::F) -> Self::M;
-    /// a > b; no where either is NaN.
+    /// a > b; false where either is NaN.
     fn gt(self, a: Self::F, b: Self::F) -> Self::M;
     fn and(self, a: Self::M, b: Self::M) -> Self::M;
     /// Lane i as bit i.
@@ -43,9 +43,9 @@ pub(in super::super) trait Simd: Copy + Send + Sync {
     fn highest(self, a: Self::F) -> f32;
 }
 
-/// Code that runs on any level.
+/// Code that runs at any level.
 pub(in super::super) trait WithSimd {
     type Output;
-    /// Implementations must be `#[inline(always)]`, or they would be compiled without the level's instructions.
+    /// Implement it as `#[inline(always)]`: otherwise it is compiled without the level's instructions.
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }

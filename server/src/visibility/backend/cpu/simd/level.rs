@@ -47,7 +47,7 @@ mod tests {
         *,
     };
 
-    /// Runs every operation on awkward numbers. Returns exact results as bits, and fused ones apart.
+    /// Runs every operation on awkward numbers. Returns exact results as bits, and fused ones separately.
     struct Everything;
 
     impl WithSimd for Everything {
@@ -95,7 +95,7 @@ mod tests {
         for (a, b) in plain.1.iter().flatten().zip(best.1.iter().flatten()) {
             assert!((a - b).abs() <= 1e-7, "{a} and {b}");
         }
-        // A test that compares a level with itself proves nothing about the other.
+        // Comparing a level with itself would prove nothing.
         #[cfg(target_arch = "x86_64")]
         assert_eq!(
             Level::detect().name() == "AVX2",

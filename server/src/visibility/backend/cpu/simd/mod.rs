@@ -1,11 +1,11 @@
 //! Eight f32 lanes: AVX2 with FMA where the machine has them, plain arrays everywhere else.
 //!
-//! Code is generic over [`Simd`] and runs through [`Level::dispatch`], which compiles it once for each level. The only
-//! way to a value of `Avx2` is the check that the processor has the instructions. Holding one is the proof that makes
-//! its calls sound. Nothing outside `avx2` is unsafe.
+//! Code is generic over [`Simd`] and runs through [`Level::dispatch`], which compiles it once per level. Values of
+//! `Avx2` exist only after a check that the processor has the instructions, which makes its calls sound. Nothing
+//! outside `avx2` is unsafe.
 //!
-//! The levels may differ in the last bit: AVX2 rounds a fused multiplication and addition once, plain arrays round
-//! twice. On one machine results are always the same.
+//! The levels may differ in the last bit: AVX2 rounds a fused multiply-add once, plain arrays twice. On one machine
+//! results are always the same.
 
 #[cfg(target_arch = "x86_64")]
 #[allow(unsafe_code, reason = "std::arch intrinsics; sound because `Avx2` exists only where the processor has them")]

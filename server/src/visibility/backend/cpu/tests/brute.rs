@@ -1,5 +1,5 @@
-//! Tests every triangle against every ray in f64, and shares nothing with the back end but the scene. On real scenes it
-//! skips runs of neighbouring triangles when the ray misses the box around them.
+//! Tests every triangle against every ray in f64, sharing only the scene with the back end. On real scenes it skips
+//! runs of neighbouring triangles if the ray misses their bounding box.
 
 use glam::{DVec2, DVec3};
 use gnomon_scene::{AlphaMode, Light, LightKind, Scene, Wrap, camera::Camera};
@@ -41,13 +41,13 @@ impl<'a> Brute<'a> {
         Self { scene, boxes: boxes.collect(), triangles }
     }
 
-    /// The triangles of all boxes that the ray passes through.
+    /// Returns the triangles of all boxes that the ray passes through.
     fn candidates(&self, from: DVec3, way: DVec3) -> impl Iterator<Item = usize> {
         let passes = move |[min, max]: &[DVec3; 2]| {
             let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
             for axis in 0..3 {
                 let ends = [(min[axis] - from[axis]) / way[axis], (max[axis] - from[axis]) / way[axis]];
-                // A ray within a side's plane gives a NaN, which these leave out.
+                // A ray in a side's plane gives a NaN, which these ignore.
                 enter = enter.max(ends[0].min(ends[1]));
                 leave = leave.min(ends[0].max(ends[1]));
             }
@@ -57,7 +57,7 @@ impl<'a> Brute<'a> {
         passed.flat_map(|(run, _)| run * RUN..((run + 1) * RUN).min(self.triangles.len()))
     }
 
-    /// Distance along the ray and weights of the corners, if the ray hits triangle `t` and passes its alpha test.
+    /// Distance along the ray and the corners' weights, if the ray hits triangle `t` and passes its alpha test.
     fn intersect(&self, t: usize, from: DVec3, way: DVec3) -> Option<(f64, DVec3)> {
         let ([a, b, c], material) = self.triangles[t];
         // from + distance·way = a + v·(b − a) + w·(c − a), solved by Cramer's rule.
@@ -65,7 +65,7 @@ impl<'a> Brute<'a> {
         let across = way.cross(to_c);
         let determinant = to_b.dot(across);
         let v = from_a.dot(across) / determinant;
-        // A zero determinant gives a NaN or an infinity, which no comparison lets through.
+        // A zero determinant gives a NaN or an infinity, which fails every comparison.
         if !(0.0..=1.0).contains(&v) {
             return None;
         }
@@ -109,7 +109,7 @@ impl<'a> Brute<'a> {
         alpha >= f64::from(cutoff)
     }
 
-    /// The surface point that pixel (x, y) sees.
+    /// Returns the surface point that pixel (x, y) sees.
     pub(super) fn surface(&self, camera: &Camera, x: u32, y: u32) -> Option<Point> {
         let (eye, way) = camera.ray(x, y);
         let eye = eye - self.scene.origin_m;
@@ -133,7 +133,7 @@ impl<'a> Brute<'a> {
         nearest.map(|(_, point)| point)
     }
 
-    /// `None` where the light does not matter; else whether it reaches the point, and whether that needs a ray.
+    /// Returns `None` if the light is irrelevant, else whether it reaches the point, and whether that needs a ray.
     pub(super) fn visible(&self, at: &Point, light: &Light) -> Option<(bool, bool)> {
         let towards = match light.kind {
             LightKind::Directional => -light.direction.as_dvec3(),

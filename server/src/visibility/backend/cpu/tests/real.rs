@@ -1,4 +1,4 @@
-//! The back end on real scenes: a sample of pixels, judged by brute force in f64.
+//! Checks the back end on real scenes: brute force in f64 judges a sample of pixels.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, ParallelIterato
 
 use super::{brute::Brute, trace};
 
-/// A scene, the file with its lights if it has none, and a camera: position, target, field of view.
+/// A scene, a file with lights if it has none, and a camera: position, target, field of view.
 struct Place {
     scene: &'static str,
     lights: Option<&'static str>,
