@@ -1,8 +1,8 @@
-//! What a device reports when it fails, kept until somebody asks.
+//! Keeps a device's first failure until it is read.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The first failure that a device has reported: an error that wgpu would otherwise panic about, or its loss.
+/// The first failure of a device: its loss, or an error that wgpu would otherwise panic about.
 #[derive(Debug, Clone, Default)]
 pub struct DeviceFailure(Arc<Mutex<Option<String>>>);
 
@@ -22,13 +22,12 @@ impl DeviceFailure {
         failure
     }
 
-    /// Returns the failure, and keeps it.
     #[must_use]
     pub fn get(&self) -> Option<String> {
         self.lock().clone()
     }
 
-    /// Returns the failure, and forgets it.
+    /// Returns the failure and forgets it.
     #[must_use]
     pub fn take(&self) -> Option<String> {
         self.lock().take()

@@ -1,4 +1,4 @@
-//! Opens an adapter's device. Both ends choose it the same way, and never take software by accident.
+//! Opens an adapter's device. Both ends choose it the same way, and use software only if allowed.
 
 use std::sync::OnceLock;
 
@@ -6,12 +6,11 @@ use thiserror::Error;
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GpuOptions {
-    /// Part of the adapter's name, in any case. `#2` at the end takes the second of the adapters that match, best
-    /// first. `None` takes the first real GPU, or else the first adapter.
+    /// Part of the adapter's name, in any case. `#2` at the end takes the second match, best first. `None` takes the
+    /// first real GPU, or else the first adapter.
     pub adapter: Option<String>,
     /// Features to enable where the adapter has them.
     pub wanted: wgpu::Features,
-    /// Whether a software adapter may be used.
     pub allow_software: bool,
 }
 
@@ -19,7 +18,7 @@ pub struct GpuOptions {
 pub struct Gpu {
     /// Name, driver and kind of the adapter.
     pub info: wgpu::AdapterInfo,
-    /// The device, with the adapter's own limits.
+    /// The device, with the adapter's full limits.
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
 }
@@ -42,15 +41,15 @@ pub enum GpuError {
 }
 
 impl Gpu {
-    /// Opens the adapter that `options` describe, with all of its limits.
+    /// Opens the adapter that `options` describe, with its full limits.
     ///
     /// # Errors
-    /// If no adapter matches, only a software adapter matches and is not allowed, or the driver refuses a device.
+    /// Errors if no adapter matches, only a disallowed software adapter does, or the driver refuses a device.
     pub async fn open(options: &GpuOptions) -> Result<Self, GpuError> {
         Self::from_adapters(drivers().enumerate_adapters(wgpu::Backends::PRIMARY).await, options).await
     }
 
-    /// As [`Self::open`], with one of these adapters.
+    /// As [`Self::open`], from these adapters.
     ///
     /// # Errors
     /// Those of [`Self::open`].
@@ -88,7 +87,7 @@ impl Gpu {
         if best == SOFTWARE { 0 } else { kinds.iter().filter(|kind| **kind == best).count() }
     }
 
-    /// Whether the adapter is emulated on the processor.
+    /// Returns whether the adapter is emulated on the CPU.
     #[must_use]
     pub fn is_software(&self) -> bool {
         self.info.device_type == wgpu::DeviceType::Cpu
@@ -109,14 +108,14 @@ fn rank(info: &wgpu::AdapterInfo) -> u8 {
     }
 }
 
-/// The adapters whose name contains `name`, best first. Equals keep the order of the drivers.
+/// Returns the adapters whose name contains `name`, best first. Equals keep the drivers' order.
 fn matching(mut adapters: Vec<wgpu::Adapter>, name: &str) -> Vec<wgpu::Adapter> {
     adapters.retain(|adapter| adapter.get_info().name.to_lowercase().contains(&name.to_lowercase()));
     adapters.sort_by_key(|adapter| rank(&adapter.get_info()));
     adapters
 }
 
-/// Parses `NAME#PLACE`, which counts from 1, into the name and the place from 0.
+/// Splits `NAME#PLACE`, counted from 1, into the name and the place counted from 0.
 fn parse_name(wanted: Option<&str>) -> (&str, usize) {
     let wanted = wanted.unwrap_or_default();
     match wanted.rsplit_once('#').map(|(name, place)| (name, place.parse::<usize>())) {
@@ -125,8 +124,8 @@ fn parse_name(wanted: Option<&str>) -> (&str, usize) {
     }
 }
 
-/// The drivers of this process, loaded once. Devices are reopened whenever one was lost, and a process that loads a
-/// driver some dozens of times is refused (seen with NVIDIA's).
+/// The drivers of this process, loaded once. Lost devices are reopened, and a process that loads a driver some dozens
+/// of times is refused (seen with NVIDIA's).
 fn drivers() -> &'static wgpu::Instance {
     static DRIVERS: OnceLock<wgpu::Instance> = OnceLock::new();
     DRIVERS.get_or_init(|| {

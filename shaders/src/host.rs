@@ -5,10 +5,10 @@ use glam::Vec3;
 
 use gnomon_scene::{Light, LightKind, Wrap, camera::RayBasis};
 
-/// Entries of the kernels' traversal stacks, and so the most levels of a hierarchy that they can traverse.
+/// Entries of the kernels' traversal stacks, which also bounds a hierarchy's depth.
 pub const TRAVERSAL_STACK: u32 = 32;
 
-/// Set in [`TracedTriangle::kind`] when camera rays pass through the back face.
+/// Set in [`TracedTriangle::kind`] if camera rays pass through the back face.
 pub const TRIANGLE_SINGLE_SIDED: u32 = 1 << 31;
 
 /// One frame's camera, and the size of its mask and scene.
@@ -25,13 +25,13 @@ pub struct TracedView {
     pub height: u32,
     /// Half the picture's width on the plane at distance 1.
     pub right: [f32; 3],
-    /// Lights, and so planes of the mask.
+    /// Number of lights, which is the number of planes in the mask.
     pub lights: u32,
     /// Half the picture's height on the plane at distance 1.
     pub up: [f32; 3],
-    /// Nodes of our hierarchy, or triangles where the adapter has its own; 0 when nothing stops a ray.
+    /// Nodes of our hierarchy, or triangles if the adapter has its own; 0 if nothing stops rays.
     pub nodes: u32,
-    /// Row of tiles at which this part of the frame begins.
+    /// First row of tiles in this part of the frame.
     pub first_row: u32,
     unused: [u32; 3],
 }
@@ -40,7 +40,7 @@ impl TracedView {
     /// Size in bytes, which every device offers as immediate data.
     pub const BYTES: u32 = 80;
 
-    /// The view of a whole picture of `width`×`height` pixels.
+    /// Returns the view of a whole picture of `width`×`height` pixels.
     #[must_use]
     pub fn new(basis: &RayBasis, width: u32, height: u32, lights: u32, nodes: u32) -> Self {
         Self {
@@ -78,7 +78,7 @@ pub struct TracedLight {
 }
 
 impl TracedLight {
-    /// A light that is switched off reaches no point, and no normal faces it.
+    /// Returns the light for the kernels. When switched off, it reaches no point, and no normal faces it.
     #[must_use]
     pub fn new(light: &Light) -> Self {
         let (kind, cos_outer) = match light.kind {
@@ -104,7 +104,7 @@ impl TracedLight {
     }
 }
 
-/// A MASK material whose alpha differs from place to place.
+/// A MASK material whose alpha varies.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct AlphaMaterial {
@@ -116,7 +116,7 @@ pub struct AlphaMaterial {
     pub height: u32,
     /// How texture coordinates outside 0 to 1 wrap: see [`wraps`].
     pub wraps: u32,
-    /// A point stops rays when its texel times `factor` is at least this.
+    /// A point stops rays if its texel times `factor` is at least this.
     pub cutoff: f32,
     pub factor: f32,
     unused_0: u32,
@@ -124,7 +124,7 @@ pub struct AlphaMaterial {
 }
 
 impl AlphaMaterial {
-    /// `size` is the width and height of the picture in texels.
+    /// `size` is the picture's width and height in texels.
     #[must_use]
     pub fn new(first_texel: u32, size: (u32, u32), wraps: u32, cutoff: f32, factor: f32) -> Self {
         let (width, height) = size;
@@ -142,7 +142,7 @@ pub fn wrap(wrap: Wrap) -> u32 {
     }
 }
 
-/// Two wrap modes in one number: u in the low half, v in the high half.
+/// Packs two wrap modes into one number: u in the low half, v in the high half.
 #[must_use]
 pub fn wraps(u: Wrap, v: Wrap) -> u32 {
     wrap(u) | wrap(v) << 16

@@ -1,4 +1,4 @@
-//! What the server's and the client's GPU share: WGSL, the host types that it reads, and device set-up.
+//! Shared by the server's and the client's GPU: WGSL, the host types that it reads, and device set-up.
 //!
 //! The server's tracing kernels and the client's shading passes read the same [`gnomon_scene::Scene`], look through the
 //! same [`gnomon_scene::camera::Camera`], and splice their WGSL from the same shared parts. So a pixel means the same

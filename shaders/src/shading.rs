@@ -1,6 +1,6 @@
 //! Host types that the shading shaders read. Their twins are in `wgsl/shading/`.
 //!
-//! Everything that does not change from frame to frame is computed here once: exposure, cone falloff, tone curve.
+//! Values that never change are computed here once: exposure, cone falloff, tone curve.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Mat4, Vec3, Vec4};
@@ -33,12 +33,12 @@ pub struct View {
     pub height: u32,
     /// Half the picture's height on the plane at distance 1.
     pub up: Vec3,
-    /// Weight of predicted visibility, 0 to 1, against what the client knows without a server.
+    /// Weight of predicted visibility, 0 to 1, against the client's own shadow maps.
     pub visibility_share: f32,
 }
 
 impl View {
-    /// The view of `camera` in the space whose origin lies at `origin_m` of the world.
+    /// Returns the view of `camera` in the space with its origin at `origin_m` of the world.
     #[must_use]
     pub fn new(camera: &Camera, origin_m: DVec3, visibility_share: f32) -> Self {
         let basis = camera.ray_basis(origin_m);
@@ -57,10 +57,10 @@ impl View {
     }
 }
 
-/// Most masks that prediction looks visibility up in.
+/// Most masks that prediction reads.
 pub const MAX_MASK_LAYERS: usize = 8;
 
-/// A mask that prediction looks visibility up in. Twin of `MaskLayer` in `predict.wgsl`.
+/// A mask that prediction reads. Twin of `MaskLayer` in `predict.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct MaskLayer {
@@ -75,7 +75,7 @@ pub struct MaskLayer {
     pub unused: u32,
 }
 
-/// What prediction works from. Twin of `Prediction` in `predict.wgsl`.
+/// The inputs of prediction. Twin of `Prediction` in `predict.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct Prediction {
@@ -112,7 +112,7 @@ pub struct ShadowView {
 pub struct Material {
     /// Linear RGBA factor.
     pub base_color: Vec4,
-    /// A MASK point is drawn when its alpha is at least this.
+    /// A MASK point is drawn if its alpha is at least this.
     pub alpha_cutoff: f32,
     /// Index into the table of emitted light.
     pub index: u32,
@@ -159,7 +159,7 @@ pub struct Light {
 }
 
 impl Light {
-    /// A light of the scene, with `exposure` multiplied into its intensity.
+    /// Returns a light of the scene, with `exposure` multiplied into its intensity.
     #[must_use]
     pub fn new(light: &SceneLight, exposure: f32) -> Self {
         let (kind, cone_scale, cone_offset) = match light.kind {
@@ -238,7 +238,7 @@ pub struct Tone {
 }
 
 impl Tone {
-    /// The curve with these slopes that maps `white` to 1 and `middle` to `middle_shown`.
+    /// Returns the curve with these slopes that maps `white` to 1 and `middle` to `middle_shown`.
     #[must_use]
     pub fn new(contrast: f64, shoulder: f64, white: f64, middle: f64, middle_shown: f64) -> Self {
         let (white_a, middle_a) = (white.powf(contrast), middle.powf(contrast));
@@ -251,7 +251,7 @@ impl Tone {
         Self { contrast: rounded(contrast), shoulder: rounded(shoulder), b: rounded(b), c: rounded(c) }
     }
 
-    /// The curve at `x`, before it is clamped to 1.
+    /// Returns the curve at `x`, before clamping to 1.
     #[must_use]
     pub fn curve(&self, x: f32) -> f32 {
         let power = x.powf(self.contrast);

@@ -1,5 +1,5 @@
-//! WGSL with include-once imports: the first line `#import "shared/mask.wgsl"` is replaced by that file, later ones by
-//! nothing.
+//! WGSL with include-once imports: the first line `#import "shared/mask.wgsl"` is replaced by that file, later ones are
+//! removed.
 //!
 //! All of `wgsl/` is compiled into the program. Files under `shared/` are only imported.
 
@@ -52,8 +52,7 @@ pub fn splice(path: &str) -> Result<String, SpliceError> {
     splice_from(FILES, &[], path)
 }
 
-/// As [`splice`], for a tracing kernel that traverses the adapter's own acceleration structure instead of our
-/// hierarchy.
+/// As [`splice`], for tracing kernels that traverse the adapter's own acceleration structure.
 ///
 /// # Errors
 /// Those of [`splice`].
@@ -63,7 +62,7 @@ pub fn splice_ray_query(path: &str) -> Result<String, SpliceError> {
     Ok(format!("enable wgpu_ray_query;\n{text}"))
 }
 
-/// Splices `path`. An import named first in a pair of `replaced` is replaced by the one named second.
+/// Splices `path`. `replaced` has pairs of an import and the import that replaces it.
 fn splice_from(files: &[(&str, &str)], replaced: &[(&str, &str)], path: &str) -> Result<String, SpliceError> {
     let (mut text, mut seen) = (String::new(), Vec::new());
     append(files, replaced, path, &mut seen, &mut text)?;

@@ -1,4 +1,4 @@
-//! The WGSL files: all compiled in, all valid, and laid out as the host types are.
+//! The WGSL files: all compiled in, all valid, and with the layout of the host types.
 
 use std::mem::{offset_of, size_of};
 
@@ -26,7 +26,7 @@ fn module(path: &str) -> naga::Module {
     valid(path, &splice(path).unwrap(), if tracing { Capabilities::IMMEDIATES } else { Capabilities::empty() })
 }
 
-/// Names and offsets of the members of a WGSL struct, and its size.
+/// Returns the names and offsets of a WGSL struct's members, and its size.
 fn layout(module: &naga::Module, name: &str) -> (Vec<(String, usize)>, usize) {
     let (_, ty) = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).unwrap();
     let naga::TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is no struct") };
@@ -51,7 +51,7 @@ fn host_types_have_the_layout_of_their_wgsl_twins() {
     assert_eq!(size_of::<TracedView>(), TracedView::BYTES as usize);
     assert_layout!(primary, TracedLight, [position, kind, direction, cos_outer, range_squared]);
     assert_layout!(primary, AlphaMaterial, [first_texel, width, height, wraps, cutoff, factor]);
-    // The kernels read triangles as three vec4u, whose w components are these fields.
+    // The kernels read triangles as three vec4u; these fields are their w components.
     assert_eq!(size_of::<TracedTriangle>(), 48);
     assert_eq!((offset_of!(TracedTriangle, kind), offset_of!(TracedTriangle, first_uv)), (12, 28));
 
@@ -92,7 +92,7 @@ fn constants_of_host_and_wgsl_are_equal() {
 
 #[test]
 fn every_shader_is_valid() {
-    // A file without an entry point is only imported, and validated in its importers.
+    // A file without an entry point is validated in its importers.
     let has_entry_point = |text: &str| ["@compute", "@vertex", "@fragment"].iter().any(|stage| text.contains(stage));
     let checked: Vec<&str> = FILES.iter().filter(|(_, text)| has_entry_point(text)).map(|(path, _)| *path).collect();
     for path in &checked {

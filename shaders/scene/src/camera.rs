@@ -46,8 +46,8 @@ impl Camera {
         Self { position_m, orientation: DQuat::from_mat3(&rotation).normalize(), yfov_rad, width, height }
     }
 
-    /// Returns the camera of a pose as it crosses the wire. Client and server share this, so that a mask's pixels mean
-    /// the same to both. The quaternion is normalised.
+    /// Returns the camera of a pose from the wire. Client and server share this, so that a mask's pixels mean the same
+    /// to both. The quaternion is normalised.
     #[must_use]
     pub fn of_pose(position_m: [f64; 3], orientation: [f64; 4], yfov_rad: f64, [width, height]: [u16; 2]) -> Self {
         Self {

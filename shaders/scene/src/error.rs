@@ -40,7 +40,7 @@ pub enum SceneError {
     #[error("{place}: picture {name}: {fault}")]
     Picture {
         place: String,
-        /// The file, or where its bytes are.
+        /// The file, or where its bytes lie.
         name: String,
         fault: String,
     },

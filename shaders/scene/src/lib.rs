@@ -1,8 +1,8 @@
 //! The scene: flattened triangles, materials, textures and lights, in the space that server and client compute in.
 //!
-//! A file's way: [`load`] tells glTF from the packed form; [`reader`] turns glTF into a [`Scene`]; [`pack`] turns a
-//! scene into the bytes that travel and back. [`camera`] says which point a pixel sees, [`motion`] where a camera will
-//! be. [`limits`] holds every bound. Only [`file`], [`testing`] and [`fuzzing`] touch files.
+//! [`load`] tells glTF from the packed form; [`reader`] turns glTF into a [`Scene`]; [`pack`] turns a scene into bytes
+//! to send, and back. [`camera`] gives each pixel's ray, [`motion`] predicts the camera. [`limits`] holds every bound.
+//! Only [`file`], [`testing`] and [`fuzzing`] touch files.
 
 pub mod camera;
 mod error;

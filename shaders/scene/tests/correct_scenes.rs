@@ -1,4 +1,4 @@
-//! Small scenes with one difficulty each have the triangles, bounds and lights that an independent reader counted.
+//! Small scenes with one difficulty each: triangles, bounds and lights match an independent reader's counts.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -78,7 +78,7 @@ const SCENES: [Expected; 36] = [
     ("lights/geometry-camera-light.glb", 14, 0, [-7.102, -7.102, -1.04], [7.102, 7.102, 1.0]),
 ];
 
-/// One square in every mode of triangles.
+/// The same square in every triangle mode.
 const SQUARES: [&str; 8] = ["04", "05", "06", "11", "12", "13", "14", "15"];
 
 fn expected() -> impl Iterator<Item = (String, usize, u64, [f64; 3], [f64; 3])> {

@@ -94,7 +94,7 @@ fn buffers_and_views_must_be_where_they_say() {
     assert!(fault(&file(outside)).contains("do not lie in buffer 0"));
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.gltf");
-    // Of a file that is longer than its buffers, no more than they need is read.
+    // From a file longer than its buffers, only the bytes that they need are read.
     std::fs::File::create(folder.path().join("long.bin")).unwrap().set_len(64 << 20).unwrap();
     let buffers = vec![r#"{"byteLength":8,"uri":"long.bin"}"#; 32].join(",");
     std::fs::write(&path, file(&format!(r#""buffers":[{buffers}]"#))).unwrap();
@@ -184,8 +184,8 @@ proptest! {
         }
     }
 
-    /// Other digits in the JSON give an error or a legal scene. Most still parse, so counts, offsets and indices are
-    /// wrong.
+    /// Changed digits in the JSON give an error or a legal scene. Most still parse, with wrong counts, offsets and
+    /// indices.
     #[test]
     fn mutated_numbers_never_panic(
         changes in prop::collection::vec((any::<prop::sample::Index>(), b'0'..=b'9'), 1..6),

@@ -1,4 +1,4 @@
-//! Real scenes load, hold the triangles and lights that an independent reader counted, and survive packing.
+//! Real scenes load, match an independent reader's counts of triangles and lights, and survive packing.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 

@@ -1,6 +1,5 @@
-// BLEND surfaces, drawn over the shaded picture from far to near. They have no visibility of their own, so a light
-// reaches them when it reaches the surface behind them; where its bit there is irrelevant, or there is no surface, it
-// reaches them.
+// BLEND surfaces, drawn over the shaded picture from far to near. They have no visibility of their own: a light reaches
+// them if it reaches the surface behind them, if its bit there is irrelevant, or if there is no surface.
 
 #import "shading/inputs.wgsl"
 #import "shading/material.wgsl"

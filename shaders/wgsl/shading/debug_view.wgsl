@@ -1,18 +1,17 @@
-// What lies behind the picture: a light's visibility, what is unknown, how old it is, depth, normals.
+// Debug views: a light's visibility, what is unknown, the age of masks, depth, normals.
 //
-// Colours are told apart by brightness as well, and are those that colour-blind people tell apart too (Okabe and Ito,
-// 2008).
+// The colours also differ in brightness, and are safe for colour-blind people (Okabe and Ito, 2008).
 
 #import "shading/view.wgsl"
 
 // Twin: `render::debug_view::Choice`.
 struct Choice {
     kind: u32,
-    // The light that is looked at.
+    // The light to show.
     light: u32,
     unused_0: u32,
     unused_1: u32,
-    // Frames that each mask is older than the picture, the newest first.
+    // Age of each mask relative to the picture, in frames, newest first.
     lags: array<vec4u, 2>,
 }
 
@@ -38,7 +37,7 @@ fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
     return covering_triangle(index);
 }
 
-// From near 0 to near 1, ever brighter: blue, green, yellow.
+// Colours from blue (0) through green to yellow (1), of increasing brightness.
 fn ramp(x: f32) -> vec3f {
     let t = saturate(x);
     return mix(mix(SHADOWED, vec3f(0.0, 0.62, 0.45), saturate(2.0 * t)), LIT, saturate(2.0 * t - 1.0));
@@ -52,10 +51,10 @@ fn look(@builtin(position) place: vec4f) -> @location(0) vec4f {
         return vec4f(SKY, 1.0);
     }
     let normal = unpack_normal(normal_material.x);
-    // How the surface lies, to make out shapes.
+    // A little shading by the normal, to make shapes visible.
     let relief = 0.55 + 0.45 * abs(dot(normal, normalize(ray_of_pixel(view, pixel))));
     let visibility = textureLoad(visibility_picture, pixel, 0).xy;
-    // What a mask has told carries its own complement, and which mask it was; `predict.wgsl` says why.
+    // Where a mask decided, y holds the complement of x and the mask's index; see `predict.wgsl`.
     let known = visibility.x != visibility.y;
     switch choice.kind {
         case LIGHT: {
@@ -70,7 +69,7 @@ fn look(@builtin(position) place: vec4f) -> @location(0) vec4f {
             return vec4f(relief * select(MISSING, ramp(log2(1.0 + f32(lag)) / 6.0), known), 1.0);
         }
         case DEPTH: {
-            // A metre is a third of the way, ten are two, and a hundred all of it.
+            // 1 m is a third of the ramp, 10 m two thirds, 100 m all of it.
             let distance_m = view.near_m / textureLoad(depth_picture, pixel, 0);
             return vec4f(ramp((log2(distance_m) / log2(10.0) + 1.0) / 3.0), 1.0);
         }

@@ -1,4 +1,4 @@
-// Depth alone, of what the G-buffer holds: for a view that visibility was traced for, and for the lights' own views.
+// Depth only, of the G-buffer's surfaces: for views that visibility was traced for, and for the lights' views.
 
 #import "shading/material.wgsl"
 

@@ -1,4 +1,4 @@
-// The G-buffer: for every pixel the nearest OPAQUE or MASK surface, as `server/src/visibility/mod.rs` defines it.
+// The G-buffer: the nearest OPAQUE or MASK surface of every pixel, as `server/src/visibility/mod.rs` defines it.
 
 #import "shading/view.wgsl"
 #import "shading/material.wgsl"
@@ -15,14 +15,14 @@ struct Varying {
     @builtin(position) clip: vec4f,
     @location(0) normal: vec3f,
     @location(1) uv: vec2f,
-    // From the eye to the surface: small numbers, so that their differences keep their digits.
+    // Relative to the eye: small numbers, so that their differences stay precise.
     @location(2) from_eye: vec3f,
 }
 
 struct Surface {
     // Linear base colour; the target encodes it as sRGB.
     @location(0) base_color: vec4f,
-    // Packed shading normal; packed material and plane normal, 0 where there is no surface.
+    // Packed shading normal; packed material and plane normal. 0 where there is no surface.
     @location(1) normal_material: vec2u,
 }
 
@@ -33,12 +33,12 @@ fn transform(vertex: Vertex) -> Varying {
 }
 
 fn surface(input: Varying, front: bool) -> Surface {
-    // The normal stays as the vertices have it on the front, and is negated when the back face is seen.
+    // Negated on back faces.
     let normal = normalize(select(-input.normal, input.normal, front));
     let across = cross(dpdx(input.from_eye), dpdy(input.from_eye));
-    // Normalised twice: the product of two small differences may be too small to be squared.
+    // Scaled before it is normalised: the product of two small differences may be too small to be squared.
     let plane = normalize(across / max(max(abs(across.x), abs(across.y)), max(abs(across.z), 1e-37)));
-    // A triangle seen edge-on has no such product: its shading normal has to do.
+    // A triangle seen edge-on has no such product; its shading normal is used instead.
     let plane_or_normal = select(normal, plane, any(across != vec3f(0.0)));
     let toward_eye = select(plane_or_normal, -plane_or_normal, dot(plane_or_normal, input.from_eye) > 0.0);
     let packed = vec2u(pack_normal(normal), pack_material(material.index, toward_eye));

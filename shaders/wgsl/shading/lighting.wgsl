@@ -1,5 +1,4 @@
-// Light on a point: every light with its bit of the visibility mask, and a little ambient light. Twin:
-// `shading::Lighting`.
+// Light on a point: all lights with their visibility bits, and a little ambient light. Twin: `shading::Lighting`.
 
 const DIRECTIONAL: u32 = 0u;
 const POINT: u32 = 1u;
@@ -28,11 +27,11 @@ struct Light {
 struct Lighting {
     // Ambient irradiance from above, times the exposure.
     ambient_above: vec3f,
-    // Lights there are.
+    // Number of lights.
     count: u32,
     // Ambient irradiance from below, times the exposure.
     ambient_below: vec3f,
-    // First column of the picture in which every light reaches everything.
+    // First column of the picture that is drawn without shadows.
     lit_from_px: u32,
     // Radiance of the sky at the zenith and at the horizon, exposed.
     zenith: vec3f,
@@ -42,7 +41,7 @@ struct Lighting {
     lights: array<Light, 32>,
 }
 
-// What a light sends to a point where nothing stands between them.
+// Light that arrives unoccluded at a point.
 struct Arrival {
     // Unit vector towards the light.
     toward: vec3f,
@@ -55,7 +54,7 @@ fn arrival(light: Light, point: vec3f) -> Arrival {
         return Arrival(-light.direction, light.intensity);
     }
     let between = light.position - point;
-    // A centimetre at least: a punctual light has no size, and would be infinitely bright at its own place.
+    // Clamped to 1 cm: a punctual light has no size, and would be infinitely bright at its own position.
     let squared = max(dot(between, between), 1e-4);
     let toward = between * inverseSqrt(squared);
     let reach = squared * light.inverse_range * light.inverse_range;

@@ -1,4 +1,4 @@
-// From bit planes, as they cross the wire, to a word of all lights for each of the mask's pixels.
+// Turns bit planes, as sent on the wire, into one word of all lights for each pixel of the mask.
 
 #import "shared/mask.wgsl"
 #import "shading/view.wgsl"
@@ -11,7 +11,7 @@ struct MaskSize {
 }
 
 @group(0) @binding(0) var<uniform> size: MaskSize;
-// Plane after plane.
+// One plane after another.
 @group(0) @binding(1) var<storage, read> mask: array<u32>;
 
 @vertex

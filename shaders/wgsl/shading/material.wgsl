@@ -1,15 +1,15 @@
-// A material: base colour, and whether a MASK point is there. Twin: `shading::Material`.
+// A material: base colour, and the alpha test of MASK points. Twin: `shading::Material`.
 
 #import "shared/texels.wgsl"
 
 struct Material {
     // Linear RGBA factor.
     base_color: vec4f,
-    // A MASK point is there when its alpha is at least this.
+    // A MASK point is drawn if its alpha is at least this.
     alpha_cutoff: f32,
     // Index into the table of emitted light.
     index: u32,
-    // What happens outside 0 to 1, along u and v: 0 repeats, 1 repeats mirrored, 2 holds the edge.
+    // Wrapping outside 0 to 1, along u and v: 0 repeats, 1 repeats mirrored, 2 clamps to the edge.
     wrap_u: u32,
     wrap_v: u32,
 }
@@ -18,7 +18,7 @@ struct Material {
 @group(1) @binding(1) var picture: texture_2d<f32>;
 @group(1) @binding(2) var picture_sampler: sampler;
 
-// The filtered base colour; alpha is the factor's times the picture's.
+// The filtered base colour. Its alpha is the factor's times the picture's.
 fn base_color(uv: vec2f) -> vec4f {
     return material.base_color * textureSample(picture, picture_sampler, uv);
 }
@@ -28,8 +28,8 @@ fn picture_alpha(x: i32, y: i32, size: vec2i) -> f32 {
     return textureLoad(picture, place, 0).a;
 }
 
-// The alpha that decides about a MASK point: bilinear in the full-size picture, exactly as the tracers read it, so that
-// both ends see the same leaf. The picture's sampler must not be used: it would read a smaller mip.
+// The alpha that decides a MASK point: bilinear in the full-size picture, exactly as the tracers read it, so that both
+// ends see the same leaf. Never through the picture's sampler, which would read a smaller mip.
 fn mask_alpha(uv: vec2f) -> f32 {
     let size = vec2i(textureDimensions(picture, 0));
     let texels = texels_around(uv, vec2f(size));

@@ -1,14 +1,14 @@
-// Prediction: the visibility of every pixel's surface, from a mask that was traced for another view, and from what the
-// client knows by itself where that view did not see the surface.
+// Prediction: the visibility of every pixel's surface, from masks traced for other views, and from the client's own
+// shadow maps where those views did not see the surface.
 //
 // Visibility belongs to a point of the scene, not to a pixel, so each surface point is looked up where the mask's view
 // saw it. The dissertation (§3.6) takes the nearest sample, whatever it saw, and treats only points outside the picture
-// as unknown. Here a sample counts only when its own point lies in the plane of the surface that is asked about:
-// nothing bleeds across edges, and what was hidden is found to be unknown. Where the samples around the point disagree
-// about a light, a shadow's edge runs between them, and a wider kernel places it between the samples instead of along
-// their borders (the dissertation's Figure 20).
+// as unknown. Here a sample counts only if its point lies in the plane of the looked-up surface. So nothing bleeds
+// across edges, and surfaces that were hidden are unknown. Where the samples around the point disagree about a light, a
+// shadow's edge runs between them: a wider kernel places it between the samples, not along their
+// borders (the dissertation's Figure 20).
 //
-// Masks can come in part. What has not come of the newest one is looked up in those before it, each in its own view.
+// Masks may arrive in part. Tiles missing from the newest are looked up in earlier ones, each in its own view.
 
 #import "shading/view.wgsl"
 #import "shading/lighting.wgsl"
@@ -22,26 +22,26 @@ struct MaskLayer {
     slot: u32,
     // 1 if the mask was traced for the picture's own view.
     same_view: u32,
-    // 1 if all of it has come.
+    // 1 if all of it has arrived.
     whole: u32,
     unused_0: u32,
 }
 
 // Twin: `shading::Prediction`.
 struct Prediction {
-    // The newest first.
+    // Newest first.
     layers: array<MaskLayer, 8>,
-    // How many there are; where there is none, everything is unknown.
+    // Number of layers; if 0, everything is unknown.
     count: u32,
     predictor: u32,
-    // What the dissertation's predictor does with unknown points.
+    // How the dissertation's predictor fills unknown points.
     unknown: u32,
     // A bit for each light.
     lights: u32,
 }
 
-// Whether there may be several masks, or one of which parts are missing. Without, the shader needs fewer registers: a
-// client's whole frame takes 7 to 9 % less time on an H200, whatever predicts.
+// False if there is at most one mask, and it is whole. Then the shader needs fewer registers: a client's whole frame
+// takes 7 to 9 % less time on an H200, with any predictor.
 override layered: bool = true;
 
 const PREDICT_NOTHING: u32 = 0u;
@@ -61,7 +61,7 @@ const UNKNOWN_COPY: u32 = 2u;
 @group(1) @binding(0) var depth_picture: texture_depth_2d;
 @group(1) @binding(1) var normal_material_picture: texture_2d<u32>;
 @group(2) @binding(0) var mask_words: texture_2d_array<u32>;
-// Lights that have come, a texel for 64×8 pixels.
+// Lights that have arrived, one texel for 64×8 pixels.
 @group(2) @binding(1) var mask_coverage: texture_2d_array<u32>;
 @group(2) @binding(2) var mask_depth: texture_depth_2d_array;
 @group(2) @binding(3) var nearest_texel: sampler;
@@ -71,52 +71,52 @@ fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
     return covering_triangle(index);
 }
 
-// A surface point, as the mask's view sees it.
+// A surface point, as seen by the mask's view.
 struct Place {
     layer: u32,
     point: vec3f,
     normal: vec3f,
-    // In pixels of the mask, whole numbers at their centres.
+    // In pixels of the mask, with whole numbers at pixel centres.
     at: vec2f,
-    // Side of a pixel of the mask at the point's distance, in metres.
+    // Side of a mask pixel at the point's distance, in metres.
     footprint_m: f32,
 }
 
-// What a mask says.
+// What a mask says about a point.
 struct Found {
-    // Lights that it says something of.
+    // Lights it has a bit for.
     known: u32,
-    // Those of them that reach the point.
+    // Lights of `known` that reach the point.
     word: u32,
 }
 
 const NOTHING = Found(0u, 0u);
 
-// What all masks say, and the oldest of those that were asked.
+// What all masks say, and the oldest one that was used.
 struct Told {
     found: Found,
     oldest: u32,
 }
 
-// Four samples of the mask that form a square, in textureGather's order: lower left, lower right, upper right, upper
-// left.
+// Four samples of the mask in a square, in textureGather's order: lower left, lower right, upper right, upper left.
 struct Quad {
-    // Whether the sample's own point lies on the surface that is asked about.
+    // True if the sample's own point lies on the looked-up surface.
     on_surface: vec4<bool>,
     words: vec4u,
-    // Lights of each sample that have come.
+    // Lights that have arrived, for each sample.
     came: vec4u,
-    // Squared distance from the place, in pixels of the mask.
+    // Squared distance to the looked-up point, in pixels of the mask.
     distance_2: vec4f,
 }
 
-// The lights whose bits have come at a sample of the mask.
+// The lights that have arrived at a sample of the mask.
 fn came_at(layer: u32, sample: vec2i) -> u32 {
-    let texel = clamp(sample, vec2i(0), vec2i(vec2u(prediction.layers[layer].view.width, prediction.layers[layer].view.height)) - 1);
+    let size = vec2u(prediction.layers[layer].view.width, prediction.layers[layer].view.height);
+    let texel = clamp(sample, vec2i(0), vec2i(size) - 1);
     return textureLoad(mask_coverage, texel / vec2i(64, 8), prediction.layers[layer].slot, 0).x;
 }
 
-// The square whose upper left sample is `corner`.
+// The square with its upper left sample at `corner`.
 //
 // A sample's point is up to a few footprints away within the plane. The packed normal is off by up to 1/100, and a
 // curved surface by less than a fifth of a footprint unless it bends by more than 20° from one sample to the next.
@@ -138,7 +138,7 @@ fn quad_at(place: Place, corner: vec2f) -> Quad {
     }
     let across = corner.x + vec4f(0.0, 1.0, 1.0, 0.0);
     let down = corner.y + vec4f(1.0, 1.0, 0.0, 0.0);
-    // The four points less the place's own, as `point_at_depth` has them; where there is no surface the depth is 0.
+    // The four points relative to the looked-up one, as in `point_at_depth`. Depth is 0 where there is no surface.
     let view_x = (2.0 * across + 1.0) / size.x - 1.0;
     let view_y = 1.0 - (2.0 * down + 1.0) / size.y;
     let distance = prediction.layers[place.layer].view.near_m / max(depth, vec4f(1e-30));
@@ -151,23 +151,23 @@ fn quad_at(place: Place, corner: vec2f) -> Quad {
     let z = eye.z + distance * (forward.z + view_x * right.z + view_y * up.z);
     let off_plane = abs(place.normal.x * x + place.normal.y * y + place.normal.z * z);
     let in_plane = off_plane <= 0.2 * place.footprint_m + 0.02 * sqrt(x * x + y * y + z * z);
-    // What is gathered beyond the border repeats it.
+    // Gathering beyond the border repeats it.
     let in_mask = (across >= vec4f(0.0)) & (across < vec4f(size.x)) & (down >= vec4f(0.0)) & (down < vec4f(size.y));
     let away_x = across - place.at.x;
     let away_y = down - place.at.y;
     return Quad((depth > vec4f(0.0)) & in_mask & in_plane, words & came, came, away_x * away_x + away_y * away_y);
 }
 
-// How close to a sample's centre a place counts as being there, in pixels of the mask.
+// Closer than this to a sample's centre, in pixels of the mask, that sample alone decides.
 const ON_CENTRE_PX: f32 = 0.2;
 
-// The weights of samples on the surface. Measured on Sponza at 1080p, wrong bits of known points at lag 6: nearest 0.34
-// %, bilinear 0.30, this 0.27; wider ones gain on straight edges what they lose on leaves.
+// Weights of samples on the surface. Wrong bits of known points at lag 6, on Sponza at 1080p: nearest 0.34 %, bilinear
+// 0.30 %, this 0.27 %. Wider kernels gain on straight edges what they lose on leaves.
 fn edge_weights(quad: Quad) -> vec4f {
     return select(vec4f(0.0), exp(-0.85 * quad.distance_2), quad.on_surface);
 }
 
-// The weight of the samples that a light reaches, and of those that tell whether it does.
+// Total weight of the samples that a light reaches, and of the samples that have a bit for it.
 fn reached(quad: Quad, weights: vec4f, light: u32) -> vec2f {
     let here = vec4u(light);
     let lit = dot(weights, vec4f((quad.words >> here) & vec4u(1u)));
@@ -177,7 +177,7 @@ fn reached(quad: Quad, weights: vec4f, light: u32) -> vec2f {
     return vec2f(lit, dot(weights, vec4f((quad.came >> here) & vec4u(1u))));
 }
 
-// The lights of `disputed` that reach the place, by the weighted majority of the 16 samples around it.
+// The lights of `disputed` that reach the place, by the weighted majority of 16 samples.
 fn edge_word(place: Place, disputed: u32) -> u32 {
     let corner = floor(place.at);
     let a = quad_at(place, corner + vec2f(-1.0, -1.0));
@@ -210,8 +210,8 @@ fn by_surface(place: Place) -> Found {
     if disputed == 0u {
         return Found(known, some);
     }
-    // Next to a sample's centre that sample is right, and a kernel would round corners off: a mask that was traced for
-    // nearly this view has such centres everywhere.
+    // Close to a sample's centre that sample is right, and a kernel would round off corners. In a mask traced for
+    // nearly this view, such centres are everywhere.
     let on_centre = quad.on_surface & (quad.distance_2 < vec4f(ON_CENTRE_PX * ON_CENTRE_PX));
     let certain = any_of(select(vec4u(0u), quad.came, on_centre)) & disputed;
     var word = (some & ~not_every) | (any_of(select(vec4u(0u), quad.words, on_centre)) & certain);
@@ -234,7 +234,7 @@ fn by_dissertation(place: Place) -> Found {
     return Found(prediction.lights, textureLoad(mask_words, sample, prediction.layers[place.layer].slot, 0).x);
 }
 
-// What a mask says of a pixel of the view that it was traced for.
+// What a mask says about a pixel of its own view.
 fn from_same_view(layer: u32, pixel: vec2u) -> Found {
     let word = textureLoad(mask_words, pixel, prediction.layers[layer].slot, 0).x;
     if !layered || prediction.layers[layer].whole == 1u {
@@ -243,7 +243,7 @@ fn from_same_view(layer: u32, pixel: vec2u) -> Found {
     return Found(came_at(layer, vec2i(pixel)), word);
 }
 
-// What a mask says of the surface point.
+// What a mask says about a surface point.
 fn from_other_view(layer: u32, point: vec3f, normal: vec3f) -> Found {
     let clip = prediction.layers[layer].view.clip_from_local * vec4f(point, 1.0);
     if clip.w < prediction.layers[layer].view.near_m {
@@ -262,7 +262,7 @@ fn from_other_view(layer: u32, point: vec3f, normal: vec3f) -> Found {
     return by_surface(place);
 }
 
-// What a mask says of the surface point that a pixel shows.
+// What a mask says about a pixel's surface point.
 fn from_mask(layer: u32, pixel: vec2u, point: vec3f, normal: vec3f) -> Found {
     if prediction.layers[layer].same_view == 1u {
         return from_same_view(layer, pixel);
@@ -270,8 +270,7 @@ fn from_mask(layer: u32, pixel: vec2u, point: vec3f, normal: vec3f) -> Found {
     return from_other_view(layer, point, normal);
 }
 
-// What the masks say of the surface point that a pixel shows: of each light, what the newest one says that says
-// something.
+// What the masks say about a pixel's surface point. For each light, the newest mask that has its bit decides.
 fn from_masks(pixel: vec2u, point: vec3f, normal: vec3f) -> Told {
     if prediction.count == 0u {
         return Told(NOTHING, 0u);
@@ -290,7 +289,7 @@ fn from_masks(pixel: vec2u, point: vec3f, normal: vec3f) -> Told {
     return Told(found, oldest);
 }
 
-// What the client knows by itself of the surface point.
+// Visibility of the surface point from the client's own shadow maps.
 fn from_shadow_map(point: vec3f, normal: vec3f) -> u32 {
     var word = 0u;
     for (var k = 0u; k < lighting.count; k++) {
@@ -302,7 +301,7 @@ fn from_shadow_map(point: vec3f, normal: vec3f) -> u32 {
     return word;
 }
 
-// What the client takes for visibility where there is none.
+// Visibility where no mask has any.
 fn by_itself(pixel: vec2u, point: vec3f, normal: vec3f) -> u32 {
     if prediction.predictor == PREDICT_SURFACE {
         return from_shadow_map(point, normal);
@@ -319,8 +318,7 @@ fn by_itself(pixel: vec2u, point: vec3f, normal: vec3f) -> u32 {
     return 0xffffffffu;
 }
 
-// x: the lights that reach the pixel as far as can be told; y: what the client alone would say, where the shading needs
-// it.
+// x: the lights that reach the pixel; y: the client's own estimate, where the shading needs it.
 @fragment
 fn predict(@builtin(position) place: vec4f) -> @location(0) vec2u {
     let pixel = vec2u(place.xy);
@@ -334,8 +332,8 @@ fn predict(@builtin(position) place: vec4f) -> @location(0) vec2u {
     let found = told.found;
     let unknown = prediction.lights & ~found.known;
     if unknown == 0u && view.visibility_share >= 1.0 {
-        // No shading reads y now, and in unknown pixels it equals x. The complement of x tells a measuring reader that
-        // x was known; of that, the lowest three bits by which mask.
+        // No shading reads y here. In unknown pixels y equals x. In known ones it is the complement of x, for readers
+        // that measure, with the index of the oldest mask used XORed into the lowest three bits.
         return vec2u(found.word, ~found.word ^ told.oldest);
     }
     let own = by_itself(pixel, point, normal);

@@ -1,5 +1,5 @@
-// The picture on the screen: texel for texel where they are of one size, and stretched to fit with its shape kept
-// otherwise.
+// Shows the picture on the screen: texel for texel if the sizes match, otherwise scaled to fit with its aspect ratio
+// kept.
 
 #import "shading/view.wgsl"
 

@@ -1,4 +1,4 @@
-// Shading: the light that the surface in every pixel sends to the eye, in linear exposed units.
+// Shading: the light from each pixel's surface to the eye, linear and exposed.
 
 #import "shading/inputs.wgsl"
 
@@ -26,7 +26,7 @@ fn shade(@builtin(position) place: vec4f) -> @location(0) vec4f {
     for (var k = 0u; k < lighting.count; k++) {
         let light = arrival(lighting.lights[k], point);
         let facing = dot(normal, light.toward);
-        // An irrelevant light adds nothing, whatever its bit is.
+        // An irrelevant light adds nothing, whatever its bit.
         irradiance += light.irradiance * (max(facing, 0.0) * reached(k, visibility));
     }
     let color = textureLoad(color_picture, pixel, 0).rgb;

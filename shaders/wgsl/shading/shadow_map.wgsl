@@ -1,5 +1,5 @@
-// What the client knows of its lights by itself: shadow maps of the scene at rest, drawn once
-// (`render/predict/shadow_map.rs`). They fill in where no received visibility can be carried over.
+// The client's own shadow maps of the static scene, drawn once (`render/predict/shadow_map.rs`). They are used where no
+// received visibility applies.
 
 #import "shading/view.wgsl"
 #import "shading/lighting.wgsl"
@@ -7,7 +7,7 @@
 // A light's view of the scene, in a square of the map. Twin: `shading::ShadowView`.
 struct ShadowView {
     clip_from_local: mat4x4f,
-    // Left and top of the square, and its side, in texels.
+    // Left and top edge of the square and its side, in texels.
     left: f32,
     top: f32,
     side: f32,
@@ -15,7 +15,7 @@ struct ShadowView {
     texel_m: f32,
 }
 
-// Where a light looks from a point of a cube map: +x, −x, +y, −y, +z, −z.
+// The cube map face that a light sees a point in: +x, −x, +y, −y, +z, −z.
 fn cube_face(from_light: vec3f) -> u32 {
     let size = abs(from_light);
     if size.x >= size.y && size.x >= size.z {
@@ -31,19 +31,20 @@ fn shadow_view_of(light: Light, point: vec3f) -> u32 {
     return light.shadow_view + select(0u, cube_face(point - light.position), light.kind == POINT);
 }
 
-// How far off its surface a point is looked up, in texels: for surfaces that are not quite planes.
+// Offset of a lookup from its surface, in texels: for surfaces that are not quite planar.
 const OFF_SURFACE_TEXELS: f32 = 0.2;
 
-// Where a point lies in its light's square, in texels with whole numbers at their centres; its reversed depth; its
-// distance.
+// A point in its light's square, in texels with whole numbers at their centres; its reversed depth; its distance.
 fn map_place(shadow: ShadowView, point: vec3f) -> vec4f {
     let clip = shadow.clip_from_local * vec4f(point, 1.0);
     return vec4f((clip.xy / clip.w * vec2f(0.5, -0.5) + 0.5) * shadow.side - 0.5, clip.z / clip.w, clip.w);
 }
 
-// Whether the map leaves the surface at `point`, with this normal towards the eye, in the light: the majority of the
-// four texels around it, by their bilinear weights.
-fn shadow_map_lit(map: texture_depth_2d, shadow: ShadowView, kind: u32, toward: vec3f, point: vec3f, normal: vec3f) -> bool {
+// True if the map shows `point` as lit: the majority of the four texels around it, by their bilinear weights. `normal`
+// faces the eye.
+fn shadow_map_lit(
+    map: texture_depth_2d, shadow: ShadowView, kind: u32, toward: vec3f, point: vec3f, normal: vec3f,
+) -> bool {
     let facing = dot(normal, toward);
     if facing <= 0.0 {
         // Rule 4 of server/src/visibility/mod.rs: the surface hides the light from itself.
@@ -56,8 +57,10 @@ fn shadow_map_lit(map: texture_depth_2d, shadow: ShadowView, kind: u32, toward: 
     if at.w <= 0.0 || any(at.xy < vec2f(0.0)) || any(at.xy >= vec2f(shadow.side - 1.0)) {
         return true;
     }
-    // The depth that the surface itself has at the four texels: that of a plane is linear in the map.
-    let tangent = normalize(select(vec3f(0.0, normal.z, -normal.y), vec3f(normal.y, -normal.x, 0.0), abs(normal.z) < 0.7));
+    // The surface's own depth at the four texels. A plane's depth is linear in the map.
+    let tangent = normalize(
+        select(vec3f(0.0, normal.z, -normal.y), vec3f(normal.y, -normal.x, 0.0), abs(normal.z) < 0.7),
+    );
     let across = map_place(shadow, point + step + tangent * texel_m).xyz - at.xyz;
     let along = map_place(shadow, point + step + cross(normal, tangent) * texel_m).xyz - at.xyz;
     let area = across.x * along.y - across.y * along.x;
@@ -65,7 +68,7 @@ fn shadow_map_lit(map: texture_depth_2d, shadow: ShadowView, kind: u32, toward: 
     let corner = vec2i(at.xy);
     let weight = at.xy - vec2f(corner);
     let texel = corner + vec2i(vec2f(shadow.left, shadow.top));
-    // Reversed depth: what is nearer to the light has more.
+    // Reversed depth: greater means nearer to the light.
     let nearest = vec4f(
         textureLoad(map, texel, 0),
         textureLoad(map, texel + vec2i(1, 0), 0),

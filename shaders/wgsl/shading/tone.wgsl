@@ -1,4 +1,4 @@
-// From exposed light to what a screen shows: tone curve, sRGB encoding, dither.
+// From exposed light to the screen: tone curve, sRGB encoding, dither.
 
 #import "shading/view.wgsl"
 
@@ -24,8 +24,8 @@ fn curve(x: f32) -> f32 {
     return saturate(power / (tone.b * pow(power, tone.shoulder) + tone.c));
 }
 
-// The curve bends the brightest channel and scales the others with it, so that hues stay; what is much brighter than
-// the screen can show fades towards white, as it does on film.
+// Applies the curve to the brightest channel and scales the others with it, which keeps hues. Light much brighter than
+// the screen can show fades towards white, as on film.
 fn toned(light: vec3f) -> vec3f {
     let peak = max(max(light.r, light.g), max(light.b, 1e-6));
     let shown = curve(peak);

@@ -17,18 +17,18 @@ struct View {
     height: u32,
     // Half the picture's height on the plane at distance 1.
     up: vec3f,
-    // How much predicted visibility counts, 0 to 1, against what the client knows without a server.
+    // Weight of predicted visibility, 0 to 1, against the client's own shadow maps.
     visibility_share: f32,
 }
 
-// The direction of a pixel's ray, of which one unit is one metre of depth.
+// The direction of a pixel's ray; its length is one metre of depth.
 fn ray_of_pixel(view: View, pixel: vec2u) -> vec3f {
     let x = 2.0 * (f32(pixel.x) + 0.5) / f32(view.width) - 1.0;
     let y = 1.0 - 2.0 * (f32(pixel.y) + 0.5) / f32(view.height);
     return view.forward + x * view.right + y * view.up;
 }
 
-// The point of a pixel's surface in local space, from its depth.
+// A pixel's surface point in local space, from its depth.
 fn point_at_depth(view: View, pixel: vec2u, depth: f32) -> vec3f {
     return view.origin + ray_of_pixel(view, pixel) * (view.near_m / depth);
 }
@@ -48,7 +48,7 @@ fn from_octahedral(flat: vec2f) -> vec3f {
     return normalize(vec3f(flat - select(vec2f(-fold), vec2f(fold), flat >= vec2f(0.0)), z));
 }
 
-// A unit vector in two 16-bit numbers.
+// Packs a unit vector into two 16-bit numbers.
 fn pack_normal(n: vec3f) -> u32 {
     return pack2x16snorm(octahedral(n));
 }
@@ -57,9 +57,8 @@ fn unpack_normal(bits: u32) -> vec3f {
     return from_octahedral(unpack2x16snorm(bits));
 }
 
-// The second word of the G-buffer: 1 + the material's index in the lower half, 0 where there is no surface; in the
-// upper half the triangle's own normal, towards the eye, in two 8-bit numbers. Its error of up to 1/100 counts in
-// `predict.wgsl`.
+// The second word of the G-buffer. Lower half: 1 + the material's index, or 0 where there is no surface. Upper half:
+// the triangle's own normal, towards the eye, in two 8-bit numbers; `predict.wgsl` allows for its error of up to 1/100.
 fn pack_material(material: u32, plane_normal: vec3f) -> u32 {
     return (material + 1u) | (pack4x8snorm(vec4f(octahedral(plane_normal), 0.0, 0.0)) << 16u);
 }

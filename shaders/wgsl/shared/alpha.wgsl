@@ -21,10 +21,10 @@ fn passes_material_alpha(index: u32, uv: vec2f) -> bool {
     return mix(upper, lower, texels.weight.y) / 255.0 * material.factor >= material.cutoff;
 }
 
-// Whether the scene has triangles with holes. Without any, none of this is compiled.
+// False if the scene has no triangles with holes. Then none of this is compiled.
 override HAS_ALPHA: bool = true;
 
-// Whether a hit of `triangle` with these weights passes the alpha test of its material.
+// True if a hit of `triangle` with these weights passes its material's alpha test.
 fn passes_alpha_test(triangle: u32, kind: u32, weights: vec3f) -> bool {
     let alpha = kind & TRIANGLE_ALPHA;
     if !HAS_ALPHA || alpha == 0u {

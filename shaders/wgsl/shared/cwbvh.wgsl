@@ -8,8 +8,8 @@
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
 
-// Entries of a traversal stack. Every level pushes at most one, so it is also the deepest hierarchy allowed.
-// Twin: `host::TRAVERSAL_STACK`.
+// Entries of a traversal stack. Every level pushes at most one, so this also bounds a hierarchy's depth. Twin:
+// `host::TRAVERSAL_STACK`.
 const TRAVERSAL_STACK: u32 = 32u;
 
 // Planes move outwards by this share of the distances involved. Rounding in obvhs' quantisation (2 units of 2⁻²⁴), in
@@ -26,7 +26,7 @@ struct NodeHits {
     inner: u32,
 }
 
-// The children of four that the ray hits, as bits of `NodeHits.bits`.
+// Which of four children the ray hits, as bits of `NodeHits.bits`.
 fn quad_hits(
     near: vec3u, far: vec3u, scale: vec3f, base_in: vec3f, base_out: vec3f, limit: f32, about: u32, octants: u32,
 ) -> u32 {
@@ -38,7 +38,7 @@ fn quad_hits(
     let out_z = fma(vec4f(unpack4xU8(far.z)), vec4f(scale.z), vec4f(base_out.z));
     let enter = max(max(in_x, in_y), max(in_z, vec4f(0.0)));
     let leave = min(min(out_x, out_y), min(out_z, vec4f(limit)));
-    // Nodes carry 24 to 31 in their low five bits. Only there are bits 3 and 4 both set. Their place is XORed with the
+    // Nodes carry 24 to 31 in their low five bits. Only there are bits 3 and 4 both set. Their index is XORed with the
     // octant, so that the highest bit is the nearest child.
     let inner = (about & (about << 1u)) & 0x10101010u;
     let place = unpack4xU8((about ^ (octants & ((inner >> 4u) * 0xffu))) & 0x1f1f1f1fu);
@@ -78,7 +78,7 @@ fn node_hits(index: u32, ray: Ray, limit: f32) -> NodeHits {
 }
 
 // The state of a traversal: a group of sibling nodes that the ray hits. `x` is the index of the first sibling. Bits 31
-// to 24 of `y` are siblings to visit; bits 7 to 0 are the places of their parent that hold nodes.
+// to 24 of `y` are siblings to visit; bits 7 to 0 mark the slots of their parent that hold nodes.
 const ROOT_GROUP: vec2u = vec2u(0u, 0x80000000u);
 const GROUP_NODES: u32 = 0xff000000u;
 

@@ -18,7 +18,7 @@ struct Ray {
     shear_y: vec3f,
 }
 
-// The largest f32: how far rays to directional lights go.
+// The largest f32: the length of rays to directional lights.
 const FARTHEST: f32 = 3.4028235e38;
 
 fn make_ray(origin: vec3f, direction: vec3f) -> Ray {
@@ -61,9 +61,9 @@ struct Hit {
     distance: f32,
     // Barycentric weights of the three corners.
     weights: vec3f,
-    // Whether the front was hit.
+    // True for a hit on the front.
     front: bool,
-    // Whether the origin lies off the triangle's plane by more than rounding can account for.
+    // True if the origin lies off the triangle's plane by more than rounding can account for.
     clear: bool,
 }
 
@@ -126,7 +126,7 @@ fn intersect_triangle(ray: Ray, triangle: u32, corner_a: vec3f, corner_b: vec3f,
     return Hit(height / dot(normal, ray.direction), areas / area, area > 0.0, is_off_plane(normal, to_a, height));
 }
 
-// Whether a point lies off a plane by more than rounding can account for. `height` is normal · to_a.
+// True if a point lies off a plane by more than rounding can account for. `height` is normal · to_a.
 fn is_off_plane(normal: vec3f, to_a: vec3f, height: f32) -> bool {
     return abs(height) > PLANE_ROUNDINGS * ROUNDING * dot(abs(normal), abs(to_a));
 }
@@ -140,8 +140,8 @@ struct End {
     has_position: bool,
 }
 
-// Whether a triangle that the ray hits lies between its origin and its end. A triangle whose plane holds either of
-// them, as far as rounding can tell, does not: a surface does not shadow itself, nor a lamp that sits on it.
+// True if a triangle that the ray hits lies between its origin and its end. A triangle whose plane contains either,
+// within rounding, does not: a surface does not shadow itself, nor a lamp that sits on it.
 fn is_between(hit: Hit, triangle: u32, corner_a: vec3f, end: End) -> bool {
     if !hit.clear || hit.distance <= 0.0 || hit.distance >= end.limit {
         return false;

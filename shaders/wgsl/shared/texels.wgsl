@@ -1,7 +1,7 @@
 // The texels of a picture around a texture coordinate.
 
-// The texel inside the picture for texel `place` of the wrapped picture. `wrap`: 0 repeats, 1 repeats mirrored, 2
-// clamps to the edge.
+// Returns the picture's texel for texel `place` of the wrapped picture. `wrap`: 0 repeats, 1 repeats mirrored, 2 clamps
+// to the edge.
 fn wrapped(place: i32, size: i32, wrap: u32) -> i32 {
     if wrap == 2u {
         return clamp(place, 0, size - 1);

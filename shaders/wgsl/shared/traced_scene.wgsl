@@ -12,13 +12,13 @@ struct TracedView {
     height: u32,
     // Half the picture's width on the plane at distance 1.
     right: vec3f,
-    // Lights, and so planes of the mask.
+    // Number of lights, which is the number of planes in the mask.
     lights: u32,
     // Half the picture's height on the plane at distance 1.
     up: vec3f,
-    // Nodes of our hierarchy, or triangles where the adapter has its own; 0 when nothing stops a ray.
+    // Nodes of our hierarchy, or triangles if the adapter has its own; 0 if nothing stops rays.
     nodes: u32,
-    // Row of tiles at which this part of the frame begins.
+    // First row of tiles in this part of the frame.
     first_row: u32,
 }
 
@@ -32,7 +32,7 @@ struct TracedLight {
     direction: vec3f,
     // Cosine of the outer cone's angle.
     cos_outer: f32,
-    // Square of the range, in square metres; the largest f32 without a range.
+    // Squared range, in square metres; the largest f32 without a range.
     range_squared: f32,
     unused_0: f32,
     unused_1: f32,
@@ -43,24 +43,24 @@ const LIGHT_DIRECTIONAL: u32 = 0u;
 const LIGHT_POINT: u32 = 1u;
 const LIGHT_SPOT: u32 = 2u;
 
-// A MASK material whose alpha differs from place to place.
+// A MASK material whose alpha varies.
 struct AlphaMaterial {
-    // Index of the first texel in `alpha_texels`, four of which share a word.
+    // Index of the first texel in `alpha_texels`, which holds four a word.
     first_texel: u32,
     // Size of the picture, in texels.
     width: u32,
     height: u32,
     // Wrap modes: u in the low half, v in the high half; see `wrapped` in shared/texels.wgsl.
     wraps: u32,
-    // A point stops rays when texel · factor is at least the cutoff.
+    // A point stops rays if texel · factor is at least the cutoff.
     cutoff: f32,
     factor: f32,
     unused_0: u32,
     unused_1: u32,
 }
 
-// Triangles are in the order of the hierarchy's leaves, three vec4u each: a corner's position in xyz; the kind of the
-// material in the first w, the first entry in `alpha_uvs` in the second.
+// Triangles, in the order of the hierarchy's leaves, three vec4u each. xyz are the corners' positions; the first w is
+// the kind of the material, the second the first entry in `alpha_uvs`.
 const TRIANGLE_SINGLE_SIDED: u32 = 0x80000000u;
 // One more than the index of the alpha material, or 0 for a triangle without holes.
 const TRIANGLE_ALPHA: u32 = 0x7fffffffu;

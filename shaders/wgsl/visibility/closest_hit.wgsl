@@ -1,4 +1,4 @@
-// The closest hit of a ray, however the triangles on its way are found.
+// The closest hit of a ray, with either traversal.
 
 struct ClosestHit {
     // The triangle, or NOTHING.

@@ -12,9 +12,9 @@
 
 var<immediate> view: TracedView;
 
-// Tile after tile, 64 pixels each: xyz is the start of the shadow rays (bits of f32), w the lights that need one.
+// Tile after tile, 64 pixels each: xyz is the shadow rays' start (bits of f32), w the lights that need a ray.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
-// Shadow rays of the whole frame.
+// Number of shadow rays in the whole frame.
 @group(1) @binding(2) var<storage, read_write> ray_count: atomic<u32>;
 
 var<workgroup> tile_rays: atomic<u32>;
@@ -25,12 +25,12 @@ var<workgroup> tile_rays: atomic<u32>;
 // Twin: `FACING_ROUNDINGS` in backend/cpu/light.rs.
 const FACING_ROUNDINGS: f32 = 5.0;
 
-// Whether a surface faces a light in this direction by more than rounding can account for.
+// True if a surface faces a light in this direction by more than rounding can account for.
 fn faces(geometric: vec3f, toward: vec3f) -> bool {
     return dot(geometric, toward) > FACING_ROUNDINGS * ROUNDING * dot(vec3f(1.0), abs(toward));
 }
 
-// Whether `light` matters at `point` and the surface does not face away from it. Shadow rays begin at `start`.
+// True if `light` matters at `point` and the surface does not face away from it. Shadow rays begin at `start`.
 fn needs_shadow_ray(light: TracedLight, point: vec3f, start: vec3f, geometric: vec3f, shading: vec3f) -> bool {
     if light.kind == LIGHT_DIRECTIONAL {
         return dot(shading, light.direction) < 0.0 && faces(geometric, -light.direction);

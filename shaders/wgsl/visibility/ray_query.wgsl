@@ -1,10 +1,10 @@
 // Traverses the adapter's own acceleration structure. Replaces visibility/traverse.wgsl in the kernels, which declare
 // `view`. The text must begin with `enable wgpu_ray_query;`.
 //
-// The adapter only finds candidates; our tests decide, as everywhere. Its structure holds every triangle a little
-// enlarged (backend/compute/enlarge.rs), since not every adapter's own test is watertight. So there are more candidates
-// than hits. No geometry is marked opaque, so every triangle comes as a candidate. A shadow ray seldom has more than
-// one, since its first hit ends it.
+// The adapter only finds candidates; our own tests decide. Its structure holds every triangle slightly enlarged
+// (backend/compute/enlarge.rs), because not every adapter's test is watertight. So there are more candidates than hits.
+// No geometry is marked opaque, so every triangle becomes a candidate. A shadow ray seldom has more than one, because
+// its first hit ends it.
 
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
@@ -13,7 +13,7 @@
 
 @group(0) @binding(7) var structure: acceleration_structure;
 
-// Our own test of a candidate. Candidates are numbered as `triangles` are.
+// Our own test of a candidate. Candidates are numbered as in `triangles`.
 fn intersect_candidate(ray: Ray, triangle: u32) -> Hit {
     let a = bitcast<vec3f>(triangles[triangle * 3u].xyz);
     let b = bitcast<vec3f>(triangles[triangle * 3u + 1u].xyz);
@@ -45,7 +45,7 @@ fn intersect(ray: Ray) -> ClosestHit {
     return closest;
 }
 
-// Whether a triangle stops the ray before its end.
+// True if a triangle stops the ray before its end.
 fn occluded(ray: Ray, end: End) -> bool {
     if view.nodes == 0u {
         return false;

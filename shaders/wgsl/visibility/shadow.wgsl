@@ -1,5 +1,5 @@
-// Traces the shadow rays of each pixel: rule 5 of server/src/visibility/mod.rs. A workgroup is one tile and one light.
-// It writes that tile's two words of the mask, also when they are zero.
+// Traces each pixel's shadow rays: rule 5 of server/src/visibility/mod.rs. A workgroup is one tile and one light, and
+// writes that tile's two words of the mask even if they are zero.
 
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"
@@ -8,13 +8,13 @@
 
 var<immediate> view: TracedView;
 
-// As visibility/primary.wgsl wrote them.
+// Written by visibility/primary.wgsl.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
 @group(1) @binding(1) var<storage, read_write> mask: array<u32>;
 
 var<workgroup> tile_words: array<atomic<u32>, 2>;
 
-// Whether nothing stops the segment from a shadow ray's start to the light.
+// True if nothing stops the segment from a shadow ray's start to the light.
 fn is_lit(start: vec3f, light: TracedLight) -> bool {
     let directional = light.kind == LIGHT_DIRECTIONAL;
     let direction = select(light.position - start, -light.direction, directional);
@@ -37,7 +37,7 @@ fn shadow(
     }
     workgroupBarrier();
     if bit < 2u {
-        // A plane is as large as the picture, of which this may be a part.
+        // A plane is the size of the whole picture; this may be a part of it.
         let plane = tiles.x * ((view.height + TILE_PX - 1u) / TILE_PX);
         mask[mask_word(place.z, plane, tile, bit * 32u)] = atomicLoad(&tile_words[bit]);
     }

@@ -1,5 +1,5 @@
 // Traverses the compressed hierarchy. Imported by the kernels, which declare `view`. visibility/ray_query.wgsl has the
-// same two functions for adapters with a structure of their own.
+// same two functions for adapters with their own structure.
 
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
@@ -51,7 +51,7 @@ fn intersect(ray: Ray) -> ClosestHit {
     return closest;
 }
 
-// Whether a triangle stops the ray before its end.
+// True if a triangle stops the ray before its end.
 fn occluded(ray: Ray, end: End) -> bool {
     var stack: array<vec2u, TRAVERSAL_STACK>;
     var depth = 0u;

@@ -27,10 +27,10 @@ pub(crate) const MAGIC: [u8; 8] = *b"GNOMSCNE";
 /// Magic, version, length.
 const HEADER_BYTES: usize = 8 + 4 + 8;
 
-/// An LZ4 block cannot grow more than this: one byte of a match's length stands for at most 255.
+/// An LZ4 block cannot grow more than this: one byte of a match's length encodes at most 255.
 const MAX_LZ4_GROWTH: u64 = 255;
 
-/// All but the large arrays.
+/// Everything except the large arrays.
 #[derive(Serialize, Deserialize)]
 struct Head {
     origin_m: DVec3,

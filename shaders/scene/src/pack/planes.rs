@@ -1,5 +1,5 @@
-//! Planes: one byte of one component of every element each, as differences from the element before. LZ4 finds far more
-//! repetition in them than in the floats themselves.
+//! Planes: one byte of one component of every element each, as differences from the previous element. LZ4 finds far
+//! more repetition in them than in the floats.
 
 use super::error::{PackError, broken};
 

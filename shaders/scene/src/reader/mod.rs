@@ -1,8 +1,8 @@
 //! Reads glTF 2.0, `.gltf` and `.glb`, into a [`Scene`](crate::Scene). No byte of the file is trusted.
 //!
-//! A file's way: [`file`] splits it into chunks and loads buffers; [`json`] parses its JSON into `gltf`'s model, within
-//! bounds; [`checks`] refuses unsupported features and checks every index and offset; [`flatten`] walks the nodes and
-//! makes triangles, materials, pictures and lights.
+//! [`file`] splits a file into chunks and loads buffers; [`json`] parses its JSON into `gltf`'s model, within bounds;
+//! [`checks`] refuses unsupported features and checks every index and offset; [`flatten`] walks the nodes and makes
+//! triangles, materials, pictures and lights.
 
 mod checks;
 mod file;

@@ -17,14 +17,14 @@ pub struct Scene {
     pub bounds: Aabb,
     /// Vertex positions in local space, in metres.
     pub positions: Vec<Vec3>,
-    /// Unit shading normals, one a vertex.
+    /// Unit shading normals, one for each vertex.
     pub normals: Vec<Vec3>,
-    /// Texture coordinates of the base colour, one a vertex, texture transform applied. (0, 0) is the picture's upper
+    /// Texture coordinates of the base colour, one for each vertex, transform applied. (0, 0) is the picture's upper
     /// left.
     pub uvs: Vec<Vec2>,
     /// Vertex indices, counter-clockwise seen from the front. No zero-area triangles.
     pub triangles: Vec<[u32; 3]>,
-    /// Runs of triangles with one material: OPAQUE first, then MASK, then BLEND. They cover `triangles` in order.
+    /// Ranges of triangles with one material: OPAQUE first, then MASK, then BLEND. They cover `triangles` in order.
     pub draws: Vec<Draw>,
     pub materials: Vec<Material>,
     pub images: Vec<Image>,
@@ -53,7 +53,7 @@ impl Aabb {
     }
 }
 
-/// A run of triangles of one instance with one material.
+/// A range of one instance's triangles with one material.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Draw {
     pub first_triangle: u32,
@@ -118,11 +118,11 @@ pub enum Wrap {
 /// A PNG or JPEG picture, with its size in pixels.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Image {
-    /// The file's bytes. They travel.
+    /// The file's bytes, which are sent.
     pub encoded: Vec<u8>,
     pub width: u32,
     pub height: u32,
-    /// Decoded RGBA, 8 bits a channel, row by row from the top. They do not travel.
+    /// Decoded RGBA, 8 bits a channel, row by row from the top. Not sent.
     #[serde(skip)]
     pub rgba: Vec<u8>,
 }

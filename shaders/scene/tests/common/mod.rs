@@ -22,7 +22,7 @@ pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
     paths.into_iter().flat_map(|path| if path.is_dir() { files(&path) } else { vec![path] }).collect()
 }
 
-/// Writes a lights file with one light into `folder`. With these options no scene fails to load for lack of lights.
+/// Writes a lights file with one light into `folder`. With these options no scene fails for lack of lights.
 #[allow(dead_code, reason = "each test file uses what it needs")]
 pub(crate) fn one_light(folder: &Path) -> LoadOptions {
     let lights = folder.join("lights.json");

@@ -1,7 +1,7 @@
 //! Refuses features that Gnomon does not read, and names them.
 //!
 //! A required extension must be known. An optional one is ignored, unless that would show other geometry or another
-//! base colour than the file means: compressed meshes are refused even if they bring an uncompressed copy.
+//! base colour than intended: compressed meshes are refused even if they bring an uncompressed copy.
 
 use gltf::json::mesh::Primitive;
 use serde_json::{Map, Value};
@@ -11,7 +11,7 @@ use crate::{
     reader::json::Document,
 };
 
-/// Extensions that are read, or whose effect Gnomon's shading does not have.
+/// Extensions that are read, or that do not affect Gnomon's shading.
 const KNOWN: [&str; 19] = [
     "KHR_lights_punctual",
     "KHR_materials_anisotropy",
@@ -76,7 +76,7 @@ pub(crate) fn check(document: &Document) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// Errors at the first extension of `names` that an object has.
+/// Errors at the first of the extensions `names` that an object has.
 fn refuse(
     extensions: Option<&Map<String, Value>>,
     names: &[&str],

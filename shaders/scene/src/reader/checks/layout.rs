@@ -55,7 +55,7 @@ pub(crate) struct SparseLayout {
 /// Errors as [`Layout::new`].
 pub(crate) fn check(json: &Root) -> Result<(), SceneError> {
     for (index, accessor) in json.accessors.iter().enumerate() {
-        // Matrices, and types of a later version, are legal where nothing reads them.
+        // Matrices and types of later versions are legal if nothing reads them.
         if shape(accessor).is_some() {
             Layout::new(json, index)?;
         }

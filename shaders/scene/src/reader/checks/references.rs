@@ -1,5 +1,4 @@
-//! Checks once, for the whole file, that every index that is read points to something. The code behind it looks indices
-//! up without panicking all the same.
+//! Checks that every index in the file is in range. Later code still looks indices up without panicking.
 
 use gltf::json::{Accessor, Index, Root, mesh, root::Get};
 

@@ -27,7 +27,7 @@ impl<'a> Buffers<'a> {
             let data = match &buffer.uri {
                 Some(uri) => match resolve(uri, folder).map_err(|fault| SceneError::invalid(here(), fault))? {
                     Target::Data(data) => Some(Cow::Owned(data)),
-                    // No more than the sum above has counted: many buffers may name one large file.
+                    // Reads no more than the sum above counted: many buffers may name one large file.
                     Target::File(path) => Some(Cow::Owned(read_start(&path, buffer.byte_length.0)?)),
                 },
                 None if index == 0 => bin.map(Cow::Borrowed),

@@ -29,7 +29,7 @@ fn split_glb(bytes: &[u8]) -> Result<Container<'_>, String> {
     if version != 2 {
         return Err(format!("its GLB version is {version}, not 2"));
     }
-    // Bytes behind the end are ignored, as by Khronos' validator.
+    // Bytes after the end are ignored, as Khronos' validator does.
     let bytes = bytes
         .get(..length)
         .ok_or_else(|| format!("its GLB header says {length} bytes, but the file has {}", bytes.len()))?;

@@ -8,7 +8,7 @@ use base64::{
 };
 use percent_encoding::percent_decode_str;
 
-/// Takes base64 without padding too, which is often forgotten.
+/// Also accepts base64 without padding, a common flaw.
 const BASE64: GeneralPurpose = GeneralPurpose::new(
     &base64::alphabet::STANDARD,
     GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
@@ -35,7 +35,7 @@ pub(crate) fn resolve(uri: &str, folder: &Path) -> Result<Target, String> {
         return Err(format!("URI {shown:?} leads away; only files in the scene's folder and data URIs are read"));
     }
     let decoded = percent_decode_str(uri).decode_utf8().map_err(|_| format!("URI {shown:?} is not UTF-8"))?;
-    // Some exporters write backslashes. Taken for separators, they cannot hide a `..` on any system.
+    // Some exporters write backslashes. Treated as separators, they cannot hide a `..` on any system.
     let decoded = decoded.replace('\\', "/");
     if decoded.starts_with('/') || decoded.contains('\0') || has_scheme(&decoded) {
         return Err(format!("URI {shown:?} is not a path below the scene's folder"));

@@ -20,8 +20,8 @@ pub(crate) struct Placed {
     pub(crate) world_from_node: DMat4,
 }
 
-/// Returns the nodes of the file's default scene, parents first, in the file's order, without those that
-/// KHR_node_visibility hides. The first scene stands in for a missing default, and all nodes for missing scenes.
+/// Returns the default scene's nodes, parents first, in file order, except those that KHR_node_visibility hides.
+/// Without a default, the first scene is used; without scenes, all nodes.
 /// Errors if the nodes are not a forest, lie too deep, or have malformed transforms.
 pub(crate) fn walk(document: &Document) -> Result<Vec<Placed>, SceneError> {
     let parents = parents(document)?;
@@ -72,7 +72,6 @@ fn is_hidden(node: &Node) -> bool {
     visibility.and_then(|visibility| visibility.get("visible")).and_then(Value::as_bool) == Some(false)
 }
 
-/// Returns each node's parent.
 /// Errors if a node has two parents, is its own ancestor, or lies too deep.
 fn parents(document: &Document) -> Result<Vec<Option<usize>>, SceneError> {
     let here = |index: usize| {

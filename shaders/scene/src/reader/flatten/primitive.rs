@@ -77,8 +77,8 @@ impl Mode {
         }
     }
 
-    /// Returns where triangle `number`'s corners stand in the list of indices, counter-clockwise. Every second triangle
-    /// of a strip is turned.
+    /// Returns where triangle `number`'s corners lie in the list of indices, counter-clockwise. Every second triangle
+    /// of a strip is flipped.
     fn corners(self, number: usize) -> [usize; 3] {
         match self {
             Self::List => [number * 3, number * 3 + 1, number * 3 + 2],
@@ -113,7 +113,7 @@ pub(crate) fn size(json: &Root, primitive: &Primitive, mode: Mode, place: &str) 
     }
     let triangles = mode.triangles(corners) as u64;
     within(format!("triangles of {place}"), triangles, MAX_TRIANGLES)?;
-    // All vertices are read, however few the triangles name. Flat normals take three for each triangle.
+    // All vertices are read, even if few are used. Flat normals take three for each triangle.
     let vertices = if normals.is_some() { vertices as u64 } else { (vertices as u64).max(triangles * 3) };
     within(format!("vertices of {place}"), vertices, MAX_VERTICES)?;
     Ok(Some(Size { triangles, vertices }))

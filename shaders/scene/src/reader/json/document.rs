@@ -22,9 +22,9 @@ use super::{
 pub(crate) struct Document {
     /// All but the lights. Its numbers are rounded to f32: use those below.
     pub(crate) json: Root,
-    /// One a node.
+    /// One for each node.
     pub(crate) transforms: Vec<Transform>,
-    /// One a material.
+    /// One for each material.
     pub(crate) factors: Vec<Factors>,
     /// Definitions of KHR_lights_punctual.
     pub(crate) lights: Vec<Light>,
@@ -128,7 +128,7 @@ struct Lights {
     lights: Vec<Light>,
 }
 
-/// Adds the list that glTF lets a scene leave out and `gltf::json` does not.
+/// Adds the list of nodes, which glTF makes optional and `gltf::json` does not.
 fn scene(mut value: Value) -> Result<gltf::json::Scene, serde_json::Error> {
     if let Some(scene) = value.as_object_mut() {
         scene.entry("nodes").or_insert_with(|| Value::Array(Vec::new()));

@@ -1,4 +1,4 @@
-//! Parses the JSON into the model that the reader stands on: `gltf::json`, and the numbers that it would round.
+//! Parses the JSON into the reader's model: `gltf::json`, and the numbers that it would round.
 
 mod document;
 mod numbers;

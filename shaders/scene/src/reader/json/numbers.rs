@@ -21,7 +21,7 @@ pub(crate) struct Factors {
     pub(crate) texture_transform: Option<TextureTransform>,
     pub(crate) emissive: [f64; 3],
     pub(crate) emissive_strength: f64,
-    /// Whether there is an emissive texture. Its properties are not read.
+    /// True if there is an emissive texture. Its properties are not read.
     pub(crate) has_emissive_texture: bool,
     pub(crate) alpha_cutoff: f64,
 }
@@ -76,8 +76,8 @@ impl Default for Factors {
 }
 
 impl Factors {
-    /// Reads a material's numbers, and removes the mark of an emissive texture, which `gltf::json` would not take.
-    /// Errors if the material breaks the schema.
+    /// Reads a material's numbers, and removes an emissive texture's marker, which `gltf::json` would refuse. Errors if
+    /// the material breaks the schema.
     pub(super) fn take(material: &mut Value) -> Result<Self, Error> {
         let has_emissive_texture = material.as_object_mut().and_then(|m| m.remove("emissiveTexture")).is_some();
         let texture = "/pbrMetallicRoughness/baseColorTexture/extensions/KHR_texture_transform";

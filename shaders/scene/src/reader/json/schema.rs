@@ -23,9 +23,9 @@ pub(super) enum Kind {
     Index,
     /// An integer of 64 bits: a number of bytes or of elements.
     Size,
-    /// An array of so many numbers.
+    /// An array of exactly this many numbers.
     Vector(usize),
-    /// An array of at most so many elements. [`UNBOUNDED`] leaves the bound to `MAX_ELEMENT_VALUES`.
+    /// An array of at most this many elements. [`UNBOUNDED`] leaves the bound to `MAX_ELEMENT_VALUES`.
     List(usize, &'static Kind),
     Object(&'static [Property]),
     /// Anything: its value is skipped.

@@ -31,7 +31,7 @@ pub(super) fn property<'de, A: MapAccess<'de>, T: DeserializeOwned>(
     value.map_err(|error| at(property.name(), &error))
 }
 
-/// Parses a property that is a list. Each element becomes a `T` before the next one is parsed: a [`Value`] is large.
+/// Parses a list property. Each element becomes a `T` before the next is parsed: a [`Value`] is large.
 /// Errors as [`property`], if the list is too long, or if `build` fails.
 pub(super) fn list<'de, A: MapAccess<'de>, T>(
     map: &mut A,
@@ -80,7 +80,7 @@ impl<'de, T, F: FnMut(Value) -> Result<T, serde_json::Error>> Visitor<'de> for E
     }
 }
 
-/// Looks a property up by its name. `None` if it is not read.
+/// Looks up a property by name. `None` if it is not read.
 pub(super) struct PropertyName(pub(super) &'static [Property]);
 
 impl<'de> DeserializeSeed<'de> for PropertyName {
