@@ -1,39 +1,37 @@
-//! How likely the next bit is: a probability for each context, which learns.
+//! An adaptive probability of a bit, one for each context.
 
-/// Smallest probability of either bit, of 65,536: no bit takes more than 12 bits.
+/// Smallest probability of either bit, in 65,536ths: no bit takes more than 12 bits.
 const LEAST: u32 = 16;
 
-/// How far the probability moves at each bit, as a power of two: what it begins with was counted over many masks, so it
-/// need not move faster at first.
+/// Shift of the adaptation rate. It can be slow from the first bit on, because the prior was counted over many masks.
 pub(super) const SLOW: u32 = 5;
 
-/// The same where there are few contexts, and masks differ more.
+/// The same for models with few contexts, in which masks differ more.
 pub(super) const QUICK: u32 = 4;
 
-/// How likely a bit is in some context: the probability of 1, of 2³².
+/// Probability of a 1, in units of 2⁻³².
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct BitModel(u32);
 
 impl BitModel {
-    /// Nothing counted.
+    /// No counts yet; see [`Self::count`].
     pub(super) const NONE: Self = Self(0);
 
-    /// Nothing known.
     #[cfg(test)]
     pub(super) const EVEN: Self = Self(1 << 31);
 
-    /// From a table: the probability of 1, of 65,536.
+    /// `packed` is the probability of 1, in 65,536ths.
     pub(super) const fn from_packed(packed: u16) -> Self {
         Self((packed as u32) << 16)
     }
 
-    /// Probability of 1, of 65,536.
+    /// Returns the probability of 1, in 65,536ths.
     #[inline(always)]
     pub(super) const fn one(self) -> u32 {
         self.0 >> 16
     }
 
-    /// Counts a bit, in a state that is used for nothing else: how many were 1 above, how many there were below.
+    /// Counts a bit, in a model that only counts: the upper half holds the ones, the lower half all bits.
     pub(super) fn count(&mut self, bit: bool) {
         let (mut ones, mut all) = (self.one() + u32::from(bit), (self.0 & 0xFFFF) + 1);
         if all == 0xFFFF {
@@ -42,7 +40,7 @@ impl BitModel {
         self.0 = ones << 16 | all;
     }
 
-    /// What was counted, as [`Self::from_packed`] takes it.
+    /// Returns the counted probability, as [`Self::from_packed`] takes it.
     pub(super) fn packed_count(self) -> u16 {
         let (ones, all) = (self.one(), self.0 & 0xFFFF);
         // Krichevsky and Trofimov's estimate.
@@ -50,7 +48,7 @@ impl BitModel {
         u16::try_from(probability.clamp(u64::from(LEAST), u64::from(0x1_0000 - LEAST))).unwrap_or(0x8000)
     }
 
-    /// Moves towards the probability 1 or 0, but not farther than [`LEAST`] from either.
+    /// Moves towards probability 1 or 0, but no closer than [`LEAST`] to either.
     #[inline(always)]
     pub(super) fn learn<const RATE: u32>(&mut self, bit: bool) {
         let target = if bit { 0x1_0000 - LEAST } else { LEAST };

@@ -1,16 +1,16 @@
-//! Whole bits in and out, the first in a byte's highest place: what prefix codes are written with.
+//! Reads and writes the bits of prefix codes, highest bit of a byte first.
 
-/// Writes bits to the end of a buffer.
+/// Appends bits to a buffer.
 #[derive(Debug)]
 pub(super) struct BitWriter<'a> {
-    /// Bits that are not in the output yet, the last one lowest.
+    /// Bits that are not in the output yet, the newest lowest.
     held: u64,
     count: u32,
     start: usize,
     output: &'a mut Vec<u8>,
 }
 
-/// A place in the output to go back to.
+/// A state of the writer to roll back to.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Position {
     held: u64,
@@ -23,23 +23,22 @@ impl<'a> BitWriter<'a> {
         Self { held: 0, count: 0, start: output.len(), output }
     }
 
-    /// A place to come back to.
     pub(super) fn position(&self) -> Position {
         Position { held: self.held, count: self.count, end: self.output.len() }
     }
 
-    /// Takes everything back that was written since.
+    /// Undoes everything written since `position`.
     pub(super) fn rollback(&mut self, Position { held, count, end }: Position) {
         (self.held, self.count) = (held, count);
         self.output.truncate(end);
     }
 
-    /// Bytes that have bits in them.
+    /// Returns the bytes written so far, a begun one included.
     pub(super) fn bytes(&self) -> usize {
         self.output.len() - self.start + self.count.div_ceil(8) as usize
     }
 
-    /// Writes the `count` lowest bits of `bits`, whose others are 0; at most 32.
+    /// Writes the `count` lowest bits of `bits`, at most 32. The others must be 0.
     #[inline(always)]
     pub(super) fn put(&mut self, bits: u32, count: u32) {
         self.held = self.held << count | u64::from(bits);
@@ -51,7 +50,7 @@ impl<'a> BitWriter<'a> {
         }
     }
 
-    /// Writes a number, small ones in few bits: Elias' γ code of the number after it.
+    /// Writes the Elias γ code of `number` + 1: small numbers take few bits.
     pub(super) fn put_number(&mut self, number: u16) {
         let number = u32::from(number) + 1;
         let more = number.ilog2();
@@ -59,22 +58,22 @@ impl<'a> BitWriter<'a> {
         self.put(number, more + 1);
     }
 
-    /// Fills the last byte with zeros.
+    /// Pads the last byte with zeros.
     pub(super) fn finish(self) {
         let bytes = (self.held << ((64 - self.count) % 64)).to_be_bytes();
         self.output.extend_from_slice(&bytes[..self.count.div_ceil(8) as usize]);
     }
 }
 
-/// Reads bits. Behind the end it reads zeros.
+/// Reads bits, and zeros after the end.
 #[derive(Debug)]
 pub(super) struct BitReader<'a> {
     /// The next bits, the first one highest.
     window: u64,
-    /// How many of them have been read from the slice, or from behind its end.
+    /// Bits in the window, zeros after the end included.
     count: u32,
     rest: &'a [u8],
-    /// Bits of the slice that are not in the window; negative when it holds more than there were.
+    /// Bits of the slice that are not in the window; negative if the window has zeros from after the end.
     left: i64,
 }
 
@@ -86,18 +85,18 @@ impl<'a> BitReader<'a> {
         reader
     }
 
-    /// Bits that are left; negative when there were too few.
+    /// Returns the bits left; negative after reading past the end.
     const fn left(&self) -> i64 {
         self.left + self.count as i64
     }
 
-    /// Whether there were as many bits as have been read.
+    /// False after reading past the end.
     #[inline(always)]
     pub(super) const fn is_within(&self) -> bool {
         self.left() >= 0
     }
 
-    /// Whether nothing is left over but zeros in the last byte.
+    /// True if only zero bits of the last byte are left.
     pub(super) const fn is_at_end(&self) -> bool {
         matches!(self.left(), 0..8) && self.window == 0
     }
@@ -117,7 +116,7 @@ impl<'a> BitReader<'a> {
         self.left -= 32;
     }
 
-    /// The next bits, which stay; 1 to 32.
+    /// Returns the next `bits` bits, 1 to 32, without consuming them.
     #[inline(always)]
     pub(super) const fn peek(&self, bits: u32) -> usize {
         #[expect(clippy::cast_possible_truncation, reason = "at most 32 bits")]
@@ -125,7 +124,7 @@ impl<'a> BitReader<'a> {
         bits
     }
 
-    /// Leaves `count` bits behind, at most 32.
+    /// Consumes `count` bits, at most 32.
     #[inline(always)]
     pub(super) fn skip(&mut self, count: u32) {
         self.window <<= count;
@@ -135,7 +134,7 @@ impl<'a> BitReader<'a> {
         }
     }
 
-    /// Reads what [`BitWriter::put_number`] wrote; nothing where that is no such number.
+    /// Reads what [`BitWriter::put_number`] wrote. Returns `None` for any other bits.
     pub(super) fn number(&mut self) -> Option<u16> {
         let more = self.window.leading_zeros();
         if more > 16 {
@@ -153,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bits_and_numbers_come_back() {
+    fn bits_and_numbers_round_trip() {
         let mut output = vec![7];
         let mut writer = BitWriter::new(&mut output);
         let pieces = (0..500_u32).map(|n| (n.wrapping_mul(2_654_435_761) & ((1 << (n % 20 + 1)) - 1), n % 20 + 1));

@@ -1,4 +1,4 @@
-//! A block of 64×8 pixels of one light, as eight rows of 64 bits: what the models look at.
+//! A block of 64×8 pixels of one light, as eight rows of 64 bits.
 
 use super::order::{BLOCK_TILES, Order, Place};
 use crate::{
@@ -6,10 +6,9 @@ use crate::{
     mask::{Mask, MaskShape, TILE_PX, inside},
 };
 
-/// Rows from the top; bit x of a row is the pixel x from the left.
+/// Rows from the top; bit x of a row is pixel x from the left.
 pub(super) type Block = [u64; 8];
 
-/// What a tile holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Dark = 0,
@@ -17,7 +16,7 @@ pub(super) enum Kind {
     Mixed = 2,
 }
 
-/// Which columns of a block are lit, and which are not dark, from top to bottom.
+/// Columns of a block that are lit in `all` rows, and in `any` row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Extent {
     pub(super) all: u64,
@@ -29,7 +28,6 @@ impl Extent {
         Self { all: block.iter().fold(u64::MAX, |all, row| all & row), any: block.iter().fold(0, |any, row| any | row) }
     }
 
-    /// What tile `tile` of the block holds.
     pub(super) fn kind(self, tile: usize) -> Kind {
         let byte = 0xFF << (tile * 8);
         if self.any & byte == 0 {
@@ -41,7 +39,7 @@ impl Extent {
         }
     }
 
-    /// Whether every pixel has the same value, and which.
+    /// Returns the value of every pixel, or `None` if they differ.
     pub(super) const fn value(self) -> Option<bool> {
         match (self.all, self.any) {
             (_, 0) => Some(false),
@@ -51,7 +49,7 @@ impl Extent {
     }
 }
 
-/// A block and what is often asked of it.
+/// A block and its extent, which is often needed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct DecodedBlock {
     pub(super) rows: Block,
@@ -63,15 +61,14 @@ impl DecodedBlock {
         Self { rows, extent: Extent::of(&rows) }
     }
 
-    /// All of one value.
     pub(super) const fn flat(value: bool) -> Self {
         let row = if value { u64::MAX } else { 0 };
         Self { rows: [row; 8], extent: Extent { all: row, any: row } }
     }
 }
 
-/// The block at a place. What of it lies outside the picture repeats the picture's edge, which makes no tile mixed; a
-/// decoder does not learn it.
+/// Returns the block at a place. Pixels outside the picture repeat the picture's edge, so that they make no tile mixed.
+/// A decoder does not restore them.
 pub(super) fn gather(mask: &Mask, order: &Order, place: Place) -> DecodedBlock {
     let shape = mask.shape();
     let words = &mask.words()[place.light * shape.tiles()..][order.tiles(place)];
@@ -102,7 +99,7 @@ pub(super) fn gather(mask: &Mask, order: &Order, place: Place) -> DecodedBlock {
     DecodedBlock::new(rows)
 }
 
-/// The tiles of the block at a place, as [`gather`] has its rows.
+/// Returns the block of [`gather`] as tiles instead of rows.
 #[inline(always)]
 pub(super) fn gather_tiles(mask: &Mask, order: &Order, place: Place) -> Block {
     let shape = mask.shape();
@@ -113,19 +110,19 @@ pub(super) fn gather_tiles(mask: &Mask, order: &Order, place: Place) -> Block {
     }
 }
 
-/// Whether some of a block may lie outside the picture.
+/// True if some of the block may lie outside the picture.
 const fn is_at_edge(shape: MaskShape, place: Place) -> bool {
     shape.tiles_x() as usize <= (place.x + 1) * BLOCK_TILES || shape.tiles_y() as usize == place.y + 1
 }
 
-/// Writes the block's tiles to their places, without what lies outside the picture.
+/// Writes the block's tiles into the mask, with 0 outside the picture.
 pub(super) fn scatter(order: &Order, place: Place, known: &DecodedBlock, mask: &mut Mask) {
     let flat = known.extent.value().is_some();
     let tiles = if flat { known.rows } else { transpose_bytes(known.rows) };
     scatter_tiles(order, place, &tiles, mask);
 }
 
-/// The same, of tiles.
+/// As [`scatter`], for tiles.
 #[inline(always)]
 pub(super) fn scatter_tiles(order: &Order, place: Place, tiles: &Block, mask: &mut Mask) {
     let shape = mask.shape();

@@ -15,11 +15,11 @@ use super::{
 #[derive(Default)]
 pub(super) struct Blocks {
     pub(super) decoded: Vec<DecodedBlock>,
-    /// A bit for each tile of a block that is as predicted.
+    /// For each block, a bit per tile that is as predicted.
     equal: Vec<u8>,
-    /// Motion of each place; of places that are not coded yet, in the frame before.
+    /// Motion of each place. Places that are not coded yet still have that of the frame before.
     vectors: Vec<Vector>,
-    /// For each place, whether all of it is as predicted.
+    /// For each place, true if all of it is as predicted.
     skipped: Vec<bool>,
 }
 
@@ -57,7 +57,6 @@ pub(super) struct BlockRange<'a> {
 }
 
 impl<'a> BlockRange<'a> {
-    /// Returns the numbers of its blocks.
     pub(super) fn blocks(&self) -> Range<usize> {
         self.first..self.first + self.decoded.len()
     }

@@ -1,4 +1,4 @@
-//! Codes a range of a frame's blocks on one thread. Threads share nothing that is written.
+//! Codes a range of a frame's blocks on one thread. Threads share no mutable state.
 
 use std::ops::Range;
 
@@ -34,8 +34,8 @@ impl CoderThread {
         Self { models: Models::new(), inter: InterCoder::new(), parts: Vec::new(), output: Vec::new() }
     }
 
-    /// Encodes a range into [`Self::output`], a part for each slice. The bits of a slice take at most `bits_bytes`
-    /// bytes, unless one block does not fit (at most 1 KiB).
+    /// Encodes a range into [`Self::output`], a part for each slice. A slice's bits take at most `bits_bytes` bytes, or
+    /// one block if that alone is longer (at most 1 KiB).
     pub(super) fn encode(
         &mut self,
         mode: Mode<'_>,
@@ -120,7 +120,7 @@ impl CoderThread {
         if decoded { Ok(()) } else { Err(Failure::Bits) }
     }
 
-    /// Returns whether the bits are exactly those of these blocks.
+    /// Returns true if the bits are exactly those of these blocks.
     fn decode_small(&mut self, range: &mut BlockRange<'_>, blocks: Range<usize>, bits: &[u8]) -> bool {
         let models = &mut self.models;
         models.begin_slice();
@@ -161,7 +161,7 @@ fn encode_fast(
         let tiles = range.order.tiles(place).len();
         let own = fast::code(&mut SymbolWriter(&mut bits, &CODES), neighbours, tiles, &own);
         range.put_tiles(number, own);
-        // There must be room for the number at the end.
+        // Leave room for the number at the end.
         if bits.bytes() + NUMBER_BYTES > bytes && number > blocks.start {
             bits.rollback(position);
             end = number;

@@ -1,8 +1,8 @@
-//! Prefix codes for `tiles-fast`: one for each context, fixed, and at most 7 bits long, or 10.
+//! Prefix codes for `tiles-fast`: a fixed one for each context, of at most 7 bits (short) or 10 bits (long).
 //!
-//! What was frequent has a code of its own; all else is an escape and 8 bits. The codes are canonical: `codes.bin`
-//! holds their lengths, as the example `train_tiles` counted them over masks of several scenes. A change of them is a
-//! change of the protocol.
+//! Frequent symbols have their own code; all others are an escape and 8 bits. The codes are canonical. `codes.bin`
+//! holds their lengths, which the example `train_tiles` counts over masks of several scenes. Changing it changes the
+//! protocol.
 
 use std::sync::LazyLock;
 
@@ -11,22 +11,20 @@ use super::{
     fast::{LONG_CONTEXTS, SHORT_CONTEXTS, SymbolCoder},
 };
 
-/// The symbol of the escape, behind all that it stands for.
+/// The escape's symbol, after all symbols that it replaces.
 const ESCAPE: usize = 256;
 
 static LENGTHS: &[u8] = include_bytes!("codes.bin");
 
-/// The codes of all contexts.
 pub(super) static CODES: LazyLock<Codes> = LazyLock::new(|| Codes::from_lengths(LENGTHS));
 
-/// Codes of every context.
 pub(super) struct Codes {
     pub(super) short: Set<7>,
     pub(super) long: Set<10>,
 }
 
 impl Codes {
-    /// From the lengths, those of the short codes first: for each context the number of symbols, each symbol with its
+    /// `bytes` holds the short codes' lengths first: for each context the number of symbols, each symbol with its
     /// length, and the escape's length.
     fn from_lengths(mut bytes: &[u8]) -> Self {
         Self {
@@ -36,12 +34,11 @@ impl Codes {
     }
 }
 
-/// What a decoder finds under the next bits: the symbol, above it the bits that it takes, and at the top whether it is
-/// the escape. In one small number, since the tables are to stay neighbours the core.
+/// A decoder's table entry: the symbol in the low byte, above it the bits that it takes, and [`ESCAPES`] at the top. It
+/// is 16 bits so that the tables stay in the core's cache.
 #[derive(Debug, Clone, Copy, Default)]
 struct Entry(u16);
 
-/// The bit of the escape.
 const ESCAPES: u16 = 1 << 15;
 
 impl Entry {
@@ -60,17 +57,17 @@ impl Entry {
     }
 }
 
-/// Codes of at most so many bits.
+/// Codes of at most `MOST_BITS` bits.
 pub(super) struct Set<const MOST_BITS: u32> {
-    /// Bits, and their number above them, by context and symbol: 0 where a symbol has no code of its own.
+    /// Code bits and, above them, their number, by context and symbol; 0 if a symbol has no code of its own.
     write: Box<[[u16; ESCAPE]]>,
-    /// The escape's, by context.
+    /// The escape's code, by context.
     escapes: Box<[u16]>,
-    /// By context and the next bits.
+    /// Entries by context and the next `MOST_BITS` bits.
     read: Box<[Entry]>,
 }
 
-/// Where the number of bits is, above them.
+/// Place of the number of bits, above the code.
 const COUNT_SHIFT: u32 = 12;
 
 impl<const MOST_BITS: u32> Set<MOST_BITS> {
@@ -120,13 +117,13 @@ impl<const MOST_BITS: u32> Set<MOST_BITS> {
     }
 }
 
-/// Canonical codes: shorter ones first, and among those of one length the lower symbols. Those for reading go to the
-/// end of `read`.
+/// Returns canonical codes: shorter ones first, and among equally long ones lower symbols first. Appends the decoder's
+/// entries to `read`.
 fn tables(lengths: &[u8; ESCAPE + 1], most_bits: u32, read: &mut Vec<Entry>) -> [u16; ESCAPE + 1] {
     let mut codes = [0; ESCAPE + 1];
     let (start, places) = (read.len(), 1 << most_bits);
     read.resize(start + places, Entry::default());
-    // The first place that is free, and the same as a number for the codes.
+    // The first free entry, and the code that it belongs to.
     let (mut place, mut code) = (start, 0_u16);
     for bits in 1..=most_bits {
         code <<= 1;
@@ -171,19 +168,18 @@ impl SymbolCoder for SymbolReader<'_, '_> {
     }
 }
 
-/// How often each symbol came in each context.
+/// How often each symbol occurred in each context.
 pub(super) struct Counts {
     pub(super) short: Vec<[u64; ESCAPE]>,
     pub(super) long: Vec<[u64; ESCAPE]>,
 }
 
 impl Counts {
-    /// Nothing counted.
     pub(super) fn new() -> Self {
         Self { short: vec![[0; ESCAPE]; SHORT_CONTEXTS], long: vec![[0; ESCAPE]; LONG_CONTEXTS] }
     }
 
-    /// The file of the lengths.
+    /// Returns the bytes of `codes.bin`.
     pub(super) fn pack(&self) -> Vec<u8> {
         let mut bytes = pack(&self.short, 7);
         bytes.extend(pack(&self.long, 10));
@@ -191,14 +187,14 @@ impl Counts {
     }
 }
 
-/// The lengths of codes of at most so many bits.
+/// Returns the packed lengths of codes of at most `most_bits` bits.
 fn pack(counts: &[[u64; ESCAPE]], most_bits: u32) -> Vec<u8> {
     let mut bytes = Vec::new();
     for counts in counts {
         let total: u64 = counts.iter().sum();
-        // A code that is too long is no better than the escape's 8 bits behind a short code, for what is rare.
+        // For a rare symbol a long code is no better than a short escape and 8 bits.
         let mut symbols: Vec<usize> = (0..ESCAPE).filter(|symbol| counts[*symbol] << (most_bits + 2) > total).collect();
-        // Half of the places are enough, so that lengths can be found.
+        // At most half of the possible codes, so that the lengths can be limited.
         symbols.sort_by_key(|symbol| std::cmp::Reverse(counts[*symbol]));
         symbols.truncate(1 << (most_bits - 1));
         symbols.sort_unstable();
@@ -216,7 +212,7 @@ fn pack(counts: &[[u64; ESCAPE]], most_bits: u32) -> Vec<u8> {
     bytes
 }
 
-/// Huffman's lengths, after the weights have been brought together until no code is too long.
+/// Returns Huffman code lengths, after evening out the weights until no code is too long.
 fn limited_lengths(mut weights: Vec<u64>, most_bits: u32) -> Vec<u8> {
     loop {
         let mut lengths = vec![0; weights.len()];

@@ -1,5 +1,4 @@
-//! The contexts of `tiles-small`: for each kind of bit or symbol, how many there are and where they begin in the
-//! models.
+//! The contexts of `tiles-small`: their number and first index in the models, for each kind of bit or symbol.
 
 /// Consecutive contexts of one kind.
 #[derive(Debug, Clone, Copy)]
@@ -13,7 +12,6 @@ impl Contexts {
         Self { first: 0, count }
     }
 
-    /// The contexts that follow.
     const fn then(self, count: usize) -> Self {
         Self { first: self.end(), count }
     }
@@ -22,7 +20,7 @@ impl Contexts {
         self.first + self.count
     }
 
-    /// Returns the model's index of context `index`, which is below the count.
+    /// Returns the model index of context `index`, which must be below the count.
     #[inline(always)]
     pub(super) const fn at(self, index: usize) -> usize {
         self.first + index
@@ -31,23 +29,23 @@ impl Contexts {
 
 // Bits, in the order of `prior.bin`.
 
-/// A block has one value, by what is around it.
+/// A block has one value. By its surroundings.
 pub(super) const BLOCK: Contexts = Contexts::first(32);
 /// A tile is mixed; a tile is lit. By the tiles around it.
 pub(super) const TILE: Contexts = BLOCK.then(2 * 384);
-/// Eight pixels are as predicted, where nothing around them changes.
+/// Eight pixels are as predicted, when nothing around them changes.
 pub(super) const FLAT: Contexts = TILE.then(128);
-/// Eight pixels do not change, under a row that does not.
+/// Eight pixels do not change, below a row that does not change.
 pub(super) const STILL: Contexts = FLAT.then(640);
-/// An edge has moved one more pixel than three or more: to the right, to the left.
+/// An edge that has moved three pixels or more moves one more: to the right, to the left.
 pub(super) const FAR: Contexts = STILL.then(2 * 8);
-/// Two edges have met.
+/// Two edges meet.
 pub(super) const MET: Contexts = FAR.then(2);
 /// A pixel of a row predicted as flat: JBIG2's 10-pixel template.
 pub(super) const TURN: Contexts = MET.then(1 << 10);
-/// A pixel below three or more edges: the template, and whether the previous light changes here.
+/// A pixel below three or more edges: the template, and where the previous light changes.
 pub(super) const MANY: Contexts = TURN.then(1 << 12);
-/// A pixel of a row predicted as unchanged: the same, and whether an earlier pixel differs from the prediction.
+/// A pixel of a row predicted as unchanged: the same, and whether an earlier pixel differed from the prediction.
 pub(super) const STIR: Contexts = MANY.then(1 << 13);
 /// A pixel of a row predicted to keep the edges of the row above: the same.
 pub(super) const ASTRAY: Contexts = STIR.then(1 << 13);
@@ -55,8 +53,8 @@ pub(super) const BIT_CONTEXTS: usize = ASTRAY.end();
 
 // Symbols, in the order of `prior.bin`.
 
-/// How far a single edge has moved, by its slope, its bend, the pixel to the left, the previous light and its position.
+/// How far a single edge moved, by its slope, its bend, the pixel to the left, the previous light and its position.
 pub(super) const SINGLE: Contexts = Contexts::first(8 * 4 * 2 * 7 * 3);
-/// How far each of two edges has moved, by the pixels around it, the previous light, its position and the edge before.
+/// How far each of two edges moved, by the pixels around it, the previous light, its position and the edge before.
 pub(super) const PAIR: Contexts = SINGLE.then(64 * 4 * 3 * 7);
 pub(super) const SYMBOL_CONTEXTS: usize = PAIR.end();

@@ -1,10 +1,9 @@
-//! Eight pixels of a row, by the edges of the row above.
+//! Codes eight pixels of a row from the edges of the row above.
 //!
-//! A silhouette goes on from row to row, so what is to be said of a row is how far its edges have moved: one symbol
-//! each where the row above has one edge or two. The context of an edge is how it moved before, and where the light
-//! before this one has one. Where nothing around changes, one bit says that nothing does. Only rows that are neither
-//! (and those below three edges) are coded pixel by pixel: in JBIG2's 10-pixel template (ITU-T T.88, §6.2.5.3), and
-//! whether the light before changes here, since silhouettes are the same for all lights.
+//! Silhouettes continue from row to row. So a row below one or two edges is coded as one symbol an edge: how far it
+//! moved. An edge's context is how it moved before and where the previous light has one. Where nothing around changes,
+//! one bit says so. Only other rows, and those below three or more edges, are coded pixel by pixel, in JBIG2's 10-pixel
+//! template (ITU-T T.88, §6.2.5.3) and by where the previous light changes: silhouettes are alike for all lights.
 
 use super::{
     bit_model::{QUICK, SLOW},
@@ -14,24 +13,24 @@ use super::{
     range::BinaryCoder,
 };
 
-/// The symbol of rows that are no row with the edges of the row above.
+/// The symbol of a row whose edges are not those of the row above, moved.
 const IRREGULAR: usize = 7;
 
-/// SymbolCoder of an edge that has moved by −8 to 8 pixels to the right: by how much, and by three or more.
+/// Symbol of an edge that moved by −8 to 8 pixels to the right. Symbols 5 and 6 mean three or more.
 const SYMBOLS: [u8; 17] = [6, 6, 6, 6, 6, 6, 4, 2, 0, 1, 3, 5, 5, 5, 5, 5, 5];
 
-/// What a symbol says at least.
+/// Smallest move that a symbol means, in pixels to the right.
 const MOVES: [i32; 8] = [0, 1, -1, 2, -2, 3, -3, 0];
 
-/// Where a window of eight pixels changes from 0 to 1, seen from its middle: 3 pixels to the right to 3 to the left,
-/// nearest first, or nowhere.
+/// Where a window of eight pixels changes from 0 to 1, relative to its middle: 0 is 3 pixels to the right, 6 is 3 to
+/// the left, 7 is nowhere. The change nearest to the middle counts.
 static SLOPES: [u8; 256] = slopes();
 
 const fn slopes() -> [u8; 256] {
     let mut slopes = [7; 256];
     let mut window: usize = 0;
     while window < slopes.len() {
-        // From far to neighbours: what is found last stays.
+        // From far to near: the last one found wins.
         let order = [6, 0, 5, 1, 4, 2, 3];
         let mut next = 0;
         while next < order.len() {
@@ -65,8 +64,8 @@ static BENDS: [u8; 64] = {
     bends
 };
 
-/// Where five pairs of neighbours differ: nearest to the middle first, the second from the left, the middle, and so on;
-/// 5 where none does.
+/// Which of five pairs of neighbours differs, from 0 on the left to 4; 5 if none does. The one nearest to the middle
+/// counts.
 const BESIDE: [u8; 32] = {
     let mut beside = [5; 32];
     let mut pairs: usize = 0;
@@ -84,7 +83,7 @@ const BESIDE: [u8; 32] = {
     beside
 };
 
-/// Without a light before.
+/// The value of [`Row::beside`] without a previous light.
 const ALONE: usize = 6;
 
 /// The same with less detail: the middle, left of it, right of it, elsewhere.
@@ -127,7 +126,7 @@ struct Row<'a, 'p, B: BinaryCoder> {
     models: &'a mut Models,
     part: &'a RowPart<'p>,
     truth: u32,
-    /// The row above from two pixels to the left on, and the one above that from one to the left on.
+    /// The row above, starting two pixels to the left; `over` is the row above that, starting one to the left.
     twelve: u32,
     over: u32,
 }
@@ -143,14 +142,14 @@ impl<B: BinaryCoder> Row<'_, '_, B> {
         self.bits.symbol_in(self.registers, self.models.symbols.at(context), symbol)
     }
 
-    /// Nothing around changes.
+    /// Codes pixels around which nothing changes.
     #[inline(always)]
     fn flat(&mut self, value: u32) -> u32 {
         let context = FLAT.at(self.part.surroundings() << 1 | usize::from(value != 0));
         if self.bit(context, self.truth == value) { value } else { self.pixels::<false>(TURN, Some(value)) }
     }
 
-    /// The row above does not change; what is around does.
+    /// Codes pixels below a row that does not change, when something else around does.
     #[inline(always)]
     fn still(&mut self, ten: u32) -> u32 {
         let lit = (ten & 1).wrapping_neg();
@@ -172,14 +171,14 @@ impl<B: BinaryCoder> Row<'_, '_, B> {
         if self.bit(STILL.at(context), self.truth == value) { value } else { self.pixels::<true>(STIR, Some(value)) }
     }
 
-    /// Where the light before this one changes neighbours an edge.
+    /// Returns where the previous light changes near an edge.
     #[inline(always)]
     fn beside(&self, edge: u32) -> usize {
         self.part.other().map_or(ALONE, |row| usize::from(BESIDE[((row ^ row >> 1) >> (edge + 5) & 0x1F) as usize]))
     }
 
-    /// The row above changes once, left of pixel `edge`, from a value to the other one: from 1 where all bits of `flip`
-    /// are set.
+    /// Codes pixels below one edge, left of pixel `edge`. The edge goes from 1 to 0 if all bits of `flip` are set, else
+    /// from 0 to 1.
     #[inline(always)]
     fn single(&mut self, edge: u32, flip: u32) -> u32 {
         let [second, third] = [2, 3].map(|nth| self.part.above(nth) ^ flip);
@@ -196,7 +195,7 @@ impl<B: BinaryCoder> Row<'_, '_, B> {
         }
     }
 
-    /// The row above changes twice.
+    /// Codes pixels below two edges.
     #[inline(always)]
     fn pair(&mut self, edges: [u32; 2], flip: u32) -> u32 {
         let own = (self.truth ^ flip) & 0xFF;
@@ -219,7 +218,7 @@ impl<B: BinaryCoder> Row<'_, '_, B> {
         ((0xFF << from & !(0xFF << to)) ^ flip) & 0xFF
     }
 
-    /// `before` is whether the pixel to the left differs from what is above it, or how the edge before has moved.
+    /// `before`: the pixel to the left differs from the one above it (0 or 1), or how the edge before moved.
     #[inline(always)]
     fn pair_context(&self, edge: u32, flip: u32, before: usize) -> usize {
         let [above, second] = [1, 2].map(|nth| self.part.above(nth) ^ flip);
@@ -228,7 +227,7 @@ impl<B: BinaryCoder> Row<'_, '_, B> {
         PAIR.at(((around as usize * 4 + beside) * 3 + at_end(edge)) * 7 + before)
     }
 
-    /// Codes where an edge has gone to, within limits that a decoder keeps; nothing where the row is irregular.
+    /// Codes an edge's new position, which a decoder keeps within `limits`. Returns `None` if the row is irregular.
     #[inline(always)]
     fn edge(&mut self, context: usize, regular: bool, edge: u32, moved: u32, limits: [u32; 2]) -> Option<u32> {
         let by = moved.cast_signed() - edge.cast_signed();
@@ -253,14 +252,14 @@ impl<B: BinaryCoder> Row<'_, '_, B> {
         Some(now.clamp(0, 8).cast_unsigned())
     }
 
-    /// Pixel by pixel. `expected` is what they are known not to be.
+    /// Codes pixel by pixel. The pixels are known to differ from `expected`.
     #[inline(always)]
     fn pixels<const OTHER: bool>(&mut self, contexts: Contexts, expected: Option<u32>) -> u32 {
         let [across, down] = if OTHER { self.part.changes() } else { [0; 2] };
-        // Each pixel's context, as far as it is known, is at the bottom after a shift, in pieces.
+        // A shift brings the known parts of each pixel's context to the bottom of each piece.
         let pieces = u64::from(self.twelve | self.over << 16) | u64::from(across) << 32 | u64::from(down) << 48;
         let (mut coded, mut before, mut registers) = (0, self.part.before, *self.registers);
-        // 0 as long as they are as expected.
+        // 0 while the pixels are as expected.
         let mut differs = 0;
         for x in 0..8 {
             let piece = pieces >> x & 0x0001_0001_0007_001F;
@@ -285,7 +284,7 @@ impl<B: BinaryCoder> Row<'_, '_, B> {
     }
 }
 
-/// Whether an edge is at the first end of the eight pixels, at the last, or between.
+/// Returns 1 for an edge at the first end of the eight pixels, 2 at the last, 0 between.
 const fn at_end(edge: u32) -> usize {
     match edge {
         0 => 1,

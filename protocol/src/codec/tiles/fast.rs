@@ -1,45 +1,42 @@
-//! The model of `tiles-fast`: few symbols, each with one look into a table.
+//! The model of `tiles-fast`: few symbols, each with one table lookup.
 //!
-//! How many blocks are as the tiles before them, and then a block that is not: what its tiles hold, in pairs, and for
-//! each mixed tile which of its rows differ from the row above, and by which pixels those do. The context of a row is
-//! where the row above changes and to which side that last moved: so the codes know that an edge runs on as it ran.
-//! Tiles stay what they are in a mask, a word each.
+//! It codes how many blocks are as predicted, and then the next block: the kinds of its tiles, in pairs, and for each
+//! mixed tile which rows differ from the row above, and in which pixels. A row's context is where the row above changes
+//! and to which side that change last moved, so straight edges are cheap. Tiles stay words, as in a mask.
 
 use super::{
     block::{Block, Kind},
     neighbours::{UNKNOWN, uniformity},
 };
 
-/// Contexts of a pair of tiles: the tile to the left, and the two above.
+/// Contexts of a pair of tiles: the kinds of the tile to the left and the two above.
 pub(super) const PAIR_CONTEXTS: usize = 64;
 
-/// Contexts of a row: nine kinds of the row above, three ways that it came there, and whether the pixel to the left
-/// goes on as it is above.
+/// Contexts of a row: nine kinds of the row above, three ways that its change moved, and whether the pixel to the left
+/// differs from the first one above.
 const ROW_CONTEXTS: usize = 9 * 6;
 
-/// Contexts of short codes.
 pub(super) const SHORT_CONTEXTS: usize = PAIR_CONTEXTS + ROW_CONTEXTS;
 
-/// Contexts of long codes, of which rows differ: the row above, and the tile to the left.
+/// Contexts of the long codes, which say which rows differ: the row above, and the tile to the left.
 pub(super) const LONG_CONTEXTS: usize = 3 * 4;
 
-/// Either direction of the coder, or a counter.
+/// An encoder, a decoder or a counter.
 pub(super) trait SymbolCoder {
-    /// Codes `symbol` and gives it back; a decoder gives the symbol that was coded instead.
+    /// Codes `symbol` with a short code and returns it. A decoder ignores `symbol` and returns the coded one.
     fn short(&mut self, context: usize, symbol: u8) -> u8;
 
-    /// The same, of a symbol of the long codes.
+    /// As [`Self::short`], with a long code.
     fn long(&mut self, context: usize, symbol: u8) -> u8;
 }
 
-/// What is known around a block: the tiles of the block above, and the tile to the left.
+/// Known tiles around a block: those of the block above, and the one to the left.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct TileNeighbours<'a> {
     pub(super) above: Option<&'a Block>,
     pub(super) left: Option<u64>,
 }
 
-/// What a tile holds.
 #[inline(always)]
 pub(super) const fn kind(tile: u64) -> Kind {
     match tile {
@@ -49,7 +46,7 @@ pub(super) const fn kind(tile: u64) -> Kind {
     }
 }
 
-/// What each tile of a block holds that goes on as the tile to the left, or else as the pixel above.
+/// Predicts every tile of a block: uniform like the tile to the left, otherwise like the pixel above.
 #[inline(always)]
 pub(super) fn predicted(neighbours: TileNeighbours<'_>) -> u64 {
     match neighbours.left {
@@ -58,8 +55,8 @@ pub(super) fn predicted(neighbours: TileNeighbours<'_>) -> u64 {
     }
 }
 
-/// Codes the first `tiles` tiles of a block that is not all as predicted, and gives them back; a decoder is given any
-/// block.
+/// Codes the first `tiles` tiles of a block that is not as predicted. Returns the coded tiles; a decoder ignores
+/// `block`.
 #[inline(always)]
 pub(super) fn code(
     symbols: &mut impl SymbolCoder,
@@ -75,7 +72,7 @@ pub(super) fn code(
             .above
             .map_or(UNKNOWN * 5, |above| uniformity(above[pair * 2] >> 56) * 4 + uniformity(above[pair * 2 + 1] >> 56));
         let symbol = symbols.short(over * 4 + before, kind(own[0]) as u8 * 3 + kind(own[1]) as u8);
-        // Only a made-up slice has symbols above 8.
+        // Only a corrupt slice has symbols above 8.
         (kinds[pair * 2], kinds[pair * 2 + 1]) = ((symbol / 3).min(2), symbol % 3);
         before = usize::from(symbol % 3);
     }
@@ -93,10 +90,9 @@ pub(super) fn code(
     coded
 }
 
-/// A byte for each row.
 const EACH_ROW: u64 = 0x0101_0101_0101_0101;
 
-/// Codes a mixed tile; `above` are the row above it and the one above that.
+/// Codes a mixed tile. `above` is the row above it and the row above that.
 #[inline(always)]
 fn code_tile(symbols: &mut impl SymbolCoder, above: [u8; 2], left: u64, left_kind: usize, truth: u64) -> u64 {
     let differs = truth ^ (truth << 8 | u64::from(above[0]));
@@ -108,7 +104,7 @@ fn code_tile(symbols: &mut impl SymbolCoder, above: [u8; 2], left: u64, left_kin
     while rest != 0 {
         let row = rest.trailing_zeros() * 8;
         rest &= rest - 1;
-        // Before this row is known, its place holds the row above.
+        // Until this row is known, `tile` has the row above in its place.
         let lags = usize::from((left >> (row + 7) ^ tile >> row) & 1 == 1);
         let context = PAIR_CONTEXTS + usize::from(place) * 6 + usize::from(moved) * 2 + lags;
         let symbol = symbols.short(context, low_byte(differs >> row));
@@ -121,7 +117,7 @@ fn code_tile(symbols: &mut impl SymbolCoder, above: [u8; 2], left: u64, left_kin
     tile
 }
 
-/// Which bytes are not 0: a bit each.
+/// Returns a bit for each byte that is not 0.
 #[inline(always)]
 const fn rows_of(bytes: u64) -> u8 {
     let high = 0x7F * EACH_ROW;
@@ -136,7 +132,7 @@ const fn low_byte(word: u64) -> u8 {
     low
 }
 
-/// Where a row of eight pixels changes, 1 to 7; 0 where it does not, and 8 where it does more than once.
+/// Where a row of eight pixels changes, 1 to 7; 0 if nowhere, 8 if more than once.
 static PLACES: [u8; 256] = {
     let mut places = [8; 256];
     let mut row: usize = 0;
@@ -153,10 +149,10 @@ static PLACES: [u8; 256] = {
     places
 };
 
-/// The same in three kinds: no change, one, several.
+/// The same in three classes: no change, one, several.
 static THREE: [u8; 9] = [0, 1, 1, 1, 1, 1, 1, 1, 2];
 
-/// From one row's place to the next one's: 1 to the left, 2 to the right, and 0 where that is not to be seen.
+/// How the change moves from one row to the next: 1 left, 2 right, 0 not at all or unknown.
 static MOVES: [[u8; 16]; 16] = {
     let mut moves = [[0; 16]; 16];
     let mut from = 1;
@@ -178,7 +174,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_that_differ_are_found() {
+    fn differing_rows_are_found() {
         for rows in 0..=255_u8 {
             for byte in [1, 0x80, 0xFF, 0x7F] {
                 let bytes: u64 = (0..8).filter(|row| rows >> row & 1 == 1).map(|row| byte << (8 * row)).sum();

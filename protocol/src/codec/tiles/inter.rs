@@ -1,7 +1,7 @@
-//! Slices predicted from a reference: motion, and what differs from the moved reference.
+//! Codes slices predicted from a reference: motion, and differences from the moved reference.
 //!
 //! Blocks are coded place by place, all lights of a place in the slice together. [`motion`] codes the vectors and
-//! [`refine`] the differences. Encoder and decoder range the same code.
+//! [`refine`] the differences. Encoder and decoder run the same code.
 
 use std::ops::Range;
 
@@ -25,7 +25,7 @@ pub(super) struct InterCoder {
     pub(super) models: Box<RefineModels>,
     /// Exhaustive searches left in this frame.
     searches: u32,
-    /// Blocks of one place: of the mask, and predicted.
+    /// Blocks of one place: those of the mask, and the predicted ones.
     own: Vec<DecodedBlock>,
     predicted: Vec<DecodedBlock>,
 }
@@ -41,7 +41,7 @@ impl InterCoder {
     }
 }
 
-/// Where a slice is coded.
+/// The slice that is being coded.
 struct Slice<'a, 'b> {
     reference: &'a Reference,
     range: &'a mut BlockRange<'b>,
@@ -104,7 +104,7 @@ impl InterCoder {
         Some(end)
     }
 
-    /// Returns whether the bits are exactly those of these blocks.
+    /// Returns true if the bits are exactly those of these blocks.
     pub(super) fn decode(
         &mut self,
         reference: &Reference,
@@ -136,8 +136,8 @@ impl InterCoder {
         }
     }
 
-    /// Codes the blocks `group` of one place, whose first is at `place`. An encoder takes them from `truth`; a decoder
-    /// passes `None` and finds them in the range afterwards. Returns false for bits that no encoder makes.
+    /// Codes the blocks `group` of one place, the first of which is at `place`. An encoder reads them from `truth`; a
+    /// decoder passes `None` and finds them in the range. Returns false for bits that no encoder makes.
     fn code_place(
         &mut self,
         bits: &mut impl BinaryCoder,
@@ -208,7 +208,7 @@ impl InterCoder {
             predict(vector, predicted);
         }
         range.vectors[number] = vector;
-        // Pixels of the previous light that are not as predicted.
+        // Pixels of the previous light that differ from the prediction.
         let mut wrong: Option<Block> = None;
         let blocks = (place.light..).zip(group).zip(own.iter().zip(&*predicted));
         for ((light, number), (own, predicted)) in blocks {

@@ -4,12 +4,12 @@
 //! |---|---|
 //! | 0–2 | its first block, in the order of [`order`] |
 //! | 3–4 | its number of blocks, at least one |
-//! | to the end | the blocks' bits: `tiles-small` codes [`small`]'s model with [`range`]'s coder, `tiles-fast` writes [`fast`]'s symbols in [`codes`] |
+//! | to the end | the bits: [`small`]'s model in [`range`]'s coder, or [`fast`]'s symbols in [`codes`] |
 //!
-//! All little-endian. If the frame's head names a reference, `tiles-small` codes motion and differences ([`inter`]). A
-//! slice knows nothing of the others: its contexts end at its first block, and its probabilities begin with [`prior`].
-//! So a lost slice loses nothing else, and ranges of slices are coded on several threads ([`coder_thread`]). Which
-//! blocks a range has depends on the mask alone: a frame's bytes are the same on any number of cores.
+//! All little-endian. If the frame's head names a reference, `tiles-small` codes motion and differences ([`inter`]).
+//! Slices are independent: contexts end at a slice's first block, and its probabilities begin with [`prior`]. So a lost
+//! slice loses nothing else, and ranges of slices are coded on several threads ([`coder_thread`]). Ranges depend on the
+//! mask alone: a frame's bytes are the same on any number of cores.
 
 mod bit_model;
 mod bits;

@@ -27,7 +27,7 @@ impl<'a> Mode<'a> {
         }
     }
 
-    /// Returns whether the coded mask may become a reference.
+    /// Returns true if the coded mask may become a reference.
     pub(in crate::codec) const fn is_reference(self) -> bool {
         !matches!(self, Self::Fast)
     }

@@ -8,7 +8,6 @@ use super::{
     table::Table,
 };
 
-/// One model per context.
 pub(super) struct Models {
     pub(super) bits: Box<[BitModel; BIT_CONTEXTS]>,
     pub(super) symbols: Table<SymbolModel, SYMBOL_CONTEXTS>,

@@ -1,7 +1,7 @@
-//! How blocks have moved since the reference: one vector for all lights of a place, since it is the camera that moves.
+//! Motion since the reference: one vector for all lights of a place, because it is the camera that moves.
 //!
-//! A vector is predicted to be that of the place above, or else of the one to the left, as far as these are in the
-//! slice. The encoder looks for a better one among the vectors around and of the frame before, and then step by step.
+//! A vector is predicted from the place above, otherwise from the one to the left, if they are in the slice. The
+//! encoder tries the vectors around and those of the frame before, and then searches step by step.
 
 use super::{
     bit_model::BitModel,
@@ -11,23 +11,22 @@ use super::{
     reference::{MAX_MOTION_PX, Reference, Vector},
 };
 
-/// Bits that a vector of its own is thought to cost, in wrong pixels.
+/// Assumed cost of a vector that differs from the prediction, in wrong pixels.
 const OWN_COST: u32 = 2;
 
-/// Wrong pixels for each light from which on far steps are tried.
+/// Wrong pixels per light above which far steps are tried.
 const FAR_COST: u32 = 24;
 
-/// How far a searches search goes, across and down.
+/// Reach of the exhaustive search, across and down.
 const FAR_PX: [i16; 2] = [24, 12];
 
-/// Probabilities of vectors.
 #[derive(Debug, Clone)]
 pub(super) struct MotionModels {
     pub(super) own: [BitModel; 2],
     pub(super) axes: [AxisModels; 2],
 }
 
-/// Of how far a vector differs from the predicted one, on one axis.
+/// Models of a vector's difference from the predicted one, on one axis.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct AxisModels {
     pub(super) differs: [BitModel; 2],
@@ -37,7 +36,7 @@ pub(super) struct AxisModels {
     pub(super) rest: [BitModel; 12],
 }
 
-/// Codes a vector and gives it back; nothing where it is too long, which no encoder makes.
+/// Codes a vector and returns it, or `None` if it is too long, which no encoder makes.
 pub(super) fn code(
     bits: &mut impl BinaryCoder,
     models: &mut MotionModels,
@@ -55,7 +54,7 @@ pub(super) fn code(
     predicted.plus(x, y)
 }
 
-/// A sign, and the number in Elias' γ code with adaptive bits.
+/// Codes a sign and an Elias γ code with adaptive bits.
 fn code_difference(bits: &mut impl BinaryCoder, models: &mut AxisModels, other: bool, truth: i16) -> i16 {
     if !bits.bit(&mut models.differs[usize::from(other)], truth != 0) {
         return 0;
@@ -74,18 +73,18 @@ fn code_difference(bits: &mut impl BinaryCoder, models: &mut AxisModels, other: 
     if negative { -number } else { number }
 }
 
-/// Finds how a place has moved.
+/// Searches for the vector of a place.
 pub(super) struct Search<'a> {
     pub(super) reference: &'a Reference,
-    /// The place, of the first of the lights.
+    /// Place of the first light.
     pub(super) place: Place,
-    /// The blocks of the lights, from the first on.
+    /// Blocks of the lights, from the first on.
     pub(super) own: &'a [DecodedBlock],
     pub(super) predicted: Vector,
 }
 
 impl Search<'_> {
-    /// Wrong pixels, as far as they are fewer than `limit`.
+    /// Returns the vector's cost in wrong pixels. Stops counting at `limit`.
     fn cost(&self, vector: Vector, limit: u32) -> u32 {
         let mut cost = if vector == self.predicted { 0 } else { OWN_COST };
         for (light, own) in (self.place.light..).zip(self.own) {
@@ -98,7 +97,7 @@ impl Search<'_> {
         cost
     }
 
-    /// The best vector that is found. `searches` is how many more places may be searched all over.
+    /// Returns the best vector found. `searches` counts the exhaustive searches that are left.
     pub(super) fn best(&self, candidates: impl IntoIterator<Item = Vector>, searches: &mut u32) -> Vector {
         let mut best = (self.cost(self.predicted, u32::MAX), self.predicted);
         let take = |best: &mut (u32, Vector), vector: Vector| {
@@ -120,7 +119,7 @@ impl Search<'_> {
         let limit = FAR_COST * u32::try_from(self.own.len()).unwrap_or(1);
         let far = best.0 > limit;
         for step in if far { [16, 4, 1].as_slice() } else { [1].as_slice() } {
-            // Every step makes it better, so it ends; 8 are enough for what one step leaves to the next.
+            // Every step lowers the cost, so the loop ends; 8 steps suffice for what the coarser step left.
             for _ in 0..8 {
                 if best.0 <= OWN_COST {
                     return best.1;
@@ -136,7 +135,7 @@ impl Search<'_> {
                 }
             }
         }
-        // What is found here is what the places around begin with.
+        // The places around start from the vector found here.
         if best.0 > limit && *searches > 0 {
             *searches -= 1;
             for (x, y) in (-FAR_PX[1]..=FAR_PX[1]).flat_map(|y| (-FAR_PX[0]..=FAR_PX[0]).map(move |x| (x, y))) {

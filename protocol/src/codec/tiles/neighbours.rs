@@ -1,4 +1,4 @@
-//! What is around a block and around a part of a row, and the walk over the rows: what the models have in common.
+//! The surroundings of a block and of a part of a row, and the walk over the rows: shared by the models.
 
 use super::{
     block::{Block, DecodedBlock},
@@ -8,7 +8,7 @@ use super::{
 /// The context of a tile whose neighbour is not in the slice.
 pub(super) const UNKNOWN: usize = 3;
 
-/// What a block's bits may depend on: the blocks around it, as far as they come before it in its slice.
+/// The blocks around a block that its bits may depend on: those that precede it in its slice.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Neighbours<'a> {
     pub(super) above: Option<&'a DecodedBlock>,
@@ -17,12 +17,12 @@ pub(super) struct Neighbours<'a> {
     pub(super) left: Option<&'a DecodedBlock>,
     /// The same place in the light before this one.
     pub(super) other: Option<&'a DecodedBlock>,
-    /// Tiles of the block that lie in the picture.
+    /// Tiles of the block inside the picture.
     pub(super) tiles: usize,
 }
 
 impl<'a> Neighbours<'a> {
-    /// What is known around block `number` of a slice that begins with block `first`; `before` are the blocks between.
+    /// `number` is a block in the slice that begins with block `first`; `before` has the blocks between.
     #[inline(always)]
     pub(super) fn new(before: &'a [DecodedBlock], order: &Order, place: Place, first: usize, number: usize) -> Self {
         let known = |number: Option<usize>| number.and_then(|number| before.get(number.wrapping_sub(first)));
@@ -38,7 +38,7 @@ impl<'a> Neighbours<'a> {
     }
 }
 
-/// 0 or 1 when the lowest eight bits all are, and 2 when they differ.
+/// Returns 0 or 1 if the lowest eight bits all have that value, otherwise 2.
 pub(super) const fn uniformity(row: u64) -> usize {
     match row & 0xFF {
         0 => 0,
@@ -47,24 +47,23 @@ pub(super) const fn uniformity(row: u64) -> usize {
     }
 }
 
-/// A row with eight pixels beyond either end, as bytes: they are read where they lie, four at once.
+/// A row and eight pixels beyond either end, as bytes, so that four bytes can be read at once.
 #[derive(Debug, Clone, Copy, Default)]
 struct WideRow([u8; 16]);
 
 impl WideRow {
-    /// With the rows to the left and to the right.
     #[inline(always)]
     fn new(left: u64, row: u64, right: u64) -> Self {
         Self((u128::from(left >> 56) | u128::from(row) << 8 | u128::from(right & 0xFF) << 72).to_le_bytes())
     }
 
-    /// A row that goes on as it ends.
+    /// A row whose end pixels repeat beyond it.
     #[inline(always)]
     fn alone(row: u64) -> Self {
         Self::new(replicated(row), row, replicated(row >> 63))
     }
 
-    /// The tile that begins at pixel `shift`, from eight pixels to the left to eight to the right, and what is beyond.
+    /// Returns the tile that begins at pixel `shift`, with eight pixels either side; the highest byte is arbitrary.
     #[inline(always)]
     fn window(&self, shift: u32) -> u32 {
         let tile = (shift / 8 % 8) as usize;
@@ -72,27 +71,26 @@ impl WideRow {
     }
 }
 
-/// What a row's end goes on as, where nothing is known beyond it.
+/// Repeats a row's end where nothing is known beyond it.
 const fn replicated(end: u64) -> u64 {
     (end & 1).wrapping_neg()
 }
 
-/// Place of a window's first pixel in the tile: bit 8 of a window is the tile's first.
+/// Bit of a window that is the tile's first pixel.
 pub(super) const BEYOND: u32 = 8;
 
-/// The rows of a block that are known so far, and what is known around them.
+/// The known rows of a block and around it.
 pub(super) struct Rows {
-    /// From the third row above the block on.
+    /// Starts with the third row above the block.
     own: [WideRow; 11],
-    /// Of the light before this one, from the first row on, which is there twice.
+    /// Rows of the previous light; the first is there twice.
     other: [WideRow; 9],
-    /// Whether there is one.
     has_other: bool,
     mixed: u64,
     lit: u64,
 }
 
-/// Eight pixels of a row, and what is known around them.
+/// Eight pixels of a row and their known surroundings.
 #[derive(Clone, Copy)]
 pub(super) struct RowPart<'a> {
     rows: &'a Rows,
@@ -103,33 +101,32 @@ pub(super) struct RowPart<'a> {
 }
 
 impl RowPart<'_> {
-    /// The first row above, the second or the third, from [`BEYOND`] pixels to the left to as many to the right; higher
-    /// bits mean nothing.
+    /// Returns the `nth` row above, 1 to 3, from [`BEYOND`] pixels to the left to as many to the right. Higher bits are
+    /// arbitrary.
     #[inline(always)]
     pub(super) fn above(&self, nth: usize) -> u32 {
         self.rows.own[(self.place % 8 + 3 - nth) % 11].window(self.shift)
     }
 
-    /// The same row in the light before this one, as [`Self::above`].
+    /// Returns the same row of the previous light, as [`Self::above`].
     #[inline(always)]
     pub(super) fn other(&self) -> Option<u32> {
         self.rows.has_other.then(|| self.rows.other[self.place % 8 + 1].window(self.shift))
     }
 
-    /// Where the light before this one changes, from the left and from above.
+    /// Returns where the previous light changes from the left, and from above.
     #[inline(always)]
     pub(super) fn changes(&self) -> [u32; 2] {
         let [above, row] = [0, 1].map(|below| self.rows.other[self.place % 8 + below].window(self.shift));
         [row ^ row << 1, row ^ above].map(|change| change >> BEYOND & 0xFF)
     }
 
-    /// Whether this is a tile's last row.
     #[inline(always)]
     pub(super) const fn is_last(&self) -> bool {
         self.place == 7
     }
 
-    /// Context of a part around which nothing changes: its row, whether the light before this one is of one value
+    /// Returns the context of a part around which nothing changes: its row, whether the previous light has one value
     /// here, and what the tile to the right holds.
     #[inline(always)]
     pub(super) fn surroundings(&self) -> usize {
@@ -147,8 +144,8 @@ impl RowPart<'_> {
     }
 }
 
-/// Walks over the rows of the mixed tiles; the tiles of `lit` are lit, and all others dark. `code` is given eight
-/// pixels' surroundings and the pixels, which a decoder does not know yet, and gives the pixels back.
+/// Walks over the rows of the `mixed` tiles; `lit` tiles are lit, all others dark. `code` codes eight pixels in their
+/// surroundings and returns them. A decoder passes any `truth`.
 #[inline(always)]
 pub(super) fn code_rows(
     neighbours: &Neighbours<'_>,

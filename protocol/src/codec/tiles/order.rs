@@ -1,20 +1,19 @@
 //! The order in which a frame's blocks are coded.
 //!
-//! A block is 8 tiles of a row, 64×8 pixels, of one light. Blocks follow each other in upright stripes of 4 blocks (256
-//! pixels): in a stripe row by row from the top, in a row from the left, and at one place all lights in turn. So the
-//! run of blocks that a slice holds is about as wide as it is high, and few of them miss a neighbour.
+//! A block is 8 tiles of a row, 64×8 pixels, of one light. Blocks are ordered in upright stripes of 4 blocks (256
+//! pixels): within a stripe row by row from the top, within a row from the left, and at each place all lights in turn.
+//! So a slice's blocks are about as wide as high, and few of them miss a neighbour.
 
 use std::ops::Range;
 
 use crate::{coverage::PLACE_TILES, mask::MaskShape};
 
-/// Tiles of a block.
 pub(super) const BLOCK_TILES: usize = PLACE_TILES as usize;
 
 /// Blocks across a stripe.
 const STRIPE_BLOCKS: usize = 4;
 
-/// A frame's blocks, numbered in their order.
+/// A frame's blocks, numbered in coding order.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Order {
     blocks_x: usize,
@@ -23,7 +22,6 @@ pub(super) struct Order {
     pub(super) lights: usize,
 }
 
-/// Where a block is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Place {
     /// Blocks from the left.
@@ -38,10 +36,10 @@ pub(super) struct Place {
 pub(super) struct Around {
     pub(super) above: Option<usize>,
     pub(super) above_left: Option<usize>,
-    /// In the same stripe only: the next one comes later.
+    /// Only in the same stripe: the next stripe comes later.
     pub(super) above_right: Option<usize>,
     pub(super) left: Option<usize>,
-    /// At the same place in the light before this one.
+    /// Same place in the previous light.
     pub(super) other: Option<usize>,
 }
 
@@ -51,22 +49,22 @@ impl Order {
         Self { blocks_x: tiles_x.div_ceil(BLOCK_TILES), tiles_x, tiles_y, lights: shape.lights() as usize }
     }
 
-    /// All blocks of all lights.
+    /// Returns the number of blocks of all lights.
     pub(super) const fn blocks(&self) -> usize {
         self.blocks_x * self.tiles_y * self.lights
     }
 
-    /// Blocks in a row.
+    /// Returns the blocks in a row.
     pub(super) const fn blocks_across(&self) -> usize {
         self.blocks_x
     }
 
-    /// Blocks across the stripe that begins at block `x`.
+    /// Returns the width in blocks of the stripe that begins at block `x`.
     fn across(&self, x: usize) -> usize {
         STRIPE_BLOCKS.min(self.blocks_x - x)
     }
 
-    /// Place of block `number`, which is below [`Self::blocks`].
+    /// Returns the place of block `number`, which must be below [`Self::blocks`].
     pub(super) fn place(&self, number: usize) -> Place {
         let (at, light) = (number / self.lights, number % self.lights);
         let stripe = at / (STRIPE_BLOCKS * self.tiles_y);
@@ -75,7 +73,7 @@ impl Order {
         Place { x: first_x + within % across, y: within / across, light }
     }
 
-    /// These blocks with their places, in order.
+    /// Returns these blocks with their places, in order.
     pub(super) fn walk(self, blocks: Range<usize>) -> impl Iterator<Item = (usize, Place)> {
         let mut place = self.place(blocks.start);
         blocks.map(move |number| {
@@ -85,7 +83,6 @@ impl Order {
         })
     }
 
-    /// The place that follows.
     fn after(&self, Place { x, y, light }: Place) -> Place {
         let first_x = x - x % STRIPE_BLOCKS;
         if light + 1 < self.lights {
@@ -99,7 +96,7 @@ impl Order {
         }
     }
 
-    /// Numbers of the blocks around a block that come before it and are in the picture.
+    /// Returns the blocks around a block that precede it and are in the picture.
     #[inline(always)]
     pub(super) fn around(&self, number: usize, place: Place) -> Around {
         let Place { x, y, light } = place;
@@ -126,7 +123,7 @@ impl Order {
         }
     }
 
-    /// The block's tiles that lie in the picture, as places in its plane: they follow each other.
+    /// Returns the block's tiles inside the picture, which are consecutive in its plane.
     pub(super) fn tiles(&self, place: Place) -> Range<usize> {
         let (row, first) = (place.y * self.tiles_x, place.x * BLOCK_TILES);
         row + first..row + self.tiles_x.min(first + BLOCK_TILES)
@@ -152,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_are_where_they_are_looked_for() {
+    fn neighbours_match_a_search_by_place() {
         for (width, height, lights) in [(640, 24, 2), (64, 40, 3), (300, 9, 1)] {
             let order = Order::new(MaskShape::new(width, height, lights).unwrap());
             let places: Vec<Place> = order.walk(0..order.blocks()).map(|(_, place)| place).collect();

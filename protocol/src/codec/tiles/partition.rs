@@ -1,14 +1,14 @@
-//! How a frame's blocks are divided among threads.
+//! Divides a frame's blocks among threads.
 
 use std::ops::Range;
 
 use super::{mode::Mode, order::Order};
 use crate::mask::Mask;
 
-/// Most ranges. Each ends with a slice that is not full.
+/// Most ranges. Each ends with a slice that is not full, which costs bytes.
 const MAX_RANGES: usize = 4;
 
-/// Mixed tiles that justify a range of their own. They take half a millisecond.
+/// Mixed tiles that justify a range of their own: coding them takes half a millisecond.
 const RANGE_MIXED_TILES: u32 = 2000;
 
 /// The same with a reference, which predicts most of them.
@@ -20,7 +20,7 @@ const RANGE_BYTES: usize = 3000;
 /// One row of tiles in four is counted: counting all of them would take a seventh of the time of `tiles-fast`.
 const COUNTED_ROWS: usize = 4;
 
-/// Where ranges of blocks begin.
+/// First blocks of the ranges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Partition {
     first: [usize; MAX_RANGES],
@@ -28,10 +28,8 @@ pub(super) struct Partition {
 }
 
 impl Partition {
-    /// One range.
     const WHOLE: Self = Self { first: [0; MAX_RANGES], ranges: 1 };
 
-    /// Returns the number of ranges.
     pub(super) const fn len(&self) -> usize {
         self.ranges
     }
@@ -81,10 +79,10 @@ impl Partition {
     }
 }
 
-/// Divides masks; keeps its memory.
+/// Divides masks. Reuses its memory.
 #[derive(Debug, Default)]
 pub(super) struct Partitioner {
-    /// Mixed tiles up to each place.
+    /// Running total of mixed tiles, up to each place.
     mixed: Vec<u32>,
 }
 

@@ -15,10 +15,9 @@ use super::{
 
 static PACKED: &[u8] = include_bytes!("prior.bin");
 
-/// Bytes of a choice: its context, and its eight numbers.
+/// Bytes of a symbol model: its context and eight numbers.
 const SYMBOL_BYTES: usize = 2 * (1 + SYMBOLS);
 
-/// The bits' models at the beginning of a slice.
 pub(super) static PRIOR_BITS: LazyLock<Box<[BitModel; BIT_CONTEXTS]>> = LazyLock::new(|| {
     let mut models = Box::new([BitModel::from_packed(0x8000); BIT_CONTEXTS]);
     for (model, packed) in models.iter_mut().zip(PACKED.as_chunks().0) {
@@ -40,7 +39,7 @@ pub(super) static PRIOR_SYMBOLS: LazyLock<Box<[SymbolModel; SYMBOL_CONTEXTS]>> =
     symbols
 });
 
-/// The models at the beginning of a slice with a reference.
+/// Models at the beginning of a slice with a reference.
 pub(super) static REFINE_PRIOR: LazyLock<RefineModels> = LazyLock::new(|| {
     let mut models = RefineModels::blank();
     for (model, packed) in models.all().zip(include_bytes!("refine.bin").as_chunks().0) {

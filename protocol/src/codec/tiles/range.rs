@@ -1,32 +1,32 @@
 //! A binary range coder (Martin 1979; the carry is held back as in Schindler's and LZMA's coders).
 //!
-//! The interval is kept in 64 bits and leaves in words of 32. What has left is never touched again, because a word
-//! waits until no carry can reach it: so an encoder can go back to an earlier model and cut its output there.
+//! The interval has 64 bits and is output in words of 32. A word is held until no carry can reach it, so output never
+//! changes: an encoder can roll back to an earlier state and truncate its output there.
 
 use super::{
     bit_model::{BitModel, SLOW},
     symbol_model::{PARTS_BITS, SYMBOLS, SymbolModel},
 };
 
-/// Bytes that leave the coder at once.
+/// Bytes output at once.
 const WORD_BYTES: usize = 4;
 
-/// The most that the end of a slice adds to the words that left.
+/// Most bytes that the end of a slice adds to the words output so far.
 const TAIL_BYTES: usize = 8;
 
-/// Either direction of the coder: one model serves both.
+/// An encoder, a decoder or a counter: one model serves all.
 pub(super) trait BinaryCoder {
-    /// What changes with every bit. A loop keeps it in registers, which it cannot do with the rest.
+    /// State that changes with every bit. A loop keeps it in registers, which it cannot do with the rest.
     type Registers: Copy;
 
     fn registers(&self) -> Self::Registers;
 
     fn set_registers(&mut self, registers: Self::Registers);
 
-    /// Codes `bit` and gives it back; a decoder gives the bit that was coded instead. The model learns at `RATE`.
+    /// Codes `bit` and returns it; a decoder ignores `bit` and returns the coded one. The model learns at `RATE`.
     fn bit_in<const RATE: u32>(&mut self, registers: &mut Self::Registers, model: &mut BitModel, bit: bool) -> bool;
 
-    /// The same, of a bit outside any loop: there are few such.
+    /// As [`Self::bit_in`], for a bit outside any loop.
     #[inline(always)]
     fn bit(&mut self, model: &mut BitModel, bit: bool) -> bool {
         let mut registers = self.registers();
@@ -35,36 +35,35 @@ pub(super) trait BinaryCoder {
         bit
     }
 
-    /// Codes one of eight symbols and gives it back, as [`Self::bit_in`] does.
+    /// Codes one of eight symbols, as [`Self::bit_in`].
     fn symbol_in(&mut self, registers: &mut Self::Registers, model: &mut SymbolModel, symbol: usize) -> usize;
 }
 
-/// The encoder's interval.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Interval {
     low: u64,
     range: u64,
 }
 
-/// What waits for a carry.
+/// Output that a carry may still change.
 #[derive(Debug, Clone, Copy)]
 struct Held {
-    /// The newest word that has left the interval, unless nothing has.
+    /// The newest word that left the interval, those in `ones` aside; `None` before the first.
     word: Option<u32>,
-    /// Words of all ones behind it, through which a carry would run.
+    /// Words of all ones after it, through which a carry would run.
     ones: usize,
-    /// End of the words that are out of reach, in the output.
+    /// End of the final words in the output.
     end: usize,
 }
 
-/// A place in the output to go back to.
+/// A state of the encoder to roll back to.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Position {
     interval: Interval,
     held: Held,
 }
 
-/// Codes bits to the end of a buffer.
+/// Appends coded bits to a buffer.
 #[derive(Debug)]
 pub(super) struct RangeEncoder<'a> {
     interval: Interval,
@@ -80,24 +79,23 @@ impl<'a> RangeEncoder<'a> {
         Self { interval: Interval { low: 0, range: u64::MAX }, held, start, output }
     }
 
-    /// A place to come back to.
     pub(super) const fn position(&self) -> Position {
         Position { interval: self.interval, held: self.held }
     }
 
-    /// Takes everything back that was coded since.
+    /// Undoes everything coded since `position`.
     pub(super) fn rollback(&mut self, Position { interval, held }: Position) {
         (self.interval, self.held) = (interval, held);
         self.output.truncate(held.end);
     }
 
-    /// The most bytes that the slice has, if it ends here.
+    /// Returns the most bytes that the slice takes if it ends here.
     pub(super) fn most_bytes(&self) -> usize {
         let Held { word, ones, end } = self.held;
         end - self.start + (usize::from(word.is_some()) + ones) * WORD_BYTES + TAIL_BYTES
     }
 
-    /// Moves the interval's lower end up.
+    /// Raises the interval's lower end.
     #[inline(always)]
     fn raise(&mut self, registers: &mut Interval, by: u64) {
         let (low, carry) = registers.low.overflowing_add(by);
@@ -107,7 +105,7 @@ impl<'a> RangeEncoder<'a> {
         }
     }
 
-    /// Widens an interval that has become narrow. No bit and no symbol takes more than 12 bits, so once is enough.
+    /// Widens an interval that has become narrow. Once is enough, since no bit or symbol takes more than 12 bits.
     #[inline(always)]
     fn widen(&mut self, registers: &mut Interval) {
         if high_word(registers.range) == 0 {
@@ -122,7 +120,7 @@ impl<'a> RangeEncoder<'a> {
         self.held.end += WORD_BYTES;
     }
 
-    /// Only one carry can ever reach a word, so it does not overflow.
+    /// A word does not overflow, because only one carry can ever reach it.
     #[cold]
     #[inline(never)]
     fn carry(&mut self) {
@@ -144,7 +142,7 @@ impl<'a> RangeEncoder<'a> {
         }
     }
 
-    /// Takes a word that has left the interval.
+    /// Holds a word that left the interval.
     #[cold]
     #[inline(never)]
     fn take(&mut self, word: u32) {
@@ -156,7 +154,7 @@ impl<'a> RangeEncoder<'a> {
         }
     }
 
-    /// Ends the slice with as few bytes as name a number in the interval.
+    /// Ends the slice with the fewest bytes that identify a number in the interval.
     pub(super) fn finish(mut self) {
         let Interval { low, range } = self.interval;
         for kept in 0..=TAIL_BYTES {
@@ -219,7 +217,7 @@ pub(super) struct Window {
     range: u64,
 }
 
-/// Decodes what [`RangeEncoder`] made. Behind the slice's end it reads zeros, as far as one asks.
+/// Decodes what [`RangeEncoder`] made. Reads zeros after the end of the slice.
 #[derive(Debug)]
 pub(super) struct RangeDecoder<'a> {
     window: Window,
@@ -237,12 +235,12 @@ impl<'a> RangeDecoder<'a> {
         decoder
     }
 
-    /// Whether an encoder can have made the slice so far: it writes every word that leaves the interval.
+    /// False once the slice is too short: an encoder writes every word that leaves the interval.
     pub(super) const fn is_within(&self) -> bool {
         self.used <= self.bytes
     }
 
-    /// Whether nothing is left over.
+    /// True if no bytes are left over.
     pub(super) const fn is_at_end(&self) -> bool {
         self.is_within() && self.bytes <= self.used + TAIL_BYTES
     }
@@ -259,7 +257,6 @@ impl<'a> RangeDecoder<'a> {
         u32::from_be_bytes(word)
     }
 
-    /// As [`RangeEncoder::widen`].
     #[inline(always)]
     fn widen(&mut self, registers: &mut Window) {
         if high_word(registers.range) == 0 {
@@ -268,7 +265,7 @@ impl<'a> RangeDecoder<'a> {
         }
     }
 
-    /// Reads the word that follows one that has left the interval.
+    /// Reads the next word, after one has left the interval.
     #[cold]
     #[inline(never)]
     fn next(&mut self) -> u32 {
@@ -306,7 +303,7 @@ impl BinaryCoder for RangeDecoder<'_> {
     #[inline(always)]
     fn symbol_in(&mut self, registers: &mut Window, model: &mut SymbolModel, _: usize) -> usize {
         let part = registers.range >> PARTS_BITS;
-        // All symbols at once: a search would be guessed wrong too often.
+        // Compares with all symbols: a search would often be mispredicted.
         let begins = |symbol: usize| registers.code >= part * u64::from(model.share(symbol)[0]);
         let symbol: usize = (1..SYMBOLS).map(|symbol| usize::from(begins(symbol))).sum();
         let [from, to] = model.share(symbol);
@@ -326,7 +323,7 @@ const fn high_word(value: u64) -> u32 {
 mod tests {
     use super::*;
 
-    /// Bits with very uneven and even probabilities, the first of which often drive the interval to its ends.
+    /// Bits with very uneven and with even probabilities. The uneven ones often drive the interval to its ends.
     fn bits(seed: u64, count: usize) -> impl Iterator<Item = (usize, bool)> {
         let mut state = seed;
         (0..count).map(move |_| {
@@ -337,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn bits_come_back_and_the_slice_is_used_up() {
+    fn bits_round_trip_and_use_up_the_slice() {
         for (seed, count) in (0..40).flat_map(|seed| [0, 1, 2, 50, 3000].map(|count| (seed, count))) {
             let (mut output, mut models) = (vec![9], [BitModel::EVEN; 2]);
             let mut encoder = RangeEncoder::new(&mut output);
@@ -356,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn going_back_leaves_no_trace() {
+    fn rollback_leaves_no_trace() {
         for seed in 0..200 {
             let encode = |count: usize, detour: usize| {
                 let (mut output, mut models) = (vec![], [BitModel::EVEN; 2]);

@@ -1,8 +1,7 @@
-//! A mask that both ends have: what later masks are coded against, moved block by block.
+//! A mask that both ends have. Later masks are coded against it, moved block by block.
 //!
-//! It holds what the blocks of a whole frame came to, so that both ends hold the same bits wherever these lie, also
-//! those beyond the picture's edge. A digest stands in every slice that is coded against it: nothing is decoded against
-//! another mask.
+//! It holds all pixels of a frame's blocks, including those beyond the picture's edge, so that both ends have the same
+//! bits everywhere. Every part that is coded against it carries its digest, so no part is decoded against another mask.
 
 use std::fmt;
 
@@ -15,7 +14,7 @@ use crate::{
     mask::MaskShape,
 };
 
-/// How far a vector may point, in pixels, each mode and axis.
+/// Longest vector in pixels, in each direction of each axis.
 pub(super) const MAX_MOTION_PX: i16 = 511;
 
 /// A mask that later ones can be coded against.
@@ -23,10 +22,8 @@ pub(super) const MAX_MOTION_PX: i16 = 511;
 pub struct Reference {
     name: ReferenceName,
     shape: Option<MaskShape>,
-    /// Words between a row's beginning and the next one's: a row's pixels, and a word at either end that goes on as it
-    /// ends.
+    /// Words from one row to the next: a row's pixels, and a word at either end that repeats the end pixel.
     stride: usize,
-    /// Rows of a plane.
     rows: usize,
     words: Vec<u64>,
 }
@@ -43,8 +40,7 @@ impl Default for Reference {
     }
 }
 
-/// How far a block has moved since the reference, in pixels to the right and down: its bits are at the block's place
-/// and this.
+/// Offset in pixels, to the right and down, from a block's place to its bits in the reference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Vector {
     pub(super) x: i16,
@@ -52,39 +48,38 @@ pub(super) struct Vector {
 }
 
 impl Vector {
-    /// This vector and another, unless that is too long.
+    /// Returns the sum, or `None` if it is too long.
     pub(super) fn plus(self, x: i16, y: i16) -> Option<Self> {
         let within = |value: &i16| (-MAX_MOTION_PX..=MAX_MOTION_PX).contains(value);
         Some(Self { x: self.x.checked_add(x).filter(within)?, y: self.y.checked_add(y).filter(within)? })
     }
 }
 
-/// A row of 64 pixels and the one beyond either end.
+/// A row of 64 pixels, and one pixel beyond either end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Line {
-    /// From the pixel before the first.
+    /// 64 pixels, from the one before the first.
     pub(super) from_left: u64,
-    /// From the second pixel.
+    /// 64 pixels, from the second.
     pub(super) from_right: u64,
 }
 
 impl Line {
-    /// The row itself.
     pub(super) const fn row(self) -> u64 {
         self.from_left >> 1 | self.from_right >> 62 << 63
     }
 
-    /// With the lowest bits of `left` and `right` beyond its ends.
+    /// The lowest bits of `left` and `right` go beyond the ends.
     pub(super) const fn new(left: u64, row: u64, right: u64) -> Self {
         Self { from_left: row << 1 | left & 1, from_right: row >> 1 | right << 63 }
     }
 
-    /// The pixel before the first, and the one behind the last.
+    /// Returns the pixel before the first and the one after the last.
     pub(super) const fn ends(self) -> [u64; 2] {
         [self.from_left & 1, self.from_right >> 63]
     }
 
-    /// The tile that begins at pixel `shift`, with a pixel more at either end.
+    /// Returns the tile that begins at pixel `shift`, with one pixel more at either end.
     #[inline(always)]
     pub(super) const fn window(self, shift: u32) -> u32 {
         let window = self.from_left >> shift & 0xFF | (self.from_right >> shift >> 6 & 3) << 8;
@@ -94,32 +89,32 @@ impl Line {
 }
 
 impl Reference {
-    /// One that stands for no mask yet.
+    /// Holds no mask yet.
     #[must_use]
     pub const fn new() -> Self {
         let name = ReferenceName { frame: FrameNumber(0), digest: 0 };
         Self { name, shape: None, stride: 0, rows: 0, words: Vec::new() }
     }
 
-    /// What it is called in slices and acknowledgements.
+    /// Returns its name in parts and acknowledgements.
     #[must_use]
     pub const fn name(&self) -> ReferenceName {
         self.name
     }
 
-    /// Shape of the mask, if it stands for one.
+    /// Returns the mask's shape, or `None` without a mask.
     #[must_use]
     pub const fn shape(&self) -> Option<MaskShape> {
         self.shape
     }
 
-    /// Bytes of memory that it holds.
+    /// Returns its memory in bytes.
     #[must_use]
     pub const fn memory_bytes(&self) -> usize {
         self.words.capacity() * size_of::<u64>()
     }
 
-    /// Takes over what the blocks of a frame came to.
+    /// Replaces the mask by the blocks of a frame.
     pub(super) fn fill(&mut self, frame: FrameNumber, shape: MaskShape, blocks: &[DecodedBlock]) {
         let order = Order::new(shape);
         let across = order.blocks_across();
@@ -141,18 +136,18 @@ impl Reference {
         self.name = ReferenceName { frame, digest: digest.finish() };
     }
 
-    /// The 64 pixels of a row of a plane from `x` on, as far as there are such; its ends go on for ever.
+    /// Returns 64 pixels of a row of a plane, from `x` on. Edge pixels repeat beyond the plane.
     #[inline(always)]
     fn row(&self, light: usize, x: i32, y: i32) -> u64 {
         let start = (light * self.rows + clamped(y, self.rows)) * self.stride;
         let row = &self.words[start..start + self.stride];
         let (word, shift) = (x >> 6, x & 63);
         let (low, high) = (row[clamped(word + 1, row.len())], row[clamped(word + 2, row.len())]);
-        // In two steps: a shift by 64 is none.
+        // In two steps, because a shift by 64 overflows.
         low >> shift | high << 1 << (63 - shift)
     }
 
-    /// A block's bits, moved.
+    /// Returns the rows of a moved block.
     #[inline(always)]
     pub(super) fn block(&self, place: Place, vector: Vector) -> Block {
         let [x, y] = corner(place, vector);
@@ -162,7 +157,7 @@ impl Reference {
         if let Ok(first) = usize::try_from(y)
             && first + block.len() <= self.rows
         {
-            // Most blocks: no row lies beyond the picture.
+            // The usual case: no row is outside the picture.
             let rows = self.words[(place.light * self.rows + first) * self.stride..].chunks_exact(self.stride);
             for (own, row) in block.iter_mut().zip(rows) {
                 *own = row[low] >> shift | row[high] << 1 << (63 - shift);
@@ -175,7 +170,7 @@ impl Reference {
         block
     }
 
-    /// A block's rows, moved, from the one above it to the one below it.
+    /// Returns the rows of a moved block, with one row above and one below.
     pub(super) fn lines(&self, place: Place, vector: Vector) -> [Line; 10] {
         let [x, y] = corner(place, vector);
         let mut lines = [Line::default(); 10];
@@ -186,20 +181,20 @@ impl Reference {
     }
 }
 
-/// Pixel of the block's upper left corner in the reference. A picture has at most 2¹² pixels a side.
+/// Returns the upper left pixel of a moved block in the reference. A picture has at most 2¹² pixels a side.
 #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "places of a picture")]
 fn corner(place: Place, vector: Vector) -> [i32; 2] {
     [place.x as i32 * 64 + i32::from(vector.x), place.y as i32 * 8 + i32::from(vector.y)]
 }
 
-/// The index nearest to `index` that there is of `count`.
+/// Clamps an index to 0..`count`.
 #[expect(clippy::cast_sign_loss, reason = "negative indices are 0")]
 #[inline(always)]
 fn clamped(index: i32, count: usize) -> usize {
     (index.max(0) as usize).min(count - 1)
 }
 
-/// A hash of 64-bit words: each is mixed in by a multiplication whose halves are folded.
+/// A hash of 64-bit words. Each is mixed in by a multiplication whose halves are folded.
 struct Digest(u64);
 
 impl Digest {

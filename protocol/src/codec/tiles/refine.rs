@@ -1,10 +1,10 @@
-//! The model of what differs from a reference that has been moved: which bits it takes, and in what contexts.
+//! The model of differences from a moved reference: which bits are coded, and in what contexts.
 //!
-//! For each place first whether all lights are as predicted with the predicted vector. If not, the vector, and for each
-//! light whether its block is as predicted; of the others which tiles are not, and the rows of these: one bit where
-//! nothing changes around, or else one for those pixels around which nothing changes, and each of the others. A pixel's
-//! context is the three above, the one to the left, the nine around it in the reference: JBIG2's refinement template
-//! (ITU-T T.88, §6.3.5.3); and what in the light before was not as predicted here.
+//! For each place one bit says whether all lights are as predicted. If not, the vector follows, and a bit for each
+//! light whose block is as predicted. Other blocks code which tiles are not, and their rows: one bit if nothing around
+//! a row changes; else one bit for all pixels around which nothing changes, and one for each other pixel. Its context
+//! is JBIG2's refinement template (ITU-T T.88, §6.3.5.3: three pixels above, one left, nine around it in the reference)
+//! and the previous light's errors.
 
 use super::{
     bit_model::{BitModel, SLOW},
@@ -15,7 +15,6 @@ use super::{
     reference::Line,
 };
 
-/// Probabilities, for every context.
 #[derive(Debug, Clone)]
 pub(super) struct RefineModels {
     pub(super) place: [BitModel; 18],
@@ -24,23 +23,22 @@ pub(super) struct RefineModels {
     pub(super) tile: [BitModel; 162],
     pub(super) kind: [[BitModel; 2]; 12],
     pub(super) still: [BitModel; 24],
-    /// Whether the steady pixels of a row are as what is around them.
+    /// The steady pixels of a row are like their surroundings.
     pub(super) steady: [BitModel; 16],
     pub(super) pixel: [BitModel; PIXELS],
 }
 
-/// Contexts of a pixel.
 const PIXELS: usize = 1 << 15;
 
-/// The context of what is not in the slice.
+/// The context of neighbours outside the slice.
 pub(super) const UNKNOWN: usize = 2;
 
-/// What is known around a block beside the blocks themselves: which of its tiles are as predicted.
+/// For each neighbour in the slice, a bit per tile that is as predicted.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Agreement {
     pub(super) above: Option<u8>,
     pub(super) left: Option<u8>,
-    /// In the light before this one.
+    /// The previous light.
     pub(super) other: Option<u8>,
 }
 
@@ -62,16 +60,15 @@ pub(super) fn code_block(
     bits.bit(&mut models.block[context], truth)
 }
 
-/// What a block is predicted to be.
 pub(super) struct Prediction<'a> {
-    /// Its rows, from the one above it to the one below it.
+    /// The predicted rows, with one above and one below.
     pub(super) lines: [Line; 10],
     pub(super) block: &'a DecodedBlock,
-    /// Pixels that are not as predicted in the light before this one.
+    /// Mispredicted pixels of the previous light.
     pub(super) wrong: Option<&'a Block>,
 }
 
-/// Codes a block that is not as predicted, and gives it back with its tiles that are; a decoder is given any block.
+/// Codes a block that is not as predicted. Returns it, and a bit per tile that is; a decoder ignores `block`.
 pub(super) fn code(
     bits: &mut impl BinaryCoder,
     models: &mut RefineModels,
@@ -108,7 +105,7 @@ pub(super) fn code(
             filled |= if lit { byte } else { 0 };
         }
     }
-    // Bits of tiles that are not as predicted.
+    // Pixels of tiles that are not as predicted.
     let differing = (0..8).filter(|tile| equal >> tile & 1 == 0).fold(0_u64, |bits, tile| bits | 0xFF << (tile * 8));
 
     let mut rows = [0; 8];
@@ -157,36 +154,35 @@ const fn byte_of(word: u64) -> u32 {
     word as u32 & 0xFF
 }
 
-/// Pixels of eight around which nothing changes: nearly always they are as what is around them.
+/// Pixels around which nothing changes: they are nearly always like their surroundings.
 #[derive(Debug, Clone, Copy)]
 struct Steady {
-    /// Which of the pixels they are.
     pixels: u32,
-    /// Those that should be lit.
+    /// Those whose surroundings are lit.
     lit: u32,
 }
 
-/// What is known around eight pixels.
+/// Known surroundings of eight pixels.
 struct Template {
-    /// The row above, from a pixel to the left to one to the right.
+    /// The row above, with one pixel more at either end.
     above: u32,
-    /// The row above, the row itself and the row below in the reference.
+    /// The row above, this row and the row below in the reference.
     lines: [u32; 3],
     /// The pixel to the left.
     before: u32,
-    /// Which of the pixels are not as predicted in the light before this one, and which of those to the right of each.
+    /// Mispredicted pixels of the previous light, and in the next byte those one to the right of each.
     other: u32,
 }
 
 impl Template {
-    /// The value of all pixels around, if it is one.
+    /// Returns the value of all pixels around, or `None` if they differ.
     fn stillness(&self) -> Option<u32> {
         let [over, same, under] = self.lines;
         let all = self.before.wrapping_neg() & 0x3FF;
         (over == all && same == all && under == all && self.above == all).then_some(all & 0xFF)
     }
 
-    /// The pixels around which nothing changes, neither above nor in the reference, and where the light before was as
+    /// Returns the pixels around which nothing changes, above or in the reference, and the previous light was as
     /// predicted.
     #[inline(always)]
     fn steady(&self) -> Steady {
@@ -196,7 +192,7 @@ impl Template {
         Steady { pixels: lit | three(!(over | same | under | self.above)), lit }
     }
 
-    /// One bit says of all steady pixels that they are as they should, which are about half of the pixels.
+    /// One bit says that all steady pixels, about half of all, are as expected.
     fn code_changing(&self, bits: &mut impl BinaryCoder, models: &mut RefineModels, truth: u32) -> u32 {
         let steady = self.steady();
         if steady.pixels != 0 {
@@ -217,7 +213,7 @@ impl Template {
         truth: u32,
         steady: Steady,
     ) -> u32 {
-        // With the pixel to the left.
+        // `coded` starts with the pixel to the left.
         let (quarters, mut registers) = (self.quarters(), bits.registers());
         let (mut coded, mut rest) = (steady.lit << 1 | self.before, !steady.pixels & 0xFF);
         while rest != 0 {
@@ -230,17 +226,17 @@ impl Template {
         coded >> 1
     }
 
-    /// The rows, each in a quarter of a word: three pixels of each make a context.
+    /// Returns the rows, each in a quarter of a word. Three pixels of each make a context.
     #[inline(always)]
     const fn quarters(&self) -> u64 {
         let [over, same, under] = self.lines;
         over as u64 | (same as u64) << 16 | (under as u64) << 32 | (self.above as u64) << 48
     }
 
-    /// Of pixel `x`, with the one to its left.
+    /// Returns the context of pixel `x`; `before` is the pixel to its left.
     #[inline(always)]
     fn context(&self, quarters: u64, x: u32, before: u32) -> usize {
-        // The product brings the four triples together at its top.
+        // The product joins the four triples in its top bits.
         let triples = (quarters >> x & 0x0007_0007_0007_0007).wrapping_mul(1 << 48 | 1 << 35 | 1 << 22 | 1 << 9) >> 48;
         let other = self.other >> x & 0x101;
         (triples as usize & 0xFFF) | (before << 12 | ((other | other >> 7) & 3) << 13) as usize
@@ -261,7 +257,7 @@ impl Template {
 }
 
 impl RefineModels {
-    /// All models, in the order of their file.
+    /// Returns all models, in the order of `refine.bin`.
     pub(super) fn all(&mut self) -> impl Iterator<Item = &mut BitModel> {
         let Self { place, motion: MotionModels { own, axes }, block, tile, kind, still, steady, pixel } = self;
         let axes = axes.iter_mut().flat_map(|AxisModels { differs, negative, longer, rest }| {
@@ -271,7 +267,6 @@ impl RefineModels {
         few.chain(kind.as_flattened_mut()).chain(still).chain(steady).chain(pixel)
     }
 
-    /// Models that have counted nothing.
     pub(super) const fn blank() -> Self {
         let none = BitModel::NONE;
         let axis = AxisModels { differs: [none; 2], negative: none, longer: [none; 12], rest: [none; 12] };

@@ -1,4 +1,4 @@
-//! The head of a slice: which blocks it holds.
+//! The head of a slice, which names its blocks.
 
 use std::ops::Range;
 
@@ -8,16 +8,14 @@ use crate::{codec::part::Part, mask::MaskShape};
 /// Bytes before a slice's bits: the first block (3), the number of blocks (2).
 pub(super) const SLICE_HEAD_BYTES: usize = 5;
 
-/// Why a slice cannot be decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::codec) enum Failure {
-    /// Its head names blocks outside the picture, or none.
+    /// The head names no blocks, or some outside the picture.
     Blocks,
-    /// It has fewer or more bits than its blocks.
     Bits,
 }
 
-/// Returns the blocks of a slice, or `None` if its head names blocks outside the picture or none.
+/// Returns the blocks of a slice, or `None` if its head names none or some outside the picture.
 pub(in crate::codec) fn blocks_of(shape: MaskShape, slice: &[u8]) -> Option<Range<usize>> {
     let &[a, b, c, d, e] = slice.first_chunk()?;
     let first = u32::from_le_bytes([a, b, c, 0]) as usize;
@@ -25,7 +23,7 @@ pub(in crate::codec) fn blocks_of(shape: MaskShape, slice: &[u8]) -> Option<Rang
     (count > 0 && first + count <= Order::new(shape).blocks()).then_some(first..first + count)
 }
 
-/// Returns the ranges of a part's tiles in the words of its mask.
+/// Returns the word ranges of a part's tiles in its mask.
 pub fn part_words(shape: MaskShape, part: &Part) -> impl Iterator<Item = Range<usize>> + use<> {
     let order = Order::new(shape);
     order.walk(part.blocks.clone()).map(move |(_, place)| {
@@ -35,7 +33,6 @@ pub fn part_words(shape: MaskShape, part: &Part) -> impl Iterator<Item = Range<u
     })
 }
 
-/// Returns the number of blocks of a picture.
 pub(in crate::codec) fn block_count(shape: MaskShape) -> usize {
     Order::new(shape).blocks()
 }

@@ -1,7 +1,7 @@
-//! The model of `tiles-small`: which bits a block takes, and in what contexts.
+//! The model of `tiles-small`: which bits are coded, and in what contexts.
 //!
-//! First whether all of the block is as the tile before it, then what each tile holds, then each row of each mixed tile
-//! as [`edges`] has it. Everything begins with what other masks have taught ([`super::prior`]).
+//! One bit says that the whole block is as the tile before it. If not, the kind of each tile follows, and each row of
+//! each mixed tile ([`edges`]). Every slice begins with probabilities counted over other masks ([`super::prior`]).
 
 use super::{
     bit_model::QUICK,

@@ -1,22 +1,21 @@
-//! How likely each of eight symbols is, which learns: what a model asks where two answers are too few.
+//! Adaptive probabilities of eight symbols, where a bit is too little.
 
 use super::bit_model::SLOW;
 
-/// SymbolCoder of a choice.
 pub(super) const SYMBOLS: usize = 8;
 
-/// Parts of the interval that are shared out by what was learnt.
+/// Parts of the interval that adapt.
 const TOP: i16 = 0x7FC0;
 
-/// Parts of the interval that each symbol has beside these, so that none takes more than 12 bits.
+/// Further parts that each symbol always has, so that none takes more than 12 bits.
 const LEAST: u32 = 8;
 
-/// All parts of the interval, as a power of two.
+/// Number of all parts, as a power of two.
 pub(super) const PARTS_BITS: u32 = 15;
 
 const _: () = assert!(TOP as u32 + 8 * LEAST == 1 << PARTS_BITS);
 
-/// Where the symbols' beginnings go when a symbol has come.
+/// For each coded symbol, the values that the symbols' beginnings move towards.
 const TARGETS: [[i16; SYMBOLS]; SYMBOLS] = {
     let mut targets = [[TOP; SYMBOLS]; SYMBOLS];
     let mut symbol = 0;
@@ -31,31 +30,30 @@ const TARGETS: [[i16; SYMBOLS]; SYMBOLS] = {
     targets
 };
 
-/// What each symbol takes of the interval: where it begins.
+/// Where each symbol's share of the interval begins, without its [`LEAST`] parts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct SymbolModel([i16; SYMBOLS]);
 
 impl SymbolModel {
-    /// All symbols alike.
+    /// Equal shares.
     pub(super) const EVEN: Self = {
         let step = TOP / 8;
         Self([0, step, step * 2, step * 3, step * 4, step * 5, step * 6, step * 7])
     };
 
-    /// Nothing counted: the numbers of [`Self::count`].
+    /// No counts yet; see [`Self::count`].
     pub(super) const NONE: Self = Self([0; SYMBOLS]);
 
-    /// From the file of the priors.
+    /// `packed` is from `prior.bin`.
     pub(super) fn from_packed(packed: [u16; SYMBOLS]) -> Self {
         Self(packed.map(u16::cast_signed))
     }
 
-    /// Where a symbol's share begins and ends, in parts of the interval. Without a branch, which would be guessed wrong
-    /// too often.
+    /// Returns where a symbol's share begins and ends. Branchless, because a branch would often be mispredicted.
     #[inline(always)]
     pub(super) fn share(&self, symbol: usize) -> [u32; 2] {
         #[expect(clippy::cast_possible_truncation, reason = "there are eight symbols")]
-        // Behind the last symbol comes the first one's 0.
+        // After the last symbol comes the first one's 0.
         let begins = |symbol: usize| u32::from(self.0[symbol % SYMBOLS].cast_unsigned()) + LEAST * (symbol as u32);
         [begins(symbol), begins(symbol + 1) + u32::from(symbol == SYMBOLS - 1) * u32::from(TOP.cast_unsigned())]
     }
@@ -67,7 +65,7 @@ impl SymbolModel {
         }
     }
 
-    /// Counts a symbol, in a choice that is used for nothing else: the numbers are how often each came.
+    /// Counts a symbol, in a model that only counts: its numbers are then counts.
     pub(super) fn count(&mut self, symbol: usize) {
         self.0[symbol] += 1;
         if self.0[symbol] == i16::MAX {
@@ -75,10 +73,10 @@ impl SymbolModel {
         }
     }
 
-    /// What was counted, as [`Self::from_packed`] takes it, unless nothing was.
+    /// Returns the counted shares, as [`Self::from_packed`] takes them, or `None` without counts.
     pub(super) fn packed_count(&self) -> Option<[u16; SYMBOLS]> {
         let all: i64 = self.0.iter().map(|count| i64::from(*count)).sum();
-        // A twentieth of a symbol stands for what has not come yet.
+        // Each symbol gets a twentieth of a count, for symbols not seen yet.
         let weight = |count: i64, symbols: i64| count * 20 + symbols;
         let mut packed = [0; SYMBOLS];
         let mut before = 0;
@@ -95,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_symbol_keeps_a_share_whatever_comes() {
+    fn every_symbol_keeps_a_share() {
         let mut choice = SymbolModel::EVEN;
         for step in 0..5000_usize {
             choice.learn(if step < 2000 {

@@ -1,8 +1,8 @@
-//! What a model has learnt in a slice, over what it knew before: tables that begin anew without being written anew.
+//! Tables of adaptive models that return to the prior at each slice without copying all of it.
 //!
-//! A slice sees a tenth of the contexts. So each is taken over from the prior when the slice first comes to it.
+//! A slice uses a tenth of the contexts, so each is reset when the slice first uses it.
 
-/// A state, and the slice in which it was taken over.
+/// A state, and the slice that last reset it.
 #[derive(Debug, Clone, Copy)]
 struct Slot<S> {
     state: S,
@@ -18,27 +18,25 @@ pub(super) struct Table<S: 'static, const CONTEXTS: usize> {
 }
 
 impl<S: Copy, const CONTEXTS: usize> Table<S, CONTEXTS> {
-    /// One that begins every slice with `prior`.
+    /// Begins every slice with `prior`.
     pub(super) fn new(prior: &'static [S; CONTEXTS]) -> Self {
         Self { slots: Box::new(prior.map(|state| Slot { state, slice: 0 })), slice: 0, prior: Some(prior) }
     }
 
-    /// One that begins with `blank` and goes on for ever: for counting.
+    /// Begins with `blank` and is never reset: for counting.
     pub(super) fn blank(blank: S) -> Self {
         Self { slots: Box::new([Slot { state: blank, slice: 0 }; CONTEXTS]), slice: 0, prior: None }
     }
 
-    /// Begins a slice.
     pub(super) fn begin(&mut self) {
         self.slice = self.slice.wrapping_add(1);
         if self.slice == 0 {
-            // Some of them may have been taken over when this number came last.
+            // Slots may still have this number from 256 slices ago.
             self.slots.iter_mut().for_each(|slot| slot.slice = 0);
             self.slice = 1;
         }
     }
 
-    /// The state of a context.
     #[inline(always)]
     pub(super) fn at(&mut self, context: usize) -> &mut S {
         let slot = &mut self.slots[context];
@@ -50,7 +48,6 @@ impl<S: Copy, const CONTEXTS: usize> Table<S, CONTEXTS> {
         &mut slot.state
     }
 
-    /// All that was counted.
     pub(super) fn all(&self) -> impl Iterator<Item = &S> {
         self.slots.iter().map(|slot| &slot.state)
     }

@@ -18,8 +18,8 @@ use super::{
 };
 use crate::{ids::FrameNumber, mask::Mask};
 
-/// Counts the symbols of masks, each with its reference if it has one. Returns the bytes of `prior.bin`, `codes.bin`
-/// and `refine.bin`.
+/// Counts the symbols of masks, each with its reference, if any. Returns the bytes of `prior.bin`, `codes.bin` and
+/// `refine.bin`.
 #[must_use]
 pub fn train<'a>(masks: impl IntoIterator<Item = (&'a Mask, Option<&'a Mask>)>) -> [Vec<u8>; 3] {
     let (mut blocks, mut models, mut inter) = (Blocks::default(), Models::uncounted(), InterCoder::new());

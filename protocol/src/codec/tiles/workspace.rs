@@ -1,4 +1,4 @@
-//! Codes frames of tiles on several threads, and remembers which blocks arrived.
+//! Codes frames of tiles on several threads and records which blocks arrived.
 
 use std::{convert::Infallible, ops::Range};
 
@@ -45,8 +45,8 @@ impl Workspace {
         }
     }
 
-    /// Turns the frame that was coded last into a reference. Returns false, and leaves `reference` as it is, if its
-    /// codec has none or blocks of it are missing.
+    /// Makes `reference` the last coded frame. Returns false, and leaves `reference` unchanged, if its codec has no
+    /// references or blocks are missing.
     pub(in crate::codec) fn keep(&self, frame: FrameNumber, reference: &mut Reference) -> bool {
         let Some(shape) = self.shape.filter(|_| self.is_reference) else { return false };
         let blocks = self.seen.iter().map(|bits| bits.count_ones() as usize).sum::<usize>();
@@ -57,7 +57,7 @@ impl Workspace {
         whole
     }
 
-    /// Writes which tiles of the last decoded frame arrived. All did if its codec has no tiles.
+    /// Writes which tiles of the last decoded frame arrived: all, if its codec has no tiles.
     pub(in crate::codec) fn coverage(&self, shape: MaskShape, coverage: &mut Coverage) {
         if self.shape != Some(shape) {
             coverage.set_whole(shape);
@@ -72,7 +72,7 @@ impl Workspace {
         }
     }
 
-    /// Starts a frame, `None` for codecs without tiles.
+    /// Starts a frame. `shape` is `None` for codecs without tiles.
     pub(in crate::codec) fn begin(&mut self, shape: Option<MaskShape>) {
         self.shape = shape;
         self.seen.clear();
@@ -95,8 +95,8 @@ impl Workspace {
         }
     }
 
-    /// Appends a part for each slice of at most `slice_bytes` bytes. A slice is longer only if one block does not fit
-    /// (at most 1 KiB).
+    /// Appends a part for each slice. A slice has at most `slice_bytes` bytes, or one block if that alone is longer (at
+    /// most 1 KiB).
     pub(in crate::codec) fn encode(
         &mut self,
         mode: Mode<'_>,
@@ -130,7 +130,7 @@ impl Workspace {
     /// Decodes these slices, each with its index in the frame, into `mask`.
     ///
     /// # Errors
-    /// Returns the index of a slice that fails. `mask` stays as it is.
+    /// Returns the index of a slice that fails. `mask` is unchanged.
     pub(in crate::codec) fn decode<'s, S: Iterator<Item = (usize, &'s [u8])>>(
         &mut self,
         mode: Mode<'_>,
@@ -183,7 +183,7 @@ fn make_threads(threads: &mut Vec<CoderThread>, count: usize) {
     }
 }
 
-/// Lets every thread code its range; there are as many of either. Returns the error of the first range that failed.
+/// Lets every thread code its range; there are as many threads as ranges. Returns the first range's error.
 fn on_threads<E: Send>(
     range: BlockRange<'_>,
     partition: &Partition,
@@ -196,7 +196,7 @@ fn on_threads<E: Send>(
     let (threads, rest_threads) = threads.split_at_mut(half.len());
     let (range, rest_range) = range.split(rest.first());
     let halves = (|| on_threads(range, &half, threads, code), || on_threads(rest_range, &rest, rest_threads, code));
-    // On a single core, handing over to another thread only costs time.
+    // On a single core, a second thread only costs time.
     let (done, rest_done) =
         if rayon::current_num_threads() == 1 { (halves.0(), halves.1()) } else { rayon::join(halves.0, halves.1) };
     done.and(rest_done)
