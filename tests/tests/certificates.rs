@@ -23,7 +23,6 @@ fn authority(folder: &Path, name: &str) -> Issuer<'static, KeyPair> {
     Issuer::new(params, key)
 }
 
-/// Issues a certificate for localhost.
 fn issue(folder: &Path, authority: &Issuer<'_, KeyPair>) {
     let key = KeyPair::generate().unwrap();
     let leaf = CertificateParams::new(["localhost".to_owned()]).unwrap().signed_by(&key, authority).unwrap();

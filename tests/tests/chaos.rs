@@ -4,7 +4,7 @@
 
 use gnomon_lab::report::{chaos::run, scene_args::parse};
 
-/// Runs a part; the returned function finds whether a promise is met, and its measurement, by words of it.
+/// Runs a part. The returned function finds a promise by some of its words, and returns whether it is met and how.
 fn chaos(part: &str, more: &str) -> impl Fn(&str) -> (bool, String) + use<> {
     let folder = tempfile::tempdir().unwrap();
     let scene = gnomon_scene::testing::write_scene(folder.path()).unwrap();
@@ -36,7 +36,7 @@ fn one_session_too_many_is_refused_and_the_others_are_not_cut_off() {
 
 #[test]
 fn bad_networks_and_a_killed_server_end_no_session() {
-    // `lab chaos` judges handshakes at 30 % loss on many: of a few, one may fail.
+    // At 30 % loss one of a few handshakes may fail; `lab chaos` judges many.
     let found = chaos("faults", "--backend cpu --handshakes 1 --rebindings 5 --black-holes 1");
     assert_met(&found, &["changes of the client's port", "black holes"]);
     let (_, measured) = found("after SIGKILL");
@@ -44,7 +44,7 @@ fn bad_networks_and_a_killed_server_end_no_session() {
 }
 
 #[test]
-fn panics_and_lost_devices_cost_nobody_else_a_session() {
+fn panics_and_lost_devices_end_no_other_session() {
     for backend in ["cpu", "compute --allow-software --devices 2 --seconds 1"] {
         let found = chaos("devices", &format!("--panics 5 --losses 4 --backend {backend}"));
         assert_met(&found, &["panics in sessions' work", "a client's sessions outlive them"]);
@@ -54,7 +54,7 @@ fn panics_and_lost_devices_cost_nobody_else_a_session() {
 }
 
 #[test]
-fn a_server_that_stops_sends_its_clients_on() {
+fn a_stopping_server_sends_its_clients_to_another() {
     let found = chaos("drain", "--backend cpu --clients 2");
     assert_met(found, &["every client is told", "half sent", "nobody is admitted", "it exits with 0"]);
 }

@@ -319,7 +319,7 @@ fn size_zero_or_above_the_limit() {
         let line = stage.client_fails(server.url(), &["--size", size], &[]);
         assert_says(&line, &["size"]);
     }
-    // The server refuses clients that do not check themselves.
+    // The server must refuse these sizes even from clients that do not check them.
     for (width, height) in [(0, 0), (64, 0), (MAX_SIDE_PX + 1, 8), (4096, 4096), (u32::MAX, u32::MAX)] {
         let mut stream = TcpStream::connect(address_of(server.url())).unwrap();
         let answer = exchange(&mut stream, &Hello { width, height, ..hello() });

@@ -76,7 +76,6 @@ impl Client {
         }
     }
 
-    /// Masks received so far.
     fn received(&self) -> usize {
         fs::read_dir(self.folder.path().join("masks")).map_or(0, Iterator::count)
     }
@@ -114,7 +113,6 @@ fn camera_of(path: &CameraPath, frame: u32) -> Camera {
     camera
 }
 
-/// Polls until `done`.
 fn wait_until(what: &str, patience: Duration, mut done: impl FnMut() -> bool) -> Duration {
     let start = Instant::now();
     while !done() {

@@ -1,5 +1,5 @@
-//! Promise: the emulated link does to datagrams what its settings say, within statistical bounds, and the same for the
-//! same seed.
+//! Promise: the emulated link treats datagrams as its settings say, within statistical bounds. Equal seeds give equal
+//! results.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::time::Duration;
@@ -46,7 +46,7 @@ fn assert_binomial(found: u64, of: u64, probability: f64) {
 }
 
 #[test]
-fn chances_are_what_was_set() {
+fn probabilities_match_the_settings() {
     for percent in [0.1, 1.0, 10.0, 60.0] {
         for key in ["loss", "reorder", "duplicate", "corrupt"] {
             let (_, counts) = run(&settings(&format!("{key}={percent}%")), 7, DATAGRAMS, MS, 10);
@@ -89,7 +89,7 @@ fn bursts_have_their_share_and_their_mean_length() {
 }
 
 #[test]
-fn a_bursty_channel_forgets_its_state_in_a_silence() {
+fn a_bursty_channel_forgets_its_state_during_silence() {
     let (fates, counts) = run(&settings("burst=20%x50"), 3, 20_000, 101 * MS, 10);
     assert_binomial(counts.burst_lost, 20_000, 0.2);
     // Independent losses come in runs of 1 / (1 − 0.2), with a variance of 0.2 / 0.8².
@@ -100,7 +100,7 @@ fn a_bursty_channel_forgets_its_state_in_a_silence() {
 }
 
 #[test]
-fn jitter_keeps_the_order_stays_in_its_bounds_and_uses_them() {
+fn jitter_keeps_the_order_and_fills_its_bounds() {
     let (fates, _) = run(&settings("delay=20ms jitter=15ms"), 11, 20_000, MS, 10);
     let dues: Vec<Duration> = fates.iter().map(|fate| fate[1].as_ref().unwrap().due).collect();
     assert!(dues.is_sorted());
@@ -113,7 +113,7 @@ fn jitter_keeps_the_order_stays_in_its_bounds_and_uses_them() {
 }
 
 #[test]
-fn only_what_is_held_back_is_overtaken() {
+fn only_reordered_datagrams_are_overtaken() {
     let (fates, counts) = run(&settings("delay=5ms reorder=10% reorder-by=3ms"), 5, 10_000, MS, 10);
     for (number, fate) in (0..).zip(&fates) {
         let delay = fate[1].as_ref().unwrap().due - number * MS;
@@ -124,7 +124,7 @@ fn only_what_is_held_back_is_overtaken() {
 }
 
 #[test]
-fn the_rate_is_never_exceeded_and_the_queue_never_longer_than_it_may_be() {
+fn rate_and_queue_stay_within_their_limits() {
     let text = settings("delay=10ms rate=8Mbit queue=20KB");
     let Rate { bits_per_s, queue_bytes } = text.rate.unwrap();
     // 1000 bytes a millisecond pass; 1300 come.
@@ -149,7 +149,7 @@ fn the_rate_is_never_exceeded_and_the_queue_never_longer_than_it_may_be() {
 }
 
 #[test]
-fn corruption_flips_one_bit_and_a_copy_is_a_copy() {
+fn corruption_flips_one_bit_and_duplicates_are_equal() {
     let (fates, counts) = run(&settings("corrupt=50% duplicate=50%"), 9, 2000, MS, 33);
     let mut places = [0_u32; 33];
     let mut flipped = 0;
@@ -213,7 +213,7 @@ proptest! {
     }
 
     #[test]
-    fn under_one_seed_the_same_datagrams_fare_the_same_whenever_they_come(settings in any_settings(), seed: u64) {
+    fn fates_depend_on_the_seed_and_not_on_timing(settings in any_settings(), seed: u64) {
         // Queues and outages depend on time.
         let settings = Settings { rate: None, outages: Vec::new(), ..settings };
         let fates = |every, seed| {
@@ -227,7 +227,7 @@ proptest! {
 }
 
 #[test]
-fn seeds_and_directions_have_chances_of_their_own() {
+fn seeds_and_directions_are_independent() {
     let fates = |seed, direction| {
         let mut link = Impairment::new(settings("loss=50%"), seed, direction);
         let mut counts = Counts::default();

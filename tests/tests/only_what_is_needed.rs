@@ -59,7 +59,7 @@ fn no_ray_is_traced_for_a_light_that_cannot_matter() {
             assert_eq!(traced(backend, &scene), (0, 0), "{what} on {}", backend.name());
         }
     }
-    // Beside a light that matters they cost nothing either.
+    // Beside a light that matters, they cost nothing either.
     let mut mixed =
         floor().point_light(lamp, f32::INFINITY).point_light(lamp, 1.9).sun(Vec3::Y).sun(Vec3::NEG_Y).build();
     mixed.lights[3].intensity = 0.0;
@@ -111,7 +111,7 @@ fn masks_and_their_buffers_grow_with_the_lights() {
 /// Why reused meshes have no hierarchy of their own: it would save only the small part of an instance's memory.
 /// Triangles stay separate, since their positions in space decide ties.
 #[test]
-fn hierarchies_are_a_small_part_of_what_a_scene_takes() {
+fn hierarchies_take_a_small_part_of_a_scenes_memory() {
     let folder = real::folder().unwrap();
     for scene in &real::JUDGED {
         let lights_from = scene.lights_from_json.then(|| scene.json_in(&folder));

@@ -12,7 +12,7 @@ const HEAD: &str =
     "scene,backend,knob,value,ms_p50,ms_p99,rays,node_visits,bytes,bit_error,psnr,flip,on_front,is_default";
 
 #[test]
-fn every_knob_has_its_row_and_says_what_it_saves_and_costs() {
+fn every_setting_has_a_row_with_its_savings_and_cost() {
     let out = tempfile::tempdir().unwrap();
     let options = ParetoOptions {
         scenes: real::folder().unwrap(),

@@ -75,7 +75,7 @@ fn a_missing_triangle_is_caught() {
     for backend in BackendName::EVERYWHERE {
         let (truth, _) = sound(&scene, backend);
         let mut caught = 0;
-        // Of the floor, the screen, the box and the ball.
+        // Triangles of the floor, the screen, the box and the ball.
         for missing in [0, 1, 2, 3, 4, 5, 14, 15, 100, 180] {
             let mut broken = scene.clone();
             // It stays with zero area, so that indices do not change.

@@ -36,7 +36,6 @@ fn mask_for(scene: &Scene, camera: &Camera) -> Mask {
     mask
 }
 
-/// Traces with ray queries.
 fn traced(scene: &Scene, camera: &Camera) -> (Mask, TraceCost) {
     let mut mask = mask_for(scene, camera);
     let cost = ray_query::open(scene, None, true).unwrap().trace(camera, &mut mask).unwrap();
@@ -113,7 +112,7 @@ fn agree(scene: &Scene, cameras: &[Camera]) {
         let on_cpu = cpu.trace(camera, &mut c);
         assert!(ones(&a) > 1000, "{} bits of {camera:?}", ones(&a));
         for (name, other, rays) in [("compute", &b, on_compute.shadow_rays), ("cpu", &c, on_cpu.shadow_rays)] {
-            // They may disagree where a shadow's edge passes within rounding of a pixel centre.
+            // Back ends may disagree where a shadow's edge passes within rounding of a pixel centre.
             let wrong = differing(&a, other);
             assert!(wrong * 1000 <= rays, "{wrong} bits of {rays} differ from {name} for {camera:?}");
             assert!(cost.shadow_rays.abs_diff(rays) * 1000 <= rays, "{} rays, {name} {rays}", cost.shadow_rays);

@@ -189,7 +189,6 @@ fn with(entry: &Value, place: &str, value: Value) -> Value {
     changed
 }
 
-/// Returns all metric names in a text.
 fn metric_names(text: &str) -> BTreeSet<String> {
     let words = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').filter(|word| word.starts_with("gnomon_"));
     words.map(|word| word.trim_end_matches("_bucket").to_owned()).collect()

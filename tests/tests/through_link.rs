@@ -1,5 +1,5 @@
-//! Promise: the real server and client work through a network that loses, reorders, repeats and corrupts, over QUIC and
-//! lab-udp, and survive an outage.
+//! Promise: over QUIC and lab-udp, the real server and client work through a network that loses, reorders, repeats and
+//! corrupts datagrams, and survive an outage.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::{net::SocketAddr, path::Path};
@@ -25,7 +25,6 @@ fn path_text() -> String {
     format!("{}#walk", asset("cloister.json").display())
 }
 
-/// Results of a client behind a link.
 struct Run {
     summary: Value,
     stats: Vec<Value>,
@@ -88,7 +87,6 @@ fn cloister() -> Scene {
     Scene::load(&asset("cloister.glb"), &LoadOptions::default()).unwrap()
 }
 
-/// Traces the mask of a frame's own pose.
 fn traced(backend: &CpuBackend, lights: u32, frame: u32) -> Mask {
     let path = path_text().parse::<PathSpec>().unwrap().load().unwrap();
     let mut camera = path.camera(f64::from(frame) * (1.0 / 30.0), SIZE.0, SIZE.1);
@@ -107,20 +105,20 @@ fn masks_are_right(run: &Run) {
 }
 
 #[test]
-fn quic_brings_right_masks_through_loss_and_corruption() {
+fn quic_delivers_right_masks_through_loss_and_corruption() {
     let run = run("quic", lossy("0.5%"), 240);
     let down = run.counts.down;
     assert!(down.lost > 0 && down.burst_lost > 0 && down.duplicated > 0 && down.reordered > 0, "{down:?}");
     assert!(down.corrupted > 0, "{down:?}");
     assert!(run.masks.len() >= 10, "{}", run.summary);
-    // No lost packet's frame has arrived whole.
+    // A frame that lost packets is incomplete.
     assert!(run.summary["frames_incomplete"].as_u64().unwrap() > 0, "{}", run.summary);
     assert_eq!(run.summary["frames_bad"], 0, "{}", run.summary);
     masks_are_right(&run);
 }
 
 #[test]
-fn lab_udp_goes_through_the_link_with_its_data_port() {
+fn lab_udp_and_its_data_port_go_through_the_link() {
     let run = run("lab-udp", lossy("0%"), 240);
     let counts = run.counts;
     // At most one pose per frame goes up: a newer one replaces an unsent one. Each mask answers a pose that arrived.
@@ -153,7 +151,7 @@ fn sessions_outlive_an_outage() {
 }
 
 #[test]
-fn a_server_that_looks_ahead_traces_elsewhere_and_says_where() {
+fn an_extrapolating_server_reports_the_traced_pose() {
     let mut settings = LinkSettings::default();
     settings.up.set("delay=80ms").unwrap();
     settings.down.set("delay=80ms").unwrap();

@@ -21,7 +21,7 @@ fn walk(out: &Path, more: &str) -> VideoOptions {
 }
 
 #[test]
-fn both_ways_are_measured_and_only_video_grows_old() {
+fn both_methods_are_measured_and_only_video_suffers_from_delay() {
     let out = tempfile::tempdir().unwrap();
     let options = walk(out.path(), "--size 160x90 --frames 4");
     let table = measure(&options, |_| ()).unwrap();

@@ -71,7 +71,6 @@ fn replay_options(recording: &Path, out: &Path) -> ReplayOptions {
     parse(&format!("{} --scene {} --out {}", recording.display(), scene.display(), out.display())).unwrap()
 }
 
-/// A client in a window.
 struct Window<'a> {
     display: &'a Display,
     client: Program,
@@ -162,7 +161,7 @@ impl<'a> Window<'a> {
     }
 }
 
-/// Returns the mean difference of two pictures' bytes.
+/// Returns the mean difference of bytes.
 fn difference(one: &RgbImage, other: &RgbImage) -> f64 {
     assert_eq!(one.dimensions(), other.dimensions());
     let sum: u64 = one.as_raw().iter().zip(other.as_raw()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
@@ -235,7 +234,7 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
 }
 
 #[test]
-fn the_right_half_can_be_what_a_server_of_this_machine_traces() {
+fn the_right_half_can_show_a_local_servers_masks() {
     let (display, folder, certificate) = (Display::start(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let path = standing(folder.path());
     let (server, url) = serve("127.0.0.1:0", certificate.path());
@@ -312,7 +311,7 @@ fn processes_with(text: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_demo_brings_its_server_and_takes_it_away() {
+fn the_demo_starts_and_stops_its_server() {
     let (display, folder) = (Display::start(), tempfile::tempdir().unwrap());
     let place = folder.path().to_str().unwrap();
     let environment = [("DISPLAY", display.name.as_str()), ("WAYLAND_DISPLAY", ""), ("TMPDIR", place)];
@@ -339,7 +338,7 @@ fn the_demo_brings_its_server_and_takes_it_away() {
 }
 
 #[test]
-fn a_certificate_is_pinned_on_the_first_visit_and_no_other_is_taken_for_it() {
+fn a_certificate_is_pinned_on_the_first_visit_and_others_are_refused() {
     let (folder, certificate) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let (server, url) = serve("127.0.0.1:0", certificate.path());
     let address = url.split_once("://").unwrap().1.split_once('/').unwrap().0.to_owned();

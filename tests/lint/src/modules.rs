@@ -5,20 +5,19 @@ use std::{
     path::PathBuf,
 };
 
-/// A path's segments.
 pub(crate) type Names = Vec<String>;
 
 /// A `use` of one path.
 #[derive(Debug)]
 pub(crate) struct Import {
     pub(crate) path: Names,
-    /// The name that it binds; none for `as _` and for `*`.
+    /// The bound name; none for `as _` and for `*`.
     pub(crate) name: Option<String>,
     pub(crate) glob: bool,
     pub(crate) reexport: bool,
 }
 
-/// A module, of a file or inline.
+/// A file or an inline module.
 #[derive(Debug, Default)]
 pub(crate) struct Module {
     /// An index into [`Crate::files`].
@@ -31,11 +30,9 @@ pub(crate) struct Module {
     pub(crate) paths: HashSet<Names>,
 }
 
-/// What a path leads to.
 #[derive(Clone, Copy, Debug, Eq, PartialEq)]
 pub(crate) enum Target {
     Module(usize),
-    /// An item of this module.
     Item(usize),
 }
 
@@ -48,7 +45,7 @@ pub(crate) struct Crate {
     pub(crate) exported_macros: HashMap<String, usize>,
 }
 
-/// Re-exports of re-exports that are followed at most.
+/// Most re-exports followed in a chain.
 const DEEPEST: usize = 16;
 
 impl Crate {
@@ -57,7 +54,7 @@ impl Crate {
         self.modules.len() - 1
     }
 
-    /// Returns what `path` leads to from `module`, if it is of this crate.
+    /// Returns the target of `path` from `module`, or none if it lies outside this crate.
     pub(crate) fn resolve(&self, module: usize, path: &[String]) -> Option<Target> {
         self.resolve_within(module, path, DEEPEST)
     }
@@ -107,7 +104,6 @@ impl Crate {
         })
     }
 
-    /// Returns whether `module` lies below `above`.
     pub(crate) fn is_below(&self, module: usize, above: usize) -> bool {
         let mut parents = std::iter::successors(self.modules[module].parent, |module| self.modules[*module].parent);
         parents.any(|parent| parent == above)

@@ -7,15 +7,14 @@ use std::{
 
 const MOST_LINES: usize = 500;
 const MOST_CHARACTERS: usize = 120;
-/// Folders that hold no sources of ours.
+/// Folders without sources of ours.
 const SKIPPED: [&str; 4] = ["target", "scenes", "shared", "corpus"];
 
-/// The source files of a workspace.
 #[derive(Debug, Default)]
 pub struct Sources {
-    /// Every Rust, WGSL and Markdown file.
+    /// Rust, WGSL and Markdown.
     pub files: Vec<PathBuf>,
-    /// The file that each crate starts with: libraries, programs, tests and benchmarks.
+    /// The first file of each crate: libraries, programs, tests and benchmarks.
     pub roots: Vec<PathBuf>,
 }
 

@@ -19,7 +19,7 @@ pub(crate) fn read_uses(read: &mut Crate, module: usize, file: &File) -> Vec<(us
 struct Collector<'a> {
     read: &'a mut Crate,
     module: usize,
-    /// The inline modules around what is visited.
+    /// The inline modules around the visited item.
     inline: Names,
     declared: Vec<(usize, Names)>,
 }
@@ -76,7 +76,7 @@ impl Collector<'_> {
         }
     }
 
-    /// Collects whatever looks like a path in the tokens of a macro or an attribute.
+    /// Collects what looks like a path in the tokens of a macro or an attribute.
     fn use_tokens(&mut self, tokens: TokenStream) {
         let mut path = Names::new();
         let mut before = String::new();
