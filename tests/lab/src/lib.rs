@@ -1,5 +1,5 @@
-//! What Gnomon's end-to-end tests and reports are made of: the f64 referee, scenes, metrics, a network emulator, and a
-//! rig that runs the real programs.
+//! Support for Gnomon's end-to-end tests and reports: the f64 referee, scenes, metrics, a network emulator, and a rig
+//! that runs the real programs.
 
 pub mod backends;
 pub mod cloister;

@@ -39,7 +39,7 @@ enum Command {
     Pipeline(pipeline::PipelineOptions),
     /// Measure the error of predicted visibility against its lag: lag.csv, plots and a grid of pictures.
     Lag(lag::LagOptions),
-    /// Measure what prediction costs of a client's frame: predict_cost.csv.
+    /// Measure the cost of prediction in a client's frame: predict_cost.csv.
     PredictCost(predict_cost::PredictCostOptions),
     /// Emulate a network between a client and a server on this machine.
     Link(link::LinkOptions),
@@ -51,7 +51,7 @@ enum Command {
     Network(network::NetworkOptions),
     /// Measure every setting that trades speed for error on the real scenes: pareto.csv and a plot per scene.
     Pareto(pareto::ParetoOptions),
-    /// Draw a client's recording again: the same pictures to the last bit on the same adapter.
+    /// Redraw a client's recording: the same pictures to the last bit on the same adapter.
     Replay(replay::ReplayOptions),
     /// Compare the back ends' masks with the referee's, directly.
     TraceError(trace_error::TraceErrorOptions),

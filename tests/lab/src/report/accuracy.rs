@@ -102,7 +102,7 @@ fn judge_cases(
     Ok(table)
 }
 
-/// A mask without a truth: the more lights reach a pixel, the brighter it is.
+/// Draws a mask without a truth: the more lights reach a pixel, the brighter it is.
 fn lit_picture(mask: &Mask) -> image::RgbImage {
     let shape = mask.shape();
     image::RgbImage::from_fn(shape.width(), shape.height(), |x, y| {
@@ -178,7 +178,7 @@ impl Judged {
         Ok(Self { scene, cameras, truths })
     }
 
-    /// Returns a back end's masks, one per camera.
+    /// Returns one mask per camera.
     pub fn masks(&self, backend: BackendName) -> Result<Vec<Mask>> {
         let mut trace = backend.open(&self.scene)?;
         let lights = u32::try_from(self.scene.lights.len())?;

@@ -7,7 +7,7 @@
 //! Codecs with references are measured without one, and with the mask of N frames before at 60 frames a second: 1 is
 //! the least possible, 3 is what a round trip of 40 ms gives.
 //!
-//! With `--wrong-ppm`, sliced codecs are also measured on simplified masks, as clients get them that allow wrong bits.
+//! With `--wrong-ppm`, sliced codecs are also measured on simplified masks, as sent to clients that allow wrong bits.
 //! The time of simplifying is included; irrelevant bits count like relevant ones.
 
 use std::time::Instant;
@@ -27,7 +27,6 @@ use crate::backends::BackendName;
 const HEAD: &str = "scene | path | lights | codec | reference | mean_bytes \
      | p99_bytes | packets_mean | encode_ms | decode_ms | wrong_relevant_bits";
 
-/// zstd's default level.
 const ZSTD_LEVEL: i32 = 3;
 
 #[derive(Debug, Clone, clap::Args)]
@@ -173,7 +172,7 @@ impl Subject {
     }
 }
 
-/// Results of a codec, one value per frame.
+/// One value per frame.
 #[derive(Default)]
 struct Tally {
     bytes: Vec<f64>,
@@ -218,7 +217,7 @@ impl Tally {
             format!("{:.1}", mean(&self.packets)),
             format!("{:.2}", mean(&self.encode_ms)),
             format!("{:.2}", mean(&self.decode_ms)),
-            // Over all bits, so also over the relevant ones.
+            // Counted over all bits, which include the relevant ones.
             self.wrong_bits.to_string(),
         ]
     }

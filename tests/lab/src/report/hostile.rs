@@ -59,7 +59,6 @@ pub struct HostileOptions {
     pub ignore_times: bool,
 }
 
-/// Results, one row per goal.
 #[derive(Debug, Clone)]
 pub struct HostileReport {
     /// Columns: goal, measured, wanted, holds.

@@ -1,4 +1,4 @@
-//! `lab link`: the network emulator as a program, between a client and a server that a person starts.
+//! `lab link`: the network emulator as a program, for a client and a server that are started by hand.
 
 use std::{net::SocketAddr, time::Duration};
 
@@ -35,7 +35,6 @@ pub struct LinkOptions {
 }
 
 impl LinkOptions {
-    /// Returns the profile with its changes.
     pub fn settings(&self) -> Result<LinkSettings> {
         let mut settings = Profile::named(&self.profile)?.settings(self.seed)?;
         settings.up.set(&format!("{} {}", self.both, self.up)).context("from client to server")?;

@@ -1,4 +1,4 @@
-//! `lab load`: many clients without graphics on one server, and what each gets.
+//! `lab load`: many clients without graphics on one server, and the service that each gets.
 
 use std::path::PathBuf;
 
@@ -50,10 +50,8 @@ pub struct LoadReport {
     pub fps: Option<f64>,
     pub poses: u64,
     pub masks: u64,
-    /// Frames that arrived only in part.
     pub incomplete: u64,
     pub masks_per_s: f64,
-    /// Of the client that got the fewest.
     pub slowest_client_masks_per_s: f64,
     /// Median time from pose to decoded mask, in milliseconds.
     pub response_ms_p50: Option<f64>,

@@ -1,9 +1,9 @@
-//! `lab loss`: effect of packet loss on the masks that a client shows, by the countermeasure.
+//! `lab loss`: effect of packet loss on the masks that a client shows, for each countermeasure.
 //!
 //! `model` models one session on a simulated clock: 60 poses a second go up, each mask comes down in packets of 1161
 //! bytes through an [`Impairment`](crate::link::impairment::Impairment), and the client shows the newest. Without
-//! tracing time, pacing and prediction, rows differ by loss alone. Feedback of the client is lost as often. Losses are
-//! seeded: a second run gives the same figures. `quic` is the real server and the real client ([`transport`]).
+//! tracing time, pacing and prediction, rows differ by loss alone. Client feedback is lost as often. Losses are seeded:
+//! a second run gives the same figures. `quic` is the real server and the real client ([`transport`]).
 
 mod model;
 mod options;
@@ -30,7 +30,7 @@ pub fn measure(options: &LossOptions, mut progress: impl FnMut(&str)) -> Result<
     let args = &options.scene;
     ensure!(options.loss.iter().all(|loss| (0.0..100.0).contains(loss)), "a loss is 0 to below 100 per cent");
     ensure!(options.burst.iter().all(|length| *length >= 1.0), "a burst is at least 1 packet long");
-    ensure!(options.warm_up < args.frames, "--warm-up leaves nothing of {} frames", args.frames);
+    ensure!(options.warm_up < args.frames, "--warm-up must be less than the {} frames", args.frames);
     let (scene, path) = (args.load_scene()?, args.load_path()?);
     let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
     let (width, height) = args.size;

@@ -122,20 +122,19 @@ impl Cores {
 fn on_core<T: Send>(core: CoreId, start: impl FnOnce() -> Result<T> + Send) -> Result<T> {
     std::thread::scope(|scope| {
         let pinned = scope.spawn(move || {
-            ensure!(core_affinity::set_for_current(core), "core {} is not to be had", core.id);
+            ensure!(core_affinity::set_for_current(core), "cannot run on core {}", core.id);
             start()
         });
         pinned.join().unwrap_or_else(|_| Err(anyhow::anyhow!("a starting thread panicked")))
     })
 }
 
-/// A server, and the link's runtime.
 struct Stage<'a> {
     options: &'a NetworkOptions,
     cores: Cores,
     server: ServerProcess,
     runtime: Runtime,
-    /// Scene cache of the clients: otherwise a slow network would spend the run on fetching.
+    /// Clients' scene cache: without it, fetching over a slow network would take the whole run.
     cache: tempfile::TempDir,
 }
 
@@ -319,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn children_get_the_core_that_they_are_given() {
+    fn children_run_on_the_given_core() {
         let cores = Cores::of_this_machine().unwrap();
         for core in [cores.client, cores.server] {
             let allowed = on_core(core, || {

@@ -2,10 +2,10 @@
 //!
 //! The rows of the group `tracing` are measured on masks for the frame that shows them: the back end, which also
 //! decides whether nodes are compressed (`compute`) or in full precision (`cpu`); the resolution; the offset of shadow
-//! rays; the codec; how often dim lights are traced. `prediction` is how late a mask is and how the client predicts
-//! from it. Milliseconds are the time that a frame waits for its visibility: tracing and encoding, less the lag that it
-//! is allowed. `half-mask` is a mask of half the size, which the client's predictor spreads over the picture. `lossy`
-//! allows wrong bits so that the codec has less to code.
+//! rays; the codec; how often dim lights are traced. `prediction` varies the mask's lag and the client's predictor.
+//! Milliseconds are the time that a frame waits for its visibility: tracing and encoding, less the allowed lag.
+//! `half-mask` is a mask of half the size, which the client's predictor spreads over the picture. `lossy` allows wrong
+//! bits so that the codec has less to code.
 
 mod front;
 mod judge;
@@ -61,8 +61,8 @@ pub struct ParetoOptions {
     pub out: PathBuf,
 }
 
-/// Measures all settings and writes `pareto.csv` and a plot per scene. Reports each step, and each default that is off
-/// the front, to `progress`.
+/// Measures all settings and writes `pareto.csv` and a plot per scene. Reports steps, and defaults off the front, to
+/// `progress`.
 pub fn measure(options: &ParetoOptions, mut progress: impl FnMut(&str)) -> Result<()> {
     for name in &options.backends {
         ensure!(BACKENDS.contains(&name.as_str()), "{name:?} is no back end: {}", BACKENDS.join(", "));

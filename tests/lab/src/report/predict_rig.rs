@@ -59,8 +59,7 @@ impl PredictRig {
         Ok(self.draw(camera, Predictor::None, Some((&mask, camera)))?.0)
     }
 
-    /// Returns the client's picture and visibility for a view, given a mask and the view that it was traced for, or
-    /// none.
+    /// Returns the client's picture and visibility for a view. `mask` comes with the view that it was traced for.
     pub(super) fn draw(
         &mut self,
         camera: &Camera,

@@ -1,5 +1,5 @@
-//! Error of a recorded run's pictures: masks are applied as the client received them, in parts too, pictures are drawn
-//! again, and the referee judges them.
+//! Error of a recorded run: masks are applied as the client received them, in parts too; pictures are redrawn and
+//! judged by the referee.
 
 use std::path::Path;
 
@@ -24,8 +24,8 @@ impl Judge {
         Ok(Self { gpu, reference: Reference::new(&loaded), loaded })
     }
 
-    /// Returns the error over `samples` pictures from `first` on, of `frames` in all. A picture in the middle of a fade
-    /// counts as what it shows more of.
+    /// Returns the error over `samples` of `frames` pictures, from `first` on. A picture in mid-fade counts as the mask
+    /// or the client's own visibility, whichever it shows more of.
     pub(super) fn error_of(
         &self,
         recording: &Path,

@@ -1,4 +1,4 @@
-//! `lab replay`: draws a client's recording again, without a network, and prints the network's events.
+//! `lab replay`: redraws a client's recording without a network, and prints the network's events.
 
 use std::{fs, io::BufWriter, path::PathBuf};
 

@@ -45,7 +45,6 @@ pub struct SceneArgs {
 }
 
 impl SceneFile {
-    /// Loads the scene with its lights.
     pub fn load(&self) -> Result<Scene> {
         let options = LoadOptions { lights_from: self.lights_from.clone(), max_lights: self.lights };
         Scene::load(&self.scene, &options).with_context(|| format!("loading {}", self.scene.display()))
@@ -74,7 +73,6 @@ impl SceneArgs {
         self.path.clone().unwrap_or_else(|| self.file.scene.with_file_name("lights_camera.json").into())
     }
 
-    /// Returns a client's job along the whole path.
     pub fn client_job<'a>(
         &self,
         url: Option<&'a str>,
@@ -113,7 +111,7 @@ impl SceneArgs {
         Ok(self.out.join(name))
     }
 
-    /// Writes a result and returns its path.
+    /// Returns the path of the written file.
     pub fn write(&self, name: &str, text: &str) -> Result<PathBuf> {
         let file = self.result(name)?;
         fs::write(&file, text).with_context(|| format!("writing {}", file.display()))?;
@@ -127,7 +125,6 @@ pub fn parse<T: clap::Args>(line: &str) -> Result<T> {
     Ok(T::from_arg_matches(&command.try_get_matches_from(line.split_whitespace())?)?)
 }
 
-/// Parses `WIDTHxHEIGHT`.
 pub fn size(text: &str) -> Result<(u32, u32), String> {
     let parsed = text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
     parsed.ok_or_else(|| format!("{text:?} is no size: write it as 640x360"))

@@ -1,4 +1,4 @@
-//! A picture, as the client's statistics describe it.
+//! A picture in the client's statistics.
 
 use gnomon_client::mode::State;
 use serde::Deserialize;
@@ -8,6 +8,6 @@ pub(super) struct Shown {
     /// Time since the first frame, in milliseconds.
     pub(super) t_ms: f64,
     pub(super) state: State,
-    /// Age of its mask, in frames.
+    /// Age of the mask, in frames.
     pub(super) lag: Option<u32>,
 }

@@ -1,12 +1,12 @@
 //! Figures over many values.
 
-/// Returns the mean; NaN of nothing.
+/// Returns NaN for no values.
 #[expect(clippy::cast_precision_loss, reason = "counts far below 2⁵³")]
 pub(super) fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Returns the middle value, or the mean of the two middle ones; `None` of nothing.
+/// Returns the middle value, or the mean of the two middle ones; `None` for no values.
 pub(super) fn median(values: &[f64]) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -1,7 +1,7 @@
 //! `lab video`: the same walk sent as pictures, and as visibility for the client to shade.
 //!
-//! Each shown picture is compared with the picture without a network. A video shows the picture of one round trip ago;
-//! our client draws the newest pose with predicted visibility of one round trip ago. Lag is counted in frames and
+//! Each shown picture is compared with the picture without a network. A video shows the picture of one round trip ago.
+//! Our client draws the newest pose with predicted visibility of one round trip ago. Lag is counted in frames and
 //! nothing is lost, which favours video.
 
 mod stream;
@@ -81,7 +81,6 @@ impl VideoOptions {
     }
 }
 
-/// A method at one rate and round trip.
 #[derive(Debug, Clone)]
 struct Row {
     method: &'static str,
@@ -93,7 +92,6 @@ struct Row {
     quality: Quality,
 }
 
-/// Quality over all frames.
 #[derive(Debug, Clone)]
 struct Quality {
     /// From the mean square error over all frames; infinite if all are exact.
@@ -183,12 +181,11 @@ impl Sender {
     }
 }
 
-/// The walk and its true pictures.
 struct Bench<'a> {
     options: &'a VideoOptions,
     rig: PredictRig,
     path: CameraPath,
-    /// True pictures of all frames, measured or not.
+    /// Covers all frames, measured or not.
     truths: Vec<RgbImage>,
     first: u32,
 }
@@ -238,7 +235,7 @@ impl<'a> Bench<'a> {
         options.rtt.iter().map(|&rtt_ms| seen(rtt_ms)).collect()
     }
 
-    /// Measures visibility from a server one round trip away; every codec shows the same pictures.
+    /// Measures visibility from a server one round trip away. Every codec shows the same pictures.
     fn split(&mut self, rtt_ms: u32, method: &'static str) -> Result<Vec<Row>> {
         let options = self.options;
         let lag = options.lag(rtt_ms);

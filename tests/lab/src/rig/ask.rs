@@ -1,4 +1,4 @@
-//! What a probe asks a server for.
+//! A probe's request to a server.
 
 use gnomon_client::{app::probe::ProbeOptions, link::url::ServerUrl};
 use gnomon_protocol::codec::CodecId;

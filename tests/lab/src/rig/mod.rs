@@ -36,7 +36,7 @@ impl ServerProcess {
         Self::start_in(scene, arguments, &[])
     }
 
-    /// As [`Self::start`], with environment variables.
+    /// Like [`Self::start`], with environment variables.
     pub fn start_in<A: AsRef<OsStr>>(scene: &Path, arguments: &[A], environment: &[(&str, &str)]) -> Result<Self> {
         let certificate = tempfile::tempdir().context("making a temporary folder")?;
         let mut all: Vec<OsString> = vec!["--scene".into(), scene.into()];
@@ -61,17 +61,17 @@ impl ServerProcess {
         &mut self.program
     }
 
-    /// Kills it (SIGKILL).
+    /// Sends SIGKILL.
     pub fn kill(self) -> Result<()> {
         self.program.kill()
     }
 
-    /// Waits for its end, whatever its status.
+    /// Accepts any exit status.
     pub fn wait(self, patience: Duration) -> Result<Outcome> {
         self.program.finish(patience)
     }
 
-    /// Stops it (SIGTERM) and waits for its end. Errors if it reports failure.
+    /// Sends SIGTERM and waits for the end. Errors if the program reports failure.
     pub fn stop(self) -> Result<Outcome> {
         self.program.terminate()?;
         self.program.finish(PATIENCE)?.success()
@@ -89,7 +89,6 @@ fn url_in(said: &str) -> Option<String> {
         .map(str::to_owned)
 }
 
-/// A headless client's job and output folder.
 #[derive(Debug, Clone)]
 pub struct ClientJob<'a> {
     /// The server's URL; `None` needs `--offline` among the arguments.

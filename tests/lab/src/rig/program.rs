@@ -12,7 +12,6 @@ use std::{
 use anyhow::{Context, Result, bail, ensure};
 use tempfile::TempDir;
 
-/// Polling interval.
 const POLL: Duration = Duration::from_millis(5);
 
 /// Returns the path of the built program `name`, in the running program's folder or above it. Errors if it is older
@@ -124,12 +123,12 @@ impl Program {
                 return Ok(thing);
             }
             ensure!(running, "{} ended too early:\n{stdout}{stderr}", self.name);
-            ensure!(start.elapsed() < patience, "{} keeps us waiting for {patience:?}:\n{stdout}{stderr}", self.name);
+            ensure!(start.elapsed() < patience, "{} did not respond within {patience:?}:\n{stdout}{stderr}", self.name);
             std::thread::sleep(POLL);
         }
     }
 
-    /// Waits for its end. After `patience` it is killed, and the error has its output.
+    /// Waits for the end. After `patience` the program is killed, and the error has its output.
     pub fn finish(mut self, patience: Duration) -> Result<Outcome> {
         let start = Instant::now();
         loop {
@@ -145,13 +144,13 @@ impl Program {
         }
     }
 
-    /// Kills it (SIGKILL).
+    /// Sends SIGKILL.
     pub fn kill(mut self) -> Result<()> {
         self.child.kill().with_context(|| format!("killing {}", self.name))?;
         self.child.wait().with_context(|| format!("waiting for {}", self.name)).map(drop)
     }
 
-    /// Asks it to stop (SIGTERM).
+    /// Sends SIGTERM.
     pub fn terminate(&self) -> Result<()> {
         let status = Command::new("kill").args(["-TERM", &self.id().to_string()]).status().context("running kill")?;
         ensure!(status.success(), "kill -TERM {} failed", self.id());
@@ -187,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_is_heard_out_and_its_status_kept() {
+    fn output_and_status_are_collected() {
         let mut program = shell("echo out $GIVEN; echo err >&2; sleep 0.05; echo later; exit 7");
         assert_eq!(program.wait_for(Duration::from_secs(60), |s| s.find("later")).unwrap(), 8);
         let outcome = program.finish(Duration::from_secs(60)).unwrap();
@@ -199,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn an_endless_program_is_given_up_and_killed() {
+    fn an_endless_program_is_killed() {
         let mut program = shell("echo busy; exec sleep 1000");
         program.wait_for(Duration::from_secs(60), |said| said.find("busy")).unwrap();
         let id = program.id();
@@ -209,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_older_than_a_source_is_found_out() {
+    fn a_program_older_than_a_source_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
         let place = |name: &str| folder.path().join(name);
         for name in ["a b.rs", "c.rs", "program"] {

@@ -141,7 +141,6 @@ impl SceneBuilder {
         self
     }
 
-    /// Adds a point light.
     pub fn point_light(self, position: Vec3, range_m: f32) -> Self {
         self.light(LightKind::Point, position, Vec3::NEG_Y, range_m)
     }

@@ -7,10 +7,8 @@ use glam::DVec3;
 use gnomon_scene::camera::Camera;
 use serde_json::Value;
 
-/// Names the folder of real scenes.
 pub const SCENES_VARIABLE: &str = "GNOMON_SCENES";
 
-/// A real scene and its cameras.
 #[derive(Debug, Clone, Copy)]
 pub struct RealScene {
     pub name: &'static str,
@@ -41,19 +39,15 @@ pub const JUDGED: [RealScene; 6] = [
     scene("sponza-dabrovic", "sponza-dabrovic/sponza-dabrovic.glb", true),
 ];
 
-/// A camera's place and view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stop {
-    /// Position, in metres.
     pub position_m: DVec3,
-    /// Point to look at, in metres.
     pub target_m: DVec3,
     /// Full vertical field of view, in degrees.
     pub yfov_deg: f64,
 }
 
 impl Stop {
-    /// Returns the camera for pictures of this size.
     pub fn camera(&self, width: u32, height: u32) -> Camera {
         Camera::looking_at(self.position_m, self.target_m, self.yfov_deg.to_radians(), width, height)
     }
@@ -69,7 +63,6 @@ impl Stop {
     }
 }
 
-/// Returns the folder of real scenes.
 pub fn folder() -> Result<PathBuf> {
     let Some(folder) = std::env::var_os(SCENES_VARIABLE).map(PathBuf::from) else {
         bail!("{SCENES_VARIABLE} is not set: it must name the folder that holds sponza/, modern-hall/, …");
@@ -86,7 +79,6 @@ impl RealScene {
         if path.is_file() { Ok(path) } else { bail!("{} is missing from {SCENES_VARIABLE}", path.display()) }
     }
 
-    /// The `lights_camera.json` beside the scene file.
     pub fn json(&self) -> Result<PathBuf> {
         Ok(self.path()?.with_file_name("lights_camera.json"))
     }
@@ -96,12 +88,11 @@ impl RealScene {
         folder.join(self.file).with_file_name("lights_camera.json")
     }
 
-    /// Returns the cameras' places.
     pub fn stops(&self) -> Result<Vec<Stop>> {
         self.stops_in(&folder()?)
     }
 
-    /// Returns the cameras' places, given the folder of scenes.
+    /// `folder` is the folder of scenes.
     pub fn stops_in(&self, folder: &Path) -> Result<Vec<Stop>> {
         let json = self.json_in(folder);
         self.stops.iter().map(|&(name, time_s)| stop(&json, name, time_s)).collect()

@@ -39,7 +39,6 @@ pub struct DevicesPart {
     pub seconds: u32,
 }
 
-/// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Time to trace again after a device loss.
@@ -259,7 +258,6 @@ fn several(part: &DevicesPart, server: &RunningServer, probes: &Probes) -> Resul
     ])
 }
 
-/// Asks for a mask of this shape.
 fn request(port: &mut SessionPort, shape: MaskShape, frame: u32) {
     let target = glam::DVec3::new(0.3, 0.1, 1.0);
     port.request(TraceRequest {
@@ -271,7 +269,7 @@ fn request(port: &mut SessionPort, shape: MaskShape, frame: u32) {
     });
 }
 
-/// Waits for a mask, at most for [`PATIENCE`].
+/// Waits for at most [`PATIENCE`].
 fn await_mask(port: &mut SessionPort) -> Result<()> {
     let begun = Instant::now();
     while port.masks.try_recv().is_err() {

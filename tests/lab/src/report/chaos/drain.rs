@@ -90,7 +90,7 @@ pub fn measure(part: &DrainPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>
             },
             match &newcomer {
                 Ok(()) => false,
-                // The server may be gone already, which admits nobody either.
+                // A server that is gone admits nobody either.
                 Err(error) => matches!(error, ClientError::Refused(Refusal::Draining)) || took < Duration::from_secs(1),
             },
         ),

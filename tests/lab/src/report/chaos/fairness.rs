@@ -13,7 +13,7 @@ use crate::rig::Ask;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct FairnessPart {
-    /// The server; 32 lights make the greedy one greedier.
+    /// The server; with 32 lights the greedy client costs more.
     #[command(flatten)]
     pub server: ServerArgs,
     /// Modest sessions, of 320×180 at 30 masks a second.

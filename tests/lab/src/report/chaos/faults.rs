@@ -32,7 +32,6 @@ pub struct FaultsPart {
     pub black_holes: u32,
 }
 
-/// Longest handshake through a bad network.
 const HANDSHAKE_PATIENCE: Duration = Duration::from_secs(60);
 
 /// Frames of the client whose server is killed, 30 a second.

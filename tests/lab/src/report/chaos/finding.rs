@@ -1,5 +1,3 @@
-//! Results of a part.
-
 /// A promise and its measurement.
 #[derive(Debug, Clone)]
 pub struct Finding {

@@ -25,7 +25,7 @@ pub struct LoadPart {
     /// Masks a second of a heavy session.
     #[arg(long, default_value_t = 30.0)]
     pub heavy_fps: f64,
-    /// How long, in seconds.
+    /// Duration, in seconds.
     #[arg(long, default_value_t = 120)]
     pub seconds: u32,
 }
@@ -37,7 +37,7 @@ pub struct IdlePart {
     /// Sessions that request one mask of 64×36 a second, as a client with a still camera does.
     #[arg(long, default_value_t = 1000)]
     pub sessions: u32,
-    /// How long, in seconds.
+    /// Duration, in seconds.
     #[arg(long, default_value_t = 60)]
     pub seconds: u32,
 }
@@ -69,10 +69,10 @@ pub fn measure(part: &LoadPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>>
                 Ok((ask, probes.spawn(scope, ask, number)?))
             })
             .collect::<Result<Vec<_>>>()?;
-        progress("all sessions are asked for");
+        progress("all sessions are started");
         sleep(third);
         let early = usage(process)?;
-        // More than any machine has left: it must be refused, without effect on the others.
+        // Asks for more than any machine has left. It must be refused, without effect on the others.
         let refused = probes.run(Ask { size: (640, 360), fps: Some(60_000.0), frames: 1 }, 0);
         sleep(third);
         let late = usage(process)?;
@@ -142,7 +142,7 @@ pub fn measure_idle(part: &IdlePart, progress: &dyn Fn(&str)) -> Result<Vec<Find
     let mut server = part.server.start(&[])?;
     let process = server.program().id();
     let probes = Probes::of(&part.server, server.url())?;
-    // Sessions outlive the start of the last one and the measurement.
+    // Sessions must outlast the last start and the measurement.
     let start_s = PAUSE.as_secs_f64() * f64::from(part.sessions);
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "some minutes")]
     let life_s = part.seconds + (start_s * 3.0) as u32 + 10;
@@ -155,7 +155,7 @@ pub fn measure_idle(part: &IdlePart, progress: &dyn Fn(&str)) -> Result<Vec<Find
                 probes.spawn(scope, ask, number)
             })
             .collect::<Result<Vec<_>>>()?;
-        progress("all sessions are asked for");
+        progress("all sessions are started");
         sleep(Duration::from_secs(5));
         let before = usage(process)?;
         sleep(Duration::from_secs(part.seconds.into()));

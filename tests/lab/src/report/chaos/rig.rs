@@ -77,7 +77,7 @@ impl Probes {
         self.runtime.handle()
     }
 
-    /// Runs a probe to its end; `number` decides where on the path it begins.
+    /// Runs a probe to its end; `number` selects its start on the path.
     pub(super) fn run(&self, ask: Ask, number: u32) -> Result<ProbeReport, ClientError> {
         self.run_at(&self.url, ask, number, ProbeOptions::CONNECT_TIMEOUT)
     }
@@ -94,7 +94,6 @@ impl Probes {
         run_probe(self.runtime.handle(), &options, &self.path)
     }
 
-    /// Runs a probe in its own thread.
     pub(super) fn spawn<'scope>(
         &'scope self,
         scope: &'scope std::thread::Scope<'scope, '_>,
@@ -124,7 +123,6 @@ pub(super) fn headless(
     Ok(options)
 }
 
-/// Returns the report of a spawned probe.
 pub(super) fn joined(probe: Running<'_>) -> Result<ProbeReport> {
     let report = probe.join().map_err(|_| anyhow::anyhow!("a probe's thread panicked"))?;
     Ok(report?)

@@ -1,4 +1,4 @@
-//! `lab chaos soak`: what remains of clients that come and go for a long time.
+//! `lab chaos soak`: resources left behind by clients that come and go for a long time.
 
 use std::{
     collections::BTreeMap,
@@ -28,7 +28,7 @@ pub struct SoakPart {
     /// Sessions started per second.
     #[arg(long, default_value_t = 10.0)]
     pub rate: f64,
-    /// How long, in seconds.
+    /// Duration, in seconds.
     #[arg(long, default_value_t = 1800)]
     pub seconds: u32,
 }
@@ -78,11 +78,11 @@ pub fn measure(part: &SoakPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>>
         }
         // The server cleans up after the last sessions within its closing period.
         sleep(Duration::from_secs(3));
-        Ok::<_, anyhow::Error>((early.context("it was too short")?, usage(process)?))
+        Ok::<_, anyhow::Error>((early.context("the soak was too short")?, usage(process)?))
     })?;
     let (done, reasons) = (done.into_inner(), failed.into_inner().unwrap_or_else(PoisonError::into_inner));
     let failed: u32 = reasons.values().sum();
-    // Addresses make many variants of one reason; a few are enough.
+    // Addresses make many variants of one reason; three are enough.
     let reasons: String = reasons.iter().take(3).map(|(reason, times)| format!("; {times} × {reason}")).collect();
     let growth = mib(late.resident_bytes) - mib(early.resident_bytes);
     let outcome = server.stop().context("stopping the server")?;

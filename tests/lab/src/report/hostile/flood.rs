@@ -19,12 +19,11 @@ use rustls::{
 };
 use tokio::{runtime::Handle, task::JoinSet};
 
-/// Another address of this machine than good clients use.
+/// An address of this machine that good clients do not use.
 const SOURCE: &str = "127.0.0.2:0";
 
 const AT_ONCE: usize = 256;
 
-/// Accepts any certificate.
 #[derive(Debug)]
 struct Careless(Arc<CryptoProvider>);
 

@@ -42,7 +42,7 @@ impl Noise {
     }
 }
 
-/// Captures a real client's first packet.
+/// Returns a real client's first packet.
 pub(super) fn first(runtime: &Handle, path: &CameraPath) -> Result<Vec<u8>> {
     let listener = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
     listener.set_read_timeout(Some(Duration::from_secs(5)))?;
@@ -54,7 +54,7 @@ pub(super) fn first(runtime: &Handle, path: &CameraPath) -> Result<Vec<u8>> {
         let connecting = scope.spawn(|| run_probe(runtime, &options, path).map(drop));
         let length = listener.recv(&mut packet)?;
         packet.truncate(length);
-        ensure!(connecting.join().is_ok_and(|ended| ended.is_err()), "nobody was there to connect to");
+        ensure!(connecting.join().is_ok_and(|ended| ended.is_err()), "the client connected without a server");
         ensure!(length >= 1200, "a first packet of {length} bytes");
         Ok(packet)
     })

@@ -26,7 +26,6 @@ impl PosePrediction {
     }
 }
 
-/// The varied settings of a row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Setting {
     pub(super) lag: u32,
@@ -41,7 +40,7 @@ pub(super) struct Outcome {
     pub(super) known_share: Vec<f64>,
     pub(super) images: Vec<ImageError>,
     pub(super) vmaf: Option<f64>,
-    /// Shown pictures, one per measured frame.
+    /// One picture per measured frame.
     pub(super) shown: Vec<RgbImage>,
 }
 

@@ -96,7 +96,7 @@ fn difference(one: &RgbImage, other: &RgbImage) -> RgbImage {
     })
 }
 
-/// At most 480 pixels wide.
+/// Shrinks to at most 480 pixels wide.
 fn small(picture: &RgbImage) -> RgbImage {
     let width = picture.width().min(480);
     let height = (picture.height() * width / picture.width()).max(1);

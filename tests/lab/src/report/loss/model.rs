@@ -74,7 +74,7 @@ impl Viewer {
         self.show_frame()
     }
 
-    /// Shows the frame that was delivered, if one was.
+    /// Shows the delivered frame, if any.
     fn show_frame(&mut self) -> Result<()> {
         let frame = match self.receiver.poll_frame(&mut self.shown, &mut self.coverage) {
             Ok(Some(frame)) => frame,
@@ -85,7 +85,7 @@ impl Viewer {
             return Ok(());
         }
         self.outcome.frames_whole += u32::from(frame.missing == 0);
-        // Of a frame that is delivered again, only the new packets.
+        // If the frame was delivered before, only its new packets count.
         let before = self.counted.filter(|(number, _)| *number == frame.frame).map_or(0, |(_, packets)| packets);
         self.outcome.packets_used += u64::from(frame.packets - before);
         self.counted = Some((frame.frame, frame.packets));
@@ -106,7 +106,7 @@ impl Viewer {
     }
 }
 
-/// The server's side, and the link.
+/// The server and the link.
 struct Sender {
     encoder: Encoder,
     packetizer: Packetizer,

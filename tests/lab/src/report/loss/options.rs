@@ -25,7 +25,7 @@ pub struct LossOptions {
     /// Transports: model, quic or lab-udp.
     #[arg(long, value_delimiter = ',', default_value = "model")]
     pub transport: Vec<String>,
-    /// Countermeasures: whole-frame, slices, parity. Codecs without slices know whole-frame only.
+    /// Countermeasures: whole-frame, slices, parity. Codecs without slices support whole-frame only.
     #[arg(long, value_delimiter = ',', default_value = "whole-frame,slices,parity")]
     pub packets: Vec<Packets>,
     /// Frames at the beginning that do not count: loss must be measured first.
@@ -55,7 +55,7 @@ pub struct LossOptions {
 pub(super) struct Outcome {
     pub(super) frames: u32,
     pub(super) frames_whole: u32,
-    /// Packets' worth of tiles that arrived in time, and all.
+    /// Tiles that arrived in time, counted in packets.
     pub(super) packets_used: u64,
     pub(super) packets: u64,
     pub(super) wrong_bits: u64,

@@ -1,4 +1,4 @@
-//! The real server and client behind a link that loses packets. The server's log tells what was sent of each frame, the
+//! The real server and client behind a link that loses packets. The server's log lists the packets of each frame, the
 //! client's log how each mask arrived, and the referee judges pictures replayed from the client's recording.
 //!
 //! A tile is in time if it arrives before its frame is replaced by a newer one. Frames under way at the end of a run do
@@ -20,7 +20,6 @@ use crate::{
     rig::{PATIENCE, ServerProcess},
 };
 
-/// A server, and what judges its clients.
 pub(super) struct Stage<'a> {
     options: &'a LossOptions,
     server: ServerProcess,
@@ -102,7 +101,6 @@ impl<'a> Stage<'a> {
     }
 }
 
-/// Reads the sent frames from a log.
 fn sent(log: &str) -> Result<BTreeMap<u32, Sent>> {
     let mut frames = BTreeMap::new();
     for line in log.lines() {
@@ -148,7 +146,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_sent_is_held_against_what_came() {
+    fn sent_frames_are_matched_with_received_ones() {
         let line = |frame: u32, packets: u32| {
             format!(r#"{{"fields":{{"message":"sent","frame":"{frame}","bytes":900,"packets":{packets},"parity":1}}}}"#)
         };

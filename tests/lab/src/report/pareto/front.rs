@@ -11,14 +11,14 @@ pub(super) struct Trade {
 }
 
 impl Trade {
-    /// Whether this one is worse in nothing and clearly better in something.
+    /// Returns whether this one is worse in nothing and clearly better in something.
     fn beats(&self, other: &Self) -> bool {
         let no_worse = self.ms <= other.ms && self.bytes <= other.bytes && self.error <= other.error;
         no_worse && (self.ms < other.ms * (1.0 - CLOCK) || self.bytes < other.bytes || self.error < other.error)
     }
 }
 
-/// For each of `trades`, whether it is on the front.
+/// Returns for each of `trades` whether it is on the front.
 pub(super) fn on_front(trades: &[Trade]) -> Vec<bool> {
     trades.iter().map(|trade| !trades.iter().any(|other| other.beats(trade))).collect()
 }

@@ -1,4 +1,4 @@
-//! The error of what a client shows: its bits against the reference's, its picture against the picture with those bits.
+//! The error of a client's bits against the reference's, and of its picture against the picture with those bits.
 
 use anyhow::{Context, Result};
 use gnomon_client::predictor::Predictor;
@@ -12,16 +12,14 @@ use crate::{
     reference::{Reference, Truth},
 };
 
-/// A view that is judged, and its reference.
 pub(super) struct Stop {
-    /// Time on the path, in seconds.
     pub(super) time_s: f64,
     pub(super) camera: Camera,
     truth: Truth,
     picture: RgbImage,
 }
 
-/// Errors, summed over the shown frames.
+/// Sums over the shown frames.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Verdict {
     bits: RelevantError,
@@ -50,7 +48,7 @@ impl Verdict {
 }
 
 impl Stop {
-    /// Traces and draws the reference of what `camera` sees.
+    /// Traces and draws the reference for `camera`.
     pub(super) fn new(
         (scene, referee): (&Scene, &Reference),
         viewer: &mut Viewer,
@@ -67,7 +65,7 @@ impl Stop {
         Ok(Self { time_s, camera, truth, picture })
     }
 
-    /// Adds the errors of a frame that was shown there.
+    /// Adds the errors of a frame shown here.
     pub(super) fn judge(&self, shown: &Shown, verdict: &mut Verdict) {
         verdict.bits += RelevantError::of(&shown.bits, &self.truth);
         let error = compare(&shown.picture, &self.picture);

@@ -30,7 +30,6 @@ const WRONG_PPM: [u16; 3] = [500, 2000, 5000];
 /// A mask, and the camera that it was traced for.
 type MaskOf = (Mask, Camera);
 
-/// One scene under measurement.
 pub(super) struct Bench<'a> {
     name: &'a str,
     scene: &'a Scene,
@@ -41,7 +40,6 @@ pub(super) struct Bench<'a> {
     rows: Vec<Row>,
 }
 
-/// The setting of a row.
 struct Knob<'a> {
     backend: &'a str,
     knob: &'a str,
@@ -93,7 +91,7 @@ impl<'a> Bench<'a> {
         Ok(true)
     }
 
-    /// Measures how far shadow rays start off their surface, on `compute`.
+    /// Measures offsets of shadow rays from their surface, on `compute`.
     pub(super) fn offsets(&mut self) -> Result<()> {
         for roundings in [1, 16, 256, 4096] {
             let mut tracer = Tracer::with_offset(self.scene, roundings)?;
@@ -107,7 +105,7 @@ impl<'a> Bench<'a> {
 
     /// Measures the lossless codecs.
     pub(super) fn codecs(&mut self, backend: &str) -> Result<()> {
-        let mut tracer = self.open(backend)?.context("the back end was there before")?;
+        let mut tracer = self.open(backend)?.context("the back end is gone")?;
         for codec in CodecId::ALL.into_iter().filter(|codec| *codec != CODEC) {
             let (traced, masks) = self.trace(&mut tracer, codec, |stop| stop.camera)?;
             let verdict = self.show(&masks, Predictor::Surface)?;
@@ -121,7 +119,7 @@ impl<'a> Bench<'a> {
     pub(super) fn lossy(&mut self, backend: &str) -> Result<()> {
         for codec in CodecId::ALL.into_iter().filter(|codec| codec.is_sliced()) {
             for wrong_ppm in WRONG_PPM {
-                let tracer = self.open(backend)?.context("the back end was there before")?;
+                let tracer = self.open(backend)?.context("the back end is gone")?;
                 let mut tracer = tracer.with_wrong_bits(wrong_ppm);
                 let (traced, masks) = self.trace(&mut tracer, codec, |stop| stop.camera)?;
                 let verdict = self.show(&masks, Predictor::Surface)?;
@@ -132,9 +130,9 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// Measures late masks with each predictor. A frame waits for what is left of tracing and encoding after the lag.
+    /// Measures late masks with each predictor. A frame waits for tracing and encoding beyond the lag.
     pub(super) fn lags(&mut self, backend: &str) -> Result<()> {
-        let mut tracer = self.open(backend)?.context("the back end was there before")?;
+        let mut tracer = self.open(backend)?.context("the back end is gone")?;
         let mut never_waited = false;
         for lag in [0_u32, 1, 2, 4, 8] {
             let late_s = f64::from(lag) * FRAME_S;
@@ -159,7 +157,7 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// Measures dim lights that are traced only every so many frames and predicted from their last mask in between.
+    /// Measures dim lights that are traced only every few frames and predicted in between.
     pub(super) fn dim_lights(&mut self, backend: &str) -> Result<()> {
         let dim = dim_lights(self.scene);
         if dim == 0 {
@@ -171,8 +169,8 @@ impl<'a> Bench<'a> {
             index += 1;
             dim >> (index - 1) & 1 == 0
         });
-        let mut all = self.open(backend)?.context("the back end was there before")?;
-        let mut bright = Tracer::open(backend, &bright_scene)?.context("and still is")?;
+        let mut all = self.open(backend)?.context("the back end is gone")?;
+        let mut bright = Tracer::open(backend, &bright_scene)?.context("the back end is gone")?;
         let (every, masks) = self.trace(&mut all, CODEC, |stop| stop.camera)?;
         let (between, _) = self.trace(&mut bright, CODEC, |stop| stop.camera)?;
         for period in [2_u32, 4] {
@@ -223,7 +221,7 @@ impl<'a> Bench<'a> {
         for stop in &self.stops {
             let camera = camera(stop);
             let mut mask = tracer.mask_for(&camera)?;
-            // The first frame makes buffers and is not counted.
+            // The first frame allocates buffers and is not counted.
             tracer.trace(&camera, &mut mask, codec)?;
             masks.push((mask, camera));
         }

@@ -1,5 +1,3 @@
-//! A row of the report.
-
 use super::{judge::Verdict, tracer::Traced};
 use crate::report::statistics::median;
 

@@ -18,7 +18,6 @@ enum Kind {
     Device(Box<ComputeBackend>),
 }
 
-/// A back end for one scene.
 pub(super) struct Tracer {
     kind: Kind,
     lights: u32,
@@ -67,17 +66,14 @@ impl Tracer {
         Ok(Self { kind, lights, encoder, body: EncodedFrame::default(), simplifier, wrong_ppm: 0 })
     }
 
-    /// Lets `wrong_ppm` bits in a million be wrong.
     pub(super) fn with_wrong_bits(self, wrong_ppm: u16) -> Self {
         Self { wrong_ppm, ..self }
     }
 
-    /// An empty mask of `camera`'s size.
     pub(super) fn mask_for(&self, camera: &Camera) -> Result<Mask> {
         Ok(Mask::new(MaskShape::new(camera.width, camera.height, self.lights)?))
     }
 
-    /// Traces and encodes one frame.
     pub(super) fn trace(&mut self, camera: &Camera, mask: &mut Mask, codec: CodecId) -> Result<Traced> {
         if self.encoder.codec() != codec {
             self.encoder = Encoder::new(codec);
@@ -122,7 +118,6 @@ pub(super) struct Patience {
 }
 
 impl Patience {
-    /// Calls `sample` repeatedly and returns its results.
     pub(super) fn repeat<T>(&self, mut sample: impl FnMut(usize) -> Result<T>) -> Result<Vec<T>> {
         let begun = Instant::now();
         let mut samples = Vec::with_capacity(self.samples);

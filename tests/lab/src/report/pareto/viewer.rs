@@ -11,7 +11,6 @@ use gnomon_scene::{Scene, camera::Camera};
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use image::RgbImage;
 
-/// A client's renderer at one size.
 pub(super) struct Viewer {
     renderer: FrameRenderer,
     reader: PictureReader,

@@ -1,6 +1,6 @@
 //! The Pareto front: points that no other point beats in both directions.
 
-/// Which end of an axis is the good one.
+/// The better end of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Better {
     /// Less is better: bytes, error, time.
@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn beaten_points_go() {
+    fn beaten_points_are_left_out() {
         let points = [(1.0, 5.0), (2.0, 3.0), (2.0, 4.0), (3.0, 3.0), (4.0, 1.0), (4.0, 1.0), (0.0, f64::NAN)];
         let low = Front { x: Better::Low, y: Better::Low };
         assert_eq!(low.of(&points), [(1.0, 5.0), (2.0, 3.0), (4.0, 1.0)]);

@@ -7,7 +7,6 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_wid
 const LETTER_PX: u32 = 16;
 const CAPTION_PX: u32 = LETTER_PX + 8;
 const GAP_PX: u32 = 6;
-/// Largest side of the grid, in pixels.
 const MAX_SIDE_PX: u32 = 32_768;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -25,7 +24,7 @@ pub fn grid(rows: &[Vec<Cell>]) -> Result<RgbImage> {
     let height_of = |row: &Vec<Cell>| row.iter().map(|cell| cell.picture.height()).max();
     let widths: Vec<u32> = (0..columns).filter_map(width_of).collect();
     let heights: Vec<u32> = rows.iter().filter_map(height_of).collect();
-    ensure!(!widths.is_empty() && heights.len() == rows.len(), "a grid of no pictures");
+    ensure!(!widths.is_empty() && heights.len() == rows.len(), "a grid needs pictures in every row");
     let side = |sizes: &[u32], extra: u32| {
         let sum = sizes.iter().map(|&size| u64::from(size) + u64::from(extra + GAP_PX)).sum::<u64>();
         u32::try_from(sum + u64::from(GAP_PX))

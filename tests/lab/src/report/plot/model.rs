@@ -1,12 +1,10 @@
-//! What a plot shows.
-
 use super::front::Front;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Axis {
     /// Name and unit: `lag, frames`.
     pub label: String,
-    /// Logarithmic. Values without a logarithm are left out.
+    /// Logarithmic: leaves out values without a logarithm.
     pub log: bool,
 }
 
@@ -56,9 +54,8 @@ pub struct Plot {
     pub title: String,
     pub x: Axis,
     pub y: Axis,
-    /// A series' colour and mark depend on its index.
+    /// A series' index selects its colour and mark.
     pub series: Vec<Series>,
-    /// Marks the Pareto front.
     pub front: Option<Front>,
 }
 
@@ -71,7 +68,6 @@ impl Plot {
         Self { front: Some(front), ..self }
     }
 
-    /// Returns a point's place on both axes.
     pub(super) fn place(&self, (x, y): (f64, f64)) -> Option<(f64, f64)> {
         Some((self.x.place(x)?, self.y.place(y)?))
     }

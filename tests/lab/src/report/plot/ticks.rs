@@ -3,7 +3,6 @@
 /// About as many labels as fit an axis.
 const NAMES: f64 = 6.0;
 
-/// A range, and its labelled places.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Ticks {
     pub(super) range: (f64, f64),

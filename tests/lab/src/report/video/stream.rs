@@ -35,7 +35,7 @@ impl VideoCodec {
         }
     }
 
-    /// No key frames but the first.
+    /// Allow no key frames but the first.
     fn arguments(self) -> [&'static str; 2] {
         match self {
             Self::X264 => ["-x264-params", "keyint=infinite:scenecut=0"],
@@ -71,7 +71,7 @@ pub(super) struct Stream {
 }
 
 impl Stream {
-    /// Encodes `pictures`, all of one size.
+    /// All `pictures` must have one size.
     pub(super) fn encode(
         ffmpeg: &Path,
         codec: VideoCodec,
@@ -79,7 +79,7 @@ impl Stream {
         fps: f64,
         pictures: &[RgbImage],
     ) -> Result<Self> {
-        let size = pictures.first().context("a video of nothing")?.dimensions();
+        let size = pictures.first().context("no pictures to encode")?.dimensions();
         let kbit = |value: f64| format!("{:.0}k", value * 1e3);
         let (rate, buffer) = (kbit(mbit_per_s), kbit(mbit_per_s / fps));
         let mut arguments = vec!["-vf", TO_VIDEO, "-c:v", codec.encoder(), "-preset", preset, "-tune", "zerolatency"];
@@ -102,7 +102,6 @@ impl Stream {
         &self.frame_bytes
     }
 
-    /// Returns the decoded pictures.
     pub(super) fn decode(&self) -> Result<Vec<RgbImage>> {
         let raw = self.read(&["-vf", FROM_VIDEO, "-f", "rawvideo", "pipe:1"])?;
         let (width, height) = self.size;
@@ -112,7 +111,6 @@ impl Stream {
         raw.chunks_exact(bytes).map(picture).collect()
     }
 
-    /// Returns ffmpeg's output for the stream.
     fn read(&self, arguments: &[&str]) -> Result<Vec<u8>> {
         let mut command = Command::new(&self.program);
         command.args(QUIET).args(["-i", FILE]).args(arguments).current_dir(self.encoder.folder()).stdin(Stdio::null());
@@ -134,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn packets_are_told_from_what_stands_around_them() {
+    fn packet_sizes_are_parsed_among_other_lines() {
         let list = "#software: Lavf\n#tb 0: 1/1000\n0,  0,  0,  16,  8011, 0x1\n0, 17, 17, 16, 402, 0x2, S=1, 8\n";
         assert_eq!(packet_sizes(list).unwrap(), [8011, 402]);
         assert!(packet_sizes("0, 0, 0").unwrap_err().to_string().contains("0, 0, 0"));
