@@ -166,8 +166,7 @@ pub(crate) fn cornice() -> Soup {
     soup
 }
 
-/// A moulding around a square room whose walls stand `half` metres from the centre; the section's x points into the
-/// room.
+/// A moulding around a square room with walls `half` metres from the centre; the section's x points inwards.
 pub(crate) fn inward_band(half: f64, y: f64, section: &[DVec2], metres: f64) -> Soup {
     let corners = [(half, half), (-half, half), (-half, -half), (half, -half)].map(|(x, z)| DVec3::new(x, y, z));
     moulding(&corners, DVec3::Y, section, true, Ends::Loop, metres)
@@ -181,7 +180,6 @@ pub(crate) fn corbel(top: f64) -> Soup {
     soup
 }
 
-/// The arch of the arcade with its wall, for one bay.
 pub(crate) fn bay_wall() -> Soup {
     arch_wall(BAY, ARCH_HALF, SPRINGING, ARCADE_TOP, ARCADE_HALF)
 }

@@ -53,7 +53,7 @@ pub(crate) fn rings() -> Soup {
     soup
 }
 
-/// What carries the rings: a foot, a half circle, and bearings at its ends. Its foot is the origin.
+/// The rings' support: a foot at the origin, a half circle, and bearings at its ends.
 pub(crate) fn cradle() -> Soup {
     let centre = DVec3::Y * CENTRE;
     let foot = smooth_profile(&[(0.13, 0.0), (0.10, 0.03), (0.04, 0.06), (0.03, 0.10), (0.05, 0.13), (0.03, 0.165)], 2);

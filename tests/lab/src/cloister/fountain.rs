@@ -9,7 +9,7 @@ use super::paving::PLAZA_Y;
 use super::shapes::{bevelled, lathe, part, profile, shaped_lathe, smooth_profile};
 use super::sweep::{Ends, circle, tube};
 
-/// Where the armillary sphere's foot stands, above the garth's centre.
+/// Height of the armillary sphere's foot.
 pub(crate) const STEM_TOP: f64 = 1.86;
 
 pub(crate) fn basin() -> Soup {

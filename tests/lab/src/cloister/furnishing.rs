@@ -11,14 +11,13 @@ use super::rng::Rng;
 use super::{fountain, hangings, plants, sundial, tree, well};
 use glam::DVec3;
 
-/// Where the well stands, in the world.
 pub(crate) const WELL: DVec3 = DVec3::new(3.9, 0.0, 3.9);
 pub(crate) const SUNDIAL: DVec3 = DVec3::new(3.9, 0.0, -3.7);
 pub(crate) const TREE: DVec3 = DVec3::new(-4.5, 0.0, -4.2);
 pub(crate) const URN: DVec3 = DVec3::new(-3.9, GARTH, 3.9);
 pub(crate) const ARMILLARY: DVec3 = DVec3::new(0.0, fountain::STEM_TOP, 0.0);
 
-/// Adds everything that stands or hangs in the cloister, except what moves and what shines.
+/// Adds all furnishings except moving parts and lights.
 pub(crate) fn add(glb: &mut Glb, palette: &Palette, sides: [Id; 4]) {
     add_middle(glb, palette);
     add_tree(glb, palette);

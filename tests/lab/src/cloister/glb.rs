@@ -8,7 +8,6 @@ use super::mesh::Mesh;
 /// A mesh, material, picture, node or light of a [`Glb`], by its index.
 pub(crate) type Id = usize;
 
-/// What can go wrong while a file is put together.
 #[derive(Debug, thiserror::Error)]
 pub enum GlbError {
     #[error("the file's JSON cannot be written: {0}")]
@@ -201,7 +200,7 @@ impl Glb {
     }
 }
 
-/// A node that shows a mesh where its parent stands.
+/// A node that shows a mesh at its parent's place.
 pub(crate) fn mesh_node(name: &str, mesh: Id) -> Value {
     json!({ "name": name, "mesh": mesh })
 }

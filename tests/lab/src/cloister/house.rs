@@ -14,7 +14,7 @@ use super::materials::Palette;
 use super::rng::Rng;
 use super::{arcade, paving, roof, vault, walls};
 
-/// Smooth across edges flatter than this.
+/// Edges flatter than this are smooth.
 pub(crate) const CREASE_DEG: f64 = 38.0;
 
 /// A node for each side, turned into place: south, east, north, west. Inside, x runs along the side and z points

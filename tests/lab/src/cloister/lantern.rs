@@ -10,7 +10,6 @@ use super::sweep::{Ends, circle, moulding, tube};
 
 /// Height of the light below the chain's hook, in metres.
 pub(crate) const LIGHT: f64 = -1.24;
-/// Corners of the cage.
 const CORNERS: usize = 6;
 /// Height of the cage's upper and lower frames, and their radii.
 const CAGE: [(f64, f64); 2] = [(-1.03, 0.165), (-1.43, 0.115)];
@@ -57,7 +56,7 @@ pub(crate) fn iron() -> Soup {
     soup
 }
 
-/// Links from one height down to another.
+/// Links between two heights.
 fn chain(from: f64, to: f64) -> Soup {
     let link = 0.066;
     let count = 12;
@@ -85,7 +84,7 @@ pub(crate) fn candle() -> Soup {
     lathe(&profile(&[(0.0, -1.405), (0.013, -1.405), (0.013, -1.345), (0.0, -1.34)]), 10, 1.0)
 }
 
-/// The flame. It is drawn blended and throws no shadow: the light stands in it.
+/// Drawn blended, so that it throws no shadow: the light is inside it.
 pub(crate) fn flame() -> Soup {
     let outline: Vec<DVec2> = (0..=8)
         .map(|i| part(i, 8))

@@ -9,7 +9,6 @@ use glam::DVec3;
 
 /// Width of one bay of the arcade, from column to column.
 pub(crate) const BAY: f64 = 2.125;
-/// Bays on each side.
 pub(crate) const BAYS: usize = 7;
 /// Half the length of the arcade between its corner piers.
 pub(crate) const HALF_RUN: f64 = 7.4375;
@@ -24,17 +23,16 @@ pub(crate) const WALK_OUT: f64 = 11.25;
 pub(crate) const OUTSIDE: f64 = 11.75;
 /// Level of the garth; the walk's floor is at 0.
 pub(crate) const GARTH: f64 = -0.15;
-/// Level below which nothing is built.
+/// Lowest level of anything built.
 pub(crate) const GROUND: f64 = -0.4;
 /// Top of the low wall between the columns.
 pub(crate) const SILL: f64 = 0.5;
-/// Top of the capitals.
 pub(crate) const CAPITAL: f64 = 2.25;
-/// Where arches and vaults begin to curve.
+/// Height where arches and vaults begin to curve.
 pub(crate) const SPRINGING: f64 = 2.4;
 /// Half the clear width of an arch.
 pub(crate) const ARCH_HALF: f64 = 0.8125;
-/// How far an arc's centre lies beyond the middle, as a part of the half width: 0 is a round arch.
+/// Distance of an arc's centre beyond the middle, as a share of the half width; 0 gives a round arch.
 pub(crate) const ARCH_POINT: f64 = 0.3;
 /// Height of the vaults above their springing.
 pub(crate) const VAULT_RISE: f64 = 1.5;
@@ -45,7 +43,7 @@ pub(crate) const EAVE: (f64, f64) = (7.0, 4.2);
 /// Upper edge of the roof, at the outer wall.
 pub(crate) const ROOF_TOP: f64 = 5.7;
 pub(crate) const WALL_TOP: f64 = 6.0;
-/// The wall texture's size; a bay, so that courses run on from bay to bay.
+/// Size of the wall texture: one bay, so that courses continue across bays.
 pub(crate) const ASHLAR: f64 = BAY;
 
 /// x of the `index`-th column axis of a side, 0 ..= BAYS (the first and last stand at the corner piers).

@@ -13,7 +13,7 @@ use super::vault::in_walk;
 
 /// The sun stands in the south-west, 38 degrees high: long shadows, and sun through the northern and eastern arches.
 const SUN: (f64, f64) = (38.0, 36.0);
-/// Where the spot light hangs: below the southern eave, before the well.
+/// Position of the spot light: below the southern eave, in front of the well.
 const SPOT: DVec3 = DVec3::new(2.55, 3.72, 7.25);
 
 /// Lanterns: side, bay, name. Sides are south, east, north, west.

@@ -1,4 +1,4 @@
-//! Triangles on their way to a file: a soup to model in, and the welded, smoothed mesh that it becomes.
+//! Meshes: a soup of triangles to model with, and the welded, smoothed mesh made from it.
 //!
 //! Builders only make corners with a position and a texture coordinate. [`Soup::weld`] rounds positions, drops
 //! triangles without area, smooths normals across edges flatter than a crease angle, and shares equal vertices.
@@ -7,8 +7,7 @@ use std::collections::HashMap;
 
 use glam::{DAffine3, DVec2, DVec3, Vec2, Vec3};
 
-/// Positions are rounded to this, in metres: what differs in the last bit between maths libraries does not reach the
-/// file.
+/// Positions are rounded to this, in metres, so that last-bit differences of maths libraries do not reach the file.
 const GRID_M: f64 = 1.0 / 65536.0;
 /// Triangles below this area are dropped, in square metres.
 const MIN_AREA_M2: f64 = 1e-9;
@@ -59,7 +58,7 @@ impl Soup {
         self.triangles.extend(other.triangles);
     }
 
-    /// The same soup elsewhere. A mirroring transform keeps outsides outside.
+    /// Transforms the soup. A mirroring transform keeps front faces outside.
     pub(crate) fn placed(&self, placement: DAffine3) -> Self {
         let mirrored = placement.matrix3.determinant() < 0.0;
         let place = |(position, uv): Corner| (placement.transform_point3(position), uv);
@@ -74,7 +73,7 @@ impl Soup {
         self.placed(DAffine3::from_translation(by))
     }
 
-    /// The same soup with every corner's position changed.
+    /// Maps every position.
     pub(crate) fn bent(mut self, bend: impl Fn(DVec3) -> DVec3) -> Self {
         for corner in self.triangles.iter_mut().flatten() {
             corner.0 = bend(corner.0);
@@ -82,7 +81,7 @@ impl Soup {
         self
     }
 
-    /// The same soup with every texture coordinate changed.
+    /// Maps every texture coordinate.
     pub(crate) fn with_uv(mut self, change: impl Fn(DVec2) -> DVec2) -> Self {
         for corner in self.triangles.iter_mut().flatten() {
             corner.1 = change(corner.1);
@@ -110,7 +109,7 @@ impl Soup {
         self
     }
 
-    /// The finished mesh. Edges whose faces meet at less than `crease_deg` are smooth.
+    /// Returns the finished mesh. Edges whose faces meet at less than `crease_deg` are smooth.
     pub(crate) fn weld(&self, crease_deg: f64) -> Mesh {
         let rounded = self.triangles.iter().map(|triangle| triangle.map(|(p, uv)| ((p / GRID_M).round() * GRID_M, uv)));
         let faces: Vec<([Corner; 3], DVec3)> = rounded

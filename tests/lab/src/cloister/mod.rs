@@ -36,7 +36,7 @@ pub use glb::GlbError;
 pub const SCENE_FILE: &str = "cloister.glb";
 pub const PATHS_FILE: &str = "cloister.json";
 
-/// Returns the path of a file in `tests/assets`.
+/// Returns the path of `tests/assets/NAME`.
 pub fn asset(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets").join(name)
 }
@@ -46,7 +46,6 @@ pub fn options() -> String {
     format!("--scene {} --path {}#walk", asset(SCENE_FILE).display(), asset(PATHS_FILE).display())
 }
 
-/// What can go wrong while the scene is made.
 #[derive(Debug, thiserror::Error)]
 pub enum GenerateError {
     #[error("a picture of the cloister cannot be encoded: {0}")]
@@ -60,13 +59,12 @@ pub enum GenerateError {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Report {
     pub bytes: usize,
-    /// Bytes of it that are pictures.
+    /// Part of `bytes`.
     pub picture_bytes: usize,
     pub meshes: usize,
     pub instances: usize,
-    /// Triangles that are stored.
     pub stored_triangles: usize,
-    /// Triangles once every instance is counted.
+    /// Counts every instance's triangles.
     pub triangles: usize,
 }
 
@@ -86,7 +84,7 @@ fn scene() -> Result<(Vec<u8>, Report), GenerateError> {
     let mut glb = glb::Glb::default();
     let palette = materials::add(&mut glb)?;
     let picture_bytes = glb.binary_bytes();
-    // The order is the drawing's order, and lights come in the order of the mask's planes: the sun first.
+    // Objects are drawn, and lights get the mask's planes, in this order: the sun first.
     lights::add_sun(&mut glb);
     let sides = house::sides(&mut glb);
     house::add(&mut glb, &palette, sides);

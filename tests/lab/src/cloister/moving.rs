@@ -1,5 +1,4 @@
-//! What moves: the armillary sphere turns about its axis, the well's bucket swings on its rope. At rest both are
-//! sensible.
+//! Moving parts: the armillary sphere turns about its axis, and the well's bucket swings. Both rest poses look right.
 
 use std::f64::consts::TAU;
 
@@ -12,7 +11,6 @@ use super::house::CREASE_DEG;
 use super::materials::Palette;
 use super::{armillary, well};
 
-/// Seconds for one turn of the armillary sphere.
 const TURN_S: f64 = 24.0;
 /// Period and amplitude of the bucket's swing: a pendulum of 1.2 m takes 2.2 s.
 const SWING: (f64, f64) = (2.2, 0.16);

@@ -10,7 +10,6 @@ use super::textures::{atlas_cell, clouds};
 
 /// Width of a joint between stones, in metres.
 const JOINT: f64 = 0.014;
-/// How far the stones' edges are worn down.
 const WORN: f64 = 0.012;
 /// Half the width of the paths that cross the garth.
 pub(crate) const PATH_HALF: f64 = 1.2;
@@ -67,12 +66,12 @@ fn rows(rng: &mut Rng, x: (f64, f64), z: (f64, f64), count: usize, y: f64) -> So
     soup
 }
 
-/// The stones of one side's walk. It covers one corner; turned four times, the sides cover the whole walk.
+/// The stones of one side's walk with one of its corners; four rotated copies cover the whole walk.
 pub(crate) fn walk(rng: &mut Rng) -> Soup {
     rows(rng, (-WALK_IN + 0.04, WALK_OUT + 0.02), (WALK_IN - 0.04, WALK_OUT + 0.02), 6, 0.0)
 }
 
-/// What lies below the walk's stones on one side, and the step at the opening to the garth. Not to be overlaid.
+/// The bed below one side's stones, and the step at the opening to the garth. Rotated copies do not overlap.
 pub(crate) fn bed() -> Soup {
     let top = -0.018;
     let mut soup = block(DVec3::new(-ARCADE, GROUND - 0.05, ARCADE), DVec3::new(WALK_OUT + 0.25, top, WALK_OUT + 0.25));
@@ -81,7 +80,7 @@ pub(crate) fn bed() -> Soup {
     soup.box_mapped(1.0)
 }
 
-/// The stones of the paths on one side of the garth; turned four times they are all of them.
+/// The stones of the paths on one side of the garth; four rotated copies make all paths.
 pub(crate) fn paths(rng: &mut Rng) -> Soup {
     let mut soup = rows(rng, (-RIM, 7.5), (RIM, 7.5), 2, GARTH);
     soup.append(rows(rng, (-PATH_HALF, PATH_HALF), (PLAZA - 0.2, RIM), 4, GARTH));
@@ -124,12 +123,10 @@ fn wedge(rng: &mut Rng, plan: [DVec2; 4]) -> Soup {
     soup
 }
 
-/// The soil under the whole garth.
 pub(crate) fn soil() -> Soup {
     block(DVec3::new(-ARCADE, GROUND - 0.1, -ARCADE), DVec3::new(ARCADE, GARTH - 0.02, ARCADE)).box_mapped(1.0)
 }
 
-/// Height of the lawn's surface at a place of the garth.
 pub(crate) fn lawn_y(x: f64, z: f64) -> f64 {
     GARTH + 0.045 + 0.03 * clouds(DVec2::new(x, z) / 16.0 + 0.5, 8, 2, 0x1a)
 }
@@ -145,7 +142,7 @@ pub(crate) fn lawn() -> Soup {
     soup
 }
 
-/// The kerbs around that quarter's lawn.
+/// The kerbs around the lawn of the quarter at +x, +z.
 pub(crate) fn kerbs() -> Soup {
     let (low, high, top) = (PATH_HALF, RIM, GARTH + 0.09);
     let start = PLAZA - 0.26;

@@ -10,8 +10,8 @@ use super::shapes::{bevelled, part, profile, shaped_lathe, smooth_profile};
 use super::textures::atlas_cell;
 use super::textures::leaves::{BROAD, FROND, TUFT};
 
-/// A leaf card from `foot` along `along` (its length), `half` wide to each side, one atlas cell; `bend` (how far the
-/// middle lies off the straight line, and how far the tip does, in lengths) folds it into two pieces.
+/// A leaf card of one atlas cell from `foot` along `along`, `half` wide to each side, folded in the middle.
+/// `bend` is how far the middle and the tip lie off the straight line, in lengths.
 pub(crate) fn card(cell: usize, foot: DVec3, along: DVec3, half: DVec3, bend: DVec2) -> Soup {
     let normal = half.cross(along).normalize_or_zero() * along.length();
     let rows = if bend == DVec2::ZERO { 1 } else { 2 };
@@ -171,7 +171,6 @@ pub(crate) fn urn() -> Soup {
     soup
 }
 
-/// Puts [`pot_soil`] into the urn.
 pub(crate) fn in_urn() -> DAffine3 {
     DAffine3::from_translation(DVec3::Y * 1.07) * DAffine3::from_scale(DVec3::new(0.75, 0.7, 0.75))
 }

@@ -5,7 +5,6 @@
 pub(crate) struct Rng(u64);
 
 impl Rng {
-    /// A generator whose sequence is fixed by `seed`.
     pub(crate) fn new(seed: u64) -> Self {
         Self(seed)
     }

@@ -43,7 +43,6 @@ pub(crate) fn rafters() -> Soup {
     soup.box_mapped(0.7)
 }
 
-/// All tiles of one side.
 pub(crate) fn tiles(rng: &mut Rng) -> Soup {
     let along = DVec3::new(0.0, SLOPE, 1.0).normalize();
     let length = (WALK_OUT - EAVE.0) * (1.0 + SLOPE * SLOPE).sqrt();
@@ -55,7 +54,7 @@ pub(crate) fn tiles(rng: &mut Rng) -> Soup {
         for row in 0..TILE_ROWS {
             let start = pitch * row as f64 - 0.06;
             let foot = DVec3::new(x, EAVE.1, EAVE.0) + along * start;
-            // The valley between two sides takes what would reach across.
+            // Tiles that would cross the valley between two sides are left out.
             if foot.z + 0.02 < x.abs() + 0.1 {
                 continue;
             }

@@ -9,7 +9,6 @@ use super::sweep::{Ends, tube};
 
 /// Height of the plate's face above the garth.
 const PLATE: f64 = 1.12;
-/// Latitude that the dial is made for.
 const LATITUDE_DEG: f64 = 48.0;
 
 /// Steps and baluster, around the y axis.

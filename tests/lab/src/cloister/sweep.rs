@@ -10,7 +10,6 @@ use super::shapes::part;
 /// Sharper joints than this are cut short instead of running out into a needle.
 const MAX_MITRE: f64 = 2.0;
 
-/// How a path and a profile end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Ends {
     /// The path runs into other solids: no caps.
@@ -46,7 +45,7 @@ pub(crate) fn tube(path: &[DVec3], sides: usize, ends: Ends, radius: impl Fn(f64
     })
 }
 
-/// The points of a circle around `centre`, spanned by `a` and `b` (which carry the radius), for a looped path.
+/// The points of a circle around `centre` for a looped path. `a` and `b` span it and carry the radius.
 pub(crate) fn circle(centre: DVec3, a: DVec3, b: DVec3, steps: usize) -> Vec<DVec3> {
     (0..steps).map(|i| TAU * part(i, steps)).map(|t| centre + a * t.cos() + b * t.sin()).collect()
 }

@@ -11,7 +11,6 @@ use super::shapes::{part, smooth};
 use super::sweep::{Ends, tube};
 use super::textures::leaves::TWIG;
 
-/// Wood and leaves of a tree that stands on the origin.
 pub(crate) struct Tree {
     pub(crate) wood: Soup,
     pub(crate) leaves: Soup,

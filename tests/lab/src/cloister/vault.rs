@@ -11,7 +11,7 @@ use super::sweep::{Ends, moulding};
 
 pub(crate) const WALK_HALF: f64 = (WALK_OUT - WALK_IN) * 0.5;
 const STEPS: usize = 16;
-/// Cells reach this much (as a part of half the walk) into the walls, so that no gap is left there.
+/// How far cells reach into the walls, as a share of half the walk, so that no gap is left.
 const INTO_WALL: f64 = 0.03;
 
 /// Steps that are short near the feet, where the curve is steep.
@@ -102,7 +102,7 @@ pub(crate) fn transverse_arch() -> Soup {
     moulding(&path, DVec3::NEG_X, &section, true, Ends::Open, 1.0)
 }
 
-/// A part built for the walk of one side, moved to the middle of the walk.
+/// Offset that puts a part into the middle of a side's walk.
 pub(crate) fn in_walk(x: f64) -> DVec3 {
     DVec3::new(x, 0.0, WALK_IN + WALK_HALF)
 }
@@ -126,7 +126,7 @@ mod tests {
                 -(b - a).cross(c - a).y * 0.5
             })
             .sum();
-        // The strips that reach into the walls are part of it.
+        // Includes the strips inside the walls.
         let expected = BAY * WALK_HALF * 2.0 * (1.0 + INTO_WALL);
         assert!((plan - expected).abs() < 1e-2, "{plan} {expected}");
     }

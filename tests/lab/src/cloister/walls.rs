@@ -17,7 +17,6 @@ pub(crate) fn wall() -> Soup {
         .box_mapped(ASHLAR * 1.5)
 }
 
-/// The stone dado along the walk.
 pub(crate) fn dado() -> Soup {
     let base = profile(&[
         (-0.05, -0.1),
@@ -37,7 +36,6 @@ pub(crate) fn string_course() -> Soup {
     inward_band(WALK_OUT, SPRINGING, &string, STONE)
 }
 
-/// The coping on top of the outer wall.
 pub(crate) fn coping() -> Soup {
     let section = profile(&[(-0.34, -0.02), (0.34, -0.02), (0.34, 0.06), (0.0, 0.2), (-0.34, 0.06)]);
     inward_band((WALK_OUT + OUTSIDE) * 0.5, WALL_TOP, &section, STONE)

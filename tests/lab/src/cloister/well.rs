@@ -10,7 +10,7 @@ use super::shapes::{bevelled, lathe, part, profile, shaped_lathe, smooth};
 use super::sweep::{Ends, circle, tube};
 
 const KERB: f64 = GARTH + 0.92;
-/// Where the bucket's rope hangs from, above the well's middle.
+/// Height of the pulley that the bucket's rope hangs from.
 pub(crate) const PULLEY: f64 = GARTH + 2.62;
 /// Radius of the ring on which the iron stands.
 const STAND: f64 = 0.74;
@@ -135,7 +135,6 @@ fn pulley() -> Soup {
     soup
 }
 
-/// The lattice over the well's mouth.
 pub(crate) fn lattice() -> Soup {
     let mut soup = Soup::default();
     let y = KERB + 0.012;

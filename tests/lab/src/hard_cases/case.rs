@@ -1,4 +1,4 @@
-//! A case, and what is known of its mask.
+//! A case, and the bounds of its mask.
 
 use glam::DVec3;
 use gnomon_protocol::mask::Mask;
@@ -19,7 +19,6 @@ pub enum Known {
     Lit,
 }
 
-/// A scene that is hard to trace, and a camera.
 #[derive(Debug)]
 pub struct Case {
     /// Name in tables and file names.
@@ -47,7 +46,6 @@ impl Case {
         matches!(self.known, Known::Referee { .. }).then(|| Reference::new(&self.scene).trace(&self.camera))
     }
 
-    /// Measures a mask of this case.
     pub fn measure(&self, mask: &Mask, truth: Option<&Truth>) -> Vec<Measure> {
         let (leaks, acne, undecided) = match (self.known, truth) {
             (Known::Referee { undecided_share }, Some(truth)) => {
@@ -68,7 +66,7 @@ impl Case {
     }
 }
 
-/// Counts bits that are `set`, or that are not.
+/// Counts the bits that equal `set`.
 fn count(mask: &Mask, set: bool) -> u64 {
     let shape = mask.shape();
     let pixels = (0..shape.height()).flat_map(|y| (0..shape.width()).map(move |x| (x, y)));
@@ -76,7 +74,6 @@ fn count(mask: &Mask, set: bool) -> u64 {
     bits.filter(|&(light, x, y)| mask.get(light, x, y) == set).count() as u64
 }
 
-/// A measurement and its upper bound.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measure {
     /// `leaks`, `acne`, `undecided_share`, or `accepted` for files that must be refused.
@@ -91,7 +88,7 @@ impl Measure {
     }
 }
 
-/// The field of view of most cases.
+/// A camera with the field of view of most cases.
 pub(super) fn look(from: [f64; 3], to: [f64; 3], (width, height): (u32, u32)) -> Camera {
     Camera::looking_at(DVec3::from(from), DVec3::from(to), 0.9, width, height)
 }

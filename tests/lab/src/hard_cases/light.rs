@@ -9,7 +9,6 @@ use super::{
 };
 use crate::scenes::builder::SceneBuilder;
 
-/// A sun at this height above the horizon.
 fn low_sun(degrees: f32) -> Vec3 {
     let height = degrees.to_radians();
     Vec3::new(-height.cos() * 0.8, -height.sin(), -height.cos() * 0.6)

@@ -26,7 +26,7 @@ pub fn refusals() -> Vec<Vec<String>> {
         .collect()
 }
 
-/// A row: case, backend, measure, value, bound, holds.
+/// Columns: case, backend, measure, value, bound, holds.
 fn row(case: &str, backend: &str, measure: Measure) -> Vec<String> {
     let Measure { name, value, bound } = measure;
     let numbers = [value.to_string(), bound.to_string(), measure.holds().to_string()];

@@ -24,7 +24,6 @@ fn view(scale: f64, origin_m: DVec3, size: (u32, u32)) -> Camera {
     Camera::looking_at(origin_m + eye, origin_m + DVec3::new(0.0, 0.5, 0.0) * scale, 0.9, size.0, size.1)
 }
 
-/// Scales the scene around its origin.
 fn scaled(mut scene: Scene, factor: f32) -> Scene {
     scene.positions.iter_mut().for_each(|position| *position *= factor);
     scene.bounds = Aabb { min: scene.bounds.min * factor, max: scene.bounds.max * factor };
@@ -88,7 +87,6 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
     cases
 }
 
-/// The still life in a closed box.
 fn closed_room() -> Scene {
     still_life().material(AlphaMode::Opaque, true).cuboid(Vec3::new(-4.0, -0.5, -4.0), Vec3::new(4.0, 4.0, 4.5)).build()
 }

@@ -7,7 +7,7 @@ use std::{
 
 use super::impairment::Counts;
 
-/// Counts of both directions, over all clients.
+/// Totals over all clients.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct LinkCounts {
     pub up: Counts,

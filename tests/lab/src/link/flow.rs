@@ -1,4 +1,4 @@
-//! One client's datagrams on their way through a link.
+//! One client's datagrams inside a link.
 
 use std::{
     cmp::Reverse,
@@ -35,7 +35,6 @@ const TICK: Duration = Duration::from_millis(1);
 /// Kernel buffers hold an uncompressed frame at 1920×1080.
 const SOCKET_BUFFER_BYTES: usize = 16 << 20;
 
-/// One direction: its impairment and the datagrams in flight.
 struct DelayLine {
     impairment: Impairment,
     /// Ordered by due time, then by number.
@@ -141,7 +140,7 @@ fn is_passing(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::ConnectionRefused)
 }
 
-/// A closed port only loses the datagram.
+/// Treats a closed port as a lost datagram.
 fn passed(sent: io::Result<usize>) -> io::Result<()> {
     sent.map(drop).or_else(|error| if is_passing(&error) { Ok(()) } else { Err(error) })
 }

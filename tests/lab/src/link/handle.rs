@@ -1,5 +1,3 @@
-//! A running relay.
-
 use std::{io, net::SocketAddr};
 
 use tokio::task::AbortHandle;
@@ -16,7 +14,6 @@ pub struct Relay {
 }
 
 impl Relay {
-    /// The address that clients connect to.
     pub const fn address(&self) -> SocketAddr {
         self.address
     }

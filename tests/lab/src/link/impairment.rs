@@ -33,7 +33,6 @@ pub struct Counts {
     pub arrived: u64,
     /// Sent on, including late and corrupted ones, without duplicates.
     pub delivered: u64,
-    /// Lost independently.
     pub lost: u64,
     /// Lost in the bad state of a bursty channel.
     pub burst_lost: u64,
@@ -42,7 +41,6 @@ pub struct Counts {
     pub outage: u64,
     /// Delivered with a flipped bit.
     pub corrupted: u64,
-    /// Delivered twice.
     pub duplicated: u64,
     /// Delivered late, so that others overtake.
     pub reordered: u64,
@@ -67,7 +65,7 @@ impl AddAssign for Counts {
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Delivery {
-    /// Arrival time, on the clock of [`Impairment::push`].
+    /// On the clock of [`Impairment::push`].
     pub due: Duration,
     pub bytes: Bytes,
 }
@@ -88,7 +86,7 @@ pub struct Impairment {
     seed: u64,
     /// Number of the next datagram.
     index: u64,
-    /// Whether the bursty channel is in its bad state.
+    /// True while the bursty channel is in its bad state.
     bad: bool,
     last_push: Duration,
     /// When the bottleneck's queue is empty.
@@ -178,7 +176,7 @@ impl Impairment {
         chances
     }
 
-    /// Delay and loss at a time: the trace's, or the constant ones.
+    /// Returns the trace's delay and loss at a time, or the constant ones.
     fn moment(&self, now: Duration) -> Moment {
         let Settings { delay, loss, trace, .. } = &self.settings;
         trace.as_ref().map_or(Moment { time: now, delay: *delay, loss: *loss }, |(_, trace)| trace.at(now))

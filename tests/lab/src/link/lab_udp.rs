@@ -1,5 +1,4 @@
-//! A relay for `lab-udp`: the control connection over TCP, delayed but lossless, and a link for the data port that it
-//! agrees.
+//! A relay for `lab-udp`: a delayed, lossless TCP control connection, and a link for the data port agreed on it.
 
 use std::{io, net::SocketAddr, sync::Arc, time::Duration};
 
@@ -75,7 +74,6 @@ async fn converse(client: TcpStream, server: SocketAddr, settings: LinkSettings,
     tokio::try_join!(up, down).map(drop)
 }
 
-/// Forwards each piece after `delay`.
 async fn delayed<F: Future<Output = io::Result<()>>>(
     delay: Duration,
     mut out: impl AsyncWrite + Unpin,
@@ -128,7 +126,7 @@ async fn copy_messages(
             }
             message::encode(&ServerMessage::Welcome(welcome)).map_err(invalid)?
         }
-        // A refusal, or something that the client must judge.
+        // A refusal, or a message for the client to judge.
         _ => [&prefix[..], &body].concat(),
     };
     send(&pieces, first.into()).await?;

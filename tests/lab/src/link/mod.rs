@@ -1,9 +1,8 @@
-//! A network emulator: datagrams between a real client and a real server, on loopback, with the delays and losses of
-//! other networks.
+//! A network emulator: gives datagrams between a real client and server on loopback the delays and losses of other
+//! networks.
 //!
-//! [`impairment`] decides what becomes of a datagram: a state machine without a clock or a socket. [`udp`] puts one in
-//! either direction of UDP flows; [`lab_udp`] does the same for `lab-udp`, whose data port is agreed over TCP.
-//! [`profiles`] has the networks by name.
+//! [`impairment`] decides each datagram's fate; it has no clock or socket. [`udp`] applies one to each direction of UDP
+//! flows, and [`lab_udp`] to `lab-udp`, whose data port is agreed over TCP. [`profiles`] has the networks by name.
 
 mod counters;
 mod flow;

@@ -2,11 +2,11 @@
 //!
 //! `lan` is a switch in the same building; its delay is below a tick of the link's timers. `wifi`: the delays of WiFi
 //! hops have a long tail, with 20 ms as the 90th percentile (Sui et al., *Characterizing and Improving WiFi Latency in
-//! Large-Scale Operational Networks*, MobiSys 2016); ours stays below that tail, which `outage` and `bad` stand for.
+//! Large-Scale Operational Networks*, MobiSys 2016); ours stays below that tail, which `outage` and `bad` model.
 //! `5g`: rates of mid-band networks (Narayanan et al., *A First Look at Commercial 5G Performance on Smartphones*, WWW
 //! 2020, 100 to 200 Mbit/s). `lte`: medians of 13 Mbit/s down and 6 Mbit/s up (Huang et al., *A Close Examination of
 //! Performance and Power Characteristics of 4G LTE Networks*, MobiSys 2012). Delays and losses of `5g` and `lte`, and
-//! all of `bad`, are our own choice: a good cell, a middling cell, and a link that one would hang up on.
+//! all of `bad`, are our own choice: a good cell, a middling cell, and a link too poor for a call.
 
 use thiserror::Error;
 
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_profile_is_readable_and_says_itself_again() {
+    fn every_profile_round_trips_through_text() {
         for profile in PROFILES {
             let settings = Profile::named(profile.name).unwrap().settings(1).unwrap();
             for one in [&settings.up, &settings.down] {

@@ -1,4 +1,4 @@
-//! A link in front of a server, whatever its transport.
+//! A link in front of a server, for any transport.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
@@ -14,12 +14,12 @@ pub async fn start(listen: SocketAddr, server: &str, settings: LinkSettings) -> 
     Ok(match server.split_once("://").map(|(scheme, _)| scheme) {
         None | Some("gnomon") => udp::start(listen, address, settings)?,
         Some("gnomon+lab-udp") => lab_udp::start(listen, address, settings).await?,
-        Some(scheme) => bail!("{scheme}:// has no datagrams for a link to carry: gnomon and gnomon+lab-udp have"),
+        Some(scheme) => bail!("a link carries datagrams, which {scheme}:// has not: use gnomon or gnomon+lab-udp"),
     })
 }
 
 impl Relay {
-    /// Returns the server's URL or address with this link in its place.
+    /// Returns the server's URL or address, redirected to this link.
     pub fn url(&self, server: &str) -> Result<String> {
         if !server.contains("://") {
             return Ok(self.address().to_string());
@@ -31,7 +31,6 @@ impl Relay {
     }
 }
 
-/// Parses a server's URL or address.
 fn server_address(server: &str) -> Result<SocketAddr> {
     if !server.contains("://") {
         return server.parse().with_context(|| format!("{server:?} is neither ADDRESS:PORT nor a server's URL"));

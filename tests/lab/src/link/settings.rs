@@ -24,14 +24,13 @@ pub struct Settings {
     /// Probability that a datagram is held back, so that others overtake it.
     pub reorder: f64,
     pub reorder_by: Duration,
-    /// Probability that a datagram arrives twice.
     pub duplicate: f64,
     /// Probability that a datagram arrives with one bit flipped.
     pub corrupt: f64,
     pub rate: Option<Rate>,
     /// Outages: start since the link's first datagram, and length.
     pub outages: Vec<(Duration, Duration)>,
-    /// Recorded delay and loss, which replace `delay` and `loss`, and the file. Its path has no blanks or commas.
+    /// Recorded delays and losses, which replace `delay` and `loss`, and their file (no blanks or commas in its path).
     pub trace: Option<(PathBuf, Arc<Trace>)>,
 }
 
@@ -74,7 +73,6 @@ pub struct LinkSettings {
 
 #[derive(Debug, Error)]
 pub enum SettingsError {
-    /// Not `key=value`.
     #[error("{0:?} is no setting: write KEY=VALUE, delay=20ms for instance")]
     NoPair(String),
     #[error(
@@ -91,8 +89,8 @@ pub enum SettingsError {
 }
 
 impl Settings {
-    /// Sets the `key=value` pairs in `text`, separated by spaces or commas; all of them or, on an error, none. The
-    /// error names the first wrong pair.
+    /// Sets the space- or comma-separated `key=value` pairs in `text`. An error names the first wrong pair and changes
+    /// nothing.
     pub fn set(&mut self, text: &str) -> Result<(), SettingsError> {
         let mut changed = self.clone();
         // A queue may be given as time, which only means something at a rate.
@@ -178,7 +176,7 @@ const DEFAULT_REORDER_BY: Duration = Duration::from_millis(5);
 const DEFAULT_QUEUE: Duration = Duration::from_millis(100);
 
 impl Rate {
-    /// Bytes that pass in a time, at least one full datagram: a smaller queue would drop everything.
+    /// Bytes that pass in a time; at least one full datagram, since a smaller queue would drop everything.
     fn bytes_in(self, wait: Duration) -> u64 {
         let bytes = u128::from(self.bits_per_s) * wait.as_nanos() / 8_000_000_000;
         u64::try_from(bytes).unwrap_or(u64::MAX).max(MIN_QUEUE_BYTES)
@@ -299,7 +297,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_text_says_everything_and_is_said_again() {
+    fn settings_round_trip_through_text() {
         let text = "delay=20.5ms,jitter=5ms loss=1% burst=0.5%x8 burst-loss=80% reorder=2% reorder-by=3ms \
                     duplicate=0.1% \
                     corrupt=0.01% rate=50Mbit queue=50ms outage=5s+2s outage=20s+500us";
@@ -314,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_named_stays_and_what_is_wrong_changes_nothing() {
+    fn unnamed_settings_stay_and_errors_change_nothing() {
         let mut settings: Settings = "delay=20ms jitter=5ms outage=1s+1s".parse().unwrap();
         settings.set("loss=3% outage=none").unwrap();
         assert_eq!((settings.delay, settings.loss, settings.outages.len()), (Duration::from_millis(20), 0.03, 0));

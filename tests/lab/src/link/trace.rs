@@ -75,7 +75,7 @@ impl Trace {
         if moments.is_empty() { Err(TraceError::Empty(name.to_owned())) } else { Ok(Self(moments)) }
     }
 
-    /// Returns the conditions at a time since the start. Before the first line, those of the first line.
+    /// Returns the conditions at a time since the start. The first line also holds before its time.
     pub fn at(&self, time: Duration) -> Moment {
         let after = self.0.partition_point(|moment| moment.time <= time);
         self.0[after.saturating_sub(1)]

@@ -24,7 +24,7 @@ pub fn start(listen: SocketAddr, server: SocketAddr, settings: LinkSettings) -> 
     start_counting(listen, server, settings, Shared::default())
 }
 
-/// As [`start`], with counters that others share.
+/// Like [`start`], with shared counters.
 pub(super) fn start_counting(
     listen: SocketAddr,
     server: SocketAddr,
@@ -44,12 +44,12 @@ async fn relay(listener: Arc<UdpSocket>, server: SocketAddr, settings: LinkSetti
     let mut number = 0;
     let mut buffer = vec![0; flow::MAX_DATAGRAM_BYTES];
     loop {
-        // A reply to a client that is gone comes back as an error of this socket; other clients go on.
+        // Replies to clients that are gone surface as errors of this socket; other clients go on.
         let Ok((length, client)) = listener.recv_from(&mut buffer).await else {
             tokio::time::sleep(BREATH).await;
             continue;
         };
-        // Links that have ended have no results of interest.
+        // Results of ended links do not matter.
         while links.try_join_next().is_some() {}
         let datagram = Bytes::copy_from_slice(&buffer[..length]);
         let datagram = match clients.get(&client).map(|link| link.try_send(datagram.clone())) {

@@ -6,16 +6,15 @@ use gnomon_protocol::mask::Mask;
 
 use crate::reference::Truth;
 
-/// Most wrong bits that are kept as examples.
+/// Most wrong bits kept as examples.
 const EXAMPLES: usize = 8;
 
 /// Bit counts of one mask, or summed over several.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RelevantError {
     pub relevant: u64,
-    /// Relevant bits that differ from the referee's.
     pub wrong: u64,
-    /// Wrong bits that are 1 where the referee has 0: light leaks.
+    /// Bits that are 1 where the referee has 0: light leaks.
     pub leaks: u64,
     /// Leaks where the referee is certain.
     pub sure_leaks: u64,
@@ -99,7 +98,7 @@ impl RelevantError {
         if self.relevant == 0 { 0.0 } else { self.wrong as f64 / self.relevant as f64 }
     }
 
-    /// Wrong bits where the referee is certain.
+    /// Excludes undecided bits.
     pub fn surely_wrong(&self) -> u64 {
         self.wrong - self.wrong_undecided
     }
@@ -151,7 +150,7 @@ mod tests {
     use crate::reference::Verdict;
 
     #[test]
-    fn each_kind_of_bit_is_counted_once_and_in_its_place() {
+    fn each_kind_of_wrong_bit_is_counted_once() {
         let verdict = |relevant, lit, undecided| Verdict { surface: true, relevant, lit, undecided };
         let truth = Truth {
             width: 3,
@@ -164,7 +163,7 @@ mod tests {
         let exact = RelevantError::of(&mask, &truth);
         let expected = RelevantError { relevant: 3, undecided: 1, ..RelevantError::default() };
         assert_eq!(exact, expected);
-        // A shadow that is not there, a leak, a leak in doubt, a bit where nothing matters.
+        // A false shadow, a leak, an undecided leak, a bit on an irrelevant pixel.
         mask.set(0, 0, 0, false);
         mask.set(1, 0, 0, true);
         mask.set(0, 1, 0, true);

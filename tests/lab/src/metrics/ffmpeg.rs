@@ -12,7 +12,7 @@ use tempfile::TempDir;
 
 const ERRORS: &str = "errors";
 
-/// Arguments for errors only on standard error.
+/// Print errors only.
 pub const QUIET: [&str; 4] = ["-hide_banner", "-nostats", "-loglevel", "error"];
 
 /// Dropping it kills the process.
@@ -46,7 +46,7 @@ impl Ffmpeg {
 
     pub fn write(&mut self, pixels: &[u8]) -> Result<()> {
         if let Err(error) = self.stdin.as_mut().context("ffmpeg has no input")?.write_all(pixels) {
-            bail!("ffmpeg takes no more: {error}: {}", self.errors());
+            bail!("writing to ffmpeg: {error}: {}", self.errors());
         }
         Ok(())
     }
@@ -59,7 +59,6 @@ impl Ffmpeg {
         Ok(())
     }
 
-    /// The folder that it works in.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }

@@ -7,7 +7,6 @@
 use image::RgbImage;
 use rayon::prelude::*;
 
-/// Width and height of a window, in pixels.
 pub(super) const WINDOW_PX: u32 = 11;
 
 const WINDOW: usize = WINDOW_PX as usize;
@@ -97,10 +96,10 @@ mod tests {
         assert!((ssim(&flat(77), &flat(77)) - 1.0).abs() < 1e-12);
     }
 
-    /// The figure is scikit-image's: `structural_similarity(a, b, gaussian_weights=True, sigma=1.5,
+    /// scikit-image gives this value: `structural_similarity(a, b, gaussian_weights=True, sigma=1.5,
     /// use_sample_covariance=False, data_range=255)` of these pictures' luma in float64.
     #[test]
-    fn the_figure_is_the_reference_implementations() {
+    fn ssim_equals_the_reference_implementations() {
         let picture = |phase: u32| {
             RgbImage::from_fn(48, 40, |x, y| {
                 let value = |seed: u32| u8::try_from((x * x * 3 + y * 7 * seed + (x + phase) * y) % 251).unwrap_or(0);

@@ -1,7 +1,7 @@
 //! VMAF by an ffmpeg with libvmaf: the one that `GNOMON_FFMPEG` names, or `ffmpeg` on the search path.
 //!
-//! Shown and true frame travel as one picture, one above the other, and ffmpeg cuts them apart: without container and
-//! timestamps, frames cannot be paired wrongly.
+//! Shown and true frame travel as one picture, one above the other, and ffmpeg cuts them apart. Without container and
+//! timestamps, frames cannot be mispaired.
 
 use std::{
     env,
@@ -26,7 +26,7 @@ const LOG: &str = "vmaf.json";
 /// which is printed once.
 pub fn vmaf(shown: &[RgbImage], truth: &[RgbImage], fps: f64) -> Result<Option<f64>> {
     ensure!(shown.len() == truth.len(), "{} frames shown, {} true ones", shown.len(), truth.len());
-    let first = truth.first().context("no frames: VMAF of nothing")?;
+    let first = truth.first().context("no frames to compare")?;
     let Some(mut run) = Vmaf::start(first.dimensions(), fps)? else { return Ok(None) };
     for (shown, truth) in shown.iter().zip(truth) {
         run.push(shown, truth)?;
@@ -66,7 +66,6 @@ impl Vmaf {
         Ok(Self { ffmpeg: Ffmpeg::start(program, (width, 2 * height), fps, &arguments)?, size, frames: 0 })
     }
 
-    /// Adds a frame and its truth.
     pub fn push(&mut self, shown: &RgbImage, truth: &RgbImage) -> Result<()> {
         for image in [shown, truth] {
             ensure!(image.dimensions() == self.size, "a frame of {:?} among {:?}", image.dimensions(), self.size);
@@ -146,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn where_there_is_a_libvmaf_it_tells_noise_from_none_and_elsewhere_there_is_no_figure() {
+    fn vmaf_falls_with_noise_and_is_none_without_libvmaf() {
         let truth = frames(0);
         let figures = [0, 20, 60].map(|noise| vmaf(&frames(noise), &truth, 60.0).unwrap());
         match (ffmpeg().unwrap(), figures) {
@@ -170,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_named_ffmpeg_must_be_what_it_is_named_for() {
+    fn a_named_ffmpeg_must_have_libvmaf() {
         let (_folder, plain) = impostor("psnr");
         assert!(find(Some(plain.as_os_str())).unwrap_err().to_string().contains("has no libvmaf"));
         assert!(find(Some(OsStr::new("/no/such/ffmpeg"))).unwrap_err().to_string().contains("/no/such/ffmpeg"));

@@ -18,7 +18,7 @@ struct Picture {
 }
 
 impl AlphaTest {
-    /// Returns the test of a MASK material.
+    /// Returns `None` unless the material is MASK.
     pub(super) fn new(scene: &Scene, material: &Material) -> Option<Self> {
         let AlphaMode::Mask { cutoff } = material.alpha else { return None };
         let picture = material.base_color_texture.map(|texture| {

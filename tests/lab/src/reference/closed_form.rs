@@ -220,14 +220,14 @@ fn a_closed_room_is_lit_everywhere_from_inside_and_nowhere_from_outside() {
     let inside = trace(&room(SceneBuilder::new().point_light(Vec3::new(0.3, 2.0, 0.4), f32::INFINITY)), &camera);
     assert!(inside.pixels.iter().all(|v| *v == Verdict { surface: true, relevant: 1, lit: 1, undecided: v.undecided }));
     assert!(inside.pixels.iter().filter(|v| v.undecided != 0).count() < 10);
-    // Faces that see an outside lamp from within see it through walls.
+    // From inside, an outside lamp is blocked by the walls, though some faces point towards it.
     let outside = trace(&room(SceneBuilder::new().point_light(Vec3::new(9.0, 9.0, 9.0), f32::INFINITY)), &camera);
     assert!(outside.pixels.iter().all(|v| v.surface && v.lit == 0));
     assert!(outside.pixels.iter().filter(|v| v.relevant == 1).count() > 10_000);
 }
 
 #[test]
-fn doubt_is_cast_where_rounding_decides_and_only_there() {
+fn bits_are_undecided_only_where_rounding_decides() {
     // One light's shadow edge runs exactly through a row of pixel centres; the other's does not.
     let scene = floor(Vec3::ZERO, 8.0)
         .quad(Vec3::new(-8.0, 1.0, -8.0), Vec3::Z * 8.5, Vec3::X * 16.0)

@@ -41,14 +41,12 @@ pub struct Truth {
     pub width: u32,
     pub height: u32,
     pub lights: u32,
-    /// One verdict per pixel.
     pub pixels: Vec<Verdict>,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Verdict {
     pub surface: bool,
-    /// Relevant lights.
     pub relevant: u32,
     pub lit: u32,
     /// Lights whose relevance or visibility rounding may change.
@@ -79,7 +77,6 @@ pub struct Reference {
     exact_m: f64,
 }
 
-/// A triangle's data besides its corners.
 #[derive(Debug)]
 struct Surface {
     normals: [DVec3; 3],

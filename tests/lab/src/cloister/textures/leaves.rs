@@ -14,7 +14,7 @@ pub(crate) const TUFT: usize = 3;
 const SIZE: u32 = 512;
 /// Softness of an edge, in cells: about a pixel and a half, so that a cutoff at ½ follows the drawn edge.
 const SOFT: f64 = 1.5 / 256.0;
-/// What is seen where nothing is: it bleeds into the edges when the picture is filtered, so it is leaf green.
+/// Colour of transparent pixels: filtering mixes it into the edges, so it is leaf green.
 const GROUND: DVec3 = DVec3::new(0.30, 0.42, 0.16);
 
 struct Leaflet {
@@ -22,7 +22,7 @@ struct Leaflet {
     along: DVec2,
     length: f64,
     half_width: f64,
-    /// Where along it the leaflet is widest: 1 in the middle, more towards the tip.
+    /// Place of the greatest width: 1 in the middle, more towards the tip.
     belly: f64,
     color: DVec3,
 }

@@ -22,14 +22,14 @@ pub(crate) struct Picture {
 }
 
 impl Picture {
-    /// Asks `color` for each pixel's centre, in 0 to 1 from the upper left.
+    /// `color` gets each pixel's centre, in 0 to 1 from the upper left.
     pub(crate) fn new(size: u32, color: impl Fn(DVec2) -> DVec4) -> Self {
         let at = |i: u32| (f64::from(i) + 0.5) / f64::from(size);
         let pixels = (0..size * size).map(|i| color(DVec2::new(at(i % size), at(i / size)))).collect();
         Self { size, pixels }
     }
 
-    /// A JPEG file; alpha is lost.
+    /// Returns a JPEG file; alpha is lost.
     pub(crate) fn jpeg(&self) -> Result<Vec<u8>, ImageError> {
         let bytes: Vec<u8> = self.pixels.iter().flat_map(|p| [byte(p.x), byte(p.y), byte(p.z)]).collect();
         let mut file = Vec::new();
@@ -42,7 +42,6 @@ impl Picture {
         Ok(file)
     }
 
-    /// A PNG file with alpha.
     pub(crate) fn png(&self) -> Result<Vec<u8>, ImageError> {
         let bytes: Vec<u8> = self.pixels.iter().flat_map(|p| p.to_array().map(byte)).collect();
         let mut file = Vec::new();

@@ -1,4 +1,4 @@
-//! Pictures of what the house is built of: ashlar, plain stone, plaster, flagstones, fired clay, grass and wood.
+//! Pictures of building materials: ashlar, plain stone, plaster, flagstones, fired clay, grass and wood.
 
 use glam::{DVec2, DVec3};
 
@@ -48,7 +48,7 @@ pub(crate) fn plaster() -> Picture {
     })
 }
 
-/// Sixteen flagstones, each with its own tone; a stone of the floor shows one of them.
+/// Sixteen flagstones, each with its own tone. A stone of the floor shows one of them.
 pub(crate) fn flagstones() -> Picture {
     Picture::new(512, |uv| {
         let (x, y) = (whole(uv.x * 4.0), whole(uv.y * 4.0));
@@ -71,7 +71,6 @@ pub(crate) fn clay() -> Picture {
     })
 }
 
-/// A mown lawn seen from above.
 pub(crate) fn grass() -> Picture {
     Picture::new(256, |uv| {
         let blades =
