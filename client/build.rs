@@ -1,6 +1,6 @@
-//! Tells the program which commit it is made of, for `--version`.
+//! Passes the commit to the program, for `--version`.
 //!
-//! Release builds only: a development build would be made anew with every commit. A tree without Git has no commit.
+//! Release builds only: otherwise every commit would cause a rebuild. A tree without Git has no commit.
 
 use std::{path::Path, process::Command};
 
@@ -14,7 +14,7 @@ fn main() {
 fn commit() -> Option<String> {
     let commit = git(&["rev-parse", "--short=12", "HEAD"])?;
     let changed = git(&["status", "--porcelain", "--untracked-files=no"]).is_some_and(|changes| !changes.is_empty());
-    // Grows with every commit and checkout.
+    // Changes with every commit and checkout.
     if let Some(log) = git(&["rev-parse", "--git-path", "logs/HEAD"]).filter(|log| Path::new(log).exists()) {
         println!("cargo:rerun-if-changed={log}");
     }

@@ -17,7 +17,6 @@ pub struct PathSpec {
     pub name: Option<String>,
 }
 
-/// Why there is no path.
 #[derive(Debug, Error)]
 pub enum PathError {
     #[error("cannot read camera path {}: {source}", file.display())]

@@ -1,4 +1,4 @@
-//! The command line, and the run that it asks for.
+//! The command line, and the run that it requests.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -64,7 +64,6 @@ pub struct Arguments {
     pub log: String,
 }
 
-/// What to run.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Run {
     Headless(HeadlessOptions),
@@ -72,10 +71,10 @@ pub enum Run {
 }
 
 impl Run {
-    /// Checks what can be checked before anything is opened.
+    /// Checks settings before anything is opened.
     ///
     /// # Errors
-    /// Names the first settings that do not go together.
+    /// Names the first conflicting settings.
     pub fn validate(&self) -> Result<(), ClientError> {
         match self {
             Self::Headless(options) => options.validate(),
@@ -84,7 +83,7 @@ impl Run {
     }
 }
 
-/// Flags that do not go together.
+/// Conflicting flags.
 #[derive(Debug, Error)]
 pub enum ConfigError {
     #[error(
@@ -94,7 +93,7 @@ pub enum ConfigError {
     NoSource,
     #[error("a URL and --offline: choose one")]
     TwoSources,
-    /// A flag that means nothing in a window.
+    /// A flag that has no meaning in a window.
     #[error("--{0}: with --headless only")]
     HeadlessOnly(&'static str),
 }
@@ -102,17 +101,17 @@ pub enum ConfigError {
 /// Reads flags, environment and TOML file.
 ///
 /// # Errors
-/// Names the flag, variable or key of what is wrong.
+/// Names the invalid flag, variable or key.
 pub fn load(layers: Layers) -> Result<Loaded<Arguments>, SettingsError> {
     let folder = etcetera::choose_base_strategy().ok().map(|base| base.config_dir().join("gnomon"));
     let own_file = folder.map(|folder| folder.join("client.toml")).filter(|file| file.is_file());
     Layers { own_file, ..layers }.load::<Arguments, ClientSettings>()
 }
 
-/// Returns the run that the command line asks for.
+/// Returns the run that the command line requests.
 ///
 /// # Errors
-/// Errors if it is not clear what to draw, or if a window is asked for what only headless runs do.
+/// Errors if it is unclear what to draw, or a headless setting is given for a window.
 pub fn resolve(loaded: Loaded<Arguments>) -> Result<Run, ConfigError> {
     let Loaded { program: arguments, sources, .. } = loaded;
     let is_flag = |key: &&str| sources.get(*key) == Some(&gnomon_settings::Source::Flag);
@@ -120,7 +119,7 @@ pub fn resolve(loaded: Loaded<Arguments>) -> Result<Run, ConfigError> {
     let source = match (arguments.offline, settings.url.clone()) {
         (Some(scene), None) => Source::Offline { scene, lights_from: arguments.lights_from, lights: arguments.lights },
         (None, Some(url)) => Source::Server(url),
-        // A window goes back to the last server.
+        // A window returns to the last server.
         (None, None) => match KnownServers::load().servers().first() {
             Some(url) if !arguments.headless && !arguments.check_config => Source::Server(url.clone()),
             _ => return Err(ConfigError::NoSource),
@@ -131,7 +130,7 @@ pub fn resolve(loaded: Loaded<Arguments>) -> Result<Run, ConfigError> {
         if let Some(name) = ["wait", "frames", "fps", "summary"].into_iter().find(is_flag) {
             return Err(ConfigError::HeadlessOnly(name));
         }
-        // The file and the environment may set them for headless runs.
+        // The file and the environment may set these for headless runs.
         (settings.wait, settings.frames, settings.fps, settings.summary) = (false, None, None, None);
     }
     let remember = !arguments.headless && !arguments.demo;

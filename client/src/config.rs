@@ -1,4 +1,4 @@
-//! The client's settings: each is declared once, here. [`gnomon_settings`] reads them.
+//! The client's settings, each declared once. [`gnomon_settings`] reads them.
 
 use std::{path::PathBuf, str::FromStr, time::Duration};
 
@@ -21,7 +21,6 @@ use crate::{
 /// Most frames of a headless run.
 pub const MAX_FRAMES: u32 = 10_000_000;
 
-/// Parts per million in a per cent.
 const PPM_PER_PERCENT: f64 = 10_000.0;
 
 /// Largest [`ClientSettings::lossy`].
@@ -29,7 +28,7 @@ const MAX_LOSSY_PERCENT: f64 = MAX_WRONG_PPM as f64 / PPM_PER_PERCENT;
 
 const MODES: [Mode; 3] = [Mode::Auto, Mode::Concurrent, Mode::Sequential];
 
-/// What a person can choose, in a window or without one. The doc comments are the `--help` texts.
+/// Settings for runs with and without a window. The doc comments are the `--help` texts.
 #[derive(Debug, Clone, PartialEq, clap::Args)]
 pub struct ClientSettings {
     /// URL that the server printed: gnomon://HOST:PORT/?cert=SHA256 [default in a window: the last server]
@@ -38,13 +37,13 @@ pub struct ClientSettings {
     /// Camera path: a lights_camera.json file, and the path's name if it has several [default: one to suit the scene]
     #[arg(long, value_name = "FILE[#NAME]", help_heading = "Picture")]
     pub path: Option<PathSpec>,
-    /// Where to begin on the path, in s
+    /// Start time on the path, in s
     #[arg(long, value_name = "S", default_value_t = 0.0, bounds(0.0, 1e9), help_heading = "Picture")]
     pub start_time: f64,
-    /// Size of the pictures, or of the window at first, in pixels
+    /// Size of the pictures, or initial size of the window, in pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720", help_heading = "Picture")]
     pub size: Size,
-    /// Exposure: 1 lux is shown as 2^-EV; the summary says what was used [default: what suits the scene and its lights]
+    /// Exposure: 1 lux is shown as 2^-EV; the summary has the value used [default: chosen for the scene and its lights]
     #[arg(long, value_name = "EV", allow_negative_numbers = true, bounds(-40.0, 40.0_f32), help_heading = "Picture")]
     pub exposure: Option<f32>,
     /// Frames to draw [default: once along the path]
@@ -92,7 +91,7 @@ pub struct ClientSettings {
     /// Folder for cached scenes [default: the platform's cache folder]
     #[arg(long, value_name = "DIR", help_heading = "Server")]
     pub cache_dir: Option<PathBuf>,
-    /// Most time for the server's first answer, in s
+    /// Longest wait for the server's first answer, in s
     #[arg(long, value_name = "S", default_value_t = 5.0, bounds(0.001, 3600.0), help_heading = "Server")]
     pub connect_timeout: f64,
     /// What a lost packet of tiles-small or tiles-fast costs: its frame, its slice, or nothing once parity restores it
@@ -107,7 +106,7 @@ pub struct ClientSettings {
         value_parser = one_of(Predictor::ALL.map(|(_, it)| it)), help_heading = "Late visibility"
     )]
     pub predict: Predictor,
-    /// Pose to draw: the newest mask's (sequential), the newest (concurrent), or one of them by the lag (auto)
+    /// Pose to draw: the newest mask's (sequential), the newest (concurrent), or either, depending on the lag (auto)
     #[arg(long, value_name = "MODE", default_value_t, value_parser = one_of(MODES), help_heading = "Late visibility")]
     pub mode: Mode,
     /// Extra mask pixels around the picture, half on each side: auto, 0 or WxH
@@ -134,16 +133,16 @@ pub struct ClientSettings {
         bounds(0, HISTORY_FRAMES - 1), help_heading = "Late visibility"
     )]
     pub prediction_lag: u32,
-    /// Time for visibility that is too late to fade out, and back in, in s
+    /// Duration of the fade when visibility becomes too late, and of the fade back, in s
     #[arg(
         long, value_name = "S", default_value_t = Thresholds::default().fade_s, bounds(0.0, 60.0),
         help_heading = "Late visibility"
     )]
     pub fade: f64,
-    /// Present pictures in step with the screen
+    /// Synchronise pictures with the screen's refresh
     #[arg(long, default_value_t = true, help_heading = "Window")]
     pub vsync: bool,
-    /// Take the whole screen
+    /// Start in full screen
     #[arg(long, help_heading = "Window")]
     pub full_screen: bool,
     /// Part of the graphics adapter's name [default: the first real GPU, or else software]
@@ -161,7 +160,6 @@ impl Default for ClientSettings {
 }
 
 impl ClientSettings {
-    /// When the choice of the pose to draw changes.
     #[must_use]
     pub const fn thresholds(&self) -> Thresholds {
         Thresholds {
@@ -177,27 +175,26 @@ impl ClientSettings {
         Duration::try_from_secs_f64(self.connect_timeout).unwrap_or(Duration::MAX)
     }
 
-    /// How each mask's guard band is chosen.
     pub(crate) fn guard_choice(&self) -> GuardChoice {
         GuardChoice::new(self.guard, (self.size.width, self.size.height))
     }
 
-    /// Returns whether the server traces for the predicted pose. Unless chosen, it does except for a software adapter:
-    /// such a mask is of a view that was never drawn, so its depth must be drawn for the prediction, which costs a GPU
-    /// little and a processor a tenth of its frame and more (`lab predict-cost`).
+    /// Returns whether the server traces for the predicted pose. By default it does unless the adapter is software.
+    /// Such a mask's view was never drawn, so prediction must draw its depth: cheap on a GPU, but at least a tenth of
+    /// the frame on a processor (`lab predict-cost`).
     pub(crate) fn looks_ahead(&self, gpu: &Gpu) -> bool {
         self.predict_pose.unwrap_or(!gpu.is_software())
     }
 
-    /// Mask bits that may be wrong, in parts per million.
+    /// In parts per million.
     pub(crate) fn wrong_ppm(&self) -> u16 {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the range")]
         let ppm = (self.lossy * PPM_PER_PERCENT).round().clamp(0.0, f64::from(MAX_WRONG_PPM)) as u16;
         ppm
     }
 
-    /// How frames are received. A client that waits for its own mask wants all of it, and only prediction by surface
-    /// finds elsewhere what a mask lacks.
+    /// Returns how frames are received. A client that waits for its own mask needs all of it, and only prediction by
+    /// surface can find missing tiles in earlier masks.
     pub(crate) fn reception(&self) -> Reception {
         let in_part = self.codec.is_sliced()
             && !self.wait
@@ -218,7 +215,7 @@ impl ClientSettings {
     }
 }
 
-/// Width and height, in pixels.
+/// In pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Size {
     pub width: u32,

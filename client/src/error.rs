@@ -1,4 +1,4 @@
-//! Why a run failed. Every message says what to do, or has the numbers that tell.
+//! Errors of a run. Every message says what to do, or gives the numbers that show the cause.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -13,7 +13,6 @@ use crate::{
     link::url::ServerUrl, render::RenderError,
 };
 
-/// Why a run failed.
 #[derive(Debug, Error)]
 pub enum ClientError {
     #[error("--size: {0}")]
@@ -32,10 +31,10 @@ pub enum ClientError {
     Unreachable { url: Box<ServerUrl>, after: Duration },
     #[error("cannot connect to {url}: {reason}")]
     Connect { url: Box<ServerUrl>, reason: String },
-    /// The server shows another certificate than the URL's.
+    /// The server's certificate is not the URL's.
     #[error("{0} has another certificate than this URL's: use the URL that the server printed when it started")]
     Certificate(Box<ServerUrl>),
-    /// The server shows another certificate than the one pinned on the first visit.
+    /// The server's certificate is not the one pinned on the first visit.
     #[error(
         "{0} has another certificate than on the first visit: use the URL that the server printed, if it is still that \
          server"
@@ -43,7 +42,7 @@ pub enum ClientError {
     CertificateChanged(Box<ServerUrl>),
     #[error(transparent)]
     Refused(Refusal),
-    /// The control stream broke off.
+    /// The control stream failed.
     #[error("the connection to {url} broke off: {source}")]
     Conversation { url: Box<ServerUrl>, source: ControlError },
     #[error("{url} violates the protocol: {reason}")]

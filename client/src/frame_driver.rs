@@ -1,7 +1,7 @@
 //! Runs the frame loop on this machine: clock, server link, recording.
 //!
-//! A headless run and a window share it. They differ in where poses come from, which they pass to
-//! [`FrameDriver::draw`], and in where pictures go, which is a [`Sink`].
+//! Shared by headless runs and windows. They differ in their poses, which they pass to [`FrameDriver::draw`], and in
+//! what they do with pictures, which is a [`Sink`].
 
 use std::time::{Duration, Instant};
 
@@ -26,7 +26,7 @@ use crate::{
 };
 
 pub(crate) trait Sink {
-    /// Shades the surfaces that `renderer` has drawn for `camera` ([`FrameRenderer::shade`]) and shows the picture.
+    /// Shades the surfaces that `renderer` drew for `camera` ([`FrameRenderer::shade`]) and shows the picture.
     fn show(
         &mut self,
         frame: FrameNumber,
@@ -36,7 +36,7 @@ pub(crate) trait Sink {
     ) -> Result<Shown, ClientError>;
 }
 
-/// How long showing a picture took.
+/// Times spent showing a picture.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Shown {
     /// Encoding and submitting the passes.
@@ -45,15 +45,14 @@ pub(crate) struct Shown {
     pub(crate) readback: Duration,
 }
 
-/// Draws frame after frame.
 pub(crate) struct FrameDriver {
     pub(crate) frames: FrameLoop,
     pub(crate) link: Option<ServerLink>,
     pub(crate) recorder: Option<Recorder>,
     drawn: u32,
-    /// Frames to draw, `u32::MAX` if unknown.
+    /// `u32::MAX` if unknown.
     planned: u32,
-    /// Why the server was lost, the first time.
+    /// Why the server was first lost.
     lost: Option<String>,
     /// Name of the link state that was recorded last.
     recorded_link: Option<&'static str>,
@@ -64,17 +63,17 @@ pub(crate) struct FrameDriver {
 pub(crate) struct RunTotals {
     pub(crate) link: LinkTotals,
     pub(crate) rejections: Rejections,
-    /// Why the server was lost, the first time.
+    /// Why the server was first lost.
     pub(crate) lost: Option<String>,
 }
 
 impl FrameDriver {
-    /// Draws `planned` frames; `link` is missing exactly if the loop's masks are [`MaskSource::Offline`].
+    /// Draws `planned` frames; `link` is `None` exactly if the loop's masks are [`MaskSource::Offline`].
     pub(crate) fn new(frames: FrameLoop, link: Option<ServerLink>, recorder: Option<Recorder>, planned: u32) -> Self {
         Self { frames, link, recorder, drawn: 0, planned, lost: None, recorded_link: None }
     }
 
-    /// Returns the age in frames of the masks that the last picture was drawn with, newest first.
+    /// Returns the age in frames of the masks used for the last picture, newest first.
     #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window shows it"))]
     pub(crate) fn mask_lags(&self) -> [u32; MAX_LAYERS] {
         self.frames.mask_lags(FrameNumber(self.drawn.saturating_sub(1)))
@@ -88,7 +87,7 @@ impl FrameDriver {
     pub(crate) fn leave(&mut self) -> RunTotals {
         let link = self.link.take().map(ServerLink::leave).unwrap_or_default();
         let mut rejections = self.frames.matcher.rejections();
-        // The receive task drops most of them before they become masks.
+        // The receive task drops most early masks before they are decoded.
         rejections.future += link.received.future;
         RunTotals { link, rejections, lost: self.lost.take() }
     }
@@ -116,7 +115,7 @@ impl FrameDriver {
             link.send_pose(frame, pose);
         }
         if waits {
-            // The surfaces are drawn while the mask is on its way.
+            // Draws the surfaces while waiting for the mask.
             self.frames.renderer.draw_surfaces(&camera)?;
             times.surfaces = clock.lap();
             if let Some(link) = &mut self.link {
@@ -158,10 +157,10 @@ impl FrameDriver {
         Ok(stats)
     }
 
-    /// Takes the masks that have arrived. Returns the newest one's response time, if one answers a request.
+    /// Takes the masks that have arrived. Returns the newest one's response time if it answers a request.
     ///
     /// # Errors
-    /// If the server was lost before its first mask. Later losses leave the client drawing with what it has.
+    /// If the server was lost before its first mask. After that, the client keeps drawing with what it has.
     fn accept_masks(&mut self, waits: bool, begun: Instant) -> Result<Option<Duration>, ClientError> {
         let Some(link) = &mut self.link else { return Ok(None) };
         if waits {

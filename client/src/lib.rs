@@ -1,10 +1,9 @@
-//! Gnomon's thin client: rasterises its own frames and shades them with visibility that is traced at the edge.
+//! Gnomon's thin client: rasterises its own frames and shades them with visibility traced at the edge.
 //!
-//! A frame's way: [`camera_path`] → pose out (`link/send.rs`) → G-buffer ([`render`]) → mask in (`link/receive.rs`) →
-//! `link/mask_buffer.rs` → shading → picture and statistics ([`headless`]). `frame_driver.rs` is where they meet.
+//! A frame's path: [`camera_path`] → pose out (`link/send.rs`) → G-buffer ([`render`]) → mask in (`link/receive.rs`) →
+//! `link/mask_buffer.rs` → shading → picture and statistics ([`headless`]). `frame_driver.rs` connects these.
 //!
-//! In a [`window`], poses come from a person ([`input`]) and pictures go to the screen, with an overlay. The rest is
-//! the same.
+//! In a [`window`], poses come from a person ([`input`]) and pictures go to the screen, with an overlay.
 
 pub mod app;
 pub mod camera_path;

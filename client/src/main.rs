@@ -27,7 +27,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Returns the error and its causes in one line. Skips causes that a message names already.
+/// Returns the error and its causes in one line, without causes that a message already contains.
 fn one_line(error: &anyhow::Error) -> String {
     error.chain().fold(String::new(), |line, cause| {
         let cause = cause.to_string().replace('\n', " ");
@@ -39,7 +39,7 @@ fn one_line(error: &anyhow::Error) -> String {
     })
 }
 
-/// Writes a line to standard output. A reader that has gone away, as `head` does, is no failure.
+/// Writes a line to standard output. A closed pipe, as after `head`, is no error.
 fn print(text: &str) -> anyhow::Result<()> {
     match writeln!(std::io::stdout(), "{text}") {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error).context("standard output"),
@@ -72,7 +72,7 @@ fn run(loaded: Loaded<Arguments>) -> anyhow::Result<()> {
     run_resolved(loaded)
 }
 
-/// Runs against a server of its own, which stops at the end.
+/// Runs the client with a local server that stops at the end.
 #[cfg(feature = "window")]
 fn run_demo(mut loaded: Loaded<Arguments>) -> anyhow::Result<()> {
     let demo = Demo::start()?;

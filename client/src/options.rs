@@ -1,4 +1,4 @@
-//! What one run is told.
+//! Options of one run.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -6,22 +6,20 @@ use gnomon_protocol::mask::MaskShape;
 
 use crate::{config::ClientSettings, error::ClientError, link::url::ServerUrl};
 
-/// Where the scene and its visibility come from.
+/// Source of the scene and its visibility.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Source {
     Server(ServerUrl),
     /// A local file, drawn without visibility: every light reaches everything.
     Offline {
-        /// The glTF file.
         scene: PathBuf,
         /// File whose lights are added.
         lights_from: Option<PathBuf>,
-        /// Keep only the first lights.
         lights: Option<u32>,
     },
 }
 
-/// A headless run, and what a run in a window has in common with it.
+/// A headless run, and what it shares with a run in a window.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeadlessOptions {
     pub source: Source,
@@ -35,16 +33,15 @@ pub struct HeadlessOptions {
 }
 
 impl HeadlessOptions {
-    /// Default settings.
     #[must_use]
     pub fn new(source: Source) -> Self {
         Self { source, settings: ClientSettings::default(), record: None, remember: false, progress: false }
     }
 
-    /// Checks settings against each other, before anything is opened. Their own bounds are checked where they are read.
+    /// Checks settings against each other before anything is opened. Their own ranges were checked when they were read.
     ///
     /// # Errors
-    /// Names the first settings that do not go together, or a size that no mask can have.
+    /// Names the first conflicting settings, or a size that no mask can have.
     pub fn validate(&self) -> Result<(), ClientError> {
         let settings = &self.settings;
         let wrong = |option, reason| Err(ClientError::Option { option, reason });
@@ -60,10 +57,10 @@ impl HeadlessOptions {
     }
 }
 
-/// A run in a window. Its size is the window's at first.
+/// A run in a window. Its size is the window's initial size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WindowOptions {
     pub run: HeadlessOptions,
-    /// When to close the window, from the start.
+    /// Counted from the start.
     pub exit_after: Option<Duration>,
 }

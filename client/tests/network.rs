@@ -1,4 +1,4 @@
-//! Runs that do not wait, against a scripted server that falls silent, leaves, or sends unrequested masks.
+//! Runs that do not wait, against a scripted server that goes silent, leaves, or sends unrequested masks.
 
 #![expect(
     clippy::unwrap_used,

@@ -78,7 +78,7 @@ fn the_scene_is_fetched_once_then_read_from_the_cache() {
     assert_eq!(stage.scene_fetches(), [0, 0]);
     bytes[40] ^= 0x20;
     assert_eq!(std::fs::read(&cached).unwrap(), bytes);
-    // A part that an earlier run left is not fetched again.
+    // A part left by an earlier run is not fetched again.
     std::fs::write(cached.with_extension("part"), &bytes[..100]).unwrap();
     std::fs::remove_file(&cached).unwrap();
     run_headless(&options).unwrap();
@@ -142,7 +142,7 @@ fn the_slices_that_arrive_are_shown() {
     }
 }
 
-/// The frame is delivered without it first: no frame waits for a packet longer than 25 ms.
+/// The frame is first delivered without it: no frame waits for a packet longer than 25 ms.
 #[test]
 fn a_late_slice_is_still_decoded() {
     let script = Script { delayed: Some((1, Duration::from_millis(60))), ..Script::default() };
@@ -155,7 +155,7 @@ fn a_late_slice_is_still_decoded() {
     assert_eq!((summary.frames_bad, summary.frames_incomplete), (0, 0));
     // The last one may not have arrived yet.
     assert!(summary.frames_received >= 8 && summary.frames_partial <= 1, "{summary:?}");
-    // Whole masks are acknowledged, even after they were shown in part.
+    // Complete masks are acknowledged, even after they were shown in part.
     assert!(stage.referenced() >= 6, "{} frames with references", stage.referenced());
 }
 

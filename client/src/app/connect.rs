@@ -1,4 +1,4 @@
-//! From options to a scene: a local file, or a server's scene and the session behind it.
+//! From options to a scene: a local file, or a server's scene with a session.
 
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ use crate::{
     render::exposure::Exposure,
 };
 
-/// One thread can decode while another one sends.
+/// One thread can decode while another sends.
 const NETWORK_THREADS: usize = 3;
 
 /// A session that can start, and the runtime of its tasks.
@@ -36,7 +36,7 @@ pub(crate) struct Connected {
     pending: PendingSession,
 }
 
-/// All that drawing needs.
+/// Everything that drawing needs.
 pub(crate) struct Loaded {
     pub(crate) scene: Scene,
     pub(crate) connected: Option<Connected>,
@@ -44,7 +44,7 @@ pub(crate) struct Loaded {
     pub(crate) exposure: Exposure,
 }
 
-/// Gets the scene as [`get_scene`], then a camera path and an exposure that suit it where `options` name none. Blocks.
+/// Gets the scene, then a suitable camera path and exposure where `options` give none. Blocks.
 ///
 /// # Errors
 /// As [`get_scene`].
@@ -62,7 +62,6 @@ pub(crate) fn load(
     Ok(Loaded { scene, connected, camera_path, exposure })
 }
 
-/// Progress of getting a scene.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Step<'a> {
     #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window shows it"))]

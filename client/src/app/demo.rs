@@ -1,4 +1,4 @@
-//! `--demo`: a local server with the scene that is built into this program.
+//! `--demo`: a local server with the scene built into this program.
 
 use std::{fs, path::Path};
 
@@ -26,7 +26,7 @@ impl Demo {
     }
 
     fn start_server() -> Result<Self> {
-        // A missing server is reported before anything is written.
+        // Reports a missing server before writing anything.
         LocalServer::program()?;
         let folder = temporary_folder("demo")?;
         let (file, paths) = (folder.path().join("cloister.glb"), folder.path().join("cloister.json"));

@@ -1,4 +1,4 @@
-//! A server on loopback, as a child process: for the demo, and for the reference of a split picture.
+//! A server on loopback as a child process, for the demo and for the reference of a split picture.
 
 use std::{
     convert::Infallible,
@@ -17,13 +17,12 @@ use thiserror::Error;
 
 use crate::link::url::ServerUrl;
 
-/// Time for the server to listen: it builds its hierarchies first.
+/// Includes building its hierarchies.
 const START_TIMEOUT: Duration = Duration::from_secs(120);
 
-/// Time for the server to stop before it is killed.
+/// Then it is killed.
 const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Why a local server does not run.
 #[derive(Debug, Error)]
 pub enum LocalServerError {
     /// There is no server program beside this one.
@@ -40,7 +39,6 @@ pub enum LocalServerError {
     NotListening(String),
 }
 
-/// The scene of a local server.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LocalScene {
     /// glTF file or packed scene.
@@ -51,8 +49,8 @@ pub struct LocalScene {
     pub lights: Option<u32>,
 }
 
-/// Creates a folder that is removed when dropped. Its name cannot be guessed, and only this user can read it: the
-/// server's key lies in it.
+/// Creates a folder that is removed when dropped. Its name cannot be guessed, and only this user can read it, because
+/// it holds the server's key.
 ///
 /// # Errors
 /// Errors if the system's temporary folder cannot be written.
@@ -70,8 +68,8 @@ pub struct LocalServer {
     _folder: TempDir,
 }
 
-/// The thread that started the server. The system ends a child with the thread that started it ([`command`]), so the
-/// thread lives as long.
+/// The thread that started the server. The system ends the child with this thread ([`command`]), so the thread outlives
+/// it.
 #[derive(Debug)]
 struct ServerProcess {
     /// Dropping it stops the server.
@@ -148,7 +146,7 @@ impl LocalServer {
     }
 }
 
-/// Returns a command that runs `program` and, on Linux, ends it with this process however that ends.
+/// Returns a command that runs `program` and, on Linux, ends it when this process ends for any reason.
 fn command(program: &Path) -> Command {
     let setpriv = Path::new("/usr/bin/setpriv");
     if cfg!(target_os = "linux") && setpriv.is_file() {
@@ -179,7 +177,7 @@ fn run(command: &mut Command, send_line: SyncSender<std::io::Result<String>>, st
     stop(&mut child);
 }
 
-/// Asks the server to stop, where the system has a way to ask. Kills it if it does not.
+/// Asks the server to stop, where the system allows that. Kills it otherwise or after [`STOP_TIMEOUT`].
 fn stop(server: &mut Child) {
     let asked = cfg!(unix)
         && Command::new("kill")

@@ -1,4 +1,4 @@
-//! The program around a run: finding a server and its scene, and servers of its own.
+//! Set-up around a run: finding a server and its scene, and starting local servers.
 
 pub(crate) mod connect;
 #[cfg(feature = "window")]

@@ -1,4 +1,4 @@
-//! A client without renderer, for measuring servers: poses out, masks in, response times.
+//! A client without a renderer, for measuring servers: sends poses, receives masks, records response times.
 
 use std::{
     collections::VecDeque,
@@ -36,9 +36,9 @@ pub struct ProbeOptions {
     pub codec: CodecId,
     /// Poses to send.
     pub frames: u32,
-    /// Poses a second; `None` sends each pose after the mask of the last.
+    /// Poses a second; `None` sends each pose after the last one's mask arrived.
     pub fps: Option<f64>,
-    /// Time on the path of the first pose, in seconds.
+    /// Time of the first pose on the path.
     pub start_time_s: f64,
     pub connect_timeout: Duration,
 }
@@ -50,11 +50,9 @@ impl ProbeOptions {
 
 #[derive(Debug, Clone)]
 pub struct ProbeReport {
-    /// The server's tracing device.
     pub backend: String,
-    /// Poses sent.
     pub poses: u32,
-    /// Masks received whole.
+    /// Complete masks.
     pub masks: u64,
     /// Frames that arrived only in part.
     pub incomplete: u64,
@@ -62,9 +60,8 @@ pub struct ProbeReport {
     pub duration: Duration,
     /// From sending a pose to decoding its mask, in milliseconds, for each mask.
     pub responses_ms: Vec<f64>,
-    /// Bytes of all masks, without packet headers.
+    /// Size of all masks, without packet headers.
     pub payload_bytes: u64,
-    /// Packets of all masks.
     pub packets: u64,
 }
 
@@ -130,12 +127,12 @@ impl Probe {
                 self.awaited.clear();
             }
         }
-        // Masks in flight count, as long as they arrive without a pause.
+        // Masks in flight count while they arrive without a pause.
         while !self.awaited.is_empty() && self.wait_for_mask(Instant::now() + Duration::from_millis(500))? {}
         Ok(())
     }
 
-    /// Waits for a mask until `deadline`. Returns whether one arrived. Frames before it will not arrive any more.
+    /// Waits until `deadline` for a mask. Returns whether one arrived. Earlier frames are given up.
     fn wait_for_mask(&mut self, deadline: Instant) -> Result<bool, ClientError> {
         match self.masks.wait_for_any(deadline) {
             Waited::Arrived => {}
@@ -156,7 +153,7 @@ impl Probe {
     }
 }
 
-/// Returns the pose at a time on the path, which repeats.
+/// Returns the pose at a time on the repeating path.
 fn pose(path: &CameraPath, time_s: f64, since_first: Duration, size: [u32; 2]) -> Pose {
     let duration_s = path.duration_s();
     let on_path_s = if duration_s > 0.0 { time_s % duration_s } else { 0.0 };

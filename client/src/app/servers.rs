@@ -1,4 +1,4 @@
-//! Known servers: the last ones visited, newest first, each with the certificate of the first visit.
+//! Known servers: the last ones visited, newest first, with the certificates of the first visits.
 
 use std::{
     fs,
@@ -56,13 +56,13 @@ impl KnownServers {
         &self.servers
     }
 
-    /// Returns the SHA-256 of the certificate that was pinned for this host, port and transport.
+    /// Returns the SHA-256 of the certificate pinned for this host, port and transport.
     #[must_use]
     pub fn certificate_of(&self, url: &ServerUrl) -> Option<[u8; 32]> {
         self.servers.iter().find(|known| same_endpoint(known, url)).and_then(|known| known.certificate)
     }
 
-    /// Puts a server first. Failing to save the list is logged and no error.
+    /// Puts a server first. Logs an error if the list cannot be saved.
     pub fn remember(&mut self, url: &ServerUrl) {
         self.servers.retain(|known| !same_endpoint(known, url));
         self.servers.insert(0, url.clone());
@@ -74,7 +74,7 @@ impl KnownServers {
         }
     }
 
-    /// Replaces the file by a rename: a crash leaves the old list or the new one.
+    /// Replaces the file by renaming: a crash leaves the old list or the new one.
     fn save(&self, file: &Path) -> std::io::Result<()> {
         if let Some(folder) = file.parent() {
             fs::create_dir_all(folder)?;

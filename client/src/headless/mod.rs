@@ -1,4 +1,4 @@
-//! Runs without a window: pictures, statistics and a summary go into files.
+//! Runs without a window, which write pictures, statistics and a summary to files.
 
 pub mod pictures;
 mod progress;

@@ -1,4 +1,4 @@
-//! PNG files, written by threads behind a short queue. A slow disk slows the run down and loses nothing.
+//! Writes PNG files on threads behind a short queue. A slow disk slows the run but loses nothing.
 
 use std::{
     fs::File,
@@ -23,7 +23,6 @@ const QUEUE_PICTURES: usize = 4;
 
 const MAX_WRITERS: usize = 4;
 
-/// Writes pictures into a folder.
 #[derive(Debug)]
 pub struct PictureWriter {
     queue: Option<SyncSender<Picture>>,
@@ -64,7 +63,7 @@ impl PictureWriter {
         if let Some(queue) = &self.queue
             && queue.send(picture).is_err()
         {
-            // Threads stop only when they have failed.
+            // A thread stops only if writing failed.
             self.check()?;
         }
         Ok(())
@@ -104,10 +103,9 @@ fn write_all(folder: &Path, pictures: &Mutex<Receiver<Picture>>, failure: &Mutex
     }
 }
 
-/// Writes a picture as PNG.
 pub(crate) fn write(path: &Path, picture: &Picture) -> std::io::Result<()> {
     let mut file = BufWriter::new(File::create(path)?);
-    // Alpha is always 255, and would cost a third more file and time.
+    // Alpha is always 255, and would cost a third more space and time.
     let rgb: Vec<u8> = picture.rgba.chunks_exact(4).flat_map(|texel| [texel[0], texel[1], texel[2]]).collect();
     PngEncoder::new_with_quality(&mut file, CompressionType::Fast, FilterType::Adaptive)
         .write_image(&rgb, picture.width, picture.height, ExtendedColorType::Rgb8)
@@ -115,7 +113,7 @@ pub(crate) fn write(path: &Path, picture: &Picture) -> std::io::Result<()> {
             image::ImageError::IoError(source) => source,
             error => std::io::Error::other(error),
         })?;
-    // Dropping the buffer would ignore the error of a full disk.
+    // Dropping the buffer would hide the error of a full disk.
     file.flush()
 }
 
@@ -160,7 +158,7 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn a_full_disk_is_an_error_that_says_so() {
-        // Everything written to /dev/full fails as a full disk does.
+        // Writing to /dev/full always fails with a full disk.
         let error = write(Path::new("/dev/full"), &picture(0)).unwrap_err();
         assert_eq!(error.kind(), std::io::ErrorKind::StorageFull);
     }

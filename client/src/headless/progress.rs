@@ -1,4 +1,4 @@
-//! Progress bars on standard error. indicatif draws none where that is no terminal.
+//! Progress bars on standard error; indicatif hides them if that is no terminal.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use parking_lot::Mutex;

@@ -1,4 +1,4 @@
-//! A headless run, from options to summary.
+//! A headless run.
 
 use std::time::{Duration, Instant};
 
@@ -22,21 +22,21 @@ use crate::{
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, readback::PictureReader},
 };
 
-/// Frames a second along the path without `--frames` and `--fps`.
+/// Frame rate along the path without `--frames` and `--fps`.
 const DEFAULT_STEPS_PER_S: f64 = 30.0;
 
 /// Pictures in flight on the adapter.
 const PICTURES_AHEAD: usize = 2;
 
-/// Runs from start to end. Blocks.
+/// Blocks until the run ends.
 ///
 /// # Errors
-/// Errors with what kept the run from drawing all of its frames.
+/// Errors if not all frames could be drawn.
 pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     let settings = &options.settings;
     let Size { width, height } = settings.size;
     options.validate()?;
-    // Cheap things that can fail come first, before a server is bothered.
+    // First check what is cheap and can fail, before connecting to a server.
     let camera_path = settings.path.as_ref().map(PathSpec::load).transpose()?;
     let pictures = settings.out.as_deref().map(PictureWriter::start).transpose()?;
     let stats = settings.stats.as_deref().map(StatsFile::create).transpose()?;
@@ -100,13 +100,13 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
     Ok(summary)
 }
 
-/// The times of the frames.
+/// When each frame is drawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Timing {
     frames: u32,
     start_s: f64,
     step_s: f64,
-    /// Frames are drawn in real time.
+    /// True if frames are drawn in real time.
     paced: bool,
 }
 
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn options_that_do_not_go_together_are_refused_before_anything_is_opened() {
+    fn conflicting_options_are_refused_before_anything_is_opened() {
         assert!(options().validate().is_ok());
         let change = |change: fn(&mut ClientSettings)| {
             let mut changed = options();

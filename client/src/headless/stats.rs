@@ -1,4 +1,4 @@
-//! What a run measures: a line a frame, and a summary at its end.
+//! Output of a headless run: a line for each frame, and a summary at the end.
 
 use std::{
     fs::File,
@@ -11,90 +11,78 @@ use serde::Serialize;
 
 use crate::{error::ClientError, mode::Mode, pose_history::Rejections};
 
-/// A whole run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
-    /// Pictures drawn.
     pub frames_rendered: u32,
-    /// Of these, pictures that were shaded with a mask.
+    /// Pictures shaded with a mask.
     pub frames_with_mask: u32,
-    /// Masks that came whole.
+    /// Masks received whole.
     pub frames_received: u64,
-    /// Masks of which the server left parts out, because the network bore no more.
+    /// Masks from which the server omitted parts because the network lacked capacity.
     pub frames_cut: u64,
-    /// Masks that were shown although some of their tiles did not come.
+    /// Masks shown although some tiles were missing.
     pub frames_partial: u64,
-    /// Masks of which something came, but not all, and which were not shown.
+    /// Masks received in part and not shown.
     pub frames_incomplete: u64,
-    /// Whole frames that were no mask of the agreed shape.
+    /// Complete frames that are not masks of the agreed shape.
     pub frames_bad: u64,
-    /// Poses that were sent a second time because their mask did not come (`--wait`).
+    /// Poses sent again because their mask did not arrive (`--wait`).
     pub poses_repeated: u32,
-    /// Whole masks that were not used, by cause.
+    /// Complete masks that were not used, by cause.
     pub masks_rejected: Rejections,
-    /// Share of the pictures that were drawn with masks too late or none at all.
+    /// Share of pictures drawn while masks were too late or absent.
     pub degraded_share: Option<f64>,
-    /// Mean share of a picture's pixels whose visibility a mask said something of.
+    /// Mean share of pixels whose visibility came from a mask.
     pub known_share_mean: Option<f64>,
-    /// Mean of the frames that masks were older than their pictures.
+    /// Mean age of the masks in frames.
     pub lag_frames_mean: Option<f64>,
-    /// Their median.
     pub lag_frames_p50: Option<f64>,
-    /// Their 99th percentile.
     pub lag_frames_p99: Option<f64>,
-    /// Mean time from a pose's departure to its mask, of the frames that were shaded with their own.
+    /// Mean time from sending a pose to its mask, for frames shaded with their own mask.
     pub response_ms_mean: Option<f64>,
-    /// Its 99th percentile.
     pub response_ms_p99: Option<f64>,
-    /// Pictures a second, from the first pose until the last picture was done.
+    /// Pictures a second, from the first pose until the last picture was complete.
     pub client_fps: f64,
-    /// Masks a second, over the same time.
+    /// Masks a second over the same time.
     pub visibility_fps: Option<f64>,
-    /// Mean bytes of a mask on the wire, headers not counted.
+    /// Mean size of a mask on the wire, without headers.
     pub payload_bytes_mean: Option<f64>,
-    /// Mean packets of a mask.
     pub packets_mean: Option<f64>,
     /// Smoothed round trip of pings.
     pub rtt_ms: Option<f64>,
-    /// Time that the run took, from the first pose on, in seconds.
+    /// Duration of the run from the first pose.
     pub duration_s: f64,
     /// `WIDTHxHEIGHT` in pixels.
     pub size: String,
-    /// Lights of the scene.
     pub lights: u32,
-    /// BLAKE3 digest of the packed scene; none offline.
+    /// BLAKE3 digest of the packed scene; `None` offline.
     pub scene_digest: Option<String>,
-    /// The graphics adapter.
     pub adapter: String,
-    /// What the server traces on.
+    /// The server's tracing device.
     pub backend: Option<String>,
-    /// The codec of the masks.
     pub codec: Option<String>,
-    /// Bits of a mask that the server was allowed to send wrong, in per cent.
+    /// Share of mask bits that may be wrong.
     pub lossy_percent: f64,
     /// `quic`, `lab-udp`, `lab-tcp`, or `offline`.
     pub transport: String,
-    /// Whether each frame waited for its own mask.
+    /// True if each frame waited for its own mask.
     pub wait: bool,
-    /// How visibility was carried over.
     pub predictor: String,
-    /// How the pose to draw was chosen.
     pub mode: Mode,
-    /// The guard band that was asked for.
+    /// The requested guard band.
     pub guard: String,
-    /// Whether the server was asked to look ahead.
+    /// True if the server traced for predicted poses.
     pub predict_pose: bool,
-    /// Why the server was lost on the way, if it was.
+    /// Why the server was first lost, if it was.
     pub connection_lost: Option<String>,
-    /// How often a lost server, or the one that it named, was found again.
+    /// How often a lost or draining server was replaced by a new connection.
     pub reconnects: u32,
-    /// The exposure, as `--exposure` takes it.
+    /// As `--exposure` takes it.
     pub exposure_ev: f32,
-    /// The camera path's name.
     pub path: String,
 }
 
-/// Writes [`FrameStats`], a line each.
+/// Writes [`FrameStats`], one line each.
 #[derive(Debug)]
 pub struct StatsFile {
     path: PathBuf,
@@ -102,19 +90,19 @@ pub struct StatsFile {
 }
 
 impl StatsFile {
-    /// Makes the file anew.
+    /// Creates or truncates the file.
     ///
     /// # Errors
-    /// When it cannot be made.
+    /// If it cannot be created.
     pub fn create(path: &Path) -> Result<Self, ClientError> {
         let file = File::create(path).map_err(|source| ClientError::Write { path: path.into(), source })?;
         Ok(Self { path: path.into(), file: BufWriter::new(file) })
     }
 
-    /// Adds a line.
+    /// Appends a line.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// If it cannot be written.
     pub fn write(&mut self, stats: &FrameStats) -> Result<(), ClientError> {
         let written = serde_json::to_writer(&mut self.file, stats).map_err(Into::into);
         written
@@ -122,27 +110,24 @@ impl StatsFile {
             .map_err(|source| ClientError::Write { path: self.path.clone(), source })
     }
 
-    /// Writes what is still in memory.
+    /// Flushes the file.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// If it cannot be written.
     pub fn finish(mut self) -> Result<(), ClientError> {
         self.file.flush().map_err(|source| ClientError::Write { path: self.path, source })
     }
 }
 
 impl Summary {
-    /// The summary as one JSON object.
     #[must_use]
     pub fn to_json(&self) -> String {
-        // Nothing in it can fail to be JSON: no maps, no bytes.
+        // Never fails: there are no maps or bytes.
         serde_json::to_string_pretty(self).unwrap_or_default()
     }
 
-    /// Writes the JSON object to a file.
-    ///
     /// # Errors
-    /// When it cannot be written.
+    /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), ClientError> {
         std::fs::write(path, self.to_json() + "\n").map_err(|source| ClientError::Write { path: path.into(), source })
     }
@@ -198,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn the_summary_has_what_scripts_look_for() {
+    fn the_summary_has_the_keys_that_scripts_read() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("summary.json");
         summary().write(&file).unwrap();

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 const FIRST: Duration = Duration::from_millis(250);
 
-/// The longest pause. It and a handshake bound how fast a server that comes back is found: 3 s is the target.
+/// Longest pause. With a handshake it bounds the time to find a returning server: the target is 3 s.
 const LONGEST: Duration = Duration::from_millis(1800);
 
 /// Pauses that double up to [`LONGEST`], each shortened by up to a quarter.
@@ -15,7 +15,7 @@ pub(crate) struct Backoff {
 }
 
 impl Backoff {
-    /// `seed` keeps clients that have lost the same server out of step.
+    /// Different seeds keep clients that lost the same server from reconnecting in step.
     pub(crate) fn new(seed: u64) -> Self {
         Self { next: FIRST, state: seed }
     }

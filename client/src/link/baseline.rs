@@ -10,7 +10,7 @@ use tokio::{net::UdpSocket, sync::mpsc, task::JoinHandle};
 /// holds only three packets of this size.
 const WAITING_PACKETS: usize = 512;
 
-/// Packets over UDP. A task of its own empties the socket.
+/// Packets over UDP. Its own task empties the socket.
 pub(crate) struct UdpReceiver {
     packets: mpsc::Receiver<io::Result<Bytes>>,
     task: JoinHandle<()>,
@@ -47,7 +47,7 @@ async fn receive_all(socket: Arc<UdpSocket>, queue: mpsc::Sender<io::Result<Byte
             Err(error) => Err(error),
         };
         let last = received.is_err();
-        // A packet that finds the queue full is lost, as it would be in the kernel.
+        // A packet is dropped if the queue is full, as the kernel would do.
         let closed = matches!(queue.try_send(received), Err(mpsc::error::TrySendError::Closed(_)));
         if last || closed {
             return;

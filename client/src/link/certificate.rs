@@ -1,6 +1,6 @@
-//! Trust on first use: the certificate that a server shows on the first visit is pinned.
+//! Trust on first use: pins the certificate that a server shows on the first visit.
 //!
-//! The visit fetches the certificate and nothing else, so that no token reaches a server before it is pinned.
+//! The visit only fetches the certificate, so that no token reaches a server before it is pinned.
 
 use std::time::Duration;
 

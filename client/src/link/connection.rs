@@ -1,4 +1,4 @@
-//! A connection to a server over any transport: the control stream, and the data beside it.
+//! A connection to a server over any transport: the control stream and the data channel.
 
 use std::{io, net::SocketAddr, sync::Arc, time::Duration};
 
@@ -31,7 +31,7 @@ const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 /// How long the server may leave a control message unread.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// A connection that carries no frames yet.
+/// A connection before the data channel is open.
 pub(crate) struct ServerConnection {
     pub(crate) reader: ControlReader<ServerMessage>,
     pub(crate) writer: ControlWriter<ClientMessage>,
@@ -45,7 +45,7 @@ enum TransportHandle {
     LabTcp,
 }
 
-/// A connection that is ready for poses and masks.
+/// A connection ready for poses and masks.
 pub(crate) struct OpenConnection {
     pub(crate) reader: ControlReader<ServerMessage>,
     pub(crate) writer: ControlWriter<ClientMessage>,
@@ -54,21 +54,21 @@ pub(crate) struct OpenConnection {
     pub(crate) quic: QuicHandle,
 }
 
-/// Poses and feedback go out here.
+/// Sends poses and feedback.
 pub(crate) enum DataSender {
     Quic(quinn::Connection),
     Udp(Arc<UdpSocket>),
     Tcp(PacketWriter),
 }
 
-/// Frame packets come in here.
+/// Receives frame packets.
 pub(crate) enum DataReceiver {
     Quic(quinn::Connection),
     Udp(UdpReceiver),
     Tcp(PacketReader),
 }
 
-/// QUIC's own end of a connection. Empty for the lab transports, which end when their sockets are dropped.
+/// The QUIC connection, to close it. Empty for the lab transports, which close when their sockets are dropped.
 #[derive(Debug, Clone)]
 pub(crate) struct QuicHandle(Option<(quinn::Endpoint, quinn::Connection)>);
 
@@ -116,7 +116,7 @@ impl ServerConnection {
         Self { reader, writer: ControlWriter::new(writer, WRITE_TIMEOUT), transport, server }
     }
 
-    /// Returns why the connection closed; the server's own reason if it gave one. `None` while it is open, and on lab
+    /// Returns why the connection closed, preferring the server's reason. `None` while it is open, and on lab
     /// transports.
     pub(crate) fn close_reason(&self) -> Option<String> {
         let TransportHandle::Quic(_, connection) = &self.transport else { return None };
@@ -128,7 +128,7 @@ impl ServerConnection {
         }
     }
 
-    /// Opens the way for poses and masks.
+    /// Opens the data channel.
     ///
     /// # Errors
     /// Errors on lab transports if the server's data port cannot be reached.
@@ -157,7 +157,7 @@ impl ServerConnection {
 }
 
 impl DataSender {
-    /// Sends one packet. It may be lost, as any datagram.
+    /// Sends one packet, unreliably.
     ///
     /// # Errors
     /// Errors if the connection is gone.
@@ -190,7 +190,7 @@ impl DataReceiver {
 }
 
 impl QuicHandle {
-    /// Returns the UDP datagrams that have arrived, whatever was in them; `None` on lab transports.
+    /// Returns the number of UDP datagrams received, whatever their content; `None` on lab transports.
     pub(crate) fn datagrams_received(&self) -> Option<u64> {
         self.0.as_ref().map(|(_, connection)| connection.stats().udp_rx.datagrams)
     }

@@ -1,4 +1,4 @@
-//! The control task of a running session: pings, and the server's messages.
+//! The control task of a running session: sends pings and handles the server's messages.
 
 use std::{
     sync::Arc,
@@ -29,7 +29,7 @@ pub(super) struct ControlTask {
 }
 
 impl ControlTask {
-    /// Runs until the session ends, and returns the reason.
+    /// Runs until the session ends. Returns the reason.
     pub(super) async fn run(&mut self) -> String {
         let mut interval = tokio::time::interval(PING_INTERVAL);
         interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -41,7 +41,7 @@ impl ControlTask {
                 message = self.reader.next() => Some(message),
             };
             match event {
-                // One ping at a time: a late answer is a long round trip, and no reason for another ping.
+                // One ping at a time: a late answer only means a long round trip.
                 None if unanswered.is_some() => {}
                 None => {
                     unanswered = Some((next, Instant::now()));
@@ -72,7 +72,7 @@ impl ControlTask {
         }
     }
 
-    /// Says Bye and ends the stream.
+    /// Sends Bye and ends the stream.
     pub(super) async fn leave(&mut self) {
         // The server may have left first.
         let _ = self.writer.write(&ClientMessage::Bye).await;

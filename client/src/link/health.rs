@@ -1,4 +1,4 @@
-//! What a session's tasks learn about a link that is up: the server is silent, or is about to stop.
+//! Health of an established link: whether the server is silent or about to stop.
 
 use std::{
     sync::Arc,
@@ -9,8 +9,8 @@ use parking_lot::Mutex;
 
 use super::connection::QuicHandle;
 
-/// Silence that counts as an outage: a server answers one ping a second. The connection may outlive it, but a new one
-/// is tried beside it.
+/// Silence that counts as an outage; a server answers one ping a second. The connection may survive, but a new one is
+/// tried in parallel.
 const OUTAGE: Duration = Duration::from_secs(2);
 
 const CHECK_INTERVAL: Duration = Duration::from_millis(200);
@@ -20,7 +20,7 @@ const CHECK_INTERVAL: Duration = Duration::from_millis(200);
 pub(crate) struct Draining {
     pub(crate) reason: String,
     pub(crate) deadline: Instant,
-    /// URL of the server to go to.
+    /// URL of the server to move to.
     pub(crate) alternative: Option<String>,
 }
 
@@ -31,7 +31,7 @@ pub(crate) struct Health {
     pub(crate) draining: Option<Draining>,
 }
 
-/// The health of one session. Its tasks write it, the renderer reads it.
+/// Health of one session. Its tasks write it; the renderer reads it.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct HealthCell(Arc<Mutex<Health>>);
 
@@ -45,7 +45,7 @@ impl HealthCell {
     }
 }
 
-/// Watches what arrives, for ever. Lab transports end when the server does, and need no watching.
+/// Watches for silence, without end. Lab transports need no watching: they end when the server does.
 pub(crate) async fn watch_silence(quic: QuicHandle, health: HealthCell) {
     let mut checks = tokio::time::interval(CHECK_INTERVAL);
     checks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -58,7 +58,7 @@ pub(crate) async fn watch_silence(quic: QuicHandle, health: HealthCell) {
     }
 }
 
-/// Measures how long a counter has stood still.
+/// Measures how long a counter has not changed.
 #[derive(Debug)]
 struct Silence {
     received: u64,
@@ -73,7 +73,7 @@ impl Silence {
 
     /// Returns whether the silence counts as an outage.
     fn check(&mut self, received: u64, now: Instant) -> bool {
-        // A process that was stopped for several checks did not listen meanwhile.
+        // If the process was suspended for several checks, it could not receive anything.
         let slept = now.saturating_duration_since(self.checked_at) > CHECK_INTERVAL * 4;
         self.checked_at = now;
         if received != self.received || slept {

@@ -1,4 +1,4 @@
-//! The mask queue between two threads: the receive task publishes, the renderer takes or waits.
+//! The mask queue between two threads: the receive task publishes masks; the renderer takes or awaits them.
 
 use std::{collections::VecDeque, sync::Arc, time::Instant};
 
@@ -40,7 +40,7 @@ pub enum Waited {
     /// The mask is in the front buffer.
     Arrived,
     TimedOut,
-    /// A frame arrived only in part since the last mask, so the awaited one may never come.
+    /// A frame arrived only in part since the last mask, so the awaited one may never arrive.
     Lost,
     /// No more masks will arrive, with the reason.
     Ended(String),
@@ -60,7 +60,7 @@ impl MaskWriter {
         &mut self.back
     }
 
-    /// Hands the back buffer to the renderer; [`MaskQueue::publish`] says what it replaces.
+    /// Passes the back buffer to the renderer; [`MaskQueue::publish`] tells which masks it replaces.
     pub fn publish(&mut self) {
         self.shared.queue.lock().publish(&mut self.back);
         self.shared.changed.notify_all();
@@ -84,7 +84,6 @@ impl MaskWriter {
     }
 }
 
-/// Reports that no more masks will arrive.
 #[derive(Debug, Clone)]
 pub struct MaskEnder {
     shared: Arc<Shared>,
@@ -110,23 +109,23 @@ impl MaskReader {
         self.front().map(|front| (front, changed))
     }
 
-    /// The newest of the masks that were taken last.
+    /// Returns the newest of the masks taken last.
     #[must_use]
     pub fn front(&self) -> Option<&ReceivedMask> {
         self.front.back()
     }
 
-    /// The masks that were taken last, oldest first: tiles that a newer one lacks may be in an older one.
+    /// Returns the masks taken last, oldest first: tiles missing from a newer one may be in an older one.
     pub fn taken(&self) -> impl Iterator<Item = &ReceivedMask> {
         self.front.iter()
     }
 
-    /// Waits until `deadline` for the mask of exactly this frame; skips others.
+    /// Waits until `deadline` for the mask of exactly this frame. Skips others.
     pub fn wait_for(&mut self, frame: FrameNumber, deadline: Instant) -> Waited {
         self.wait_until(deadline, true, |front, _| front.frame == frame)
     }
 
-    /// Waits until `deadline` for any mask that was not taken yet. A loss does not end the wait.
+    /// Waits until `deadline` for any new mask. A loss does not end the wait.
     pub fn wait_for_any(&mut self, deadline: Instant) -> Waited {
         self.wait_until(deadline, false, |_, fresh| fresh)
     }
@@ -188,7 +187,7 @@ mod tests {
         assert!(reader.newest().is_none() && reader.front().is_none());
         fill(&mut writer, 1);
         fill(&mut writer, 2);
-        // A mask that is not published yet is not seen.
+        // A mask is not visible before it is published.
         writer.back().mask.words_mut().fill(99);
         let (seen, changed) = reader.newest().unwrap();
         assert_eq!((seen.frame, seen.mask.words()[0], changed), (FrameNumber(2), 2, true));

@@ -1,4 +1,4 @@
-//! Files that `--save-masks` and `--mask-log` write for tests and measurements.
+//! Files written by `--save-masks` and `--mask-log` for tests and measurements.
 
 use std::{
     fs::File,
@@ -13,13 +13,13 @@ use crate::error::ClientError;
 
 #[derive(Debug)]
 pub(crate) struct MaskFiles {
-    /// Folder for the body of each whole frame.
+    /// Folder for the body of each complete frame.
     bodies: Option<PathBuf>,
     log: Option<(PathBuf, File)>,
 }
 
 impl MaskFiles {
-    /// Opens what `reception` names. Returns `None` if it names nothing.
+    /// Opens the files that `reception` names. Returns `None` if it names none.
     pub(crate) fn open(reception: &Reception) -> Result<Option<Self>, ClientError> {
         let Reception { save_masks, mask_log, .. } = reception;
         let open = |path: &PathBuf| match File::options().append(true).open(path) {

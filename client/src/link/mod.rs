@@ -1,4 +1,4 @@
-//! The network: connect, say Hello, fetch the scene; then poses out and masks in.
+//! The network: connects, says Hello, fetches the scene; then sends poses and receives masks.
 
 mod backoff;
 mod baseline;

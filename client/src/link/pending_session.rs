@@ -1,4 +1,4 @@
-//! A session from Hello to Start: admitted by the server, without frames yet.
+//! A session between Hello and Start: admitted by the server, but without frames.
 
 use std::time::Duration;
 
@@ -20,7 +20,6 @@ use super::{
 };
 use crate::error::ClientError;
 
-/// How long the server may take for an answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 
 pub(crate) struct PendingSession {
@@ -52,7 +51,7 @@ impl PendingSession {
         }
     }
 
-    /// Returns the packed scene, from the cache or from the server. Reports the bytes that are there, and all bytes.
+    /// Returns the packed scene, from the cache or from the server. Reports the bytes fetched and the total.
     ///
     /// # Errors
     /// Errors if the connection breaks or the server sends another scene.

@@ -1,4 +1,4 @@
-//! QUIC connections: which certificate is accepted, and how quinn is set up.
+//! QUIC connections: certificate checks and quinn's configuration.
 
 use std::{
     net::SocketAddr,
@@ -34,15 +34,15 @@ const KEEP_ALIVE: Duration = Duration::from_secs(2);
 /// Bytes in flight before the first acknowledgement: some hundred poses.
 const INITIAL_WINDOW_BYTES: u64 = 64 * 1024;
 
-/// Datagrams that may wait while the receive task decodes: some frames of words at 1920×1080, 8 MB each.
+/// Datagrams that may wait while the receive task decodes: several frames of words at 1920×1080, 8 MB each.
 const DATAGRAM_RECEIVE_BYTES: usize = 32 << 20;
 
-/// Poses that may wait. quinn drops the oldest beyond that.
+/// Poses that may wait; quinn drops the oldest beyond that.
 const DATAGRAM_SEND_BYTES: usize = 1024;
 
-/// Accepts the one certificate that has the pinned digest, or any if none is pinned.
+/// Accepts only the certificate with the pinned digest, or any if none is pinned.
 ///
-/// Names and dates in it do not matter: whoever holds its key is the server that printed the URL.
+/// Its names and dates are ignored: the server that printed the URL holds its key.
 #[derive(Debug)]
 struct Pinned {
     digest: Option<[u8; 32]>,
@@ -91,20 +91,19 @@ impl ServerCertVerifier for Pinned {
     }
 }
 
-/// Why a QUIC handshake failed.
 #[derive(Debug)]
 pub(super) enum QuicError {
     /// The server shows another certificate than the pinned one.
     Certificate,
     /// The server does not answer.
     TimedOut,
-    /// The path corrupted a packet: our servers send no such answer.
+    /// A packet was corrupted on the path: our servers send no such answer.
     Corrupted(String),
     Other(String),
 }
 
 impl QuicError {
-    /// Returns whether another handshake would fail alike.
+    /// Returns whether every further handshake would fail as well.
     const fn is_final(&self) -> bool {
         matches!(self, Self::Certificate | Self::Other(_))
     }
@@ -119,26 +118,24 @@ impl QuicError {
     }
 }
 
-/// Time after which another handshake starts beside one that has not finished: each lost packet doubles a handshake's
-/// wait.
+/// Time after which another handshake starts in parallel: each lost packet doubles a handshake's wait.
 const NEXT_HANDSHAKE: Duration = Duration::from_millis(1500);
 
-/// Handshakes that are tried with one address.
+/// Most handshakes with one address.
 const MAX_HANDSHAKES: usize = 6;
 
-/// Which certificate is accepted.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Trust<'a> {
-    /// The one with this SHA-256, whatever names and dates it has.
+    /// The certificate with this SHA-256, whatever its names and dates.
     Pinned([u8; 32]),
-    /// Any, to fetch it on a first visit.
+    /// Any certificate, to fetch it on a first visit.
     FirstUse,
-    /// One for `name` that an authority in the PEM `file` has signed.
+    /// A certificate for `name`, signed by an authority in the PEM `file`.
     Authority { file: &'a Path, name: &'a str },
 }
 
 /// Connects to the server at `address`. On a network that loses or corrupts many packets one handshake may fail, so
-/// several run side by side and the first success wins.
+/// several run in parallel and the first success wins.
 ///
 /// # Errors
 /// Errors if the server shows a certificate that `trust` does not accept, or all handshakes fail.
@@ -200,7 +197,7 @@ async fn handshake(
     Ok((endpoint, connection))
 }
 
-/// Returns the SHA-256 of the certificate that the server has shown.
+/// Returns the SHA-256 of the server's certificate.
 pub(super) fn certificate_sha256(connection: &quinn::Connection) -> Option<[u8; 32]> {
     let chain = connection.peer_identity()?.downcast::<Vec<CertificateDer<'static>>>().ok()?;
     sha256(chain.first()?)
@@ -243,7 +240,7 @@ fn authorities(path: &Path) -> Result<rustls::RootCertStore, Box<dyn std::error:
     if roots.is_empty() { Err(unreadable(&"it holds no certificate").into()) } else { Ok(roots) }
 }
 
-/// SHA-256, from the library that computes the handshake's own digests.
+/// SHA-256, from the library that the handshake uses.
 fn sha256(bytes: &[u8]) -> Option<[u8; 32]> {
     let suite = rustls::crypto::ring::cipher_suite::TLS13_AES_128_GCM_SHA256.tls13()?;
     suite.common.hash_provider.hash(bytes).as_ref().try_into().ok()

@@ -1,4 +1,4 @@
-//! The receive task: datagrams to the [`FrameReceiver`], its masks to the mask buffer, its feedback to the send task.
+//! The receive task: feeds datagrams to the [`FrameReceiver`], and passes on its masks and feedback.
 
 use std::{convert::Infallible, sync::Arc, time::Instant};
 
@@ -19,7 +19,7 @@ use super::{connection::DataReceiver, mask_buffer::MaskWriter, mask_files::MaskF
 /// Counters that the receive task writes and any thread reads.
 pub(crate) type Counters = Arc<Mutex<Received>>;
 
-/// Requests that the renderer records and the receive task reads.
+/// Requests recorded by the renderer and read by the receive task.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Requested(Arc<Mutex<Requests>>);
 
@@ -45,8 +45,8 @@ pub(crate) struct ReceiveTask {
 }
 
 impl ReceiveTask {
-    /// Receives until the link is gone. Returns the reason and the renderer's end, still open: the control stream may
-    /// know a better reason.
+    /// Receives until the connection is gone. Returns the reason and the mask writer, still open, because the control
+    /// stream may have a better reason.
     pub(crate) async fn run(mut self) -> (String, MaskWriter) {
         match self.receive().await {
             Ok(never) => match never {},
@@ -88,7 +88,7 @@ impl ReceiveTask {
         }
     }
 
-    /// Decodes the frame that has come out, if one has, into the back buffer.
+    /// Decodes the next finished frame, if any, into the back buffer. Returns whether there was one.
     fn poll_frame(&mut self) -> Result<bool, String> {
         let back = self.writer.back();
         let frame = match self.receiver.poll_frame(&mut back.mask, &mut back.coverage) {

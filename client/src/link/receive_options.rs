@@ -1,17 +1,17 @@
-//! How a client receives its frames: which packets make one, and which files record it.
+//! How a client handles lost packets, and which files record its frames.
 
 use std::{fmt, path::PathBuf, str::FromStr};
 
 use gnomon_protocol::reassembler::Policy;
 
-/// What is done about lost packets where each packet can be decoded alone.
+/// Handling of lost packets in codecs whose packets can be decoded alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Packets {
-    /// They lose their frame, as in the dissertation.
+    /// A lost packet loses its frame, as in the dissertation.
     WholeFrame,
     /// The other packets are shown.
     Slices,
-    /// The other packets are shown, and the server learns of the loss and sends parity.
+    /// The other packets are shown; the server is told of the loss and sends parity.
     #[default]
     Parity,
 }
@@ -43,15 +43,13 @@ impl FromStr for Packets {
     }
 }
 
-/// How a session receives its frames.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Reception {
     pub(crate) policy: Policy,
     /// Report lost packets to the server.
     pub(crate) reports_losses: bool,
-    /// Folder for the body of each whole frame. Each is then coded without a reference.
+    /// Folder for the body of each complete frame; all frames are then coded without a reference.
     pub(crate) save_masks: Option<PathBuf>,
-    /// File to which each delivered mask adds a line: frame, packets received or restored, packets restored, packets
-    /// missing.
+    /// Log with a line for each delivered mask: frame, packets received or restored, packets restored, packets missing.
     pub(crate) mask_log: Option<PathBuf>,
 }

@@ -1,7 +1,7 @@
-//! Finds a way back to a lost server, or to the one that it named, while the client draws on.
+//! Reconnects to a lost server, or to the alternative that it named, while the client keeps drawing.
 //!
-//! Attempts follow each other with growing pauses. An older attempt goes on when the next begins: on a long path a
-//! handshake takes longer than the pause. The first attempt that leads to the same scene wins.
+//! Attempts start after growing pauses. Older attempts continue meanwhile, because on a long path a handshake takes
+//! longer than the pause. The first attempt that leads to the same scene wins.
 
 use std::time::Duration;
 
@@ -24,15 +24,15 @@ use super::{
 };
 use crate::error::ClientError;
 
-/// Attempts at a time.
+/// Concurrent attempts.
 const MAX_ATTEMPTS: usize = 3;
 
 const ATTEMPT_TIMEOUT: Duration = Duration::from_secs(4);
 
-/// Bounds the pause that a server may ask for.
+/// Longest pause that a server can ask for.
 const MAX_RETRY_PAUSE: Duration = Duration::from_secs(60);
 
-/// A search for a server in the background. Dropping it ends it.
+/// A background search for a server. Dropping it ends it.
 #[derive(Debug)]
 pub(crate) struct Reconnect {
     found: oneshot::Receiver<(Session, MaskReader)>,
@@ -41,15 +41,14 @@ pub(crate) struct Reconnect {
 }
 
 impl Reconnect {
-    /// Starts to look for `alternative`, if there is one, and for the server of `spec`. `reason` tells why the server
-    /// was lost.
+    /// Starts to look for `alternative`, if any, and for the server of `spec`. `reason` is why the server was lost.
     pub(crate) fn start(runtime: &Handle, spec: SessionSpec, alternative: Option<ServerUrl>, reason: String) -> Self {
         let (send, found) = oneshot::channel();
         let first = LinkState::Lost { reason: reason.clone(), retry_at: Some(std::time::Instant::now()) };
         let (state_sender, state) = watch::channel(first);
         let task = runtime.spawn(async move {
             if let Some(session) = search(&spec, alternative, reason, &state_sender).await {
-                // If the receiver is gone, the session ends with it.
+                // If the receiver is gone, the session is dropped with it.
                 let _ = send.send(session);
             }
         });
@@ -72,7 +71,7 @@ impl Drop for Reconnect {
     }
 }
 
-/// Opens the first session. Asks again when the server says so, for up to `options.connect_timeout`.
+/// Opens a session. Retries when the server asks for it, for up to `options.connect_timeout`.
 ///
 /// # Errors
 /// As [`PendingSession::open`].
@@ -93,7 +92,7 @@ pub(crate) async fn open_with_retry(url: &ServerUrl, options: &SessionOptions) -
     }
 }
 
-/// What a failed attempt means for its server.
+/// What to do after a failed attempt.
 enum Retry {
     Soon,
     After(Duration),
@@ -179,7 +178,7 @@ async fn attempt(spec: SessionSpec, server: ServerUrl) -> Result<(Session, MaskR
 
 fn retry(error: &ClientError) -> Retry {
     match error {
-        // A draining server may be started again.
+        // A draining server may be restarted.
         ClientError::Refused(Refusal::Draining) => Retry::Soon,
         ClientError::Refused(refusal) => refusal.retry_after().map_or(Retry::Never, Retry::After),
         ClientError::Certificate(_) | ClientError::Protocol { .. } => Retry::Never,

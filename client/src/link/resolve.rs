@@ -1,4 +1,4 @@
-//! From a server's host name to the address that answers.
+//! Resolves a server's host name to an address that answers.
 
 use std::{
     net::SocketAddr,
@@ -10,7 +10,7 @@ use tokio::{net::lookup_host, time::timeout};
 use super::url::ServerUrl;
 use crate::error::ClientError;
 
-/// Tries the addresses of `url`, one after the other, and returns what the first success gives. IPv4 comes first.
+/// Calls `connect` with the addresses of `url` in turn, IPv4 first, and returns the first success.
 ///
 /// # Errors
 /// Errors with the last failure, or if nothing has answered within `limit`.
@@ -30,7 +30,7 @@ where
         .map_err(|_| unreachable())?
         .map_err(|error| failed(format!("host {:?}: {error}", url.host)))?;
     let mut addresses: Vec<SocketAddr> = found.collect();
-    // UDP to a closed port may get no answer at all, and on a small network a name means its IPv4 address.
+    // UDP to a closed port may get no answer, and on small networks names usually mean the IPv4 address.
     addresses.sort_by_key(SocketAddr::is_ipv6);
     let mut last = failed(format!("host {:?} has no address", url.host));
     for (tried, address) in addresses.iter().enumerate() {

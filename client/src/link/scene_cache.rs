@@ -1,8 +1,8 @@
-//! Packed scenes on disk, by their digest.
+//! A disk cache of packed scenes, keyed by digest.
 //!
-//! `DIGEST.scene` is used only if its bytes have that digest. A scene that is being fetched grows in `DIGEST.part`,
-//! which one client at a time holds locked. A fetch that broke off resumes where it stopped. If the cache cannot be
-//! written, clients work without it.
+//! `DIGEST.scene` is used only if its bytes have that digest. A scene being fetched grows in `DIGEST.part`, which one
+//! client at a time holds locked. An interrupted fetch resumes where it stopped. If the cache cannot be written,
+//! clients work without it.
 
 use std::{
     fs::{File, OpenOptions},
@@ -19,13 +19,12 @@ pub struct SceneCache {
     folder: PathBuf,
 }
 
-/// Why a scene could not be fetched.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum SceneFetchError {
     /// The scene exceeds [`MAX_SCENE_BYTES`].
     #[error("the server's scene has {0} bytes: at most {MAX_SCENE_BYTES} are accepted")]
     TooLarge(u64),
-    /// A chunk does not follow the one before it.
+    /// A chunk does not follow the previous one.
     #[error("a scene chunk starts at byte {found}, expected byte {expected}")]
     Gap { expected: u64, found: u64 },
     /// The server sent more bytes than it announced.
@@ -36,7 +35,7 @@ pub enum SceneFetchError {
     Digest { digest: SceneDigest, found: SceneDigest },
 }
 
-/// What the cache has of a scene.
+/// Result of a cache look-up.
 #[derive(Debug)]
 pub enum CachedScene {
     Whole(Vec<u8>),
@@ -44,7 +43,7 @@ pub enum CachedScene {
     Missing(SceneFetch),
 }
 
-/// A scene that is being fetched.
+/// A scene being fetched.
 #[derive(Debug)]
 pub struct SceneFetch {
     cache: SceneCache,
@@ -162,8 +161,8 @@ impl SceneFetch {
         Ok(())
     }
 
-    /// Returns the scene and caches it. `None` if the bytes from an earlier run were damaged: they are discarded, and
-    /// all has to be fetched again.
+    /// Returns the scene and caches it. Returns `None` if bytes from an earlier run were damaged; they are discarded,
+    /// and the whole scene must be fetched again.
     ///
     /// # Errors
     /// Errors if the server sent another scene.
@@ -189,7 +188,7 @@ impl SceneFetch {
         Ok(None)
     }
 
-    /// Renames the part file. A rename is atomic, so no client ever sees half of a scene.
+    /// Renames the part file. A rename is atomic, so no client sees half a scene.
     fn store(&mut self) -> std::io::Result<()> {
         let Some(part) = self.part.take() else { return Ok(()) };
         part.sync_data()?;

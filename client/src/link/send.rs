@@ -1,5 +1,4 @@
-//! The send task: sends the newest pose, acknowledgement and loss feedback. What was replaced before its turn is not
-//! sent.
+//! The send task: sends the newest pose, acknowledgement and loss feedback. Older unsent values are skipped.
 
 use std::{convert::Infallible, io};
 
@@ -13,7 +12,6 @@ use tokio::sync::watch;
 
 use super::connection::DataSender;
 
-/// The newest pose and its frame.
 pub(crate) type OutgoingPose = Option<(FrameNumber, Pose)>;
 
 /// Sends until the connection is gone. When a channel closes, it waits to be stopped.
@@ -25,7 +23,7 @@ pub(crate) async fn send_poses(
 ) -> io::Result<Infallible> {
     let mut sequence = 0_u32;
     loop {
-        // Acknowledgements first: the next mask is coded against what they name.
+        // Acknowledgements first: they decide the reference of the next mask.
         tokio::select! {
             biased;
             changed = acknowledgements.changed() => {
@@ -52,7 +50,7 @@ pub(crate) async fn send_poses(
                 return std::future::pending().await;
             },
         }
-        // A copy, so that the renderer can set the next pose while this one is sent.
+        // Copied, so that the renderer can set the next pose while this one is sent.
         let newest = *poses.borrow_and_update();
         if let Some((frame, pose)) = newest {
             sender.send(&encode_pose_packet(sequence, frame, &pose)).await?;

@@ -1,5 +1,4 @@
-//! The link to a server: poses go out, masks come in. When the server is lost, a new connection is sought in the
-//! background.
+//! The link to a server: sends poses and receives masks. When the server is lost, it reconnects in the background.
 
 use std::{
     sync::Arc,
@@ -19,16 +18,16 @@ use super::{
 };
 use crate::error::ClientError;
 
-/// How long the first mask may take before its pose is sent again: the server may still be warming up.
+/// Patience for the first mask before its pose is sent again: the server may still be warming up.
 const FIRST_RESPONSE: Duration = Duration::from_secs(2);
 
 /// Shortest time before a pose is sent again.
 const MIN_PATIENCE: Duration = Duration::from_millis(250);
 
-/// How long one frame is waited for in all.
+/// Total patience for one frame.
 const GIVE_UP: Duration = Duration::from_secs(120);
 
-/// A session with a server, replaced by another one when the server is lost.
+/// A session with a server, replaced by a new one when the server is lost.
 pub(crate) struct ServerLink {
     runtime: Arc<Runtime>,
     session: Session,
@@ -40,7 +39,7 @@ pub(crate) struct ServerLink {
     received_before: Received,
 }
 
-/// Totals of a link that has ended.
+/// Totals at the end of a link.
 #[derive(Debug, Default)]
 pub(crate) struct LinkTotals {
     pub(crate) poses_repeated: u32,
@@ -77,9 +76,9 @@ impl ServerLink {
         }
     }
 
-    /// Starts or ends the search for a connection: sought when the server is lost, silent, or about to stop and names
-    /// another one. The old connection serves for as long as it can. Returns whether a new one has just taken its
-    /// place.
+    /// Starts or ends the search for a new connection. The search runs while the server is lost or silent, or is about
+    /// to stop and names an alternative. The old connection is used as long as possible. Returns whether a new one has
+    /// just replaced it.
     pub(crate) fn maintain(&mut self) -> bool {
         let health = self.session.health();
         let lost = self.masks.ended().or_else(|| health.silent.then(|| "the server is silent".to_owned()));
@@ -121,20 +120,20 @@ impl ServerLink {
         self.masks.ended()
     }
 
-    /// Takes the masks that have arrived since the last call, oldest first; none if there is nothing new.
+    /// Takes the masks that have arrived since the last call, oldest first.
     pub(crate) fn take_masks(&mut self) -> impl Iterator<Item = &ReceivedMask> {
         let fresh = self.masks.newest().is_some_and(|(_, fresh)| fresh);
         self.masks.taken().filter(move |_| fresh)
     }
 
-    /// The masks that were taken last, oldest first.
+    /// Returns the masks taken last, oldest first.
     pub(crate) fn taken_masks(&self) -> impl Iterator<Item = &ReceivedMask> {
         self.masks.taken()
     }
 
-    /// Waits for exactly this frame's mask; [`Self::taken_masks`] has it then. Sends the pose again at once when a part
-    /// of the mask was lost, or else after four round trips and twice the slowest response of late, and then after
-    /// twice as long each time, so that a slow server is not flooded.
+    /// Waits for exactly this frame's mask, which is then in [`Self::taken_masks`]. Sends the pose again at once if
+    /// part of the mask was lost; otherwise after four round trips and twice the slowest recent response. The delay
+    /// doubles each time, so that a slow server is not flooded.
     ///
     /// # Errors
     /// Errors with `ended(reason)` if no more masks will arrive, and with [`ClientError::NoVisibility`] after
@@ -150,7 +149,7 @@ impl ServerLink {
         let usual = matcher.slowest_response().map_or(FIRST_RESPONSE, |slowest| slowest * 2);
         let mut patience = (round_trip * 4).max(MIN_PATIENCE).max(usual);
         let mut asked = 1;
-        // Whether this frame's mask is in the front buffer and was rejected: waiting for the frame would return at
+        // True if this frame's mask is in the front buffer and was rejected: waiting for the frame would return at
         // once.
         let mut rejected = false;
         loop {
@@ -201,7 +200,7 @@ impl ServerLink {
         self.session.round_trip()
     }
 
-    /// Takes leave of the server. Blocks.
+    /// Says goodbye to the server. Blocks.
     pub(crate) fn leave(self) -> LinkTotals {
         let totals = LinkTotals {
             poses_repeated: self.poses_repeated,

@@ -1,4 +1,4 @@
-//! A running session: three tasks until either side leaves.
+//! A running session: three tasks, until either side leaves.
 
 use std::{convert::Infallible, io, pin::pin, sync::Arc, time::Duration};
 
@@ -25,7 +25,7 @@ use super::{
     session_spec::SessionSpec,
 };
 
-/// How long a server whose data has ended may take to send the reason.
+/// How long a server may take to send the reason after its data has ended.
 const CLOSING_TIMEOUT: Duration = Duration::from_millis(300);
 
 #[derive(Debug)]
@@ -42,7 +42,6 @@ pub(crate) struct Session {
 }
 
 impl Session {
-    /// Starts the tasks.
     pub(super) fn start(spec: SessionSpec, connection: OpenConnection, files: Option<MaskFiles>) -> (Self, MaskReader) {
         let OpenConnection { reader, writer, sender, receiver: datagrams, quic } = connection;
         let (mask_writer, mask_reader) = mask_buffer(spec.shape);
@@ -53,7 +52,7 @@ impl Session {
         let config = ReceiverConfig {
             policy: spec.reception.policy,
             largest: spec.shape,
-            // Saved masks are decoded alone.
+            // Saved masks must be decodable alone.
             keeps_references: spec.reception.save_masks.is_none(),
             reports_losses: spec.reception.reports_losses,
         };
@@ -76,13 +75,13 @@ impl Session {
         (Self { spec, poses, counters, requested, round_trip, health, quic, leave, tasks }, mask_reader)
     }
 
-    /// Sends a frame's pose. It replaces one that waits.
+    /// Sends a frame's pose. It replaces an unsent one.
     pub(crate) fn send_pose(&self, frame: FrameNumber, pose: Pose) {
         self.requested.change(|requests| requests.request(frame));
         self.poses.send_replace(Some((frame, pose)));
     }
 
-    /// Sends the pose of a frame again, because its mask is missing or was `refused`.
+    /// Sends a frame's pose again, because its mask is missing or was `refused`.
     pub(crate) fn send_pose_again(&self, frame: FrameNumber, pose: Pose, refused: bool) {
         self.requested.change(|requests| requests.request_again(frame, refused));
         self.send_pose(frame, pose);
@@ -107,7 +106,7 @@ impl Session {
 
     /// Ends the session and closes the connection.
     pub(crate) async fn leave(self) {
-        // The tasks may have ended already.
+        // The tasks may have ended.
         let _ = self.leave.send(());
         let _ = self.tasks.await;
         self.quic.close().await;
@@ -123,10 +122,10 @@ async fn run_tasks(
     left: oneshot::Receiver<()>,
 ) {
     let ender = receive.writer.ender();
-    // Tasks of their own: decoding takes long, and must delay neither pings nor poses.
+    // Separate tasks: decoding takes long and must not delay pings or poses.
     let mut receiving = tokio::spawn(receive.run());
     let mut sending = tokio::spawn(send);
-    // Dropping the writer would end the masks without the reason, so it is kept until the reason is known.
+    // Dropping the writer would end the masks without a reason, so it is kept until the reason is known.
     let (reason, _writer) = {
         let mut control = pin!(control.run());
         let data = async {

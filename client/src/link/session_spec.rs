@@ -1,4 +1,4 @@
-//! What a session is: enough to open it, and to open it again elsewhere.
+//! What defines a session, so that it can be opened again elsewhere.
 
 use std::time::Duration;
 
@@ -16,20 +16,19 @@ use super::{receive_options::Reception, url::ServerUrl};
 #[derive(Debug, Clone)]
 pub(crate) struct SessionOptions {
     pub(crate) token: Option<String>,
-    /// Size of the largest mask, in pixels.
+    /// In pixels.
     pub(crate) width: u32,
     pub(crate) height: u32,
     pub(crate) codec: CodecId,
     /// Largest rate of masks; 0 for no limit.
     pub(crate) rate_hz: u16,
-    /// Bits of a frame that may be wrong, in parts per million.
+    /// Share of a frame's bits that may be wrong, in parts per million.
     pub(crate) wrong_ppm: u16,
-    /// The session to resume.
     pub(crate) resume: Option<ResumeToken>,
     pub(crate) connect_timeout: Duration,
 }
 
-/// A session that has started.
+/// A started session.
 #[derive(Debug, Clone)]
 pub(crate) struct SessionSpec {
     pub(crate) url: ServerUrl,

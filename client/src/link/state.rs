@@ -1,31 +1,31 @@
-//! The state of the link to the server, as windows, logs and recordings show it.
+//! The state of the link, as windows, logs and recordings show it.
 
 use std::time::Instant;
 
-/// The state of the link to the server. The client draws in all of them, with received visibility while there is some.
+/// The state of the link. The client draws in all of them, with received visibility while it has any.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum LinkState {
     /// The server has not answered yet.
     Connecting,
     /// Poses go out and masks come in.
     Live,
-    /// The server does not admit this client.
+    /// The server refuses this client.
     Refused {
         reason: String,
         /// Time of the next attempt; `None` if there is none.
         retry_at: Option<Instant>,
     },
-    /// The server still serves, and is about to stop.
+    /// The server still serves, but is about to stop.
     Draining {
         reason: String,
         deadline: Instant,
-        /// URL of the server to go to, if the server named one.
+        /// URL of the server to move to, if any.
         alternative: Option<String>,
     },
     /// The connection is lost.
     Lost {
         reason: String,
-        /// Time of the next attempt; `None` if there is none, because the server has another scene now, for example.
+        /// Time of the next attempt; `None` if there is none, for example because the server now has another scene.
         retry_at: Option<Instant>,
     },
 }
@@ -49,7 +49,7 @@ impl LinkState {
         matches!(self, Self::Live | Self::Draining { .. })
     }
 
-    /// Returns a message for people; `None` while all is well.
+    /// Returns a message for people; `None` while the link is fine.
     #[must_use]
     pub fn message(&self, now: Instant) -> Option<String> {
         let seconds = |at: Instant| at.saturating_duration_since(now).as_secs_f64().ceil();

@@ -6,18 +6,17 @@ use serde::Deserialize;
 use thiserror::Error;
 use url::{Host, Url};
 
-/// Carries poses and frame packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Transport {
     Quic,
-    /// Plain UDP on loopback, the baseline.
+    /// Plain UDP on loopback: the baseline.
     LabUdp,
-    /// Plain TCP on loopback, the baseline.
+    /// Plain TCP on loopback: the baseline.
     LabTcp,
 }
 
 impl Transport {
-    /// Name on command lines and in summaries.
+    /// As in command lines and summaries.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -42,16 +41,15 @@ pub struct ServerUrl {
     pub transport: Transport,
     /// Host name or address; IPv6 without brackets.
     pub host: String,
-    /// UDP port (QUIC), or TCP port of the control conversation (lab transports).
+    /// UDP port (QUIC), or TCP port of the control stream (lab transports).
     pub port: u16,
-    /// SHA-256 of the certificate that the server must show. `None` if `ca` is there, on a first visit
-    /// (`?cert=first-use`), and for lab transports.
+    /// SHA-256 of the certificate that the server must show. `None` with `ca`, on a first visit (`?cert=first-use`),
+    /// and for lab transports.
     pub certificate: Option<[u8; 32]>,
     /// Local PEM file with the authorities that may sign the server's certificate.
     pub ca: Option<PathBuf>,
 }
 
-/// Why a text is not a server URL.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum UrlError {
     #[error("{0:?} is not a URL: use the line that the server printed, gnomon://HOST:PORT/?cert=SHA256")]

@@ -8,7 +8,7 @@ use crate::{headless::stats::FrameStats, predictor::Predictor, render::debug_vie
 /// First line of the file, with the format's version.
 pub const FIRST_LINE: &str = "gnomon recording 2\n";
 
-/// Longest record: the largest mask, filled with noise.
+/// Longest record: the largest mask, incompressible.
 pub const MAX_RECORD_BYTES: u32 = 128 << 20;
 
 /// Largest recording.
@@ -22,14 +22,14 @@ pub struct RecordedCamera {
     size_px: [u32; 2],
 }
 
-/// Everything needed to set up the renderer.
+/// Settings of the renderer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Start {
     /// BLAKE3 digest of the packed scene; `None` offline.
     pub scene_digest: Option<String>,
     /// Width and height of the pictures, in pixels.
     pub size_px: [u32; 2],
-    /// Factor from lux to exposed irradiance, and the reference's irradiance in lux.
+    /// Exposed irradiance per lux, and the reference's irradiance in lux.
     pub exposure: [f32; 2],
     pub predictor: Predictor,
     /// Graphics adapter. On another one, pictures may differ in their last bits.
@@ -75,7 +75,7 @@ pub enum Record {
         frame: u32,
         /// View that it was traced for.
         traced_for: RecordedCamera,
-        /// The mask, as `planes-lz4` codes it.
+        /// In the codec `planes-lz4`.
         body: Vec<u8>,
         /// Tiles that had arrived, as `Coverage::words` returns them; `None` for all.
         coverage: Option<Vec<u32>>,
@@ -91,7 +91,7 @@ pub enum Record {
         visibility_share: f32,
         timing: Timing,
     },
-    /// A message about the network.
+    /// A network event.
     Event { frame: u32, text: String },
 }
 
@@ -108,7 +108,7 @@ impl From<&Camera> for RecordedCamera {
 
 impl From<&RecordedCamera> for Camera {
     fn from(camera: &RecordedCamera) -> Self {
-        // Not normalised again, which might change the quaternion's last bits.
+        // Not normalised again, which could change the quaternion's last bits.
         Self {
             position_m: glam::DVec3::from_array(camera.position_m),
             orientation: glam::DQuat::from_array(camera.orientation),

@@ -1,8 +1,8 @@
-//! Recordings: everything that the renderer was told in a run, with times and network events.
+//! Recordings of everything passed to the renderer in a run, with times and network events.
 //!
 //! A recording is a line with the format's version, then records: each its length (u32, little-endian) and its postcard
 //! bytes. It contains masks as they were used, so [`replay`] draws the same pictures without a network. A recording
-//! ends by itself at [`format::MAX_BYTES`]; one that was cut off within a record is valid up to there.
+//! stops at [`format::MAX_BYTES`]. One that was cut off within a record is valid up to there.
 
 pub mod format;
 mod recorder;

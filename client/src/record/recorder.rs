@@ -27,8 +27,7 @@ pub(crate) struct Recorder {
 }
 
 impl Recorder {
-    /// Starts the recording that `options` request, if they do. `width` and `height` are those of the pictures, in
-    /// pixels.
+    /// Starts the recording, if `options` request one. `width` and `height` are the pictures' in pixels.
     pub(crate) fn for_run(
         options: &HeadlessOptions,
         (width, height): (u32, u32),
@@ -73,7 +72,7 @@ impl Recorder {
         self.write(&Record::Mask { frame, traced_for: traced_for.into(), body: encoded_mask.into_body(), coverage })
     }
 
-    /// Adds a record, unless the recording has reached its largest size.
+    /// Adds a record, unless the recording is full.
     pub(crate) fn write(&mut self, record: &Record) -> Result<(), ClientError> {
         if self.full {
             return Ok(());
@@ -91,7 +90,6 @@ impl Recorder {
         written.map_err(|source| self.failed(source))
     }
 
-    /// Flushes the file.
     pub(crate) fn finish(mut self) -> Result<(), ClientError> {
         let flushed = self.file.flush();
         flushed.map_err(|source| self.failed(source))

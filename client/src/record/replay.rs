@@ -1,5 +1,4 @@
-//! Draws a recording again: the same calls to the same renderer give the same pictures, bit by bit, on the same
-//! adapter.
+//! Replays a recording: the same calls to the renderer give the same pictures, bit for bit, on the same adapter.
 
 use std::{
     fs::File,
@@ -24,7 +23,6 @@ use crate::render::{
     readback::{Picture, PictureReader},
 };
 
-/// Why a recording cannot be replayed.
 #[derive(Debug, Error)]
 pub enum ReplayError {
     #[error("cannot read the recording: {0}")]
@@ -33,11 +31,7 @@ pub enum ReplayError {
     #[error("this is no recording of this version: it does not begin with {:?}", FIRST_LINE.trim_end())]
     Version,
     #[error("record {number}: {reason}")]
-    Malformed {
-        /// Index of the record.
-        number: u64,
-        reason: String,
-    },
+    Malformed { number: u64, reason: String },
     #[error("a recorded mask: {0}")]
     Shape(#[from] ShapeError),
     #[error("a recorded mask: {0}")]
@@ -96,7 +90,7 @@ impl Records {
     }
 }
 
-/// Fills `bytes`. Returns false if the file ends before.
+/// Fills `bytes`. Returns false if the file ends first.
 fn fill(file: &mut impl Read, bytes: &mut [u8]) -> Result<bool, std::io::Error> {
     match file.read_exact(bytes) {
         Ok(()) => Ok(true),
@@ -113,10 +107,9 @@ pub enum Replayed<'a> {
         shown: Camera,
         /// Weight of received visibility, 0 to 1.
         visibility_share: f32,
-        /// The renderer that drew it.
         renderer: &'a FrameRenderer,
     },
-    /// Any record, after it has taken effect.
+    /// Any record, after it was applied.
     Record(&'a Record),
 }
 

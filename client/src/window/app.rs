@@ -1,4 +1,4 @@
-//! The window and its event loop, from the first event to the last.
+//! The window and its event loop.
 
 use std::{
     path::{Path, PathBuf},
@@ -40,10 +40,10 @@ const HIDDEN_INTERVAL: Duration = Duration::from_millis(100);
 /// In pixels.
 const MIN_SIZE: PhysicalSize<u32> = PhysicalSize::new(160, 90);
 
-/// Opens a window and runs it until it is closed.
+/// Runs a window until it is closed.
 ///
 /// # Errors
-/// Errors if there can be no window, or the last attempt to show a picture failed.
+/// Errors if no window can be opened, or the last attempt to show a picture failed.
 pub fn run_window(options: WindowOptions) -> Result<(), ClientError> {
     options.run.validate()?;
     let camera_path = options.run.settings.path.as_ref().map(PathSpec::load).transpose()?;
@@ -96,7 +96,7 @@ pub(super) struct App {
     stage: Stage,
     notice: Option<(String, Instant)>,
     last_frame: Option<Instant>,
-    /// The window is covered or has no area.
+    /// True if the window is covered or has no area.
     pub(super) hidden: bool,
     /// Largest picture of the session, in pixels.
     largest_px: (u32, u32),
@@ -125,7 +125,7 @@ impl App {
         let side = usize::try_from(screen.gpu.device.limits().max_texture_dimension_2d).ok();
         let scale = egui_winit::pixels_per_point(&context, &window);
         let egui = egui_winit::State::new(context, egui::ViewportId::ROOT, &*window, Some(scale), None, side);
-        // The server learns the largest mask at once, and full screen may come later.
+        // The server learns the largest mask at the start, and full screen may come later.
         let monitors = event_loop.available_monitors().map(|monitor| monitor.size());
         let largest = monitors
             .chain([window.inner_size()])
@@ -217,11 +217,11 @@ impl App {
         Ok(())
     }
 
-    /// Shows the error in place of the picture.
+    /// Shows the error instead of the picture.
     fn fail(&mut self, error: ClientError) {
         tracing::warn!(%error, "no picture");
         if let Stage::Playing(play) = std::mem::replace(&mut self.stage, Stage::Failed(error.to_string())) {
-            // The first error is the better reason.
+            // The first error tells more.
             let _ = play.finish();
         }
         self.result = Err(error);
@@ -253,7 +253,7 @@ impl App {
         }
     }
 
-    /// Leaves the server. Returns the error that ended the pictures, if one did.
+    /// Leaves the server. Returns the error that stopped the pictures, if any.
     fn close(mut self) -> Result<(), ClientError> {
         tracing::info!(peak_memory_mib = peak_memory_mib(), "leaving");
         if let Some(View { screen, .. }) = &mut self.view
@@ -269,7 +269,7 @@ impl App {
     }
 }
 
-/// Returns the peak memory of this process, where the system tells. A software adapter's memory is part of it.
+/// Returns the peak memory of this process, if the system reports it. A software adapter's memory is included.
 fn peak_memory_mib() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
@@ -281,7 +281,7 @@ fn free_name(folder: &Path) -> Option<PathBuf> {
     (1..100_000).map(|number| folder.join(format!("gnomon_{number:05}.png"))).find(|file| !file.exists())
 }
 
-/// Draws what stands over the picture or in its place. Returns whether the person wants to try again.
+/// Draws the overlay, or a screen without a picture. Returns whether to try again.
 fn draw_ui(
     context: &egui::Context,
     stage: &Stage,
@@ -304,7 +304,7 @@ fn draw_ui(
         Stage::Failed(reason) => return overlay::failure(context, reason),
         Stage::Playing(play) => {
             let notice_of_server = play.notice();
-            // On a first visit the URL had no certificate.
+            // The URL has no certificate on a first visit.
             let pinned = play.server.as_ref().and_then(|(url, _)| url.certificate);
             let fingerprint = pinned.map(|digest| servers::fingerprint(&digest));
             let status = overlay::Status {
@@ -354,7 +354,7 @@ impl ApplicationHandler for App {
             return;
         }
         let Some(View { window, .. }) = &self.view else { return };
-        // X reports covering by an event, minimising only on request.
+        // X11 reports covering by an event, but minimising only on request.
         if self.hidden || window.is_minimized() == Some(true) {
             event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + HIDDEN_INTERVAL));
         } else {

@@ -1,4 +1,4 @@
-//! Work on a thread of its own, whose result the window polls.
+//! Work on a separate thread, whose result the window polls.
 
 use std::{
     io,
@@ -10,8 +10,6 @@ use crate::error::ClientError;
 pub(super) struct Background<T>(Receiver<Result<T, ClientError>>);
 
 impl<T: Send + 'static> Background<T> {
-    /// Starts the thread.
-    ///
     /// # Errors
     /// Errors if the system refuses a thread.
     pub(super) fn spawn(

@@ -13,13 +13,13 @@ use super::{
 /// Commands that may wait for the next frame.
 const MAX_COMMANDS: usize = 64;
 
-/// Pixels of a touchpad that count as one notch of a wheel.
+/// Touchpad pixels that count as one notch of a wheel.
 const PX_PER_NOTCH: f64 = 60.0;
 
 impl App {
     pub(super) fn handle_event(&mut self, event: &WindowEvent) {
         let Some(View { window, screen, egui }) = &mut self.view else { return };
-        // Tab would cycle through the overlay's widgets, each of which has a key of its own.
+        // Tab would cycle through the overlay's widgets, but each of them has its own key.
         let tab = matches!(event, WindowEvent::KeyboardInput { event, .. }
             if event.logical_key == Key::Named(NamedKey::Tab));
         let consumed = !tab && egui.on_window_event(window, event).consumed;

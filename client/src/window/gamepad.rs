@@ -1,10 +1,8 @@
-//! Gamepads.
-
 use gilrs::{Axis, Button, EventType, Gilrs};
 
 use crate::input::{Sticks, keys::Command};
 
-/// The machine's gamepads. Does nothing if there are none or the system gives no access.
+/// The machine's gamepads. Does nothing if there are none or the system denies access.
 pub(crate) struct Gamepad {
     gilrs: Option<Gilrs>,
 }
@@ -35,7 +33,7 @@ impl Gamepad {
         if !changed {
             return;
         }
-        // The first gamepad whose sticks are moved counts.
+        // The first gamepad with moved sticks counts.
         *sticks =
             gilrs.gamepads().map(|(_, pad)| read(&pad)).find(|read| *read != Sticks::default()).unwrap_or_default();
     }

@@ -1,4 +1,4 @@
-//! Key bindings. Movement goes by a key's place on the keyboard, commands by its label.
+//! Key bindings. Movement keys go by their position on the keyboard, commands by their label.
 
 use gnomon_client_core::input::keys::{Command, MoveKey};
 use winit::keyboard::{Key, KeyCode, NamedKey};

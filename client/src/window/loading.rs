@@ -1,4 +1,4 @@
-//! Gets the scene on a thread of its own while the window shows the progress.
+//! Loads the scene on a separate thread while the window shows the progress.
 
 use std::{
     sync::Arc,
@@ -15,7 +15,6 @@ use crate::{
     options::HeadlessOptions,
 };
 
-/// Progress of the loading thread.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Progress {
     Connecting,
@@ -23,15 +22,12 @@ pub(crate) enum Progress {
     Unpacking,
 }
 
-/// A scene that is being loaded.
 pub(crate) struct Loading {
     progress: Arc<Mutex<Progress>>,
     work: Background<Loaded>,
 }
 
 impl Loading {
-    /// Starts the thread.
-    ///
     /// # Errors
     /// Errors if the system refuses a thread.
     pub(crate) fn start(
@@ -68,7 +64,7 @@ impl Loading {
 }
 
 impl Progress {
-    /// Returns the share of the scene that has arrived, where that is known.
+    /// Returns the share of the scene that has arrived, if known.
     pub(crate) fn share(&self) -> Option<f32> {
         match self {
             #[expect(clippy::cast_possible_truncation, reason = "for a bar of some hundred pixels")]
@@ -77,7 +73,6 @@ impl Progress {
         }
     }
 
-    /// Returns a line for people.
     pub(crate) fn text(&self, now: Instant) -> String {
         match self {
             Self::Connecting => "connecting to the server".to_owned(),
@@ -92,12 +87,12 @@ impl Progress {
     }
 }
 
-/// Returns the time that the rest takes at the speed so far. `None` before there is a speed.
+/// Returns the time left at the average speed so far. `None` before any bytes arrived.
 fn time_left(have: u64, length: u64, took: Duration) -> Option<Duration> {
     let rest = length.saturating_sub(have);
     (have > 0 && took > Duration::from_millis(300)).then(|| {
         let left_s = took.as_secs_f64() * rest as f64 / have as f64;
-        // More than a day is no forecast.
+        // Capped at a day.
         Duration::from_secs_f64(left_s.min(86_400.0))
     })
 }

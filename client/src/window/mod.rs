@@ -1,7 +1,7 @@
 //! The client in a window.
 //!
-//! It shares every pass with headless runs: poses come from a person ([`play`]), pictures go to a screen ([`screen`]).
-//! Everything runs on the thread that owns the window, except for [`loading`], the local [`reference`]'s start, and the
+//! Poses come from a person ([`play`]), and pictures go to a screen ([`screen`]); all passes are those of headless
+//! runs. Everything runs on the window's thread, except for [`loading`], starting the local [`reference`], and the
 //! network.
 
 mod app;

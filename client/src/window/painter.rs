@@ -1,4 +1,4 @@
-//! Paints a screen: the picture, with the overlay over it. Paints into any view, so that a test can read it back.
+//! Paints a screen: the picture and the overlay over it. The target can be any view, so that a test can read it back.
 
 use gnomon_shaders::gpu::Gpu;
 
@@ -20,7 +20,7 @@ pub(crate) struct Painter {
 }
 
 impl Painter {
-    /// `format` must not be an sRGB format: pictures and overlay are encoded already.
+    /// `format` must not be an sRGB format: pictures and overlay are already encoded.
     pub(crate) fn new(gpu: &Gpu, format: wgpu::TextureFormat) -> Result<Self, RenderError> {
         let options = egui_wgpu::RendererOptions { dithering: false, ..egui_wgpu::RendererOptions::default() };
         Ok(Self {

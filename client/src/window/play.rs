@@ -1,4 +1,4 @@
-//! A scene on the screen: poses from a person or the camera path, frames from the driver that headless runs use.
+//! A scene on the screen: poses from a person or the camera path, frames from the driver shared with headless runs.
 
 use std::time::{Duration, Instant};
 
@@ -32,13 +32,13 @@ use crate::{
     },
 };
 
-/// Time to cross the scene at the initial speed, in seconds.
+/// Time to cross the scene at the initial speed.
 const CROSSING_S: f64 = 12.0;
 
 /// Bounds of the initial speed: from a stroll to a drive.
 const INITIAL_SPEEDS_M_PER_S: (f64, f64) = (0.3, 20.0);
 
-/// Pictures are stretched until the window has kept its new size for so long.
+/// The window must keep a new size for this long before pictures are resized; until then they are stretched.
 const RESIZE_DELAY: Duration = Duration::from_millis(150);
 
 pub(crate) struct Play {
@@ -48,16 +48,16 @@ pub(crate) struct Play {
     pub(crate) figures: Figures,
     pub(crate) fly: Fly,
     camera_path: CameraPath,
-    /// Follow the path instead of the person.
+    /// True if the camera follows the path, not the person.
     follows_path: bool,
-    /// Time on the path, in seconds.
+    /// Time on the path.
     path_s: f64,
     next: u32,
     applied: Settings,
     view: DebugView,
     /// Largest picture, in pixels.
     largest: (u32, u32),
-    /// The window's size, and since when.
+    /// The window's size, and since when it has had it.
     window_size: ((u32, u32), Instant),
     stats: Option<StatsFile>,
     options: HeadlessOptions,
@@ -79,7 +79,7 @@ pub(crate) fn largest_mask(picture: (u32, u32)) -> (u32, u32) {
     (picture.0 + band.width, picture.1 + band.height)
 }
 
-/// Shrinks a size to what pictures may have. Keeps its aspect ratio.
+/// Shrinks a size to the largest allowed for pictures, keeping its aspect ratio.
 pub(crate) fn fitted((width, height): (u32, u32), largest: (u32, u32)) -> (u32, u32) {
     let (width, height) = (f64::from(width.max(1)), f64::from(height.max(1)));
     let side = (f64::from(largest.0) / width).min(f64::from(largest.1) / height);
@@ -129,7 +129,7 @@ impl Play {
             follows_path: false,
             path_s: options.settings.start_time,
             next: 0,
-            // The renderer does not know what was chosen during loading.
+            // The renderer does not have the settings chosen during loading.
             applied: Settings { split: Split::Off, ..settings.clone() },
             view: DebugView::Picture,
             largest,
@@ -141,7 +141,7 @@ impl Play {
         })
     }
 
-    /// Switches between the camera path and the person, who continues from the camera's place on the path.
+    /// Switches between the camera path and the person, who continues from the camera's current position.
     pub(crate) fn toggle_path(&mut self) {
         if self.follows_path {
             let (width, height) = self.size();
@@ -192,7 +192,7 @@ impl Play {
         Ok(drawn)
     }
 
-    /// Returns width and height of the pictures, in pixels.
+    /// In pixels.
     pub(crate) fn size(&self) -> (u32, u32) {
         self.driver.frames.renderer.size()
     }
@@ -201,12 +201,12 @@ impl Play {
         matches!(self.reference, LocalReference::Drawing(_))
     }
 
-    /// Returns a message about the server; `None` while all is well.
+    /// Returns a message about the server; `None` if there is no problem.
     pub(crate) fn notice(&self) -> Option<String> {
         self.driver.link_state()?.message(Instant::now())
     }
 
-    /// Returns the reference picture, once the local server runs.
+    /// Returns the reference picture once the local server runs.
     fn draw_reference(&mut self, gpu: &Gpu, looked_at: (Camera, f64)) -> Result<Option<wgpu::Texture>, ClientError> {
         let (size, largest) = (self.size(), largest_mask(self.largest));
         match &mut self.reference {
@@ -244,7 +244,7 @@ impl Play {
         self.driver.recorder.as_mut().map_or(Ok(()), |recorder| recorder.write(record))
     }
 
-    /// Resizes the pictures after the window.
+    /// Resizes the pictures to the window.
     fn resize(&mut self, screen: (u32, u32)) -> Result<(), ClientError> {
         let size = fitted(screen, self.largest);
         if self.window_size.0 != size {
@@ -271,7 +271,7 @@ impl Play {
         Ok(())
     }
 
-    /// Applies what the person has chosen since the last frame.
+    /// Applies what the person has changed since the last frame.
     fn apply(&mut self, screen: &mut Screen, settings: &Settings) -> Result<(), ClientError> {
         if settings.predictor != self.applied.predictor {
             self.driver.frames.renderer.set_predictor(settings.predictor);
@@ -305,7 +305,6 @@ impl Play {
     }
 }
 
-/// Returns the initial settings.
 pub(crate) fn settings(chosen: &ClientSettings) -> Settings {
     Settings {
         predictor: chosen.predict,

@@ -56,7 +56,7 @@ pub(super) struct Ready {
     connected: Connected,
 }
 
-/// Starts the server on a thread of its own. Its scene must have `digest`, if there is one.
+/// Starts the server on a separate thread. Its scene must have `digest`, if given.
 ///
 /// # Errors
 /// Errors if the system refuses a thread.
@@ -92,15 +92,14 @@ fn prepare(
     }
 }
 
-/// Draws the reference picture.
 pub(super) struct Reference {
     driver: FrameDriver,
     target: wgpu::Texture,
     view: wgpu::TextureView,
     next: u32,
-    /// Lights and debug view that were set last.
+    /// The lights and debug view set last.
     applied: (u32, DebugView),
-    /// Dropped after the session with it has ended.
+    /// Dropped after its session has ended.
     _server: LocalServer,
 }
 
@@ -130,7 +129,7 @@ impl Reference {
         Ok(Self { driver, target, view, next: 0, applied: (u32::MAX, DebugView::Picture), _server: server })
     }
 
-    /// Draws the picture from `camera`, in `size` pixels. Waits for its mask.
+    /// Draws the picture from `camera` at `size` pixels. Waits for its mask.
     ///
     /// # Errors
     /// Errors if the server or the adapter fails.

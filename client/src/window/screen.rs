@@ -1,4 +1,4 @@
-//! The window's surface. Pictures go into the same texture as in a headless run, then onto the screen.
+//! The window's surface. Pictures are drawn to a texture, as in a headless run, and then presented.
 
 use std::{path::PathBuf, sync::Arc, thread::JoinHandle, time::Instant};
 
@@ -30,7 +30,7 @@ pub(crate) struct Screen {
     pub(crate) shapes: Shapes,
     /// File for the next picture.
     save_next: Option<PathBuf>,
-    /// The frame that is being read back, and its file.
+    /// The frame being read back, and its file.
     reading: Option<(u64, PathBuf)>,
     saving: Option<JoinHandle<Result<PathBuf, String>>>,
 }
@@ -81,7 +81,7 @@ impl Screen {
         })
     }
 
-    /// Width and height, in pixels.
+    /// In pixels.
     pub(crate) fn size(&self) -> (u32, u32) {
         (self.config.width, self.config.height)
     }
@@ -94,7 +94,6 @@ impl Screen {
         }
     }
 
-    /// Sets whether pictures wait for the screen.
     pub(crate) fn set_vsync(&mut self, vsync: bool) {
         let mode = present_mode(vsync);
         if self.config.present_mode != mode {
@@ -110,13 +109,13 @@ impl Screen {
         }
     }
 
-    /// Returns the file of a picture that was saved since the last call, or why it was not.
+    /// Returns the file of a picture saved since the last call, or why saving failed.
     pub(crate) fn poll_saved(&mut self) -> Option<Result<PathBuf, String>> {
         let saving = self.saving.take_if(|saving| saving.is_finished())?;
         Some(saving.join().unwrap_or_else(|_| Err("writing it failed".to_owned())))
     }
 
-    /// Waits until a picture that is being saved is written.
+    /// Waits until the picture being saved is written.
     pub(crate) fn finish(&mut self) -> Option<Result<PathBuf, String>> {
         while self.reading.is_some() && matches!(self.take_oldest(), Ok(true)) {}
         self.saving.take().map(|saving| saving.join().unwrap_or_else(|_| Err("writing it failed".to_owned())))

@@ -1,4 +1,4 @@
-//! What a person can change while the window is open.
+//! Settings that a person can change while the window is open.
 
 use std::fmt;
 
@@ -12,15 +12,15 @@ use crate::{
     render::debug_view::DebugView,
 };
 
-/// What stands in the right half of the picture.
+/// Content of the picture's right half.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Split {
-    /// The same as in the left.
+    /// The same as in the left half.
     #[default]
     Off,
     /// Every light reaches everything.
     Unlit,
-    /// Visibility that a server on this machine has traced for exactly this picture.
+    /// Visibility traced by a server on this machine for exactly this picture.
     Reference,
 }
 
@@ -34,39 +34,31 @@ impl fmt::Display for Split {
     }
 }
 
-/// Lights that digits mean at a time.
+/// Lights that the digits 1 to 9 switch at a time.
 pub(crate) const LIGHTS_AT_A_TIME: u32 = 9;
 
-/// The choices.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Settings {
-    /// How visibility is carried over.
     pub(crate) predictor: Predictor,
-    /// Which pose is drawn.
     pub(crate) mode: Mode,
-    /// The guard band.
     pub(crate) guard: Guard,
-    /// What is shown.
     pub(crate) view: DebugView,
-    /// What stands in the right half.
     pub(crate) split: Split,
-    /// Whether there is a server beside this program that could trace a reference.
+    /// True if a server program beside this one can trace a reference.
     pub(crate) reference: bool,
-    /// Lights of the scene.
     pub(crate) lights: u32,
-    /// A bit for each light that is on.
+    /// One bit for each light.
     pub(crate) lights_on: u32,
-    /// The light that the digit 1 means.
+    /// The light of the digit 1, counted from 0.
     pub(crate) first_digit: u32,
-    /// Whether pictures wait for the screen.
     pub(crate) vsync: bool,
-    /// Whether figures and choices are shown.
+    /// True if figures and settings are shown.
     pub(crate) overlay: bool,
-    /// Whether the keys are explained.
+    /// True if the keys are explained.
     pub(crate) help: bool,
 }
 
-/// The guard bands that a key goes through.
+/// The guard bands that a key cycles through.
 pub(crate) const GUARDS: [Guard; 4] = [
     Guard::Fixed(GuardSize { width: 0, height: 0 }),
     Guard::Fixed(GuardSize { width: 64, height: 36 }),
@@ -74,7 +66,7 @@ pub(crate) const GUARDS: [Guard; 4] = [
     Guard::Auto,
 ];
 
-/// The modes that a key goes through.
+/// The modes that a key cycles through.
 pub(crate) const MODES: [Mode; 3] = [Mode::Auto, Mode::Concurrent, Mode::Sequential];
 
 fn after<T: Copy + PartialEq>(all: &[T], now: T) -> T {
@@ -83,7 +75,7 @@ fn after<T: Copy + PartialEq>(all: &[T], now: T) -> T {
 }
 
 impl Settings {
-    /// All that can be shown, in the order in which a key goes through it.
+    /// Returns all debug views, in the order in which a key cycles through them.
     pub(crate) fn views(&self) -> impl Iterator<Item = DebugView> {
         let lights = (0..self.lights).map(DebugView::Light);
         [
@@ -97,20 +89,20 @@ impl Settings {
         .chain(lights)
     }
 
-    /// What can stand in the right half.
+    /// Returns the possible contents of the right half.
     #[must_use]
     pub(crate) const fn splits(&self) -> &'static [Split] {
         const SPLITS: [Split; 3] = [Split::Off, Split::Unlit, Split::Reference];
         if self.reference { &SPLITS } else { SPLITS.split_at(2).0 }
     }
 
-    /// The lights that digits mean, counted from 1.
+    /// Returns the first and last light of the digits, counted from 1.
     #[must_use]
     pub(crate) fn digits(&self) -> (u32, u32) {
         (self.first_digit + 1, (self.first_digit + LIGHTS_AT_A_TIME).min(self.lights).max(1))
     }
 
-    /// Does what a key says, if it is about a choice.
+    /// Applies a key's command, if it changes a setting.
     pub(crate) fn apply(&mut self, command: Command) {
         match command {
             Command::Help => self.help = !self.help,
@@ -164,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_go_through_every_choice_and_come_back() {
+    fn keys_cycle_through_every_choice() {
         for (command, steps) in
             [(Command::Predictor, 5), (Command::Mode, 3), (Command::Guard, 4), (Command::View, 8), (Command::Split, 3)]
         {
@@ -177,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_light_that_is_not_there_is_no_light() {
+    fn digits_beyond_the_last_light_do_nothing() {
         let mut changed = settings();
         changed.apply(Command::Digit(1));
         assert_eq!(changed.lights_on, 0b101);
@@ -208,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_guard_band_of_the_command_line_leads_to_the_first_of_the_list() {
+    fn after_a_guard_band_from_the_command_line_comes_the_first_of_the_list() {
         let mut changed = Settings { guard: "640x360".parse().unwrap(), ..settings() };
         changed.apply(Command::Guard);
         assert_eq!(changed.guard, GUARDS[0]);

@@ -1,4 +1,4 @@
-//! What stands on the screen is what a headless run would have written.
+//! The screen shows what a headless run would have written.
 
 use gnomon_protocol::mask::{Mask, MaskShape};
 
@@ -20,7 +20,7 @@ fn mask() -> Mask {
     mask
 }
 
-/// A screen that a test can look at, as RGBA.
+/// Reads back a painted screen as RGBA.
 fn on_screen(gpu: &gnomon_shaders::gpu::Gpu, picture: &wgpu::TextureView, (width, height): (u32, u32)) -> Vec<u8> {
     let format = wgpu::TextureFormat::Bgra8Unorm;
     let screen = gpu.device.create_texture(&wgpu::TextureDescriptor {
@@ -41,13 +41,13 @@ fn on_screen(gpu: &gnomon_shaders::gpu::Gpu, picture: &wgpu::TextureView, (width
 }
 
 #[test]
-fn a_picture_on_the_screen_has_every_byte_of_a_headless_one() {
+fn a_picture_on_the_screen_equals_a_headless_one() {
     let gpu = gpu();
     let (scene, mask) = (floor_and_lights(), mask());
     let camera = camera(SIZE.0, SIZE.1);
     let headless = draw(&gpu, &mut renderer(&gpu, &scene, mask.shape()), &camera, Some(&mask));
 
-    // A window's renderer has been of another size, and has shown other things.
+    // The window's renderer had another size and other settings before.
     let mut windowed = renderer(&gpu, &scene, MaskShape::new(64, 64, 2).unwrap());
     windowed.draw_surfaces(&camera).unwrap();
     windowed.set_lights_on(0b10);
@@ -63,7 +63,7 @@ fn a_picture_on_the_screen_has_every_byte_of_a_headless_one() {
     windowed.shade(&camera, 1.0, &reader.target(), |_| ()).unwrap();
     assert!(on_screen(&gpu, &reader.target(), SIZE) == headless.rgba, "the screen shows other bytes");
 
-    // Larger screens show it whole, in the middle.
+    // Larger screens show it whole and centred.
     let wide = on_screen(&gpu, &reader.target(), (SIZE.0 + 40, SIZE.1));
     assert_eq!(wide[..4], [0, 0, 0, 255]);
     let (row, margin) = ((SIZE.0 as usize + 40) * 4, 20 * 4);

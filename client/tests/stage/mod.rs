@@ -32,7 +32,7 @@ const PACKET_BYTES: usize = MAX_PACKET_BYTES / 4;
 /// Faults of the server.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Script {
-    /// Frames that lose this packet, or all packets for `None`. Each entry applies once.
+    /// Frames that lose this packet, or all packets if `None`. Each entry applies once.
     pub(crate) lose: Vec<(u32, Option<usize>)>,
     /// Index of a packet that is delayed in every frame, and the delay.
     pub(crate) delayed: Option<(usize, Duration)>,
@@ -52,7 +52,7 @@ pub(crate) struct Script {
     pub(crate) drain_at: Option<(u32, String)>,
     /// Stop serving after the first session.
     pub(crate) gone: bool,
-    /// Sent in place of Welcome.
+    /// Sent instead of Welcome.
     pub(crate) answer: Option<ServerMessage>,
     /// Send another scene than announced.
     pub(crate) wrong_scene: bool,

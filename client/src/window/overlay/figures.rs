@@ -1,4 +1,4 @@
-//! Figures of the last ten seconds: one a frame for the graphs, and rates over the last second.
+//! Figures of the last ten seconds: one for each frame for the graphs, and rates over the last second.
 
 use std::{
     collections::VecDeque,
@@ -13,20 +13,20 @@ use crate::{
 
 pub(crate) const SPAN: Duration = Duration::from_secs(10);
 
-/// Time that rates are measured over.
+/// Time span of the rates.
 const RATE_SPAN: Duration = Duration::from_secs(1);
 
-/// Bounds memory: 400 frames a second.
+/// Bounds memory: enough for 400 frames a second.
 const MAX_FRAMES: usize = 4000;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Figure {
     pub(crate) at: Instant,
-    /// Time since the frame before, in milliseconds.
+    /// Time since the previous frame.
     pub(crate) frame_ms: f64,
-    /// Frames since its mask's pose.
+    /// Age of its mask in frames.
     pub(crate) lag: Option<u32>,
-    /// Bits of the mask that arrived with it; 0 if none did.
+    /// Size of the mask that arrived with it; 0 if none did.
     pub(crate) bits: f64,
     mask_frame: Option<u32>,
     received: Received,
@@ -40,7 +40,7 @@ pub(crate) struct Now {
     pub(crate) lag: Option<u32>,
     pub(crate) response_ms: Option<f64>,
     pub(crate) round_trip_ms: Option<f64>,
-    /// Share of the frames that did not arrive whole.
+    /// Share of frames that did not arrive complete.
     pub(crate) loss: Option<f64>,
     pub(crate) megabits_per_s: f64,
     pub(crate) known_share: Option<f64>,
@@ -57,7 +57,7 @@ pub(crate) struct Figures {
 }
 
 impl Figures {
-    /// Adds a frame that was drawn at `now`.
+    /// Adds a frame drawn at `now`.
     pub(crate) fn push(&mut self, now: Instant, stats: &FrameStats, received: Received, round_trip: Option<Duration>) {
         let before = self.frames.back();
         let frame_ms = before.map_or(0.0, |before| millis(now.saturating_duration_since(before.at)));
@@ -89,7 +89,7 @@ impl Figures {
         let first = if first.at == newest.at { self.frames.iter().rev().nth(1).unwrap_or(first) } else { first };
         let span_s = newest.at.saturating_duration_since(first.at).as_secs_f64();
         let per_s = |count: f64| if span_s > 0.0 { count / span_s } else { 0.0 };
-        // The first frame begins the span: its own mask arrived before.
+        // The first frame starts the span, so its own mask arrived before it.
         let in_span = || self.frames.iter().rev().take_while(|frame| frame.at > first.at);
         let frames = in_span().count();
         let increase = |of: fn(&Received) -> u64| of(&newest.received).saturating_sub(of(&first.received));

@@ -9,7 +9,7 @@ use super::{
 
 const HEIGHT: f32 = 34.0;
 
-/// Points of a line, one a pixel.
+/// One for each pixel.
 const POINTS: u16 = 240;
 
 pub(super) fn show(ui: &mut egui::Ui, figures: &Figures) {
@@ -19,14 +19,14 @@ pub(super) fn show(ui: &mut egui::Ui, figures: &Figures) {
     graph(ui, figures, "received", "kbit a point", BLUE, Reduce::Sum(|figure| figure.bits / 1e3));
 }
 
-/// How the frames that fall on one point become its value.
+/// Combines the frames of one point into a value.
 #[derive(Clone, Copy)]
 enum Reduce {
     Largest(fn(&Figure) -> f64),
     Sum(fn(&Figure) -> f64),
 }
 
-/// Returns a value for each point; `None` where no frame falls on it.
+/// Returns each point's value; `None` if no frame falls on it.
 fn points(figures: &Figures, reduce: Reduce) -> Vec<Option<f64>> {
     let mut values = vec![None; usize::from(POINTS)];
     let Some(newest) = figures.frames().last().map(|figure| figure.at) else { return values };
@@ -60,11 +60,11 @@ fn graph(ui: &mut egui::Ui, figures: &Figures, name: &str, unit: &str, color: Co
 fn position(area: Rect, index: usize, share: f64) -> Pos2 {
     #[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "pixel positions")]
     let (x, y) = (index as f32 / f32::from(POINTS - 1), share as f32);
-    // The top is the text's.
+    // The text needs the top.
     pos2(area.left() + x * area.width(), area.bottom() - 2.0 - y * (area.height() - 16.0))
 }
 
-/// Returns the upper end of a scale: 1, 2 or 5 times a power of ten, so that it does not jump with every frame.
+/// Returns the upper end of a scale: 1, 2 or 5 times a power of ten, so that it rarely changes.
 fn scale(peak: f64) -> f64 {
     let decade = 10_f64.powf(peak.max(1e-3).log10().floor());
     [1.0, 2.0, 5.0, 10.0].into_iter().map(|step| step * decade).find(|top| *top >= peak).unwrap_or(peak)

@@ -1,7 +1,7 @@
-//! What stands over the picture: figures, graphs, settings, help, and messages about the server.
+//! The overlay: figures, graphs, settings, help, and messages about the server.
 //!
-//! Everything here also has a key ([`crate::input::keys::HELP`]). The colours are those of Okabe and Ito (2008), which
-//! colour-blind people can tell apart, and colour is never the only sign.
+//! Every setting also has a key ([`crate::input::keys::HELP`]). The palette is that of Okabe and Ito (2008), which
+//! colour-blind people can distinguish; colour is never the only sign.
 
 pub(super) mod figures;
 mod graphs;

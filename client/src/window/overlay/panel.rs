@@ -1,4 +1,4 @@
-//! The panel of figures and settings, the notice, the split's labels, and the help.
+//! The panel of figures and settings, the notice, the labels of a split picture, and the help.
 
 use egui::{Align2, RichText};
 
@@ -15,19 +15,18 @@ use crate::{
     window::settings::{GUARDS, LIGHTS_AT_A_TIME, MODES, Settings, Split},
 };
 
-/// What the panel shows beside figures and settings.
 pub(crate) struct Status<'a> {
-    /// What the server traces on; `None` offline.
+    /// The server's tracing device; `None` offline.
     pub(crate) backend: Option<&'a str>,
     pub(crate) adapter: &'a str,
     pub(crate) server: &'a str,
-    /// First digits of the certificate's SHA-256.
+    /// Start of the certificate's SHA-256.
     pub(crate) fingerprint: Option<&'a str>,
     pub(crate) picture_px: (u32, u32),
     pub(crate) speed_m_per_s: f64,
-    /// A local reference can be shown.
+    /// True if a local reference can be shown.
     pub(crate) has_reference: bool,
-    /// About the server, or a picture that was saved.
+    /// About the server or a saved picture.
     pub(crate) notice: Option<&'a str>,
 }
 
@@ -79,7 +78,7 @@ fn split_labels(context: &egui::Context, split: Split, has_reference: bool) {
     }
 }
 
-/// Adds contents that scroll where the window is too low for them.
+/// Adds contents that scroll if the window is too low.
 fn scrolled(ui: &mut egui::Ui, window_height: f32, add: impl FnOnce(&mut egui::Ui)) {
     let height = (window_height - 40.0).max(60.0);
     egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height).show(ui, add);
@@ -170,7 +169,7 @@ fn choice_row<T: Copy + PartialEq + std::fmt::Display>(ui: &mut egui::Ui, name: 
         for value in all {
             ui.selectable_value(now, *value, value.to_string());
         }
-        // A value from the command line may not be among them.
+        // A value from the command line may be missing from the list.
         if !all.contains(now) {
             let _ = ui.selectable_label(true, now.to_string());
         }

@@ -4,7 +4,7 @@ use egui::{Align2, RichText};
 
 use super::style::{BLUE, frame};
 
-/// Shows the progress of loading: `share` of the scene has arrived.
+/// Shows the progress of loading; `share` is the part of the scene that has arrived.
 pub(crate) fn loading(
     context: &egui::Context,
     server: &str,
@@ -29,7 +29,7 @@ pub(crate) fn loading(
     });
 }
 
-/// Shows why there is no picture. Returns whether the person wants to try again.
+/// Shows why there is no picture. Returns whether to try again.
 pub(crate) fn failure(context: &egui::Context, reason: &str) -> bool {
     let mut retry = false;
     egui::Area::new(egui::Id::unique("failure")).anchor(Align2::CENTER_CENTER, [0.0, 0.0]).show(context, |ui| {

@@ -1,5 +1,3 @@
-//! Colours and frames.
-
 use egui::Color32;
 
 pub(super) const BLUE: Color32 = Color32::from_rgb(86, 180, 233);
