@@ -1,20 +1,20 @@
-//! Which parts of a mask have come: frames of slices can come in part, and a bit that has not come says nothing.
+//! Which parts of a mask have arrived. Sliced frames can arrive in part; a bit that has not arrived means nothing.
 
 use crate::{
     limits::{MAX_LAYER_BYTES, MAX_LAYERS},
     mask::MaskShape,
 };
 
-/// Tiles side by side in a place: what comes comes for 64×8 pixels of a light at least.
+/// Tiles across a place: 64×8 pixels of a light, the smallest unit that arrives.
 pub const PLACE_TILES: u32 = 8;
 
-/// Masks of this shape that a client looks things up in where parts of them are missing: what came before them is lost.
+/// Returns how many masks of this shape a client keeps, to look up what is missing in newer ones.
 #[must_use]
 pub fn max_layers(shape: MaskShape) -> usize {
     (MAX_LAYER_BYTES / (shape.pixels() * 8)).clamp(2, MAX_LAYERS)
 }
 
-/// For each place of a mask a bit for every light whose bits there have come.
+/// For each place of a mask, a bit for every light that has arrived there.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Coverage {
     shape: MaskShape,
@@ -22,7 +22,7 @@ pub struct Coverage {
 }
 
 impl Coverage {
-    /// Of a mask that has come whole.
+    /// Coverage of a mask that has arrived whole.
     #[must_use]
     pub fn whole(shape: MaskShape) -> Self {
         let mut coverage = Self { shape, words: Vec::new() };
@@ -30,12 +30,12 @@ impl Coverage {
         coverage
     }
 
-    /// Says that the whole of a mask of this shape has come.
+    /// Marks a mask of this shape as arrived whole.
     pub fn set_whole(&mut self, shape: MaskShape) {
         self.reset(shape, u32::MAX >> (32 - shape.lights()));
     }
 
-    /// Says that nothing of a mask of this shape has come.
+    /// Marks a mask of this shape as missing.
     pub fn set_none(&mut self, shape: MaskShape) {
         self.reset(shape, 0);
     }
@@ -46,8 +46,7 @@ impl Coverage {
         self.words.resize(Self::places(shape).into_iter().map(|side| side as usize).product(), word);
     }
 
-    /// Says that the bits of a light have come at a place, counted from the left and from the top. Places outside the
-    /// mask are none.
+    /// Marks a light as arrived at a place, counted from the left and from the top. Ignores places outside the mask.
     pub(crate) fn add(&mut self, x: usize, y: usize, light: usize) {
         let across = Self::places(self.shape)[0] as usize;
         if let Some(word) = self.words.get_mut(y * across + x) {
@@ -55,25 +54,24 @@ impl Coverage {
         }
     }
 
-    /// Shape of the mask.
     #[must_use]
     pub const fn shape(&self) -> MaskShape {
         self.shape
     }
 
-    /// Places across and down that a mask of this shape has.
+    /// Returns the places of a mask of this shape, across and down.
     #[must_use]
     pub const fn places(shape: MaskShape) -> [u32; 2] {
         [shape.tiles_x().div_ceil(PLACE_TILES), shape.tiles_y()]
     }
 
-    /// A word for each place, row by row; bit k is 1 when light k has come.
+    /// A word for each place, row by row; bit k is 1 if light k has arrived.
     #[must_use]
     pub fn words(&self) -> &[u32] {
         &self.words
     }
 
-    /// What has come of one of two masks of the same shape; of others, what has come of this one.
+    /// Returns what has arrived of either mask, or of this one if the shapes differ.
     #[must_use]
     pub fn or(mut self, other: &Self) -> Self {
         if self.shape == other.shape {
@@ -82,14 +80,13 @@ impl Coverage {
         self
     }
 
-    /// Whether all has come.
     #[must_use]
     pub fn is_whole(&self) -> bool {
         let all = u32::MAX >> (32 - self.shape.lights());
         self.words.iter().all(|word| *word == all)
     }
 
-    /// Coverage with these words, unless they are too few or too many.
+    /// Returns `None` unless there is one word per place.
     #[must_use]
     pub fn from_words(shape: MaskShape, words: Vec<u32>) -> Option<Self> {
         let [across, down] = Self::places(shape);

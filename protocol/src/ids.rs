@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// A client's frame, counted from 0 (§3.1). Visibility carries the number of the frame whose pose it was traced for.
+/// A client's frame, counted from 0 (§3.1). A mask carries the number of the frame whose pose it was traced for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct FrameNumber(pub u32);
 
@@ -18,7 +18,7 @@ impl fmt::Display for FrameNumber {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ReferenceName {
     pub frame: FrameNumber,
-    /// Digest of the mask's shape and bits. It detects mistakes, not a peer that means to deceive.
+    /// Digest of the mask's shape and bits. It detects mistakes, not deliberate deception.
     pub digest: u32,
 }
 
@@ -32,8 +32,7 @@ impl fmt::Display for SessionId {
     }
 }
 
-/// What a client that comes back names its session by: whoever knows it takes the session's place over. Secret, so it
-/// is never shown.
+/// Lets a reconnecting client take its session over. Secret: whoever has it gets the session, so it is never shown.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ResumeToken(pub [u8; 16]);
 
@@ -43,7 +42,7 @@ impl fmt::Debug for ResumeToken {
     }
 }
 
-/// BLAKE3 digest of a packed scene: both ends render and trace the scene with this name, or none.
+/// BLAKE3 digest of a packed scene. Both ends use the scene with this digest, or none.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct SceneDigest(pub [u8; 32]);
 

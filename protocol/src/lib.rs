@@ -1,4 +1,4 @@
-//! What crosses Gnomon's wire.
+//! Gnomon's wire protocol.
 //!
 //! Sans-IO: bytes and time come in as arguments; nothing here owns a socket, a clock or a GPU. The folders follow a
 //! frame: [`mask`] → `codec/` → `send/` → `wire/` → (the network) → `receive/` → `codec/` → [`mask`].

@@ -1,6 +1,6 @@
-//! Every bound on what a peer may send or ask for, in one place.
+//! All bounds on what a peer may send or ask for.
 
-/// Lights that one visibility mask can carry: one bit of the dissertation's 32-bit word each (§3.1).
+/// Most lights of a mask: one bit each of the dissertation's 32-bit word (§3.1).
 pub const MAX_LIGHTS: u32 = 32;
 
 /// Largest width or height of a mask, in pixels.
@@ -22,25 +22,25 @@ pub const MAX_FRAME_PACKETS: usize = (1 << 15) - 1;
 /// Largest number of slices in a frame.
 pub const MAX_FRAME_SLICES: usize = 4096;
 
-/// Largest encoded frame: what uncompressed words of the largest mask take, and room for the frame's head.
+/// Largest encoded frame: uncompressed words of the largest mask, and room for the head.
 pub const MAX_FRAME_BYTES: usize = MAX_PIXELS as usize * 4 + 64 * 1024;
 
-/// Masks that either end keeps as references: a quarter second at 60 frames a second may be on its way.
+/// Most masks that either end keeps as references: a quarter second at 60 Hz may be in flight.
 pub const MAX_REFERENCES: usize = 16;
 
-/// Bytes of memory that either end keeps them in.
+/// Most bytes of these references.
 pub const MAX_REFERENCE_BYTES: usize = 32 << 20;
 
-/// Masks that a client looks things up in, the newest first, where parts of them are missing.
+/// Most masks that a client keeps to look up what is missing in newer ones.
 pub const MAX_LAYERS: usize = 8;
 
-/// Bytes of memory that it keeps them in, at 8 bytes a pixel; two are kept in any case.
+/// Most bytes of these masks, at 8 bytes a pixel. Two are kept in any case.
 pub const MAX_LAYER_BYTES: usize = 133 << 20;
 
-/// Most bits of a frame that a client may let be wrong, in parts of a million.
+/// Most bits of a frame that a client may allow to be wrong, in millionths.
 pub const MAX_WRONG_PPM: u16 = 10_000;
 
-/// Largest control message, its length prefix not counted.
+/// Largest control message, without its length prefix.
 pub const MAX_MESSAGE_BYTES: usize = 128 * 1024;
 
 /// Scene bytes in one control message.
@@ -58,8 +58,8 @@ pub const MAX_TEXT_BYTES: usize = 1024;
 /// Narrowest and widest vertical field of view that a pose may ask for, in radians (1° to 170°).
 pub const YFOV_RANGE_RAD: std::ops::RangeInclusive<f64> = 0.017_453_292_519_943_295..=2.967_059_728_390_360_5;
 
-/// Longest time that a client may ask to be looked ahead, in milliseconds.
+/// Longest look-ahead that a client may ask for, in milliseconds.
 pub const MAX_LOOK_AHEAD_MS: u16 = 1000;
 
-/// Farthest that a pose may lie from the world's origin, in metres, per axis.
+/// Largest distance of a pose from the world's origin on each axis, in metres.
 pub const MAX_POSITION_M: f64 = 1e9;

@@ -1,9 +1,9 @@
 //! The visibility mask: one bit per pixel and light, in 8×8 tiles.
 //!
-//! Bit k of pixel p is 1 when the segment from the surface point seen at p's centre to light k is free.
-//! A plane holds one light. Its tiles follow each other row by row, one `u64` a tile, and bit `8·(y mod 8) + (x mod 8)`
-//! of a tile is the pixel (x, y). Pixels of edge tiles that lie outside the picture are 0. Tiles, because a tile is
-//! what a workgroup traces, and because their bytes compress better than rows of the picture do.
+//! Bit k of pixel p is 1 if the segment from the surface point seen at p's centre to light k is unoccluded.
+//! A plane holds one light. Its tiles follow each other row by row, one `u64` a tile. Bit `8·(y mod 8) + (x mod 8)` of
+//! a tile is pixel (x, y). Pixels outside the picture are 0. Tiles are what a workgroup traces, and their bytes
+//! compress better than rows of the picture.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -13,7 +13,7 @@ use crate::limits::{MAX_LIGHTS, MAX_PIXELS, MAX_SIDE_PX};
 /// Side of a tile in pixels.
 pub const TILE_PX: u32 = 8;
 
-/// Size of a mask: its picture and its number of lights. Always within [`crate::limits`].
+/// Width, height and number of lights of a mask. Always within [`crate::limits`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "(u32, u32, u32)", into = "(u32, u32, u32)")]
 pub struct MaskShape {
@@ -22,35 +22,21 @@ pub struct MaskShape {
     lights: u32,
 }
 
-/// A shape that no mask can have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum ShapeError {
-    /// A side is zero or too long, or the area is too large.
     #[error("{width}×{height} pixels: each side must be 1 to {MAX_SIDE_PX} and the area at most {MAX_PIXELS}")]
-    Size {
-        /// Width asked for, in pixels.
-        width: u32,
-        /// Height asked for, in pixels.
-        height: u32,
-    },
-    /// No light at all, or more than fit.
+    Size { width: u32, height: u32 },
     #[error("{0} lights: a mask has 1 to {MAX_LIGHTS}")]
     Lights(u32),
-    /// Words that do not fill the shape.
     #[error("{found} words of mask where the shape has {expected}")]
-    Words {
-        /// Words that the shape needs.
-        expected: usize,
-        /// Words that were given.
-        found: usize,
-    },
+    Words { expected: usize, found: usize },
 }
 
 impl MaskShape {
     /// A picture of `width`×`height` pixels with `lights` planes.
     ///
     /// # Errors
-    /// When a side is 0 or longer than [`MAX_SIDE_PX`], the area exceeds [`MAX_PIXELS`], or `lights` is not 1 to
+    /// If a side is 0 or longer than [`MAX_SIDE_PX`], the area exceeds [`MAX_PIXELS`], or `lights` is not 1 to
     /// [`MAX_LIGHTS`].
     pub fn new(width: u32, height: u32, lights: u32) -> Result<Self, ShapeError> {
         if !(1..=MAX_SIDE_PX).contains(&width) || !(1..=MAX_SIDE_PX).contains(&height) || width * height > MAX_PIXELS {
@@ -62,25 +48,21 @@ impl MaskShape {
         Ok(Self { width, height, lights })
     }
 
-    /// Width in pixels.
     #[must_use]
     pub const fn width(self) -> u32 {
         self.width
     }
 
-    /// Height in pixels.
     #[must_use]
     pub const fn height(self) -> u32 {
         self.height
     }
 
-    /// Number of planes.
     #[must_use]
     pub const fn lights(self) -> u32 {
         self.lights
     }
 
-    /// Pixels in the picture.
     #[must_use]
     pub const fn pixels(self) -> usize {
         self.width as usize * self.height as usize
@@ -92,7 +74,6 @@ impl MaskShape {
         self.width.div_ceil(TILE_PX)
     }
 
-    /// Rows of tiles.
     #[must_use]
     pub const fn tiles_y(self) -> u32 {
         self.height.div_ceil(TILE_PX)
@@ -125,7 +106,7 @@ impl From<MaskShape> for (u32, u32, u32) {
     }
 }
 
-/// One frame's visibility. See the module for the layout.
+/// One frame's visibility. The module documents the layout.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Mask {
     shape: MaskShape,
@@ -133,16 +114,16 @@ pub struct Mask {
 }
 
 impl Mask {
-    /// A mask in which every bit is 0.
+    /// Every bit is 0.
     #[must_use]
     pub fn new(shape: MaskShape) -> Self {
         Self { shape, words: vec![0; shape.words()] }
     }
 
-    /// A mask from its words, plane after plane.
+    /// `words` goes plane after plane.
     ///
     /// # Errors
-    /// When the number of words is not [`MaskShape::words`].
+    /// If the number of words is not [`MaskShape::words`].
     pub fn from_words(shape: MaskShape, words: Vec<u64>) -> Result<Self, ShapeError> {
         if words.len() != shape.words() {
             return Err(ShapeError::Words { expected: shape.words(), found: words.len() });
@@ -150,14 +131,13 @@ impl Mask {
         Ok(Self { shape, words })
     }
 
-    /// Gives the mask another shape and clears it, keeping its memory.
+    /// Changes the shape and sets every bit to 0, reusing the memory.
     pub fn reset(&mut self, shape: MaskShape) {
         self.shape = shape;
         self.words.clear();
         self.words.resize(shape.words(), 0);
     }
 
-    /// The mask's shape.
     #[must_use]
     pub const fn shape(&self) -> MaskShape {
         self.shape
@@ -169,15 +149,14 @@ impl Mask {
         &self.words
     }
 
-    /// All words, plane after plane, to write.
     pub fn words_mut(&mut self) -> &mut [u64] {
         &mut self.words
     }
 
-    /// Whether light `light` reaches pixel (x, y).
+    /// Returns whether light `light` reaches pixel (x, y).
     ///
     /// # Panics
-    /// When the light or the pixel lies outside the shape.
+    /// If the light or the pixel is outside the shape.
     #[must_use]
     pub fn get(&self, light: u32, x: u32, y: u32) -> bool {
         let (word, bit) = self.place(light, x, y);
@@ -187,7 +166,7 @@ impl Mask {
     /// Sets whether light `light` reaches pixel (x, y).
     ///
     /// # Panics
-    /// When the light or the pixel lies outside the shape.
+    /// If the light or the pixel is outside the shape.
     pub fn set(&mut self, light: u32, x: u32, y: u32, lit: bool) {
         let (word, bit) = self.place(light, x, y);
         self.words[word] = self.words[word] & !(1 << bit) | u64::from(lit) << bit;
@@ -201,7 +180,7 @@ impl Mask {
     }
 }
 
-/// Bits of a tile that lie inside the picture.
+/// Returns the bits of a tile that are inside the picture.
 pub(crate) fn inside(shape: MaskShape, tile_x: usize, tile_y: usize) -> u64 {
     let side = TILE_PX as usize;
     let columns = (shape.width() as usize - tile_x * side).min(side);
@@ -227,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bit_has_one_place_and_no_other() {
+    fn every_bit_has_its_own_place() {
         let shape = MaskShape::new(19, 11, 3).unwrap();
         let mut seen = std::collections::HashSet::new();
         for light in 0..3 {

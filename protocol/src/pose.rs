@@ -1,8 +1,8 @@
-//! Where a client looked from: the only thing that it sends for every frame.
+//! The client's camera: the only thing that it sends for every frame.
 //!
-//! The dissertation sends three vectors of three f32 (§3.5, 36 bytes). Ours are f64, so that a scene may lie far from
-//! its origin, and carry the field of view, the scene's time, the size of the mask that is wanted and how far ahead it
-//! is wanted for: 82 bytes, little-endian, in the order of the fields.
+//! The dissertation sends three vectors of three f32 (§3.5, 36 bytes). Ours are f64, so that a scene may be far from
+//! its origin. A pose also has the field of view, the scene's time, the mask's size and the look-ahead: 82 bytes,
+//! little-endian, in the order of the fields.
 
 use thiserror::Error;
 
@@ -12,13 +12,12 @@ use crate::{
     limits::{MAX_LOOK_AHEAD_MS, MAX_POSITION_M, MAX_SIDE_PX, YFOV_RANGE_RAD},
 };
 
-/// Bytes of an encoded pose.
 pub const POSE_BYTES: usize = 82;
 
 /// Bytes of a pose packet: header and pose.
 pub const POSE_PACKET_BYTES: usize = HEADER_BYTES + POSE_BYTES;
 
-/// A camera, and the mask that is wanted for it.
+/// A camera, and the mask that the client wants for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
     /// Position in world space, in metres.
@@ -31,24 +30,21 @@ pub struct Pose {
     pub scene_time_s: f64,
     /// Time that the client has spent since its first frame, in milliseconds; wraps.
     pub client_time_ms: u32,
-    /// Width and height of the mask, in pixels. A client that shows a smaller picture asks for a guard band around it;
-    /// both are seen through the same field of view per pixel, so `yfov_rad` is the mask's.
+    /// Width and height of the mask, in pixels. For a guard band it is larger than the picture. Both have the same
+    /// field of view per pixel, so `yfov_rad` is the mask's.
     pub mask_px: [u16; 2],
-    /// How long after `client_time_ms` the mask will be shown, in milliseconds, as far as the client can tell. The
-    /// server traces for where the camera will be then, and says so in the frame's head; 0 asks for this very pose.
+    /// Estimated time from `client_time_ms` until the mask is shown, in milliseconds. The server traces for the pose
+    /// that it predicts for then, and puts it into the frame's head. 0 asks for this very pose.
     pub look_ahead_ms: u16,
 }
 
-/// Why bytes are no pose.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum PoseError {
-    /// Not exactly [`POSE_BYTES`] bytes.
     #[error("a pose has {POSE_BYTES} bytes, not {0}")]
     Length(usize),
-    /// A field is NaN or infinite, or lies outside `limits`.
+    /// A field is not finite, or outside `limits`.
     #[error("pose field {0} is not finite or out of range")]
     Range(&'static str),
-    /// The quaternion is not of unit length.
     #[error("orientation has length {0}, not 1")]
     NotUnit(f64),
 }
@@ -57,7 +53,7 @@ impl Pose {
     /// Checks every field against [`crate::limits`].
     ///
     /// # Errors
-    /// When a field is not finite, out of range, or the quaternion's length is off by more than 1e-3.
+    /// If a field is not finite or out of range, or the quaternion's length is off by more than 1e-3.
     pub fn validate(&self) -> Result<(), PoseError> {
         if !self.position_m.iter().all(|v| v.abs() <= MAX_POSITION_M) {
             return Err(PoseError::Range("position_m"));
@@ -79,7 +75,6 @@ impl Pose {
         if (length - 1.0).abs() <= 1e-3 { Ok(()) } else { Err(PoseError::NotUnit(length)) }
     }
 
-    /// The pose's bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; POSE_BYTES] {
         let [px, py, pz] = self.position_m;
@@ -98,10 +93,9 @@ impl Pose {
         bytes
     }
 
-    /// A pose from its bytes.
     ///
     /// # Errors
-    /// When the length is wrong or a field fails [`Self::validate`].
+    /// If the length is wrong or a field fails [`Self::validate`].
     pub fn decode(bytes: &[u8]) -> Result<Self, PoseError> {
         let bytes: &[u8; POSE_BYTES] = bytes.try_into().map_err(|_| PoseError::Length(bytes.len()))?;
         let mut values = [0.0; 9];
@@ -126,26 +120,21 @@ impl Pose {
     }
 }
 
-/// Why bytes are no pose packet.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum PosePacketError {
-    /// They are no packet at all.
     #[error(transparent)]
     Header(#[from] HeaderError),
-    /// The header has no frame number.
     #[error("pose packet {0} has no frame number")]
     NoFrame(u32),
-    /// The header says that it is a packet of visibility: it has a number of packets, a timestamp or the first-packet
-    /// flag.
-    #[error("packet {0} is no pose packet: its header describes a frame of visibility")]
+    /// The header has a number of packets, a timestamp or the first-packet flag.
+    #[error("packet {0} is not a pose packet: its header has fields of a visibility frame")]
     Visibility(u32),
-    /// The data is no pose.
     #[error(transparent)]
     Pose(#[from] PoseError),
 }
 
-/// The packet that says where the client's frame `frame` was looked at from: a header with placeholders in the fields
-/// that only visibility has (§3.1), then the pose. `frame` must not be `u32::MAX`, the placeholder.
+/// Returns the pose packet of the client's frame `frame`: a header with placeholders in the fields of visibility
+/// packets (§3.1), then the pose. `frame` must not be `u32::MAX`, the placeholder.
 #[must_use]
 pub fn encode_pose_packet(sequence: u32, frame: FrameNumber, pose: &Pose) -> [u8; POSE_PACKET_BYTES] {
     let header = PacketHeader {
@@ -163,10 +152,10 @@ pub fn encode_pose_packet(sequence: u32, frame: FrameNumber, pose: &Pose) -> [u8
     packet
 }
 
-/// Sequence number, frame and pose of a pose packet.
+/// Returns the sequence number, frame and pose of a pose packet.
 ///
 /// # Errors
-/// When the bytes are no packet, one of visibility, or carry no valid pose.
+/// If the bytes are no packet, or a visibility packet, or the pose is invalid.
 pub fn decode_pose_packet(datagram: &[u8]) -> Result<(u32, FrameNumber, Pose), PosePacketError> {
     let (header, data) = PacketHeader::decode(datagram)?;
     if header.frame_packets.is_some() || header.timestamp_ms.is_some() || header.first {
@@ -191,7 +180,7 @@ mod tests {
     };
 
     #[test]
-    fn a_pose_packet_comes_back() {
+    fn a_pose_packet_round_trips() {
         let packet = encode_pose_packet(5, FrameNumber(9), &POSE);
         assert_eq!(decode_pose_packet(&packet), Ok((5, FrameNumber(9), POSE)));
     }
@@ -233,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn only_pose_packets_are_pose_packets() {
+    fn other_packets_are_refused_as_poses() {
         let good = encode_pose_packet(5, FrameNumber(9), &POSE);
         let with = |place: usize, bytes: &[u8]| {
             let mut bad = good;

@@ -1,8 +1,8 @@
-//! Which masks either end keeps as references, and when it lets go of them.
+//! Which masks either end keeps as references, and for how long.
 //!
-//! The server keeps what it has sent until a later one is acknowledged; the client keeps what it has acknowledged until
-//! the server codes against a later one. Both keep a few masks and a few bytes at most: what does not fit is not kept,
-//! and costs bytes on the wire and nothing else.
+//! The server keeps the masks that it sent until a later one is acknowledged. The client keeps those that it
+//! acknowledged until the server codes against a later one. Both keep a limited number of masks and bytes. A mask that
+//! does not fit is not kept, which only costs bytes on the wire.
 
 use std::collections::VecDeque;
 
@@ -13,7 +13,7 @@ use crate::{
     limits::{MAX_REFERENCE_BYTES, MAX_REFERENCES},
 };
 
-/// Some masks in the order of their coming, and the memory of those that are not kept any more.
+/// Masks, oldest first, and the memory of dropped ones for reuse.
 #[derive(Debug, Default)]
 struct Ring {
     kept: VecDeque<Reference>,
@@ -29,7 +29,7 @@ impl Ring {
         self.kept.iter().find(|reference| reference.name() == name)
     }
 
-    /// Takes a mask in, if `fill` makes one.
+    /// Adds the mask that `fill` writes, unless it returns false.
     fn keep(&mut self, fill: impl FnOnce(&mut Reference) -> bool) -> Option<&Reference> {
         let mut reference = self.spare.pop().unwrap_or_default();
         if fill(&mut reference) {
@@ -41,14 +41,14 @@ impl Ring {
         }
     }
 
-    /// Whether another mask as large as the newest would be one too many.
+    /// Returns true if there is no room for another mask as large as the newest.
     fn is_full(&self) -> bool {
         let bytes = self.kept.iter().map(Reference::memory_bytes).sum::<usize>();
         let next = self.kept.back().map_or(0, Reference::memory_bytes);
         self.kept.len() >= MAX_REFERENCES || bytes + next > MAX_REFERENCE_BYTES
     }
 
-    /// Keeps memory for the masks to come.
+    /// Keeps the memory of up to two masks for later ones.
     fn reuse(&mut self, unused: Option<Reference>) {
         self.spare.extend(unused.filter(|_| self.spare.len() < 2));
     }
@@ -71,17 +71,17 @@ impl Ring {
     }
 }
 
-/// The server's side: what it has sent, and what of it the client has.
+/// The server's side: the masks that it sent, and which of them the client has.
 #[derive(Debug, Default)]
 pub struct SentMasks {
     ring: Ring,
     newest: Option<Acknowledgement>,
-    /// Whether the oldest mask of the ring is one that the client has.
+    /// The client has the oldest mask of the ring.
     acknowledged: bool,
 }
 
 impl SentMasks {
-    /// Hears what the client says. Old acknowledgements, and those of masks that are not kept, change nothing.
+    /// Applies an acknowledgement. Old ones, and those of masks that are no longer kept, have no effect.
     pub fn acknowledge(&mut self, heard: Acknowledgement) {
         if self.newest.is_some_and(|newest| !heard.is_after(&newest)) {
             return;
@@ -89,7 +89,7 @@ impl SentMasks {
         self.newest = Some(heard);
         match heard.mask {
             None => {
-                // What was sent before is of no use: the client has not kept it.
+                // The client has kept none of the masks sent so far.
                 self.acknowledged = false;
                 self.ring.clear();
             }
@@ -101,19 +101,19 @@ impl SentMasks {
         }
     }
 
-    /// Bytes of memory that the masks are kept in, and those that come next will be.
+    /// Returns the bytes of the kept masks and of the memory kept for reuse.
     #[must_use]
     pub fn memory_bytes(&self) -> usize {
         self.ring.memory_bytes()
     }
 
-    /// The newest mask that the client has, to code against.
+    /// Returns the newest mask that the client has, to code against.
     #[must_use]
     pub fn reference(&self) -> Option<&Reference> {
         self.ring.kept.front().filter(|_| self.acknowledged)
     }
 
-    /// Keeps what was encoded last, which is sent as `frame`.
+    /// Keeps the last encoded mask, which is sent as `frame`.
     pub fn keep(&mut self, encoder: &Encoder, frame: FrameNumber) {
         if self.ring.is_full() {
             self.thin_out();
@@ -123,8 +123,7 @@ impl SentMasks {
         }
     }
 
-    /// Lets go of every other mask that is not acknowledged: so some remain, however long acknowledgements are under
-    /// way.
+    /// Drops every other mask that is not acknowledged, so that some remain however late acknowledgements are.
     fn thin_out(&mut self) {
         let in_use = usize::from(self.acknowledged);
         let mut place = in_use;
@@ -136,7 +135,7 @@ impl SentMasks {
     }
 }
 
-/// The client's side: what it has and has said so.
+/// The client's side: the masks that it has and has acknowledged.
 #[derive(Debug, Default)]
 pub struct KeptMasks {
     ring: Ring,
@@ -145,21 +144,21 @@ pub struct KeptMasks {
     full: u32,
 }
 
-/// Times in a row that the client finds no room before it begins anew. The server goes to newer masks long before that,
-/// unless it has let go of all those that the client has: then neither end would move again.
+/// Times in a row without room until the client starts over. The server codes against newer masks long before that,
+/// unless it dropped all those that the client has; then both ends would be stuck.
 const MOST_FULL: u32 = 64;
 
 impl KeptMasks {
-    /// The mask that a frame is coded against, if it is kept. Older ones are not needed any more: the server does not
-    /// go back.
+    /// Returns the mask that a frame is coded against, if it is kept. Drops older ones, because the server never goes
+    /// back to them.
     pub fn reference(&mut self, name: ReferenceName) -> Option<&Reference> {
         self.ring.find(name)?;
         self.ring.drop_before(name);
         self.ring.kept.front()
     }
 
-    /// Keeps what was decoded last, as `frame`, and says what to tell the server: nothing when not all of the frame had
-    /// come. When as much is kept as may be, that the newest of it is there, or, when that goes on, that nothing is.
+    /// Keeps the last decoded mask, as `frame`. Returns the acknowledgement to send, or `None` if parts are missing.
+    /// Without room it acknowledges the newest kept mask, and after 64 times in a row none.
     pub fn keep(&mut self, decoder: &Decoder, frame: FrameNumber) -> Option<Acknowledgement> {
         if self.ring.is_full() {
             self.full += 1;
@@ -175,7 +174,7 @@ impl KeptMasks {
         Some(self.say(mask))
     }
 
-    /// Says that a mask is not at hand that the server thinks is, and forgets the others.
+    /// Drops all masks, because the server codes against one that is missing. Returns the acknowledgement that says so.
     pub fn lose(&mut self) -> Acknowledgement {
         self.ring.clear();
         self.say(None)

@@ -1,9 +1,9 @@
-//! What the client says about the masks that it has, so that later ones can be coded against them.
+//! Tells the server which masks the client has, so that later ones can be coded against them.
 //!
-//! An acknowledgement is a packet of its own, since it wants to be there before the next pose: a header with
-//! placeholders in the fields that only visibility has, and 4 bytes, the digest of the mask of the header's frame.
-//! Where the header has no frame either, the client has no mask, or none that it was asked for, and wants slices that
-//! need none.
+//! An acknowledgement is a packet of its own, so that it arrives before the next pose: a header with placeholders in
+//! the fields of visibility packets, and 4 bytes, the digest of the mask of the header's frame. If the frame is a
+//! placeholder too, the client has no mask, or lacks the one that a frame was coded against, and wants slices without a
+//! reference.
 
 use thiserror::Error;
 
@@ -12,37 +12,29 @@ use crate::{
     ids::ReferenceName,
 };
 
-/// Bytes of a digest.
 const DIGEST_BYTES: usize = 4;
 
-/// Bytes of an acknowledgement, header and digest.
 pub const ACKNOWLEDGEMENT_BYTES: usize = HEADER_BYTES + DIGEST_BYTES;
 
-/// Why bytes are no acknowledgement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum AcknowledgementError {
-    /// They are no packet at all.
     #[error(transparent)]
     Header(#[from] HeaderError),
-    /// The data is no digest.
     #[error("an acknowledgement has {DIGEST_BYTES} bytes of data, not {0}")]
     Length(usize),
-    /// The header says that it is a packet of visibility.
-    #[error("packet {0} is no acknowledgement: its header describes a frame of visibility")]
+    #[error("packet {0} is not an acknowledgement: its header has fields of a visibility frame")]
     Visibility(u32),
 }
 
-/// The newest mask that a client has whole, or that it has none.
+/// The newest mask that a client has whole; `None` if it has none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Acknowledgement {
     /// Number of the acknowledgement, +1 each; wraps.
     pub sequence: u32,
-    /// The mask.
     pub mask: Option<ReferenceName>,
 }
 
 impl Acknowledgement {
-    /// The packet's bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; ACKNOWLEDGEMENT_BYTES] {
         let header = PacketHeader {
@@ -60,10 +52,9 @@ impl Acknowledgement {
         packet
     }
 
-    /// An acknowledgement from its bytes.
     ///
     /// # Errors
-    /// When they are no packet, one of visibility, or have other data than a digest.
+    /// If they are no packet, a visibility packet, or have other data than a digest.
     pub fn decode(datagram: &[u8]) -> Result<Self, AcknowledgementError> {
         let (header, data) = PacketHeader::decode(datagram)?;
         let digest: [u8; DIGEST_BYTES] = data.try_into().map_err(|_| AcknowledgementError::Length(data.len()))?;
@@ -74,7 +65,7 @@ impl Acknowledgement {
         Ok(Self { sequence: header.sequence, mask: header.frame.map(|frame| ReferenceName { frame, digest }) })
     }
 
-    /// Whether this one was made after that one.
+    /// Returns true if this acknowledgement was made after `other`.
     #[must_use]
     pub const fn is_after(&self, other: &Self) -> bool {
         self.sequence.wrapping_sub(other.sequence).cast_signed() > 0
@@ -87,7 +78,7 @@ mod tests {
     use crate::ids::FrameNumber;
 
     #[test]
-    fn acknowledgements_come_back_and_are_nothing_else() {
+    fn acknowledgements_round_trip_and_other_packets_are_refused() {
         let mask = Some(ReferenceName { frame: FrameNumber(0x0102_0304), digest: 0xA0B0_C0D0 });
         let bytes = Acknowledgement { sequence: 7, mask }.encode();
         let golden = [7, 0, 0, 0, 4, 3, 2, 1, 4, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0xD0, 0xC0, 0xB0, 0xA0];

@@ -1,36 +1,32 @@
-//! The codecs' names and numbers.
-
 use std::{fmt, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Names of the codecs, as they cross the wire.
+/// The codecs, with their numbers on the wire.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum CodecId {
-    /// One u32 a pixel, bit k for light k, uncompressed: where the dissertation began (§1.3).
+    /// One u32 a pixel, bit k for light k, uncompressed: the dissertation's starting point (§1.3).
     Words = 0,
     /// The same words, LZ4: the dissertation's own format (§3.5).
     WordsLz4 = 1,
     /// Bit planes in 8×8 tiles, LZ4.
     PlanesLz4 = 2,
-    /// Bit planes in 8×8 tiles, in contexts: the fewest bytes, in slices that stand alone.
+    /// Bit planes in 8×8 tiles, context-coded: the fewest bytes, in independent slices.
     TilesSmall = 3,
     /// The same tiles with prefix codes: more bytes, in a tenth of the time.
     TilesFast = 4,
 }
 
-/// A text that names no codec.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("no codec is called {0:?}: there are words, words-lz4, planes-lz4, tiles-small and tiles-fast")]
 pub struct UnknownCodec(pub String);
 
 impl CodecId {
-    /// All codecs.
     pub const ALL: [Self; 5] = [Self::Words, Self::WordsLz4, Self::PlanesLz4, Self::TilesSmall, Self::TilesFast];
 
-    /// Name on command lines and in configuration.
+    /// Returns the name on command lines and in configuration.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -42,26 +38,24 @@ impl CodecId {
         }
     }
 
-    /// Whether each slice of a frame names what it covers, fits a datagram, and needs nothing but itself. The other
-    /// codecs cut the picture into equal parts.
+    /// Returns true if each slice names what it covers, fits a datagram and is independent. The other codecs cut the
+    /// picture into equal parts.
     #[must_use]
     pub const fn is_sliced(self) -> bool {
         matches!(self, Self::TilesSmall | Self::TilesFast)
     }
 
-    /// Whether slices may be coded against a mask that both ends have. What is saved then is bytes, and not time.
+    /// Returns true if slices may be coded against a mask that both ends have. That saves bytes, not time.
     #[must_use]
     pub const fn has_references(self) -> bool {
         matches!(self, Self::TilesSmall)
     }
 
-    /// Number in a frame's head.
     #[must_use]
     pub const fn number(self) -> u8 {
         self as u8
     }
 
-    /// The codec with this number, if there is one.
     #[must_use]
     pub fn from_number(number: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|codec| codec.number() == number)
@@ -87,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_and_numbers_name_one_codec_each() {
+    fn every_name_and_number_means_one_codec() {
         for (codec, name, number) in [
             (CodecId::Words, "words", 0),
             (CodecId::WordsLz4, "words-lz4", 1),

@@ -1,21 +1,21 @@
-//! A frame's body: what the packets of one frame carry together.
+//! A frame's body: the joined payloads of its packets.
 //!
 //! | bytes | field |
 //! |---|---|
 //! | 0 | codec ([`CodecId`]'s number) |
 //! | 1–2 | width in pixels |
 //! | 3–4 | height in pixels |
-//! | 5 | lights; the highest bit says that a pose follows, the next one that a reference does |
+//! | 5 | lights; bit 7: a pose follows; bit 6: a reference follows |
 //! | 6–7 | number of slices n |
-//! | 82 more, if so | the pose that the mask was traced for ([`crate::pose`]), where it is not the client's own |
-//! | 8 more, if so | the reference that the slices are coded against: its frame, u32, and its digest, u32 |
+//! | 82 more, if bit 7 | the pose that the mask was traced for ([`crate::pose`]), if not the client's own |
+//! | 8 more, if bit 6 | the reference that the slices are coded against: its frame, u32, and its digest, u32 |
 //! | 4n more | length of each slice in bytes, u32 |
 //! | to the end | the slices, one after the other |
 //!
-//! All little-endian. A slice can be decoded without the others: slice i of n covers the rows of tiles from ⌊i·rows/n⌋
-//! up to ⌊(i+1)·rows/n⌋ ([`slice_tile_rows`]), so a frame has at most as many slices as rows of tiles. Where the codec
-//! [slices](CodecId::is_sliced), a body is one such frame after the other, its *parts*, with a slice each that says
-//! itself what it covers. A part fits a datagram and can be read alone ([`Frame::parts`]).
+//! All little-endian. Slices are independent: slice i of n covers the rows of tiles from ⌊i·rows/n⌋ up to
+//! ⌊(i+1)·rows/n⌋ ([`slice_tile_rows`]), so a frame has at most as many slices as rows of tiles. With a
+//! [sliced](CodecId::is_sliced) codec, a body is a sequence of such frames, its *parts*, with one slice each that names
+//! what it covers. A part fits a datagram and can be read alone ([`Frame::parts`]).
 
 use std::ops::Range;
 
@@ -29,93 +29,64 @@ use crate::{
     wire::CodecId,
 };
 
-/// Bytes before the table of slice lengths, without a pose.
+/// Bytes before the table of slice lengths, without pose and reference.
 pub const FRAME_HEAD_BYTES: usize = 8;
 
-/// The bit beside the number of lights that says that a pose follows.
+/// Beside the number of lights: a pose follows.
 const POSE_FOLLOWS: u8 = 0x80;
 
-/// The bit that says that a reference follows.
+/// Beside the number of lights: a reference follows.
 const REFERENCE_FOLLOWS: u8 = 0x40;
 
-/// Bytes of a reference's name.
 const REFERENCE_BYTES: usize = 8;
 
-/// What a frame is: how it is coded, the shape of its mask, and what it was traced for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameHead {
-    /// How the slices are coded.
     pub codec: CodecId,
-    /// Shape of the mask.
     pub shape: MaskShape,
-    /// The pose that the mask was traced for, where the server has looked ahead; the client's own pose of this frame
-    /// without.
+    /// The pose that the mask was traced for, if the server looked ahead; otherwise it is the client's own pose.
     pub traced_for: Option<Pose>,
-    /// What the slices are coded against; only of codecs that [have references](CodecId::has_references).
+    /// What the slices are coded against; only for codecs that [have references](CodecId::has_references).
     pub reference: Option<ReferenceName>,
 }
 
-/// Why bytes are no frame.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum FrameError {
-    /// Too short for its head or its table of slices.
     #[error("a frame of {found} bytes, at least {needed} are needed")]
-    TooShort {
-        /// Bytes that the head and the table need.
-        needed: usize,
-        /// Bytes that are there.
-        found: usize,
-    },
-    /// Longer than any frame may be.
+    TooShort { needed: usize, found: usize },
     #[error("a frame of {0} bytes: at most {MAX_FRAME_BYTES} are allowed")]
     TooLong(usize),
-    /// No codec has this number.
     #[error("no codec has number {0}")]
     Codec(u8),
-    /// No mask can have the frame's shape.
     #[error("the frame's shape: {0}")]
     Shape(#[from] ShapeError),
-    /// A codec that has no references names one.
-    #[error("{0} has no references, and the frame names one")]
+    #[error("the frame names a reference, and {0} has none")]
     Reference(CodecId),
-    /// The pose in the head is none.
     #[error("the frame's pose: {0}")]
     Pose(#[from] PoseError),
-    /// No slices, or more than rows of tiles or than [`MAX_FRAME_SLICES`].
+    /// None, or more than rows of tiles or than [`MAX_FRAME_SLICES`].
     #[error("{found} slices: this shape has 1 to {most}")]
-    Slices {
-        /// Slices stated.
-        found: usize,
-        /// The most that the shape can have.
-        most: usize,
-    },
-    /// The parts of a frame do not agree on what it is.
-    #[error("the parts of the frame say different things of it")]
+    Slices { found: usize, most: usize },
+    #[error("the parts of the frame have different heads")]
     Parts,
-    /// The slices' lengths do not add up to the rest of the frame.
     #[error("the slices have {stated} bytes, {found} follow the table")]
-    Length {
-        /// Sum of the stated lengths.
-        stated: u64,
-        /// Bytes that are there.
-        found: usize,
-    },
+    Length { stated: u64, found: usize },
 }
 
 impl FrameHead {
-    /// The most slices that the frame can have.
+    /// Returns the most slices that the frame can have.
     #[must_use]
     pub fn max_slices(&self) -> usize {
         if self.codec.is_sliced() { 1 } else { (self.shape.tiles_y() as usize).min(MAX_FRAME_SLICES) }
     }
 
-    /// Bytes before the table of slice lengths.
+    /// Returns the bytes before the table of slice lengths.
     pub(crate) fn bytes(&self) -> usize {
         let pose = if self.traced_for.is_some() { POSE_BYTES } else { 0 };
         FRAME_HEAD_BYTES + pose + if self.reference.is_some() { REFERENCE_BYTES } else { 0 }
     }
 
-    /// Bytes of a part that are not its slice.
+    /// Returns the bytes of a part before its slice.
     pub(crate) fn part_bytes(&self) -> usize {
         self.bytes() + 4
     }
@@ -126,8 +97,7 @@ impl FrameHead {
         body[place..place + 4].copy_from_slice(&bytes.to_le_bytes());
     }
 
-    /// Writes the head for `slices` slices of length 0 at the end of `body`; [`Self::set_slice_length`] fills the table
-    /// in.
+    /// Appends the head for `slices` slices of length 0 to `body`. [`Self::set_slice_length`] fills in the table.
     pub(crate) fn begin(&self, slices: u16, body: &mut Vec<u8>) {
         let (width, height, lights) = self.shape.into();
         body.push(self.codec.number());
@@ -148,38 +118,37 @@ impl FrameHead {
     }
 }
 
-/// Every number in a shape is at most 4096, so nothing is lost.
+/// Lossless, because every number in a shape is at most 4096.
 fn low_u16(value: u32) -> u16 {
     let [low, high, ..] = value.to_le_bytes();
     u16::from_le_bytes([low, high])
 }
 
-/// Rows of tiles that slice `index` of `count` covers.
+/// Returns the rows of tiles that slice `index` of `count` covers.
 #[must_use]
 pub fn slice_tile_rows(shape: MaskShape, index: usize, count: usize) -> Range<usize> {
     let rows = shape.tiles_y() as usize;
     index * rows / count..(index + 1) * rows / count
 }
 
-/// A frame's body, taken apart and checked: the slices are there and fill it exactly.
+/// A parsed frame body. Its slices fill it exactly.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame<'a> {
-    /// What the frame is.
     pub head: FrameHead,
     table: &'a [u8],
     slices: &'a [u8],
 }
 
 impl<'a> Frame<'a> {
-    /// Takes a body apart, or the first part of one that is sliced. Nothing is decoded and no memory is taken.
+    /// Parses a body, or the first part of a sliced one. Decodes and allocates nothing.
     ///
     /// # Errors
-    /// When the body is too short or too long, the codec or the shape cannot be, or the slices do not fill the body.
+    /// If the body is too short or too long, the codec or shape is invalid, or the slices do not fill the body.
     pub fn parse(body: &'a [u8]) -> Result<Self, FrameError> {
         Self::parse_part(body).map(|(frame, _)| frame)
     }
 
-    /// The parts of a body: as many as it has slices where it is sliced, or else the whole.
+    /// Returns the parts of a sliced body, or the whole of another one. Ends after an error.
     pub fn parts(body: &'a [u8]) -> impl Iterator<Item = Result<Self, FrameError>> + use<'a> {
         let (mut rest, mut head) = (Some(body), None);
         std::iter::from_fn(move || {
@@ -241,13 +210,12 @@ impl<'a> Frame<'a> {
         Ok((Self { head, table, slices }, after))
     }
 
-    /// Number of slices.
     #[must_use]
     pub const fn slice_count(&self) -> usize {
         self.table.len() / 4
     }
 
-    /// The slices: the rows of tiles that each covers, and its bytes.
+    /// Returns for each slice the rows of tiles that it covers, and its bytes.
     pub fn slices(&self) -> impl Iterator<Item = (Range<usize>, &'a [u8])> + use<'a> {
         let (shape, count) = (self.head.shape, self.slice_count());
         let mut rest = self.slices;
@@ -286,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn slices_come_out_as_they_went_in() {
+    fn slices_round_trip() {
         let body = body(&[3, 0, 2]);
         let frame = Frame::parse(&body).unwrap();
         assert_eq!(frame.head.codec, CodecId::PlanesLz4);
@@ -296,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_in_the_head_comes_back_or_is_refused() {
+    fn a_pose_in_the_head_round_trips_or_is_refused() {
         let pose = Pose {
             position_m: [1.0, 2.0, 3.0],
             orientation: [0.0, 0.6, 0.0, 0.8],
@@ -323,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reference_in_the_head_comes_back_or_is_refused() {
+    fn a_reference_in_the_head_round_trips_or_is_refused() {
         let reference = Some(ReferenceName { frame: FrameNumber(0x0102_0304), digest: 0xA0B0_C0D0 });
         let sliced = FrameHead { codec: CodecId::TilesSmall, reference, ..head() };
         let mut body = Vec::new();
@@ -361,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_frame_is_refused_with_the_numbers() {
+    fn malformed_frames_are_refused_with_the_numbers() {
         let good = body(&[3, 2]);
         assert!(Frame::parse(&good).is_ok());
         let with = |place: usize, byte: u8| {

@@ -10,7 +10,7 @@
 //!
 //! §3.1 takes 65,507 − 65,487 = 20 bytes for the header when it counts 127 packets a frame, but the six fields that it
 //! lists (4 + 4 + 4 as "3 of which consist of 4-byte integers", 2, 15 bits and 1 bit) make 16. Ours has 16, so a lab
-//! packet carries 65,491 bytes; the uncompressed 1080p frame takes 127 of either kind.
+//! packet carries 65,491 bytes. The uncompressed 1080p frame takes 127 packets either way.
 
 use std::num::NonZeroU16;
 
@@ -18,50 +18,39 @@ use thiserror::Error;
 
 use crate::ids::FrameNumber;
 
-/// Bytes of a header.
 pub const HEADER_BYTES: usize = 16;
 
-/// Largest number of packets that the 15-bit field can say.
+/// Largest value of the 15-bit number of packets.
 const MAX_COUNT: u16 = u16::MAX >> 1;
 
-/// The header of one packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct PacketHeader {
     /// Number of the packet, +1 each; wraps after 2³² packets (11 days at 4,300 a second), so compare with wrapping
     /// arithmetic.
     pub sequence: u32,
-    /// Frame that the packet belongs to; `None` is the placeholder. `u32::MAX` cannot be told from it and is no frame
-    /// number: at 120 frames a second a session reaches it after 414 days.
+    /// Frame of the packet; `None` is the placeholder `u32::MAX`, which is no frame number. At 120 frames a second a
+    /// session reaches it after 414 days.
     pub frame: Option<FrameNumber>,
     /// Bytes after the header.
     pub data_bytes: u16,
     /// Packets in the frame, at most 32,767; `None` is the placeholder.
     pub frame_packets: Option<NonZeroU16>,
-    /// Whether this is the frame's first packet.
     pub first: bool,
-    /// Time of the frame in ms since the sender's first frame; `None` is the placeholder, which is also how `u32::MAX`
-    /// would read (the packetizer never sends it).
+    /// Time of the frame in ms since the sender's first frame; `None` is the placeholder `u32::MAX`, which the
+    /// packetizer never sends as a time.
     pub timestamp_ms: Option<u32>,
 }
 
-/// Why bytes are no packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum HeaderError {
-    /// Fewer bytes than a header has.
     #[error("a packet of {0} bytes is shorter than its {HEADER_BYTES}-byte header")]
     TooShort(usize),
-    /// The data size is not what follows the header.
     #[error("the header says {stated} bytes of data, {found} follow it")]
-    DataSize {
-        /// What the header says.
-        stated: u16,
-        /// What is there.
-        found: usize,
-    },
+    DataSize { stated: u16, found: usize },
 }
 
 impl PacketHeader {
-    /// The header's bytes. A `frame_packets` above 32,767 does not fit its field and is written as 32,767.
+    /// A `frame_packets` above 32,767 does not fit its field and is written as 32,767.
     #[must_use]
     pub fn encode(&self) -> [u8; HEADER_BYTES] {
         let count = self.frame_packets.map_or(0, |count| count.get().min(MAX_COUNT));
@@ -75,10 +64,10 @@ impl PacketHeader {
         bytes
     }
 
-    /// The header of a datagram and its payload, which is exactly `data_bytes` long.
+    /// Returns a datagram's header and its payload, which is exactly `data_bytes` long.
     ///
     /// # Errors
-    /// When the datagram is shorter than a header, or longer or shorter than its header says.
+    /// If the datagram is shorter than a header, or not as long as its header says.
     pub fn decode(datagram: &[u8]) -> Result<(Self, &[u8]), HeaderError> {
         let Some((head, payload)) = datagram.split_first_chunk::<HEADER_BYTES>() else {
             return Err(HeaderError::TooShort(datagram.len()));

@@ -1,4 +1,4 @@
-//! The control conversation, on one reliable stream: who the peers are, which scene, and how a session ends.
+//! The control conversation, on one reliable stream: it admits a client, transfers the scene and ends the session.
 //!
 //! ```text
 //! client                                    server
@@ -25,81 +25,70 @@ use crate::{
     wire::CodecId,
 };
 
-/// What a client says.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ClientMessage {
-    /// Opens the conversation. The version stands first, so that any version can read it.
+    /// Opens the conversation. The version comes first, so that any version can read it.
     Hello(Hello),
     /// Asks for the scene's bytes from `offset` on.
     FetchScene {
-        /// First byte wanted.
         offset: u64,
     },
     /// The client has the scene; frames may begin.
     Start,
-    /// To be answered by [`ServerMessage::Pong`] with the same number.
+    /// The server answers with [`ServerMessage::Pong`] and the same number.
     Ping(u64),
-    /// The client leaves.
     Bye,
 }
 
-/// A client's introduction.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Hello {
     /// [`crate::PROTOCOL_VERSION`] of the client.
     pub version: u16,
-    /// Bearer token, where the server wants one.
+    /// Bearer token, if the server requires one.
     pub token: Option<String>,
     /// Name and version of the client program, for the logs.
     pub client: String,
-    /// Width of the masks that it wants, in pixels.
+    /// Width of the requested masks, in pixels.
     pub width: u32,
-    /// Height of the masks that it wants, in pixels.
+    /// Height of the requested masks, in pixels.
     pub height: u32,
-    /// Codec that it wants.
     pub codec: CodecId,
-    /// Masks a second that it wants, at most; 0 for as many as it can get. The server plans with it.
+    /// Most masks a second that it wants; 0 for as many as possible. The server plans with it.
     pub rate_hz: u16,
-    /// Bits of a frame that may be wrong where that spares bytes, in parts of a million, at most
-    /// [`crate::limits::MAX_WRONG_PPM`]; 0 for none.
+    /// Bits of a frame that may be wrong to save bytes, in millionths, at most [`crate::limits::MAX_WRONG_PPM`]; 0 for
+    /// none.
     pub wrong_ppm: u16,
-    /// [`Welcome::resume`] of the session that this one goes on with, after its connection was lost.
+    /// [`Welcome::resume`] of the session to continue after its connection was lost.
     pub resume: Option<ResumeToken>,
 }
 
-/// What a server says.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ServerMessage {
-    /// The client is admitted.
     Welcome(Welcome),
     /// The client is not admitted; the connection ends.
     Refused(Refusal),
     /// Bytes of the packed scene.
     SceneChunk {
-        /// Place of the first byte.
         offset: u64,
         /// At most [`crate::limits::SCENE_CHUNK_BYTES`] bytes.
         bytes: Vec<u8>,
     },
     /// Answer to [`ClientMessage::Ping`].
     Pong(u64),
-    /// The server stops soon: look for another one.
+    /// The server stops soon: connect to another one.
     Draining {
-        /// Why.
         reason: String,
-        /// Time until it closes, in milliseconds.
+        /// Time until it closes.
         deadline_ms: u32,
-        /// URL of a server to go to, if one is configured.
+        /// URL of another server, if configured.
         alternative: Option<String>,
     },
     /// The session ends now.
     Closing {
-        /// Why.
         reason: String,
     },
 }
 
-/// A server's answer to an admitted client.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Welcome {
     /// The session's name in the server's logs.
@@ -110,54 +99,37 @@ pub struct Welcome {
     pub scene_bytes: u64,
     /// Lights of the scene: planes in each mask.
     pub lights: u32,
-    /// What traces: `compute on NVIDIA …`, `cpu, 8 threads, …`.
+    /// The tracer: `compute on NVIDIA …`, `cpu, 8 threads, …`.
     pub backend: String,
     /// Local port for poses and packets, on the lab transports only.
     pub data_port: Option<u16>,
-    /// With it, a client whose connection was lost takes its own place over.
+    /// Lets the client take its session over after its connection was lost.
     pub resume: ResumeToken,
 }
 
-/// Why a client is not admitted.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Error)]
 pub enum Refusal {
-    /// The peers speak different versions.
     #[error("the server speaks protocol version {server}, this client {client}: install matching versions")]
-    Version {
-        /// Version of the server.
-        server: u16,
-        /// Version of the client.
-        client: u16,
-    },
-    /// No token, or one that is not listed.
-    #[error("the server wants a token that it knows: pass --token or GNOMON_TOKEN")]
+    Version { server: u16, client: u16 },
+    #[error("the token is missing or unknown: pass --token or GNOMON_TOKEN")]
     Token,
-    /// All sessions are taken.
     #[error("the server is full ({sessions} sessions): try again in {retry_after_ms} ms")]
-    Full {
-        /// Sessions there are.
-        sessions: u32,
-        /// Time after which asking again makes sense, in milliseconds.
-        retry_after_ms: u32,
-    },
-    /// The size or the codec is not to be had.
+    Full { sessions: u32, retry_after_ms: u32 },
     #[error("the server cannot serve this: {0}")]
     Unsupported(String),
-    /// The server admits nobody any more.
     #[error("the server is draining: connect to another one")]
     Draining,
-    /// The sessions that are admitted leave too little of the server's time, or would be disturbed.
+    /// The admitted sessions leave too little of the server's time, or would be disturbed.
     #[error("the server is too busy ({reason}): try again in {retry_after_ms} ms")]
     Busy {
-        /// What there is too little of, with numbers.
+        /// What is scarce, with numbers.
         reason: String,
-        /// Time after which asking again makes sense, in milliseconds.
         retry_after_ms: u32,
     },
 }
 
 impl Refusal {
-    /// Time after which asking the same server again makes sense; `None` where it never does.
+    /// Returns how long to wait before asking the same server again; `None` if that is pointless.
     #[must_use]
     pub fn retry_after(&self) -> Option<Duration> {
         match self {
@@ -169,31 +141,21 @@ impl Refusal {
     }
 }
 
-/// Why bytes are no message.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum MessageError {
-    /// The length prefix exceeds the limit.
     #[error("a message of {0} bytes: at most {MAX_MESSAGE_BYTES} are allowed")]
     TooLong(u64),
-    /// A text or a chunk inside exceeds its limit.
     #[error("{field} has {bytes} bytes, at most {limit} are allowed")]
-    Text {
-        /// Name of the field.
-        field: &'static str,
-        /// Its length.
-        bytes: usize,
-        /// The most allowed.
-        limit: usize,
-    },
+    Text { field: &'static str, bytes: usize, limit: usize },
     /// The bytes do not decode, or some are left over.
     #[error("malformed message: {0}")]
     Malformed(String),
 }
 
-/// The message with its length prefix.
+/// Returns the message with its length prefix.
 ///
 /// # Errors
-/// When the message is longer than [`MAX_MESSAGE_BYTES`].
+/// If the message is longer than [`MAX_MESSAGE_BYTES`].
 pub fn encode<M: Serialize>(message: &M) -> Result<Vec<u8>, MessageError> {
     let mut bytes =
         postcard::to_extend(message, vec![0; 4]).map_err(|error| MessageError::Malformed(error.to_string()))?;
@@ -203,19 +165,19 @@ pub fn encode<M: Serialize>(message: &M) -> Result<Vec<u8>, MessageError> {
     Ok(bytes)
 }
 
-/// The length of the message that follows a prefix.
+/// Returns the length of the message that follows a prefix.
 ///
 /// # Errors
-/// When it exceeds [`MAX_MESSAGE_BYTES`].
+/// If it exceeds [`MAX_MESSAGE_BYTES`].
 pub fn decode_length(prefix: [u8; 4]) -> Result<usize, MessageError> {
     let length = u32::from_le_bytes(prefix) as usize;
     if length > MAX_MESSAGE_BYTES { Err(MessageError::TooLong(length as u64)) } else { Ok(length) }
 }
 
-/// A message from the bytes after its prefix, all of them.
+/// Returns a message from all the bytes after its prefix.
 ///
 /// # Errors
-/// When they are too many, are no message, or a text or a chunk in it is too long.
+/// If they are too many or malformed, or a text or a chunk is too long.
 pub fn decode<M: DeserializeOwned + CheckText>(bytes: &[u8]) -> Result<M, MessageError> {
     if bytes.len() > MAX_MESSAGE_BYTES {
         return Err(MessageError::TooLong(bytes.len() as u64));
@@ -230,7 +192,7 @@ pub fn decode<M: DeserializeOwned + CheckText>(bytes: &[u8]) -> Result<M, Messag
 /// Bounds on the texts and chunks inside a message.
 pub trait CheckText {
     /// # Errors
-    /// When a text or a chunk is too long.
+    /// If a text or a chunk is too long.
     fn check_text(&self) -> Result<(), MessageError>;
 }
 
@@ -344,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_is_all_of_its_bytes() {
+    fn truncated_and_overlong_messages_are_malformed() {
         let bytes = encode(&ClientMessage::Hello(hello())).unwrap();
         for length in 4..bytes.len() {
             let error = decode::<ClientMessage>(&bytes[4..length]).unwrap_err();

@@ -1,4 +1,4 @@
-//! What crosses the wire, byte by byte.
+//! The formats on the wire, byte by byte.
 
 pub mod acknowledgement;
 mod codec_id;
