@@ -11,7 +11,6 @@ use gnomon_lab::{
     },
 };
 
-/// Returns the only row with these values.
 fn only<'a>(table: &'a Table, wanted: &[(&str, &str)]) -> &'a [String] {
     let found: Vec<_> = table.rows.iter().filter(|row| wanted.iter().all(|(c, v)| table.text(row, c) == *v)).collect();
     assert_eq!(found.len(), 1, "rows {wanted:?}");

@@ -60,7 +60,6 @@ impl BackendName {
         }
     }
 
-    /// Opens the back end and traces one mask.
     pub fn mask(self, scene: &Scene, camera: &Camera) -> Result<Mask> {
         let lights = u32::try_from(scene.lights.len())?;
         let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, lights)?);

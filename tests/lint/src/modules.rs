@@ -20,7 +20,7 @@ pub(crate) struct Import {
 /// A file or an inline module.
 #[derive(Debug, Default)]
 pub(crate) struct Module {
-    /// An index into [`Crate::files`].
+    /// Index into [`Crate::files`].
     pub(crate) file: usize,
     pub(crate) parent: Option<usize>,
     pub(crate) children: HashMap<String, usize>,

@@ -19,7 +19,6 @@ pub struct Sources {
 }
 
 impl Sources {
-    /// Finds all sources below `folder`.
     pub fn find(folder: &Path) -> io::Result<Self> {
         let mut sources = Self::default();
         sources.walk(folder)?;

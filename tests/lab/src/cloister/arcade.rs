@@ -14,7 +14,6 @@ use super::mesh::Soup;
 use super::shapes::{bevelled, block, part, profile, shaped_lathe, smooth_profile};
 use super::sweep::{Ends, moulding};
 
-/// Pieces of half an arch.
 const ARCH_STEPS: usize = 10;
 /// Size of the plain stone texture, in metres.
 pub(crate) const STONE: f64 = 1.0;

@@ -9,7 +9,7 @@ use super::mesh::Soup;
 use super::shapes::{bevelled, part};
 use super::sweep::{Ends, circle, tube};
 
-/// Width and height of a banner, in metres.
+/// Width and height, in metres.
 const BANNER: (f64, f64) = (1.22, 1.62);
 
 /// A banner in the plane z = 0 that hangs from its rod at y = 0, its folds deepening downwards; its foot is a point.

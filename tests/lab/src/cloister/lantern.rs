@@ -56,7 +56,6 @@ pub(crate) fn iron() -> Soup {
     soup
 }
 
-/// Links between two heights.
 fn chain(from: f64, to: f64) -> Soup {
     let link = 0.066;
     let count = 12;

@@ -32,7 +32,6 @@ pub(crate) fn slab() -> Soup {
     prism(plan, high.map(|y| y - SLAB), high, [false, false, true, false]).box_mapped(1.0)
 }
 
-/// Ends of the rafters below the eave.
 pub(crate) fn rafters() -> Soup {
     let mut soup = Soup::default();
     for k in 0..27u8 {

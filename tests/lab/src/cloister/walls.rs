@@ -138,7 +138,6 @@ pub(crate) fn bell() -> Soup {
     soup
 }
 
-/// The timber that a bell hangs from.
 pub(crate) fn yoke() -> Soup {
     let mut soup = bevelled(DVec3::new(-0.47, -0.07, -0.07), DVec3::new(0.47, 0.08, 0.07), 0.015);
     soup.append(bevelled(DVec3::new(-0.10, -0.17, -0.04), DVec3::new(0.10, -0.06, 0.04), 0.01));

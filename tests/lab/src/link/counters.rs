@@ -1,5 +1,3 @@
-//! Counters that all tasks of a link share.
-
 use std::{
     ops::AddAssign,
     sync::{Arc, Mutex, PoisonError},

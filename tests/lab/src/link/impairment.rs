@@ -36,7 +36,6 @@ pub struct Counts {
     pub lost: u64,
     /// Lost in the bad state of a bursty channel.
     pub burst_lost: u64,
-    /// Dropped because the bottleneck's queue was full.
     pub queue_dropped: u64,
     pub outage: u64,
     /// Delivered with a flipped bit.
@@ -84,7 +83,6 @@ struct Chances {
 pub struct Impairment {
     settings: Settings,
     seed: u64,
-    /// Number of the next datagram.
     index: u64,
     /// True while the bursty channel is in its bad state.
     bad: bool,

@@ -31,7 +31,7 @@ pub enum TraceError {
     Empty(String),
 }
 
-/// Network conditions from `time` on.
+/// Valid from `time` on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moment {
     pub time: Duration,

@@ -15,7 +15,7 @@ use super::{
 const MAX_CLIENTS: usize = 64;
 /// Most datagrams of a client that wait for its link.
 const WAITING_DATAGRAMS: usize = 1024;
-/// Pause after a socket error.
+/// After a socket error.
 pub(super) const BREATH: Duration = Duration::from_millis(1);
 
 /// Listens on `listen` (port 0 takes a free one) and relays to `server`. The nth client's link has the seed plus n.

@@ -12,7 +12,6 @@ use tempfile::TempDir;
 
 const ERRORS: &str = "errors";
 
-/// Print errors only.
 pub const QUIET: [&str; 4] = ["-hide_banner", "-nostats", "-loglevel", "error"];
 
 /// Dropping it kills the process.

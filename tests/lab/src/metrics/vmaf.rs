@@ -76,7 +76,6 @@ impl Vmaf {
         Ok(())
     }
 
-    /// Returns the mean over all frames.
     pub fn finish(mut self) -> Result<f64> {
         self.ffmpeg.finish()?;
         let log = fs::read_to_string(self.ffmpeg.folder().join(LOG)).context("reading libvmaf's log")?;

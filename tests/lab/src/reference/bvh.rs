@@ -32,7 +32,7 @@ impl Bounds {
         size.x * size.y + size.y * size.z + size.z * size.x
     }
 
-    /// Distances at which the ray enters and leaves.
+    /// Returns where the ray enters and leaves.
     fn cross(&self, ray: &Ray) -> (f64, f64) {
         // 0·∞ is NaN if the ray runs inside a face; f64 `min` and `max` then return the other argument.
         let (a, b) = ((self.min - ray.origin) * ray.inverse, (self.max - ray.origin) * ray.inverse);

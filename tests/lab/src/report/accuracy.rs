@@ -178,7 +178,6 @@ impl Judged {
         Ok(Self { scene, cameras, truths })
     }
 
-    /// Returns one mask per camera.
     pub fn masks(&self, backend: BackendName) -> Result<Vec<Mask>> {
         let mut trace = backend.open(&self.scene)?;
         let lights = u32::try_from(self.scene.lights.len())?;

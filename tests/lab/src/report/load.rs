@@ -59,7 +59,7 @@ pub struct LoadReport {
     pub response_ms_p99: Option<f64>,
     /// Mean size of an encoded mask, in bytes.
     pub payload_bytes_mean: f64,
-    /// Mean packets per mask.
+    /// Per mask.
     pub packets_mean: f64,
 }
 

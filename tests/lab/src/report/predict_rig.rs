@@ -53,7 +53,7 @@ impl PredictRig {
         Ok(mask)
     }
 
-    /// Returns the renderer's picture without lag.
+    /// Without lag.
     pub(super) fn true_picture(&mut self, camera: &Camera) -> Result<RgbImage> {
         let mask = self.trace(camera)?;
         Ok(self.draw(camera, Predictor::None, Some((&mask, camera)))?.0)

@@ -5,9 +5,9 @@ use serde::Deserialize;
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub(super) struct Shown {
-    /// Time since the first frame, in milliseconds.
+    /// Since the first frame.
     pub(super) t_ms: f64,
     pub(super) state: State,
-    /// Age of the mask, in frames.
+    /// In frames.
     pub(super) lag: Option<u32>,
 }

@@ -27,7 +27,6 @@ pub struct TraceErrorOptions {
     pub pictures: bool,
 }
 
-/// Reports each comparison to `progress`.
 pub fn compare(options: &TraceErrorOptions, mut progress: impl FnMut(&str)) -> Result<()> {
     let scene = options.scene.load_scene()?;
     let path = options.scene.load_path()?;

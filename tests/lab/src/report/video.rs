@@ -256,7 +256,6 @@ impl<'a> Bench<'a> {
         Ok(options.codecs.iter().zip(bytes).map(row).collect())
     }
 
-    /// Measures the client without a server.
     fn without_server(&mut self) -> Result<Row> {
         let mut shown = Vec::new();
         for frame in self.first..self.first + self.options.scene.frames {

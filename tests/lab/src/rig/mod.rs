@@ -97,7 +97,7 @@ pub struct ClientJob<'a> {
     pub path: OsString,
     pub frames: u32,
     pub size: (u32, u32),
-    /// Folder for summary, statistics and saved masks.
+    /// For summary, statistics and saved masks.
     pub folder: &'a Path,
     pub save_masks: bool,
     pub arguments: Vec<OsString>,

@@ -99,7 +99,7 @@ impl Program {
         self.child.id()
     }
 
-    /// Returns standard output and standard error so far.
+    /// Standard output and standard error so far.
     pub fn said(&self) -> Result<[String; 2]> {
         let read = |which: &str| {
             let bytes = fs::read(self.folder.path().join(which)).with_context(|| format!("reading {which}"))?;
@@ -168,7 +168,6 @@ impl Drop for Program {
 }
 
 impl Outcome {
-    /// Errors unless the program succeeded.
     pub fn success(self) -> Result<Self> {
         ensure!(self.status.success(), "a child ended with {}:\n{}{}", self.status, self.stdout, self.stderr);
         Ok(self)

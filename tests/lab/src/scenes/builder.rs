@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use gnomon_scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
 
-/// Collects triangles, grouped by material.
+/// Groups triangles by material.
 #[derive(Debug)]
 pub struct SceneBuilder {
     scene: Scene,

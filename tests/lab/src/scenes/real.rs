@@ -26,7 +26,6 @@ const fn scene(name: &'static str, file: &'static str, lights_from_json: bool) -
     RealScene { name, file, lights_from_json, stops: START_AND_3_S }
 }
 
-/// Scenes that masks are judged on.
 pub const JUDGED: [RealScene; 6] = [
     RealScene {
         stops: &[(Some("A_atrium_dolly"), 0.0), (Some("B_corner_into_aisle"), 3.5)],
@@ -92,7 +91,6 @@ impl RealScene {
         self.stops_in(&folder()?)
     }
 
-    /// `folder` is the folder of scenes.
     pub fn stops_in(&self, folder: &Path) -> Result<Vec<Stop>> {
         let json = self.json_in(folder);
         self.stops.iter().map(|&(name, time_s)| stop(&json, name, time_s)).collect()

@@ -60,7 +60,6 @@ fn byte(value: f64) -> u8 {
     (value * 255.0).round().clamp(0.0, 255.0) as u8
 }
 
-/// The lattice cell of a coordinate.
 #[expect(clippy::cast_possible_truncation, reason = "pictures have far fewer than 2^63 cells")]
 pub(crate) fn whole(value: f64) -> i64 {
     value.floor() as i64

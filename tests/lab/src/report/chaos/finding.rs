@@ -1,4 +1,3 @@
-/// A promise and its measurement.
 #[derive(Debug, Clone)]
 pub struct Finding {
     pub goal: String,

@@ -41,7 +41,6 @@ pub struct ServerArgs {
 }
 
 impl ServerArgs {
-    /// Starts the server with further arguments.
     pub(super) fn start(&self, more: &[&str]) -> Result<ServerProcess> {
         let mut arguments: Vec<std::ffi::OsString> = vec!["--backend".into(), (&self.backend).into()];
         arguments.extend(["--device-budget-ms".into(), self.device_budget_ms.to_string().into()]);

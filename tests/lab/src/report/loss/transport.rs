@@ -115,7 +115,7 @@ fn sent(log: &str) -> Result<BTreeMap<u32, Sent>> {
     Ok(frames)
 }
 
-/// Reads the last report of each frame.
+/// Reads each frame's last report.
 fn received(text: &str) -> Result<BTreeMap<u32, Received>> {
     let line = |line: &str| {
         let numbers: Vec<u64> = line.split(' ').map(str::parse).collect::<Result<_, _>>()?;

@@ -41,7 +41,6 @@ impl Verdict {
         -10.0 * (self.square / f64::from(self.pictures)).log10()
     }
 
-    /// Mean FLIP over the pictures.
     pub(super) fn flip(&self) -> f64 {
         self.flip / f64::from(self.pictures)
     }

@@ -48,7 +48,6 @@ struct Knob<'a> {
 }
 
 impl<'a> Bench<'a> {
-    /// Starts the client's renderer and traces the reference.
     pub(super) fn new(
         name: &'a str,
         scene: &'a Scene,

@@ -34,7 +34,6 @@ pub(super) struct Traced {
     pub(super) ms: f64,
     /// Camera rays and shadow rays.
     pub(super) rays: u64,
-    /// Size of the encoded mask.
     pub(super) bytes: u64,
 }
 
@@ -109,7 +108,6 @@ pub(super) fn automatic(scene: &Scene) -> &'static str {
     }
 }
 
-/// How long a measurement takes samples.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Patience {
     pub(super) samples: usize,

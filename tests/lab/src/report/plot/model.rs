@@ -54,7 +54,7 @@ pub struct Plot {
     pub title: String,
     pub x: Axis,
     pub y: Axis,
-    /// A series' index selects its colour and mark.
+    /// The index selects colour and mark.
     pub series: Vec<Series>,
     pub front: Option<Front>,
 }

@@ -35,7 +35,7 @@ impl VideoCodec {
         }
     }
 
-    /// Allow no key frames but the first.
+    /// Allows no key frames but the first.
     fn arguments(self) -> [&'static str; 2] {
         match self {
             Self::X264 => ["-x264-params", "keyint=infinite:scenecut=0"],
