@@ -1,4 +1,4 @@
-//! Frames that are shared out to several cores: the same bytes and bits as on one.
+//! Frames coded on several cores: the same bytes and bits as on one.
 
 #![allow(clippy::unwrap_used, reason = "helpers outside the test functions use these too")]
 
@@ -31,7 +31,7 @@ fn grains(shape: MaskShape, moved: u32) -> Mask {
 }
 
 #[test]
-fn any_number_of_cores_gives_the_same() {
+fn frames_are_the_same_on_any_number_of_cores() {
     let shape = MaskShape::new(1000, 520, 3).unwrap();
     let (before, sent) = (grains(shape, 0), grains(shape, 7));
     let (mut reference, mut body) = (Reference::new(), EncodedFrame::default());

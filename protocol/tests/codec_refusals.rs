@@ -1,4 +1,4 @@
-//! What is not exactly one frame is refused, before memory is taken where that can be told.
+//! Anything but exactly one frame is refused, if possible before memory is taken.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -41,7 +41,7 @@ fn a_slice_longer_than_its_raw_bytes_is_refused() {
     }
 }
 
-/// 33 MB of mask asked for by a handful of bytes: refused before the mask grows.
+/// 33 MB of mask demanded by a handful of bytes: refused before the mask grows.
 #[test]
 fn a_slice_too_short_for_its_raw_bytes_takes_no_memory() {
     for codec in [1, 2] {
@@ -51,7 +51,7 @@ fn a_slice_too_short_for_its_raw_bytes_takes_no_memory() {
     }
 }
 
-/// 8×8 pixels and 20 lights as planes are 160 raw bytes. `0x1F 0 1 0 n` and a last token stand for 20 + n zero bytes.
+/// 8×8 pixels and 20 lights are 160 raw bytes of planes. `0x1F 0 1 0 n` and a last token encode 20 + n zero bytes.
 #[test]
 fn blocks_that_do_not_give_the_raw_bytes_are_refused() {
     let planes = |slice: &[u8]| decode(&body(2, (8, 8, 20), slice)).0;
@@ -83,7 +83,7 @@ fn words_with_bits_of_other_lights_are_refused() {
 
 #[test]
 fn tiles_with_bits_outside_the_picture_are_refused() {
-    // 9×9 pixels: four tiles a light, and inside the picture only 1 column, 1 row or 1 pixel of the outer ones.
+    // 9×9 pixels: four tiles a light. Only 1 column, 1 row or 1 pixel of the outer ones lies inside the picture.
     let allowed: [u64; 4] = [u64::MAX, 0x0101_0101_0101_0101, 0xFF, 1];
     let planes = |tiles: [u64; 8]| body(2, (9, 9, 2), &tiles.map(u64::to_le_bytes).concat());
     let full = [allowed, allowed].concat().try_into().unwrap();
@@ -132,7 +132,7 @@ fn slices_that_do_not_cover_the_blocks_in_order_take_no_memory() {
     }
 }
 
-/// Every slice that an encoder makes decodes, and none does with a byte more; most do not with a byte less.
+/// Every slice of an encoder decodes. With nine bytes more, or nine or more fewer, it is refused.
 #[test]
 fn slices_with_too_few_or_too_many_bits_are_refused() {
     let mut mask = Mask::new(MaskShape::new(200, 20, 3).unwrap());
@@ -156,13 +156,13 @@ fn slices_with_too_few_or_too_many_bits_are_refused() {
 }
 
 #[test]
-fn parts_that_are_not_of_one_frame_are_refused() {
+fn parts_of_different_frames_are_refused() {
     let part = |codec, first| body(codec, (200, 20, 3), &[first, 0, 0, 18, 0]);
     let mixed = [part(3, 0), part(4, 18)].concat();
     assert!(matches!(error(&mixed), DecodeError::Frame(FrameError::Parts)));
     let cut = &[part(3, 0), part(3, 18)].concat()[..20];
     assert!(matches!(error(cut), DecodeError::Frame(FrameError::TooShort { needed: 8, found: 3 })));
-    // Onto a mask of another shape, or where there are no parts.
+    // Decoded onto a mask of another shape, or without parts.
     let mut mask = Mask::new(MaskShape::new(200, 21, 3).unwrap());
     let mut onto = |body: &[u8]| Decoder::new().decode_onto(None, body, &mut mask);
     assert!(matches!(onto(&part(3, 0)), Err(DecodeError::NoParts)));
@@ -170,7 +170,7 @@ fn parts_that_are_not_of_one_frame_are_refused() {
 }
 
 #[test]
-fn what_is_no_frame_is_refused() {
+fn malformed_frames_are_refused() {
     assert!(matches!(error(&[]), DecodeError::Frame(FrameError::TooShort { needed: 8, found: 0 })));
     assert!(matches!(error(&body(9, (8, 8, 1), &[0; 8])), DecodeError::Frame(FrameError::Codec(9))));
     let long = [&body(0, (1, 1, 1), &[0; 4])[..], &[0]].concat();

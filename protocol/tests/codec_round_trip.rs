@@ -1,4 +1,4 @@
-//! Whatever a mask holds, each codec gives it back bit by bit, in any number of slices.
+//! Each codec round-trips any mask bit by bit, in any number of slices.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -18,13 +18,13 @@ use proptest::prelude::*;
 
 use crate::common::Random;
 
-/// How the bits of a test mask come about.
+/// The pattern of a test mask's bits.
 #[derive(Debug, Clone, Copy)]
 enum Pattern {
     Noise,
     AllDark,
     AllLit,
-    /// One disc of shadow a light: long runs with curved edges, as real masks have.
+    /// One disc of shadow for each light: long runs with curved edges, as in real masks.
     Discs,
     Checkers,
 }
@@ -78,14 +78,15 @@ proptest! {
         let shape = MaskShape::new(width, height, lights).unwrap();
         let sent = mask(shape, pattern, seed);
         let (mut decoder, mut body) = (Decoder::new(), EncodedFrame::from(vec![1, 2, 3]));
-        // A mask of another shape, with bits set: nothing of it may shine through.
+        // A mask of another shape with bits set, none of which may survive.
         let mut received = mask(MaskShape::new(9, 17, 2).unwrap(), Pattern::AllLit, 0);
         for codec in CodecId::ALL {
-            let mut encoder = Encoder::with_slices(codec, NonZeroU16::new(slices).unwrap()).for_packets_of(packet_bytes);
+            let count = NonZeroU16::new(slices).unwrap();
+            let mut encoder = Encoder::with_slices(codec, count).for_packets_of(packet_bytes);
             encoder.encode(&sent, &mut body).unwrap();
             let frame = Frame::parse(&body).unwrap();
             if codec.is_sliced() {
-                // A block of noise takes up to 1 KiB, and is never cut.
+                // A block of noise takes up to 1 KiB, and is never split.
                 let room = packet_bytes.saturating_sub(HEADER_BYTES).max(1024 + FRAME_HEAD_BYTES + 4);
                 prop_assert!(body.payloads(room).all(|part| part.len() <= room && Frame::parts(part).count() == 1));
             } else {
@@ -96,7 +97,7 @@ proptest! {
         }
     }
 
-    /// The parts of a sliced frame that come, in whatever order, change their own tiles and no others.
+    /// The parts of a sliced frame that arrive, in any order, change their own tiles and no others.
     #[test]
     fn each_part_stands_alone(
         (width, height, lights) in (1u32..=300, 1u32..=150, 1u32..=5),
@@ -124,7 +125,7 @@ proptest! {
         }
     }
 
-    /// The words on the wire are the dissertation's: bit k of pixel p's word is light k (§3.1).
+    /// The words on the wire are the dissertation's: light k is bit k of the pixel's word (§3.1).
     #[test]
     fn words_hold_light_k_in_bit_k(
         (width, height, lights) in (1u32..=40, 1u32..=40, 1u32..=32),
@@ -147,7 +148,7 @@ proptest! {
 }
 
 #[test]
-fn bits_outside_the_picture_do_not_travel() {
+fn bits_outside_the_picture_are_not_sent() {
     let shape = MaskShape::new(13, 9, 2).unwrap();
     let clean = mask(shape, Pattern::AllLit, 0);
     let mut dirty = clean.clone();
@@ -171,7 +172,7 @@ fn the_largest_masks_fit_a_frame() {
         let mut sent = Mask::new(shape);
         let mut random = Random(7);
         let (mut body, mut received) = (EncodedFrame::default(), Mask::new(shape));
-        // Noise in the upper half: as long as LZ4 can make it there, and short below.
+        // Noise in the upper half, as long as LZ4 can make it; short below.
         let words = shape.words();
         sent.words_mut()[..words / 2].fill_with(|| random.next());
         let clean = {
@@ -186,7 +187,7 @@ fn the_largest_masks_fit_a_frame() {
             Decoder::new().decode(&body, &mut received).unwrap();
             assert!(received == clean, "{codec}");
         }
-        // In parts of a datagram each, with less noise: it takes them long.
+        // In parts of one datagram each; with less noise, which is slow to code this way.
         sent.words_mut()[words / 32..].fill(u64::MAX);
         Encoder::new(CodecId::Words).encode(&sent, &mut body).unwrap();
         Decoder::new().decode(&body, &mut received).unwrap();

@@ -1,5 +1,5 @@
 //! The delay-based controller on a simulated path: a bottleneck with a queue, a propagation delay and random loss.
-//! Deterministic: time is counted in µs, randomness is seeded.
+//! Deterministic: time is counted in µs, and randomness is seeded.
 
 mod common;
 
@@ -23,19 +23,18 @@ const WINDOW_BYTES: u64 = 4 * FRAME_BYTES;
 struct Path {
     bits_per_s: u64,
     round_trip_us: u64,
-    /// The queue in front of the bottleneck holds this much.
+    /// Capacity of the queue before the bottleneck.
     queue_us: u64,
     loss_per_mille: u64,
-    /// Each acknowledgement comes up to this much later than it could.
+    /// Largest random delay of an acknowledgement.
     jitter_us: u64,
 }
 
-/// What a sender has to send.
 #[derive(Debug, Clone, Copy)]
 enum Source {
-    /// As much as it may.
+    /// As much as the window allows.
     Greedy,
-    /// Frames at 60 Hz, each left out unless a buffer of 1.6 frames has room for all of it.
+    /// Frames at 60 Hz. Skips those that do not fit a buffer of 1.6 frames.
     Frames,
     /// Frames at 60 Hz, each cut down to its budget.
     Budgeted,
@@ -54,9 +53,9 @@ struct Sender {
     source: Source,
     backlog_bytes: u64,
     next_frame_us: u64,
-    /// When the frame that waits was made.
+    /// When the waiting frame was made.
     made_us: u64,
-    /// Whether its last frame was cut.
+    /// True if its last frame was cut.
     held_back: bool,
     next_send_us: u64,
     smoothed_us: Option<u64>,
@@ -64,15 +63,15 @@ struct Sender {
     report: Report,
 }
 
-/// What happened after the first quarter of the time.
+/// Measurements after the first quarter of the time.
 #[derive(Debug, Default)]
 struct Report {
     delivered_bytes: u64,
     tail_drops: u64,
-    /// From the very beginning.
+    /// From the very start.
     all_drops: u64,
     queued_us: Vec<u64>,
-    /// From a budgeted frame's making until its last datagram leaves the queue, and its bytes.
+    /// Time from making a budgeted frame until its last datagram leaves the queue, and its bytes.
     frames: Vec<(u64, u64)>,
     windows: Vec<u64>,
 }
@@ -84,7 +83,7 @@ impl Report {
         sorted[(sorted.len() - 1) * per_mille / 1000] / 1000
     }
 
-    /// Share of the path's rate that arrived, in per cent, over `seconds`.
+    /// Returns the share of the path's rate that arrived over `seconds`, in per cent.
     fn used_percent(&self, path: Path, seconds: u64) -> u64 {
         self.delivered_bytes * 8 * 100 / (path.bits_per_s * seconds)
     }
@@ -92,7 +91,7 @@ impl Report {
 
 impl Sender {
     fn new(source: Source) -> Self {
-        // Frames that are cut make do with less at the start.
+        // Frames that are cut start with a smaller window.
         let window_bytes = if matches!(source, Source::Budgeted) { 64 * 1024 } else { WINDOW_BYTES };
         Self {
             controller: DelayController::new(window_bytes, 1200),
@@ -144,7 +143,7 @@ impl Sender {
             && in_flight + DATAGRAM_BYTES <= self.controller.window_bytes()
     }
 
-    /// Quinn's pacing: window over round trip, and a quarter more.
+    /// Quinn's pacing: window over round trip, times 5/4.
     fn pace(&mut self, now_us: u64) {
         self.backlog_bytes -= DATAGRAM_BYTES;
         let round_trip_us = self.smoothed_us.unwrap_or(0);
@@ -187,7 +186,7 @@ fn run(mut path: Path, sources: &[Source], seconds: u64, change: impl Fn(u64, &m
             sender.receive(start, now_us, measuring);
             sender.produce(now_us);
         }
-        // Whoever may send, in turn, so that nobody is always first.
+        // Senders take turns, so that none is always first.
         while let Some(sender) = {
             senders.rotate_left(1);
             senders.iter_mut().find(|sender| sender.may_send(now_us))
@@ -210,7 +209,7 @@ fn run(mut path: Path, sources: &[Source], seconds: u64, change: impl Fn(u64, &m
             sender.in_flight.insert(place, InFlight { sent_us: now_us, back_us, queued_us, lost });
         }
     }
-    // Rotation has mixed the senders; which is which does not matter, as they are reported by source.
+    // Rotation has shuffled the senders. All have the same source, so their order does not matter.
     senders.into_iter().map(|sender| sender.report).collect()
 }
 
@@ -222,7 +221,7 @@ const WIDE: Path =
     Path { bits_per_s: 500_000_000, round_trip_us: 40_000, queue_us: 100_000, loss_per_mille: 0, jitter_us: 0 };
 const NARROW: Path = Path { bits_per_s: 30_000_000, ..WIDE };
 
-/// A random loss below 10 % is no congestion: the window only grows. (Quinn's own controllers collapse at 1 %.)
+/// Random loss below 10 % is not congestion: the window only grows. (Quinn's own controllers collapse at 1 %.)
 #[test]
 fn a_little_loss_does_not_shrink_the_window() {
     for (loss_per_mille, least_percent) in [(0, 98), (10, 97), (50, 93)] {
@@ -235,14 +234,14 @@ fn a_little_loss_does_not_shrink_the_window() {
     }
 }
 
-/// So that the test above can fail.
+/// Proves that the test above can fail.
 #[test]
 fn much_loss_shrinks_the_window() {
     let report = one(Path { loss_per_mille: 200, ..WIDE }, Source::Frames, 20);
     assert!(*report.windows.iter().max().unwrap() < WINDOW_BYTES / 2);
 }
 
-/// 49 Mbit/s of frames and more than that through 30 Mbit/s: the window starts four times too large.
+/// Sources of 49 Mbit/s and more through 30 Mbit/s: the initial window is four times too large.
 #[test]
 fn a_bottleneck_is_used_and_its_queue_kept_near_the_target() {
     for round_trip_us in [1_000, 5_000, 40_000, 100_000] {
@@ -259,9 +258,9 @@ fn a_bottleneck_is_used_and_its_queue_kept_near_the_target() {
     }
 }
 
-/// Frames that want 48 Mbit/s, each cut down to its budget, through 10 Mbit/s and a queue of 100 ms: nothing is ever
-/// dropped, what is there is used, and a frame's last datagram is through the queue three frames after it was made, 99
-/// times of 100: one frame is what it takes by itself, and the controller lets a queue of 12 ms stand.
+/// Frames of 48 Mbit/s, each cut to its budget, through 10 Mbit/s and a queue of 100 ms. Nothing is dropped, the path
+/// is used, and 99 % of frames leave the queue within three frame times: a frame alone takes one, and the controller
+/// allows a standing queue of 12 ms.
 #[test]
 fn budgeted_frames_neither_wait_nor_overflow() {
     for (bits_per_s, loss_per_mille) in [(10_000_000, 0), (10_000_000, 10), (20_000_000, 0)] {
@@ -279,7 +278,7 @@ fn budgeted_frames_neither_wait_nor_overflow() {
     }
 }
 
-/// A standing queue must not become the base (rule 6): not after two minutes either.
+/// A standing queue must not become the base (rule 6), even after two minutes.
 #[test]
 fn the_queue_does_not_creep_up() {
     for round_trip_us in [1_000, 40_000] {
@@ -290,7 +289,7 @@ fn the_queue_does_not_creep_up() {
 }
 
 #[test]
-fn jitter_is_no_queue() {
+fn jitter_does_not_count_as_a_queue() {
     for jitter_us in [10_000, 30_000, 60_000] {
         let path = Path { jitter_us, ..WIDE };
         let report = one(path, Source::Frames, 20);
@@ -310,14 +309,14 @@ fn a_longer_route_is_learnt() {
             path.round_trip_us = 100_000;
         }
     };
-    // Measured from 30 s on.
+    // Measured after the first 30 s.
     let report = &run(NARROW, &[Source::Greedy], 120, longer)[0];
     let used = report.used_percent(NARROW, 90);
     assert!(used >= 90, "{used} % used");
 }
 
 #[test]
-fn two_of_a_kind_share_a_path() {
+fn two_senders_share_a_path() {
     let reports = run(NARROW, &[Source::Greedy; 2], 60, |_, _| {});
     let used: Vec<_> = reports.iter().map(|report| report.used_percent(NARROW, 45)).collect();
     assert!(used.iter().all(|percent| *percent >= 35), "{used:?} %");

@@ -1,5 +1,4 @@
-//! Parity: any n of a frame's n + m packets are enough, wrong parity never changes what has come, and memory is
-//! bounded.
+//! Parity: any n of a frame's n + m packets restore it, wrong parity never changes what arrived, and memory is bounded.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -19,7 +18,7 @@ use proptest::prelude::*;
 
 use crate::common::Random;
 
-/// What the packets of a frame carry, and all that are sent: n packets, and then their parity.
+/// A frame's payloads, and all its packets: n packets, then their parity.
 struct Sent {
     number: u32,
     payloads: Vec<Vec<u8>>,
@@ -32,7 +31,7 @@ impl Sent {
     }
 }
 
-/// Frames of up to `most` packets with up to eight parity packets each, of noise.
+/// Frames of noise, of up to `most` packets, with up to eight parity packets each.
 fn stream(frames: u32, most: usize, random: &mut Random) -> Vec<Sent> {
     let (mut packetizer, mut encoder) = (Packetizer::new(40), ParityEncoder::default());
     let frame = |number: u32| {
@@ -47,12 +46,12 @@ fn stream(frames: u32, most: usize, random: &mut Random) -> Vec<Sent> {
     (0..frames).map(frame).collect()
 }
 
-/// A frame's number, packets that came or were put together, those put together, those missing, and its body.
+/// A frame's number, its packets arrived or restored, restored, and missing, and its body.
 fn owned(frame: CompleteFrame<'_>) -> (u32, u16, u16, u16, Vec<u8>) {
     (frame.frame.0, frame.packets, frame.restored, frame.missing, frame.body.to_vec())
 }
 
-/// The packets of a frame that arrive, by their places, in some order, some twice.
+/// Indices of a frame's packets that arrive, in random order, some twice.
 fn arrivals(sent: &Sent, loss: u64, random: &mut Random) -> Vec<usize> {
     let mut arrived: Vec<usize> = (0..sent.packets.len()).filter(|_| !random.one_in(loss)).collect();
     for place in 0..arrived.len() {
@@ -69,7 +68,9 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn as_many_packets_as_a_frame_has_are_enough(frames in 1u32..8, most in 1usize..14, loss in 2u64..12, seed in any::<u64>()) {
+    fn any_n_packets_restore_a_frame(
+        frames in 1u32..8, most in 1usize..14, loss in 2u64..12, seed in any::<u64>()
+    ) {
         let mut random = Random(seed);
         let mut reassembler = Reassembler::new(Policy::Slices);
         let mut restored = 0;
@@ -114,7 +115,9 @@ proptest! {
     }
 
     #[test]
-    fn wrong_parity_changes_nothing_that_has_come(frames in 1u32..8, most in 1usize..14, loss in 2u64..12, seed in any::<u64>()) {
+    fn wrong_parity_changes_no_arrived_packet(
+        frames in 1u32..8, most in 1usize..14, loss in 2u64..12, seed in any::<u64>()
+    ) {
         let mut random = Random(seed);
         let mut reassembler = Reassembler::new(Policy::Slices);
         for sent in stream(frames, most, &mut random) {
@@ -123,9 +126,10 @@ proptest! {
                 let mut packet = sent.packets[place].to_vec();
                 let parity = place >= sent.data();
                 if parity {
-                    // Sequence number, timestamp, or data; the frame is the same.
+                    // Changes sequence number, timestamp, or data, but not the frame number.
                     for _ in 0..=random.index(3) {
-                        let places = [random.index(4), 12 + random.index(4), HEADER_BYTES + random.index(packet.len() - HEADER_BYTES)];
+                        let data_bytes = packet.len() - HEADER_BYTES;
+                        let places = [random.index(4), 12 + random.index(4), HEADER_BYTES + random.index(data_bytes)];
                         packet[places[random.index(3)]] ^= 1 << random.below(8);
                     }
                 }
@@ -148,7 +152,7 @@ proptest! {
     }
 }
 
-/// A frame of one packet whose only packet is lost, a large frame, and lengths that are odd and even.
+/// A frame with one packet, which is lost; a large frame; odd and even lengths.
 #[test]
 fn the_smallest_and_the_largest_frames_have_parity() {
     for (packets, parity, last) in [(1, 1, 1), (1, 1, 2), (1, 5, 1000), (MAX_PROTECTED_PACKETS, 255, 7)] {
@@ -173,13 +177,13 @@ fn the_smallest_and_the_largest_frames_have_parity() {
             frame.body.split_at(body.len() - honest[..lost].iter().map(|one| one.len() - 16).sum::<usize>());
         assert!([restored, came].concat() == body.body());
     }
-    // Beyond the bound there is none.
+    // Beyond the limit there is no parity.
     let body = EncodedFrame::from(vec![1; (MAX_PROTECTED_PACKETS + 1) * 8]);
     assert_eq!(ParityEncoder::default().encode(body.payloads(8), 5).count(), 0);
 }
 
 #[test]
-fn parity_that_is_none_is_refused() {
+fn malformed_parity_is_refused() {
     let mut packetizer = Packetizer::new(40);
     let body = EncodedFrame::from(vec![7; 60]);
     let honest: Vec<Bytes> = packetizer.packets(FrameNumber(3), 9, &body).unwrap().collect();
@@ -201,7 +205,7 @@ fn parity_that_is_none_is_refused() {
     }
     assert_eq!(reassembler.push(&parity[1]), Ok(Progress::Stored));
     assert_eq!(reassembler.push(&honest[2]), Ok(Progress::Complete));
-    // Under the other policy it is no packet of a frame.
+    // Under the other policy it is not a frame packet.
     let mut whole = Reassembler::new(Policy::WholeFrame);
     assert!(matches!(whole.push(&parity[0]), Err(PacketError::Placeholder { .. })));
     let header = PacketHeader::decode(&parity[1]).unwrap().0;

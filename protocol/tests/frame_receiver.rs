@@ -1,4 +1,4 @@
-//! The receiver, datagram by datagram: deadlines, repeated and unrequested frames, frames in part, and bad bodies.
+//! The receiver, datagram by datagram: deadlines, repeated and unrequested frames, partial frames, and bad bodies.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -37,7 +37,6 @@ fn disc(shape: MaskShape, step: u32) -> Mask {
     mask
 }
 
-/// The server's side.
 struct Server {
     encoder: Encoder,
     references: SentMasks,
@@ -104,7 +103,7 @@ impl Client {
         Some(Delivered { frame: frame.frame.0, packets, missing, is_whole: frame.is_whole })
     }
 
-    /// Pushes all packets at one moment and polls after each.
+    /// Pushes all packets at one moment, and polls after each.
     fn deliver<'a>(&mut self, ms: u64, packets: impl IntoIterator<Item = &'a Bytes>) -> Vec<Delivered> {
         packets
             .into_iter()
@@ -122,7 +121,7 @@ impl Client {
         self.poll()
     }
 
-    /// Asserts that every place that has arrived is that of `sent`.
+    /// Asserts that every arrived place equals that of `sent`.
     fn assert_covered(&self, sent: &Mask) {
         let shape = sent.shape();
         assert_eq!((self.mask.shape(), self.coverage.shape()), (shape, shape));
@@ -161,7 +160,7 @@ fn a_partial_frame_is_delivered_at_its_deadline_and_again_when_it_is_whole() {
     let counters = client.receiver.counters();
     assert_eq!(counters, ReceiverCounters { partial: 1, ..ReceiverCounters::default() });
 
-    // A late packet is delivered at a deadline of its own; the last one completes the frame.
+    // A late packet is delivered at its own deadline; the last one completes the frame.
     assert_eq!(client.deliver(100, &packets[..1]), []);
     assert_eq!(client.time_out().unwrap().missing, 1);
     let whole = Delivered { frame: 0, packets: count, missing: 0, is_whole: true };
@@ -174,7 +173,7 @@ fn a_partial_frame_is_delivered_at_its_deadline_and_again_when_it_is_whole() {
     let acknowledged = client.receiver.poll_acknowledgement().unwrap();
     assert_eq!(acknowledged.mask.unwrap().frame, FrameNumber(0));
 
-    // A newer frame ends one in part, and is coded against the acknowledged one.
+    // A newer frame ends a partial one, and is coded against the acknowledged one.
     server.references.acknowledge(acknowledged);
     let [next, sent] = [disc(shape(), 1), disc(shape(), 2)];
     let packets = server.send(1, &next);
@@ -223,7 +222,7 @@ fn a_frame_that_is_requested_again_may_arrive_again() {
         assert_eq!(client.push(3, &again[1]), old, "the second attempt begins with a first packet");
         let delivered = client.deliver(4, &again);
         assert_eq!((delivered.len(), delivered[0].frame, delivered[0].is_whole), (1, 3, true), "{policy:?}");
-        // Both frames that were begun before are counted as incomplete.
+        // Both frames begun before count as incomplete.
         assert_eq!(client.receiver.counters().incomplete, if policy == Policy::Slices { 1 } else { 2 });
 
         // A first attempt that has arrived is kept, unless its mask was refused.
@@ -248,12 +247,12 @@ fn losses_are_signalled_once() {
 }
 
 #[test]
-fn a_body_that_is_no_mask_is_counted_and_the_receiver_goes_on() {
+fn a_bad_body_is_counted_and_the_receiver_goes_on() {
     let large = MaskShape::new(500, 308, 3).unwrap();
     let mut client = Client::new(Policy::WholeFrame, shape(), 9);
     let mut packetizer = Packetizer::new(MAX_PACKET_BYTES);
     let mut bodies = [(); 3].map(|()| EncodedFrame::default());
-    // Another shape than was agreed on, no frame at all, and a slice cut short.
+    // A shape that was not agreed on, no frame at all, and a truncated slice.
     Encoder::new(CodecId::TilesFast).encode(&disc(large, 0), &mut bodies[0]).unwrap();
     bodies[1] = vec![7; 40].into();
     Encoder::new(CodecId::PlanesLz4).encode(&disc(shape(), 0), &mut bodies[2]).unwrap();
@@ -276,7 +275,7 @@ fn a_body_that_is_no_mask_is_counted_and_the_receiver_goes_on() {
     assert_eq!(client.receiver.counters(), ReceiverCounters { bad: 3, ..ReceiverCounters::default() });
     assert_eq!(client.receiver.poll_acknowledgement(), None);
 
-    // A reference that is missing is reported to the server.
+    // A missing reference is reported to the server.
     let mut server = Server::new(CodecId::TilesSmall);
     for frame in [5, 6] {
         let packets = server.send(frame, &disc(shape(), frame));
@@ -313,7 +312,7 @@ fn lost_packets_are_reported_ten_times_a_second() {
     assert!(last.lost > 30 && last.lost == last.runs && last.expected > last.lost * 3, "{last:?}");
 }
 
-/// Each frame loses another packet: tiles that do not arrive keep their value, the others are right.
+/// Each frame loses a different packet: tiles that do not arrive keep their value, the others are right.
 #[test]
 fn tiles_that_do_not_arrive_keep_their_value() {
     let shape = shape();
@@ -334,7 +333,7 @@ fn tiles_that_do_not_arrive_keep_their_value() {
                 before = sent;
                 continue;
             }
-            // The packet that ended the frame before has delivered what that one's deadline already had.
+            // The packet that ended the previous frame delivered only what its deadline had delivered already.
             assert_eq!(delivered, []);
             let partial = client.time_out().unwrap();
             assert_eq!((partial.frame, partial.missing, partial.is_whole), (step, 1, false));
@@ -363,8 +362,8 @@ fn tiles_that_do_not_arrive_keep_their_value() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Packets are lost, repeated and reordered, feedback is lost, and deadlines pass: every delivered place is that of
-    /// its frame.
+    /// With packets lost, repeated and reordered, feedback lost, and deadlines passing, every delivered place equals
+    /// that of its frame.
     #[test]
     fn every_delivered_place_is_right(
         seed in any::<u64>(),
@@ -375,7 +374,8 @@ proptest! {
         let shape = MaskShape::new(200, 100, 2).unwrap();
         let frames = 12;
         let masks: Vec<_> = (0..frames).map(|frame| disc(shape, frame)).collect();
-        let (mut random, mut server, mut client) = (Random(seed), Server::new(codec), Client::new(policy, shape, frames));
+        let (mut server, mut client) = (Server::new(codec), Client::new(policy, shape, frames));
+        let mut random = Random(seed);
         let (mut waiting, mut deliveries) = (Vec::new(), Vec::<Delivered>::new());
         for (frame, mask) in (0..).zip(&masks) {
             let now = u64::from(frame) * 16;

@@ -1,5 +1,5 @@
-//! The fuzz targets' entry points on the stable toolchain: noise, valid inputs, and valid inputs that were damaged.
-//! Seeded, so that a failure comes again. The targets themselves run by `make fuzz` (see `tests/fuzz`).
+//! The fuzz targets' entry points on the stable toolchain: noise, valid inputs, and damaged ones. Seeded, so that
+//! failures repeat. `make fuzz` runs the targets themselves (see `tests/fuzz`).
 
 #![allow(clippy::unwrap_used, reason = "helpers outside the test functions use it too")]
 
@@ -20,13 +20,13 @@ use gnomon_protocol::{
 
 use crate::common::Random;
 
-/// Noise, the seeds, and damaged seeds, `rounds` of each. With `GNOMON_FUZZ_SEEDS=FOLDER` the seeds are written there
-/// for the targets.
+/// Runs noise, the seeds, and damaged seeds, `rounds` of each. With `GNOMON_FUZZ_SEEDS=FOLDER` the seeds are also
+/// written there, for the targets.
 #[expect(clippy::unwrap_used, reason = "a test's helper")]
 fn drive(entry: fn(&[u8]), seeds: &[Vec<u8>], rounds: u32) {
     let mut random = Random(1);
     if let Some(folder) = std::env::var_os("GNOMON_FUZZ_SEEDS") {
-        // A test is called as its target is.
+        // A test is named like its target.
         let folder = std::path::Path::new(&folder).join(std::thread::current().name().unwrap());
         std::fs::create_dir_all(&folder).unwrap();
         for (index, seed) in seeds.iter().enumerate() {
@@ -35,7 +35,7 @@ fn drive(entry: fn(&[u8]), seeds: &[Vec<u8>], rounds: u32) {
     }
     for seed in seeds {
         entry(seed);
-        // Every prefix, where there are not too many.
+        // Every prefix, up to 300.
         (0..seed.len().min(300)).for_each(|length| entry(&seed[..length]));
     }
     for _ in 0..rounds {
@@ -188,7 +188,7 @@ fn acknowledgement() {
 fn reassembler() {
     let mut random = Random(2);
     let in_order = || (0..16u8).flat_map(|frame| (0..7).map(move |packet| frame << 4 | packet));
-    // All packets; nine in ten; all with some exchanged; all with some damaged.
+    // All packets; nine in ten; some swapped; some damaged.
     let all: Vec<u8> = in_order().flat_map(|name| [0x80, name]).collect();
     let some: Vec<u8> = in_order().filter(|_| random.below(10) > 0).flat_map(|name| [0x80, name]).collect();
     let mut mixed: Vec<u8> = in_order().collect();
@@ -204,7 +204,7 @@ fn reassembler() {
 
 #[test]
 fn parity() {
-    // All but some packets, honest or not, and everything twice.
+    // Some packets missing, with honest and with altered parity, and everything twice.
     let seeds = [
         [
             &[0x3A][..],

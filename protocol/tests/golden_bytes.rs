@@ -1,4 +1,4 @@
-//! Every wire type, byte by byte. A change here is a change of the protocol: raise `PROTOCOL_VERSION` with it.
+//! Every wire type, byte by byte. A change here changes the protocol: raise `PROTOCOL_VERSION` with it.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -15,7 +15,7 @@ use gnomon_protocol::{
     pose::{Pose, decode_pose_packet, encode_pose_packet},
 };
 
-/// Bytes from groups of hexadecimal digits; `'` and `|` set fields apart.
+/// Parses groups of hexadecimal digits; `'` and `|` separate fields.
 fn hex(text: &str) -> Vec<u8> {
     let digits: Vec<u32> = text.chars().filter_map(|c| c.to_digit(16)).collect();
     digits.chunks(2).map(|pair| u8::try_from(pair[0] * 16 + pair[1]).unwrap()).collect()
@@ -161,7 +161,7 @@ fn server_messages() {
     }
 }
 
-/// A picture of 10×9 pixels: light 0 reaches all from column 4 on, light 1 the last row.
+/// 10×9 pixels: light 0 reaches all from column 4 on, light 1 the last row.
 fn wide() -> Mask {
     let mut mask = Mask::new(MaskShape::new(10, 9, 2).unwrap());
     for (x, y) in (0..9).flat_map(|y| (0..10).map(move |x| (x, y))) {
@@ -182,8 +182,8 @@ fn deep() -> Mask {
     mask
 }
 
-/// Decoding these bytes is the protocol. That the encoder makes the same of them is so on 64-bit machines and with
-/// this version of `lz4_flex`: when only that fails after an update, take the new bytes.
+/// Decoding these bytes is the protocol. The encoder gives the same bytes only on 64-bit machines and with this version
+/// of `lz4_flex`: if only encoding fails after an update, take the new bytes.
 #[track_caller]
 fn frame(codec: CodecId, slices: u16, mask: &Mask, bytes: &str) {
     let mut decoded = Mask::new(MaskShape::new(1, 1, 1).unwrap());
@@ -204,7 +204,7 @@ fn frames_of_words() {
 fn frames_of_compressed_words() {
     let block = "1b00 0100 | 1f01 0400 04 | 0c 0200 | 0f 2800 f5 | 1b02 0400 | 1d03 0400 | 60 000003000000";
     frame(CodecId::WordsLz4, 1, &wide(), &format!("01 0a00 0900 02 0100 | 1f000000 | {block}"));
-    // Too little to compress: the words as they are.
+    // Too little to compress: raw words.
     let rows = "00000000 0a000000 14000000 | 64000000 6e000000 78000000";
     frame(CodecId::WordsLz4, 1, &deep(), &format!("01 0300 0200 09 0100 | 18000000 | {rows}"));
 }
@@ -216,7 +216,7 @@ fn frames_of_planes() {
     let upper = "13f0 0100 | 1303 0100 | 1500 0100 | 60 000000000000";
     let lower = "22f000 0100 | 1203 0700 | 2300ff 0800 | 80 0300000000000000";
     frame(CodecId::PlanesLz4, 2, &wide(), &format!("02 0a00 0900 02 0200 | 13000000 17000000 | {upper} | {lower}"));
-    // Too little to compress: the tile as it is.
+    // Too little to compress: the raw tile.
     let mut corner = Mask::new(MaskShape::new(2, 2, 1).unwrap());
     corner.set(0, 1, 0, true);
     corner.set(0, 0, 1, true);
@@ -231,7 +231,7 @@ fn frames_of_tiles() {
     frame(CodecId::TilesFast, 1, &wide(), fast);
 }
 
-/// Discs that meet most of the codecs' contexts, moved by so many pixels.
+/// Discs that use most of the codecs' contexts, moved by this many pixels.
 fn discs(moved: u32) -> Mask {
     let mut mask = Mask::new(MaskShape::new(700, 300, 3).unwrap());
     for light in 0..3 {
@@ -249,7 +249,7 @@ fn digest(body: &[u8]) -> u64 {
     body.iter().fold(0xCBF2_9CE4_8422_2325_u64, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3))
 }
 
-/// What the codecs know beforehand is a part of the protocol as well.
+/// The codecs' initial statistics are part of the protocol too.
 #[test]
 fn frames_of_many_tiles() {
     let mask = discs(0);
@@ -272,7 +272,7 @@ fn frames_with_a_reference() {
     encoder.encode(&wide(), &mut body).unwrap();
     assert!(encoder.keep(FrameNumber(0x0102), &mut reference));
     encoder.encode_for(None, Some(&reference), &wide(), &mut body).unwrap();
-    // Nothing has changed: that takes no bits at all. The digest is of the mask's.
+    // Nothing has changed, which takes no bits at all. The digest is the mask's.
     assert_eq!(body.body(), hex("03 0a00 0900 42 0100 | 02010000 cadf674f | 05000000 | 000000 0400"));
 
     encoder.encode(&discs(3), &mut body).unwrap();

@@ -1,5 +1,4 @@
-//! Frames of simplified masks: every codec gives the simplified mask back, it takes fewer bytes, and it is the
-//! reference.
+//! Simplified masks: every codec round-trips them in fewer bytes, and they become the references.
 
 #![allow(clippy::unwrap_used, reason = "a helper outside the test functions uses it too")]
 
@@ -15,7 +14,7 @@ use crate::common::Random;
 
 const BITS: u64 = 320 * 200 * 2;
 
-/// The shadow of a disc that has moved by `step` pixels, with a speck in one pixel of 200.
+/// The shadow of a disc moved by `step` pixels, with specks in one pixel of 200.
 fn speckled(step: u64, seed: u64) -> Mask {
     let mut random = Random(seed);
     let mut mask = Mask::new(MaskShape::new(320, 200, 2).unwrap());
@@ -33,7 +32,7 @@ fn wrong_bits(a: &Mask, b: &Mask) -> u64 {
 }
 
 #[test]
-fn all_codecs_give_the_simplified_mask_back_in_fewer_bytes() {
+fn all_codecs_round_trip_the_simplified_mask_in_fewer_bytes() {
     let mut simplifier = Simplifier::default();
     for codec in CodecId::ALL {
         let (mut encoder, mut decoder, mut body) = (Encoder::new(codec), Decoder::new(), EncodedFrame::default());

@@ -1,4 +1,4 @@
-//! Once warm, a frame's way from mask to packets and back to a mask takes no memory.
+//! Once warm, coding a mask, packetizing it and decoding it again allocates nothing.
 
 #![allow(unsafe_code, reason = "counting allocations takes a global allocator, and that trait is unsafe")]
 #![allow(clippy::unwrap_used, reason = "helpers outside the test functions use it too")]
@@ -18,7 +18,7 @@ use gnomon_protocol::{
     references::{KeptMasks, SentMasks},
 };
 
-/// The system's allocator, counting what it is asked for by any thread, since frames are coded on several.
+/// The system's allocator, which counts the requests of all threads, since frames are coded on several.
 struct Counting;
 
 static COUNT: AtomicU64 = AtomicU64::new(0);
@@ -61,8 +61,8 @@ fn mask(shape: MaskShape, step: u32) -> Mask {
     mask
 }
 
-/// How often a session asks for memory, frame by frame. Its masks come back every third frame; `body_bytes` is what the
-/// body has room for from the beginning. Where there are references, each mask is acknowledged at once.
+/// Counts a session's allocations, frame by frame. Its masks repeat every third frame. The body starts with a capacity
+/// of `body_bytes`. With `references`, each mask is acknowledged at once.
 fn counts(codec: CodecId, shape: MaskShape, references: bool, frames: u32, body_bytes: usize) -> Vec<u64> {
     let masks = [0, 5, 9].map(|step| mask(shape, step));
     let (mut encoder, mut decoder) = (Encoder::new(codec), Decoder::new());
@@ -94,15 +94,15 @@ fn counts(codec: CodecId, shape: MaskShape, references: bool, frames: u32, body_
     counts
 }
 
-/// All in one test: when one ends beside another, the harness takes memory of its own. And within a pool, as rayon's
-/// queue of what comes from outside does now and then.
+/// One test for all, because the harness allocates when one test ends beside another. In one pool, because rayon's
+/// queue for outside work allocates now and then.
 #[test]
 fn a_warm_session_takes_no_memory() {
     let few_tiles = MaskShape::new(333, 222, 4).unwrap();
     let shared_out = MaskShape::new(1280, 720, 3).unwrap();
     rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap().install(|| {
         for codec in CodecId::ALL {
-            // Warm after all masks have been seen once; that counting works, the first frame shows.
+            // Warm once all masks have been seen. The first frame shows that counting works.
             let counts = counts(codec, few_tiles, false, 12, 0);
             assert!(counts[0] > 0, "{codec}: {counts:?}");
             assert_eq!(counts[3..], [0; 9], "{codec}: {counts:?}");

@@ -1,4 +1,4 @@
-//! Whatever the network does to a stream of packets, only whole, byte-exact frames come out, in increasing order, and
+//! Whatever the network does to the packets, only whole, byte-exact frames are delivered, in increasing order, and
 //! exactly those that the receiving algorithm (dissertation §3.2) lets through.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
@@ -22,7 +22,7 @@ enum Fate {
     Twice,
     /// Arrives after this many of its successors.
     Late(usize),
-    /// All but this many of its last bytes arrive.
+    /// Arrives without this many of its last bytes.
     Cut(usize),
 }
 
@@ -71,7 +71,7 @@ fn network(packets: &[Bytes], fates: &[Fate]) -> Vec<Bytes> {
     arriving.into_iter().map(|(_, packet)| packet).collect()
 }
 
-/// The algorithm once more, in the simplest words: keeps the packets of the frame at hand and looks at all of them.
+/// The algorithm again, as simply as possible: keeps the current frame's packets and looks at all of them.
 #[derive(Default)]
 struct Model {
     settled: Option<u32>,
@@ -164,14 +164,14 @@ proptest! {
         prop_assert!(reassembler.buffer_bytes() <= longest);
     }
 
-    /// Where packets are only lost, a frame comes out exactly when none of its packets is lost, and every other frame
-    /// of which anything arrived is counted.
+    /// If packets are only lost, a frame is delivered exactly if none of its packets is lost. Every other frame with an
+    /// arrived packet is counted.
     #[test]
     fn loss_alone_costs_exactly_the_frames_that_it_hits(
         lengths in prop::collection::vec(1..60usize, 1..30),
         lost in prop::collection::vec(prop::bool::weighted(0.1), 1..200),
     ) {
-        // A last frame of one packet arrives in any case, so that the one before is settled.
+        // A last frame of one packet always arrives, to settle the one before.
         let (frames, packets) = stream(&[&lengths[..], &[1]].concat(), &[1], 0);
         let fates: Vec<_> = lost.iter().map(|lost| if *lost { Fate::Lost } else { Fate::Arrives }).collect();
         let (last, before) = packets.split_last().unwrap();
@@ -194,7 +194,7 @@ proptest! {
     }
 }
 
-/// The network of these tests does every kind of harm, and frames come through all the same.
+/// Checks that the test network does every kind of harm, and that frames still arrive.
 #[test]
 fn the_test_network_can_harm() {
     let (frames, packets) = stream(&[40; 50], &[1], 0);

@@ -1,5 +1,5 @@
-//! Slices that are coded against a mask that both ends have: they give the mask back bit by bit, never against another
-//! one, and whatever is lost on the way, the ends agree again.
+//! Slices coded against a mask that both ends have: masks round-trip bit by bit, never against a wrong reference, and
+//! whatever is lost, the ends agree again.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -20,7 +20,7 @@ use proptest::prelude::*;
 
 use crate::common::Random;
 
-/// Discs of shadow, at another place in each light, moved by so many pixels; `noise` pixels of 256 are turned.
+/// Discs of shadow in a different place for each light, all moved by `moved` pixels; `noise` pixels of 256 are flipped.
 fn mask(shape: MaskShape, seed: u64, moved: (i64, i64), noise: u64) -> Mask {
     let (mut places, mut grain) = (Random(seed), Random(seed ^ 77));
     let mut mask = Mask::new(shape);
@@ -37,7 +37,7 @@ fn mask(shape: MaskShape, seed: u64, moved: (i64, i64), noise: u64) -> Mask {
     mask
 }
 
-/// What a client that has the whole frame keeps of it.
+/// Returns the reference that a client with the whole frame keeps.
 fn reference(mask: &Mask, frame: u32) -> Reference {
     let (mut encoder, mut reference) = (Encoder::new(CodecId::TilesSmall), Reference::new());
     encoder.encode(mask, &mut EncodedFrame::default()).unwrap();
@@ -67,12 +67,12 @@ proptest! {
         let mut received = Mask::new(MaskShape::new(9, 17, 2).unwrap());
         prop_assert_eq!(decoder.decode_against(Some(&before), &body, &mut received).unwrap(), CodecId::TilesSmall);
         prop_assert!(received == sent);
-        // Both ends hold the same afterwards, also beyond the picture's edge.
+        // Both ends then hold the same, even beyond the picture's edge.
         let (mut ours, mut theirs) = (Reference::new(), Reference::new());
         prop_assert!(encoder.keep(FrameNumber(8), &mut ours) && decoder.keep(FrameNumber(8), &mut theirs));
         prop_assert!(ours == theirs);
 
-        // A block of noise takes up to 1 KiB, and is never cut.
+        // A block of noise takes up to 1 KiB, and is never split.
         let room = packet_bytes.max(1024 + 64);
         let mut parts: Vec<&[u8]> = body.payloads(room).collect();
         prop_assert!(parts.iter().all(|part| part.len() <= room && Frame::parts(part).count() == 1));
@@ -88,8 +88,7 @@ proptest! {
         prop_assert!(received == sent);
     }
 
-    /// Poses go up and masks come down, late; packets and acknowledgements are lost, repeated and come in another
-    /// order.
+    /// Poses go up and masks come down, late. Packets and acknowledgements are lost, repeated and reordered.
     #[test]
     fn the_ends_agree_whatever_is_lost(
         seed in any::<u64>(),
@@ -108,7 +107,8 @@ proptest! {
             down.push_back((frame, sent, body));
             if down.len() > late {
                 let (frame, sent, body) = down.pop_front().unwrap();
-                let parts = body.payloads(Server::PACKET_BYTES).filter(|_| random.below(100) >= lost).collect::<Vec<_>>();
+                let parts: Vec<_> =
+                    body.payloads(Server::PACKET_BYTES).filter(|_| random.below(100) >= lost).collect();
                 if !parts.is_empty() {
                     up.push_back(client.receive(frame, &sent, &parts.concat()).into_iter().collect());
                 }
@@ -128,8 +128,7 @@ proptest! {
     }
 }
 
-/// Where nothing is lost, all frames are coded with a reference but those that are sent before the first is
-/// acknowledged.
+/// Without loss, all frames after the first acknowledgement are coded with a reference.
 #[test]
 fn references_are_used_as_soon_as_they_are_known() {
     for late in 0..=4 {
@@ -141,9 +140,9 @@ fn references_are_used_as_soon_as_they_are_known() {
     }
 }
 
-/// Where more frames are on the way than are kept, some are coded with a reference all the same.
+/// If more frames are in flight than are kept, some are still coded with a reference.
 #[test]
-fn references_are_used_over_long_ways() {
+fn references_are_used_over_long_round_trips() {
     for late in 5..=12 {
         let frames = converse(40, late, u32::MAX, |_| false);
         let used = frames.iter().filter(|frame| frame.has_reference).count();
@@ -151,17 +150,17 @@ fn references_are_used_over_long_ways() {
     }
 }
 
-/// Acknowledgements that are held up for long fill what the client keeps. It goes on with what it has, begins anew when
-/// that does not end, and is together with the server again afterwards.
+/// Acknowledgements held up for long fill the client's memory. It continues with what it has, starts over if that
+/// lasts, and afterwards agrees with the server again.
 #[test]
-fn the_ends_come_together_after_a_delay() {
+fn the_ends_agree_again_after_delayed_acknowledgements() {
     for (late, held_up) in (0..=4).flat_map(|late| [2, 16, 40, 70, 100, 150].map(|held_up| (late, held_up))) {
         let begins = 10 + 2 * u32::try_from(late).unwrap();
         let ends = begins + held_up;
         let frames = converse(ends + 120, late, u32::MAX, |frame| (begins..ends).contains(&frame));
         let lost = frames.iter().filter(|frame| !frame.was_shown).count();
-        // It keeps 16 masks, and says for 64 frames more which is the newest. From then on, nothing that is coded
-        // against what it had is of use until the server has heard so.
+        // It keeps 16 masks, and names the newest for another 64 frames. After that, frames coded against its old masks
+        // are useless until the server has heard that it started over.
         let most = (held_up as usize).saturating_sub(70) + 2 * late + 1;
         assert!(lost <= most && (held_up > 2 || lost == 0), "{lost} lost, {late} late, held up for {held_up}");
         assert!(held_up < 100 || lost > 0, "it never began anew, {late} late, held up for {held_up}");
@@ -170,14 +169,13 @@ fn the_ends_come_together_after_a_delay() {
     }
 }
 
-/// What became of a frame.
 struct Outcome {
     has_reference: bool,
     was_shown: bool,
 }
 
-/// Frames come down and acknowledgements go up, each `late` frames late, and none is lost; while `are_held_up` says so,
-/// acknowledgements wait. From frame `new_shape` on the masks have another shape.
+/// Frames and acknowledgements each arrive `late` frames late, and none is lost. Acknowledgements wait while
+/// `are_held_up` is true. From frame `new_shape` on, masks have another shape.
 fn converse(frames: u32, late: usize, new_shape: u32, are_held_up: impl Fn(u32) -> bool) -> Vec<Outcome> {
     let (mut server, mut client) = (Server::new(), Client::new());
     let (mut down, mut up) = (VecDeque::new(), VecDeque::new());
@@ -234,7 +232,7 @@ impl Client {
         Self { decoder: Decoder::new(), references: KeptMasks::default(), shown }
     }
 
-    /// Every tile that came is as it was sent; a frame whose reference is not there changes nothing.
+    /// Every arrived tile must be as sent; a frame whose reference is missing must change nothing.
     fn receive(&mut self, frame: u32, sent: &Mask, body: &[u8]) -> Option<Acknowledgement> {
         let head = Frame::parse(body).unwrap().head;
         if self.shown.shape() != sent.shape() {
@@ -261,9 +259,9 @@ impl Client {
 }
 
 #[test]
-fn what_has_only_moved_costs_next_to_nothing() {
+fn moved_content_costs_next_to_nothing() {
     let shape = MaskShape::new(1280, 720, 3).unwrap();
-    // Grains of 3×3 pixels, of which one in three is dark: nothing tells the next one but the mask before.
+    // Grains of 3×3 pixels, one in three dark: only the previous mask predicts the next.
     let grains = |moved: (u32, u32)| {
         let mut mask = Mask::new(shape);
         for light in 0..3 {
@@ -290,7 +288,7 @@ fn nothing_is_decoded_against_a_wrong_reference() {
     wrong.set(2, 199, 89, !wrong.get(2, 199, 89));
     let (mut body, mut decoder) = (EncodedFrame::default(), Decoder::new());
     let known = reference(&right, 7);
-    // One bit differs, another frame, another shape, none.
+    // A reference with one bit changed, of another frame, of another shape, and none.
     let smaller = MaskShape::new(200, 89, 3).unwrap();
     let others = [reference(&wrong, 7), reference(&right, 6), reference(&mask(smaller, 1, (0, 0), 0), 7)];
     Encoder::new(CodecId::TilesSmall).encode_for(None, Some(&known), &sent, &mut body).unwrap();
@@ -306,10 +304,10 @@ fn nothing_is_decoded_against_a_wrong_reference() {
     let mut received = Mask::new(shape);
     decoder.decode_onto(Some(&known), &body, &mut received).unwrap();
     assert!(received == sent);
-    // A mask of another shape is coded without.
+    // With a mask of another shape, a frame is coded without reference.
     Encoder::new(CodecId::TilesSmall).encode_for(None, Some(&others[2]), &sent, &mut body).unwrap();
     assert_eq!(Frame::parse(&body).unwrap().head.reference, None);
-    // So is one in a codec that has no references, and nothing of it is kept.
+    // So is one in a codec without references, and nothing of it is kept.
     let mut fast = Encoder::new(CodecId::TilesFast);
     fast.encode_for(None, Some(&known), &sent, &mut body).unwrap();
     assert_eq!(Frame::parse(&body).unwrap().head.reference, None);
@@ -318,7 +316,7 @@ fn nothing_is_decoded_against_a_wrong_reference() {
 }
 
 #[test]
-fn a_client_that_has_lost_its_reference_gets_slices_without_one_at_once() {
+fn a_client_without_its_reference_gets_independent_slices_at_once() {
     let shape = MaskShape::new(100, 40, 2).unwrap();
     let (mut server, mut client) = (Server::new(), Client::new());
     let frame = |number: u32| mask(shape, 3, (i64::from(number), 0), 1);
@@ -329,7 +327,7 @@ fn a_client_that_has_lost_its_reference_gets_slices_without_one_at_once() {
     server.references.acknowledge(said);
     let second = server.send(1, &frame(1));
     assert_eq!(reference_of(&second), Some(0));
-    // The client begins anew, and an old acknowledgement comes late.
+    // The client starts over, and an old acknowledgement arrives late.
     client.references.lose();
     let lost = client.receive(1, &frame(1), &second).unwrap();
     assert_eq!(lost.mask, None);
@@ -340,7 +338,7 @@ fn a_client_that_has_lost_its_reference_gets_slices_without_one_at_once() {
     let said = client.receive(2, &frame(2), &third).unwrap();
     server.references.acknowledge(said);
     assert_eq!(reference_of(&server.send(3, &frame(3))), Some(2));
-    // What was never sent is no reference.
+    // A frame that was never sent is no reference.
     let made_up = Acknowledgement { sequence: said.sequence + 1, mask: Some(reference(&frame(9), 3).name()) };
     server.references.acknowledge(made_up);
     assert_eq!(reference_of(&server.send(4, &frame(4))), Some(2));

@@ -1,5 +1,5 @@
-//! Byte budgets: a frame of which parts are left out stays within its budget, what is sent is right, what changes most
-//! comes first, and everything comes in the end.
+//! Byte budgets: a frame with parts left out fits its budget, what is sent is right, the largest changes come first,
+//! and every tile is sent in time.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -26,7 +26,7 @@ fn noise(shape: MaskShape, random: &mut Random) -> Mask {
     mask
 }
 
-/// Turns some pixels of some rows over.
+/// Flips some pixels of some rows.
 fn scribble(mask: &mut Mask, random: &mut Random) {
     let shape = mask.shape();
     let (light, y) = (random.index(shape.lights() as usize), random.index(shape.height() as usize));
@@ -41,13 +41,16 @@ fn scribble(mask: &mut Mask, random: &mut Random) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Once all tiles have come, a client never misses one, nor where a frame is lost now and then.
+    /// Once all tiles have arrived, a client never misses one, even if a frame is lost now and then.
     #[test]
-    fn what_is_sent_is_right_and_everything_comes_round(budget in 0usize..3000, fast in any::<bool>(), lossy in any::<bool>(), seed in any::<u64>()) {
+    fn sent_parts_are_right_and_every_tile_is_refreshed(
+        budget in 0usize..3000, fast in any::<bool>(), lossy in any::<bool>(), seed in any::<u64>()
+    ) {
         let mut random = Random(seed);
         let shape = MaskShape::new(300, 200, 2).unwrap();
         let codec = if fast { CodecId::TilesFast } else { CodecId::TilesSmall };
-        let (mut encoder, mut decoder, mut refresh) = (Encoder::new(codec).for_packets_of(200), Decoder::new(), Refresh::default());
+        let mut encoder = Encoder::new(codec).for_packets_of(200);
+        let (mut decoder, mut refresh) = (Decoder::new(), Refresh::default());
         let (mut shown, mut body, mut mask) = (Mask::new(shape), EncodedFrame::default(), noise(shape, &mut random));
         let (mut coverage, mut layers, mut unchanged) = (Coverage::whole(shape), VecDeque::new(), 0);
         let mut lost = false;
@@ -70,7 +73,7 @@ proptest! {
                     continue;
                 }
             }
-            // One frame in as many as a client keeps masks of is lost.
+            // Loses one of every `max_layers` frames.
             if lossy && frame % max_layers(shape) == 5 {
                 refresh.sent(&mask);
                 lost = true;
@@ -99,8 +102,8 @@ proptest! {
     }
 }
 
-/// A sixth of the picture changes wholly, another one in a few pixels: the first one is sent, then the other, and what
-/// does not change when its time comes.
+/// One sixth of the picture changes wholly, another one in a few pixels. The first is sent first, then the other, and
+/// unchanged parts when they are due.
 #[test]
 fn large_changes_come_first_and_waiting_counts() {
     let shape = MaskShape::new(1536, 256, 1).unwrap();
@@ -115,7 +118,7 @@ fn large_changes_come_first_and_waiting_counts() {
         mask.set(0, x, y, !lit);
         mask.set(0, 1280 + x, y, if x == y { !lit } else { mask.get(0, 1280 + x, y) });
     }
-    // Stripes of blocks are 256 pixels wide: six of them.
+    // Blocks are 256 pixels wide: six stripes.
     let mut stripes = Vec::new();
     for _ in 0..max_layers(shape) {
         encoder.encode(&mask, &mut body).unwrap();
@@ -135,7 +138,7 @@ fn large_changes_come_first_and_waiting_counts() {
     assert!((0..6).all(|stripe| stripes.iter().any(|sent| sent.contains(&stripe))), "{stripes:?}");
 }
 
-/// As many bits change in a dim light as in a bright one, elsewhere: the bright one's come first.
+/// A dim and a bright light change in equally many bits, elsewhere: the bright one's come first.
 #[test]
 fn bits_of_dim_lights_count_less() {
     let shape = MaskShape::new(1536, 256, 2).unwrap();
@@ -162,7 +165,7 @@ fn bits_of_dim_lights_count_less() {
         changed(&mut mask, 1, 1280);
         encoder.encode(&mask, &mut body).unwrap();
         let budget = (body.len() + body.parts().len() * HEADER_BYTES) / 4;
-        // A round's share may go anywhere, but the rest goes there.
+        // The refresh share may go anywhere; the rest goes to the bright light.
         assert_eq!(refresh.select(&mask, &mut body, budget, false), Selection::Parts);
         let mut bits = [0; 6];
         for words in body.parts().iter().flat_map(|part| part_words(shape, part)) {

@@ -1,5 +1,5 @@
-//! Under the `Slices` policy, whatever the network does to a stream of packets and whenever somebody looks: what comes
-//! of a frame before it ends comes out, each packet's data as new once.
+//! The `Slices` policy, for any network and any time of delivery: everything that arrives before its frame ends is
+//! delivered, and each packet's data is new once.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers outside the test functions use these too")]
 
@@ -17,14 +17,14 @@ use proptest::prelude::*;
 
 use crate::common::Random;
 
-/// What came out: the frame, its packets' sequence numbers as they came, how many did not, and how many were known.
+/// A delivered frame: its number, sequence numbers in order of arrival, packets missing, and packets delivered before.
 type Out = (u32, Vec<u32>, u16, usize);
 
 fn header(packet: &[u8]) -> PacketHeader {
     PacketHeader::decode(packet).unwrap().0
 }
 
-/// The policy in the simplest words. Nothing instead of a packet stands for a look at what there is so far.
+/// The policy, as simply as possible. `None` delivers the current frame in part.
 fn model(arrived: &[Option<Bytes>]) -> Vec<Out> {
     let (mut out, mut at_hand, mut settled) = (Vec::new(), None::<Out>, None);
     for packet in arrived {
@@ -44,7 +44,7 @@ fn model(arrived: &[Option<Bytes>]) -> Vec<Out> {
             continue;
         }
         if at_hand.as_ref().is_some_and(|(older, ..)| *older < frame) {
-            // A frame that is whole at once takes the place of the part before it.
+            // A newer frame that is whole at once replaces the partial one.
             let ended = at_hand.take().unwrap();
             settled = Some(ended.0);
             if packets > 1 && ended.1.len() > ended.3 {
@@ -77,7 +77,7 @@ fn stream(frames: u32, random: &mut Random) -> Vec<Bytes> {
         let body = EncodedFrame::from(vec![frame.to_le_bytes()[0]; 1 + random.index(6)]);
         for packet in Packetizer::new(17).packets(FrameNumber(frame), frame, &body).unwrap() {
             let header = PacketHeader { sequence, ..header(&packet) };
-            // The data says which packet it was.
+            // The data identifies the packet.
             packets.push(Bytes::from([&header.encode()[..], &sequence.to_le_bytes()[..1]].concat()));
             sequence = sequence.wrapping_add(1);
         }
@@ -85,7 +85,7 @@ fn stream(frames: u32, random: &mut Random) -> Vec<Bytes> {
     packets
 }
 
-/// Loses one in `n`, doubles one in `n`, and puts one in `n` some places later.
+/// Loses one in `n`, duplicates one in `n`, and delays one in `n` by some places.
 fn network(packets: &[Bytes], n: u64, random: &mut Random) -> Vec<Bytes> {
     let mut arriving = Vec::new();
     for (place, packet) in packets.iter().enumerate() {
@@ -102,7 +102,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn what_came_comes_out(frames in 1u32..30, n in 2u64..30, looks in 1u64..20, seed in any::<u64>()) {
+    fn every_arrival_is_delivered(frames in 1u32..30, n in 2u64..30, looks in 1u64..20, seed in any::<u64>()) {
         let mut random = Random(seed);
         let packets = stream(frames, &mut random);
         let mut events = Vec::new();

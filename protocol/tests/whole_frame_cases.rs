@@ -15,7 +15,7 @@ use gnomon_protocol::{
     },
 };
 
-/// Packet `index` of frame `frame`, which has `of` packets. Frames have ten sequence numbers each.
+/// Packet `index` of frame `frame`, which has `of` packets. Each frame has ten sequence numbers.
 #[derive(Debug, Clone, Copy)]
 struct P(u32, u16, u16);
 
@@ -41,8 +41,7 @@ fn datagram(header: &PacketHeader, data: &[u8]) -> Vec<u8> {
     [&header.encode()[..], data].concat()
 }
 
-/// Pushes the packets and checks what each does, that a completed frame holds what its packets held, and that the
-/// counts say the same.
+/// Pushes the packets. Checks the effect of each, the body of each completed frame, and the counts.
 #[track_caller]
 fn expect(steps: &[(P, Progress)], complete: u64, incomplete: u64) {
     let mut reassembler = Reassembler::new(Policy::WholeFrame);
@@ -73,12 +72,12 @@ fn expect(steps: &[(P, Progress)], complete: u64, incomplete: u64) {
 }
 
 #[test]
-fn a_frame_in_order_comes_out() {
+fn a_frame_in_order_is_delivered() {
     expect(&[(P(0, 0, 3), Stored), (P(0, 1, 3), Stored), (P(0, 2, 3), Complete)], 1, 0);
 }
 
 #[test]
-fn a_frame_of_one_packet_comes_out_at_once() {
+fn a_frame_of_one_packet_is_delivered_at_once() {
     expect(&[(P(0, 0, 1), Complete), (P(1, 0, 1), Complete)], 2, 0);
 }
 
@@ -102,7 +101,7 @@ fn at_the_start_all_but_a_first_packet_is_ignored() {
 }
 
 #[test]
-fn a_first_packet_that_comes_late_begins_a_frame_that_a_gap_drops() {
+fn a_late_first_packet_begins_a_frame_that_a_gap_drops() {
     expect(&[(P(3, 1, 3), Ignored(NotFirst)), (P(3, 0, 3), Stored), (P(3, 2, 3), Ignored(OutOfOrder))], 0, 1);
 }
 
@@ -122,7 +121,7 @@ fn a_lost_packet_drops_its_frame_and_the_rest_of_it_is_ignored() {
 }
 
 #[test]
-fn two_packets_that_changed_places_drop_their_frame() {
+fn swapped_packets_drop_their_frame() {
     expect(
         &[
             (P(0, 0, 4), Stored),
@@ -161,7 +160,7 @@ fn the_first_packet_of_a_newer_frame_begins_it_at_once() {
 }
 
 #[test]
-fn a_newer_frame_of_one_packet_comes_out_at_once() {
+fn a_newer_frame_of_one_packet_is_delivered_at_once() {
     expect(&[(P(0, 0, 2), Stored), (P(1, 0, 1), Complete), (P(0, 1, 2), Ignored(Old))], 1, 1);
 }
 
@@ -205,7 +204,7 @@ fn duplicates_inside_a_frame_are_ignored() {
 }
 
 #[test]
-fn duplicates_of_a_frame_that_came_out_are_ignored() {
+fn duplicates_of_a_delivered_frame_are_ignored() {
     expect(
         &[
             (P(0, 0, 2), Stored),
@@ -219,7 +218,7 @@ fn duplicates_of_a_frame_that_came_out_are_ignored() {
     );
 }
 
-/// The one way in which a frame whose second packet came first can still come out.
+/// The only way to deliver a frame whose second packet arrived first.
 #[test]
 fn a_duplicate_can_save_a_frame_that_was_counted_lost() {
     expect(&[(P(0, 1, 2), Ignored(NotFirst)), (P(0, 0, 2), Stored), (P(0, 1, 2), Complete)], 1, 0);
@@ -286,7 +285,7 @@ fn malformed_packets_are_counted_and_change_nothing_else() {
     assert_eq!(reassembler.stats().malformed, 6);
     assert_eq!(reassembler.push(&datagram(&good, b"def")), Ok(Complete));
     assert_eq!(reassembler.frame().unwrap().body, b"abcdef");
-    // A frame stays until the next packet, whatever that is.
+    // A frame stays until the next packet of any kind.
     assert!(reassembler.push(b"").is_err());
     assert_eq!(reassembler.frame(), None);
 }

@@ -10,9 +10,9 @@ use clap::{
 /// Prefix of every variable.
 pub(crate) const PREFIX: &str = "GNOMON_";
 
-/// Bounds of a number, for use inside `#[arg(…)]`.
+/// Bounds of a number, for `#[arg(…)]`.
 pub trait Bounds {
-    /// Accepts numbers from `least` to `most`, and says so in the help.
+    /// Accepts numbers from `least` to `most`, and shows the range in the help.
     #[must_use]
     fn bounds<T>(self, least: T, most: T) -> Self
     where
@@ -43,14 +43,14 @@ pub(crate) fn ids<S: Args>() -> Vec<String> {
     S::augment_args(Command::new("")).get_arguments().map(|arg| arg.get_id().to_string()).collect()
 }
 
-/// The environment variable of an argument: declared by itself, or derived from a setting's id.
+/// Returns an argument's environment variable: its own, or derived from a setting's id.
 pub(crate) fn variable(arg: &Arg, settings: &[String]) -> Option<String> {
     let declared = arg.get_env().map(|name| name.to_string_lossy().into_owned());
     let id = arg.get_id().as_str();
     declared.or_else(|| settings.iter().any(|key| key == id).then(|| format!("{PREFIX}{}", id.to_uppercase())))
 }
 
-/// Accepts the names of these values only, and lists them in help, completions and errors.
+/// Accepts only the names of these values, and lists them in help, completions and errors.
 pub fn one_of<T, const N: usize>(all: [T; N]) -> impl TypedValueParser<Value = T>
 where
     T: FromStr<Err: Display> + Display + Clone + Send + Sync + 'static,
@@ -59,14 +59,14 @@ where
     names.try_map(|name| name.parse().map_err(|error: T::Err| error.to_string()))
 }
 
-/// The command of `C`, whose settings are those of `S`, with every variable named in the help.
+/// Returns the command of `C`, with the settings of `S` and every variable named in the help.
 #[must_use]
 pub fn command<C: CommandFactory, S: Args>() -> Command {
     let settings = ids::<S>();
     C::command().mut_args(|mut arg| {
         let is_setting = settings.iter().any(|key| arg.get_id() == key.as_str());
         if is_setting && is::<bool>(&arg) {
-            // `--wait` or `--wait=false`: a flag can undo what a lower layer sets.
+            // `--wait` or `--wait=false`: a flag can undo a lower layer.
             if matches!(arg.get_action(), ArgAction::SetTrue) && arg.get_default_values().is_empty() {
                 arg = arg.default_value("false");
             }
@@ -79,7 +79,7 @@ pub fn command<C: CommandFactory, S: Args>() -> Command {
         match variable(&arg, &settings) {
             Some(name) => {
                 let help = with_note(&arg, &format!("env: {name}"));
-                // clap would read the process's environment by itself, and take an empty variable for a value.
+                // clap would read the process's environment itself, and accept an empty variable as a value.
                 arg.env(None::<&str>).help(help)
             }
             None => arg,
@@ -87,7 +87,7 @@ pub fn command<C: CommandFactory, S: Args>() -> Command {
     })
 }
 
-/// The settings with nothing set. A declaration whose default breaks its own bounds ends the program; a test loads them.
+/// Returns the settings with nothing set. Exits if a default breaks its own bounds; a test loads them.
 #[must_use]
 pub fn defaults<S: Args>() -> S {
     let command = S::augment_args(Command::new("defaults").no_binary_name(true));

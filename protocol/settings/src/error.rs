@@ -8,24 +8,24 @@ use thiserror::Error;
 /// Why a program has no settings to run with.
 #[derive(Debug, Error)]
 pub enum SettingsError {
-    /// The answer to `--help` or `--version`.
+    /// The output of `--help` or `--version`.
     #[error("{}", .0.to_string().trim_end())]
     Answer(clap::Error),
-    /// An unknown flag, a missing value, flags that exclude each other.
+    /// An unknown flag, a missing value, or conflicting flags.
     #[error("{0} (see --help)")]
     Usage(String),
-    /// A value, a key or a variable that is wrong. Names where it stands.
+    /// A wrong value, key or variable. Names its place.
     #[error("{0}")]
     Value(String),
 }
 
 impl SettingsError {
-    /// Prints the answer or the error. Exit codes: 0 for an answer, 2 for a wrong command line, 1 for a wrong value.
+    /// Prints the output or the error. Exit codes: 0 for output, 2 for a wrong command line, 1 for a wrong value.
     #[must_use]
     pub fn report(&self, program: &str) -> ExitCode {
         match self {
             Self::Answer(answer) => {
-                // A reader that has gone away, as `head` does, is no failure.
+                // A closed pipe, as with `head`, is no failure.
                 let _ = answer.print();
                 return ExitCode::SUCCESS;
             }
@@ -34,7 +34,7 @@ impl SettingsError {
         ExitCode::from(if matches!(self, Self::Usage(_)) { 2 } else { 1 })
     }
 
-    /// Turns an error of clap into ours. `place` says where the argument that clap names got its value from.
+    /// Converts a clap error. `place` says where the named argument's value came from.
     pub(crate) fn of_layer(error: clap::Error, place: impl Fn(&str, &str) -> Option<String>) -> Self {
         let text = |kind| match error.get(kind) {
             Some(ContextValue::String(text)) => text.as_str(),
@@ -68,7 +68,7 @@ fn usage(error: &clap::Error) -> String {
     tips.fold(first, |line, tip| format!("{line}; {tip}"))
 }
 
-/// Joins lines, whatever a parser put into its message.
+/// Joins the lines of a parser's message.
 pub(crate) fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -14,7 +14,7 @@ use crate::{
 /// Largest file, in bytes.
 const MAX_FILE_BYTES: u64 = 256 * 1024;
 
-/// Reads the file's values. Errors name the file, the line and the key.
+/// Reads the file's values. Errors name file, line and key.
 pub(crate) fn read(path: &Path, command: &Command, keys: &[String]) -> Result<Vec<Value>, SettingsError> {
     let wrong = |reason: String| SettingsError::Value(format!("{}: {reason}", path.display()));
     let mut text = String::new();
@@ -31,7 +31,7 @@ pub(crate) fn read(path: &Path, command: &Command, keys: &[String]) -> Result<Ve
     Ok(values)
 }
 
-/// The values of a TOML text. Errors are one line, which begins with the line's number.
+/// Parses the values of a TOML text. Errors are one line that begins with the line's number.
 pub(crate) fn parse(text: &str, command: &Command, keys: &[String]) -> Result<Vec<Value>, String> {
     let table = DeTable::parse(text).map_err(|error| {
         let reason = one_line(error.message());
@@ -51,7 +51,7 @@ pub(crate) fn parse(text: &str, command: &Command, keys: &[String]) -> Result<Ve
     Ok(values)
 }
 
-/// A value as a flag would spell it. Numbers and booleans are not quoted, everything else is.
+/// Returns a value as a flag would spell it. Numbers and booleans are not quoted, everything else is.
 fn scalar(arg: &Arg, value: &DeValue<'_>) -> Result<OsString, String> {
     let text = match value {
         DeValue::Boolean(value) if is::<bool>(arg) => value.to_string(),
@@ -73,7 +73,7 @@ fn scalar(arg: &Arg, value: &DeValue<'_>) -> Result<OsString, String> {
     Ok(text.into())
 }
 
-/// The place of a TOML error, without a word of what stands there: a token file's errors must not quote it.
+/// The place of a TOML error, without quoting the text: a token file's errors must not reveal it.
 #[must_use]
 pub fn line_of(span: Option<std::ops::Range<usize>>, text: &str) -> String {
     match span.and_then(|span| text.get(..span.start)) {

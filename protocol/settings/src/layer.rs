@@ -26,23 +26,23 @@ pub(crate) fn apply(command: Command, layer: &[Value]) -> Command {
     })
 }
 
-/// Parses one layer without flags, so that an error names its place there.
+/// Parses one layer without flags, so that errors name their place in it.
 pub(crate) fn parse_alone(command: &Command, layer: &[Value]) -> Result<ArgMatches, SettingsError> {
     apply(command.clone(), layer).try_get_matches_from([command.get_name()]).map_err(|error| {
         SettingsError::of_layer(error, |named, text| {
-            // clap names an argument as its help does, which only a built command knows.
+            // clap names an argument as its help does, which needs a built command.
             let mut built = command.clone();
             built.build();
             let arg = built.get_arguments().find(|arg| arg.to_string() == named)?;
             let place = &find(layer, arg.get_id().as_str())?.place;
-            // As the shell and as TOML write it.
+            // As in the shell and in TOML.
             let equals = if place.contains(' ') { " = " } else { "=" };
             Some(format!("{place}{equals}{text}"))
         })
     })
 }
 
-/// Asks about the known name that is closest to a misspelt one.
+/// Suggests the closest known name.
 pub(crate) fn or_nearest(name: &str, known: &[String]) -> String {
     let nearest = known.iter().min_by_key(|known| strsim::damerau_levenshtein(name, known));
     nearest.map_or_else(String::new, |nearest| format!("; did you mean {nearest}?"))

@@ -1,4 +1,4 @@
-//! Puts the layers together.
+//! Combines the layers.
 
 use std::{
     collections::BTreeMap,
@@ -19,30 +19,27 @@ use crate::{
 /// Where a setting's value comes from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Source {
-    /// The declaration's default, or none.
     Default,
-    /// The TOML file.
     File,
-    /// This variable.
+    /// The variable's name.
     Environment(String),
-    /// A flag.
     Flag,
 }
 
 /// What a program loads its settings from.
 #[derive(Debug, Clone)]
 pub struct Layers {
-    /// The command line, program name included.
+    /// The command line, including the program's name.
     pub arguments: Vec<OsString>,
     /// The environment. Empty variables count as unset.
     pub environment: Vec<(OsString, OsString)>,
-    /// The TOML file to read where no `--config` names one.
+    /// The TOML file to read if `--config` names none.
     pub own_file: Option<PathBuf>,
-    /// Whether relative paths in the file start from the file's folder, not from the working directory.
+    /// True if relative paths in the file start from its folder instead of the working directory.
     pub paths_from_file: bool,
 }
 
-/// What a program was told.
+/// The loaded settings.
 #[derive(Debug)]
 pub struct Loaded<C> {
     /// The parsed command line with every layer applied.
@@ -54,7 +51,7 @@ pub struct Loaded<C> {
 }
 
 impl<C> Loaded<C> {
-    /// Effective values and their sources, for `--check-config`.
+    /// Returns effective values and their sources, for `--check-config`.
     #[must_use]
     pub fn to_json(&self) -> String {
         let mut all = serde_json::to_value(&self.values).unwrap_or_default();
@@ -73,7 +70,7 @@ impl<C> Loaded<C> {
 }
 
 impl Layers {
-    /// The process's own command line and environment.
+    /// Returns the process's own command line and environment.
     #[must_use]
     pub fn of_process() -> Self {
         Self {
@@ -84,7 +81,7 @@ impl Layers {
         }
     }
 
-    /// A command line and an environment of a test.
+    /// Returns a test's command line and environment.
     #[must_use]
     pub fn of(arguments: &[&str], environment: &[(&str, &str)]) -> Self {
         Self {
@@ -95,10 +92,10 @@ impl Layers {
         }
     }
 
-    /// Loads the program `C`, whose settings are those of `S`. `--config`, where `C` declares it, names the TOML file.
+    /// Loads the program `C`, whose settings are those of `S`. `--config`, if `C` declares it, names the TOML file.
     ///
     /// # Errors
-    /// Names the flag, variable or key of what is wrong; [`SettingsError::Answer`] for `--help` and `--version`.
+    /// Errors name the wrong flag, variable or key. [`SettingsError::Answer`] for `--help` and `--version`.
     pub fn load<C: Parser, S: Args>(&self) -> Result<Loaded<C>, SettingsError> {
         let command = command::<C, S>();
         let keys = ids::<S>();
@@ -136,7 +133,7 @@ impl Layers {
         Ok(Loaded { program, sources, values })
     }
 
-    /// The variables that are set and not empty. An unknown `GNOMON_` variable is an error.
+    /// Returns the variables that are set and not empty. An unknown `GNOMON_` variable is an error.
     fn variables<C: CommandFactory>(&self, keys: &[String]) -> Result<Vec<Value>, SettingsError> {
         let declared: Vec<_> = (C::command().get_arguments())
             .filter_map(|arg| Some((arg.get_id().to_string(), declare::variable(arg, keys)?)))
@@ -160,7 +157,7 @@ impl Layers {
     }
 }
 
-/// A setting's value as JSON: numbers and booleans as they are, anything else as text.
+/// Returns a setting's value as JSON: numbers and booleans unchanged, anything else as text.
 fn effective(command: &Command, matches: &ArgMatches, key: &str) -> serde_json::Value {
     let arg = command.get_arguments().find(|arg| arg.get_id() == key);
     let text = matches.get_raw(key).and_then(|mut all| all.next()).map(OsStr::to_string_lossy);
@@ -177,7 +174,7 @@ fn effective(command: &Command, matches: &ArgMatches, key: &str) -> serde_json::
 /// Reads settings from a TOML text alone.
 ///
 /// # Errors
-/// Names the line and the key of what is wrong, on one line.
+/// Errors name the line and the wrong key, on one line.
 pub fn parse_toml<S: Args>(text: &str) -> Result<S, SettingsError> {
     let command = S::augment_args(Command::new("settings"));
     let values = file::parse(text, &command, &ids::<S>()).map_err(SettingsError::Value)?;

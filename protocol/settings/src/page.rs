@@ -1,4 +1,4 @@
-//! What a program says about its settings: man page and completions, and whether they are whole.
+//! A program's man page and completions, and a check that they are complete.
 
 use std::io;
 
@@ -11,10 +11,10 @@ use crate::{
     file,
 };
 
-/// Returns the completions or the man page of `C`, whichever is asked for.
+/// Returns the completions or the man page of `C`, as requested.
 ///
 /// # Errors
-/// When the page cannot be written.
+/// Errors if the page cannot be written.
 pub fn page<C: CommandFactory, S: Args>(completions: Option<Shell>, man: bool) -> io::Result<Option<String>> {
     let mut command = command::<C, S>();
     let mut text = Vec::new();
@@ -30,7 +30,7 @@ pub fn page<C: CommandFactory, S: Args>(completions: Option<Shell>, man: bool) -
 }
 
 /// For the tests of `C`: lists what is missing. Each setting must be in the help, the man page and the TOML keys, and
-/// its variable in `listed`, a list of [`crate::variables`].
+/// its variable in `listed`, one of [`crate::variables`].
 #[must_use]
 pub fn problems<C: CommandFactory, S: Args>(listed: &str) -> Vec<String> {
     C::command().debug_assert();

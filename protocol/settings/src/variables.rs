@@ -1,6 +1,5 @@
-//! Environment variables with our prefix, named without it. Programs of ours often share an environment, so each
-//! ignores the others' variables and refuses all further ones. A test of each program compares its settings with its
-//! list.
+//! Environment variables with our prefix, listed without it. Our programs often share an environment, so each ignores
+//! the others' variables and refuses unknown ones. Each program's test compares its settings with its list.
 
 /// Settings of gnomon-server.
 pub const SERVER: &str = "\
@@ -15,10 +14,10 @@ pub const CLIENT: &str = "\
     FRAMES FULL_SCREEN GUARD LOSSY MASK_LOG MODE OUT PACKETS PATH PREDICT PREDICTION_LAG PREDICT_POSE SAVE_MASKS \
     SEQUENTIAL_LAG SIZE START_TIME STATS SUMMARY TOKEN URL VSYNC WAIT";
 
-/// Tests and tools.
+/// Variables of tests and tools.
 pub const TOOLS: &str = "FFMPEG FUZZ_SEEDS RAY_QUERY_CHILD RAY_QUERY_DRIVER SCENES TEST_PANIC";
 
-/// Returns whether something else may have set the variable: a program of ours, or Kubernetes, which describes a
+/// Returns whether another source may have set the variable: one of our programs, or Kubernetes, which describes a
 /// service called `gnomon` to every pod as `GNOMON_SERVICE_HOST`, `GNOMON_PORT_4433_UDP` and the like.
 pub(crate) fn is_known(name: &str) -> bool {
     let of_kubernetes = name.contains("_SERVICE_") || name.contains("_PORT_") || name.ends_with("_PORT");

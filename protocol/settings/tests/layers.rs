@@ -72,7 +72,7 @@ fn flags_beat_variables_which_beat_the_file_which_beats_defaults() {
         (Case { file: "", environment: &environment, flags: &[] }, 3, variable),
         (Case { file, environment: &environment, flags: &flags }, 4, Source::Flag),
         (Case { file, environment: &[], flags: &flags }, 4, Source::Flag),
-        // A flag counts even when it says what the default says.
+        // A flag counts even if it repeats the default.
         (Case { file, environment: &environment, flags: &["--drain-ms=64"] }, 64, Source::Flag),
     ] {
         let loaded = case.load().unwrap();
@@ -105,7 +105,7 @@ fn an_unknown_variable_is_an_error_that_names_the_nearest() {
         let expected = format!("unknown environment variable {name}; did you mean GNOMON_DRAIN_MS?");
         assert_eq!(error(name).unwrap_err(), expected);
     }
-    // Those of our other programs, of Kubernetes and of anybody else.
+    // Of our other programs, Kubernetes, and others.
     for name in ["GNOMON_SCENES", "GNOMON_MAX_SESSIONS", "GNOMON_PORT_4433_UDP", "GNOMON_SERVICE_HOST", "DRAIN_MS"] {
         error(name).unwrap();
     }
@@ -134,7 +134,7 @@ fn an_error_names_where_its_value_comes_from() {
             Case { file: "\ndrain_ms = 5000", environment: &[], flags: &[] },
             "settings.toml: line 2: drain_ms = 5000: must be 1 to 4096",
         ),
-        // A layer that another overrides is checked as well.
+        // An overridden layer is checked too.
         (
             Case { file: "fade = nan", environment: &[("GNOMON_FADE", "1")], flags: &["--fade", "2"] },
             "settings.toml: line 1: fade = nan: must be 0 to 60",

@@ -14,13 +14,13 @@ impl Random {
         value ^ (value >> 31)
     }
 
-    /// A number below `limit`, which is above 0.
+    /// Returns a number below `limit`, which must be above 0.
     pub(crate) fn below(&mut self, limit: u64) -> u64 {
         self.next() % limit
     }
 
     #[allow(clippy::cast_possible_truncation, reason = "below a usize")]
-    /// A place in a list of `length` things.
+    /// Returns an index into a list of `length` elements.
     pub(crate) fn index(&mut self, length: usize) -> usize {
         (self.next() % length as u64) as usize
     }
@@ -29,7 +29,7 @@ impl Random {
         self.next().to_le_bytes()[0]
     }
 
-    /// True once in `n` times.
+    /// Returns true once in `n` times.
     pub(crate) fn one_in(&mut self, n: u64) -> bool {
         self.below(n) == 0
     }

@@ -1,5 +1,5 @@
-//! The dissertation's transports (§3.1), for measurements on loopback: control over TCP, and a data socket beside it,
-//! UDP or TCP. Nothing is encrypted and nobody is authenticated.
+//! The dissertation's transports (§3.1), for measurements on loopback: control over TCP, and data over UDP or TCP.
+//! Without encryption or authentication.
 
 use std::{
     io,
@@ -42,7 +42,7 @@ pub async fn connect_udp(server: SocketAddr) -> io::Result<UdpSocket> {
     Ok(socket)
 }
 
-/// Sends one packet over a connected socket. A peer whose port is closed loses it, as on any UDP.
+/// Sends one packet over a connected socket. It is lost if the peer's port is closed, as with any UDP.
 ///
 /// # Errors
 /// Errors if the socket fails.
@@ -63,7 +63,7 @@ pub async fn connect_tcp(server: SocketAddr) -> io::Result<TcpStream> {
     Ok(stream)
 }
 
-/// Packets from a TCP stream, each after its length, a little-endian `u32`.
+/// Reads packets from a TCP stream. Each follows its length, a little-endian `u32`.
 #[derive(Debug)]
 pub struct PacketReader {
     stream: OwnedReadHalf,
@@ -102,7 +102,7 @@ impl PacketReader {
     }
 }
 
-/// Packets into a TCP stream, each after its length, a little-endian `u32`.
+/// Writes packets to a TCP stream. Each follows its length, a little-endian `u32`.
 #[derive(Debug)]
 pub struct PacketWriter {
     stream: BufWriter<OwnedWriteHalf>,
@@ -114,7 +114,7 @@ impl PacketWriter {
         Self { stream: BufWriter::new(stream) }
     }
 
-    /// Writes one packet. It may wait for [`Self::flush`].
+    /// Writes one packet, which may be buffered until [`Self::flush`].
     ///
     /// # Errors
     /// Errors if the packet has more than [`MAX_LAB_PACKET_BYTES`] or the stream fails.
@@ -127,7 +127,7 @@ impl PacketWriter {
         self.stream.write_all(packet).await
     }
 
-    /// Hands all that was written to the kernel.
+    /// Hands everything written to the kernel.
     ///
     /// # Errors
     /// Errors if the stream fails.

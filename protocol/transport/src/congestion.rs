@@ -26,10 +26,10 @@ struct Adapter {
     ignores_app_limit: Arc<AtomicBool>,
 }
 
-/// Sets whether the window may grow although the sender does not fill it.
+/// Sets whether the window may grow even if the sender does not fill it.
 ///
-/// Frames that are cut down to the window never fill it. quinn takes their sender for application-limited, and the
-/// window would not grow. Does nothing on a connection with another controller.
+/// Frames cut to the window never fill it. quinn then takes the sender for application-limited, and the window would
+/// not grow. Does nothing on a connection with another controller.
 pub fn ignore_app_limit(connection: &quinn::Connection, ignore: bool) {
     // quinn returns a copy of the controller, which shares the flag with its original.
     if let Ok(adapter) = connection.congestion_state().into_any().downcast::<Adapter>() {

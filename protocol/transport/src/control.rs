@@ -30,12 +30,7 @@ pub enum ControlError {
     Message(#[from] MessageError),
     /// The length prefix exceeds the reader's limit.
     #[error("a message of {bytes} bytes: at most {limit} are allowed")]
-    TooLong {
-        /// Length from the prefix.
-        bytes: usize,
-        /// The reader's limit.
-        limit: usize,
-    },
+    TooLong { bytes: usize, limit: usize },
     /// [`ControlReader::next_within`] timed out.
     #[error("no answer for {} s", .0.as_secs_f64())]
     Silent(Duration),
@@ -131,7 +126,7 @@ impl<M: Serialize> ControlWriter<M> {
         Ok(timeout(self.write_timeout, write).await.map_err(|_| ControlError::Stalled(self.write_timeout))??)
     }
 
-    /// Ends the stream. A peer that is gone already is no error.
+    /// Ends the stream. It is no error if the peer is already gone.
     pub async fn finish(&mut self) {
         let _ = timeout(self.write_timeout, self.stream.shutdown()).await;
     }
@@ -153,7 +148,7 @@ mod tests {
         let mut reader = ControlReader::new(ours, limit);
         let bytes = bytes.to_vec();
         let writing = tokio::spawn(async move {
-            // The reader may give up before the end.
+            // The reader may give up early.
             let _ = peer.write_all(&bytes).await;
         });
         let mut messages = Vec::new();

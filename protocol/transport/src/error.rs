@@ -2,7 +2,7 @@
 
 use std::{error::Error, io};
 
-/// Returns the text of the innermost cause. quinn's errors say "connection lost", and why only in their source.
+/// Returns the text of the innermost cause: quinn's errors only say "connection lost".
 #[must_use]
 pub fn root_cause(error: &(dyn Error + 'static)) -> String {
     let mut cause = error;

@@ -1,4 +1,4 @@
-//! What both ends share of tokio and quinn. The rules that need no I/O are in `gnomon_protocol`.
+//! The tokio and quinn code of both ends. Rules that need no I/O are in `gnomon_protocol`.
 //!
 //! | module | what |
 //! |---|---|

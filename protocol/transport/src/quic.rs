@@ -9,7 +9,7 @@ use crate::congestion::DelayControllerFactory;
 /// ALPN of the native client.
 pub const ALPN: &[u8] = b"gnomon/1";
 
-/// Round trip assumed before it is measured. quinn resends a lost first packet after three times as long.
+/// Round trip assumed before it is measured. quinn resends a lost first packet after three times this.
 const INITIAL_RTT: Duration = Duration::from_millis(100);
 
 /// Kernel buffers of a QUIC socket: a frame of words at 1920×1080 at the client, the datagrams of all sessions at the

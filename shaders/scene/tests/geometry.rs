@@ -108,7 +108,7 @@ fn normals_turn_by_the_inverse_transpose() {
 }
 
 #[test]
-fn flattened_to_a_plane_is_still_a_surface() {
+fn a_mesh_flattened_to_a_plane_is_still_a_surface() {
     let mut document = document(Some([0.0, 0.0, 1.0]));
     document["nodes"][0]["scale"] = json!([1, 1, 0]);
     let scene = load(&document).unwrap();

@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn other_bytes_have_errors_of_their_own() {
+    fn foreign_bytes_have_their_own_errors() {
         let packed = scene().pack().unwrap();
         assert!(matches!(Scene::unpack(b""), Err(PackError::Magic(0))));
         assert!(matches!(Scene::unpack(&[0; 64]), Err(PackError::Magic(64))));
