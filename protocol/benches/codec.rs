@@ -10,7 +10,7 @@
 //! those of leaves. The reference is the same mask three pixels earlier. Times of the simplifier include copying the
 //! mask.
 
-#![allow(missing_docs, clippy::unwrap_used, reason = "a benchmark that fails has nothing to say")]
+#![allow(missing_docs, clippy::unwrap_used, reason = "a benchmark may panic")]
 
 use std::{hint::black_box, num::NonZeroUsize};
 

@@ -34,7 +34,7 @@ pub struct Pose {
     /// field of view per pixel, so `yfov_rad` is the mask's.
     pub mask_px: [u16; 2],
     /// Estimated time from `client_time_ms` until the mask is shown, in milliseconds. The server traces for the pose
-    /// that it predicts for then, and puts it into the frame's head. 0 asks for this very pose.
+    /// that it predicts for then, and puts it into the frame's head. 0 requests exactly this pose.
     pub look_ahead_ms: u16,
 }
 

@@ -157,8 +157,8 @@ impl KeptMasks {
         self.ring.kept.front()
     }
 
-    /// Keeps the last decoded mask, as `frame`. Returns the acknowledgement to send, or `None` if parts are missing.
-    /// Without room it acknowledges the newest kept mask, and after 64 times in a row none.
+    /// Keeps the last decoded mask as `frame`. Returns the acknowledgement to send, or `None` if parts are missing.
+    /// Without room it acknowledges the newest kept mask; after 64 times in a row it drops all and says so.
     pub fn keep(&mut self, decoder: &Decoder, frame: FrameNumber) -> Option<Acknowledgement> {
         if self.ring.is_full() {
             self.full += 1;

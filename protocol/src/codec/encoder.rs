@@ -1,5 +1,3 @@
-//! Encodes masks.
-
 use std::{fmt, num::NonZeroU16};
 
 use super::{

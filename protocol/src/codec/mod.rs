@@ -5,7 +5,7 @@
 //! | `words` | a u32 a pixel, row by row (dissertation §3.1) | uncompressed |
 //! | `words-lz4` | the same | LZ4 block (dissertation §3.5) |
 //! | `planes-lz4` | for each light the slice's 8×8 tiles, a u64 each | LZ4 block |
-//! | `tiles-small`, `tiles-fast` | – | [`tiles`], in as many slices as datagrams are needed |
+//! | `tiles-small`, `tiles-fast` | – | [`tiles`], each slice fits a datagram |
 //!
 //! A slice that LZ4 does not shorten is sent raw. The decoder is strict: a slice yields exactly its raw bytes, and bits
 //! without a light or outside the picture must be 0. The encoder writes such bits as 0.

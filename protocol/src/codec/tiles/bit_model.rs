@@ -6,7 +6,7 @@ const LEAST: u32 = 16;
 /// Shift of the adaptation rate. It can be slow from the first bit on, because the prior was counted over many masks.
 pub(super) const SLOW: u32 = 5;
 
-/// The same for models with few contexts, in which masks differ more.
+/// The same for models with few contexts, whose bits vary more between masks.
 pub(super) const QUICK: u32 = 4;
 
 /// Probability of a 1, in units of 2⁻³².

@@ -33,7 +33,7 @@ impl<'a> BitWriter<'a> {
         self.output.truncate(end);
     }
 
-    /// Returns the bytes written so far, a begun one included.
+    /// Returns the bytes written so far, including one that is not full.
     pub(super) fn bytes(&self) -> usize {
         self.output.len() - self.start + self.count.div_ceil(8) as usize
     }

@@ -45,7 +45,7 @@ const fn slopes() -> [u8; 256] {
     slopes
 }
 
-/// The same in six pixels: to the right, in the middle, to the left, nowhere.
+/// The same in six pixels: 0 is to the right, 1 in the middle, 2 to the left, 3 nowhere.
 static BENDS: [u8; 64] = {
     let mut bends = [3; 64];
     let mut window: usize = 0;
@@ -86,7 +86,7 @@ const BESIDE: [u8; 32] = {
 /// The value of [`Row::beside`] without a previous light.
 const ALONE: usize = 6;
 
-/// The same with less detail: the middle, left of it, right of it, elsewhere.
+/// [`BESIDE`] in four classes: 0 is the middle, 1 left of it, 2 right of it, 3 elsewhere.
 const BESIDE_PAIR: [u8; 7] = [3, 1, 0, 2, 3, 3, 3];
 
 /// Codes eight pixels. Returns the coded pixels; what a decoder passes in is ignored.
@@ -263,7 +263,7 @@ impl<B: BinaryCoder> Row<'_, '_, B> {
         let mut differs = 0;
         for x in 0..8 {
             let piece = pieces >> x & 0x0001_0001_0007_001F;
-            #[expect(clippy::cast_possible_truncation, reason = "what is wanted lies in the lowest bits")]
+            #[expect(clippy::cast_possible_truncation, reason = "only the lowest bits are used")]
             let known = (piece | piece >> 11 | piece >> 22 | piece >> 37) as u32 & 0xCFF;
             let context = known | before << 8 | if OTHER { differs << 12 } else { 0 };
             let bit = match expected {

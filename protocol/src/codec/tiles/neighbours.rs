@@ -15,7 +15,7 @@ pub(super) struct Neighbours<'a> {
     pub(super) above_left: Option<&'a DecodedBlock>,
     pub(super) above_right: Option<&'a DecodedBlock>,
     pub(super) left: Option<&'a DecodedBlock>,
-    /// The same place in the light before this one.
+    /// The same place in the previous light.
     pub(super) other: Option<&'a DecodedBlock>,
     /// Tiles of the block inside the picture.
     pub(super) tiles: usize,
@@ -187,7 +187,7 @@ pub(super) fn code_rows(
     DecodedBlock::new(block)
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "what is wanted lies in the lowest bits")]
+#[expect(clippy::cast_possible_truncation, reason = "only the lowest bits are used")]
 const fn low_bits(value: u64) -> u32 {
     value as u32
 }

@@ -69,7 +69,7 @@ impl Line {
         self.from_left >> 1 | self.from_right >> 62 << 63
     }
 
-    /// The lowest bits of `left` and `right` go beyond the ends.
+    /// The lowest bits of `left` and `right` are the pixels beyond the ends.
     pub(super) const fn new(left: u64, row: u64, right: u64) -> Self {
         Self { from_left: row << 1 | left & 1, from_right: row >> 1 | right << 63 }
     }
@@ -114,7 +114,7 @@ impl Reference {
         self.words.capacity() * size_of::<u64>()
     }
 
-    /// Replaces the mask by the blocks of a frame.
+    /// Replaces the mask with the blocks of a frame.
     pub(super) fn fill(&mut self, frame: FrameNumber, shape: MaskShape, blocks: &[DecodedBlock]) {
         let order = Order::new(shape);
         let across = order.blocks_across();

@@ -182,7 +182,7 @@ impl Template {
         (over == all && same == all && under == all && self.above == all).then_some(all & 0xFF)
     }
 
-    /// Returns the pixels around which nothing changes, above or in the reference, and the previous light was as
+    /// Returns the pixels around which nothing changes, above or in the reference, and where the previous light was as
     /// predicted.
     #[inline(always)]
     fn steady(&self) -> Steady {

@@ -1,6 +1,6 @@
 //! The model of `tiles-small`: which bits are coded, and in what contexts.
 //!
-//! One bit says that the whole block is as the tile before it. If not, the kind of each tile follows, and each row of
+//! One bit says that the whole block is like the tile before it. If not, the kind of each tile follows, and each row of
 //! each mixed tile ([`edges`]). Every slice begins with probabilities counted over other masks ([`super::prior`]).
 
 use super::{
