@@ -77,13 +77,13 @@ pub fn measure(part: &DrainPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>
     let reasons = lost.first().map(|reason| format!(", {} lost a server: {reason}", lost.len())).unwrap_or_default();
     Ok(vec![
         Finding::new(
-            "every client is told and goes to the server that is named, without a frame less",
+            "every client is told of the other server and moves there without losing a frame",
             format!("{moved} of {clients} moved, {whole} drew all of their frames{reasons}"),
             moved == clients && whole == clients && lost.is_empty(),
         ),
         Finding::new("no frame is half sent", format!("{incomplete} incomplete frames"), incomplete == 0),
         Finding::new(
-            "nobody is admitted any more",
+            "nobody is admitted after the stop",
             match &newcomer {
                 Ok(()) => "a newcomer was admitted".to_owned(),
                 Err(error) => error.to_string(),
@@ -96,7 +96,7 @@ pub fn measure(part: &DrainPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>
         ),
         Finding::new(
             &format!(
-                "it exits with 0 within its grace of {} ms (and {} ms for farewells)",
+                "it exits with 0 within its drain period of {} ms (and {} ms for closing messages)",
                 part.drain_ms,
                 FAREWELL.as_millis()
             ),

@@ -99,10 +99,10 @@ pub fn measure(part: &FairnessPart, progress: &dyn Fn(&str)) -> Result<Vec<Findi
             growth <= 0.1,
         ),
         Finding::new(
-            "their rate beside it",
+            "the modest sessions' rate beside it",
             format!("{} of {} masks", beside.2, beside.3),
             beside.2 * 100 >= beside.3 * 95,
         ),
-        Finding::new("what the greedy one got (1920×1080, as fast as it can; no goal)", greedy_said, true),
+        Finding::new("the greedy client's service (1920×1080, as fast as it can; no goal)", greedy_said, true),
     ])
 }

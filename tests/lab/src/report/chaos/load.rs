@@ -116,12 +116,12 @@ pub fn measure(part: &LoadPart, progress: &dyn Fn(&str)) -> Result<Vec<Finding>>
         ));
     }
     findings.push(Finding::new(
-        "nobody who was admitted is cut off; frames of which a part was lost",
+        "nobody who was admitted is cut off; incomplete frames",
         format!("{failed} cut off or refused ({}); {incomplete} incomplete", last.as_deref().unwrap_or("none")),
         failed == 0 && incomplete == 0,
     ));
     findings.push(Finding::new(
-        "one session too many is refused with a reason and a time to ask again",
+        "one session too many is refused with a reason and a retry time",
         match &refused {
             Err(error) => error.to_string(),
             Ok(_) => "it was admitted".to_owned(),
