@@ -23,7 +23,6 @@ pub const MAX_FRAMES: u32 = 10_000_000;
 
 const PPM_PER_PERCENT: f64 = 10_000.0;
 
-/// Largest [`ClientSettings::lossy`].
 const MAX_LOSSY_PERCENT: f64 = MAX_WRONG_PPM as f64 / PPM_PER_PERCENT;
 
 const MODES: [Mode; 3] = [Mode::Auto, Mode::Concurrent, Mode::Sequential];

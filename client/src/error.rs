@@ -42,7 +42,6 @@ pub enum ClientError {
     CertificateChanged(Box<ServerUrl>),
     #[error(transparent)]
     Refused(Refusal),
-    /// The control stream failed.
     #[error("the connection to {url} broke off: {source}")]
     Conversation { url: Box<ServerUrl>, source: ControlError },
     #[error("{url} violates the protocol: {reason}")]

@@ -58,7 +58,6 @@ pub(crate) struct FrameDriver {
     recorded_link: Option<&'static str>,
 }
 
-/// Totals of a run.
 #[derive(Debug, Default)]
 pub(crate) struct RunTotals {
     pub(crate) link: LinkTotals,
@@ -171,7 +170,7 @@ impl FrameDriver {
             if self.frames.matcher.current().is_none() {
                 return Err(ClientError::Ended { rendered: self.drawn, wanted: self.planned, reason });
             }
-            tracing::warn!(%reason, "the server is lost: drawing on without it");
+            tracing::warn!(%reason, "lost the server: drawing without it");
             self.lost = Some(reason);
         }
         Ok(response)

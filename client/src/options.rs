@@ -24,7 +24,6 @@ pub enum Source {
 pub struct HeadlessOptions {
     pub source: Source,
     pub settings: ClientSettings,
-    /// File for a recording.
     pub record: Option<PathBuf>,
     /// Remember the server for the next window.
     pub remember: bool,

@@ -20,7 +20,7 @@ use crate::link::url::ServerUrl;
 /// Includes building its hierarchies.
 const START_TIMEOUT: Duration = Duration::from_secs(120);
 
-/// Then it is killed.
+/// After this it is killed.
 const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 
 #[derive(Debug, Error)]
@@ -68,8 +68,8 @@ pub struct LocalServer {
     _folder: TempDir,
 }
 
-/// The thread that started the server. The system ends the child with this thread ([`command`]), so the thread outlives
-/// it.
+/// The thread that started the server. It must outlive the child: the system ends a child with its thread
+/// ([`command`]).
 #[derive(Debug)]
 struct ServerProcess {
     /// Dropping it stops the server.
@@ -135,7 +135,7 @@ impl LocalServer {
             None => {
                 drop(process);
                 let log = fs::read_to_string(&log).unwrap_or_default();
-                Err(LocalServerError::NotListening(log.lines().last().unwrap_or("it prints nothing").to_owned()))
+                Err(LocalServerError::NotListening(log.lines().last().unwrap_or("it printed nothing").to_owned()))
             }
         }
     }

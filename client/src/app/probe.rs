@@ -34,7 +34,6 @@ pub struct ProbeOptions {
     /// In pixels.
     pub height: u32,
     pub codec: CodecId,
-    /// Poses to send.
     pub frames: u32,
     /// Poses a second; `None` sends each pose after the last one's mask arrived.
     pub fps: Option<f64>,

@@ -61,7 +61,6 @@ pub(crate) enum DataSender {
     Tcp(PacketWriter),
 }
 
-/// Receives frame packets.
 pub(crate) enum DataReceiver {
     Quic(quinn::Connection),
     Udp(UdpReceiver),

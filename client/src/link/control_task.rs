@@ -62,7 +62,7 @@ impl ControlTask {
                     let deadline = Instant::now() + Duration::from_millis(deadline_ms.into());
                     self.health.update(|health| health.draining = Some(Draining { reason, deadline, alternative }));
                 }
-                Some(Ok(ServerMessage::Closing { reason })) => return format!("the server closed it: {reason}"),
+                Some(Ok(ServerMessage::Closing { reason })) => return format!("closed by the server: {reason}"),
                 Some(Ok(message)) => {
                     let violation = format!("the server violates the protocol: {message:?}");
                     return violation.chars().take(200).collect();

@@ -9,8 +9,7 @@ use parking_lot::Mutex;
 
 use super::connection::QuicHandle;
 
-/// Silence that counts as an outage; a server answers one ping a second. The connection may survive, but a new one is
-/// tried in parallel.
+/// Silence that counts as an outage; a server answers one ping a second. A new connection is then tried in parallel.
 const OUTAGE: Duration = Duration::from_secs(2);
 
 const CHECK_INTERVAL: Duration = Duration::from_millis(200);

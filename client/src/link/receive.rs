@@ -95,7 +95,7 @@ impl ReceiveTask {
             Ok(Some(frame)) => frame,
             Ok(None) => return Ok(false),
             Err(error) => {
-                tracing::warn!(frame = error.frame.0, reason = %error.reason, "a frame is no mask");
+                tracing::warn!(frame = error.frame.0, reason = %error.reason, "dropped an invalid frame");
                 return Ok(false);
             }
         };

@@ -10,7 +10,7 @@ use tokio::{net::lookup_host, time::timeout};
 use super::url::ServerUrl;
 use crate::error::ClientError;
 
-/// Calls `connect` with the addresses of `url` in turn, IPv4 first, and returns the first success.
+/// Calls `attempt` with the addresses of `url` in turn, IPv4 first, and returns the first success.
 ///
 /// # Errors
 /// Errors with the last failure, or if nothing has answered within `limit`.

@@ -43,7 +43,6 @@ pub enum CachedScene {
     Missing(SceneFetch),
 }
 
-/// A scene being fetched.
 #[derive(Debug)]
 pub struct SceneFetch {
     cache: SceneCache,

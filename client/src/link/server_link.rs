@@ -35,7 +35,6 @@ pub(crate) struct ServerLink {
     reconnect: Option<Reconnect>,
     poses_repeated: u32,
     reconnects: u32,
-    /// Counters of earlier connections.
     received_before: Received,
 }
 
@@ -84,7 +83,7 @@ impl ServerLink {
         let lost = self.masks.ended().or_else(|| health.silent.then(|| "the server is silent".to_owned()));
         let alternative = health.draining.and_then(|notice| {
             let url = notice.alternative?;
-            url.parse().inspect_err(|error| tracing::warn!(%error, url, "the server's alternative is no URL")).ok()
+            url.parse().inspect_err(|error| tracing::warn!(%error, url, "the server named an invalid URL")).ok()
         });
         match (&mut self.reconnect, lost, alternative) {
             (None, None, None) => {}
@@ -191,7 +190,7 @@ impl ServerLink {
         }
     }
 
-    /// Counters of all connections.
+    /// Returns the sum over all connections.
     pub(crate) fn received(&self) -> Received {
         self.received_before + self.session.received()
     }

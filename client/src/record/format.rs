@@ -11,7 +11,6 @@ pub const FIRST_LINE: &str = "gnomon recording 2\n";
 /// Longest record: the largest mask, incompressible.
 pub const MAX_RECORD_BYTES: u32 = 128 << 20;
 
-/// Largest recording.
 pub const MAX_BYTES: u64 = 2 << 30;
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -41,11 +40,8 @@ pub struct Start {
 pub struct Timing {
     /// Since the first frame.
     pub t_ms: f64,
-    /// Submitting the G-buffer pass.
     pub surfaces_ms: f64,
-    /// Uploading masks.
     pub upload_ms: f64,
-    /// Submitting the other passes.
     pub shade_ms: f64,
     /// Waiting for the adapter or the screen.
     pub readback_ms: f64,
@@ -61,13 +57,11 @@ pub enum Record {
     Start(Start),
     /// New size of the pictures, in pixels.
     Size([u32; 2]),
-    /// New predictor.
     Predictor(Predictor),
     /// Lights that are on, one bit each.
     LightsOn(u32),
     /// First column that is drawn without shadows.
     Split(Option<u32>),
-    /// New debug view.
     View(DebugView),
     /// A mask was given to the renderer.
     Mask {
@@ -80,19 +74,20 @@ pub enum Record {
         /// Tiles that had arrived, as `Coverage::words` returns them; `None` for all.
         coverage: Option<Vec<u32>>,
     },
-    /// A frame was drawn.
     Frame {
         frame: u32,
         /// View from the newest pose.
         requested: RecordedCamera,
-        /// View that was drawn.
         shown: RecordedCamera,
         /// Weight of received visibility, 0 to 1.
         visibility_share: f32,
         timing: Timing,
     },
     /// A network event.
-    Event { frame: u32, text: String },
+    Event {
+        frame: u32,
+        text: String,
+    },
 }
 
 impl From<&Camera> for RecordedCamera {

@@ -1,4 +1,4 @@
-//! Camera paths: where the camera goes when nobody steers it.
+//! Camera paths.
 
 pub mod default_path;
 pub mod path;

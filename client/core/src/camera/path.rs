@@ -67,8 +67,7 @@ impl CameraPath {
     /// Makes a path through these keyframes.
     ///
     /// # Errors
-    /// If there are none or too many, times do not increase, a value is not finite or too large, or a keyframe looks at
-    /// its own position.
+    /// If there are none or too many, times do not increase, a value is invalid, or one looks at its own place.
     pub fn new(name: &str, keyframes: Vec<Keyframe>, yfov_rad: f64) -> Result<Self, String> {
         if keyframes.is_empty() || keyframes.len() > MAX_KEYFRAMES {
             return Err(format!("{} keyframes: a path has 1 to {MAX_KEYFRAMES}", keyframes.len()));
@@ -97,8 +96,8 @@ impl CameraPath {
         Self { name: name.to_owned(), keyframes: vec![keyframe], yfov_rad }
     }
 
-    /// Parses a path from a `lights_camera.json` file: `name`, or else `camera_path`, or else the first of
-    /// `camera_paths` by name.
+    /// Parses `name` from a `lights_camera.json` file, or else `camera_path`, or else the first of `camera_paths` by
+    /// name.
     ///
     /// # Errors
     /// If the text is malformed or has no such path.

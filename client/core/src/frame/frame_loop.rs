@@ -127,8 +127,7 @@ impl FrameLoop {
         PoseRequest { pose: sends.then_some(pose), look_ahead_ms }
     }
 
-    /// Gives the renderer those of `masks` that answer a request, oldest first. Returns the response time of the newest
-    /// one.
+    /// Passes those of `masks` that answer a request to the renderer, oldest first. Returns the newest response time.
     ///
     /// # Errors
     /// If the adapter failed.
@@ -221,8 +220,7 @@ impl FrameLoop {
     }
 }
 
-/// Returns by how many pixels the middle of the picture moves, right and up, when the camera turns from `before` to
-/// `now`.
+/// Returns how many pixels the picture's centre moves, right and up, when the camera turns from `before` to `now`.
 fn turn_px(before: &Camera, now: &Camera) -> (f64, f64) {
     let forward = before.orientation.inverse() * (now.orientation * DVec3::NEG_Z);
     let (half_width, half_height) = now.half_extent();

@@ -32,8 +32,7 @@ pub struct FrameStats {
     pub link: &'static str,
     /// Weight of received visibility against the client's own prediction, 0 to 1.
     pub visibility_share: f32,
-    /// Share of pixels whose visibility came from a mask (the sky counts), for the latest picture whose count was read
-    /// back.
+    /// Share of pixels whose visibility came from a mask (the sky counts), in the latest picture with a known count.
     pub known_share: Option<f64>,
     /// The frame of the mask used; `None` if no mask fits.
     pub mask_frame: Option<u32>,

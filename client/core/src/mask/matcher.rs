@@ -15,8 +15,7 @@ use super::{
     received::ReceivedMask,
 };
 
-/// Interval of requests while the camera stands still and its mask is complete: keeps the server warm at almost no
-/// cost.
+/// Interval of requests while the camera is still and its mask complete: keeps the server warm at almost no cost.
 const REFRESH: Duration = Duration::from_secs(1);
 
 /// Matches masks with requests and keeps the latencies that follow from it.
@@ -27,8 +26,7 @@ pub struct MaskMatcher {
     current: Option<CurrentMask>,
     /// Tiles that have arrived for the current mask's view, from all masks of that view.
     coverage: Option<Coverage>,
-    /// Views of the latest masks and the frames that requested them, newest first; at most as many as the renderer's
-    /// layers.
+    /// Views of the latest masks and the frames that requested them, newest first; at most one for each layer.
     views: VecDeque<(Camera, FrameNumber)>,
     last_request: Option<Instant>,
     /// The last frame whose pose was sent more than once.
@@ -187,8 +185,8 @@ impl MaskMatcher {
         self.slowest_response
     }
 
-    /// Returns how far ahead masks should be traced, in milliseconds: the smoothed time from sending a pose until its
-    /// mask is shown.
+    /// Returns how far ahead to trace masks, in milliseconds: the smoothed time from sending a pose to showing its
+    /// mask.
     #[must_use]
     pub fn look_ahead_ms(&self) -> u16 {
         let latency = self.latency.map_or(0, |latency| latency.as_millis());

@@ -27,8 +27,7 @@ pub struct MaskQueue {
 }
 
 impl MaskQueue {
-    /// Swaps the filled `back` buffer into the queue and leaves a spare one in its place. Allocates only if there is no
-    /// spare.
+    /// Queues the filled `back` buffer and puts a spare one in its place. Allocates only if there is no spare.
     pub fn publish(&mut self, back: &mut ReceivedMask) {
         let next = self.spare.pop();
         let next = next.unwrap_or_else(|| ReceivedMask::blank(back.mask.shape(), back.received_at));
@@ -47,7 +46,7 @@ impl MaskQueue {
         self.loss = false;
     }
 
-    /// Swaps the waiting masks, oldest first, with `front`. Returns false and leaves `front` alone if none wait.
+    /// Swaps the waiting masks, oldest first, with `front`. If none wait, returns false and leaves `front` alone.
     pub fn take(&mut self, front: &mut VecDeque<ReceivedMask>) -> bool {
         if self.waiting.is_empty() {
             return false;

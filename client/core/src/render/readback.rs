@@ -112,8 +112,7 @@ impl PictureReader {
         );
     }
 
-    /// Records that picture `frame` in [`Self::target`] was submitted. If `copied` is false, it is waited for but not
-    /// read back.
+    /// Records that picture `frame` was submitted. If `copied` is false, it is waited for but not read back.
     pub fn submitted(&mut self, frame: u64, submission: wgpu::SubmissionIndex, copied: bool) {
         if copied {
             // No callback: reading the range fails if the mapping did.
@@ -123,8 +122,7 @@ impl PictureReader {
         self.next = (self.next + 1) % self.slots.len();
     }
 
-    /// Waits for the oldest picture under way. Returns `None` if there is none, and `Some(None)` if it is not read
-    /// back.
+    /// Waits for the oldest picture under way. Returns `None` if there is none, `Some(None)` if it is not read back.
     ///
     /// # Errors
     /// If the adapter failed.

@@ -148,8 +148,7 @@ fn materials(
     Ok(groups.collect())
 }
 
-/// Uploads every image that a material uses, with its mips. Each thread computes one image's mips; a browser has one
-/// thread.
+/// Uploads every image that a material uses, with its mips. Each thread computes one image; a browser has one thread.
 fn images(
     device: &wgpu::Device,
     queue: &wgpu::Queue,
