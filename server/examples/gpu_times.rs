@@ -3,9 +3,9 @@
 //! `cargo run --release -p gnomon-server --example gpu_times -- SCENE [--lights-from FILE] [--lights 1,4,8] [--size
 //! WxH] [--from X,Y,Z --to X,Y,Z] [--frames N] [--adapter NAME] [--allow-software] [--json FILE]`
 //!
-//! For every number of lights: times of the kernels by the device's own clock, of the read-back, and of whole frames
-//! one at a time; then frames per second with the ring full; and the share of the relevant bits in which the two back
-//! ends differ. Ends with an error if that share exceeds `--tolerance`.
+//! For each number of lights it prints: times of the kernels by the device's clock, of the read-back, and of whole
+//! frames one at a time; frames per second with a full ring; and the share of relevant bits in which the back ends
+//! differ. Ends with an error if that share exceeds `--tolerance`.
 
 mod view;
 
@@ -34,7 +34,7 @@ use self::view::{ViewArguments, size};
 struct Arguments {
     #[command(flatten)]
     view: ViewArguments,
-    /// Numbers of lights: the first N of the scene's.
+    /// Numbers of lights: the first N of the scene.
     #[arg(long, value_delimiter = ',', default_values_t = [1, 4, 8])]
     lights: Vec<usize>,
     /// Size of the mask.
@@ -105,7 +105,7 @@ fn measure(scene: &Scene, compute: &mut ComputeBackend, camera: &Camera, frames:
     let lights = scene.lights.len();
     let shape = MaskShape::new(camera.width, camera.height, u32::try_from(lights)?)?;
     let mut mask = Mask::new(shape);
-    // The first frames bring clocks up and memory in.
+    // The first frames raise clocks and load memory.
     for _ in 0..5 {
         compute.trace(camera, &mut mask)?;
     }

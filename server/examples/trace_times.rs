@@ -1,10 +1,10 @@
-//! Times the `cpu` back end on a scene: million rays per second and core, and counts of its traversal.
+//! Times the `cpu` back end on a scene: million rays per second and core, and traversal counts.
 //!
 //! `cargo run --release -p gnomon-server --example trace_times -- SCENE [--lights-from FILE] [--lights N] [--size WxH]
 //! [--from X,Y,Z --to X,Y,Z] [--frames N] [--threads 1,2] [--picture FILE.pgm]`
 //!
-//! Frames are timed by wall-clock time, which includes other programs' time on the core. On a busy machine use the line
-//! by processor time.
+//! Frames are timed by wall-clock time, which includes other programs' use of the core. On a busy machine read the line
+//! with processor time.
 
 mod view;
 
@@ -74,7 +74,7 @@ fn main() -> Result<()> {
             );
         }
         if processor_s > 0.0 {
-            // Wall-clock time divides the processor's time between the stages: interruptions hit both alike.
+            // Wall-clock time gives the stages' shares of the processor's time: interruptions affect both alike.
             let [primary_ms, shadow_ms] =
                 [costs.iter().map(|cost| cost.primary_ms).sum::<f64>(), costs.iter().map(|cost| cost.shadow_ms).sum()];
             let frames = arguments.frames as f64;
@@ -100,7 +100,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Processor time of this process in seconds; 0 where the system does not tell (it does on Linux).
+/// Processor time of this process in seconds; 0 where the system does not report it (Linux does).
 fn processor_s() -> f64 {
     let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
     let nanoseconds = |task: std::io::Result<std::fs::DirEntry>| -> Option<f64> {

@@ -36,7 +36,7 @@ pub struct Cli {
     pub settings: ServerConfig,
 }
 
-/// What to do instead of serving.
+/// A command other than serving.
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
     /// Make a bearer token: prints the client's secret, then its entry for --token-file
@@ -59,7 +59,7 @@ pub enum Command {
 /// Reads flags, environment and TOML file.
 ///
 /// # Errors
-/// Names the flag, variable or key of what is wrong.
+/// Names the flag, variable or key that is wrong.
 pub fn load(layers: Layers) -> Result<Loaded<Cli>, SettingsError> {
     Layers { paths_from_file: true, ..layers }.load::<Cli, ServerConfig>()
 }

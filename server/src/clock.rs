@@ -1,6 +1,6 @@
 //! The wall clock, and a clock that does not step.
 //!
-//! The wall clock may step by hours when it is set, so it serves only dates that people write (tokens, certificates) or
+//! The wall clock steps when someone sets it, so it serves only for dates that people write (tokens, certificates) or
 //! read (reports). All waiting and measuring uses [`std::time::Instant`].
 
 use std::time::{Instant, SystemTime};
@@ -12,7 +12,7 @@ pub(crate) fn wall() -> SystemTime {
     SystemTime::now()
 }
 
-/// Wall time at its creation plus the time elapsed since. Setting the clock does not change it.
+/// Wall time at its creation plus the elapsed time. Setting the clock does not affect it.
 #[derive(Debug)]
 pub(crate) struct SteadyClock(SystemTime, Instant);
 

@@ -15,7 +15,7 @@ use thiserror::Error;
 pub use crate::visibility::engine::BackendChoice as Backend;
 use crate::{limits, operate::otlp::collector::Collector};
 
-/// Everything that an operator can choose. The doc comments are the `--help` texts.
+/// Everything that an operator can choose. Doc comments are the `--help` texts.
 #[derive(Debug, Clone, PartialEq, clap::Args)]
 pub struct ServerConfig {
     /// Scene to trace: .gltf, .glb, or a packed scene from a client's cache
@@ -118,7 +118,7 @@ impl Default for ServerConfig {
     }
 }
 
-/// Text that goes into a URL or a message.
+/// Text for a URL or a message.
 fn word(text: &str) -> Result<String, String> {
     let most = gnomon_protocol::limits::MAX_TEXT_BYTES;
     if text.is_empty() || text.len() > most || text.chars().any(char::is_whitespace) {
@@ -127,7 +127,7 @@ fn word(text: &str) -> Result<String, String> {
     Ok(text.to_owned())
 }
 
-/// Address of the admin endpoints: `ADDR:PORT`, or a port alone, which is on loopback.
+/// Address of the admin endpoints: `ADDR:PORT`, or `PORT` on loopback.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AdminAddress(pub SocketAddr);
 
@@ -140,7 +140,6 @@ impl FromStr for AdminAddress {
     }
 }
 
-/// Transport of the sessions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Transport {
     /// QUIC datagrams, and WebTransport for browsers on the same port
@@ -152,7 +151,6 @@ pub enum Transport {
 }
 
 impl Transport {
-    /// URL scheme.
     #[must_use]
     pub const fn scheme(self) -> &'static str {
         match self {
@@ -173,16 +171,15 @@ impl fmt::Display for Transport {
     }
 }
 
-/// Format of the logs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum LogFormat {
     /// One JSON object per line
     Json,
-    /// For people
+    /// Human-readable text
     Pretty,
 }
 
-/// Settings that do not go together.
+/// Settings that conflict.
 #[derive(Debug, Error)]
 pub enum ConfigError {
     #[error("--agones needs a gnomon-server built with --features agones")]
@@ -207,10 +204,10 @@ impl FromStr for ServerConfig {
 }
 
 impl ServerConfig {
-    /// Checks settings against each other. Their own bounds are checked where they are read.
+    /// Checks settings against each other. Bounds of single settings are checked when they are read.
     ///
     /// # Errors
-    /// Names the first settings that do not go together.
+    /// Names the first settings that conflict.
     pub fn validate(&self) -> Result<(), ConfigError> {
         if self.cert_file.is_some() != self.key_file.is_some() {
             return Err(ConfigError::HalfACertificate);

@@ -1,4 +1,4 @@
-//! Reads files of bounded length, and writes files atomically.
+//! Reads files of limited length, and writes files atomically.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -17,9 +17,9 @@ pub(crate) fn read_small(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Creates a file that only its owner may read, unless it exists; returns whether it did. The file appears whole or not
-/// at all: a crash leaves no partial key, and two servers that start at once keep the same one.
-/// Errors if the folder cannot be written.
+/// Creates a file that only its owner may read, unless it exists. Returns whether it did. The file appears whole or not
+/// at all: a crash leaves no partial key, and two servers that start at once keep the same one. Errors if the folder
+/// cannot be written.
 pub(crate) fn create_private(path: &Path, bytes: &[u8]) -> io::Result<bool> {
     static SCRATCH: AtomicU64 = AtomicU64::new(0);
     let unique = SCRATCH.fetch_add(1, Ordering::Relaxed);
@@ -34,11 +34,11 @@ pub(crate) fn create_private(path: &Path, bytes: &[u8]) -> io::Result<bool> {
         match fs::hard_link(&scratch, path) {
             Ok(()) => Ok(true),
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
-            // A file system without links: a rename is atomic too, but may replace another server's file.
+            // The file system lacks hard links. A rename is atomic, too, but may replace another server's file.
             Err(_) => fs::rename(&scratch, path).map(|()| true),
         }
     });
-    // Gone already after a rename; harmless if it stays.
+    // Already gone after a rename; harmless if it remains.
     let _ = fs::remove_file(&scratch);
     made
 }

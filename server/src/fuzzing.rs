@@ -1,11 +1,11 @@
-//! Properties of the parsers of operators' files. Each function panics if its property does not hold. Only the fuzz
-//! targets (`tests/fuzz`) and the test below call them.
+//! Properties of the parsers of operators' files. Each function panics if its property fails. Only the fuzz targets
+//! (`tests/fuzz`) and the test below call them.
 
 use std::path::Path;
 
 use crate::{admission::tokens::file, config::ServerConfig, operate::otlp::collector::Collector};
 
-/// Any configuration is accepted, or refused on one line.
+/// Accepts any configuration, or refuses it in one line.
 pub fn config(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     match text.parse::<ServerConfig>() {
@@ -17,7 +17,7 @@ pub fn config(bytes: &[u8]) {
     }
 }
 
-/// Any token file is accepted, or refused on one line without quoting it.
+/// Accepts any token file, or refuses it in one line without quoting it.
 pub fn tokens(bytes: &[u8]) {
     if let Err(error) = file::parse(Path::new("FILE"), bytes.to_vec()) {
         let message = error.to_string();
@@ -30,8 +30,7 @@ mod tests {
     use super::*;
     use crate::admission::tokens::{Scope, make};
 
-    /// Tries valid files and damaged ones. `GNOMON_FUZZ_SEEDS=FOLDER` writes the valid ones there, as seeds for the
-    /// targets.
+    /// Tries valid files and damaged ones. `GNOMON_FUZZ_SEEDS=FOLDER` writes the valid ones there, as seeds.
     fn drive(target: &str, seeds: &[String], entry: fn(&[u8])) {
         for (index, seed) in seeds.iter().enumerate() {
             if let Some(folder) = std::env::var_os("GNOMON_FUZZ_SEEDS") {

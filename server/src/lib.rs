@@ -1,7 +1,7 @@
 //! Gnomon's edge server: ray-traces visibility for many thin clients and streams it to them.
 //!
-//! A pose's way: `net` receives it → `session` keeps the newest → [`visibility`] traces it → `session` encodes
-//! and sends. [`Server::start`] boots the daemon inside any tokio runtime; the binary adds flags, logs and signals.
+//! Path of a pose: `net` receives it → `session` keeps the newest → [`visibility`] traces it → `session` encodes and
+//! sends. [`Server::start`] boots the daemon inside any tokio runtime; the binary adds flags, logs and signals.
 
 mod admission;
 mod app;

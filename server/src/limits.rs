@@ -1,6 +1,6 @@
-//! Every limit of the server that is not configured. Limits of messages are in `gnomon_protocol::limits`.
+//! All fixed limits of the server. Limits of messages are in `gnomon_protocol::limits`.
 //!
-//! What one client can use, and what happens beyond it:
+//! Each client's limits, and what happens beyond them:
 //!
 //! | what | limit | beyond it |
 //! |---|---|---|
@@ -27,20 +27,20 @@
 
 use std::{num::NonZeroUsize, time::Duration};
 
-/// Longest message of a client: a token, a name and a few numbers. Bounds memory before admission.
+/// Longest client message: a token, a name and a few numbers. Bounds memory before admission.
 pub const MAX_CLIENT_MESSAGE_BYTES: usize = 4096;
 
-/// Connections between their first packet and their admission. More are refused at once.
+/// Connections between first packet and admission. More are refused at once.
 pub const MAX_HANDSHAKES: usize = 128;
 
-/// Of [`MAX_HANDSHAKES`], the share of one address, so that a flood from it leaves half to others.
+/// Share of [`MAX_HANDSHAKES`] for one address, so that a flood from it leaves half to others.
 pub const MAX_HANDSHAKES_PER_ADDRESS: usize = MAX_HANDSHAKES / 2;
 
-/// Up to this many handshakes under way, each gets [`UNHURRIED_LIMITS`].
+/// While at most this many handshakes are under way, each gets [`UNHURRIED_LIMITS`].
 pub const MAX_UNHURRIED_HANDSHAKES: usize = MAX_HANDSHAKES / 4;
 
 /// Time limit of an unhurried handshake, in multiples of `handshake_timeout_ms`. Its 20 s allow six tries of a packet,
-/// since each takes twice as long as the one before.
+/// since each try takes twice as long as the last.
 pub const UNHURRIED_LIMITS: u32 = 4;
 
 /// Bytes that quinn buffers per connection before it is accepted (default: 10 MiB).
@@ -57,7 +57,7 @@ pub const STREAM_RECEIVE_WINDOW_BYTES: u32 = 64 * 1024;
 /// Scene bytes in flight to one client.
 pub const SEND_WINDOW_BYTES: u64 = 4 * 1024 * 1024;
 
-/// Streams of a client: the control stream, and those of HTTP/3.
+/// Streams of a client: the control stream, and HTTP/3's own.
 pub const MAX_BIDI_STREAMS: u32 = 4;
 
 pub const MAX_UNI_STREAMS: u32 = 8;
@@ -74,35 +74,35 @@ pub const MAX_MESSAGES_PER_SECOND: u64 = 1000;
 /// Datagrams per second of a client, mostly poses. No screen shows as many frames.
 pub const MAX_POSES_PER_SECOND: u32 = 2000;
 
-/// Frame bytes per second of a client, and the size of a burst: words at 1920×1080 and 60 frames/s.
+/// Frame bytes per second of a client, and the size of a burst: enough for words at 1920×1080 and 60 frames/s.
 pub const MAX_CLIENT_BYTES_PER_SECOND: u64 = 500_000_000;
 
-/// Device time per second of a client, and the size of a burst. One client may use a whole device, which the scheduler
-/// shares; this limits what it takes of several.
+/// Device time per second of a client, and the size of a burst. One client may use a whole device, shared by the
+/// scheduler. This limits its use of several.
 pub const MAX_CLIENT_GPU_PER_SECOND: Duration = Duration::from_secs(1);
 
-/// Queued datagrams, in frames. Beyond this a new frame is skipped.
+/// Queued datagrams, in frames, beyond which a new frame is skipped.
 pub const SEND_BACKLOG_FRAMES: f64 = 1.6;
 
 /// Bytes that may always be queued, so that tiny frames do not skip each other.
 pub const SEND_BACKLOG_FLOOR_BYTES: usize = 16 * 1024;
 
-/// For one write to a control stream.
+/// Limit for one write to a control stream.
 pub const WRITE_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// From admission to Start, while the client fetches the scene and builds its pipelines.
+/// Limit from admission to Start, while the client fetches the scene and builds its pipelines.
 pub const SETUP_TIMEOUT: Duration = Duration::from_secs(600);
 
-/// Without poses or messages, for a client that answers only the transport's keep-alives.
+/// Limit without poses or messages, for a client that answers only the transport's keep-alives.
 pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(60);
 
-/// For a peer to read a last message before its connection is closed.
+/// Time for a peer to read a last message before its connection is closed.
 pub const LINGER: Duration = Duration::from_millis(500);
 
-/// For frames in flight when a session stops.
+/// Time for frames in flight when a session stops.
 pub const FINISH_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Suggested to refused clients.
+/// Delay suggested to refused clients.
 pub const RETRY_AFTER: Duration = Duration::from_secs(5);
 
 pub const MAX_TOKEN_FILE_BYTES: u64 = 1024 * 1024;
@@ -110,7 +110,7 @@ pub const MAX_TOKEN_FILE_BYTES: u64 = 1024 * 1024;
 /// Largest certificate or key file.
 pub const MAX_SMALL_FILE_BYTES: u64 = 256 * 1024;
 
-/// Room in the engine for sessions that have ended but that it has not released yet.
+/// Room in the engine for ended sessions that it has not released yet.
 pub const SPARE_ENGINE_SESSIONS: usize = 16;
 
 pub const MAX_DEVICES: NonZeroUsize = NonZeroUsize::MIN.saturating_add(63);
@@ -123,10 +123,10 @@ pub const MAX_SESSIONS: usize = 4096;
 /// Connections to the admin address at once; others wait.
 pub const MAX_ADMIN_CONNECTIONS: usize = 16;
 
-/// For an admin request and its answer.
+/// Limit for an admin request and its answer.
 pub const ADMIN_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Bytes read of an answer from Agones' sidecar or a collector.
+/// Most bytes read of an answer from Agones' sidecar or a collector.
 pub const MAX_HTTP_ANSWER_BYTES: usize = 64 * 1024;
 
 /// Queued log lines; more are counted and dropped.

@@ -13,7 +13,7 @@ use gnomon_server::{
 };
 use gnomon_settings::{Layers, Loaded};
 
-/// Threads for encoding beside the workers; as many again as encode at once is plenty.
+/// Threads for encoding, beside the workers. Ample, since one session per core encodes at once.
 const MAX_BLOCKING_THREADS: usize = 64;
 
 fn main() -> ExitCode {
@@ -24,7 +24,7 @@ fn main() -> ExitCode {
     match run(loaded) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // One line, whatever the libraries put into their messages.
+            // Print one line, whatever the libraries put into their messages.
             let message = format!("{error:#}").split_whitespace().collect::<Vec<_>>().join(" ");
             eprintln!("gnomon-server: {message}");
             ExitCode::FAILURE
@@ -86,7 +86,7 @@ async fn serve(config: ServerConfig, logs: &Logs) -> anyhow::Result<()> {
             tracing::info!(signal, "stopping; a second signal stops at once");
             None
         }
-        // A supervisor starts it again; a server that only refuses would look alive.
+        // End, so that a supervisor restarts the server: one that only refuses would look alive.
         reason = server.failed() => Some(reason),
     };
     tokio::select! {
@@ -101,7 +101,7 @@ async fn serve(config: ServerConfig, logs: &Logs) -> anyhow::Result<()> {
     }
 }
 
-/// A line on standard output, at once: whoever started the server waits for it.
+/// Prints a line on standard output at once: the program that started the server waits for it.
 fn print_line(text: &str) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     writeln!(out, "{text}").and_then(|()| out.flush()).context("cannot write to standard output")

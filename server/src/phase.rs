@@ -1,11 +1,11 @@
-//! The server's shutdown as its sessions see it.
+//! The phases of the server's shutdown, for its sessions.
 
 use tokio::sync::watch;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Phase {
     Running,
-    /// No new clients; connected ones are asked to move to another server.
+    /// New clients are refused; connected ones are asked to move to another server.
     Draining,
     /// Sessions send the frames in flight, then end.
     Stopping,

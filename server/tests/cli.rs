@@ -1,4 +1,4 @@
-//! The binary: flags, environment, file, exit codes, its line on standard output, and signals.
+//! The binary: flags, environment, file, exit codes, standard output, and signals.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::{
@@ -20,7 +20,7 @@ fn server() -> Command {
     command
 }
 
-/// Runs to the end. Stops a server that starts unexpectedly.
+/// Runs the command to its end. Stops a server that starts unexpectedly.
 fn run(command: &mut Command) -> Output {
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut line = String::new();

@@ -1,4 +1,4 @@
-//! The scene and the camera of an example, from its command line.
+//! Command-line options for an example's scene and camera.
 
 use std::path::PathBuf;
 

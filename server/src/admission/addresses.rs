@@ -1,4 +1,4 @@
-//! Limits per client address, so that one peer cannot take every session or handshake.
+//! Limits per client address, so that one peer cannot take all sessions or handshakes.
 
 use std::{
     collections::HashMap,
@@ -12,13 +12,13 @@ use parking_lot::Mutex;
 #[derive(Debug)]
 pub(crate) struct AddressLimit {
     max: usize,
-    /// True if loopback is limited too. Behind a local proxy every client has that address.
+    /// True to limit loopback, too. Behind a local proxy every client has that address.
     loopback: bool,
-    /// Only addresses that hold a permit, so the permits bound its size.
+    /// Only addresses with permits, so the permits bound its size.
     counts: Mutex<HashMap<IpAddr, usize>>,
 }
 
-/// Returned on drop. The default is for loopback, which is not counted.
+/// Released on drop. The default is for loopback, which is not counted.
 #[derive(Debug, Default)]
 pub(crate) struct AddressPermit {
     counted: Option<(Arc<AddressLimit>, IpAddr)>,
@@ -34,7 +34,7 @@ impl AddressLimit {
         self.acquire_below(address, self.max)
     }
 
-    /// Ignores the limit, for a resumed session: its lost connection returns a permit soon.
+    /// Ignores the limit, for a resumed session: its lost connection soon releases a permit.
     pub(crate) fn acquire_over_limit(self: &Arc<Self>, address: IpAddr) -> Option<AddressPermit> {
         self.acquire_below(address, usize::MAX)
     }

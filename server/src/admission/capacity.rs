@@ -1,5 +1,5 @@
-//! Core time and network rate: measures what sessions use, and decides whether one more fits. Device time has a budget
-//! of its own (`visibility/schedule/capacity.rs`).
+//! Core time and network bandwidth: measures what sessions use, and decides whether one more fits. Device time has its
+//! own budget (`visibility/schedule/capacity.rs`).
 
 use std::{
     fmt,
@@ -19,10 +19,10 @@ use crate::{
 /// Default budget for encoding, in ms per second and core. The rest is for packets and the system.
 const CORE_BUDGET_MS: f64 = 800.0;
 
-/// A new session counts with the rate it asked for; after this time, with its measured rate, updated as often.
+/// A new session counts with its requested rate; after this time, with its measured rate, updated this often.
 const WINDOW: Duration = Duration::from_secs(10);
 
-/// Frames after which a session's own mean cost is used.
+/// Number of frames after which a session's own mean cost is used.
 const MIN_MEASURED_FRAMES: u64 = 8;
 
 /// Limits per second.
@@ -102,9 +102,8 @@ impl HostCapacity {
         Self { budget: Budget { core_ms, mbit }, reserved: Arc::default() }
     }
 
-    /// Reserves room for a session of up to `rate_hz` masks a second. The first session always fits: it can disturb
-    /// no other.
-    /// Errors if the cores or the network lack capacity.
+    /// Reserves room for a session of up to `rate_hz` masks a second. The first session always fits: it can disturb no
+    /// other. Errors if the cores or the network lack capacity.
     pub(crate) fn reserve(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<Reservation, OverCapacity> {
         let requested_hz = rate_hz.unwrap_or(LEAST_HZ);
         let latest = Latest { since: Instant::now(), frames: 0, rate_hz: requested_hz };
@@ -133,7 +132,7 @@ impl HostCapacity {
 }
 
 impl Reserved {
-    /// Updates `per_bit` from the current sessions. Without any measured session it keeps its value.
+    /// Updates `per_bit` from the current sessions. Keeps its value if no session is measured.
     fn update_cost(&mut self) {
         let measured = self.sessions.iter().filter_map(|entry| entry.frame_cost().map(|cost| (cost, entry.bits)));
         let (sum, bits) =
@@ -145,7 +144,7 @@ impl Reserved {
 }
 
 impl Entry {
-    /// Mean cost of a frame, once enough were sent.
+    /// Mean cost of a frame, once enough frames were sent.
     fn frame_cost(&self) -> Option<Cost> {
         let (encoded, sent) = (self.ledger.frames_encoded.get(), self.ledger.frames_sent.get());
         (sent >= MIN_MEASURED_FRAMES && encoded > 0).then(|| Cost {
@@ -187,7 +186,7 @@ impl Reservation {
 impl Drop for Reservation {
     fn drop(&mut self) {
         let mut reserved = self.reserved.lock();
-        // Its measured cost outlives it.
+        // Its measured cost remains after it ends.
         reserved.update_cost();
         reserved.sessions.retain(|entry| !Arc::ptr_eq(entry, &self.entry));
     }
@@ -228,7 +227,7 @@ mod tests {
                 Err(refused) => break refused,
             }
         };
-        // 120 ms a second each.
+        // 120 ms per second each.
         assert_eq!(sessions.len(), 4);
         let text = refused.to_string();
         assert!(text.contains("need 120.0 ms of the cores") && text.contains("20.0 are left"), "{text}");
@@ -237,7 +236,7 @@ mod tests {
         let greedy = capacity.reserve(shape(), None).unwrap();
         drop((small, greedy, sessions.pop()));
         sessions.push(capacity.reserve(shape(), Some(60.0)).unwrap());
-        // The measured cost outlives all sessions.
+        // The measured cost remains after all sessions end.
         sessions.clear();
         let _first = capacity.reserve(shape(), Some(240.0)).unwrap();
         assert!(capacity.reserve(shape(), Some(60.0)).is_err());

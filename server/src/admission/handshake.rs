@@ -1,4 +1,4 @@
-//! The handshake: Hello in, Welcome or a refusal out. Nothing of the scene is sent before it is done.
+//! The handshake: Hello in, Welcome or a refusal out. No part of the scene is sent before it succeeds.
 
 use std::net::SocketAddr;
 
@@ -27,7 +27,7 @@ use crate::{
     visibility::engine::{OpenError, SessionPort},
 };
 
-/// A client that passed the handshake. The session releases all of it when it ends.
+/// A client that passed the handshake. The session releases all of its fields when it ends.
 pub(crate) struct AdmittedClient {
     pub(crate) permit: SessionPermit,
     /// The session's end of the tracing engine.
@@ -40,11 +40,10 @@ pub(crate) struct AdmittedClient {
     pub(crate) reservation: Reservation,
 }
 
-/// How a session's frames are coded.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Coding {
     pub(crate) codec: CodecId,
-    /// Wrong bits that are allowed, per million.
+    /// Wrong bits allowed per million.
     pub(crate) wrong_ppm: u16,
 }
 
@@ -57,14 +56,14 @@ pub(crate) enum HandshakeError {
     Refused(Refusal),
     #[error(transparent)]
     Control(#[from] ControlError),
-    #[error("it left before its Hello")]
+    #[error("the client left before its Hello")]
     Left,
-    #[error("its first message was not Hello")]
+    #[error("the client's first message was not Hello")]
     NoHello,
 }
 
-/// Reads the Hello and answers it. The caller bounds the time.
-/// Errors if the client is refused (after it was told so), or breaks off.
+/// Reads the Hello and answers it. The caller limits the time. Errors if the client is refused (after telling it), or
+/// disconnects.
 pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<AdmittedClient, HandshakeError> {
     let admitted = match read_hello(&mut link.reader).await? {
         Ok(hello) => admit(hello, link.peer, services),
@@ -96,7 +95,7 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
     }
 }
 
-/// Returns a refusal when the Hello has another protocol version.
+/// Returns a refusal if the Hello has another protocol version.
 async fn read_hello(reader: &mut ControlReader<ClientMessage>) -> Result<Result<Hello, Refusal>, HandshakeError> {
     let bytes = reader.next_bytes().await.map_err(|error| match error {
         ControlError::Closed => HandshakeError::Left,
@@ -148,7 +147,7 @@ fn admit(hello: Hello, peer: SocketAddr, services: &Services) -> Result<Admitted
         return Err((RefusalCause::Unsupported, Refusal::Unsupported(reason)));
     }
     let coding = Coding { codec: hello.codec, wrong_ppm: hello.wrong_ppm };
-    // The resumed session returns its address permit in a moment.
+    // The resumed session soon releases its address permit.
     let addresses = &services.addresses;
     let address = if resumes { addresses.acquire_over_limit(peer.ip()) } else { addresses.acquire(peer.ip()) };
     let address = address.ok_or_else(|| (RefusalCause::Address, services.permits.full()))?;
@@ -173,7 +172,7 @@ fn admit(hello: Hello, peer: SocketAddr, services: &Services) -> Result<Admitted
     Ok(AdmittedClient { permit, port, shape, coding, client: hello.client, address, reservation })
 }
 
-/// Cuts a text to [`MAX_TEXT_BYTES`], between characters.
+/// Cuts a text to [`MAX_TEXT_BYTES`] at a character boundary.
 fn shortened(text: &str) -> String {
     let end = (0..=MAX_TEXT_BYTES.min(text.len())).rev().find(|end| text.is_char_boundary(*end)).unwrap_or(0);
     text[..end].to_owned()

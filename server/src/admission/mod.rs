@@ -1,4 +1,4 @@
-//! Who gets in: the handshake, tokens, limits per address, session permits, and the capacity of cores and network.
+//! Admission: the handshake, tokens, limits per address, session permits, and the capacity of cores and network.
 
 pub(crate) mod addresses;
 pub(crate) mod capacity;

@@ -1,4 +1,4 @@
-//! Session permits: a fixed number, none once the server drains. A client that resumes a session takes over its permit.
+//! Session permits: a fixed number, and none while draining. A client that resumes a session takes over its permit.
 
 use std::{
     collections::HashMap,
@@ -42,11 +42,11 @@ struct Place {
     _permit: OwnedSemaphorePermit,
 }
 
-/// Lets one session run; dropping it makes room for another.
+/// Lets one session run. Dropping it makes room for another.
 #[derive(Debug)]
 pub(crate) struct SessionPermit {
     pub(crate) id: SessionId,
-    /// Secret with which the client may resume the session.
+    /// Secret that lets the client resume the session.
     pub(crate) resume: ResumeToken,
     superseded: Arc<Notify>,
     _place: Arc<Place>,
@@ -64,8 +64,8 @@ impl SessionPermits {
         }
     }
 
-    /// Takes over the permit of the session that `resume` names, which then ends, or a free one.
-    /// Errors: [`Refusal::Full`] when none is free, [`Refusal::Draining`] after [`Self::close`].
+    /// Takes over the permit of the session that `resume` names, which then ends, or takes a free one. Errors:
+    /// [`Refusal::Full`] if none is free, [`Refusal::Draining`] after [`Self::close`].
     pub(crate) fn acquire(&self, resume: Option<ResumeToken>) -> Result<SessionPermit, Refusal> {
         if self.free.is_closed() {
             return Err(Refusal::Draining);
@@ -79,7 +79,7 @@ impl SessionPermits {
             },
         };
         let mut token = ResumeToken([0; 16]);
-        // Never fails where TLS works.
+        // Does not fail where TLS works.
         self.random.fill(&mut token.0).map_err(|_| self.full())?;
         let superseded = Arc::new(Notify::new());
         let entry = Entry { place: Arc::downgrade(&place), superseded: Arc::clone(&superseded) };
@@ -112,7 +112,7 @@ impl SessionPermits {
         }
     }
 
-    /// Refuses a client whose load would disturb the others.
+    /// Makes a refusal for a client whose load would disturb the others.
     pub(crate) fn busy(&self, reason: String) -> Refusal {
         Refusal::Busy { reason, retry_after_ms: u32::try_from(RETRY_AFTER.as_millis()).unwrap_or(u32::MAX) }
     }

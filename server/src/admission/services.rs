@@ -1,4 +1,4 @@
-//! What all sessions of a server share.
+//! State that all sessions of a server share.
 
 use std::{sync::Arc, time::Duration};
 
@@ -9,7 +9,7 @@ use tokio::sync::{Semaphore, watch};
 use super::{addresses::AddressLimit, capacity::HostCapacity, permit::SessionPermits, tokens::store::TokenStore};
 use crate::{metrics::registry::Metrics, phase::Phase, visibility::engine::Fleet};
 
-/// The scene as clients fetch it.
+/// The scene in the form that clients fetch.
 #[derive(Debug)]
 pub(crate) struct SceneAsset {
     pub(crate) packed: Bytes,
@@ -30,10 +30,10 @@ pub(crate) struct Services {
     pub(crate) permits: SessionPermits,
     pub(crate) capacity: HostCapacity,
     pub(crate) phase: watch::Receiver<Phase>,
-    /// Bounds how many sessions encode at once: one per core.
+    /// Limits how many sessions encode at once: one per core.
     pub(crate) encoders: Arc<Semaphore>,
     pub(crate) handshake_timeout: Duration,
     pub(crate) drain_ms: u32,
-    /// URL that a draining server names to its clients.
+    /// URL to which a draining server sends its clients.
     pub(crate) alternative: Option<String>,
 }

@@ -1,6 +1,6 @@
-//! The time limit of handshakes. It is long while few are under way, because on a network that loses a third of its
-//! packets each loss doubles the time until the next try. It is short during a flood, when slow handshakes would keep
-//! others out.
+//! The time limit of handshakes. It is long while few are under way: on a network that loses a third of its packets,
+//! each loss doubles the time until the next try. It is short during a flood, when slow handshakes would keep others
+//! out.
 
 use std::{pin::pin, time::Duration};
 
@@ -11,8 +11,8 @@ use tokio::{
 
 use crate::limits::{MAX_HANDSHAKES, MAX_UNHURRIED_HANDSHAKES, UNHURRIED_LIMITS};
 
-/// Runs `work` for up to `limit`, or up to [`UNHURRIED_LIMITS`] times that while few handshakes are under way.
-/// Returns `None` when the time is up. `permit` is one of [`MAX_HANDSHAKES`].
+/// Runs `work` for up to `limit`, or up to [`UNHURRIED_LIMITS`] times that while few handshakes are under way. Returns
+/// `None` after the time limit. `permit` is one of [`MAX_HANDSHAKES`].
 pub(crate) async fn within<T>(
     limit: Duration,
     permit: &OwnedSemaphorePermit,

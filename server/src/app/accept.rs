@@ -1,4 +1,4 @@
-//! Accepts peers, and runs the handshake and session of each in a task of its own.
+//! Accepts peers. Each one's handshake and session run in their own task.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ use crate::{
     session,
 };
 
-/// Serves peers until the server stops. Then waits for the sessions to end, and refuses new peers.
+/// Serves peers until the server stops. Then refuses new peers and waits for the sessions to end.
 pub(super) async fn accept(endpoint: Arc<Endpoint>, services: Arc<Services>) {
     let handshakes = Arc::new(Semaphore::new(limits::MAX_HANDSHAKES));
     let addresses = AddressLimit::new(limits::MAX_HANDSHAKES_PER_ADDRESS, true);
@@ -62,7 +62,6 @@ fn log_panic(ended: Result<(), tokio::task::JoinError>) {
     }
 }
 
-/// Serves one peer, from its first packet to the end of its session.
 async fn serve(arrival: Arrival, handshake: (OwnedSemaphorePermit, AddressPermit), services: Arc<Services>) {
     let greeting = async {
         let mut link = arrival.into_link().await.map_err(|error| HandshakeError::Arrival(error.to_string()))?;
@@ -72,13 +71,13 @@ async fn serve(arrival: Arrival, handshake: (OwnedSemaphorePermit, AddressPermit
     let mut phase = services.phase.clone();
     let greeted = tokio::select! {
         greeted = time_limit::within(services.handshake_timeout, &handshake.0, greeting) => greeted,
-        // A peer without a Hello by now does not delay the stop.
+        // A peer that has not sent Hello by now does not delay the stop.
         () = stopping(&mut phase) => return tracing::info!(reason = "the server stops", "not admitted"),
     };
     let (link, admitted) = match greeted {
         Some(Ok(greeted)) => greeted,
         Some(Err(error)) => {
-            // Refusals are counted with their cause where they are made.
+            // Refusals were counted where they were made, with their cause.
             if !matches!(error, HandshakeError::Refused(_)) {
                 services.metrics.refused(RefusalCause::Broken);
             }

@@ -1,5 +1,3 @@
-//! Errors of a server's start.
-
 use std::path::PathBuf;
 
 use gnomon_scene::SceneError;
@@ -11,7 +9,6 @@ pub use crate::{
     operate::admin::AdminError,
 };
 
-/// Why a server does not start.
 #[derive(Debug, Error)]
 pub enum StartError {
     #[error(transparent)]

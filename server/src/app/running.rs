@@ -1,4 +1,4 @@
-//! A running server: what callers may ask it, reloading, and an orderly shutdown.
+//! A running server: its queries, reloading, and an orderly shutdown.
 
 use std::{net::SocketAddr, sync::Arc, time::Duration};
 
@@ -34,7 +34,7 @@ pub struct RunningServer {
 }
 
 impl RunningServer {
-    /// The bound address. Never port 0.
+    /// The bound address, never with port 0.
     #[must_use]
     pub const fn local_addr(&self) -> SocketAddr {
         self.local_addr
@@ -47,7 +47,7 @@ impl RunningServer {
     }
 
     /// SHA-256 of the browsers' certificate in hexadecimal; `None` on lab transports. Renewed every few days, since
-    /// browsers pin no certificate with a lifetime above 14 days.
+    /// browsers reject pinned certificates that are valid for more than 14 days.
     #[must_use]
     pub fn browser_certificate_sha256(&self) -> Option<String> {
         self.certificates.as_ref().map(|certificates| certificates.browser_sha256())
@@ -74,13 +74,12 @@ impl RunningServer {
         self.services.engine.engines()
     }
 
-    /// The admin address, if there is one.
     #[must_use]
     pub fn admin_addr(&self) -> Option<SocketAddr> {
         self.admin.as_ref().map(Admin::local_addr)
     }
 
-    /// Reloads the token file and the certificate. Open sessions stay. An unusable file changes nothing and is logged.
+    /// Reloads the token file and the certificate. Open sessions stay. An unusable file is logged and changes nothing.
     pub fn reload(&self) {
         if let Some(tokens) = &self.services.tokens {
             match tokens.reload() {
@@ -96,16 +95,16 @@ impl RunningServer {
         }
     }
 
-    /// Waits until tracing fails for good, and returns why, for example a lost device. The server still listens, but
-    /// refuses every client, so the caller should shut it down.
+    /// Waits until tracing fails for good, for example by a lost device. Returns the reason. The server then still
+    /// listens but refuses every client, so shut it down.
     pub async fn failed(&self) -> String {
         let reason = self.services.engine.ended().await;
         self.readiness.set(Stage::Failed(reason.clone()));
         reason
     }
 
-    /// Stops admitting clients, tells the connected ones, serves them for up to `drain_ms` until they leave, finishes
-    /// the frames in flight, and ends.
+    /// Stops admitting clients, tells connected ones to leave, serves them for up to `drain_ms`, finishes the frames in
+    /// flight, and ends.
     pub async fn shutdown(self) {
         let Self {
             services,
@@ -138,7 +137,7 @@ impl RunningServer {
         }
         endpoint.close().await;
         drop(endpoint);
-        // Joins a thread, which must not block a runtime worker.
+        // Joining a thread must not block a runtime worker.
         if let Err(error) = tokio::task::spawn_blocking(move || services.engine.shutdown()).await {
             tracing::error!(%error, "the engine panicked");
         }

@@ -1,18 +1,18 @@
-//! Signals: the first asks the server to drain, the second ends it at once, SIGHUP reloads its files.
+//! Signals: the first drains the server, the second ends it at once, SIGHUP reloads its files.
 
 use std::io;
 
-/// SIGHUP, which asks for a reload.
+/// SIGHUP, a request to reload.
 pub struct Hangups {
     #[cfg(unix)]
     hangup: tokio::signal::unix::Signal,
 }
 
 impl Hangups {
-    /// From now on SIGHUP does not end the process.
+    /// After this call SIGHUP does not end the process.
     ///
     /// # Errors
-    /// Errors if the system refuses.
+    /// If the system refuses.
     pub fn listen() -> io::Result<Self> {
         #[cfg(unix)]
         return Ok(Self { hangup: tokio::signal::unix::signal(tokio::signal::unix::SignalKind::hangup())? });
@@ -29,7 +29,7 @@ impl Hangups {
     }
 }
 
-/// SIGTERM and SIGINT, which ask for a stop.
+/// SIGTERM and SIGINT, requests to stop.
 pub struct Signals {
     #[cfg(unix)]
     terminate: tokio::signal::unix::Signal,
@@ -38,10 +38,10 @@ pub struct Signals {
 }
 
 impl Signals {
-    /// From now on neither signal ends the process by itself.
+    /// After this call neither signal ends the process by itself.
     ///
     /// # Errors
-    /// Errors if the system refuses.
+    /// If the system refuses.
     pub fn listen() -> io::Result<Self> {
         #[cfg(unix)]
         {

@@ -42,7 +42,7 @@ impl Server {
     /// Binds the address, loads and packs the scene, starts the tracing engine, and listens.
     ///
     /// # Errors
-    /// Errors name the first thing that is missing, wrong or taken.
+    /// Names the first thing that is missing, wrong or taken.
     pub async fn start(config: ServerConfig) -> Result<RunningServer, StartError> {
         config.validate()?;
         // Quick checks first: loading takes seconds.
@@ -79,7 +79,6 @@ impl Server {
         for device in engine.engines() {
             warm_up(device, asset.lights).await.map_err(StartError::Broken)?;
         }
-        // Set only here.
         let _ = status.backend.set(engine.description().to_owned());
 
         let url = url(&config, local_addr, certificates.as_deref());
@@ -137,7 +136,7 @@ impl Server {
     /// Loads and packs the configured scene, and returns a description of several lines.
     ///
     /// # Errors
-    /// As [`Self::start`], for the configuration, tokens and scene.
+    /// As [`Self::start`], for configuration, tokens and scene.
     pub fn check(config: &ServerConfig) -> Result<String, StartError> {
         config.validate()?;
         let path = config.scene.as_deref().ok_or(StartError::NoScene)?;
@@ -160,7 +159,7 @@ fn engine_options(config: &ServerConfig) -> EngineOptions {
         adapter: config.adapter.clone(),
         allow_software: config.allow_software,
         threads: config.threads,
-        // The engine releases a session a moment after its permit, so it needs some more room.
+        // The engine releases a session shortly after its permit, so it needs spare room.
         max_sessions: config.max_sessions + limits::SPARE_ENGINE_SESSIONS,
         budget_ms: f64::from(config.device_budget_ms),
         devices: config.devices,

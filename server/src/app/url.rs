@@ -14,7 +14,7 @@ pub(super) fn url(config: &ServerConfig, local_addr: SocketAddr, certificates: O
     format!("{}://{authority}/{query}", config.transport.scheme())
 }
 
-/// Completes `HOST[:PORT]` with the port, and with brackets around a bare IPv6 address.
+/// Completes `HOST[:PORT]` with the port, and puts brackets around a bare IPv6 address.
 fn authority(host: &str, port: u16) -> String {
     match host.rsplit_once(':') {
         _ if host.parse::<Ipv6Addr>().is_ok() => format!("[{host}]:{port}"),
@@ -23,15 +23,15 @@ fn authority(host: &str, port: u16) -> String {
     }
 }
 
-/// Replaces an unspecified address by the one from which this machine reaches others, so that the URL works here and
-/// elsewhere. Connecting a UDP socket sends nothing.
+/// Replaces an unspecified address by this machine's address towards others, so that the URL works everywhere.
+/// Connecting a UDP socket sends nothing.
 fn reachable(address: SocketAddr) -> SocketAddr {
     if !address.ip().is_unspecified() {
         return address;
     }
     let (from, to): (SocketAddr, SocketAddr) = (
         (Ipv4Addr::UNSPECIFIED, 0).into(),
-        // TEST-NET-1 (RFC 5737): routed like any far address, and assigned to nobody.
+        // TEST-NET-1 (RFC 5737): routed like any distant address, but assigned to nobody.
         (Ipv4Addr::new(192, 0, 2, 1), 9).into(),
     );
     let outward = UdpSocket::bind(from).and_then(|socket| socket.connect(to).and_then(|()| socket.local_addr()));

@@ -49,23 +49,23 @@ ledger! {
     /// Poses used.
     poses,
     acknowledgements,
-    /// Datagrams that are no valid pose.
+    /// Datagrams that are not valid poses.
     poses_bad,
     /// Poses not newer than one already used.
     poses_stale,
-    /// Datagrams dropped over the rate limit.
+    /// Datagrams dropped because they exceeded the rate limit.
     poses_over_rate,
-    /// Datagrams dropped unread: newer ones displaced them, or the session ended.
+    /// Datagrams dropped unread, because newer ones displaced them or the session ended.
     poses_unread,
     frames_traced,
-    /// Masks encoded, or tried.
+    /// Masks encoded, including failed attempts.
     frames_encoded,
     /// Core time of encoding, in microseconds.
     encode_us,
     frames_sent,
     /// Frames sent in part, because the network carried no more.
     frames_cut,
-    /// Frames dropped for a newer mask before encoding.
+    /// Frames replaced by a newer mask before encoding.
     frames_superseded,
     /// Frames dropped because the network was busy with earlier ones, or carried too little.
     frames_gated,
@@ -79,7 +79,7 @@ ledger! {
     packets_unsent,
     /// Bytes sent in packets, headers included.
     bytes,
-    /// Tracing time of the device or processor, in microseconds.
+    /// Tracing time on the device or processor, in microseconds.
     gpu_us,
     /// UDP datagrams received on the connection.
     udp_received,
@@ -99,7 +99,7 @@ pub(crate) struct Stages {
     pub(crate) encode: Times,
     /// Packetizing, and handing over to the transport.
     pub(crate) send: Times,
-    /// From the pose's arrival until its frame is with the transport.
+    /// From a pose's arrival until the transport has its frame.
     pub(crate) pose_to_sent: Times,
 }
 
@@ -141,7 +141,6 @@ impl Counter {
         self.0.fetch_add(more, Ordering::Relaxed);
     }
 
-    /// Adds whole microseconds.
     pub(crate) fn add_us(&self, spent: Duration) {
         self.add(u64::try_from(spent.as_micros()).unwrap_or(u64::MAX));
     }
@@ -160,8 +159,8 @@ impl Ledger {
         self.stages.readback.record_ms(cost.readback_ms);
     }
 
-    /// Accounts at the session's end for what was never read, and for what was traced and never sent. `transport` holds
-    /// the transport's counters, if it has any.
+    /// Accounts at the session's end for what was never read, and for what was traced and never sent. `transport`: the
+    /// transport's counters, if any.
     pub(crate) fn close(&self, transport: Option<TransportCounts>) {
         let totals = self.totals();
         if let Some(counts) = transport {
@@ -186,7 +185,7 @@ impl Ledger {
 }
 
 impl Totals {
-    /// Received datagrams by all causes.
+    /// Received datagrams of all kinds.
     pub(crate) const fn datagrams_in(&self) -> u64 {
         self.poses
             + self.acknowledgements
@@ -196,7 +195,7 @@ impl Totals {
             + self.poses_unread
     }
 
-    /// Traced frames by all outcomes.
+    /// Traced frames with any outcome.
     pub(crate) const fn frames_out(&self) -> u64 {
         self.frames_sent + self.frames_superseded + self.frames_gated + self.frames_unsendable + self.frames_abandoned
     }

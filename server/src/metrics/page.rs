@@ -32,7 +32,7 @@ pub(crate) struct Page {
 pub(crate) const CONTENT_TYPE: &str = prometheus_text::CONTENT_TYPE;
 
 impl Page {
-    /// Never, since writing to a string does not fail.
+    /// Does not fail: writing to a string cannot.
     pub(crate) fn text(self) -> Result<String, fmt::Error> {
         let mut registry = Registry::with_prefix("gnomon");
         registry.register_collector(Box::new(self));

@@ -28,7 +28,7 @@ fn resident_bytes(status: &str) -> Option<u64> {
     kib.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
-/// Sums the last column over the sockets with this local port: datagrams that found the buffer full.
+/// Sums the last column over the sockets with this local port: datagrams dropped because the buffer was full.
 fn kernel_drops(table: &str, port: u16) -> Option<u64> {
     let wanted = format!(":{port:04X}");
     let lines = table.lines().skip(1).map(|line| line.split_ascii_whitespace().collect::<Vec<_>>());

@@ -1,6 +1,6 @@
-//! All sessions: which are open, and the sum over all that were ever served.
+//! All sessions: the open ones, and totals over all that were ever served.
 //!
-//! Nothing is counted twice. Work is written to a session's ledger only; a snapshot adds up the ledgers of the open
+//! Nothing is counted twice. Work is recorded in a session's ledger only. A snapshot adds the ledgers of the open
 //! sessions and the totals of the closed ones.
 
 use std::{
@@ -104,7 +104,7 @@ pub(crate) struct Registration {
 }
 
 impl Registration {
-    /// Sets how the session ended; [`EndCause::Failed`] otherwise.
+    /// Sets how the session ended. The default is [`EndCause::Failed`].
     pub(crate) const fn set_cause(&mut self, cause: EndCause) {
         self.cause = cause;
     }
@@ -148,7 +148,7 @@ impl Metrics {
             sum.totals.add(&totals);
             sum.stages.add(&entry.ledger.stages.counts());
         }
-        // Read after the sessions, so that a datagram may count as unowned for a moment but never twice.
+        // Read after the sessions: a datagram may briefly count as unowned, but never twice.
         let rest = |all: u64, owned: u64, last: &AtomicU64| {
             let rest = all.saturating_sub(owned);
             rest.max(last.fetch_max(rest, Ordering::Relaxed))

@@ -1,6 +1,6 @@
 //! Histograms of durations with exponential buckets, for quantiles in logs and for Prometheus.
 //!
-//! Four buckets per octave, so a quantile is off by at most an eighth of its value. Recording is one atomic addition
+//! With four buckets per octave, a quantile is off by at most an eighth of its value. Recording is one atomic addition
 //! per counter.
 
 use std::{
@@ -14,7 +14,7 @@ const PER_OCTAVE: usize = 4;
 /// Upper edge of the first bucket, in microseconds.
 const FIRST_EDGE_US: u64 = 16;
 
-/// Octaves above the first bucket. The last bucket ends at 67 s, and holds all longer times.
+/// Octaves above the first bucket. The last bucket ends at 67 s and also holds all longer times.
 const OCTAVES: usize = 22;
 
 const BUCKETS: usize = 1 + OCTAVES * PER_OCTAVE;
@@ -79,7 +79,7 @@ impl Counts {
         self.sum_us += other.sum_us;
     }
 
-    /// The quantile `share` in milliseconds, interpolated within its bucket. 0 without any counts.
+    /// The quantile `share` in milliseconds, interpolated within its bucket. 0 without counts.
     #[expect(clippy::cast_precision_loss, reason = "counts and microseconds of one second")]
     pub(crate) fn quantile_ms(&self, share: f64) -> f64 {
         let rank = self.count() as f64 * share;

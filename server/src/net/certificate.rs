@@ -1,13 +1,13 @@
 //! TLS identity: a permanent certificate for native clients, and a short-lived one for browsers.
 //!
-//! The permanent one is the operator's (`cert_file`, `key_file`), whose CA clients trust, or self-signed. Of the latter
-//! clients pin the SHA-256 in the server's URL, as SSH pins a host key. So it is made once, never expires, and stays in
-//! `identity.pem`; delete the file to get another. SIGHUP reloads the files for later handshakes; sessions keep their
-//! keys.
+//! The permanent one belongs to the operator (`cert_file`, `key_file`), and clients trust its CA; or else it is
+//! self-signed. Clients pin a self-signed one by its SHA-256 in the server's URL, as SSH pins a host key. So it is made
+//! once, never expires, and stays in `identity.pem`; delete the file to get another. SIGHUP reloads the files for later
+//! handshakes; sessions keep their keys.
 //!
-//! A browser accepts a pinned certificate (`serverCertificateHashes`) only with a lifetime of at most 14 days and a
-//! P-256 key. So a handshake that offers `h3` gets a second certificate, which is valid for 13 days, stays in memory,
-//! and is renewed after half of that. Web pages ask the server for its hash anyway.
+//! A browser accepts a pinned certificate (`serverCertificateHashes`) only if it is valid for at most 14 days and has a
+//! P-256 key. So a handshake that offers `h3` gets a second certificate. It is valid for 13 days, stays in memory, and
+//! is renewed after half of that. Web pages ask the server for its hash anyway.
 
 use std::{
     path::{Path, PathBuf},
@@ -35,7 +35,7 @@ pub(crate) const ALPN_WEB: &[u8] = b"h3";
 
 const BROWSER_LIFE: Duration = Duration::from_secs(13 * 24 * 3600);
 
-/// Tolerates browsers whose clock is late.
+/// Tolerates browsers whose clocks are slow.
 const BROWSER_BACKDATE: Duration = Duration::from_secs(3600);
 
 #[derive(Debug, Error)]
@@ -51,7 +51,7 @@ pub enum CertificateError {
     Make(String),
 }
 
-/// Chooses a certificate by the ALPN that a client offers.
+/// Chooses a certificate by the client's ALPN.
 #[derive(Debug)]
 pub(crate) struct Certificates {
     files: Files,
@@ -90,14 +90,14 @@ impl Files {
 #[derive(Debug)]
 struct BrowserCertificate {
     key: Arc<CertifiedKey>,
-    /// Not valid before, which matters if the clock is set back.
+    /// Start of validity. Matters if the clock is set back.
     begins_at: SystemTime,
     renew_at: SystemTime,
 }
 
 impl Certificates {
-    /// Reads the permanent certificate, or makes it.
-    /// Errors if the folder or file cannot be used, or its content is damaged.
+    /// Reads or makes the permanent certificate. Errors if the folder or file cannot be used, or its content is
+    /// damaged.
     pub(crate) fn open(config: &ServerConfig, provider: Arc<CryptoProvider>) -> Result<Self, CertificateError> {
         let files = match (&config.cert_file, &config.key_file) {
             (Some(certificate), Some(key)) => Files::Operator { certificate: certificate.clone(), key: key.clone() },
@@ -114,8 +114,7 @@ impl Certificates {
     }
 
     /// Rereads the permanent certificate for later handshakes, and returns its SHA-256. An unusable one changes
-    /// nothing.
-    /// Errors as [`Self::open`].
+    /// nothing. Errors as [`Self::open`].
     pub(crate) fn reload(&self) -> Result<String, CertificateError> {
         let read = Arc::new(self.files.read(&self.provider)?);
         *self.permanent.lock() = read;
@@ -148,7 +147,7 @@ impl Certificates {
         if now >= browser.renew_at || now < browser.begins_at {
             match BrowserCertificate::make(&self.provider, now) {
                 Ok(renewed) => *browser = renewed,
-                // The old one is valid for days more, and the next handshake retries.
+                // The old one stays valid for days, and the next handshake retries.
                 Err(error) => tracing::error!(%error, "cannot renew the browsers' certificate"),
             }
         }
@@ -182,7 +181,7 @@ impl BrowserCertificate {
     }
 }
 
-/// Makes a self-signed P-256 certificate. Clients pin it, so its name does not matter.
+/// Makes a self-signed P-256 certificate. Its name is arbitrary, since clients pin it.
 fn make(life: impl FnOnce(&mut CertificateParams)) -> Result<(rcgen::Certificate, KeyPair), CertificateError> {
     let attempt = move || {
         let mut params = CertificateParams::new(["gnomon".to_owned(), "localhost".to_owned()])?;
@@ -195,13 +194,13 @@ fn make(life: impl FnOnce(&mut CertificateParams)) -> Result<(rcgen::Certificate
     attempt().map_err(|error: rcgen::Error| CertificateError::Make(error.to_string()))
 }
 
-/// Without an end, by the date that RFC 5280, 4.1.2.5, defines for that.
+/// Sets no end, by the date that RFC 5280, 4.1.2.5, defines for that.
 fn forever(params: &mut CertificateParams) {
     params.not_before = date_time_ymd(2000, 1, 1);
     params.not_after = date_time_ymd(9999, 12, 31);
 }
 
-/// Reads a chain and its key, from two files or from one.
+/// Reads a chain and its key, from one or two files.
 fn read(certificate: &Path, key: &Path, provider: &CryptoProvider) -> Result<CertifiedKey, CertificateError> {
     let damaged = |reason: String| CertificateError::Damaged { path: certificate.to_owned(), reason };
     let read = |path: &Path| {
@@ -314,7 +313,7 @@ mod tests {
         assert!(Arc::ptr_eq(&first, &certificates.browser_key(now + BROWSER_LIFE / 3)));
         let renewed = certificates.browser_key(now + BROWSER_LIFE / 2 + Duration::from_secs(60));
         assert!(!Arc::ptr_eq(&first, &renewed));
-        // The clock was set back: a browser would say that it is not valid yet. A little is within its age.
+        // The clock was set back, so a browser would find the certificate not yet valid. A small step is tolerated.
         assert!(Arc::ptr_eq(&renewed, &certificates.browser_key(now + BROWSER_LIFE / 2)));
         assert!(!Arc::ptr_eq(&renewed, &certificates.browser_key(now)));
         assert!(BROWSER_LIFE <= Duration::from_secs(14 * 24 * 3600), "browsers refuse longer lives");

@@ -29,7 +29,7 @@ use crate::{
     limits,
 };
 
-/// quinn's datagram send buffer. It never fills, since the frame gate stops at 1.6 frames of any size.
+/// quinn's datagram send buffer. It never fills, since the frame gate closes at 1.6 frames of any size.
 const DATAGRAM_SEND_BUFFER_BYTES: usize = 2 * MAX_FRAME_BYTES;
 
 #[derive(Debug, Error)]
@@ -54,8 +54,7 @@ pub(crate) enum Endpoint {
     Lab { listener: TcpListener, transport: Transport },
 }
 
-/// Binds the configured address.
-/// Errors if the address is taken or cannot be used.
+/// Binds the configured address. Errors if the address is taken or unusable.
 pub(crate) fn bind(config: &ServerConfig) -> Result<Bound, ListenError> {
     let address = config.listen;
     let attempt = || {
@@ -64,7 +63,7 @@ pub(crate) fn bind(config: &ServerConfig) -> Result<Bound, ListenError> {
         }
         let socket = Socket::new(Domain::for_address(address), Type::STREAM, Some(Protocol::TCP))?;
         if address.is_ipv6() {
-            // Lets `[::]` serve IPv4 too, on every system.
+            // `[::]` serves IPv4, too, on every system.
             socket.set_only_v6(false)?;
         }
         socket.set_nonblocking(true)?;
@@ -90,8 +89,7 @@ impl Bound {
         }
     }
 
-    /// Starts to receive packets, counting them in `counts`.
-    /// Errors if TLS or the runtime refuses.
+    /// Starts to receive packets, counting them in `counts`. Errors if TLS or the runtime refuses.
     pub(crate) fn open(
         self,
         config: &ServerConfig,
@@ -142,7 +140,7 @@ fn quic_config(
     server
         .max_incoming(limits::MAX_HANDSHAKES)
         .incoming_buffer_size(limits::INCOMING_BUFFER_BYTES)
-        // Setting the clock must not change the age of Retry tokens.
+        // Setting the clock must not affect the age of Retry tokens.
         .time_source(Arc::new(SteadyClock::new()))
         .incoming_buffer_size_total(limits::INCOMING_BUFFER_TOTAL_BYTES)
         .transport_config(Arc::new(transport_config(config).map_err(|error| tls_error(&error))?));
@@ -151,7 +149,7 @@ fn quic_config(
 
 fn transport_config(config: &ServerConfig) -> Result<quinn::TransportConfig, quinn::VarIntBoundsExceeded> {
     let idle_timeout = config.idle_timeout();
-    // Keeps a client whose camera stands still; a client that is gone does not answer.
+    // Keep-alives keep a client whose camera stands still; a lost client does not answer them.
     let mut transport = quic::transport_config(idle_timeout, idle_timeout / 3, config.initial_window_bytes)?;
     transport
         .datagram_receive_buffer_size(Some(limits::DATAGRAM_RECEIVE_BUFFER_BYTES))
@@ -195,8 +193,8 @@ impl Endpoint {
                         return Some(Arrival::Quic(Box::new(incoming)));
                     }
                     counts.count_retry();
-                    // Always: a spoofed first packet of 1200 bytes would send 3738 bytes of certificate to a victim; a
-                    // Retry has 108. It costs an honest client one round trip.
+                    // Always retry: a spoofed first packet of 1200 bytes would send 3738 bytes of certificate to a
+                    // victim. A Retry has 108 bytes, and costs an honest client one round trip.
                     if let Err(error) = incoming.retry() {
                         error.into_incoming().ignore();
                     }
@@ -213,11 +211,11 @@ impl Endpoint {
         }
     }
 
-    /// Closes every connection, and waits up to [`limits::LINGER`] for the peers to acknowledge.
+    /// Closes every connection, and waits up to [`limits::LINGER`] for the peers' acknowledgements.
     pub(crate) async fn close(&self) {
         if let Self::Quic { endpoint, .. } = self {
             endpoint.close(0u32.into(), b"the server stops");
-            // Peers that do not acknowledge notice by their idle timeout.
+            // Other peers notice by their idle timeout.
             let _ = tokio::time::timeout(limits::LINGER, endpoint.wait_idle()).await;
         }
     }
@@ -239,8 +237,8 @@ impl Arrival {
         }
     }
 
-    /// Completes the transport's handshake, and waits for the client's control stream.
-    /// Errors if the peer breaks off, or speaks another protocol.
+    /// Completes the transport's handshake, and waits for the client's control stream. Errors if the peer disconnects
+    /// or speaks another protocol.
     pub(crate) async fn into_link(self) -> Result<Link, ArrivalError> {
         let peer = self.peer();
         match self {

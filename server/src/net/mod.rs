@@ -1,4 +1,4 @@
-//! The network: accepts peers, shows the server's certificates, and carries sessions.
+//! The network: accepts peers, presents the server's certificates, and carries sessions.
 
 pub(crate) mod certificate;
 pub(crate) mod endpoint;

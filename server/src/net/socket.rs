@@ -1,5 +1,4 @@
-//! Counts the datagrams of the shared UDP socket. Less the connections' own counts, this is what belonged to no
-//! session.
+//! Counts the datagrams of the shared UDP socket. Less the connections' own counts, these belong to no session.
 
 use std::{
     io::{self, IoSliceMut},
@@ -33,7 +32,7 @@ impl SocketCounts {
         self.sent.load(Ordering::Relaxed)
     }
 
-    /// Peers that were sent a Retry.
+    /// Number of peers that were sent a Retry.
     pub(crate) fn retries(&self) -> u64 {
         self.retries.load(Ordering::Relaxed)
     }
@@ -55,7 +54,7 @@ impl CountingSocket {
     }
 }
 
-/// Datagrams of `stride` bytes in a buffer: the kernel takes and returns several per call.
+/// Number of datagrams of `stride` bytes in a buffer: the kernel takes and returns several per call.
 const fn datagrams(bytes: usize, stride: usize) -> u64 {
     // A stride of 0 means one datagram.
     if stride == 0 { 1 } else { bytes.div_ceil(stride) as u64 }

@@ -1,8 +1,8 @@
-//! Keeps Agones informed: ready when clients may come, healthy while tracing works, and a session counter that goes
-//! down when a session ends.
+//! Reports to Agones: ready when clients may come, healthy while tracing works, and a session counter that decreases
+//! when a session ends.
 //!
 //! Talks to the sidecar's HTTP gateway on loopback, with the paths of Agones' `sdk.proto` and `beta.proto`. gRPC would
-//! add protoc and tonic to the build for four calls. Failed calls are repeated; sessions do not depend on them.
+//! add protoc and tonic to the build for four calls. Failed calls are repeated. Sessions do not depend on them.
 
 use std::{net::Ipv4Addr, sync::Arc, time::Duration};
 
@@ -21,7 +21,7 @@ use crate::{
     },
 };
 
-/// Port of the gateway unless `AGONES_SDK_HTTP_PORT` says otherwise.
+/// Default port of the gateway, without `AGONES_SDK_HTTP_PORT`.
 const GATEWAY_PORT: u16 = 9358;
 
 /// Less than half of `health.periodSeconds`, which is 5 s in our fleet.
@@ -52,7 +52,7 @@ impl Sidecar {
         self.call(Method::POST, path, "{}").await
     }
 
-    /// Counts down for an ended session. Allocation counts up.
+    /// Decrements the counter for an ended session. Allocation increments it.
     async fn count_down(self) -> Result<(), SendError> {
         let path = format!("/v1beta1/counters/{COUNTER}");
         self.call(Method::PATCH, &path, "{\"countDiff\":\"-1\"}").await
@@ -78,7 +78,7 @@ pub(crate) async fn shutdown() {
 #[derive(Debug, Default)]
 struct Reported {
     ready: bool,
-    /// Ended sessions that Agones knows of.
+    /// Ended sessions already reported to Agones.
     counted_down: u64,
     poses: u64,
     frames: u64,
@@ -103,7 +103,7 @@ impl Reported {
         while self.counted_down < ended && logged_ok("counter", &sidecar.count_down().await) {
             self.counted_down += 1;
         }
-        // Poses without frames mean that the server is unhealthy, whatever its process state.
+        // Poses without frames mean an unhealthy server, whatever its process state.
         let (poses, frames) = (now.sum.totals.poses, now.sum.totals.frames_traced);
         let stuck = now.open > 0 && poses > self.poses && frames == self.frames;
         (self.poses, self.frames) = (poses, frames);
@@ -115,7 +115,7 @@ impl Reported {
 
 fn logged_ok(what: &str, called: &Result<(), SendError>) -> bool {
     if let Err(error) = called {
-        tracing::warn!(what, %error, "agones");
+        tracing::warn!(what, %error, "a call to Agones failed");
     }
     called.is_ok()
 }
@@ -131,7 +131,7 @@ mod tests {
 
     use super::*;
 
-    /// Answers as Agones' gateway does, records requests, and fails on demand.
+    /// Answers like Agones' gateway, records requests, and fails on demand.
     struct Gateway {
         sidecar: Sidecar,
         requests: Arc<Mutex<Vec<String>>>,
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn agones_is_told_readiness_health_and_ended_sessions() {
+    async fn agones_learns_readiness_health_and_ended_sessions() {
         let gateway = Gateway::start().await;
         let (mut reported, mut now) = (Reported::default(), Snapshot::default());
         reported.heartbeat(gateway.sidecar, &Stage::Starting, &now).await;
@@ -215,7 +215,6 @@ mod tests {
         *gateway.broken.lock().unwrap() = false;
         reported.heartbeat(gateway.sidecar, &Stage::Ready, &now).await;
         assert!(reported.ready && reported.counted_down == 1);
-        // Nothing listens there.
         let nobody = Sidecar { port: 9 };
         reported.heartbeat(nobody, &Stage::Ready, &now).await;
         assert!(matches!(nobody.post("/health").await, Err(SendError::Reach(_))));

@@ -1,4 +1,4 @@
-//! Sends one HTTP request on a connection of its own, to Agones' sidecar or to a telemetry collector.
+//! Sends one HTTP request on its own connection, to Agones' sidecar or to a telemetry collector.
 
 use std::time::Duration;
 
@@ -21,7 +21,7 @@ pub(crate) enum SendError {
     Http(#[from] hyper::Error),
     #[error("bad request: {0}")]
     Request(#[from] hyper::http::Error),
-    #[error("it answered {0}")]
+    #[error("HTTP status {0}")]
     Status(StatusCode),
     #[error("no answer in {} s", .0.as_secs_f64())]
     Silent(Duration),
@@ -39,7 +39,7 @@ pub(crate) async fn send(
         let answer = async {
             let response = sender.send_request(request).await?;
             let status = response.status();
-            // Unused, but the connection closes cleanly only after it is read.
+            // Read and discard the body, so that the connection closes cleanly.
             let _ = Limited::new(response.into_body(), MAX_HTTP_ANSWER_BYTES).collect().await;
             if status.is_success() { Ok(()) } else { Err(SendError::Status(status)) }
         };
@@ -69,7 +69,7 @@ mod tests {
 
     use super::*;
 
-    /// Answers one request with these bytes. Without any, it leaves the connection open.
+    /// Answers one request with these bytes. If there are none, leaves the connection open.
     async fn answering(answer: Vec<u8>) -> SocketAddr {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
@@ -99,7 +99,7 @@ mod tests {
         };
         post(answering(answer("200 OK", b"{}")).await, minute).await.unwrap();
         post(answering(answer("204 No Content", b"")).await, minute).await.unwrap();
-        // A longer body than is read, and a shorter one than announced.
+        // A body longer than what is read, and one shorter than announced.
         post(answering(answer("200 OK", &[b'x'; 1 << 20])).await, minute).await.unwrap();
         post(answering(b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\n{}".to_vec()).await, minute).await.unwrap();
         let refused = post(answering(answer("503 Service Unavailable", b"later")).await, minute).await;

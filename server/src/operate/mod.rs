@@ -1,4 +1,4 @@
-//! What an operator's tools see: the admin address, readiness, logs, OTLP reports, Agones.
+//! Operators' interfaces: the admin address, readiness, logs, OTLP reports, Agones.
 
 pub(crate) mod admin;
 #[cfg(feature = "agones")]

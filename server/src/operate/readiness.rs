@@ -1,4 +1,4 @@
-//! How far the server is. Clients may come once the scene is loaded and the device has traced a mask of it.
+//! The server's startup state. It is ready once the scene is loaded and the device has traced a mask of it.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use tokio::sync::watch;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Stage {
-    /// Loading the scene, building hierarchies, warming up the device.
+    /// Loading the scene, building hierarchies, or warming up the device.
     Starting,
     Ready,
     Draining,

@@ -1,4 +1,4 @@
-//! What the admin address and the OTLP reports show.
+//! The data behind the admin address and the OTLP reports.
 
 use std::{
     net::SocketAddr,
@@ -19,7 +19,7 @@ pub(crate) struct Status {
     pub(crate) readiness: Readiness,
     /// The tracing back end, once it has started.
     pub(crate) backend: OnceLock<String>,
-    /// Sessions that may be open at once.
+    /// Most sessions at once.
     pub(crate) capacity: usize,
     /// Local address of the UDP socket.
     pub(crate) socket: Option<SocketAddr>,

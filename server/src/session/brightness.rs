@@ -1,12 +1,12 @@
-//! Weights of lights: changes in a dim light's shadows are seen less, so they are sent later when not all can be.
+//! Weights of lights. Changes in a dim light's shadows are less visible, so they are sent later if bandwidth is short.
 
 use glam::Vec3;
 use gnomon_protocol::refresh::FULL_WEIGHT;
 use gnomon_scene::Scene;
 use gnomon_shaders::shading::Light;
 
-/// Returns a weight per light: its mean irradiance over the scene's surfaces, without shadows. The brightest light has
-/// [`FULL_WEIGHT`], and none less than 1.
+/// Returns each light's weight: its mean irradiance over the scene's surfaces, without shadows. The brightest light has
+/// [`FULL_WEIGHT`]; the minimum is 1.
 pub(crate) fn weights(scene: &Scene) -> Vec<u32> {
     let lights: Vec<Light> = scene.lights.iter().map(|light| Light::new(light, 1.0)).collect();
     let mut totals = vec![0.0_f64; lights.len()];
@@ -16,7 +16,7 @@ pub(crate) fn weights(scene: &Scene) -> Vec<u32> {
         let (area, normal, middle) = (f64::from(cross.length()), cross.normalize_or_zero(), (a + b + c) / 3.0);
         for (sum, light) in totals.iter_mut().zip(&lights) {
             let lux = f64::from(received_lux(light, middle, normal));
-            // Infinite for a lamp within a surface.
+            // Infinite for a lamp inside a surface.
             if lux.is_finite() {
                 *sum += area * lux;
             }

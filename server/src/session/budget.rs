@@ -1,4 +1,4 @@
-//! Limits what one client costs: device time and bytes per second. Over the limit its next mask waits. Nothing queues
+//! Limits one client's cost: device time and bytes per second. Over the limit its next mask waits. Nothing queues
 //! meanwhile, since the engine traces nothing for a session that takes no masks.
 
 use std::time::{Duration, Instant};
@@ -15,7 +15,7 @@ pub(super) struct Budget {
     settled_at: Instant,
 }
 
-/// Holds up to one second's worth. May be overdrawn, because costs are known only afterwards.
+/// Holds up to one second's worth. May be overdrawn, since costs are known only afterwards.
 #[derive(Debug)]
 struct TokenBucket {
     per_second: f64,
@@ -29,7 +29,7 @@ impl TokenBucket {
         Self { per_second, level: per_second, spent: 0.0 }
     }
 
-    /// `spent` is the total so far. Returns how long to wait until the level is above zero.
+    /// `spent` is the total so far. Returns the time to wait until the level is above zero.
     fn settle(&mut self, spent: f64, elapsed: Duration) -> Duration {
         let filled = self.per_second.mul_add(elapsed.as_secs_f64(), self.level).min(self.per_second);
         self.level = filled - (spent - self.spent);
@@ -45,7 +45,7 @@ impl Budget {
         Self { gpu_s: TokenBucket::new(MAX_CLIENT_GPU_PER_SECOND.as_secs_f64()), bytes, settled_at: Instant::now() }
     }
 
-    /// Waits until the budget allows more, then for `work`. Cancel-safe if `work` is.
+    /// Waits until the budget permits more, then for `work`. Cancel-safe if `work` is.
     pub(super) async fn within<T>(&mut self, ledger: &Ledger, work: impl Future<Output = T>) -> T {
         let wait = self.settle(ledger, Instant::now());
         if !wait.is_zero() {

@@ -24,7 +24,6 @@ pub(super) struct Session {
 }
 
 impl Session {
-    /// Handles messages until something ends the session.
     pub(super) async fn converse(&mut self) -> End {
         let mut phase = self.services.phase.clone();
         let mut notified = Phase::Running;
@@ -71,7 +70,7 @@ impl Session {
         let violation = |reason: &str| Err(End::Violation(reason.to_owned()));
         match *message {
             ClientMessage::Ping(number) => {
-                // Dropped when the client does not read its answers.
+                // Dropped if the client does not read its answers.
                 self.outbox.reply(ServerMessage::Pong(number));
                 Ok(())
             }
@@ -98,7 +97,7 @@ impl Session {
         }
     }
 
-    /// Starts the stream in a task of its own, whose panic ends only this session.
+    /// Starts the stream in its own task, so that a panic ends only this session.
     fn start(&mut self, stream: Stream) {
         let work = stream.run(Arc::clone(&self.services), Arc::clone(&self.ledger));
         self.stream_task.spawn(tracing::Instrument::in_current_span(work));

@@ -1,5 +1,5 @@
-//! Masks out: take the newest, encode it, leave out what the path does not bear, cut the rest into packets, and send
-//! all of them or none. The engine traces the next mask in the meantime, because its channel has room for it.
+//! Masks out: takes the newest, encodes it, omits what the path cannot carry, packetizes the rest, and sends all of its
+//! packets or none. The engine traces the next mask meanwhile, because its channel has room for it.
 
 use std::{
     io,
@@ -36,21 +36,20 @@ use crate::{
     },
 };
 
-/// Why frames stopped.
 #[derive(Debug, Error)]
 pub(super) enum DriveError {
     #[error("the tracing engine has stopped")]
     EngineStopped,
-    #[error("encoding broke off: {0}")]
+    #[error("encoding failed: {0}")]
     Encoding(String),
     #[error("link: {0}")]
     Link(#[from] io::Error),
 }
 
-/// Sends frames until the session stops, and then those that are on their way.
+/// Sends frames until the session stops, then those in flight.
 ///
 /// # Errors
-/// When the engine or the link is gone.
+/// If the engine or the link is gone.
 pub(super) async fn drive(
     mut masks: MaskReceiver,
     requests: &RequestSender,
@@ -69,7 +68,7 @@ pub(super) async fn drive(
             traced = budget.within(ledger, masks.recv()) => traced.ok_or(DriveError::EngineStopped)?,
             changed = phase.changed(), if !stopping => match changed {
                 Ok(()) => continue,
-                // The server is gone, and with it everybody who could say when to stop.
+                // The server was dropped, so nothing can tell this session to stop.
                 Err(_) => return Ok(()),
             },
         };
@@ -87,7 +86,7 @@ pub(super) async fn drive(
     }
 }
 
-/// Turns masks into packets and sends them.
+/// Encodes masks and sends their packets.
 pub(super) struct FrameSender {
     sender: DataSender,
     packetizer: Packetizer,
@@ -98,25 +97,24 @@ pub(super) struct FrameSender {
     pace: Pace,
 }
 
-/// The interval between frames.
 #[derive(Debug)]
 struct Pace {
     last: Option<Instant>,
     /// Smoothed.
     interval: Duration,
-    /// Masks since the last one that was sent.
+    /// Masks skipped since the last one that was sent.
     left_out: u32,
 }
 
 impl Pace {
-    /// Longer gaps are pauses. A frame after a pause may take this long on the path.
+    /// Longer gaps are pauses. A frame after a pause may occupy the path for this long.
     const LONGEST: Duration = Duration::from_millis(100);
 
     const fn new() -> Self {
         Self { last: None, interval: Duration::from_millis(16), left_out: 0 }
     }
 
-    /// Records a mask and returns the time budget of its frame on the path.
+    /// Records a mask. Returns the time budget of its frame on the path.
     fn step(&mut self, now: Instant) -> Duration {
         let gap = self.last.replace(now).map_or(self.interval, |last| now.saturating_duration_since(last));
         if gap > Self::LONGEST {
@@ -126,15 +124,15 @@ impl Pace {
         self.interval * (self.left_out + 1)
     }
 
-    /// Records that the mask was not sent, because its share of the path was too small.
+    /// Records that the mask was skipped because its share of the path was too small.
     fn leave_out(&mut self) {
-        // At the smallest congestion window, a frame of the largest size takes no longer.
+        // Even at the smallest congestion window, the largest frame takes no longer.
         self.left_out = (self.left_out + 1).min(600);
     }
 }
 
 impl FrameSender {
-    /// Frames are encoded as `coding` says and cut by `refresh`. `encoders` bounds how many sessions encode at once.
+    /// `coding` controls encoding, `refresh` cutting. `encoders` limits how many sessions encode at once.
     pub(super) fn new(
         sender: DataSender,
         coding: Coding,
@@ -148,7 +146,7 @@ impl FrameSender {
         Self { packetizer, sender, encoder, encoders, feedback, first_frame_at: None, pace: Pace::new() }
     }
 
-    /// Encodes a mask, drops it if the path cannot take it, and sends it otherwise. Returns the mask's memory.
+    /// Encodes a mask, then sends it, or drops it if the path cannot take it. Returns the mask's memory.
     async fn send(mut self, traced: TracedMask, ledger: &Ledger) -> Result<(Self, Mask), DriveError> {
         let TracedMask { frame, mask, ahead, received_at, cost } = traced;
         let started = Instant::now();
@@ -156,7 +154,7 @@ impl FrameSender {
         let permit = Arc::clone(&self.encoders).acquire_owned().await;
         let permit = permit.map_err(|_| DriveError::Encoding("the server has stopped".to_owned()))?;
         let feedback = *self.feedback.borrow_and_update();
-        // Only clients that report losses take frames in part.
+        // Only clients that report losses accept partial frames.
         let budget_bytes = budget.filter(|_| feedback.losses.is_told());
         let job = EncodeJob { mask, traced_for: ahead, budget_bytes, feedback };
         let encoded = self.encoder.run(job, permit).await.map_err(|error| DriveError::Encoding(error.to_string()))?;
@@ -181,7 +179,7 @@ impl FrameSender {
         Ok((self, mask))
     }
 
-    /// Sends all packets of the encoded frame, or none: returns `None` if it is dropped.
+    /// Sends all packets of the encoded frame, or returns `None` if it is dropped.
     async fn transmit(
         &mut self,
         frame: FrameNumber,
@@ -195,7 +193,7 @@ impl FrameSender {
             Ok(Selection::Nothing) => {
                 self.pace.leave_out();
                 ledger.frames_gated.one();
-                tracing::debug!("skipped: the path bears too little of it");
+                tracing::debug!("skipped: the path cannot carry enough of it");
                 return Ok(None);
             }
             Err(error) => {
@@ -215,7 +213,7 @@ impl FrameSender {
             tracing::debug!(
                 bytes = sent.bytes,
                 packets = sent.packets + sent.parity,
-                "skipped: earlier frames still wait"
+                "skipped: earlier frames are still queued"
             );
             return Ok(None);
         }
@@ -243,7 +241,7 @@ impl FrameSender {
     }
 }
 
-/// What left for one frame.
+/// What was sent for one frame.
 struct Sent {
     packets: usize,
     parity: usize,
@@ -251,7 +249,7 @@ struct Sent {
     bytes: usize,
 }
 
-/// `counts` are the packets that carry the frame, and those of parity.
+/// `packets` carry the frame, `parity` repairs it.
 fn log_frame(
     frame: FrameNumber,
     bytes: usize,

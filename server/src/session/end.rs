@@ -18,7 +18,7 @@ pub(super) enum End {
 impl End {
     pub(super) fn of_stream(ended: Result<Result<(), DriveError>, JoinError>) -> Self {
         match ended {
-            // Frames end without an error only when the server stops.
+            // Frames end without an error only if the server stops.
             Ok(Ok(())) => Self::Stopping,
             Ok(Err(DriveError::Link(error))) => Self::Lost(error.to_string()),
             Ok(Err(error)) => Self::Failed(error.to_string()),
@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_panic_ends_its_session_and_is_not_told_to_the_client() {
+    async fn a_panic_ends_its_session_without_telling_the_client() {
         let mut stream: JoinSet<Result<(), DriveError>> = JoinSet::new();
         stream.spawn(async { panic!("inner secrets") });
         let end = End::of_stream(stream.join_next().await.unwrap());

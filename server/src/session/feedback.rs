@@ -17,7 +17,7 @@ pub(super) struct Feedback {
     pub(super) losses: LossEstimate,
 }
 
-/// Takes a datagram if it is feedback, and returns whether it was.
+/// Handles a datagram if it is feedback. Returns whether it was.
 pub(super) fn receive_feedback(
     datagram: &[u8],
     now: Instant,

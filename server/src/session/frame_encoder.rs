@@ -1,4 +1,4 @@
-//! From a mask to a frame that fits the path: simplify → encode → select → protect.
+//! Turns a mask into a frame that fits the path: simplify → encode → select → protect.
 
 use std::time::{Duration, Instant};
 
@@ -16,7 +16,7 @@ use tokio::{sync::OwnedSemaphorePermit, task::JoinError};
 use super::feedback::Feedback;
 use crate::admission::handshake::Coding;
 
-/// The session's encoder. Its memory serves every frame.
+/// The session's encoder. It reuses its memory for every frame.
 pub(super) struct FrameEncoder {
     wrong_ppm: u16,
     payload_bytes: usize,
@@ -29,17 +29,15 @@ pub(super) struct FrameEncoder {
     selection: Selection,
 }
 
-/// A mask to encode.
 pub(super) struct EncodeJob {
     pub(super) mask: Mask,
-    /// The pose that it was traced for, if the server has looked ahead.
+    /// The extrapolated pose that it was traced for, if any.
     pub(super) traced_for: Option<Pose>,
-    /// Bytes that the path can carry, for a client that takes frames in part.
+    /// Bytes that the path can carry, if the client accepts partial frames.
     pub(super) budget_bytes: Option<usize>,
     pub(super) feedback: Feedback,
 }
 
-/// What [`FrameEncoder::run`] returns.
 pub(super) struct EncodeOutcome {
     pub(super) encoder: Box<FrameEncoder>,
     pub(super) mask: Mask,
@@ -48,7 +46,7 @@ pub(super) struct EncodeOutcome {
 }
 
 impl FrameEncoder {
-    /// `payload_bytes` is what a packet of `packet_bytes` carries.
+    /// `payload_bytes` is the payload of a packet of `packet_bytes`.
     pub(super) fn new(
         Coding { codec, wrong_ppm }: Coding,
         refresh: Refresh,
@@ -59,7 +57,7 @@ impl FrameEncoder {
             wrong_ppm,
             payload_bytes,
             simplifier: Simplifier::default(),
-            // Parity of the packets has to fit a packet as well.
+            // The parity of a packet must fit a packet, too.
             encoder: Encoder::new(codec).for_packets_of(packet_bytes.saturating_sub(PARITY_ROOM_BYTES)),
             references: SentMasks::default(),
             refresh,
@@ -69,10 +67,10 @@ impl FrameEncoder {
         }
     }
 
-    /// Encodes on a thread of its own, so that packets of other sessions are not delayed, and holds `permit` meanwhile.
+    /// Encodes on a thread of its own, so that other sessions' packets are not delayed, and holds `permit` meanwhile.
     ///
     /// # Errors
-    /// Errors if encoding panicked.
+    /// If encoding panicked.
     pub(super) async fn run(
         mut self: Box<Self>,
         mut job: EncodeJob,
@@ -99,7 +97,7 @@ impl FrameEncoder {
         Ok(self.selection)
     }
 
-    /// Keeps what fits the budget, of which parity takes its share.
+    /// Keeps what fits the budget, less the share of parity.
     fn select(&mut self, mask: &Mask, budget_bytes: usize, feedback: &Feedback) -> Selection {
         let fitting = self.packets().min(budget_bytes / self.payload_bytes.max(1)).max(1);
         let parity = usize::from(self.parity_packets(fitting, feedback));
@@ -112,7 +110,7 @@ impl FrameEncoder {
         if protected { parity_packets(feedback.losses.model(), packets) } else { 0 }
     }
 
-    /// Returns the number of packets that carry the frame, without parity.
+    /// Number of packets that carry the frame, without parity.
     pub(super) fn packets(&self) -> usize {
         self.frame.payload_count(self.payload_bytes)
     }
@@ -125,9 +123,9 @@ impl FrameEncoder {
         self.parity.last()
     }
 
-    /// Records that the mask was sent as selected.
+    /// Records that the selected parts of the mask were sent.
     pub(super) fn sent(&mut self, frame: FrameNumber, mask: &Mask) {
-        // The client can only refer to masks that it has whole.
+        // The client can refer only to masks that it has whole.
         if self.selection == Selection::Whole {
             self.references.keep(&self.encoder, frame);
         }

@@ -1,4 +1,4 @@
-//! The send queue of a session's control stream: in order, and never faster than the client reads.
+//! The send queue of a session's control stream. Sends in order, never faster than the client reads.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -8,13 +8,13 @@ use tokio::{sync::mpsc, task::JoinHandle, time::timeout};
 
 use crate::limits::CONTROL_QUEUE;
 
-/// Replies that are kept while the client does not read; more are dropped.
+/// Replies kept while the client does not read. More are dropped.
 const MAX_QUEUED_REPLIES: usize = 16;
 
 pub(super) struct Outbox {
     queue: Option<mpsc::Sender<ServerMessage>>,
     priority: VecDeque<ServerMessage>,
-    /// Offset of the next scene chunk, while the scene is being sent.
+    /// Offset of the next scene chunk while the scene is being sent.
     scene_next: Option<usize>,
     writing: JoinHandle<Result<(), ControlError>>,
 }
@@ -52,8 +52,8 @@ impl Outbox {
         self.scene_next = None;
     }
 
-    /// Hands one message to the writer once it has room. Never returns while there is nothing to send. Cancel-safe.
-    /// Errors if the stream is broken, or the client has not read for too long.
+    /// Hands one message to the writer once it has room. Waits forever if there is nothing to send. Cancel-safe. Errors
+    /// if the stream is broken, or the client has not read for too long.
     pub(super) async fn pump(&mut self, scene: &[u8]) -> Result<(), ControlError> {
         let Some(queue) = self.queue.clone() else { return std::future::pending().await };
         let permit = tokio::select! {

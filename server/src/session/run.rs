@@ -1,4 +1,4 @@
-//! A session's life: set-up, control messages, frames in flight, goodbye, counters.
+//! A session's lifetime: setup, control messages, frames in flight, goodbye, counters.
 
 use std::{sync::Arc, time::Instant};
 
@@ -13,7 +13,7 @@ use crate::{
     net::link::Link,
 };
 
-/// Serves an admitted client until it leaves, is lost, or the server stops. Releases its permits afterwards.
+/// Serves an admitted client until it leaves, is lost, or the server stops. Then releases its permits.
 pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Services>) {
     let started_at = Instant::now();
     let AdmittedClient { permit, port, shape, coding, client, address, reservation } = admitted;
@@ -46,7 +46,7 @@ pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Serv
     if matches!(end, End::Stopping) {
         session.finish_frames().await;
     }
-    // Its tasks must have ended before the ledger is closed below.
+    // Its tasks must end before the ledger is closed below.
     session.stream_task.shutdown().await;
     if !matches!(end, End::Left | End::Lost(_)) {
         session.outbox.notify(ServerMessage::Closing { reason: end.reason().to_owned() });

@@ -18,7 +18,7 @@ use crate::{
     visibility::engine::SessionPort,
 };
 
-/// What the stream needs, kept until Start.
+/// The stream's inputs, kept until Start.
 pub(super) struct Stream {
     pub(super) data: DataLink,
     pub(super) port: SessionPort,
@@ -27,8 +27,7 @@ pub(super) struct Stream {
 }
 
 impl Stream {
-    /// Runs until the server stops.
-    /// Errors if the link or the engine fails.
+    /// Runs until the server stops. Errors if the link or the engine fails.
     pub(super) async fn run(self, services: Arc<Services>, ledger: Arc<Ledger>) -> Result<(), DriveError> {
         let (receiver, sender) = self.data.open(services.handshake_timeout).await?;
         let SessionPort { requests, masks, .. } = self.port;
@@ -46,7 +45,7 @@ impl Stream {
                 lost = receive_poses(receiver, &requests, &feedback, self.shape, &ledger) => {
                     lost.map(|never| match never {})
                 }
-                // A stopping session takes no more poses, but stays for its frames in flight.
+                // A stopping session takes no more poses, but finishes its frames in flight.
                 () = stopping(&mut phase) => std::future::pending().await,
             }
         };

@@ -28,7 +28,7 @@ impl Watchdog {
         }
     }
 
-    /// `started` says whether the client has sent Start.
+    /// `started`: the client has sent Start.
     pub(super) fn check(&mut self, ledger: &Ledger, started: bool) -> Result<(), End> {
         let (now, totals) = (Instant::now(), ledger.totals());
         let seconds = now.duration_since(self.checked_at).as_secs_f64();

@@ -1,4 +1,4 @@
-//! Refusals. Nothing of the scene is sent to a refused client.
+//! Refusals. A refused client gets no part of the scene.
 
 use gnomon_protocol::{
     PROTOCOL_VERSION,
@@ -41,7 +41,7 @@ async fn a_refused_client_gets_no_byte_of_the_scene() {
     let digest = entry.split('"').find(|part| part.len() == 64).unwrap().to_owned();
     for token in [None, Some(ours[..63].to_owned()), Some(String::new()), Some(digest)] {
         let mut client = Native::connect(rig.address(), rig.folder.path()).await;
-        // Asking for the scene at once does not help.
+        // Requesting the scene at once does not help.
         let mut eager = message::encode(&ClientMessage::Hello(Hello { token, ..hello() })).unwrap();
         eager.extend(message::encode(&ClientMessage::FetchScene { offset: 0 }).unwrap());
         client.control.send_bytes(&eager).await;

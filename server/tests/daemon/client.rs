@@ -1,4 +1,4 @@
-//! A minimal client: the wire protocol, without prediction or rendering.
+//! A minimal client: speaks the protocol, without prediction or rendering.
 
 use std::{net::SocketAddr, path::Path, sync::Arc};
 
@@ -52,7 +52,6 @@ pub(crate) fn pose_packet(sequence: u32, frame: u32) -> Vec<u8> {
     encode_pose_packet(sequence, FrameNumber(frame), &pose()).to_vec()
 }
 
-/// A control stream.
 pub(crate) struct Control {
     read: Box<dyn AsyncRead + Send + Unpin>,
     write: Box<dyn AsyncWrite + Send + Unpin>,
@@ -114,7 +113,6 @@ impl Control {
     }
 }
 
-/// A native client.
 pub(crate) struct Native {
     pub(crate) endpoint: quinn::Endpoint,
     pub(crate) connection: quinn::Connection,
@@ -149,7 +147,7 @@ impl Native {
         self.connection.send_datagram(packet.to_vec().into()).unwrap();
     }
 
-    /// Sends the pose until its frame arrives: the server may not have read Start yet.
+    /// Sends the pose repeatedly until its frame arrives, since the server may not have read Start yet.
     pub(crate) async fn frame(&self, frames: &mut Frames, number: u32) -> Mask {
         let mut sequence = number * 1000;
         soon(async {

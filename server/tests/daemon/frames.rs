@@ -66,7 +66,7 @@ async fn garbage_old_poses_and_duplicates_are_dropped() {
         client.connection.send_datagram(bad.clone().into()).unwrap();
     }
     client.connection.send_datagram(vec![0xff; 1100].into()).unwrap();
-    // Older than frame 5, and a duplicate of an answered pose.
+    // An older pose than frame 5's, and a duplicate of an answered one.
     client.send_pose(9_001, 4);
     client.send_pose(5_000, 5);
     let mask = client.frame(&mut frames, 7).await;
@@ -93,7 +93,7 @@ async fn masks_are_lossy_only_as_far_as_the_client_allows() {
     let mut lossy = Native::connect(rig.address(), rig.folder.path()).await;
     lossy.control.welcome(Hello { wrong_ppm: MAX_WRONG_PPM, ..hello() }).await;
     lossy.control.send(&ClientMessage::Start).await;
-    // Downwards and tilted, so that some corner of a shadow is a single pixel.
+    // Downwards and tilted, so that some shadow corner is a single pixel.
     let (sin, cos) = 0.3_f64.sin_cos();
     exact.pose.orientation = [-cos, sin, sin, cos].map(|part| part * std::f64::consts::FRAC_1_SQRT_2);
     lossy.pose = exact.pose;

@@ -1,4 +1,4 @@
-//! The lab transports: control over TCP, and a data port per session.
+//! The lab transports: control over TCP, and one data port per session.
 
 use gnomon_protocol::message::ClientMessage;
 use gnomon_server::config::Transport;

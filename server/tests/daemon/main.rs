@@ -19,7 +19,7 @@ use gnomon_server::{
     config::{Backend, ServerConfig},
 };
 
-/// A server on a free port, which traces the small scene on the processor, and its folder.
+/// A server on a free port that traces the small scene on the processor, and its folder.
 struct Rig {
     server: RunningServer,
     folder: tempfile::TempDir,
@@ -61,7 +61,7 @@ fn config(folder: &Path) -> ServerConfig {
     }
 }
 
-/// Fails a test that hangs. Slow machines need far less.
+/// Fails a test that hangs. Even slow machines need far less time.
 async fn soon<T>(work: impl Future<Output = T>) -> T {
     tokio::time::timeout(Duration::from_secs(60), work).await.expect("still not done after a minute")
 }

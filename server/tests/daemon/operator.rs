@@ -15,7 +15,6 @@ use super::{
     soon,
 };
 
-/// Returns the status and body.
 async fn get(admin: SocketAddr, path: &str, more: &str) -> (u16, String) {
     let mut stream = TcpStream::connect(admin).await.unwrap();
     stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: edge\r\n{more}\r\n").as_bytes()).await.unwrap();
@@ -105,7 +104,7 @@ async fn every_datagram_and_every_frame_is_accounted_for() {
         client.connection.send_datagram(pose_packet(1, 0).into()).unwrap();
     }
     let while_open = page(&rig).await;
-    // Some may stay unread.
+    // The server may leave some unread.
     for sequence in 0..20 {
         client.send_pose(1_000_000 + sequence, 41);
     }
@@ -119,7 +118,7 @@ async fn every_datagram_and_every_frame_is_accounted_for() {
     let taken = |outcome: &str| value(&found, &format!("gnomon_datagrams_received_total{{outcome=\"{outcome}\"}}"));
     assert_eq!(taken("bad"), 38, "{found}");
     assert!(taken("stale") >= 38 && taken("taken") >= 39, "{found}");
-    // Loopback loses nothing, so the server accounts for all that the client sent.
+    // Loopback loses nothing, so the server accounts for everything that the client sent.
     assert_eq!(sum(&found, "gnomon_datagrams_received_total"), sent.frame_tx.datagram, "{found}");
     let frames_traced = value(&found, "gnomon_frames_traced_total");
     assert_eq!(sum(&found, "gnomon_frames_total"), frames_traced, "{found}");
@@ -128,7 +127,7 @@ async fn every_datagram_and_every_frame_is_accounted_for() {
     let outcome = |outcome: &str| value(&found, &format!("gnomon_datagrams_sent_total{{outcome=\"{outcome}\"}}"));
     assert!(outcome("sent") >= sent.frame_rx.datagram, "{found}");
     let owner = |name: &str, owner: &str| value(&found, &format!("gnomon_udp_{name}_total{{owner=\"{owner}\"}}"));
-    // The client's first packet and its answer to the Retry precede the session; its last follows it.
+    // The client's first packet and its answer to the Retry come before the session, its last packet after it.
     let total =
         owner("received", "session") + owner("received", "none") + value(&found, "gnomon_udp_kernel_drops_total");
     // A closed client answers late packets without counting them.
@@ -183,7 +182,7 @@ async fn tokens_are_reloaded_and_a_single_use_token_admits_one_session() {
     rig.server.reload();
     assert!(say(&second).await.0 && !say(&first).await.0);
     assert!(early.connection.close_reason().is_none(), "sessions that are open stay");
-    // Once a token for it is listed, the page requires one.
+    // Once the file lists a token for it, the page requires one.
     let admin = rig.server.admin_addr().unwrap();
     assert_eq!(get(admin, "/metrics", "").await.0, 401);
     assert_eq!(get(admin, "/sessions", &format!("Authorization: Bearer {second}\r\n")).await.0, 401);
@@ -203,7 +202,6 @@ async fn a_certificate_is_rotated_and_sessions_stay() {
     std::fs::remove_file(folder.join("cert/identity.pem")).unwrap();
     rig.server.reload();
     assert_ne!(certificate(folder), old);
-    // Trusts the new certificate only.
     let new = Native::started(rig.address(), folder).await;
     new.frame(&mut Frames::new(), 0).await;
     client.frame(&mut frames, 1).await;

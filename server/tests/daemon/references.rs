@@ -74,7 +74,7 @@ async fn masks_are_coded_against_what_the_client_has() {
     });
     say(Acknowledgement { sequence: 1, mask: wrong });
     assert_eq!(reference_of(&body(&client, &mut reassembler, 2).await), Some(0));
-    // The client has lost it, and an older acknowledgement arrives late.
+    // The client has lost it. An older acknowledgement arrives late.
     say(Acknowledgement { sequence: 2, mask: None });
     assert_eq!(reference_of(&body(&client, &mut reassembler, 3).await), None);
     say(have_first);

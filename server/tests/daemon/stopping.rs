@@ -71,10 +71,10 @@ async fn a_vanished_client_ends_within_the_idle_timeout() {
     .await
     .unwrap();
     rig.sessions(2).await;
-    // Its packets stop without a close, as after SIGKILL: the client object is kept, so that nothing closes it.
+    // Packets stop without a close, as after SIGKILL: keeping the client object prevents a close.
     its_runtime.shutdown_background();
     rig.sessions(1).await;
-    // The other is silent but alive: keep-alives keep its session for several timeouts.
+    // The other client is silent but alive: keep-alives keep its session for several timeouts.
     tokio::time::sleep(Duration::from_millis(1_500)).await;
     stays.frame(&mut frames, 1).await;
     drop(vanished);

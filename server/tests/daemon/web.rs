@@ -1,4 +1,4 @@
-//! A WebTransport client, as in a browser: same port and session, another certificate.
+//! A WebTransport client, as in a browser: same port and session, different certificate.
 
 use gnomon_protocol::message::ClientMessage;
 use web_transport_quinn::ClientBuilder;

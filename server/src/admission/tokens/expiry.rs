@@ -10,7 +10,7 @@ pub(super) fn unix_s(at: SystemTime) -> i64 {
     i64::try_from(seconds).unwrap_or(i64::MAX)
 }
 
-/// Returns `None` without a time or an offset: such a date means another moment on another machine.
+/// Returns `None` without a time or an offset: such a date means different moments on different machines.
 pub(super) fn from_toml(at: &Datetime) -> Option<i64> {
     let (date, time, offset) = (at.date?, at.time?, at.offset?);
     let date = Date::from_calendar_date(date.year.into(), Month::try_from(date.month).ok()?, date.day).ok()?;

@@ -1,4 +1,4 @@
-//! The token file: its format, and what makes it unusable.
+//! The format and checks of the token file.
 
 use std::path::{Path, PathBuf};
 
@@ -45,12 +45,11 @@ pub(crate) struct Listed {
     pub(super) once: bool,
 }
 
-/// Why a token file cannot be used.
 #[derive(Debug, Error)]
 pub enum TokenError {
     #[error("cannot read the token file {path}: {reason}")]
     Read { path: PathBuf, reason: std::io::Error },
-    /// `reason` names a line, but quotes nothing: an old file may hold bare tokens.
+    /// `reason` names a line, but quotes nothing: an old file may contain bare tokens.
     #[error("token file {path}: {reason}; `gnomon-server token` makes entries")]
     Malformed { path: PathBuf, reason: String },
     /// No client could ever connect.
@@ -59,7 +58,7 @@ pub enum TokenError {
          admit everybody"
     )]
     Empty(PathBuf),
-    #[error("the system gives no random numbers")]
+    #[error("the system provides no random numbers")]
     Random,
 }
 
@@ -74,7 +73,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<Listed>, TokenError> {
 pub(crate) fn parse(path: &Path, bytes: Vec<u8>) -> Result<Vec<Listed>, TokenError> {
     let malformed = |reason: String| TokenError::Malformed { path: path.to_owned(), reason };
     let text = String::from_utf8(bytes).map_err(|_| malformed("it is not UTF-8".to_owned()))?;
-    // The parser's message quotes the text, which may be a bare token: only the line is reported.
+    // The parser's message quotes the text, which may be a bare token, so report only the line.
     let file: File = toml::from_str(&text).map_err(|error| malformed(gnomon_settings::line_of(error.span(), &text)))?;
     if file.token.len() > limits::MAX_TOKENS {
         return Err(malformed(format!("{} tokens; at most {} are allowed", file.token.len(), limits::MAX_TOKENS)));

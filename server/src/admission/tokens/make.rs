@@ -13,7 +13,7 @@ use crate::{clock, hex};
 /// Returns a new token, and its entry for the file.
 ///
 /// # Errors
-/// Errors if the system has no random numbers.
+/// If the system has no random numbers.
 pub fn make(name: &str, days: Option<u32>, scopes: &[Scope], once: bool) -> Result<(String, String), TokenError> {
     let mut secret = [0; 32];
     SystemRandom::new().fill(&mut secret).map_err(|_| TokenError::Random)?;
@@ -26,7 +26,7 @@ pub fn make(name: &str, days: Option<u32>, scopes: &[Scope], once: bool) -> Resu
     Ok((token, toml(&entry)))
 }
 
-/// By hand, because the `toml` crate is built without its writer.
+/// Written by hand, because the `toml` crate is built without its writer.
 fn toml(entry: &Entry) -> String {
     let name: String = entry.name.chars().filter(|c| !c.is_control() && !"\"\\".contains(*c)).collect();
     let scopes: Vec<_> = entry

@@ -9,8 +9,8 @@
 //! once = false                         # the default; true admits one session only
 //! ```
 //!
-//! The file holds no token, so reading it lets nobody connect. A token is 256 random bits, too many to guess from an
-//! unsalted SHA-256. `sha256sum` makes the digest of a token from elsewhere; `gnomon-server token` makes both.
+//! The file contains no token, so reading it lets nobody connect. A token is 256 random bits, too many to guess from an
+//! unsalted SHA-256. `sha256sum` makes the digest of an existing token; `gnomon-server token` makes both.
 
 mod expiry;
 pub(crate) mod file;

@@ -1,4 +1,4 @@
-//! What a token permits.
+//! Permissions of a token.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,6 +6,6 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 pub enum Scope {
     Session,
-    /// Read `/metrics` and `/sessions`.
+    /// Reads `/metrics` and `/sessions`.
     Admin,
 }

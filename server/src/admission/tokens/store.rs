@@ -1,4 +1,4 @@
-//! The loaded tokens, and which single-use ones are spent.
+//! The loaded tokens, and which single-use tokens are spent.
 
 use std::{
     collections::HashSet,
@@ -16,7 +16,7 @@ use super::{
 };
 use crate::clock;
 
-/// Why a token is rejected. The log shows it, the client does not learn it.
+/// Why a token is rejected. Logged, but not sent to the client.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub(crate) enum TokenRejection {
     #[error("no token")]
@@ -40,7 +40,7 @@ pub(crate) struct TokenStore {
 #[derive(Debug)]
 struct State {
     listed: Vec<Listed>,
-    /// Only listed tokens, so the file bounds its size.
+    /// Contains listed tokens only, so the file bounds its size.
     spent: HashSet<Digest>,
 }
 
@@ -51,7 +51,7 @@ impl TokenStore {
         Ok(Self { path: path.to_owned(), state })
     }
 
-    /// Reads the file again and returns how many tokens it lists. Open sessions stay; an unusable file changes nothing.
+    /// Rereads the file and returns the number of tokens in it. Open sessions stay. An unusable file changes nothing.
     /// Errors as [`Self::read`].
     pub(crate) fn reload(&self) -> Result<usize, TokenError> {
         let listed = file::read(&self.path)?;
@@ -66,8 +66,7 @@ impl TokenStore {
         self.state.lock().listed.iter().any(|token| token.scopes.contains(&scope))
     }
 
-    /// Checks a token, and spends it if it is for a single use.
-    /// Errors if the token does not grant `scope` now.
+    /// Checks a token, and spends it if it is single-use. Errors if the token does not grant `scope` now.
     pub(crate) fn admit(&self, token: Option<&str>, scope: Scope) -> Result<(), TokenRejection> {
         self.examine(token, scope, unix_s(clock::wall()), true)
     }

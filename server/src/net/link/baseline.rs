@@ -1,5 +1,5 @@
 //! The dissertation's transports (§3.1), for measurements on loopback: a control connection over TCP, and a data socket
-//! per session over UDP or TCP. Without encryption or authentication.
+//! per session over UDP or TCP. They have no encryption or authentication.
 
 use std::{
     io,
@@ -16,7 +16,7 @@ use tokio::{
     time::timeout,
 };
 
-/// Clients send poses and feedback; longer packets are cut off.
+/// Clients send poses and feedback. Longer packets are cut off.
 const MAX_RECEIVED_BYTES: usize = 2048;
 
 pub(crate) struct LabUdpData {
@@ -25,8 +25,7 @@ pub(crate) struct LabUdpData {
 }
 
 impl LabUdpData {
-    /// Binds a free port of `ip`.
-    /// Errors if no port is free.
+    /// Binds a free port of `ip`. Errors if no port is free.
     pub(crate) fn bind(ip: IpAddr) -> io::Result<Self> {
         let socket = bind_data_socket(ip)?;
         let port = socket.local_addr()?.port();
@@ -59,7 +58,7 @@ impl LabUdpReceiver {
             let received = self.socket.recv_from(&mut buffer).await;
             let (length, from) = match received {
                 Ok(received) => received,
-                // The client's port is closed. The control connection decides whether the client is gone.
+                // The client's port is closed, but the control connection decides whether the client is gone.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => continue,
                 Err(error) => return Err(error),
             };
@@ -80,7 +79,7 @@ pub(crate) struct LabUdpSender {
 
 /// A token bucket. Loopback has no back-pressure: packets beyond the client's socket buffer are lost, and a frame of
 /// words at 1920×1080 exceeds the buffers that systems allow. So a burst is sent at once, and the rest of a larger
-/// frame at 2 Gbit/s, twice the rate of the wire that the dissertation measured on.
+/// frame at 2 Gbit/s, twice the rate of the wire in the dissertation.
 struct Pace {
     burst_bytes: f64,
     at: Instant,
@@ -94,7 +93,7 @@ impl Pace {
         Self { burst_bytes: Self::BURST_BYTES, at: now }
     }
 
-    /// Time to wait before sending these bytes.
+    /// Returns the time to wait before sending these bytes.
     fn delay(&mut self, now: Instant, bytes: u32) -> Duration {
         let refill = now.duration_since(self.at).as_secs_f64() * Self::BYTES_PER_S;
         self.burst_bytes = (self.burst_bytes + refill).min(Self::BURST_BYTES) - f64::from(bytes);
@@ -106,11 +105,11 @@ impl Pace {
 impl LabUdpSender {
     pub(super) async fn send(&mut self, packet: &[u8]) -> io::Result<()> {
         let delay = self.pace.delay(Instant::now(), u32::try_from(packet.len()).unwrap_or(u32::MAX));
-        // Timers tick once per millisecond, so shorter delays add up first.
+        // Timers tick once per millisecond, so shorter delays accumulate first.
         if delay >= Duration::from_millis(1) {
             tokio::time::sleep(delay).await;
         }
-        // Frames follow poses, so the address is known: a refused packet means that the client has closed its port.
+        // Frames follow poses, so the address is known. A refused packet means that the client closed its port.
         send_udp(&self.socket, packet).await
     }
 }
@@ -121,8 +120,7 @@ pub(crate) struct LabTcpData {
 }
 
 impl LabTcpData {
-    /// Listens on a free port of `ip`.
-    /// Errors if no port is free.
+    /// Listens on a free port of `ip`. Errors if no port is free.
     pub(crate) async fn bind(ip: IpAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(SocketAddr::new(ip, 0)).await?;
         let port = listener.local_addr()?.port();

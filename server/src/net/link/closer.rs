@@ -1,4 +1,4 @@
-//! Closes a link, and reads its counters.
+//! Closes a link and reads its counters.
 
 use super::{close_code::CloseCode, counts::TransportCounts, quic::QuicData};
 

@@ -12,7 +12,7 @@ use super::{
     quic::QuicData,
 };
 
-/// The channel before Start.
+/// The data channel before Start.
 pub(crate) enum DataLink {
     Quic(QuicData),
     LabUdp(LabUdpData),
@@ -20,7 +20,7 @@ pub(crate) enum DataLink {
 }
 
 impl DataLink {
-    /// The session's data port, on lab links.
+    /// The session's data port on lab links.
     pub(crate) const fn port(&self) -> Option<u16> {
         match self {
             Self::Quic(_) => None,
@@ -29,8 +29,8 @@ impl DataLink {
         }
     }
 
-    /// Opens both directions. On `lab-tcp` it waits for the client to connect.
-    /// Errors if the client does not connect within `limit`.
+    /// Opens both directions. On `lab-tcp` it waits for the client to connect. Errors if the client does not connect
+    /// within `limit`.
     pub(crate) async fn open(self, limit: Duration) -> io::Result<(DataReceiver, DataSender)> {
         match self {
             Self::Quic(data) => Ok((DataReceiver::Quic(data.clone()), DataSender::Quic(data))),
@@ -89,12 +89,12 @@ impl DataSender {
     pub(crate) fn has_room(&self, packets: usize, bytes: usize) -> bool {
         match self {
             Self::Quic(data) => data.has_room(packets, bytes),
-            // These block in `send` until the kernel has the last byte, so nothing queues.
+            // `send` blocks until the kernel has the last byte, so nothing queues.
             Self::LabUdp(_) | Self::LabTcp(_) => true,
         }
     }
 
-    /// Bytes for a frame when the next one follows after `interval`. `None` if `send` blocks instead.
+    /// Byte budget of a frame if the next one follows after `interval`. `None` if `send` blocks instead.
     pub(crate) fn frame_budget(&self, interval: Duration) -> Option<usize> {
         match self {
             Self::Quic(data) => Some(data.frame_budget(interval)),
@@ -102,7 +102,7 @@ impl DataSender {
         }
     }
 
-    /// Sets whether frames are being cut down to what the path carries.
+    /// Sets whether frames are being reduced to what the path can carry.
     pub(crate) fn hold_back(&self, held_back: bool) {
         if let Self::Quic(data) = self {
             data.hold_back(held_back);
@@ -118,8 +118,7 @@ impl DataSender {
         }
     }
 
-    /// Sends the packets that `send` has buffered.
-    /// Errors if the link is lost.
+    /// Sends the packets that `send` has buffered. Errors if the link is lost.
     pub(crate) async fn flush(&mut self) -> io::Result<()> {
         match self {
             Self::Quic(_) | Self::LabUdp(_) => Ok(()),

@@ -1,4 +1,4 @@
-//! What carries one session: a control stream, and a channel for poses in and packets out.
+//! Carries one session: a control stream, and a data channel for poses in and packets out.
 
 mod baseline;
 mod close_code;

@@ -12,7 +12,7 @@ use crate::limits::{MAX_CLIENT_MESSAGE_BYTES, WRITE_TIMEOUT};
 pub(crate) struct Link {
     /// Name of the transport, for logs.
     pub(crate) carrier: &'static str,
-    /// Address at its arrival; QUIC peers may migrate.
+    /// Address on arrival; QUIC peers may migrate.
     pub(crate) peer: SocketAddr,
     pub(crate) reader: ControlReader<ClientMessage>,
     pub(crate) writer: ControlWriter<ServerMessage>,

@@ -16,7 +16,7 @@ pub(crate) struct QuicData {
     buffer_bytes: usize,
 }
 
-/// quinn's accounting per queued datagram, beside its bytes.
+/// quinn's overhead per queued datagram, besides its bytes.
 const QUEUED_OVERHEAD_BYTES: usize = size_of::<Bytes>();
 
 impl QuicData {
@@ -33,7 +33,7 @@ impl QuicData {
         self.session.send_datagram(packet).map_err(io::Error::other)
     }
 
-    /// Smaller over WebTransport, which prefixes each datagram with a few bytes.
+    /// Smaller over WebTransport, which adds a few bytes to each datagram.
     pub(super) fn max_packet_bytes(&self) -> usize {
         self.session.max_datagram_size().min(MAX_PACKET_BYTES)
     }
@@ -46,7 +46,7 @@ impl QuicData {
         frame_fits(self.buffer_bytes.saturating_sub(space), frame, space)
     }
 
-    /// Bytes for a frame when the next one follows after `interval`.
+    /// Byte budget of a frame if the next one follows after `interval`.
     pub(super) fn frame_budget(&self, interval: Duration) -> usize {
         let connection: &quinn::Connection = &self.session;
         let waiting = self.buffer_bytes.saturating_sub(self.session.datagram_send_buffer_space());
@@ -58,7 +58,7 @@ impl QuicData {
         path.frame_budget(interval)
     }
 
-    /// Sets whether frames are being cut down to what the path carries.
+    /// Sets whether frames are being reduced to what the path can carry.
     pub(super) fn hold_back(&self, held_back: bool) {
         let connection: &quinn::Connection = &self.session;
         ignore_app_limit(connection, held_back);
@@ -82,7 +82,7 @@ impl QuicData {
     }
 }
 
-/// Returns whether `frame` bytes fit into `space`, behind `waiting` queued bytes.
+/// Returns whether a frame of `frame` bytes fits into `space`, behind `waiting` queued bytes.
 fn frame_fits(waiting: usize, frame: usize, space: usize) -> bool {
     #[expect(
         clippy::cast_possible_truncation,

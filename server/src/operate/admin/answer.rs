@@ -19,7 +19,7 @@ const JSON: &str = "application/json";
 
 type Answer = Response<Full<Bytes>>;
 
-/// The request's body is never read.
+/// Never reads the request's body.
 pub(super) fn answer<B>(request: &Request<B>, status: &Status) -> Answer {
     if request.method() != Method::GET && request.method() != Method::HEAD {
         let mut answer = plain(StatusCode::METHOD_NOT_ALLOWED, TEXT, "only GET\n".to_owned());

@@ -18,7 +18,6 @@ use crate::{
     task::Task,
 };
 
-/// Why the admin address cannot be used.
 #[derive(Debug, Error)]
 #[error("cannot listen on the admin address {address}: {reason}; pass another --admin ADDR:PORT, or --admin off")]
 pub struct AdminError {
@@ -34,7 +33,7 @@ pub(crate) struct Admin {
 }
 
 impl Admin {
-    /// Errors if the address is taken or cannot be used.
+    /// Errors if the address is taken or unusable.
     pub(crate) async fn start(address: SocketAddr, status: &Arc<Status>) -> Result<Self, AdminError> {
         let failed = |reason| AdminError { address, reason };
         let listener = TcpListener::bind(address).await.map_err(failed)?;
@@ -51,7 +50,7 @@ impl Admin {
 async fn accept(listener: TcpListener, status: Arc<Status>) {
     let connections = Arc::new(Semaphore::new(MAX_ADMIN_CONNECTIONS));
     loop {
-        // Further connections wait in the kernel's bounded queue.
+        // More connections wait in the kernel's bounded queue.
         let Ok(permit) = Arc::clone(&connections).acquire_owned().await else { return };
         match listener.accept().await {
             Ok((stream, _)) => drop(tokio::spawn(serve(stream, permit, Arc::clone(&status)))),
@@ -75,6 +74,6 @@ async fn serve(stream: TcpStream, _permit: OwnedSemaphorePermit, status: Arc<Sta
         .max_buf_size(16 * 1024)
         .keep_alive(false)
         .serve_connection(TokioIo::new(stream), service);
-    // A peer that breaks off or never reads needs no error.
+    // A peer that disconnects or never reads is not an error.
     let _ = timeout(ADMIN_TIMEOUT, connection).await;
 }

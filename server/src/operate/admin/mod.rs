@@ -1,7 +1,7 @@
 //! The admin address: `GET /live`, `/ready`, `/metrics` (Prometheus text) and `/sessions` (JSON).
 //!
-//! It listens apart from the clients' port, on loopback by default, and from the start: a server that still loads its
-//! scene is alive and not ready.
+//! It is separate from the clients' port, on loopback by default, and listens from the start: a server that is still
+//! loading its scene is live but not ready.
 
 mod answer;
 mod listener;

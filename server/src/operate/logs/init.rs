@@ -12,10 +12,10 @@ use crate::config::LogFormat;
 /// Used without `RUST_LOG`: libraries log warnings and errors only.
 const DEFAULT_FILTER: &str = "warn,gnomon_server=info,gnomon_shaders=info";
 
-/// Logs to `file`, or to standard error, until the result is dropped.
+/// Logs to `file`, or to standard error, until the returned value is dropped.
 ///
 /// # Errors
-/// Errors if `RUST_LOG` is malformed, the file cannot be opened, or logging was started before.
+/// If `RUST_LOG` is malformed, the file cannot be opened, or logging was started before.
 pub fn init(format: LogFormat, file: Option<&Path>) -> Result<Logs, Box<dyn std::error::Error + Send + Sync>> {
     let filter = match std::env::var("RUST_LOG") {
         Ok(directives) if !directives.is_empty() => EnvFilter::try_new(directives)?,

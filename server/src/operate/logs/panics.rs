@@ -1,4 +1,4 @@
-//! Logs panics as events of one line.
+//! Logs panics as one-line events.
 
 use std::{cell::Cell, panic::PanicHookInfo, thread};
 
@@ -7,7 +7,7 @@ thread_local! {
     static LOGGING: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Replaces the panic hook: panics are logged and not printed. Call [`super::init()`] first.
+/// Replaces the panic hook: logs panics instead of printing them. Call [`super::init()`] first.
 pub fn log_panics() {
     std::panic::set_hook(Box::new(|panic| {
         if !LOGGING.replace(true) {

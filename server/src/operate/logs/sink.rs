@@ -1,7 +1,6 @@
-//! Writes log lines on a thread of its own, so that a full or slow disk, or a reader that stopped, blocks no other
-//! thread.
+//! Writes log lines on its own thread, so that a full or slow disk, or a stalled reader, blocks no other thread.
 //!
-//! A line that cannot be written is dropped and counted. The count is logged once writing works again.
+//! Lines that cannot be written are dropped and counted. The count is logged once writing works again.
 
 use std::{
     fs::{File, OpenOptions},
@@ -39,14 +38,14 @@ enum Command {
 /// The writing thread. Dropping this flushes the queue, for up to 2 s.
 pub struct Logs {
     commands: SyncSender<Command>,
-    // Never joined: it may hang in a write. It ends with the last sender.
+    // Never joined, because it may hang in a write. It ends when the last sender is dropped.
     _thread: JoinHandle<()>,
 }
 
 #[derive(Clone)]
 pub(super) struct Lines(SyncSender<Command>);
 
-/// One line, sent to the thread when it is dropped.
+/// One line. Dropping it sends it to the thread.
 pub(super) struct Line {
     text: Vec<u8>,
     commands: SyncSender<Command>,
@@ -61,7 +60,7 @@ impl Logs {
         Ok((Self { commands: commands.clone(), _thread: thread }, Lines(commands)))
     }
 
-    /// Reopens the log file, after a rotation has moved it. Does nothing for standard error.
+    /// Reopens the log file after log rotation. Does nothing for standard error.
     pub fn reopen(&self) {
         // Skipped when the queue is full; the next SIGHUP tries again.
         let _ = self.commands.try_send(Command::Reopen);
@@ -118,7 +117,7 @@ fn write_all(mut target: Target, commands: &Receiver<Command>) {
 struct Target {
     out: Box<dyn Write + Send>,
     path: Option<PathBuf>,
-    /// The last line was cut off, so the next one starts with a line feed.
+    /// True if the last line was cut off, so the next one starts with a line feed.
     torn: bool,
     lost_before: u64,
 }
@@ -225,7 +224,7 @@ mod tests {
         let (logs, lines) = Logs::open(Some(&path)).unwrap();
         let write = |text: &str| lines.make_writer().write_all(text.as_bytes()).unwrap();
         write("one\n");
-        // A rename does not affect the open file, whether or not the thread has written yet.
+        // A rename does not affect the open file, even if the thread has not written yet.
         std::fs::rename(&path, &old).unwrap();
         write("two\n");
         logs.reopen();

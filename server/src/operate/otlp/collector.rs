@@ -5,7 +5,7 @@ use std::{fmt, str::FromStr};
 const DEFAULT_PORT: u16 = 4318;
 
 /// `http://HOST[:PORT][/PATH]`, by default port 4318 and `/v1/metrics`. Without TLS, since a collector runs beside the
-/// server and itself speaks TLS to remote services.
+/// server and itself uses TLS to remote services.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Collector {
     pub(super) host: String,

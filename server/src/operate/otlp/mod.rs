@@ -1,4 +1,4 @@
-//! `--otlp URL`: reports what `/metrics` shows to an OpenTelemetry collector.
+//! `--otlp URL`: reports the metrics of `/metrics` to an OpenTelemetry collector.
 
 pub mod collector;
 pub(crate) mod report;

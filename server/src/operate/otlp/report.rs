@@ -1,8 +1,8 @@
 //! Sends the metrics to a collector every 10 s as OTLP over HTTP in JSON (opentelemetry.io/docs/specs/otlp, and the
 //! JSON mapping of `opentelemetry/proto/metrics/v1/metrics.proto`).
 //!
-//! Translates the Prometheus page, so both show the same values, with the admin address's HTTP crate and no SDK.
-//! Collectors read the log lines as they are (`deploy/logs/`). A failed report loses nothing: counters are cumulative.
+//! Translates the Prometheus page, so both show the same values. Uses the admin address's HTTP crate and no SDK.
+//! Collectors read the log lines directly (`deploy/logs/`). A failed report loses nothing: counters are cumulative.
 
 use std::{
     sync::Arc,
@@ -44,7 +44,7 @@ async fn report_every(period: Duration, collector: Collector, status: Arc<Status
         tick.tick().await;
         let Ok(page) = status.page().text() else { continue };
         let sent = post(&collector, request(&page, started_at, unix_ns()).to_string()).await;
-        // Logs changes only.
+        // Logs only changes.
         match &sent {
             Ok(()) if !reachable => tracing::info!(%collector, "the collector accepts reports again"),
             Err(error) if reachable => tracing::warn!(%collector, %error, "the collector accepts no reports"),

@@ -1,4 +1,4 @@
-//! Translates a Prometheus text page to OTLP metrics. Reads only what this server's own page contains.
+//! Translates a Prometheus text page to OTLP metrics. Reads only the syntax that this server's page uses.
 
 use serde_json::{Value, json};
 

@@ -1,4 +1,4 @@
-//! The client's clock: milliseconds that wrap at 2³², as seconds that do not.
+//! The client's clock: converts milliseconds that wrap at 2³² to seconds that do not.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ impl ClientClock {
         const WRAP_MS: u64 = 1 << 32;
         let base = self.newest_ms - self.newest_ms % WRAP_MS;
         let unwrapped = base + u64::from(client_time_ms);
-        // More than half a wrap back means that the clock wrapped. Less is a late pose, or a clock that was reset.
+        // More than half a wrap back means that the clock wrapped. Less means a late pose, or a reset clock.
         let time_ms = if unwrapped + WRAP_MS / 2 < self.newest_ms { unwrapped + WRAP_MS } else { unwrapped };
         self.newest_ms = time_ms;
         Duration::from_millis(time_ms).as_secs_f64()

@@ -1,4 +1,4 @@
-//! The time between poses, smoothed: how soon a mask is due.
+//! The smoothed time between poses, after which a mask is due.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ pub(super) struct PoseInterval {
 }
 
 impl PoseInterval {
-    /// For a client that sends poses seldom, or has paused.
+    /// For a client that sends poses rarely, or has paused.
     const MAX: Duration = Duration::from_millis(250);
 
     pub(super) const fn new(now: Instant) -> Self {

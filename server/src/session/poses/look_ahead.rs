@@ -1,6 +1,6 @@
 //! Predicts where a client's camera will be when its mask is shown.
 //!
-//! The client measures how long its masks take from pose to screen, since only it sees the whole way, and sends that as
+//! The client measures the time from pose to screen, since only it sees the whole path, and sends it as
 //! `look_ahead_ms`. The server extrapolates the camera's motion by it, and traces the mask there.
 
 use gnomon_protocol::pose::Pose;
@@ -8,7 +8,7 @@ use gnomon_scene::{camera::Camera, motion::Motion};
 
 use super::client_clock::ClientClock;
 
-/// Motion that no pixel shows, in metres and in radians.
+/// Motion too small for any pixel to show, in metres and in radians.
 const STANDS_STILL: f64 = 1e-6;
 
 #[derive(Debug, Default)]
@@ -18,8 +18,8 @@ pub(super) struct LookAhead {
 }
 
 impl LookAhead {
-    /// Returns the pose to trace instead of `pose`, the client's newest. `None` if the camera stands still, or if the
-    /// client asks for no prediction.
+    /// Returns the pose to trace instead of `pose`, the client's newest. `None` if the camera stands still or the
+    /// client requests no prediction.
     pub(super) fn predict(&mut self, pose: &Pose) -> Option<Pose> {
         let time_s = self.clock.seconds(pose.client_time_ms);
         let now = pose_camera(pose);
@@ -37,7 +37,7 @@ impl LookAhead {
             scene_time_s: pose.scene_time_s + f64::from(pose.look_ahead_ms) * 1e-3,
             ..*pose
         };
-        // A camera that would leave the world's limits is traced where it is.
+        // If the prediction leaves the world's limits, trace the client's own pose.
         predicted.validate().ok().map(|()| predicted)
     }
 }
@@ -66,7 +66,7 @@ mod tests {
     fn a_moving_camera_is_traced_where_it_will_be() {
         let mut look_ahead = LookAhead::default();
         for frame in 0..10_u32 {
-            // One metre a second; the clock wraps on the way.
+            // One metre per second. The clock wraps on the way.
             let time_ms = u32::MAX.wrapping_sub(80).wrapping_add(frame * 16);
             let found = look_ahead.predict(&pose(f64::from(frame) * 0.016, time_ms, 100));
             if frame > 0 {
@@ -75,7 +75,7 @@ mod tests {
                 assert_eq!((found.client_time_ms, found.mask_px), (time_ms, [64, 36]));
             }
         }
-        // No prediction was asked for.
+        // The client requested no prediction.
         assert_eq!(look_ahead.predict(&pose(0.16, u32::MAX.wrapping_sub(80).wrapping_add(160), 0)), None);
         let mut still = LookAhead::default();
         assert!((0..5_u32).all(|frame| still.predict(&pose(1.0, frame * 16, 100)).is_none()));

@@ -4,13 +4,13 @@ use gnomon_protocol::ids::FrameNumber;
 
 /// The newest frame, and the sequence number of its pose.
 ///
-/// Frame numbers grow. A client that has lost a frame may ask for it again, with a later sequence number. A packet that
-/// the network duplicates keeps its sequence number.
+/// Frame numbers grow. A client that lost a frame may request it again with a later sequence number. A packet that the
+/// network duplicates keeps its sequence number.
 #[derive(Debug, Default)]
 pub(super) struct NewestPose(Option<(FrameNumber, u32)>);
 
 impl NewestPose {
-    /// Returns false for a pose that is not newer.
+    /// Returns false if the pose is not newer.
     pub(super) fn replace(&mut self, frame: FrameNumber, sequence: u32) -> bool {
         let newer = self.0.is_none_or(|newest| newest < (frame, sequence));
         if newer {

@@ -15,7 +15,7 @@ impl RateLimit {
         Self { window_began_at: now, left: MAX_POSES_PER_SECOND }
     }
 
-    /// Counts a datagram, and returns whether it is within the limit.
+    /// Counts a datagram. Returns whether it is within the limit.
     pub(super) fn allows(&mut self, now: Instant) -> bool {
         if now.saturating_duration_since(self.window_began_at) >= Duration::from_secs(1) {
             *self = Self::new(now);

@@ -18,7 +18,7 @@ use crate::{
     visibility::{TraceRequest, engine::RequestSender},
 };
 
-/// Returns only when the link is lost.
+/// Returns only if the link is lost.
 pub(in crate::session) async fn receive_poses(
     mut receiver: DataReceiver,
     requests: &RequestSender,
@@ -51,7 +51,7 @@ pub(in crate::session) async fn receive_poses(
         let [width, height] = pose.mask_px.map(u32::from);
         if width > shape.width() || height > shape.height() {
             ledger.poses_bad.one();
-            tracing::debug!(width, height, ?shape, "a pose asks for a larger mask than agreed");
+            tracing::debug!(width, height, ?shape, "a pose requests a larger mask than agreed");
             continue;
         }
         if !newest.replace(frame, sequence) {

@@ -26,7 +26,7 @@ pub enum OpenError {
     #[error("{0}")]
     Overload(Overload),
     /// The engine's queue of new sessions is full.
-    #[error("{WAITING_SESSIONS} sessions already wait to be opened")]
+    #[error("{WAITING_SESSIONS} sessions are already waiting to open")]
     Busy,
     /// The mask must have a plane for each light of the scene.
     #[error("a mask with {found} lights for a scene with {expected}")]

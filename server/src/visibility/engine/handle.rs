@@ -253,7 +253,7 @@ struct EndGuard(Arc<Shared>);
 impl Drop for EndGuard {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            tracing::error!("the engine's thread panicked: no session is traced any more");
+            tracing::error!("the engine's thread panicked: tracing has stopped");
             self.0.end("its thread panicked".to_owned());
         } else {
             self.0.end("it was shut down".to_owned());

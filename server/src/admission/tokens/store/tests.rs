@@ -32,7 +32,7 @@ fn only_listed_tokens_are_admitted() {
     ] {
         assert_eq!(store.admit(token, Scope::Session), expected, "{token:?}");
     }
-    // The digest in the file is no token: reading the file lets nobody connect.
+    // The digest in the file is not a token: reading the file lets nobody connect.
     let digest = hex::encode(&sha256(b"first"));
     assert_eq!(store.admit(Some(&digest), Scope::Session), Err(TokenRejection::Unknown));
 }

@@ -1,4 +1,4 @@
-//! A collector in miniature, which takes what the server reports.
+//! A minimal collector, which receives the server's reports.
 
 use std::sync::{Mutex, OnceLock};
 
@@ -29,7 +29,7 @@ fn metric<'a>(report: &'a Value, name: &str) -> &'a Value {
     metrics.iter().find(|metric| metric["name"] == name).unwrap_or_else(|| panic!("no {name} in {report}"))
 }
 
-/// Takes reports, refuses the first one, and keeps the others.
+/// Refuses the first report and keeps the others.
 async fn collect(listener: TcpListener, reports: Arc<Mutex<Vec<Value>>>) {
     let mut refused = false;
     loop {
@@ -55,7 +55,7 @@ async fn collect(listener: TcpListener, reports: Arc<Mutex<Vec<Value>>>) {
 }
 
 #[tokio::test]
-async fn a_collector_gets_what_the_page_shows_also_after_it_was_away() {
+async fn a_collector_gets_the_pages_values_even_after_an_outage() {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let collector: Collector = format!("http://{}", listener.local_addr().unwrap()).parse().unwrap();
     let (reports, status) = (Arc::new(Mutex::new(Vec::new())), status());
@@ -84,7 +84,7 @@ async fn a_collector_gets_what_the_page_shows_also_after_it_was_away() {
         let info = &metric(report, "gnomon_build_info")["gauge"]["dataPoints"][0]["attributes"];
         assert_eq!(info[1]["value"]["stringValue"], "cpu: a \"quoted\" name");
     }
-    // Every metric of the page is there.
+    // The report has every metric of the page.
     let page = status.page().text().unwrap();
     let named = page.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split_once(' ')).count();
     let sent = reports[0]["resourceMetrics"][0]["scopeMetrics"][0]["metrics"].as_array().unwrap().len();
@@ -92,7 +92,7 @@ async fn a_collector_gets_what_the_page_shows_also_after_it_was_away() {
 }
 
 #[test]
-fn a_histogram_is_taken_apart_into_its_own_buckets() {
+fn a_cumulative_histogram_becomes_separate_buckets() {
     let page = "# HELP t_seconds Time.\n# TYPE t_seconds histogram\n\
         t_seconds_sum{stage=\"a\"} 1.5\nt_seconds_count{stage=\"a\"} 9\n\
         t_seconds_bucket{stage=\"a\",le=\"0.5\"} 2\nt_seconds_bucket{stage=\"a\",le=\"1.0\"} 7\n\

@@ -41,7 +41,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn enlarged_triangles_hold_the_rounding_around_their_own() {
+    fn enlarged_triangles_cover_the_originals_rounding_error() {
         let mut state = 1_u32;
         let mut next = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);

@@ -202,7 +202,7 @@ fn the_medley_agrees_with_brute_force_on_every_level() {
 }
 
 #[test]
-fn looking_every_way_agrees_with_brute_force() {
+fn every_direction_agrees_with_brute_force() {
     let scene = medley();
     let backend = backend(&scene);
     for to in [Vec3::X, -Vec3::X, Vec3::Z, -Vec3::Z, Vec3::Y, -Vec3::Y, Vec3::ONE, -Vec3::ONE] {
