@@ -62,7 +62,7 @@ impl KnownServers {
         self.servers.iter().find(|known| same_endpoint(known, url)).and_then(|known| known.certificate)
     }
 
-    /// Puts a server first. Logs an error if the list cannot be saved.
+    /// Puts a server first. A failure to save the list is only logged.
     pub fn remember(&mut self, url: &ServerUrl) {
         self.servers.retain(|known| !same_endpoint(known, url));
         self.servers.insert(0, url.clone());

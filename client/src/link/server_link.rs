@@ -136,7 +136,7 @@ impl ServerLink {
     ///
     /// # Errors
     /// Errors with `ended(reason)` if no more masks will arrive, and with [`ClientError::NoVisibility`] after
-    /// [`MASK_TIMEOUT`].
+    /// [`GIVE_UP`].
     pub(crate) fn wait_for(
         &mut self,
         frame: FrameNumber,

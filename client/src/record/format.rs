@@ -57,11 +57,13 @@ pub enum Record {
     Start(Start),
     /// New size of the pictures, in pixels.
     Size([u32; 2]),
+    /// New predictor.
     Predictor(Predictor),
     /// Lights that are on, one bit each.
     LightsOn(u32),
     /// First column that is drawn without shadows.
     Split(Option<u32>),
+    /// New debug view.
     View(DebugView),
     /// A mask was given to the renderer.
     Mask {
@@ -84,10 +86,7 @@ pub enum Record {
         timing: Timing,
     },
     /// A network event.
-    Event {
-        frame: u32,
-        text: String,
-    },
+    Event { frame: u32, text: String },
 }
 
 impl From<&Camera> for RecordedCamera {

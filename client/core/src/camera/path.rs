@@ -67,7 +67,8 @@ impl CameraPath {
     /// Makes a path through these keyframes.
     ///
     /// # Errors
-    /// If there are none or too many, times do not increase, a value is invalid, or one looks at its own place.
+    /// If there are none or too many, times do not increase, or a keyframe is invalid: a value is not finite or too
+    /// large, or the target is its own position.
     pub fn new(name: &str, keyframes: Vec<Keyframe>, yfov_rad: f64) -> Result<Self, String> {
         if keyframes.is_empty() || keyframes.len() > MAX_KEYFRAMES {
             return Err(format!("{} keyframes: a path has 1 to {MAX_KEYFRAMES}", keyframes.len()));

@@ -167,7 +167,7 @@ mod tests {
     fn light_that_a_wall_hides_does_not_count() {
         let scene = floor_and_lights();
         let mut hidden = scene.clone();
-        // A lamp far below the floor: it would face the back of the floor's points if the floor did not hide it.
+        // A lamp far below the floor, which hides it from the wall.
         hidden.lights.push(SceneLight {
             position: Vec3::new(0.0, -5.0, 0.0),
             intensity: 1e9,
