@@ -362,8 +362,7 @@ fn tiles_that_do_not_arrive_keep_their_value() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// With packets lost, repeated and reordered, feedback lost, and deadlines passing, every delivered place equals
-    /// that of its frame.
+    /// Every delivered place equals its frame's, with packets and feedback lost, packets repeated and reordered.
     #[test]
     fn every_delivered_place_is_right(
         seed in any::<u64>(),

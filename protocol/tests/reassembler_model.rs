@@ -164,8 +164,7 @@ proptest! {
         prop_assert!(reassembler.buffer_bytes() <= longest);
     }
 
-    /// If packets are only lost, a frame is delivered exactly if none of its packets is lost. Every other frame with an
-    /// arrived packet is counted.
+    /// If packets are only lost, the frames without loss are delivered, and all others that arrived in part counted.
     #[test]
     fn loss_alone_costs_exactly_the_frames_that_it_hits(
         lengths in prop::collection::vec(1..60usize, 1..30),

@@ -33,10 +33,9 @@ pub enum GpuError {
     )]
     NoAdapter { wanted: Option<String>, found: Vec<String> },
     /// Only a software adapter matches, and it is not allowed.
-    #[error("only the software adapter {0:?} is there: allow it with --allow-software, or mend the GPU's driver")]
+    #[error("the only matching adapter is software ({0:?}): allow it with --allow-software, or fix the GPU's driver")]
     SoftwareOnly(String),
-    /// The adapter gives no device.
-    #[error("adapter {name:?} gives no device: {reason}")]
+    #[error("adapter {name:?} cannot open a device: {reason}")]
     Device { name: String, reason: wgpu::RequestDeviceError },
 }
 

@@ -39,7 +39,6 @@ pub struct Layers {
     pub paths_from_file: bool,
 }
 
-/// The loaded settings.
 #[derive(Debug)]
 pub struct Loaded<C> {
     /// The parsed command line with every layer applied.

@@ -27,7 +27,6 @@ pub struct Parity<'a> {
 }
 
 impl<'a> Parity<'a> {
-    /// Number of parity packets.
     #[must_use]
     pub fn count(&self) -> usize {
         self.data.len() / self.packet_bytes.max(1)

@@ -110,7 +110,7 @@ pub fn moved(bytes: &[u8]) {
         let mut again = Mask::new(tiny_shape());
         assert_eq!(encoder.encode_for(None, Some(&reference), &mask, &mut encoded), Ok(()));
         assert!(decoder.decode_against(Some(&reference), &encoded, &mut again).is_ok());
-        assert!(again == mask, "a mask changes on its way from its reference");
+        assert!(again == mask, "a mask coded against its reference changed");
     }
 }
 

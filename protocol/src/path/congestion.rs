@@ -121,7 +121,6 @@ impl DelayController {
         self.drain.map_or(self.window_bytes, |drain| drain.window_bytes.min(self.window_bytes))
     }
 
-    /// Returns the initial window.
     #[must_use]
     pub const fn initial_window_bytes(&self) -> u64 {
         self.initial_window_bytes

@@ -119,7 +119,6 @@ impl LossReporter {
     }
 }
 
-/// The client's report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LossFeedback {
     /// Number of the report, +1 each; wraps.
@@ -127,7 +126,7 @@ pub struct LossFeedback {
     pub totals: LossTotals,
 }
 
-/// Why bytes are no [`LossFeedback`].
+/// Why bytes are not a [`LossFeedback`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum FeedbackError {
     #[error(transparent)]

@@ -33,7 +33,6 @@ pub struct ReceiverConfig {
     pub largest: MaskShape,
     /// Acknowledge masks, so that the server codes later ones against them.
     pub keeps_references: bool,
-    /// Report lost packets.
     pub reports_losses: bool,
 }
 
@@ -216,8 +215,7 @@ impl FrameReceiver {
     /// Decodes the delivered frame, if there is one, into `mask` and `coverage`.
     ///
     /// # Errors
-    /// Errors if it is not a mask, lacks its reference, or exceeds the agreed shape. `mask` and `coverage` are then
-    /// undefined.
+    /// Errors if it is not a mask, lacks its reference, or is too large. `mask` and `coverage` are then undefined.
     pub fn poll_frame(
         &mut self,
         mask: &mut Mask,

@@ -12,8 +12,7 @@ pub const ALPN: &[u8] = b"gnomon/1";
 /// Round trip assumed before it is measured. quinn resends a lost first packet after three times this.
 const INITIAL_RTT: Duration = Duration::from_millis(100);
 
-/// Kernel buffers of a QUIC socket: a frame of words at 1920×1080 at the client, the datagrams of all sessions at the
-/// server.
+/// Kernel buffers of a QUIC socket: the client's for a 1920×1080 frame of words, the server's for all its sessions.
 pub const SOCKET_BUFFER_BYTES: usize = 8 << 20;
 
 /// Returns the settings that both ends share. Datagram buffers and stream limits are left to the caller.

@@ -9,8 +9,7 @@ use socket2::{Domain, Protocol, Socket, Type};
 
 /// Binds a non-blocking UDP socket, and asks the kernel for `buffer_bytes` in each direction.
 ///
-/// The kernel clamps the buffers to what it allows. Smaller ones lose datagrams under load, which counts as loss on the
-/// path.
+/// The kernel clamps the buffers to its limit. Smaller ones lose datagrams under load, which counts as path loss.
 ///
 /// # Errors
 /// Errors if the address is taken or cannot be bound.

@@ -23,5 +23,5 @@ fn main() -> Result<(), Box<dyn Error>> {
     let packed = timed("pack", || scene.pack())?;
     let unpacked = timed("unpack", || Scene::unpack(&packed))?;
     println!("packed      {} bytes, digest {}", packed.len(), blake3::hash(&packed));
-    if unpacked == scene { Ok(()) } else { Err("the scene changed on its way".into()) }
+    if unpacked == scene { Ok(()) } else { Err("the scene did not survive packing".into()) }
 }

@@ -59,8 +59,7 @@ impl Camera {
         }
     }
 
-    /// Returns the view with a guard band: `x` more pixels to the left and right and `y` above and below, of the same
-    /// size.
+    /// Returns the view with a guard band: `x` more pixels of the same size left and right, and `y` above and below.
     #[must_use]
     pub fn widened(&self, (x, y): (u32, u32)) -> Self {
         let (width, height) = (self.width + 2 * x, self.height + 2 * y);

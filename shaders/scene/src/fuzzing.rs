@@ -28,6 +28,6 @@ pub fn gltf(bytes: &[u8], file: &Path) {
 fn travels(scene: &Scene) {
     // Only scenes that are too large to travel cannot be packed.
     if let Ok(packed) = scene.pack() {
-        assert!(Scene::unpack(&packed).is_ok_and(|again| again == *scene), "a scene changes on its way");
+        assert!(Scene::unpack(&packed).is_ok_and(|again| again == *scene), "a scene does not survive packing");
     }
 }

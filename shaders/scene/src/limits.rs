@@ -17,22 +17,14 @@ pub const MAX_BUFFER_BYTES: u64 = 512 << 20;
 /// Largest lights file, in bytes.
 pub const MAX_LIGHTS_FILE_BYTES: u64 = 1 << 20;
 
-/// Most buffers.
 pub const MAX_BUFFERS: usize = 1 << 12;
-
-/// Most buffer views.
 pub const MAX_BUFFER_VIEWS: usize = 1 << 19;
-
-/// Most accessors.
 pub const MAX_ACCESSORS: usize = 1 << 19;
 
 /// Most elements of one accessor: the corners of [`MAX_TRIANGLES`].
 pub const MAX_ACCESSOR_ELEMENTS: u64 = 3 * MAX_TRIANGLES;
 
-/// Most meshes.
 pub const MAX_MESHES: usize = 1 << 17;
-
-/// Most nodes.
 pub const MAX_NODES: usize = 1 << 18;
 
 /// Most nodes from a root to a leaf.
@@ -41,13 +33,11 @@ pub const MAX_DEPTH: usize = 1024;
 /// Most scenes in a file.
 pub const MAX_SCENES: usize = 1 << 12;
 
-/// Most materials.
 pub const MAX_MATERIALS: usize = 1 << 14;
 
 /// Most textures, and most samplers.
 pub const MAX_TEXTURES: usize = 1 << 14;
 
-/// Most images.
 pub const MAX_IMAGES: usize = 1 << 12;
 
 /// Most values in one element of the JSON's lists, such as a mesh with all its primitives.

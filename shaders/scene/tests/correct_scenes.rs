@@ -107,7 +107,7 @@ fn every_small_scene_has_its_triangles_and_bounds() {
             assert!(difference <= 1e-3, "{file}: {got} instead of {expected:?}");
         }
         let packed = scene.pack().unwrap_or_else(|error| panic!("{file}: {error}"));
-        assert!(Scene::unpack(&packed).unwrap() == scene, "{file} changed on its way");
+        assert!(Scene::unpack(&packed).unwrap() == scene, "{file} did not survive packing");
         let kept = folder.path().join("kept.scene");
         std::fs::write(&kept, &packed).unwrap();
         assert!(Scene::load(&kept, &LoadOptions::default()).unwrap() == scene, "{file} is another scene from its pack");

@@ -184,8 +184,7 @@ proptest! {
         }
     }
 
-    /// Changed digits in the JSON give an error or a legal scene. Most still parse, with wrong counts, offsets and
-    /// indices.
+    /// Changed digits in the JSON give an error or a legal scene. Most parse, with wrong counts, offsets and indices.
     #[test]
     fn mutated_numbers_never_panic(
         changes in prop::collection::vec((any::<prop::sample::Index>(), b'0'..=b'9'), 1..6),

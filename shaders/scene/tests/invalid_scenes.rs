@@ -24,8 +24,7 @@ const HANG: Duration = Duration::from_secs(120);
 /// Most memory that the process may ever have had, in KiB.
 const MAX_PEAK_KIB: u64 = 1 << 20;
 
-/// Validator errors with which a file may load: code (empty: any), part of the pointer to the fault (empty: any), and
-/// the reason.
+/// Validator errors with which a file may load: code, part of the pointer to the fault (empty: any), and the reason.
 const ALLOWED: [(&str, &str, &str); 38] = [
     ("", "/animations", "animations are not read: the scene is shown at rest"),
     ("", "/skins", "skins are not read; a mesh with one is refused"),

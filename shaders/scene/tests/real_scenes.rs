@@ -33,7 +33,7 @@ fn real_scenes_load_and_survive_packing() {
         scene.check().unwrap();
         let packed = scene.pack().unwrap();
         let unpacked = Scene::unpack(&packed).unwrap();
-        assert!(unpacked == scene, "{file} changed on its way");
+        assert!(unpacked == scene, "{file} did not survive packing");
         assert_eq!(scene.triangles.len() as u64 + report.dropped_triangles, triangles, "{file}");
         assert_eq!(report.dropped_triangles, degenerate, "{file}");
         if lights > 0 {

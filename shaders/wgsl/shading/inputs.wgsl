@@ -1,5 +1,4 @@
-// Inputs of the shading passes, and lookups of a pixel's visibility and surface. Bound by
-// `client/core/src/render/shade.rs`.
+// Inputs of the shading passes, and lookups for a pixel. Bound by `client/core/src/render/shade.rs`.
 
 #import "shading/view.wgsl"
 #import "shading/lighting.wgsl"

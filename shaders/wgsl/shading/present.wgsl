@@ -1,5 +1,4 @@
-// Shows the picture on the screen: texel for texel if the sizes match, otherwise scaled to fit with its aspect ratio
-// kept.
+// Shows the picture: texel for texel if it has the screen's size, otherwise scaled to fit at its aspect ratio.
 
 #import "shading/view.wgsl"
 

@@ -60,19 +60,17 @@ pub enum PacketError {
     Placeholder { sequence: u32, field: &'static str },
     #[error("packet {0} carries no data")]
     Empty(u32),
-    /// Its number of packets or timestamp differs from its frame's first packet, or the first-packet flag is misplaced.
-    /// The frame is dropped.
+    /// Its number of packets, timestamp or first-packet flag disagrees with its frame, which is dropped.
     #[error("packet {sequence} contradicts the other packets of frame {frame}")]
     Contradiction { sequence: u32, frame: FrameNumber },
     /// A parity packet with numbers out of range or unlike those of its frame's packets. The frame goes on.
-    #[error("packet {0} is no parity of its frame")]
+    #[error("packet {0} is not valid parity of its frame")]
     Parity(u32),
     /// The frame exceeds the limit and is dropped.
     #[error("frame {frame} has more than {limit} bytes")]
     TooLong { frame: FrameNumber, limit: usize },
 }
 
-/// A delivered frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CompleteFrame<'a> {
     pub frame: FrameNumber,
@@ -84,8 +82,7 @@ pub struct CompleteFrame<'a> {
     pub restored: u16,
     /// Packets missing; 0 except under [`Policy::Slices`].
     pub missing: u16,
-    /// The bytes that arrived: in packet order under [`Policy::WholeFrame`], in order of arrival under
-    /// [`Policy::Slices`].
+    /// The bytes that arrived, in order of arrival. Under [`Policy::WholeFrame`], that is packet order.
     pub body: &'a [u8],
     /// Bytes at the start of the body that were delivered before, with the same frame in part.
     pub known_bytes: usize,
@@ -97,7 +94,6 @@ pub struct Reassembler {
     body: Vec<u8>,
     /// Data of a partial frame that has ended.
     ended_body: Vec<u8>,
-    /// The delivered frame.
     out: Option<Out>,
     /// Parity of the current frame.
     recovery: Recovery,
@@ -215,8 +211,7 @@ impl Reassembler {
         }
     }
 
-    /// Returns the frame that the last packet completed or ended (the newer one if it did both), or that
-    /// [`Self::deliver_partial`] delivered.
+    /// Returns the frame last delivered, until the next packet. The newer one if a packet delivered two.
     #[must_use]
     pub fn frame(&self) -> Option<CompleteFrame<'_>> {
         let Out { frame, timestamp_ms, packets, restored, missing, known_bytes, ended } = self.out?;

@@ -10,7 +10,6 @@ use super::{
 };
 use crate::ids::FrameNumber;
 
-/// The current frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Current {
     /// The packet that arrived first. If only parity has arrived: the frame's first packet, as the parity describes it.
@@ -74,7 +73,6 @@ impl Current {
     }
 }
 
-/// The policy's state.
 #[derive(Debug)]
 pub(super) struct Slices {
     max_frame_bytes: usize,
@@ -82,7 +80,6 @@ pub(super) struct Slices {
     /// One bit for each index that a packet of the current frame can have, relative to the one that arrived first: as
     /// many below it as above.
     seen: Vec<u64>,
-    /// Newest settled frame.
     settled: Option<FrameNumber>,
     pub(super) frames_complete: u64,
     pub(super) frames_partial: u64,
@@ -132,8 +129,7 @@ impl Slices {
         self.current.is_some_and(|current| frame > current.begun_by.frame)
     }
 
-    /// Decides about parity of a frame not newer than the current one. `first` is the frame's first packet, as the
-    /// parity describes it.
+    /// Decides about parity of a frame not newer than the current one. `first` is the first packet that it describes.
     pub(super) fn parity(&mut self, first: &FramePacket) -> Verdict {
         match self.current.filter(|current| current.begun_by.frame == first.frame) {
             Some(Current { begun_by, .. }) if is_alike(&begun_by, first) => Verdict::Append,

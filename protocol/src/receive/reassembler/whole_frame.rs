@@ -76,12 +76,10 @@ impl Current {
     }
 }
 
-/// The policy's state.
 #[derive(Debug)]
 pub(super) struct WholeFrame {
     max_frame_bytes: usize,
     current: Option<Current>,
-    /// Newest settled frame.
     settled: Option<FrameNumber>,
     /// Newest frame counted as incomplete because packets of it arrived without the first.
     headless: Option<FrameNumber>,
@@ -104,7 +102,6 @@ impl WholeFrame {
         self.current.filter(Current::is_complete)
     }
 
-    /// Decides about a packet.
     pub(super) fn packet(&mut self, packet: &FramePacket) -> Verdict {
         let Some(current) = &mut self.current else {
             return self.waiting(packet);

@@ -6,7 +6,6 @@ use glam::DVec3;
 
 use super::types::{Image, LightKind, Scene};
 
-/// A scene's counts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Summary {
     /// Of OPAQUE, MASK and BLEND materials.

@@ -19,8 +19,7 @@ pub struct Scene {
     pub positions: Vec<Vec3>,
     /// Unit shading normals, one for each vertex.
     pub normals: Vec<Vec3>,
-    /// Texture coordinates of the base colour, one for each vertex, transform applied. (0, 0) is the picture's upper
-    /// left.
+    /// Base colour texture coordinates, one for each vertex, transform applied. (0, 0) is the picture's upper left.
     pub uvs: Vec<Vec2>,
     /// Vertex indices, counter-clockwise seen from the front. No zero-area triangles.
     pub triangles: Vec<[u32; 3]>,

@@ -51,7 +51,7 @@ fn split_glb(bytes: &[u8]) -> Result<Container<'_>, String> {
             (0, _) => return Err(format!("its first GLB chunk has type {kind:#010x}, not JSON")),
             (1, CHUNK_BIN) => container.bin = Some(data),
             (_, CHUNK_JSON | CHUNK_BIN) => {
-                return Err(format!("GLB chunk {chunk} of type {kind:#010x} stands in the wrong place"));
+                return Err(format!("GLB chunk {chunk} of type {kind:#010x} is in the wrong place"));
             }
             // Unknown chunks are ignored (§4.4.3.1).
             _ => {}

@@ -32,7 +32,7 @@ pub(crate) fn resolve(uri: &str, folder: &Path) -> Result<Target, String> {
     }
     let shown: String = uri.chars().take(200).collect();
     if has_scheme(uri) {
-        return Err(format!("URI {shown:?} leads away; only files in the scene's folder and data URIs are read"));
+        return Err(format!("URI {shown:?} is not local; only files in the scene's folder and data URIs are read"));
     }
     let decoded = percent_decode_str(uri).decode_utf8().map_err(|_| format!("URI {shown:?} is not UTF-8"))?;
     // Some exporters write backslashes. Treated as separators, they cannot hide a `..` on any system.
