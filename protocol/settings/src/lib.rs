@@ -7,7 +7,7 @@
 //!
 //! Precedence: defaults < TOML < environment < flags. A value from TOML or the environment becomes clap's default
 //! value, so one parser and one set of bounds serve every layer. Each layer is parsed alone first: an error names the
-//! flag, variable or key that the value came from, also where a higher layer overrides it.
+//! flag, variable or key that the value came from, even if a higher layer overrides it.
 
 mod declare;
 mod error;

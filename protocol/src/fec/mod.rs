@@ -20,7 +20,6 @@
 //!
 //! A packet restored from wrong parity is wrong, and its tiles may decode as others. So parity must be as trustworthy
 //! as the packets. It never changes data that has arrived.
-//! trustworthy as the packets. But parity never touches what has come itself.
 
 mod encoder;
 mod recovery;

@@ -1,6 +1,6 @@
 //! Extrapolates a camera's latest poses, so that visibility can be traced for the moment that shows it.
 //!
-//! Times are the client's, so that uneven arrival does not matter. The camera goes on in a straight line and turns
+//! Times are the client's, so that uneven arrival does not matter. The camera continues in a straight line and turns
 //! about a fixed axis, at its mean rates over a short window: long enough to average a hand's tremor, short enough to
 //! notice that it stops.
 
