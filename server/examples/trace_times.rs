@@ -3,8 +3,7 @@
 //! `cargo run --release -p gnomon-server --example trace_times -- SCENE [--lights-from FILE] [--lights N] [--size WxH]
 //! [--from X,Y,Z --to X,Y,Z] [--frames N] [--threads 1,2] [--picture FILE.pgm]`
 //!
-//! Frames are timed by wall-clock time, which includes other programs' use of the core. On a busy machine read the line
-//! with processor time.
+//! Wall-clock times of frames include other programs' use of the core. On a busy machine read the processor times.
 
 mod view;
 

@@ -41,7 +41,7 @@ pub struct Cli {
 pub enum Command {
     /// Make a bearer token: prints the client's secret, then its entry for --token-file
     Token {
-        /// Name of the token's owner, for people
+        /// Name of the token's owner, only a label
         #[arg(long, default_value = "")]
         name: String,
         /// Days until the token expires [default: never]

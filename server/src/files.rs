@@ -17,9 +17,8 @@ pub(crate) fn read_small(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Creates a file that only its owner may read, unless it exists. Returns whether it did. The file appears whole or not
-/// at all: a crash leaves no partial key, and two servers that start at once keep the same one. Errors if the folder
-/// cannot be written.
+/// Creates a file that only its owner may read, unless it exists. Returns whether it did. A crash leaves no partial
+/// key, and two servers that start at once keep the same one. Errors if the folder cannot be written.
 pub(crate) fn create_private(path: &Path, bytes: &[u8]) -> io::Result<bool> {
     static SCRATCH: AtomicU64 = AtomicU64::new(0);
     let unique = SCRATCH.fetch_add(1, Ordering::Relaxed);

@@ -62,8 +62,7 @@ pub(crate) enum HandshakeError {
     NoHello,
 }
 
-/// Reads the Hello and answers it. The caller limits the time. Errors if the client is refused (after telling it), or
-/// disconnects.
+/// Reads and answers the Hello. The caller limits the time. Errors if the client is refused (and told) or disconnects.
 pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<AdmittedClient, HandshakeError> {
     let admitted = match read_hello(&mut link.reader).await? {
         Ok(hello) => admit(hello, link.peer, services),

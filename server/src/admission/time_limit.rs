@@ -1,6 +1,5 @@
 //! The time limit of handshakes. It is long while few are under way: on a network that loses a third of its packets,
-//! each loss doubles the time until the next try. It is short during a flood, when slow handshakes would keep others
-//! out.
+//! each loss doubles the time until the next try. It is short during a flood, when slow ones would block others.
 
 use std::{pin::pin, time::Duration};
 

@@ -103,8 +103,7 @@ impl RunningServer {
         reason
     }
 
-    /// Stops admitting clients, tells connected ones to leave, serves them for up to `drain_ms`, finishes the frames in
-    /// flight, and ends.
+    /// Refuses new clients, asks others to leave, serves them for up to `drain_ms`, finishes their frames, and ends.
     pub async fn shutdown(self) {
         let Self {
             services,

@@ -95,8 +95,7 @@ impl Counts {
         0.0
     }
 
-    /// Upper edges in seconds, one per octave, with the count of each bucket. The last edge is `f64::MAX`, for
-    /// infinity.
+    /// Upper edges in seconds, one per octave, with each bucket's count. The last edge is `f64::MAX`, for infinity.
     #[expect(clippy::cast_precision_loss, reason = "microseconds below a minute")]
     pub(crate) fn histogram(&self) -> Vec<(f64, u64)> {
         let first = (FIRST_EDGE_US as f64 * 1e-6, self.buckets[0]);

@@ -96,8 +96,7 @@ struct BrowserCertificate {
 }
 
 impl Certificates {
-    /// Reads or makes the permanent certificate. Errors if the folder or file cannot be used, or its content is
-    /// damaged.
+    /// Reads or makes the permanent certificate. Errors if the folder or file is unusable or damaged.
     pub(crate) fn open(config: &ServerConfig, provider: Arc<CryptoProvider>) -> Result<Self, CertificateError> {
         let files = match (&config.cert_file, &config.key_file) {
             (Some(certificate), Some(key)) => Files::Operator { certificate: certificate.clone(), key: key.clone() },

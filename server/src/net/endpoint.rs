@@ -42,8 +42,7 @@ pub enum ListenError {
     Tls(String),
 }
 
-/// A bound socket that accepts nothing yet. The server binds before it loads the scene, so that a taken port fails
-/// early.
+/// A bound socket that accepts nothing yet. Binding comes before loading the scene, so that a taken port fails early.
 pub(crate) enum Bound {
     Quic(UdpSocket),
     Lab(std::net::TcpListener),

@@ -1,5 +1,4 @@
-//! Reports to Agones: ready when clients may come, healthy while tracing works, and a session counter that decreases
-//! when a session ends.
+//! Reports to Agones: readiness, health while tracing works, and ended sessions, which decrease a session counter.
 //!
 //! Talks to the sidecar's HTTP gateway on loopback, with the paths of Agones' `sdk.proto` and `beta.proto`. gRPC would
 //! add protoc and tonic to the build for four calls. Failed calls are repeated. Sessions do not depend on them.

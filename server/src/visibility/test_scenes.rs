@@ -159,8 +159,7 @@ fn disc() -> Image {
     Image { encoded: Vec::new(), width: 16, height: 12, rgba }
 }
 
-/// A closed room with boxes, a smooth ball, a leaf with holes, a single-sided screen, a pane of glass, and one light of
-/// each kind.
+/// A closed room with boxes, a smooth ball, a leaf with holes, a one-sided screen, a pane, and each kind of light.
 pub(crate) fn room() -> Scene {
     let tilt = Quat::from_rotation_y(0.4) * Quat::from_rotation_x(-0.3);
     TestScene::default()

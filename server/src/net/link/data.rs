@@ -29,8 +29,7 @@ impl DataLink {
         }
     }
 
-    /// Opens both directions. On `lab-tcp` it waits for the client to connect. Errors if the client does not connect
-    /// within `limit`.
+    /// Opens both directions. Errors if the client does not connect within `limit`, on `lab-tcp`.
     pub(crate) async fn open(self, limit: Duration) -> io::Result<(DataReceiver, DataSender)> {
         match self {
             Self::Quic(data) => Ok((DataReceiver::Quic(data.clone()), DataSender::Quic(data))),

@@ -44,8 +44,7 @@ pub(super) fn answer<B>(request: &Request<B>, status: &Status) -> Answer {
     }
 }
 
-/// `/metrics` and `/sessions` need a token once the token file lists one with the scope admin. `/live` and `/ready`
-/// never do.
+/// `/metrics` and `/sessions` need a token once the file lists one with scope admin. `/live` and `/ready` never do.
 fn authorized<B>(request: &Request<B>, status: &Status) -> bool {
     let Some(tokens) = status.tokens.as_ref().filter(|tokens| tokens.has(Scope::Admin)) else { return true };
     let given = request.headers().get(AUTHORIZATION).and_then(|value| value.to_str().ok());

@@ -1,5 +1,4 @@
-//! The back ends that trace masks: kernels on a graphics adapter, with or without its own ray queries, or the
-//! processor.
+//! The back ends that trace masks: kernels on a graphics adapter, with or without ray queries, or the processor.
 
 pub mod compute;
 pub mod cpu;

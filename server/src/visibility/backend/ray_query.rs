@@ -1,5 +1,4 @@
-//! The `ray-query` back end: the frames, rules and kernels of `compute`, with the adapter's own acceleration structure
-//! instead of our hierarchy.
+//! The `ray-query` back end: the frames, rules and kernels of `compute` with the adapter's own acceleration structure.
 //!
 //! wgpu calls ray queries experimental. Adapters without hardware for them do not offer them, except recent software
 //! Vulkan, which the tests use.

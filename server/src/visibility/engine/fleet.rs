@@ -14,8 +14,7 @@ use super::{
     port::SessionPort,
 };
 
-/// Running engines, at least one. Dropping them stops their threads and waits for them, so don't drop them on an async
-/// worker.
+/// Running engines, at least one. Dropping them waits for their threads, so don't drop them on an async worker.
 #[derive(Debug)]
 pub struct Fleet {
     engines: Vec<Engine>,

@@ -21,8 +21,7 @@ pub(super) struct About {
     pub(super) limit: Option<PictureLimit>,
 }
 
-/// Opens the back end: builds the hierarchy and compiles the kernels. Errors if the back end cannot be opened for this
-/// scene.
+/// Opens the back end: builds the hierarchy and compiles the kernels. Errors if it cannot be opened for this scene.
 pub(super) fn open_tracer(scene: &Scene, options: &EngineOptions) -> Result<(Tracer, About), BackendError> {
     let adapter = || options.adapter.clone();
     let on_device = |backend: ComputeBackend| {

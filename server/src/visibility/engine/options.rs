@@ -7,7 +7,7 @@ pub enum BackendChoice {
     /// `ray-query` on a GPU with ray queries, `compute` on any other GPU, `cpu` without a GPU or with a software
     /// adapter only.
     Auto,
-    /// Kernels on a graphics adapter, with its hardware ray queries.
+    /// Kernels on a graphics adapter that use its ray queries.
     RayQuery,
     /// Kernels on a graphics adapter.
     Compute,

@@ -126,8 +126,7 @@ impl Tracer {
         Ok(PartialFrame { job, rows_per_part, progress })
     }
 
-    /// Submits the next part of a frame to the device, or traces it on the processor. Errors if the device has failed
-    /// or the work panics.
+    /// Submits the next part, or traces it on the processor. Errors if the device has failed or the work panics.
     pub(super) fn advance(&mut self, frame: PartialFrame) -> Result<Advance, TraceError> {
         let rows = frame.next_rows();
         let PartialFrame { mut job, rows_per_part, progress } = frame;
@@ -172,8 +171,7 @@ impl Tracer {
         backend.wait(patience)
     }
 
-    /// Returns the oldest frame in flight if it has landed. Does not wait. Errors if the device has failed or the work
-    /// panics.
+    /// Returns the oldest frame in flight if it has landed. Errors if the device has failed or the work panics.
     pub(super) fn collect(&mut self) -> Result<Option<(Job, TraceCost)>, TraceError> {
         let Self::Device { backend, in_flight } = self else { return Ok(None) };
         let Some(job) = in_flight.front_mut() else { return Ok(None) };
@@ -194,8 +192,7 @@ impl Tracer {
         }
     }
 
-    /// Traces a whole mask and waits for it. `None` if the device is lost. Errors if the device has failed or frames
-    /// are in flight.
+    /// Traces a whole mask. `None` if the device is lost. Errors if the device has failed or frames are in flight.
     pub(super) fn trace(&mut self, camera: &Camera, mask: &mut Mask) -> Result<Option<TraceCost>, BackendError> {
         match self {
             Self::Device { backend, .. } => backend.trace(camera, mask).map(Some),

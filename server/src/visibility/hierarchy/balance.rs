@@ -1,5 +1,4 @@
-//! Bounds the depth of a binary hierarchy: rebuilds subtrees that are too deep from equal halves, and changes nothing
-//! else.
+//! Bounds the depth of a binary hierarchy: rebuilds only subtrees that are too deep, from equal halves.
 //!
 //! The surface-area heuristic turns a chain of triangles at growing distances into a chain of nodes. The kernels' stack
 //! has a fixed size, and parts of obvhs recurse, so every hierarchy must fit by construction.

@@ -177,8 +177,8 @@ impl<'a> Collapse<'a> {
         self.area(n) * NODE_COST + self.split(n, WIDTH).0
     }
 
-    /// The cheapest split of `slots` ≥ 2 children between the two sides of binary inner node n: its cost, and how many
-    /// go left.
+    /// The cheapest split of `slots` ≥ 2 children between the sides of binary inner node n: its cost, and how many go
+    /// left.
     fn split(&self, n: usize, slots: usize) -> (f32, usize) {
         let Some([left, right]) = children(self.binary, n) else { return (f32::INFINITY, 0) };
         (1..slots)

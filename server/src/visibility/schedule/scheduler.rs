@@ -12,8 +12,7 @@
 
 use std::{collections::VecDeque, time::Instant};
 
-/// How far a session may be ahead of other waiting sessions, in milliseconds of device time. A larger lead gives
-/// deadlines more weight.
+/// Most that a session may be ahead of waiting ones, in milliseconds of device time. More gives deadlines more weight.
 pub const LEAD_MS: f64 = 4.0;
 
 /// How far behind the others a session restarts after using less than its share, in milliseconds of device time.
@@ -303,8 +302,7 @@ mod tests {
             }
         }
 
-        /// A waiting session goes before each of the others has used its saved time, the lead and one frame, even with
-        /// the last deadline.
+        /// While a session waits, each other one uses at most its saved time, the lead and a frame, even if due first.
         #[test]
         fn nobody_starves(
             costs_ms in prop::collection::vec(0.05_f64..40.0, 6),

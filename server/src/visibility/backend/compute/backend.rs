@@ -66,8 +66,7 @@ impl ComputeBackend {
         Self::open_traversing(scene, adapter, allow_software, Traversal::Hierarchy, None)
     }
 
-    /// As [`Self::open`], with shadow rays that start `offset_roundings` rounding units off their surface. For tests
-    /// that plant this fault.
+    /// As [`Self::open`], but shadow rays start `offset_roundings` rounding units off their surface: a fault for tests.
     ///
     /// # Errors
     /// Those of [`Self::open`].

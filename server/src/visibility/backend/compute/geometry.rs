@@ -43,8 +43,7 @@ enum Opacity {
 }
 
 impl Geometry {
-    /// Collects the triangles that stop rays, and builds the hierarchy that `traversal` needs. Errors if 32-bit indices
-    /// do not suffice.
+    /// Collects the triangles that stop rays, and builds the hierarchy. Errors if indices exceed 32 bits.
     pub(super) fn build(scene: &Scene, traversal: Traversal) -> Result<Self, BackendError> {
         let mut geometry = Self::default();
         let opacities = geometry.add_alpha(scene)?;

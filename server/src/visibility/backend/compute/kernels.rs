@@ -124,8 +124,7 @@ impl Kernels {
         Ok(Self { primary, shadow, scene, frame })
     }
 
-    /// The scene's bind group. Buffers are in the order of `wgsl/shared/traced_scene.wgsl`. [`Traversal::RayQuery`]
-    /// needs the structure.
+    /// The scene's bind group, in the order of `wgsl/shared/traced_scene.wgsl`. Ray queries need `structure`.
     pub(super) fn bind_scene(
         &self,
         device: &wgpu::Device,

@@ -194,8 +194,7 @@ impl Slot {
         }
     }
 
-    /// Copies these words of a ready frame into `mask`, which has the frame's shape. Errors if the buffer is not
-    /// mapped.
+    /// Copies these words of a ready frame into `mask`, of the frame's shape. Errors if the buffer is not mapped.
     pub(super) fn read(&self, mask: &mut Mask, words: Range<usize>) -> Result<(), String> {
         let bytes = MASK_AT + 8 * words.start as u64..MASK_AT + 8 * words.end as u64;
         let view = self.host.get_mapped_range(bytes).map_err(|error| error.to_string())?;
@@ -206,8 +205,7 @@ impl Slot {
         Ok(())
     }
 
-    /// Returns the timestamps of `parts` parts and the number of shadow rays, and unmaps the buffer. Errors if the
-    /// buffer is not mapped.
+    /// Returns the timestamps of `parts` parts and the ray count, and unmaps the buffer. Errors if it is not mapped.
     pub(super) fn finish(&self, parts: u32) -> Result<(Vec<u64>, u64), String> {
         let view = self.host.get_mapped_range(..MASK_AT).map_err(|error| error.to_string())?;
         let mut head = view.as_chunks().0.iter().copied().map(u64::from_le_bytes);

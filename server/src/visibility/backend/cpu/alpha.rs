@@ -71,8 +71,7 @@ impl Alpha {
         Ok(alpha)
     }
 
-    /// Returns whether a point of MASK triangle `triangle` passes the alpha test. `weights` of its corners need not sum
-    /// to 1.
+    /// Returns whether a point of MASK triangle `triangle` passes the alpha test. `weights` need not sum to 1.
     pub(super) fn passes(&self, triangle: u32, weights: [f32; 3]) -> bool {
         let triangle = &self.triangles[(triangle - self.first) as usize];
         let material = &self.materials[triangle.material as usize];

@@ -32,8 +32,7 @@ pub struct CpuBackend {
 }
 
 impl CpuBackend {
-    /// Builds the tree, copies the triangles and the alpha pictures, and starts the threads (default: one per
-    /// processor).
+    /// Builds the tree, copies triangles and alpha pictures, and starts the threads (default: one per processor).
     ///
     /// # Errors
     /// If the threads cannot be started, the scene has more than 2³¹ − 1 triangles that stop rays, or the alpha of a
@@ -75,8 +74,7 @@ impl CpuBackend {
     }
 
     /// Traces the view of `camera` into `mask`, which has the camera's size and a plane for each light of the scene.
-    /// Writes every word. Times are sums over the threads, divided by their number: with idle threads they are below
-    /// wall-clock time.
+    /// Writes every word. Times are sums over the threads, divided by their number, so they exclude idle time.
     ///
     /// # Panics
     /// If the mask's shape is not the camera's and the scene's.

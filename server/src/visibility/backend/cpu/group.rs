@@ -42,8 +42,7 @@ pub(super) struct Projection {
     pub(super) w_sign: f32,
     /// The apex, or a reference point in the scene for parallel rays: (u, v, w), w not mirrored.
     pub(super) origin: [f32; 3],
-    /// Change of u and v along w, for parallel rays, or for the ray from a distant apex through the reference point;
-    /// else 0.
+    /// Change of u and v along w, for parallel rays or the ray from a distant apex through the reference point; else 0.
     pub(super) shear: [f32; 2],
     /// One over a distant apex's distance along w, by which its rays spread along w; else 0.
     pub(super) spread: f32,
@@ -68,8 +67,7 @@ impl Projection {
     }
 
     /// Rays that start at `apex`, so far from `reference` that scene points relative to the apex would lose precision.
-    /// They are projected onto the plane through the reference point instead, like parallel rays but for a factor of
-    /// almost 1.
+    /// They are projected onto the plane through the reference point instead, almost like parallel rays.
     pub(super) fn from_distant(apex: Vec3, reference: Vec3) -> Self {
         let direction = reference - apex;
         let this = Self::along(direction, reference);

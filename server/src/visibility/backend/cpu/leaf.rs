@@ -67,8 +67,7 @@ pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
     prepare_as::<S, PARALLEL, CLOSEST, false>(s, leaf, group, inverse_far, prepared)
 }
 
-/// As [`prepare`], if rounding leaves some triangle's side in doubt. A separate function, so that the common path keeps
-/// its registers.
+/// As [`prepare`], if some triangle's side is in doubt. Separate, so that the common path keeps its registers.
 #[cold]
 #[inline(never)]
 fn prepare_settled<S: Simd, const CLOSEST: bool>(

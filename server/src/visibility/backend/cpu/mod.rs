@@ -5,9 +5,8 @@
 //! ([`leaf`]), then packets → [`surface`] computes points and normals → [`light`] picks the lights that need shadow
 //! rays → [`regroup`] sorts rays that end far apart → [`traverse`] again, from the light.
 //!
-//! Each result depends only on its own ray and the triangles, not on the group or on threads. So masks are the same in
-//! every run and for any number of threads. They may differ in single bits between processors with and without AVX2
-//! (see [`simd`]).
+//! Each result depends only on its own ray and the triangles, so masks are the same in every run and for any number of
+//! threads. They may differ in single bits between processors with and without AVX2 (see [`simd`]).
 
 mod alpha;
 mod backend;

@@ -209,8 +209,7 @@ fn light_tile<S: Simd, C: Counter>(
     word
 }
 
-/// Groups with longer sides are regrouped. A tangent for rays from an apex, relative to the scene's size for parallel
-/// rays.
+/// Groups with longer sides are regrouped. A tangent for rays from an apex; relative to the scene for parallel rays.
 const WIDE: f32 = 0.03;
 const WIDE_PARALLEL: f32 = 0.003;
 /// Padding of a part's sides, relative to that length.

@@ -1,5 +1,4 @@
-//! Takes a group of rays through the tree: [`intersect`] finds the nearest triangles, [`occluded`] tests whether any
-//! triangle stops a ray.
+//! Takes a group of rays through the tree: [`intersect`] finds nearest triangles, [`occluded`] any that stops a ray.
 
 use super::{
     alpha::Alpha,
@@ -45,8 +44,7 @@ impl Default for Hits {
 /// Boxes are culled with this margin, since 1/z has a relative error.
 const DEPTH_SLACK: f32 = 1.0 + 1.0 / (1 << 20) as f32;
 
-/// Finds the nearest triangle of every ray in `group`, whose rays start at an apex. `hits` may hold other groups' hits,
-/// but none of this group's.
+/// Finds the nearest triangle of every ray in `group`, which has an apex. `hits` may hold other groups' hits only.
 #[inline(always)]
 pub(super) fn intersect<S: Simd, C: Counter>(
     s: S,

@@ -64,8 +64,7 @@ impl ActiveSession {
         self.opened.port.is_closed()
     }
 
-    /// Returns the work that it waits for, if any. A newer pose does not move the due time of a mask that was requested
-    /// earlier.
+    /// Returns the work that it waits for, if any. A newer pose does not move the due time of an earlier request.
     pub(super) fn demand(&mut self, room: Room) -> Option<Demand> {
         if let Some(partial) = &self.partial {
             return Some(Demand { due: partial.job.due, resumes: true, fits: room.next_part });

@@ -55,8 +55,7 @@ impl Worker {
         }
     }
 
-    /// Traces two masks without a session, to warm up the device and learn the cost of a mask. Errors if the device
-    /// fails.
+    /// Traces two masks without a session, to warm up the device and learn their cost. Errors if the device fails.
     pub(in super::super) fn warm_up(&mut self, camera: &Camera, shape: MaskShape) -> Result<(), BackendError> {
         let mut mask = Mask::new(shape);
         for _ in 0..2 {

@@ -21,8 +21,7 @@ use crate::visibility::{
     schedule::{parts, scheduler::SessionKey},
 };
 
-/// Submissions in flight beyond which no part is added. The second keeps the device busy until this thread has seen the
-/// first end.
+/// No part is added to this many submissions. The second keeps the device busy until the worker sees the first end.
 const PARTS_IN_FLIGHT: usize = 2;
 
 impl Worker {

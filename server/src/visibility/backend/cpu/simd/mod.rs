@@ -1,8 +1,7 @@
 //! Eight f32 lanes: AVX2 with FMA where the machine has them, plain arrays everywhere else.
 //!
 //! Code is generic over [`Simd`] and runs through [`Level::dispatch`], which compiles it once per level. Values of
-//! `Avx2` exist only after a check that the processor has the instructions, which makes its calls sound. Nothing
-//! outside `avx2` is unsafe.
+//! `Avx2` exist only after a check for its instructions, which makes its calls sound. Only `avx2` is unsafe.
 //!
 //! The levels may differ in the last bit: AVX2 rounds a fused multiply-add once, plain arrays twice. On one machine
 //! results are always the same.
