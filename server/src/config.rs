@@ -83,7 +83,7 @@ pub struct ServerConfig {
     /// Server that clients of a draining server should move to
     #[arg(long, value_name = "URL", value_parser = word)]
     pub alternative: Option<String>,
-    /// First congestion window of a connection, in bytes: more overflows narrow paths, fewer starts slowly
+    /// First congestion window of a connection, in bytes: too large overflows narrow paths, too small starts slowly
     #[arg(long, value_name = "BYTES", default_value_t = 64 * 1024, bounds(16 * 1024, 64 * 1024 * 1024_u64))]
     pub initial_window_bytes: u64,
     /// Format of the logs; RUST_LOG filters them

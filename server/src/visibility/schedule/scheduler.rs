@@ -325,7 +325,7 @@ mod tests {
                 let cost = costs_ms.get(usize::try_from(key).unwrap()).copied().unwrap_or(1.0);
                 run(&mut scheduler, key, cost);
                 waited_ms = if key == 6 { 0.0 } else { waited_ms + cost };
-                prop_assert!(waited_ms <= bound_ms + 1e-6, "{waited_ms} ms of others, {bound_ms} are the bound");
+                prop_assert!(waited_ms <= bound_ms + 1e-6, "others used {waited_ms} ms, at most {bound_ms} allowed");
             }
         }
     }
