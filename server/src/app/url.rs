@@ -23,8 +23,8 @@ fn authority(host: &str, port: u16) -> String {
     }
 }
 
-/// Replaces an unspecified address by this machine's address towards others, so that the URL works everywhere.
-/// Connecting a UDP socket sends nothing.
+/// Replaces an unspecified address by this machine's address towards others, so that the URL works here
+/// and elsewhere. Connecting a UDP socket sends nothing.
 fn reachable(address: SocketAddr) -> SocketAddr {
     if !address.ip().is_unspecified() {
         return address;

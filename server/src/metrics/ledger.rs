@@ -255,7 +255,7 @@ impl Totals {
     }
 }
 
-#[expect(clippy::cast_precision_loss, reason = "rates and means for people")]
+#[expect(clippy::cast_precision_loss, reason = "rates and means for logs")]
 pub(crate) fn as_f64(count: u64) -> f64 {
     count as f64
 }

@@ -132,7 +132,7 @@ impl Pace {
 }
 
 impl FrameSender {
-    /// `coding` controls encoding, `refresh` cutting. `encoders` limits how many sessions encode at once.
+    /// `coding` sets how frames are encoded, `refresh` how they are cut. `encoders` limits parallel encoding.
     pub(super) fn new(
         sender: DataSender,
         coding: Coding,

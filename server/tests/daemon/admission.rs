@@ -24,7 +24,7 @@ async fn refusal(control: &mut Control, hello: Hello) -> Refusal {
         Some(ServerMessage::Refused(refusal)) => refusal,
         other => panic!("not refused: {other:?}"),
     };
-    assert_eq!(control.receive().await, None, "a refusal is the last word");
+    assert_eq!(control.receive().await, None, "nothing follows a refusal");
     assert!(control.received_bytes < 200, "{} bytes for a stranger", control.received_bytes);
     refusal
 }

@@ -82,7 +82,7 @@ async fn garbage_old_poses_and_duplicates_are_dropped() {
             assert_eq!(header.frame.unwrap().0, 5, "no frame was traced for a bad or an old pose");
         }
     });
-    assert_eq!(ignored.await, 7, "a lost frame can be asked for again");
+    assert_eq!(ignored.await, 7, "a lost frame can be requested again");
     assert_eq!(rig.server.sessions(), 1);
 }
 
@@ -116,7 +116,7 @@ async fn two_clients_get_their_own_frames() {
     assert_ne!(first_mask, second_mask);
     for number in 1..6 {
         let (a, b) = tokio::join!(first.frame(&mut first_frames, number), second.frame(&mut second_frames, number));
-        assert!(a == first_mask && b == second_mask, "frame {number} is somebody else's");
+        assert!(a == first_mask && b == second_mask, "frame {number} belongs to the other client");
     }
     first.endpoint.close(0u32.into(), b"");
     rig.sessions(1).await;

@@ -7,7 +7,7 @@
 use glam::Vec3;
 use gnomon_shaders::host::TracedTriangle;
 
-/// How far edges move, relative to the greatest coordinate: 64 rounding units. An adapter's test may be off by a few.
+/// Outward shift of edges, relative to the greatest coordinate: 64 rounding units. Adapters may be off by a few.
 const PAD: f64 = 1.0 / (1 << 18) as f64;
 /// A corner moves at most this many times as far as its edges. Needle tips would otherwise move without bound.
 const FARTHEST: f64 = 1024.0;

@@ -185,7 +185,7 @@ mod tests {
 
     #[test]
     fn no_hierarchy_is_deeper_than_the_stack() {
-        // Each triangle is its own size away from the last: the builder makes a chain of nodes.
+        // Each triangle is as far from the last as the last is large, so the builder makes a chain.
         let chain: Vec<Triangle> = (0..120)
             .flat_map(|i| {
                 let v0 = Vec3A::new(1.0, 0.4, -0.7) * 2.0_f32.powi(i - 60);

@@ -67,7 +67,7 @@ impl Projection {
     }
 
     /// Rays that start at `apex`, so far from `reference` that scene points relative to the apex would lose precision.
-    /// They are projected onto the plane through the reference point instead, almost like parallel rays.
+    /// They are projected onto the plane through the reference point, like parallel rays times a factor of almost 1.
     pub(super) fn from_distant(apex: Vec3, reference: Vec3) -> Self {
         let direction = reference - apex;
         let this = Self::along(direction, reference);

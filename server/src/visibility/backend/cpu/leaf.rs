@@ -146,7 +146,7 @@ fn settle(leaf: &Leaf, projection: &Projection, slots: u8, distances: &mut F8) {
         let normal = (b - a).cross(c - a);
         let distance = normal.dot(a);
         let is_clear = distance.abs() > f64::from(PLANE_ROUNDINGS * ROUNDING) * normal.abs().dot(a.abs());
-        #[expect(clippy::cast_possible_truncation, reason = "rounding keeps the sign, and 0 is kept away from")]
+        #[expect(clippy::cast_possible_truncation, reason = "rounding keeps the sign, and the result is never 0")]
         let rounded = (distance.abs() as f32).max(f32::MIN_POSITIVE);
         distances.0[slot] = match () {
             () if !is_clear => 0.0,

@@ -35,7 +35,7 @@ impl PreparedLight {
             directional: light.kind == LightKind::Directional,
             distant: light.position.distance(middle) > size_m,
             position: light.position,
-            // A light that is switched off reaches no point, since no normal faces the zero vector.
+            // If it is switched off, its range contains no point and no normal faces its zero direction.
             direction: if light.shines() { light.direction } else { Vec3::ZERO },
             range_squared: if light.shines() { light.range_m * light.range_m } else { -1.0 },
             cos_outer,

@@ -190,7 +190,7 @@ fn the_medley_agrees_with_brute_force_on_every_level() {
         let backend = CpuBackend::with_level(&scene, NonZeroUsize::new(2), level).unwrap();
         let (wrong, relevant) = disagreement(&scene, &backend, &camera);
         assert!(relevant > 20_000, "{relevant}");
-        // The tolerance is one in a thousand. The next test proves that this one can detect a missing triangle.
+        // The tolerance is one in a thousand. The next assertion proves that the test can detect missing triangles.
         assert!(wrong * 1000 <= relevant, "{}: {wrong} of {relevant} bits differ", level.name());
     }
     let mut poorer = scene.clone();
@@ -198,7 +198,7 @@ fn the_medley_agrees_with_brute_force_on_every_level() {
         poorer.positions[corner as usize] += Vec3::Y * 50.0;
     }
     let (wrong, relevant) = disagreement(&scene, &backend(&poorer), &camera);
-    assert!(wrong * 1000 > relevant, "half a quad less changes {wrong} of {relevant} bits");
+    assert!(wrong * 1000 > relevant, "removing half a quad changes {wrong} of {relevant} bits");
 }
 
 #[test]

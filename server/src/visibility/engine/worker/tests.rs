@@ -145,7 +145,7 @@ fn short_frames_overtake_a_long_one_and_no_bit_changes() {
             modest.recycle(traced.mask);
             // Later frames may wait their turn: how much time they have used depends on the machine.
             if frame == 10 {
-                assert_eq!(rig.interrupted(), 1, "it waited for the long one");
+                assert_eq!(rig.interrupted(), 1, "the short frame waited for the long one");
                 assert!(greedy.masks.try_recv().is_err());
             }
         }
