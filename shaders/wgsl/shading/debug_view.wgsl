@@ -54,8 +54,8 @@ fn look(@builtin(position) place: vec4f) -> @location(0) vec4f {
     // A little shading by the normal, to make shapes visible.
     let relief = 0.55 + 0.45 * abs(dot(normal, normalize(ray_of_pixel(view, pixel))));
     let visibility = textureLoad(visibility_picture, pixel, 0).xy;
-    // Where a mask decided, y holds the complement of x and the mask's index; see `predict.wgsl`.
-    let known = visibility.x != visibility.y;
+    // At a share of 1, y is 1 + the oldest layer that a light needed, or 0; see `predict.wgsl`.
+    let known = select(visibility.x != visibility.y, visibility.y != 0u, view.visibility_share >= 1.0);
     switch choice.kind {
         case LIGHT: {
             return vec4f(relief * select(SHADOWED, LIT, ((visibility.x >> choice.light) & 1u) == 1u), 1.0);
@@ -64,7 +64,7 @@ fn look(@builtin(position) place: vec4f) -> @location(0) vec4f {
             return vec4f(relief * select(MISSING, vec3f(0.35), known), 1.0);
         }
         case AGE: {
-            let layer = ~(visibility.x ^ visibility.y) & 7u;
+            let layer = (visibility.y - 1u) & 7u;
             let lag = choice.lags[layer / 4u][layer % 4u];
             return vec4f(relief * select(MISSING, ramp(log2(1.0 + f32(lag)) / 6.0), known), 1.0);
         }

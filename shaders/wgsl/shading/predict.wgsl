@@ -318,7 +318,9 @@ fn by_itself(pixel: vec2u, point: vec3f, normal: vec3f) -> u32 {
     return 0xffffffffu;
 }
 
-// x: the lights that reach the pixel; y: the client's own estimate, where the shading needs it.
+// x: the lights that reach the pixel. y: below a visibility share of 1 the client's own estimate, which shading mixes in.
+// At a share of 1 shading ignores y, and it says where x is from: 0 if a mask lacked a light, or else 1 + the oldest
+// layer that a light needed.
 @fragment
 fn predict(@builtin(position) place: vec4f) -> @location(0) vec2u {
     let pixel = vec2u(place.xy);
@@ -332,9 +334,7 @@ fn predict(@builtin(position) place: vec4f) -> @location(0) vec2u {
     let found = told.found;
     let unknown = prediction.lights & ~found.known;
     if unknown == 0u && view.visibility_share >= 1.0 {
-        // No shading reads y here. In unknown pixels y equals x. In known ones it is the complement of x, for readers
-        // that measure, with the index of the oldest mask used XORed into the lowest three bits.
-        return vec2u(found.word, ~found.word ^ told.oldest);
+        return vec2u(found.word, 1u + told.oldest);
     }
     let own = by_itself(pixel, point, normal);
     if unknown == 0u {
@@ -342,5 +342,5 @@ fn predict(@builtin(position) place: vec4f) -> @location(0) vec2u {
     }
     atomicAdd(&unknown_pixels, 1u);
     let word = found.word | (own & unknown);
-    return vec2u(word, select(own, word, view.visibility_share >= 1.0));
+    return vec2u(word, select(own, 0u, view.visibility_share >= 1.0));
 }

@@ -13,7 +13,6 @@ fn no_import_circles() {
 }
 
 #[test]
-#[ignore = "lines are being broken"]
 fn no_long_files_and_lines() {
     let found = too_long(&Sources::find(Path::new("../..")).unwrap().files).unwrap();
     assert!(found.is_empty(), "{} too long:\n{}", found.len(), found.join("\n"));

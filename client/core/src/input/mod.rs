@@ -167,7 +167,7 @@ mod tests {
 
     #[test]
     fn a_press_between_two_frames_moves_the_next_one() {
-        let camera = gnomon_scene::camera::Camera::looking_at(glam::DVec3::ZERO, glam::DVec3::X, 1.0, 96, 54);
+        let camera = crate::render::testing::camera(96, 54);
         let mut controls = Controls::default();
         let mut fly = fly::Fly::from_camera(&camera, 1.0);
         let before = fly.camera(96, 54);

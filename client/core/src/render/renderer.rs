@@ -30,6 +30,8 @@ pub struct PixelVisibility {
     pub word: u32,
     /// True if masks gave the visibility of every light. False without a surface, and at a visibility share below 1.
     pub known: bool,
+    /// Oldest mask layer that a light needed, 0 the newest; 0 unless `known`.
+    pub oldest_layer: u32,
     /// The client's own prediction; 0 at a visibility share of 1.
     pub own: u32,
 }
@@ -268,9 +270,12 @@ impl FrameRenderer {
         let full_share = self.visibility_share >= 1.0;
         let pixel = |[a, b, c, d, e, f, g, h]: &[u8; 8]| {
             let (word, second) = (u32::from_le_bytes([*a, *b, *c, *d]), u32::from_le_bytes([*e, *f, *g, *h]));
-            // At full share the two words differ only in known pixels (`predict.wgsl`).
-            let (known, own) = if full_share { (word != second, 0) } else { (false, second) };
-            PixelVisibility { word, known, own }
+            if full_share {
+                // 1 + the oldest layer, or 0 (`predict.wgsl`).
+                PixelVisibility { word, known: second != 0, oldest_layer: second.saturating_sub(1), own: 0 }
+            } else {
+                PixelVisibility { word, known: false, oldest_layer: 0, own: second }
+            }
         };
         Ok(words.as_chunks().0.iter().map(pixel).collect())
     }

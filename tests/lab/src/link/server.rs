@@ -14,7 +14,7 @@ pub async fn start(listen: SocketAddr, server: &str, settings: LinkSettings) -> 
     Ok(match server.split_once("://").map(|(scheme, _)| scheme) {
         None | Some("gnomon") => udp::start(listen, address, settings)?,
         Some("gnomon+lab-udp") => lab_udp::start(listen, address, settings).await?,
-        Some(scheme) => bail!("a link carries datagrams, which {scheme}:// has not: use gnomon or gnomon+lab-udp"),
+        Some(scheme) => bail!("{scheme}:// carries no datagrams: use gnomon or gnomon+lab-udp"),
     })
 }
 

@@ -76,7 +76,7 @@ mod tests {
             lights: 2,
             pixels: vec![verdict(2), verdict(2), verdict(2), verdict(3), verdict(3), verdict(3)],
         };
-        let shown = |words: [u32; 6], known| words.map(|word| PixelVisibility { word, known, own: 0 });
+        let shown = |words: [u32; 6], known| words.map(|word| PixelVisibility { word, known, oldest_layer: 0, own: 0 });
         let mut error = PredictionError::default();
         error.add(&shown([2, 2, 2, 3, 3, 3], true), &truth);
         assert_eq!(error, PredictionError { lights: 2, relevant: 12, ..PredictionError::default() });

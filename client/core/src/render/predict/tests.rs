@@ -394,8 +394,7 @@ fn missing_tiles_are_looked_up_in_earlier_masks() {
         seen_in[1 + usize::from(upper)] += 1;
         let shown = shown[pixel];
         assert_eq!((shown.word, shown.known), (expected, true), "pixel {pixel}: {places:?}");
-        let oldest = !(shown.word ^ shown.own) & 7;
-        assert_eq!(oldest, if x < 128.0 { 1 } else { 2 }, "pixel {pixel}: {places:?}");
+        assert_eq!(shown.oldest_layer, if x < 128.0 { 1 } else { 2 }, "pixel {pixel}: {places:?}");
     });
     assert!(seen_in.iter().all(|pixels| *pixels > 300), "{seen_in:?}");
     // A complete mask replaces the others.
