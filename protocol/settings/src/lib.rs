@@ -3,7 +3,7 @@
 //!
 //! | flag | environment variable | TOML key | also |
 //! |---|---|---|---|
-//! | `--max-sessions 8` | `GNOMON_MAX_SESSIONS=8` | `max_sessions = 8` | `--help`, man page, completions, `--check-config` |
+//! | `--max-sessions 8` | `GNOMON_MAX_SESSIONS=8` | `max_sessions = 8` | help, man page, completions, checks |
 //!
 //! Precedence: defaults < TOML < environment < flags. A value from TOML or the environment becomes clap's default
 //! value, so one parser and one set of bounds serve every layer. Each layer is parsed alone first: an error names the

@@ -318,9 +318,9 @@ fn by_itself(pixel: vec2u, point: vec3f, normal: vec3f) -> u32 {
     return 0xffffffffu;
 }
 
-// x: the lights that reach the pixel. y: below a visibility share of 1 the client's own estimate, which shading mixes in.
-// At a share of 1 shading ignores y, and it says where x is from: 0 if a mask lacked a light, or else 1 + the oldest
-// layer that a light needed.
+// x: the lights that reach the pixel. y: below a visibility share of 1, the client's own estimate, which shading mixes
+// in. At a share of 1 shading ignores y, and it says where x is from: 0 if a mask lacked a light, or else 1 + the
+// oldest layer that a light needed.
 @fragment
 fn predict(@builtin(position) place: vec4f) -> @location(0) vec2u {
     let pixel = vec2u(place.xy);
