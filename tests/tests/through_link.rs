@@ -8,10 +8,7 @@ use gnomon_client::camera_path::PathSpec;
 use gnomon_lab::{
     cloister::asset,
     link::{self, Counts, LinkCounts, LinkSettings, profiles::Profile},
-    rig::{
-        ClientJob, PATIENCE, ServerProcess, masks,
-        program::{Program, find},
-    },
+    rig::{ClientJob, PATIENCE, ServerProcess, masks},
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{LoadOptions, Scene};
@@ -168,27 +165,4 @@ fn an_extrapolating_server_reports_the_traced_pose() {
         .filter(|&&(&frame, mask)| traced(&backend, mask.shape().lights(), frame).words() != mask.words())
         .count();
     assert!(late.len() >= 3 && moved * 2 > late.len(), "{moved} of {}", late.len());
-}
-
-#[test]
-fn the_standalone_link_says_where_to_connect_and_what_it_did() {
-    let server = ServerProcess::start(&asset("cloister.glb"), &["--backend", "cpu"]).unwrap();
-    let arguments = ["link", "--server", server.url(), "--profile", "lan", "--both", "loss=1%", "--seed", "3"];
-    let mut lab = Program::start(&find("lab").unwrap(), &arguments, &[]).unwrap();
-    let url = lab
-        .wait_for(PATIENCE, |said| {
-            let whole = said.get(..said.rfind('\n')? + 1)?;
-            whole.lines().find(|line| line.starts_with("gnomon://")).map(str::to_owned)
-        })
-        .unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    job(&url, folder.path(), 30).start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
-    let id = lab.id().to_string();
-    assert!(std::process::Command::new("kill").args(["-INT", &id]).status().unwrap().success());
-    let outcome = lab.finish(PATIENCE).unwrap().success().unwrap();
-    let lines: Vec<&str> = outcome.stdout.lines().collect();
-    assert_eq!(lines[0], "lan, seed 3");
-    assert_eq!(lines[1], "up:   delay=0.2ms loss=1% rate=1000000kbit queue=512000B");
-    assert!(lines[5].starts_with("down: ") && lines[5].contains(" arrived, "), "{}", outcome.stdout);
-    assert!(!lines[5].contains(" 0 arrived"), "{}", outcome.stdout);
 }
