@@ -324,7 +324,7 @@ mod tests {
         };
         let path = CameraPath::new("test", vec![key(0.0), key(4.0)], 1.0).unwrap();
         let with = |frames, fps, start_time| {
-            timing(&ClientSettings { frames, fps, start_time, ..ClientSettings::default() }, &path)
+            timing(&ClientSettings { start_time, frames, fps, ..ClientSettings::default() }, &path)
         };
         let times = |timing: Timing| (timing.frames, timing.time_s(0), timing.time_s(timing.frames - 1), timing.paced);
         assert_eq!(times(with(Some(5), None, 0.0)), (5, 0.0, 4.0, false));
