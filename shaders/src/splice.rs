@@ -7,6 +7,7 @@ use thiserror::Error;
 
 /// Every WGSL file: its path under `wgsl/`, and its text.
 pub const FILES: &[(&str, &str)] = &[
+    ("shading/baseline.wgsl", include_str!("../wgsl/shading/baseline.wgsl")),
     ("shading/blend.wgsl", include_str!("../wgsl/shading/blend.wgsl")),
     ("shading/debug_view.wgsl", include_str!("../wgsl/shading/debug_view.wgsl")),
     ("shading/depth.wgsl", include_str!("../wgsl/shading/depth.wgsl")),

@@ -13,6 +13,7 @@
 #import "shading/view.wgsl"
 #import "shading/lighting.wgsl"
 #import "shading/shadow_map.wgsl"
+#import "shading/baseline.wgsl"
 
 // Twin: `shading::MaskLayer`.
 struct MaskLayer {
@@ -47,10 +48,6 @@ override layered: bool = true;
 const PREDICT_NOTHING: u32 = 0u;
 const PREDICT_DISSERTATION: u32 = 1u;
 const PREDICT_SURFACE: u32 = 2u;
-
-const UNKNOWN_LIT: u32 = 0u;
-const UNKNOWN_SHADOW: u32 = 1u;
-const UNKNOWN_COPY: u32 = 2u;
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> lighting: Lighting;
@@ -221,19 +218,6 @@ fn by_surface(place: Place) -> Found {
     return Found(known, word);
 }
 
-fn in_mask(layer: u32, sample: vec2i) -> bool {
-    let size = vec2u(prediction.layers[layer].view.width, prediction.layers[layer].view.height);
-    return all(sample >= vec2i(0)) && all(sample < vec2i(size));
-}
-
-fn by_dissertation(place: Place) -> Found {
-    let sample = vec2i(round(place.at));
-    if !in_mask(place.layer, sample) {
-        return NOTHING;
-    }
-    return Found(prediction.lights, textureLoad(mask_words, sample, prediction.layers[place.layer].slot, 0).x);
-}
-
 // What a mask says about a pixel of its own view.
 fn from_same_view(layer: u32, pixel: vec2u) -> Found {
     let word = textureLoad(mask_words, pixel, prediction.layers[layer].slot, 0).x;
@@ -307,13 +291,7 @@ fn by_itself(pixel: vec2u, point: vec3f, normal: vec3f) -> u32 {
         return from_shadow_map(point, normal);
     }
     if prediction.predictor == PREDICT_DISSERTATION && prediction.count != 0u {
-        if prediction.unknown == UNKNOWN_SHADOW {
-            return 0u;
-        }
-        let sample = vec2i(pixel);
-        if prediction.unknown == UNKNOWN_COPY && in_mask(0u, sample) {
-            return textureLoad(mask_words, sample, prediction.layers[0].slot, 0).x;
-        }
+        return unknown_to_dissertation(pixel);
     }
     return 0xffffffffu;
 }

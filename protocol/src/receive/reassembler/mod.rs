@@ -7,17 +7,17 @@
 //! The reassembler trusts the packets, as the dissertation's does: the transport must ensure that only the peer can
 //! send them. (A forged frame number near 2³² would make it ignore all that follows.)
 
+mod baseline;
 mod slices;
 mod stats;
-mod whole_frame;
 
 use thiserror::Error;
 
+pub use self::{baseline::IgnoredCause, stats::ReassemblerStats};
 use self::{
+    baseline::{FramePacket, Verdict, WholeFrame},
     slices::Slices,
-    whole_frame::{FramePacket, Verdict, WholeFrame},
 };
-pub use self::{stats::ReassemblerStats, whole_frame::IgnoredCause};
 use crate::{
     fec::{ParityPacket, Recovered, Recovery},
     header::{HeaderError, PacketHeader},
@@ -127,7 +127,7 @@ impl Out {
         }
     }
 
-    fn of_whole(current: &whole_frame::Current) -> Self {
+    fn of_whole(current: &baseline::Current) -> Self {
         let FramePacket { frame, timestamp_ms, .. } = current.first;
         Self { frame, timestamp_ms, packets: current.taken, restored: 0, missing: 0, known_bytes: 0, ended: false }
     }

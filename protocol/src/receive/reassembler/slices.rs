@@ -6,7 +6,7 @@
 
 use super::{
     IgnoredCause,
-    whole_frame::{FramePacket, Verdict},
+    baseline::{FramePacket, Verdict},
 };
 use crate::ids::FrameNumber;
 
