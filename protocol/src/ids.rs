@@ -32,7 +32,8 @@ impl fmt::Display for SessionId {
     }
 }
 
-/// Lets a reconnecting client take its session over. Secret: whoever has it gets the session, so it is never shown.
+/// Lets a reconnecting client take over its session. Secret: anyone who knows it can take the session, so it is never
+/// shown.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ResumeToken(pub [u8; 16]);
 
