@@ -6,7 +6,7 @@ help:
 	@echo 'make window the same in a window, to walk around in'
 	@echo 'make test   the whole suite; wants GNOMON_SCENES=DIR, the folder with the real scenes'
 	@echo 'make lint   fmt and clippy, warnings denied; import circles, long files, long lines'
-	@echo 'make deny   licences, bans and sources of every dependency'
+	@echo 'make deny   licences, bans, sources and known holes of every dependency'
 	@echo 'make fuzz   every fuzz target for SECONDS=60, on all cores; wants a C++ compiler'
 
 setup:
@@ -39,6 +39,7 @@ lint:
 
 deny:
 	cargo deny --locked check bans licenses sources
+	@.ci/advisories
 
 SECONDS ?= 60
 fuzz:
