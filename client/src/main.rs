@@ -57,7 +57,8 @@ fn run(loaded: Loaded<Arguments>) -> anyhow::Result<()> {
         return print(&page);
     }
     let filter = EnvFilter::try_new(&arguments.log).with_context(|| format!("--log {:?}", arguments.log))?;
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let colour = gnomon_settings::wants_colour(&std::io::stderr());
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colour).with_writer(std::io::stderr).init();
     if arguments.check_config {
         let report = loaded.to_json();
         resolve(loaded)?.validate()?;

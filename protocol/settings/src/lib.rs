@@ -15,6 +15,7 @@ mod file;
 mod layer;
 mod load;
 mod page;
+mod terminal;
 pub mod variables;
 
 pub use clap_complete::Shell;
@@ -23,3 +24,4 @@ pub use error::SettingsError;
 pub use file::line_of;
 pub use load::{Layers, Loaded, Source, parse_toml};
 pub use page::{page, problems};
+pub use terminal::wants_colour;

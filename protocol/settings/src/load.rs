@@ -144,9 +144,12 @@ impl Layers {
                 Some((id, _)) => {
                     values.push(Value { id: id.clone(), text: text.clone(), place: name.into_owned() });
                 }
-                None if name.starts_with(PREFIX) && !variables::is_known(&name) => {
+                // Names of variables are in capitals, so others with our prefix are mistakes, too.
+                None if name.to_uppercase().starts_with(PREFIX)
+                    && !variables::is_known(&name, &text.to_string_lossy()) =>
+                {
                     let names: Vec<_> = declared.iter().map(|(_, name)| name.clone()).collect();
-                    let hint = or_nearest(&name, &names);
+                    let hint = or_nearest(&name.to_uppercase(), &names);
                     return Err(SettingsError::Value(format!("unknown environment variable {name}{hint}")));
                 }
                 None => {}

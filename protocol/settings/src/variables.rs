@@ -3,7 +3,7 @@
 
 /// Settings of gnomon-server.
 pub const SERVER: &str = "\
-    ADAPTER ADMIN ADVERTISE AGONES ALLOW_SOFTWARE ALTERNATIVE BACKEND CERT_DIR CERT_FILE CONFIG CORES_BUDGET_MS \
+    ADAPTER ADMIN ADMIN_HOSTS ADVERTISE AGONES ALLOW_SOFTWARE ALTERNATIVE BACKEND CERT_DIR CERT_FILE CONFIG CORES_BUDGET_MS \
     DEVICES DEVICE_BUDGET_MS DRAIN_MS HANDSHAKE_TIMEOUT_MS IDLE_TIMEOUT_MS INITIAL_WINDOW_BYTES KEY_FILE LIGHTS \
     LIGHTS_FROM LISTEN LOG LOG_FILE MAX_SESSIONS MAX_SESSIONS_PER_ADDRESS NETWORK_BUDGET_MBIT OTLP SCENE THREADS \
     TOKEN_FILE TRANSPORT";
@@ -17,10 +17,26 @@ pub const CLIENT: &str = "\
 /// Variables of tests and tools.
 pub const TOOLS: &str = "FFMPEG FUZZ_SEEDS RAY_QUERY_CHILD RAY_QUERY_DRIVER SCENES TEST_PANIC";
 
-/// Returns whether another source may have set the variable: one of our programs, or Kubernetes, which describes a
-/// service called `gnomon` to every pod as `GNOMON_SERVICE_HOST`, `GNOMON_PORT_4433_UDP` and the like.
-pub(crate) fn is_known(name: &str) -> bool {
-    let of_kubernetes = name.contains("_SERVICE_") || name.contains("_PORT_") || name.ends_with("_PORT");
+/// Returns whether another source may have set the variable: one of our programs, or Kubernetes.
+pub(crate) fn is_known(name: &str, value: &str) -> bool {
     let listed = [SERVER, CLIENT, TOOLS].iter().flat_map(|list| list.split_whitespace());
-    of_kubernetes || listed.into_iter().any(|known| name.strip_prefix(crate::declare::PREFIX) == Some(known))
+    of_kubernetes(name, value)
+        || listed.into_iter().any(|known| name.strip_prefix(crate::declare::PREFIX) == Some(known))
+}
+
+/// Kubernetes describes a service called `gnomon` or `gnomon-x` to every pod, as `GNOMON_SERVICE_HOST`,
+/// `GNOMON_SERVICE_PORT_NAME`, `GNOMON_PORT=udp://…`, `GNOMON_PORT_4433_UDP_ADDR` and the like.
+fn of_kubernetes(name: &str, value: &str) -> bool {
+    let of_port = |rest: &str| {
+        let rest = rest.trim_start_matches(|c: char| c.is_ascii_digit());
+        ["_TCP", "_UDP", "_SCTP"].iter().any(|protocol| {
+            let part = rest.strip_prefix(protocol);
+            part.is_some_and(|part| ["", "_PROTO", "_PORT", "_ADDR"].contains(&part))
+        })
+    };
+    name.ends_with("_SERVICE_HOST")
+        || name.ends_with("_SERVICE_PORT")
+        || name.contains("_SERVICE_PORT_")
+        || name.ends_with("_PORT") && value.contains("://")
+        || name.match_indices("_PORT_").any(|(at, port)| of_port(&name[at + port.len()..]))
 }

@@ -101,7 +101,16 @@ fn an_empty_variable_is_unset() {
 fn an_unknown_variable_is_an_error_that_names_the_nearest() {
     let error =
         |name| Case { file: "", environment: &[(name, "1")], flags: &[] }.load().map_err(|error| error.to_string());
-    for name in ["GNOMON_DRAIN", "GNOMON_DRIAN_MS", "GNOMON_DRAIN_MSS"] {
+    for name in [
+        "GNOMON_DRAIN",
+        "GNOMON_DRIAN_MS",
+        "GNOMON_DRAIN_MSS",
+        "GNOMON_DRAINS_MS",
+        "gnomon_drain_ms",
+        "Gnomon_Drain_Ms",
+        "GNOMON_DRAIN_PORT",
+        "GNOMON_DRAIN_PORT_MS",
+    ] {
         let expected = format!("unknown environment variable {name}; did you mean GNOMON_DRAIN_MS?");
         assert_eq!(error(name).unwrap_err(), expected);
     }
@@ -109,6 +118,13 @@ fn an_unknown_variable_is_an_error_that_names_the_nearest() {
     for name in ["GNOMON_SCENES", "GNOMON_MAX_SESSIONS", "GNOMON_PORT_4433_UDP", "GNOMON_SERVICE_HOST", "DRAIN_MS"] {
         error(name).unwrap();
     }
+    let service = [
+        ("GNOMON_PORT", "udp://10.0.0.1:4433"),
+        ("GNOMON_X_PORT", "tcp://10.0.0.1:9464"),
+        ("GNOMON_PORT_4433_UDP_ADDR", "10.0.0.1"),
+        ("GNOMON_X_SERVICE_PORT_ADMIN", "9464"),
+    ];
+    Case { file: "", environment: &service, flags: &[] }.load().unwrap();
 }
 
 #[test]
