@@ -23,6 +23,7 @@
 //! | unread frames | [`SEND_BACKLOG_FRAMES`] | skipped, `outcome="gated"` |
 //! | scene bytes in flight | [`SEND_WINDOW_BYTES`] | back-pressure |
 //! | scene fetches | [`MAX_SCENE_FETCHES`] | the session ends |
+//! | log lines of one place in the code | [`LOG_BURST`], [`LOG_LINES_PER_SECOND`] | suppressed; their number is logged |
 //! | silence | [`WRITE_TIMEOUT`], [`SETUP_TIMEOUT`], [`SILENCE_TIMEOUT`], `idle_timeout_ms` | the session ends |
 
 use std::{num::NonZeroUsize, time::Duration};
@@ -120,8 +121,11 @@ pub const MAX_THREADS: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1023);
 
 pub const MAX_SESSIONS: usize = 4096;
 
-/// Connections to the admin address at once; others wait.
-pub const MAX_ADMIN_CONNECTIONS: usize = 16;
+/// Connections to the admin address at once, of at most 16 KiB each. One more ends the oldest that has asked nothing.
+pub const MAX_ADMIN_CONNECTIONS: usize = 128;
+
+/// How long a connection to the admin address may take for its request while others need its place.
+pub const ADMIN_GRACE: Duration = Duration::from_millis(50);
 
 /// Limit for an admin request and its answer.
 pub const ADMIN_TIMEOUT: Duration = Duration::from_secs(5);
@@ -131,5 +135,11 @@ pub const MAX_HTTP_ANSWER_BYTES: usize = 64 * 1024;
 
 /// Queued log lines; more are counted and dropped.
 pub const MAX_WAITING_LOG_LINES: usize = 8192;
+
+/// Lines that one place in the code may log per second, at level info and above, since peers make the server log.
+pub const LOG_LINES_PER_SECOND: f64 = 10.0;
+
+/// Lines that one place in the code may log at once.
+pub const LOG_BURST: f64 = 200.0;
 
 pub const MAX_TOKENS: usize = 10_000;

@@ -10,6 +10,9 @@ use gnomon_protocol::ids::FrameNumber;
 use super::times::{Counts, Times};
 use crate::{net::link::TransportCounts, visibility::TraceCost};
 
+/// Target of the log lines that a timer writes, once a second for each session: no peer can make them more.
+pub(crate) const TIMED: &str = "gnomon_server::rates";
+
 macro_rules! ledger {
     ($($(#[$doc:meta])* $name:ident,)*) => {
         /// Counters of one session, shared by its tasks.
@@ -204,6 +207,7 @@ impl Totals {
         let rate = |count: u64| (as_f64(count) / seconds * 10.0).round() / 10.0;
         let [trace, _, encode, send, pose_to_sent] = &stages.0;
         tracing::info!(
+            target: TIMED,
             poses_per_s = rate(self.poses),
             traced_per_s = rate(self.frames_traced),
             sent_per_s = rate(self.frames_sent),

@@ -5,4 +5,5 @@ pub(crate) mod ledger;
 pub(crate) mod page;
 pub(crate) mod process;
 pub(crate) mod registry;
+pub(crate) mod reloads;
 pub(crate) mod times;

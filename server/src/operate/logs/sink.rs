@@ -3,30 +3,51 @@
 //! Lines that cannot be written are dropped and counted. The count is logged once writing works again.
 
 use std::{
-    fs::{File, OpenOptions},
     io::{self, Write},
     path::{Path, PathBuf},
     sync::{
-        atomic::{AtomicU64, Ordering},
-        mpsc::{Receiver, SyncSender, sync_channel},
+        atomic::{AtomicBool, AtomicU64, Ordering},
+        mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
     },
     thread::JoinHandle,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use tracing_subscriber::fmt::MakeWriter;
 
-use crate::limits::MAX_WAITING_LOG_LINES;
+use super::{
+    escape::{self, Form},
+    file::append,
+    site_limit::{REPORT_EVERY, SiteLimit},
+};
+use crate::{limits::MAX_WAITING_LOG_LINES, metrics::reloads::Outcome};
 
 /// Time limit for writing the last lines at exit.
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 
+/// How long a line waits for a FIFO or a terminal whose reader is slow.
+const WRITE_PATIENCE: Duration = Duration::from_secs(1);
+
+/// How often such a line is tried again.
+const WRITE_PAUSE: Duration = Duration::from_millis(2);
+
 /// Static, since a process has one log.
 static LOST: AtomicU64 = AtomicU64::new(0);
+
+/// How the log file was opened last. Static for the same reason.
+static OPENED: Outcome = Outcome::new();
+
+/// The log file is to be reopened, and the queue had no room to say so.
+static REOPEN: AtomicBool = AtomicBool::new(false);
 
 /// Lines dropped since the start.
 pub(crate) fn lines_lost() -> u64 {
     LOST.load(Ordering::Relaxed)
+}
+
+/// Whether the log file could be reopened at the last SIGHUP. Never loaded if the log is standard error.
+pub(crate) const fn opened() -> &'static Outcome {
+    &OPENED
 }
 
 enum Command {
@@ -52,18 +73,20 @@ pub(super) struct Line {
 }
 
 impl Logs {
-    pub(super) fn open(file: Option<&Path>) -> io::Result<(Self, Lines)> {
-        let target = Target::open(file)?;
+    pub(super) fn open(file: Option<&Path>, form: Form, limit: &'static SiteLimit) -> io::Result<(Self, Lines)> {
+        let target = Target::open(file, form)?;
         let (commands, waiting) = sync_channel(MAX_WAITING_LOG_LINES);
-        let thread =
-            std::thread::Builder::new().name("gnomon-logs".to_owned()).spawn(move || write_all(target, &waiting))?;
+        let thread = std::thread::Builder::new()
+            .name("gnomon-logs".to_owned())
+            .spawn(move || write_all(target, &waiting, limit))?;
         Ok((Self { commands: commands.clone(), _thread: thread }, Lines(commands)))
     }
 
     /// Reopens the log file after log rotation. Does nothing for standard error.
     pub fn reopen(&self) {
-        // Skipped when the queue is full; the next SIGHUP tries again.
-        let _ = self.commands.try_send(Command::Reopen);
+        if self.commands.try_send(Command::Reopen).is_err() {
+            REOPEN.store(true, Ordering::Release);
+        }
     }
 }
 
@@ -103,13 +126,30 @@ impl Drop for Line {
     }
 }
 
-fn write_all(mut target: Target, commands: &Receiver<Command>) {
-    while let Ok(command) = commands.recv() {
+fn write_all(mut target: Target, commands: &Receiver<Command>, limit: &SiteLimit) {
+    let mut reported_at = Instant::now();
+    loop {
+        let command = commands.recv_timeout(REPORT_EVERY.saturating_sub(reported_at.elapsed()));
+        if REOPEN.swap(false, Ordering::AcqRel) {
+            target.reopen();
+        }
+        if reported_at.elapsed() >= REPORT_EVERY {
+            reported_at = Instant::now();
+            limit.report();
+        }
         match command {
-            Command::Write(line) => target.write_line(&line),
-            Command::Reopen => target.reopen(),
-            // The receiver may have timed out.
-            Command::End(done) => drop(done.try_send(())),
+            Ok(Command::Write(line)) => target.write_line(&line),
+            Ok(Command::Reopen) => target.reopen(),
+            Err(RecvTimeoutError::Timeout) => {}
+            Ok(Command::End(done)) => {
+                limit.report();
+                while let Ok(Command::Write(line)) = commands.try_recv() {
+                    target.write_line(&line);
+                }
+                // The receiver may have timed out.
+                let _ = done.try_send(());
+            }
+            Err(RecvTimeoutError::Disconnected) => return,
         }
     }
 }
@@ -117,26 +157,37 @@ fn write_all(mut target: Target, commands: &Receiver<Command>) {
 struct Target {
     out: Box<dyn Write + Send>,
     path: Option<PathBuf>,
+    form: Form,
     /// True if the last line was cut off, so the next one starts with a line feed.
     torn: bool,
     lost_before: u64,
 }
 
 impl Target {
-    fn open(file: Option<&Path>) -> io::Result<Self> {
+    fn open(file: Option<&Path>, form: Form) -> io::Result<Self> {
         let out: Box<dyn Write + Send> = match file {
-            Some(path) => Box::new(append(path)?),
+            Some(path) => {
+                let file = append(path)?;
+                OPENED.succeeded();
+                Box::new(file)
+            }
             None => Box::new(io::stderr()),
         };
-        Ok(Self { out, path: file.map(Path::to_owned), torn: false, lost_before: 0 })
+        Ok(Self { out, path: file.map(Path::to_owned), form, torn: false, lost_before: 0 })
     }
 
     fn reopen(&mut self) {
         let Some(path) = &self.path else { return };
         match append(path) {
-            Ok(file) => (self.out, self.torn) = (Box::new(file), false),
+            Ok(file) => {
+                (self.out, self.torn) = (Box::new(file), false);
+                OPENED.succeeded();
+            }
             // Keep writing to the old file.
-            Err(error) => tracing::error!(%error, path = %path.display(), "cannot reopen the log file"),
+            Err(error) => {
+                OPENED.failed();
+                tracing::error!(%error, path = %path.display(), "cannot reopen the log file");
+            }
         }
     }
 
@@ -145,13 +196,18 @@ impl Target {
         if self.torn {
             text.push(b'\n');
         }
-        text.extend_from_slice(line);
+        text.extend_from_slice(escape::line(&String::from_utf8_lossy(line), self.form).as_bytes());
         let mut rest = text.as_slice();
+        let began_at = Instant::now();
         while !rest.is_empty() {
             match self.out.write(rest) {
                 Ok(0) => break,
                 Ok(written) => rest = &rest[written..],
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                // Files are opened without blocking, so that this thread always comes back.
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock && began_at.elapsed() < WRITE_PATIENCE => {
+                    std::thread::sleep(WRITE_PAUSE);
+                }
                 Err(_) => break,
             }
         }
@@ -167,14 +223,6 @@ impl Target {
             LOST.fetch_add(1, Ordering::Relaxed);
         }
     }
-}
-
-fn append(path: &Path) -> io::Result<File> {
-    let mut options = OpenOptions::new();
-    options.create(true).append(true);
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o640);
-    options.open(path).map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", path.display())))
 }
 
 #[cfg(test)]
@@ -206,7 +254,8 @@ mod tests {
     fn a_full_disk_drops_lines_and_never_joins_two() {
         let disk = Disk::default();
         disk.0.lock().unwrap().1 = 10;
-        let mut target = Target { out: Box::new(disk.clone()), path: None, torn: false, lost_before: 0 };
+        let mut target =
+            Target { out: Box::new(disk.clone()), path: None, form: Form::Text, torn: false, lost_before: 0 };
         let before = lines_lost();
         target.write_line(b"first\n");
         target.write_line(b"second\n");
@@ -221,7 +270,7 @@ mod tests {
     fn a_rotated_file_is_left_alone_after_reopening() {
         let folder = tempfile::tempdir().unwrap();
         let (path, old) = (folder.path().join("log"), folder.path().join("log.1"));
-        let (logs, lines) = Logs::open(Some(&path)).unwrap();
+        let (logs, lines) = Logs::open(Some(&path), Form::Text, Box::leak(Box::default())).unwrap();
         let write = |text: &str| lines.make_writer().write_all(text.as_bytes()).unwrap();
         write("one\n");
         // A rename does not affect the open file, even if the thread has not written yet.

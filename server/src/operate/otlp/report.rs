@@ -23,6 +23,7 @@ use crate::{
     clock,
     operate::{
         http::{SendError, send},
+        logs::escape::{self, Form},
         status::Status,
     },
 };
@@ -43,7 +44,7 @@ async fn report_every(period: Duration, collector: Collector, status: Arc<Status
     loop {
         tick.tick().await;
         let Ok(page) = status.page().text() else { continue };
-        let sent = post(&collector, request(&page, started_at, unix_ns()).to_string()).await;
+        let sent = post(&collector, body(&page, started_at, unix_ns())).await;
         // Logs only changes.
         match &sent {
             Ok(()) if !reachable => tracing::info!(%collector, "the collector accepts reports again"),
@@ -61,6 +62,12 @@ async fn post(collector: &Collector, body: String) -> Result<(), SendError> {
         .body(Full::new(Bytes::from(body)))?;
     send((collector.host.trim_matches(['[', ']']), collector.port), request, TIMEOUT).await
 }
+
+/// The request as JSON. Drivers and operators wrote some of its texts, so hidden characters are escaped.
+fn body(page: &str, started_at: u64, now: u64) -> String {
+    escape::escaped(&request(page, started_at, now).to_string(), Form::Json)
+}
+
 /// By the wall clock, which may step: collectors accept any time stamps.
 fn unix_ns() -> u64 {
     let since = clock::wall().duration_since(UNIX_EPOCH).unwrap_or_default();
