@@ -9,7 +9,7 @@ use gnomon_server::{
     config::ServerConfig,
     logs::{self, Logs},
     signals::{Hangups, Signals},
-    tokens,
+    systemd, tokens,
 };
 use gnomon_settings::{Layers, Loaded};
 
@@ -73,11 +73,15 @@ async fn serve(config: ServerConfig, logs: &Logs) -> anyhow::Result<()> {
         }
     };
     print_line(&server.url())?;
+    systemd::ready().await;
+    let _watchdog = systemd::watchdog(server.pulse());
     let reloading = async {
         loop {
             hangups.next().await;
+            systemd::reloading().await;
             logs.reopen();
             server.reload();
+            systemd::ready().await;
         }
     };
     let failure = tokio::select! {
@@ -89,6 +93,7 @@ async fn serve(config: ServerConfig, logs: &Logs) -> anyhow::Result<()> {
         // End, so that a supervisor restarts the server: one that only refuses would look alive.
         reason = server.failed() => Some(reason),
     };
+    systemd::stopping().await;
     tokio::select! {
         () = server.shutdown() => {}
         signal = signals.next() => anyhow::bail!("a second signal ({signal}): stopped at once"),

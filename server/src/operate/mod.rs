@@ -1,4 +1,4 @@
-//! Operators' interfaces: the admin address, readiness, logs, OTLP reports, Agones.
+//! Operators' interfaces: the admin address, readiness, logs, OTLP reports, systemd, Agones.
 
 pub(crate) mod admin;
 #[cfg(feature = "agones")]
@@ -8,3 +8,4 @@ pub mod logs;
 pub mod otlp;
 pub(crate) mod readiness;
 pub(crate) mod status;
+pub mod systemd;

@@ -147,6 +147,13 @@ impl Engine {
         self.shared.is_well()
     }
 
+    /// Wakes the thread and returns the number of its rounds, which grows soon unless the thread is stuck.
+    #[must_use]
+    pub fn nudge(&self) -> u64 {
+        self.waker.unpark();
+        self.shared.rounds.load(Ordering::Relaxed)
+    }
+
     #[cfg(any(test, feature = "faults"))]
     pub fn inject(&self, fault: Fault) {
         self.shared.faults.add(fault);

@@ -18,6 +18,7 @@ impl Worker {
     /// Traces until the engine is stopped or gives up its device. Ports close when this returns.
     pub(in super::super) fn run(mut self) {
         while !self.shared.stop.load(Ordering::Acquire) {
+            self.shared.rounds.fetch_add(1, Ordering::Relaxed);
             if let Err(error) = self.turn()
                 && !self.recover(error)
             {
