@@ -95,6 +95,7 @@ mod tests {
 
     #[test]
     fn every_flag_reaches_its_setting() {
+        let alternative = format!("gnomon://b:1/?cert={}", "0f".repeat(32));
         let arguments = [
             "gnomon-server",
             "--scene=a.glb",
@@ -117,11 +118,12 @@ mod tests {
             "--idle-timeout-ms=700",
             "--handshake-timeout-ms=800",
             "--drain-ms=900",
-            "--alternative=gnomon://b:1/",
+            &format!("--alternative={alternative}"),
             "--initial-window-bytes=100000",
             "--log=json",
             "--log-file=l",
             "--admin=9",
+            "--admin-hosts=edge,gnomon",
             "--otlp=http://collector",
             "--agones=false",
             "--cert-dir=c",
@@ -149,11 +151,12 @@ mod tests {
             idle_timeout_ms: 700,
             handshake_timeout_ms: 800,
             drain_ms: 900,
-            alternative: Some("gnomon://b:1/".into()),
+            alternative: Some(alternative.clone()),
             initial_window_bytes: 100_000,
             log: LogFormat::Json,
             log_file: Some("l".into()),
             admin: Some("127.0.0.1:9".parse().unwrap()),
+            admin_hosts: Some("edge,gnomon".parse().unwrap()),
             otlp: Some("http://collector".parse().unwrap()),
             agones: false,
             cert_dir: Some("c".into()),

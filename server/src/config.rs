@@ -13,7 +13,10 @@ use gnomon_settings::{Bounds as _, SettingsError};
 use thiserror::Error;
 
 pub use crate::visibility::engine::BackendChoice as Backend;
-use crate::{limits, operate::otlp::collector::Collector};
+use crate::{
+    limits, names,
+    operate::{admin::hosts::AdminHosts, otlp::collector::Collector},
+};
 
 /// Everything that an operator can choose. Doc comments are the `--help` texts.
 #[derive(Debug, Clone, PartialEq, clap::Args)]
@@ -31,7 +34,7 @@ pub struct ServerConfig {
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:4433")]
     pub listen: SocketAddr,
     /// Host, and port if it differs, to print in the URL [default: this machine's own address]
-    #[arg(long, value_name = "HOST[:PORT]", value_parser = word)]
+    #[arg(long, value_name = "HOST[:PORT]", value_parser = names::advertised)]
     pub advertise: Option<String>,
     /// Transport of the sessions; the lab transports are unencrypted and listen on loopback only
     #[arg(long, value_enum, default_value_t = Transport::Quic)]
@@ -80,8 +83,8 @@ pub struct ServerConfig {
     /// Time for clients to move elsewhere when the server drains, in ms
     #[arg(long, value_name = "MS", default_value_t = 1_000, bounds(0, 3_600_000_u32))]
     pub drain_ms: u32,
-    /// Server that clients of a draining server should move to
-    #[arg(long, value_name = "URL", value_parser = word)]
+    /// Server that clients of a draining server should move to: the URL that it prints
+    #[arg(long, value_name = "URL", value_parser = names::alternative)]
     pub alternative: Option<String>,
     /// First congestion window of a connection, in bytes: too large overflows narrow paths, too small starts slowly
     #[arg(long, value_name = "BYTES", default_value_t = 64 * 1024, bounds(16 * 1024, 64 * 1024 * 1024_u64))]
@@ -92,9 +95,12 @@ pub struct ServerConfig {
     /// File to append logs to, reopened on SIGHUP [default: standard error]
     #[arg(long, value_name = "FILE")]
     pub log_file: Option<PathBuf>,
-    /// Address for /live, /ready, /metrics and /sessions; a port alone is on loopback [default: none]
+    /// Address for /live, /ready, /metrics and /sessions, or off; a port alone is on loopback [default: off]
     #[arg(long, value_name = "[ADDR:]PORT")]
     pub admin: Option<AdminAddress>,
+    /// Names that the admin address answers to, besides localhost and addresses
+    #[arg(long, value_name = "HOST[,HOST…]")]
+    pub admin_hosts: Option<AdminHosts>,
     /// OpenTelemetry collector to send metrics to, as OTLP over HTTP [default: none]
     #[arg(long, value_name = "http://HOST[:4318]")]
     pub otlp: Option<Collector>,
@@ -118,25 +124,33 @@ impl Default for ServerConfig {
     }
 }
 
-/// Text for a URL or a message.
-fn word(text: &str) -> Result<String, String> {
-    let most = gnomon_protocol::limits::MAX_TEXT_BYTES;
-    if text.is_empty() || text.len() > most || text.chars().any(char::is_whitespace) {
-        return Err(format!("must be 1 to {most} bytes without spaces"));
-    }
-    Ok(text.to_owned())
+/// Address of the admin endpoints: `ADDR:PORT`, `PORT` on loopback, or `off`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AdminAddress {
+    Off,
+    At(SocketAddr),
 }
 
-/// Address of the admin endpoints: `ADDR:PORT`, or `PORT` on loopback.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct AdminAddress(pub SocketAddr);
+impl AdminAddress {
+    #[must_use]
+    pub const fn address(self) -> Option<SocketAddr> {
+        match self {
+            Self::Off => None,
+            Self::At(address) => Some(address),
+        }
+    }
+}
 
 impl FromStr for AdminAddress {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
+        if text == "off" {
+            return Ok(Self::Off);
+        }
         let on_loopback = text.parse().map(|port| SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), port));
-        on_loopback.or_else(|_| text.parse()).map(Self).map_err(|_| format!("{text:?} is neither ADDR:PORT nor a port"))
+        let address = on_loopback.or_else(|_| text.parse());
+        address.map(Self::At).map_err(|_| format!("{text:?} is neither ADDR:PORT nor a port, nor off"))
     }
 }
 
@@ -221,6 +235,12 @@ impl ServerConfig {
         Ok(())
     }
 
+    /// Returns whether everybody who reaches the server is admitted, and not only this machine reaches it.
+    #[must_use]
+    pub fn is_open(&self) -> bool {
+        self.token_file.is_none() && !self.listen.ip().to_canonical().is_loopback()
+    }
+
     #[must_use]
     pub const fn idle_timeout(&self) -> Duration {
         Duration::from_millis(self.idle_timeout_ms)
@@ -260,6 +280,9 @@ mod tests {
             ("max_sessions = \"3\"", "line 1: max_sessions must be a number, not string"),
             ("idle_timeout_ms = 1", "must be 100 to 600000"),
             ("advertise = \"a b\"", "without spaces"),
+            ("advertise = \"edge:99999\"", "line 1: advertise = edge:99999: 99999 is no port"),
+            ("alternative = \"gnomon://b:1/\"", "line 1: alternative = gnomon://b:1/: it lacks ?cert=SHA256"),
+            ("admin_hosts = \"10.0.0.1\"", "list names only"),
             ("listen = \"nowhere\"", "line 1: listen = nowhere: invalid socket address"),
             ("admin = \"everywhere\"", "neither ADDR:PORT nor a port"),
             ("scene =", "line 1"),
@@ -271,10 +294,32 @@ mod tests {
     }
 
     #[test]
-    fn an_admin_port_alone_is_on_loopback() {
+    fn an_admin_port_alone_is_on_loopback_and_off_is_none() {
+        let admin = |text: &str| format!("admin = \"{text}\"").parse::<ServerConfig>().unwrap().admin.unwrap();
         for (text, expected) in [("9464", "127.0.0.1:9464"), ("0.0.0.0:80", "0.0.0.0:80"), ("[::1]:0", "[::1]:0")] {
-            let config: ServerConfig = format!("admin = \"{text}\"").parse().unwrap();
-            assert_eq!(config.admin.unwrap().0, expected.parse().unwrap());
+            assert_eq!(admin(text).address().unwrap(), expected.parse().unwrap());
+        }
+        assert_eq!(admin("off").address(), None);
+    }
+
+    #[test]
+    fn a_server_without_tokens_is_open_beyond_loopback() {
+        for (listen, tokens, open) in [
+            ("127.0.0.1:0", None, false),
+            ("127.9.9.9:0", None, false),
+            ("[::1]:0", None, false),
+            ("[::ffff:127.0.0.1]:0", None, false),
+            ("0.0.0.0:0", None, true),
+            ("[::]:0", None, true),
+            ("192.0.2.1:0", None, true),
+            ("0.0.0.0:0", Some("tokens".into()), false),
+        ] {
+            let listen = listen.parse().unwrap();
+            assert_eq!(
+                ServerConfig { listen, token_file: tokens, ..ServerConfig::default() }.is_open(),
+                open,
+                "{listen}"
+            );
         }
     }
 

@@ -14,6 +14,7 @@ pub mod fuzzing;
 mod hex;
 pub mod limits;
 mod metrics;
+mod names;
 mod net;
 mod operate;
 mod phase;
@@ -23,4 +24,4 @@ pub mod visibility;
 
 pub use admission::tokens;
 pub use app::{error, running::RunningServer, signals, start::Server};
-pub use operate::{logs, otlp};
+pub use operate::{admin::hosts, logs, otlp, systemd};

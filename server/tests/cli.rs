@@ -150,15 +150,17 @@ struct Running {
 }
 
 fn start(folder: &Path) -> Running {
-    let mut child = server()
-        .args(["--listen", "127.0.0.1:0", "--backend", "cpu", "--threads", "1", "--log", "json", "--scene"])
-        .arg(write_scene(folder).unwrap())
-        .arg("--cert-dir")
-        .arg(folder.join("cert"))
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
+    start_with(folder, |command| {
+        command.args(["--listen", "127.0.0.1:0", "--log", "json"]);
+    })
+}
+
+fn start_with(folder: &Path, change: impl FnOnce(&mut Command)) -> Running {
+    let mut command = server();
+    command.args(["--backend", "cpu", "--threads", "1", "--scene"]).arg(write_scene(folder).unwrap());
+    command.arg("--cert-dir").arg(folder.join("cert")).stdout(Stdio::piped()).stderr(Stdio::piped());
+    change(&mut command);
+    let mut child = command.spawn().unwrap();
     let mut rest = BufReader::new(child.stdout.take().unwrap());
     let mut url = String::new();
     rest.read_line(&mut url).unwrap();
@@ -192,4 +194,107 @@ fn it_prints_one_line_keeps_its_certificate_and_stops_on_a_signal() {
         assert!(logs.contains("\"listening\"") && logs.contains("\"stopped\""), "{logs}");
     }
     assert_eq!(pins[0], pins[1], "clients that pinned the first start trust the second");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_log_that_nobody_reads_is_an_error_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let fifo = folder.path().join("fifo");
+    assert!(Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    let scene = write_scene(folder.path()).unwrap();
+    for (log, why) in [(fifo.as_path(), "start its reader first"), (folder.path(), "Is a directory")] {
+        let output = run(server().arg("--log-file").arg(log).arg("--scene").arg(&scene));
+        let message = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{message}");
+        assert!(message.contains(why) && message.contains(log.to_str().unwrap()), "{message}");
+        assert_eq!(message.lines().count(), 1, "{message}");
+    }
+}
+
+#[test]
+fn the_admin_address_can_be_switched_off() {
+    let holder = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let taken = holder.local_addr().unwrap().to_string();
+    let mut command = server();
+    command.args(["--backend", "cpu", "--listen", "127.0.0.1:0", "--admin", &taken, "--scene"]);
+    let output = run(command
+        .env("RUST_LOG", "off")
+        .arg(write_scene(folder.path()).unwrap())
+        .arg("--cert-dir")
+        .arg(folder.path()));
+    let message = text(&output.stderr);
+    assert!(message.contains("--admin off") && message.lines().count() == 1, "{message}");
+    // As advised; it overrides a variable, too.
+    let found = config(server().env("GNOMON_ADMIN", &taken).args(["--admin", "off"]));
+    assert_eq!(found["admin"], "off");
+}
+
+#[test]
+fn a_misspelt_variable_opens_no_server() {
+    let output = run(server().env("GNOMON_TOKENS_FILE", "/etc/tokens").args(["--listen", "0.0.0.0:0"]));
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("GNOMON_TOKENS_FILE; did you mean GNOMON_TOKEN_FILE?"), "{message}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_server_that_admits_everybody_warns_in_plain_text() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut running = start_with(folder.path(), |command| {
+        command.args(["--listen", "0.0.0.0:0", "--advertise", "127.0.0.1", "--log", "pretty"]);
+    });
+    assert!(Command::new("kill").arg(running.child.id().to_string()).status().unwrap().success());
+    let mut rest = String::new();
+    running.rest.read_to_string(&mut rest).unwrap();
+    let logs = text(&running.child.wait_with_output().unwrap().stderr);
+    let warning = logs.lines().find(|line| line.contains("WARN")).unwrap_or_else(|| panic!("no warning in {logs}"));
+    assert!(warning.contains("everybody") && warning.contains("--token-file"), "{warning}");
+    assert!(!logs.contains('\u{1b}'), "no colour in a pipe: {logs}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn systemd_is_told_how_the_server_is() {
+    use std::time::{Duration, Instant};
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("notify");
+    let socket = std::os::unix::net::UnixDatagram::bind(&path).unwrap();
+    socket.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let mut running = start_with(folder.path(), |command| {
+        command.args(["--listen", "127.0.0.1:0"]).env("NOTIFY_SOCKET", &path).env("WATCHDOG_USEC", "600000");
+    });
+    let told = || {
+        let mut bytes = [0; 1024];
+        let length = socket.recv(&mut bytes).unwrap();
+        text(&bytes[..length]).trim().to_owned()
+    };
+    /// Skips the watchdog's messages, which come all the time.
+    fn next(told: impl Fn() -> String) -> String {
+        loop {
+            let message = told();
+            if message != "WATCHDOG=1" {
+                return message;
+            }
+        }
+    }
+    assert_eq!(told(), "READY=1");
+    for _ in 0..3 {
+        assert_eq!(told(), "WATCHDOG=1");
+    }
+    let id = running.child.id().to_string();
+    let before = Instant::now();
+    assert!(Command::new("kill").args(["-HUP", &id]).status().unwrap().success());
+    let reloading = next(told);
+    let at_us: u64 = reloading.strip_prefix("RELOADING=1\nMONOTONIC_USEC=").unwrap().parse().unwrap();
+    assert!(at_us > 0 && before.elapsed() < Duration::from_secs(60), "{reloading}");
+    assert_eq!(next(told), "READY=1");
+    assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
+    assert_eq!(next(told), "STOPPING=1");
+    let mut rest = String::new();
+    running.rest.read_to_string(&mut rest).unwrap();
+    assert!(running.child.wait().unwrap().success());
 }

@@ -11,6 +11,8 @@ use crate::{
     operate::{
         admin::Admin,
         readiness::{Readiness, Stage},
+        status::Status,
+        systemd::Pulse,
     },
     phase::Phase,
     task::Task,
@@ -27,6 +29,7 @@ pub struct RunningServer {
     pub(super) endpoint: Arc<Endpoint>,
     pub(super) accepting: Task,
     pub(super) readiness: Readiness,
+    pub(super) status: Arc<Status>,
     pub(super) admin: Option<Admin>,
     pub(super) otlp: Option<Task>,
     #[cfg(feature = "agones")]
@@ -82,17 +85,38 @@ impl RunningServer {
     /// Reloads the token file and the certificate. Open sessions stay. An unusable file is logged and changes nothing.
     pub fn reload(&self) {
         if let Some(tokens) = &self.services.tokens {
+            let outcome = &self.status.reloads.tokens;
             match tokens.reload() {
-                Ok(listed) => tracing::info!(listed, "tokens reloaded"),
-                Err(error) => tracing::error!(%error, "cannot reload the tokens; the old ones stay valid"),
+                Ok(listed) => {
+                    self.status.tokens_loaded();
+                    outcome.succeeded();
+                    tracing::info!(listed, "tokens reloaded");
+                }
+                Err(error) => {
+                    outcome.failed();
+                    tracing::error!(%error, "cannot reload the tokens; the old ones stay valid");
+                }
             }
         }
         if let Some(certificates) = &self.certificates {
+            let outcome = &self.status.reloads.certificate;
             match certificates.reload() {
-                Ok(sha256) => tracing::info!(sha256, "certificate reloaded"),
-                Err(error) => tracing::error!(%error, "cannot reload the certificate; the old one stays in use"),
+                Ok(sha256) => {
+                    outcome.succeeded();
+                    tracing::info!(sha256, "certificate reloaded");
+                }
+                Err(error) => {
+                    outcome.failed();
+                    tracing::error!(%error, "cannot reload the certificate; the old one stays in use");
+                }
             }
         }
+    }
+
+    /// Shows whether the server lives, for a supervisor's watchdog. Lasts until the server has stopped.
+    #[must_use]
+    pub fn pulse(&self) -> Pulse {
+        Pulse::new(Arc::clone(&self.services))
     }
 
     /// Waits until tracing fails for good, for example by a lost device. Returns the reason. The server then still

@@ -2,7 +2,7 @@
 
 use std::{
     num::NonZeroUsize,
-    sync::{Arc, OnceLock},
+    sync::{Arc, OnceLock, atomic::AtomicBool},
 };
 
 use tokio::sync::{Semaphore, watch};
@@ -20,9 +20,9 @@ use crate::{
         addresses::AddressLimit, capacity::HostCapacity, permit::SessionPermits, services::Services,
         tokens::store::TokenStore,
     },
-    config::{ServerConfig, Transport},
+    config::{AdminAddress, ServerConfig, Transport},
     limits,
-    metrics::registry::Metrics,
+    metrics::{registry::Metrics, reloads::Reloads},
     net::{certificate::Certificates, endpoint},
     operate::{
         admin::Admin,
@@ -63,9 +63,14 @@ impl Server {
             capacity: config.max_sessions,
             socket: (config.transport == Transport::Quic).then_some(local_addr),
             tokens: tokens.clone(),
+            had_admin_token: AtomicBool::new(false),
+            open: config.is_open(),
+            hosts: config.admin_hosts.clone().unwrap_or_default(),
+            reloads: Reloads::default(),
         });
-        let admin = match config.admin {
-            Some(address) => Some(Admin::start(address.0, &status).await?),
+        status.loaded(certificates.is_some());
+        let admin = match config.admin.and_then(AdminAddress::address) {
+            Some(address) => Some(Admin::start(address, &status).await?),
             None => None,
         };
         let otlp = config.otlp.clone().map(|collector| Task::spawn(report::run(collector, Arc::clone(&status))));
@@ -97,6 +102,12 @@ impl Server {
             browser_certificate_sha256 = certificates.as_ref().map(|certificates| certificates.browser_sha256()),
             "listening"
         );
+        if status.open {
+            tracing::warn!(
+                listen = %config.listen,
+                "everybody who reaches this address is admitted: pass --token-file, or listen on 127.0.0.1"
+            );
+        }
         let services = Arc::new(Services {
             scene: asset,
             engine,
@@ -126,6 +137,7 @@ impl Server {
             endpoint,
             accepting,
             readiness,
+            status,
             admin,
             otlp,
             #[cfg(feature = "agones")]

@@ -14,17 +14,21 @@ use super::{
     causes::{EndCause, RefusalCause},
     process::ProcessFacts,
     registry::Snapshot,
+    reloads::Reload,
 };
 
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Page {
     pub(crate) ready: bool,
     pub(crate) draining: bool,
+    pub(crate) open: bool,
     pub(crate) version: &'static str,
     pub(crate) backend: String,
     pub(crate) capacity: usize,
     pub(crate) retries: u64,
     pub(crate) log_lines_lost: u64,
+    pub(crate) log_lines_suppressed: u64,
+    pub(crate) reloads: Vec<Reload>,
     pub(crate) process: ProcessFacts,
     pub(crate) counts: Snapshot,
 }
@@ -55,6 +59,21 @@ impl Writer<'_> {
     fn gauge(&mut self, name: &str, help: &str, value: u64) -> fmt::Result {
         let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Gauge)?;
         metric.encode_gauge(&i64::try_from(value).unwrap_or(i64::MAX))
+    }
+
+    fn gauges(
+        &mut self,
+        name: &str,
+        help: &str,
+        label: &'static str,
+        values: impl IntoIterator<Item = (&'static str, i64)>,
+    ) -> fmt::Result {
+        let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Gauge)?;
+        for (label_value, value) in values {
+            let labels: Label = [(label, label_value)];
+            metric.encode_family(&labels)?.encode_gauge(&value)?;
+        }
+        Ok(())
     }
 
     fn family(
@@ -109,6 +128,7 @@ impl Collector for Page {
         }
         page.gauge("ready", "1 while new clients are admitted", self.ready.into())?;
         page.gauge("draining", "1 while the server asks its clients to leave", self.draining.into())?;
+        page.gauge("open", "1 while everybody who reaches the server is admitted", self.open.into())?;
         page.gauge("sessions", "Open sessions", counts.open as u64)?;
         page.gauge("sessions_capacity", "Sessions that may be open at once", self.capacity as u64)?;
         page.counter("sessions_opened", "Sessions admitted", counts.opened)?;
@@ -165,6 +185,13 @@ impl Collector for Page {
         page.seconds("gpu_seconds", "Tracing time of the device or processor", totals.gpu_us)?;
         page.stages(&counts.sum.stages)?;
         page.counter("log_lines_lost", "Log lines dropped", self.log_lines_lost)?;
+        let help = "Log lines left out, because their place in the code logged too many";
+        page.counter("log_lines_suppressed", help, self.log_lines_suppressed)?;
+        let failed = self.reloads.iter().map(|reload| (reload.what, reload.failed.into()));
+        page.gauges("reload_failed", "1 since a reload failed, until one succeeds", "what", failed)?;
+        let help = "When what is in use was loaded, in seconds since 1970";
+        let loaded = self.reloads.iter().map(|reload| (reload.what, reload.succeeded_at_unix_s));
+        page.gauges("reload_success_timestamp_seconds", help, "what", loaded)?;
         if let Some(bytes) = self.process.resident_bytes {
             page.gauge("resident_memory_bytes", "Memory of the process", bytes)?;
         }
@@ -186,6 +213,10 @@ mod tests {
         page.counts.sum.totals.poses = 9;
         page.counts.sum.totals.gpu_us = 1_500_000;
         page.process.kernel_drops = Some(6);
+        page.reloads = vec![
+            Reload { what: "tokens", failed: true, succeeded_at_unix_s: 1_800_000_000 },
+            Reload { what: "log", failed: false, succeeded_at_unix_s: 1_800_000_007 },
+        ];
         let text = page.text().unwrap();
         for line in [
             "gnomon_build_info{version=\"1\",backend=\"a \\\"b\\\"\\n\"} 1",
@@ -194,6 +225,9 @@ mod tests {
             "gnomon_datagrams_received_total{outcome=\"taken\"} 9",
             "gnomon_udp_kernel_drops_total 6",
             "gnomon_gpu_seconds_total 1.5",
+            "gnomon_reload_failed{what=\"tokens\"} 1",
+            "gnomon_reload_failed{what=\"log\"} 0",
+            "gnomon_reload_success_timestamp_seconds{what=\"log\"} 1800000007",
             "gnomon_stage_seconds_bucket{stage=\"encode\",le=\"+Inf\"} 0",
             "gnomon_stage_seconds_count{stage=\"send\"} 0",
         ] {

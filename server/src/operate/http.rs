@@ -1,8 +1,9 @@
-//! Sends one HTTP request on its own connection, to Agones' sidecar or to a telemetry collector.
+//! Sends one HTTP request on its own connection: to Agones' sidecar, a telemetry collector, or another server's admin
+//! address.
 
 use std::time::Duration;
 
-use http_body_util::{BodyExt as _, Full, Limited};
+use http_body_util::{BodyExt as _, Collected, Full, Limited};
 use hyper::{Request, StatusCode, body::Bytes, client::conn::http1};
 use hyper_util::rt::TokioIo;
 use thiserror::Error;
@@ -33,15 +34,27 @@ pub(crate) async fn send(
     request: Request<Full<Bytes>>,
     limit: Duration,
 ) -> Result<(), SendError> {
+    // Reads and discards the body, so that the connection closes cleanly.
+    let (status, _) = exchange(address, request, limit, MAX_HTTP_ANSWER_BYTES).await?;
+    if status.is_success() { Ok(()) } else { Err(SendError::Status(status)) }
+}
+
+/// Returns the answer's status and body; the body is `None` if it is longer than `most_bytes`, or breaks off. Errors
+/// unless a status arrives within `limit`.
+pub(crate) async fn exchange(
+    address: impl ToSocketAddrs,
+    request: Request<Full<Bytes>>,
+    limit: Duration,
+    most_bytes: usize,
+) -> Result<(StatusCode, Option<Bytes>), SendError> {
     let exchange = async {
         let stream = TcpStream::connect(address).await?;
         let (mut sender, connection) = http1::handshake(TokioIo::new(stream)).await?;
         let answer = async {
             let response = sender.send_request(request).await?;
             let status = response.status();
-            // Read and discard the body, so that the connection closes cleanly.
-            let _ = Limited::new(response.into_body(), MAX_HTTP_ANSWER_BYTES).collect().await;
-            if status.is_success() { Ok(()) } else { Err(SendError::Status(status)) }
+            let body = Limited::new(response.into_body(), most_bytes).collect().await;
+            Ok((status, body.ok().map(Collected::to_bytes)))
         };
         // Dropping the connection at the end closes it.
         tokio::pin!(connection);

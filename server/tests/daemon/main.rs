@@ -1,6 +1,7 @@
 //! In-process servers on free ports, with minimal clients.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+mod admin;
 mod admission;
 mod client;
 mod frames;

@@ -15,9 +15,9 @@ use super::{
     soon,
 };
 
-async fn get(admin: SocketAddr, path: &str, more: &str) -> (u16, String) {
+pub(crate) async fn get(admin: SocketAddr, path: &str, more: &str) -> (u16, String) {
     let mut stream = TcpStream::connect(admin).await.unwrap();
-    stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: edge\r\n{more}\r\n").as_bytes()).await.unwrap();
+    stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n{more}\r\n").as_bytes()).await.unwrap();
     let mut answer = String::new();
     soon(stream.read_to_string(&mut answer)).await.unwrap();
     let (head, body) = answer.split_once("\r\n\r\n").unwrap();
@@ -25,7 +25,7 @@ async fn get(admin: SocketAddr, path: &str, more: &str) -> (u16, String) {
 }
 
 /// Reads a counter or gauge from the metrics page.
-fn value(page: &str, name: &str) -> u64 {
+pub(crate) fn value(page: &str, name: &str) -> u64 {
     let line = page.lines().find(|line| line.rsplit_once(' ').is_some_and(|(found, _)| found == name));
     let line = line.unwrap_or_else(|| panic!("no {name} in\n{page}"));
     line.rsplit_once(' ').unwrap().1.parse().unwrap()
@@ -43,7 +43,7 @@ fn sum(page: &str, name: &str) -> u64 {
     ours.map(|line| line.rsplit_once(' ').unwrap().1.parse::<u64>().unwrap()).sum()
 }
 
-async fn with_admin() -> Rig {
+pub(crate) async fn with_admin() -> Rig {
     Rig::start(|config, _| config.admin = Some("127.0.0.1:0".parse().unwrap())).await
 }
 
@@ -60,7 +60,7 @@ async fn the_admin_address_shows_the_servers_state() {
     garbage.write_all(&[0xff; 70_000]).await.unwrap();
     let post = TcpStream::connect(admin).await.unwrap();
     let (mut read, mut write) = post.into_split();
-    write.write_all(b"POST /ready HTTP/1.1\r\nHost: edge\r\nContent-Length: 9\r\n\r\n").await.unwrap();
+    write.write_all(b"POST /ready HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\n").await.unwrap();
     let mut answer = String::new();
     soon(read.read_to_string(&mut answer)).await.unwrap();
     assert!(answer.starts_with("HTTP/1.1 405"), "{answer}");

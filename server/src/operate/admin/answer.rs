@@ -6,12 +6,16 @@ use hyper::{
     body::Bytes,
     header::{ALLOW, AUTHORIZATION, CACHE_CONTROL, CONTENT_TYPE, HeaderValue, WWW_AUTHENTICATE},
 };
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::{
     admission::tokens::scope::Scope,
     metrics::page,
-    operate::{readiness::Stage, status::Status},
+    operate::{
+        logs::escape::{self, Form},
+        readiness::Stage,
+        status::Status,
+    },
 };
 
 const TEXT: &str = "text/plain; charset=utf-8";
@@ -21,47 +25,39 @@ type Answer = Response<Full<Bytes>>;
 
 /// Never reads the request's body.
 pub(super) fn answer<B>(request: &Request<B>, status: &Status) -> Answer {
+    if !status.hosts.answers(request) {
+        let why = "the Host header names another host: use an address or localhost, or list the name in --admin-hosts";
+        return plain(StatusCode::MISDIRECTED_REQUEST, TEXT, format!("{why}\n"));
+    }
     if request.method() != Method::GET && request.method() != Method::HEAD {
-        let mut answer = plain(StatusCode::METHOD_NOT_ALLOWED, TEXT, "only GET\n".to_owned());
-        answer.headers_mut().insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
-        return answer;
+        return only("GET, HEAD");
     }
     match request.uri().path() {
         "/live" => plain(StatusCode::OK, TEXT, "alive\n".to_owned()),
         "/ready" => ready(status),
-        "/metrics" | "/sessions" if !authorized(request, status) => {
-            let mut answer =
-                plain(StatusCode::UNAUTHORIZED, TEXT, "a token with the scope admin is required\n".to_owned());
-            answer.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
-            answer
-        }
+        "/metrics" | "/sessions" if status.requires_token() && !is_admin(request, status) => token_required(),
         "/metrics" => metrics(status),
-        "/sessions" => match serde_json::to_string(&json!({ "sessions": status.metrics.list() })) {
-            Ok(list) => plain(StatusCode::OK, JSON, list),
-            Err(error) => plain(StatusCode::INTERNAL_SERVER_ERROR, TEXT, format!("{error}\n")),
-        },
+        "/sessions" => json_of(StatusCode::OK, &json!({ "sessions": status.metrics.list() })),
         _ => plain(StatusCode::NOT_FOUND, TEXT, "/live /ready /metrics /sessions\n".to_owned()),
     }
 }
 
-/// `/metrics` and `/sessions` need a token once the file lists one with scope admin. `/live` and `/ready` never do.
-fn authorized<B>(request: &Request<B>, status: &Status) -> bool {
-    let Some(tokens) = status.tokens.as_ref().filter(|tokens| tokens.has(Scope::Admin)) else { return true };
+fn is_admin<B>(request: &Request<B>, status: &Status) -> bool {
     let given = request.headers().get(AUTHORIZATION).and_then(|value| value.to_str().ok());
-    let token = given.and_then(|value| value.strip_prefix("Bearer "));
-    tokens.admit(token.map(str::trim), Scope::Admin).is_ok()
+    let token = given.and_then(|value| value.strip_prefix("Bearer ")).map(str::trim);
+    status.tokens.as_ref().is_some_and(|tokens| tokens.admit(token, Scope::Admin).is_ok())
 }
 
 fn ready(status: &Status) -> Answer {
+    let open = status.open;
+    let not_ready = |why: Value| (StatusCode::SERVICE_UNAVAILABLE, why);
     let (code, body) = match status.readiness.get() {
-        Stage::Ready => (StatusCode::OK, json!({ "ready": true, "backend": status.backend.get() })),
-        Stage::Starting => (StatusCode::SERVICE_UNAVAILABLE, json!({ "ready": false, "reason": "starting" })),
-        Stage::Draining => (StatusCode::SERVICE_UNAVAILABLE, json!({ "ready": false, "reason": "draining" })),
-        Stage::Failed(why) => {
-            (StatusCode::SERVICE_UNAVAILABLE, json!({ "ready": false, "reason": "failed", "why": why }))
-        }
+        Stage::Ready => (StatusCode::OK, json!({ "ready": true, "open": open, "backend": status.backend.get() })),
+        Stage::Starting => not_ready(json!({ "ready": false, "open": open, "reason": "starting" })),
+        Stage::Draining => not_ready(json!({ "ready": false, "open": open, "reason": "draining" })),
+        Stage::Failed(why) => not_ready(json!({ "ready": false, "open": open, "reason": "failed", "why": why })),
     };
-    plain(code, JSON, body.to_string())
+    json_of(code, &body)
 }
 
 fn metrics(status: &Status) -> Answer {
@@ -69,6 +65,23 @@ fn metrics(status: &Status) -> Answer {
         Ok(text) => plain(StatusCode::OK, page::CONTENT_TYPE, text),
         Err(error) => plain(StatusCode::INTERNAL_SERVER_ERROR, TEXT, format!("{error}\n")),
     }
+}
+
+/// Peers wrote some of the texts, and people read them in terminals, so hidden characters are escaped.
+fn json_of(code: StatusCode, value: &Value) -> Answer {
+    plain(code, JSON, escape::escaped(&value.to_string(), Form::Json))
+}
+
+fn token_required() -> Answer {
+    let mut answer = plain(StatusCode::UNAUTHORIZED, TEXT, "a token with the scope admin is required\n".to_owned());
+    answer.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+    answer
+}
+
+fn only(methods: &'static str) -> Answer {
+    let mut answer = plain(StatusCode::METHOD_NOT_ALLOWED, TEXT, format!("only {methods}\n"));
+    answer.headers_mut().insert(ALLOW, HeaderValue::from_static(methods));
+    answer
 }
 
 fn plain(code: StatusCode, kind: &'static str, body: String) -> Answer {

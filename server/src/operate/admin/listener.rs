@@ -1,22 +1,25 @@
 //! Listens on the admin address.
 
-use std::{io, net::SocketAddr, sync::Arc, time::Duration};
+use std::{
+    io,
+    net::SocketAddr,
+    sync::{Arc, atomic::Ordering},
+    time::Duration,
+};
 
 use hyper::{server::conn::http1, service::service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use thiserror::Error;
 use tokio::{
     net::{TcpListener, TcpStream},
-    sync::{OwnedSemaphorePermit, Semaphore},
     time::timeout,
 };
 
-use super::answer::answer;
-use crate::{
-    limits::{ADMIN_TIMEOUT, MAX_ADMIN_CONNECTIONS},
-    operate::status::Status,
-    task::Task,
+use super::{
+    answer::answer,
+    seats::{Asked, Seats},
 };
+use crate::{limits::ADMIN_TIMEOUT, operate::status::Status, task::Task};
 
 #[derive(Debug, Error)]
 #[error("cannot listen on the admin address {address}: {reason}; pass another --admin ADDR:PORT, or --admin off")]
@@ -48,12 +51,10 @@ impl Admin {
 }
 
 async fn accept(listener: TcpListener, status: Arc<Status>) {
-    let connections = Arc::new(Semaphore::new(MAX_ADMIN_CONNECTIONS));
+    let mut seats = Seats::default();
     loop {
-        // More connections wait in the kernel's bounded queue.
-        let Ok(permit) = Arc::clone(&connections).acquire_owned().await else { return };
         match listener.accept().await {
-            Ok((stream, _)) => drop(tokio::spawn(serve(stream, permit, Arc::clone(&status)))),
+            Ok((stream, _)) => seats.seat(|asked| serve(stream, asked, Arc::clone(&status))).await,
             Err(error) => {
                 tracing::warn!(%error, "cannot accept an admin connection");
                 tokio::time::sleep(Duration::from_millis(100)).await;
@@ -63,8 +64,9 @@ async fn accept(listener: TcpListener, status: Arc<Status>) {
 }
 
 /// Serves one connection, without keep-alive.
-async fn serve(stream: TcpStream, _permit: OwnedSemaphorePermit, status: Arc<Status>) {
+async fn serve(stream: TcpStream, asked: Asked, status: Arc<Status>) {
     let service = service_fn(move |request| {
+        asked.store(true, Ordering::Relaxed);
         let status = Arc::clone(&status);
         async move { Ok::<_, std::convert::Infallible>(answer(&request, &status)) }
     });

@@ -4,7 +4,9 @@
 //! loading its scene is live but not ready.
 
 mod answer;
+pub mod hosts;
 mod listener;
+mod seats;
 
 pub(crate) use self::listener::Admin;
 pub use self::listener::AdminError;

@@ -242,7 +242,7 @@ fn admin_in(said: &str) -> Option<String> {
 
 fn metric(admin: &str, name: &str) -> Result<u64> {
     let mut stream = TcpStream::connect(admin)?;
-    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: edge\r\n\r\n")?;
+    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n")?;
     let mut page = String::new();
     stream.read_to_string(&mut page)?;
     let line =

@@ -1,6 +1,6 @@
 //! A minimal collector, which receives the server's reports.
 
-use std::sync::{Mutex, OnceLock};
+use std::sync::{Mutex, OnceLock, atomic::AtomicBool};
 
 use http_body_util::BodyExt as _;
 use hyper::{Response, StatusCode, body::Incoming, server, service::service_fn};
@@ -8,7 +8,10 @@ use hyper_util::rt::TokioIo;
 use tokio::{net::TcpListener, time::timeout};
 
 use super::*;
-use crate::{metrics::registry::Metrics, operate::readiness::Readiness};
+use crate::{
+    metrics::{registry::Metrics, reloads::Reloads},
+    operate::{admin::hosts::AdminHosts, readiness::Readiness},
+};
 
 fn status() -> Arc<Status> {
     let backend = OnceLock::new();
@@ -20,6 +23,10 @@ fn status() -> Arc<Status> {
         capacity: 7,
         socket: None,
         tokens: None,
+        had_admin_token: AtomicBool::new(false),
+        open: false,
+        hosts: AdminHosts::default(),
+        reloads: Reloads::default(),
     })
 }
 
@@ -141,4 +148,16 @@ fn a_collectors_url_is_understood_or_refused() {
         let error = text.parse::<Collector>().unwrap_err();
         assert!(error.contains(why) && !error.contains("secret"), "{text}: {error}");
     }
+}
+
+#[test]
+fn a_report_has_no_hidden_character() {
+    let every: String = (0..=0x2fff).filter_map(char::from_u32).collect();
+    let page = crate::metrics::page::Page { version: "1", backend: every.clone(), ..Default::default() };
+    let body = body(&page.text().unwrap(), 5, 8);
+    let hidden = body.chars().find(|shown| shown.escape_debug().len() != 1 && !"'\"\\".contains(*shown));
+    assert_eq!(hidden, None);
+    let report: Value = serde_json::from_str(&body).unwrap();
+    let info = &metric(&report, "gnomon_build_info")["gauge"]["dataPoints"][0]["attributes"];
+    assert!(info[1]["value"]["stringValue"] == every.as_str(), "nothing is lost");
 }
