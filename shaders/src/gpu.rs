@@ -4,6 +4,8 @@ use std::sync::OnceLock;
 
 use thiserror::Error;
 
+use crate::uniforms::Uniforms;
+
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GpuOptions {
     /// Part of the adapter's name, in any case. `#2` at the end takes the second match, best first. `None` takes the
@@ -90,6 +92,12 @@ impl Gpu {
     #[must_use]
     pub fn is_software(&self) -> bool {
         self.info.device_type == wgpu::DeviceType::Cpu
+    }
+
+    /// Where the shading shaders read their uniforms on this adapter.
+    #[must_use]
+    pub fn uniforms(&self) -> Uniforms {
+        Uniforms::of(self.info.device_type)
     }
 }
 

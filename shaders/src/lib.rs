@@ -11,3 +11,4 @@ pub mod shading;
 pub mod splice;
 #[cfg(test)]
 mod tests;
+pub mod uniforms;

@@ -5,6 +5,8 @@
 
 use thiserror::Error;
 
+use crate::uniforms::Uniforms;
+
 /// Every WGSL file: its path under `wgsl/`, and its text.
 pub const FILES: &[(&str, &str)] = &[
     ("shading/baseline.wgsl", include_str!("../wgsl/shading/baseline.wgsl")),
@@ -51,6 +53,14 @@ pub enum SpliceError {
 /// If a file does not exist or a directive is malformed.
 pub fn splice(path: &str) -> Result<String, SpliceError> {
     splice_from(FILES, &[], path)
+}
+
+/// As [`splice`], with uniform buffers declared as `uniforms` says.
+///
+/// # Errors
+/// Those of [`splice`].
+pub fn splice_for(uniforms: Uniforms, path: &str) -> Result<String, SpliceError> {
+    splice(path).map(|text| uniforms.declare(text))
 }
 
 /// As [`splice`], for tracing kernels that traverse the adapter's own acceleration structure.

@@ -3,11 +3,13 @@
 use std::mem::{offset_of, size_of};
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
+use wgpu::DeviceType;
 
 use crate::{
     host::{AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedLight, TracedTriangle, TracedView},
     shading::{Light, Lighting, MaskLayer, Material, Prediction, ShadowView, Tone, View},
-    splice::{FILES, splice, splice_ray_query},
+    splice::{FILES, splice, splice_for, splice_ray_query},
+    uniforms::Uniforms,
 };
 
 /// Parses and validates a spliced text.
@@ -90,11 +92,15 @@ fn constants_of_host_and_wgsl_are_equal() {
     assert_eq!(constant("TRIANGLE_ALPHA"), !TRIANGLE_SINGLE_SIDED);
 }
 
+/// Files without an entry point are validated in their importers.
+fn with_entry_points() -> Vec<&'static str> {
+    let has_one = |text: &str| ["@compute", "@vertex", "@fragment"].iter().any(|stage| text.contains(stage));
+    FILES.iter().filter(|(_, text)| has_one(text)).map(|(path, _)| *path).collect()
+}
+
 #[test]
 fn every_shader_is_valid() {
-    // A file without an entry point is validated in its importers.
-    let has_entry_point = |text: &str| ["@compute", "@vertex", "@fragment"].iter().any(|stage| text.contains(stage));
-    let checked: Vec<&str> = FILES.iter().filter(|(_, text)| has_entry_point(text)).map(|(path, _)| *path).collect();
+    let checked = with_entry_points();
     for path in &checked {
         module(path);
     }
@@ -106,6 +112,39 @@ fn every_shader_is_valid() {
     }
     for name in ["gbuffer", "depth", "mask_words", "predict", "shade", "blend", "tone", "debug_view", "present"] {
         assert!(checked.contains(&format!("shading/{name}.wgsl").as_str()), "{name} was not checked");
+    }
+}
+
+/// WebGPU's default `maxStorageBuffersPerShaderStage`.
+const STORAGE_BUFFERS: usize = 8;
+
+#[test]
+fn software_adapters_read_no_uniform_buffer() {
+    let globals = |module: &naga::Module, wanted: fn(naga::AddressSpace) -> bool| -> Vec<String> {
+        let all = module.global_variables.iter().filter(|(_, global)| wanted(global.space));
+        all.map(|(_, global)| global.name.clone().unwrap()).collect()
+    };
+    let is_uniform = |space| space == naga::AddressSpace::Uniform;
+    let is_read_only = |space| space == naga::AddressSpace::Storage { access: naga::StorageAccess::LOAD };
+    let is_storage = |space| matches!(space, naga::AddressSpace::Storage { .. });
+    let mut moved = Vec::new();
+    for path in with_entry_points().into_iter().filter(|path| path.starts_with("shading/")) {
+        let [real, software] = [DeviceType::DiscreteGpu, DeviceType::Cpu]
+            .map(|kind| valid(path, &splice_for(Uniforms::of(kind), path).unwrap(), Capabilities::empty()));
+        assert_eq!(globals(&software, is_uniform), Vec::<String>::new(), "{path}");
+        let (uniforms, read_only) = (globals(&real, is_uniform), globals(&software, is_read_only));
+        assert!(uniforms.iter().all(|name| read_only.contains(name)), "{path}: {uniforms:?} {read_only:?}");
+        assert!(globals(&software, is_storage).len() <= STORAGE_BUFFERS, "{path}");
+        // The host writes the same bytes into both.
+        let structs = real.types.iter().filter(|(_, ty)| matches!(ty.inner, naga::TypeInner::Struct { .. }));
+        for name in structs.map(|(_, ty)| ty.name.as_deref().unwrap()) {
+            assert_eq!(layout(&real, name), layout(&software, name), "{path}: {name}");
+        }
+        moved.extend(uniforms);
+    }
+    for name in ["view", "lighting", "material", "prediction", "clip_from_local", "size", "tone", "choice", "screen_px"]
+    {
+        assert!(moved.iter().any(|other| other == name), "{name} is no uniform buffer of a real GPU");
     }
 }
 

@@ -25,7 +25,7 @@ impl Painter {
         let options = egui_wgpu::RendererOptions { dithering: false, ..egui_wgpu::RendererOptions::default() };
         Ok(Self {
             gpu: gpu.clone(),
-            present: PresentPass::new(&gpu.device, format)?,
+            present: PresentPass::new(gpu, format)?,
             overlay: egui_wgpu::Renderer::new(&gpu.device, format, options),
         })
     }

@@ -6,6 +6,7 @@
 
 use glam::Vec3;
 use gnomon_scene::AlphaMode;
+use gnomon_shaders::gpu::Gpu;
 
 use super::{
     error::RenderError,
@@ -22,16 +23,17 @@ pub(crate) struct BlendPass {
 
 impl BlendPass {
     pub(crate) fn new(
-        device: &wgpu::Device,
+        gpu: &Gpu,
         shade_layout: &wgpu::BindGroupLayout,
         scene: &SceneUpload,
     ) -> Result<Self, RenderError> {
+        let device = &gpu.device;
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("blending"),
             bind_group_layouts: &[Some(shade_layout), Some(&scene.material_layout)],
             immediate_size: 0,
         });
-        let module = shader(device, "shading/blend.wgsl")?;
+        let module = shader(gpu, "shading/blend.wgsl")?;
         let pipeline = |culled| {
             device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some("blending"),

@@ -4,12 +4,12 @@ use std::fmt;
 
 use bytemuck::{Pod, Zeroable};
 use gnomon_protocol::limits::MAX_LAYERS;
-use gnomon_shaders::shading::View;
+use gnomon_shaders::{gpu::Gpu, shading::View};
 use serde::{Deserialize, Serialize};
 
 use super::{
     error::RenderError,
-    pipeline::{bind_group, bind_group_layout, cleared, covering_pipeline, picture, shader, uniform},
+    pipeline::{bind_group, bind_group_layout, cleared, covering_pipeline, picture, shader, uniform, variable},
     predict::depth_history::DepthHistory,
     targets::Targets,
 };
@@ -83,20 +83,16 @@ pub(crate) struct DebugPass {
 
 impl DebugPass {
     pub(crate) fn new(
-        device: &wgpu::Device,
+        gpu: &Gpu,
         view: &wgpu::Buffer,
         targets: &Targets,
         history: &DepthHistory,
         format: wgpu::TextureFormat,
     ) -> Result<Self, RenderError> {
-        let layout = layout(device);
-        let choice = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("debug view"),
-            size: size_of::<Choice>() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let module = shader(device, "shading/debug_view.wgsl")?;
+        let device = &gpu.device;
+        let layout = layout(gpu);
+        let choice = variable::<Choice>(gpu, "debug view");
+        let module = shader(gpu, "shading/debug_view.wgsl")?;
         let pipeline = covering_pipeline(device, &module, &[&layout], "look", format);
         let mut pass = Self { layout, view: view.clone(), choice, groups: Vec::new(), pipeline };
         pass.resize(device, targets, history);
@@ -138,15 +134,15 @@ impl DebugPass {
     }
 }
 
-fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+fn layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
     let bindings = [
-        uniform::<View>(),
-        uniform::<Choice>(),
+        uniform::<View>(gpu),
+        uniform::<Choice>(gpu),
         picture(wgpu::TextureSampleType::Uint),
         picture(wgpu::TextureSampleType::Depth),
         picture(wgpu::TextureSampleType::Uint),
     ];
-    bind_group_layout(device, "debug view", wgpu::ShaderStages::FRAGMENT, &bindings)
+    bind_group_layout(&gpu.device, "debug view", wgpu::ShaderStages::FRAGMENT, &bindings)
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! The G-buffer pass: depth, base colour, packed normal and material of the nearest surface in every pixel.
 
 use gnomon_scene::AlphaMode;
-use gnomon_shaders::shading::View;
+use gnomon_shaders::{gpu::Gpu, shading::View};
 
 use super::{
     error::RenderError,
@@ -23,18 +23,20 @@ fn pipeline_of(batch: &Batch) -> usize {
 
 impl GbufferPass {
     pub(crate) fn new(
-        device: &wgpu::Device,
+        gpu: &Gpu,
         view: &wgpu::Buffer,
         material_layout: &wgpu::BindGroupLayout,
     ) -> Result<Self, RenderError> {
-        let layout = bind_group_layout(device, "G-buffer", wgpu::ShaderStages::VERTEX_FRAGMENT, &[uniform::<View>()]);
+        let device = &gpu.device;
+        let layout =
+            bind_group_layout(device, "G-buffer", wgpu::ShaderStages::VERTEX_FRAGMENT, &[uniform::<View>(gpu)]);
         let group = bind_group(device, "G-buffer", &layout, &[view.as_entire_binding()]);
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("G-buffer"),
             bind_group_layouts: &[Some(&layout), Some(material_layout)],
             immediate_size: 0,
         });
-        let module = shader(device, "shading/gbuffer.wgsl")?;
+        let module = shader(gpu, "shading/gbuffer.wgsl")?;
         let pipeline = |fragment, cull_mode| {
             device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some("G-buffer"),

@@ -1,6 +1,6 @@
 //! Building blocks of the passes: bindings, uniform buffers, shader modules, full-screen pipelines.
 
-use gnomon_shaders::splice::splice;
+use gnomon_shaders::{gpu::Gpu, splice::splice_for};
 use wgpu::util::DeviceExt as _;
 
 use super::error::RenderError;
@@ -14,29 +14,39 @@ pub(crate) fn check_side(device: &wgpu::Device, side: u32) -> Result<(), RenderE
     Ok(())
 }
 
-/// Binding type of a uniform buffer that holds one `T`.
-pub(crate) fn uniform<T>() -> wgpu::BindingType {
+/// Binding type of a uniform that holds one `T`, in the kind of buffer that suits the adapter.
+pub(crate) fn uniform<T>(gpu: &Gpu) -> wgpu::BindingType {
     wgpu::BindingType::Buffer {
-        ty: wgpu::BufferBindingType::Uniform,
+        ty: gpu.uniforms().binding(),
         has_dynamic_offset: false,
         min_binding_size: wgpu::BufferSize::new(size_of::<T>() as u64),
     }
 }
 
-/// A uniform buffer that never changes.
-pub(crate) fn constant<T: bytemuck::NoUninit>(device: &wgpu::Device, label: &'static str, value: &T) -> wgpu::Buffer {
-    device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+/// The buffer of a [`uniform`] that never changes.
+pub(crate) fn constant<T: bytemuck::NoUninit>(gpu: &Gpu, label: &'static str, value: &T) -> wgpu::Buffer {
+    gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
         label: Some(label),
         contents: bytemuck::bytes_of(value),
-        usage: wgpu::BufferUsages::UNIFORM,
+        usage: gpu.uniforms().usage(),
+    })
+}
+
+/// The buffer of a [`uniform`] that is written before it is read.
+pub(crate) fn variable<T: bytemuck::NoUninit>(gpu: &Gpu, label: &'static str) -> wgpu::Buffer {
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size: size_of::<T>() as u64,
+        usage: gpu.uniforms().usage() | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
     })
 }
 
 /// Makes the shader module of `wgsl/{path}`.
-pub(crate) fn shader(device: &wgpu::Device, path: &'static str) -> Result<wgpu::ShaderModule, RenderError> {
-    let text = splice(path)?;
+pub(crate) fn shader(gpu: &Gpu, path: &'static str) -> Result<wgpu::ShaderModule, RenderError> {
+    let text = splice_for(gpu.uniforms(), path)?;
     let source = wgpu::ShaderSource::Wgsl(text.into());
-    Ok(device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(path), source }))
+    Ok(gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(path), source }))
 }
 
 /// A pipeline that covers the picture with one triangle and has one target.

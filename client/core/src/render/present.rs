@@ -1,8 +1,10 @@
 //! Draws a finished picture to a screen, texel for texel if the sizes match.
 
+use gnomon_shaders::gpu::Gpu;
+
 use super::{
     error::RenderError,
-    pipeline::{self, bind_group, bind_group_layout, covering_pipeline, shader, uniform},
+    pipeline::{self, bind_group, bind_group_layout, covering_pipeline, shader, uniform, variable},
 };
 
 #[derive(Debug)]
@@ -15,11 +17,12 @@ pub struct PresentPass {
 
 impl PresentPass {
     /// `format` must not be an sRGB format: pictures are already encoded.
-    pub fn new(device: &wgpu::Device, format: wgpu::TextureFormat) -> Result<Self, RenderError> {
+    pub fn new(gpu: &Gpu, format: wgpu::TextureFormat) -> Result<Self, RenderError> {
+        let device = &gpu.device;
         let bindings = [
             pipeline::picture(wgpu::TextureSampleType::Float { filterable: true }),
             wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
-            uniform::<[f32; 4]>(),
+            uniform::<[f32; 4]>(gpu),
         ];
         let layout = bind_group_layout(device, "present", wgpu::ShaderStages::FRAGMENT, &bindings);
         let between = device.create_sampler(&wgpu::SamplerDescriptor {
@@ -28,13 +31,8 @@ impl PresentPass {
             min_filter: wgpu::FilterMode::Linear,
             ..wgpu::SamplerDescriptor::default()
         });
-        let screen_px = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("screen"),
-            size: size_of::<[f32; 4]>() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let module = shader(device, "shading/present.wgsl")?;
+        let screen_px = variable::<[f32; 4]>(gpu, "screen");
+        let module = shader(gpu, "shading/present.wgsl")?;
         let pipeline = covering_pipeline(device, &module, &[&layout], "present", format);
         Ok(Self { layout, between, screen_px, pipeline })
     }

@@ -6,7 +6,6 @@ use gnomon_shaders::{
     gpu::Gpu,
     shading::{Lighting, View},
 };
-use wgpu::util::DeviceExt as _;
 
 use super::{
     blend::BlendPass,
@@ -14,7 +13,7 @@ use super::{
     error::RenderError,
     exposure::Exposure,
     gbuffer::GbufferPass,
-    pipeline::check_side,
+    pipeline::{check_side, variable},
     predict::{MaskView, PredictPass, depth_history::DepthHistory},
     readback,
     scene_upload::SceneUpload,
@@ -82,28 +81,20 @@ impl FrameRenderer {
         let failure = DeviceFailure::watch(device);
         check_side(device, width.max(height))?;
         // Anisotropic filtering is almost free on a GPU, but in software costs several times the rest of the frame.
-        let scene_upload = SceneUpload::new(device, &gpu.queue, scene, if gpu.is_software() { 1 } else { 8 })?;
+        let scene_upload = SceneUpload::new(gpu, scene, if gpu.is_software() { 1 } else { 8 })?;
         let targets = Targets::new(device, width, height);
         let history = DepthHistory::new(device, width, height);
-        let view = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("view"),
-            size: size_of::<View>() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let gbuffer = GbufferPass::new(device, &view, &scene_upload.material_layout)?;
+        let view = variable::<View>(gpu, "view");
+        let gbuffer = GbufferPass::new(gpu, &view, &scene_upload.material_layout)?;
         let lights = exposure.lighting(&scene.lights);
-        let lighting = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some("lighting"),
-            contents: bytemuck::bytes_of(&lights),
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-        });
+        let lighting = variable::<Lighting>(gpu, "lighting");
+        gpu.queue.write_buffer(&lighting, 0, bytemuck::bytes_of(&lights));
         let constants = (&view, &lighting);
         let predict = PredictPass::new(gpu, scene, &scene_upload, &targets, &history, constants, predictor)?;
-        let shade = ShadePass::new(device, constants, &targets, &history, scene)?;
-        let blend = BlendPass::new(device, shade.layout(), &scene_upload)?;
-        let tone = TonePass::new(device, &targets, format)?;
-        let debug = DebugPass::new(device, &view, &targets, &history, format)?;
+        let shade = ShadePass::new(gpu, constants, &targets, &history, scene)?;
+        let blend = BlendPass::new(gpu, shade.layout(), &scene_upload)?;
+        let tone = TonePass::new(gpu, &targets, format)?;
+        let debug = DebugPass::new(gpu, &view, &targets, &history, format)?;
         let renderer = Self {
             gpu: gpu.clone(),
             origin_m: scene.origin_m,

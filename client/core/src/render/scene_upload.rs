@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use glam::{Vec2, Vec3};
 use gnomon_scene::{AlphaMode, Scene, Texture, Wrap};
-use gnomon_shaders::shading::Material;
+use gnomon_shaders::{gpu::Gpu, shading::Material};
 use rayon::prelude::*;
 use wgpu::util::DeviceExt as _;
 
@@ -53,12 +53,8 @@ pub(crate) struct SceneUpload {
 }
 
 impl SceneUpload {
-    pub(crate) fn new(
-        device: &wgpu::Device,
-        queue: &wgpu::Queue,
-        scene: &Scene,
-        anisotropy: u16,
-    ) -> Result<Self, RenderError> {
+    pub(crate) fn new(gpu: &Gpu, scene: &Scene, anisotropy: u16) -> Result<Self, RenderError> {
+        let device = &gpu.device;
         let limit = device.limits().max_buffer_size;
         let buffer = |what, bytes: &[u8], usage| {
             if bytes.len() as u64 > limit {
@@ -71,12 +67,12 @@ impl SceneUpload {
         let vertices: Vec<Vertex> = (scene.positions.iter().zip(&scene.normals).zip(&scene.uvs))
             .map(|((position, normal), uv)| Vertex { position: *position, normal: *normal, uv: *uv })
             .collect();
-        let material_layout = material_layout(device);
+        let material_layout = material_layout(gpu);
         Ok(Self {
             vertices: buffer("vertices", bytemuck::cast_slice(&vertices), wgpu::BufferUsages::VERTEX)?,
             indices: buffer("indices", bytemuck::cast_slice(&scene.triangles), wgpu::BufferUsages::INDEX)?,
             batches: batches(scene),
-            materials: materials(device, queue, scene, &material_layout, anisotropy)?,
+            materials: materials(gpu, scene, &material_layout, anisotropy)?,
             material_layout,
         })
     }
@@ -112,27 +108,27 @@ fn batches(scene: &Scene) -> Vec<Batch> {
     batches
 }
 
-fn material_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+fn material_layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
     let bindings = [
-        uniform::<Material>(),
+        uniform::<Material>(gpu),
         picture(wgpu::TextureSampleType::Float { filterable: true }),
         wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
     ];
-    bind_group_layout(device, "material", wgpu::ShaderStages::FRAGMENT, &bindings)
+    bind_group_layout(&gpu.device, "material", wgpu::ShaderStages::FRAGMENT, &bindings)
 }
 
 fn materials(
-    device: &wgpu::Device,
-    queue: &wgpu::Queue,
+    gpu: &Gpu,
     scene: &Scene,
     layout: &wgpu::BindGroupLayout,
     anisotropy: u16,
 ) -> Result<Vec<wgpu::BindGroup>, RenderError> {
+    let (device, queue) = (&gpu.device, &gpu.queue);
     let images = images(device, queue, scene)?;
     let white = texture::upload(device, queue, (1, 1), texture::WHITE.to_vec(), &[]);
     let mut samplers = HashMap::new();
     let groups = (0_u32..).zip(&scene.materials).map(|(index, material)| {
-        let uniform = constant(device, "material", &Material::new(material, index));
+        let uniform = constant(gpu, "material", &Material::new(material, index));
         let texture = material.base_color_texture;
         let (wrap_u, wrap_v) = texture.map_or((Wrap::Repeat, Wrap::Repeat), |texture| (texture.wrap_u, texture.wrap_v));
         let modes = [wrap_u, wrap_v].map(address_mode);

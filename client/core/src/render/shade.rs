@@ -2,7 +2,10 @@
 
 use glam::Vec4;
 use gnomon_scene::Scene;
-use gnomon_shaders::shading::{Lighting, View};
+use gnomon_shaders::{
+    gpu::Gpu,
+    shading::{Lighting, View},
+};
 use wgpu::util::DeviceExt as _;
 
 use super::{
@@ -28,12 +31,13 @@ pub(crate) struct ShadePass {
 
 impl ShadePass {
     pub(crate) fn new(
-        device: &wgpu::Device,
+        gpu: &Gpu,
         (view, lighting): (&wgpu::Buffer, &wgpu::Buffer),
         targets: &Targets,
         history: &DepthHistory,
         scene: &Scene,
     ) -> Result<Self, RenderError> {
+        let device = &gpu.device;
         let mut emitted: Vec<Vec4> =
             scene.materials.iter().map(|material| (material.emissive * EMISSIVE).extend(0.0)).collect();
         // A binding cannot be empty.
@@ -43,8 +47,8 @@ impl ShadePass {
             contents: bytemuck::cast_slice(&emitted),
             usage: wgpu::BufferUsages::STORAGE,
         });
-        let layout = layout(device);
-        let module = shader(device, "shading/shade.wgsl")?;
+        let layout = layout(gpu);
+        let module = shader(gpu, "shading/shade.wgsl")?;
         let pipeline = covering_pipeline(device, &module, &[&layout], "shade", LIGHT);
         let (view, lighting) = (view.clone(), lighting.clone());
         let mut pass = Self { layout, view, lighting, emitted, groups: Vec::new(), pipeline };
@@ -89,15 +93,15 @@ impl ShadePass {
     }
 }
 
-fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+fn layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
     let bindings = [
-        uniform::<View>(),
-        uniform::<Lighting>(),
+        uniform::<View>(gpu),
+        uniform::<Lighting>(gpu),
         picture(wgpu::TextureSampleType::Uint),
         storage(true),
         picture(wgpu::TextureSampleType::Depth),
         picture(wgpu::TextureSampleType::Float { filterable: false }),
         picture(wgpu::TextureSampleType::Uint),
     ];
-    bind_group_layout(device, "shading", wgpu::ShaderStages::VERTEX_FRAGMENT, &bindings)
+    bind_group_layout(&gpu.device, "shading", wgpu::ShaderStages::VERTEX_FRAGMENT, &bindings)
 }

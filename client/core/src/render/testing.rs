@@ -80,11 +80,21 @@ pub fn renderer(gpu: &Gpu, scene: &Scene, shape: MaskShape) -> FrameRenderer {
     FrameRenderer::new(gpu, scene, (shape.width(), shape.height()), exposure, PICTURE_FORMAT, Predictor::None).unwrap()
 }
 
+/// Draws a picture with a mask that was traced for it.
 pub fn draw(gpu: &Gpu, renderer: &mut FrameRenderer, camera: &Camera, mask: Option<&Mask>) -> Picture {
+    draw_with(gpu, renderer, camera, mask.map(|mask| (mask, camera)))
+}
+
+/// Draws a picture with a mask, if any, that was traced for the position and direction of another camera.
+pub fn draw_with(gpu: &Gpu, renderer: &mut FrameRenderer, camera: &Camera, mask: Option<(&Mask, &Camera)>) -> Picture {
     let mut reader = PictureReader::new(gpu, camera.width, camera.height, 1);
     renderer.draw_surfaces(camera).unwrap();
-    let traced_for = mask.map(|mask| Camera { width: mask.shape().width(), height: mask.shape().height(), ..*camera });
-    let mask = mask.zip(traced_for.as_ref()).map(|(mask, traced_for)| MaskView {
+    let traced_for = mask.map(|(mask, traced_for)| Camera {
+        width: mask.shape().width(),
+        height: mask.shape().height(),
+        ..*traced_for
+    });
+    let mask = mask.zip(traced_for.as_ref()).map(|((mask, _), traced_for)| MaskView {
         mask,
         coverage: None,
         more: false,

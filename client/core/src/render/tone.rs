@@ -1,6 +1,6 @@
 //! The tone pass: maps exposed light to displayed values.
 
-use gnomon_shaders::shading::Tone;
+use gnomon_shaders::{gpu::Gpu, shading::Tone};
 
 use super::{
     error::RenderError,
@@ -18,16 +18,13 @@ pub(crate) struct TonePass {
 }
 
 impl TonePass {
-    pub(crate) fn new(
-        device: &wgpu::Device,
-        targets: &Targets,
-        format: wgpu::TextureFormat,
-    ) -> Result<Self, RenderError> {
-        let bindings = [uniform::<Tone>(), picture(wgpu::TextureSampleType::Float { filterable: false })];
+    pub(crate) fn new(gpu: &Gpu, targets: &Targets, format: wgpu::TextureFormat) -> Result<Self, RenderError> {
+        let device = &gpu.device;
+        let bindings = [uniform::<Tone>(gpu), picture(wgpu::TextureSampleType::Float { filterable: false })];
         let layout = bind_group_layout(device, "tone", wgpu::ShaderStages::FRAGMENT, &bindings);
-        let tone = constant(device, "tone", &exposure::tone());
+        let tone = constant(gpu, "tone", &exposure::tone());
         let group = group(device, &layout, &tone, targets);
-        let module = shader(device, "shading/tone.wgsl")?;
+        let module = shader(gpu, "shading/tone.wgsl")?;
         let pipeline = covering_pipeline(device, &module, &[&layout], "show", format);
         Ok(Self { layout, tone, group, pipeline })
     }

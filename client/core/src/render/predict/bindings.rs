@@ -1,11 +1,14 @@
 //! Bind group layouts of `predict.wgsl`.
 
-use gnomon_shaders::shading::{Lighting, Prediction, View};
+use gnomon_shaders::{
+    gpu::Gpu,
+    shading::{Lighting, Prediction, View},
+};
 
 use crate::render::pipeline::{bind_group_layout, storage, uniform};
 
 /// Layouts of the pass's three groups: scene and lights, the picture's surfaces, masks.
-pub(super) fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 3] {
+pub(super) fn layouts(gpu: &Gpu) -> [wgpu::BindGroupLayout; 3] {
     let pictures =
         |view_dimension| {
             [wgpu::TextureSampleType::Depth, wgpu::TextureSampleType::Uint]
@@ -15,12 +18,19 @@ pub(super) fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 3] {
     let [depths, all_words] = pictures(wgpu::TextureViewDimension::D2Array);
     let nearest = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering);
     let layout = |label, bindings: &[wgpu::BindingType]| {
-        bind_group_layout(device, label, wgpu::ShaderStages::FRAGMENT, bindings)
+        bind_group_layout(&gpu.device, label, wgpu::ShaderStages::FRAGMENT, bindings)
     };
     [
         layout(
             "prediction: scene",
-            &[uniform::<View>(), uniform::<Lighting>(), depth, storage(true), uniform::<Prediction>(), storage(false)],
+            &[
+                uniform::<View>(gpu),
+                uniform::<Lighting>(gpu),
+                depth,
+                storage(true),
+                uniform::<Prediction>(gpu),
+                storage(false),
+            ],
         ),
         layout("prediction: surfaces", &[depth, words]),
         layout("prediction: masks", &[all_words, all_words, depths, nearest]),

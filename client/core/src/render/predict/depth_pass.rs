@@ -1,6 +1,7 @@
 //! Draws depth alone, for views without a picture: those of masks and lights.
 
 use gnomon_scene::AlphaMode;
+use gnomon_shaders::gpu::Gpu;
 
 use crate::render::{
     error::RenderError,
@@ -29,14 +30,15 @@ fn pipeline_of(masked: bool, both: bool) -> usize {
 }
 
 impl DepthPass {
-    pub(crate) fn new(device: &wgpu::Device, scene: &SceneUpload) -> Result<Self, RenderError> {
-        let layout = bind_group_layout(device, "depth", wgpu::ShaderStages::VERTEX, &[uniform::<glam::Mat4>()]);
+    pub(crate) fn new(gpu: &Gpu, scene: &SceneUpload) -> Result<Self, RenderError> {
+        let device = &gpu.device;
+        let layout = bind_group_layout(device, "depth", wgpu::ShaderStages::VERTEX, &[uniform::<glam::Mat4>(gpu)]);
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("depth"),
             bind_group_layouts: &[Some(&layout), Some(&scene.material_layout)],
             immediate_size: 0,
         });
-        let module = shader(device, "shading/depth.wgsl")?;
+        let module = shader(gpu, "shading/depth.wgsl")?;
         let pipeline = |masked: bool, both: bool| {
             device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some("depth"),

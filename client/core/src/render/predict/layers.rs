@@ -57,9 +57,10 @@ impl Layers {
     ///
     /// # Errors
     /// If it exceeds a limit of the adapter.
-    pub(crate) fn new(device: &wgpu::Device, pass: &WordsPass, shape: MaskShape) -> Result<Self, RenderError> {
+    pub(crate) fn new(gpu: &Gpu, pass: &WordsPass, shape: MaskShape) -> Result<Self, RenderError> {
+        let device = &gpu.device;
         check_side(device, shape.width().max(shape.height()))?;
-        let planes = pass.memory(device, shape)?;
+        let planes = pass.memory(gpu, shape)?;
         let (words, coverage) = (words(device, shape, 1), coverage(device, shape, 1));
         let depth = depth(device, [1; 3]);
         Ok(Self { shape, planes, words, coverage, depth, stack: Vec::with_capacity(MAX_LAYERS) })
@@ -167,7 +168,7 @@ impl Layers {
                 continue;
             }
             let view = View::new(&layer.traced_for, origin_m, 1.0);
-            let view = constant(&gpu.device, "mask's view", &view);
+            let view = constant(gpu, "mask's view", &view);
             let matrix = pass.group(&gpu.device, view.as_entire_binding());
             let drawn = layer_of(depth, layer.slot);
             let mut render = depth_pass::begin(encoder, "depth of the mask's view", &drawn);

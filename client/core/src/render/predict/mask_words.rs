@@ -1,6 +1,7 @@
 //! Converts a received mask's bit planes to one word of all lights for each pixel, on the adapter.
 
 use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_shaders::gpu::Gpu;
 
 use crate::render::{
     error::RenderError,
@@ -33,10 +34,11 @@ pub(crate) struct MaskPlanes {
 }
 
 impl WordsPass {
-    pub(crate) fn new(device: &wgpu::Device) -> Result<Self, RenderError> {
-        let bindings = [uniform::<MaskSize>(), storage(true)];
+    pub(crate) fn new(gpu: &Gpu) -> Result<Self, RenderError> {
+        let device = &gpu.device;
+        let bindings = [uniform::<MaskSize>(gpu), storage(true)];
         let layout = bind_group_layout(device, "mask", wgpu::ShaderStages::FRAGMENT, &bindings);
-        let module = shader(device, "shading/mask_words.wgsl")?;
+        let module = shader(gpu, "shading/mask_words.wgsl")?;
         let pipeline = covering_pipeline(device, &module, &[&layout], "gather", WORDS);
         Ok(Self { layout, pipeline })
     }
@@ -45,7 +47,8 @@ impl WordsPass {
     ///
     /// # Errors
     /// If the adapter cannot bind that much.
-    pub(crate) fn memory(&self, device: &wgpu::Device, shape: MaskShape) -> Result<MaskPlanes, RenderError> {
+    pub(crate) fn memory(&self, gpu: &Gpu, shape: MaskShape) -> Result<MaskPlanes, RenderError> {
+        let device = &gpu.device;
         let (needed, limit) = (shape.words() as u64 * 8, device.limits().max_storage_buffer_binding_size);
         if needed > limit {
             return Err(RenderError::TooLarge { what: "visibility mask", needed, limit });
@@ -57,7 +60,7 @@ impl WordsPass {
             mapped_at_creation: false,
         });
         let size = MaskSize { width: shape.width(), height: shape.height(), lights: shape.lights(), unused: 0 };
-        let size = constant(device, "mask size", &size);
+        let size = constant(gpu, "mask size", &size);
         let resources = [size.as_entire_binding(), planes.as_entire_binding()];
         let group = bind_group(device, "mask", &self.layout, &resources);
         Ok(MaskPlanes { planes, group })

@@ -17,7 +17,7 @@ use crate::{
     predictor::Predictor,
     render::{
         error::RenderError,
-        pipeline::{bind_group, cleared, covering_pipeline_with, shader},
+        pipeline::{bind_group, cleared, covering_pipeline_with, shader, variable},
         scene_upload::SceneUpload,
         targets::{Targets, VISIBILITY},
     },
@@ -57,16 +57,11 @@ impl PredictPass {
         predictor: Predictor,
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
-        let depth_pass = DepthPass::new(device, upload)?;
-        let shadow_map = ShadowMap::new(device, &gpu.queue, scene, upload, &depth_pass);
+        let depth_pass = DepthPass::new(gpu, upload)?;
+        let shadow_map = ShadowMap::new(gpu, scene, upload, &depth_pass);
         let unknown = UnknownCount::new(device);
-        let uniform = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("prediction"),
-            size: size_of::<Prediction>() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let [scene_layout, surface_layout, mask_layout] = bindings::layouts(device);
+        let uniform = variable::<Prediction>(gpu, "prediction");
+        let [scene_layout, surface_layout, mask_layout] = bindings::layouts(gpu);
         let picture = wgpu::BindingResource::TextureView;
         let scene_group = bind_group(
             device,
@@ -82,13 +77,13 @@ impl PredictPass {
             ],
         );
         let surface_groups = surface_groups(device, &surface_layout, targets, history);
-        let module = shader(device, "shading/predict.wgsl")?;
-        let words_pass = WordsPass::new(device)?;
+        let module = shader(gpu, "shading/predict.wgsl")?;
+        let words_pass = WordsPass::new(gpu)?;
         let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
         // The mask must be bound even when there is none.
         let smallest =
             MaskShape::new(1, 1, lights.clamp(1, 32)).map_err(|error| RenderError::Device(error.to_string()))?;
-        let layers = Layers::new(device, &words_pass, smallest)?;
+        let layers = Layers::new(gpu, &words_pass, smallest)?;
         let layouts = [&scene_layout, &surface_layout, &mask_layout];
         let pipelines = [0.0, 1.0].map(|layered| {
             covering_pipeline_with(device, &module, &layouts, ("predict", &[("layered", layered)]), VISIBILITY)
@@ -143,7 +138,7 @@ impl PredictPass {
             return Ok(false);
         };
         if self.layers.shape() != view.mask.shape() {
-            self.layers = Layers::new(&gpu.device, &self.words_pass, view.mask.shape())?;
+            self.layers = Layers::new(gpu, &self.words_pass, view.mask.shape())?;
         }
         self.layers.push(gpu, encoder, &self.words_pass, view);
         Ok(true)

@@ -6,7 +6,7 @@
 
 use glam::{DMat4, DVec3, DVec4, Mat4, Vec3};
 use gnomon_scene::{Aabb, Light, LightKind, Scene};
-use gnomon_shaders::shading::ShadowView;
+use gnomon_shaders::{gpu::Gpu, shading::ShadowView};
 use wgpu::util::DeviceExt as _;
 
 use super::depth_pass::{self, DepthPass, Faces};
@@ -44,13 +44,8 @@ pub(crate) struct ShadowMap {
 
 impl ShadowMap {
     /// Draws the maps of all lights of `scene`.
-    pub(crate) fn new(
-        device: &wgpu::Device,
-        queue: &wgpu::Queue,
-        scene: &Scene,
-        upload: &SceneUpload,
-        pass: &DepthPass,
-    ) -> Self {
+    pub(crate) fn new(gpu: &Gpu, scene: &Scene, upload: &SceneUpload, pass: &DepthPass) -> Self {
+        let device = &gpu.device;
         let limit = device.limits().max_texture_dimension_2d;
         let (side, views) = layout(&scene.lights, &scene.bounds, limit);
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
@@ -61,7 +56,7 @@ impl ShadowMap {
             let groups: Vec<wgpu::BindGroup> = views
                 .iter()
                 .map(|view| {
-                    let buffer = constant(device, "light's view", &view.clip_from_local);
+                    let buffer = constant(gpu, "light's view", &view.clip_from_local);
                     pass.group(device, buffer.as_entire_binding())
                 })
                 .collect();
@@ -74,7 +69,7 @@ impl ShadowMap {
                 pass.draw(&mut render, group, upload, Faces::Both);
             }
         }
-        queue.submit([encoder.finish()]);
+        gpu.queue.submit([encoder.finish()]);
         let mut views = views;
         // A binding cannot be empty.
         views.push(bytemuck::Zeroable::zeroed());
