@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     error::RenderError,
-    pipeline::{bind_group, bind_group_layout, cleared, covering_pipeline, picture, shader, uniform, variable},
+    pipeline::{Variable, bind_group, bind_group_layout, cleared, covering_pipeline, picture, shader, uniform},
     predict::depth_history::DepthHistory,
     targets::Targets,
 };
@@ -75,7 +75,7 @@ impl From<DebugView> for Choice {
 pub(crate) struct DebugPass {
     layout: wgpu::BindGroupLayout,
     view: wgpu::Buffer,
-    choice: wgpu::Buffer,
+    choice: Variable<Choice>,
     /// By the slot of the picture's depth in the history.
     groups: Vec<wgpu::BindGroup>,
     pipeline: wgpu::RenderPipeline,
@@ -91,7 +91,7 @@ impl DebugPass {
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
         let layout = layout(gpu);
-        let choice = variable::<Choice>(gpu, "debug view");
+        let choice = Variable::new(gpu, "debug view");
         let module = shader(gpu, "shading/debug_view.wgsl")?;
         let pipeline = covering_pipeline(device, &module, &[&layout], "look", format);
         let mut pass = Self { layout, view: view.clone(), choice, groups: Vec::new(), pipeline };
@@ -104,7 +104,7 @@ impl DebugPass {
         let group = |depth| {
             let resources = [
                 self.view.as_entire_binding(),
-                self.choice.as_entire_binding(),
+                self.choice.buffer().as_entire_binding(),
                 view(&targets.visibility),
                 view(depth),
                 view(&targets.normal_material),
@@ -115,14 +115,14 @@ impl DebugPass {
     }
 
     pub(crate) fn encode(
-        &self,
+        &mut self,
         queue: &wgpu::Queue,
         encoder: &mut wgpu::CommandEncoder,
         view: DebugView,
         history: &DepthHistory,
         target: &wgpu::TextureView,
     ) {
-        queue.write_buffer(&self.choice, 0, bytemuck::bytes_of(&Choice::from(view)));
+        self.choice.set(queue, view.into());
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("debug view"),
             color_attachments: &[cleared(target)],

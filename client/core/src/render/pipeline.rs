@@ -32,14 +32,36 @@ pub(crate) fn constant<T: bytemuck::NoUninit>(gpu: &Gpu, label: &'static str, va
     })
 }
 
-/// The buffer of a [`uniform`] that is written before it is read.
-pub(crate) fn variable<T: bytemuck::NoUninit>(gpu: &Gpu, label: &'static str) -> wgpu::Buffer {
-    gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some(label),
-        size: size_of::<T>() as u64,
-        usage: gpu.uniforms().usage() | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    })
+/// The buffer of a [`uniform`] that changes. A write takes a staging buffer, so equal values are not written again.
+#[derive(Debug)]
+pub(crate) struct Variable<T> {
+    buffer: wgpu::Buffer,
+    written: Option<T>,
+}
+
+impl<T: bytemuck::NoUninit> Variable<T> {
+    pub(crate) fn new(gpu: &Gpu, label: &'static str) -> Self {
+        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: size_of::<T>() as u64,
+            usage: gpu.uniforms().usage() | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        Self { buffer, written: None }
+    }
+
+    pub(crate) fn buffer(&self) -> &wgpu::Buffer {
+        &self.buffer
+    }
+
+    /// Sets the value that the next submissions read.
+    pub(crate) fn set(&mut self, queue: &wgpu::Queue, value: T) {
+        let bytes = bytemuck::bytes_of(&value);
+        if self.written.as_ref().is_none_or(|written| bytemuck::bytes_of(written) != bytes) {
+            queue.write_buffer(&self.buffer, 0, bytes);
+            self.written = Some(value);
+        }
+    }
 }
 
 /// Makes the shader module of `wgsl/{path}`.

@@ -4,14 +4,14 @@ use gnomon_shaders::gpu::Gpu;
 
 use super::{
     error::RenderError,
-    pipeline::{self, bind_group, bind_group_layout, covering_pipeline, shader, uniform, variable},
+    pipeline::{self, Variable, bind_group, bind_group_layout, covering_pipeline, shader, uniform},
 };
 
 #[derive(Debug)]
 pub struct PresentPass {
     layout: wgpu::BindGroupLayout,
     between: wgpu::Sampler,
-    screen_px: wgpu::Buffer,
+    screen_px: Variable<[f32; 4]>,
     pipeline: wgpu::RenderPipeline,
 }
 
@@ -31,7 +31,7 @@ impl PresentPass {
             min_filter: wgpu::FilterMode::Linear,
             ..wgpu::SamplerDescriptor::default()
         });
-        let screen_px = variable::<[f32; 4]>(gpu, "screen");
+        let screen_px = Variable::new(gpu, "screen");
         let module = shader(gpu, "shading/present.wgsl")?;
         let pipeline = covering_pipeline(device, &module, &[&layout], "present", format);
         Ok(Self { layout, between, screen_px, pipeline })
@@ -39,7 +39,7 @@ impl PresentPass {
 
     /// Fills the target of `pass`, of this size in pixels, with `picture`.
     pub fn draw(
-        &self,
+        &mut self,
         (device, queue): (&wgpu::Device, &wgpu::Queue),
         pass: &mut wgpu::RenderPass<'_>,
         picture: &wgpu::TextureView,
@@ -47,11 +47,11 @@ impl PresentPass {
     ) {
         #[expect(clippy::cast_precision_loss, reason = "sides of pictures are far below 2²⁴")]
         let screen_px = [width as f32, height as f32, 0.0, 0.0];
-        queue.write_buffer(&self.screen_px, 0, bytemuck::cast_slice(&screen_px));
+        self.screen_px.set(queue, screen_px);
         let resources = [
             wgpu::BindingResource::TextureView(picture),
             wgpu::BindingResource::Sampler(&self.between),
-            self.screen_px.as_entire_binding(),
+            self.screen_px.buffer().as_entire_binding(),
         ];
         let group = bind_group(device, "present", &self.layout, &resources);
         pass.set_pipeline(&self.pipeline);

@@ -13,7 +13,7 @@ use super::{
     error::RenderError,
     exposure::Exposure,
     gbuffer::GbufferPass,
-    pipeline::{check_side, variable},
+    pipeline::{Variable, check_side},
     predict::{MaskView, PredictPass, depth_history::DepthHistory},
     readback,
     scene_upload::SceneUpload,
@@ -41,7 +41,7 @@ pub struct FrameRenderer {
     gpu: Gpu,
     origin_m: glam::DVec3,
     exposure: Exposure,
-    view: wgpu::Buffer,
+    view: Variable<View>,
     scene: SceneUpload,
     pub(super) targets: Targets,
     pub(super) history: DepthHistory,
@@ -52,7 +52,7 @@ pub struct FrameRenderer {
     tone: TonePass,
     debug: DebugPass,
     debug_view: DebugView,
-    lighting: wgpu::Buffer,
+    lighting: Variable<Lighting>,
     lights: Lighting,
     /// Bit k is 1 if light k is on.
     lights_on: u32,
@@ -60,6 +60,8 @@ pub struct FrameRenderer {
     split_px: Option<u32>,
     /// Visibility share of the last picture.
     visibility_share: f32,
+    /// Commands of a mask that the next submission begins with.
+    pending: Option<wgpu::CommandEncoder>,
     failure: DeviceFailure,
 }
 
@@ -84,17 +86,17 @@ impl FrameRenderer {
         let scene_upload = SceneUpload::new(gpu, scene, if gpu.is_software() { 1 } else { 8 })?;
         let targets = Targets::new(device, width, height);
         let history = DepthHistory::new(device, width, height);
-        let view = variable::<View>(gpu, "view");
-        let gbuffer = GbufferPass::new(gpu, &view, &scene_upload.material_layout)?;
+        let view = Variable::<View>::new(gpu, "view");
+        let gbuffer = GbufferPass::new(gpu, view.buffer(), &scene_upload.material_layout)?;
         let lights = exposure.lighting(&scene.lights);
-        let lighting = variable::<Lighting>(gpu, "lighting");
-        gpu.queue.write_buffer(&lighting, 0, bytemuck::bytes_of(&lights));
-        let constants = (&view, &lighting);
+        let mut lighting = Variable::<Lighting>::new(gpu, "lighting");
+        lighting.set(&gpu.queue, lights);
+        let constants = (view.buffer(), lighting.buffer());
         let predict = PredictPass::new(gpu, scene, &scene_upload, &targets, &history, constants, predictor)?;
         let shade = ShadePass::new(gpu, constants, &targets, &history, scene)?;
         let blend = BlendPass::new(gpu, shade.layout(), &scene_upload)?;
         let tone = TonePass::new(gpu, &targets, format)?;
-        let debug = DebugPass::new(gpu, &view, &targets, &history, format)?;
+        let debug = DebugPass::new(gpu, view.buffer(), &targets, &history, format)?;
         let renderer = Self {
             gpu: gpu.clone(),
             origin_m: scene.origin_m,
@@ -115,6 +117,7 @@ impl FrameRenderer {
             lights_on: u32::MAX,
             split_px: None,
             visibility_share: 1.0,
+            pending: None,
             failure,
         };
         renderer.check()?;
@@ -160,7 +163,7 @@ impl FrameRenderer {
         self.write_lighting();
     }
 
-    fn write_lighting(&self) {
+    fn write_lighting(&mut self) {
         let mut lights = self.lights;
         lights.lit_from_px = self.split_px.unwrap_or(u32::MAX);
         for (k, light) in lights.lights.iter_mut().enumerate() {
@@ -168,7 +171,7 @@ impl FrameRenderer {
                 light.intensity = glam::Vec3::ZERO;
             }
         }
-        self.gpu.queue.write_buffer(&self.lighting, 0, bytemuck::bytes_of(&lights));
+        self.lighting.set(&self.gpu.queue, lights);
     }
 
     #[must_use]
@@ -183,23 +186,28 @@ impl FrameRenderer {
     /// If the adapter failed.
     pub fn draw_surfaces(&mut self, camera: &Camera) -> Result<(), RenderError> {
         let camera = self.sized(camera);
-        self.write_view(&camera, 1.0);
+        // Surfaces do not depend on the share.
+        self.write_view(&camera, self.visibility_share);
         self.history.begin(&camera);
-        let mut encoder = self.encoder();
+        let mut encoder = self.begin();
         self.gbuffer.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene);
         self.gpu.queue.submit([encoder.finish()]);
         self.check()
     }
 
-    /// Uploads the mask for predicting the next pictures' visibility. Returns whether it is used: a mask whose lights
+    /// Takes the mask for predicting the next pictures' visibility; they submit its upload. Returns whether it is used: a mask whose lights
     /// are not the scene's, or whose size is not its camera's, clears the visibility as `None` does.
     ///
     /// # Errors
     /// If a mask of this size exceeds a limit of the adapter.
     pub fn set_mask(&mut self, mask: Option<MaskView<'_>>) -> Result<bool, RenderError> {
-        let mut encoder = self.encoder();
+        // Writes to buffers come before all commands of a submission, so a second mask would overwrite the first.
+        if let Some(first) = self.pending.take() {
+            self.gpu.queue.submit([first.finish()]);
+        }
+        let mut encoder = self.begin();
         let used = self.predict.set_mask(&self.gpu, &mut encoder, mask)?;
-        self.gpu.queue.submit([encoder.finish()]);
+        self.pending = Some(encoder);
         Ok(used)
     }
 
@@ -229,7 +237,7 @@ impl FrameRenderer {
         let camera = self.sized(camera);
         self.visibility_share = visibility_share.clamp(0.0, 1.0);
         self.write_view(&camera, self.visibility_share);
-        let mut encoder = self.encoder();
+        let mut encoder = self.begin();
         let pictures = (&self.targets, &self.history, &self.scene);
         self.predict.encode(&self.gpu, &mut encoder, (&camera, self.origin_m), pictures);
         self.shade.encode(&mut encoder, &self.targets, &self.history);
@@ -275,13 +283,15 @@ impl FrameRenderer {
         Camera { width: self.targets.width, height: self.targets.height, ..*camera }
     }
 
-    fn encoder(&self) -> wgpu::CommandEncoder {
-        self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    /// Begins a submission.
+    fn begin(&mut self) -> wgpu::CommandEncoder {
+        let begin = || self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.pending.take().unwrap_or_else(begin)
     }
 
-    fn write_view(&self, camera: &Camera, visibility_share: f32) {
+    fn write_view(&mut self, camera: &Camera, visibility_share: f32) {
         let view = View::new(camera, self.origin_m, visibility_share);
-        self.gpu.queue.write_buffer(&self.view, 0, bytemuck::bytes_of(&view));
+        self.view.set(&self.gpu.queue, view);
     }
 
     fn check(&self) -> Result<(), RenderError> {

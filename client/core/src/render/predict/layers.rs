@@ -22,7 +22,7 @@ use super::{
 };
 use crate::render::{
     error::RenderError,
-    pipeline::{check_side, constant},
+    pipeline::{Variable, bind_group, check_side},
     scene_upload::SceneUpload,
     targets::{DEPTH, layered_texture},
 };
@@ -38,6 +38,10 @@ pub(crate) struct Layers {
     depth: wgpu::Texture,
     /// Newest first.
     stack: Vec<Layer>,
+    /// Binds the textures; `None` when one was replaced.
+    group: Option<wgpu::BindGroup>,
+    /// Views whose depth was drawn, by slot.
+    views: Vec<(Variable<View>, wgpu::BindGroup)>,
 }
 
 #[derive(Debug, Clone)]
@@ -63,7 +67,8 @@ impl Layers {
         let planes = pass.memory(gpu, shape)?;
         let (words, coverage) = (words(device, shape, 1), coverage(device, shape, 1));
         let depth = depth(device, [1; 3]);
-        Ok(Self { shape, planes, words, coverage, depth, stack: Vec::with_capacity(MAX_LAYERS) })
+        let stack = Vec::with_capacity(MAX_LAYERS);
+        Ok(Self { shape, planes, words, coverage, depth, stack, group: None, views: Vec::new() })
     }
 
     pub(crate) fn shape(&self) -> MaskShape {
@@ -118,6 +123,7 @@ impl Layers {
 
     /// Moves the layers to larger textures.
     fn grow(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder, count: u32) {
+        self.group = None;
         let move_over = |encoder: &mut wgpu::CommandEncoder, old: &mut wgpu::Texture, new: wgpu::Texture| {
             encoder.copy_texture_to_texture(old.as_image_copy(), new.as_image_copy(), old.size());
             *old = new;
@@ -155,6 +161,7 @@ impl Layers {
         let had = self.depth.size();
         if [had.width, had.height, had.depth_or_array_layers] != wanted {
             self.depth = depth(&gpu.device, wanted);
+            self.group = None;
             self.stack.iter_mut().for_each(|layer| layer.has_depth = false);
         }
         let depth = &self.depth;
@@ -167,22 +174,37 @@ impl Layers {
                 encoder.copy_texture_to_texture(seen.as_image_copy(), to, seen.size());
                 continue;
             }
-            let view = View::new(&layer.traced_for, origin_m, 1.0);
-            let view = constant(gpu, "mask's view", &view);
-            let matrix = pass.group(&gpu.device, view.as_entire_binding());
+            while self.views.len() <= layer.slot as usize {
+                let view = Variable::new(gpu, "mask's view");
+                let group = pass.group(&gpu.device, view.buffer().as_entire_binding());
+                self.views.push((view, group));
+            }
+            let (view, group) = &mut self.views[layer.slot as usize];
+            view.set(&gpu.queue, View::new(&layer.traced_for, origin_m, 1.0));
             let drawn = layer_of(depth, layer.slot);
             let mut render = depth_pass::begin(encoder, "depth of the mask's view", &drawn);
-            pass.draw(&mut render, &matrix, upload, Faces::Seen);
+            pass.draw(&mut render, group, upload, Faces::Seen);
         }
     }
 
-    /// Words, coverage and depth of all layers. The depth is valid only after [`Self::need_depth`].
-    pub(crate) fn pictures(&self) -> [wgpu::TextureView; 3] {
-        [&self.words, &self.coverage, &self.depth].map(|texture| {
-            texture.create_view(&wgpu::TextureViewDescriptor {
-                dimension: Some(wgpu::TextureViewDimension::D2Array),
-                ..wgpu::TextureViewDescriptor::default()
-            })
+    /// Words, coverage and depth of all layers, and a sampler. The depth is valid only after [`Self::need_depth`].
+    pub(crate) fn group(
+        &mut self,
+        device: &wgpu::Device,
+        layout: &wgpu::BindGroupLayout,
+        sampler: &wgpu::Sampler,
+    ) -> &wgpu::BindGroup {
+        self.group.get_or_insert_with(|| {
+            let [words, coverage, depth] = [&self.words, &self.coverage, &self.depth].map(|texture| {
+                texture.create_view(&wgpu::TextureViewDescriptor {
+                    dimension: Some(wgpu::TextureViewDimension::D2Array),
+                    ..wgpu::TextureViewDescriptor::default()
+                })
+            });
+            let picture = wgpu::BindingResource::TextureView;
+            let resources =
+                [picture(&words), picture(&coverage), picture(&depth), wgpu::BindingResource::Sampler(sampler)];
+            bind_group(device, "prediction", layout, &resources)
         })
     }
 }

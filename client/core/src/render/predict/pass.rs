@@ -17,7 +17,7 @@ use crate::{
     predictor::Predictor,
     render::{
         error::RenderError,
-        pipeline::{bind_group, cleared, covering_pipeline_with, shader, variable},
+        pipeline::{Variable, bind_group, cleared, covering_pipeline_with, shader},
         scene_upload::SceneUpload,
         targets::{Targets, VISIBILITY},
     },
@@ -37,7 +37,7 @@ pub(crate) struct PredictPass {
     /// The picture's own surfaces, by the slot of its depth in the history.
     surface_groups: Vec<wgpu::BindGroup>,
     nearest: wgpu::Sampler,
-    uniform: wgpu::Buffer,
+    uniform: Variable<Prediction>,
     depth_pass: DepthPass,
     words_pass: WordsPass,
     unknown: UnknownCount,
@@ -60,7 +60,7 @@ impl PredictPass {
         let depth_pass = DepthPass::new(gpu, upload)?;
         let shadow_map = ShadowMap::new(gpu, scene, upload, &depth_pass);
         let unknown = UnknownCount::new(device);
-        let uniform = variable::<Prediction>(gpu, "prediction");
+        let uniform = Variable::new(gpu, "prediction");
         let [scene_layout, surface_layout, mask_layout] = bindings::layouts(gpu);
         let picture = wgpu::BindingResource::TextureView;
         let scene_group = bind_group(
@@ -72,7 +72,7 @@ impl PredictPass {
                 lighting.as_entire_binding(),
                 picture(&shadow_map.texture),
                 shadow_map.views.as_entire_binding(),
-                uniform.as_entire_binding(),
+                uniform.buffer().as_entire_binding(),
                 unknown.binding(),
             ],
         );
@@ -167,12 +167,12 @@ impl PredictPass {
             unknown,
             lights: u32::MAX.checked_shr(32 - self.lights.min(32)).unwrap_or(0),
         };
-        gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&prediction));
+        self.uniform.set(&gpu.queue, prediction);
         // Only prediction by surface reads the depth of the masks' views.
         if self.predictor == Predictor::Surface && layers[..count].iter().any(|layer| layer.same_view == 0) {
             self.layers.need_depth(gpu, encoder, (count, origin_m), &self.depth_pass, (history, upload));
         }
-        let mask_group = self.mask_group(&gpu.device);
+        let mask_group = self.layers.group(&gpu.device, &self.mask_layout, &self.nearest);
         self.unknown.clear(encoder);
         {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -184,7 +184,7 @@ impl PredictPass {
             pass.set_pipeline(&self.pipelines[usize::from(layered)]);
             pass.set_bind_group(0, &self.scene_group, &[]);
             pass.set_bind_group(1, &self.surface_groups[history.current()], &[]);
-            pass.set_bind_group(2, &mask_group, &[]);
+            pass.set_bind_group(2, mask_group, &[]);
             pass.draw(0..3, 0..1);
         }
         self.unknown.copy(encoder);
@@ -216,14 +216,6 @@ impl PredictPass {
             count += 1;
         }
         (layers, count)
-    }
-
-    fn mask_group(&self, device: &wgpu::Device) -> wgpu::BindGroup {
-        let picture = wgpu::BindingResource::TextureView;
-        let [words, coverage, depth] = self.layers.pictures();
-        let resources =
-            [picture(&words), picture(&coverage), picture(&depth), wgpu::BindingResource::Sampler(&self.nearest)];
-        bind_group(device, "prediction", &self.mask_layout, &resources)
     }
 }
 
