@@ -24,6 +24,7 @@
 //! | scene bytes in flight | [`SEND_WINDOW_BYTES`] | back-pressure |
 //! | scene fetches | [`MAX_SCENE_FETCHES`] | the session ends |
 //! | log lines of one place in the code | [`LOG_BURST`], [`LOG_LINES_PER_SECOND`] | suppressed; their number is logged |
+//! | a session that an operator ended | [`DISMISSED_FOR`] | not resumed, `cause="dismissed"` |
 //! | silence | [`WRITE_TIMEOUT`], [`SETUP_TIMEOUT`], [`SILENCE_TIMEOUT`], `idle_timeout_ms` | the session ends |
 
 use std::{num::NonZeroUsize, time::Duration};
@@ -105,6 +106,12 @@ pub const FINISH_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Delay suggested to refused clients.
 pub const RETRY_AFTER: Duration = Duration::from_secs(5);
+
+/// How long the client of a session that an operator ended is asked to stay away.
+pub const DISMISSED_FOR: Duration = Duration::from_secs(60);
+
+/// Ended sessions remembered for [`DISMISSED_FOR`]; more forget the oldest.
+pub const MAX_DISMISSED: usize = 1024;
 
 pub const MAX_TOKEN_FILE_BYTES: u64 = 1024 * 1024;
 

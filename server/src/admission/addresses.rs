@@ -31,26 +31,27 @@ impl AddressLimit {
 
     /// Returns `None` when the address is at its limit.
     pub(crate) fn acquire(self: &Arc<Self>, address: IpAddr) -> Option<AddressPermit> {
-        self.acquire_below(address, self.max)
-    }
-
-    /// Ignores the limit, for a resumed session: its lost connection soon releases a permit.
-    pub(crate) fn acquire_over_limit(self: &Arc<Self>, address: IpAddr) -> Option<AddressPermit> {
-        self.acquire_below(address, usize::MAX)
-    }
-
-    fn acquire_below(self: &Arc<Self>, address: IpAddr, max: usize) -> Option<AddressPermit> {
         if !self.loopback && address.to_canonical().is_loopback() {
             return Some(AddressPermit::default());
         }
         let owner = owner(address);
         let mut counts = self.counts.lock();
         let count = counts.entry(owner).or_default();
-        if *count >= max {
+        if *count >= self.max {
             return None;
         }
         *count += 1;
         Some(AddressPermit { counted: Some((Arc::clone(self), owner)) })
+    }
+}
+
+impl AddressPermit {
+    /// Returns whether a peer at `address` needs no other permit.
+    pub(crate) fn covers(&self, address: IpAddr) -> bool {
+        match &self.counted {
+            Some((_, counted)) => *counted == owner(address),
+            None => address.to_canonical().is_loopback(),
+        }
     }
 }
 
@@ -85,18 +86,18 @@ mod tests {
     fn each_address_is_limited() {
         let addresses = AddressLimit::new(2, false);
         let take = |text: &str| addresses.acquire(text.parse().unwrap());
-        let (first, _second) = (take("192.0.2.1").unwrap(), take("::ffff:192.0.2.1").unwrap());
+        let (first, second) = (take("192.0.2.1").unwrap(), take("::ffff:192.0.2.1").unwrap());
         assert!(take("192.0.2.1").is_none());
         let _other = take("192.0.2.2").unwrap();
         drop(first);
         let _third = take("192.0.2.1").unwrap();
-        let moved = addresses.acquire_over_limit("192.0.2.1".parse().unwrap());
-        assert!(moved.is_some() && take("192.0.2.1").is_none(), "a permit over the limit counts too");
-        drop(moved);
+        let covers = |address: &str| second.covers(address.parse().unwrap());
+        assert!(covers("192.0.2.1") && !covers("192.0.2.2") && !covers("127.0.0.1"));
         let _network = [take("2001:db8::1").unwrap(), take("2001:db8::2").unwrap()];
         assert!(take("2001:db8::3").is_none() && take("2001:db8:0:1::3").is_some());
         let many: Vec<_> = (0..9).filter_map(|_| take("127.0.0.1")).collect();
         assert_eq!(many.len(), 9, "loopback is exempt");
+        assert!(many[0].covers("::1".parse().unwrap()) && !many[0].covers("192.0.2.1".parse().unwrap()));
         assert!(AddressLimit::new(0, true).acquire("127.0.0.1".parse().unwrap()).is_none());
     }
 

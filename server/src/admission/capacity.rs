@@ -66,13 +66,14 @@ pub(crate) struct HostCapacity {
 
 #[derive(Debug, Default)]
 struct Reserved {
-    sessions: Vec<Arc<Entry>>,
+    sessions: Vec<Arc<Share>>,
     /// Mean cost per bit of a raw mask, over the sessions that have sent frames.
     per_bit: Cost,
 }
 
+/// What one session takes of the host.
 #[derive(Debug)]
-struct Entry {
+pub(crate) struct Share {
     bits: f64,
     requested_hz: f64,
     ledger: Arc<Ledger>,
@@ -91,7 +92,7 @@ struct Latest {
 #[derive(Debug)]
 pub(crate) struct Reservation {
     reserved: Arc<Mutex<Reserved>>,
-    entry: Arc<Entry>,
+    share: Arc<Share>,
 }
 
 impl HostCapacity {
@@ -103,19 +104,26 @@ impl HostCapacity {
     }
 
     /// Reserves room for a session of up to `rate_hz` masks a second. The first session always fits: it can disturb no
-    /// other. Errors if the cores or the network lack capacity.
-    pub(crate) fn reserve(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<Reservation, OverCapacity> {
+    /// other. `replaced` is the session that it resumes, which does not count. Errors if the cores or the network lack
+    /// capacity.
+    pub(crate) fn reserve(
+        &self,
+        shape: MaskShape,
+        rate_hz: Option<f64>,
+        replaced: Option<&Arc<Share>>,
+    ) -> Result<Reservation, OverCapacity> {
         let requested_hz = rate_hz.unwrap_or(LEAST_HZ);
         let latest = Latest { since: Instant::now(), frames: 0, rate_hz: requested_hz };
         let bits = as_f64(shape.pixels() as u64) * f64::from(shape.lights());
-        let entry = Arc::new(Entry { bits, requested_hz, ledger: Arc::default(), latest: Mutex::new(latest) });
+        let share = Arc::new(Share { bits, requested_hz, ledger: Arc::default(), latest: Mutex::new(latest) });
         let mut reserved = self.reserved.lock();
         reserved.update_cost();
         let per_bit = reserved.per_bit;
-        let used =
-            reserved.sessions.iter().map(|other| other.cost_per_second(per_bit)).fold(Cost::default(), Cost::plus);
-        let needed = entry.cost_per_second(per_bit);
-        if !reserved.sessions.is_empty() {
+        let mut others =
+            reserved.sessions.iter().filter(|other| replaced.is_none_or(|old| !Arc::ptr_eq(old, other))).peekable();
+        let needed = share.cost_per_second(per_bit);
+        if others.peek().is_some() {
+            let used = others.map(|other| other.cost_per_second(per_bit)).fold(Cost::default(), Cost::plus);
             let left_ms = (self.budget.core_ms - used.core_ms).max(0.0);
             if needed.core_ms > left_ms {
                 return Err(OverCapacity::Cores { needed_ms: needed.core_ms, left_ms });
@@ -125,9 +133,9 @@ impl HostCapacity {
                 return Err(OverCapacity::Network { needed_mbit: needed.mbit, left_mbit });
             }
         }
-        reserved.sessions.push(Arc::clone(&entry));
+        reserved.sessions.push(Arc::clone(&share));
         drop(reserved);
-        Ok(Reservation { reserved: Arc::clone(&self.reserved), entry })
+        Ok(Reservation { reserved: Arc::clone(&self.reserved), share })
     }
 }
 
@@ -143,7 +151,7 @@ impl Reserved {
     }
 }
 
-impl Entry {
+impl Share {
     /// Mean cost of a frame, once enough frames were sent.
     fn frame_cost(&self) -> Option<Cost> {
         let (encoded, sent) = (self.ledger.frames_encoded.get(), self.ledger.frames_sent.get());
@@ -179,7 +187,11 @@ impl Cost {
 
 impl Reservation {
     pub(crate) fn ledger(&self) -> Arc<Ledger> {
-        Arc::clone(&self.entry.ledger)
+        Arc::clone(&self.share.ledger)
+    }
+
+    pub(crate) fn share(&self) -> Arc<Share> {
+        Arc::clone(&self.share)
     }
 }
 
@@ -188,7 +200,7 @@ impl Drop for Reservation {
         let mut reserved = self.reserved.lock();
         // Its measured cost remains after it ends.
         reserved.update_cost();
-        reserved.sessions.retain(|entry| !Arc::ptr_eq(entry, &self.entry));
+        reserved.sessions.retain(|entry| !Arc::ptr_eq(entry, &self.share));
     }
 }
 
@@ -219,10 +231,10 @@ mod tests {
     fn sessions_fit_until_the_cores_are_spent_and_again_when_one_ends() {
         let capacity = capacity(500, None);
         // Costs are unknown until the first session has sent frames.
-        let mut sessions = vec![capacity.reserve(shape(), Some(60.0)).unwrap()];
+        let mut sessions = vec![capacity.reserve(shape(), Some(60.0), None).unwrap()];
         work(&sessions[0]);
         let refused = loop {
-            match capacity.reserve(shape(), Some(60.0)) {
+            match capacity.reserve(shape(), Some(60.0), None) {
                 Ok(reservation) => sessions.push(reservation),
                 Err(refused) => break refused,
             }
@@ -232,38 +244,38 @@ mod tests {
         let text = refused.to_string();
         assert!(text.contains("need 120.0 ms of the cores") && text.contains("20.0 are left"), "{text}");
         // A smaller mask fits, and so does a session without a rate.
-        let small = capacity.reserve(MaskShape::new(64, 36, 4).unwrap(), Some(60.0)).unwrap();
-        let greedy = capacity.reserve(shape(), None).unwrap();
+        let small = capacity.reserve(MaskShape::new(64, 36, 4).unwrap(), Some(60.0), None).unwrap();
+        let greedy = capacity.reserve(shape(), None, None).unwrap();
         drop((small, greedy, sessions.pop()));
-        sessions.push(capacity.reserve(shape(), Some(60.0)).unwrap());
+        sessions.push(capacity.reserve(shape(), Some(60.0), None).unwrap());
         // The measured cost remains after all sessions end.
         sessions.clear();
-        let _first = capacity.reserve(shape(), Some(240.0)).unwrap();
-        assert!(capacity.reserve(shape(), Some(60.0)).is_err());
+        let _first = capacity.reserve(shape(), Some(240.0), None).unwrap();
+        assert!(capacity.reserve(shape(), Some(60.0), None).is_err());
     }
 
     #[test]
     fn the_network_is_a_budget_of_its_own() {
         let capacity = capacity(1_000_000, Some(30));
-        let first = capacity.reserve(shape(), Some(60.0)).unwrap();
+        let first = capacity.reserve(shape(), Some(60.0), None).unwrap();
         work(&first);
         // 12 Mbit/s each.
-        let _second = capacity.reserve(shape(), Some(60.0)).unwrap();
-        let refused = capacity.reserve(shape(), Some(60.0)).unwrap_err();
+        let _second = capacity.reserve(shape(), Some(60.0), None).unwrap();
+        let refused = capacity.reserve(shape(), Some(60.0), None).unwrap_err();
         assert!(refused.to_string().contains("need 12.0 Mbit/s, and 6.0 are left"), "{refused}");
     }
 
     #[test]
     fn an_idle_session_counts_with_a_tenth_of_its_rate() {
         let capacity = capacity(200, None);
-        let idle = capacity.reserve(shape(), Some(60.0)).unwrap();
+        let idle = capacity.reserve(shape(), Some(60.0), None).unwrap();
         work(&idle);
-        assert!(capacity.reserve(shape(), Some(60.0)).is_err());
+        assert!(capacity.reserve(shape(), Some(60.0), None).is_err());
         {
-            let mut latest = idle.entry.latest.lock();
+            let mut latest = idle.share.latest.lock();
             latest.since = Instant::now().checked_sub(WINDOW * 2).unwrap();
             latest.frames = 10;
         }
-        assert!(capacity.reserve(shape(), Some(60.0)).is_ok());
+        assert!(capacity.reserve(shape(), Some(60.0), None).is_ok());
     }
 }

@@ -1,6 +1,6 @@
 //! The handshake: Hello in, Welcome or a refusal out. No part of the scene is sent before it succeeds.
 
-use std::net::SocketAddr;
+use std::{net::SocketAddr, sync::Arc};
 
 use gnomon_protocol::{
     PROTOCOL_VERSION,
@@ -14,11 +14,14 @@ use thiserror::Error;
 use tokio::time::timeout;
 
 use super::{
-    addresses::AddressPermit,
     capacity::Reservation,
-    permit::SessionPermit,
+    permit::{Holding, ResumeClaim, SessionPermit},
     services::Services,
-    tokens::{scope::Scope, store::TokenRejection},
+    tokens::{
+        file::{Digest, sha256},
+        grant::Grant,
+        store::TokenRejection,
+    },
 };
 use crate::{
     limits::LINGER,
@@ -36,8 +39,29 @@ pub(crate) struct AdmittedClient {
     pub(crate) coding: Coding,
     /// Name of the client program.
     pub(crate) client: String,
-    pub(crate) address: AddressPermit,
     pub(crate) reservation: Reservation,
+    /// Its token; `None` on a server without tokens.
+    pub(crate) grant: Option<Grant>,
+}
+
+impl AdmittedClient {
+    /// Spends the token and ends the session that this one resumes. Until then a failure leaves both as they were.
+    fn take_over(&mut self) {
+        if let Some(grant) = &mut self.grant {
+            grant.keep();
+        }
+        self.permit.take_over();
+    }
+}
+
+type Refused = (RefusalCause, Refusal);
+
+/// A client whose Hello is read, and the session that it alone may resume now.
+#[derive(Debug)]
+struct Applicant {
+    hello: Hello,
+    token: Option<Digest>,
+    claim: Option<ResumeClaim>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -65,11 +89,11 @@ pub(crate) enum HandshakeError {
 /// Reads and answers the Hello. The caller limits the time. Errors if the client is refused (and told) or disconnects.
 pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<AdmittedClient, HandshakeError> {
     let admitted = match read_hello(&mut link.reader).await? {
-        Ok(hello) => admit(hello, link.peer, services),
+        Ok(hello) => apply(hello, services).and_then(|applicant| decide(applicant, link.peer, services)),
         Err(refusal) => Err((RefusalCause::Unsupported, refusal)),
     };
     match admitted {
-        Ok(admitted) => {
+        Ok(mut admitted) => {
             let welcome = Welcome {
                 session: admitted.permit.id,
                 scene_digest: services.scene.digest,
@@ -80,6 +104,7 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
                 resume: admitted.permit.resume,
             };
             link.writer.write(&ServerMessage::Welcome(welcome)).await?;
+            admitted.take_over();
             Ok(admitted)
         }
         Err((cause, refusal)) => {
@@ -124,21 +149,22 @@ fn peek_version(bytes: &[u8]) -> Option<u16> {
     None
 }
 
-fn admit(hello: Hello, peer: SocketAddr, services: &Services) -> Result<AdmittedClient, (RefusalCause, Refusal)> {
+/// Claims the session that the Hello resumes, before anything is decided. Errors if an operator has ended it.
+fn apply(hello: Hello, services: &Services) -> Result<Applicant, Refused> {
+    let token = services.tokens.as_ref().and(hello.token.as_deref()).map(|token| sha256(token.as_bytes()));
+    let claim = services.permits.claim(hello.resume, token).map_err(|refusal| (RefusalCause::Dismissed, refusal))?;
+    Ok(Applicant { hello, token, claim })
+}
+
+/// Grants all that a session needs, or nothing.
+fn decide(applicant: Applicant, peer: SocketAddr, services: &Services) -> Result<AdmittedClient, Refused> {
+    let Applicant { hello, token, claim } = applicant;
+    let old = claim.as_ref().map(|claim| Arc::clone(&claim.holding));
     // First, so that a stranger learns nothing, not even whether the server is full.
-    let token = hello.token.as_deref();
-    let refuse = |problem: TokenRejection| {
-        tracing::info!(%problem, "token refused");
-        (RefusalCause::Token, Refusal::Token)
+    let grant = match &services.tokens {
+        Some(tokens) => Some(tokens.claim(hello.token.as_deref(), claim.is_some()).map_err(token_refused)?),
+        None => None,
     };
-    let resumes = hello.resume.is_some_and(|secret| services.permits.contains(secret));
-    if let Some(tokens) = &services.tokens {
-        match tokens.check(token, Scope::Session) {
-            // This client spent it on the session that it resumes.
-            Err(TokenRejection::Spent) if resumes => {}
-            checked => checked.map_err(refuse)?,
-        }
-    }
     let shape = MaskShape::new(hello.width, hello.height, services.scene.lights)
         .map_err(|error| (RefusalCause::Unsupported, Refusal::Unsupported(error.to_string())))?;
     if hello.wrong_ppm > MAX_WRONG_PPM {
@@ -146,29 +172,39 @@ fn admit(hello: Hello, peer: SocketAddr, services: &Services) -> Result<Admitted
         return Err((RefusalCause::Unsupported, Refusal::Unsupported(reason)));
     }
     let coding = Coding { codec: hello.codec, wrong_ppm: hello.wrong_ppm };
-    // The resumed session soon releases its address permit.
-    let addresses = &services.addresses;
-    let address = if resumes { addresses.acquire_over_limit(peer.ip()) } else { addresses.acquire(peer.ip()) };
-    let address = address.ok_or_else(|| (RefusalCause::Address, services.permits.full()))?;
-    let permit = services.permits.acquire(hello.resume).map_err(|refusal| {
+    // A client that comes back from the same address needs no second permit.
+    let address = match old.as_ref().filter(|old| old.address.covers(peer.ip())) {
+        Some(old) => Arc::clone(&old.address),
+        None => services
+            .addresses
+            .acquire(peer.ip())
+            .map(Arc::new)
+            .ok_or_else(|| (RefusalCause::Address, services.permits.full()))?,
+    };
+    let place = services.permits.place(claim.as_ref()).map_err(|refusal| {
         let draining = refusal == Refusal::Draining;
         (if draining { RefusalCause::Draining } else { RefusalCause::Full }, refusal)
     })?;
     let rate_hz = (hello.rate_hz > 0).then(|| f64::from(hello.rate_hz));
-    let port = services.engine.open(shape, rate_hz).map_err(|error| match error {
+    let replaced = old.as_ref().map(|old| &old.costs);
+    let port = services.engine.open_instead(shape, rate_hz, replaced).map_err(|error| match error {
         OpenError::Full(_) | OpenError::Busy => (RefusalCause::Full, services.permits.full()),
         OpenError::Overload(reason) => (RefusalCause::Budget, services.permits.busy(shortened(&reason.to_string()))),
         _ => (RefusalCause::Unsupported, Refusal::Unsupported(shortened(&error.to_string()))),
     })?;
     let reservation = services
         .capacity
-        .reserve(shape, rate_hz)
+        .reserve(shape, rate_hz, old.as_ref().map(|old| &old.share))
         .map_err(|reason| (RefusalCause::Budget, services.permits.busy(reason.to_string())))?;
-    // Last, so that a refused client does not spend its single-use token.
-    if let Some(tokens) = services.tokens.as_ref().filter(|_| !resumes) {
-        tokens.admit(token, Scope::Session).map_err(refuse)?;
-    }
-    Ok(AdmittedClient { permit, port, shape, coding, client: hello.client, address, reservation })
+    let holding = Holding { token, address, costs: Arc::clone(&port.costs), share: reservation.share() };
+    let permit =
+        services.permits.register(place, holding, claim).map_err(|refusal| (RefusalCause::Full, refusal))?;
+    Ok(AdmittedClient { permit, port, shape, coding, client: hello.client, reservation, grant })
+}
+
+fn token_refused(problem: TokenRejection) -> Refused {
+    tracing::info!(%problem, "token refused");
+    (RefusalCause::Token, Refusal::Token)
 }
 
 /// Cuts a text to [`MAX_TEXT_BYTES`] at a character boundary.
@@ -178,37 +214,4 @@ fn shortened(text: &str) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_version_of_any_hello_can_be_read() {
-        for version in [0, 1, 127, 128, 16_383, 16_384, u16::MAX] {
-            let hello = Hello {
-                version,
-                token: Some("t".into()),
-                client: "test".into(),
-                width: 1,
-                height: 1,
-                codec: CodecId::PlanesLz4,
-                rate_hz: 60,
-                wrong_ppm: 0,
-                resume: None,
-            };
-            let bytes = message::encode(&ClientMessage::Hello(hello)).unwrap();
-            assert_eq!(peek_version(&bytes[4..]), Some(version));
-        }
-        let start = message::encode(&ClientMessage::Start).unwrap();
-        for bytes in [&[][..], &[0], &[0, 0x80], &[0, 0xff, 0xff, 0xff, 0], &start[4..]] {
-            assert_eq!(peek_version(bytes), None, "{bytes:?}");
-        }
-    }
-
-    #[test]
-    fn texts_are_cut_between_characters() {
-        let text = "é".repeat(MAX_TEXT_BYTES);
-        assert_eq!(shortened(&text).len(), MAX_TEXT_BYTES);
-        assert_eq!(shortened(&format!("a{text}")).len(), MAX_TEXT_BYTES - 1);
-        assert_eq!(shortened("short"), "short");
-    }
-}
+mod tests;

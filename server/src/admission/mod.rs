@@ -2,6 +2,7 @@
 
 pub(crate) mod addresses;
 pub(crate) mod capacity;
+pub(crate) mod end_reason;
 pub(crate) mod handshake;
 pub(crate) mod permit;
 pub(crate) mod services;

@@ -1,11 +1,17 @@
 //! Session permits: a fixed number, and none while draining. A client that resumes a session takes over its permit.
+//!
+//! Resuming has three steps, so that nothing is decided twice. [`SessionPermits::claim`] reserves the session for one
+//! client; everybody else who names it is a new client meanwhile. Admission then judges the claimant as if the old
+//! session were gone ([`Holding`]). [`SessionPermit::take_over`] ends the old session at last. A claim that is dropped
+//! before leaves the old session as it was.
 
 use std::{
-    collections::HashMap,
+    collections::{HashMap, VecDeque},
     sync::{
         Arc, Weak,
         atomic::{AtomicU64, Ordering},
     },
+    time::{Duration, Instant},
 };
 
 use gnomon_protocol::{
@@ -14,32 +20,67 @@ use gnomon_protocol::{
 };
 use parking_lot::Mutex;
 use rustls::crypto::SecureRandom;
-use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
+use tokio::sync::watch;
 
-use crate::limits::RETRY_AFTER;
+use super::{addresses::AddressPermit, capacity::Share, end_reason::EndReason, tokens::file::Digest};
+use crate::{
+    limits::{DISMISSED_FOR, MAX_DISMISSED, RETRY_AFTER},
+    visibility::schedule::costs::SessionCosts,
+};
+
+/// What a session was granted. Whoever resumes it is judged without it.
+#[derive(Debug)]
+pub(crate) struct Holding {
+    /// SHA-256 of the token that admitted it; `None` on a server without tokens.
+    pub(crate) token: Option<Digest>,
+    pub(crate) address: Arc<AddressPermit>,
+    /// Its need of device time.
+    pub(crate) costs: Arc<SessionCosts>,
+    /// Its need of cores, network and memory.
+    pub(crate) share: Arc<Share>,
+}
 
 #[derive(Debug)]
 pub(crate) struct SessionPermits {
-    free: Arc<Semaphore>,
     capacity: usize,
     next_id: AtomicU64,
     random: &'static dyn SecureRandom,
-    sessions: Arc<Mutex<Sessions>>,
+    state: Arc<Mutex<State>>,
 }
 
-/// Admitted sessions by resume token.
-type Sessions = HashMap<ResumeToken, Entry>;
+#[derive(Debug, Default)]
+struct State {
+    draining: bool,
+    places_taken: usize,
+    /// Admitted sessions by resume token.
+    sessions: HashMap<ResumeToken, Entry>,
+    /// Resume tokens of sessions that an operator ended, oldest first.
+    dismissed: VecDeque<(ResumeToken, Instant)>,
+}
 
 #[derive(Debug)]
 struct Entry {
+    id: SessionId,
     place: Weak<Place>,
-    superseded: Arc<Notify>,
+    holding: Arc<Holding>,
+    /// A client is about to resume it.
+    claimed: bool,
+    ended: watch::Sender<Option<EndReason>>,
 }
 
 /// Two sessions share one while a client moves from a lost connection to a new one.
 #[derive(Debug)]
-struct Place {
-    _permit: OwnedSemaphorePermit,
+pub(crate) struct Place {
+    state: Arc<Mutex<State>>,
+}
+
+/// The right to resume a session. One client has it at a time.
+#[derive(Debug)]
+pub(crate) struct ResumeClaim {
+    pub(crate) holding: Arc<Holding>,
+    token: ResumeToken,
+    place: Arc<Place>,
+    state: Arc<Mutex<State>>,
 }
 
 /// Lets one session run. Dropping it makes room for another.
@@ -48,61 +89,106 @@ pub(crate) struct SessionPermit {
     pub(crate) id: SessionId,
     /// Secret that lets the client resume the session.
     pub(crate) resume: ResumeToken,
-    superseded: Arc<Notify>,
+    ended: watch::Receiver<Option<EndReason>>,
+    /// The session that it is to replace.
+    replaces: Option<ResumeClaim>,
+    _holding: Arc<Holding>,
     _place: Arc<Place>,
-    sessions: Arc<Mutex<Sessions>>,
+    state: Arc<Mutex<State>>,
 }
 
 impl SessionPermits {
     pub(crate) fn new(capacity: usize) -> Self {
         Self {
-            free: Arc::new(Semaphore::new(capacity)),
             capacity,
             next_id: AtomicU64::new(1),
             random: rustls::crypto::ring::default_provider().secure_random,
-            sessions: Arc::default(),
+            state: Arc::default(),
         }
     }
 
-    /// Takes over the permit of the session that `resume` names, which then ends, or takes a free one. Errors:
-    /// [`Refusal::Full`] if none is free, [`Refusal::Draining`] after [`Self::close`].
-    pub(crate) fn acquire(&self, resume: Option<ResumeToken>) -> Result<SessionPermit, Refusal> {
-        if self.free.is_closed() {
+    /// Claims the session that `resume` names, if it was admitted with the same token and nobody else claims it.
+    /// Errors if an operator has ended it.
+    pub(crate) fn claim(
+        &self,
+        resume: Option<ResumeToken>,
+        token: Option<Digest>,
+    ) -> Result<Option<ResumeClaim>, Refusal> {
+        let Some(resume) = resume else { return Ok(None) };
+        let mut state = self.state.lock();
+        if let Some(left) = state.dismissed_for(resume, Instant::now()) {
+            let retry_after_ms = u32::try_from(left.as_millis()).unwrap_or(u32::MAX);
+            return Err(Refusal::Busy { reason: EndReason::Operator.to_string(), retry_after_ms });
+        }
+        let Some(entry) = state.sessions.get_mut(&resume) else { return Ok(None) };
+        if entry.claimed || entry.holding.token != token {
+            return Ok(None);
+        }
+        let Some(place) = entry.place.upgrade() else { return Ok(None) };
+        entry.claimed = true;
+        let holding = Arc::clone(&entry.holding);
+        drop(state);
+        Ok(Some(ResumeClaim { holding, token: resume, place, state: Arc::clone(&self.state) }))
+    }
+
+    /// Returns the place of the claimed session, or takes a free one. Errors: [`Refusal::Full`] if none is free,
+    /// [`Refusal::Draining`] after [`Self::close`].
+    pub(crate) fn place(&self, claim: Option<&ResumeClaim>) -> Result<Arc<Place>, Refusal> {
+        let mut state = self.state.lock();
+        if state.draining {
             return Err(Refusal::Draining);
         }
-        let place = match resume.and_then(|token| self.take_over(token)) {
-            Some(place) => place,
-            None => match Arc::clone(&self.free).try_acquire_owned() {
-                Ok(permit) => Arc::new(Place { _permit: permit }),
-                Err(tokio::sync::TryAcquireError::Closed) => return Err(Refusal::Draining),
-                Err(tokio::sync::TryAcquireError::NoPermits) => return Err(self.full()),
-            },
-        };
-        let mut token = ResumeToken([0; 16]);
+        if let Some(claim) = claim {
+            return Ok(Arc::clone(&claim.place));
+        }
+        if state.places_taken >= self.capacity {
+            return Err(self.full());
+        }
+        state.places_taken += 1;
+        Ok(Arc::new(Place { state: Arc::clone(&self.state) }))
+    }
+
+    /// Registers a session with all that it was granted. The session of `replaces` lives on until
+    /// [`SessionPermit::take_over`]. Errors if the system has no random numbers.
+    pub(crate) fn register(
+        &self,
+        place: Arc<Place>,
+        holding: Holding,
+        replaces: Option<ResumeClaim>,
+    ) -> Result<SessionPermit, Refusal> {
+        let mut resume = ResumeToken([0; 16]);
         // Does not fail where TLS works.
-        self.random.fill(&mut token.0).map_err(|_| self.full())?;
-        let superseded = Arc::new(Notify::new());
-        let entry = Entry { place: Arc::downgrade(&place), superseded: Arc::clone(&superseded) };
-        self.sessions.lock().insert(token, entry);
-        Ok(SessionPermit {
-            id: SessionId(self.next_id.fetch_add(1, Ordering::Relaxed)),
-            resume: token,
-            superseded,
-            _place: place,
-            sessions: Arc::clone(&self.sessions),
-        })
+        self.random.fill(&mut resume.0).map_err(|_| self.full())?;
+        let id = SessionId(self.next_id.fetch_add(1, Ordering::Relaxed));
+        let (sender, ended) = watch::channel(None);
+        let holding = Arc::new(holding);
+        let entry = Entry {
+            id,
+            place: Arc::downgrade(&place),
+            holding: Arc::clone(&holding),
+            claimed: false,
+            ended: sender,
+        };
+        self.state.lock().sessions.insert(resume, entry);
+        let state = Arc::clone(&self.state);
+        Ok(SessionPermit { id, resume, ended, replaces, _holding: holding, _place: place, state })
     }
 
-    /// Returns whether a session has this resume token.
-    pub(crate) fn contains(&self, token: ResumeToken) -> bool {
-        self.sessions.lock().contains_key(&token)
-    }
-
-    /// Ends the session with this resume token and returns its place.
-    fn take_over(&self, token: ResumeToken) -> Option<Arc<Place>> {
-        let entry = self.sessions.lock().remove(&token)?;
-        entry.superseded.notify_one();
-        entry.place.upgrade()
+    /// Ends a session and tells its client the reason. Returns whether there was one with this id.
+    pub(crate) fn end(&self, id: SessionId, reason: EndReason) -> bool {
+        let mut state = self.state.lock();
+        let Some(token) = state.sessions.iter().find(|(_, entry)| entry.id == id).map(|(token, _)| *token) else {
+            return false;
+        };
+        let entry = state.sessions.remove(&token);
+        if reason == EndReason::Operator {
+            state.dismiss(token, Instant::now());
+        }
+        drop(state);
+        if let Some(entry) = entry {
+            entry.ended.send_replace(Some(reason));
+        }
+        true
     }
 
     pub(crate) fn full(&self) -> Refusal {
@@ -119,64 +205,83 @@ impl SessionPermits {
 
     /// Refuses every client from now on. Permits in use stay valid.
     pub(crate) fn close(&self) {
-        self.free.close();
+        self.state.lock().draining = true;
     }
 
     pub(crate) fn in_use(&self) -> usize {
-        self.capacity - self.free.available_permits()
+        self.state.lock().places_taken
+    }
+}
+
+impl State {
+    fn dismiss(&mut self, token: ResumeToken, now: Instant) {
+        self.dismissed.push_back((token, now));
+        while self.dismissed.len() > MAX_DISMISSED {
+            self.dismissed.pop_front();
+        }
+    }
+
+    /// How long the client of an ended session is still asked to stay away.
+    fn dismissed_for(&mut self, token: ResumeToken, now: Instant) -> Option<Duration> {
+        let left = |at: Instant| DISMISSED_FOR.checked_sub(now.saturating_duration_since(at));
+        while self.dismissed.front().is_some_and(|(_, at)| left(*at).is_none()) {
+            self.dismissed.pop_front();
+        }
+        self.dismissed.iter().find(|(other, _)| *other == token).and_then(|(_, at)| left(*at))
     }
 }
 
 impl SessionPermit {
-    /// Waits until the client resumes this session on another connection.
-    pub(crate) async fn superseded(&self) {
-        self.superseded.notified().await;
+    /// Ends the session that this one replaces, if any. Call it when nothing can refuse this one any more.
+    pub(crate) fn take_over(&mut self) {
+        let Some(claim) = self.replaces.take() else { return };
+        let mut state = self.state.lock();
+        let old = state.sessions.remove(&claim.token);
+        // If an operator ended the old session meanwhile, that holds for the new one.
+        let dismissed = old.is_none() && state.dismissed_for(claim.token, Instant::now()).is_some();
+        let ours = if dismissed { state.sessions.remove(&self.resume) } else { None };
+        if dismissed {
+            state.dismiss(self.resume, Instant::now());
+        }
+        drop(state);
+        for (entry, reason) in [(old, EndReason::Superseded), (ours, EndReason::Operator)] {
+            if let Some(entry) = entry {
+                entry.ended.send_replace(Some(reason));
+            }
+        }
+    }
+
+    /// Waits until the session is ended from outside.
+    pub(crate) async fn ended(&mut self) -> EndReason {
+        // The sender is dropped without a reason only when `self` is.
+        let reason = self.ended.wait_for(Option::is_some).await.ok().and_then(|reason| *reason);
+        match reason {
+            Some(reason) => reason,
+            None => std::future::pending().await,
+        }
     }
 }
 
 impl Drop for SessionPermit {
     fn drop(&mut self) {
-        self.sessions.lock().remove(&self.resume);
+        let entry = self.state.lock().sessions.remove(&self.resume);
+        drop(entry);
+    }
+}
+
+impl Drop for ResumeClaim {
+    fn drop(&mut self) {
+        if let Some(entry) = self.state.lock().sessions.get_mut(&self.token) {
+            entry.claimed = false;
+        }
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.state.lock().places_taken -= 1;
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_dropped_permit_is_free_again() {
-        let permits = SessionPermits::new(2);
-        let (first, second) = (permits.acquire(None).unwrap(), permits.acquire(None).unwrap());
-        assert_ne!(first.id, second.id);
-        assert_eq!(permits.acquire(None).unwrap_err(), Refusal::Full { sessions: 2, retry_after_ms: 5000 });
-        assert_eq!(permits.in_use(), 2);
-        drop(first);
-        assert_eq!(permits.in_use(), 1);
-        let third = permits.acquire(None).unwrap();
-        assert_ne!(third.id, second.id);
-        permits.close();
-        drop(third);
-        assert_eq!(permits.acquire(None).unwrap_err(), Refusal::Draining);
-        assert_eq!(permits.in_use(), 1, "an admitted session keeps its permit");
-    }
-
-    #[tokio::test]
-    async fn a_resume_token_takes_its_session_over_once() {
-        let permits = SessionPermits::new(1);
-        let lost = permits.acquire(None).unwrap();
-        let stranger = Some(ResumeToken([1; 16]));
-        assert!(matches!(permits.acquire(stranger), Err(Refusal::Full { .. })));
-        let token = lost.resume;
-        let back = permits.acquire(Some(token)).unwrap();
-        lost.superseded().await;
-        assert!(back.resume != token && back.id != lost.id);
-        assert_eq!(permits.in_use(), 1);
-        assert!(matches!(permits.acquire(Some(token)), Err(Refusal::Full { .. })), "a resume token works once");
-        drop(lost);
-        assert_eq!(permits.in_use(), 1, "the permit is the new session's");
-        drop(back);
-        assert_eq!(permits.in_use(), 0);
-        assert!(permits.sessions.lock().is_empty());
-    }
-}
+mod tests;

@@ -2,10 +2,11 @@
 
 use std::{net::SocketAddr, sync::Arc, time::Duration};
 
+use gnomon_protocol::ids::SessionId;
 use tokio::{sync::watch, time::timeout};
 
 use crate::{
-    admission::services::Services,
+    admission::{end_reason::EndReason, services::Services},
     limits,
     net::{certificate::Certificates, endpoint::Endpoint},
     operate::{
@@ -67,6 +68,12 @@ impl RunningServer {
         self.services.permits.in_use()
     }
 
+    /// Ends the session with this id, as named in the logs and in `/sessions`, and tells its client that the operator
+    /// ended it. Returns whether there was one.
+    pub fn end_session(&self, id: u64) -> bool {
+        self.services.permits.end(SessionId(id), EndReason::Operator)
+    }
+
     #[must_use]
     pub fn lights(&self) -> u32 {
         self.services.scene.lights
@@ -82,7 +89,8 @@ impl RunningServer {
         self.admin.as_ref().map(Admin::local_addr)
     }
 
-    /// Reloads the token file and the certificate. Open sessions stay. An unusable file is logged and changes nothing.
+    /// Reloads the token file and the certificate. Sessions end whose token was withdrawn. An unusable file is logged
+    /// and changes nothing.
     pub fn reload(&self) {
         if let Some(tokens) = &self.services.tokens {
             let outcome = &self.status.reloads.tokens;

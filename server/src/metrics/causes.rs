@@ -35,6 +35,8 @@ causes! {
         Silent = "silent",
         /// Too many handshakes under way.
         Handshakes = "handshakes",
+        /// An operator has ended its session.
+        Dismissed = "dismissed",
     }
 }
 
@@ -47,5 +49,9 @@ causes! {
         Violation = "violation",
         Failed = "failed",
         Stopping = "stopping",
+        /// The operator ended it.
+        Operator = "operator",
+        /// Its token was withdrawn, or expired.
+        Token = "token",
     }
 }

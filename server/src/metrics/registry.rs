@@ -209,16 +209,16 @@ mod tests {
         ledger.frames_sent.add(2);
         ledger.stages.encode.record_ms(2.0);
         let open = metrics.snapshot();
-        assert_eq!((open.open, open.opened, open.closed), (1, 1, [0; 5]));
+        assert_eq!((open.open, open.opened, open.closed), (1, 1, [0; EndCause::LABELS.len()]));
         assert_eq!(metrics.list().len(), 1);
         registration.set_cause(EndCause::Left);
         drop(registration);
         let closed = metrics.snapshot();
-        assert_eq!((closed.open, closed.opened, closed.closed), (0, 1, [1, 0, 0, 0, 0]));
+        assert_eq!((closed.open, closed.opened, closed.closed), (0, 1, [1, 0, 0, 0, 0, 0, 0]));
         let expected = Totals { frames_abandoned: 1, ..open.sum.totals };
         assert_eq!((closed.sum.totals, closed.sum.stages), (expected, open.sum.stages));
         // Without a cause it counts as failed.
         drop(metrics.register(about(8), Arc::default(), Closer::none()));
-        assert_eq!(metrics.snapshot().closed, [1, 0, 0, 1, 0]);
+        assert_eq!(metrics.snapshot().closed, [1, 0, 0, 1, 0, 0, 0]);
     }
 }

@@ -1,9 +1,11 @@
 //! How a session ends.
 
+use std::borrow::Cow;
+
 use tokio::task::JoinError;
 
 use super::driver::DriveError;
-use crate::{metrics::causes::EndCause, net::link::CloseCode};
+use crate::{admission::end_reason::EndReason, metrics::causes::EndCause, net::link::CloseCode};
 
 #[derive(Debug)]
 pub(super) enum End {
@@ -13,9 +15,18 @@ pub(super) enum End {
     Lost(String),
     Violation(String),
     Failed(String),
+    /// From outside, for a reason that the client is told.
+    Ended(EndReason),
 }
 
 impl End {
+    pub(super) fn by(reason: EndReason) -> Self {
+        match reason {
+            EndReason::Superseded => Self::Lost(reason.to_string()),
+            reason => Self::Ended(reason),
+        }
+    }
+
     pub(super) fn of_stream(ended: Result<Result<(), DriveError>, JoinError>) -> Self {
         match ended {
             // Frames end without an error only if the server stops.
@@ -34,6 +45,7 @@ impl End {
             Self::Left | Self::Stopping | Self::Lost(_) => CloseCode::Done,
             Self::Violation(_) => CloseCode::Violation,
             Self::Failed(_) => CloseCode::Internal,
+            Self::Ended(_) => CloseCode::Ended,
         }
     }
 
@@ -44,14 +56,17 @@ impl End {
             Self::Lost(_) => EndCause::Lost,
             Self::Violation(_) => EndCause::Violation,
             Self::Failed(_) => EndCause::Failed,
+            Self::Ended(EndReason::TokenWithdrawn | EndReason::TokenExpired) => EndCause::Token,
+            Self::Ended(EndReason::Operator | EndReason::Superseded) => EndCause::Operator,
         }
     }
 
-    pub(super) fn reason(&self) -> &str {
+    pub(super) fn reason(&self) -> Cow<'_, str> {
         match self {
-            Self::Left => "the client left",
-            Self::Stopping => "the server stops",
-            Self::Lost(reason) | Self::Violation(reason) | Self::Failed(reason) => reason,
+            Self::Left => "the client left".into(),
+            Self::Stopping => "the server stops".into(),
+            Self::Lost(reason) | Self::Violation(reason) | Self::Failed(reason) => reason.into(),
+            Self::Ended(reason) => reason.to_string().into(),
         }
     }
 }

@@ -7,7 +7,7 @@ use tokio::{task::JoinSet, time::timeout};
 
 use super::{control::Session, end::End, outbox::Outbox, stream::Stream};
 use crate::{
-    admission::{handshake::AdmittedClient, services::Services},
+    admission::{end_reason::EndReason, handshake::AdmittedClient, services::Services, tokens::grant::Grant},
     limits,
     metrics::registry::About,
     net::link::Link,
@@ -16,7 +16,7 @@ use crate::{
 /// Serves an admitted client until it leaves, is lost, or the server stops. Then releases its permits.
 pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Services>) {
     let started_at = Instant::now();
-    let AdmittedClient { permit, port, shape, coding, client, address, reservation } = admitted;
+    let AdmittedClient { mut permit, port, shape, coding, client, reservation, mut grant } = admitted;
     let codec = coding.codec;
     tracing::info!(client, width = shape.width(), height = shape.height(), %codec, "session started");
     let closer = link.data.closer();
@@ -41,7 +41,8 @@ pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Serv
     };
     let end = tokio::select! {
         end = session.converse() => end,
-        () = permit.superseded() => End::Lost("the client resumed on another connection".to_owned()),
+        reason = permit.ended() => End::by(reason),
+        reason = token_ended(&mut grant) => End::by(reason),
     };
     if matches!(end, End::Stopping) {
         session.finish_frames().await;
@@ -49,15 +50,23 @@ pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Serv
     // Its tasks must end before the ledger is closed below.
     session.stream_task.shutdown().await;
     if !matches!(end, End::Left | End::Lost(_)) {
-        session.outbox.notify(ServerMessage::Closing { reason: end.reason().to_owned() });
+        session.outbox.notify(ServerMessage::Closing { reason: end.reason().into_owned() });
         // Closing at once would overtake the message, so wait until the client has read it and left.
         session.outbox.finish(limits::LINGER).await;
         let _ = timeout(limits::LINGER, session.reader.drain()).await;
     }
-    closer.close(end.code(), end.reason());
+    closer.close(end.code(), &end.reason());
     registration.set_cause(end.cause());
     // Closes the ledger.
     drop(registration);
-    ledger.totals().log_end(&client, started_at.elapsed(), end.reason());
-    drop((permit, address, reservation));
+    ledger.totals().log_end(&client, started_at.elapsed(), &end.reason());
+    drop((permit, reservation, grant));
+}
+
+/// Waits until the session's token is withdrawn or expires.
+async fn token_ended(grant: &mut Option<Grant>) -> EndReason {
+    match grant {
+        Some(grant) => grant.ended().await,
+        None => std::future::pending().await,
+    }
 }

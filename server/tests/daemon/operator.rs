@@ -85,6 +85,38 @@ async fn the_admin_address_shows_the_servers_state() {
     drop(folder);
 }
 
+/// Waits for the server's last message, and returns its reason.
+async fn closing(client: &mut Native) -> String {
+    loop {
+        match client.control.receive().await {
+            Some(ServerMessage::Closing { reason }) => return reason,
+            Some(_) => {}
+            None => panic!("no reason"),
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_operator_ends_one_session_and_its_client_is_told() {
+    let rig = with_admin().await;
+    let folder = rig.folder.path();
+    let stays = Native::started(rig.address(), folder).await;
+    let mut goes = Native::connect(rig.address(), folder).await;
+    let welcome = goes.control.welcome(hello()).await;
+    goes.control.send(&ClientMessage::Start).await;
+    goes.frame(&mut Frames::new(), 0).await;
+    assert!(rig.server.end_session(welcome.session.0) && !rig.server.end_session(99));
+    assert_eq!(closing(&mut goes).await, "the operator ended this session");
+    rig.sessions(1).await;
+    assert_eq!(value(&page(&rig).await, "gnomon_sessions_closed_total{cause=\"operator\"}"), 1);
+    // Coming back at once is refused with a time to wait.
+    let mut back = Native::connect(rig.address(), folder).await;
+    back.control.send(&ClientMessage::Hello(Hello { resume: Some(welcome.resume), ..hello() })).await;
+    let Some(ServerMessage::Refused(refusal)) = back.control.receive().await else { panic!("admitted") };
+    assert!(refusal.retry_after().is_some() && refusal.to_string().contains("the operator"), "{refusal}");
+    stays.frame(&mut Frames::new(), 1).await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn every_datagram_and_every_frame_is_accounted_for() {
     let rig = with_admin().await;
@@ -170,24 +202,30 @@ async fn tokens_are_reloaded_and_a_single_use_token_admits_one_session() {
         let answer = client.control.receive().await;
         (matches!(answer, Some(ServerMessage::Welcome(_))), answer, client)
     };
-    let (admitted, _, early) = say(&first).await;
-    assert!(admitted && say(&once).await.0);
+    let (admitted, _, mut early) = say(&first).await;
+    let (only_once, _, mut spender) = say(&once).await;
+    assert!(admitted && only_once);
     for token in [&once, &second] {
         assert_eq!(say(token).await.1, Some(ServerMessage::Refused(Refusal::Token)));
     }
     write(rig.folder.path(), "no tokens\n");
     rig.server.reload();
     assert!(say(&first).await.0, "a file that cannot be used changes nothing");
-    write(rig.folder.path(), &(second_entry + &look_entry));
+    assert!(early.connection.close_reason().is_none());
+    write(rig.folder.path(), &(second_entry + &once_entry + &look_entry));
     rig.server.reload();
+    assert_eq!(closing(&mut early).await, "its token was withdrawn");
     assert!(say(&second).await.0 && !say(&first).await.0);
-    assert!(early.connection.close_reason().is_none(), "sessions that are open stay");
+    spender.control.send(&ClientMessage::Ping(7)).await;
+    assert_eq!(spender.control.receive().await, Some(ServerMessage::Pong(7)), "a spent token's session stays");
     // Once the file lists a token for it, the page requires one.
     let admin = rig.server.admin_addr().unwrap();
     assert_eq!(get(admin, "/metrics", "").await.0, 401);
     assert_eq!(get(admin, "/sessions", &format!("Authorization: Bearer {second}\r\n")).await.0, 401);
     let (status, found) = get(admin, "/metrics", &format!("Authorization: Bearer {look}\r\n")).await;
     assert_eq!((status, value(&found, "gnomon_refusals_total{cause=\"token\"}")), (200, 3), "{found}");
+    // Two sessions of `first` were open.
+    assert_eq!(value(&found, "gnomon_sessions_closed_total{cause=\"token\"}"), 2);
     assert_eq!(get(admin, "/ready", "").await.0, 200);
 }
 

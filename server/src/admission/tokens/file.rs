@@ -10,7 +10,7 @@ use super::{expiry, scope::Scope};
 use crate::{files, hex, limits};
 
 /// SHA-256 of a token.
-pub(super) type Digest = [u8; 32];
+pub(crate) type Digest = [u8; 32];
 
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -39,6 +39,7 @@ fn session_only() -> Vec<Scope> {
 
 #[derive(Debug, Clone)]
 pub(crate) struct Listed {
+    pub(super) name: String,
     pub(super) digest: Digest,
     pub(super) expires_unix_s: Option<i64>,
     pub(super) scopes: Vec<Scope>,
@@ -84,14 +85,14 @@ pub(crate) fn parse(path: &Path, bytes: Vec<u8>) -> Result<Vec<Listed>, TokenErr
         let expires = entry
             .expires
             .map(|at| expiry::from_toml(&at).ok_or_else(|| wrong("expires has a date, a time and an offset")));
-        Ok(Listed { digest, expires_unix_s: expires.transpose()?, scopes: entry.scopes, once: entry.once })
+        Ok(Listed { name: entry.name, digest, expires_unix_s: expires.transpose()?, scopes: entry.scopes, once: entry.once })
     };
     let listed: Vec<_> = file.token.into_iter().enumerate().map(check).collect::<Result<_, _>>()?;
     let usable = listed.iter().any(|token| token.scopes.contains(&Scope::Session));
     if usable { Ok(listed) } else { Err(TokenError::Empty(path.to_owned())) }
 }
 
-pub(super) fn sha256(bytes: &[u8]) -> Digest {
+pub(crate) fn sha256(bytes: &[u8]) -> Digest {
     let mut digest = Digest::default();
     digest.copy_from_slice(digest::digest(&digest::SHA256, bytes).as_ref());
     digest

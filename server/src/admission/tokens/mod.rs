@@ -9,11 +9,14 @@
 //! once = false                         # the default; true admits one session only
 //! ```
 //!
+//! A session ends when its token is withdrawn from the file or expires. One that resumes needs the same token.
+//!
 //! The file contains no token, so reading it lets nobody connect. A token is 256 random bits, too many to guess from an
 //! unsalted SHA-256. `sha256sum` makes the digest of an existing token; `gnomon-server token` makes both.
 
 mod expiry;
 pub(crate) mod file;
+pub(crate) mod grant;
 mod make;
 pub(crate) mod scope;
 pub(crate) mod store;

@@ -3,15 +3,18 @@
 use std::{
     collections::HashSet,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use parking_lot::Mutex;
 use subtle::ConstantTimeEq as _;
 use thiserror::Error;
+use tokio::sync::watch;
 
 use super::{
     expiry::unix_s,
     file::{self, Digest, Listed, TokenError, sha256},
+    grant::Grant,
     scope::Scope,
 };
 use crate::clock;
@@ -35,6 +38,8 @@ pub(crate) enum TokenRejection {
 pub(crate) struct TokenStore {
     path: PathBuf,
     state: Mutex<State>,
+    /// Counts reloads. Changes only while `state` is locked.
+    reloads: watch::Sender<u64>,
 }
 
 #[derive(Debug)]
@@ -48,16 +53,18 @@ impl TokenStore {
     /// Errors if the file cannot be read, an entry is malformed, or no token has the scope session.
     pub(crate) fn read(path: &Path) -> Result<Self, TokenError> {
         let state = Mutex::new(State { listed: file::read(path)?, spent: HashSet::new() });
-        Ok(Self { path: path.to_owned(), state })
+        Ok(Self { path: path.to_owned(), state, reloads: watch::Sender::new(0) })
     }
 
-    /// Rereads the file and returns the number of tokens in it. Open sessions stay. An unusable file changes nothing.
+    /// Rereads the file and returns the number of tokens in it. Sessions whose token is no longer listed end. An
+    /// unusable file changes nothing.
     /// Errors as [`Self::read`].
     pub(crate) fn reload(&self) -> Result<usize, TokenError> {
         let listed = file::read(&self.path)?;
         let mut state = self.state.lock();
         state.spent.retain(|digest| listed.iter().any(|token| token.digest == *digest));
         state.listed = listed;
+        self.reloads.send_modify(|reloads| *reloads += 1);
         Ok(state.listed.len())
     }
 
@@ -66,21 +73,56 @@ impl TokenStore {
         self.state.lock().listed.iter().any(|token| token.scopes.contains(&scope))
     }
 
-    /// Checks a token, and spends it if it is single-use. Errors if the token does not grant `scope` now.
+    /// Checks a token for one use, and spends it if it is single-use. Errors if it does not grant `scope` now.
     pub(crate) fn admit(&self, token: Option<&str>, scope: Scope) -> Result<(), TokenRejection> {
-        self.examine(token, scope, unix_s(clock::wall()), true)
-    }
-
-    /// As [`Self::admit`], without spending.
-    pub(crate) fn check(&self, token: Option<&str>, scope: Scope) -> Result<(), TokenRejection> {
-        self.examine(token, scope, unix_s(clock::wall()), false)
-    }
-
-    fn examine(&self, token: Option<&str>, scope: Scope, now_unix_s: i64, spend: bool) -> Result<(), TokenRejection> {
-        let digest = sha256(token.ok_or(TokenRejection::Missing)?.as_bytes());
         let mut state = self.state.lock();
+        let Listed { digest, once, .. } = *state.examine(token, scope, unix_s(clock::wall()))?;
+        if once && !state.spent.insert(digest) { Err(TokenRejection::Spent) } else { Ok(()) }
+    }
+
+    /// Checks a session's token, and spends it if it is single-use, in one step. The grant gives it back unless it is
+    /// kept. `resumes`: the token was spent on the session that its client resumes.
+    pub(crate) fn claim(self: &Arc<Self>, token: Option<&str>, resumes: bool) -> Result<Grant, TokenRejection> {
+        self.claim_at(token, resumes, unix_s(clock::wall()))
+    }
+
+    fn claim_at(
+        self: &Arc<Self>,
+        token: Option<&str>,
+        resumes: bool,
+        now_unix_s: i64,
+    ) -> Result<Grant, TokenRejection> {
+        let mut state = self.state.lock();
+        let Listed { digest, name, expires_unix_s, once, .. } =
+            state.examine(token, Scope::Session, now_unix_s)?.clone();
+        let refundable = once && state.spent.insert(digest);
+        if once && !refundable && !resumes {
+            return Err(TokenRejection::Spent);
+        }
+        let (reloads, seen_reloads) = (self.reloads.subscribe(), *self.reloads.borrow());
+        drop(state);
+        let store = Arc::clone(self);
+        Ok(Grant { store, digest, name, expires_unix_s, refundable, reloads, seen_reloads })
+    }
+
+    pub(super) fn give_back(&self, digest: Digest) {
+        self.state.lock().spent.remove(&digest);
+    }
+
+    /// Returns the expiry of a listed session token, in Unix time; `None` inside if it has none.
+    #[expect(clippy::option_option, reason = "listed or not, and for ever or not")]
+    pub(super) fn expiry_of(&self, digest: Digest) -> Option<Option<i64>> {
+        let state = self.state.lock();
+        let listed = state.listed.iter().find(|token| token.digest == digest);
+        listed.filter(|token| token.scopes.contains(&Scope::Session)).map(|token| token.expires_unix_s)
+    }
+}
+
+impl State {
+    fn examine(&self, token: Option<&str>, scope: Scope, now_unix_s: i64) -> Result<&Listed, TokenRejection> {
+        let digest = sha256(token.ok_or(TokenRejection::Missing)?.as_bytes());
         // Compares with every entry in constant time, so that timing does not reveal a near match.
-        let found = state
+        let found = self
             .listed
             .iter()
             .fold(None, |found, listed| if bool::from(listed.digest.ct_eq(&digest)) { Some(listed) } else { found });
@@ -88,14 +130,7 @@ impl TokenStore {
         if found.expires_unix_s.is_some_and(|expires| now_unix_s >= expires) {
             return Err(TokenRejection::Expired);
         }
-        if !found.scopes.contains(&scope) {
-            return Err(TokenRejection::Scope);
-        }
-        let once = found.once;
-        if once && (state.spent.contains(&digest) || spend && !state.spent.insert(digest)) {
-            return Err(TokenRejection::Spent);
-        }
-        Ok(())
+        if found.scopes.contains(&scope) { Ok(found) } else { Err(TokenRejection::Scope) }
     }
 }
 

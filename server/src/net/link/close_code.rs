@@ -7,4 +7,6 @@ pub(crate) enum CloseCode {
     Refused = 1,
     Violation = 2,
     Internal = 3,
+    /// The session was ended by the operator, or with its token.
+    Ended = 4,
 }

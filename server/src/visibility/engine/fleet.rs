@@ -81,15 +81,28 @@ impl Fleet {
     /// # Errors
     /// If no device admits it: the error of the least loaded one.
     pub fn open(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<SessionPort, OpenError> {
+        self.open_instead(shape, rate_hz, None)
+    }
+
+    /// As [`Self::open`], judged as if the session with the costs `replaced` were gone.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub(crate) fn open_instead(
+        &self,
+        shape: MaskShape,
+        rate_hz: Option<f64>,
+        replaced: Option<&Arc<SessionCosts>>,
+    ) -> Result<SessionPort, OpenError> {
         let mut by_load: Vec<(bool, f64, usize, &Engine)> = (self.engines.iter())
-            .map(|engine| (!engine.is_well(), engine.load_ms(), engine.sessions(), engine))
+            .map(|engine| (!engine.is_well(), engine.load_without_ms(replaced), engine.sessions(), engine))
             .collect();
         by_load.sort_by(|(a_ill, a, a_sessions, _), (b_ill, b, b_sessions, _)| {
             a_ill.cmp(b_ill).then(a.total_cmp(b)).then(a_sessions.cmp(b_sessions))
         });
         let mut first = None;
         for (.., engine) in by_load {
-            match engine.open(shape, rate_hz) {
+            match engine.open_instead(shape, rate_hz, replaced) {
                 Ok(port) => return Ok(port),
                 Err(error) => _ = first.get_or_insert(error),
             }

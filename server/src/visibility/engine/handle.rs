@@ -135,6 +135,10 @@ impl Engine {
         self.shared.load_ms()
     }
 
+    pub(super) fn load_without_ms(&self, left_out: Option<&Arc<SessionCosts>>) -> f64 {
+        self.shared.load_without_ms(left_out)
+    }
+
     /// Number of times that the device was lost.
     #[must_use]
     pub fn losses(&self) -> u64 {
@@ -171,7 +175,7 @@ impl Engine {
     /// # Errors
     /// As [`Self::open`], except [`OpenError::Overload`].
     pub fn open_session(&self, shape: MaskShape) -> Result<SessionPort, OpenError> {
-        self.open_if(shape, None, |_, _| Ok(()))
+        self.open_if(shape, None, None, |_, _| Ok(()))
     }
 
     /// Opens a session for masks of at most this shape, `rate_hz` of them per second. Returns at once. If the device
@@ -181,13 +185,27 @@ impl Engine {
     /// If there are too many sessions, the device has too little time left, the shape does not fit the scene or is too
     /// large, or the engine has stopped.
     pub fn open(&self, shape: MaskShape, rate_hz: Option<f64>) -> Result<SessionPort, OpenError> {
-        self.open_if(shape, rate_hz, |needs, new| admit(needs.iter().copied(), new, self.budget_ms))
+        self.open_instead(shape, rate_hz, None)
+    }
+
+    /// As [`Self::open`], judged as if the session with the costs `replaced` were gone.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub(super) fn open_instead(
+        &self,
+        shape: MaskShape,
+        rate_hz: Option<f64>,
+        replaced: Option<&Arc<SessionCosts>>,
+    ) -> Result<SessionPort, OpenError> {
+        self.open_if(shape, rate_hz, replaced, |needs, new| admit(needs.iter().copied(), new, self.budget_ms))
     }
 
     fn open_if(
         &self,
         shape: MaskShape,
         rate_hz: Option<f64>,
+        replaced: Option<&Arc<SessionCosts>>,
         admit: impl FnOnce(&[Need], Need) -> Result<(), Overload>,
     ) -> Result<SessionPort, OpenError> {
         if shape.lights() as usize != self.lights {
@@ -202,7 +220,7 @@ impl Engine {
         let known: Vec<Arc<SessionCosts>> = self.shared.sessions().clone();
         let expected_ms = self.shared.model.expected_ms(shape.pixels(), known.iter().map(AsRef::as_ref));
         let costs = Arc::new(SessionCosts::new(shape, rate_hz, expected_ms));
-        let permit = SessionPermit::acquire(&self.shared, &costs, |needs| {
+        let permit = SessionPermit::acquire(&self.shared, &costs, replaced, |needs| {
             if needs.len() >= self.max_sessions {
                 return Err(OpenError::Full(self.max_sessions));
             }

@@ -92,7 +92,12 @@ impl Shared {
 
     /// Device time that the sessions need, in milliseconds per second.
     pub(super) fn load_ms(&self) -> f64 {
-        self.sessions().iter().map(|costs| costs.need().per_second_ms()).sum()
+        self.load_without_ms(None)
+    }
+
+    /// As [`Self::load_ms`], without the session with the costs `left_out`.
+    pub(super) fn load_without_ms(&self, left_out: Option<&Arc<SessionCosts>>) -> f64 {
+        self.sessions().iter().filter(|costs| is_not(left_out, costs)).map(|costs| costs.need().per_second_ms()).sum()
     }
 
     /// Returns whether the device can trace now.
@@ -126,15 +131,21 @@ impl Shared {
     }
 }
 
+fn is_not(other: Option<&Arc<SessionCosts>>, costs: &Arc<SessionCosts>) -> bool {
+    other.is_none_or(|other| !Arc::ptr_eq(other, costs))
+}
+
 impl SessionPermit {
-    /// Adds a session if `fits` accepts it beside the needs of the other sessions. Errors are those of `fits`.
+    /// Adds a session if `fits` accepts it beside the needs of the other sessions, `replaced` not among them. Errors
+    /// are those of `fits`.
     pub(super) fn acquire<E>(
         shared: &Arc<Shared>,
         costs: &Arc<SessionCosts>,
+        replaced: Option<&Arc<SessionCosts>>,
         fits: impl FnOnce(&[Need]) -> Result<(), E>,
     ) -> Result<Self, E> {
         let mut sessions = shared.sessions();
-        let needs: Vec<Need> = sessions.iter().map(|costs| costs.need()).collect();
+        let needs: Vec<Need> = sessions.iter().filter(|costs| is_not(replaced, costs)).map(|costs| costs.need()).collect();
         fits(&needs)?;
         sessions.push(Arc::clone(costs));
         drop(sessions);

@@ -258,7 +258,7 @@ fn worker_on(gpu: &Gpu, reopened: u32) -> (SessionPort, Arc<Shared>, std::thread
     });
     let costs = Arc::new(SessionCosts::new(shape(64, 64), None, 0.0));
     let (port, engine_port) = session_port(thread.thread().clone(), Arc::clone(&costs));
-    let permit = SessionPermit::acquire(&shared, &costs, |_| Ok::<_, ()>(())).unwrap();
+    let permit = SessionPermit::acquire(&shared, &costs, None, |_| Ok::<_, ()>(())).unwrap();
     pending.send(PendingSession { shape: shape(64, 64), port: engine_port, costs, permit, retry: None }).unwrap();
     (port, shared, thread)
 }

@@ -3,14 +3,17 @@
 use std::time::SystemTime;
 
 use super::*;
-use crate::{admission::tokens::make, hex};
+use crate::{
+    admission::{end_reason::EndReason, tokens::make},
+    hex,
+};
 
-fn store(text: &str) -> Result<(tempfile::TempDir, TokenStore), String> {
+fn store(text: &str) -> Result<(tempfile::TempDir, Arc<TokenStore>), String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("tokens.toml");
     std::fs::write(&path, text).unwrap();
     let store = TokenStore::read(&path).map_err(|error| error.to_string())?;
-    Ok((folder, store))
+    Ok((folder, Arc::new(store)))
 }
 
 fn entry(token: &str, more: &str) -> String {
@@ -43,11 +46,12 @@ fn a_token_expires_and_grants_only_its_scopes() {
     let (_folder, store) = store(&text).unwrap();
     // 2030-01-01T00:00:00Z
     let end = 1_893_456_000;
-    assert_eq!(store.examine(Some("a"), Scope::Session, end - 1, true), Ok(()));
-    assert_eq!(store.examine(Some("a"), Scope::Session, end, true), Err(TokenRejection::Expired));
-    assert_eq!(store.examine(Some("a"), Scope::Admin, 0, true), Err(TokenRejection::Scope));
-    assert_eq!(store.examine(Some("b"), Scope::Session, 0, true), Err(TokenRejection::Scope));
-    assert_eq!(store.examine(Some("b"), Scope::Admin, 0, true), Ok(()));
+    let examine = |token, scope, now| store.state.lock().examine(Some(token), scope, now).map(drop);
+    assert_eq!(examine("a", Scope::Session, end - 1), Ok(()));
+    assert_eq!(examine("a", Scope::Session, end), Err(TokenRejection::Expired));
+    assert_eq!(examine("a", Scope::Admin, 0), Err(TokenRejection::Scope));
+    assert_eq!(examine("b", Scope::Session, 0), Err(TokenRejection::Scope));
+    assert_eq!(examine("b", Scope::Admin, 0), Ok(()));
     assert!(store.has(Scope::Admin));
 }
 
@@ -55,10 +59,15 @@ fn a_token_expires_and_grants_only_its_scopes() {
 fn a_spent_token_stays_spent_across_reloads() {
     let (folder, store) = store(&(entry("a", "once = true") + &entry("b", ""))).unwrap();
     let path = folder.path().join("tokens.toml");
-    assert_eq!(store.check(Some("a"), Scope::Session), Ok(()));
+    let refused = |token, resumes| store.claim(Some(token), resumes).map(drop).unwrap_err();
+    // A refused client gives it back.
+    drop(store.claim(Some("a"), false).unwrap());
     assert_eq!(store.admit(Some("a"), Scope::Session), Ok(()));
     assert_eq!(store.admit(Some("a"), Scope::Session), Err(TokenRejection::Spent));
-    assert_eq!(store.check(Some("a"), Scope::Session), Err(TokenRejection::Spent));
+    assert_eq!(refused("a", false), TokenRejection::Spent);
+    // Whoever resumes its session does not spend it again, and gives nothing back.
+    drop(store.claim(Some("a"), true).unwrap());
+    assert_eq!(refused("a", false), TokenRejection::Spent);
     assert_eq!(store.reload().unwrap(), 2);
     assert_eq!(store.admit(Some("a"), Scope::Session), Err(TokenRejection::Spent));
     std::fs::write(&path, entry("c", "")).unwrap();
@@ -100,7 +109,42 @@ fn a_made_token_is_admitted() {
     let (_folder, store) = store(&text).unwrap();
     let day = 24 * 3600;
     let now = unix_s(SystemTime::now());
-    assert_eq!(store.examine(Some(&token), Scope::Session, now + 31 * day, true), Err(TokenRejection::Expired));
-    assert_eq!(store.examine(Some(&token), Scope::Session, now + 29 * day, true), Ok(()));
-    assert_eq!(store.examine(Some(&token), Scope::Session, now, true), Err(TokenRejection::Spent));
+    assert_eq!(store.claim_at(Some(&token), false, now + 31 * day).unwrap_err(), TokenRejection::Expired);
+    let mut grant = store.claim_at(Some(&token), false, now + 29 * day).unwrap();
+    assert_eq!(grant.name(), "alice");
+    grant.keep();
+    drop(grant);
+    assert_eq!(store.claim_at(Some(&token), false, now).unwrap_err(), TokenRejection::Spent);
+}
+
+#[tokio::test]
+async fn a_grant_ends_with_its_token() {
+    let far_ahead = "expires = 2999-01-01T00:00:00Z";
+    let all = entry("keeps", "") + &entry("leaves", "") + &entry("expires", far_ahead) + &entry("once", "once = true");
+    let (folder, store) = store(&all).unwrap();
+    let path = folder.path().join("tokens.toml");
+    let [mut keeps, mut leaves, mut expires, mut once] =
+        ["keeps", "leaves", "expires", "once"].map(|token| store.claim(Some(token), false).unwrap());
+    once.keep();
+    std::fs::write(
+        &path,
+        entry("keeps", "") + &entry("expires", "expires = 2001-01-01T00:00:00Z") + &entry("once", "once = true"),
+    )
+    .unwrap();
+    store.reload().unwrap();
+    // What was claimed before the reload learns of it afterwards, whenever it asks.
+    assert_eq!(leaves.ended().await, EndReason::TokenWithdrawn);
+    assert_eq!(expires.ended().await, EndReason::TokenExpired);
+    for stays in [&mut keeps, &mut once] {
+        let ended = tokio::time::timeout(std::time::Duration::from_millis(50), stays.ended()).await;
+        assert!(ended.is_err(), "{ended:?}");
+    }
+    // Without the scope it admits no session.
+    std::fs::write(&path, entry("keeps", "scopes = [\"admin\"]") + &entry("once", "once = true")).unwrap();
+    store.reload().unwrap();
+    assert_eq!(keeps.ended().await, EndReason::TokenWithdrawn);
+    // An unusable file withdraws nothing.
+    std::fs::write(&path, "").unwrap();
+    store.reload().unwrap_err();
+    assert!(tokio::time::timeout(std::time::Duration::from_millis(50), once.ended()).await.is_err());
 }

@@ -78,7 +78,7 @@ impl Rig {
     fn open(&mut self, kind: (u32, u32, f64)) -> SessionPort {
         let costs = Arc::new(SessionCosts::new(shape(kind), None, kind.2));
         let (port, engine_port) = session_port(std::thread::current(), Arc::clone(&costs));
-        let permit = SessionPermit::acquire(&self.shared, &costs, |_| Ok::<_, ()>(())).unwrap();
+        let permit = SessionPermit::acquire(&self.shared, &costs, None, |_| Ok::<_, ()>(())).unwrap();
         self.pending
             .send(PendingSession { shape: shape(kind), port: engine_port, costs, permit, retry: None })
             .unwrap();
