@@ -64,6 +64,10 @@ pub struct ServerConfig {
     /// Bandwidth in Mbit/s that admitted sessions may need; sessions beyond it are refused [default: unlimited]
     #[arg(long, value_name = "MBIT", bounds(1, 10_000_000_u32))]
     pub network_budget_mbit: Option<u32>,
+    /// Memory in MB that admitted sessions may come to hold; sessions beyond it are refused [default: half of what is
+    /// free at the start]
+    #[arg(long, value_name = "MB", bounds(16, 100_000_000_u32))]
+    pub memory_budget_mb: Option<u32>,
     /// Admit only clients with a token from this file; `gnomon-server token` makes its entries [default: admit
     /// everyone]
     #[arg(long, value_name = "FILE")]

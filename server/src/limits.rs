@@ -16,6 +16,10 @@
 //! | device time of all | `device_budget_ms` | refused, `cause="budget"` |
 //! | core time of all | `cores_budget_ms` | refused, `cause="budget"` |
 //! | bandwidth of all | `network_budget_mbit` | refused, `cause="budget"` |
+//! | masks per second | the declared rate, see `visibility/schedule/pace.rs` | its next mask waits |
+//! | masks of a session without a rate | what other sessions leave | its next mask waits |
+//! | memory of all | `memory_budget_mb` | refused, `cause="budget"` |
+//! | scene bytes of all | what masks leave of `network_budget_mbit` | its next chunk waits |
 //! | poses per second | [`MAX_POSES_PER_SECOND`] | dropped, `outcome="over_rate"` |
 //! | unread poses | [`DATAGRAM_RECEIVE_BUFFER_BYTES`] | the oldest are dropped, `outcome="unread"` |
 //! | bytes per second | [`MAX_CLIENT_BYTES_PER_SECOND`] | its next mask waits |
@@ -23,7 +27,10 @@
 //! | unread frames | [`SEND_BACKLOG_FRAMES`] | skipped, `outcome="gated"` |
 //! | scene bytes in flight | [`SEND_WINDOW_BYTES`] | back-pressure |
 //! | scene fetches | [`MAX_SCENE_FETCHES`] | the session ends |
-//! | log lines of one place in the code | [`LOG_BURST`], [`LOG_LINES_PER_SECOND`] | suppressed; their number is logged |
+//! | log lines of one place in the code | [`LOG_BURST`], [`LOG_LINES_PER_SECOND`] | suppressed and counted |
+//! | invalid datagrams | [`MAX_BAD_POSES_PER_SECOND`] | the session ends, `cause="violation"` |
+//! | poses over their rate | [`MAX_SECONDS_OVER_RATE`] in a row | the session ends, `cause="violation"` |
+//! | wrong tokens | [`MAX_FAILED_TOKENS`] per address and minute | refused unseen, `cause="token"` |
 //! | a session that an operator ended | [`DISMISSED_FOR`] | not resumed, `cause="dismissed"` |
 //! | silence | [`WRITE_TIMEOUT`], [`SETUP_TIMEOUT`], [`SILENCE_TIMEOUT`], `idle_timeout_ms` | the session ends |
 
@@ -73,8 +80,18 @@ pub const MAX_SCENE_FETCHES: u32 = 4;
 /// Control messages per second: more than twice the frame rate.
 pub const MAX_MESSAGES_PER_SECOND: u64 = 1000;
 
+/// Invalid datagrams per second of a client. QUIC delivers none damaged, so an honest client sends none.
+pub const MAX_BAD_POSES_PER_SECOND: u64 = 200;
+
+/// Seconds in a row in which a client may exceed [`MAX_POSES_PER_SECOND`]. A network that held datagrams up delivers
+/// them within one.
+pub const MAX_SECONDS_OVER_RATE: u32 = 5;
+
 /// Datagrams per second of a client, mostly poses. No screen shows as many frames.
 pub const MAX_POSES_PER_SECOND: u32 = 2000;
+
+/// Highest rate that a session may declare, in masks per second. No screen shows more; higher ones count as this.
+pub const MAX_RATE_HZ: u16 = 500;
 
 /// Frame bytes per second of a client, and the size of a burst: enough for words at 1920×1080 and 60 frames/s.
 pub const MAX_CLIENT_BYTES_PER_SECOND: u64 = 500_000_000;
@@ -106,6 +123,18 @@ pub const FINISH_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Delay suggested to refused clients.
 pub const RETRY_AFTER: Duration = Duration::from_secs(5);
+
+/// Wrong tokens of one address in [`FAILED_TOKENS_WINDOW`]; more block it until the window ends. A person who mistypes
+/// a token stays below.
+pub const MAX_FAILED_TOKENS: u32 = 10;
+
+pub const FAILED_TOKENS_WINDOW: Duration = Duration::from_secs(60);
+
+/// Addresses remembered for their wrong tokens; more forget the oldest.
+pub const MAX_FAILED_ADDRESSES: usize = 4096;
+
+/// Wrong tokens are logged at most this often, as a count.
+pub const FAILED_TOKENS_LOGGED_EVERY: Duration = Duration::from_secs(10);
 
 /// How long the client of a session that an operator ended is asked to stay away.
 pub const DISMISSED_FOR: Duration = Duration::from_secs(60);

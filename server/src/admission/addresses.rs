@@ -68,7 +68,8 @@ impl Drop for AddressPermit {
     }
 }
 
-fn owner(address: IpAddr) -> IpAddr {
+/// The network that one owner has.
+pub(super) fn owner(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V4(address) => address.into(),
         IpAddr::V6(address) => {

@@ -6,7 +6,8 @@ use std::fmt;
 pub(crate) enum EndReason {
     /// Its client resumed it on another connection.
     Superseded,
-    /// An operator ended it. Its client may not resume it, and is asked to stay away for [`crate::limits::DISMISSED_FOR`].
+    /// An operator ended it. Its client may not resume it, and is asked to stay away for a while
+    /// ([`crate::limits::DISMISSED_FOR`]).
     Operator,
     TokenWithdrawn,
     TokenExpired,

@@ -1,10 +1,9 @@
 //! The handshake: Hello in, Welcome or a refusal out. No part of the scene is sent before it succeeds.
 
-use std::{net::SocketAddr, sync::Arc};
+use std::{net::SocketAddr, sync::Arc, time::Instant};
 
 use gnomon_protocol::{
     PROTOCOL_VERSION,
-    codec::CodecId,
     limits::{MAX_TEXT_BYTES, MAX_WRONG_PPM},
     mask::MaskShape,
     message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
@@ -14,17 +13,18 @@ use thiserror::Error;
 use tokio::time::timeout;
 
 use super::{
-    capacity::Reservation,
+    capacity::{Demand, Reservation},
+    coding::Coding,
+    failed_tokens::BLOCKED,
     permit::{Holding, ResumeClaim, SessionPermit},
     services::Services,
     tokens::{
         file::{Digest, sha256},
         grant::Grant,
-        store::TokenRejection,
     },
 };
 use crate::{
-    limits::LINGER,
+    limits::{LINGER, MAX_RATE_HZ},
     metrics::causes::RefusalCause,
     net::link::{CloseCode, Link},
     visibility::engine::{OpenError, SessionPort},
@@ -37,6 +37,8 @@ pub(crate) struct AdmittedClient {
     pub(crate) port: SessionPort,
     pub(crate) shape: MaskShape,
     pub(crate) coding: Coding,
+    /// Declared masks per second. `None`: as many as others leave.
+    pub(crate) rate_hz: Option<f64>,
     /// Name of the client program.
     pub(crate) client: String,
     pub(crate) reservation: Reservation,
@@ -57,18 +59,10 @@ impl AdmittedClient {
 type Refused = (RefusalCause, Refusal);
 
 /// A client whose Hello is read, and the session that it alone may resume now.
-#[derive(Debug)]
 struct Applicant {
     hello: Hello,
     token: Option<Digest>,
     claim: Option<ResumeClaim>,
-}
-
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Coding {
-    pub(crate) codec: CodecId,
-    /// Wrong bits allowed per million.
-    pub(crate) wrong_ppm: u16,
 }
 
 /// Why a peer was not admitted.
@@ -161,10 +155,7 @@ fn decide(applicant: Applicant, peer: SocketAddr, services: &Services) -> Result
     let Applicant { hello, token, claim } = applicant;
     let old = claim.as_ref().map(|claim| Arc::clone(&claim.holding));
     // First, so that a stranger learns nothing, not even whether the server is full.
-    let grant = match &services.tokens {
-        Some(tokens) => Some(tokens.claim(hello.token.as_deref(), claim.is_some()).map_err(token_refused)?),
-        None => None,
-    };
+    let grant = check_token(&hello, claim.is_some(), peer, services)?;
     let shape = MaskShape::new(hello.width, hello.height, services.scene.lights)
         .map_err(|error| (RefusalCause::Unsupported, Refusal::Unsupported(error.to_string())))?;
     if hello.wrong_ppm > MAX_WRONG_PPM {
@@ -185,7 +176,7 @@ fn decide(applicant: Applicant, peer: SocketAddr, services: &Services) -> Result
         let draining = refusal == Refusal::Draining;
         (if draining { RefusalCause::Draining } else { RefusalCause::Full }, refusal)
     })?;
-    let rate_hz = (hello.rate_hz > 0).then(|| f64::from(hello.rate_hz));
+    let rate_hz = (hello.rate_hz > 0).then(|| f64::from(hello.rate_hz.min(MAX_RATE_HZ)));
     let replaced = old.as_ref().map(|old| &old.costs);
     let port = services.engine.open_instead(shape, rate_hz, replaced).map_err(|error| match error {
         OpenError::Full(_) | OpenError::Busy => (RefusalCause::Full, services.permits.full()),
@@ -194,17 +185,27 @@ fn decide(applicant: Applicant, peer: SocketAddr, services: &Services) -> Result
     })?;
     let reservation = services
         .capacity
-        .reserve(shape, rate_hz, old.as_ref().map(|old| &old.share))
+        .reserve(Demand { shape, coding, rate_hz }, old.as_ref().map(|old| &old.share))
         .map_err(|reason| (RefusalCause::Budget, services.permits.busy(reason.to_string())))?;
     let holding = Holding { token, address, costs: Arc::clone(&port.costs), share: reservation.share() };
-    let permit =
-        services.permits.register(place, holding, claim).map_err(|refusal| (RefusalCause::Full, refusal))?;
-    Ok(AdmittedClient { permit, port, shape, coding, client: hello.client, reservation, grant })
+    let permit = services.permits.register(place, holding, claim).map_err(|refusal| (RefusalCause::Full, refusal))?;
+    Ok(AdmittedClient { permit, port, shape, coding, rate_hz, client: hello.client, reservation, grant })
 }
 
-fn token_refused(problem: TokenRejection) -> Refused {
-    tracing::info!(%problem, "token refused");
-    (RefusalCause::Token, Refusal::Token)
+/// `resumes`: the client has proved that it knows an open session's secret, so its address does not matter.
+fn check_token(hello: &Hello, resumes: bool, peer: SocketAddr, services: &Services) -> Result<Option<Grant>, Refused> {
+    let Some(tokens) = &services.tokens else { return Ok(None) };
+    let (failed, now) = (&services.failed_tokens, Instant::now());
+    if let Some(left) = failed.blocked(peer.ip(), now).filter(|_| !resumes) {
+        failed.count_blocked(now);
+        let retry_after_ms = u32::try_from(left.as_millis()).unwrap_or(u32::MAX);
+        return Err((RefusalCause::Token, Refusal::Busy { reason: BLOCKED.to_owned(), retry_after_ms }));
+    }
+    let claimed = tokens.claim(hello.token.as_deref(), resumes);
+    claimed.map(Some).map_err(|problem| {
+        failed.count(peer.ip(), problem, now);
+        (RefusalCause::Token, Refusal::Token)
+    })
 }
 
 /// Cuts a text to [`MAX_TEXT_BYTES`] at a character boundary.

@@ -162,13 +162,8 @@ impl SessionPermits {
         let id = SessionId(self.next_id.fetch_add(1, Ordering::Relaxed));
         let (sender, ended) = watch::channel(None);
         let holding = Arc::new(holding);
-        let entry = Entry {
-            id,
-            place: Arc::downgrade(&place),
-            holding: Arc::clone(&holding),
-            claimed: false,
-            ended: sender,
-        };
+        let entry =
+            Entry { id, place: Arc::downgrade(&place), holding: Arc::clone(&holding), claimed: false, ended: sender };
         self.state.lock().sessions.insert(resume, entry);
         let state = Arc::clone(&self.state);
         Ok(SessionPermit { id, resume, ended, replaces, _holding: holding, _place: place, state })

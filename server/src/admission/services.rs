@@ -4,9 +4,12 @@ use std::{sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use gnomon_protocol::ids::SceneDigest;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::watch;
 
-use super::{addresses::AddressLimit, capacity::HostCapacity, permit::SessionPermits, tokens::store::TokenStore};
+use super::{
+    addresses::AddressLimit, capacity::HostCapacity, encoders::Encoders, failed_tokens::FailedTokens,
+    permit::SessionPermits, tokens::store::TokenStore,
+};
 use crate::{metrics::registry::Metrics, phase::Phase, visibility::engine::Fleet};
 
 /// The scene in the form that clients fetch.
@@ -25,13 +28,14 @@ pub(crate) struct Services {
     pub(crate) engine: Fleet,
     /// `None` admits every client.
     pub(crate) tokens: Option<Arc<TokenStore>>,
+    pub(crate) failed_tokens: FailedTokens,
     pub(crate) addresses: Arc<AddressLimit>,
     pub(crate) metrics: Arc<Metrics>,
     pub(crate) permits: SessionPermits,
     pub(crate) capacity: HostCapacity,
     pub(crate) phase: watch::Receiver<Phase>,
-    /// Limits how many sessions encode at once: one per core.
-    pub(crate) encoders: Arc<Semaphore>,
+    /// Limits how many sessions encode at once.
+    pub(crate) encoders: Encoders,
     pub(crate) handshake_timeout: Duration,
     pub(crate) drain_ms: u32,
     /// URL to which a draining server sends its clients.

@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, OnceLock, atomic::AtomicBool},
 };
 
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::watch;
 
 use super::{
     accept::accept,
@@ -17,8 +17,8 @@ use super::{
 };
 use crate::{
     admission::{
-        addresses::AddressLimit, capacity::HostCapacity, permit::SessionPermits, services::Services,
-        tokens::store::TokenStore,
+        addresses::AddressLimit, capacity::HostCapacity, encoders::Encoders, failed_tokens::FailedTokens,
+        permit::SessionPermits, services::Services, tokens::store::TokenStore,
     },
     config::{AdminAddress, ServerConfig, Transport},
     limits,
@@ -108,16 +108,18 @@ impl Server {
                 "everybody who reaches this address is admitted: pass --token-file, or listen on 127.0.0.1"
             );
         }
+        let capacity = HostCapacity::new(&config, cores, asset.packed.len() as u64, engine.devices());
         let services = Arc::new(Services {
             scene: asset,
             engine,
             tokens,
+            failed_tokens: FailedTokens::default(),
             addresses: AddressLimit::new(config.max_sessions_per_address, false),
             metrics,
             permits: SessionPermits::new(config.max_sessions),
-            capacity: HostCapacity::new(&config, cores),
+            capacity,
             phase: phase_seen,
-            encoders: Arc::new(Semaphore::new(cores)),
+            encoders: Encoders::new(cores),
             handshake_timeout: config.handshake_timeout(),
             drain_ms: config.drain_ms,
             alternative: config.alternative.clone(),
@@ -125,9 +127,10 @@ impl Server {
         let accepting = Task::spawn(accept(Arc::clone(&endpoint), Arc::clone(&services)));
         readiness.set(Stage::Ready);
         #[cfg(feature = "agones")]
-        let agones = config
-            .agones
-            .then(|| Task::spawn(crate::operate::agones::run(readiness.clone(), Arc::clone(&services.metrics))));
+        let agones = config.agones.then(|| {
+            let (metrics, services) = (Arc::clone(&services.metrics), Arc::clone(&services));
+            Task::spawn(crate::operate::agones::run(readiness.clone(), metrics, move || services.engine.answers()))
+        });
         Ok(RunningServer {
             local_addr,
             url,

@@ -209,7 +209,7 @@ mod tests {
     #[test]
     fn the_page_is_valid_prometheus_text() {
         let mut page = Page { ready: true, version: "1", backend: "a \"b\"\n".to_owned(), ..Page::default() };
-        page.counts.closed = [1, 2, 3, 4, 5];
+        page.counts.closed = [1, 2, 3, 4, 5, 6, 7];
         page.counts.sum.totals.poses = 9;
         page.counts.sum.totals.gpu_us = 1_500_000;
         page.process.kernel_drops = Some(6);

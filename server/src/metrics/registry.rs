@@ -49,6 +49,10 @@ pub(crate) struct About {
     pub(crate) carrier: &'static str,
     pub(crate) size_px: [u32; 2],
     pub(crate) codec: String,
+    /// Name of its token in the token file. `None` on a server without tokens.
+    pub(crate) token: Option<String>,
+    /// Declared masks per second. `None`: as many as others leave.
+    pub(crate) declared_hz: Option<f64>,
 }
 
 struct Entry {
@@ -196,6 +200,8 @@ mod tests {
             carrier: "quic",
             size_px: [64, 36],
             codec: "planes-lz4".to_owned(),
+            token: None,
+            declared_hz: Some(60.0),
         }
     }
 

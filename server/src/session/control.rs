@@ -1,6 +1,9 @@
 //! A session's control messages.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use gnomon_protocol::message::{ClientMessage, ServerMessage};
 use gnomon_transport::control::{ControlError, ControlReader};
@@ -41,6 +44,7 @@ impl Session {
                     Phase::Stopping => return End::Stopping,
                 }
             }
+            let pace = |bytes| self.services.capacity.scene_chunk(bytes, Instant::now());
             tokio::select! {
                 message = self.reader.next() => match message {
                     Ok(message) => if let Err(end) = self.answer(&message) {
@@ -50,7 +54,7 @@ impl Session {
                     Err(error @ ControlError::Stream(_)) => return End::Lost(error.to_string()),
                     Err(error) => return End::Violation(error.to_string()),
                 },
-                sent = self.outbox.pump(&self.services.scene.packed) => if let Err(error) = sent {
+                sent = self.outbox.pump(&self.services.scene.packed, pace) => if let Err(error) = sent {
                     return End::Lost(error.to_string());
                 },
                 Some(ended) = self.stream_task.join_next() => return End::of_stream(ended),

@@ -3,7 +3,6 @@
 
 use std::{
     io,
-    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -17,7 +16,7 @@ use gnomon_protocol::{
     refresh::{Refresh, Selection},
 };
 use thiserror::Error;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::watch;
 use tracing::Instrument as _;
 
 use super::{
@@ -26,7 +25,7 @@ use super::{
     frame_encoder::{EncodeJob, EncodeOutcome, FrameEncoder},
 };
 use crate::{
-    admission::handshake::Coding,
+    admission::{coding::Coding, encoders::EncoderQueue},
     metrics::ledger::Ledger,
     net::link::DataSender,
     phase::Phase,
@@ -91,7 +90,7 @@ pub(super) struct FrameSender {
     sender: DataSender,
     packetizer: Packetizer,
     encoder: Box<FrameEncoder>,
-    encoders: Arc<Semaphore>,
+    encoders: EncoderQueue,
     feedback: watch::Receiver<Feedback>,
     first_frame_at: Option<Instant>,
     pace: Pace,
@@ -137,7 +136,7 @@ impl FrameSender {
         sender: DataSender,
         coding: Coding,
         refresh: Refresh,
-        encoders: Arc<Semaphore>,
+        encoders: EncoderQueue,
         feedback: watch::Receiver<Feedback>,
     ) -> Self {
         let packet_bytes = sender.max_packet_bytes();
@@ -151,8 +150,8 @@ impl FrameSender {
         let TracedMask { frame, mask, ahead, received_at, cost } = traced;
         let started = Instant::now();
         let budget = self.sender.frame_budget(self.pace.step(started));
-        let permit = Arc::clone(&self.encoders).acquire_owned().await;
-        let permit = permit.map_err(|_| DriveError::Encoding("the server has stopped".to_owned()))?;
+        let permit = self.encoders.acquire().await;
+        let permit = permit.ok_or_else(|| DriveError::Encoding("the server has stopped".to_owned()))?;
         let feedback = *self.feedback.borrow_and_update();
         // Only clients that report losses accept partial frames.
         let budget_bytes = budget.filter(|_| feedback.losses.is_told());

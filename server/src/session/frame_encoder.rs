@@ -11,10 +11,10 @@ use gnomon_protocol::{
     references::SentMasks,
     refresh::{Refresh, Selection},
 };
-use tokio::{sync::OwnedSemaphorePermit, task::JoinError};
+use tokio::task::JoinError;
 
 use super::feedback::Feedback;
-use crate::admission::handshake::Coding;
+use crate::admission::{coding::Coding, encoders::EncoderPermit};
 
 /// The session's encoder. It reuses its memory for every frame.
 pub(super) struct FrameEncoder {
@@ -74,7 +74,7 @@ impl FrameEncoder {
     pub(super) async fn run(
         mut self: Box<Self>,
         mut job: EncodeJob,
-        permit: OwnedSemaphorePermit,
+        permit: EncoderPermit,
     ) -> Result<EncodeOutcome, JoinError> {
         let work = tokio::task::spawn_blocking(move || {
             let (_permit, started) = (permit, Instant::now());

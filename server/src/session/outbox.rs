@@ -1,6 +1,9 @@
 //! The send queue of a session's control stream. Sends in order, never faster than the client reads.
 
-use std::{collections::VecDeque, time::Duration};
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
 
 use gnomon_protocol::{limits::SCENE_CHUNK_BYTES, message::ServerMessage};
 use gnomon_transport::control::{ControlError, ControlWriter};
@@ -16,6 +19,8 @@ pub(super) struct Outbox {
     priority: VecDeque<ServerMessage>,
     /// Offset of the next scene chunk while the scene is being sent.
     scene_next: Option<usize>,
+    /// When the next chunk may go.
+    scene_due: Instant,
     writing: JoinHandle<Result<(), ControlError>>,
 }
 
@@ -29,7 +34,7 @@ impl Outbox {
             writer.finish().await;
             Ok(())
         });
-        Self { queue: Some(queue), priority: VecDeque::new(), scene_next: None, writing }
+        Self { queue: Some(queue), priority: VecDeque::new(), scene_next: None, scene_due: Instant::now(), writing }
     }
 
     /// Queues a message ahead of the rest of the scene.
@@ -52,13 +57,22 @@ impl Outbox {
         self.scene_next = None;
     }
 
-    /// Hands one message to the writer once it has room. Waits forever if there is nothing to send. Cancel-safe. Errors
-    /// if the stream is broken, or the client has not read for too long.
-    pub(super) async fn pump(&mut self, scene: &[u8]) -> Result<(), ControlError> {
+    /// Hands one message to the writer once it has room. Waits forever if there is nothing to send. Chunks of the scene
+    /// keep the `pace`, which returns when the one after it may go. Cancel-safe. Errors if the stream is broken, or the
+    /// client has not read for too long.
+    pub(super) async fn pump(&mut self, scene: &[u8], pace: impl FnOnce(usize) -> Instant) -> Result<(), ControlError> {
         let Some(queue) = self.queue.clone() else { return std::future::pending().await };
+        let due = self.scene_due;
+        let is_chunk = self.priority.is_empty();
+        let room = async {
+            if is_chunk {
+                tokio::time::sleep_until(due.into()).await;
+            }
+            queue.reserve_owned().await
+        };
         let permit = tokio::select! {
             ended = &mut self.writing => return self.writer_ended(ended),
-            permit = queue.reserve_owned(), if !self.priority.is_empty() || self.scene_next.is_some() => permit,
+            permit = room, if !is_chunk || self.scene_next.is_some() => permit,
         };
         let Ok(permit) = permit else {
             let ended = (&mut self.writing).await;
@@ -70,6 +84,7 @@ impl Outbox {
             let end = scene.len().min(first + SCENE_CHUNK_BYTES);
             permit.send(ServerMessage::SceneChunk { offset: first as u64, bytes: scene[first..end].to_vec() });
             self.scene_next = (end < scene.len()).then_some(end);
+            self.scene_due = pace(end - first);
         }
         Ok(())
     }
@@ -90,7 +105,7 @@ impl Outbox {
         self.scene_next = None;
         let finish = async {
             while !self.priority.is_empty() && self.queue.is_some() {
-                if self.pump(&[]).await.is_err() {
+                if self.pump(&[], |_| Instant::now()).await.is_err() {
                     return;
                 }
             }
@@ -116,6 +131,10 @@ mod tests {
 
     use super::*;
 
+    fn at_once(_: usize) -> Instant {
+        Instant::now()
+    }
+
     async fn read(stream: &mut tokio::io::DuplexStream) -> Option<ServerMessage> {
         let mut prefix = [0; 4];
         stream.read_exact(&mut prefix).await.ok()?;
@@ -132,7 +151,7 @@ mod tests {
         outbox.send_scene_from(7);
         let unread = timeout(Duration::from_millis(50), async {
             loop {
-                outbox.pump(&scene).await.unwrap();
+                outbox.pump(&scene, at_once).await.unwrap();
             }
         });
         assert!(unread.await.is_err());
@@ -146,7 +165,7 @@ mod tests {
         let whole = scene.clone();
         let pumping = tokio::spawn(async move {
             while outbox.scene_next.is_some() {
-                outbox.pump(&whole).await.unwrap();
+                outbox.pump(&whole, at_once).await.unwrap();
             }
             outbox.finish(Duration::from_secs(5)).await;
         });
@@ -175,7 +194,30 @@ mod tests {
             outbox.reply(ServerMessage::Pong(number));
         }
         assert_eq!(outbox.priority.len(), MAX_QUEUED_REPLIES);
-        let broken = async { while outbox.pump(&[]).await.is_ok() {} };
+        let broken = async { while outbox.pump(&[], at_once).await.is_ok() {} };
         timeout(Duration::from_secs(5), broken).await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn chunks_keep_their_pace_and_other_messages_do_not_wait() {
+        let scene = vec![7_u8; 3 * SCENE_CHUNK_BYTES];
+        let (ours, mut theirs) = tokio::io::duplex(8 * SCENE_CHUNK_BYTES);
+        let mut outbox = Outbox::start(ControlWriter::new(ours, Duration::from_secs(5)));
+        outbox.send_scene_from(0);
+        outbox
+            .pump(&scene, |bytes| {
+                assert_eq!(bytes, SCENE_CHUNK_BYTES);
+                Instant::now() + Duration::from_secs(3600)
+            })
+            .await
+            .unwrap();
+        assert!(timeout(Duration::from_millis(30), outbox.pump(&scene, at_once)).await.is_err(), "it is not due");
+        outbox.reply(ServerMessage::Pong(1));
+        timeout(Duration::from_secs(5), outbox.pump(&scene, at_once)).await.unwrap().unwrap();
+        assert!(matches!(read(&mut theirs).await, Some(ServerMessage::SceneChunk { offset: 0, .. })));
+        assert_eq!(read(&mut theirs).await, Some(ServerMessage::Pong(1)));
+        outbox.scene_due = Instant::now();
+        outbox.pump(&scene, at_once).await.unwrap();
+        assert!(matches!(read(&mut theirs).await, Some(ServerMessage::SceneChunk { offset: 1.., .. })));
     }
 }

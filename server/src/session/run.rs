@@ -16,7 +16,7 @@ use crate::{
 /// Serves an admitted client until it leaves, is lost, or the server stops. Then releases its permits.
 pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Services>) {
     let started_at = Instant::now();
-    let AdmittedClient { mut permit, port, shape, coding, client, reservation, mut grant } = admitted;
+    let AdmittedClient { mut permit, port, shape, coding, rate_hz, client, reservation, mut grant } = admitted;
     let codec = coding.codec;
     tracing::info!(client, width = shape.width(), height = shape.height(), %codec, "session started");
     let closer = link.data.closer();
@@ -28,13 +28,15 @@ pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Serv
         carrier: link.carrier,
         size_px: [shape.width(), shape.height()],
         codec: codec.to_string(),
+        token: grant.as_ref().map(|grant| grant.name().to_owned()),
+        declared_hz: rate_hz,
     };
     let mut registration = services.metrics.register(about, Arc::clone(&ledger), closer.clone());
     let mut session = Session {
         reader: link.reader,
         outbox: Outbox::start(link.writer),
         stream_task: JoinSet::new(),
-        stream: Some(Stream { data: link.data, port, shape, coding }),
+        stream: Some(Stream { data: link.data, port, shape, coding, in_background: rate_hz.is_none() }),
         fetches: 0,
         ledger: Arc::clone(&ledger),
         services,

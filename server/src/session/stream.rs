@@ -11,7 +11,7 @@ use super::{
     poses::receive::receive_poses,
 };
 use crate::{
-    admission::{handshake::Coding, services::Services},
+    admission::{coding::Coding, services::Services},
     metrics::ledger::Ledger,
     net::link::DataLink,
     phase::stopping,
@@ -24,6 +24,8 @@ pub(super) struct Stream {
     pub(super) port: SessionPort,
     pub(super) shape: MaskShape,
     pub(super) coding: Coding,
+    /// It declared no rate.
+    pub(super) in_background: bool,
 }
 
 impl Stream {
@@ -36,7 +38,7 @@ impl Stream {
             sender,
             self.coding,
             Refresh::new(services.scene.weights.clone()),
-            Arc::clone(&services.encoders),
+            services.encoders.of(self.in_background),
             newest_feedback,
         );
         let mut phase = services.phase.clone();

@@ -13,6 +13,8 @@ pub(super) struct Watchdog {
     last_active_at: Instant,
     checked_at: Instant,
     totals: Totals,
+    /// Seconds in a row in which it sent too many datagrams.
+    seconds_over_rate: u32,
     stages: Box<StageCounts>,
 }
 
@@ -24,6 +26,7 @@ impl Watchdog {
             last_active_at: now,
             checked_at: now,
             totals: ledger.totals(),
+            seconds_over_rate: 0,
             stages: Box::new(ledger.stages.counts()),
         }
     }
@@ -46,10 +49,27 @@ impl Watchdog {
         } else if started && now.duration_since(self.last_active_at) > limits::SILENCE_TIMEOUT {
             return Err(End::Lost(format!("no pose and no message in {} s", limits::SILENCE_TIMEOUT.as_secs())));
         }
+        self.check_violations(&latest, seconds)
+    }
+}
+
+impl Watchdog {
+    /// `latest` is what happened in these `seconds`.
+    fn check_violations(&mut self, latest: &Totals, seconds: f64) -> Result<(), End> {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few seconds")]
-        let allowed = limits::MAX_MESSAGES_PER_SECOND * seconds.ceil() as u64;
-        if latest.messages > allowed {
-            return Err(End::Violation(format!("{} control messages in {seconds:.1} s", latest.messages)));
+        let whole_seconds = seconds.ceil() as u64;
+        for (count, per_second, what) in [
+            (latest.messages, limits::MAX_MESSAGES_PER_SECOND, "control messages"),
+            (latest.poses_bad, limits::MAX_BAD_POSES_PER_SECOND, "invalid datagrams"),
+        ] {
+            if count > per_second * whole_seconds {
+                return Err(End::Violation(format!("{count} {what} in {seconds:.1} s")));
+            }
+        }
+        self.seconds_over_rate = if latest.poses_over_rate > 0 { self.seconds_over_rate + 1 } else { 0 };
+        if self.seconds_over_rate >= limits::MAX_SECONDS_OVER_RATE {
+            let [most, seconds] = [limits::MAX_POSES_PER_SECOND, limits::MAX_SECONDS_OVER_RATE];
+            return Err(End::Violation(format!("more than {most} datagrams a second for {seconds} s")));
         }
         Ok(())
     }
@@ -76,5 +96,22 @@ mod tests {
         let mut noisy = Watchdog::new(&ledger);
         ledger.messages.add(limits::MAX_MESSAGES_PER_SECOND + 1);
         assert!(matches!(noisy.check(&ledger, true), Err(End::Violation(_))));
+        let ledger = Ledger::default();
+        let mut wrong = Watchdog::new(&ledger);
+        ledger.poses_bad.add(limits::MAX_BAD_POSES_PER_SECOND);
+        assert!(wrong.check(&ledger, true).is_ok());
+        ledger.poses_bad.add(limits::MAX_BAD_POSES_PER_SECOND + 1);
+        assert!(matches!(wrong.check(&ledger, true), Err(End::Violation(_))));
+        // Datagrams that a network held up are too many in one second, not in several.
+        let mut flood = Watchdog::new(&ledger);
+        let mut second = |over: u64| {
+            ledger.poses_over_rate.add(over);
+            flood.check(&ledger, true)
+        };
+        for over in [1, 1, 0].into_iter().cycle().take(30) {
+            assert!(second(over).is_ok());
+        }
+        let ends = (1..=limits::MAX_SECONDS_OVER_RATE).find(|_| second(1).is_err());
+        assert_eq!(ends, Some(limits::MAX_SECONDS_OVER_RATE));
     }
 }

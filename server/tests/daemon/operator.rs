@@ -224,8 +224,8 @@ async fn tokens_are_reloaded_and_a_single_use_token_admits_one_session() {
     assert_eq!(get(admin, "/sessions", &format!("Authorization: Bearer {second}\r\n")).await.0, 401);
     let (status, found) = get(admin, "/metrics", &format!("Authorization: Bearer {look}\r\n")).await;
     assert_eq!((status, value(&found, "gnomon_refusals_total{cause=\"token\"}")), (200, 3), "{found}");
-    // Two sessions of `first` were open.
-    assert_eq!(value(&found, "gnomon_sessions_closed_total{cause=\"token\"}"), 2);
+    // Another session of `first` may still have been open.
+    assert!(value(&found, "gnomon_sessions_closed_total{cause=\"token\"}") >= 1, "{found}");
     assert_eq!(get(admin, "/ready", "").await.0, 200);
 }
 

@@ -3,17 +3,21 @@
 use std::{path::Path, sync::Barrier};
 
 use bytes::Bytes;
-use gnomon_protocol::ids::{ResumeToken, SceneDigest};
-use tokio::sync::{Semaphore, watch};
+use gnomon_protocol::{
+    codec::CodecId,
+    ids::{ResumeToken, SceneDigest},
+};
+use tokio::sync::watch;
 
 use super::*;
 use crate::{
     admission::{
-        addresses::AddressLimit, capacity::HostCapacity, end_reason::EndReason, permit::SessionPermits,
-        services::SceneAsset, tokens::store::TokenStore,
+        addresses::AddressLimit, capacity::HostCapacity, encoders::Encoders, end_reason::EndReason,
+        failed_tokens::FailedTokens, permit::SessionPermits, services::SceneAsset, tokens::store::TokenStore,
     },
     config::{Backend, ServerConfig},
     hex,
+    limits::MAX_FAILED_TOKENS,
     metrics::registry::Metrics,
     phase::Phase,
     visibility::{
@@ -50,12 +54,13 @@ fn services(folder: &Path, tokens: &str, change: impl FnOnce(&mut ServerConfig))
         },
         engine: Fleet::start(&scene, &options).unwrap(),
         tokens: (!tokens.is_empty()).then(|| Arc::new(TokenStore::read(&path).unwrap())),
+        failed_tokens: FailedTokens::default(),
         addresses: AddressLimit::new(config.max_sessions_per_address, false),
         metrics: Arc::new(Metrics::default()),
         permits: SessionPermits::new(config.max_sessions),
-        capacity: HostCapacity::new(&config, 1),
+        capacity: HostCapacity::new(&config, 1, 0, 0),
         phase: phase_seen,
-        encoders: Arc::new(Semaphore::new(1)),
+        encoders: Encoders::new(1),
         handshake_timeout: config.handshake_timeout(),
         drain_ms: 0,
         alternative: None,
@@ -196,7 +201,7 @@ async fn a_resume_near_the_budget_keeps_its_session() {
     // Admitted, but lost before its Welcome was written.
     let lost = decide(apply(hello(None, Some(second.permit.resume)), &services).unwrap(), elsewhere, &services);
     drop(lost.unwrap());
-    let ended = tokio::time::timeout(std::time::Duration::from_millis(20), second.permit.ended()).await;
+    let ended = timeout(std::time::Duration::from_millis(20), second.permit.ended()).await;
     assert!(ended.is_err(), "{ended:?}");
     admit(hello(None, Some(second.permit.resume)), &services).unwrap();
     assert_eq!(second.permit.ended().await, EndReason::Superseded);
@@ -212,4 +217,23 @@ async fn a_session_that_an_operator_ended_is_not_resumed() {
     let (cause, refusal) = admit(hello(None, Some(ended.permit.resume)), &services).map(drop).unwrap_err();
     assert_eq!(cause, RefusalCause::Dismissed);
     assert!(refusal.retry_after().is_some(), "{refusal}");
+}
+
+#[test]
+fn an_address_with_too_many_wrong_tokens_is_refused_unseen() {
+    let folder = tempfile::tempdir().unwrap();
+    let services = services(folder.path(), &once_token("gold"), |_| {});
+    let first = admit(hello(Some("gold"), None), &services).unwrap();
+    for _ in 0..MAX_FAILED_TOKENS {
+        assert_eq!(admit(hello(Some("tin"), None), &services).map(drop).unwrap_err().1, Refusal::Token);
+    }
+    // Even the right token has to wait, but not at another address, and not with the secret of an open session.
+    for token in ["tin", "gold"] {
+        let (cause, refusal) = admit(hello(Some(token), None), &services).map(drop).unwrap_err();
+        assert!(cause == RefusalCause::Token && refusal.retry_after().is_some(), "{refusal}");
+    }
+    let elsewhere: SocketAddr = "192.0.2.8:1".parse().unwrap();
+    let other = decide(apply(hello(Some("tin"), None), &services).unwrap(), elsewhere, &services);
+    assert_eq!(other.map(drop).unwrap_err().1, Refusal::Token);
+    admit(hello(Some("gold"), Some(first.permit.resume)), &services).unwrap();
 }

@@ -1,18 +1,25 @@
 //! Permits without clients.
 
-use gnomon_protocol::mask::MaskShape;
+use gnomon_protocol::{codec::CodecId, mask::MaskShape};
 
 use super::*;
-use crate::{admission::capacity::HostCapacity, config::ServerConfig};
+use crate::{
+    admission::{
+        capacity::{Demand, HostCapacity},
+        coding::Coding,
+    },
+    config::ServerConfig,
+};
 
 fn holding(token: Option<Digest>) -> Holding {
     let shape = MaskShape::new(8, 8, 1).unwrap();
-    let capacity = HostCapacity::new(&ServerConfig::default(), 1);
+    let capacity = HostCapacity::new(&ServerConfig::default(), 1, 0, 0);
+    let demand = Demand { shape, coding: Coding { codec: CodecId::PlanesLz4, wrong_ppm: 0 }, rate_hz: None };
     Holding {
         token,
         address: Arc::default(),
         costs: Arc::new(SessionCosts::new(shape, None, 1.0)),
-        share: capacity.reserve(shape, None, None).unwrap().share(),
+        share: capacity.reserve(demand, None).unwrap().share(),
     }
 }
 

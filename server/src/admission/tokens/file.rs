@@ -85,7 +85,13 @@ pub(crate) fn parse(path: &Path, bytes: Vec<u8>) -> Result<Vec<Listed>, TokenErr
         let expires = entry
             .expires
             .map(|at| expiry::from_toml(&at).ok_or_else(|| wrong("expires has a date, a time and an offset")));
-        Ok(Listed { name: entry.name, digest, expires_unix_s: expires.transpose()?, scopes: entry.scopes, once: entry.once })
+        Ok(Listed {
+            name: entry.name,
+            digest,
+            expires_unix_s: expires.transpose()?,
+            scopes: entry.scopes,
+            once: entry.once,
+        })
     };
     let listed: Vec<_> = file.token.into_iter().enumerate().map(check).collect::<Result<_, _>>()?;
     let usable = listed.iter().any(|token| token.scopes.contains(&Scope::Session));

@@ -27,10 +27,6 @@ pub(crate) struct Grant {
 }
 
 impl Grant {
-    pub(crate) const fn digest(&self) -> Digest {
-        self.digest
-    }
-
     /// The token's name in the file.
     pub(crate) fn name(&self) -> &str {
         &self.name
@@ -48,8 +44,8 @@ impl Grant {
             if reloads != self.seen_reloads {
                 self.seen_reloads = reloads;
                 match self.store.expiry_of(self.digest) {
-                    Some(expires_unix_s) => self.expires_unix_s = expires_unix_s,
-                    None => return EndReason::TokenWithdrawn,
+                    Ok(expires_unix_s) => self.expires_unix_s = expires_unix_s,
+                    Err(_) => return EndReason::TokenWithdrawn,
                 }
             }
             let left_s = self.expires_unix_s.map(|expires| expires - unix_s(clock::wall()));

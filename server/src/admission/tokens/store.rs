@@ -109,12 +109,11 @@ impl TokenStore {
         self.state.lock().spent.remove(&digest);
     }
 
-    /// Returns the expiry of a listed session token, in Unix time; `None` inside if it has none.
-    #[expect(clippy::option_option, reason = "listed or not, and for ever or not")]
-    pub(super) fn expiry_of(&self, digest: Digest) -> Option<Option<i64>> {
+    /// Returns the expiry of a session token in Unix time, if it has one. Errors if it is not listed any more.
+    pub(super) fn expiry_of(&self, digest: Digest) -> Result<Option<i64>, TokenRejection> {
         let state = self.state.lock();
-        let listed = state.listed.iter().find(|token| token.digest == digest);
-        listed.filter(|token| token.scopes.contains(&Scope::Session)).map(|token| token.expires_unix_s)
+        let listed = state.listed.iter().find(|token| token.digest == digest).ok_or(TokenRejection::Unknown)?;
+        if listed.scopes.contains(&Scope::Session) { Ok(listed.expires_unix_s) } else { Err(TokenRejection::Scope) }
     }
 }
 

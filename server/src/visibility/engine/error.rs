@@ -1,6 +1,6 @@
 //! Why an engine does not start, and why it refuses a session.
 
-use std::io;
+use std::{io, time::Duration};
 
 use thiserror::Error;
 
@@ -13,6 +13,8 @@ pub enum EngineError {
     Backend(#[from] BackendError),
     #[error("cannot start the engine's thread: {0}")]
     Thread(io::Error),
+    #[error("the device has not answered in {} s: look at its driver, or trace elsewhere with --backend", .0.as_secs())]
+    NoAnswer(Duration),
     /// The thread ended before the back end was ready.
     #[error("the engine's thread died while it prepared the scene")]
     Died,

@@ -7,6 +7,10 @@ pub enum Fault {
     /// The work on the next mask panics.
     Panic,
     DeviceLost,
+    /// The device completes nothing any more, and is given up after a tenth of a second.
+    NoAnswer,
+    /// A call into the driver returns after two seconds only.
+    StuckCall,
 }
 
 /// Injected faults of one engine, until they happen.
@@ -14,6 +18,8 @@ pub enum Fault {
 pub(super) struct Faults {
     panics: AtomicU32,
     losses: AtomicU32,
+    silences: AtomicU32,
+    stuck_calls: AtomicU32,
 }
 
 impl Faults {
@@ -31,6 +37,8 @@ impl Faults {
         match fault {
             Fault::Panic => &self.panics,
             Fault::DeviceLost => &self.losses,
+            Fault::NoAnswer => &self.silences,
+            Fault::StuckCall => &self.stuck_calls,
         }
     }
 }

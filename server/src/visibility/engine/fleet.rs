@@ -13,6 +13,7 @@ use super::{
     options::{BackendChoice, EngineOptions},
     port::SessionPort,
 };
+use crate::visibility::schedule::costs::SessionCosts;
 
 /// Running engines, at least one. Dropping them waits for their threads, so don't drop them on an async worker.
 #[derive(Debug)]
@@ -71,6 +72,11 @@ impl Fleet {
         &self.engines
     }
 
+    /// Number of engines with buffers on a device; 0 on the processor.
+    pub(crate) fn devices(&self) -> u32 {
+        u32::try_from(self.engines.iter().filter(|engine| engine.has_device()).count()).unwrap_or(u32::MAX)
+    }
+
     #[must_use]
     pub fn sessions(&self) -> usize {
         self.engines.iter().map(Engine::sessions).sum()
@@ -108,6 +114,12 @@ impl Fleet {
             }
         }
         Err(first.unwrap_or(OpenError::Busy))
+    }
+
+    /// Returns false if an engine hangs: see [`Engine::answers`].
+    #[must_use]
+    pub fn answers(&self) -> bool {
+        self.engines.iter().all(Engine::answers)
     }
 
     /// Waits until all engines have ended. Returns the last reason.

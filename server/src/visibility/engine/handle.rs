@@ -4,9 +4,10 @@ use std::{
     sync::{
         Arc, Mutex, PoisonError,
         atomic::Ordering,
-        mpsc::{SyncSender, TrySendError, sync_channel},
+        mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel},
     },
     thread::{JoinHandle, Thread},
+    time::{Duration, Instant},
 };
 
 use gnomon_protocol::mask::MaskShape;
@@ -32,6 +33,15 @@ use crate::visibility::{
 
 /// Size of the warm-up masks that are traced before the first session, in pixels.
 const WARM_UP_PX: (u32, u32) = (320, 180);
+
+/// Limit for opening a device and building the hierarchy. Only a driver that hangs takes longer.
+const START_PATIENCE: Duration = Duration::from_secs(600);
+
+/// Limit for the thread to end. A driver call that does not return keeps it; then the thread is left behind.
+const STOP_PATIENCE: Duration = Duration::from_secs(10);
+
+/// A round of the thread that takes longer hangs in a driver call.
+const ROUND_PATIENCE: Duration = Duration::from_secs(120);
 
 /// Stack of the engine's thread. obvhs builds hierarchies recursively.
 const STACK_BYTES: usize = 16 << 20;
@@ -89,7 +99,10 @@ impl Engine {
         });
         let thread = thread.map_err(EngineError::Thread)?;
         let waker = thread.thread().clone();
-        let about = ready_end.recv().map_err(|_| EngineError::Died)??;
+        let about = ready_end.recv_timeout(START_PATIENCE).map_err(|error| match error {
+            RecvTimeoutError::Timeout => EngineError::NoAnswer(START_PATIENCE),
+            RecvTimeoutError::Disconnected => EngineError::Died,
+        })??;
         tracing::info!(backend = about.description, lights, "engine started");
         Ok(Self {
             description: about.description,
@@ -124,6 +137,10 @@ impl Engine {
         &self.description
     }
 
+    pub(super) const fn has_device(&self) -> bool {
+        self.limit.is_some()
+    }
+
     #[must_use]
     pub fn sessions(&self) -> usize {
         self.shared.sessions().len()
@@ -156,6 +173,17 @@ impl Engine {
     pub fn nudge(&self) -> u64 {
         self.waker.unpark();
         self.shared.rounds.load(Ordering::Relaxed)
+    }
+
+    /// Returns false if the thread hangs, for example in a driver call that does not return. Slow clients do not
+    /// matter.
+    #[must_use]
+    pub fn answers(&self) -> bool {
+        self.answers_within(ROUND_PATIENCE)
+    }
+
+    pub(super) fn answers_within(&self, patience: Duration) -> bool {
+        self.shared.pulse.silent_for() < patience
     }
 
     #[cfg(any(test, feature = "faults"))]
@@ -246,14 +274,29 @@ impl Engine {
         reason.unwrap_or_default()
     }
 
-    /// Stops tracing, closes all sessions' ports, and waits for the thread to end.
+    /// Stops tracing, closes all sessions' ports, and waits for the thread to end, for a limited time.
     pub fn shutdown(&self) {
+        self.shutdown_within(STOP_PATIENCE);
+    }
+
+    /// Returns whether the thread has ended.
+    pub(super) fn shutdown_within(&self, patience: Duration) -> bool {
         self.shared.stop.store(true, Ordering::Release);
         self.waker.unpark();
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if thread.is_some_and(|thread| thread.join().is_err()) {
+        let Some(thread) = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take() else { return true };
+        let deadline = Instant::now() + patience;
+        while !thread.is_finished() {
+            if Instant::now() >= deadline {
+                tracing::error!("the device does not answer: its thread is left behind");
+                self.shared.end("its device does not answer".to_owned());
+                return false;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        if thread.join().is_err() {
             tracing::error!("the engine's thread had panicked");
         }
+        true
     }
 }
 

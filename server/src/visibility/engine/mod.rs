@@ -8,6 +8,7 @@ mod handle;
 mod open;
 mod options;
 mod port;
+mod pulse;
 mod shared;
 #[cfg(test)]
 mod tests;

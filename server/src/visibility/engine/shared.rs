@@ -12,7 +12,7 @@ use std::{
 use gnomon_protocol::mask::MaskShape;
 use tokio::sync::watch;
 
-use super::port::EnginePort;
+use super::{port::EnginePort, pulse::Pulse};
 use crate::visibility::{
     TraceRequest,
     schedule::{
@@ -36,6 +36,7 @@ pub(super) struct Shared {
     pub(super) losses: AtomicU64,
     /// Expected cost of masks on this device.
     pub(super) model: CostModel,
+    pub(super) pulse: Pulse,
     #[cfg(any(test, feature = "faults"))]
     pub(super) faults: super::faults::Faults,
     pub(super) peers: OnceLock<Vec<Peer>>,
@@ -145,7 +146,8 @@ impl SessionPermit {
         fits: impl FnOnce(&[Need]) -> Result<(), E>,
     ) -> Result<Self, E> {
         let mut sessions = shared.sessions();
-        let needs: Vec<Need> = sessions.iter().filter(|costs| is_not(replaced, costs)).map(|costs| costs.need()).collect();
+        let needs: Vec<Need> =
+            sessions.iter().filter(|costs| is_not(replaced, costs)).map(|costs| costs.need()).collect();
         fits(&needs)?;
         sessions.push(Arc::clone(costs));
         drop(sessions);

@@ -356,6 +356,46 @@ fn sessions_spread_over_devices_and_move_when_one_is_lost() {
     assert!(pollster::block_on(fleet.ended()).contains("shut down"));
 }
 
+/// A submission that never completes costs its device, not the session: the request is traced again.
+#[test]
+fn a_device_that_does_not_answer_is_opened_again() {
+    let (engine, _) = engine(BackendChoice::Compute);
+    let mut port = engine.open_session(shape(40, 40)).unwrap();
+    port.request(request(1, 40, 40));
+    assert_eq!(next_mask(&mut port).frame, FrameNumber(1));
+    engine.inject(Fault::NoAnswer);
+    port.request(request(2, 40, 40));
+    assert_eq!(next_mask(&mut port).frame, FrameNumber(2));
+    assert_eq!(engine.losses(), 1);
+    assert!(engine.is_well() && engine.answers());
+}
+
+#[test]
+fn a_call_that_does_not_return_is_noticed_and_delays_no_stop() {
+    let (engine, _) = engine(BackendChoice::Cpu);
+    assert!(engine.answers_within(Duration::from_millis(1)), "it rests");
+    engine.inject(Fault::StuckCall);
+    eventually("silence", || !engine.answers_within(Duration::from_millis(50)));
+    assert!(engine.answers(), "a round may take a while");
+    assert!(!engine.shutdown_within(Duration::from_millis(10)), "the thread is left behind");
+    assert!(!engine.is_well());
+    assert!(pollster::block_on(engine.ended()).contains("does not answer"));
+}
+
+/// A client that does not take its masks gets no turns. That is no sign of a stuck engine.
+#[test]
+fn a_slow_client_does_not_make_the_engine_look_stuck() {
+    let (engine, _) = engine(BackendChoice::Cpu);
+    let port = engine.open_session(shape(40, 40)).unwrap();
+    for frame in 1..=10 {
+        port.request(request(frame, 40, 40));
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    eventually("two masks", || port.masks.waiting() == OUTSTANDING_MASKS);
+    port.request(request(11, 40, 40));
+    eventually("rest", || engine.answers_within(Duration::from_millis(1)));
+}
+
 #[test]
 fn a_session_beyond_the_budget_is_refused() {
     let (engine, _) = engine(BackendChoice::Cpu);

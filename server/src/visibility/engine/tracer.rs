@@ -4,6 +4,7 @@ use std::{
     collections::VecDeque,
     ops::Range,
     panic::{AssertUnwindSafe, catch_unwind},
+    sync::mpsc::{RecvTimeoutError, sync_channel},
     time::{Duration, Instant},
 };
 
@@ -20,6 +21,9 @@ use crate::visibility::{
     },
     schedule::scheduler::SessionKey,
 };
+
+/// How long a lost device may take to close before another is opened beside it.
+const DROP_PATIENCE: Duration = Duration::from_secs(5);
 
 pub(super) enum Tracer {
     /// Kernels on a device. `in_flight`: wholly submitted frames, oldest first.
@@ -184,10 +188,22 @@ impl Tracer {
         }
     }
 
-    /// Drops the device. Returns the jobs whose frames were in flight, oldest first.
+    /// Drops the device. Returns the jobs whose frames were in flight, oldest first. A device that does not answer may
+    /// never finish to be dropped, so that happens on a thread of its own, which is waited for only a while.
     pub(super) fn lose(&mut self) -> VecDeque<Job> {
         match std::mem::replace(self, Self::Lost) {
-            Self::Device { in_flight, .. } => in_flight,
+            Self::Device { backend, in_flight } => {
+                let (done, dropped) = sync_channel::<()>(1);
+                let dropping = std::thread::Builder::new().name("gnomon-drop-device".to_owned()).spawn(move || {
+                    drop(backend);
+                    drop(done);
+                });
+                let waited = dropping.map(|_| dropped.recv_timeout(DROP_PATIENCE));
+                if matches!(waited, Ok(Err(RecvTimeoutError::Timeout))) {
+                    tracing::error!("the lost device does not close; its memory stays taken");
+                }
+                in_flight
+            }
             Self::Cpu(_) | Self::Lost => VecDeque::new(),
         }
     }
@@ -236,6 +252,14 @@ impl Tracer {
         match self {
             Self::Device { backend, .. } => backend.fit(shapes),
             Self::Cpu(_) | Self::Lost => Ok(()),
+        }
+    }
+
+    /// The device completes nothing any more, and is given up after `patience`.
+    #[cfg(any(test, feature = "faults"))]
+    pub(super) fn stop_answering(&mut self, patience: Duration) {
+        if let Self::Device { backend, .. } = self {
+            backend.stop_answering(patience);
         }
     }
 

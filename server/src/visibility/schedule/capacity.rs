@@ -19,7 +19,7 @@ pub(crate) const IDLE_SHARE: f64 = 0.1;
 pub struct Need {
     /// Device time of a mask, in milliseconds.
     pub cost_ms: f64,
-    /// Requested masks per second. `None`: best effort.
+    /// Masks per second: measured, or declared by a session that is new or idle. `None`: best effort.
     pub rate_hz: Option<f64>,
     /// True if it has requested a mask recently.
     pub active: bool,

@@ -7,7 +7,10 @@ use std::{
 
 use gnomon_protocol::mask::MaskShape;
 
-use super::capacity::Need;
+use super::{
+    capacity::{LEAST_HZ, Need},
+    measured_rate::MeasuredRate,
+};
 use crate::visibility::TraceCost;
 
 /// A session without a request for this long is idle.
@@ -21,7 +24,10 @@ const NEWEST_SHARE: f64 = 0.125;
 pub struct SessionCosts {
     opened_at: Instant,
     pixels: usize,
+    /// Declared.
     rate_hz: Option<f64>,
+    begun: AtomicU64,
+    measured: MeasuredRate,
     expected_ns: AtomicU64,
     /// Microseconds after `opened_at`.
     asked_us: AtomicU64,
@@ -45,6 +51,8 @@ impl SessionCosts {
             opened_at: Instant::now(),
             pixels: shape.pixels(),
             rate_hz,
+            begun: AtomicU64::new(0),
+            measured: MeasuredRate::new(rate_hz.unwrap_or(LEAST_HZ)),
             expected_ns: AtomicU64::new(nanos(expected_ms)),
             asked_us: AtomicU64::new(0),
             traced: AtomicU64::new(0),
@@ -73,15 +81,24 @@ impl SessionCosts {
         self.pixels
     }
 
+    /// Declared masks per second.
+    pub(crate) const fn rate_hz(&self) -> Option<f64> {
+        self.rate_hz
+    }
+
+    /// Counts with the measured rate while it is active. Declared rates count only until they are measured.
     pub(crate) fn need(&self) -> Need {
         let asked = Duration::from_micros(self.asked_us.load(Ordering::Relaxed));
         let active = self.opened_at.elapsed().saturating_sub(asked) < IDLE_AFTER;
-        Need { cost_ms: self.expected_ms(), rate_hz: self.rate_hz, active }
+        let measured_hz = self.measured.planned_hz(self.begun.load(Ordering::Relaxed));
+        let rate_hz = self.rate_hz.map(|declared_hz| if active { measured_hz } else { declared_hz });
+        Need { cost_ms: self.expected_ms(), rate_hz, active }
     }
 
     /// Records that the trace of a pose begins, after it has waited this long.
     pub(crate) fn record_begin(&self, waited: Duration) {
         let micros = |time: Duration| u64::try_from(time.as_micros()).unwrap_or(u64::MAX);
+        self.begun.fetch_add(1, Ordering::Relaxed);
         self.asked_us.store(micros(self.opened_at.elapsed()), Ordering::Relaxed);
         self.queue_us.fetch_add(micros(waited), Ordering::Relaxed);
     }
@@ -160,6 +177,20 @@ mod tests {
         let totals = costs.totals();
         assert_eq!((totals.traced, totals.device_ms, totals.queue_ms), (3, 4.5, 6.0));
         assert!((costs.need().cost_ms - 1.5).abs() < 1e-9, "the first mask replaces the estimate");
+    }
+
+    #[test]
+    fn a_session_is_planned_with_what_it_asks_not_with_what_it_declares() {
+        let costs = SessionCosts::new(shape(64, 36), Some(500.0), 7.0);
+        assert_eq!(costs.need().rate_hz, Some(500.0));
+        for _ in 0..2000 {
+            costs.record_begin(Duration::ZERO);
+        }
+        costs.measured.end_window(0);
+        let measured = costs.need().rate_hz.unwrap();
+        assert!((90.0..=100.0).contains(&measured), "{measured}");
+        let best_effort = SessionCosts::new(shape(64, 36), None, 7.0);
+        assert_eq!(best_effort.need().rate_hz, None);
     }
 
     #[test]

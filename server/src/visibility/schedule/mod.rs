@@ -1,6 +1,9 @@
-//! Shares one device among sessions: whose turn it is, what masks cost, and whether one more session fits.
+//! Shares one device among sessions: whose turn it is, how often, what masks cost, and whether one more
+//! session fits.
 
 pub mod capacity;
 pub mod costs;
+pub(crate) mod measured_rate;
+pub mod pace;
 pub mod parts;
 pub mod scheduler;

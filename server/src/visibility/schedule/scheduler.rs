@@ -8,6 +8,9 @@
 //! A session loses its unused time, except for [`SAVED_MS`]. That is more than the lead, so a session that uses less
 //! than its share goes before greedy ones, whatever their deadlines are.
 //!
+//! Background work is chosen only when no other work fits, so it takes the time that the rest leaves. It saves no time
+//! for later. Deadlines and shares are kept among background sessions, too.
+//!
 //! Work is a frame, or a part of a long one (`parts.rs`). A frame is interrupted only between parts.
 
 use std::{collections::VecDeque, time::Instant};
@@ -42,6 +45,8 @@ pub struct Demand {
     pub resumes: bool,
     /// True if the device has room for it now.
     pub fits: bool,
+    /// True if it may take only time that other sessions leave.
+    pub background: bool,
 }
 
 #[derive(Debug)]
@@ -77,9 +82,10 @@ impl Scheduler {
     pub fn next(&mut self, mut demand: impl FnMut(SessionKey) -> Option<Demand>) -> Option<SessionKey> {
         let (per_session, clock_ms) = (self.per_session, self.clock_ms);
         let mut waiting: Vec<(usize, Instant)> = Vec::new();
+        let mut in_background = true;
         for (index, turn) in self.sessions.iter_mut().enumerate() {
             let demand = demand(turn.key);
-            if demand.is_none() || !turn.waited {
+            if demand.is_none_or(|demand| demand.background) || !turn.waited {
                 // Unused time is lost.
                 turn.used_ms = turn.used_ms.max(clock_ms - SAVED_MS);
             }
@@ -87,7 +93,13 @@ impl Scheduler {
             if let Some(demand) =
                 demand.filter(|demand| demand.fits && (demand.resumes || turn.in_flight.len() < per_session))
             {
-                waiting.push((index, demand.due));
+                if in_background && !demand.background {
+                    waiting.clear();
+                    in_background = false;
+                }
+                if demand.background == in_background {
+                    waiting.push((index, demand.due));
+                }
             }
         }
         let used = |index: usize| self.sessions[index].used_ms;
@@ -174,7 +186,7 @@ mod tests {
 
     /// A frame that is due at `due` and fits.
     fn frame(due: Instant) -> Demand {
-        Demand { due, resumes: false, fits: true }
+        Demand { due, resumes: false, fits: true, background: false }
     }
 
     fn used(scheduler: &Scheduler, key: SessionKey) -> f64 {
@@ -276,7 +288,56 @@ mod tests {
         assert_eq!(scheduler.next(|_| Some(frame(now))), None);
     }
 
+    #[test]
+    fn background_work_takes_what_is_left_and_saves_nothing() {
+        let now = Instant::now();
+        let mut scheduler = scheduler(&[1, 2, 3]);
+        let background = Demand { background: true, ..frame(now) };
+        let late = frame(now + Duration::from_secs(1));
+        for _ in 0..100 {
+            assert_eq!(scheduler.next(|key| Some(if key == 1 { late } else { background })), Some(1));
+            run(&mut scheduler, 1, 10.0);
+        }
+        // The other cannot go now.
+        let full = Demand { fits: false, ..late };
+        let mut turns = [0, 0];
+        for _ in 0..40 {
+            let key = scheduler.next(|key| Some(if key == 1 { full } else { background })).unwrap();
+            turns[usize::try_from(key).unwrap() - 2] += 1;
+            run(&mut scheduler, key, 10.0);
+        }
+        assert_eq!(turns, [20, 20]);
+        // What it had to wait gives it no right to more than its turn later.
+        run(&mut scheduler, 1, 1000.0);
+        for _ in 0..2 {
+            assert_eq!(scheduler.next(|key| Some(if key == 1 { late } else { background })), Some(1));
+        }
+        assert!(used(&scheduler, 2) >= scheduler.clock_ms - SAVED_MS);
+    }
+
     proptest! {
+        /// Whatever has happened before, no background work goes before other work that fits.
+        #[test]
+        fn background_work_never_goes_first(
+            steps in prop::collection::vec((prop::collection::vec((0_u8..4, any::<bool>()), 5), 0.05_f64..40.0), 100),
+        ) {
+            let now = Instant::now();
+            let mut scheduler = scheduler(&[0, 1, 2, 3, 4]);
+            for (sessions, cost_ms) in steps {
+                let demand = |key: SessionKey| {
+                    let (kind, fits) = sessions[usize::try_from(key).unwrap()];
+                    (kind < 3).then_some(Demand { fits, background: kind == 0, ..frame(now) })
+                };
+                let chosen = scheduler.next(demand);
+                let fitting: Vec<Demand> = (0..5).filter_map(demand).filter(|demand| demand.fits).collect();
+                prop_assert_eq!(chosen.is_some(), !fitting.is_empty());
+                if let Some(key) = chosen {
+                    prop_assert!(!demand(key).unwrap().background || fitting.iter().all(|other| other.background));
+                    run(&mut scheduler, key, cost_ms);
+                }
+            }
+        }
+
         /// Whatever the costs and deadlines are, sessions that always wait have used the same time, up to the lead and
         /// one frame. Each frame costs what was expected, so no charge is corrected.
         #[test]

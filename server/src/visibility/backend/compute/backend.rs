@@ -1,6 +1,6 @@
 //! The back end: a device with a scene, and the buffers for its masks.
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, time::Duration};
 
 use glam::DVec3;
 use gnomon_protocol::mask::MaskShape;
@@ -23,6 +23,12 @@ use super::{
 };
 use crate::visibility::backend::BackendError;
 
+/// A submission that takes longer than this and [`PATIENCE_PER_RAY`] for each ray of the largest frame never completes.
+const ANSWER_PATIENCE: Duration = Duration::from_secs(60);
+
+/// Software adapters trace more than half a million rays a second, even on busy machines.
+const PATIENCE_PER_RAY: Duration = Duration::from_micros(2);
+
 /// Traces masks on one device. Frames are collected in the order in which their last parts were submitted.
 #[derive(Debug)]
 pub struct ComputeBackend {
@@ -41,6 +47,8 @@ pub struct ComputeBackend {
     pub(super) in_flight: VecDeque<InFlight>,
     pub(super) submissions: Submissions,
     failure: DeviceFailure,
+    #[cfg(any(test, feature = "faults"))]
+    silent_after: Option<Duration>,
 }
 
 /// Memory of a device that grows with the scene and its masks, in bytes.
@@ -144,6 +152,8 @@ impl ComputeBackend {
             in_flight: VecDeque::with_capacity(RING_FRAMES),
             submissions: Submissions::default(),
             failure,
+            #[cfg(any(test, feature = "faults"))]
+            silent_after: None,
             gpu,
         })
     }
@@ -196,6 +206,34 @@ impl ComputeBackend {
     /// Errors if the device has reported a failure since the last call.
     pub(super) fn check_device(&self) -> Result<(), BackendError> {
         self.failure.take().map_or(Ok(()), |reason| Err(BackendError::Device(reason)))
+    }
+
+    /// Errors if the oldest submission has taken far longer than any work takes: the device will never answer. The
+    /// largest masks may take minutes on software adapters.
+    pub(super) fn check_answers(&self) -> Result<(), BackendError> {
+        let bits = self.ring.as_ref().map_or(0, |ring| ring.capacity.mask_bytes * 8);
+        let patience = ANSWER_PATIENCE + PATIENCE_PER_RAY * u32::try_from(bits).unwrap_or(u32::MAX);
+        #[cfg(any(test, feature = "faults"))]
+        let patience = self.silent_after.unwrap_or(patience);
+        let age = self.submissions.oldest_age();
+        if age <= patience {
+            return Ok(());
+        }
+        Err(BackendError::Device(format!("it has not answered for {:.1} s", age.as_secs_f64())))
+    }
+
+    /// From now on the device seems to complete nothing. It is given up after `patience`.
+    #[cfg(any(test, feature = "faults"))]
+    pub fn stop_answering(&mut self, patience: Duration) {
+        self.silent_after = Some(patience);
+    }
+
+    /// Returns whether [`Self::stop_answering`] was called.
+    pub(super) const fn is_silent(&self) -> bool {
+        #[cfg(any(test, feature = "faults"))]
+        return self.silent_after.is_some();
+        #[cfg(not(any(test, feature = "faults")))]
+        false
     }
 
     /// Destroys the device. All later requests fail, as after a real loss.

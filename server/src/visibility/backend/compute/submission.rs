@@ -7,7 +7,7 @@ use std::{
         Arc,
         atomic::{AtomicU64, Ordering},
     },
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use gnomon_protocol::mask::MaskShape;
@@ -58,12 +58,17 @@ pub(super) struct InFlight {
 pub(super) struct Submissions {
     waiting: VecDeque<wgpu::SubmissionIndex>,
     made: u64,
+    /// When one was finished, or made while none was waiting.
+    progress_at: Option<Instant>,
     /// Incremented by the device's callbacks.
     done: Arc<AtomicU64>,
 }
 
 impl Submissions {
     pub(super) fn add(&mut self, queue: &wgpu::Queue, commands: wgpu::CommandBuffer) {
+        if self.waiting.is_empty() {
+            self.progress_at = Some(Instant::now());
+        }
         self.waiting.push_back(queue.submit([commands]));
         self.made += 1;
         let done = Arc::clone(&self.done);
@@ -75,8 +80,20 @@ impl Submissions {
         let open = self.made - self.done.load(Ordering::Acquire).min(self.made);
         while self.waiting.len() as u64 > open {
             self.waiting.pop_front();
+            self.progress_at = Some(Instant::now());
         }
         self.waiting.len()
+    }
+
+    /// Number of submissions not known to be finished.
+    pub(super) fn waiting(&self) -> usize {
+        self.waiting.len()
+    }
+
+    /// How long the device has worked on the oldest one.
+    pub(super) fn oldest_age(&self) -> Duration {
+        let since = self.progress_at.filter(|_| !self.waiting.is_empty());
+        since.map_or(Duration::ZERO, |since| since.elapsed())
     }
 
     pub(super) fn oldest(&self) -> Option<wgpu::SubmissionIndex> {

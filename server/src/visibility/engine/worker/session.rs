@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use crate::visibility::{
     engine::{shared::PendingSession, tracer::PartialFrame},
-    schedule::{parts, scheduler::Demand},
+    schedule::{pace::Pace, parts, scheduler::Demand},
 };
 
 /// How long the shortest frame cost among the sessions is remembered.
@@ -16,6 +16,9 @@ pub(super) struct ActiveSession {
     pub(super) due: Option<Instant>,
     /// Its frame that is being traced in parts.
     pub(super) partial: Option<PartialFrame>,
+    /// The frame being traced in parts is background work.
+    pub(super) in_background: bool,
+    pub(super) pace: Pace,
 }
 
 /// What the device has room for now.
@@ -26,6 +29,8 @@ pub(super) struct Room {
     /// The first part of a frame.
     pub(super) first_part: bool,
     pub(super) next_part: bool,
+    /// The first part of a background frame. One of them at a time, so that they leave buffers to other frames.
+    pub(super) background_part: bool,
     /// Cost above which a frame is split, in milliseconds.
     pub(super) split_above_ms: f64,
 }
@@ -57,7 +62,8 @@ impl SplitThreshold {
 
 impl ActiveSession {
     pub(super) fn new(opened: PendingSession) -> Self {
-        Self { opened, due: None, partial: None }
+        let pace = Pace::new(opened.costs.rate_hz(), Instant::now());
+        Self { opened, due: None, partial: None, in_background: false, pace }
     }
 
     pub(super) fn is_closed(&self) -> bool {
@@ -65,18 +71,41 @@ impl ActiveSession {
     }
 
     /// Returns the work that it waits for, if any. A newer pose does not move the due time of an earlier request.
-    pub(super) fn demand(&mut self, room: Room) -> Option<Demand> {
+    pub(super) fn demand(&mut self, room: Room, now: Instant) -> Option<Demand> {
         if let Some(partial) = &self.partial {
-            return Some(Demand { due: partial.job.due, resumes: true, fits: room.next_part });
+            let background = self.in_background;
+            return Some(Demand { due: partial.job.due, resumes: true, fits: room.next_part, background });
         }
-        let port = &self.opened.port;
-        let newest = port.newest.has_changed().unwrap_or(false);
-        if (!newest && self.opened.retry.is_none()) || port.masks.capacity() == 0 {
+        let (request_waits, wait) = (self.request_waits(), self.pace_wait(now));
+        // Beyond its pace, a session with a declared rate waits, and one without takes what others leave.
+        if !request_waits || (!wait.is_zero() && self.opened.costs.rate_hz().is_some()) {
             return None;
         }
-        let request = port.newest.borrow().or(self.opened.retry)?;
+        let request = self.opened.port.newest.borrow().or(self.opened.retry)?;
         let due = *self.due.get_or_insert(request.received_at + request.interval);
-        let split = self.opened.costs.expected_ms() > room.split_above_ms;
-        Some(Demand { due, resumes: false, fits: if split { room.first_part } else { room.whole } })
+        let background = !wait.is_zero();
+        let fits = match (self.opened.costs.expected_ms() > room.split_above_ms, background) {
+            (false, _) => room.whole,
+            (true, false) => room.first_part,
+            (true, true) => room.first_part && room.background_part,
+        };
+        Some(Demand { due, resumes: false, fits, background })
+    }
+
+    /// How long its request must wait for its pace. `None` if it has no request that only its pace holds back.
+    pub(super) fn held_back(&self, now: Instant) -> Option<Duration> {
+        let wait = self.pace_wait(now);
+        (self.partial.is_none() && !wait.is_zero() && self.request_waits()).then_some(wait)
+    }
+
+    fn request_waits(&self) -> bool {
+        let port = &self.opened.port;
+        let newest = port.newest.has_changed().unwrap_or(false);
+        (newest || self.opened.retry.is_some()) && port.masks.capacity() > 0
+    }
+
+    /// A request whose trace was lost with its device has had its turn already.
+    fn pace_wait(&self, now: Instant) -> Duration {
+        if self.opened.retry.is_some() { Duration::ZERO } else { self.pace.wait(now) }
     }
 }

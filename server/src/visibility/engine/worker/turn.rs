@@ -1,6 +1,9 @@
 //! The rounds of the engine's thread: new sessions, work, waiting for the device.
 
-use std::{sync::atomic::Ordering, time::Duration};
+use std::{
+    sync::atomic::Ordering,
+    time::{Duration, Instant},
+};
 
 use super::state::Worker;
 #[cfg(any(test, feature = "faults"))]
@@ -19,6 +22,7 @@ impl Worker {
     pub(in super::super) fn run(mut self) {
         while !self.shared.stop.load(Ordering::Acquire) {
             self.shared.rounds.fetch_add(1, Ordering::Relaxed);
+            self.shared.pulse.beat();
             if let Err(error) = self.turn()
                 && !self.recover(error)
             {
@@ -31,7 +35,7 @@ impl Worker {
     /// round, so no wake-up is lost.
     fn turn(&mut self) -> Result<(), TraceError> {
         #[cfg(any(test, feature = "faults"))]
-        self.lose_device_on_demand()?;
+        self.fail_on_demand()?;
         self.remove_closed();
         self.take_up_sessions()?;
         let mut worked = false;
@@ -47,12 +51,23 @@ impl Worker {
         if idle {
             if !worked {
                 self.shrink_buffers()?;
-                std::thread::park();
+                self.park();
             }
             return Ok(());
         }
         let may_begin = load.is_some_and(|load| load.in_flight < RING_FRAMES);
         self.land(if may_begin { POLL } else { FULL_RING_WAIT })
+    }
+
+    /// Sleeps until something wakes the thread, or a session's pace lets its request begin.
+    fn park(&self) {
+        let now = Instant::now();
+        self.shared.pulse.rest();
+        match self.sessions.values().filter_map(|session| session.held_back(now)).min() {
+            Some(wait) => std::thread::park_timeout(wait),
+            None => std::thread::park(),
+        }
+        self.shared.pulse.beat();
     }
 
     pub(super) fn take_up_sessions(&mut self) -> Result<(), TraceError> {
@@ -83,7 +98,13 @@ impl Worker {
     }
 
     #[cfg(any(test, feature = "faults"))]
-    fn lose_device_on_demand(&mut self) -> Result<(), BackendError> {
+    fn fail_on_demand(&mut self) -> Result<(), BackendError> {
+        if self.shared.faults.take(Fault::NoAnswer) {
+            self.tracer.stop_answering(Duration::from_millis(100));
+        }
+        if self.shared.faults.take(Fault::StuckCall) {
+            std::thread::sleep(Duration::from_secs(2));
+        }
         if self.shared.faults.take(Fault::DeviceLost) {
             self.tracer.destroy_device();
             return Err(BackendError::Device("lost on demand".to_owned()));

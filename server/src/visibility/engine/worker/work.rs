@@ -2,7 +2,7 @@
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use gnomon_protocol::mask::{Mask, MaskShape};
@@ -29,9 +29,9 @@ impl Worker {
     /// Returns whether there was one.
     pub(super) fn work(&mut self) -> Result<bool, TraceError> {
         loop {
-            let room = self.room();
+            let (room, now) = (self.room(), Instant::now());
             let sessions = &mut self.sessions;
-            let next = self.scheduler.next(|key| sessions.get_mut(&key).and_then(|session| session.demand(room)));
+            let next = self.scheduler.next(|key| sessions.get_mut(&key).and_then(|session| session.demand(room, now)));
             let Some(key) = next else { return Ok(false) };
             let Some(session) = self.sessions.get_mut(&key) else { continue };
             if let Some(partial) = session.partial.take() {
@@ -52,8 +52,9 @@ impl Worker {
     fn room(&mut self) -> Room {
         let active = self.sessions.values().map(|session| session.opened.costs.need()).filter(|need| need.active);
         let split_above_ms = self.split_threshold.get(active.map(|need| need.cost_ms));
+        let background_part = !self.sessions.values().any(|session| session.partial.is_some() && session.in_background);
         let Some(load) = self.tracer.load() else {
-            return Room { whole: true, first_part: true, next_part: true, split_above_ms };
+            return Room { whole: true, first_part: true, next_part: true, background_part, split_above_ms };
         };
         let next_part = load.submissions < PARTS_IN_FLIGHT;
         let interrupted = self.sessions.values().any(|session| session.partial.is_some());
@@ -64,6 +65,7 @@ impl Worker {
             // Leaves a slot for every frame that may be in flight, however many are interrupted.
             first_part: load.free_slots > 0 && load.free_slots + load.in_flight > RING_FRAMES,
             next_part,
+            background_part,
             split_above_ms,
         }
     }
@@ -85,6 +87,11 @@ impl Worker {
             return None;
         };
         costs.record_begin(request.received_at.elapsed());
+        let now = Instant::now();
+        session.in_background = lost.is_none() && !session.pace.wait(now).is_zero();
+        if lost.is_none() {
+            session.pace.take(now);
+        }
         let mask = port.used.try_iter().find(|mask| mask.shape() == shape).unwrap_or_else(|| Mask::new(shape));
         let due = due.unwrap_or(request.received_at + request.interval);
         Some(Job { session: key, request, due, mask, permit })
