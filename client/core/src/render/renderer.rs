@@ -195,8 +195,9 @@ impl FrameRenderer {
         self.check()
     }
 
-    /// Takes the mask for predicting the next pictures' visibility; they submit its upload. Returns whether it is used: a mask whose lights
-    /// are not the scene's, or whose size is not its camera's, clears the visibility as `None` does.
+    /// Takes the mask for predicting the next pictures' visibility; the next picture submits its upload. Returns
+    /// whether it is used: a mask whose lights are not the scene's, or whose size is not its camera's, clears the
+    /// visibility as `None` does.
     ///
     /// # Errors
     /// If a mask of this size exceeds a limit of the adapter.
