@@ -108,6 +108,42 @@ fn buffers_and_views_must_be_where_they_say() {
     assert!(matches!(Scene::load(Path::new("/no/such/file"), &LoadOptions::default()), Err(SceneError::Read { .. })));
 }
 
+#[cfg(unix)]
+#[test]
+fn a_link_that_leaves_the_folder_of_the_scene_is_refused() {
+    use std::os::unix::fs::symlink;
+
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene");
+    std::fs::create_dir(&scene).unwrap();
+    let file = gnomon_scene::testing::write_scene(&scene).unwrap();
+    let options = LoadOptions::default();
+    Scene::load(&file, &options).unwrap();
+    let links: Vec<_> = std::fs::read_dir(&scene).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let beside: Vec<_> = links.into_iter().filter(|path| *path != file).collect();
+    assert!(!beside.is_empty(), "the scene has files of its own");
+    for path in &beside {
+        // Within the folder a link is fine, wherever the folder is reached from.
+        let inside = scene.join("inside");
+        std::fs::rename(path, &inside).unwrap();
+        symlink("inside", path).unwrap();
+        Scene::load(&file, &options).unwrap();
+        let entry = folder.path().join("entry");
+        symlink(&scene, &entry).unwrap();
+        Scene::load(&entry.join(file.file_name().unwrap()), &options).unwrap();
+        // Outside it would travel to every client.
+        let secret = folder.path().join("identity.pem");
+        std::fs::rename(&inside, &secret).unwrap();
+        std::fs::remove_file(path).unwrap();
+        symlink(&secret, path).unwrap();
+        let error = Scene::load(&file, &options).unwrap_err();
+        assert!(error.to_string().contains("leaves the scene's folder"), "{error}");
+        std::fs::remove_file(path).unwrap();
+        std::fs::rename(&secret, path).unwrap();
+        std::fs::remove_file(&entry).unwrap();
+    }
+}
+
 #[test]
 fn indices_wider_than_32_bits_are_not_truncated() {
     let json = bomb(3, 1).replace(r#""POSITION":0"#, r#""POSITION":4294967296"#);

@@ -7,7 +7,7 @@ use gltf::json::{Index, Root, buffer::View};
 use super::uri::{Target, resolve};
 use crate::{
     error::{SceneError, place, within},
-    file::read_start,
+    file::{beneath, read_start},
     limits::MAX_BUFFER_BYTES,
     reader::checks::layout::view_range,
 };
@@ -28,7 +28,7 @@ impl<'a> Buffers<'a> {
                 Some(uri) => match resolve(uri, folder).map_err(|fault| SceneError::invalid(here(), fault))? {
                     Target::Data(data) => Some(Cow::Owned(data)),
                     // Reads no more than the sum above counted: many buffers may name one large file.
-                    Target::File(path) => Some(Cow::Owned(read_start(&path, buffer.byte_length.0)?)),
+                    Target::File(path) => Some(Cow::Owned(read_start(&beneath(&path, folder)?, buffer.byte_length.0)?)),
                 },
                 None if index == 0 => bin.map(Cow::Borrowed),
                 None => None,

@@ -7,7 +7,7 @@ use gltf::json::{Index, Root};
 use crate::{
     Image,
     error::{SceneError, place, within},
-    file::read_file,
+    file::{beneath, read_file},
     limits::{MAX_IMAGE_BYTES, MAX_IMAGES_BYTES, MAX_IMAGES_PIXELS},
     picture::decode,
     reader::file::{
@@ -37,7 +37,7 @@ pub(crate) fn load(
                 Target::Data(data) => data,
                 Target::File(path) => {
                     name = path.display().to_string();
-                    read_file(&path, MAX_IMAGE_BYTES)?
+                    read_file(&beneath(&path, folder)?, MAX_IMAGE_BYTES)?
                 }
             },
             (None, Some(view)) => {
