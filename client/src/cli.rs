@@ -1,10 +1,17 @@
 //! The command line, and the run that it requests.
 
-use std::{path::PathBuf, time::Duration};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use clap::Parser;
 use etcetera::BaseStrategy as _;
-use gnomon_settings::{Bounds as _, Layers, Loaded, SettingsError, Shell};
+use gnomon_protocol::limits::MAX_TOKEN_BYTES;
+use gnomon_settings::{
+    Bounds as _, Layers, Loaded, SettingsError, Shell,
+    files::{read_bounded, read_small},
+};
 use thiserror::Error;
 
 use crate::{
@@ -47,6 +54,18 @@ pub struct Arguments {
     /// Close the window after S seconds, for scripts
     #[arg(long, value_name = "S", help_heading = "Window", bounds(0.0, 1e9))]
     pub exit_after: Option<f64>,
+    /// File with the token, one line, instead of --token; - reads standard input
+    #[arg(
+        long,
+        env = "GNOMON_CLIENT_TOKEN_FILE",
+        value_name = "FILE",
+        conflicts_with = "token",
+        help_heading = "Server"
+    )]
+    pub token_file: Option<PathBuf>,
+    /// Remove all cached scenes, and exit
+    #[arg(long, help_heading = "Server")]
+    pub clear_cache: bool,
     /// TOML file with settings [default: gnomon/client.toml in the user's configuration folder]
     #[arg(long, env = "GNOMON_CLIENT_CONFIG", value_name = "FILE", help_heading = "Program")]
     pub config: Option<PathBuf>,
@@ -93,6 +112,8 @@ pub enum ConfigError {
     NoSource,
     #[error("a URL and --offline: choose one")]
     TwoSources,
+    #[error("--token-file {}: {reason}", file.display())]
+    TokenFile { file: PathBuf, reason: String },
     /// A flag that has no meaning in a window.
     #[error("--{0}: with --headless only")]
     HeadlessOnly(&'static str),
@@ -116,6 +137,9 @@ pub fn resolve(loaded: Loaded<Arguments>) -> Result<Run, ConfigError> {
     let Loaded { program: arguments, sources, .. } = loaded;
     let is_flag = |key: &&str| sources.get(*key) == Some(&gnomon_settings::Source::Flag);
     let mut settings = arguments.settings;
+    if let Some(file) = arguments.token_file {
+        settings.token = Some(read_token(&file).map_err(|reason| ConfigError::TokenFile { file, reason })?);
+    }
     let source = match (arguments.offline, settings.url.clone()) {
         (Some(scene), None) => Source::Offline { scene, lights_from: arguments.lights_from, lights: arguments.lights },
         (None, Some(url)) => Source::Server(url),
@@ -139,6 +163,26 @@ pub fn resolve(loaded: Loaded<Arguments>) -> Result<Run, ConfigError> {
         return Ok(Run::Headless(run));
     }
     Ok(Run::Window(WindowOptions { run, exit_after: arguments.exit_after.map(Duration::from_secs_f64) }))
+}
+
+/// Reads a token from a file, or from standard input if the file is `-`.
+fn read_token(file: &Path) -> Result<String, String> {
+    // An end of line may follow.
+    let limit = MAX_TOKEN_BYTES as u64 + 2;
+    let bytes =
+        if file == Path::new("-") { read_bounded(std::io::stdin().lock(), limit) } else { read_small(file, limit) };
+    let text = bytes.map_err(|error| match error.kind() {
+        std::io::ErrorKind::InvalidData => format!("a token has at most {MAX_TOKEN_BYTES} bytes, this is longer"),
+        _ => error.to_string(),
+    })?;
+    let text = String::from_utf8(text).map_err(|_| "this is no text".to_owned())?;
+    let token = text.trim_end_matches(['\r', '\n']);
+    match token {
+        "" => Err("there is no token in it".to_owned()),
+        token if token.contains(char::is_control) => Err("it must have one line, the token".to_owned()),
+        token if token.len() > MAX_TOKEN_BYTES => Err(format!("a token has at most {MAX_TOKEN_BYTES} bytes")),
+        token => Ok(token.to_owned()),
+    }
 }
 
 #[cfg(test)]
@@ -237,6 +281,40 @@ mod tests {
         let default = options_with("", &format!("{URL} --headless")).unwrap().settings;
         assert_eq!((default.mode, default.thresholds()), (Mode::Auto, Thresholds::default()));
         assert_eq!((default.guard, default.predict_pose), (Guard::default(), None));
+    }
+
+    #[test]
+    fn a_token_is_read_from_a_file_of_one_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("token");
+        let read = |text: &[u8]| {
+            std::fs::write(&file, text).unwrap();
+            let options =
+                options_with("token = \"other\"", &format!("{URL} --headless --token-file {}", file.display()));
+            options.map(|options| options.settings.token.unwrap())
+        };
+        let longest = "x".repeat(MAX_TOKEN_BYTES);
+        for text in ["s3cret", "s3cret\n", "s3cret\r\n"] {
+            assert_eq!(read(text.as_bytes()), Ok("s3cret".to_owned()));
+        }
+        assert_eq!(read(format!("{longest}\n").as_bytes()), Ok(longest.clone()));
+        for (text, expected) in [
+            (&b""[..], "no token"),
+            (b"\n\n", "no token"),
+            (b"s3cret\n[[token]]\n", "one line"),
+            (b"\xff\n", "no text"),
+            (format!("{longest}x").as_bytes(), "at most 512 bytes"),
+            (format!("{longest}xyz").as_bytes(), "at most 512 bytes"),
+        ] {
+            let error = read(text).unwrap_err();
+            assert!(error.starts_with("--token-file /") && error.contains(expected), "{error}");
+            assert!(!error.contains("s3cret") && !error.contains('\n'), "{error}");
+        }
+        let zero = options_with("", &format!("{URL} --headless --token-file /dev/zero")).unwrap_err();
+        assert!(zero.contains("not a regular file"), "{zero}");
+        let both =
+            options_with("", &format!("{URL} --headless --token a --token-file {}", file.display())).unwrap_err();
+        assert!(both.contains("cannot be used with"), "{both}");
     }
 
     #[test]

@@ -69,7 +69,7 @@ pub struct ClientSettings {
     /// Log of received masks, one line each: frame, packets received or restored, packets restored, packets missing
     #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
     pub mask_log: Option<PathBuf>,
-    /// Token, for a server that requires one
+    /// Token, for a server that requires one; other users of this machine see flags, so prefer --token-file or the variable
     #[arg(long, hide_env_values = true, value_name = "TOKEN", help_heading = "Server")]
     pub token: Option<String>,
     /// Codec of the masks
@@ -87,9 +87,15 @@ pub struct ClientSettings {
         help_heading = "Server"
     )]
     pub lossy: f64,
+    /// With ?cert=first-use: send the token to whoever answers the first visit, without asking
+    #[arg(long, help_heading = "Server")]
+    pub trust_first_use: bool,
     /// Folder for cached scenes [default: the platform's cache folder]
     #[arg(long, value_name = "DIR", help_heading = "Server")]
     pub cache_dir: Option<PathBuf>,
+    /// Most MB of cached scenes, beside the one in use; those not used for longest go first
+    #[arg(long, value_name = "MB", default_value_t = 8192, bounds(0, 100_000_000), help_heading = "Server")]
+    pub cache_limit: u32,
     /// Longest wait for the server's first answer, in s
     #[arg(long, value_name = "S", default_value_t = 5.0, bounds(0.001, 3600.0), help_heading = "Server")]
     pub connect_timeout: f64,
@@ -172,6 +178,12 @@ impl ClientSettings {
     #[must_use]
     pub fn connect_timeout(&self) -> Duration {
         Duration::try_from_secs_f64(self.connect_timeout).unwrap_or(Duration::MAX)
+    }
+
+    /// In bytes.
+    #[must_use]
+    pub fn cache_limit(&self) -> u64 {
+        u64::from(self.cache_limit) * 1_000_000
     }
 
     pub(crate) fn guard_choice(&self) -> GuardChoice {

@@ -9,8 +9,12 @@ use gnomon_transport::control::ControlError;
 use thiserror::Error;
 
 use crate::{
-    app::local_server::LocalServerError, camera_path::PathError, link::scene_cache::SceneFetchError,
-    link::url::ServerUrl, render::RenderError,
+    app::local_server::LocalServerError,
+    app::servers::{PinError, hex},
+    camera_path::PathError,
+    link::scene_cache::SceneFetchError,
+    link::url::ServerUrl,
+    render::RenderError,
 };
 
 #[derive(Debug, Error)]
@@ -34,12 +38,24 @@ pub enum ClientError {
     /// The server's certificate is not the URL's.
     #[error("{0} has another certificate than this URL's: use the URL that the server printed when it started")]
     Certificate(Box<ServerUrl>),
+    /// Nobody has vouched for a server that a token would go to.
+    #[error(
+        "first visit to {url}: no token goes to a server that nobody has vouched for. Compare its certificate with the \
+         line that the server printed, then pass ?cert={} or --trust-first-use",
+        hex(digest)
+    )]
+    FirstVisit { url: Box<ServerUrl>, digest: [u8; 32] },
+    #[error("the certificate of {url} cannot be pinned, pass its ?cert=SHA256 instead: {source}")]
+    NotPinned { url: Box<ServerUrl>, source: PinError },
     /// The server's certificate is not the one pinned on the first visit.
     #[error(
         "{0} has another certificate than on the first visit: use the URL that the server printed, if it is still that \
          server"
     )]
     CertificateChanged(Box<ServerUrl>),
+    /// The two ends have no protocol in common.
+    #[error("{0} speaks another version of the protocol than this client: install matching versions")]
+    OtherVersion(Box<ServerUrl>),
     #[error(transparent)]
     Refused(Refusal),
     #[error("the connection to {url} broke off: {source}")]

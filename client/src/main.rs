@@ -8,8 +8,10 @@ use gnomon_client::{app::demo::Demo, window::run_window};
 use gnomon_client::{
     cli::{self, Arguments, Run, resolve},
     config::ClientSettings,
+    link::scene_cache::SceneCache,
     run_headless,
 };
+use gnomon_protocol::text::Escaped;
 use gnomon_settings::{Layers, Loaded};
 use tracing_subscriber::EnvFilter;
 
@@ -30,7 +32,8 @@ fn main() -> ExitCode {
 /// Returns the error and its causes in one line, without causes that a message already contains.
 fn one_line(error: &anyhow::Error) -> String {
     error.chain().fold(String::new(), |line, cause| {
-        let cause = cause.to_string().replace('\n', " ");
+        // A cause of a lost connection repeats what the peer wrote.
+        let cause = Escaped(cause.to_string().replace('\n', " ")).to_string();
         match line.as_str() {
             "" => cause,
             text if text.contains(&cause) => line,
@@ -55,6 +58,10 @@ fn run(loaded: Loaded<Arguments>) -> anyhow::Result<()> {
     let arguments = &loaded.program;
     if let Some(page) = gnomon_settings::page::<Arguments, ClientSettings>(arguments.completions, arguments.man)? {
         return print(&page);
+    }
+    if arguments.clear_cache {
+        let cache = SceneCache::new(arguments.settings.cache_dir.clone(), arguments.settings.cache_limit());
+        return print(&cache.clear().context("--clear-cache")?.to_string());
     }
     let filter = EnvFilter::try_new(&arguments.log).with_context(|| format!("--log {:?}", arguments.log))?;
     let colour = gnomon_settings::wants_colour(&std::io::stderr());

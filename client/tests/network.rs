@@ -110,6 +110,27 @@ fn a_returning_server_is_found_and_resumed() {
 }
 
 #[test]
+fn a_server_cannot_make_its_clients_read_their_files() {
+    let cert = "00".repeat(32);
+    for url in [
+        "gnomon+lab-tcp://127.0.0.1:9/?ca=/dev/zero".to_owned(),
+        "gnomon://127.0.0.1:9/?ca=/dev/zero".to_owned(),
+        format!("gnomon://127.0.0.1:9/?cert={cert}&ca=/dev/zero"),
+        format!("gnomon://127.0.0.1:9/?cert={cert}"),
+        "gnomon+lab-tcp://192.0.2.1:9".to_owned(),
+        "file:///dev/zero\x1b[2J\n".to_owned(),
+    ] {
+        let stage = Stage::start("lab-tcp", Script { drain_at: Some((5, url.clone())), ..Script::default() });
+        let folder = tempfile::tempdir().unwrap();
+        let (summary, lines) = run(&options(&stage, folder.path(), 40));
+        assert_eq!((summary.frames_rendered, summary.reconnects, summary.connection_lost), (40, 0, None), "{url}");
+        // The notice itself arrived.
+        assert_eq!(lines[39]["link"], "draining", "{url}");
+        assert_eq!(stage.resumed().len(), 1, "{url}");
+    }
+}
+
+#[test]
 fn a_draining_server_sends_its_clients_elsewhere() {
     let elsewhere = Stage::start("lab-tcp", Script::default());
     let script = Script { drain_at: Some((20, elsewhere.url())), ..Script::default() };

@@ -83,6 +83,16 @@ fn the_scene_is_fetched_once_then_read_from_the_cache() {
     std::fs::remove_file(&cached).unwrap();
     run_headless(&options).unwrap();
     assert_eq!(stage.scene_fetches(), [0, 0, 100]);
+    // A client that was killed before it renamed its whole part leaves nothing to fetch, unless the part is damaged.
+    std::fs::rename(&cached, cached.with_extension("part")).unwrap();
+    run_headless(&options).unwrap();
+    assert_eq!(stage.scene_fetches(), [0, 0, 100]);
+    assert_eq!(std::fs::read(&cached).unwrap(), bytes);
+    bytes[40] ^= 0x20;
+    std::fs::write(cached.with_extension("part"), &bytes).unwrap();
+    std::fs::remove_file(&cached).unwrap();
+    run_headless(&options).unwrap();
+    assert_eq!(stage.scene_fetches(), [0, 0, 100, 0]);
 }
 
 #[test]

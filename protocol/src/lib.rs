@@ -16,6 +16,7 @@ pub mod pose;
 pub mod receive;
 pub mod references;
 mod send;
+pub mod text;
 mod wire;
 
 pub use self::{

@@ -16,6 +16,7 @@ use gnomon_protocol::{
     mask::{Mask, MaskShape},
     message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
     pose::{Pose, encode_pose_packet},
+    text::PeerText,
 };
 
 use crate::common::Random;
@@ -103,11 +104,20 @@ fn pose() {
 
 #[test]
 fn message() {
-    let text = || "a reason".to_owned();
+    let text = || PeerText::from("a reason");
     let (codec, resume) = (CodecId::PlanesLz4, Some(ResumeToken([9; 16])));
     let (width, height, rate_hz, wrong_ppm) = (1920, 1080, 60, 500);
-    let hello =
-        Hello { version: 1, token: Some(text()), client: text(), width, height, codec, rate_hz, wrong_ppm, resume };
+    let hello = Hello {
+        version: 1,
+        token: Some("a token".into()),
+        client: text(),
+        width,
+        height,
+        codec,
+        rate_hz,
+        wrong_ppm,
+        resume,
+    };
     let welcome = Welcome {
         session: SessionId(u64::MAX),
         scene_digest: SceneDigest([7; 32]),

@@ -8,11 +8,12 @@ use gnomon_protocol::{
     PROTOCOL_VERSION,
     codec::{CodecId, Decoder, EncodedFrame, Encoder, Reference},
     header::PacketHeader,
-    ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
+    ids::{BearerToken, FrameNumber, ResumeToken, SceneDigest, SessionId},
     mask::{Mask, MaskShape},
     message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
     packetizer::Packetizer,
     pose::{Pose, decode_pose_packet, encode_pose_packet},
+    text::PeerText,
 };
 
 /// Parses groups of hexadecimal digits; `'` and `|` separate fields.
@@ -79,7 +80,7 @@ fn frame_packets() {
 #[test]
 fn client_messages() {
     let hello = |token: Option<&str>, codec| {
-        let (token, client) = (token.map(str::to_owned), "c/1".to_owned());
+        let (token, client) = (token.map(BearerToken::from), "c/1".into());
         let resume = token.as_ref().map(|_| ResumeToken([0xA5; 16]));
         let wrong_ppm = if token.is_some() { 500 } else { 0 };
         ClientMessage::Hello(Hello {
@@ -122,15 +123,15 @@ fn server_messages() {
             scene_digest: SceneDigest(digest),
             scene_bytes: 65_536,
             lights: 4,
-            backend: "cpu".to_owned(),
+            backend: "cpu".into(),
             data_port,
             resume: ResumeToken([0x5A; 16]),
         })
     };
     let draining = |alternative: Option<&str>| ServerMessage::Draining {
-        reason: "up".to_owned(),
+        reason: "up".into(),
         deadline_ms: 5000,
-        alternative: alternative.map(str::to_owned),
+        alternative: alternative.map(PeerText::from),
     };
     for (message, bytes) in [
         (welcome(None), format!("3b000000 | 00 01 {digest_hex} 808004 04 03'637075 00 {resume}")),
@@ -141,10 +142,10 @@ fn server_messages() {
             ServerMessage::Refused(Refusal::Full { sessions: 8, retry_after_ms: 1000 }),
             "05000000 | 01 02 08 e807".to_owned(),
         ),
-        (ServerMessage::Refused(Refusal::Unsupported("no".to_owned())), "05000000 | 01 03 02'6e6f".to_owned()),
+        (ServerMessage::Refused(Refusal::Unsupported("no".into())), "05000000 | 01 03 02'6e6f".to_owned()),
         (ServerMessage::Refused(Refusal::Draining), "02000000 | 01 04".to_owned()),
         (
-            ServerMessage::Refused(Refusal::Busy { reason: "no".to_owned(), retry_after_ms: 1000 }),
+            ServerMessage::Refused(Refusal::Busy { reason: "no".into(), retry_after_ms: 1000 }),
             "07000000 | 01 05 02'6e6f e807".to_owned(),
         ),
         (
@@ -154,7 +155,7 @@ fn server_messages() {
         (ServerMessage::Pong(5), "02000000 | 03 05".to_owned()),
         (draining(Some("u")), "09000000 | 04 02'7570 8827 01'01'75".to_owned()),
         (draining(None), "07000000 | 04 02'7570 8827 00".to_owned()),
-        (ServerMessage::Closing { reason: "end".to_owned() }, "05000000 | 05 03'656e64".to_owned()),
+        (ServerMessage::Closing { reason: "end".into() }, "05000000 | 05 03'656e64".to_owned()),
     ] {
         assert_eq!(message::encode(&message), Ok(hex(&bytes)));
         assert_eq!(message::decode(&hex(&bytes)[4..]), Ok(message));

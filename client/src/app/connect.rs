@@ -2,24 +2,23 @@
 
 use std::sync::Arc;
 
-use gnomon_protocol::{mask::MaskShape, message::Welcome};
+use gnomon_protocol::{ids::BearerToken, mask::MaskShape, message::Welcome};
 use gnomon_scene::{LoadOptions, Scene};
 use tokio::runtime::Runtime;
 
 use crate::{
-    app::servers::{KnownServers, fingerprint},
+    app::{first_visit::FirstVisit, servers::KnownServers},
     camera_path::CameraPath,
     default_path::default_path,
     error::ClientError,
     link::scene_cache::SceneCache,
     link::{
-        certificate::fetch_certificate,
         pending_session::PendingSession,
         receive_options::Reception,
         reconnect::open_with_retry,
         server_link::ServerLink,
         session_spec::{SessionOptions, rate_hz},
-        url::{ServerUrl, Transport},
+        url::ServerUrl,
     },
     occluders::Occluders,
     options::{HeadlessOptions, Source},
@@ -53,8 +52,9 @@ pub(crate) fn load(
     largest_mask: (u32, u32),
     camera_path: Option<CameraPath>,
     progress: impl FnMut(Step<'_>),
+    trusts: impl FnMut(&ServerUrl, &[u8; 32]) -> bool,
 ) -> Result<Loaded, ClientError> {
-    let (scene, connected) = get_scene(options, largest_mask, progress)?;
+    let (scene, connected) = get_scene(options, largest_mask, progress, trusts)?;
     let occluders = Occluders::largest_of(&scene);
     let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
     let exposure = Exposure::of_scene(&scene, &occluders);
@@ -74,14 +74,16 @@ pub(crate) enum Step<'a> {
     Unpacking,
 }
 
-/// Gets the scene, and a session with masks of at most `largest_mask` pixels. Blocks.
+/// Gets the scene, and a session with masks of at most `largest_mask` pixels. Blocks, also in `trusts`, which is asked
+/// before a token goes to a server that is visited for the first time.
 ///
 /// # Errors
-/// Errors if the file or the server's scene cannot be loaded, or the server refuses.
+/// Errors if the file or the server's scene cannot be loaded, the server refuses, or it is not trusted.
 pub(crate) fn get_scene(
     options: &HeadlessOptions,
     largest_mask: (u32, u32),
     mut progress: impl FnMut(Step<'_>),
+    mut trusts: impl FnMut(&ServerUrl, &[u8; 32]) -> bool,
 ) -> Result<(Scene, Option<Connected>), ClientError> {
     match &options.source {
         Source::Offline { scene, lights_from, lights } => {
@@ -97,7 +99,7 @@ pub(crate) fn get_scene(
                 .build()?;
             let (width, height) = largest_mask;
             let session = SessionOptions {
-                token: options.settings.token.clone(),
+                token: options.settings.token.clone().map(BearerToken::from),
                 width,
                 height,
                 codec: options.settings.codec,
@@ -107,24 +109,25 @@ pub(crate) fn get_scene(
                 connect_timeout: options.settings.connect_timeout(),
             };
             let mut known = KnownServers::load();
-            let cache = SceneCache::new(options.settings.cache_dir.clone());
+            let cache = SceneCache::new(options.settings.cache_dir.clone(), options.settings.cache_limit());
             let (url, pending, packed) = runtime.block_on(async {
-                let pinned = known.certificate_of(url);
-                let first_use = url.transport == Transport::Quic && url.certificate.is_none() && url.ca.is_none();
-                let url = match pinned {
-                    None if first_use => {
-                        let digest = fetch_certificate(url, options.settings.connect_timeout()).await?;
-                        tracing::warn!(server = %url, certificate = fingerprint(&digest), "first visit: pinned");
-                        ServerUrl { certificate: Some(digest), ..url.clone() }
-                    }
-                    Some(digest) if first_use => ServerUrl { certificate: Some(digest), ..url.clone() },
-                    _ => url.clone(),
+                let first_use = url.is_first_use();
+                let url = if first_use {
+                    let visit = FirstVisit {
+                        connect_timeout: session.connect_timeout,
+                        sends_token: session.token.is_some(),
+                        trusts: &mut |url, digest| options.settings.trust_first_use || trusts(url, digest),
+                    };
+                    visit.identify(url, &mut known).await?
+                } else {
+                    url.clone()
                 };
                 let opened = open_with_retry(&url, &session).await;
                 let mut pending = opened.map_err(|error| match error {
                     ClientError::Certificate(url) if first_use => ClientError::CertificateChanged(url),
                     error => error,
                 })?;
+                // A first visit is offered again by a window that has no URL.
                 if first_use || options.remember {
                     known.remember(&url);
                 }

@@ -32,8 +32,10 @@ pub enum LocalServerError {
     #[error("cannot start in {}: {source}", folder.display())]
     Start { folder: PathBuf, source: std::io::Error },
     /// The scene is not in the cache.
-    #[error("the scene is not cached: cannot write to {}", .0.display())]
+    #[error("the scene is not cached: cannot write to {}, or it is larger than --cache-limit", .0.display())]
     NotCached(PathBuf),
+    #[error("the scene is not cached: no cache folder of this user is known, pass --cache-dir")]
+    NoCache,
     /// The server ended, or printed nothing, before it listened.
     #[error("the server does not start: {0}")]
     NotListening(String),

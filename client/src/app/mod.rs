@@ -3,6 +3,7 @@
 pub(crate) mod connect;
 #[cfg(feature = "window")]
 pub mod demo;
+mod first_visit;
 pub mod local_server;
 pub mod probe;
 pub mod servers;

@@ -5,7 +5,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_protocol::{codec::CodecId, ids::FrameNumber, mask::MaskShape, pose::Pose};
+use gnomon_protocol::{
+    codec::CodecId,
+    ids::{BearerToken, FrameNumber},
+    mask::MaskShape,
+    pose::Pose,
+};
 use tokio::runtime::Handle;
 
 use crate::{
@@ -70,7 +75,7 @@ pub struct ProbeReport {
 /// Errors if the server cannot be reached, refuses, or ends the session.
 pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) -> Result<ProbeReport, ClientError> {
     let session = SessionOptions {
-        token: options.token.clone(),
+        token: options.token.clone().map(BearerToken::from),
         width: options.width,
         height: options.height,
         codec: options.codec,
@@ -80,7 +85,7 @@ pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) ->
         connect_timeout: options.connect_timeout,
     };
     let pending = runtime.block_on(PendingSession::open(&options.url, &session))?;
-    let backend = pending.welcome.backend.clone();
+    let backend = pending.welcome.backend.to_string();
     let shape = MaskShape::new(options.width, options.height, pending.welcome.lights)?;
     let (session, masks) = runtime.block_on(pending.start(shape, Reception::default()))?;
     let mut probe = Probe { session, masks, awaited: VecDeque::new(), responses_ms: Vec::new() };

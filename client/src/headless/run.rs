@@ -52,12 +52,18 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         ..GpuOptions::default()
     }))?;
     let progress = Progress::new(options.progress);
-    let Loaded { scene, connected, camera_path, exposure } =
-        load(options, settings.largest_mask(), camera_path, |step| {
+    let Loaded { scene, connected, camera_path, exposure } = load(
+        options,
+        settings.largest_mask(),
+        camera_path,
+        |step| {
             if let Step::Fetching { have, length } = step {
                 progress.fetching(have, length);
             }
-        })?;
+        },
+        // Nobody is there to be asked.
+        |_, _| false,
+    )?;
     let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
     let largest = settings.largest_mask();
     let shape = MaskShape::new(largest.0, largest.1, lights)?;
@@ -272,7 +278,7 @@ fn summary(
         lights,
         scene_digest: welcome.map(|welcome| welcome.scene_digest.to_string()),
         adapter: gpu.info.name.clone(),
-        backend: welcome.map(|welcome| welcome.backend.clone()),
+        backend: welcome.map(|welcome| welcome.backend.to_string()),
         codec: welcome.map(|_| settings.codec.to_string()),
         lossy_percent: settings.lossy,
         transport: transport.to_owned(),

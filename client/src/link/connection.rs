@@ -6,10 +6,12 @@ use bytes::Bytes;
 use gnomon_protocol::{
     limits::{MAX_LAB_PACKET_BYTES, MAX_MESSAGE_BYTES},
     message::{ClientMessage, ServerMessage, Welcome},
+    text::{Escaped, PeerText},
 };
 use gnomon_transport::{
     baseline::{self, PacketReader, PacketWriter},
     control::{ControlReader, ControlWriter},
+    root_cause,
 };
 use tokio::{
     io::{AsyncRead, AsyncWrite},
@@ -84,14 +86,14 @@ impl ServerConnection {
         let failed = |reason: String| ClientError::Connect { url: Box::new(url.clone()), reason };
         let transport = match url.transport {
             Transport::Quic => {
-                let trust = match (url.certificate, &url.ca) {
-                    (Some(digest), _) => Trust::Pinned(digest),
-                    (None, Some(file)) => Trust::Authority { file, name: &url.host },
-                    (None, None) => return Err(failed("the URL names no certificate".to_owned())),
+                let trust = match &url.ca {
+                    _ if !url.certificates.is_empty() => Trust::Pinned(&url.certificates),
+                    Some(file) => Trust::Authority { file, name: url.name() },
+                    None => return Err(failed("the URL names no certificate".to_owned())),
                 };
                 let (endpoint, connection) =
                     quic::connect(server, trust).await.map_err(|error| error.at_server(url))?;
-                let (writer, reader) = connection.open_bi().await.map_err(|error| failed(error.to_string()))?;
+                let (writer, reader) = connection.open_bi().await.map_err(|error| failed(root_cause(&error)))?;
                 return Ok(Self::new(reader, writer, TransportHandle::Quic(endpoint, connection), server));
             }
             Transport::LabUdp => TransportHandle::LabUdp,
@@ -121,9 +123,9 @@ impl ServerConnection {
         let TransportHandle::Quic(_, connection) = &self.transport else { return None };
         match connection.close_reason()? {
             quinn::ConnectionError::ApplicationClosed(close) if !close.reason.is_empty() => {
-                Some(String::from_utf8_lossy(&close.reason).into_owned())
+                Some(PeerText::from_bytes(&close.reason).to_string())
             }
-            error => Some(error.to_string()),
+            error => Some(Escaped(error).to_string()),
         }
     }
 

@@ -13,7 +13,11 @@ use gnomon_transport::{
 use parking_lot::Mutex;
 use tokio::time::MissedTickBehavior;
 
-use super::health::{Draining, HealthCell};
+use super::{
+    alternative,
+    health::{Draining, HealthCell},
+    url::Transport,
+};
 
 /// Interval of the pings that measure the round trip.
 const PING_INTERVAL: Duration = Duration::from_secs(1);
@@ -26,6 +30,8 @@ pub(super) struct ControlTask {
     pub(super) writer: ControlWriter<ClientMessage>,
     pub(super) round_trip: RoundTrip,
     pub(super) health: HealthCell,
+    /// Of this session: it bounds what the server may name as an alternative.
+    pub(super) transport: Transport,
 }
 
 impl ControlTask {
@@ -57,6 +63,10 @@ impl ControlTask {
                     }
                 }
                 Some(Ok(ServerMessage::Draining { reason, deadline_ms, alternative })) => {
+                    let alternative = alternative.and_then(|text| {
+                        let refused = |error: &_| tracing::warn!(%error, url = %text, "the server names no usable URL");
+                        alternative::alternative(&text, self.transport).inspect_err(refused).ok()
+                    });
                     let redirect = alternative.as_ref().map(|url| format!("; continuing at {url}")).unwrap_or_default();
                     tracing::warn!("the server stops in {deadline_ms} ms: {reason}{redirect}");
                     let deadline = Instant::now() + Duration::from_millis(deadline_ms.into());

@@ -5,9 +5,10 @@ use std::{
     time::{Duration, Instant},
 };
 
+use gnomon_protocol::text::PeerText;
 use parking_lot::Mutex;
 
-use super::connection::QuicHandle;
+use super::{connection::QuicHandle, url::ServerUrl};
 
 /// Silence that counts as an outage; a server answers one ping a second. A new connection is then tried in parallel.
 const OUTAGE: Duration = Duration::from_secs(2);
@@ -17,10 +18,10 @@ const CHECK_INTERVAL: Duration = Duration::from_millis(200);
 /// A server's notice that it is about to stop.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Draining {
-    pub(crate) reason: String,
+    pub(crate) reason: PeerText,
     pub(crate) deadline: Instant,
-    /// URL of the server to move to.
-    pub(crate) alternative: Option<String>,
+    /// The server to move to.
+    pub(crate) alternative: Option<ServerUrl>,
 }
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

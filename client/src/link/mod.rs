@@ -1,7 +1,9 @@
 //! The network: connects, says Hello, fetches the scene; then sends poses and receives masks.
 
+pub mod alternative;
 mod backoff;
 mod baseline;
+pub mod cache_folder;
 pub(crate) mod certificate;
 mod connection;
 mod control_task;

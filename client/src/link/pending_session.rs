@@ -115,7 +115,7 @@ fn unexpected(url: &ServerUrl, message: ServerMessage) -> ClientError {
     let url = Box::new(url.clone());
     let name = match message {
         ServerMessage::Closing { reason } | ServerMessage::Draining { reason, .. } => {
-            return ClientError::Connect { url, reason };
+            return ClientError::Connect { url, reason: reason.to_string() };
         }
         ServerMessage::Welcome(_) => "Welcome",
         ServerMessage::Refused(_) => "Refused",

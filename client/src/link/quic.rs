@@ -10,6 +10,8 @@ use std::{
     time::Duration,
 };
 
+use gnomon_protocol::text::Escaped;
+use gnomon_settings::files::read_small;
 use gnomon_transport::{
     quic::{ALPN, SOCKET_BUFFER_BYTES, transport_config},
     socket::{any_address_for, bind_udp},
@@ -40,12 +42,16 @@ const DATAGRAM_RECEIVE_BYTES: usize = 32 << 20;
 /// Poses that may wait; quinn drops the oldest beyond that.
 const DATAGRAM_SEND_BYTES: usize = 1024;
 
-/// Accepts only the certificate with the pinned digest, or any if none is pinned.
+/// Longest file of authorities. Those that browsers trust, all together, have 0.3 MB.
+const MAX_AUTHORITIES_BYTES: u64 = 4 << 20;
+
+/// Accepts only a certificate with a pinned digest, or any on a first visit.
 ///
 /// Its names and dates are ignored: the server that printed the URL holds its key.
 #[derive(Debug)]
 struct Pinned {
-    digest: Option<[u8; 32]>,
+    /// `None` accepts any.
+    accepted: Option<Vec<[u8; 32]>>,
     provider: Arc<CryptoProvider>,
     /// Set when another certificate was shown.
     refused: Arc<AtomicBool>,
@@ -60,7 +66,8 @@ impl ServerCertVerifier for Pinned {
         _ocsp_response: &[u8],
         _now: UnixTime,
     ) -> Result<ServerCertVerified, TlsError> {
-        if self.digest.is_none_or(|digest| sha256(end_entity) == Some(digest)) {
+        let is_pinned = |accepted: &Vec<_>| sha256(end_entity).is_some_and(|digest| accepted.contains(&digest));
+        if self.accepted.as_ref().is_none_or(is_pinned) {
             Ok(ServerCertVerified::assertion())
         } else {
             self.refused.store(true, Ordering::Relaxed);
@@ -93,8 +100,10 @@ impl ServerCertVerifier for Pinned {
 
 #[derive(Debug)]
 pub(super) enum QuicError {
-    /// The server shows another certificate than the pinned one.
+    /// The server shows another certificate than the pinned ones.
     Certificate,
+    /// The server speaks none of this client's protocols.
+    Version,
     /// The server does not answer.
     TimedOut,
     /// A packet was corrupted on the path: our servers send no such answer.
@@ -102,16 +111,20 @@ pub(super) enum QuicError {
     Other(String),
 }
 
+/// TLS's alert when the two ends have no ALPN in common (RFC 7301).
+const NO_APPLICATION_PROTOCOL: u8 = 120;
+
 impl QuicError {
     /// Returns whether every further handshake would fail as well.
     const fn is_final(&self) -> bool {
-        matches!(self, Self::Certificate | Self::Other(_))
+        matches!(self, Self::Certificate | Self::Version | Self::Other(_))
     }
 
     pub(super) fn at_server(self, url: &ServerUrl) -> ClientError {
         let url = Box::new(url.clone());
         match self {
             Self::Certificate => ClientError::Certificate(url),
+            Self::Version => ClientError::OtherVersion(url),
             Self::TimedOut => ClientError::Unreachable { url, after: IDLE_TIMEOUT },
             Self::Corrupted(reason) | Self::Other(reason) => ClientError::Connect { url, reason },
         }
@@ -126,8 +139,8 @@ const MAX_HANDSHAKES: usize = 6;
 
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Trust<'a> {
-    /// The certificate with this SHA-256, whatever its names and dates.
-    Pinned([u8; 32]),
+    /// A certificate with one of these SHA-256, whatever its names and dates.
+    Pinned(&'a [[u8; 32]]),
     /// Any certificate, to fetch it on a first visit.
     FirstUse,
     /// A certificate for `name`, signed by an authority in the PEM `file`.
@@ -174,7 +187,7 @@ async fn handshake(
     config: quinn::ClientConfig,
     refused: Arc<AtomicBool>,
 ) -> Result<(quinn::Endpoint, quinn::Connection), QuicError> {
-    let other = |error: &dyn std::fmt::Display| QuicError::Other(error.to_string());
+    let other = |error: &dyn std::fmt::Display| QuicError::Other(Escaped(error).to_string());
     let socket = bind_udp(any_address_for(address), SOCKET_BUFFER_BYTES).map_err(|error| other(&error))?;
     let runtime = Arc::new(quinn::TokioRuntime);
     let mut endpoint =
@@ -183,18 +196,30 @@ async fn handshake(
     let connecting = endpoint.connect(address, &name).map_err(|error| other(&error))?;
     let connection = connecting.await.map_err(|error| match error {
         quinn::ConnectionError::TimedOut => QuicError::TimedOut,
+        error if tls_alert(&error) == Some(quinn::TransportErrorCode::crypto(NO_APPLICATION_PROTOCOL)) => {
+            QuicError::Version
+        }
         quinn::ConnectionError::VersionMismatch
         | quinn::ConnectionError::TransportError(_)
         | quinn::ConnectionError::ConnectionClosed(_)
         | quinn::ConnectionError::Reset
             if !refused.load(Ordering::Relaxed) =>
         {
-            QuicError::Corrupted(error.to_string())
+            QuicError::Corrupted(Escaped(error).to_string())
         }
         _ if refused.load(Ordering::Relaxed) => QuicError::Certificate,
         error => other(&error),
     })?;
     Ok((endpoint, connection))
+}
+
+/// Returns the code by which either end has refused the other's protocols or certificate.
+fn tls_alert(error: &quinn::ConnectionError) -> Option<quinn::TransportErrorCode> {
+    match error {
+        quinn::ConnectionError::ConnectionClosed(close) => Some(close.error_code),
+        quinn::ConnectionError::TransportError(error) => Some(error.code),
+        _ => None,
+    }
 }
 
 /// Returns the SHA-256 of the server's certificate.
@@ -213,8 +238,8 @@ fn config(
     let mut tls = match trust {
         Trust::Authority { file, .. } => builder.with_root_certificates(authorities(file)?).with_no_client_auth(),
         Trust::Pinned(_) | Trust::FirstUse => {
-            let digest = if let Trust::Pinned(digest) = trust { Some(digest) } else { None };
-            let pinned = Arc::new(Pinned { digest, provider, refused });
+            let accepted = if let Trust::Pinned(digests) = trust { Some(digests.to_vec()) } else { None };
+            let pinned = Arc::new(Pinned { accepted, provider, refused });
             builder.dangerous().with_custom_certificate_verifier(pinned).with_no_client_auth()
         }
     };
@@ -234,7 +259,8 @@ fn config(
 fn authorities(path: &Path) -> Result<rustls::RootCertStore, Box<dyn std::error::Error + Send + Sync>> {
     let unreadable = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
     let mut roots = rustls::RootCertStore::empty();
-    for certificate in CertificateDer::pem_file_iter(path).map_err(|error| unreadable(&error))? {
+    let pem = read_small(path, MAX_AUTHORITIES_BYTES).map_err(|error| unreadable(&error))?;
+    for certificate in CertificateDer::pem_slice_iter(&pem) {
         roots.add(certificate.map_err(|error| unreadable(&error))?).map_err(|error| unreadable(&error))?;
     }
     if roots.is_empty() { Err(unreadable(&"it holds no certificate").into()) } else { Ok(roots) }
@@ -258,9 +284,9 @@ mod tests {
 
     #[test]
     fn only_the_pinned_certificate_is_accepted() {
-        let verify = |digest| {
+        let verify = |accepted| {
             let provider = Arc::new(rustls::crypto::ring::default_provider());
-            let pinned = Pinned { digest, provider, refused: Arc::default() };
+            let pinned = Pinned { accepted, provider, refused: Arc::default() };
             let (leaf, name) = (CertificateDer::from(b"abc".to_vec()), ServerName::try_from("gnomon").unwrap());
             let time = UnixTime::since_unix_epoch(Duration::ZERO);
             let accepted = pinned.verify_server_cert(&leaf, &[], &name, &[], time).is_ok();
@@ -268,8 +294,9 @@ mod tests {
             accepted
         };
         let digest = sha256(b"abc").unwrap();
-        assert!(verify(Some(digest)));
-        assert!(!verify(Some(digest.map(|byte| byte ^ 1))));
+        let other = digest.map(|byte| byte ^ 1);
+        assert!(verify(Some(vec![digest])) && verify(Some(vec![other, digest])));
+        assert!(!verify(Some(vec![other])) && !verify(Some(Vec::new())));
         assert!(verify(None), "a first visit");
     }
 }

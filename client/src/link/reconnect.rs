@@ -181,7 +181,7 @@ fn retry(error: &ClientError) -> Retry {
         // A draining server may be restarted.
         ClientError::Refused(Refusal::Draining) => Retry::Soon,
         ClientError::Refused(refusal) => refusal.retry_after().map_or(Retry::Never, Retry::After),
-        ClientError::Certificate(_) | ClientError::Protocol { .. } => Retry::Never,
+        ClientError::Certificate(_) | ClientError::OtherVersion(_) | ClientError::Protocol { .. } => Retry::Never,
         _ => Retry::Soon,
     }
 }

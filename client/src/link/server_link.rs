@@ -81,10 +81,7 @@ impl ServerLink {
     pub(crate) fn maintain(&mut self) -> bool {
         let health = self.session.health();
         let lost = self.masks.ended().or_else(|| health.silent.then(|| "the server is silent".to_owned()));
-        let alternative = health.draining.and_then(|notice| {
-            let url = notice.alternative?;
-            url.parse().inspect_err(|error| tracing::warn!(%error, url, "the server named an invalid URL")).ok()
-        });
+        let alternative = health.draining.and_then(|notice| notice.alternative);
         match (&mut self.reconnect, lost, alternative) {
             (None, None, None) => {}
             (None, lost, alternative) => {

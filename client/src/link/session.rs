@@ -68,7 +68,13 @@ impl Session {
         };
         let (round_trip, health) = (RoundTrip::default(), HealthCell::default());
         let (leave, left) = oneshot::channel();
-        let control = ControlTask { reader, writer, round_trip: Arc::clone(&round_trip), health: health.clone() };
+        let control = ControlTask {
+            reader,
+            writer,
+            round_trip: Arc::clone(&round_trip),
+            health: health.clone(),
+            transport: spec.url.transport,
+        };
         let silence = watch_silence(quic.clone(), health.clone());
         let send = send_poses(sender, newest_pose, acknowledgements, losses);
         let tasks = tokio::spawn(run_tasks(control, receive, send, silence, left));

@@ -5,7 +5,7 @@ use std::time::Duration;
 use gnomon_protocol::{
     PROTOCOL_VERSION,
     codec::CodecId,
-    ids::{ResumeToken, SceneDigest},
+    ids::{BearerToken, ResumeToken, SceneDigest},
     mask::MaskShape,
     message::Hello,
 };
@@ -15,7 +15,7 @@ use super::{receive_options::Reception, url::ServerUrl};
 /// What the client requests in its Hello.
 #[derive(Debug, Clone)]
 pub(crate) struct SessionOptions {
-    pub(crate) token: Option<String>,
+    pub(crate) token: Option<BearerToken>,
     /// In pixels.
     pub(crate) width: u32,
     pub(crate) height: u32,
@@ -43,7 +43,7 @@ impl SessionOptions {
         Hello {
             version: PROTOCOL_VERSION,
             token: self.token.clone(),
-            client: concat!("gnomon-client ", env!("CARGO_PKG_VERSION")).to_owned(),
+            client: concat!("gnomon-client ", env!("CARGO_PKG_VERSION")).into(),
             width: self.width,
             height: self.height,
             codec: self.codec,

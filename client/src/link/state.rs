@@ -2,6 +2,10 @@
 
 use std::time::Instant;
 
+use gnomon_protocol::text::PeerText;
+
+use super::url::ServerUrl;
+
 /// The state of the link. The client draws in all of them, with received visibility while it has any.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum LinkState {
@@ -17,10 +21,10 @@ pub enum LinkState {
     },
     /// The server still serves, but is about to stop.
     Draining {
-        reason: String,
+        reason: PeerText,
         deadline: Instant,
-        /// URL of the server to move to, if any.
-        alternative: Option<String>,
+        /// The server to move to, if any.
+        alternative: Option<ServerUrl>,
     },
     /// The connection is lost.
     Lost {
@@ -64,10 +68,7 @@ impl LinkState {
             Self::Refused { reason, retry_at } => format!("Refused: {reason}. {}", next_try(retry_at)),
             Self::Lost { reason, retry_at } => format!("Server lost: {reason}. {}", next_try(retry_at)),
             Self::Draining { reason, deadline, alternative } => {
-                let redirect = alternative.as_ref().map_or(String::new(), |url| {
-                    // The certificate in it is too long to read.
-                    format!(". Continuing at {}", url.split('?').next().unwrap_or_default())
-                });
+                let redirect = alternative.as_ref().map(|url| format!(". Continuing at {url}")).unwrap_or_default();
                 format!("The server stops in {} s: {reason}{redirect}", seconds(*deadline))
             }
         })
@@ -95,11 +96,11 @@ mod tests {
             (LinkState::Lost { reason: reason(), retry_at: Some(now) }, Some("Server lost: it is full. Trying again")),
             (
                 LinkState::Draining {
-                    reason: reason(),
+                    reason: "it is full\x1b[2J".into(),
                     deadline: soon,
-                    alternative: Some("gnomon://b:1/?cert=00".to_owned()),
+                    alternative: Some(format!("gnomon://b:1/?cert={}", "00".repeat(32)).parse().unwrap()),
                 },
-                Some("The server stops in 3 s: it is full. Continuing at gnomon://b:1/"),
+                Some("The server stops in 3 s: it is full\\u{1b}[2J. Continuing at gnomon://b:1"),
             ),
         ] {
             assert_eq!(state.message(now).as_deref(), message, "{state:?}");

@@ -17,7 +17,7 @@ use winit::{
 
 use super::{
     gamepad::Gamepad,
-    loading::Loading,
+    loading::{Loading, Progress},
     overlay,
     play::{self, Play, largest_mask},
     screen::Screen,
@@ -291,13 +291,19 @@ fn draw_ui(
     adapter: &str,
 ) -> bool {
     let (server, fingerprint) = match source {
-        Source::Server(url) => (url.to_string(), url.certificate.map(|digest| servers::fingerprint(&digest))),
+        Source::Server(url) => (url.to_string(), url.certificates.first().map(servers::fingerprint)),
         Source::Offline { scene, .. } => (scene.display().to_string(), None),
     };
     match stage {
         Stage::Closed => {}
         Stage::Loading(loading) => {
             let progress = loading.progress();
+            if let Progress::FirstVisit { sha256 } = progress {
+                if let Some(trusted) = overlay::first_visit(context, &server, &servers::hex(&sha256)) {
+                    loading.answer(trusted);
+                }
+                return false;
+            }
             let text = progress.text(Instant::now());
             overlay::loading(context, &server, fingerprint.as_deref(), &text, progress.share());
         }
@@ -305,10 +311,11 @@ fn draw_ui(
         Stage::Playing(play) => {
             let notice_of_server = play.notice();
             // The URL has no certificate on a first visit.
-            let pinned = play.server.as_ref().and_then(|(url, _)| url.certificate);
-            let fingerprint = pinned.map(|digest| servers::fingerprint(&digest));
+            let pinned = play.server.as_ref().and_then(|(url, _)| url.certificates.first());
+            let fingerprint = pinned.map(servers::fingerprint);
+            let backend = play.server.as_ref().map(|(_, welcome)| welcome.backend.to_string());
             let status = overlay::Status {
-                backend: play.server.as_ref().map(|(_, welcome)| welcome.backend.as_str()),
+                backend: backend.as_deref(),
                 adapter,
                 server: &server,
                 fingerprint: fingerprint.as_deref(),

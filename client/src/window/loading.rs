@@ -1,7 +1,10 @@
 //! Loads the scene on a separate thread while the window shows the progress.
 
 use std::{
-    sync::Arc,
+    sync::{
+        Arc,
+        mpsc::{Receiver, SyncSender, sync_channel},
+    },
     time::{Duration, Instant},
 };
 
@@ -12,18 +15,29 @@ use crate::{
     app::connect::{Loaded, Step, load},
     camera_path::CameraPath,
     error::ClientError,
+    link::url::ServerUrl,
     options::HeadlessOptions,
 };
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Progress {
     Connecting,
-    Fetching { have: u64, length: u64, since: Instant },
+    /// A person has to say whether the server with this certificate is trusted.
+    FirstVisit {
+        sha256: [u8; 32],
+    },
+    Fetching {
+        have: u64,
+        length: u64,
+        since: Instant,
+    },
     Unpacking,
 }
 
 pub(crate) struct Loading {
     progress: Arc<Mutex<Progress>>,
+    /// Whether a server is trusted on the first visit. Dropping it is a no.
+    answer: SyncSender<bool>,
     work: Background<Loaded>,
 }
 
@@ -37,20 +51,29 @@ impl Loading {
     ) -> Result<Self, ClientError> {
         let progress = Arc::new(Mutex::new(Progress::Connecting));
         let shared = Arc::clone(&progress);
+        let (answer, answers) = sync_channel(1);
         let work = Background::spawn("loading", move || {
             let mut since = None;
-            load(&options, largest_mask, camera_path, |step| match step {
+            let step = |step: Step<'_>| match step {
                 Step::Admitted(welcome) => {
-                    tracing::info!(backend = welcome.backend, lights = welcome.lights, "admitted");
+                    tracing::info!(backend = %welcome.backend, lights = welcome.lights, "admitted");
                 }
                 Step::Fetching { have, length } => {
                     let since = *since.get_or_insert_with(Instant::now);
                     *shared.lock() = Progress::Fetching { have, length, since };
                 }
                 Step::Unpacking => *shared.lock() = Progress::Unpacking,
-            })
+            };
+            let trusts = |_: &ServerUrl, sha256: &[u8; 32]| ask(&shared, &answers, *sha256);
+            load(&options, largest_mask, camera_path, step, trusts)
         })?;
-        Ok(Self { progress, work })
+        Ok(Self { progress, answer, work })
+    }
+
+    /// Answers the question of a first visit.
+    pub(crate) fn answer(&self, trusted: bool) {
+        // The first answer counts.
+        let _ = self.answer.try_send(trusted);
     }
 
     pub(crate) fn progress(&self) -> Progress {
@@ -63,19 +86,27 @@ impl Loading {
     }
 }
 
+/// Shows the question, and waits for the answer.
+fn ask(progress: &Mutex<Progress>, answers: &Receiver<bool>, sha256: [u8; 32]) -> bool {
+    *progress.lock() = Progress::FirstVisit { sha256 };
+    let trusted = answers.recv().unwrap_or(false);
+    *progress.lock() = Progress::Connecting;
+    trusted
+}
+
 impl Progress {
     /// Returns the share of the scene that has arrived, if known.
     pub(crate) fn share(&self) -> Option<f32> {
         match self {
             #[expect(clippy::cast_possible_truncation, reason = "for a bar of some hundred pixels")]
             Self::Fetching { have, length, .. } => Some((*have as f64 / (*length).max(1) as f64) as f32),
-            Self::Connecting | Self::Unpacking => None,
+            Self::Connecting | Self::FirstVisit { .. } | Self::Unpacking => None,
         }
     }
 
     pub(crate) fn text(&self, now: Instant) -> String {
         match self {
-            Self::Connecting => "connecting to the server".to_owned(),
+            Self::Connecting | Self::FirstVisit { .. } => "connecting to the server".to_owned(),
             Self::Unpacking => "unpacking the scene".to_owned(),
             Self::Fetching { have, length, since } => {
                 let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
@@ -109,6 +140,27 @@ mod tests {
         assert_eq!(time_left(0, 1000, second), None);
         assert_eq!(time_left(1, u64::MAX, second), Some(Duration::from_secs(86_400)));
         assert_eq!(time_left(1, 1000, Duration::from_millis(1)), None);
+    }
+
+    #[test]
+    fn a_first_visit_waits_for_a_person_and_a_closed_window_is_a_no() {
+        for (said, trusted) in [(Some(true), true), (Some(false), false), (None, false)] {
+            let progress = Mutex::new(Progress::Connecting);
+            let (answer, answers) = sync_channel(1);
+            let shared = &progress;
+            std::thread::scope(|scope| {
+                let asked = scope.spawn(move || ask(shared, &answers, [7; 32]));
+                while *progress.lock() != (Progress::FirstVisit { sha256: [7; 32] }) {
+                    std::thread::yield_now();
+                }
+                match said {
+                    Some(said) => answer.try_send(said).unwrap(),
+                    None => drop(answer),
+                }
+                assert_eq!(asked.join().unwrap(), trusted);
+            });
+            assert_eq!(*progress.lock(), Progress::Connecting);
+        }
     }
 
     #[test]

@@ -41,9 +41,10 @@ pub(super) fn local_scene(
             Ok(LocalScene { file: scene.clone(), lights_from: lights_from.clone(), lights: *lights })
         }
         (Source::Server(_), welcome) => {
-            let cache = SceneCache::new(options.settings.cache_dir.clone());
+            let cache = SceneCache::new(options.settings.cache_dir.clone(), options.settings.cache_limit());
+            let folder = cache.folder().ok_or(LocalServerError::NoCache)?;
             let file = welcome.and_then(|welcome| cache.cached_file(welcome.scene_digest));
-            let file = file.ok_or_else(|| LocalServerError::NotCached(cache.folder().to_owned()))?;
+            let file = file.ok_or_else(|| LocalServerError::NotCached(folder.to_owned()))?;
             Ok(LocalScene { file, lights_from: None, lights: None })
         }
     }
@@ -79,8 +80,9 @@ fn prepare(
     let server = LocalServer::start(temporary_folder("reference")?, scene)?;
     let mut local = HeadlessOptions::new(Source::Server(server.url().clone()));
     local.settings.cache_dir.clone_from(&options.settings.cache_dir);
+    local.settings.cache_limit = options.settings.cache_limit;
     local.settings.wait = true;
-    let (scene, connected) = get_scene(&local, largest, |_| ())?;
+    let (scene, connected) = get_scene(&local, largest, |_| (), |_, _| false)?;
     match connected {
         Some(connected) if digest.is_none_or(|digest| digest == connected.welcome().scene_digest) => {
             Ok(Ready { server, scene, connected })

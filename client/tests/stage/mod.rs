@@ -296,7 +296,7 @@ fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: Co
             return;
         }
         if let Some((_, alternative)) = script.drain_at.take_if(|(at, _)| *at == frame) {
-            let (reason, alternative) = ("the house is sold".into(), Some(alternative));
+            let (reason, alternative) = ("the house is sold".into(), Some(alternative.into()));
             let draining = ServerMessage::Draining { reason, deadline_ms: 60_000, alternative };
             let _ = control.write_all(&message::encode(&draining).unwrap());
         }

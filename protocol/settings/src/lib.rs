@@ -12,6 +12,7 @@
 mod declare;
 mod error;
 mod file;
+pub mod files;
 mod layer;
 mod load;
 mod page;

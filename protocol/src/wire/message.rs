@@ -20,8 +20,9 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use thiserror::Error;
 
 use crate::{
-    ids::{ResumeToken, SceneDigest, SessionId},
+    ids::{BearerToken, ResumeToken, SceneDigest, SessionId},
     limits::{MAX_MESSAGE_BYTES, MAX_TEXT_BYTES, MAX_TOKEN_BYTES, SCENE_CHUNK_BYTES},
+    text::PeerText,
     wire::CodecId,
 };
 
@@ -45,9 +46,9 @@ pub struct Hello {
     /// [`crate::PROTOCOL_VERSION`] of the client.
     pub version: u16,
     /// Bearer token, if the server requires one.
-    pub token: Option<String>,
+    pub token: Option<BearerToken>,
     /// Name and version of the client program, for the logs.
-    pub client: String,
+    pub client: PeerText,
     /// Width of the requested masks, in pixels.
     pub width: u32,
     /// Height of the requested masks, in pixels.
@@ -77,15 +78,15 @@ pub enum ServerMessage {
     Pong(u64),
     /// The server stops soon: connect to another one.
     Draining {
-        reason: String,
+        reason: PeerText,
         /// Time until it closes.
         deadline_ms: u32,
         /// URL of another server, if configured.
-        alternative: Option<String>,
+        alternative: Option<PeerText>,
     },
     /// The session ends now.
     Closing {
-        reason: String,
+        reason: PeerText,
     },
 }
 
@@ -100,7 +101,7 @@ pub struct Welcome {
     /// Lights of the scene: planes in each mask.
     pub lights: u32,
     /// The tracer: `compute on NVIDIA …`, `cpu, 8 threads, …`.
-    pub backend: String,
+    pub backend: PeerText,
     /// Local port for poses and packets, on the lab transports only.
     pub data_port: Option<u16>,
     /// Lets the client take its session over after its connection was lost.
@@ -116,14 +117,14 @@ pub enum Refusal {
     #[error("the server is full ({sessions} sessions): try again in {retry_after_ms} ms")]
     Full { sessions: u32, retry_after_ms: u32 },
     #[error("the server cannot serve this: {0}")]
-    Unsupported(String),
+    Unsupported(PeerText),
     #[error("the server is draining: connect to another one")]
     Draining,
     /// The admitted sessions leave too little of the server's time, or would be disturbed.
     #[error("the server is too busy ({reason}): try again in {retry_after_ms} ms")]
     Busy {
         /// What is scarce, with numbers.
-        reason: String,
+        reason: PeerText,
         retry_after_ms: u32,
     },
 }
@@ -196,8 +197,7 @@ pub trait CheckText {
     fn check_text(&self) -> Result<(), MessageError>;
 }
 
-fn check(field: &'static str, text: impl AsRef<[u8]>, limit: usize) -> Result<(), MessageError> {
-    let bytes = text.as_ref().len();
+fn check(field: &'static str, bytes: usize, limit: usize) -> Result<(), MessageError> {
     if bytes > limit { Err(MessageError::Text { field, bytes, limit }) } else { Ok(()) }
 }
 
@@ -205,8 +205,8 @@ impl CheckText for ClientMessage {
     fn check_text(&self) -> Result<(), MessageError> {
         match self {
             Self::Hello(hello) => {
-                check("token", hello.token.as_deref().unwrap_or_default(), MAX_TOKEN_BYTES)?;
-                check("client", &hello.client, MAX_TEXT_BYTES)
+                check("token", hello.token.as_deref().map_or(0, str::len), MAX_TOKEN_BYTES)?;
+                check("client", hello.client.unescaped().len(), MAX_TEXT_BYTES)
             }
             Self::FetchScene { .. } | Self::Start | Self::Ping(_) | Self::Bye => Ok(()),
         }
@@ -216,16 +216,16 @@ impl CheckText for ClientMessage {
 impl CheckText for ServerMessage {
     fn check_text(&self) -> Result<(), MessageError> {
         match self {
-            Self::Welcome(welcome) => check("backend", &welcome.backend, MAX_TEXT_BYTES),
+            Self::Welcome(welcome) => check("backend", welcome.backend.unescaped().len(), MAX_TEXT_BYTES),
             Self::Refused(Refusal::Unsupported(text) | Refusal::Busy { reason: text, .. }) => {
-                check("refusal", text, MAX_TEXT_BYTES)
+                check("refusal", text.unescaped().len(), MAX_TEXT_BYTES)
             }
             Self::Draining { reason, alternative, .. } => {
-                check("reason", reason, MAX_TEXT_BYTES)?;
-                check("alternative", alternative.as_deref().unwrap_or_default(), MAX_TEXT_BYTES)
+                check("reason", reason.unescaped().len(), MAX_TEXT_BYTES)?;
+                check("alternative", alternative.as_ref().map_or(0, |url| url.unescaped().len()), MAX_TEXT_BYTES)
             }
-            Self::Closing { reason } => check("reason", reason, MAX_TEXT_BYTES),
-            Self::SceneChunk { bytes, .. } => check("scene chunk", bytes, SCENE_CHUNK_BYTES),
+            Self::Closing { reason } => check("reason", reason.unescaped().len(), MAX_TEXT_BYTES),
+            Self::SceneChunk { bytes, .. } => check("scene chunk", bytes.len(), SCENE_CHUNK_BYTES),
             Self::Refused(_) | Self::Pong(_) => Ok(()),
         }
     }
@@ -236,7 +236,7 @@ mod tests {
     use super::*;
 
     fn hello() -> Hello {
-        let client = "gnomon-client 0.1.0".to_owned();
+        let client = "gnomon-client 0.1.0".into();
         Hello {
             version: 1,
             token: None,
@@ -277,21 +277,21 @@ mod tests {
     #[test]
     fn texts_and_chunks_are_bounded() {
         let text = |bytes| "x".repeat(bytes);
-        let client = |bytes| ClientMessage::Hello(Hello { client: text(bytes), ..hello() });
-        let token = |bytes| ClientMessage::Hello(Hello { token: Some(text(bytes)), ..hello() });
+        let client = |bytes| ClientMessage::Hello(Hello { client: text(bytes).into(), ..hello() });
+        let token = |bytes| ClientMessage::Hello(Hello { token: Some(text(bytes).into()), ..hello() });
         assert_eq!(decoded(&client(1024)), Ok(client(1024)));
         assert_eq!(decoded(&client(1025)), Err(MessageError::Text { field: "client", bytes: 1025, limit: 1024 }));
         assert_eq!(decoded(&token(512)), Ok(token(512)));
         assert_eq!(decoded(&token(513)), Err(MessageError::Text { field: "token", bytes: 513, limit: 512 }));
         let draining = |reason, alternative| ServerMessage::Draining {
-            reason: text(reason),
+            reason: text(reason).into(),
             deadline_ms: 0,
-            alternative: Some(text(alternative)),
+            alternative: Some(text(alternative).into()),
         };
         let chunk = |bytes| ServerMessage::SceneChunk { offset: 0, bytes: vec![0; bytes] };
-        let closing = |bytes| ServerMessage::Closing { reason: text(bytes) };
-        let busy = |bytes| ServerMessage::Refused(Refusal::Busy { reason: text(bytes), retry_after_ms: 5 });
-        let unsupported = |bytes| ServerMessage::Refused(Refusal::Unsupported(text(bytes)));
+        let closing = |bytes| ServerMessage::Closing { reason: text(bytes).into() };
+        let busy = |bytes| ServerMessage::Refused(Refusal::Busy { reason: text(bytes).into(), retry_after_ms: 5 });
+        let unsupported = |bytes| ServerMessage::Refused(Refusal::Unsupported(text(bytes).into()));
         for (good, bad, field, limit) in [
             (closing(1024), closing(1025), "reason", 1024),
             (unsupported(1024), unsupported(1025), "refusal", 1024),
@@ -302,6 +302,18 @@ mod tests {
         ] {
             assert_eq!(decoded(&good), Ok(good));
             assert_eq!(decoded(&bad), Err(MessageError::Text { field, bytes: limit + 1, limit }));
+        }
+    }
+
+    #[test]
+    fn what_is_shown_of_a_message_holds_no_secret_and_no_control_character() {
+        let hello = Hello { token: Some("s3cret".into()), client: "a\x1b[2J\nb".into(), ..hello() };
+        let shown = format!("{:?}", ClientMessage::Hello(hello));
+        assert!(!shown.contains("s3cret") && shown.contains("a\\u{1b}[2J\\nb"), "{shown}");
+        let reason = || PeerText::from("a\x1b[2J\nb");
+        let refusals = [Refusal::Unsupported(reason()), Refusal::Busy { reason: reason(), retry_after_ms: 1 }];
+        for shown in refusals.iter().flat_map(|refusal| [refusal.to_string(), format!("{refusal:?}")]) {
+            assert!(shown.contains("a\\u{1b}[2J\\nb") && !shown.contains(char::is_control), "{shown}");
         }
     }
 

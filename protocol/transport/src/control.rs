@@ -3,7 +3,10 @@
 use std::{io, marker::PhantomData, time::Duration};
 
 use bytes::{Buf as _, BytesMut};
-use gnomon_protocol::message::{self, CheckText, MessageError};
+use gnomon_protocol::{
+    message::{self, CheckText, MessageError},
+    text::Escaped,
+};
 use serde::{Serialize, de::DeserializeOwned};
 use thiserror::Error;
 use tokio::{
@@ -17,7 +20,7 @@ const PREFIX_BYTES: usize = 4;
 #[derive(Debug, Error)]
 pub enum ControlError {
     /// Reading or writing failed.
-    #[error("control stream: {0}")]
+    #[error("control stream: {}", Escaped(.0))]
     Stream(#[from] io::Error),
     /// The peer ended the stream after a whole message.
     #[error("the peer closed the connection")]

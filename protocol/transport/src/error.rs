@@ -2,7 +2,10 @@
 
 use std::{error::Error, io};
 
-/// Returns the text of the innermost cause: quinn's errors only say "connection lost".
+use gnomon_protocol::text::Escaped;
+
+/// Returns the text of the innermost cause: quinn's errors only say "connection lost". It is escaped, because a closed
+/// connection's error repeats what the peer wrote.
 #[must_use]
 pub fn root_cause(error: &(dyn Error + 'static)) -> String {
     let mut cause = error;
@@ -11,7 +14,7 @@ pub fn root_cause(error: &(dyn Error + 'static)) -> String {
         let wrapped = cause.downcast_ref::<io::Error>().and_then(io::Error::get_ref);
         match wrapped.map(|wrapped| wrapped as &(dyn Error + 'static)).or_else(|| cause.source()) {
             Some(deeper) => cause = deeper,
-            None => return cause.to_string(),
+            None => return Escaped(cause).to_string(),
         }
     }
 }
@@ -27,5 +30,15 @@ mod tests {
         assert_eq!(root_cause(&lost), "timed out");
         assert_eq!(root_cause(&io::Error::from(io::ErrorKind::ConnectionReset)), "connection reset");
         assert_eq!(root_cause(&ControlError::Stream(lost)), "timed out");
+    }
+
+    #[test]
+    fn a_peers_reason_is_escaped() {
+        let reason = bytes::Bytes::from_static(b"bye\x1b[2J\nWARN forged");
+        let close = quinn::ApplicationClose { error_code: 0_u32.into(), reason };
+        let lost = io::Error::other(quinn::ConnectionError::ApplicationClosed(close));
+        for shown in [root_cause(&lost), ControlError::Stream(lost).to_string()] {
+            assert!(shown.contains("bye\\u{1b}[2J\\nWARN forged") && !shown.contains(char::is_control), "{shown}");
+        }
     }
 }

@@ -7,6 +7,7 @@ use gnomon_protocol::{
     limits::{MAX_TEXT_BYTES, MAX_WRONG_PPM},
     mask::MaskShape,
     message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
+    text::PeerText,
 };
 use gnomon_transport::control::{ControlError, ControlReader};
 use thiserror::Error;
@@ -40,7 +41,7 @@ pub(crate) struct AdmittedClient {
     /// Declared masks per second. `None`: as many as others leave.
     pub(crate) rate_hz: Option<f64>,
     /// Name of the client program.
-    pub(crate) client: String,
+    pub(crate) client: PeerText,
     pub(crate) reservation: Reservation,
     /// Its token; `None` on a server without tokens.
     pub(crate) grant: Option<Grant>,
@@ -93,7 +94,7 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
                 scene_digest: services.scene.digest,
                 scene_bytes: services.scene.packed.len() as u64,
                 lights: services.scene.lights,
-                backend: shortened(services.engine.description()),
+                backend: shortened(services.engine.description()).into(),
                 data_port: link.data.port(),
                 resume: admitted.permit.resume,
             };
@@ -157,10 +158,10 @@ fn decide(applicant: Applicant, peer: SocketAddr, services: &Services) -> Result
     // First, so that a stranger learns nothing, not even whether the server is full.
     let grant = check_token(&hello, claim.is_some(), peer, services)?;
     let shape = MaskShape::new(hello.width, hello.height, services.scene.lights)
-        .map_err(|error| (RefusalCause::Unsupported, Refusal::Unsupported(error.to_string())))?;
+        .map_err(|error| (RefusalCause::Unsupported, Refusal::Unsupported(error.to_string().into())))?;
     if hello.wrong_ppm > MAX_WRONG_PPM {
         let reason = format!("{} wrong bits per million: at most {MAX_WRONG_PPM} are possible", hello.wrong_ppm);
-        return Err((RefusalCause::Unsupported, Refusal::Unsupported(reason)));
+        return Err((RefusalCause::Unsupported, Refusal::Unsupported(reason.into())));
     }
     let coding = Coding { codec: hello.codec, wrong_ppm: hello.wrong_ppm };
     // A client that comes back from the same address needs no second permit.
@@ -181,7 +182,7 @@ fn decide(applicant: Applicant, peer: SocketAddr, services: &Services) -> Result
     let port = services.engine.open_instead(shape, rate_hz, replaced).map_err(|error| match error {
         OpenError::Full(_) | OpenError::Busy => (RefusalCause::Full, services.permits.full()),
         OpenError::Overload(reason) => (RefusalCause::Budget, services.permits.busy(shortened(&reason.to_string()))),
-        _ => (RefusalCause::Unsupported, Refusal::Unsupported(shortened(&error.to_string()))),
+        _ => (RefusalCause::Unsupported, Refusal::Unsupported(shortened(&error.to_string()).into())),
     })?;
     let reservation = services
         .capacity
@@ -199,7 +200,7 @@ fn check_token(hello: &Hello, resumes: bool, peer: SocketAddr, services: &Servic
     if let Some(left) = failed.blocked(peer.ip(), now).filter(|_| !resumes) {
         failed.count_blocked(now);
         let retry_after_ms = u32::try_from(left.as_millis()).unwrap_or(u32::MAX);
-        return Err((RefusalCause::Token, Refusal::Busy { reason: BLOCKED.to_owned(), retry_after_ms }));
+        return Err((RefusalCause::Token, Refusal::Busy { reason: BLOCKED.into(), retry_after_ms }));
     }
     let claimed = tokens.claim(hello.token.as_deref(), resumes);
     claimed.map(Some).map_err(|problem| {

@@ -118,7 +118,7 @@ impl SessionPermits {
         let mut state = self.state.lock();
         if let Some(left) = state.dismissed_for(resume, Instant::now()) {
             let retry_after_ms = u32::try_from(left.as_millis()).unwrap_or(u32::MAX);
-            return Err(Refusal::Busy { reason: EndReason::Operator.to_string(), retry_after_ms });
+            return Err(Refusal::Busy { reason: EndReason::Operator.to_string().into(), retry_after_ms });
         }
         let Some(entry) = state.sessions.get_mut(&resume) else { return Ok(None) };
         if entry.claimed || entry.holding.token != token {
@@ -195,7 +195,8 @@ impl SessionPermits {
 
     /// Makes a refusal for a client whose load would disturb the others.
     pub(crate) fn busy(&self, reason: String) -> Refusal {
-        Refusal::Busy { reason, retry_after_ms: u32::try_from(RETRY_AFTER.as_millis()).unwrap_or(u32::MAX) }
+        let retry_after_ms = u32::try_from(RETRY_AFTER.as_millis()).unwrap_or(u32::MAX);
+        Refusal::Busy { reason: reason.into(), retry_after_ms }
     }
 
     /// Refuses every client from now on. Permits in use stay valid.

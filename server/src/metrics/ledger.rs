@@ -5,7 +5,7 @@ use std::{
     time::Duration,
 };
 
-use gnomon_protocol::ids::FrameNumber;
+use gnomon_protocol::{ids::FrameNumber, text::PeerText};
 
 use super::times::{Counts, Times};
 use crate::{net::link::TransportCounts, visibility::TraceCost};
@@ -228,9 +228,9 @@ impl Totals {
         );
     }
 
-    pub(crate) fn log_end(&self, client: &str, lasted: Duration, reason: &str) {
+    pub(crate) fn log_end(&self, client: &PeerText, lasted: Duration, reason: &str) {
         tracing::info!(
-            client,
+            %client,
             seconds = lasted.as_secs_f64(),
             messages = self.messages,
             poses = self.poses,

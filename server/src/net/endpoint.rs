@@ -6,7 +6,7 @@ use std::{
     sync::Arc,
 };
 
-use gnomon_protocol::limits::MAX_FRAME_BYTES;
+use gnomon_protocol::{limits::MAX_FRAME_BYTES, text::Escaped};
 use gnomon_transport::{
     quic::{self, ALPN},
     socket::bind_udp,
@@ -169,11 +169,11 @@ pub(crate) enum Arrival {
 
 #[derive(Debug, Error)]
 pub(crate) enum ArrivalError {
-    #[error("QUIC handshake: {0}")]
+    #[error("QUIC handshake: {}", Escaped(.0))]
     Quic(#[from] quinn::ConnectionError),
-    #[error("WebTransport handshake: {0}")]
+    #[error("WebTransport handshake: {}", Escaped(.0))]
     WebTransport(#[from] web_transport_quinn::ServerError),
-    #[error("control stream: {0}")]
+    #[error("control stream: {}", Escaped(.0))]
     Stream(#[from] web_transport_quinn::SessionError),
     #[error("socket: {0}")]
     Socket(#[from] io::Error),

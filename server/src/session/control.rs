@@ -5,7 +5,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_protocol::message::{ClientMessage, ServerMessage};
+use gnomon_protocol::{
+    message::{ClientMessage, ServerMessage},
+    text::PeerText,
+};
 use gnomon_transport::control::{ControlError, ControlReader};
 use tokio::{
     task::JoinSet,
@@ -109,9 +112,9 @@ impl Session {
 
     fn notify_draining(&mut self) {
         self.outbox.notify(ServerMessage::Draining {
-            reason: "the server stops".to_owned(),
+            reason: "the server stops".into(),
             deadline_ms: self.services.drain_ms,
-            alternative: self.services.alternative.clone(),
+            alternative: self.services.alternative.as_deref().map(PeerText::from),
         });
     }
 

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use gnomon_protocol::text::Escaped;
 use tokio::task::JoinError;
 
 use super::driver::DriveError;
@@ -31,7 +32,7 @@ impl End {
         match ended {
             // Frames end without an error only if the server stops.
             Ok(Ok(())) => Self::Stopping,
-            Ok(Err(DriveError::Link(error))) => Self::Lost(error.to_string()),
+            Ok(Err(DriveError::Link(error))) => Self::Lost(Escaped(error).to_string()),
             Ok(Err(error)) => Self::Failed(error.to_string()),
             Err(panic) => {
                 tracing::error!(%panic, "a task of the session panicked");

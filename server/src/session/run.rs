@@ -18,12 +18,12 @@ pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Serv
     let started_at = Instant::now();
     let AdmittedClient { mut permit, port, shape, coding, rate_hz, client, reservation, mut grant } = admitted;
     let codec = coding.codec;
-    tracing::info!(client, width = shape.width(), height = shape.height(), %codec, "session started");
+    tracing::info!(%client, width = shape.width(), height = shape.height(), %codec, "session started");
     let closer = link.data.closer();
     let ledger = reservation.ledger();
     let about = About {
         id: permit.id.0,
-        client: client.clone(),
+        client: client.to_string(),
         peer: link.peer,
         carrier: link.carrier,
         size_px: [shape.width(), shape.height()],
@@ -52,7 +52,7 @@ pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Serv
     // Its tasks must end before the ledger is closed below.
     session.stream_task.shutdown().await;
     if !matches!(end, End::Left | End::Lost(_)) {
-        session.outbox.notify(ServerMessage::Closing { reason: end.reason().into_owned() });
+        session.outbox.notify(ServerMessage::Closing { reason: end.reason().as_ref().into() });
         // Closing at once would overtake the message, so wait until the client has read it and left.
         session.outbox.finish(limits::LINGER).await;
         let _ = timeout(limits::LINGER, session.reader.drain()).await;

@@ -24,7 +24,7 @@ pub(crate) fn hello() -> Hello {
     Hello {
         version: PROTOCOL_VERSION,
         token: None,
-        client: "test".to_owned(),
+        client: "test".into(),
         width: WIDTH,
         height: HEIGHT,
         codec: CodecId::PlanesLz4,

@@ -89,7 +89,7 @@ async fn the_admin_address_shows_the_servers_state() {
 async fn closing(client: &mut Native) -> String {
     loop {
         match client.control.receive().await {
-            Some(ServerMessage::Closing { reason }) => return reason,
+            Some(ServerMessage::Closing { reason }) => return reason.to_string(),
             Some(_) => {}
             None => panic!("no reason"),
         }
@@ -198,7 +198,7 @@ async fn tokens_are_reloaded_and_a_single_use_token_admits_one_session() {
     .await;
     let say = async |token: &str| {
         let mut client = Native::connect(rig.address(), rig.folder.path()).await;
-        client.control.send(&ClientMessage::Hello(Hello { token: Some(token.to_owned()), ..hello() })).await;
+        client.control.send(&ClientMessage::Hello(Hello { token: Some(token.into()), ..hello() })).await;
         let answer = client.control.receive().await;
         (matches!(answer, Some(ServerMessage::Welcome(_))), answer, client)
     };

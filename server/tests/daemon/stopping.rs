@@ -25,7 +25,7 @@ async fn a_draining_server_notifies_serves_and_then_closes() {
     let stopping = tokio::spawn(server.shutdown());
     match client.control.receive().await {
         Some(ServerMessage::Draining { deadline_ms, alternative, .. }) => {
-            assert_eq!((deadline_ms, alternative.as_deref()), (3_000, Some("gnomon://elsewhere:1/")));
+            assert_eq!((deadline_ms, alternative), (3_000, Some("gnomon://elsewhere:1/".into())));
         }
         other => panic!("{other:?}"),
     }

@@ -11,6 +11,6 @@ mod style;
 
 pub(super) use self::{
     panel::{Status, show},
-    screens::{failure, loading},
+    screens::{failure, first_visit, loading},
     style::set_style,
 };

@@ -5,7 +5,7 @@ use std::{path::Path, sync::Barrier};
 use bytes::Bytes;
 use gnomon_protocol::{
     codec::CodecId,
-    ids::{ResumeToken, SceneDigest},
+    ids::{BearerToken, ResumeToken, SceneDigest},
 };
 use tokio::sync::watch;
 
@@ -74,7 +74,7 @@ fn once_token(token: &str) -> String {
 fn hello(token: Option<&str>, resume: Option<ResumeToken>) -> Hello {
     Hello {
         version: PROTOCOL_VERSION,
-        token: token.map(str::to_owned),
+        token: token.map(BearerToken::from),
         client: "test".into(),
         width: 64,
         height: 36,
