@@ -45,5 +45,6 @@ SECONDS ?= 60
 fuzz:
 	GNOMON_FUZZ_SEEDS=$(CURDIR)/target/fuzz-run/seeds cargo test -p gnomon-protocol -p gnomon-scene --test fuzz_smoke
 	GNOMON_FUZZ_SEEDS=$(CURDIR)/target/fuzz-run/seeds cargo test -p gnomon-server --lib fuzzing
-	tests/fuzz/build target/fuzz-run --features server
+	GNOMON_FUZZ_SEEDS=$(CURDIR)/target/fuzz-run/seeds cargo test -p gnomon-client --lib fuzzing
+	tests/fuzz/build target/fuzz-run --features server,client
 	target/fuzz-run/run $(SECONDS) target/fuzz-run/out

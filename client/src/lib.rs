@@ -11,6 +11,8 @@ pub mod cli;
 pub mod config;
 pub mod error;
 mod frame_driver;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod headless;
 pub mod link;
 pub mod options;
