@@ -1,21 +1,13 @@
 //! Reads files of limited length, and writes files atomically.
 
 use std::{
-    fs::{self, File, OpenOptions},
-    io::{self, Read as _, Write as _},
+    fs::{self, OpenOptions},
+    io::{self, Write as _},
     path::Path,
     sync::atomic::{AtomicU64, Ordering},
 };
 
-/// Errors if the file cannot be read, or is longer than `limit_bytes`.
-pub(crate) fn read_small(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    File::open(path)?.take(limit_bytes + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > limit_bytes {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, format!("longer than {limit_bytes} bytes")));
-    }
-    Ok(bytes)
-}
+pub(crate) use gnomon_settings::files::read_small;
 
 /// Creates a file that only its owner may read, unless it exists. Returns whether it did. A crash leaves no partial
 /// key, and two servers that start at once keep the same one. Errors if the folder cannot be written.
