@@ -69,7 +69,7 @@ pub struct ClientSettings {
     /// Log of received masks, one line each: frame, packets received or restored, packets restored, packets missing
     #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
     pub mask_log: Option<PathBuf>,
-    /// Token, for a server that requires one; other users of this machine see flags, so prefer --token-file or the variable
+    /// Token, for a server that requires one; --token-file and the variable hide it from other users of this machine
     #[arg(long, hide_env_values = true, value_name = "TOKEN", help_heading = "Server")]
     pub token: Option<String>,
     /// Codec of the masks

@@ -1,5 +1,5 @@
-//! The first visit of a server that no URL identifies (`?cert=first-use`), as ssh does it: its certificate is shown to a
-//! person and kept on the disk before a token goes there. Later visits accept that certificate only.
+//! The first visit of a server that no URL identifies (`?cert=first-use`), as ssh does it: its certificate is shown to
+//! a person and kept on the disk before a token goes there. Later visits accept that certificate only.
 
 use std::time::Duration;
 

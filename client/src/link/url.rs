@@ -100,7 +100,8 @@ pub enum UrlError {
 impl FromStr for ServerUrl {
     type Err = UrlError;
 
-    /// Parses what a person, a file or a variable says. A server's words have a stricter parser, [`super::alternative`].
+    /// Parses what a person, a file or a variable says. What a server says has a parser of its own,
+    /// [`super::alternative`].
     fn from_str(text: &str) -> Result<Self, UrlError> {
         if text.len() > MAX_URL_BYTES {
             return Err(UrlError::TooLong(text.len()));
