@@ -164,7 +164,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let [scene, part] = ["scene", "part"].map(|extension| name(folder.path(), 'a', extension));
         let (fetched, other) = (name(folder.path(), 'b', "part"), folder.path().join("holiday.png"));
-        [&scene, &part, &fetched, &other].map(|path| write(path, 1_500_000, 0));
+        for path in [&scene, &part, &fetched, &other] {
+            write(path, 1_500_000, 0);
+        }
         let client = open(&fetched, true).unwrap();
         client.try_lock().unwrap();
         let cleared = clear(folder.path()).unwrap();
