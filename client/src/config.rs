@@ -94,7 +94,7 @@ pub struct ClientSettings {
     #[arg(long, value_name = "DIR", help_heading = "Server")]
     pub cache_dir: Option<PathBuf>,
     /// Most MB of cached scenes, beside the one in use; those not used for longest go first
-    #[arg(long, value_name = "MB", default_value_t = 8192, bounds(0, 100_000_000), help_heading = "Server")]
+    #[arg(long, value_name = "MB", default_value_t = 8192, bounds(0, 100_000_000_u32), help_heading = "Server")]
     pub cache_limit: u32,
     /// Longest wait for the server's first answer, in s
     #[arg(long, value_name = "S", default_value_t = 5.0, bounds(0.001, 3600.0), help_heading = "Server")]
