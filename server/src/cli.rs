@@ -54,6 +54,24 @@ pub enum Command {
         #[arg(long)]
         once: bool,
     },
+    /// Make or replace the self-signed certificate; prints its SHA-256, which clients pin
+    Certificate {
+        #[arg(value_enum)]
+        action: CertificateAction,
+        /// Folder of the certificate [default: the server's own]
+        #[arg(long = "cert-dir", value_name = "DIR")]
+        folder: Option<PathBuf>,
+    },
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum CertificateAction {
+    /// Make the certificate, unless there is one
+    Identity,
+    /// Make the one that will follow, unless there is one; SIGHUP announces it in the server's URL
+    Spare,
+    /// Put the spare one into its place; SIGHUP uses it
+    UseSpare,
 }
 
 /// Reads flags, environment and TOML file.
@@ -127,9 +145,12 @@ mod tests {
             "--admin-hosts=edge,gnomon",
             "--otlp=http://collector",
             "--agones=false",
+            "--web=8",
+            "--origins=https://a.example",
             "--cert-dir=c",
             "--cert-file=f",
             "--key-file=k",
+            "--next-cert-file=n",
         ];
         let expected = ServerConfig {
             scene: Some("a.glb".into()),
@@ -161,9 +182,12 @@ mod tests {
             admin_hosts: Some("edge,gnomon".parse().unwrap()),
             otlp: Some("http://collector".parse().unwrap()),
             agones: false,
+            web: Some("127.0.0.1:8".parse().unwrap()),
+            origins: Some("https://a.example".parse().unwrap()),
             cert_dir: Some("c".into()),
             cert_file: Some("f".into()),
             key_file: Some("k".into()),
+            next_cert_file: Some("n".into()),
         };
         assert_eq!(load_with(&arguments, &[]).unwrap().program.settings, expected);
     }

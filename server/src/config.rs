@@ -16,6 +16,7 @@ pub use crate::visibility::engine::BackendChoice as Backend;
 use crate::{
     limits, names,
     operate::{admin::hosts::AdminHosts, otlp::collector::Collector},
+    origins::Origins,
 };
 
 /// Everything that an operator can choose. Doc comments are the `--help` texts.
@@ -111,6 +112,13 @@ pub struct ServerConfig {
     /// Report health to the Agones sidecar; needs a build with --features agones
     #[arg(long)]
     pub agones: bool,
+    /// Address where web pages find port and certificate hashes, as /gnomon.json; a port alone is on loopback. Other
+    /// addresses need --cert-file, and answer over HTTPS [default: none]
+    #[arg(long, value_name = "[ADDR:]PORT")]
+    pub web: Option<AdminAddress>,
+    /// Origins of web pages that may connect, with commas between [default: every origin]
+    #[arg(long, value_name = "https://HOST,…")]
+    pub origins: Option<Origins>,
     /// Folder for the self-signed certificate and its key [default: the user's state folder]
     #[arg(long, value_name = "DIR")]
     pub cert_dir: Option<PathBuf>,
@@ -120,6 +128,10 @@ pub struct ServerConfig {
     /// Private key of --cert-file in PEM, reread on SIGHUP
     #[arg(long, value_name = "FILE")]
     pub key_file: Option<PathBuf>,
+    /// Certificate in PEM that will follow, reread on SIGHUP: the URL announces it beside the present one [default:
+    /// spare.pem in --cert-dir, if `gnomon-server certificate spare` made it]
+    #[arg(long, value_name = "FILE")]
+    pub next_cert_file: Option<PathBuf>,
 }
 
 impl Default for ServerConfig {
@@ -128,7 +140,7 @@ impl Default for ServerConfig {
     }
 }
 
-/// Address of the admin endpoints: `ADDR:PORT`, `PORT` on loopback, or `off`.
+/// Address for HTTP: `ADDR:PORT`, `PORT` on loopback, or `off`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AdminAddress {
     Off,
@@ -204,6 +216,13 @@ pub enum ConfigError {
     NoAgones,
     #[error("--cert-file and --key-file belong together")]
     HalfACertificate,
+    #[error(
+        "--web {0} would answer in the clear: pass --cert-file and --key-file for HTTPS, or --web PORT to answer on \
+         loopback only"
+    )]
+    WebInTheClear(SocketAddr),
+    #[error("--web is for web pages, which need --transport quic")]
+    WebWithoutQuic,
     /// A lab transport on an address that others can reach.
     #[error(
         "--transport {transport} sends everything unencrypted and unauthenticated, so it listens on loopback only, \
@@ -229,6 +248,14 @@ impl ServerConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         if self.cert_file.is_some() != self.key_file.is_some() {
             return Err(ConfigError::HalfACertificate);
+        }
+        if let Some(web) = self.web.and_then(AdminAddress::address) {
+            if self.transport != Transport::Quic {
+                return Err(ConfigError::WebWithoutQuic);
+            }
+            if self.cert_file.is_none() && !web.ip().is_loopback() {
+                return Err(ConfigError::WebInTheClear(web));
+            }
         }
         if self.agones && !cfg!(feature = "agones") {
             return Err(ConfigError::NoAgones);
@@ -289,6 +316,11 @@ mod tests {
             ("admin_hosts = \"10.0.0.1\"", "list names only"),
             ("listen = \"nowhere\"", "line 1: listen = nowhere: invalid socket address"),
             ("admin = \"everywhere\"", "neither ADDR:PORT nor a port"),
+            ("web = \"https://edge.example\"", "neither ADDR:PORT nor a port"),
+            (
+                "origins = \"a.example\"",
+                "line 1: origins = a.example: \"a.example\" is not an origin: write https://HOST",
+            ),
             ("scene =", "line 1"),
             ("scene = \"a\"\nscene = \"b\"", "line 2"),
         ] {
@@ -332,6 +364,18 @@ mod tests {
         ServerConfig::default().validate().unwrap();
         let half = ServerConfig { key_file: Some("k".into()), ..ServerConfig::default() };
         assert_eq!(half.validate().unwrap_err().to_string(), "--cert-file and --key-file belong together");
+    }
+
+    #[test]
+    fn the_web_address_is_on_loopback_or_encrypted() {
+        let config = |text: &str| text.parse::<ServerConfig>().unwrap().validate();
+        config("web = \"8080\"").unwrap();
+        config("web = \"[::1]:8080\"").unwrap();
+        config("web = \"0.0.0.0:443\"\ncert_file = \"c\"\nkey_file = \"k\"").unwrap();
+        let clear = config("web = \"0.0.0.0:80\"").unwrap_err().to_string();
+        assert!(clear.contains("0.0.0.0:80") && clear.contains("--cert-file"), "{clear}");
+        let lab = config("web = \"8080\"\ntransport = \"lab-tcp\"").unwrap_err().to_string();
+        assert!(lab.contains("--transport quic"), "{lab}");
     }
 
     #[test]

@@ -17,11 +17,14 @@ mod metrics;
 mod names;
 mod net;
 mod operate;
+mod origins;
 mod phase;
 mod session;
 mod task;
 pub mod visibility;
+mod web;
 
 pub use admission::tokens;
 pub use app::{error, running::RunningServer, signals, start::Server};
+pub use net::certificate::commands as certificate;
 pub use operate::{admin::hosts, logs, otlp, systemd};

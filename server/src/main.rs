@@ -4,8 +4,8 @@ use std::{io::Write as _, process::ExitCode};
 
 use anyhow::Context as _;
 use gnomon_server::{
-    Server,
-    cli::{self, Cli, Command},
+    Server, certificate,
+    cli::{self, CertificateAction, Cli, Command},
     config::ServerConfig,
     logs::{self, Logs},
     signals::{Hangups, Signals},
@@ -32,11 +32,20 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(loaded: Loaded<Cli>) -> anyhow::Result<()> {
+fn run(mut loaded: Loaded<Cli>) -> anyhow::Result<()> {
     let cli = &loaded.program;
     if let Some(Command::Token { name, days, scope, once }) = &cli.command {
         let (token, entry) = tokens::make(name, *days, scope, *once)?;
         return print_line(&format!("{token}\n{}", entry.trim_end()));
+    }
+    if let Some(Command::Certificate { action, folder }) = &cli.command {
+        let folder = folder.as_deref().or(cli.settings.cert_dir.as_deref());
+        let sha256 = match action {
+            CertificateAction::Identity => certificate::make_identity(folder),
+            CertificateAction::Spare => certificate::make_spare(folder),
+            CertificateAction::UseSpare => certificate::use_spare(folder),
+        };
+        return print_line(&sha256?);
     }
     if let Some(text) = gnomon_settings::page::<Cli, ServerConfig>(cli.completions, cli.man)? {
         return print_line(&text);
@@ -44,6 +53,8 @@ fn run(loaded: Loaded<Cli>) -> anyhow::Result<()> {
     let config = &cli.settings;
     config.validate()?;
     if cli.check_config {
+        let hashes = certificate::kept_browser_hashes(config).into();
+        loaded.values.insert("browser_certificate_sha256".to_owned(), hashes);
         return print_line(&loaded.to_json());
     }
     let logs = logs::init(config.log, config.log_file.as_deref()).map_err(|error| anyhow::anyhow!("logs: {error}"))?;

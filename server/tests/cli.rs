@@ -143,6 +143,52 @@ fn check_describes_the_scene() {
     }
 }
 
+#[test]
+fn check_config_shows_what_browsers_pin() {
+    let folder = tempfile::tempdir().unwrap();
+    let hashes =
+        || config(server().arg("--cert-dir").arg(folder.path().join("cert")))["browser_certificate_sha256"].take();
+    assert_eq!(hashes(), serde_json::Value::Null, "no server has run");
+    let running = start(folder.path());
+    let kept = hashes();
+    stop(running.child.id(), "-TERM");
+    let logs = text(&running.child.wait_with_output().unwrap().stderr);
+    let listening = logs.lines().find(|line| line.contains("\"listening\"")).unwrap();
+    let fields = &serde_json::from_str::<serde_json::Value>(listening).unwrap()["fields"];
+    assert_eq!(kept["current"], fields["browser_certificate_sha256"], "{fields}");
+    assert_eq!(kept["next"], fields["next_browser_certificate_sha256"], "{fields}");
+    assert_eq!(hashes(), kept, "the next start shows them again");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_certificate_is_replaced_by_one_that_was_announced() {
+    let folder = tempfile::tempdir().unwrap();
+    let certificate = |action: &str| {
+        let output = run(server().args(["certificate", action, "--cert-dir"]).arg(folder.path().join("cert")));
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout).trim_end().to_owned()
+    };
+    let (first, second) = (certificate("identity"), certificate("spare"));
+    let pins = |url: &str| url.trim_end().split_once("/?").unwrap().1.to_owned();
+    let running = start(folder.path());
+    assert_eq!(pins(&running.url), format!("cert={first}&cert={second}"));
+    stop(running.child.id(), "-TERM");
+    running.child.wait_with_output().unwrap();
+    assert_eq!(certificate("use-spare"), second);
+    let running = start(folder.path());
+    assert_eq!(pins(&running.url), format!("cert={second}"));
+    stop(running.child.id(), "-TERM");
+    running.child.wait_with_output().unwrap();
+    let output = run(server().args(["certificate", "use-spare", "--cert-dir"]).arg(folder.path().join("cert")));
+    let message = text(&output.stderr);
+    assert!(message.contains("certificate spare") && message.lines().count() == 1, "{message}");
+}
+
+fn stop(id: u32, signal: &str) {
+    assert!(Command::new("kill").args([signal, &id.to_string()]).status().unwrap().success());
+}
+
 struct Running {
     child: Child,
     url: String,
@@ -179,8 +225,7 @@ fn it_prints_one_line_keeps_its_certificate_and_stops_on_a_signal() {
         assert_ne!(port, 0);
         assert!(pin.len() == 64 && pin.bytes().all(|byte| byte.is_ascii_hexdigit()), "{pin}");
         pins.push(pin.to_owned());
-        let id = running.child.id().to_string();
-        assert!(Command::new("kill").args([signal, &id]).status().unwrap().success());
+        stop(running.child.id(), signal);
         let mut rest = String::new();
         running.rest.read_to_string(&mut rest).unwrap();
         assert_eq!(rest, "", "one line on standard output");

@@ -71,6 +71,8 @@ struct Applicant {
 pub(crate) enum HandshakeError {
     #[error("{0}")]
     Arrival(String),
+    #[error("{0}")]
+    Origin(String),
     #[error("refused: {0}")]
     Refused(Refusal),
     #[error(transparent)]

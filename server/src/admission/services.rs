@@ -10,7 +10,7 @@ use super::{
     addresses::AddressLimit, capacity::HostCapacity, encoders::Encoders, failed_tokens::FailedTokens,
     permit::SessionPermits, tokens::store::TokenStore,
 };
-use crate::{metrics::registry::Metrics, phase::Phase, visibility::engine::Fleet};
+use crate::{metrics::registry::Metrics, origins::Origins, phase::Phase, visibility::engine::Fleet};
 
 /// The scene in the form that clients fetch.
 #[derive(Debug)]
@@ -37,6 +37,8 @@ pub(crate) struct Services {
     /// Limits how many sessions encode at once.
     pub(crate) encoders: Encoders,
     pub(crate) handshake_timeout: Duration,
+    /// `None` lets pages of every origin connect.
+    pub(crate) origins: Option<Origins>,
     pub(crate) drain_ms: u32,
     /// URL to which a draining server sends its clients.
     pub(crate) alternative: Option<String>,

@@ -17,7 +17,10 @@ use crate::{
     },
     limits,
     metrics::causes::RefusalCause,
-    net::endpoint::{Arrival, Endpoint},
+    net::{
+        endpoint::{Arrival, ArrivalError, Endpoint},
+        page::PageError,
+    },
     phase::stopping,
     session,
 };
@@ -64,7 +67,10 @@ fn log_panic(ended: Result<(), tokio::task::JoinError>) {
 
 async fn serve(arrival: Arrival, handshake: (OwnedSemaphorePermit, AddressPermit), services: Arc<Services>) {
     let greeting = async {
-        let mut link = arrival.into_link().await.map_err(|error| HandshakeError::Arrival(error.to_string()))?;
+        let mut link = arrival.into_link(services.origins.as_ref()).await.map_err(|error| match error {
+            ArrivalError::Page(PageError::Origin(_)) => HandshakeError::Origin(error.to_string()),
+            error => HandshakeError::Arrival(error.to_string()),
+        })?;
         let admitted = handshake::greet(&mut link, &services).await?;
         Ok::<_, HandshakeError>((link, admitted))
     };
@@ -78,8 +84,10 @@ async fn serve(arrival: Arrival, handshake: (OwnedSemaphorePermit, AddressPermit
         Some(Ok(greeted)) => greeted,
         Some(Err(error)) => {
             // Refusals were counted where they were made, with their cause.
-            if !matches!(error, HandshakeError::Refused(_)) {
-                services.metrics.refused(RefusalCause::Broken);
+            match error {
+                HandshakeError::Refused(_) => {}
+                HandshakeError::Origin(_) => services.metrics.refused(RefusalCause::Origin),
+                _ => services.metrics.refused(RefusalCause::Broken),
             }
             return tracing::info!(reason = %error, "not admitted");
         }

@@ -6,7 +6,7 @@ use thiserror::Error;
 use crate::visibility::engine::EngineError;
 pub use crate::{
     admission::tokens::TokenError, config::ConfigError, net::certificate::CertificateError, net::endpoint::ListenError,
-    operate::admin::AdminError,
+    operate::admin::AdminError, web::WebError,
 };
 
 #[derive(Debug, Error)]
@@ -27,6 +27,8 @@ pub enum StartError {
     Certificate(#[from] CertificateError),
     #[error(transparent)]
     Listen(#[from] ListenError),
+    #[error(transparent)]
+    Web(#[from] WebError),
     #[error("tracing: {0}")]
     Engine(Box<EngineError>),
     #[error("start-up failed: {0}")]

@@ -5,6 +5,7 @@ use std::{net::SocketAddr, sync::Arc, time::Duration};
 use gnomon_protocol::ids::SessionId;
 use tokio::{sync::watch, time::timeout};
 
+use super::url;
 use crate::{
     admission::{end_reason::EndReason, services::Services},
     limits,
@@ -18,13 +19,16 @@ use crate::{
     phase::Phase,
     task::Task,
     visibility::engine::Engine,
+    web::Web,
 };
 
 /// A listening server. Dropping it ends it at once; [`Self::shutdown`] lets sessions finish.
 pub struct RunningServer {
     pub(super) local_addr: SocketAddr,
-    pub(super) url: String,
+    pub(super) url_base: String,
     pub(super) certificates: Option<Arc<Certificates>>,
+    pub(super) renewing: Option<Task>,
+    pub(super) web: Option<Web>,
     pub(super) services: Arc<Services>,
     pub(super) phase: watch::Sender<Phase>,
     pub(super) endpoint: Arc<Endpoint>,
@@ -44,17 +48,22 @@ impl RunningServer {
         self.local_addr
     }
 
-    /// The URL for clients: `gnomon://HOST:PORT/?cert=SHA256`, or `gnomon+lab-udp://HOST:PORT/` on lab transports.
+    /// The URL for clients: `gnomon://HOST:PORT/?cert=SHA256`, with a second `cert` if the next certificate is
+    /// announced, or `gnomon+lab-udp://HOST:PORT/` on lab transports.
     #[must_use]
     pub fn url(&self) -> String {
-        self.url.clone()
+        match &self.certificates {
+            Some(certificates) => url::pinning(&self.url_base, certificates),
+            None => self.url_base.clone(),
+        }
     }
 
-    /// SHA-256 of the browsers' certificate in hexadecimal; `None` on lab transports. Renewed every few days, since
-    /// browsers reject pinned certificates that are valid for more than 14 days.
+    /// SHA-256 of the certificate that browsers pin, in hexadecimal; `None` on lab transports, and with an operator's
+    /// certificate. Renewed every few days, since browsers reject pinned certificates that are valid for more than 14
+    /// days.
     #[must_use]
     pub fn browser_certificate_sha256(&self) -> Option<String> {
-        self.certificates.as_ref().map(|certificates| certificates.browser_sha256())
+        Some(self.certificates.as_ref()?.browser_hashes()?.current)
     }
 
     /// The tracing back end and its adapter.
@@ -89,6 +98,11 @@ impl RunningServer {
         self.admin.as_ref().map(Admin::local_addr)
     }
 
+    #[must_use]
+    pub fn web_addr(&self) -> Option<SocketAddr> {
+        self.web.as_ref().map(Web::local_addr)
+    }
+
     /// Reloads the token file and the certificate. Sessions end whose token was withdrawn. An unusable file is logged
     /// and changes nothing.
     pub fn reload(&self) {
@@ -109,9 +123,13 @@ impl RunningServer {
         if let Some(certificates) = &self.certificates {
             let outcome = &self.status.reloads.certificate;
             match certificates.reload() {
-                Ok(sha256) => {
+                Ok(()) => {
                     outcome.succeeded();
-                    tracing::info!(sha256, "certificate reloaded");
+                    tracing::info!(
+                        sha256 = certificates.permanent_sha256(),
+                        next_sha256 = certificates.next_sha256(),
+                        "certificate reloaded"
+                    );
                 }
                 Err(error) => {
                     outcome.failed();
@@ -145,6 +163,8 @@ impl RunningServer {
             readiness,
             admin,
             otlp,
+            renewing,
+            web,
             #[cfg(feature = "agones")]
             agones,
             ..
@@ -176,7 +196,7 @@ impl RunningServer {
         if agones.is_some() {
             crate::operate::agones::shutdown().await;
         }
-        drop((admin, otlp));
+        drop((admin, otlp, renewing, web));
         tracing::info!("stopped");
     }
 }

@@ -12,7 +12,7 @@ use super::{
     error::StartError,
     running::RunningServer,
     scene::{load, load_options},
-    url::url,
+    url,
     warm_up::warm_up,
 };
 use crate::{
@@ -33,6 +33,7 @@ use crate::{
     phase::Phase,
     task::Task,
     visibility::engine::{EngineOptions, Fleet},
+    web,
 };
 
 #[derive(Debug)]
@@ -47,6 +48,7 @@ impl Server {
         config.validate()?;
         // Quick checks first: loading takes seconds.
         let scene_path = config.scene.clone().ok_or(StartError::NoScene)?;
+        let scene_name = scene_path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let tokens = config.token_file.as_deref().map(TokenStore::read).transpose()?.map(Arc::new);
         let provider = Arc::new(rustls::crypto::ring::default_provider());
         let certificates = match config.transport {
@@ -73,6 +75,10 @@ impl Server {
             Some(address) => Some(Admin::start(address, &status).await?),
             None => None,
         };
+        let web = match config.web.and_then(AdminAddress::address) {
+            Some(address) => Some(web::Bound::listen(address).await?),
+            None => None,
+        };
         let otlp = config.otlp.clone().map(|collector| Task::spawn(report::run(collector, Arc::clone(&status))));
 
         let options = load_options(&config);
@@ -86,7 +92,9 @@ impl Server {
         }
         let _ = status.backend.set(engine.description().to_owned());
 
-        let url = url(&config, local_addr, certificates.as_deref());
+        let url_base = url::base(&config, local_addr);
+        let browser_hashes = certificates.as_ref().and_then(|certificates| certificates.browser_hashes());
+        let renewing = certificates.clone().map(|certificates| Task::spawn(certificates.keep_fresh()));
         let endpoint = Arc::new(bound.open(&config, certificates.clone(), &provider, &metrics.socket)?);
         let (phase, phase_seen) = watch::channel(Phase::Running);
         let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
@@ -99,7 +107,8 @@ impl Server {
             lights = asset.lights,
             max_sessions = config.max_sessions,
             tokens = tokens.is_some(),
-            browser_certificate_sha256 = certificates.as_ref().map(|certificates| certificates.browser_sha256()),
+            browser_certificate_sha256 = browser_hashes.as_ref().map(|hashes| &*hashes.current),
+            next_browser_certificate_sha256 = browser_hashes.as_ref().map(|hashes| &*hashes.next),
             "listening"
         );
         if status.open {
@@ -121,10 +130,19 @@ impl Server {
             phase: phase_seen,
             encoders: Encoders::new(cores),
             handshake_timeout: config.handshake_timeout(),
+            origins: config.origins.clone(),
             drain_ms: config.drain_ms,
             alternative: config.alternative.clone(),
         });
         let accepting = Task::spawn(accept(Arc::clone(&endpoint), Arc::clone(&services)));
+        let web = match (web, &certificates) {
+            (Some(web), Some(certificates)) => {
+                let port = url::port(&url_base, local_addr);
+                let (certificates, origins) = (Arc::clone(certificates), config.origins);
+                Some(web.serve(web::Page { port, scene: scene_name, certificates, origins }, &provider)?)
+            }
+            _ => None,
+        };
         readiness.set(Stage::Ready);
         #[cfg(feature = "agones")]
         let agones = config.agones.then(|| {
@@ -133,8 +151,10 @@ impl Server {
         });
         Ok(RunningServer {
             local_addr,
-            url,
+            url_base,
             certificates,
+            renewing,
+            web,
             services,
             phase,
             endpoint,

@@ -4,14 +4,26 @@ use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 
 use crate::{config::ServerConfig, net::certificate::Certificates};
 
-pub(super) fn url(config: &ServerConfig, local_addr: SocketAddr, certificates: Option<&Certificates>) -> String {
+/// The URL without certificates.
+pub(super) fn base(config: &ServerConfig, local_addr: SocketAddr) -> String {
     let authority = match &config.advertise {
         Some(host) => authority(host, local_addr.port()),
         None => reachable(local_addr).to_string(),
     };
-    let query =
-        certificates.map(|certificates| format!("?cert={}", certificates.permanent_sha256())).unwrap_or_default();
-    format!("{}://{authority}/{query}", config.transport.scheme())
+    format!("{}://{authority}/", config.transport.scheme())
+}
+
+/// The port in a URL that [`base`] made.
+pub(super) fn port(base: &str, local_addr: SocketAddr) -> u16 {
+    let written = base.trim_end_matches('/').rsplit_once(':').and_then(|(_, port)| port.parse().ok());
+    written.unwrap_or_else(|| local_addr.port())
+}
+
+/// Adds the certificates that a client may trust: the present one, and the announced one.
+pub(super) fn pinning(base: &str, certificates: &Certificates) -> String {
+    let present = certificates.permanent_sha256();
+    let next = certificates.next_sha256().map(|sha256| format!("&cert={sha256}")).unwrap_or_default();
+    format!("{base}?cert={present}{next}")
 }
 
 /// Completes `HOST[:PORT]` with the port, and puts brackets around a bare IPv6 address.
@@ -57,8 +69,13 @@ mod tests {
             assert_eq!(authority(host, 7), expected);
         }
         let config = ServerConfig { transport: Transport::LabUdp, ..ServerConfig::default() };
-        assert_eq!(url(&config, "127.0.0.1:7".parse().unwrap(), None), "gnomon+lab-udp://127.0.0.1:7/");
-        assert_eq!(url(&config, "[::1]:7".parse().unwrap(), None), "gnomon+lab-udp://[::1]:7/");
+        assert_eq!(base(&config, "127.0.0.1:7".parse().unwrap()), "gnomon+lab-udp://127.0.0.1:7/");
+        assert_eq!(base(&config, "[::1]:7".parse().unwrap()), "gnomon+lab-udp://[::1]:7/");
+        let advertised = |host: &str| ServerConfig { advertise: Some(host.to_owned()), ..ServerConfig::default() };
+        for (host, expected) in [("edge.example", 7), ("edge.example:99", 99), ("2001:db8::1", 7)] {
+            let local = "127.0.0.1:7".parse().unwrap();
+            assert_eq!(port(&base(&advertised(host), local), local), expected);
+        }
     }
 
     #[test]

@@ -29,6 +29,8 @@ causes! {
         Draining = "draining",
         /// Another protocol version, or an impossible request.
         Unsupported = "unsupported",
+        /// A page of an origin that is not listed.
+        Origin = "origin",
         /// It broke off, or broke the protocol.
         Broken = "broken",
         /// No Hello in time.

@@ -21,12 +21,14 @@ use web_transport_quinn::Session;
 use super::{
     certificate::{ALPN_WEB, Certificates},
     link::{DataLink, LabTcpData, LabUdpData, Link, QuicData},
+    page::{self, PageError},
     socket::{CountingSocket, SocketCounts},
 };
 use crate::{
     clock::SteadyClock,
     config::{ServerConfig, Transport},
     limits,
+    origins::Origins,
 };
 
 /// quinn's datagram send buffer. It never fills, since the frame gate closes at 1.6 frames of any size.
@@ -171,8 +173,8 @@ pub(crate) enum Arrival {
 pub(crate) enum ArrivalError {
     #[error("QUIC handshake: {}", Escaped(.0))]
     Quic(#[from] quinn::ConnectionError),
-    #[error("WebTransport handshake: {}", Escaped(.0))]
-    WebTransport(#[from] web_transport_quinn::ServerError),
+    #[error(transparent)]
+    Page(#[from] PageError),
     #[error("control stream: {}", Escaped(.0))]
     Stream(#[from] web_transport_quinn::SessionError),
     #[error("socket: {0}")]
@@ -236,15 +238,15 @@ impl Arrival {
         }
     }
 
-    /// Completes the transport's handshake, and waits for the client's control stream. Errors if the peer disconnects
-    /// or speaks another protocol.
-    pub(crate) async fn into_link(self) -> Result<Link, ArrivalError> {
+    /// Completes the transport's handshake, and waits for the client's control stream. Errors if the peer
+    /// disconnects, speaks another protocol, or is a page of another origin than these.
+    pub(crate) async fn into_link(self, origins: Option<&Origins>) -> Result<Link, ArrivalError> {
         let peer = self.peer();
         match self {
             Self::Quic(incoming) => {
                 let connection = incoming.accept()?.await?;
                 let (session, carrier) = if alpn(&connection).as_deref() == Some(ALPN_WEB) {
-                    (web_transport_quinn::Request::accept(connection).await?.ok().await?, "webtransport")
+                    (page::admit(connection, origins, limits::LINGER).await?, "webtransport")
                 } else {
                     (Session::raw(connection), "quic")
                 };

@@ -3,4 +3,5 @@
 pub(crate) mod certificate;
 pub(crate) mod endpoint;
 pub(crate) mod link;
+pub(crate) mod page;
 pub(crate) mod socket;

@@ -10,6 +10,7 @@ mod operator;
 mod references;
 mod stopping;
 mod web;
+mod web_address;
 
 pub(crate) const LIGHTS: u32 = 2;
 

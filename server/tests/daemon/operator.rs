@@ -31,7 +31,7 @@ pub(crate) fn value(page: &str, name: &str) -> u64 {
     line.rsplit_once(' ').unwrap().1.parse().unwrap()
 }
 
-async fn page(rig: &Rig) -> String {
+pub(crate) async fn page(rig: &Rig) -> String {
     let (status, page) = get(rig.server.admin_addr().unwrap(), "/metrics", "").await;
     assert_eq!(status, 200, "{page}");
     page

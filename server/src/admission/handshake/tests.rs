@@ -55,6 +55,7 @@ fn services(folder: &Path, tokens: &str, change: impl FnOnce(&mut ServerConfig))
         engine: Fleet::start(&scene, &options).unwrap(),
         tokens: (!tokens.is_empty()).then(|| Arc::new(TokenStore::read(&path).unwrap())),
         failed_tokens: FailedTokens::default(),
+        origins: None,
         addresses: AddressLimit::new(config.max_sessions_per_address, false),
         metrics: Arc::new(Metrics::default()),
         permits: SessionPermits::new(config.max_sessions),
