@@ -271,12 +271,12 @@ mod tests {
     fn what_hides_the_network_is_configuration() {
         let file = format!(
             "url = \"{URL}\"\nmode = \"sequential\"\nguard = \"auto\"\npredict = \"none\"\npredict_pose = true\n\
-             sequential_lag = 2\ncalm_frames = 5\nprediction_lag = 30\nfade = 0.5\n"
+             sequential_lag = 2\ncalm_frames = 5\nprediction_lag = 0.5\nfade = 0.5\n"
         );
         let options = options_with(&file, "--headless --mode concurrent --fade 0.125 --predict-pose=false").unwrap();
         let settings = &options.settings;
         assert_eq!((settings.mode, settings.guard, settings.predict), (Mode::Concurrent, Guard::Auto, Predictor::None));
-        let expected = Thresholds { sequential_lag: 2, calm_frames: 5, prediction_lag: 30, fade_s: 0.125 };
+        let expected = Thresholds { sequential_lag: 2, calm_frames: 5, prediction_lag_s: 0.5, fade_s: 0.125 };
         assert_eq!((settings.thresholds(), settings.predict_pose), (expected, Some(false)));
         let default = options_with("", &format!("{URL} --headless")).unwrap().settings;
         assert_eq!((default.mode, default.thresholds()), (Mode::Auto, Thresholds::default()));
@@ -339,7 +339,7 @@ mod tests {
             ("", "--start-time nan", "--start-time nan: must be 0 to 1000000000"),
             ("", "--exposure 41", "--exposure 41: must be -40 to 40"),
             ("", "--fade 61", "--fade 61: must be 0 to 60"),
-            ("", "--prediction-lag 256", "--prediction-lag 256: must be 0 to 255"),
+            ("", "--prediction-lag 100", "--prediction-lag 100: must be 0 to 4"),
             ("", "--lossy 1.5", "--lossy 1.5: must be 0 to 1"),
             ("colour = 1", "--headless", "unknown key \"colour\""),
             ("guard = \"63x36\"", "--headless", "even"),

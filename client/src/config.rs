@@ -14,7 +14,7 @@ use crate::{
         url::ServerUrl,
     },
     mode::{Mode, Thresholds},
-    pose_history::HISTORY_FRAMES,
+    pose_history::HISTORY_S,
     predictor::Predictor,
 };
 
@@ -132,12 +132,12 @@ pub struct ClientSettings {
         help_heading = "Late visibility"
     )]
     pub calm_frames: u32,
-    /// Largest lag that visibility is predicted over, in frames; the dissertation has 50
+    /// Largest age of visibility that is predicted over, in s; the dissertation has 50 frames
     #[arg(
-        long, value_name = "N", default_value_t = Thresholds::default().prediction_lag,
-        bounds(0, HISTORY_FRAMES - 1), help_heading = "Late visibility"
+        long, value_name = "S", default_value_t = Thresholds::default().prediction_lag_s,
+        bounds(0.0, HISTORY_S), help_heading = "Late visibility"
     )]
-    pub prediction_lag: u32,
+    pub prediction_lag: f64,
     /// Duration of the fade when visibility becomes too late, and of the fade back, in s
     #[arg(
         long, value_name = "S", default_value_t = Thresholds::default().fade_s, bounds(0.0, 60.0),
@@ -170,7 +170,7 @@ impl ClientSettings {
         Thresholds {
             sequential_lag: self.sequential_lag,
             calm_frames: self.calm_frames,
-            prediction_lag: self.prediction_lag,
+            prediction_lag_s: self.prediction_lag,
             fade_s: self.fade,
         }
     }

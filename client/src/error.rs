@@ -15,6 +15,7 @@ use crate::{
     link::scene_cache::SceneFetchError,
     link::url::ServerUrl,
     render::RenderError,
+    stop::Cause,
 };
 
 #[derive(Debug, Error)]
@@ -76,6 +77,12 @@ pub enum ClientError {
     LocalServer(#[from] LocalServerError),
     #[error("cannot write {}: {source}", path.display())]
     Write { path: PathBuf, source: std::io::Error },
+    /// The run was asked to end.
+    #[error(transparent)]
+    Stopped(#[from] Cause),
+    /// The run has drawn its frames, the last ones without the server.
+    #[error("the run ended without its server: {0}")]
+    EndedAlone(String),
     /// The session ended before all frames were drawn.
     #[error("the session ended after {rendered} of {wanted} frames: {reason}")]
     Ended { rendered: u32, wanted: u32, reason: String },

@@ -13,16 +13,23 @@ use gnomon_client_core::{
     mask::pose_history::Rejections,
     render::FrameRenderer,
 };
-use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS};
+use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS, mask::MaskShape, message::Welcome};
 use gnomon_scene::camera::Camera;
+use gnomon_shaders::gpu::Gpu;
 
 use crate::{
+    app::connect::exposure,
+    config::ClientSettings,
     error::ClientError,
     link::{
-        server_link::{LinkTotals, ServerLink},
+        reconnect::OtherScene,
+        server_link::{Change, LinkTotals, ServerLink},
         state::LinkState,
+        url::ServerUrl,
     },
+    occluders::Occluders,
     record::{Record, Recorder},
+    render::{PICTURE_FORMAT, exposure::Exposure},
 };
 
 pub(crate) trait Sink {
@@ -58,6 +65,23 @@ pub(crate) struct FrameDriver {
     recorded_link: Option<&'static str>,
 }
 
+/// What a renderer needs when the server comes back with another scene.
+#[derive(Clone, Copy)]
+pub(crate) struct Stage<'a> {
+    pub(crate) gpu: &'a Gpu,
+    pub(crate) settings: &'a ClientSettings,
+    /// Largest mask to request, in pixels.
+    pub(crate) largest_mask: (u32, u32),
+}
+
+/// A scene that has replaced another one.
+pub(crate) struct NewScene {
+    #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window shows it"))]
+    pub(crate) url: ServerUrl,
+    pub(crate) welcome: Welcome,
+    pub(crate) exposure: Exposure,
+}
+
 #[derive(Debug, Default)]
 pub(crate) struct RunTotals {
     pub(crate) link: LinkTotals,
@@ -91,6 +115,56 @@ impl FrameDriver {
         RunTotals { link, rejections, lost: self.lost.take() }
     }
 
+    /// Looks for a lost server, unless frames wait for their masks. If it has come back with another scene, the renderer
+    /// is replaced, and the scene returned. To be called before [`Self::draw`].
+    ///
+    /// # Errors
+    /// Errors if the adapter cannot take the new scene, or a file cannot be written.
+    pub(crate) fn maintain(&mut self, frame: FrameNumber, stage: Stage<'_>) -> Result<Option<NewScene>, ClientError> {
+        if self.frames.source() == MaskSource::Awaited {
+            return Ok(None);
+        }
+        match self.link.as_mut().map(ServerLink::maintain).transpose()?.flatten() {
+            None => Ok(None),
+            Some(Change::Reconnected) => {
+                self.frames.matcher.reconnected(frame);
+                Ok(None)
+            }
+            Some(Change::OtherScene(other)) => self.change_scene(frame, *other, stage),
+        }
+    }
+
+    fn change_scene(
+        &mut self,
+        frame: FrameNumber,
+        other: OtherScene,
+        stage: Stage<'_>,
+    ) -> Result<Option<NewScene>, ClientError> {
+        let Some(link) = &mut self.link else { return Ok(None) };
+        let Stage { gpu, settings, largest_mask: (width, height) } = stage;
+        let OtherScene { pending, scene } = other;
+        let (url, welcome) = (pending.url().clone(), pending.welcome.clone());
+        let exposure = exposure(&scene, &Occluders::largest_of(&scene), settings.exposure);
+        let size = self.frames.renderer.size();
+        let renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predict)?;
+        match link.start(pending, MaskShape::new(width, height, welcome.lights)?) {
+            Ok(()) => {}
+            Err(error @ ClientError::Write { .. }) => return Err(error),
+            Err(error) => {
+                tracing::warn!(%error, "the server is lost again");
+                return Ok(None);
+            }
+        }
+        self.frames.change_scene(frame, renderer);
+        if let Some(mut recorder) = self.recorder.take() {
+            let text = format!("the server has the scene {}: the recording ends here", welcome.scene_digest);
+            tracing::warn!("{text}");
+            recorder.write(&Record::Event { frame: self.drawn.saturating_sub(1), text })?;
+            recorder.finish()?;
+        }
+        Ok(Some(NewScene { url, welcome, exposure }))
+    }
+
     /// Draws frame number `frame` from `camera` at `scene_time_s` into `sink`. Frame numbers ascend.
     pub(crate) fn draw(
         &mut self,
@@ -103,11 +177,6 @@ impl FrameDriver {
         let mut clock = Clock(begun);
         let mut times = StageTimes::default();
         let waits = self.frames.source() == MaskSource::Awaited;
-        if let Some(link) = self.link.as_mut().filter(|_| !waits)
-            && link.maintain()
-        {
-            self.frames.matcher.reconnected(frame);
-        }
         let connected = self.link.as_ref().is_some_and(|link| link.ended().is_none());
         let request = self.frames.request(frame, &camera, scene_time_s, begun, connected);
         if let (Some(link), Some(pose)) = (&self.link, request.pose) {
@@ -156,20 +225,18 @@ impl FrameDriver {
         Ok(stats)
     }
 
-    /// Takes the masks that have arrived. Returns the newest one's response time if it answers a request.
+    /// Takes the masks that have arrived. Returns the newest one's response time if it answers a request. Without its
+    /// server, the client keeps drawing with what it has.
     ///
     /// # Errors
-    /// If the server was lost before its first mask. After that, the client keeps drawing with what it has.
+    /// If the adapter failed.
     fn accept_masks(&mut self, waits: bool, begun: Instant) -> Result<Option<Duration>, ClientError> {
         let Some(link) = &mut self.link else { return Ok(None) };
         if waits {
             return Ok(self.frames.accept_masks(link.taken_masks(), begun)?);
         }
         let response = self.frames.accept_masks(link.take_masks(), begun)?;
-        if let Some(reason) = link.ended().filter(|_| self.lost.is_none()) {
-            if self.frames.matcher.current().is_none() {
-                return Err(ClientError::Ended { rendered: self.drawn, wanted: self.planned, reason });
-            }
+        if let Some(reason) = link.ended().filter(|_| self.lost.is_none() && !link.is_leaving()) {
             tracing::warn!(%reason, "lost the server: drawing without it");
             self.lost = Some(reason);
         }

@@ -17,6 +17,7 @@ pub mod headless;
 pub mod link;
 pub mod options;
 pub mod record;
+pub mod stop;
 #[cfg(feature = "window")]
 pub mod window;
 
@@ -28,5 +29,8 @@ pub use gnomon_client_core::{
     mask::pose_history,
     occluders, predictor, render,
 };
-pub use headless::{run::run_headless, stats::Summary};
+pub use headless::{
+    run::{run_headless, run_headless_until},
+    stats::Summary,
+};
 pub use options::{HeadlessOptions, Source};

@@ -6,6 +6,9 @@ use gnomon_protocol::mask::MaskShape;
 
 use crate::{config::ClientSettings, error::ClientError, link::url::ServerUrl};
 
+/// Above it, nothing answers the hand any more.
+const MAX_SEQUENTIAL_LAG: u32 = 100;
+
 /// Source of the scene and its visibility.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Source {
@@ -45,8 +48,8 @@ impl HeadlessOptions {
         let settings = &self.settings;
         let wrong = |option, reason| Err(ClientError::Option { option, reason });
         MaskShape::new(settings.size.width, settings.size.height, 1)?;
-        if settings.sequential_lag > settings.prediction_lag {
-            let reason = format!("more than --prediction-lag {} is too late for any mode", settings.prediction_lag);
+        if settings.sequential_lag > MAX_SEQUENTIAL_LAG {
+            let reason = format!("at most {MAX_SEQUENTIAL_LAG} frames can be drawn late");
             return wrong("sequential-lag", reason);
         }
         if settings.wait && matches!(self.source, Source::Offline { .. }) {

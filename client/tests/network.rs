@@ -15,14 +15,14 @@ use gnomon_protocol::{ids::ResumeToken, message::ServerMessage};
 use serde_json::Value;
 use stage::{Script, Stage, mask_for};
 
-/// Largest lag of prediction in frames, and fade in seconds: so short that an outage of a second shows every state.
-const PREDICTION_LAG: u32 = 10;
+/// Largest age of predicted masks, and fade, in seconds: so short that an outage of a second shows every state.
+const PREDICTION_LAG_S: f64 = 10.0 / 60.0;
 const FADE_S: f64 = 0.1;
 
 fn options(stage: &Stage, folder: &Path, frames: u32) -> HeadlessOptions {
     let mut options = stage.options(folder);
     (options.settings.frames, options.settings.fps) = (Some(frames), Some(60.0));
-    options.settings.prediction_lag = PREDICTION_LAG;
+    options.settings.prediction_lag = PREDICTION_LAG_S;
     options.settings.fade = FADE_S;
     options.settings.stats = Some(folder.join("stats.jsonl"));
     options
@@ -66,7 +66,8 @@ fn an_outage_fades_out_and_back_in() {
         let degraded = lines.iter().filter(|line| line["state"] == "degraded").count();
         assert!((summary.degraded_share.unwrap() - degraded as f64 / 160.0).abs() < 1e-9);
         for line in lines.iter().filter(|line| line["lag"].as_u64().is_some()) {
-            assert_eq!(line["state"] == "degraded", line["lag"].as_u64() > Some(PREDICTION_LAG.into()), "{line}");
+            let late = line["lag"].as_u64() > Some(2) && line["age_ms"].as_f64() > Some(PREDICTION_LAG_S * 1e3);
+            assert_eq!(line["state"] == "degraded", late, "{line}");
         }
     }
 }
@@ -79,6 +80,7 @@ fn a_run_continues_after_its_server_leaves() {
     assert_eq!((summary.frames_rendered, lines.len(), summary.reconnects), (80, 80, 0));
     assert_eq!(lines[79]["link"], "lost");
     assert!(summary.connection_lost.unwrap().contains("curtain"));
+    assert!(summary.lost_at_end.is_some());
     assert_no_pop(&lines);
     let last = lines.last().unwrap();
     assert_eq!((&last["state"], last["visibility_share"].as_f64()), (&"degraded".into(), Some(0.0)));
@@ -96,6 +98,7 @@ fn a_returning_server_is_found_and_resumed() {
     // Long enough for a second attempt on a busy machine.
     let (summary, lines) = run(&options(&stage, folder.path(), 300));
     assert_eq!((summary.frames_rendered, lines.len(), summary.reconnects), (300, 300, 1));
+    assert_eq!(summary.lost_at_end, None);
     assert!(summary.connection_lost.unwrap().contains("curtain"));
     assert_eq!(summary.masks_rejected.before_reconnect, 0);
     assert_no_pop(&lines);

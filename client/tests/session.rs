@@ -10,7 +10,10 @@ mod stage;
 
 use std::{collections::BTreeMap, time::Duration};
 
-use gnomon_client::{ClientError, run_headless};
+use gnomon_client::{
+    ClientError, run_headless, run_headless_until,
+    stop::{Cause, Stop},
+};
 use gnomon_protocol::{
     codec::{CodecId, Decoder},
     mask::Mask,
@@ -215,6 +218,32 @@ fn a_server_that_leaves_ends_the_run_with_its_reason() {
     let error = run_headless(&options).unwrap_err();
     assert!(matches!(error, ClientError::Ended { rendered: 2, wanted: 4, .. }), "{error:?}");
     assert!(error.to_string().contains("curtain"), "{error}");
+}
+
+#[test]
+fn a_run_that_waits_for_its_mask_can_be_stopped() {
+    // Frame 0 has its mask, and frame 1 never gets one.
+    let stage = Stage::start("lab-udp", Script { lose: vec![(1, None); 10_000], ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = stage.options(folder.path());
+    options.settings.wait = true;
+    options.settings.stats = Some(folder.path().join("stats.jsonl"));
+    let (stop, stats) = (Stop::default(), folder.path().join("stats.jsonl"));
+    let summary = std::thread::scope(|scope| {
+        let run = scope.spawn(|| run_headless_until(&options, &stop));
+        while !std::fs::read_to_string(&stats).is_ok_and(|text| text.ends_with('\n')) {
+            assert!(!run.is_finished());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        stop.ask(Cause::Terminate);
+        run.join().unwrap().unwrap()
+    });
+    assert_eq!((summary.frames_rendered, summary.stopped_by), (1, Some("SIGTERM")));
+    assert_eq!((summary.connection_lost, summary.lost_at_end), (None, None));
+    assert!(stage.received_bye());
+    // One that is stopped before its first frame has no summary.
+    let early = run_headless_until(&options, &stop).unwrap_err();
+    assert!(matches!(early, ClientError::Stopped(Cause::Terminate)), "{early}");
 }
 
 #[test]

@@ -6,14 +6,15 @@
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+mod display;
+
 use std::{
     fs,
-    io::{BufRead as _, BufReader},
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
     time::{Duration, Instant},
 };
 
+use display::Display;
 use gnomon_lab::{
     cloister::asset,
     link::{self, LinkSettings},
@@ -29,42 +30,6 @@ use gnomon_lab::{
 use image::RgbImage;
 
 const SIZE: (u32, u32) = (320, 180);
-
-/// A display. Dropping it closes it.
-struct Display {
-    server: Child,
-    name: String,
-}
-
-impl Display {
-    fn start() -> Self {
-        let mut server = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-screen", "0", "800x600x24", "-nolisten", "tcp"])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("the window is tested under Xvfb: run deploy/setup, which installs xvfb and xdotool");
-        let mut line = String::new();
-        BufReader::new(server.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let name = format!(":{}", line.trim().parse::<u32>().expect("Xvfb names no display"));
-        Self { server, name }
-    }
-
-    /// Runs an xdotool command at this display and returns its output.
-    fn person(&self, does: &str) -> String {
-        let output = Command::new("xdotool").args(does.split(' ')).env("DISPLAY", &self.name).output();
-        let output = output.expect("the window's person is xdotool: run deploy/setup");
-        assert!(output.status.success(), "xdotool {does}: {}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8_lossy(&output.stdout).trim().to_owned()
-    }
-}
-
-impl Drop for Display {
-    fn drop(&mut self) {
-        let _ = self.server.kill();
-        let _ = self.server.wait();
-    }
-}
 
 fn replay_options(recording: &Path, out: &Path) -> ReplayOptions {
     let scene = asset("cloister.glb");
@@ -147,6 +112,24 @@ impl<'a> Window<'a> {
         panic!("it never stands still");
     }
 
+    /// Waits until the last line of the statistics is `wanted`, and returns its frame's number.
+    fn last_frame(&mut self, stats: &Path, wanted: impl Fn(&serde_json::Value) -> bool) -> u64 {
+        let begun = Instant::now();
+        loop {
+            let text = fs::read_to_string(stats).unwrap();
+            let line: serde_json::Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+            if wanted(&line) {
+                return line["frame"].as_u64().unwrap();
+            }
+            assert!(
+                begun.elapsed() < PATIENCE && self.client.is_running().unwrap(),
+                "{line}: {:?}",
+                self.client.said()
+            );
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+
     /// Holds a key until the picture is `wanted`, and waits until it stops changing.
     fn hold(&mut self, key: &str, wanted: impl Fn(&RgbImage) -> bool) -> RgbImage {
         self.person(&format!("keydown {key}"));
@@ -181,7 +164,9 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     let (display, folder, certificate) = (Display::start(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let path = standing(folder.path());
     let (server, url) = serve("127.0.0.1:0", certificate.path());
-    let mut window = Window::open(&display, folder.path(), &[&url, "--path", path.to_str().unwrap()]);
+    let stats = folder.path().join("stats.jsonl");
+    let arguments = [&url, "--path", path.to_str().unwrap(), "--stats", stats.to_str().unwrap()];
+    let mut window = Window::open(&display, folder.path(), &arguments);
     let first = window.still_picture();
     assert_eq!(first.dimensions(), SIZE);
 
@@ -231,8 +216,10 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     window.person("key v");
     let unknown = window.still_picture();
     assert!(unknown != moved, "V shows nothing else");
+    let lost = window.last_frame(&stats, |line| line["link"] != "live");
     let (_server, again) = serve(address, certificate.path());
     assert_eq!(again, url);
+    window.last_frame(&stats, |line| line["link"] == "live" && line["mask_frame"].as_u64() > Some(lost));
     window.picture_that("is lit by the new server", |picture| difference(&unknown, picture) > 1.0);
     window.leave();
 }

@@ -23,16 +23,20 @@ use crate::{
     occluders::Occluders,
     options::{HeadlessOptions, Source},
     render::exposure::Exposure,
+    stop::Stop,
 };
 
 /// One thread can decode while another sends.
 const NETWORK_THREADS: usize = 3;
 
-/// A session that can start, and the runtime of its tasks.
+/// A session that can start, and the runtime of its tasks. Dropping it leaves the server.
 pub(crate) struct Connected {
     url: ServerUrl,
-    runtime: Runtime,
-    pending: PendingSession,
+    welcome: Welcome,
+    cache: SceneCache,
+    runtime: Arc<Runtime>,
+    /// `None` once it has started.
+    pending: Option<PendingSession>,
 }
 
 /// Everything that drawing needs.
@@ -51,15 +55,22 @@ pub(crate) fn load(
     options: &HeadlessOptions,
     largest_mask: (u32, u32),
     camera_path: Option<CameraPath>,
+    stop: &Stop,
     progress: impl FnMut(Step<'_>),
     trusts: impl FnMut(&ServerUrl, &[u8; 32]) -> bool,
 ) -> Result<Loaded, ClientError> {
-    let (scene, connected) = get_scene(options, largest_mask, progress, trusts)?;
+    let (scene, connected) = get_scene(options, largest_mask, stop, progress, trusts)?;
     let occluders = Occluders::largest_of(&scene);
     let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
-    let exposure = Exposure::of_scene(&scene, &occluders);
-    let exposure = options.settings.exposure.map_or(exposure, |ev| exposure.at_ev(ev));
+    let exposure = exposure(&scene, &occluders, options.settings.exposure);
+    stop.check()?;
     Ok(Loaded { scene, connected, camera_path, exposure })
+}
+
+/// Returns the requested exposure, or a suitable one.
+pub(crate) fn exposure(scene: &Scene, occluders: &Occluders, requested_ev: Option<f32>) -> Exposure {
+    let suitable = Exposure::of_scene(scene, occluders);
+    requested_ev.map_or(suitable, |ev| suitable.at_ev(ev))
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -78,10 +89,12 @@ pub(crate) enum Step<'a> {
 /// before a token goes to a server that is visited for the first time.
 ///
 /// # Errors
-/// Errors if the file or the server's scene cannot be loaded, the server refuses, or it is not trusted.
+/// Errors if the file or the server's scene cannot be loaded, the server refuses or is not trusted, or the run is to
+/// end.
 pub(crate) fn get_scene(
     options: &HeadlessOptions,
     largest_mask: (u32, u32),
+    stop: &Stop,
     mut progress: impl FnMut(Step<'_>),
     mut trusts: impl FnMut(&ServerUrl, &[u8; 32]) -> bool,
 ) -> Result<(Scene, Option<Connected>), ClientError> {
@@ -107,6 +120,7 @@ pub(crate) fn get_scene(
                 wrong_ppm: options.settings.wrong_ppm(),
                 resume: None,
                 connect_timeout: options.settings.connect_timeout(),
+                stop: stop.clone(),
             };
             let mut known = KnownServers::load();
             let cache = SceneCache::new(options.settings.cache_dir.clone(), options.settings.cache_limit());
@@ -118,7 +132,7 @@ pub(crate) fn get_scene(
                         sends_token: session.token.is_some(),
                         trusts: &mut |url, digest| options.settings.trust_first_use || trusts(url, digest),
                     };
-                    visit.identify(url, &mut known).await?
+                    stop.unless(visit.identify(url, &mut known)).await??
                 } else {
                     url.clone()
                 };
@@ -137,13 +151,16 @@ pub(crate) fn get_scene(
                 Ok::<_, ClientError>((url, pending, packed))
             })?;
             progress(Step::Unpacking);
-            let scene = Scene::unpack(&packed)?;
-            let (lights, announced) = (scene.lights.len(), pending.welcome.lights);
-            if lights != announced as usize {
-                let reason = format!("it announced {announced} lights, and its scene has {lights}");
-                return Err(ClientError::Protocol { url: Box::new(url), reason });
+            match pending.unpack(&packed) {
+                Ok(scene) => {
+                    let (welcome, runtime) = (pending.welcome.clone(), Arc::new(runtime));
+                    Ok((scene, Some(Connected { url, welcome, cache, runtime, pending: Some(pending) })))
+                }
+                Err(error) => {
+                    runtime.block_on(pending.leave());
+                    Err(error)
+                }
             }
-            Ok((scene, Some(Connected { url, runtime, pending })))
         }
     }
 }
@@ -156,16 +173,25 @@ impl Connected {
     }
 
     pub(crate) fn welcome(&self) -> &Welcome {
-        &self.pending.welcome
+        &self.welcome
     }
 
     /// Starts the session, with masks of at most `shape`.
     ///
     /// # Errors
     /// Errors if the connection breaks.
-    pub(crate) fn start(self, shape: MaskShape, reception: Reception) -> Result<ServerLink, ClientError> {
-        let Self { runtime, pending, .. } = self;
-        let (session, masks) = runtime.block_on(pending.start(shape, reception))?;
-        Ok(ServerLink::new(Arc::new(runtime), session, masks))
+    pub(crate) fn start(mut self, shape: MaskShape, reception: Reception) -> Result<ServerLink, ClientError> {
+        let starts_once = || ClientError::Protocol { url: Box::new(self.url.clone()), reason: "no session".to_owned() };
+        let pending = self.pending.take().ok_or_else(starts_once)?;
+        let (session, masks) = self.runtime.block_on(pending.start(shape, reception))?;
+        Ok(ServerLink::new(Arc::clone(&self.runtime), self.cache.clone(), session, masks))
+    }
+}
+
+impl Drop for Connected {
+    fn drop(&mut self) {
+        if let Some(pending) = self.pending.take() {
+            self.runtime.block_on(pending.leave());
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! Set-up around a run: finding a server and its scene, and starting local servers.
+//! Set-up around a run: finding a server and its scene, starting local servers, and watching for signals.
 
 pub(crate) mod connect;
 #[cfg(feature = "window")]
@@ -7,3 +7,4 @@ mod first_visit;
 pub mod local_server;
 pub mod probe;
 pub mod servers;
+pub mod signals;

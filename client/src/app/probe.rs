@@ -25,6 +25,7 @@ use crate::{
         session_spec::{SessionOptions, rate_hz},
         url::ServerUrl,
     },
+    stop::Stop,
 };
 
 /// Time after which the probe requests the next frame instead.
@@ -83,6 +84,7 @@ pub fn run_probe(runtime: &Handle, options: &ProbeOptions, path: &CameraPath) ->
         wrong_ppm: 0,
         resume: None,
         connect_timeout: options.connect_timeout,
+        stop: Stop::default(),
     };
     let pending = runtime.block_on(PendingSession::open(&options.url, &session))?;
     let backend = pending.welcome.backend.to_string();

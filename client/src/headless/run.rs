@@ -12,14 +12,16 @@ use crate::{
     camera_path::{CameraPath, PathSpec},
     config::{ClientSettings, MAX_FRAMES, Size},
     error::ClientError,
-    frame_driver::{FrameDriver, RunTotals, Shown, Sink},
+    frame_driver::{FrameDriver, RunTotals, Shown, Sink, Stage},
     headless::pictures::PictureWriter,
     headless::progress::Progress,
     headless::stats::{FrameStats, StatsFile, Summary, mean, percentile},
+    link::state::LinkState,
     mode::{ModeMachine, State},
     options::{HeadlessOptions, Source},
     record::Recorder,
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, readback::PictureReader},
+    stop::{Cause, Stop},
 };
 
 /// Frame rate along the path without `--frames` and `--fps`.
@@ -31,8 +33,18 @@ const PICTURES_AHEAD: usize = 2;
 /// Blocks until the run ends.
 ///
 /// # Errors
-/// Errors if not all frames could be drawn.
+/// Errors if not all frames could be drawn, or a file could not be written.
 pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
+    run_headless_until(options, &Stop::default())
+}
+
+/// Blocks until the run ends, at the latest soon after `stop` is asked. The summary of a run that was asked to end is
+/// that of the frames drawn until then.
+///
+/// # Errors
+/// Errors if not all frames could be drawn, a file could not be written, or the run was asked to end before its first
+/// frame.
+pub fn run_headless_until(options: &HeadlessOptions, stop: &Stop) -> Result<Summary, ClientError> {
     let settings = &options.settings;
     let Size { width, height } = settings.size;
     options.validate()?;
@@ -52,58 +64,92 @@ pub fn run_headless(options: &HeadlessOptions) -> Result<Summary, ClientError> {
         ..GpuOptions::default()
     }))?;
     let progress = Progress::new(options.progress);
-    let Loaded { scene, connected, camera_path, exposure } = load(
-        options,
-        settings.largest_mask(),
-        camera_path,
-        |step| {
-            if let Step::Fetching { have, length } = step {
-                progress.fetching(have, length);
-            }
-        },
-        // Nobody is there to be asked.
-        |_, _| false,
-    )?;
-    let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
-    let largest = settings.largest_mask();
-    let shape = MaskShape::new(largest.0, largest.1, lights)?;
-    let renderer = FrameRenderer::new(&gpu, &scene, (width, height), exposure, PICTURE_FORMAT, settings.predict)?;
-    let reader = PictureReader::new(&gpu, width, height, PICTURES_AHEAD);
-    drop(scene);
+    let mut start = Start::new(options, camera_path, &gpu, stop, &progress)
+        // Leaving breaks what was under way.
+        .map_err(|error| stop.asked().map_or(error, ClientError::from))?;
 
-    let welcome = connected.as_ref().map(|connected| connected.welcome().clone());
-    let link = connected.map(|connected| connected.start(shape, settings.reception())).transpose()?;
-    let timing = timing(settings, &camera_path);
-    let machine = ModeMachine::new(settings.mode, settings.thresholds());
-    let source = match &link {
-        None => MaskSource::Offline,
-        Some(_) if settings.wait => MaskSource::Awaited,
-        Some(_) => MaskSource::Streamed { look_ahead: settings.looks_ahead(&gpu) },
-    };
-    let frames = FrameLoop::new(renderer, machine, settings.guard_choice(), source, Instant::now());
-    let recorder = Recorder::for_run(options, (width, height), welcome.as_ref(), exposure, &gpu)?;
-    let mut driver = FrameDriver::new(frames, link, recorder, timing.frames);
+    let reader = PictureReader::new(&gpu, width, height, PICTURES_AHEAD);
     let mut files = Files { reader, pictures, stats };
     let mut tally = Tally::default();
-    let drawn = draw_all(
-        &mut driver,
-        &mut files,
-        &timing,
-        &mut tally,
-        |frame| camera_path.camera(timing.time_s(frame), width, height),
-        &progress,
-    );
+    let mut run = Run { options, gpu: &gpu, stop, progress: &progress, tally: &mut tally };
+    let drawn = run.draw_all(&mut start, &mut files);
     progress.finish();
+    let Start { mut driver, welcome, lights, exposure, camera_path, .. } = start;
     tally.duration = driver.frames.started().elapsed();
-    let totals = driver.leave();
-    drawn?;
-    files.finish()?;
-    driver.recorder.take().map_or(Ok(()), Recorder::finish)?;
-    let summary = summary(options, (&tally, &totals), welcome.as_ref(), lights, exposure, &camera_path, &gpu);
+    let mut end = End {
+        stopped_by: stop.asked(),
+        loss: driver.link_state().and_then(|state| state.loss()).filter(|_| stop.asked().is_none()),
+        totals: driver.leave(),
+    };
+    // Everything is finished whatever has failed before, and the first failure is told.
+    let written = files.finish();
+    let recorded = driver.recorder.take().map_or(Ok(()), Recorder::finish);
+    let masks = end.totals.link.failure.take().map_or(Ok(()), Err);
+    drawn.and(written).and(recorded).and(masks)?;
+    let summary = summary(options, (&tally, &end), welcome.as_ref(), lights, exposure, &camera_path, &gpu);
     if let Some(path) = &settings.summary {
         summary.write(path)?;
     }
     Ok(summary)
+}
+
+/// All that a run has before its first frame.
+struct Start {
+    driver: FrameDriver,
+    timing: Timing,
+    camera_path: CameraPath,
+    welcome: Option<Welcome>,
+    lights: u32,
+    exposure: Exposure,
+}
+
+impl Start {
+    fn new(
+        options: &HeadlessOptions,
+        camera_path: Option<CameraPath>,
+        gpu: &Gpu,
+        stop: &Stop,
+        progress: &Progress,
+    ) -> Result<Self, ClientError> {
+        let settings = &options.settings;
+        let size = (settings.size.width, settings.size.height);
+        let largest = settings.largest_mask();
+        stop.check()?;
+        let step = |step: Step<'_>| {
+            if let Step::Fetching { have, length } = step {
+                progress.fetching(have, length);
+            }
+        };
+        // Nobody is there to be asked for trust.
+        let Loaded { scene, connected, camera_path, exposure } =
+            load(options, largest, camera_path, stop, step, |_, _| false)?;
+        let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
+        let shape = MaskShape::new(largest.0, largest.1, lights)?;
+        let renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predict)?;
+        drop(scene);
+        let welcome = connected.as_ref().map(|connected| connected.welcome().clone());
+        let recorder = Recorder::for_run(options, size, welcome.as_ref(), exposure, gpu)?;
+        stop.check()?;
+        let link = connected.map(|connected| connected.start(shape, settings.reception())).transpose()?;
+        let timing = timing(settings, &camera_path);
+        let machine = ModeMachine::new(settings.mode, settings.thresholds());
+        let source = match &link {
+            None => MaskSource::Offline,
+            Some(_) if settings.wait => MaskSource::Awaited,
+            Some(_) => MaskSource::Streamed { look_ahead: settings.looks_ahead(gpu) },
+        };
+        let frames = FrameLoop::new(renderer, machine, settings.guard_choice(), source, Instant::now());
+        let driver = FrameDriver::new(frames, link, recorder, timing.frames);
+        Ok(Self { driver, timing, camera_path, welcome, lights, exposure })
+    }
+}
+
+/// How a run ended.
+struct End {
+    stopped_by: Option<Cause>,
+    /// Why it had no server then.
+    loss: Option<String>,
+    totals: RunTotals,
 }
 
 /// When each frame is drawn.
@@ -151,29 +197,59 @@ impl Tally {
     }
 }
 
-fn draw_all(
-    driver: &mut FrameDriver,
-    files: &mut Files,
-    timing: &Timing,
-    tally: &mut Tally,
-    camera: impl Fn(u32) -> Camera,
-    progress: &Progress,
-) -> Result<(), ClientError> {
-    driver.frames.restart(Instant::now());
-    for index in 0..timing.frames {
-        if timing.paced {
-            let due = Duration::from_secs_f64(f64::from(index) * timing.step_s);
-            std::thread::sleep(due.saturating_sub(driver.frames.started().elapsed()));
+/// A run that draws.
+struct Run<'a> {
+    options: &'a HeadlessOptions,
+    gpu: &'a Gpu,
+    stop: &'a Stop,
+    progress: &'a Progress,
+    tally: &'a mut Tally,
+}
+
+impl Run<'_> {
+    /// Draws all frames, or those until the run is to end. What was drawn is read back even after an error.
+    fn draw_all(&mut self, start: &mut Start, files: &mut Files) -> Result<(), ClientError> {
+        start.driver.frames.restart(Instant::now());
+        let drawn = (0..start.timing.frames).try_for_each(|index| self.draw_due(index, start, files));
+        let drawn = match drawn {
+            // A session that is left ends the wait for its mask.
+            Err(ClientError::Stopped(_) | ClientError::Ended { .. }) if self.stop.asked().is_some() => Ok(()),
+            drawn => drawn,
+        };
+        let read = files.write_rest();
+        drawn.and(read)
+    }
+
+    /// Draws a frame when it is due, unless the run is to end.
+    fn draw_due(&mut self, index: u32, start: &mut Start, files: &mut Files) -> Result<(), ClientError> {
+        let Timing { paced, step_s, .. } = start.timing;
+        if paced {
+            let due = Duration::from_secs_f64(f64::from(index) * step_s);
+            self.stop.sleep(due.saturating_sub(start.driver.frames.started().elapsed()));
         }
-        let drawn = driver.draw(FrameNumber(index), camera(index), timing.time_s(index), files)?;
-        tally.add(&drawn, driver.link.is_some());
+        self.stop.check()?;
+        self.draw(index, start, files)
+    }
+
+    fn draw(&mut self, index: u32, start: &mut Start, files: &mut Files) -> Result<(), ClientError> {
+        let Self { options: HeadlessOptions { settings, .. }, gpu, .. } = *self;
+        let Start { driver, timing, camera_path, .. } = start;
+        let stage = Stage { gpu, settings, largest_mask: settings.largest_mask() };
+        if let Some(new) = driver.maintain(FrameNumber(index), stage)? {
+            (start.lights, start.exposure, start.welcome) = (new.welcome.lights, new.exposure, Some(new.welcome));
+        }
+        let camera = camera_path.camera(timing.time_s(index), settings.size.width, settings.size.height);
+        let drawn = driver.draw(FrameNumber(index), camera, timing.time_s(index), files)?;
+        self.tally.add(&drawn, driver.link.is_some());
         if let Some(file) = &mut files.stats {
             file.write(&drawn)?;
         }
-        progress.drawing(index + 1, timing.frames);
+        match driver.link_state() {
+            Some(LinkState::Fetching { have, length }) => self.progress.fetching(have, length),
+            _ => self.progress.drawing(index + 1, timing.frames),
+        }
+        Ok(())
     }
-    while files.write_oldest()? {}
-    Ok(())
 }
 
 impl Files {
@@ -186,9 +262,15 @@ impl Files {
         Ok(true)
     }
 
+    fn write_rest(&mut self) -> Result<(), ClientError> {
+        while self.write_oldest()? {}
+        Ok(())
+    }
+
     fn finish(self) -> Result<(), ClientError> {
-        self.pictures.map_or(Ok(()), PictureWriter::finish)?;
-        self.stats.map_or(Ok(()), StatsFile::finish)
+        let pictures = self.pictures.map_or(Ok(()), PictureWriter::finish);
+        let stats = self.stats.map_or(Ok(()), StatsFile::finish);
+        pictures.and(stats)
     }
 }
 
@@ -234,7 +316,7 @@ fn timing(settings: &ClientSettings, path: &CameraPath) -> Timing {
 
 fn summary(
     options: &HeadlessOptions,
-    (tally, totals): (&Tally, &RunTotals),
+    (tally, end): (&Tally, &End),
     welcome: Option<&Welcome>,
     lights: u32,
     exposure: Exposure,
@@ -244,6 +326,7 @@ fn summary(
     let settings = &options.settings;
     let Size { width, height } = settings.size;
     let duration_s = tally.duration.as_secs_f64().max(1e-9);
+    let totals = &end.totals;
     let received = totals.link.received;
     let arrived = received.frames + received.cut;
     let mean_of = |sum: u64| (arrived > 0).then(|| sum as f64 / arrived as f64);
@@ -289,6 +372,8 @@ fn summary(
         predict_pose: settings.looks_ahead(gpu),
         connection_lost: totals.lost.clone(),
         reconnects: totals.link.reconnects,
+        lost_at_end: end.loss.clone(),
+        stopped_by: end.stopped_by.map(Cause::name),
         exposure_ev: exposure.ev(),
         path: path.name().to_owned(),
     }

@@ -2,7 +2,7 @@
 
 use std::{
     fs::File,
-    io::{BufWriter, Write as _},
+    io::{LineWriter, Write as _},
     path::{Path, PathBuf},
 };
 
@@ -77,16 +77,22 @@ pub struct Summary {
     pub connection_lost: Option<String>,
     /// How often a lost or draining server was replaced by a new connection.
     pub reconnects: u32,
+    /// Why there was no server when the run ended, if there was none.
+    pub lost_at_end: Option<String>,
+    /// What ended the run early: `SIGINT`, `SIGTERM` or `SIGHUP`.
+    pub stopped_by: Option<&'static str>,
     /// As `--exposure` takes it.
     pub exposure_ev: f32,
     pub path: String,
 }
 
-/// Writes [`FrameStats`], one line each.
+/// Writes [`FrameStats`], one line each. Whatever ends the program, the file ends with a whole line.
 #[derive(Debug)]
 pub struct StatsFile {
     path: PathBuf,
-    file: BufWriter<File>,
+    file: LineWriter<File>,
+    /// Length of the lines written so far.
+    whole_bytes: u64,
 }
 
 impl StatsFile {
@@ -96,7 +102,7 @@ impl StatsFile {
     /// If it cannot be created.
     pub fn create(path: &Path) -> Result<Self, ClientError> {
         let file = File::create(path).map_err(|source| ClientError::Write { path: path.into(), source })?;
-        Ok(Self { path: path.into(), file: BufWriter::new(file) })
+        Ok(Self { path: path.into(), file: LineWriter::new(file), whole_bytes: 0 })
     }
 
     /// Appends a line.
@@ -104,10 +110,18 @@ impl StatsFile {
     /// # Errors
     /// If it cannot be written.
     pub fn write(&mut self, stats: &FrameStats) -> Result<(), ClientError> {
-        let written = serde_json::to_writer(&mut self.file, stats).map_err(Into::into);
-        written
-            .and_then(|()| self.file.write_all(b"\n"))
-            .map_err(|source| ClientError::Write { path: self.path.clone(), source })
+        let line = serde_json::to_vec(stats).map_err(std::io::Error::from);
+        let written = line.and_then(|mut line| {
+            line.push(b'\n');
+            self.file.write_all(&line)?;
+            self.whole_bytes += line.len() as u64;
+            Ok(())
+        });
+        written.map_err(|source| {
+            // A full disk may have taken a part of the line. Pipes and devices have no length.
+            let _ = self.file.get_ref().set_len(self.whole_bytes);
+            ClientError::Write { path: self.path.clone(), source }
+        })
     }
 
     /// Flushes the file.
@@ -129,7 +143,13 @@ impl Summary {
     /// # Errors
     /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), ClientError> {
-        std::fs::write(path, self.to_json() + "\n").map_err(|source| ClientError::Write { path: path.into(), source })
+        std::fs::write(path, self.to_json() + "\n").map_err(|source| {
+            // A truncated summary is worse than none. A device or a pipe stays.
+            if std::fs::symlink_metadata(path).is_ok_and(|file| file.is_file()) {
+                let _ = std::fs::remove_file(path);
+            }
+            ClientError::Write { path: path.into(), source }
+        })
     }
 }
 
@@ -177,6 +197,8 @@ mod tests {
             predict_pose: false,
             connection_lost: None,
             reconnects: 0,
+            lost_at_end: None,
+            stopped_by: None,
             exposure_ev: 3.5,
             path: "default".into(),
         }
@@ -202,6 +224,9 @@ mod tests {
             "masks_rejected",
             "mode",
             "connection_lost",
+            "reconnects",
+            "lost_at_end",
+            "stopped_by",
             "client_fps",
             "visibility_fps",
             "payload_bytes_mean",
@@ -237,6 +262,7 @@ mod tests {
                 known_share: None,
                 mask_frame: None,
                 lag: None,
+                age_ms: None,
                 mask_width: 64,
                 mask_height: 36,
                 look_ahead_ms: 0,

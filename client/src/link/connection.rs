@@ -117,6 +117,14 @@ impl ServerConnection {
         Self { reader, writer: ControlWriter::new(writer, WRITE_TIMEOUT), transport, server }
     }
 
+    /// Returns a handle that can close the connection.
+    pub(crate) fn quic(&self) -> QuicHandle {
+        match &self.transport {
+            TransportHandle::Quic(endpoint, connection) => QuicHandle(Some((endpoint.clone(), connection.clone()))),
+            TransportHandle::LabUdp | TransportHandle::LabTcp => QuicHandle(None),
+        }
+    }
+
     /// Returns why the connection closed, preferring the server's reason. `None` while it is open, and on lab
     /// transports.
     pub(crate) fn close_reason(&self) -> Option<String> {
@@ -203,8 +211,15 @@ impl QuicHandle {
 
     /// Closes the connection. Gives the server a moment to close it first.
     pub(crate) async fn close(self) {
-        if let Some((endpoint, connection)) = self.0 {
+        if let Some((_, connection)) = &self.0 {
             let _ = timeout(CLOSE_TIMEOUT, connection.closed()).await;
+        }
+        self.close_now().await;
+    }
+
+    /// Closes the connection, and waits a moment until the server can know.
+    pub(crate) async fn close_now(self) {
+        if let Some((endpoint, connection)) = self.0 {
             connection.close(0_u32.into(), b"done");
             let _ = timeout(CLOSE_TIMEOUT, endpoint.wait_idle()).await;
         }

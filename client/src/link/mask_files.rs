@@ -4,12 +4,17 @@ use std::{
     fs::File,
     io::Write as _,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use gnomon_protocol::receive::ReceivedFrame;
+use parking_lot::Mutex;
 
 use super::receive_options::Reception;
 use crate::error::ClientError;
+
+/// Why a file could not be written: the receive task puts it there, and the run ends with it.
+pub(crate) type FileFailure = Arc<Mutex<Option<ClientError>>>;
 
 #[derive(Debug)]
 pub(crate) struct MaskFiles {
@@ -30,12 +35,17 @@ impl MaskFiles {
         Ok((save_masks.is_some() || log.is_some()).then(|| Self { bodies: save_masks.clone(), log }))
     }
 
-    pub(crate) fn write(&mut self, received: &ReceivedFrame<'_>) -> Result<(), String> {
-        let failed = |path: &Path, error| format!("cannot write {}: {error}", path.display());
+    /// # Errors
+    /// Errors if a file cannot be written. A truncated body is removed.
+    pub(crate) fn write(&mut self, received: &ReceivedFrame<'_>) -> Result<(), ClientError> {
+        let failed = |path: &Path, source| ClientError::Write { path: path.into(), source };
         let &ReceivedFrame { frame, packets, restored, missing, body, .. } = received;
         if let Some(folder) = self.bodies.as_ref().filter(|_| received.is_whole) {
             let path = folder.join(format!("frame_{:06}.body", frame.0));
-            std::fs::write(&path, body).map_err(|error| failed(&path, error))?;
+            std::fs::write(&path, body).map_err(|error| {
+                let _ = std::fs::remove_file(&path);
+                failed(&path, error)
+            })?;
         }
         if let Some((path, file)) = &mut self.log {
             writeln!(file, "{frame} {packets} {restored} {missing}").map_err(|error| failed(path, error))?;

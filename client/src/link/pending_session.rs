@@ -6,10 +6,12 @@ use gnomon_protocol::{
     mask::MaskShape,
     message::{ClientMessage, ServerMessage, Welcome},
 };
+use gnomon_scene::Scene;
 use gnomon_transport::control::ControlError;
+use tokio::task::JoinSet;
 
 use super::{
-    connection::ServerConnection,
+    connection::{QuicHandle, ServerConnection},
     mask_buffer::MaskReader,
     mask_files::MaskFiles,
     receive_options::Reception,
@@ -18,7 +20,7 @@ use super::{
     session_spec::{SessionOptions, SessionSpec},
     url::ServerUrl,
 };
-use crate::error::ClientError;
+use crate::{error::ClientError, stop::Stop};
 
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 
@@ -27,24 +29,35 @@ pub(crate) struct PendingSession {
     connection: ServerConnection,
     options: SessionOptions,
     pub(crate) welcome: Welcome,
+    /// Dropped with the session.
+    _closing: JoinSet<()>,
 }
 
 impl PendingSession {
     /// Connects to `url` and says Hello.
     ///
     /// # Errors
-    /// Errors if the server cannot be reached or refuses.
+    /// Errors if the server cannot be reached or refuses, or the run is to end.
     pub(crate) async fn open(url: &ServerUrl, options: &SessionOptions) -> Result<Self, ClientError> {
-        let mut connection = ServerConnection::connect(url, options.connect_timeout).await?;
+        let stop = &options.stop;
+        let mut connection = stop.unless(ServerConnection::connect(url, options.connect_timeout)).await??;
         let hello = ClientMessage::Hello(options.hello());
         let answer = async {
             connection.writer.write(&hello).await?;
             connection.reader.next_within(ANSWER_TIMEOUT).await
         };
-        let answer = answer.await;
+        let answer = match stop.unless(answer).await {
+            Ok(answer) => answer,
+            Err(cause) => {
+                connection.quic().close_now().await;
+                return Err(cause.into());
+            }
+        };
         match answer.map_err(|source| conversation_error(url, &connection, source))? {
             ServerMessage::Welcome(welcome) => {
-                Ok(Self { url: url.clone(), connection, options: options.clone(), welcome })
+                let mut closing = JoinSet::new();
+                closing.spawn(close_at(stop.clone(), connection.quic()));
+                Ok(Self { url: url.clone(), connection, options: options.clone(), welcome, _closing: closing })
             }
             ServerMessage::Refused(refusal) => Err(ClientError::Refused(refusal)),
             message => Err(unexpected(url, message)),
@@ -54,12 +67,23 @@ impl PendingSession {
     /// Returns the packed scene, from the cache or from the server. Reports the bytes fetched and the total.
     ///
     /// # Errors
-    /// Errors if the connection breaks or the server sends another scene.
+    /// Errors if the connection breaks, the server sends another scene, or the run is to end.
     pub(crate) async fn fetch_scene(
         &mut self,
         cache: &SceneCache,
-        mut progress: impl FnMut(u64, u64),
+        progress: impl FnMut(u64, u64),
     ) -> Result<Vec<u8>, ClientError> {
+        let stop = self.options.stop.clone();
+        match stop.unless(self.fetch(cache, progress)).await {
+            Ok(fetched) => fetched,
+            Err(cause) => {
+                self.connection.quic().close_now().await;
+                Err(cause.into())
+            }
+        }
+    }
+
+    async fn fetch(&mut self, cache: &SceneCache, mut progress: impl FnMut(u64, u64)) -> Result<Vec<u8>, ClientError> {
         let (digest, length) = (self.welcome.scene_digest, self.welcome.scene_bytes);
         let mut fetch = match cache.look_up(digest, length)? {
             CachedScene::Whole(bytes) => return Ok(bytes),
@@ -84,6 +108,29 @@ impl PendingSession {
         }
     }
 
+    /// Unpacks what [`Self::fetch_scene`] returned.
+    ///
+    /// # Errors
+    /// Errors if it is no scene, or not the one that the server announced.
+    pub(crate) fn unpack(&self, packed: &[u8]) -> Result<Scene, ClientError> {
+        let scene = Scene::unpack(packed)?;
+        let (lights, announced) = (scene.lights.len(), self.welcome.lights);
+        if lights != announced as usize {
+            let reason = format!("it announced {announced} lights, and its scene has {lights}");
+            return Err(ClientError::Protocol { url: Box::new(self.url.clone()), reason });
+        }
+        Ok(scene)
+    }
+
+    pub(crate) fn url(&self) -> &ServerUrl {
+        &self.url
+    }
+
+    /// Leaves without a session.
+    pub(crate) async fn leave(self) {
+        self.connection.quic().close_now().await;
+    }
+
     /// Starts the session, with masks of at most `shape`.
     ///
     /// # Errors
@@ -95,7 +142,7 @@ impl PendingSession {
     ) -> Result<(Session, MaskReader), ClientError> {
         let files = MaskFiles::open(&reception)?;
         self.write(&ClientMessage::Start).await?;
-        let Self { url, connection, options, welcome } = self;
+        let Self { url, connection, options, welcome, .. } = self;
         let connection = connection
             .open_data(&welcome)
             .await
@@ -109,6 +156,12 @@ impl PendingSession {
         let written = self.connection.writer.write(message).await;
         written.map_err(|source| conversation_error(&self.url, &self.connection, source))
     }
+}
+
+/// Gives the server's place back as soon as the run is to end, whatever the client does at that time.
+async fn close_at(stop: Stop, quic: QuicHandle) {
+    stop.wait().await;
+    quic.close_now().await;
 }
 
 fn unexpected(url: &ServerUrl, message: ServerMessage) -> ClientError {

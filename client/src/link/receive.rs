@@ -14,7 +14,11 @@ use tokio::sync::watch;
 
 pub(crate) use gnomon_protocol::receive::ReceiverCounters as Received;
 
-use super::{connection::DataReceiver, mask_buffer::MaskWriter, mask_files::MaskFiles};
+use super::{
+    connection::DataReceiver,
+    mask_buffer::MaskWriter,
+    mask_files::{FileFailure, MaskFiles},
+};
 
 /// Counters that the receive task writes and any thread reads.
 pub(crate) type Counters = Arc<Mutex<Received>>;
@@ -42,6 +46,7 @@ pub(crate) struct ReceiveTask {
     pub(crate) acknowledge: watch::Sender<Option<Acknowledgement>>,
     pub(crate) report_losses: watch::Sender<Option<LossFeedback>>,
     pub(crate) files: Option<MaskFiles>,
+    pub(crate) failure: FileFailure,
 }
 
 impl ReceiveTask {
@@ -100,7 +105,11 @@ impl ReceiveTask {
             }
         };
         if let Some(files) = &mut self.files {
-            files.write(&frame)?;
+            files.write(&frame).map_err(|error| {
+                let reason = error.to_string();
+                self.failure.lock().get_or_insert(error);
+                reason
+            })?;
         }
         back.frame = frame.frame;
         back.traced_for = frame.traced_for;

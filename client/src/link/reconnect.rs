@@ -1,15 +1,16 @@
 //! Reconnects to a lost server, or to the alternative that it named, while the client keeps drawing.
 //!
 //! Attempts start after growing pauses. Older attempts continue meanwhile, because on a long path a handshake takes
-//! longer than the pause. The first attempt that leads to the same scene wins.
+//! longer than the pause. The first attempt that is admitted wins. If its server has another scene, that is fetched.
 
 use std::time::Duration;
 
 use gnomon_protocol::message::Refusal;
+use gnomon_scene::Scene;
 use tokio::{
     runtime::Handle,
     sync::{oneshot, watch},
-    task::{JoinHandle, JoinSet},
+    task::{JoinHandle, JoinSet, spawn_blocking},
     time::{Instant, sleep_until, timeout},
 };
 
@@ -17,6 +18,7 @@ use super::{
     backoff::Backoff,
     mask_buffer::MaskReader,
     pending_session::PendingSession,
+    scene_cache::SceneCache,
     session::Session,
     session_spec::{SessionOptions, SessionSpec},
     state::LinkState,
@@ -32,24 +34,44 @@ const ATTEMPT_TIMEOUT: Duration = Duration::from_secs(4);
 /// Longest pause that a server can ask for.
 const MAX_RETRY_PAUSE: Duration = Duration::from_secs(60);
 
+/// What a search has found.
+pub(crate) enum Found {
+    /// The same scene; masks can arrive.
+    SameScene(Box<(Session, MaskReader)>),
+    OtherScene(Box<OtherScene>),
+}
+
+/// A server's new scene, and a session that can start.
+pub(crate) struct OtherScene {
+    pub(crate) pending: PendingSession,
+    pub(crate) scene: Scene,
+}
+
 /// A background search for a server. Dropping it ends it.
-#[derive(Debug)]
 pub(crate) struct Reconnect {
-    found: oneshot::Receiver<(Session, MaskReader)>,
+    found: oneshot::Receiver<Found>,
     state: watch::Receiver<LinkState>,
     task: JoinHandle<()>,
 }
 
 impl Reconnect {
     /// Starts to look for `alternative`, if any, and for the server of `spec`. `reason` is why the server was lost.
-    pub(crate) fn start(runtime: &Handle, spec: SessionSpec, alternative: Option<ServerUrl>, reason: String) -> Self {
+    pub(crate) fn start(
+        runtime: &Handle,
+        spec: SessionSpec,
+        cache: SceneCache,
+        alternative: Option<ServerUrl>,
+        reason: String,
+    ) -> Self {
         let (send, found) = oneshot::channel();
         let first = LinkState::Lost { reason: reason.clone(), retry_at: Some(std::time::Instant::now()) };
         let (state_sender, state) = watch::channel(first);
         let task = runtime.spawn(async move {
-            if let Some(session) = search(&spec, alternative, reason, &state_sender).await {
+            let stop = spec.options.stop.clone();
+            let searched = stop.unless(search(&spec, &cache, alternative, reason, &state_sender)).await;
+            if let Ok(Some(found)) = searched {
                 // If the receiver is gone, the session is dropped with it.
-                let _ = send.send(session);
+                let _ = send.send(found);
             }
         });
         Self { found, state, task }
@@ -59,8 +81,8 @@ impl Reconnect {
         self.state.borrow().clone()
     }
 
-    /// Returns the new session once it has started.
-    pub(crate) fn poll(&mut self) -> Option<(Session, MaskReader)> {
+    /// Returns the server once it is found.
+    pub(crate) fn poll(&mut self) -> Option<Found> {
         self.found.try_recv().ok()
     }
 }
@@ -85,7 +107,7 @@ pub(crate) async fn open_with_retry(url: &ServerUrl, options: &SessionOptions) -
         match refusal.retry_after().map(|pause| Instant::now() + pause).filter(|at| *at < deadline) {
             Some(at) => {
                 tracing::warn!(%refusal, "asking again");
-                sleep_until(at).await;
+                options.stop.unless(sleep_until(at)).await?;
             }
             None => return Err(ClientError::Refused(refusal)),
         }
@@ -101,10 +123,11 @@ enum Retry {
 
 async fn search(
     spec: &SessionSpec,
+    cache: &SceneCache,
     alternative: Option<ServerUrl>,
     mut reason: String,
     state: &watch::Sender<LinkState>,
-) -> Option<(Session, MaskReader)> {
+) -> Option<Found> {
     let mut servers: Vec<ServerUrl> = alternative.into_iter().collect();
     if !servers.contains(&spec.url) {
         servers.push(spec.url.clone());
@@ -123,15 +146,27 @@ async fn search(
                 state.send_replace(LinkState::Lost { reason: reason.clone(), retry_at });
             }
             Some(ended) = attempts.join_next() => {
-                let (server, error) = match ended {
-                    Ok(Ok(found)) => return Some(found),
-                    Ok(Err(failed)) => *failed,
+                let found = match ended {
+                    Ok(Ok(Admitted::Started(session))) => return Some(Found::SameScene(session)),
+                    Ok(Ok(Admitted::OtherScene(pending))) => {
+                        // Two of them would fetch the same scene.
+                        attempts.abort_all();
+                        let server = pending.url().clone();
+                        fetch(*pending, cache, state).await.map_err(|error| Box::new((server, error)))
+                    }
+                    Ok(Err(failed)) => Err(failed),
                     Err(panicked) => {
-                        reason = panicked.to_string();
+                        if panicked.is_panic() {
+                            reason = panicked.to_string();
+                        }
                         continue;
                     }
                 };
-                reason = error.to_string();
+                let (server, error) = match found {
+                    Ok(other) => return Some(Found::OtherScene(Box::new(other))),
+                    Err(failed) => *failed,
+                };
+                reason = explained(&error, spec);
                 tracing::debug!(%server, failure = reason, "an attempt to reach the server failed");
                 match retry(&error) {
                     Retry::Soon => {}
@@ -158,17 +193,21 @@ async fn search(
     }
 }
 
-async fn attempt(spec: SessionSpec, server: ServerUrl) -> Result<(Session, MaskReader), Box<(ServerUrl, ClientError)>> {
+/// An attempt that the server admitted.
+enum Admitted {
+    Started(Box<(Session, MaskReader)>),
+    OtherScene(Box<PendingSession>),
+}
+
+async fn attempt(spec: SessionSpec, server: ServerUrl) -> Result<Admitted, Box<(ServerUrl, ClientError)>> {
     let open = async {
         // The resume token is a secret between this client and the server that issued it.
         let resume = spec.options.resume.filter(|_| server == spec.url);
         let pending = PendingSession::open(&server, &SessionOptions { resume, ..spec.options }).await?;
-        let found = pending.welcome.scene_digest;
-        if found != spec.scene_digest {
-            let reason = format!("it has another scene now ({found}): start the client again");
-            return Err(ClientError::Protocol { url: Box::new(server.clone()), reason });
+        if pending.welcome.scene_digest != spec.scene_digest {
+            return Ok(Admitted::OtherScene(Box::new(pending)));
         }
-        pending.start(spec.shape, spec.reception).await
+        Ok(Admitted::Started(Box::new(pending.start(spec.shape, spec.reception).await?)))
     };
     let opened = timeout(ATTEMPT_TIMEOUT, open)
         .await
@@ -176,12 +215,43 @@ async fn attempt(spec: SessionSpec, server: ServerUrl) -> Result<(Session, MaskR
     opened.map_err(|error| Box::new((server, error)))
 }
 
+/// Fetches the scene of an admitted session.
+async fn fetch(
+    mut pending: PendingSession,
+    cache: &SceneCache,
+    state: &watch::Sender<LinkState>,
+) -> Result<OtherScene, ClientError> {
+    tracing::warn!(scene = %pending.welcome.scene_digest, "the server has another scene: fetching it");
+    let show = |have, length| state.send_replace(LinkState::Fetching { have, length });
+    show(0, 0);
+    let packed = pending.fetch_scene(cache, |have, length| drop(show(have, length))).await?;
+    let unpacked = spawn_blocking(move || pending.unpack(&packed).map(|scene| OtherScene { pending, scene })).await;
+    unpacked.map_err(|panicked| ClientError::System(std::io::Error::other(panicked)))?
+}
+
+/// Returns the error for a person whose client was served before.
+fn explained(error: &ClientError, spec: &SessionSpec) -> String {
+    match error {
+        ClientError::Refused(Refusal::Token) if spec.options.token.is_some() => {
+            "the server no longer takes this token, which is used up, expired or withdrawn: get a new one".to_owned()
+        }
+        error => error.to_string(),
+    }
+}
+
 fn retry(error: &ClientError) -> Retry {
     match error {
         // A draining server may be restarted.
         ClientError::Refused(Refusal::Draining) => Retry::Soon,
         ClientError::Refused(refusal) => refusal.retry_after().map_or(Retry::Never, Retry::After),
-        ClientError::Certificate(_) | ClientError::OtherVersion(_) | ClientError::Protocol { .. } => Retry::Never,
+        // A scene that cannot be unpacked and a file that cannot be written stay so.
+        ClientError::Certificate(_)
+        | ClientError::OtherVersion(_)
+        | ClientError::Protocol { .. }
+        | ClientError::Fetch(_)
+        | ClientError::Unpack(_)
+        | ClientError::Write { .. }
+        | ClientError::Stopped(_) => Retry::Never,
         _ => Retry::Soon,
     }
 }

@@ -6,13 +6,15 @@ use std::{
 };
 
 use gnomon_client_core::mask::{matcher::MaskMatcher, received::ReceivedMask};
-use gnomon_protocol::{ids::FrameNumber, pose::Pose};
+use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose::Pose};
 use tokio::runtime::Runtime;
 
 use super::{
     mask_buffer::{MaskReader, Waited},
+    pending_session::PendingSession,
     receive::Received,
-    reconnect::Reconnect,
+    reconnect::{Found, OtherScene, Reconnect},
+    scene_cache::SceneCache,
     session::Session,
     state::LinkState,
 };
@@ -30,12 +32,21 @@ const GIVE_UP: Duration = Duration::from_secs(120);
 /// A session with a server, replaced by a new one when the server is lost.
 pub(crate) struct ServerLink {
     runtime: Arc<Runtime>,
+    cache: SceneCache,
     session: Session,
     masks: MaskReader,
     reconnect: Option<Reconnect>,
     poses_repeated: u32,
     reconnects: u32,
     received_before: Received,
+}
+
+/// What [`ServerLink::maintain`] has found.
+pub(crate) enum Change {
+    /// Poses go over a new connection.
+    Reconnected,
+    /// The server has another scene. Until [`ServerLink::start`], there are no masks.
+    OtherScene(Box<OtherScene>),
 }
 
 /// Totals at the end of a link.
@@ -45,12 +56,15 @@ pub(crate) struct LinkTotals {
     pub(crate) received: Received,
     pub(crate) round_trip: Option<Duration>,
     pub(crate) reconnects: u32,
+    /// Why a file of masks could not be written.
+    pub(crate) failure: Option<ClientError>,
 }
 
 impl ServerLink {
-    pub(crate) fn new(runtime: Arc<Runtime>, session: Session, masks: MaskReader) -> Self {
+    pub(crate) fn new(runtime: Arc<Runtime>, cache: SceneCache, session: Session, masks: MaskReader) -> Self {
         Self {
             runtime,
+            cache,
             session,
             masks,
             reconnect: None,
@@ -63,7 +77,8 @@ impl ServerLink {
     pub(crate) fn state(&self) -> LinkState {
         let health = self.session.health();
         match (&self.reconnect, self.masks.ended(), health.draining) {
-            (None, Some(reason), _) => LinkState::Lost { reason, retry_at: None },
+            // The search starts with the next frame.
+            (None, Some(reason), _) => LinkState::Lost { reason, retry_at: Some(Instant::now()) },
             (Some(reconnect), Some(_), _) => reconnect.state(),
             (Some(reconnect), None, _) if health.silent => reconnect.state(),
             (_, None, Some(notice)) => LinkState::Draining {
@@ -76,9 +91,17 @@ impl ServerLink {
     }
 
     /// Starts or ends the search for a new connection. The search runs while the server is lost or silent, or is about
-    /// to stop and names an alternative. The old connection is used as long as possible. Returns whether a new one has
-    /// just replaced it.
-    pub(crate) fn maintain(&mut self) -> bool {
+    /// to stop and names an alternative. The old connection is used as long as possible.
+    ///
+    /// # Errors
+    /// Errors if a file of masks could not be written: no other connection can mend that.
+    pub(crate) fn maintain(&mut self) -> Result<Option<Change>, ClientError> {
+        if let Some(error) = self.session.take_failure() {
+            return Err(error);
+        }
+        if self.is_leaving() {
+            return Ok(None);
+        }
         let health = self.session.health();
         let lost = self.masks.ended().or_else(|| health.silent.then(|| "the server is silent".to_owned()));
         let alternative = health.draining.and_then(|notice| notice.alternative);
@@ -87,24 +110,49 @@ impl ServerLink {
             (None, lost, alternative) => {
                 let reason = lost.unwrap_or_else(|| "the server stops".to_owned());
                 let (runtime, spec) = (self.runtime.handle(), self.session.spec().clone());
-                self.reconnect = Some(Reconnect::start(runtime, spec, alternative, reason));
+                self.reconnect = Some(Reconnect::start(runtime, spec, self.cache.clone(), alternative, reason));
             }
             // The outage is over.
             (Some(_), None, None) => self.reconnect = None,
             (Some(reconnect), _, _) => {
-                if let Some((session, masks)) = reconnect.poll() {
-                    tracing::info!(server = %session.spec().url, "connected again");
-                    self.reconnect = None;
-                    self.received_before = self.received();
-                    self.masks = masks;
-                    let old = std::mem::replace(&mut self.session, session);
-                    self.runtime.spawn(old.leave());
-                    self.reconnects += 1;
-                    return true;
-                }
+                let Some(found) = reconnect.poll() else { return Ok(None) };
+                self.reconnect = None;
+                return Ok(Some(match found {
+                    Found::OtherScene(other) => Change::OtherScene(other),
+                    Found::SameScene(found) => {
+                        let (session, masks) = *found;
+                        self.replace(session, masks);
+                        Change::Reconnected
+                    }
+                }));
             }
         }
-        false
+        Ok(None)
+    }
+
+    /// Starts a session with another scene, with masks of at most `shape`. Blocks.
+    ///
+    /// # Errors
+    /// Errors if the connection breaks. The next [`Self::maintain`] looks for the server again.
+    pub(crate) fn start(&mut self, pending: PendingSession, shape: MaskShape) -> Result<(), ClientError> {
+        let reception = self.session.spec().reception.clone();
+        let (session, masks) = self.runtime.block_on(pending.start(shape, reception))?;
+        self.replace(session, masks);
+        Ok(())
+    }
+
+    fn replace(&mut self, session: Session, masks: MaskReader) {
+        tracing::info!(server = %session.spec().url, "connected again");
+        self.received_before = self.received();
+        self.masks = masks;
+        let old = std::mem::replace(&mut self.session, session);
+        self.runtime.spawn(old.leave());
+        self.reconnects += 1;
+    }
+
+    /// Returns whether the run is to end: the session then leaves the server by itself.
+    pub(crate) fn is_leaving(&self) -> bool {
+        self.session.spec().options.stop.asked().is_some()
     }
 
     pub(crate) fn send_pose(&self, frame: FrameNumber, pose: Pose) {
@@ -168,7 +216,7 @@ impl ServerLink {
                 }
             }
             match waited {
-                Waited::Ended(reason) => return Err(ended(reason)),
+                Waited::Ended(reason) => return Err(self.session.take_failure().unwrap_or_else(|| ended(reason))),
                 Waited::Arrived | Waited::TimedOut | Waited::Lost if begun.elapsed() > GIVE_UP => {
                     return Err(ClientError::NoVisibility { frame, after: begun.elapsed(), asked });
                 }
@@ -197,15 +245,24 @@ impl ServerLink {
     }
 
     /// Says goodbye to the server. Blocks.
-    pub(crate) fn leave(self) -> LinkTotals {
+    pub(crate) fn leave(mut self) -> LinkTotals {
         let totals = LinkTotals {
             poses_repeated: self.poses_repeated,
             received: self.received(),
             round_trip: self.round_trip(),
             reconnects: self.reconnects,
+            failure: self.session.take_failure(),
         };
         drop(self.masks);
-        self.runtime.block_on(self.session.leave());
+        let found = self.reconnect.take().and_then(|mut reconnect| reconnect.poll());
+        self.runtime.block_on(async {
+            match found {
+                Some(Found::SameScene(found)) => found.0.leave().await,
+                Some(Found::OtherScene(other)) => other.pending.leave().await,
+                None => {}
+            }
+            self.session.leave().await;
+        });
         totals
     }
 }

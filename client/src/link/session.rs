@@ -19,11 +19,12 @@ use super::{
     control_task::{ControlTask, RoundTrip},
     health::{Health, HealthCell, watch_silence},
     mask_buffer::{MaskReader, mask_buffer},
-    mask_files::MaskFiles,
+    mask_files::{FileFailure, MaskFiles},
     receive::{Counters, ReceiveTask, Received, Requested},
     send::{OutgoingPose, send_poses},
     session_spec::SessionSpec,
 };
+use crate::error::ClientError;
 
 /// How long a server may take to send the reason after its data has ended.
 const CLOSING_TIMEOUT: Duration = Duration::from_millis(300);
@@ -37,6 +38,7 @@ pub(crate) struct Session {
     round_trip: RoundTrip,
     health: HealthCell,
     quic: QuicHandle,
+    failure: FileFailure,
     leave: oneshot::Sender<()>,
     tasks: JoinHandle<()>,
 }
@@ -48,7 +50,7 @@ impl Session {
         let (poses, newest_pose) = watch::channel(None);
         let (acknowledge, acknowledgements) = watch::channel(None);
         let (report_losses, losses) = watch::channel(None);
-        let (counters, requested) = (Counters::default(), Requested::default());
+        let (counters, requested, failure) = (Counters::default(), Requested::default(), FileFailure::default());
         let config = ReceiverConfig {
             policy: spec.reception.policy,
             largest: spec.shape,
@@ -65,6 +67,7 @@ impl Session {
             acknowledge,
             report_losses,
             files,
+            failure: FileFailure::clone(&failure),
         };
         let (round_trip, health) = (RoundTrip::default(), HealthCell::default());
         let (leave, left) = oneshot::channel();
@@ -77,8 +80,16 @@ impl Session {
         };
         let silence = watch_silence(quic.clone(), health.clone());
         let send = send_poses(sender, newest_pose, acknowledgements, losses);
+        let stop = spec.options.stop.clone();
+        let left = async move {
+            tokio::select! {
+                _ = left => {}
+                // The server is told at once, even while the renderer is busy.
+                _ = stop.wait() => {}
+            }
+        };
         let tasks = tokio::spawn(run_tasks(control, receive, send, silence, left));
-        (Self { spec, poses, counters, requested, round_trip, health, quic, leave, tasks }, mask_reader)
+        (Self { spec, poses, counters, requested, round_trip, health, quic, failure, leave, tasks }, mask_reader)
     }
 
     /// Sends a frame's pose. It replaces an unsent one.
@@ -110,6 +121,11 @@ impl Session {
         self.round_trip.lock().or_else(|| self.quic.round_trip())
     }
 
+    /// Returns why a file of masks could not be written, once.
+    pub(crate) fn take_failure(&self) -> Option<ClientError> {
+        self.failure.lock().take()
+    }
+
     /// Ends the session and closes the connection.
     pub(crate) async fn leave(self) {
         // The tasks may have ended.
@@ -125,7 +141,7 @@ async fn run_tasks(
     receive: ReceiveTask,
     send: impl Future<Output = io::Result<Infallible>> + Send + 'static,
     silence: impl Future<Output = ()> + Send,
-    left: oneshot::Receiver<()>,
+    left: impl Future<Output = ()> + Send,
 ) {
     let ender = receive.writer.ender();
     // Separate tasks: decoding takes long and must not delay pings or poses.
@@ -148,7 +164,7 @@ async fn run_tasks(
             }
         };
         tokio::select! {
-            _ = left => (None, None),
+            () = left => (None, None),
             // Never ends first.
             () = silence => (None, None),
             reason = &mut control => (Some(reason), None),

@@ -11,8 +11,9 @@ use gnomon_protocol::{
 };
 
 use super::{receive_options::Reception, url::ServerUrl};
+use crate::stop::Stop;
 
-/// What the client requests in its Hello.
+/// What the client requests in its Hello, and how long it may last.
 #[derive(Debug, Clone)]
 pub(crate) struct SessionOptions {
     pub(crate) token: Option<BearerToken>,
@@ -26,6 +27,7 @@ pub(crate) struct SessionOptions {
     pub(crate) wrong_ppm: u16,
     pub(crate) resume: Option<ResumeToken>,
     pub(crate) connect_timeout: Duration,
+    pub(crate) stop: Stop,
 }
 
 /// A started session.

@@ -29,9 +29,11 @@ pub enum LinkState {
     /// The connection is lost.
     Lost {
         reason: String,
-        /// Time of the next attempt; `None` if there is none, for example because the server now has another scene.
+        /// Time of the next attempt; `None` if there is none, for example because the server has another certificate.
         retry_at: Option<Instant>,
     },
+    /// The server has another scene, which is being fetched. In bytes; both are 0 before the first.
+    Fetching { have: u64, length: u64 },
 }
 
 impl LinkState {
@@ -44,6 +46,7 @@ impl LinkState {
             Self::Refused { .. } => "refused",
             Self::Draining { .. } => "draining",
             Self::Lost { .. } => "lost",
+            Self::Fetching { .. } => "fetching",
         }
     }
 
@@ -51,6 +54,22 @@ impl LinkState {
     #[must_use]
     pub const fn is_served(&self) -> bool {
         matches!(self, Self::Live | Self::Draining { .. })
+    }
+
+    /// Returns why a run that ends in this state ends without its server; `None` if it does not.
+    #[must_use]
+    pub fn loss(&self) -> Option<String> {
+        match self {
+            Self::Live | Self::Draining { .. } | Self::Connecting => None,
+            Self::Refused { reason, .. } | Self::Lost { reason, .. } => Some(reason.clone()),
+            Self::Fetching { .. } => Some("the server has another scene, which had not arrived yet".to_owned()),
+        }
+    }
+
+    /// Returns whether the client has given up.
+    #[must_use]
+    pub const fn is_final(&self) -> bool {
+        matches!(self, Self::Refused { retry_at: None, .. } | Self::Lost { retry_at: None, .. })
     }
 
     /// Returns a message for people; `None` while the link is fine.
@@ -67,6 +86,10 @@ impl LinkState {
             Self::Connecting => "Connecting to the server".to_owned(),
             Self::Refused { reason, retry_at } => format!("Refused: {reason}. {}", next_try(retry_at)),
             Self::Lost { reason, retry_at } => format!("Server lost: {reason}. {}", next_try(retry_at)),
+            Self::Fetching { have, length } => {
+                let mib = |bytes: &u64| *bytes as f64 / f64::from(1 << 20);
+                format!("The server has another scene: {:.1} of {:.1} MiB", mib(have), mib(length))
+            }
             Self::Draining { reason, deadline, alternative } => {
                 let redirect = alternative.as_ref().map(|url| format!(". Continuing at {url}")).unwrap_or_default();
                 format!("The server stops in {} s: {reason}{redirect}", seconds(*deadline))
@@ -95,6 +118,10 @@ mod tests {
             ),
             (LinkState::Lost { reason: reason(), retry_at: Some(now) }, Some("Server lost: it is full. Trying again")),
             (
+                LinkState::Fetching { have: 1 << 20, length: 4 << 20 },
+                Some("The server has another scene: 1.0 of 4.0 MiB"),
+            ),
+            (
                 LinkState::Draining {
                     reason: "it is full\x1b[2J".into(),
                     deadline: soon,
@@ -104,6 +131,27 @@ mod tests {
             ),
         ] {
             assert_eq!(state.message(now).as_deref(), message, "{state:?}");
+        }
+    }
+
+    #[test]
+    fn a_run_that_ends_without_its_server_can_say_why() {
+        let reason = || "it is full".to_owned();
+        let later = Some(Instant::now());
+        for (state, loss, is_final) in [
+            (LinkState::Live, false, false),
+            (
+                LinkState::Draining { reason: reason().into(), deadline: Instant::now(), alternative: None },
+                false,
+                false,
+            ),
+            (LinkState::Refused { reason: reason(), retry_at: later }, true, false),
+            (LinkState::Refused { reason: reason(), retry_at: None }, true, true),
+            (LinkState::Lost { reason: reason(), retry_at: later }, true, false),
+            (LinkState::Lost { reason: reason(), retry_at: None }, true, true),
+            (LinkState::Fetching { have: 0, length: 0 }, true, false),
+        ] {
+            assert_eq!((state.loss().is_some(), state.is_final()), (loss, is_final), "{state:?}");
         }
     }
 }

@@ -28,6 +28,7 @@ use crate::{
     error::ClientError,
     input::{Controls, keys::Command},
     options::{Source, WindowOptions},
+    stop::{Cause, Stop},
     window::settings::Settings,
 };
 
@@ -40,11 +41,12 @@ const HIDDEN_INTERVAL: Duration = Duration::from_millis(100);
 /// In pixels.
 const MIN_SIZE: PhysicalSize<u32> = PhysicalSize::new(160, 90);
 
-/// Runs a window until it is closed.
+/// Runs a window until it is closed, or `stop` is asked.
 ///
 /// # Errors
-/// Errors if no window can be opened, or the last attempt to show a picture failed.
-pub fn run_window(options: WindowOptions) -> Result<(), ClientError> {
+/// Errors if no window can be opened, the last attempt to show a picture failed, a file could not be written, or the
+/// client had given its server up.
+pub fn run_window(options: WindowOptions, stop: &Stop) -> Result<(), ClientError> {
     options.run.validate()?;
     let camera_path = options.run.settings.path.as_ref().map(PathSpec::load).transpose()?;
     let event_loop = EventLoop::new().map_err(|error| ClientError::Window(error.to_string()))?;
@@ -63,6 +65,8 @@ pub fn run_window(options: WindowOptions) -> Result<(), ClientError> {
         hidden: false,
         largest_px: (0, 0),
         result: Ok(()),
+        unsaved: None,
+        stop: stop.clone(),
         options,
     };
     event_loop.run_app(&mut app).map_err(|error| ClientError::Window(error.to_string()))?;
@@ -101,6 +105,9 @@ pub(super) struct App {
     /// Largest picture of the session, in pixels.
     largest_px: (u32, u32),
     result: Result<(), ClientError>,
+    /// Why the first picture that could not be saved was not.
+    unsaved: Option<ClientError>,
+    stop: Stop,
 }
 
 impl App {
@@ -136,9 +143,8 @@ impl App {
     }
 
     fn load(&mut self) -> Result<(), ClientError> {
-        let loading =
-            Loading::start(self.options.run.clone(), largest_mask(self.largest_px), self.camera_path.clone())?;
-        self.stage = Stage::Loading(loading);
+        let (options, largest) = (self.options.run.clone(), largest_mask(self.largest_px));
+        self.stage = Stage::Loading(Loading::start(options, largest, self.camera_path.clone(), self.stop.clone())?);
         Ok(())
     }
 
@@ -156,8 +162,9 @@ impl App {
             && let Some(loaded) = loading.poll()
             && let Some(View { screen, .. }) = &self.view
         {
+            let (options, stop) = (&self.options.run, self.stop.clone());
             let playing = loaded
-                .and_then(|loaded| Play::start(screen, loaded, &self.options.run, self.largest_px, &mut self.settings));
+                .and_then(|loaded| Play::start(screen, loaded, options, self.largest_px, &mut self.settings, stop));
             match playing {
                 Ok(play) => {
                     tracing::info!(after_ms = self.began.elapsed().as_millis(), "the scene is loaded");
@@ -171,8 +178,12 @@ impl App {
         let step_s = self.last_frame.replace(now).map_or(0.0, |before| (now - before).as_secs_f64());
         let Some(View { window, screen, egui }) = &mut self.view else { return Ok(()) };
         if let Some(saved) = screen.poll_saved() {
-            let text = saved.map_or_else(|error| error, |file| format!("picture: {}", file.display()));
+            let text = match &saved {
+                Ok(file) => format!("picture: {}", file.display()),
+                Err(error) => error.to_string(),
+            };
             self.notice = Some((text, now));
+            self.unsaved = self.unsaved.take().or(saved.err());
         }
         let retry = {
             let input = egui.take_egui_input(window);
@@ -253,19 +264,21 @@ impl App {
         }
     }
 
-    /// Leaves the server. Returns the error that stopped the pictures, if any.
+    /// Leaves the server. Returns the error that stopped the pictures, or why a file is not written, if any.
     fn close(mut self) -> Result<(), ClientError> {
         tracing::info!(peak_memory_mib = peak_memory_mib(), "leaving");
-        if let Some(View { screen, .. }) = &mut self.view
-            && let Some(Err(error)) = screen.finish()
-        {
-            tracing::error!(error, "the last picture is not saved");
-        }
-        match std::mem::replace(&mut self.stage, Stage::Closed) {
+        let last = self.view.as_mut().and_then(|view| view.screen.finish());
+        let unsaved = self.unsaved.take().or(last.and_then(Result::err));
+        let ended = match std::mem::replace(&mut self.stage, Stage::Closed) {
             Stage::Playing(play) => play.finish(),
             Stage::Failed(_) | Stage::Closed => std::mem::replace(&mut self.result, Ok(())),
-            Stage::Loading(_) => Ok(()),
-        }
+            Stage::Loading(loading) => {
+                self.stop.ask(Cause::Closed);
+                loading.leave();
+                Ok(())
+            }
+        };
+        ended.and(unsaved.map_or(Ok(()), Err))
     }
 }
 
@@ -356,7 +369,8 @@ impl ApplicationHandler for App {
     }
 
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
-        if self.options.exit_after.is_some_and(|after| self.began.elapsed() >= after) {
+        let late = self.options.exit_after.is_some_and(|after| self.began.elapsed() >= after);
+        if late || self.stop.asked().is_some() {
             event_loop.exit();
             return;
         }

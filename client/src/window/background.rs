@@ -3,6 +3,7 @@
 use std::{
     io,
     sync::mpsc::{Receiver, TryRecvError, sync_channel},
+    time::Duration,
 };
 
 use crate::error::ClientError;
@@ -22,6 +23,11 @@ impl<T: Send + 'static> Background<T> {
             let _ = send.send(work());
         })?;
         Ok(Self(result))
+    }
+
+    /// Waits for the end of the work, but not longer than `limit`. The result is dropped here.
+    pub(super) fn end_within(self, limit: Duration) {
+        drop(self.0.recv_timeout(limit));
     }
 
     /// Returns the result once the work has ended.

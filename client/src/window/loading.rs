@@ -17,7 +17,11 @@ use crate::{
     error::ClientError,
     link::url::ServerUrl,
     options::HeadlessOptions,
+    stop::Stop,
 };
+
+/// How long a closed window waits for its server to know. Connecting and fetching end at once, unpacking does not.
+const LEAVE_TIME: Duration = Duration::from_secs(2);
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Progress {
@@ -48,6 +52,7 @@ impl Loading {
         options: HeadlessOptions,
         largest_mask: (u32, u32),
         camera_path: Option<CameraPath>,
+        stop: Stop,
     ) -> Result<Self, ClientError> {
         let progress = Arc::new(Mutex::new(Progress::Connecting));
         let shared = Arc::clone(&progress);
@@ -65,7 +70,7 @@ impl Loading {
                 Step::Unpacking => *shared.lock() = Progress::Unpacking,
             };
             let trusts = |_: &ServerUrl, sha256: &[u8; 32]| ask(&shared, &answers, *sha256);
-            load(&options, largest_mask, camera_path, step, trusts)
+            load(&options, largest_mask, camera_path, &stop, step, trusts)
         })?;
         Ok(Self { progress, answer, work })
     }
@@ -78,6 +83,14 @@ impl Loading {
 
     pub(crate) fn progress(&self) -> Progress {
         self.progress.lock().clone()
+    }
+
+    /// Ends loading, whose stop was asked.
+    pub(crate) fn leave(self) {
+        let Self { answer, work, .. } = self;
+        // Nobody answers any more.
+        drop(answer);
+        work.end_within(LEAVE_TIME);
     }
 
     /// Returns the result once loading has ended.

@@ -17,15 +17,16 @@ use crate::{
     camera_path::CameraPath,
     config::ClientSettings,
     error::ClientError,
-    frame_driver::FrameDriver,
+    frame_driver::{FrameDriver, NewScene, Stage},
     guard::{Guard, GuardChoice, GuardSize},
     headless::stats::{FrameStats, StatsFile},
     input::fly::{Fly, Motion},
-    link::{receive::Received, url::ServerUrl},
+    link::{receive::Received, state::LinkState, url::ServerUrl},
     mode::ModeMachine,
     options::HeadlessOptions,
     record::{Record, Recorder},
     render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView},
+    stop::Stop,
     window::{
         overlay::figures::Figures,
         settings::{Settings, Split},
@@ -61,6 +62,7 @@ pub(crate) struct Play {
     window_size: ((u32, u32), Instant),
     stats: Option<StatsFile>,
     options: HeadlessOptions,
+    stop: Stop,
     reference: LocalReference,
     /// A message to show once.
     pub(crate) message: Option<String>,
@@ -97,10 +99,11 @@ impl Play {
         options: &HeadlessOptions,
         largest: (u32, u32),
         settings: &mut Settings,
+        stop: Stop,
     ) -> Result<Self, ClientError> {
         let Loaded { scene, connected, camera_path, exposure } = loaded;
         let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
-        (settings.lights, settings.lights_on) = (lights, u32::MAX.checked_shr(32 - lights.min(32)).unwrap_or(0));
+        (settings.lights, settings.lights_on) = (lights, all_of(lights));
         let size = fitted(screen.size(), largest);
         let renderer = FrameRenderer::new(&screen.gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predictor)?;
         let extent_m = f64::from((scene.bounds.max - scene.bounds.min).length());
@@ -108,6 +111,10 @@ impl Play {
         let (width, height) = largest_mask(largest);
         let shape = MaskShape::new(width, height, lights)?;
         let server = connected.as_ref().map(|connected| (connected.url().clone(), connected.welcome().clone()));
+        // Files before the session: whoever fails here has none to leave.
+        let welcome = server.as_ref().map(|(_, welcome)| welcome);
+        let recorder = Recorder::for_run(options, size, welcome, exposure, &screen.gpu)?;
+        let stats = options.settings.stats.as_deref().map(StatsFile::create).transpose()?;
         let link = connected.map(|connected| connected.start(shape, options.settings.reception())).transpose()?;
         let machine = ModeMachine::new(settings.mode, options.settings.thresholds());
         let guard = GuardChoice::new(settings.guard, size);
@@ -116,8 +123,6 @@ impl Play {
             Some(_) => MaskSource::Streamed { look_ahead: options.settings.looks_ahead(&screen.gpu) },
         };
         let frames = FrameLoop::new(renderer, machine, guard, source, Instant::now());
-        let welcome = server.as_ref().map(|(_, welcome)| welcome);
-        let recorder = Recorder::for_run(options, size, welcome, exposure, &screen.gpu)?;
         let driver = FrameDriver::new(frames, link, recorder, u32::MAX);
         let first = camera_path.camera(options.settings.start_time, size.0, size.1);
         Ok(Self {
@@ -134,8 +139,9 @@ impl Play {
             view: DebugView::Picture,
             largest,
             window_size: (size, Instant::now()),
-            stats: options.settings.stats.as_deref().map(StatsFile::create).transpose()?,
+            stats,
             options: options.clone(),
+            stop,
             reference: LocalReference::Off,
             message: None,
         })
@@ -159,6 +165,11 @@ impl Play {
         motion: &Motion,
         step_s: f64,
     ) -> Result<FrameStats, ClientError> {
+        let stage =
+            Stage { gpu: &screen.gpu, settings: &self.options.settings, largest_mask: largest_mask(self.largest) };
+        if let Some(new) = self.driver.maintain(FrameNumber(self.next), stage)? {
+            self.follow(new, settings);
+        }
         self.resize(screen.size())?;
         self.apply(screen, settings)?;
         let (width, height) = self.driver.frames.renderer.size();
@@ -192,6 +203,20 @@ impl Play {
         Ok(drawn)
     }
 
+    /// Goes on in a scene that the driver's renderer is new to. The camera stays.
+    fn follow(&mut self, new: NewScene, settings: &mut Settings) {
+        let NewScene { url, welcome, .. } = new;
+        let lights = welcome.lights;
+        (settings.lights, settings.lights_on) = (lights, all_of(lights));
+        let predictor = self.options.settings.predict;
+        self.applied =
+            Settings { split: Split::Off, predictor, lights, lights_on: all_of(lights), ..self.applied.clone() };
+        self.view = DebugView::Picture;
+        self.reference = LocalReference::Off;
+        self.server = Some((url, welcome));
+        self.message = Some("the server has another scene".to_owned());
+    }
+
     /// In pixels.
     pub(crate) fn size(&self) -> (u32, u32) {
         self.driver.frames.renderer.size()
@@ -214,7 +239,13 @@ impl Play {
                 let welcome = self.server.as_ref().map(|(_, welcome)| welcome);
                 let scene = local_scene(&self.options, welcome)?;
                 let digest = welcome.map(|welcome| welcome.scene_digest);
-                self.reference = LocalReference::Starting(reference::start(scene, digest, &self.options, largest)?);
+                self.reference = LocalReference::Starting(reference::start(
+                    scene,
+                    digest,
+                    &self.options,
+                    largest,
+                    self.stop.clone(),
+                )?);
                 self.message = Some("starting a local server for the reference".to_owned());
                 Ok(None)
             }
@@ -233,10 +264,16 @@ impl Play {
     }
 
     /// Leaves the server and finishes all files.
+    ///
+    /// # Errors
+    /// Errors if a file could not be written, or the client had given the server up.
     pub(crate) fn finish(mut self) -> Result<(), ClientError> {
-        self.driver.leave();
-        self.driver.recorder.take().map_or(Ok(()), Recorder::finish)?;
-        self.stats.map_or(Ok(()), StatsFile::finish)
+        let given_up = self.driver.link_state().filter(LinkState::is_final).and_then(|state| state.loss());
+        let masks = self.driver.leave().link.failure.map_or(Ok(()), Err);
+        let recorded = self.driver.recorder.take().map_or(Ok(()), Recorder::finish);
+        let counted = self.stats.map_or(Ok(()), StatsFile::finish);
+        recorded.and(counted).and(masks)?;
+        given_up.filter(|_| self.stop.asked().is_none()).map_or(Ok(()), |loss| Err(ClientError::EndedAlone(loss)))
     }
 
     /// Adds a record to the recording, if there is one.
@@ -303,6 +340,11 @@ impl Play {
         self.applied.clone_from(settings);
         Ok(())
     }
+}
+
+/// Returns the lights of a scene, one bit each.
+fn all_of(lights: u32) -> u32 {
+    u32::MAX.checked_shr(32 - lights.min(32)).unwrap_or(0)
 }
 
 pub(crate) fn settings(chosen: &ClientSettings) -> Settings {

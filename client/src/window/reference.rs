@@ -26,6 +26,7 @@ use crate::{
     mode::ModeMachine,
     options::{HeadlessOptions, Source},
     render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView, exposure::Exposure, targets},
+    stop::Stop,
 };
 
 /// Returns the file of the scene that the window shows.
@@ -66,9 +67,10 @@ pub(super) fn start(
     digest: Option<SceneDigest>,
     options: &HeadlessOptions,
     largest_mask: (u32, u32),
+    stop: Stop,
 ) -> Result<Background<Ready>, ClientError> {
     let options = options.clone();
-    Background::spawn("reference", move || prepare(&scene, digest, &options, largest_mask))
+    Background::spawn("reference", move || prepare(&scene, digest, &options, largest_mask, &stop))
 }
 
 fn prepare(
@@ -76,13 +78,14 @@ fn prepare(
     digest: Option<SceneDigest>,
     options: &HeadlessOptions,
     largest: (u32, u32),
+    stop: &Stop,
 ) -> Result<Ready, ClientError> {
     let server = LocalServer::start(temporary_folder("reference")?, scene)?;
     let mut local = HeadlessOptions::new(Source::Server(server.url().clone()));
     local.settings.cache_dir.clone_from(&options.settings.cache_dir);
     local.settings.cache_limit = options.settings.cache_limit;
     local.settings.wait = true;
-    let (scene, connected) = get_scene(&local, largest, |_| (), |_, _| false)?;
+    let (scene, connected) = get_scene(&local, largest, stop, |_| (), |_, _| false)?;
     match connected {
         Some(connected) if digest.is_none_or(|digest| digest == connected.welcome().scene_digest) => {
             Ok(Ready { server, scene, connected })

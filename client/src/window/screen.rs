@@ -32,7 +32,7 @@ pub(crate) struct Screen {
     save_next: Option<PathBuf>,
     /// The frame being read back, and its file.
     reading: Option<(u64, PathBuf)>,
-    saving: Option<JoinHandle<Result<PathBuf, String>>>,
+    saving: Option<JoinHandle<Result<PathBuf, ClientError>>>,
 }
 
 impl Screen {
@@ -110,15 +110,14 @@ impl Screen {
     }
 
     /// Returns the file of a picture saved since the last call, or why saving failed.
-    pub(crate) fn poll_saved(&mut self) -> Option<Result<PathBuf, String>> {
-        let saving = self.saving.take_if(|saving| saving.is_finished())?;
-        Some(saving.join().unwrap_or_else(|_| Err("writing it failed".to_owned())))
+    pub(crate) fn poll_saved(&mut self) -> Option<Result<PathBuf, ClientError>> {
+        self.saving.take_if(|saving| saving.is_finished()).map(joined)
     }
 
     /// Waits until the picture being saved is written.
-    pub(crate) fn finish(&mut self) -> Option<Result<PathBuf, String>> {
+    pub(crate) fn finish(&mut self) -> Option<Result<PathBuf, ClientError>> {
         while self.reading.is_some() && matches!(self.take_oldest(), Ok(true)) {}
-        self.saving.take().map(|saving| saving.join().unwrap_or_else(|_| Err("writing it failed".to_owned())))
+        self.saving.take().map(joined)
     }
 
     /// Presents the overlay without a picture.
@@ -136,7 +135,7 @@ impl Screen {
         {
             let write = move || {
                 let written = pictures::write(&file, &picture);
-                written.map(|()| file.clone()).map_err(|error| format!("cannot write {}: {error}", file.display()))
+                written.map(|()| file.clone()).map_err(|source| ClientError::Write { path: file, source })
             };
             self.saving = Some(std::thread::Builder::new().name("png".to_owned()).spawn(write)?);
         }
@@ -200,6 +199,10 @@ impl Sink for Screen {
         }
         Ok(Shown { shade, readback: begun.elapsed().saturating_sub(shade) })
     }
+}
+
+fn joined(saving: JoinHandle<Result<PathBuf, ClientError>>) -> Result<PathBuf, ClientError> {
+    saving.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
 fn present_mode(vsync: bool) -> wgpu::PresentMode {

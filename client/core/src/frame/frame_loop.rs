@@ -87,6 +87,12 @@ impl FrameLoop {
         self.started = now;
     }
 
+    /// Draws with another scene's renderer from `frame` on, without the masks so far.
+    pub fn change_scene(&mut self, frame: FrameNumber, renderer: FrameRenderer) {
+        self.renderer = renderer;
+        self.matcher.scene_changed(frame);
+    }
+
     /// Remembers the frame and decides whether it needs a new mask. `connected` is false while no mask can arrive.
     pub fn request(
         &mut self,
@@ -123,7 +129,7 @@ impl FrameLoop {
             MaskSource::Streamed { .. } => needed,
         };
         let sent_at = sends.then_some(now);
-        self.matcher.insert(MaskRequest { frame, camera: *camera, mask_camera: wide, pose, sent_at });
+        self.matcher.insert(MaskRequest { frame, begun: now, camera: *camera, mask_camera: wide, pose, sent_at });
         PoseRequest { pose: sends.then_some(pose), look_ahead_ms }
     }
 
@@ -139,13 +145,19 @@ impl FrameLoop {
         let mut response = None;
         for mask in masks {
             let Some(matched) = self.matcher.accept(mask, shown_at) else { continue };
-            self.renderer.set_mask(Some(MaskView {
+            let used = self.renderer.set_mask(Some(MaskView {
                 mask: &mask.mask,
                 coverage: Some(&mask.coverage),
                 more: matched.more,
                 traced_for: &matched.traced_for,
             }))?;
-            response = matched.response;
+            if used {
+                response = matched.response;
+            } else {
+                tracing::debug!(frame = mask.frame.0, "the renderer cannot use the mask");
+                self.matcher.refused();
+                response = None;
+            }
         }
         Ok(response)
     }
@@ -161,7 +173,8 @@ impl FrameLoop {
         let step_s = previous.map_or(0.0, |(_, previous)| now.duration_since(previous).as_secs_f64());
         let lag = current.map(|current| current.lag(frame));
         let jumped = current.is_some_and(|current| has_jumped(&current.request.camera, camera, lag.unwrap_or(0)));
-        let decision = self.machine.step(Observation { lag, jumped, step_s });
+        let age_s = current.map_or(0.0, |current| current.age(now).as_secs_f64());
+        let decision = self.machine.step(Observation { lag, age_s, jumped, step_s });
         if self.state.replace(decision.state) != Some(decision.state) {
             match decision.state {
                 State::Degraded => tracing::warn!(frame = frame.0, ?lag, "degraded: visibility is too late"),
@@ -196,6 +209,7 @@ impl FrameLoop {
             known_share,
             mask_frame: current.map(|current| current.request.frame.0),
             lag: current.map(|current| current.lag(frame)),
+            age_ms: current.map(|current| millis(current.age(begun))),
             mask_width,
             mask_height,
             look_ahead_ms,
@@ -241,10 +255,19 @@ fn has_jumped(then: &Camera, now: &Camera, lag: u32) -> bool {
 }
 
 #[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "tests have a clock")]
 mod tests {
     use glam::DQuat;
+    use gnomon_protocol::mask::MaskShape;
 
     use super::*;
+    use crate::{
+        frame::{
+            guard::{Guard, GuardSize},
+            mode::{Mode, Thresholds},
+        },
+        render::testing,
+    };
 
     fn camera(position_m: DVec3, yaw: f64, pitch: f64) -> Camera {
         let orientation = DQuat::from_rotation_y(yaw) * DQuat::from_rotation_x(pitch);
@@ -274,5 +297,42 @@ mod tests {
         ] {
             assert_eq!(has_jumped(&here, &there, lag), jumped, "{there:?}");
         }
+    }
+
+    #[test]
+    fn only_masks_that_the_renderer_uses_count() {
+        let (gpu, scene) = (testing::gpu(), testing::floor_and_lights());
+        let shape = |lights| MaskShape::new(16, 16, lights).unwrap();
+        let fresh = || testing::renderer(&gpu, &scene, shape(2));
+        let (machine, no_band) =
+            (ModeMachine::new(Mode::Auto, Thresholds::default()), GuardSize { width: 0, height: 0 });
+        let guard = GuardChoice::new(Guard::Fixed(no_band), (16, 16));
+        let (source, now) = (MaskSource::Streamed { look_ahead: false }, Instant::now());
+        let mut frames = FrameLoop::new(fresh(), machine, guard, source, now);
+        // Each frame has another view, so each is requested.
+        let view = |frame: u32| {
+            let camera = testing::camera(16, 16);
+            Camera { position_m: camera.position_m + DVec3::X * 0.01 * f64::from(frame), ..camera }
+        };
+        let answer = |frames: &mut FrameLoop, frame: u32, lights: u32| {
+            let (camera, number) = (view(frame), FrameNumber(frame));
+            assert!(frames.request(number, &camera, 0.0, now, true).pose.is_some());
+            let mask = ReceivedMask { frame: number, ..ReceivedMask::blank(shape(lights), now) };
+            let taken = frames.accept_masks([mask].iter(), now).unwrap().is_some();
+            let lag = frames.matcher.current().map(|current| current.lag(number));
+            (taken, lag, frames.choose(number, &camera, now).decision.state)
+        };
+        assert_eq!(answer(&mut frames, 0, 2), (true, Some(0), State::Concurrent));
+        // The scene has two lights, and the renderer drops its masks.
+        assert_eq!(answer(&mut frames, 1, 3), (false, None, State::Degraded));
+        assert_eq!((frames.matcher.rejections().wrong_size, frames.renderer.mask_views().count()), (1, 0));
+        assert_eq!(answer(&mut frames, 2, 2), (true, Some(0), State::Concurrent));
+        // Another scene's renderer takes no mask of the old one.
+        frames.change_scene(FrameNumber(3), fresh());
+        assert!(frames.matcher.current().is_none());
+        let old = ReceivedMask { frame: FrameNumber(2), ..ReceivedMask::blank(shape(2), now) };
+        assert_eq!(frames.accept_masks([old].iter(), now).unwrap(), None);
+        assert_eq!(frames.matcher.rejections().before_reconnect, 1);
+        assert_eq!(answer(&mut frames, 3, 2), (true, Some(0), State::Concurrent));
     }
 }

@@ -48,7 +48,7 @@ impl FromStr for Mode {
     }
 }
 
-/// When the state changes. Lags are in client frames.
+/// When the state changes. Lags without a unit are in client frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Thresholds {
     /// The largest lag that is sequential in [`Mode::Auto`]; 0 disables it. The dissertation has 2. Ours is 0: at a lag
@@ -57,17 +57,21 @@ pub struct Thresholds {
     pub sequential_lag: u32,
     /// Consecutive frames with such a lag before sequential begins again.
     pub calm_frames: u32,
-    /// The largest lag that is predicted over. The dissertation has 50. Ours is 100: on Sponza without leaves,
+    /// The largest age of a mask that is predicted over, in s: how far the camera has moved on depends on time, not on
+    /// frames. The dissertation has 50 frames, at 60 frames/s 0.8 s. Ours is that of 100: on Sponza without leaves,
     /// prediction is then wrong in 0.48 % of the bits, and at 200 in 0.98 %; the client's own prediction is wrong in
     /// about 0.9 %.
-    pub prediction_lag: u32,
+    pub prediction_lag_s: f64,
     /// Duration of a fade from full received visibility to none.
     pub fade_s: f64,
 }
 
+/// Lag that is never too late: so late are the masks of a client that draws too slowly for any network.
+const SLOW_DRAWING_LAG: u32 = 2;
+
 impl Default for Thresholds {
     fn default() -> Self {
-        Self { sequential_lag: 0, calm_frames: 10, prediction_lag: 100, fade_s: 0.25 }
+        Self { sequential_lag: 0, calm_frames: 10, prediction_lag_s: 1.7, fade_s: 0.25 }
     }
 }
 
@@ -87,6 +91,8 @@ pub enum State {
 pub struct Observation {
     /// This frame's number minus that of the newest mask's frame; `None` if there is no mask.
     pub lag: Option<u32>,
+    /// The same in s; 0 if there is no mask.
+    pub age_s: f64,
     /// True if the camera jumped since the newest mask's frame, so no visibility can be carried over.
     pub jumped: bool,
     /// Time since the previous frame.
@@ -125,14 +131,14 @@ impl ModeMachine {
 
     /// Advances by one frame.
     pub fn step(&mut self, seen: Observation) -> Decision {
-        let Thresholds { sequential_lag, calm_frames, prediction_lag, fade_s } = self.thresholds;
+        let Thresholds { sequential_lag, calm_frames, prediction_lag_s, fade_s } = self.thresholds;
         let calm = seen.lag.is_some_and(|lag| lag <= sequential_lag);
         self.calm_frames = if calm { self.calm_frames.saturating_add(1) } else { 0 };
         // The dissertation's 2 frames also apply after a jump: wait for a new mask, but with a limit.
         let waits_for_jump = seen.jumped && sequential_lag > 0 && seen.lag.is_some_and(|lag| lag <= 6 * sequential_lag);
         self.state = match (seen.lag, self.mode) {
             (None, _) => State::Degraded,
-            (Some(lag), _) if lag > prediction_lag => State::Degraded,
+            (Some(lag), _) if lag > SLOW_DRAWING_LAG && seen.age_s > prediction_lag_s => State::Degraded,
             (Some(_), Mode::Sequential) => State::Sequential,
             (Some(_), Mode::Concurrent) => State::Concurrent,
             (Some(_), Mode::Auto) if waits_for_jump => State::Sequential,
@@ -158,11 +164,11 @@ mod tests {
     const STEP_S: f64 = 1.0 / 60.0;
 
     fn seen(lag: Option<u32>, jumped: bool) -> Observation {
-        Observation { lag, jumped, step_s: STEP_S }
+        Observation { lag, age_s: lag.map_or(0.0, |lag| f64::from(lag) * STEP_S), jumped, step_s: STEP_S }
     }
 
     fn dissertation() -> Thresholds {
-        Thresholds { sequential_lag: 2, prediction_lag: 50, ..Thresholds::default() }
+        Thresholds { sequential_lag: 2, prediction_lag_s: 50.5 * STEP_S, ..Thresholds::default() }
     }
 
     #[test]
@@ -194,8 +200,8 @@ mod tests {
         let ours: &[(Option<u32>, bool, u32, State)] = &[
             (Some(0), false, 100, Concurrent),
             (Some(2), true, 1, Concurrent),
-            (Some(100), false, 1, Concurrent),
-            (Some(101), false, 1, Degraded),
+            (Some(101), false, 1, Concurrent),
+            (Some(103), false, 1, Degraded),
             (Some(1), false, 1, Concurrent),
         ];
         let sequential: &[(Option<u32>, bool, u32, State)] =
@@ -220,11 +226,28 @@ mod tests {
     }
 
     #[test]
+    fn masks_are_too_late_by_their_time_and_not_by_their_frames() {
+        for (lag, age_s, state) in [
+            // A thousand frames a second, 0.4 s late.
+            (400, 0.4, State::Concurrent),
+            (1700, 1.7, State::Concurrent),
+            (1701, 1.701, State::Degraded),
+            (3, 1.8, State::Degraded),
+            // A frame every four seconds: no mask can be newer.
+            (2, 8.0, State::Concurrent),
+        ] {
+            let mut machine = ModeMachine::new(Mode::Auto, Thresholds::default());
+            let decision = machine.step(Observation { lag: Some(lag), age_s, jumped: false, step_s: STEP_S });
+            assert_eq!(decision.state, state, "{lag} frames, {age_s} s");
+        }
+    }
+
+    #[test]
     fn the_share_fades_without_jumps() {
         let mut machine = ModeMachine::new(Mode::Auto, Thresholds::default());
         let mut shares = vec![0.0];
         let lags =
-            (0..30).map(|_| Some(3)).chain((101..170).map(Some)).chain((0..30).map(|_| Some(4))).chain([None; 30]);
+            (0..30).map(|_| Some(3)).chain((103..172).map(Some)).chain((0..30).map(|_| Some(4))).chain([None; 30]);
         for lag in lags {
             shares.push(machine.step(seen(lag, false)).visibility_share);
         }

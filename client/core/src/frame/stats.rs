@@ -28,7 +28,8 @@ pub struct FrameStats {
     /// When its pose was taken, counted from the first frame.
     pub t_ms: f64,
     pub state: State,
-    /// Connection state: `live`, `draining`, `lost`, `refused`, or `offline` without a server.
+    /// Connection state: `live`, `draining`, `lost`, `refused`, `fetching` another scene, or `offline` without a
+    /// server.
     pub link: &'static str,
     /// Weight of received visibility against the client's own prediction, 0 to 1.
     pub visibility_share: f32,
@@ -38,6 +39,8 @@ pub struct FrameStats {
     pub mask_frame: Option<u32>,
     /// Age of the mask in frames.
     pub lag: Option<u32>,
+    /// Time between the beginnings of the mask's frame and this one.
+    pub age_ms: Option<f64>,
     /// Size of the requested mask, guard band included.
     pub mask_width: u16,
     pub mask_height: u16,

@@ -45,6 +45,8 @@ pub struct CurrentMask {
     traced_for: Camera,
     /// The newest frame that it fully answers: its own, or a later one if the camera has not moved since.
     as_of: FrameNumber,
+    /// When that frame began.
+    as_of_begun: Instant,
     /// Size of its frame on the wire, without packet headers.
     pub bytes: usize,
     pub packets: u16,
@@ -55,6 +57,12 @@ impl CurrentMask {
     #[must_use]
     pub fn lag(&self, frame: FrameNumber) -> u32 {
         frame.0.saturating_sub(self.as_of.0)
+    }
+
+    /// Returns the mask's age in a frame that began at `begun`.
+    #[must_use]
+    pub fn age(&self, begun: Instant) -> Duration {
+        begun.saturating_duration_since(self.as_of_begun)
     }
 }
 
@@ -78,7 +86,7 @@ impl MaskMatcher {
         let recent = self.last_request.is_some_and(|last| now.saturating_duration_since(last) < REFRESH);
         let skip = answer.is_some() && recent;
         if let Some(current) = answer {
-            current.as_of = frame;
+            (current.as_of, current.as_of_begun) = (frame, now);
         }
         if !skip {
             self.last_request = Some(now);
@@ -108,6 +116,23 @@ impl MaskMatcher {
         self.history.reconnected(frame);
     }
 
+    /// Forgets all masks: from `frame` on, they are of another scene and go over a new connection.
+    pub fn scene_changed(&mut self, frame: FrameNumber) {
+        self.reconnected(frame);
+        self.forget_masks();
+    }
+
+    /// Takes back the last [`Self::accept`]: the renderer cannot use the mask, and has dropped the others with it.
+    pub fn refused(&mut self) {
+        self.rejections.count(Rejection::WrongSize);
+        self.forget_masks();
+    }
+
+    fn forget_masks(&mut self) {
+        (self.current, self.coverage) = (None, None);
+        self.views.clear();
+    }
+
     /// Returns the request that `mask` answers and the view that it was traced for.
     ///
     /// # Errors
@@ -133,11 +158,13 @@ impl MaskMatcher {
         let more = self.current.is_some_and(|current| current.request.frame == request.frame);
         let response = request.sent_at.map(|sent| mask.received_at.saturating_duration_since(sent));
         let same_view = self.current.filter(|before| before.traced_for == traced_for);
-        let as_of = same_view.map_or(request.frame, |before| before.as_of.max(request.frame));
+        let (as_of, as_of_begun) = same_view
+            .filter(|before| before.as_of > request.frame)
+            .map_or((request.frame, request.begun), |before| (before.as_of, before.as_of_begun));
         let before = self.coverage.take().filter(|_| same_view.is_some());
         self.coverage = Some(before.map_or_else(|| mask.coverage.clone(), |before| before.or(&mask.coverage)));
         let (bytes, packets) = (mask.payload_bytes, mask.packets);
-        self.current = Some(CurrentMask { request, traced_for, as_of, bytes, packets });
+        self.current = Some(CurrentMask { request, traced_for, as_of, as_of_begun, bytes, packets });
         self.views.truncate(MAX_LAYERS - 1);
         self.views.push_front((traced_for, request.frame));
         // Karn's rule for round trips: the response to a repeated pose says nothing about the server. If it counted,

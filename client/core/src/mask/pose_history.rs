@@ -1,17 +1,27 @@
 //! The latest frames and the masks they requested, for comparison with the masks that arrive.
 
+use std::{collections::VecDeque, time::Duration};
+
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose::Pose};
 use gnomon_scene::camera::Camera;
 use serde::Serialize;
 use web_time::Instant;
 
-/// Four seconds at 60 frames/s; more than any lag worth predicting over.
-pub const HISTORY_FRAMES: u32 = 256;
+/// How long a frame is remembered, in s: longer than any lag worth predicting over.
+pub const HISTORY_S: f64 = 4.0;
+
+/// Frames that are remembered even longer, for clients that draw slowly.
+const MIN_FRAMES: usize = 256;
+
+/// Most frames that are remembered: four seconds at 16 thousand frames/s.
+const MAX_FRAMES: usize = 1 << 16;
 
 /// A frame and the mask requested for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MaskRequest {
     pub frame: FrameNumber,
+    /// When the frame began.
+    pub begun: Instant,
     /// The picture's camera.
     pub camera: Camera,
     /// The same with the guard band. Stored as computed: if it were rebuilt from the pose, its quaternion would be
@@ -35,7 +45,7 @@ pub enum Rejection {
     NeverSent,
     /// Its frame was drawn before the current connection.
     BeforeReconnect,
-    /// Its size differs from the requested one.
+    /// Its size or its number of lights differs from the requested one.
     WrongSize,
 }
 
@@ -62,26 +72,41 @@ impl Rejections {
     }
 }
 
-/// A ring of the latest requests, indexed by frame number.
+/// The latest requests.
 #[derive(Debug, Clone)]
 pub struct PoseHistory {
-    slots: Vec<Option<MaskRequest>>,
-    newest: Option<FrameNumber>,
+    /// In ascending order of their frames.
+    requests: VecDeque<MaskRequest>,
     /// First frame whose pose went over the current connection.
     connected_since: FrameNumber,
 }
 
 impl Default for PoseHistory {
     fn default() -> Self {
-        Self { slots: vec![None; HISTORY_FRAMES as usize], newest: None, connected_since: FrameNumber(0) }
+        Self { requests: VecDeque::new(), connected_since: FrameNumber(0) }
     }
 }
 
 impl PoseHistory {
-    /// Adds a frame and drops the one [`HISTORY_FRAMES`] before it.
+    /// Adds a frame that is newer than all others, and drops those that are older than [`HISTORY_S`].
     pub fn insert(&mut self, request: MaskRequest) {
-        self.newest = self.newest.max(Some(request.frame));
-        self.slots[Self::slot(request.frame)] = Some(request);
+        // A counter that starts again, as after the last of all numbers, leaves nothing to compare with.
+        if self.newest().is_some_and(|newest| newest >= request.frame) {
+            self.requests.clear();
+        }
+        let is_old = |oldest: &MaskRequest| {
+            request.begun.saturating_duration_since(oldest.begun) > Duration::from_secs_f64(HISTORY_S)
+        };
+        while self.requests.len() >= MAX_FRAMES
+            || self.requests.len() >= MIN_FRAMES && self.requests.front().is_some_and(is_old)
+        {
+            self.requests.pop_front();
+        }
+        self.requests.push_back(request);
+    }
+
+    fn newest(&self) -> Option<FrameNumber> {
+        self.requests.back().map(|request| request.frame)
     }
 
     /// Notes that poses from `frame` on go over a new connection.
@@ -92,7 +117,8 @@ impl PoseHistory {
     /// Returns the frame's request, or `None` if it is too old or was never added.
     #[must_use]
     pub fn get(&self, frame: FrameNumber) -> Option<&MaskRequest> {
-        self.slots[Self::slot(frame)].as_ref().filter(|request| request.frame == frame)
+        let place = self.requests.binary_search_by_key(&frame, |request| request.frame).ok()?;
+        self.requests.get(place)
     }
 
     /// Returns the request that a mask of `frame` with this shape answers.
@@ -100,15 +126,15 @@ impl PoseHistory {
     /// # Errors
     /// If it answers no request of the current connection.
     pub fn answered(&self, frame: FrameNumber, shape: MaskShape) -> Result<&MaskRequest, Rejection> {
-        if self.newest < Some(frame) {
+        if self.newest() < Some(frame) {
             return Err(Rejection::Future);
         }
         if frame < self.connected_since {
             return Err(Rejection::BeforeReconnect);
         }
         let Some(request) = self.get(frame) else {
-            let oldest = self.newest.map_or(0, |newest| newest.0.saturating_sub(HISTORY_FRAMES - 1));
-            return Err(if frame.0 < oldest { Rejection::Forgotten } else { Rejection::NeverSent });
+            let is_older = self.requests.front().is_some_and(|oldest| frame < oldest.frame);
+            return Err(if is_older { Rejection::Forgotten } else { Rejection::NeverSent });
         };
         if request.sent_at.is_none() {
             return Err(Rejection::NeverSent);
@@ -117,10 +143,6 @@ impl PoseHistory {
             return Err(Rejection::WrongSize);
         }
         Ok(request)
-    }
-
-    fn slot(frame: FrameNumber) -> usize {
-        (frame.0 % HISTORY_FRAMES) as usize
     }
 }
 
@@ -132,6 +154,10 @@ mod tests {
     use super::*;
 
     fn request(frame: u32, sent: bool) -> MaskRequest {
+        request_at(frame, sent, Instant::now())
+    }
+
+    fn request_at(frame: u32, sent: bool, begun: Instant) -> MaskRequest {
         let pose = Pose {
             position_m: [f64::from(frame), 0.0, 0.0],
             orientation: [0.0, 0.0, 0.0, 1.0],
@@ -148,20 +174,29 @@ mod tests {
             width: 64,
             height: 36,
         };
-        MaskRequest { frame: FrameNumber(frame), camera, mask_camera: camera, pose, sent_at: sent.then(Instant::now) }
+        let sent_at = sent.then_some(begun);
+        MaskRequest { frame: FrameNumber(frame), begun, camera, mask_camera: camera, pose, sent_at }
+    }
+
+    /// Inserts 8 s of frames at this rate. Returns how many of them are remembered.
+    fn remembered(frames_per_s: u32) -> u32 {
+        let (mut history, first) = (PoseHistory::default(), Instant::now());
+        assert_eq!(history.get(FrameNumber(0)), None);
+        let frames = 8 * frames_per_s;
+        for frame in 0..frames {
+            history.insert(request_at(frame, true, first + Duration::from_secs(1) * frame / frames_per_s));
+        }
+        let known: Vec<u32> = (0..frames + 1000).filter(|frame| history.get(FrameNumber(*frame)).is_some()).collect();
+        assert_eq!((known.last(), known.windows(2).all(|pair| pair[1] == pair[0] + 1)), (Some(&(frames - 1)), true));
+        let oldest = history.get(FrameNumber(known[0])).unwrap();
+        assert_eq!(oldest.pose.position_m[0], f64::from(known[0]));
+        u32::try_from(known.len()).unwrap()
     }
 
     #[test]
-    fn the_latest_frames_are_found_and_older_ones_are_not() {
-        let mut history = PoseHistory::default();
-        assert_eq!(history.get(FrameNumber(0)), None);
-        for frame in 0..400 {
-            history.insert(request(frame, true));
-        }
-        assert_eq!(history.get(FrameNumber(399)).unwrap().pose.position_m[0], 399.0);
-        assert_eq!(history.get(FrameNumber(144)).unwrap().pose.position_m[0], 144.0);
-        for gone in [0, 143, 400, 399 + 256] {
-            assert_eq!(history.get(FrameNumber(gone)), None);
+    fn frames_are_remembered_for_a_time_whatever_their_rate() {
+        for (frames_per_s, expected) in [(60, 256), (100, 401), (1000, 4001), (4, 32), (20_000, 1 << 16)] {
+            assert_eq!(remembered(frames_per_s), expected, "{frames_per_s} frames/s");
         }
     }
 
@@ -193,6 +228,9 @@ mod tests {
             assert_eq!(history.answered(FrameNumber(frame), shape(width)).err(), expected, "frame {frame}");
         }
         history.reconnected(FrameNumber(0));
+        // Old ones are dropped when a new one comes.
+        let later = Instant::now() + Duration::from_secs_f64(2.0 * HISTORY_S);
+        history.insert(request_at(400, true, later));
         for (frame, expected) in [(143, Rejection::Forgotten), (0, Rejection::Forgotten), (380, Rejection::NeverSent)] {
             assert_eq!(history.answered(FrameNumber(frame), shape(64)), Err(expected), "frame {frame}");
         }

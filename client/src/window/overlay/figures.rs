@@ -124,6 +124,7 @@ mod tests {
             known_share: Some(0.9),
             mask_frame: Some(mask_frame),
             lag: Some(frame - mask_frame),
+            age_ms: None,
             mask_width: 64,
             mask_height: 36,
             look_ahead_ms: 0,
