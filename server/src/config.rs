@@ -40,6 +40,9 @@ pub struct ServerConfig {
     /// Transport of the sessions; the lab transports are unencrypted and listen on loopback only
     #[arg(long, value_enum, default_value_t = Transport::Quic)]
     pub transport: Transport,
+    /// Serve browsers, too, by WebTransport (h3) on the same port; `--browsers=false` leaves the native protocol only
+    #[arg(long, default_value_t = true)]
+    pub browsers: bool,
     /// What traces the rays
     #[arg(long, value_enum, default_value_t = Backend::Auto)]
     pub backend: Backend,
@@ -223,6 +226,8 @@ pub enum ConfigError {
     WebInTheClear(SocketAddr),
     #[error("--web is for web pages, which need --transport quic")]
     WebWithoutQuic,
+    #[error("--web is for web pages, which --browsers=false turns away: leave one of them out")]
+    WebWithoutBrowsers,
     /// A lab transport on an address that others can reach.
     #[error(
         "--transport {transport} sends everything unencrypted and unauthenticated, so it listens on loopback only, \
@@ -252,6 +257,9 @@ impl ServerConfig {
         if let Some(web) = self.web.and_then(AdminAddress::address) {
             if self.transport != Transport::Quic {
                 return Err(ConfigError::WebWithoutQuic);
+            }
+            if !self.browsers {
+                return Err(ConfigError::WebWithoutBrowsers);
             }
             if self.cert_file.is_none() && !web.ip().is_loopback() {
                 return Err(ConfigError::WebInTheClear(web));
@@ -376,6 +384,8 @@ mod tests {
         assert!(clear.contains("0.0.0.0:80") && clear.contains("--cert-file"), "{clear}");
         let lab = config("web = \"8080\"\ntransport = \"lab-tcp\"").unwrap_err().to_string();
         assert!(lab.contains("--transport quic"), "{lab}");
+        let none = config("web = \"8080\"\nbrowsers = false").unwrap_err().to_string();
+        assert!(none.contains("--browsers=false"), "{none}");
     }
 
     #[test]

@@ -5,13 +5,16 @@
 //! | what | limit | beyond it |
 //! |---|---|---|
 //! | an unproven address | a Retry of 108 bytes | nothing more |
-//! | handshakes under way | [`MAX_HANDSHAKES`] ([`MAX_HANDSHAKES_PER_ADDRESS`]) | refused, `cause="handshakes"` |
+//! | new connections of an address | [`CONNECTIONS_PER_SECOND`], [`CONNECTION_BURST`] | refused, `cause="rate"` |
+//! | handshakes | [`MAX_HANDSHAKES`] ([`MAX_HANDSHAKES_PER_ADDRESS`]) | the oldest goes, `cause="handshakes"` |
+//! | connections without a session | [`MAX_WITHOUT_SESSION`] and `…_PER_ADDRESS` | refused, `cause="connections"` |
 //! | a handshake | `handshake_timeout_ms`, see [`UNHURRIED_LIMITS`] | refused, `cause="silent"` |
-//! | bytes before admission | [`INCOMING_BUFFER_BYTES`], [`INCOMING_BUFFER_TOTAL_BYTES`] in all | dropped by quinn |
+//! | bytes before a handshake | [`INCOMING_BUFFER_BYTES`], [`INCOMING_BUFFER_TOTAL_BYTES`] in all | dropped by quinn |
+//! | bytes before admission | [`MAX_BYTES_BEFORE_ADMISSION`] | refused, `cause="broken"` |
 //! | a message | [`MAX_CLIENT_MESSAGE_BYTES`] | the session ends |
 //! | messages per second | [`MAX_MESSAGES_PER_SECOND`] | the session ends |
 //! | streams | [`MAX_BIDI_STREAMS`], [`MAX_UNI_STREAMS`] | flow control |
-//! | unread stream bytes | [`STREAM_RECEIVE_WINDOW_BYTES`] | flow control |
+//! | unread stream bytes | [`STREAM_RECEIVE_WINDOW_BYTES`], [`RECEIVE_WINDOW_BYTES`] in all | flow control |
 //! | sessions | `max_sessions`, `max_sessions_per_address` | refused, `cause="full"`, `"address"` |
 //! | device time of all | `device_budget_ms` | refused, `cause="budget"` |
 //! | core time of all | `cores_budget_ms` | refused, `cause="budget"` |
@@ -20,6 +23,7 @@
 //! | masks of a session without a rate | what other sessions leave | its next mask waits |
 //! | memory of all | `memory_budget_mb` | refused, `cause="budget"` |
 //! | scene bytes of all | what masks leave of `network_budget_mbit` | its next chunk waits |
+//! | bytes received per second | [`MAX_RECEIVED_BYTES_PER_SECOND`] | the session ends |
 //! | poses per second | [`MAX_POSES_PER_SECOND`] | dropped, `outcome="over_rate"` |
 //! | unread poses | [`DATAGRAM_RECEIVE_BUFFER_BYTES`] | the oldest are dropped, `outcome="unread"` |
 //! | bytes per second | [`MAX_CLIENT_BYTES_PER_SECOND`] | its next mask waits |
@@ -40,11 +44,37 @@ use std::{num::NonZeroUsize, time::Duration};
 /// Longest client message: a token, a name and a few numbers. Bounds memory before admission.
 pub const MAX_CLIENT_MESSAGE_BYTES: usize = 4096;
 
-/// Connections between first packet and admission. More are refused at once.
-pub const MAX_HANDSHAKES: usize = 128;
+/// Connections between first packet and admission. A connection holds about 100 KB then, and at most 300 KB: unread
+/// bytes of its streams ([`STREAM_RECEIVE_WINDOW_BYTES`]), unread datagrams ([`DATAGRAM_RECEIVE_BUFFER_BYTES`]), a
+/// capsule or frame of HTTP/3 (64 KiB), and quinn's and rustls' own state.
+pub const MAX_HANDSHAKES: usize = 512;
 
-/// Share of [`MAX_HANDSHAKES`] for one address, so that a flood from it leaves half to others.
-pub const MAX_HANDSHAKES_PER_ADDRESS: usize = MAX_HANDSHAKES / 2;
+/// Share of [`MAX_HANDSHAKES`] for one address, so that a flood from it leaves the rest to others.
+pub const MAX_HANDSHAKES_PER_ADDRESS: usize = MAX_HANDSHAKES / 8;
+
+/// Limits of one address hold this many times for an IPv6 /48: its owner has 65,536 of the /64 that count as an
+/// address, but a /48 may also be a campus of many peers.
+pub const SITE_ADDRESSES: usize = 4;
+
+/// Connections without a session, those included that are closing: until the peer confirms, quinn keeps one for three
+/// probe timeouts, which the peer's own round trips and delays set. A closing one holds no more than a handshake.
+pub const MAX_WITHOUT_SESSION: usize = 4 * MAX_HANDSHAKES;
+
+/// Share of [`MAX_WITHOUT_SESSION`] for one address.
+pub const MAX_WITHOUT_SESSION_PER_ADDRESS: usize = 4 * MAX_HANDSHAKES_PER_ADDRESS;
+
+/// New connections per second of one address. A handshake takes about a millisecond of a core, so an address can take
+/// less than a tenth of one.
+pub const CONNECTIONS_PER_SECOND: u32 = 64;
+
+/// Connections that one address may open at once: the clients of a large NAT, after a server has restarted.
+pub const CONNECTION_BURST: u32 = 256;
+
+/// Networks whose rate of new connections is remembered, in about 60 bytes each.
+pub const MAX_RATED_NETWORKS: usize = 8192;
+
+/// Bytes of a peer until it is admitted, packet headers included: a handshake and a Hello, ten times over.
+pub const MAX_BYTES_BEFORE_ADMISSION: u64 = 128 * 1024;
 
 /// While at most this many handshakes are under way, each gets [`UNHURRIED_LIMITS`].
 pub const MAX_UNHURRIED_HANDSHAKES: usize = MAX_HANDSHAKES / 4;
@@ -62,7 +92,11 @@ pub const INCOMING_BUFFER_TOTAL_BYTES: u64 = 2 * 1024 * 1024;
 /// Unread datagrams of a session: about 200 poses. Older ones are dropped.
 pub const DATAGRAM_RECEIVE_BUFFER_BYTES: usize = 32 * 1024;
 
+/// Unread bytes of one stream, and, before admission, of all streams of a connection.
 pub const STREAM_RECEIVE_WINDOW_BYTES: u32 = 64 * 1024;
+
+/// Unread bytes of all streams of a session.
+pub const RECEIVE_WINDOW_BYTES: u32 = 4 * STREAM_RECEIVE_WINDOW_BYTES;
 
 /// Scene bytes in flight to one client.
 pub const SEND_WINDOW_BYTES: u64 = 4 * 1024 * 1024;
@@ -94,6 +128,13 @@ pub const MAX_POSES_PER_SECOND: u32 = 2000;
 /// Highest rate that a session may declare, in masks per second. No screen shows more; higher ones count as this.
 pub const MAX_RATE_HZ: u16 = 500;
 
+/// Bytes per second from a client, packet headers included: several times those of
+/// [`MAX_POSES_PER_SECOND`].
+pub const MAX_RECEIVED_BYTES_PER_SECOND: u64 = 2 * 1024 * 1024;
+
+/// A client may send this part of what it receives, besides [`MAX_RECEIVED_BYTES_PER_SECOND`]: acknowledgements.
+pub const ACKNOWLEDGED_SHARE: u64 = 8;
+
 /// Frame bytes per second of a client, and the size of a burst: enough for words at 1920×1080 and 60 frames/s.
 pub const MAX_CLIENT_BYTES_PER_SECOND: u64 = 500_000_000;
 
@@ -118,6 +159,10 @@ pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Time for a peer to read a last message before its connection is closed.
 pub const LINGER: Duration = Duration::from_millis(500);
+
+/// Time for a WebTransport peer to learn why its session closes, before its connection does: two round trips of
+/// 800 ms, and some patience.
+pub const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Time for frames in flight when a session stops.
 pub const FINISH_TIMEOUT: Duration = Duration::from_secs(2);

@@ -1,12 +1,10 @@
-//! Limits per client address, so that one peer cannot take all sessions or handshakes.
+//! Limits of sessions per client address, so that one peer cannot take all of them.
 
-use std::{
-    collections::HashMap,
-    net::{IpAddr, Ipv6Addr},
-    sync::Arc,
-};
+use std::{collections::HashMap, net::IpAddr, sync::Arc};
 
 use parking_lot::Mutex;
+
+use crate::net::network::Network;
 
 /// Counts permits per address. An IPv6 /64 counts as one address, since one owner has all of it.
 #[derive(Debug)]
@@ -15,13 +13,13 @@ pub(crate) struct AddressLimit {
     /// True to limit loopback, too. Behind a local proxy every client has that address.
     loopback: bool,
     /// Only addresses with permits, so the permits bound its size.
-    counts: Mutex<HashMap<IpAddr, usize>>,
+    counts: Mutex<HashMap<Network, usize>>,
 }
 
 /// Released on drop. The default is for loopback, which is not counted.
 #[derive(Debug, Default)]
 pub(crate) struct AddressPermit {
-    counted: Option<(Arc<AddressLimit>, IpAddr)>,
+    counted: Option<(Arc<AddressLimit>, Network)>,
 }
 
 impl AddressLimit {
@@ -34,7 +32,7 @@ impl AddressLimit {
         if !self.loopback && address.to_canonical().is_loopback() {
             return Some(AddressPermit::default());
         }
-        let owner = owner(address);
+        let owner = Network::of(address);
         let mut counts = self.counts.lock();
         let count = counts.entry(owner).or_default();
         if *count >= self.max {
@@ -49,7 +47,7 @@ impl AddressPermit {
     /// Returns whether a peer at `address` needs no other permit.
     pub(crate) fn covers(&self, address: IpAddr) -> bool {
         match &self.counted {
-            Some((_, counted)) => *counted == owner(address),
+            Some((_, counted)) => *counted == Network::of(address),
             None => address.to_canonical().is_loopback(),
         }
     }
@@ -64,17 +62,6 @@ impl Drop for AddressPermit {
             if *count == 0 {
                 counts.remove(&owner);
             }
-        }
-    }
-}
-
-/// The network that one owner has.
-pub(super) fn owner(address: IpAddr) -> IpAddr {
-    match address.to_canonical() {
-        IpAddr::V4(address) => address.into(),
-        IpAddr::V6(address) => {
-            let network = u128::from(address) & !u128::from(u64::MAX);
-            Ipv6Addr::from(network).into()
         }
     }
 }

@@ -13,8 +13,11 @@ use std::{
 
 use parking_lot::Mutex;
 
-use super::{addresses::owner, tokens::store::TokenRejection};
-use crate::limits::{FAILED_TOKENS_LOGGED_EVERY, FAILED_TOKENS_WINDOW, MAX_FAILED_ADDRESSES, MAX_FAILED_TOKENS};
+use super::tokens::store::TokenRejection;
+use crate::{
+    limits::{FAILED_TOKENS_LOGGED_EVERY, FAILED_TOKENS_WINDOW, MAX_FAILED_ADDRESSES, MAX_FAILED_TOKENS},
+    net::network::Network,
+};
 
 /// What a blocked client and the log are told.
 pub(crate) const BLOCKED: &str = "too many wrong tokens from its address";
@@ -26,7 +29,7 @@ pub(crate) struct FailedTokens {
 
 #[derive(Debug, Default)]
 struct State {
-    addresses: HashMap<IpAddr, Failures>,
+    addresses: HashMap<Network, Failures>,
     unlogged: u64,
     logged_at: Option<Instant>,
 }
@@ -48,7 +51,8 @@ impl FailedTokens {
     /// Returns how long this address must wait, if it has sent too many wrong tokens.
     pub(crate) fn blocked(&self, address: IpAddr, now: Instant) -> Option<Duration> {
         let state = self.state.lock();
-        let failures = state.addresses.get(&owner(address)).filter(|failures| failures.count >= MAX_FAILED_TOKENS)?;
+        let failures =
+            state.addresses.get(&Network::of(address)).filter(|failures| failures.count >= MAX_FAILED_TOKENS)?;
         failures.left(now)
     }
 
@@ -58,7 +62,7 @@ impl FailedTokens {
         // Whoever knows a token that was good once guesses nothing.
         let guessed = matches!(problem, TokenRejection::Missing | TokenRejection::Unknown);
         if guessed && !address.to_canonical().is_loopback() {
-            state.add(owner(address), now);
+            state.add(Network::of(address), now);
         }
         let unlogged = state.to_log(now);
         drop(state);
@@ -77,7 +81,7 @@ impl FailedTokens {
 }
 
 impl State {
-    fn add(&mut self, owner: IpAddr, now: Instant) {
+    fn add(&mut self, owner: Network, now: Instant) {
         if !self.addresses.contains_key(&owner) && self.addresses.len() >= MAX_FAILED_ADDRESSES {
             self.addresses.retain(|_, failures| failures.left(now).is_some());
             if self.addresses.len() >= MAX_FAILED_ADDRESSES
@@ -108,6 +112,10 @@ impl State {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn network(address: &str) -> Network {
+        Network::of(address.parse().unwrap())
+    }
 
     fn fail(failed: &FailedTokens, address: &str, now: Instant) {
         failed.count(address.parse().unwrap(), TokenRejection::Unknown, now);
@@ -155,12 +163,12 @@ mod tests {
         let mut state = failed.state.lock();
         assert_eq!(state.addresses.len(), MAX_FAILED_ADDRESSES);
         assert_eq!(state.unlogged, u64::from(most) + 99, "all but the first wait for a line");
-        assert!(!state.addresses.contains_key(&"10.0.0.0".parse().unwrap()), "the oldest is forgotten first");
+        assert!(!state.addresses.contains_key(&network("10.0.0.0")), "the oldest is forgotten first");
         let later = start + FAILED_TOKENS_LOGGED_EVERY * 2;
         assert_eq!(state.to_log(later), Some(u64::from(most) + 100));
         assert_eq!(state.to_log(later), None);
         // Those whose time is over make room at once.
-        state.add("192.0.2.1".parse().unwrap(), start + FAILED_TOKENS_WINDOW * 2);
+        state.add(network("192.0.2.1"), start + FAILED_TOKENS_WINDOW * 2);
         assert_eq!(state.addresses.len(), 1);
     }
 }

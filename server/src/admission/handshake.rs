@@ -69,10 +69,6 @@ struct Applicant {
 /// Why a peer was not admitted.
 #[derive(Debug, Error)]
 pub(crate) enum HandshakeError {
-    #[error("{0}")]
-    Arrival(String),
-    #[error("{0}")]
-    Origin(String),
     #[error("refused: {0}")]
     Refused(Refusal),
     #[error(transparent)]
@@ -110,7 +106,7 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
             link.writer.finish().await;
             // Closing at once would overtake the refusal, so wait until the client has read it and left.
             let _ = timeout(LINGER, link.reader.drain()).await;
-            link.data.closer().close(CloseCode::Refused, "refused");
+            link.data.closer().close(CloseCode::Refused, &refusal.to_string());
             Err(HandshakeError::Refused(refusal))
         }
     }

@@ -3,18 +3,15 @@
 
 use std::{pin::pin, time::Duration};
 
-use tokio::{
-    sync::OwnedSemaphorePermit,
-    time::{Instant, sleep_until},
-};
+use tokio::time::{Instant, sleep_until};
 
-use crate::limits::{MAX_HANDSHAKES, MAX_UNHURRIED_HANDSHAKES, UNHURRIED_LIMITS};
+use crate::limits::{MAX_UNHURRIED_HANDSHAKES, UNHURRIED_LIMITS};
 
-/// Runs `work` for up to `limit`, or up to [`UNHURRIED_LIMITS`] times that while few handshakes are under way. Returns
-/// `None` after the time limit. `permit` is one of [`MAX_HANDSHAKES`].
+/// Runs `work` for up to `limit`, or up to [`UNHURRIED_LIMITS`] times that while few handshakes are `under_way`, this
+/// one included. Returns `None` after the time limit.
 pub(crate) async fn within<T>(
     limit: Duration,
-    permit: &OwnedSemaphorePermit,
+    under_way: impl Fn() -> usize,
     work: impl Future<Output = T>,
 ) -> Option<T> {
     let started_at = Instant::now();
@@ -26,8 +23,7 @@ pub(crate) async fn within<T>(
             done = &mut work => return Some(done),
             () = sleep_until(next_check) => {}
         }
-        let under_way = MAX_HANDSHAKES.saturating_sub(permit.semaphore().available_permits());
-        if !may_continue(started_at.elapsed(), limit, under_way) {
+        if !may_continue(started_at.elapsed(), limit, under_way()) {
             return None;
         }
         // Checked again, in case a flood begins later.
@@ -42,11 +38,8 @@ fn may_continue(elapsed: Duration, limit: Duration, under_way: usize) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
-    use tokio::sync::Semaphore;
-
     use super::*;
+    use crate::limits::MAX_HANDSHAKES;
 
     const LIMIT: Duration = Duration::from_millis(20);
 
@@ -60,16 +53,13 @@ mod tests {
 
     #[tokio::test]
     async fn a_handshake_ends_when_its_time_is_up() {
-        let permits = Arc::new(Semaphore::new(MAX_HANDSHAKES));
-        let mine = Arc::clone(&permits).try_acquire_owned().unwrap();
-        assert_eq!(within(LIMIT, &mine, async { 5 }).await, Some(5));
+        assert_eq!(within(LIMIT, || 1, async { 5 }).await, Some(5));
         let started_at = Instant::now();
-        assert_eq!(within(LIMIT, &mine, std::future::pending::<()>()).await, None);
+        assert_eq!(within(LIMIT, || 1, std::future::pending::<()>()).await, None);
         assert!(started_at.elapsed() >= LIMIT * UNHURRIED_LIMITS);
         // During a flood it gets no extra time.
-        let _flood = Arc::clone(&permits).acquire_many_owned(u32::try_from(MAX_HANDSHAKES - 1).unwrap()).await.unwrap();
         let started_at = Instant::now();
-        assert_eq!(within(LIMIT * 50, &mine, std::future::pending::<()>()).await, None);
+        assert_eq!(within(LIMIT * 50, || MAX_HANDSHAKES, std::future::pending::<()>()).await, None);
         assert!(started_at.elapsed() < LIMIT * 50 * UNHURRIED_LIMITS);
     }
 }

@@ -1,24 +1,22 @@
 //! Accepts peers. Each one's handshake and session run in their own task.
 
-use std::sync::Arc;
+use std::{pin::pin, sync::Arc};
 
-use tokio::{
-    sync::{OwnedSemaphorePermit, Semaphore},
-    task::JoinSet,
-};
+use thiserror::Error;
+use tokio::task::JoinSet;
 use tracing::Instrument as _;
 
 use crate::{
     admission::{
-        addresses::{AddressLimit, AddressPermit},
-        handshake::{self, HandshakeError},
+        handshake::{self, AdmittedClient, HandshakeError},
         services::Services,
         time_limit,
     },
-    limits,
     metrics::causes::RefusalCause,
     net::{
-        endpoint::{Arrival, ArrivalError, Endpoint},
+        connections::{Expelled, Guard, Place, Tenure, Turned},
+        endpoint::{Arrival, ArrivalError, Endpoint, Opening},
+        link::{CloseCode, Link},
         page::PageError,
     },
     phase::stopping,
@@ -27,22 +25,22 @@ use crate::{
 
 /// Serves peers until the server stops. Then refuses new peers and waits for the sessions to end.
 pub(super) async fn accept(endpoint: Arc<Endpoint>, services: Arc<Services>) {
-    let handshakes = Arc::new(Semaphore::new(limits::MAX_HANDSHAKES));
-    let addresses = AddressLimit::new(limits::MAX_HANDSHAKES_PER_ADDRESS, true);
     let mut phase = services.phase.clone();
     let mut sessions = JoinSet::new();
     loop {
         tokio::select! {
             arrival = endpoint.accept() => {
                 let Some(arrival) = arrival else { break };
-                let permit = Arc::clone(&handshakes).try_acquire_owned().ok();
-                match permit.zip(addresses.acquire(arrival.peer().ip())) {
-                    Some(handshake) => {
+                match services.metrics.connections.arrive(arrival.peer().ip()) {
+                    Ok(place) => {
                         let span = tracing::info_span!("peer", address = %arrival.peer());
-                        sessions.spawn(serve(arrival, handshake, Arc::clone(&services)).instrument(span));
+                        sessions.spawn(serve(arrival, place, Arc::clone(&services)).instrument(span));
                     }
-                    None => {
-                        services.metrics.refused(RefusalCause::Handshakes);
+                    Err(turned) => {
+                        services.metrics.refused(match turned {
+                            Turned::TooFast => RefusalCause::Rate,
+                            Turned::TooMany => RefusalCause::Connections,
+                        });
                         arrival.refuse();
                     }
                 }
@@ -65,38 +63,102 @@ fn log_panic(ended: Result<(), tokio::task::JoinError>) {
     }
 }
 
-async fn serve(arrival: Arrival, handshake: (OwnedSemaphorePermit, AddressPermit), services: Arc<Services>) {
-    let greeting = async {
-        let mut link = arrival.into_link(services.origins.as_ref()).await.map_err(|error| match error {
-            ArrivalError::Page(PageError::Origin(_)) => HandshakeError::Origin(error.to_string()),
-            error => HandshakeError::Arrival(error.to_string()),
-        })?;
-        let admitted = handshake::greet(&mut link, &services).await?;
-        Ok::<_, HandshakeError>((link, admitted))
-    };
-    let mut phase = services.phase.clone();
-    let greeted = tokio::select! {
-        greeted = time_limit::within(services.handshake_timeout, &handshake.0, greeting) => greeted,
-        // A peer that has not sent Hello by now does not delay the stop.
-        () = stopping(&mut phase) => return tracing::info!(reason = "the server stops", "not admitted"),
-    };
-    let (link, admitted) = match greeted {
-        Some(Ok(greeted)) => greeted,
-        Some(Err(error)) => {
-            // Refusals were counted where they were made, with their cause.
-            match error {
-                HandshakeError::Refused(_) => {}
-                HandshakeError::Origin(_) => services.metrics.refused(RefusalCause::Origin),
-                _ => services.metrics.refused(RefusalCause::Broken),
+/// Why a peer was not admitted.
+#[derive(Debug, Error)]
+enum NotAdmitted {
+    #[error("{0}")]
+    Arrival(#[from] ArrivalError),
+    #[error("{0}")]
+    Handshake(#[from] HandshakeError),
+    #[error("no Hello in time")]
+    Silent,
+    #[error("too many connections are being made: try again later")]
+    Evicted,
+    #[error("too many bytes before Hello")]
+    TooMuch,
+    #[error("the server stops")]
+    Stopping,
+}
+
+impl NotAdmitted {
+    /// `None` if it was counted where it was decided, or is no fault of either side.
+    const fn cause(&self) -> Option<RefusalCause> {
+        match self {
+            Self::Handshake(HandshakeError::Refused(_)) | Self::Stopping => None,
+            Self::Arrival(ArrivalError::Page(PageError::Origin(_))) => Some(RefusalCause::Origin),
+            Self::Arrival(_) | Self::Handshake(_) | Self::TooMuch => Some(RefusalCause::Broken),
+            Self::Silent => Some(RefusalCause::Silent),
+            Self::Evicted => Some(RefusalCause::Handshakes),
+        }
+    }
+
+    /// Closes the peer's connection, and tells it why.
+    async fn tell(&self, guard: Guard) {
+        let reason = self.to_string();
+        match self {
+            // It was told.
+            Self::Handshake(HandshakeError::Refused(_)) => guard.finish().await,
+            Self::Arrival(ArrivalError::Page(PageError::Origin(_))) => {
+                guard.close_now(CloseCode::Refused, "the page's origin is not listed");
             }
-            return tracing::info!(reason = %error, "not admitted");
+            // Its place is wanted now.
+            Self::Evicted => guard.close_now(CloseCode::Refused, &reason),
+            Self::Stopping => guard.close(CloseCode::Done, &reason).await,
+            Self::Arrival(_) | Self::Handshake(_) | Self::Silent | Self::TooMuch => {
+                guard.close(CloseCode::Violation, &reason).await;
+            }
         }
-        None => {
-            services.metrics.refused(RefusalCause::Silent);
-            return tracing::info!(reason = "no Hello in time", "not admitted");
-        }
+    }
+}
+
+async fn serve(arrival: Arrival, place: (Place, Tenure), services: Arc<Services>) {
+    let opened = arrival.open(place).map_err(NotAdmitted::from);
+    let (reason, guard) = match opened {
+        Ok((guard, opening)) => match greet(&guard, opening, &services).await {
+            Ok((link, admitted)) => {
+                guard.admit();
+                let span = tracing::info_span!("session", id = admitted.permit.id.0, carrier = link.carrier);
+                let mut serving = pin!(session::run::run(link, admitted, services).instrument(span));
+                tokio::select! {
+                    () = &mut serving => {}
+                    () = guard.flooded() => {
+                        tracing::info!("closed: the peer floods its connection");
+                        guard.begin_close(CloseCode::Violation, "too many bytes per second");
+                        serving.await;
+                    }
+                }
+                return guard.finish().await;
+            }
+            Err(reason) => (reason, Some(guard)),
+        },
+        Err(reason) => (reason, None),
     };
-    drop(handshake);
-    let span = tracing::info_span!("session", id = admitted.permit.id.0, carrier = link.carrier);
-    session::run::run(link, admitted, services).instrument(span).await;
+    if let Some(cause) = reason.cause() {
+        services.metrics.refused(cause);
+    }
+    tracing::info!(%reason, "not admitted");
+    if let Some(guard) = guard {
+        reason.tell(guard).await;
+    }
+}
+
+async fn greet(guard: &Guard, opening: Opening, services: &Services) -> Result<(Link, AdmittedClient), NotAdmitted> {
+    let greeting = async {
+        let mut link = opening.into_link(guard, services.origins.as_ref()).await?;
+        let admitted = handshake::greet(&mut link, services).await?;
+        Ok((link, admitted))
+    };
+    let under_way = || services.metrics.connections.handshakes();
+    let mut phase = services.phase.clone();
+    tokio::select! {
+        greeted = time_limit::within(services.handshake_timeout, under_way, greeting) => {
+            greeted.unwrap_or(Err(NotAdmitted::Silent))
+        }
+        expelled = guard.expelled() => Err(match expelled {
+            Expelled::Evicted => NotAdmitted::Evicted,
+            Expelled::TooMuch => NotAdmitted::TooMuch,
+        }),
+        // A peer that has not sent Hello by now does not delay the stop.
+        () = stopping(&mut phase) => Err(NotAdmitted::Stopping),
+    }
 }

@@ -180,7 +180,7 @@ impl RunningServer {
         };
         let _ = timeout(Duration::from_millis(services.drain_ms.into()), empty).await;
         phase.send_replace(Phase::Stopping);
-        let limit = limits::FINISH_TIMEOUT + 3 * limits::LINGER;
+        let limit = limits::FINISH_TIMEOUT + 3 * limits::LINGER + limits::CLOSE_TIMEOUT;
         if timeout(limit, &mut accepting.0).await.is_err() {
             tracing::warn!("sessions did not end in {limit:?}");
             accepting.0.abort();

@@ -93,7 +93,8 @@ impl Server {
         let _ = status.backend.set(engine.description().to_owned());
 
         let url_base = url::base(&config, local_addr);
-        let browser_hashes = certificates.as_ref().and_then(|certificates| certificates.browser_hashes());
+        let browsers = certificates.as_ref().filter(|_| config.browsers);
+        let browser_hashes = browsers.and_then(|certificates| certificates.browser_hashes());
         let renewing = certificates.clone().map(|certificates| Task::spawn(certificates.keep_fresh()));
         let endpoint = Arc::new(bound.open(&config, certificates.clone(), &provider, &metrics.socket)?);
         let (phase, phase_seen) = watch::channel(Phase::Running);

@@ -35,10 +35,14 @@ causes! {
         Broken = "broken",
         /// No Hello in time.
         Silent = "silent",
-        /// Too many handshakes under way.
+        /// Too many handshakes under way: another took its place.
         Handshakes = "handshakes",
         /// An operator has ended its session.
         Dismissed = "dismissed",
+        /// Too many connections without a session, or too many of its address.
+        Connections = "connections",
+        /// Its address opens connections too fast.
+        Rate = "rate",
     }
 }
 

@@ -16,6 +16,7 @@ use super::{
     registry::Snapshot,
     reloads::Reload,
 };
+use crate::net::connections::Stage;
 
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Page {
@@ -130,6 +131,9 @@ impl Collector for Page {
         page.gauge("draining", "1 while the server asks its clients to leave", self.draining.into())?;
         page.gauge("open", "1 while everybody who reaches the server is admitted", self.open.into())?;
         page.gauge("sessions", "Open sessions", counts.open as u64)?;
+        let open =
+            Stage::LABELS.into_iter().zip(counts.connections.map(|count| i64::try_from(count).unwrap_or(i64::MAX)));
+        page.gauges("connections", "Open connections, by stage", "stage", open)?;
         page.gauge("sessions_capacity", "Sessions that may be open at once", self.capacity as u64)?;
         page.counter("sessions_opened", "Sessions admitted", counts.opened)?;
         let ended = EndCause::LABELS.iter().copied().zip(counts.closed);
@@ -210,6 +214,7 @@ mod tests {
     fn the_page_is_valid_prometheus_text() {
         let mut page = Page { ready: true, version: "1", backend: "a \"b\"\n".to_owned(), ..Page::default() };
         page.counts.closed = [1, 2, 3, 4, 5, 6, 7];
+        page.counts.connections = [1, 2, 3];
         page.counts.sum.totals.poses = 9;
         page.counts.sum.totals.gpu_us = 1_500_000;
         page.process.kernel_drops = Some(6);
@@ -221,6 +226,7 @@ mod tests {
         for line in [
             "gnomon_build_info{version=\"1\",backend=\"a \\\"b\\\"\\n\"} 1",
             "gnomon_ready 1",
+            "gnomon_connections{stage=\"closing\"} 3",
             "gnomon_sessions_closed_total{cause=\"stopping\"} 5",
             "gnomon_datagrams_received_total{outcome=\"taken\"} 9",
             "gnomon_udp_kernel_drops_total 6",

@@ -19,6 +19,7 @@ use serde::Serialize;
 use super::causes::{EndCause, RefusalCause};
 use super::ledger::{Ledger, StageCounts, Totals, as_f64};
 use crate::net::{
+    connections::{Connections, Stage},
     link::{Closer, TransportCounts},
     socket::SocketCounts,
 };
@@ -28,6 +29,7 @@ pub(crate) struct Metrics {
     sessions: Mutex<Sessions>,
     refusals: [AtomicU64; RefusalCause::LABELS.len()],
     pub(crate) socket: Arc<SocketCounts>,
+    pub(crate) connections: Connections,
     /// UDP datagrams outside any session, as last reported, so that the counter never falls.
     unowned_received: AtomicU64,
     unowned_sent: AtomicU64,
@@ -80,6 +82,8 @@ pub(crate) struct Snapshot {
     pub(crate) opened: u64,
     pub(crate) closed: [u64; EndCause::LABELS.len()],
     pub(crate) refusals: [u64; RefusalCause::LABELS.len()],
+    /// Open connections, by [`Stage`].
+    pub(crate) connections: [usize; Stage::LABELS.len()],
     pub(crate) sum: Sum,
     pub(crate) unowned_received: u64,
     pub(crate) unowned_sent: u64,
@@ -161,6 +165,7 @@ impl Metrics {
             open: sessions.open.len(),
             opened: sessions.opened,
             closed: sessions.closed,
+            connections: self.connections.counts(),
             refusals: std::array::from_fn(|cause| self.refusals[cause].load(Ordering::Relaxed)),
             unowned_received: rest(self.socket.received(), sum.totals.udp_received, &self.unowned_received),
             unowned_sent: rest(self.socket.sent(), sum.totals.udp_sent, &self.unowned_sent),

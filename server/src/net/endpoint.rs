@@ -11,7 +11,7 @@ use gnomon_transport::{
     quic::{self, ALPN},
     socket::bind_udp,
 };
-use quinn::crypto::rustls::{HandshakeData, QuicServerConfig};
+use quinn::crypto::rustls::QuicServerConfig;
 use rustls::crypto::CryptoProvider;
 use socket2::{Domain, Protocol, Socket, Type};
 use thiserror::Error;
@@ -19,7 +19,9 @@ use tokio::net::TcpListener;
 use web_transport_quinn::Session;
 
 use super::{
+    alpn::is_web,
     certificate::{ALPN_WEB, Certificates},
+    connections::{Guard, Place, Tenure, TenureRuntime, accept_for},
     link::{DataLink, LabTcpData, LabUdpData, Link, QuicData},
     page::{self, PageError},
     socket::{CountingSocket, SocketCounts},
@@ -107,7 +109,7 @@ impl Bound {
             (Self::Quic(_), None) => Err(ListenError::Tls("no certificate".to_owned())),
             (Self::Quic(socket), Some(certificates)) => {
                 let server = quic_config(config, certificates, provider)?;
-                let runtime = Arc::new(quinn::TokioRuntime);
+                let runtime = Arc::new(TenureRuntime);
                 let counts = Arc::clone(counts);
                 let socket = quinn::Runtime::wrap_udp_socket(&*runtime, socket).map_err(socket_error)?;
                 let socket = Arc::new(CountingSocket::new(socket, Arc::clone(&counts)));
@@ -135,7 +137,10 @@ fn quic_config(
         .map_err(|error| tls_error(&error))?
         .with_no_client_auth()
         .with_cert_resolver(certificates);
-    tls.alpn_protocols = vec![ALPN.to_vec(), ALPN_WEB.to_vec()];
+    tls.alpn_protocols = vec![ALPN.to_vec()];
+    if config.browsers {
+        tls.alpn_protocols.push(ALPN_WEB.to_vec());
+    }
     let crypto = QuicServerConfig::try_from(tls).map_err(|error| tls_error(&error))?;
     let mut server = quinn::ServerConfig::with_crypto(Arc::new(crypto));
     server
@@ -156,7 +161,8 @@ fn transport_config(config: &ServerConfig) -> Result<quinn::TransportConfig, qui
         .datagram_receive_buffer_size(Some(limits::DATAGRAM_RECEIVE_BUFFER_BYTES))
         .datagram_send_buffer_size(DATAGRAM_SEND_BUFFER_BYTES)
         .stream_receive_window(limits::STREAM_RECEIVE_WINDOW_BYTES.into())
-        .receive_window((limits::STREAM_RECEIVE_WINDOW_BYTES * 4).into())
+        // Raised on admission.
+        .receive_window(limits::STREAM_RECEIVE_WINDOW_BYTES.into())
         .send_window(limits::SEND_WINDOW_BYTES)
         .max_concurrent_bidi_streams(limits::MAX_BIDI_STREAMS.into())
         .max_concurrent_uni_streams(limits::MAX_UNI_STREAMS.into());
@@ -238,26 +244,56 @@ impl Arrival {
         }
     }
 
-    /// Completes the transport's handshake, and waits for the client's control stream. Errors if the peer
-    /// disconnects, speaks another protocol, or is a page of another origin than these.
-    pub(crate) async fn into_link(self, origins: Option<&Origins>) -> Result<Link, ArrivalError> {
+    /// Begins the transport's handshake. Errors if the peer is gone already.
+    pub(crate) fn open(self, (place, tenure): (Place, Tenure)) -> Result<(Guard, Opening), ArrivalError> {
         let peer = self.peer();
         match self {
             Self::Quic(incoming) => {
-                let connection = incoming.accept()?.await?;
-                let (session, carrier) = if alpn(&connection).as_deref() == Some(ALPN_WEB) {
+                let connecting = accept_for(tenure, || incoming.accept())?;
+                // A server may have a handle on a connection before the handshake is complete, to close it. Nothing is
+                // sent before that.
+                let (connection, established) =
+                    connecting.into_0rtt().map_err(|_| quinn::ConnectionError::LocallyClosed)?;
+                let guard = Guard::quic(connection.clone(), place);
+                Ok((guard, Opening::Quic { connection, established, peer }))
+            }
+            Self::Lab { stream, transport, .. } => {
+                Ok((Guard::lab(place, tenure), Opening::Lab { stream, peer, transport }))
+            }
+        }
+    }
+}
+
+/// A peer whose handshake is under way.
+pub(crate) enum Opening {
+    Quic { connection: quinn::Connection, established: quinn::ZeroRttAccepted, peer: SocketAddr },
+    Lab { stream: tokio::net::TcpStream, peer: SocketAddr, transport: Transport },
+}
+
+impl Opening {
+    /// Completes the transport's handshake, and waits for the client's control stream. Errors if the peer disconnects,
+    /// speaks another protocol, or is a page of another origin than these. `guard` belongs to the same peer.
+    pub(crate) async fn into_link(self, guard: &Guard, origins: Option<&Origins>) -> Result<Link, ArrivalError> {
+        match self {
+            Self::Quic { connection, established, peer } => {
+                established.await;
+                if let Some(error) = connection.close_reason() {
+                    return Err(error.into());
+                }
+                let (session, carrier) = if is_web(&connection) {
                     (page::admit(connection, origins, limits::LINGER).await?, "webtransport")
                 } else {
                     (Session::raw(connection), "quic")
                 };
-                if session.max_datagram_size() < gnomon_protocol::header::HEADER_BYTES * 2 {
+                let data = QuicData::new(session, DATAGRAM_SEND_BUFFER_BYTES);
+                guard.carry(&data);
+                if data.max_datagram_bytes() < gnomon_protocol::header::HEADER_BYTES * 2 {
                     return Err(ArrivalError::NoDatagrams);
                 }
-                let (send, receive) = session.accept_bi().await?;
-                let data = DataLink::Quic(QuicData::new(session, DATAGRAM_SEND_BUFFER_BYTES));
-                Ok(Link::new(carrier, peer, receive, send, data))
+                let (send, receive) = data.accept_bi().await?;
+                Ok(Link::new(carrier, peer, receive, send, DataLink::Quic(data)))
             }
-            Self::Lab { stream, transport, .. } => {
+            Self::Lab { stream, peer, transport } => {
                 stream.set_nodelay(true)?;
                 let ip = stream.local_addr()?.ip();
                 let data = if transport == Transport::LabTcp {
@@ -271,8 +307,4 @@ impl Arrival {
             }
         }
     }
-}
-
-fn alpn(connection: &quinn::Connection) -> Option<Vec<u8>> {
-    connection.handshake_data()?.downcast::<HandshakeData>().ok()?.protocol
 }

@@ -4,9 +4,11 @@
 mod admin;
 mod admission;
 mod client;
+mod connections;
 mod frames;
 mod lab;
 mod operator;
+mod peer;
 mod references;
 mod stopping;
 mod web;

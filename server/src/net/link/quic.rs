@@ -5,7 +5,7 @@ use std::{io, mem::size_of, sync::Arc, time::Duration};
 use bytes::Bytes;
 use gnomon_protocol::{limits::MAX_PACKET_BYTES, refresh::PathState};
 use gnomon_transport::congestion::ignore_app_limit;
-use web_transport_quinn::Session;
+use web_transport_quinn::{RecvStream, SendStream, Session, SessionError};
 
 use super::{close_code::CloseCode, counts::TransportCounts};
 use crate::limits::{SEND_BACKLOG_FLOOR_BYTES, SEND_BACKLOG_FRAMES};
@@ -16,6 +16,9 @@ pub(crate) struct QuicData {
     buffer_bytes: usize,
 }
 
+/// WebTransport allows no longer reason (draft-ietf-webtrans-http3 §6), and QUIC's must fit into one packet.
+const MAX_CLOSE_REASON_BYTES: usize = 1024;
+
 /// quinn's overhead per queued datagram, besides its bytes.
 const QUEUED_OVERHEAD_BYTES: usize = size_of::<Bytes>();
 
@@ -23,6 +26,16 @@ impl QuicData {
     /// `buffer_bytes` is the size of the session's datagram send buffer.
     pub(crate) fn new(session: Session, buffer_bytes: usize) -> Self {
         Self { session: Arc::new(session), buffer_bytes }
+    }
+
+    /// Waits for the peer's next stream.
+    pub(crate) async fn accept_bi(&self) -> Result<(SendStream, RecvStream), SessionError> {
+        self.session.accept_bi().await
+    }
+
+    /// Largest datagram that the path carries.
+    pub(crate) fn max_datagram_bytes(&self) -> usize {
+        self.session.max_datagram_size()
     }
 
     pub(super) async fn receive(&self) -> io::Result<Bytes> {
@@ -35,7 +48,7 @@ impl QuicData {
 
     /// Smaller over WebTransport, which adds a few bytes to each datagram.
     pub(super) fn max_packet_bytes(&self) -> usize {
-        self.session.max_datagram_size().min(MAX_PACKET_BYTES)
+        self.max_datagram_bytes().min(MAX_PACKET_BYTES)
     }
 
     /// quinn silently drops the oldest datagrams when its buffer overflows, which would cut off the front of a frame.
@@ -77,8 +90,11 @@ impl QuicData {
         }
     }
 
-    pub(super) fn close(&self, code: CloseCode, reason: &str) {
-        self.session.close(code as u32, reason.as_bytes());
+    /// Closes the session with a reason that the peer's user can read. A browser's page gets it as
+    /// `WebTransportCloseInfo`.
+    pub(crate) fn close(&self, code: CloseCode, reason: &str) {
+        let end = reason.floor_char_boundary(MAX_CLOSE_REASON_BYTES);
+        self.session.close(code as u32, &reason.as_bytes()[..end]);
     }
 }
 
