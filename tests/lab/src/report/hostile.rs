@@ -1,17 +1,20 @@
 //! `lab hostile`: what bad traffic costs a real server and its well-behaved clients.
 //!
 //! The traffic: garbage (random packets, long headers with random content, mutated and replayed first packets), first
-//! packets from addresses that never answer, a flood of handshakes without a Hello, and tokens that are wrong, expired
-//! or used. A client receives masks beside the garbage.
+//! packets from addresses that never answer, connections that never become sessions over both ALPNs, a flood of
+//! handshakes without a Hello, and tokens that are wrong, expired or used. It comes from several addresses; a client
+//! receives masks beside the garbage. `tests/lab/hostile-namespaces` runs it between two network namespaces.
 
+mod addresses;
+mod attacks;
 mod flood;
 mod packets;
+mod peers;
+mod state;
+mod tokens;
 
 use std::{
-    fs,
-    io::{Read as _, Write as _},
-    net::{Ipv4Addr, SocketAddr, TcpStream},
-    path::Path,
+    net::IpAddr,
     sync::atomic::{AtomicBool, Ordering},
     time::{Duration, Instant},
 };
@@ -23,13 +26,18 @@ use gnomon_client::{
     headless::stats::percentile,
     link::url::ServerUrl,
 };
-use gnomon_server::tokens::{self, Scope};
 
+use self::{
+    addresses::Addresses,
+    attacks::Attack,
+    peers::Protocol,
+    state::{
+        FORGETS_WITHIN, LOG_BYTES_PER_PACKET, LOG_LINES_PER_PACKET, MEMORY_GROWTH_BYTES, SPARE_LOG_LINES, State, metric,
+    },
+    tokens::Tokens,
+};
 use super::table::Table;
 use crate::rig::{Ask, ServerProcess, usage::usage};
-
-/// Most memory that garbage may cost the server.
-const MEMORY_GROWTH_BYTES: u64 = 16 << 20;
 
 /// Most reply bytes per request byte to an address that never answers.
 const AMPLIFICATION: f64 = 0.1;
@@ -49,8 +57,26 @@ pub struct HostileOptions {
     #[arg(long, default_value_t = 1_000_000)]
     pub packets: u32,
     /// Number of handshakes in the flood.
-    #[arg(long, default_value_t = 2_000)]
-    pub handshakes: u32,
+    #[arg(long, default_value_t = 10_000)]
+    pub handshakes: usize,
+    /// Number of connections of each attack before Hello.
+    #[arg(long, default_value_t = 400)]
+    pub connections: usize,
+    /// Bytes that the peers of an attack try to send.
+    #[arg(long, default_value_t = 10_000_000)]
+    pub bytes: u64,
+    /// Addresses to attack from. Good clients use others.
+    #[arg(long, value_delimiter = ',', default_value = "127.0.0.2,127.0.0.3,127.0.0.4,127.0.0.5")]
+    pub sources: Vec<IpAddr>,
+    /// Address and port that the server listens on.
+    #[arg(long, default_value = "127.0.0.1:0")]
+    pub listen: String,
+    /// The server's addresses, one a family; good clients and the lab itself use the first.
+    #[arg(long, value_delimiter = ',', default_value = "127.0.0.1")]
+    pub at: Vec<IpAddr>,
+    /// Command that starts the server, such as `ip netns exec NAME`.
+    #[arg(long, value_delimiter = ' ')]
+    pub through: Vec<String>,
     /// Longest time to send garbage, in seconds.
     #[arg(long, default_value_t = 300)]
     pub seconds: u64,
@@ -72,15 +98,21 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
     let folder = tempfile::tempdir().context("making a temporary folder")?;
     let tokens = Tokens::write(folder.path())?;
     let path = options.path.load()?;
+    let here = *options.at.first().context("--at needs an address")?;
     let arguments = [
+        "--listen".to_owned(),
+        options.listen.clone(),
+        format!("--advertise={here}"),
         "--backend=cpu".to_owned(),
-        "--admin=0".to_owned(),
+        format!("--admin={}", std::net::SocketAddr::new(here, 0)),
         "--log=json".to_owned(),
+        // As long as four of these are patient.
+        "--handshake-timeout-ms=1000".to_owned(),
         format!("--token-file={}", folder.path().join("tokens").display()),
     ];
-    let mut server = ServerProcess::start(&options.scene, &arguments)?;
+    let mut server = ServerProcess::start_through(&options.through, &options.scene, &arguments, &[])?;
     let url: ServerUrl = server.url().parse()?;
-    let address: SocketAddr = (Ipv4Addr::LOCALHOST, url.port).into();
+    let addresses = Addresses::new(&options.sources, &options.at, url.port)?;
     let admin = server.program().wait_for(Duration::from_secs(10), admin_in)?;
     let runtime = tokio::runtime::Runtime::new().context("starting a runtime")?;
     let id = server.program().id();
@@ -106,7 +138,7 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
             }
             found
         });
-        let sent = packets::garbage(address, &first, options.packets, patience);
+        let sent = packets::garbage(&addresses, &first, options.packets, patience);
         done.store(true, Ordering::Relaxed);
         (sent, client.join())
     });
@@ -154,7 +186,7 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
     );
 
     // Addresses that never answer.
-    let (asked, answered) = packets::amplification(address, &first)?;
+    let (asked, answered) = packets::amplification(&addresses, &first)?;
     let factor = answered as f64 / asked as f64;
     goals.add(
         "bytes to an address that never answers, over bytes from it",
@@ -163,10 +195,17 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
         factor <= AMPLIFICATION,
     );
 
-    // Handshakes without a Hello, from another address than the good client's.
+    // Connections that never become sessions.
+    for protocol in Protocol::BOTH {
+        for attack in Attack::all(protocol) {
+            beleaguer(*attack, protocol, options, &addresses, (&mut server, &admin), runtime.handle(), &mut goals)?;
+        }
+    }
+
+    // Handshakes without a Hello, from other addresses than the good client's.
     let flooding = AtomicBool::new(true);
     let (opened, joined) = std::thread::scope(|scope| {
-        let flood = scope.spawn(|| flood::run(runtime.handle(), address, options.handshakes, &flooding));
+        let flood = scope.spawn(|| flood::run(runtime.handle(), &addresses, options.handshakes, &flooding));
         std::thread::sleep(Duration::from_secs(1));
         let begun = Instant::now();
         let joined = probe(&tokens.good, 1, None).map(|_| begun.elapsed());
@@ -200,6 +239,54 @@ pub fn run(options: &HostileOptions) -> Result<HostileReport> {
     Ok(HostileReport { table: goals.0, holds: goals.1 })
 }
 
+/// Runs one attack, and judges what it leaves behind.
+#[expect(clippy::cast_precision_loss, reason = "counts")]
+fn beleaguer(
+    attack: Attack,
+    protocol: Protocol,
+    options: &HostileOptions,
+    addresses: &Addresses,
+    (server, admin): (&mut ServerProcess, &str),
+    runtime: &tokio::runtime::Handle,
+    goals: &mut Goals,
+) -> Result<()> {
+    let name = format!("{} over {}", attack.name(), protocol.alpn());
+    let before = State::read(server, admin)?;
+    let tally = runtime.block_on(attacks::run(attack, protocol, addresses, options.connections, options.bytes))?;
+    let (after, took) = State::after(server, admin, &before)?;
+    let done = format!("{} connected, {} refused, {} bytes", tally.connected, tally.refused, tally.bytes);
+    goals.add(
+        &format!("{name}: connections that the server left open"),
+        &format!("{} ({done})", tally.left_open),
+        "0",
+        tally.left_open == 0 && tally.connected > 0,
+    );
+    goals.add(
+        &format!("{name}: connections afterwards"),
+        &format!("{} after {:.1} s", after.connections, took.as_secs_f64()),
+        &format!("{} within {} s", before.connections, FORGETS_WITHIN.as_secs()),
+        after.connections <= before.connections,
+    );
+    let grown = after.resident_bytes.saturating_sub(before.resident_bytes);
+    goals.add(
+        &format!("{name}: memory growth, bytes"),
+        &grown.to_string(),
+        &format!("{MEMORY_GROWTH_BYTES} at most"),
+        grown <= MEMORY_GROWTH_BYTES,
+    );
+    let packets = (after.packets - before.packets) as f64;
+    let lines = after.log_lines - before.log_lines;
+    let bytes = after.log_bytes - before.log_bytes;
+    goals.add(
+        &format!("{name}: log lines, and bytes, per packet"),
+        &format!("{:.3}, {:.1} ({packets} packets)", lines as f64 / packets, bytes as f64 / packets),
+        &format!("{LOG_LINES_PER_PACKET}, {LOG_BYTES_PER_PACKET} at most"),
+        lines.saturating_sub(SPARE_LOG_LINES) as f64 <= packets * LOG_LINES_PER_PACKET
+            && bytes as f64 <= (packets + SPARE_LOG_LINES as f64) * LOG_BYTES_PER_PACKET,
+    );
+    Ok(())
+}
+
 struct Goals(Table, bool);
 
 impl Goals {
@@ -214,38 +301,8 @@ impl Goals {
     }
 }
 
-struct Tokens {
-    good: String,
-    expired: String,
-    once: String,
-}
-
-impl Tokens {
-    fn write(folder: &Path) -> Result<Self> {
-        let make = |once| tokens::make("", Some(1), &[Scope::Session], once).context("making a token");
-        let [(good, good_entry), (expired, expired_entry), (once, once_entry)] =
-            [make(false)?, make(false)?, make(true)?];
-        let ended = expired_entry
-            .lines()
-            .map(|line| if line.starts_with("expires") { "expires = 2020-01-01T00:00:00Z" } else { line });
-        let ended: Vec<_> = ended.collect();
-        fs::write(folder.join("tokens"), format!("{good_entry}{}\n{once_entry}", ended.join("\n")))?;
-        Ok(Self { good, expired, once })
-    }
-}
-
 fn admin_in(said: &str) -> Option<String> {
     let line = said.lines().find(|line| line.contains("\"admin address\""))?;
     let entry: serde_json::Value = serde_json::from_str(line).ok()?;
     Some(entry["fields"]["local_addr"].as_str()?.to_owned())
-}
-
-fn metric(admin: &str, name: &str) -> Result<u64> {
-    let mut stream = TcpStream::connect(admin)?;
-    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n")?;
-    let mut page = String::new();
-    stream.read_to_string(&mut page)?;
-    let line =
-        page.lines().find_map(|line| line.strip_prefix(name)).with_context(|| format!("no {name} in the metrics"))?;
-    Ok(line.trim().parse()?)
 }

@@ -38,6 +38,16 @@ impl ServerProcess {
 
     /// Like [`Self::start`], with environment variables.
     pub fn start_in<A: AsRef<OsStr>>(scene: &Path, arguments: &[A], environment: &[(&str, &str)]) -> Result<Self> {
+        Self::start_through(&[], scene, arguments, environment)
+    }
+
+    /// Like [`Self::start_in`]. The command `through` starts the server and becomes it, as `ip netns exec NAME` does.
+    pub fn start_through<A: AsRef<OsStr>>(
+        through: &[String],
+        scene: &Path,
+        arguments: &[A],
+        environment: &[(&str, &str)],
+    ) -> Result<Self> {
         let certificate = tempfile::tempdir().context("making a temporary folder")?;
         let mut all: Vec<OsString> = vec!["--scene".into(), scene.into()];
         let says = |flag: &str| arguments.iter().any(|argument| argument.as_ref() == flag);
@@ -48,7 +58,12 @@ impl ServerProcess {
             all.extend(["--cert-dir".into(), certificate.path().into()]);
         }
         all.extend(arguments.iter().map(|argument| argument.as_ref().to_owned()));
-        let mut program = Program::start(&program::find("gnomon-server")?, &all, environment)?;
+        let mut path = program::find("gnomon-server")?;
+        if let [first, rest @ ..] = through {
+            let server = std::mem::replace(&mut path, first.into());
+            all.splice(0..0, rest.iter().map(OsString::from).chain([server.into()]));
+        }
+        let mut program = Program::start(&path, &all, environment)?;
         let url = program.wait_for(PATIENCE, url_in)?;
         Ok(Self { program, url, _certificate: certificate })
     }

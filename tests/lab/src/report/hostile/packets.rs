@@ -1,7 +1,7 @@
 //! Garbage packets.
 
 use std::{
-    net::{Ipv4Addr, SocketAddr, UdpSocket},
+    net::{Ipv4Addr, UdpSocket},
     time::{Duration, Instant},
 };
 
@@ -9,6 +9,7 @@ use anyhow::{Result, ensure};
 use gnomon_client::{app::probe::run_probe, camera_path::CameraPath, link::url::ServerUrl};
 use tokio::runtime::Handle;
 
+use super::addresses::Addresses;
 use crate::rig::Ask;
 
 const SOURCES: usize = 16;
@@ -20,9 +21,13 @@ const BURST: u32 = 64;
 const ASKED: u64 = 500;
 
 /// A generator with the same output every time (xorshift64*, Vigna 2016).
-struct Noise(u64);
+pub(super) struct Noise(u64);
 
 impl Noise {
+    pub(super) const fn new() -> Self {
+        Self(0x9E37_79B9_7F4A_7C15)
+    }
+
     fn next(&mut self) -> u64 {
         self.0 ^= self.0 >> 12;
         self.0 ^= self.0 << 25;
@@ -34,7 +39,7 @@ impl Noise {
         usize::try_from(self.next() >> 33).unwrap_or(0) % bound.max(1)
     }
 
-    fn fill(&mut self, bytes: &mut [u8]) {
+    pub(super) fn fill(&mut self, bytes: &mut [u8]) {
         for chunk in bytes.chunks_mut(8) {
             let word = self.next().to_le_bytes();
             chunk.copy_from_slice(&word[..chunk.len()]);
@@ -61,9 +66,10 @@ pub(super) fn first(runtime: &Handle, path: &CameraPath) -> Result<Vec<u8>> {
 }
 
 /// Sends every kind of garbage in turn; returns how many packets were sent before `patience` ended.
-pub(super) fn garbage(server: SocketAddr, first: &[u8], packets: u32, patience: Duration) -> Result<u32> {
-    let sockets = (0..SOURCES).map(|_| UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))).collect::<Result<Vec<_>, _>>()?;
-    let mut noise = Noise(0x9E37_79B9_7F4A_7C15);
+pub(super) fn garbage(addresses: &Addresses, first: &[u8], packets: u32, patience: Duration) -> Result<u32> {
+    let sockets = addresses.pairs().cycle().take(SOURCES.max(addresses.pairs().len()));
+    let sockets = sockets.map(|(from, to)| Ok((UdpSocket::bind((from, 0))?, to))).collect::<Result<Vec<_>>>()?;
+    let mut noise = Noise::new();
     let begun = Instant::now();
     let mut packet = Vec::new();
     for number in 0..packets {
@@ -91,7 +97,7 @@ pub(super) fn garbage(server: SocketAddr, first: &[u8], packets: u32, patience: 
             // A real first packet, replayed.
             _ => packet.extend_from_slice(first),
         }
-        let socket = &sockets[noise.below(SOURCES)];
+        let (socket, server) = &sockets[noise.below(sockets.len())];
         // A full buffer loses the packet, as a network would.
         let _ = socket.send_to(&packet, server);
         if number % BURST == BURST - 1 {
@@ -105,8 +111,9 @@ pub(super) fn garbage(server: SocketAddr, first: &[u8], packets: u32, patience: 
 }
 
 /// Returns the bytes sent as first packets from an address that never answers, and the bytes received there.
-pub(super) fn amplification(server: SocketAddr, first: &[u8]) -> Result<(u64, u64)> {
-    let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
+pub(super) fn amplification(addresses: &Addresses, first: &[u8]) -> Result<(u64, u64)> {
+    let (from, server) = addresses.first();
+    let socket = UdpSocket::bind((from, 0))?;
     let (mut answered, mut answers) = (0, 0_u64);
     let mut answer = [0; 2048];
     for _ in 0..ASKED {
