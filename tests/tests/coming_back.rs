@@ -46,7 +46,7 @@ fn a_client_follows_its_server_to_other_scenes() {
     let mut since = watch(&mut client, &stats, served_since(0));
     // Another scene with other bounds, the same with other lights, and the first one again.
     let cloister = asset("cloister.glb");
-    for (scene, lights) in [(&cloister, "8"), (&cloister, "1"), (&stage.scene, "2")] {
+    for (scene, lights) in [(&cloister, "6"), (&cloister, "1"), (&stage.scene, "2")] {
         server.kill().unwrap();
         since = watch(&mut client, &stats, |lines| lost(lines).filter(|frame| *frame > since));
         server = serve(scene, address_of(&url), certificate.path(), &["--lights", lights]).0;
