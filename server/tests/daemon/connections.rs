@@ -273,7 +273,8 @@ async fn a_flood_of_handshakes_evicts_itself() {
         }
         let mine = endpoint(HERE, protocol);
         let session = session(connect(&mine, rig.address()).await.unwrap(), protocol).await;
-        control(&session).await.welcome(hello()).await;
+        let mut its_control = control(&session).await;
+        its_control.welcome(hello()).await;
         let handshakes = one_admitted(&rig).await;
         assert!(handshakes <= 512, "{protocol:?}: {handshakes}");
         let gone = flood.iter().filter_map(|(_, connection)| connection.close_reason()).collect::<Vec<_>>();
