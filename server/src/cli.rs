@@ -5,7 +5,10 @@ use std::path::PathBuf;
 use clap::Parser;
 use gnomon_settings::{Layers, Loaded, SettingsError, Shell};
 
-use crate::{admission::tokens::scope::Scope, config::ServerConfig};
+use crate::{
+    admission::tokens::scope::Scope,
+    config::{AdminAddress, ServerConfig},
+};
 
 /// Ray-traces visibility at the edge, for thin clients that render their own frames
 ///
@@ -62,6 +65,17 @@ pub enum Command {
         #[arg(long = "cert-dir", value_name = "DIR")]
         folder: Option<PathBuf>,
     },
+    /// List the sessions of a running server, or end one, through its admin address
+    Sessions {
+        /// Admin address of the server [default: that of --admin]
+        #[arg(long, value_name = "[ADDR:]PORT")]
+        admin: Option<AdminAddress>,
+        /// File with the secret of a token with the scope admin; - reads standard input
+        #[arg(long, value_name = "FILE")]
+        secret: Option<PathBuf>,
+        #[command(subcommand)]
+        action: Option<SessionsAction>,
+    },
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -72,6 +86,16 @@ pub enum CertificateAction {
     Spare,
     /// Put the spare one into its place; SIGHUP uses it
     UseSpare,
+}
+
+/// What to do with sessions instead of listing them.
+#[derive(Debug, clap::Subcommand)]
+pub enum SessionsAction {
+    /// End a session; its client is told, and stays away for a while
+    End {
+        /// Number of the session, as listed
+        id: u64,
+    },
 }
 
 /// Reads flags, environment and TOML file.

@@ -27,4 +27,4 @@ mod web;
 pub use admission::tokens;
 pub use app::{error, running::RunningServer, signals, start::Server};
 pub use net::certificate::commands as certificate;
-pub use operate::{admin::hosts, logs, otlp, systemd};
+pub use operate::{admin::hosts, logs, otlp, sessions_command, systemd};

@@ -5,9 +5,10 @@ use std::{io::Write as _, process::ExitCode};
 use anyhow::Context as _;
 use gnomon_server::{
     Server, certificate,
-    cli::{self, CertificateAction, Cli, Command},
+    cli::{self, CertificateAction, Cli, Command, SessionsAction},
     config::ServerConfig,
     logs::{self, Logs},
+    sessions_command,
     signals::{Hangups, Signals},
     systemd, tokens,
 };
@@ -34,18 +35,26 @@ fn main() -> ExitCode {
 
 fn run(mut loaded: Loaded<Cli>) -> anyhow::Result<()> {
     let cli = &loaded.program;
-    if let Some(Command::Token { name, days, scope, once }) = &cli.command {
-        let (token, entry) = tokens::make(name, *days, scope, *once)?;
-        return print_line(&format!("{token}\n{}", entry.trim_end()));
-    }
-    if let Some(Command::Certificate { action, folder }) = &cli.command {
-        let folder = folder.as_deref().or(cli.settings.cert_dir.as_deref());
-        let sha256 = match action {
-            CertificateAction::Identity => certificate::make_identity(folder),
-            CertificateAction::Spare => certificate::make_spare(folder),
-            CertificateAction::UseSpare => certificate::use_spare(folder),
-        };
-        return print_line(&sha256?);
+    match &cli.command {
+        Some(Command::Token { name, days, scope, once }) => {
+            let (token, entry) = tokens::make(name, *days, scope, *once)?;
+            return print_line(&format!("{token}\n{}", entry.trim_end()));
+        }
+        Some(Command::Sessions { admin, secret, action }) => {
+            let end = action.as_ref().map(|SessionsAction::End { id }| *id);
+            let said = sessions_command::run(admin.or(cli.settings.admin), secret.as_deref(), end)?;
+            return print_line(&said);
+        }
+        Some(Command::Certificate { action, folder }) => {
+            let folder = folder.as_deref().or(cli.settings.cert_dir.as_deref());
+            let sha256 = match action {
+                CertificateAction::Identity => certificate::make_identity(folder),
+                CertificateAction::Spare => certificate::make_spare(folder),
+                CertificateAction::UseSpare => certificate::use_spare(folder),
+            };
+            return print_line(&sha256?);
+        }
+        None => {}
     }
     if let Some(text) = gnomon_settings::page::<Cli, ServerConfig>(cli.completions, cli.man)? {
         return print_line(&text);

@@ -14,8 +14,8 @@ pub(crate) fn advertised(text: &str) -> Result<String, String> {
     Ok(text)
 }
 
-/// Checks the URL of another server: `gnomon://HOST:PORT/?cert=SHA256`, with one or several certificates. Clients follow
-/// no other.
+/// Checks the URL of another server: `gnomon://HOST:PORT/?cert=SHA256`, with one or several certificates. Clients
+/// follow no other.
 pub(crate) fn alternative(text: &str) -> Result<String, String> {
     let text = word(text)?;
     let as_printed = "use the URL that the other server prints, gnomon://HOST:PORT/?cert=SHA256";

@@ -343,3 +343,32 @@ fn systemd_is_told_how_the_server_is() {
     running.rest.read_to_string(&mut rest).unwrap();
     assert!(running.child.wait().unwrap().success());
 }
+
+#[cfg(target_os = "linux")]
+#[test]
+fn colour_is_for_terminals_that_want_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = write_scene(folder.path()).unwrap();
+    // Logs a line, and ends: there is no such adapter.
+    let command = format!(
+        "'{}' --scene '{}' --cert-dir '{}' --listen 127.0.0.1:0 --admin 0 --backend compute --adapter nonesuch",
+        env!("CARGO_BIN_EXE_gnomon-server"),
+        scene.display(),
+        folder.path().display()
+    );
+    let said = |program: &str, arguments: &[&str], variables: &[(&str, &str)]| {
+        let mut run = Command::new(program);
+        run.args(arguments).stdin(Stdio::null()).env_remove("NO_COLOR").env("TERM", "xterm");
+        run.env_remove("RUST_LOG").envs(variables.iter().copied());
+        let output = run.output().unwrap();
+        let said = text(&output.stdout) + &text(&output.stderr);
+        assert!(said.contains("admin address"), "{said}");
+        said.contains('\u{1b}')
+    };
+    let in_terminal = ["-qec", &command, "/dev/null"];
+    assert!(said("script", &in_terminal, &[]));
+    assert!(said("script", &in_terminal, &[("NO_COLOR", "")]));
+    assert!(!said("script", &in_terminal, &[("NO_COLOR", "1")]));
+    assert!(!said("script", &in_terminal, &[("TERM", "dumb")]));
+    assert!(!said("sh", &["-c", &command], &[]));
+}

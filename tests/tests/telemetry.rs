@@ -37,6 +37,10 @@ struct Server {
 
 /// Starts a server on free ports that logs JSON into `log`.
 fn start(folder: &Path, log: &Path) -> Server {
+    start_with(folder, log, &[], &[("RUST_LOG", "warn,gnomon_server=debug")])
+}
+
+fn start_with(folder: &Path, log: &Path, more: &[&str], environment: &[(&str, &str)]) -> Server {
     let arguments = [
         "--scene".into(),
         gnomon_scene::testing::write_scene(folder).unwrap().display().to_string(),
@@ -47,8 +51,8 @@ fn start(folder: &Path, log: &Path) -> Server {
         format!("--cert-dir={}", folder.join("cert").display()),
         format!("--log-file={}", log.display()),
     ];
-    let environment = [("RUST_LOG", "warn,gnomon_server=debug")];
-    let mut program = Program::start(&find("gnomon-server").unwrap(), &arguments, &environment).unwrap();
+    let arguments: Vec<_> = arguments.into_iter().chain(more.iter().map(|more| (*more).to_owned())).collect();
+    let mut program = Program::start(&find("gnomon-server").unwrap(), &arguments, environment).unwrap();
     let url = program.wait_for(PATIENCE, |said| said.strip_suffix('\n').map(str::to_owned)).unwrap();
     // The log names the chosen port; if the disk is full, the system does.
     let admin = listening_tcp(program.id());
@@ -211,6 +215,75 @@ fn a_full_disk_does_not_stop_the_server() {
     }
     server.program.terminate().unwrap();
     server.program.finish(PATIENCE).unwrap().success().unwrap();
+}
+
+fn reload(server: &Server) {
+    assert!(Command::new("kill").args(["-HUP", &server.program.id().to_string()]).status().unwrap().success());
+}
+
+#[test]
+fn a_log_file_that_cannot_be_reopened_is_a_metric() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log");
+    let server = start(folder.path(), &log);
+    let failed = || value(&metrics(&server.admin), "gnomon_reload_failed{what=\"log\"}");
+    assert_eq!(failed(), 0);
+    fs::rename(&log, folder.path().join("log.1")).unwrap();
+    // A FIFO without a reader must not stop the server.
+    assert!(Command::new("mkfifo").arg(&log).status().unwrap().success());
+    reload(&server);
+    wait_until(|| failed() == 1);
+    client(&server.url, folder.path());
+    fs::remove_file(&log).unwrap();
+    reload(&server);
+    wait_until(|| failed() == 0);
+    server.program.terminate().unwrap();
+    server.program.finish(PATIENCE).unwrap().success().unwrap();
+    let old = fs::read_to_string(folder.path().join("log.1")).unwrap();
+    assert!(old.contains("cannot reopen the log file") && old.contains("session ended"), "the old file is still used");
+    assert!(fs::read_to_string(&log).unwrap().contains("stopped"));
+}
+
+#[test]
+fn a_flood_of_peers_is_few_lines_and_none_goes_uncounted() {
+    const PEERS: u64 = 1000;
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log");
+    let server = start_with(folder.path(), &log, &["--transport=lab-tcp"], &[("RUST_LOG", "")]);
+    let entries = || {
+        let text = fs::read_to_string(&log).unwrap();
+        text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap()).collect::<Vec<_>>()
+    };
+    let said = |entry: &Value, message: &str| entry["fields"]["message"] == message;
+    // The transport listens on TCP, too.
+    wait_until(|| fs::read_to_string(&log).is_ok_and(|text| text.contains("admin address") && text.ends_with('\n')));
+    let first = entries().into_iter().find(|entry| said(entry, "admin address")).unwrap();
+    let admin = first["fields"]["local_addr"].as_str().unwrap().to_owned();
+    let address = server.url.trim_start_matches("gnomon+lab-tcp://").trim_end_matches('/').to_owned();
+    let began = Instant::now();
+    for _ in 0..PEERS {
+        let mut peer = TcpStream::connect(&address).unwrap();
+        // A message of 4 GB.
+        peer.write_all(&[0xff; 64]).unwrap();
+        let _ = peer.read_to_end(&mut Vec::new());
+    }
+    let refused = || {
+        let page = metrics(&admin);
+        let causes = page.lines().filter(|line| line.starts_with("gnomon_refusals_total{"));
+        causes.map(|line| line.rsplit_once(' ').unwrap().1.parse::<u64>().unwrap()).sum::<u64>()
+    };
+    wait_until(|| refused() == PEERS);
+    // Peers that are refused before they are heard make no line.
+    let heard = value(&metrics(&admin), "gnomon_refusals_total{cause=\"broken\"}");
+    server.program.terminate().unwrap();
+    server.program.finish(PATIENCE).unwrap().success().unwrap();
+    let (schema, entries) = (schema(), entries());
+    let logged = entries.iter().filter(|entry| said(entry, "not admitted")).count() as u64;
+    let suppressed = entries.iter().filter(|entry| said(entry, "log lines were suppressed"));
+    let suppressed: u64 = suppressed.map(|entry| entry["fields"]["lines"].as_u64().unwrap()).sum();
+    assert_eq!(logged + suppressed, heard);
+    assert!(logged <= 200 + 10 * (began.elapsed().as_secs() + 1), "{logged} lines");
+    assert!(entries.iter().all(|entry| schema.is_valid(entry)));
 }
 
 /// Set in the process that must panic.

@@ -14,7 +14,6 @@ use crate::{
         admin::Admin,
         readiness::{Readiness, Stage},
         status::Status,
-        systemd::Pulse,
     },
     phase::Phase,
     task::Task,
@@ -139,10 +138,11 @@ impl RunningServer {
         }
     }
 
-    /// Shows whether the server lives, for a supervisor's watchdog. Lasts until the server has stopped.
+    /// Returns a check of whether the engines' threads answer, for a supervisor's watchdog.
     #[must_use]
-    pub fn pulse(&self) -> Pulse {
-        Pulse::new(Arc::clone(&self.services))
+    pub fn pulse(&self) -> impl Fn() -> bool + Send + use<> {
+        let services = Arc::clone(&self.services);
+        move || services.engine.answers()
     }
 
     /// Waits until tracing fails for good, for example by a lost device. Returns the reason. The server then still

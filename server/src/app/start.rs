@@ -62,6 +62,7 @@ impl Server {
             metrics: Arc::clone(&metrics),
             readiness: readiness.clone(),
             backend: OnceLock::new(),
+            services: OnceLock::new(),
             capacity: config.max_sessions,
             socket: (config.transport == Transport::Quic).then_some(local_addr),
             tokens: tokens.clone(),
@@ -135,6 +136,7 @@ impl Server {
             drain_ms: config.drain_ms,
             alternative: config.alternative.clone(),
         });
+        let _ = status.services.set(Arc::downgrade(&services));
         let accepting = Task::spawn(accept(Arc::clone(&endpoint), Arc::clone(&services)));
         let web = match (web, &certificates) {
             (Some(web), Some(certificates)) => {

@@ -6,6 +6,7 @@ use std::{
 };
 
 use gnomon_protocol::{ids::FrameNumber, text::PeerText};
+use parking_lot::Mutex;
 
 use super::times::{Counts, Times};
 use crate::{net::link::TransportCounts, visibility::TraceCost};
@@ -21,6 +22,7 @@ macro_rules! ledger {
             $($(#[$doc])* pub(crate) $name: Counter,)*
             pub(crate) stages: Stages,
             newest_requested: AtomicU64,
+            latest: Mutex<Latest>,
         }
 
         #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -90,6 +92,15 @@ ledger! {
     udp_sent,
     /// QUIC packets declared lost.
     quic_lost,
+}
+
+/// What a session did in its last second, as measured.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Latest {
+    pub(crate) poses_per_s: f64,
+    pub(crate) frames_per_s: f64,
+    pub(crate) bytes_per_s: f64,
+    pub(crate) device_ms_per_s: f64,
 }
 
 #[derive(Debug, Default)]
@@ -174,6 +185,21 @@ impl Ledger {
             self.quic_lost.add(counts.quic_lost);
         }
         self.frames_abandoned.add(totals.frames_traced.saturating_sub(totals.frames_out()));
+    }
+
+    /// Records what was counted within the last `seconds`.
+    pub(crate) fn set_latest(&self, counted: &Totals, seconds: f64) {
+        let rate = |count: u64| as_f64(count) / seconds.max(f64::EPSILON);
+        *self.latest.lock() = Latest {
+            poses_per_s: rate(counted.poses),
+            frames_per_s: rate(counted.frames_sent),
+            bytes_per_s: rate(counted.bytes),
+            device_ms_per_s: rate(counted.gpu_us) / 1e3,
+        };
+    }
+
+    pub(crate) fn latest(&self) -> Latest {
+        *self.latest.lock()
     }
 
     pub(crate) fn set_newest_requested(&self, frame: FrameNumber) {
@@ -277,6 +303,16 @@ mod tests {
         ledger.gpu_us.add_us(Duration::from_millis(2));
         let expected = Totals { poses: 1, gpu_us: 2000, ..Totals::default() };
         assert_eq!(ledger.totals().since(&earlier), expected);
+    }
+
+    #[test]
+    fn the_last_second_is_measured() {
+        let ledger = Ledger::default();
+        assert_eq!(ledger.latest(), Latest::default());
+        let counted = Totals { poses: 90, frames_sent: 60, bytes: 3000, gpu_us: 1500, ..Totals::default() };
+        ledger.set_latest(&counted, 1.5);
+        let expected = Latest { poses_per_s: 60.0, frames_per_s: 40.0, bytes_per_s: 2000.0, device_ms_per_s: 1.0 };
+        assert_eq!(ledger.latest(), expected);
     }
 
     #[test]

@@ -18,10 +18,13 @@ use serde::Serialize;
 
 use super::causes::{EndCause, RefusalCause};
 use super::ledger::{Ledger, StageCounts, Totals, as_f64};
-use crate::net::{
-    connections::{Connections, Stage},
-    link::{Closer, TransportCounts},
-    socket::SocketCounts,
+use crate::{
+    clock,
+    net::{
+        connections::{Connections, Stage},
+        link::{Closer, TransportCounts},
+        socket::SocketCounts,
+    },
 };
 
 #[derive(Debug, Default)]
@@ -60,6 +63,8 @@ pub(crate) struct About {
 struct Entry {
     about: About,
     opened_at: Instant,
+    /// By the wall clock, for people.
+    since: String,
     ledger: Arc<Ledger>,
     link: Closer,
 }
@@ -94,7 +99,12 @@ pub(crate) struct Snapshot {
 pub(crate) struct Listed {
     #[serde(flatten)]
     about: About,
+    since: String,
     seconds: f64,
+    poses_per_s: f64,
+    frames_per_s: f64,
+    bytes_per_s: f64,
+    device_ms_per_s: f64,
     poses: u64,
     frames_traced: u64,
     frames_sent: u64,
@@ -129,7 +139,8 @@ impl Metrics {
         let id = about.id;
         let mut sessions = self.sessions.lock();
         sessions.opened += 1;
-        sessions.open.insert(id, Entry { about, opened_at: Instant::now(), ledger, link });
+        let since = clock::utc(clock::wall());
+        sessions.open.insert(id, Entry { about, opened_at: Instant::now(), since, ledger, link });
         Registration { metrics: Arc::clone(self), id, cause: EndCause::Failed }
     }
 
@@ -177,9 +188,17 @@ impl Metrics {
         let listed = |entry: &Entry| {
             let (totals, stages) = (entry.ledger.totals(), entry.ledger.stages.counts());
             let [.., pose_to_sent] = &stages.0;
+            let latest = entry.ledger.latest();
+            // A QUIC client may have moved.
+            let peer = entry.link.peer().unwrap_or(entry.about.peer);
             Listed {
-                about: entry.about.clone(),
+                about: About { peer, ..entry.about.clone() },
+                since: entry.since.clone(),
                 seconds: entry.opened_at.elapsed().as_secs_f64(),
+                poses_per_s: tenths(latest.poses_per_s),
+                frames_per_s: tenths(latest.frames_per_s),
+                bytes_per_s: latest.bytes_per_s.round(),
+                device_ms_per_s: tenths(latest.device_ms_per_s),
                 poses: totals.poses,
                 frames_traced: totals.frames_traced,
                 frames_sent: totals.frames_sent,
@@ -191,6 +210,10 @@ impl Metrics {
         };
         self.sessions.lock().open.values().map(listed).collect()
     }
+}
+
+fn tenths(number: f64) -> f64 {
+    (number * 10.0).round() / 10.0
 }
 
 #[cfg(test)]

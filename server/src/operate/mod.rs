@@ -7,5 +7,6 @@ mod http;
 pub mod logs;
 pub mod otlp;
 pub(crate) mod readiness;
+pub mod sessions_command;
 pub(crate) mod status;
 pub mod systemd;

@@ -3,10 +3,12 @@
 use std::{
     net::SocketAddr,
     sync::{
-        Arc, OnceLock,
+        Arc, OnceLock, Weak,
         atomic::{AtomicBool, Ordering},
     },
 };
+
+use gnomon_protocol::ids::SessionId;
 
 use super::{
     admin::hosts::AdminHosts,
@@ -14,7 +16,11 @@ use super::{
     readiness::{Readiness, Stage},
 };
 use crate::{
-    admission::tokens::{scope::Scope, store::TokenStore},
+    admission::{
+        end_reason::EndReason,
+        services::Services,
+        tokens::{scope::Scope, store::TokenStore},
+    },
     metrics::{page::Page, process, registry::Metrics, reloads::Reloads},
 };
 
@@ -23,6 +29,8 @@ pub(crate) struct Status {
     pub(crate) readiness: Readiness,
     /// The tracing back end, once it has started.
     pub(crate) backend: OnceLock<String>,
+    /// What sessions share, once the server listens.
+    pub(crate) services: OnceLock<Weak<Services>>,
     /// Most sessions at once.
     pub(crate) capacity: usize,
     /// Local address of the UDP socket.
@@ -61,6 +69,12 @@ impl Status {
     pub(crate) fn requires_token(&self) -> bool {
         self.tokens_loaded();
         self.had_admin_token.load(Ordering::Acquire)
+    }
+
+    /// Ends a session. Returns whether there was one with this id.
+    pub(crate) fn end_session(&self, id: u64) -> bool {
+        let services = self.services.get().and_then(Weak::upgrade);
+        services.is_some_and(|services| services.permits.end(SessionId(id), EndReason::Operator))
     }
 
     /// Returns the current values of all metrics.

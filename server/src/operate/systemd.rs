@@ -1,44 +1,6 @@
 //! Tells systemd how the server is, for units of `Type=notify`: READY, RELOADING, STOPPING and the watchdog
 //! (sd_notify(3)). Does nothing elsewhere.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
-
-use crate::{admission::services::Services, visibility::engine::Engine};
-
-/// How often the engines are looked at while one has not moved yet.
-const LOOK_EVERY: Duration = Duration::from_millis(10);
-
-/// Shows whether the server lives.
-pub struct Pulse(Arc<Services>);
-
-impl Pulse {
-    pub(crate) const fn new(services: Arc<Services>) -> Self {
-        Self(services)
-    }
-
-    /// Waits up to `limit` until each engine's thread has made a round. Returns whether they have. An engine without
-    /// its device does not count: it reopens the device, or ends the server.
-    pub async fn beats(&self, limit: Duration) -> bool {
-        let round = |engine: &Engine| engine.is_well().then(|| engine.nudge());
-        advance(limit, || self.0.engine.engines().iter().map(round).collect()).await
-    }
-}
-
-/// Waits until every number that is there has grown, or is there no longer.
-async fn advance(limit: Duration, mut rounds: impl FnMut() -> Vec<Option<u64>>) -> bool {
-    let (started_at, first) = (Instant::now(), rounds());
-    loop {
-        let stuck = first.iter().zip(rounds()).any(|(first, now)| now.is_some() && *first == now);
-        if !stuck || started_at.elapsed() >= limit {
-            return !stuck;
-        }
-        tokio::time::sleep(LOOK_EVERY).await;
-    }
-}
-
 #[cfg(target_os = "linux")]
 mod notify {
     use std::time::Duration;
@@ -46,7 +8,6 @@ mod notify {
     use sd_notify::NotifyState;
     use tokio::time::{MissedTickBehavior, timeout};
 
-    use super::Pulse;
     use crate::task::Task;
 
     /// systemd reads at once, so nothing waits longer for it.
@@ -66,26 +27,29 @@ mod notify {
         tell(vec![NotifyState::Stopping]).await;
     }
 
-    /// Feeds systemd's watchdog, if the unit has one, while the runtime runs this and the engines' threads make rounds.
-    /// Dropping the task ends that.
+    /// Feeds systemd's watchdog, if the unit has one, while the runtime runs this and `lives` says yes. Dropping the
+    /// task ends that.
     #[must_use]
-    pub fn watchdog(pulse: Pulse) -> Option<impl Drop> {
-        let period = sd_notify::watchdog_enabled()? / 3;
-        Some(Task::spawn(async move {
-            let mut tick = tokio::time::interval(period.max(super::LOOK_EVERY));
-            tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
-            loop {
-                tick.tick().await;
-                if pulse.beats(period).await {
-                    tell(vec![NotifyState::Watchdog]).await;
-                } else {
-                    tracing::error!(
-                        ms = period.as_secs_f64() * 1e3,
-                        "an engine is stuck: systemd's watchdog is not fed"
-                    );
-                }
+    pub fn watchdog(lives: impl Fn() -> bool + Send + 'static) -> Option<impl Drop> {
+        let period = sd_notify::watchdog_enabled()?;
+        Some(Task::spawn(feed(period, lives, || tell(vec![NotifyState::Watchdog]))))
+    }
+
+    /// Calls `tell` three times a `period`.
+    pub(super) async fn feed<F: Future<Output = ()>>(period: Duration, lives: impl Fn() -> bool, tell: impl Fn() -> F) {
+        let mut tick = tokio::time::interval((period / 3).max(Duration::from_millis(1)));
+        tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut lived = true;
+        loop {
+            tick.tick().await;
+            let lives = lives();
+            if lives {
+                tell().await;
+            } else if lived {
+                tracing::error!("a tracing thread does not answer: systemd's watchdog is not fed");
             }
-        }))
+            lived = lives;
+        }
     }
 
     async fn tell(states: Vec<NotifyState<'static>>) {
@@ -102,7 +66,6 @@ mod notify {
 
 #[cfg(not(target_os = "linux"))]
 mod notify {
-    use super::Pulse;
     use crate::task::Task;
 
     pub async fn ready() {}
@@ -112,30 +75,52 @@ mod notify {
     pub async fn stopping() {}
 
     #[must_use]
-    pub fn watchdog(_: Pulse) -> Option<impl Drop> {
+    pub fn watchdog(_: impl Fn() -> bool + Send + 'static) -> Option<impl Drop> {
         None::<Task>
     }
 }
 
 pub use self::notify::{ready, reloading, stopping, watchdog};
 
-#[cfg(test)]
+#[cfg(all(test, target_os = "linux"))]
 mod tests {
-    use super::*;
+    use std::{
+        sync::{
+            Arc,
+            atomic::{AtomicBool, AtomicU32, Ordering},
+        },
+        time::Duration,
+    };
+
+    use super::notify::feed;
 
     #[tokio::test]
-    async fn an_engine_that_makes_no_round_is_stuck() {
-        let limit = Duration::from_millis(50);
-        let mut calls = 0;
-        let mut moving = || {
-            calls += 1;
-            vec![Some(calls / 4), None]
-        };
-        assert!(advance(Duration::from_secs(60), &mut moving).await);
-        assert!(!advance(limit, || vec![Some(7)]).await, "it makes no round");
-        assert!(!advance(limit, || vec![Some(7), None]).await);
-        assert!(advance(limit, || vec![None, None]).await, "devices are being reopened");
-        let mut lost = [Some(7), Some(7), None].into_iter();
-        assert!(advance(Duration::from_secs(60), || vec![lost.next().flatten()]).await, "the device is lost meanwhile");
+    async fn a_server_that_does_not_answer_is_not_reported_alive() {
+        let (lives, fed) = (Arc::new(AtomicBool::new(true)), Arc::new(AtomicU32::new(0)));
+        let (check, count) = (Arc::clone(&lives), Arc::clone(&fed));
+        let task = tokio::spawn(feed(
+            Duration::from_millis(30),
+            move || check.load(Ordering::Relaxed),
+            move || {
+                count.fetch_add(1, Ordering::Relaxed);
+                std::future::ready(())
+            },
+        ));
+        let pause = || tokio::time::sleep(Duration::from_millis(20));
+        for _ in 0..3 {
+            fed.store(0, Ordering::Relaxed);
+            while fed.load(Ordering::Relaxed) < 3 {
+                pause().await;
+            }
+            lives.store(false, Ordering::Relaxed);
+            // One runtime thread: no call is under way.
+            fed.store(0, Ordering::Relaxed);
+            for _ in 0..10 {
+                pause().await;
+            }
+            assert_eq!(fed.load(Ordering::Relaxed), 0);
+            lives.store(true, Ordering::Relaxed);
+        }
+        task.abort();
     }
 }

@@ -37,6 +37,7 @@ impl Watchdog {
         let seconds = now.duration_since(self.checked_at).as_secs_f64();
         let latest = totals.since(&self.totals);
         (self.checked_at, self.totals) = (now, totals);
+        ledger.set_latest(&latest, seconds);
         if started {
             let stages = ledger.stages.counts();
             latest.log_rates(&stages.since(&self.stages), seconds);

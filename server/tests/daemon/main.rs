@@ -10,6 +10,7 @@ mod lab;
 mod operator;
 mod peer;
 mod references;
+mod sessions;
 mod stopping;
 mod web;
 mod web_address;

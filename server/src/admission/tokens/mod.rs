@@ -2,10 +2,10 @@
 //!
 //! ```toml
 //! [[token]]
-//! name = "alice"                       # for people; never logged
+//! name = "alice"                       # for people: /sessions shows it, logs do not
 //! sha256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 //! expires = 2027-01-31T00:00:00Z       # default: never
-//! scopes = ["session"]                 # the default; "admin" reads /metrics and /sessions
+//! scopes = ["session"]                 # the default; "admin" reads /metrics and /sessions, and ends sessions
 //! once = false                         # the default; true admits one session only
 //! ```
 //!

@@ -6,6 +6,6 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 pub enum Scope {
     Session,
-    /// Reads `/metrics` and `/sessions`.
+    /// Reads `/metrics` and `/sessions`, and ends sessions.
     Admin,
 }

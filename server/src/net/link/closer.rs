@@ -1,5 +1,7 @@
 //! Closes a link and reads its counters.
 
+use std::net::SocketAddr;
+
 use super::{close_code::CloseCode, counts::TransportCounts, quic::QuicData};
 
 /// Does nothing for lab links, which close when their sockets are dropped.
@@ -21,6 +23,11 @@ impl Closer {
     /// For a link without a connection.
     pub(crate) const fn none() -> Self {
         Self(None)
+    }
+
+    /// The peer's address now; `None` on lab links.
+    pub(crate) fn peer(&self) -> Option<SocketAddr> {
+        self.0.as_ref().map(QuicData::peer)
     }
 
     /// `None` on lab links.

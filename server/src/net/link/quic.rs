@@ -1,6 +1,6 @@
 //! A session over QUIC, native or WebTransport.
 
-use std::{io, mem::size_of, sync::Arc, time::Duration};
+use std::{io, mem::size_of, net::SocketAddr, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use gnomon_protocol::{limits::MAX_PACKET_BYTES, refresh::PathState};
@@ -75,6 +75,12 @@ impl QuicData {
     pub(super) fn hold_back(&self, held_back: bool) {
         let connection: &quinn::Connection = &self.session;
         ignore_app_limit(connection, held_back);
+    }
+
+    /// Where the peer is now: it may have moved.
+    pub(super) fn peer(&self) -> SocketAddr {
+        let connection: &quinn::Connection = &self.session;
+        connection.remote_address()
     }
 
     pub(super) fn counts(&self) -> TransportCounts {

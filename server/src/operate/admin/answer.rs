@@ -29,6 +29,9 @@ pub(super) fn answer<B>(request: &Request<B>, status: &Status) -> Answer {
         let why = "the Host header names another host: use an address or localhost, or list the name in --admin-hosts";
         return plain(StatusCode::MISDIRECTED_REQUEST, TEXT, format!("{why}\n"));
     }
+    if let Some(session) = session_to_end(request.uri().path()) {
+        return if request.method() == Method::POST { end(request, status, session) } else { only("POST") };
+    }
     if request.method() != Method::GET && request.method() != Method::HEAD {
         return only("GET, HEAD");
     }
@@ -42,10 +45,28 @@ pub(super) fn answer<B>(request: &Request<B>, status: &Status) -> Answer {
     }
 }
 
+fn session_to_end(path: &str) -> Option<&str> {
+    path.strip_prefix("/sessions/")?.strip_suffix("/end")
+}
+
 fn is_admin<B>(request: &Request<B>, status: &Status) -> bool {
     let given = request.headers().get(AUTHORIZATION).and_then(|value| value.to_str().ok());
     let token = given.and_then(|value| value.strip_prefix("Bearer ")).map(str::trim);
     status.tokens.as_ref().is_some_and(|tokens| tokens.admit(token, Scope::Admin).is_ok())
+}
+
+/// Ends a session. Unlike reading, this always needs a token: any program on the node reaches loopback.
+fn end<B>(request: &Request<B>, status: &Status, session: &str) -> Answer {
+    if !is_admin(request, status) {
+        return token_required();
+    }
+    match session.parse().ok().filter(|id| status.end_session(*id)) {
+        Some(id) => {
+            tracing::info!(session = id, "an operator ends a session");
+            plain(StatusCode::OK, TEXT, format!("session {id} ends\n"))
+        }
+        None => plain(StatusCode::NOT_FOUND, TEXT, "there is no such session: /sessions lists them\n".to_owned()),
+    }
 }
 
 fn ready(status: &Status) -> Answer {

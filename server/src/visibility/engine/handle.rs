@@ -168,13 +168,6 @@ impl Engine {
         self.shared.is_well()
     }
 
-    /// Wakes the thread and returns the number of its rounds, which grows soon unless the thread is stuck.
-    #[must_use]
-    pub fn nudge(&self) -> u64 {
-        self.waker.unpark();
-        self.shared.rounds.load(Ordering::Relaxed)
-    }
-
     /// Returns false if the thread hangs, for example in a driver call that does not return. Slow clients do not
     /// matter.
     #[must_use]

@@ -28,8 +28,6 @@ pub(super) const WAITING_SESSIONS: usize = 64;
 pub(super) struct Shared {
     /// Tells the thread to end.
     pub(super) stop: AtomicBool,
-    /// Rounds of the thread, which show that it is not stuck.
-    pub(super) rounds: AtomicU64,
     /// The device is lost and not yet reopened.
     pub(super) lost: AtomicBool,
     /// Number of times that the device was lost.

@@ -20,6 +20,7 @@ fn status() -> Arc<Status> {
         metrics: Arc::new(Metrics::default()),
         readiness: Readiness::default(),
         backend,
+        services: OnceLock::new(),
         capacity: 7,
         socket: None,
         tokens: None,

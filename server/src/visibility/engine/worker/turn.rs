@@ -21,7 +21,6 @@ impl Worker {
     /// Traces until the engine is stopped or gives up its device. Ports close when this returns.
     pub(in super::super) fn run(mut self) {
         while !self.shared.stop.load(Ordering::Acquire) {
-            self.shared.rounds.fetch_add(1, Ordering::Relaxed);
             self.shared.pulse.beat();
             if let Err(error) = self.turn()
                 && !self.recover(error)
