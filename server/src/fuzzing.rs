@@ -61,10 +61,14 @@ mod tests {
 
     #[test]
     fn a_damaged_configuration_is_refused_on_one_line() {
-        let all = "scene = \"a.glb\"\nlisten = \"[::]:4433\"\nadmin = \"9100\"\nbackend = \"cpu\"\nmax_sessions = 4\n\
-                   threads = 2\notlp = \"http://collector:4318\"\nallow_software = true\nalternative = \"gnomon://b:1/\"\n";
+        let alternative = format!("gnomon://b:1/?cert={}", "ab".repeat(32));
+        let all = format!(
+            "scene = \"a.glb\"\nlisten = \"[::]:4433\"\nadmin = \"9100\"\nbackend = \"cpu\"\nmax_sessions = 4\n\
+             threads = 2\notlp = \"http://collector:4318\"\nallow_software = true\nweb = \"8080\"\n\
+             origins = \"https://a.example,https://b.example:8443\"\nalternative = \"{alternative}\"\n"
+        );
         assert!(all.parse::<ServerConfig>().is_ok_and(|config| config.validate().is_ok()));
-        drive("config", &[all.to_owned(), "http://collector".to_owned()], config);
+        drive("config", &[all, "http://collector".to_owned()], config);
     }
 
     #[test]
