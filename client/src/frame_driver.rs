@@ -115,8 +115,8 @@ impl FrameDriver {
         RunTotals { link, rejections, lost: self.lost.take() }
     }
 
-    /// Looks for a lost server, unless frames wait for their masks. If it has come back with another scene, the renderer
-    /// is replaced, and the scene returned. To be called before [`Self::draw`].
+    /// Looks for a lost server, unless frames wait for their masks. If it has come back with another scene, the
+    /// renderer is replaced, and the scene returned. To be called before [`Self::draw`].
     ///
     /// # Errors
     /// Errors if the adapter cannot take the new scene, or a file cannot be written.

@@ -64,7 +64,7 @@ impl FailedTokens {
         if guessed && !address.to_canonical().is_loopback() {
             state.add(Network::of(address), now);
         }
-        let unlogged = state.to_log(now);
+        let unlogged = state.count_to_log(now);
         drop(state);
         if let Some(count) = unlogged {
             tracing::info!(%problem, count, "token refused");
@@ -73,7 +73,7 @@ impl FailedTokens {
 
     /// Counts a refusal of a blocked address, for the log.
     pub(crate) fn count_blocked(&self, now: Instant) {
-        let unlogged = self.state.lock().to_log(now);
+        let unlogged = self.state.lock().count_to_log(now);
         if let Some(count) = unlogged {
             tracing::info!(problem = BLOCKED, count, "token refused");
         }
@@ -99,7 +99,7 @@ impl State {
     }
 
     /// Returns the number of refusals since the last line, if it is time for one.
-    fn to_log(&mut self, now: Instant) -> Option<u64> {
+    fn count_to_log(&mut self, now: Instant) -> Option<u64> {
         self.unlogged += 1;
         if self.logged_at.is_some_and(|at| now.saturating_duration_since(at) < FAILED_TOKENS_LOGGED_EVERY) {
             return None;
@@ -165,8 +165,8 @@ mod tests {
         assert_eq!(state.unlogged, u64::from(most) + 99, "all but the first wait for a line");
         assert!(!state.addresses.contains_key(&network("10.0.0.0")), "the oldest is forgotten first");
         let later = start + FAILED_TOKENS_LOGGED_EVERY * 2;
-        assert_eq!(state.to_log(later), Some(u64::from(most) + 100));
-        assert_eq!(state.to_log(later), None);
+        assert_eq!(state.count_to_log(later), Some(u64::from(most) + 100));
+        assert_eq!(state.count_to_log(later), None);
         // Those whose time is over make room at once.
         state.add(network("192.0.2.1"), start + FAILED_TOKENS_WINDOW * 2);
         assert_eq!(state.addresses.len(), 1);

@@ -200,7 +200,7 @@ fn check_token(hello: &Hello, resumes: bool, peer: SocketAddr, services: &Servic
         let retry_after_ms = u32::try_from(left.as_millis()).unwrap_or(u32::MAX);
         return Err((RefusalCause::Token, Refusal::Busy { reason: BLOCKED.into(), retry_after_ms }));
     }
-    let claimed = tokens.claim(hello.token.as_deref(), resumes);
+    let claimed = Grant::claim(tokens, hello.token.as_deref(), resumes);
     claimed.map(Some).map_err(|problem| {
         failed.count(peer.ip(), problem, now);
         (RefusalCause::Token, Refusal::Token)

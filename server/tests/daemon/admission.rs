@@ -66,7 +66,7 @@ async fn other_versions_and_impossible_sizes_are_refused_with_the_reason() {
         let mut native = Native::connect(rig.address(), rig.folder.path()).await;
         match refusal(&mut native.control, Hello { width, height, ..hello() }).await {
             Refusal::Unsupported(reason) => {
-                assert!(reason.to_string().contains(&format!("{width}×{height}")), "{reason}")
+                assert!(reason.to_string().contains(&format!("{width}×{height}")), "{reason}");
             }
             other => panic!("{other:?}"),
         }

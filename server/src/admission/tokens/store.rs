@@ -3,7 +3,6 @@
 use std::{
     collections::HashSet,
     path::{Path, PathBuf},
-    sync::Arc,
 };
 
 use parking_lot::Mutex;
@@ -14,7 +13,6 @@ use tokio::sync::watch;
 use super::{
     expiry::unix_s,
     file::{self, Digest, Listed, TokenError, sha256},
-    grant::Grant,
     scope::Scope,
 };
 use crate::clock;
@@ -49,6 +47,21 @@ struct State {
     spent: HashSet<Digest>,
 }
 
+/// A token that was good for a session.
+#[derive(Debug)]
+pub(super) struct Claimed {
+    pub(super) digest: Digest,
+    /// The token's name in the file, for people.
+    pub(super) name: String,
+    pub(super) expires_unix_s: Option<i64>,
+    /// This claim spent the token.
+    pub(super) refundable: bool,
+    /// Counts reloads of the file.
+    pub(super) reloads: watch::Receiver<u64>,
+    /// Reloads when the token was last looked up.
+    pub(super) seen_reloads: u64,
+}
+
 impl TokenStore {
     /// Errors if the file cannot be read, an entry is malformed, or no token has the scope session.
     pub(crate) fn read(path: &Path) -> Result<Self, TokenError> {
@@ -80,18 +93,9 @@ impl TokenStore {
         if once && !state.spent.insert(digest) { Err(TokenRejection::Spent) } else { Ok(()) }
     }
 
-    /// Checks a session's token, and spends it if it is single-use, in one step. The grant gives it back unless it is
-    /// kept. `resumes`: the token was spent on the session that its client resumes.
-    pub(crate) fn claim(self: &Arc<Self>, token: Option<&str>, resumes: bool) -> Result<Grant, TokenRejection> {
-        self.claim_at(token, resumes, unix_s(clock::wall()))
-    }
-
-    fn claim_at(
-        self: &Arc<Self>,
-        token: Option<&str>,
-        resumes: bool,
-        now_unix_s: i64,
-    ) -> Result<Grant, TokenRejection> {
+    /// Checks a session's token, and spends it if it is single-use, in one step. `resumes`: the token was spent on the
+    /// session that its client resumes.
+    pub(super) fn claim(&self, token: Option<&str>, resumes: bool, now_unix_s: i64) -> Result<Claimed, TokenRejection> {
         let mut state = self.state.lock();
         let Listed { digest, name, expires_unix_s, once, .. } =
             state.examine(token, Scope::Session, now_unix_s)?.clone();
@@ -101,8 +105,7 @@ impl TokenStore {
         }
         let (reloads, seen_reloads) = (self.reloads.subscribe(), *self.reloads.borrow());
         drop(state);
-        let store = Arc::clone(self);
-        Ok(Grant { store, digest, name, expires_unix_s, refundable, reloads, seen_reloads })
+        Ok(Claimed { digest, name, expires_unix_s, refundable, reloads, seen_reloads })
     }
 
     pub(super) fn give_back(&self, digest: Digest) {

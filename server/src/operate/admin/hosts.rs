@@ -46,8 +46,7 @@ impl AdminHosts {
         let host = host.trim_end_matches('.').to_ascii_lowercase();
         let bare = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(&host);
         bare.parse::<IpAddr>().is_ok()
-            || host == "localhost"
-            || host.ends_with(".localhost")
+            || host.rsplit('.').next() == Some("localhost")
             || self.0.iter().any(|listed| *listed == host)
     }
 }

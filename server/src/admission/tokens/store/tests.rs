@@ -1,10 +1,13 @@
 //! Token files and stores.
 
-use std::time::SystemTime;
+use std::{sync::Arc, time::SystemTime};
 
 use super::*;
 use crate::{
-    admission::{end_reason::EndReason, tokens::make},
+    admission::{
+        end_reason::EndReason,
+        tokens::{grant::Grant, make},
+    },
     hex,
 };
 
@@ -59,14 +62,14 @@ fn a_token_expires_and_grants_only_its_scopes() {
 fn a_spent_token_stays_spent_across_reloads() {
     let (folder, store) = store(&(entry("a", "once = true") + &entry("b", ""))).unwrap();
     let path = folder.path().join("tokens.toml");
-    let refused = |token, resumes| store.claim(Some(token), resumes).map(drop).unwrap_err();
+    let refused = |token, resumes| Grant::claim(&store, Some(token), resumes).map(drop).unwrap_err();
     // A refused client gives it back.
-    drop(store.claim(Some("a"), false).unwrap());
+    drop(Grant::claim(&store, Some("a"), false).unwrap());
     assert_eq!(store.admit(Some("a"), Scope::Session), Ok(()));
     assert_eq!(store.admit(Some("a"), Scope::Session), Err(TokenRejection::Spent));
     assert_eq!(refused("a", false), TokenRejection::Spent);
     // Whoever resumes its session does not spend it again, and gives nothing back.
-    drop(store.claim(Some("a"), true).unwrap());
+    drop(Grant::claim(&store, Some("a"), true).unwrap());
     assert_eq!(refused("a", false), TokenRejection::Spent);
     assert_eq!(store.reload().unwrap(), 2);
     assert_eq!(store.admit(Some("a"), Scope::Session), Err(TokenRejection::Spent));
@@ -109,12 +112,12 @@ fn a_made_token_is_admitted() {
     let (_folder, store) = store(&text).unwrap();
     let day = 24 * 3600;
     let now = unix_s(SystemTime::now());
-    assert_eq!(store.claim_at(Some(&token), false, now + 31 * day).unwrap_err(), TokenRejection::Expired);
-    let mut grant = store.claim_at(Some(&token), false, now + 29 * day).unwrap();
+    assert_eq!(Grant::claim_at(&store, Some(&token), false, now + 31 * day).unwrap_err(), TokenRejection::Expired);
+    let mut grant = Grant::claim_at(&store, Some(&token), false, now + 29 * day).unwrap();
     assert_eq!(grant.name(), "alice");
     grant.keep();
     drop(grant);
-    assert_eq!(store.claim_at(Some(&token), false, now).unwrap_err(), TokenRejection::Spent);
+    assert_eq!(Grant::claim_at(&store, Some(&token), false, now).unwrap_err(), TokenRejection::Spent);
 }
 
 #[tokio::test]
@@ -124,7 +127,7 @@ async fn a_grant_ends_with_its_token() {
     let (folder, store) = store(&all).unwrap();
     let path = folder.path().join("tokens.toml");
     let [mut keeps, mut leaves, mut expires, mut once] =
-        ["keeps", "leaves", "expires", "once"].map(|token| store.claim(Some(token), false).unwrap());
+        ["keeps", "leaves", "expires", "once"].map(|token| Grant::claim(&store, Some(token), false).unwrap());
     once.keep();
     std::fs::write(
         &path,
