@@ -107,13 +107,16 @@ impl FromStr for ServerUrl {
             return Err(UrlError::TooLong(text.len()));
         }
         let (text, zone) = split_zone(text);
-        let url = Url::parse(&text).map_err(|_| UrlError::Malformed(text.into_owned()))?;
+        let malformed = || UrlError::Malformed(text.clone().into_owned());
+        let url = Url::parse(&text).map_err(|_| malformed())?;
         let transport = [Transport::Quic, Transport::LabUdp, Transport::LabTcp]
             .into_iter()
             .find(|transport| transport.scheme() == url.scheme())
             .ok_or_else(|| UrlError::Scheme(url.scheme().to_owned()))?;
         let host = match (url.host().ok_or(UrlError::Host)?, zone) {
             (Host::Domain(""), _) => return Err(UrlError::Host),
+            // No name has escapes, and what follows a % would look like a zone.
+            (Host::Domain(name), _) if name.contains('%') => return Err(malformed()),
             (Host::Domain(name), _) => name.to_owned(),
             (Host::Ipv4(address), _) => address.to_string(),
             (Host::Ipv6(address), None) if address.is_unicast_link_local() => return Err(UrlError::NoZone(address)),
@@ -290,6 +293,8 @@ mod tests {
             ("gnomon://[fe80::1]:5/?cert=first-use", "[fe80::1%25eth0]"),
             ("gnomon://[2001:db8::1%25eth0]:5/?cert=first-use", "only a link-local address"),
             ("gnomon://[fe80::1%25e/0]:5/?cert=first-use", "no zone"),
+            ("gnomon://edge%25eth0:5/?cert=first-use", "is not a URL"),
+            ("gnomon://\u{fffd}edge:5/?cert=first-use", "is not a URL"),
             ("gnomon+lab-udp://10.0.0.1:5", "not this machine"),
             ("gnomon+lab-tcp://edge:5", "not this machine"),
         ] {
