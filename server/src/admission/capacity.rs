@@ -60,9 +60,23 @@ struct Cost {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum OverCapacity {
-    Cores { needed_ms: f64, left_ms: f64 },
-    Network { needed_mbit: f64, left_mbit: f64 },
-    Memory { needed_bytes: u64, left_bytes: u64 },
+    Cores {
+        needed_ms: f64,
+        left_ms: f64,
+    },
+    Network {
+        needed_mbit: f64,
+        left_mbit: f64,
+    },
+    Memory {
+        needed_bytes: u64,
+        left_bytes: u64,
+    },
+    /// It does not even fit alone, so there is no use in asking again.
+    TooLarge {
+        needed_bytes: u64,
+        budget_bytes: u64,
+    },
 }
 
 impl fmt::Display for OverCapacity {
@@ -77,6 +91,13 @@ impl fmt::Display for OverCapacity {
             Self::Memory { needed_bytes, left_bytes } => {
                 let [needed, left] = [needed_bytes.div_ceil(MB), left_bytes / MB];
                 write!(formatter, "it may need {needed} MB of memory, and {left} are left")
+            }
+            Self::TooLarge { needed_bytes, budget_bytes } => {
+                let [needed, budget] = [needed_bytes.div_ceil(MB), budget_bytes / MB];
+                write!(
+                    formatter,
+                    "it may need {needed} MB of memory, and all sessions have {budget}: ask for smaller masks"
+                )
             }
         }
     }
@@ -181,11 +202,16 @@ impl HostCapacity {
         let buffers = |shapes: &mut dyn Iterator<Item = MaskShape>| {
             shapes.map(device_bytes).max().unwrap_or(0) * u64::from(self.devices)
         };
+        let budget_bytes = self.budget.memory_bytes;
+        let alone = new.memory_bytes + buffers(&mut [new.shape].into_iter());
+        if alone > budget_bytes {
+            return Err(OverCapacity::TooLarge { needed_bytes: alone, budget_bytes });
+        }
         let sessions: u64 = others.iter().map(|other| other.memory_bytes).sum();
         let used = sessions + buffers(&mut others.iter().map(|other| other.shape));
         let after = buffers(&mut others.iter().map(|other| other.shape).chain([new.shape]));
         let needed_bytes = (sessions + new.memory_bytes + after).saturating_sub(used);
-        let left_bytes = self.budget.memory_bytes.saturating_sub(used);
+        let left_bytes = budget_bytes.saturating_sub(used);
         if needed_bytes > left_bytes { Err(OverCapacity::Memory { needed_bytes, left_bytes }) } else { Ok(()) }
     }
 
@@ -363,7 +389,7 @@ mod tests {
         drop((first, small, back));
         let config = ServerConfig { memory_budget_mb: Some(100), ..ServerConfig::default() };
         let refused = HostCapacity::new(&config, 1, 0, 0).reserve(largest, None).unwrap_err();
-        assert!(matches!(refused, OverCapacity::Memory { .. }), "{refused}");
+        assert!(matches!(refused, OverCapacity::TooLarge { .. }), "{refused}");
         // A device's buffers are made once, for the largest masks.
         let config = ServerConfig { memory_budget_mb: Some(900), ..ServerConfig::default() };
         let capacity = HostCapacity::new(&config, 1, 0, 1);

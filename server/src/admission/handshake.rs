@@ -14,7 +14,7 @@ use thiserror::Error;
 use tokio::time::timeout;
 
 use super::{
-    capacity::{Demand, Reservation},
+    capacity::{Demand, OverCapacity, Reservation},
     coding::Coding,
     failed_tokens::BLOCKED,
     permit::{Holding, ResumeClaim, SessionPermit},
@@ -185,7 +185,10 @@ fn decide(applicant: Applicant, peer: SocketAddr, services: &Services) -> Result
     let reservation = services
         .capacity
         .reserve(Demand { shape, coding, rate_hz }, old.as_ref().map(|old| &old.share))
-        .map_err(|reason| (RefusalCause::Budget, services.permits.busy(reason.to_string())))?;
+        .map_err(|reason| match reason {
+            OverCapacity::TooLarge { .. } => (RefusalCause::Budget, Refusal::Unsupported(reason.to_string().into())),
+            _ => (RefusalCause::Budget, services.permits.busy(reason.to_string())),
+        })?;
     let holding = Holding { token, address, costs: Arc::clone(&port.costs), share: reservation.share() };
     let permit = services.permits.register(place, holding, claim).map_err(|refusal| (RefusalCause::Full, refusal))?;
     Ok(AdmittedClient { permit, port, shape, coding, rate_hz, client: hello.client, reservation, grant })

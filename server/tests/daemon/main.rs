@@ -7,6 +7,7 @@ mod client;
 mod connections;
 mod frames;
 mod lab;
+mod lying;
 mod operator;
 mod peer;
 mod references;

@@ -1,7 +1,7 @@
 //! The engines of a server, one per device. A new session goes to the engine with the least measured load. An engine
 //! that loses its device hands its sessions to the others.
 
-use std::{num::NonZeroUsize, sync::Arc};
+use std::{num::NonZeroUsize, sync::Arc, time::Instant};
 
 use gnomon_protocol::mask::MaskShape;
 use gnomon_scene::Scene;
@@ -9,7 +9,7 @@ use gnomon_shaders::gpu::Gpu;
 
 use super::{
     error::{EngineError, OpenError},
-    handle::Engine,
+    handle::{Engine, STOP_PATIENCE},
     options::{BackendChoice, EngineOptions},
     port::SessionPort,
 };
@@ -133,8 +133,10 @@ impl Fleet {
 
     /// Stops tracing, closes all sessions' ports, and waits for the threads to end.
     pub fn shutdown(&self) {
+        let deadline = Instant::now() + STOP_PATIENCE;
+        self.engines.iter().for_each(Engine::ask_to_stop);
         for engine in &self.engines {
-            engine.shutdown();
+            engine.shutdown_within(deadline.saturating_duration_since(Instant::now()));
         }
     }
 }

@@ -38,7 +38,7 @@ const WARM_UP_PX: (u32, u32) = (320, 180);
 const START_PATIENCE: Duration = Duration::from_secs(600);
 
 /// Limit for the thread to end. A driver call that does not return keeps it; then the thread is left behind.
-const STOP_PATIENCE: Duration = Duration::from_secs(10);
+pub(super) const STOP_PATIENCE: Duration = Duration::from_secs(10);
 
 /// A round of the thread that takes longer hangs in a driver call.
 const ROUND_PATIENCE: Duration = Duration::from_secs(120);
@@ -272,10 +272,14 @@ impl Engine {
         self.shutdown_within(STOP_PATIENCE);
     }
 
-    /// Returns whether the thread has ended.
-    pub(super) fn shutdown_within(&self, patience: Duration) -> bool {
+    pub(super) fn ask_to_stop(&self) {
         self.shared.stop.store(true, Ordering::Release);
         self.waker.unpark();
+    }
+
+    /// Returns whether the thread has ended.
+    pub(super) fn shutdown_within(&self, patience: Duration) -> bool {
+        self.ask_to_stop();
         let Some(thread) = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take() else { return true };
         let deadline = Instant::now() + patience;
         while !thread.is_finished() {

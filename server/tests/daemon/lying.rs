@@ -1,0 +1,386 @@
+//! Promise: clients that lie harm themselves only. Honest clients beside them keep at least 95 % of the masks that they
+//! get without them.
+
+use std::{
+    collections::BTreeSet,
+    net::{IpAddr, Ipv4Addr},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use gnomon_protocol::{
+    acknowledgement::Acknowledgement,
+    codec::CodecId,
+    header::HEADER_BYTES,
+    ids::{FrameNumber, ReferenceName, ResumeToken},
+    loss::{LossFeedback, LossTotals},
+    message::{ClientMessage, Hello, Refusal, ServerMessage, Welcome},
+    pose::{Pose, encode_pose_packet},
+    reassembler::{Policy, Progress, Reassembler},
+};
+use gnomon_server::{
+    config::ServerConfig,
+    visibility::schedule::pace::{BURST, TOLERANCE},
+};
+use tokio::{task::JoinSet, time::MissedTickBehavior};
+use web_transport_quinn::Session;
+
+use super::{
+    Rig,
+    client::{Control, hello, pose},
+    peer::{self, Protocol},
+    soon,
+};
+
+/// Time for which honest clients are watched, once without liars and once beside them.
+const WATCHED: Duration = Duration::from_secs(4);
+
+const HONEST_HZ: u16 = 10;
+
+/// Masks of this size cost some milliseconds each, so that a few liars could take all of the tracing thread.
+const SIZE: [u16; 2] = [320, 180];
+
+/// A server for honest clients and liars. What they do once they are admitted is tested here, not what they declare, so
+/// the budgets of time are large.
+async fn rig(change: impl FnOnce(&mut ServerConfig)) -> Arc<Rig> {
+    let rig = Rig::start(|config, _| {
+        (config.device_budget_ms, config.cores_budget_ms) = (100_000, Some(100_000));
+        change(config);
+    });
+    Arc::new(rig.await)
+}
+
+impl Rig {
+    async fn peer(&self, protocol: Protocol) -> Peer {
+        let endpoint = peer::endpoint(IpAddr::V4(Ipv4Addr::LOCALHOST), protocol);
+        let connection = peer::connect(&endpoint, self.address()).await.unwrap();
+        let session = peer::session(connection, protocol).await;
+        let control = peer::control(&session).await;
+        Peer { session, control, size: SIZE, next: 0, _endpoint: endpoint }
+    }
+
+    /// A client that has sent Start.
+    async fn started(&self, protocol: Protocol, hello: Hello) -> (Peer, Welcome) {
+        let mut peer = self.peer(protocol).await;
+        let welcome = peer.control.welcome(hello).await;
+        peer.control.send(&ClientMessage::Start).await;
+        (peer, welcome)
+    }
+}
+
+struct Peer {
+    session: Session,
+    control: Control,
+    size: [u16; 2],
+    /// Number of its next frame.
+    next: u32,
+    _endpoint: quinn::Endpoint,
+}
+
+impl Peer {
+    fn send(&self, datagram: &[u8]) {
+        // Fails once the server has closed the connection, as it may for a liar.
+        let _ = self.session.send_datagram(datagram.to_vec().into());
+    }
+
+    fn ask(&mut self) {
+        let pose = Pose { mask_px: self.size, ..pose() };
+        self.send(&encode_pose_packet(self.next, FrameNumber(self.next), &pose));
+        self.next += 1;
+    }
+
+    /// Asks for masks at this rate until `ends`. Returns the number asked, and the numbers of those that came whole.
+    async fn watch(&mut self, rate_hz: u16, ends: impl Future<Output = ()>) -> (u32, BTreeSet<u32>) {
+        let mut frames = Reassembler::new(Policy::WholeFrame);
+        let (mut asked, mut came) = (0, BTreeSet::new());
+        let mut tick = tokio::time::interval(Duration::from_secs(1) / u32::from(rate_hz));
+        // Two poses at once would ask for one mask.
+        tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut ends = std::pin::pin!(ends);
+        loop {
+            tokio::select! {
+                () = &mut ends => break,
+                _ = tick.tick() => {
+                    self.ask();
+                    asked += 1;
+                }
+                datagram = self.session.read_datagram() => match datagram {
+                    Ok(datagram) => note(&mut frames, &datagram, &mut came),
+                    Err(_) => break,
+                },
+            }
+        }
+        // The last ones may be on their way.
+        let rest = async {
+            while let Ok(datagram) = self.session.read_datagram().await {
+                note(&mut frames, &datagram, &mut came);
+            }
+        };
+        let _ = tokio::time::timeout(Duration::from_millis(300), rest).await;
+        (asked, came)
+    }
+
+    /// Waits for the server's last message, and returns its reason.
+    async fn closing(&mut self) -> String {
+        loop {
+            match self.control.receive().await {
+                Some(ServerMessage::Closing { reason }) => return reason,
+                Some(_) => {}
+                None => panic!("closed without a reason"),
+            }
+        }
+    }
+}
+
+fn note(frames: &mut Reassembler, datagram: &[u8], came: &mut BTreeSet<u32>) {
+    if frames.push(datagram).is_ok_and(|progress| progress == Progress::Complete) {
+        came.insert(frames.frame().unwrap().frame.0);
+    }
+}
+
+fn sized(rate_hz: u16) -> Hello {
+    Hello { width: SIZE[0].into(), height: SIZE[1].into(), rate_hz, ..hello() }
+}
+
+/// Two honest clients, one of each protocol, for [`WATCHED`] after their first mask. Returns the share of the
+/// masks that they asked for and got.
+async fn honest_share(rig: &Arc<Rig>) -> f64 {
+    let mut clients = JoinSet::new();
+    for protocol in Protocol::BOTH {
+        let rig = Arc::clone(rig);
+        clients.spawn(async move {
+            let (mut client, _) = rig.started(protocol, sized(HONEST_HZ)).await;
+            while client.watch(HONEST_HZ, tokio::time::sleep(Duration::from_millis(200))).await.1.is_empty() {}
+            let before = client.next;
+            let (asked, came) = client.watch(HONEST_HZ, tokio::time::sleep(WATCHED)).await;
+            (asked, came.range(before..).count())
+        });
+    }
+    let watched = clients.join_all().await;
+    println!("honest clients asked for and got {watched:?}");
+    let (asked, came) = watched.into_iter().fold((0, 0), |(asked, came), (more, got)| (asked + more, came + got));
+    #[expect(clippy::cast_precision_loss, reason = "some masks")]
+    let share = came as f64 / f64::from(asked.max(1));
+    share
+}
+
+/// Another program may take the processor for a moment, but not each time. Liars that do harm do it each time.
+const ATTEMPTS: usize = 4;
+
+/// Watches honest clients without liars, and beside `liars` that go on until the flag is set.
+async fn honest_clients_keep_their_masks<L, F>(rig: &Arc<Rig>, liars: L)
+where
+    L: FnOnce(Arc<Rig>, Arc<AtomicBool>) -> F,
+    F: Future<Output = ()> + Send + 'static,
+{
+    let alone = honest_share(rig).await;
+    assert!(alone >= 0.8, "only {alone:.2} of the masks without any liar");
+    let stop = Arc::new(AtomicBool::new(false));
+    let lying = tokio::spawn(liars(Arc::clone(rig), Arc::clone(&stop)));
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    let mut beside = Vec::new();
+    let kept = loop {
+        let share = honest_share(rig).await;
+        beside.push(share);
+        let kept = share >= alone * 0.95;
+        if kept || beside.len() == ATTEMPTS {
+            break kept;
+        }
+    };
+    stop.store(true, Ordering::Relaxed);
+    soon(lying).await.unwrap();
+    assert!(kept, "{beside:.2?} of their masks beside liars, {alone:.2} without");
+}
+
+async fn stopped(stop: &AtomicBool) {
+    while !stop.load(Ordering::Relaxed) {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}
+
+/// One after the other, since they would disturb each other.
+#[tokio::test(flavor = "multi_thread")]
+async fn clients_that_lie_harm_themselves_only() {
+    about_rates().await;
+    about_sizes().await;
+    about_resuming().await;
+    about_what_they_have_and_lose().await;
+    about_the_scene().await;
+}
+
+/// They declare 1 Hz, or nothing, and ask for 40.
+async fn about_rates() {
+    let rig = rig(|_| {}).await;
+    honest_clients_keep_their_masks(&rig, |rig, stop| async move {
+        let mut liars = JoinSet::new();
+        for number in 0..14 {
+            let (rig, stop) = (Arc::clone(&rig), Arc::clone(&stop));
+            liars.spawn(async move {
+                let protocol = Protocol::BOTH[number % 2];
+                let declared = u16::from(number > 0);
+                let (mut liar, _) = rig.started(protocol, sized(declared)).await;
+                let began = Instant::now();
+                let (_, came) = liar.watch(40, stopped(&stop)).await;
+                (declared, came.len(), began.elapsed())
+            });
+        }
+        for (declared, came, lasted) in liars.join_all().await {
+            #[expect(clippy::cast_precision_loss, reason = "a few masks")]
+            let most = lasted.as_secs_f64() * TOLERANCE + BURST + 1.0;
+            assert!(declared == 0 || (came as f64) <= most, "{came} masks in {lasted:?} for one a second");
+        }
+    })
+    .await;
+    rig.sessions(0).await;
+}
+
+/// They ask for larger masks than agreed, and for sessions that would need more memory than there is.
+async fn about_sizes() {
+    let rig = rig(|config| config.memory_budget_mb = Some(100)).await;
+    honest_clients_keep_their_masks(&rig, |rig, stop| async move {
+        let (mut liar, _) = rig.started(Protocol::Native, sized(40)).await;
+        liar.size = [4000, 2000];
+        let largest = Hello { width: 3840, height: 2160, codec: CodecId::TilesSmall, ..hello() };
+        let (mut admitted, mut refused) = (Vec::new(), 0);
+        for number in 0..8 {
+            let mut other = rig.peer(Protocol::BOTH[number % 2]).await;
+            other.control.send(&ClientMessage::Hello(largest.clone())).await;
+            match other.control.receive().await {
+                Some(ServerMessage::Welcome(_)) => admitted.push(other),
+                Some(ServerMessage::Refused(Refusal::Busy { reason, .. })) => {
+                    assert!(reason.contains("MB of memory"), "{reason}");
+                    refused += 1;
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+        // 46 MB each.
+        assert!(admitted.len() <= 2 && refused >= 6, "{} were admitted", admitted.len());
+        let (_, came) = liar.watch(40, stopped(&stop)).await;
+        assert!(came.is_empty());
+        // Beyond a rate, invalid poses end their session.
+        let session = liar.session.clone();
+        let flooding = tokio::spawn(async move {
+            let mut tick = tokio::time::interval(Duration::from_millis(1));
+            loop {
+                tokio::select! {
+                    _ = tick.tick() => drop(session.send_datagram(vec![7; 90].into())),
+                    _ = session.closed() => return,
+                }
+            }
+        });
+        assert!(liar.closing().await.contains("invalid datagrams"));
+        soon(flooding).await.unwrap();
+    })
+    .await;
+    rig.sessions(0).await;
+}
+
+/// They guess secrets, use one twice, and race for one.
+async fn about_resuming() {
+    let rig = rig(|_| {}).await;
+    honest_clients_keep_their_masks(&rig, |rig, stop| async move {
+        while !stop.load(Ordering::Relaxed) {
+            let (victim, welcome) = rig.started(Protocol::Native, sized(1)).await;
+            let guess = Some(ResumeToken([7; 16]));
+            let (guesser, _) = rig.started(Protocol::Web, Hello { resume: guess, ..sized(1) }).await;
+            let mut racing = JoinSet::new();
+            for protocol in [Protocol::Native, Protocol::Web, Protocol::Native] {
+                let (rig, hello) = (Arc::clone(&rig), Hello { resume: Some(welcome.resume), ..sized(1) });
+                racing.spawn(async move { rig.started(protocol, hello).await.0 });
+            }
+            let won = soon(racing.join_all()).await;
+            // The victim was replaced once; the other two are new clients.
+            soon(victim.session.closed()).await;
+            let (again, _) = rig.started(Protocol::Web, Hello { resume: Some(welcome.resume), ..sized(1) }).await;
+            drop((guesser, won, again));
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+    })
+    .await;
+    rig.sessions(0).await;
+}
+
+/// They acknowledge frames that were never sent, and report losses that cannot be.
+async fn about_what_they_have_and_lose() {
+    let rig = rig(|_| {}).await;
+    honest_clients_keep_their_masks(&rig, |rig, stop| async move {
+        let mut liars = JoinSet::new();
+        for (number, protocol) in Protocol::BOTH.into_iter().cycle().take(4).enumerate() {
+            let (rig, stop) = (Arc::clone(&rig), Arc::clone(&stop));
+            liars.spawn(async move {
+                let hello = Hello { codec: CodecId::TilesSmall, ..sized(10) };
+                let (mut liar, _) = rig.started(protocol, hello).await;
+                let mut round = u32::try_from(number).unwrap();
+                let (mut asked, mut came) = (0, 0);
+                while !stop.load(Ordering::Relaxed) {
+                    for lie in lies(round) {
+                        liar.send(&lie);
+                        round = round.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    }
+                    let (more, got) = liar.watch(10, tokio::time::sleep(Duration::from_millis(200))).await;
+                    (asked, came) = (asked + more, came + got.len());
+                }
+                (asked, came)
+            });
+        }
+        for (asked, came) in liars.join_all().await {
+            assert!(asked > 0 && came > 0, "{came} of {asked}: a liar is served all the same");
+        }
+    })
+    .await;
+    rig.sessions(0).await;
+}
+
+/// Acknowledgements and loss reports of many kinds, none of them true.
+fn lies(round: u32) -> Vec<Vec<u8>> {
+    let acknowledge = |sequence, mask| Acknowledgement { sequence, mask }.encode().to_vec();
+    let name = |frame: u32, digest| Some(ReferenceName { frame: FrameNumber(frame), digest });
+    let report = |sequence, expected, lost, runs| {
+        LossFeedback { sequence, totals: LossTotals { expected, lost, runs } }.encode().to_vec()
+    };
+    let mut garbage = acknowledge(round, name(round, round));
+    let place = (round as usize) % garbage.len();
+    garbage[place] ^= 0x55;
+    vec![
+        acknowledge(round, name(0, round)),
+        acknowledge(round.wrapping_add(1), name(u32::MAX - 1, round)),
+        acknowledge(round.wrapping_add(1 << 30), None),
+        garbage,
+        report(round, 1, u32::MAX, 0),
+        report(round.wrapping_add(1), u32::MAX, u32::MAX, u32::MAX),
+        report(round.wrapping_add(2), 0, 5, 9),
+        report(round.wrapping_add(1 << 30), round, round / 2, round / 3),
+        vec![0x5a; HEADER_BYTES],
+    ]
+}
+
+/// They fetch what is not there, and the same again and again.
+async fn about_the_scene() {
+    let rig = rig(|config| config.network_budget_mbit = Some(100)).await;
+    honest_clients_keep_their_masks(&rig, |rig, stop| async move {
+        let mut number = 0;
+        while !stop.load(Ordering::Relaxed) {
+            let mut liar = rig.peer(Protocol::BOTH[number % 2]).await;
+            let welcome = liar.control.welcome(sized(1)).await;
+            let (offsets, expected): (Vec<u64>, _) = match number % 3 {
+                0 => (vec![welcome.scene_bytes + 1], "does not exist"),
+                1 => (vec![u64::MAX], "does not exist"),
+                _ => (vec![0; 8], "a few times"),
+            };
+            for offset in offsets {
+                liar.control.send(&ClientMessage::FetchScene { offset }).await;
+            }
+            let reason = liar.closing().await;
+            assert!(reason.contains(expected), "{reason}");
+            number += 1;
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        assert!(number > 2);
+    })
+    .await;
+    rig.sessions(0).await;
+}
