@@ -2,6 +2,7 @@
 
 use std::{pin::pin, sync::Arc};
 
+use gnomon_protocol::message::Refusal;
 use thiserror::Error;
 use tokio::task::JoinSet;
 use tracing::Instrument as _;
@@ -136,7 +137,10 @@ async fn serve(arrival: Arrival, place: (Place, Tenure), services: Arc<Services>
     if let Some(cause) = reason.cause() {
         services.metrics.refused(cause);
     }
-    tracing::info!(%reason, "not admitted");
+    // Wrong tokens are logged as counts.
+    if !matches!(reason, NotAdmitted::Handshake(HandshakeError::Refused(Refusal::Token))) {
+        tracing::info!(%reason, "not admitted");
+    }
     if let Some(guard) = guard {
         reason.tell(guard).await;
     }

@@ -127,7 +127,7 @@ impl Peer {
     async fn closing(&mut self) -> String {
         loop {
             match self.control.receive().await {
-                Some(ServerMessage::Closing { reason }) => return reason,
+                Some(ServerMessage::Closing { reason }) => return reason.to_string(),
                 Some(_) => {}
                 None => panic!("closed without a reason"),
             }
@@ -251,7 +251,7 @@ async fn about_sizes() {
             match other.control.receive().await {
                 Some(ServerMessage::Welcome(_)) => admitted.push(other),
                 Some(ServerMessage::Refused(Refusal::Busy { reason, .. })) => {
-                    assert!(reason.contains("MB of memory"), "{reason}");
+                    assert!(reason.to_string().contains("MB of memory"), "{reason}");
                     refused += 1;
                 }
                 other => panic!("{other:?}"),
