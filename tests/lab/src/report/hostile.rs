@@ -32,7 +32,8 @@ use self::{
     attacks::Attack,
     peers::Protocol,
     state::{
-        FORGETS_WITHIN, LOG_BYTES_PER_PACKET, LOG_LINES_PER_PACKET, MEMORY_GROWTH_BYTES, SPARE_LOG_LINES, State, metric,
+        FORGETS_WITHIN, LEFT_BEHIND_BYTES, LOG_BYTES_PER_PACKET, LOG_LINES_PER_PACKET, MEMORY_GROWTH_BYTES,
+        SPARE_LOG_LINES, State, metric,
     },
     tokens::Tokens,
 };
@@ -271,8 +272,8 @@ fn beleaguer(
     goals.add(
         &format!("{name}: memory growth, bytes"),
         &grown.to_string(),
-        &format!("{MEMORY_GROWTH_BYTES} at most"),
-        grown <= MEMORY_GROWTH_BYTES,
+        &format!("{LEFT_BEHIND_BYTES} at most"),
+        grown <= LEFT_BEHIND_BYTES,
     );
     let packets = (after.packets - before.packets) as f64;
     let lines = after.log_lines - before.log_lines;
