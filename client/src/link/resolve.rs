@@ -31,7 +31,7 @@ where
     let mut addresses: Vec<SocketAddr> = found.collect();
     // UDP to a closed port may get no answer, and on small networks names usually mean the IPv4 address.
     addresses.sort_by_key(SocketAddr::is_ipv6);
-    first_of(&addresses, url, deadline, attempt).await
+    first_of(&addresses, url, (limit, deadline), attempt).await
 }
 
 /// Tries the addresses in turn. Each has an equal share of the time that is left, so a silent one costs no other its
@@ -39,14 +39,13 @@ where
 async fn first_of<T, F>(
     addresses: &[SocketAddr],
     url: &ServerUrl,
-    deadline: Instant,
+    (limit, deadline): (Duration, Instant),
     attempt: impl Fn(SocketAddr) -> F,
 ) -> Result<T, ClientError>
 where
     F: Future<Output = Result<T, ClientError>>,
 {
     let failed = |reason: String| ClientError::Connect { url: Box::new(url.clone()), reason };
-    let limit = deadline.saturating_duration_since(Instant::now());
     let unreachable = || ClientError::Unreachable { url: Box::new(url.clone()), after: limit };
     let mut last = failed(format!("host {:?} has no address", url.host));
     for (tried, address) in addresses.iter().enumerate() {
@@ -83,12 +82,16 @@ mod tests {
                 }
             }
         };
-        let soon = || Instant::now() + Duration::from_millis(600);
+        let limit = Duration::from_millis(600);
+        let soon = || (limit, Instant::now() + limit);
         assert_eq!(first_of(&addresses, &url, soon(), attempt).await.unwrap(), addresses[2]);
         assert_eq!(*tried.lock().unwrap(), addresses);
         tried.lock().unwrap().clear();
         let error = first_of(&addresses[..2], &url, soon(), attempt).await.unwrap_err();
         assert!(error.to_string().ends_with("refused"), "the last failure is told: {error}");
+        tried.lock().unwrap().clear();
+        let silent = first_of(&addresses[..1], &url, soon(), attempt).await.unwrap_err().to_string();
+        assert!(silent.contains("within 0.6 s"), "{silent}");
         assert!(first_of(&[], &url, soon(), attempt).await.unwrap_err().to_string().contains("no address"));
     }
 }
