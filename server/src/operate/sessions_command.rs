@@ -170,8 +170,9 @@ mod tests {
     #[test]
     fn a_list_becomes_a_table() {
         let list = r#"{"sessions":[
-            {"id":7,"token":"alice","peer":"192.0.2.7:5","client":"a\u001b[2Jb","size_px":[1280,720],"codec":"tiles-fast",
-             "declared_hz":60,"poses_per_s":59.6,"device_ms_per_s":12.34,"bytes_per_s":1234567.0,"since":"2026-11-29T18:00:00Z"},
+            {"id":7,"token":"alice","peer":"192.0.2.7:5","client":"a\u001b[2Jb","size_px":[1280,720],
+             "codec":"tiles-fast","declared_hz":60,"poses_per_s":59.6,"device_ms_per_s":12.34,"bytes_per_s":1234567.0,
+             "since":"2026-11-29T18:00:00Z"},
             {"id":12,"token":null,"peer":"[::1]:5","client":"c","size_px":[64,36],"codec":"planes-lz4",
              "declared_hz":null,"poses_per_s":0,"device_ms_per_s":0,"bytes_per_s":0,"since":"2026-11-29T18:00:01Z"}]}"#;
         let expected = "\
