@@ -34,6 +34,7 @@ pub struct RequestSender {
     newest: watch::Sender<Option<TraceRequest>>,
     used: SyncSender<Mask>,
     waker: EngineWaker,
+    costs: Arc<SessionCosts>,
 }
 
 /// Receives a session's traced masks.
@@ -85,7 +86,7 @@ pub(super) fn session_port(thread: Thread, costs: Arc<SessionCosts>) -> (Session
     let (used, used_end) = sync_channel(OUTSTANDING_MASKS + 1);
     (
         SessionPort {
-            requests: RequestSender { newest, used, waker: waker.clone() },
+            requests: RequestSender { newest, used, waker: waker.clone(), costs: Arc::clone(&costs) },
             masks: MaskReceiver { masks, waker: waker.clone() },
             costs,
         },
@@ -160,6 +161,7 @@ impl Drop for RequestSender {
         // Fields are dropped after this function, but the channel must close before the engine wakes.
         let (other, _) = watch::channel(None);
         drop(std::mem::replace(&mut self.newest, other));
+        self.costs.leave();
         self.waker.wake();
     }
 }

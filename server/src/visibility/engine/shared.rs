@@ -96,7 +96,7 @@ impl Shared {
 
     /// As [`Self::load_ms`], without the session with the costs `left_out`.
     pub(super) fn load_without_ms(&self, left_out: Option<&Arc<SessionCosts>>) -> f64 {
-        self.sessions().iter().filter(|costs| is_not(left_out, costs)).map(|costs| costs.need().per_second_ms()).sum()
+        self.sessions().iter().filter(|costs| counts(left_out, costs)).map(|costs| costs.need().per_second_ms()).sum()
     }
 
     /// Returns whether the device can trace now.
@@ -130,8 +130,9 @@ impl Shared {
     }
 }
 
-fn is_not(other: Option<&Arc<SessionCosts>>, costs: &Arc<SessionCosts>) -> bool {
-    other.is_none_or(|other| !Arc::ptr_eq(other, costs))
+/// Returns whether a session counts beside one that is judged as if `replaced` were gone.
+fn counts(replaced: Option<&Arc<SessionCosts>>, costs: &Arc<SessionCosts>) -> bool {
+    !costs.has_left() && replaced.is_none_or(|replaced| !Arc::ptr_eq(replaced, costs))
 }
 
 impl SessionPermit {
@@ -145,7 +146,7 @@ impl SessionPermit {
     ) -> Result<Self, E> {
         let mut sessions = shared.sessions();
         let needs: Vec<Need> =
-            sessions.iter().filter(|costs| is_not(replaced, costs)).map(|costs| costs.need()).collect();
+            sessions.iter().filter(|costs| counts(replaced, costs)).map(|costs| costs.need()).collect();
         fits(&needs)?;
         sessions.push(Arc::clone(costs));
         drop(sessions);

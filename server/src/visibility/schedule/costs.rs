@@ -1,7 +1,7 @@
 //! Measured cost of sessions on their device. The engine's thread writes it; admission and statistics read it.
 
 use std::{
-    sync::atomic::{AtomicU64, Ordering},
+    sync::atomic::{AtomicBool, AtomicU64, Ordering},
     time::{Duration, Instant},
 };
 
@@ -23,6 +23,7 @@ const NEWEST_SHARE: f64 = 0.125;
 #[derive(Debug)]
 pub struct SessionCosts {
     opened_at: Instant,
+    left: AtomicBool,
     pixels: usize,
     /// Declared.
     rate_hz: Option<f64>,
@@ -49,6 +50,7 @@ impl SessionCosts {
     pub(crate) fn new(shape: MaskShape, rate_hz: Option<f64>, expected_ms: f64) -> Self {
         Self {
             opened_at: Instant::now(),
+            left: AtomicBool::new(false),
             pixels: shape.pixels(),
             rate_hz,
             begun: AtomicU64::new(0),
@@ -93,6 +95,15 @@ impl SessionCosts {
         let measured_hz = self.measured.planned_hz(self.begun.load(Ordering::Relaxed));
         let rate_hz = self.rate_hz.map(|declared_hz| if active { measured_hz } else { declared_hz });
         Need { cost_ms: self.expected_ms(), rate_hz, active }
+    }
+
+    /// Records that the client is gone: the session needs no more time, although its engine may not know yet.
+    pub(crate) fn leave(&self) {
+        self.left.store(true, Ordering::Relaxed);
+    }
+
+    pub(crate) fn has_left(&self) -> bool {
+        self.left.load(Ordering::Relaxed)
     }
 
     /// Records that the trace of a pose begins, after it has waited this long.
