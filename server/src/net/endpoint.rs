@@ -196,7 +196,7 @@ impl Endpoint {
             match self {
                 Self::Quic { endpoint, counts } => {
                     let incoming = endpoint.accept().await?;
-                    if incoming.remote_address_validated() {
+                    if incoming.remote_address_validated() || is_link_local(incoming.remote_address()) {
                         return Some(Arrival::Quic(Box::new(incoming)));
                     }
                     counts.count_retry();
@@ -226,6 +226,12 @@ impl Endpoint {
             let _ = tokio::time::timeout(limits::LINGER, endpoint.wait_idle()).await;
         }
     }
+}
+
+/// A Retry's token loses the zone of such an address, so its client could never come back. Who forges one is on this
+/// very link, where a flood needs no server.
+fn is_link_local(peer: SocketAddr) -> bool {
+    matches!(peer, SocketAddr::V6(address) if address.ip().is_unicast_link_local())
 }
 
 impl Arrival {
