@@ -139,7 +139,6 @@ impl RunningServer {
     }
 
     /// Returns a check of whether the engines' threads answer, for a supervisor's watchdog.
-    #[must_use]
     pub fn pulse(&self) -> impl Fn() -> bool + Send + use<> {
         let services = Arc::clone(&self.services);
         move || services.engine.answers()

@@ -228,7 +228,6 @@ async fn about_rates() {
             });
         }
         for (declared, came, lasted) in liars.join_all().await {
-            #[expect(clippy::cast_precision_loss, reason = "a few masks")]
             let most = lasted.as_secs_f64() * TOLERANCE + BURST + 1.0;
             assert!(declared == 0 || (came as f64) <= most, "{came} masks in {lasted:?} for one a second");
         }

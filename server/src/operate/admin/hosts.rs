@@ -45,9 +45,7 @@ impl AdminHosts {
     fn contains(&self, host: &str) -> bool {
         let host = host.trim_end_matches('.').to_ascii_lowercase();
         let bare = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(&host);
-        bare.parse::<IpAddr>().is_ok()
-            || host.rsplit('.').next() == Some("localhost")
-            || self.0.iter().any(|listed| *listed == host)
+        bare.parse::<IpAddr>().is_ok() || host.rsplit('.').next() == Some("localhost") || self.0.contains(&host)
     }
 }
 
