@@ -88,7 +88,7 @@ fn a_window_follows_its_server_to_another_scene() {
     watch(&mut client, &stats, served_since(since));
     // It still answers: a picture is saved, and Escape leaves.
     let id = display.person("search --sync --name Gnomon");
-    display.person(&format!("windowfocus {}", id.lines().next().unwrap()));
+    display.focus(id.lines().next().unwrap());
     display.person("key p");
     let (picture, begun) = (folder.join("gnomon_00001.png"), Instant::now());
     while image::open(&picture).is_err() {

@@ -43,7 +43,7 @@ fn a_window_asks_before_the_token_goes() {
         ];
         let client = Program::start(&find("gnomon-client").unwrap(), &arguments, &environment).unwrap();
         let id = display.person("search --sync --name Gnomon");
-        display.person(&format!("windowfocus {}", id.lines().next().unwrap()));
+        display.focus(id.lines().next().unwrap());
         client
     };
     // A key does nothing before the question is on the screen.

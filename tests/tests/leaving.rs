@@ -203,7 +203,7 @@ fn a_window_leaves_when_it_is_closed_or_asked() {
     };
     let close = || {
         let id = display.person("search --sync --name Gnomon");
-        display.person(&format!("windowfocus {}", id.lines().next().unwrap()));
+        display.focus(id.lines().next().unwrap());
         display.person("key Escape");
     };
     let mut server = only_server(&stage);

@@ -55,7 +55,7 @@ impl<'a> Window<'a> {
         let mut client = Program::start(&find("gnomon-client").unwrap(), &all, &environment).unwrap();
         let id = display.person("search --sync --name Gnomon");
         let id = id.lines().next().unwrap().to_owned();
-        display.person(&format!("windowfocus {id}"));
+        display.focus(&id);
         assert!(client.is_running().unwrap());
         Self { display, client, id, folder, kept: 0 }
     }

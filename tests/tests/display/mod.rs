@@ -3,7 +3,11 @@
 use std::{
     io::{BufRead as _, BufReader},
     process::{Child, Command, Stdio},
+    thread::sleep,
+    time::{Duration, Instant},
 };
+
+use gnomon_lab::rig::PATIENCE;
 
 /// A display. Dropping it closes it.
 pub(crate) struct Display {
@@ -27,10 +31,23 @@ impl Display {
 
     /// Runs an xdotool command at this display and returns its output.
     pub(crate) fn person(&self, does: &str) -> String {
+        self.attempt(does).unwrap_or_else(|error| panic!("xdotool {does}: {error}"))
+    }
+
+    /// Gives a window the keyboard. X refuses that until the window manager has shown it.
+    pub(crate) fn focus(&self, window: &str) {
+        let deadline = Instant::now() + PATIENCE;
+        while let Err(error) = self.attempt(&format!("windowfocus {window}")) {
+            assert!(Instant::now() < deadline, "window {window} cannot be focused: {error}");
+            sleep(Duration::from_millis(50));
+        }
+    }
+
+    fn attempt(&self, does: &str) -> Result<String, String> {
         let output = Command::new("xdotool").args(does.split(' ')).env("DISPLAY", &self.name).output();
         let output = output.expect("the window's person is xdotool: run deploy/setup");
-        assert!(output.status.success(), "xdotool {does}: {}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8_lossy(&output.stdout).trim().to_owned()
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).trim().to_owned();
+        if output.status.success() { Ok(text(&output.stdout)) } else { Err(text(&output.stderr)) }
     }
 }
 
