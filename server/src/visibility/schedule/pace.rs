@@ -1,7 +1,8 @@
 //! Holds a session to the rate that it declared: a token bucket, in masks.
 //!
 //! Without it, sessions that declare little and ask for much would take the time that others were promised. A mask that
-//! must wait costs its client nothing but time: a newer pose replaces the waiting one.
+//! must wait costs its client nothing but time: a newer pose replaces the waiting one. A session whose masks had to
+//! wait is served in the background for a while (`engine/worker/session.rs`).
 
 use std::time::{Duration, Instant};
 

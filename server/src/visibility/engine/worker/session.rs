@@ -10,6 +10,9 @@ use crate::visibility::{
 /// How long the shortest frame cost among the sessions is remembered.
 const THRESHOLD_LASTS: Duration = Duration::from_millis(10);
 
+/// How long a session counts as greedy after it asked for more than it declared.
+const GREEDY_FOR: Duration = Duration::from_secs(2);
+
 pub(super) struct ActiveSession {
     pub(super) opened: PendingSession,
     /// Due time of the mask that it waits for.
@@ -19,6 +22,8 @@ pub(super) struct ActiveSession {
     /// The frame being traced in parts is background work.
     pub(super) in_background: bool,
     pub(super) pace: Pace,
+    /// When its pace last held a request back, although it had declared a rate.
+    held_back_at: Option<Instant>,
 }
 
 /// What the device has room for now.
@@ -63,7 +68,7 @@ impl SplitThreshold {
 impl ActiveSession {
     pub(super) fn new(opened: PendingSession) -> Self {
         let pace = Pace::new(opened.costs.rate_hz(), Instant::now());
-        Self { opened, due: None, partial: None, in_background: false, pace }
+        Self { opened, due: None, partial: None, in_background: false, pace, held_back_at: None }
     }
 
     pub(super) fn is_closed(&self) -> bool {
@@ -76,14 +81,17 @@ impl ActiveSession {
             let background = self.in_background;
             return Some(Demand { due: partial.job.due, resumes: true, fits: room.next_part, background });
         }
-        let (request_waits, wait) = (self.request_waits(), self.pace_wait(now));
+        if !self.request_waits() {
+            return None;
+        }
         // Beyond its pace, a session with a declared rate waits, and one without takes what others leave.
-        if !request_waits || (!wait.is_zero() && self.opened.costs.rate_hz().is_some()) {
+        if self.opened.costs.rate_hz().is_some() && !self.pace_wait(now).is_zero() {
+            self.held_back_at = Some(now);
             return None;
         }
         let request = self.opened.port.newest.borrow().or(self.opened.retry)?;
         let due = *self.due.get_or_insert(request.received_at + request.interval);
-        let background = !wait.is_zero();
+        let background = self.is_background(now);
         let fits = match (self.opened.costs.expected_ms() > room.split_above_ms, background) {
             (false, _) => room.whole,
             (true, false) => room.first_part,
@@ -96,6 +104,13 @@ impl ActiveSession {
     pub(super) fn held_back(&self, now: Instant) -> Option<Duration> {
         let wait = self.pace_wait(now);
         (self.partial.is_none() && !wait.is_zero() && self.request_waits()).then_some(wait)
+    }
+
+    /// Whoever asks for more than it declared takes what others leave, too, until it asks for no more for a while:
+    /// otherwise many such sessions, whose turns come at the same time, would make honest ones late.
+    pub(super) fn is_background(&self, now: Instant) -> bool {
+        let greedy = self.held_back_at.is_some_and(|at| now.saturating_duration_since(at) < GREEDY_FOR);
+        greedy || !self.pace_wait(now).is_zero()
     }
 
     fn request_waits(&self) -> bool {

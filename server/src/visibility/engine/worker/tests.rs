@@ -77,7 +77,11 @@ impl Rig {
 
     fn open(&mut self, kind: (u32, u32, f64)) -> SessionPort {
         // So many that no pace holds a session back.
-        let costs = Arc::new(SessionCosts::new(shape(kind), Some(1e6), kind.2));
+        self.open_at(kind, Some(1e6))
+    }
+
+    fn open_at(&mut self, kind: (u32, u32, f64), rate_hz: Option<f64>) -> SessionPort {
+        let costs = Arc::new(SessionCosts::new(shape(kind), rate_hz, kind.2));
         let (port, engine_port) = session_port(std::thread::current(), Arc::clone(&costs));
         let permit = SessionPermit::acquire(&self.shared, &costs, None, |_| Ok::<_, ()>(())).unwrap();
         self.pending
@@ -241,4 +245,37 @@ fn the_request_of_a_failed_frame_is_kept() {
     assert!(!rig.worker.recover(failure), "there is no other device");
     let retries: Vec<_> = rig.worker.sessions.values().map(|session| session.opened.retry).collect();
     assert_eq!(retries[0].map(|request| request.frame), Some(FrameNumber(7)));
+}
+
+/// Sessions that ask for more than they declared, or that declared nothing, have used little time and wait for long.
+/// Even so they go after a session that asks for what it declared.
+#[test]
+fn sessions_beyond_their_pace_go_last() {
+    let mut rig = Rig::new(cpu());
+    let mut honest = rig.open(SHORT);
+    let mut greedy = [Some(20.0), None].map(|rate_hz| rig.open_at(SHORT, rate_hz));
+    for port in &mut greedy {
+        let mut frame = 0;
+        while frame < 50 {
+            ask(port, frame, SHORT);
+            while rig.work() {}
+            frame += 1;
+            while port.masks.try_recv().is_ok() {}
+        }
+    }
+    // The first has a turn again, but has lost its place.
+    std::thread::sleep(Duration::from_millis(60));
+    for port in &greedy {
+        ask(port, 100, SHORT);
+    }
+    for frame in 1..4 {
+        ask(&honest, frame, SHORT);
+        assert!(rig.work());
+        assert_eq!(honest.masks.try_recv().unwrap().frame, FrameNumber(frame));
+    }
+    while rig.work() {}
+    for port in &mut greedy {
+        let came: Vec<u32> = std::iter::from_fn(|| port.masks.try_recv().ok()).map(|mask| mask.frame.0).collect();
+        assert_eq!(came.last(), Some(&100), "it takes what is left");
+    }
 }

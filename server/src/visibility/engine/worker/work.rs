@@ -76,6 +76,7 @@ impl Worker {
         self.panic_on_demand();
         let session = self.sessions.get_mut(&key)?;
         let due = session.due.take();
+        let in_background = session.is_background(Instant::now());
         let PendingSession { shape: largest, port, costs, retry, .. } = &mut session.opened;
         // Only this thread takes permits, so a free one stays free unless the port closes.
         let permit = port.masks.clone().try_reserve_owned();
@@ -88,7 +89,7 @@ impl Worker {
         };
         costs.record_begin(request.received_at.elapsed());
         let now = Instant::now();
-        session.in_background = lost.is_none() && !session.pace.wait(now).is_zero();
+        session.in_background = lost.is_none() && in_background;
         if lost.is_none() {
             session.pace.take(now);
         }
