@@ -265,7 +265,7 @@ fn a_file_that_cannot_be_written_fails_the_run_and_what_is_written_can_be_read()
     let waits = stage.client(server.url(), 400, &["--mask-log", "/dev/full", "--wait"], "off");
     assert_fails_with(&waits.finish(PATIENCE).unwrap(), &["/dev/full", "no space left"]);
 
-    // Whoever reads the statistics goes away.
+    // The reader of the statistics goes away.
     let pipe = stage.file("pipe");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     let client = stage.client(server.url(), 400, &["--stats", text(&pipe)], "off");

@@ -18,7 +18,7 @@ use crate::link::url::ServerUrl;
 /// Servers that a window offers. What was trusted is kept beyond that.
 const MAX_SERVERS: usize = 16;
 
-/// Pins are never evicted: a forgotten one would trust whoever answers next. Beyond this, no new one is made.
+/// Pins are never evicted: without its pin, another server could take its place. Beyond this, no new one is made.
 const MAX_PINS: usize = 4096;
 
 /// Room for [`MAX_PINS`] URLs with several certificates each.

@@ -1,4 +1,4 @@
-//! URLs from the wire. A server names another one for its clients; whoever writes it must not reach further than that.
+//! URLs from the wire. A server names another one for its clients, and must not reach further than that.
 //!
 //! The grammar is `gnomon://HOST:PORT/?cert=SHA256`, with more `&cert=` if the other server has a spare: no file of
 //! this machine, no zone, no first visit. A lab server, which is on loopback and not encrypted, may name one of its own

@@ -111,7 +111,7 @@ impl Play {
         let (width, height) = largest_mask(largest);
         let shape = MaskShape::new(width, height, lights)?;
         let server = connected.as_ref().map(|connected| (connected.url().clone(), connected.welcome().clone()));
-        // Files before the session: whoever fails here has none to leave.
+        // Files before the session: a failure here leaves no session open.
         let welcome = server.as_ref().map(|(_, welcome)| welcome);
         let recorder = Recorder::for_run(options, size, welcome, exposure, &screen.gpu)?;
         let stats = options.settings.stats.as_deref().map(StatsFile::create).transpose()?;

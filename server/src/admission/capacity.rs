@@ -384,7 +384,7 @@ mod tests {
         let refused = capacity.reserve(largest, None).unwrap_err().to_string();
         assert!(refused.contains("MB of memory, and 1") && refused.contains("are left"), "{refused}");
         let small = capacity.reserve(demand(shape(), Some(1.0)), None).unwrap();
-        // Whoever resumes a session is judged without it.
+        // A client that resumes a session is judged without it.
         let back = capacity.reserve(largest, Some(&first.share())).unwrap();
         drop((first, small, back));
         let config = ServerConfig { memory_budget_mb: Some(100), ..ServerConfig::default() };

@@ -59,7 +59,7 @@ impl FailedTokens {
     /// Counts a wrong token, and logs it unless another was logged just before.
     pub(crate) fn count(&self, address: IpAddr, problem: TokenRejection, now: Instant) {
         let mut state = self.state.lock();
-        // Whoever knows a token that was good once guesses nothing.
+        // A client with a token that was good once does not guess.
         let guessed = matches!(problem, TokenRejection::Missing | TokenRejection::Unknown);
         if guessed && !address.to_canonical().is_loopback() {
             state.add(Network::of(address), now);

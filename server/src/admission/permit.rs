@@ -28,7 +28,7 @@ use crate::{
     visibility::schedule::costs::SessionCosts,
 };
 
-/// What a session was granted. Whoever resumes it is judged without it.
+/// What a session was granted. A client that resumes it is judged without it.
 #[derive(Debug)]
 pub(crate) struct Holding {
     /// SHA-256 of the token that admitted it; `None` on a server without tokens.

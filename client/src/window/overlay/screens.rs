@@ -30,7 +30,7 @@ pub(crate) fn loading(
 }
 
 /// Asks whether to trust a server that is visited for the first time. Returns the answer, once there is one. Enter is
-/// none: whoever starts a program with it may still hold it.
+/// none: the program that started this one may still hold it.
 pub(crate) fn first_visit(context: &egui::Context, server: &str, sha256: &str) -> Option<bool> {
     let mut answer = None;
     egui::Area::new(egui::Id::unique("first visit")).anchor(Align2::CENTER_CENTER, [0.0, 0.0]).show(context, |ui| {

@@ -185,7 +185,7 @@ async fn race(services: &Arc<Services>, hello: &Hello, loser: RefusalCause) -> V
     admitted
 }
 
-/// The budget holds one session. Whoever resumes it is judged without it, and whoever is refused leaves it alone.
+/// The budget holds one session. A client that resumes it is judged without it, and leaves it alone if refused.
 #[tokio::test]
 async fn a_resume_near_the_budget_keeps_its_session() {
     let folder = tempfile::tempdir().unwrap();

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use super::{error::CertificateError, pem};
 use crate::{files, limits};
 
-/// Beside the permanent certificate. Whoever reads it can impersonate the server to browsers for two weeks.
+/// Beside the permanent certificate. Its reader can impersonate the server to browsers for two weeks.
 pub(super) const FILE: &str = "browser-certificates.json";
 
 /// Browsers refuse pinned certificates that are valid for more than 14 days.
@@ -137,7 +137,7 @@ impl Pair {
         Ok(pair)
     }
 
-    /// `None` if there is no file, or a damaged one: whoever pins these certificates asks for their hashes again.
+    /// `None` if there is no file, or a damaged one: pages ask for the new hashes then.
     fn read(file: &Path, provider: &CryptoProvider) -> Option<Self> {
         let text = files::read_small(file, limits::MAX_SMALL_FILE_BYTES).ok()?;
         let [current, next] = serde_json::from_slice::<[Kept; 2]>(&text).ok()?;

@@ -68,7 +68,7 @@ fn a_spent_token_stays_spent_across_reloads() {
     assert_eq!(store.admit(Some("a"), Scope::Session), Ok(()));
     assert_eq!(store.admit(Some("a"), Scope::Session), Err(TokenRejection::Spent));
     assert_eq!(refused("a", false), TokenRejection::Spent);
-    // Whoever resumes its session does not spend it again, and gives nothing back.
+    // A client that resumes its session does not spend it again, and gives nothing back.
     drop(Grant::claim(&store, Some("a"), true).unwrap());
     assert_eq!(refused("a", false), TokenRejection::Spent);
     assert_eq!(store.reload().unwrap(), 2);

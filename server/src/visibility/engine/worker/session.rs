@@ -106,7 +106,7 @@ impl ActiveSession {
         (self.partial.is_none() && !wait.is_zero() && self.request_waits()).then_some(wait)
     }
 
-    /// Whoever asks for more than it declared takes what others leave, too, until it asks for no more for a while:
+    /// A session that asks for more than it declared takes what others leave, too, until it stops for a while:
     /// otherwise many such sessions, whose turns come at the same time, would make honest ones late.
     pub(super) fn is_background(&self, now: Instant) -> bool {
         let greedy = self.held_back_at.is_some_and(|at| now.saturating_duration_since(at) < GREEDY_FOR);
