@@ -87,7 +87,7 @@ pub struct ClientSettings {
         help_heading = "Server"
     )]
     pub lossy: f64,
-    /// With ?cert=first-use: send the token to whoever answers the first visit, without asking
+    /// With ?cert=first-use: send the token on the first visit without asking who the server is
     #[arg(long, help_heading = "Server")]
     pub trust_first_use: bool,
     /// Folder for cached scenes [default: the platform's cache folder]
