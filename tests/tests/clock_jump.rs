@@ -2,12 +2,13 @@
 //! clock, and no time in the log is negative.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+mod walk;
+
 use std::{fs, net::Ipv4Addr, path::Path, time::Duration};
 
 use gnomon_client::{
     ClientError,
     app::probe::{ProbeOptions, ProbeReport, run_probe},
-    camera_path::{CameraPath, PathSpec},
 };
 use gnomon_lab::rig::Ask;
 use gnomon_server::{
@@ -17,7 +18,7 @@ use gnomon_server::{
     logs,
     tokens::{self, Scope},
 };
-use serde_json::{Value, json};
+use serde_json::Value;
 use tokio::runtime::Runtime;
 
 const HOUR_S: i64 = 3600;
@@ -37,14 +38,6 @@ fn start(runtime: &Runtime, folder: &Path, tokens: &str) -> RunningServer {
     runtime.block_on(Server::start(config)).unwrap()
 }
 
-fn path(folder: &Path) -> CameraPath {
-    let keyframe = |t: f64| json!({ "t": t, "pos": [0.1 * t, 2.5, 0.5], "target": [0.0, 0.0, 0.0] });
-    let path = json!({ "yfov_deg": 60.0, "camera_path": { "keyframes": [keyframe(0.0), keyframe(30.0)] } });
-    let file = folder.join("path.json");
-    fs::write(&file, path.to_string()).unwrap();
-    file.to_str().unwrap().parse::<PathSpec>().unwrap().load().unwrap()
-}
-
 #[test]
 fn sessions_go_on_and_tokens_and_certificates_expire_by_the_clock() {
     let folder = tempfile::tempdir().unwrap();
@@ -54,7 +47,7 @@ fn sessions_go_on_and_tokens_and_certificates_expire_by_the_clock() {
     let (for_a_day, day_entry) = tokens::make("day", Some(1), &[Scope::Session], false).unwrap();
     let (for_ever, ever_entry) = tokens::make("ever", None, &[Scope::Session], false).unwrap();
     let server = start(&runtime, folder.path(), &(day_entry + &ever_entry));
-    let path = path(folder.path());
+    let path = walk::path(folder.path());
     let run = |token: &str, frames: u32| -> Result<ProbeReport, ClientError> {
         let ask = Ask { size: (64, 36), fps: Some(20.0), frames };
         let options = ProbeOptions { token: Some(token.to_owned()), ..ask.of(&server.url().parse().unwrap()) };

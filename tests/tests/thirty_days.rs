@@ -5,6 +5,8 @@
 //! this process, and judge certificates by the server's date.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+mod walk;
+
 use std::{
     collections::BTreeSet,
     fs,
@@ -18,7 +20,6 @@ use std::{
 use gnomon_client::{
     ClientError,
     app::probe::{ProbeOptions, run_probe},
-    camera_path::{CameraPath, PathSpec},
 };
 use gnomon_lab::rig::{
     Ask, PATIENCE,
@@ -238,14 +239,6 @@ fn validity(certificate: &[u8]) -> [SystemTime; 2] {
     })
 }
 
-fn path(folder: &Path) -> CameraPath {
-    let keyframe = |t: f64| json!({ "t": t, "pos": [0.1 * t, 2.5, 0.5], "target": [0.0, 0.0, 0.0] });
-    let path = json!({ "yfov_deg": 60.0, "camera_path": { "keyframes": [keyframe(0.0), keyframe(30.0)] } });
-    let file = folder.join("path.json");
-    fs::write(&file, path.to_string()).unwrap();
-    file.to_str().unwrap().parse::<PathSpec>().unwrap().load().unwrap()
-}
-
 #[test]
 fn a_server_runs_for_thirty_days() {
     let temporary = tempfile::tempdir().unwrap();
@@ -254,7 +247,7 @@ fn a_server_runs_for_thirty_days() {
     let [(week, week_entry), (ever, ever_entry)] = [token("week", Some(7)), token("ever", None)];
     fs::write(folder.join("tokens.toml"), week_entry + &ever_entry).unwrap();
     let server = Server::start(folder);
-    let (runtime, path) = (Runtime::new().unwrap(), path(folder));
+    let (runtime, path) = (Runtime::new().unwrap(), walk::path(folder));
     let native = |token: &str| -> Result<u64, ClientError> {
         let ask = Ask { size: (SIDE_PX.into(), SIDE_PX.into()), fps: None, frames: 2 };
         let options = ProbeOptions { token: Some(token.to_owned()), ..ask.of(&server.url.parse().unwrap()) };
