@@ -105,12 +105,10 @@ fn scene() -> Scene {
         materials: vec![Material {
             name: "floor".into(),
             base_color: Vec4::ONE,
-            base_color_texture: None,
-            emissive: Vec3::ZERO,
             alpha: AlphaMode::Opaque,
             double_sided: true,
+            ..Material::default()
         }],
-        images: Vec::new(),
         lights: vec![Light {
             name: "lamp".into(),
             kind: LightKind::Point,
@@ -121,6 +119,7 @@ fn scene() -> Scene {
             range_m: f32::INFINITY,
         }],
         instances: 1,
+        ..Scene::default()
     }
 }
 

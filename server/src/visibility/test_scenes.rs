@@ -2,7 +2,7 @@
 
 use std::f32::consts::{PI, TAU};
 
-use glam::{DVec3, Quat, Vec2, Vec3, Vec4};
+use glam::{DVec3, Quat, Vec2, Vec3};
 use gnomon_scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
 
 /// Materials of [`TestScene`], one for each kind of surface.
@@ -103,22 +103,15 @@ impl TestScene {
 
     pub(crate) fn build(self) -> Scene {
         let material = |alpha, double_sided, texture| Material {
-            name: String::new(),
-            base_color: Vec4::ONE,
             base_color_texture: texture,
-            emissive: Vec3::ZERO,
             alpha,
             double_sided,
+            ..Material::default()
         };
-        let texture = Texture { image: 0, wrap_u: Wrap::MirroredRepeat, wrap_v: Wrap::Repeat };
+        let texture = Texture::new(0, Wrap::MirroredRepeat, Wrap::Repeat);
         let mut scene = Scene {
             origin_m: self.origin_m,
             bounds: Aabb { min: Vec3::splat(-20.0), max: Vec3::splat(20.0) },
-            positions: Vec::new(),
-            normals: Vec::new(),
-            uvs: Vec::new(),
-            triangles: Vec::new(),
-            draws: Vec::new(),
             materials: vec![
                 material(AlphaMode::Opaque, true, None),
                 material(AlphaMode::Opaque, false, None),
@@ -128,6 +121,7 @@ impl TestScene {
             images: vec![disc()],
             lights: self.lights,
             instances: 1,
+            ..Scene::default()
         };
         for (material, triangles) in (0..).zip(self.triangles) {
             let first_triangle = u32::try_from(scene.triangles.len()).unwrap();

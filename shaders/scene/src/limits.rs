@@ -76,6 +76,9 @@ pub const MAX_IMAGE_SCRATCH_BYTES: u64 = 512 << 20;
 /// Most lights of a scene: one bit of a 32-bit visibility word each.
 pub const MAX_LIGHTS: usize = 32;
 
+/// Most cameras of a scene.
+pub const MAX_CAMERAS: usize = 1 << 8;
+
 /// Farthest that a vertex or a light may lie from the world's origin, in metres, per axis. Poses have the same bound,
 /// and squares and products of such distances stay within f32.
 pub const MAX_COORDINATE_M: f64 = 1e9;

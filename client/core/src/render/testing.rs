@@ -30,10 +30,9 @@ pub fn floor_and_lights() -> Scene {
     let material = |name: &str, color: Vec4, double_sided| Material {
         name: name.into(),
         base_color: color,
-        base_color_texture: None,
-        emissive: Vec3::ZERO,
         alpha: AlphaMode::Opaque,
         double_sided,
+        ..Material::default()
     };
     let light = |kind, position, intensity| Light {
         name: String::new(),
@@ -59,12 +58,12 @@ pub fn floor_and_lights() -> Scene {
             material("floor", Vec4::new(0.5, 0.5, 0.5, 1.0), false),
             material("wall", Vec4::new(0.8, 0.1, 0.1, 1.0), true),
         ],
-        images: Vec::new(),
         lights: vec![
             light(LightKind::Directional, Vec3::ZERO, 5.0),
             light(LightKind::Point, Vec3::new(0.0, 3.0, 2.0), 40.0),
         ],
         instances: 2,
+        ..Scene::default()
     }
 }
 

@@ -250,8 +250,7 @@ fn a_masked_surface_has_holes_where_its_alpha_is_low() {
     // The wall gets a texture of 4 × 4 texels; its left half is transparent.
     let rgba: Vec<u8> = (0..16_u8).flat_map(|i| [255, 255, 255, if i % 4 < 2 { 0 } else { 255 }]).collect();
     scene.images.push(Image { encoded: Vec::new(), width: 4, height: 4, rgba });
-    scene.materials[1].base_color_texture =
-        Some(Texture { image: 0, wrap_u: Wrap::ClampToEdge, wrap_v: Wrap::ClampToEdge });
+    scene.materials[1].base_color_texture = Some(Texture::new(0, Wrap::ClampToEdge, Wrap::ClampToEdge));
     scene.materials[1].alpha = AlphaMode::Mask { cutoff: 0.5 };
     for (corner, (u, v)) in [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)].into_iter().enumerate() {
         scene.uvs[4 + corner] = glam::Vec2::new(u, v);

@@ -4,7 +4,7 @@
 //! one LZ4 block. It holds the length of the head (u32), the head (postcard), positions, normals, UVs and triangles in
 //! [planes](super::planes), and the pictures' files.
 
-use glam::{DVec3, Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3, Vec4};
 use lz4_flex::block;
 use serde::{Deserialize, Serialize};
 
@@ -13,7 +13,7 @@ use super::{
     planes::{Cursor, write_planes},
 };
 use crate::{
-    Aabb, Draw, Light, Material, Scene,
+    Aabb, Draw, Light, Material, NamedCamera, Scene,
     limits::{
         MAX_IMAGES, MAX_IMAGES_BYTES, MAX_IMAGES_PIXELS, MAX_PACKED_BYTES, MAX_TRIANGLES, MAX_UNPACKED_BYTES,
         MAX_VERTICES,
@@ -36,11 +36,14 @@ struct Head {
     origin_m: DVec3,
     bounds: Aabb,
     vertices: u32,
+    /// Whether there are second texture coordinates, tangents and colours.
+    optional: [bool; 3],
     triangles: u32,
     instances: u32,
     draws: Vec<Draw>,
     materials: Vec<Material>,
     lights: Vec<Light>,
+    cameras: Vec<NamedCamera>,
     image_bytes: Vec<u32>,
 }
 
@@ -57,11 +60,13 @@ impl Scene {
             origin_m: self.origin_m,
             bounds: self.bounds,
             vertices: short(self.positions.len())?,
+            optional: [!self.uvs_1.is_empty(), !self.tangents.is_empty(), !self.colors.is_empty()],
             triangles: short(self.triangles.len())?,
             instances: self.instances,
             draws: self.draws.clone(),
             materials: self.materials.clone(),
             lights: self.lights.clone(),
+            cameras: self.cameras.clone(),
             image_bytes,
         };
         let head = postcard::to_stdvec(&head).map_err(|error| broken(error.to_string()))?;
@@ -71,6 +76,9 @@ impl Scene {
         write_planes(&mut raw, &self.positions, |p| p.to_array().map(f32::to_bits));
         write_planes(&mut raw, &self.normals, |n| n.to_array().map(f32::to_bits));
         write_planes(&mut raw, &self.uvs, |uv| uv.to_array().map(f32::to_bits));
+        write_planes(&mut raw, &self.uvs_1, |uv| uv.to_array().map(f32::to_bits));
+        write_planes(&mut raw, &self.tangents, |t| t.to_array().map(f32::to_bits));
+        write_planes(&mut raw, &self.colors, |[r, g, b, a]| [pair(*r, *g), pair(*b, *a)]);
         write_planes(&mut raw, &self.triangles, |corners| *corners);
         for image in &self.images {
             raw.extend_from_slice(&image.encoded);
@@ -106,6 +114,13 @@ impl Scene {
         let positions = cursor.planes(head.vertices, vec3)?;
         let normals = cursor.planes(head.vertices, vec3)?;
         let uvs = cursor.planes(head.vertices, vec2)?;
+        let [uvs_1, tangents, colors] = head.optional.map(|there| if there { head.vertices } else { 0 });
+        let uvs_1 = cursor.planes(uvs_1, vec2)?;
+        let tangents = cursor.planes(tangents, |words: [u32; 4]| Vec4::from_array(words.map(f32::from_bits)))?;
+        let colors = cursor.planes(colors, |[rg, ba]: [u32; 2]| {
+            let ([r, g], [b, a]) = (halves(rg), halves(ba));
+            [r, g, b, a]
+        })?;
         let triangles = cursor.planes(head.triangles, |corners: [u32; 3]| corners)?;
 
         let total: u64 = head.image_bytes.iter().map(|bytes| u64::from(*bytes)).sum();
@@ -129,16 +144,29 @@ impl Scene {
             positions,
             normals,
             uvs,
+            uvs_1,
+            tangents,
+            colors,
             triangles,
             draws: head.draws,
             materials: head.materials,
             images,
             lights: head.lights,
+            cameras: head.cameras,
             instances: head.instances,
         };
         scene.check()?;
         Ok(scene)
     }
+}
+
+fn pair(low: u16, high: u16) -> u32 {
+    u32::from(low) | u32::from(high) << 16
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "each half has 16 bits")]
+fn halves(word: u32) -> [u16; 2] {
+    [word as u16, (word >> 16) as u16]
 }
 
 /// Compresses the content and prepends the header.
@@ -197,8 +225,8 @@ mod tests {
         assert!(matches!(Scene::unpack(b""), Err(PackError::Magic(0))));
         assert!(matches!(Scene::unpack(&[0; 64]), Err(PackError::Magic(64))));
         let mut newer = packed.clone();
-        newer[8] = 2;
-        assert!(matches!(Scene::unpack(&newer), Err(PackError::Version(2))));
+        newer[8] = 3;
+        assert!(matches!(Scene::unpack(&newer), Err(PackError::Version(3))));
         // A length that the bytes cannot grow to is refused before memory is taken.
         let mut large = packed.clone();
         large[12..20].copy_from_slice(&u64::MAX.to_le_bytes());

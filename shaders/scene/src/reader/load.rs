@@ -2,8 +2,6 @@
 
 use std::path::Path;
 
-use glam::DVec3;
-
 use super::{
     checks::{features, layout, references},
     file::{buffers::Buffers, glb},
@@ -40,19 +38,7 @@ fn read(
     placed: &[nodes::Placed],
     folder: &Path,
 ) -> Result<(Scene, LoadReport), SceneError> {
-    let mut scene = Scene {
-        origin_m: DVec3::ZERO,
-        bounds: Aabb { min: glam::Vec3::ZERO, max: glam::Vec3::ZERO },
-        positions: Vec::new(),
-        normals: Vec::new(),
-        uvs: Vec::new(),
-        triangles: Vec::new(),
-        draws: Vec::new(),
-        materials: Vec::new(),
-        images: Vec::new(),
-        lights: Vec::new(),
-        instances: 0,
-    };
+    let mut scene = Scene::default();
     let mut report = LoadReport::default();
     let mut materials = Materials::default();
     meshes::flatten(document, buffers, placed, &mut materials, &mut scene, &mut report)?;

@@ -1,6 +1,6 @@
 //! The alpha of MASK materials, as the tracers and the rasteriser's alpha test read it.
 
-use super::types::{AlphaMode, Scene};
+use super::{material::AlphaMode, types::Scene};
 
 /// A picture's alpha channel at full size, in pixels.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,17 +1,18 @@
 //! Checks a [`Scene`]'s guarantees: after loading, and again after unpacking.
 
-use std::f32::consts::FRAC_PI_2;
+use std::{f32::consts::FRAC_PI_2, f64::consts::PI};
 
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 use thiserror::Error;
 
 use super::{
+    material::{AlphaMode, Coordinates, Material},
     normals::triangle_normal,
-    types::{Aabb, AlphaMode, Image, Light, LightKind, Material, Scene},
+    types::{Aabb, Image, Light, LightKind, NamedCamera, Scene},
 };
 use crate::limits::{
-    MAX_DRAWS, MAX_IMAGE_SIDE_PX, MAX_IMAGES, MAX_IMAGES_PIXELS, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_BYTES,
-    MAX_TRIANGLES, MAX_VERTICES, in_reach, is_legal_uv,
+    MAX_CAMERAS, MAX_DRAWS, MAX_IMAGE_SIDE_PX, MAX_IMAGES, MAX_IMAGES_PIXELS, MAX_LIGHTS, MAX_MATERIALS,
+    MAX_NAME_BYTES, MAX_TRIANGLES, MAX_VERTICES, in_reach, is_legal_uv,
 };
 
 /// How far a unit vector's squared length may lie from 1: rounding to f32 moves it by less than 1e-6.
@@ -73,7 +74,9 @@ impl Scene {
         let pixels = self.images.iter().map(pixels).sum::<u64>();
         ensure(pixels <= MAX_IMAGES_PIXELS, || format!("{pixels} pixels, more than {MAX_IMAGES_PIXELS}"))?;
         ensure((1..=MAX_LIGHTS).contains(&self.lights.len()), || format!("{} lights", self.lights.len()))?;
-        all("light", &self.lights, is_legal_light)
+        all("light", &self.lights, is_legal_light)?;
+        at_most("cameras", self.cameras.len(), MAX_CAMERAS as u64)?;
+        all("camera", &self.cameras, is_legal_camera)
     }
 
     fn check_geometry(&self) -> Result<(), CheckError> {
@@ -84,11 +87,20 @@ impl Scene {
         ensure(self.normals.len() == vertices && self.uvs.len() == vertices, || {
             format!("{vertices} positions, {} normals and {} UVs", self.normals.len(), self.uvs.len())
         })?;
+        let optional = [self.uvs_1.len(), self.tangents.len(), self.colors.len()];
+        ensure(optional.iter().all(|count| *count == 0 || *count == vertices), || {
+            let [uvs_1, tangents, colors] = optional;
+            format!("{vertices} positions, {uvs_1} second UVs, {tangents} tangents and {colors} colours")
+        })?;
         let origin = self.origin_m;
         ensure(in_reach(origin), || format!("the origin is {origin}"))?;
         all("position", &self.positions, |p| is_local(*p))?;
         all("normal", &self.normals, |normal| is_unit(*normal))?;
         all("UV", &self.uvs, |uv| is_legal_uv(*uv))?;
+        all("second UV", &self.uvs_1, |uv| is_legal_uv(*uv))?;
+        all("tangent", &self.tangents, |tangent| {
+            *tangent == Vec4::ZERO || (is_unit(tangent.truncate()) && tangent.w.abs() == 1.0)
+        })?;
         all("triangle", &self.triangles, |corners| {
             let [a, b, c] = corners.map(|corner| self.positions.get(corner as usize).copied());
             a.zip(b).zip(c).is_some_and(|((a, b), c)| triangle_normal(a, b, c).is_some())
@@ -124,10 +136,43 @@ impl Scene {
             && material.emissive.to_array().iter().all(|v| *v >= 0.0 && v.is_finite())
             && cutoff >= 0.0
             && cutoff.is_finite()
+            && has_legal_layers(material)
             && material.name.len() <= MAX_NAME_BYTES
-            && material.base_color_texture.is_none_or(|texture| (texture.image as usize) < self.images.len());
+            && material.base_color_texture.is_none_or(|texture| texture.coordinates == Coordinates::default())
+            && material.textures().all(|texture| {
+                (texture.image as usize) < self.images.len()
+                    && texture.coordinates.map.iter().all(|row| row.is_finite())
+                    && (!texture.coordinates.second || !self.uvs_1.is_empty())
+            });
         ensure(legal, || format!("material {index} is {material:?}, with {} images", self.images.len()))
     }
+}
+
+fn has_legal_layers(material: &Material) -> bool {
+    let shares = [
+        material.metallic,
+        material.roughness,
+        material.occlusion_strength,
+        material.specular.strength,
+        material.clearcoat.strength,
+        material.clearcoat.roughness,
+        material.sheen.roughness,
+        material.transmission.factor,
+    ];
+    let colors = [material.specular.color, material.sheen.color];
+    shares.iter().all(|share| (0.0..=1.0).contains(share))
+        && colors.iter().flat_map(Vec3::to_array).all(|v| v >= 0.0 && v.is_finite())
+        && [material.normal_scale, material.clearcoat.normal_scale].iter().all(|scale| scale.is_finite())
+        && (material.ior == 0.0 || material.ior >= 1.0)
+        && material.ior.is_finite()
+}
+
+fn is_legal_camera(camera: &NamedCamera) -> bool {
+    in_reach(camera.position_m)
+        && (camera.orientation.length_squared() - 1.0).abs() <= f64::from(UNIT_TOLERANCE)
+        && camera.yfov_rad > 0.0
+        && camera.yfov_rad < PI
+        && camera.name.len() <= MAX_NAME_BYTES
 }
 
 fn is_legal_light(light: &Light) -> bool {
@@ -148,7 +193,7 @@ fn is_legal_light(light: &Light) -> bool {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use glam::{DVec3, Vec2, Vec4};
+    use glam::{DQuat, DVec3, Vec2};
 
     use super::*;
     use crate::{Draw, Texture, Wrap};
@@ -163,11 +208,11 @@ pub(crate) mod tests {
             name: "matter".to_owned(),
             base_color: Vec4::ONE,
             base_color_texture: texture,
-            emissive: Vec3::ZERO,
             alpha,
             double_sided: false,
+            ..Material::default()
         };
-        let texture = Texture { image: 0, wrap_u: Wrap::Repeat, wrap_v: Wrap::ClampToEdge };
+        let texture = Texture::new(0, Wrap::Repeat, Wrap::ClampToEdge);
         let light = |kind| Light {
             name: "lamp".to_owned(),
             kind,
@@ -183,6 +228,9 @@ pub(crate) mod tests {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::new(1.0, 1.0, 0.0)],
             normals: vec![Vec3::Z; 4],
             uvs: vec![Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::ONE],
+            uvs_1: vec![Vec2::splat(0.25); 4],
+            tangents: vec![Vec4::new(1.0, 0.0, 0.0, -1.0), Vec4::ZERO, Vec4::X + Vec4::W, Vec4::ZERO],
+            colors: vec![[1, 2, 3, 65535]; 4],
             triangles: vec![[0, 1, 2], [1, 3, 2]],
             draws: vec![
                 Draw { first_triangle: 0, triangles: 1, material: 0 },
@@ -197,6 +245,12 @@ pub(crate) mod tests {
                 light(LightKind::Point),
                 light(LightKind::Spot { inner_cone_rad: 0.0, outer_cone_rad: FRAC_PI_2 }),
             ],
+            cameras: vec![NamedCamera {
+                name: "door".to_owned(),
+                position_m: DVec3::new(1e6, 1.0, 2.0),
+                orientation: DQuat::from_rotation_y(1.0),
+                yfov_rad: 0.7,
+            }],
             instances: 2,
         }
     }
@@ -204,9 +258,18 @@ pub(crate) mod tests {
     /// A change that breaks one guarantee, and a part of what the error says.
     type Break = (&'static str, fn(&mut Scene));
 
-    const BREAKS: [Break; 34] = [
+    const BREAKS: [Break; 43] = [
         ("normals", |s| s.normals.truncate(3)),
         ("UVs", |s| s.uvs.push(Vec2::ZERO)),
+        ("3 second UVs", |s| s.uvs_1.truncate(3)),
+        ("second UV 1", |s| s.uvs_1[1].x = f32::INFINITY),
+        ("tangent 2", |s| s.tangents[2].w = 0.5),
+        ("5 colours", |s| s.colors.push([0; 4])),
+        ("material 0", |s| s.materials[0].roughness = 1.5),
+        ("material 0", |s| s.materials[0].ior = 0.5),
+        ("material 1", |s| s.materials[1].base_color_texture.as_mut().unwrap().coordinates.second = true),
+        ("material 1", |s| s.materials[1].clearcoat.normal_texture = Some(Texture::new(1, Wrap::Repeat, Wrap::Repeat))),
+        ("camera 0", |s| s.cameras[0].yfov_rad = 0.0),
         ("position 1", |s| s.positions[1].x = f32::NAN),
         ("position 1", |s| s.positions[1].y = f32::INFINITY),
         ("position 2", |s| s.positions[2].y = 3e9),

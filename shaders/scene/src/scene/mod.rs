@@ -2,12 +2,14 @@
 
 mod alpha;
 pub(crate) mod check;
+mod material;
 pub(crate) mod normals;
 mod summary;
 mod types;
 
 pub use alpha::AlphaPicture;
 pub use check::CheckError;
+pub use material::{AlphaMode, Clearcoat, Coordinates, Filter, Material, Sheen, Specular, Texture, Transmission, Wrap};
 pub use normals::triangle_normal;
 pub use summary::Summary;
-pub use types::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
+pub use types::{Aabb, Draw, Image, Light, LightKind, NamedCamera, Scene};

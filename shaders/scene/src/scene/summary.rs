@@ -68,10 +68,14 @@ impl Scene {
             + size_of_val(&*self.positions)
             + size_of_val(&*self.normals)
             + size_of_val(&*self.uvs)
+            + size_of_val(&*self.uvs_1)
+            + size_of_val(&*self.tangents)
+            + size_of_val(&*self.colors)
             + size_of_val(&*self.triangles)
             + size_of_val(&*self.draws)
             + size_of_val(&*self.materials)
             + size_of_val(&*self.lights)
+            + size_of_val(&*self.cameras)
             + self.images.iter().map(image).sum::<usize>();
         bytes as u64
     }

@@ -4,8 +4,10 @@
 //! transforms are applied, shared meshes are repeated, strips and fans become lists, mirrored nodes keep their front
 //! faces.
 
-use glam::{DVec3, Vec2, Vec3, Vec4};
+use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
+
+use super::material::{AlphaMode, Material};
 
 /// A loaded scene. [`Scene::check`] holds for it: every index is in range, every position, normal and UV is finite,
 /// normals and light directions are unit vectors, and there are 1 to 32 lights.
@@ -21,6 +23,13 @@ pub struct Scene {
     pub normals: Vec<Vec3>,
     /// Base colour texture coordinates, one for each vertex, transform applied. (0, 0) is the picture's upper left.
     pub uvs: Vec<Vec2>,
+    /// Second texture coordinates, one for each vertex. Empty if no material reads them.
+    pub uvs_1: Vec<Vec2>,
+    /// Unit tangents and their handedness, ±1, one for each vertex; all zeros where the file has none. Empty if no
+    /// vertex has one.
+    pub tangents: Vec<Vec4>,
+    /// Linear RGBA that multiplies the base colour, one for each vertex; 65535 is 1. Empty if all are white.
+    pub colors: Vec<[u16; 4]>,
     /// Vertex indices, counter-clockwise seen from the front. No zero-area triangles.
     pub triangles: Vec<[u32; 3]>,
     /// Ranges of triangles with one material: OPAQUE first, then MASK, then BLEND. They cover `triangles` in order.
@@ -29,8 +38,23 @@ pub struct Scene {
     pub images: Vec<Image>,
     /// Lights, in the order of a mask's planes.
     pub lights: Vec<Light>,
+    /// Cameras of the file, in the order of its nodes.
+    pub cameras: Vec<NamedCamera>,
     /// Number of mesh instances in the file.
     pub instances: u32,
+}
+
+/// A perspective camera of the file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NamedCamera {
+    /// Name in the file, or empty.
+    pub name: String,
+    /// Position in world space, in metres.
+    pub position_m: DVec3,
+    /// Rotation from camera to world space, a unit quaternion.
+    pub orientation: DQuat,
+    /// Full vertical field of view, in radians.
+    pub yfov_rad: f64,
 }
 
 /// An axis-aligned box, in metres.
@@ -58,60 +82,6 @@ pub struct Draw {
     pub first_triangle: u32,
     pub triangles: u32,
     pub material: u32,
-}
-
-/// How a material treats alpha (glTF 2.0, §3.9.4).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub enum AlphaMode {
-    Opaque,
-    /// A point is solid if its alpha is at least the cutoff. Rays pass elsewhere.
-    Mask {
-        cutoff: f32,
-    },
-    /// Blended over what lies behind it. It stops no rays and has no visibility of its own.
-    Blend,
-}
-
-impl AlphaMode {
-    /// Position in the order of draws: OPAQUE, MASK, BLEND.
-    pub(crate) fn order(self) -> usize {
-        match self {
-            Self::Opaque => 0,
-            Self::Mask { .. } => 1,
-            Self::Blend => 2,
-        }
-    }
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Material {
-    /// Name in the file, or empty.
-    pub name: String,
-    /// Linear RGBA factor, each 0 to 1.
-    pub base_color: Vec4,
-    /// Multiplies the factor: sRGB colour, linear alpha.
-    pub base_color_texture: Option<Texture>,
-    /// Linear RGB light that it emits.
-    pub emissive: Vec3,
-    pub alpha: AlphaMode,
-    /// Drawn from both sides. Back faces of other materials are not drawn, but cast shadows.
-    pub double_sided: bool,
-}
-
-/// A picture and how it repeats. Filtering is bilinear. Alpha tests read the full-size picture.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Texture {
-    pub image: u32,
-    pub wrap_u: Wrap,
-    pub wrap_v: Wrap,
-}
-
-/// How a texture continues outside 0 to 1.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Wrap {
-    Repeat,
-    MirroredRepeat,
-    ClampToEdge,
 }
 
 /// A PNG or JPEG picture, with its size in pixels.
@@ -163,6 +133,29 @@ pub enum LightKind {
         /// No light beyond here.
         outer_cone_rad: f32,
     },
+}
+
+impl Default for Scene {
+    /// Returns a scene of nothing, which is not legal yet.
+    fn default() -> Self {
+        Self {
+            origin_m: DVec3::ZERO,
+            bounds: Aabb { min: Vec3::ZERO, max: Vec3::ZERO },
+            positions: Vec::new(),
+            normals: Vec::new(),
+            uvs: Vec::new(),
+            uvs_1: Vec::new(),
+            tangents: Vec::new(),
+            colors: Vec::new(),
+            triangles: Vec::new(),
+            draws: Vec::new(),
+            materials: Vec::new(),
+            images: Vec::new(),
+            lights: Vec::new(),
+            cameras: Vec::new(),
+            instances: 0,
+        }
+    }
 }
 
 impl Scene {

@@ -21,15 +21,8 @@ impl SceneBuilder {
         let scene = Scene {
             origin_m: DVec3::ZERO,
             bounds: Aabb { min: Vec3::ZERO, max: Vec3::ZERO },
-            positions: Vec::new(),
-            normals: Vec::new(),
-            uvs: Vec::new(),
-            triangles: Vec::new(),
-            draws: Vec::new(),
-            materials: Vec::new(),
-            images: Vec::new(),
-            lights: Vec::new(),
             instances: 1,
+            ..Scene::default()
         };
         Self { scene }.material(AlphaMode::Opaque, true)
     }
@@ -42,14 +35,7 @@ impl SceneBuilder {
 
     /// Starts a white material. OPAQUE materials must come before MASK, those before BLEND.
     pub fn material(mut self, alpha: AlphaMode, double_sided: bool) -> Self {
-        self.scene.materials.push(Material {
-            name: String::new(),
-            base_color: Vec4::ONE,
-            base_color_texture: None,
-            emissive: Vec3::ZERO,
-            alpha,
-            double_sided,
-        });
+        self.scene.materials.push(Material { base_color: Vec4::ONE, alpha, double_sided, ..Material::default() });
         self
     }
 
@@ -64,7 +50,7 @@ impl SceneBuilder {
         let image = u32::try_from(self.scene.images.len()).unwrap_or(u32::MAX);
         self.scene.images.push(Image { encoded: encoded.into_inner(), width, height, rgba });
         if let Some(material) = self.scene.materials.last_mut() {
-            material.base_color_texture = Some(Texture { image, wrap_u: wrap, wrap_v: wrap });
+            material.base_color_texture = Some(Texture::new(image, wrap, wrap));
         }
         self
     }

@@ -20,26 +20,18 @@ impl Builder {
         Self(Scene {
             origin_m: DVec3::new(1000.0, -20.0, 3.0),
             bounds: Aabb { min: Vec3::ZERO, max: Vec3::ZERO },
-            positions: Vec::new(),
-            normals: Vec::new(),
-            uvs: Vec::new(),
-            triangles: Vec::new(),
-            draws: Vec::new(),
-            materials: Vec::new(),
-            images: Vec::new(),
-            lights: Vec::new(),
             instances: 1,
+            ..Scene::default()
         })
     }
 
     fn material(&mut self, alpha: AlphaMode, double_sided: bool, texture: Option<Texture>) -> u32 {
         self.0.materials.push(Material {
-            name: String::new(),
             base_color: Vec4::new(1.0, 1.0, 1.0, 0.9),
             base_color_texture: texture,
-            emissive: Vec3::ZERO,
             alpha,
             double_sided,
+            ..Material::default()
         });
         u32::try_from(self.0.materials.len() - 1).unwrap()
     }
@@ -135,7 +127,7 @@ fn medley() -> Scene {
     let mut b = Builder::new();
     let alpha: Vec<u8> = (0..16_u8).flat_map(|i| [9, 9, 9, if i % 3 == 0 { 255 } else { i * 11 }]).collect();
     b.0.images.push(Image { encoded: Vec::new(), width: 4, height: 4, rgba: alpha });
-    let texture = Texture { image: 0, wrap_u: Wrap::Repeat, wrap_v: Wrap::MirroredRepeat };
+    let texture = Texture::new(0, Wrap::Repeat, Wrap::MirroredRepeat);
     let floor = b.material(AlphaMode::Opaque, false, None);
     let both = b.material(AlphaMode::Opaque, true, None);
     let leaves = b.material(AlphaMode::Mask { cutoff: 0.4 }, true, Some(texture));

@@ -82,7 +82,7 @@ impl Materials {
             self.images.push(source);
             self.images.len() - 1
         });
-        Ok(Texture { image: u32::try_from(image).unwrap_or(u32::MAX), wrap_u, wrap_v })
+        Ok(Texture::new(u32::try_from(image).unwrap_or(u32::MAX), wrap_u, wrap_v))
     }
 }
 
@@ -128,5 +128,6 @@ fn read(
         emissive: Vec3::from_array(emissive.map(f32_of)),
         alpha,
         double_sided: source.double_sided,
+        ..Material::default()
     })
 }
