@@ -13,6 +13,7 @@ pub const FILES: &[(&str, &str)] = &[
     ("shading/blend.wgsl", include_str!("../wgsl/shading/blend.wgsl")),
     ("shading/debug_view.wgsl", include_str!("../wgsl/shading/debug_view.wgsl")),
     ("shading/depth.wgsl", include_str!("../wgsl/shading/depth.wgsl")),
+    ("shading/environment.wgsl", include_str!("../wgsl/shading/environment.wgsl")),
     ("shading/gbuffer.wgsl", include_str!("../wgsl/shading/gbuffer.wgsl")),
     ("shading/inputs.wgsl", include_str!("../wgsl/shading/inputs.wgsl")),
     ("shading/lighting.wgsl", include_str!("../wgsl/shading/lighting.wgsl")),

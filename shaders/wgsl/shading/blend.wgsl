@@ -2,6 +2,7 @@
 // them if it reaches the surface behind them, if its bit there is irrelevant, or if there is no surface.
 
 #import "shading/inputs.wgsl"
+#import "shading/environment.wgsl"
 #import "shading/material.wgsl"
 
 struct Vertex {
@@ -41,7 +42,7 @@ fn blend(input: Varying, @builtin(front_facing) front: bool) -> @location(0) vec
     let color = base_color(input.uv);
     let normal = normalize(select(-input.normal, input.normal, front));
     let pixel = vec2u(input.clip.xy);
-    var irradiance = ambient(lighting.ambient_above, lighting.ambient_below, normal);
+    var irradiance = ambient(normal);
     for (var k = 0u; k < lighting.count; k++) {
         let light = arrival(lighting.lights[k], input.point);
         let facing = dot(normal, light.toward);

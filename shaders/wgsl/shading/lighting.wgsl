@@ -1,4 +1,4 @@
-// Light on a point: all lights with their visibility bits, and a little ambient light. Twin: `shading::Lighting`.
+// Light on a point from the lights; `environment.wgsl` has the light around. Twin: `shading::Lighting`.
 
 const DIRECTIONAL: u32 = 0u;
 const POINT: u32 = 1u;
@@ -64,8 +64,4 @@ fn arrival(light: Light, point: vec3f) -> Arrival {
         strength *= cone * cone;
     }
     return Arrival(toward, light.intensity * strength);
-}
-
-fn ambient(above: vec3f, below: vec3f, normal: vec3f) -> vec3f {
-    return mix(below, above, 0.5 * normal.y + 0.5);
 }

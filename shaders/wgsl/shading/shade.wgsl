@@ -1,14 +1,11 @@
 // Shading: the light from each pixel's surface to the eye, linear and exposed.
 
 #import "shading/inputs.wgsl"
+#import "shading/environment.wgsl"
 
 @vertex
 fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
     return covering_triangle(index);
-}
-
-fn sky(direction: vec3f) -> vec3f {
-    return mix(lighting.horizon, lighting.zenith, sqrt(saturate(normalize(direction).y)));
 }
 
 @fragment
@@ -22,7 +19,7 @@ fn shade(@builtin(position) place: vec4f) -> @location(0) vec4f {
     let point = surface_point(pixel);
     let normal = unpack_normal(normal_material.x);
     let visibility = visibility_of(pixel);
-    var irradiance = ambient(lighting.ambient_above, lighting.ambient_below, normal);
+    var irradiance = ambient(normal);
     for (var k = 0u; k < lighting.count; k++) {
         let light = arrival(lighting.lights[k], point);
         let facing = dot(normal, light.toward);
