@@ -7,6 +7,7 @@
 pub mod device_failure;
 pub mod gpu;
 pub mod host;
+pub mod material;
 pub mod shading;
 pub mod splice;
 #[cfg(test)]

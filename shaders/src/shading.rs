@@ -3,15 +3,13 @@
 //! Values that never change are computed here once: exposure, cone falloff, tone curve.
 
 use bytemuck::{Pod, Zeroable};
-use glam::{DVec3, Mat4, Vec3, Vec4};
+use glam::{DVec3, Mat4, Vec3};
 
 use gnomon_scene::{
-    AlphaMode, Light as SceneLight, LightKind, Material as SceneMaterial,
+    Light as SceneLight, LightKind,
     camera::{Camera, NEAR_M},
     limits::MAX_LIGHTS,
 };
-
-use crate::host::wrap;
 
 /// The camera. Twin of `View` in `view.wgsl`.
 #[repr(C)]
@@ -104,35 +102,6 @@ pub struct ShadowView {
     pub side: f32,
     /// Side of a texel in metres: at distance 1, or anywhere for a directional light.
     pub texel_m: f32,
-}
-
-/// A material. Twin of `Material` in `material.wgsl`.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-pub struct Material {
-    /// Linear RGBA factor.
-    pub base_color: Vec4,
-    /// A MASK point is drawn if its alpha is at least this.
-    pub alpha_cutoff: f32,
-    /// Index into the table of emitted light.
-    pub index: u32,
-    /// How u wraps outside 0 to 1: 0 repeats, 1 repeats mirrored, 2 clamps to the edge.
-    pub wrap_u: u32,
-    /// How v wraps.
-    pub wrap_v: u32,
-}
-
-impl Material {
-    #[must_use]
-    pub fn new(material: &SceneMaterial, index: u32) -> Self {
-        let (wrap_u, wrap_v) =
-            material.base_color_texture.map_or((0, 0), |texture| (wrap(texture.wrap_u), wrap(texture.wrap_v)));
-        let alpha_cutoff = match material.alpha {
-            AlphaMode::Mask { cutoff } => cutoff,
-            AlphaMode::Opaque | AlphaMode::Blend => 0.0,
-        };
-        Self { base_color: material.base_color, alpha_cutoff, index, wrap_u, wrap_v }
-    }
 }
 
 /// A light. Twin of `Light` in `lighting.wgsl`.

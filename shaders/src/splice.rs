@@ -9,11 +9,13 @@ use crate::uniforms::Uniforms;
 
 /// Every WGSL file: its path under `wgsl/`, and its text.
 pub const FILES: &[(&str, &str)] = &[
+    ("shading/around.wgsl", include_str!("../wgsl/shading/around.wgsl")),
     ("shading/baseline.wgsl", include_str!("../wgsl/shading/baseline.wgsl")),
     ("shading/blend.wgsl", include_str!("../wgsl/shading/blend.wgsl")),
     ("shading/debug_view.wgsl", include_str!("../wgsl/shading/debug_view.wgsl")),
     ("shading/depth.wgsl", include_str!("../wgsl/shading/depth.wgsl")),
     ("shading/environment.wgsl", include_str!("../wgsl/shading/environment.wgsl")),
+    ("shading/finish.wgsl", include_str!("../wgsl/shading/finish.wgsl")),
     ("shading/gbuffer.wgsl", include_str!("../wgsl/shading/gbuffer.wgsl")),
     ("shading/inputs.wgsl", include_str!("../wgsl/shading/inputs.wgsl")),
     ("shading/lighting.wgsl", include_str!("../wgsl/shading/lighting.wgsl")),
@@ -23,6 +25,7 @@ pub const FILES: &[(&str, &str)] = &[
     ("shading/present.wgsl", include_str!("../wgsl/shading/present.wgsl")),
     ("shading/shade.wgsl", include_str!("../wgsl/shading/shade.wgsl")),
     ("shading/shadow_map.wgsl", include_str!("../wgsl/shading/shadow_map.wgsl")),
+    ("shading/surface.wgsl", include_str!("../wgsl/shading/surface.wgsl")),
     ("shading/tone.wgsl", include_str!("../wgsl/shading/tone.wgsl")),
     ("shading/view.wgsl", include_str!("../wgsl/shading/view.wgsl")),
     ("shared/alpha.wgsl", include_str!("../wgsl/shared/alpha.wgsl")),

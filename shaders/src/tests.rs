@@ -7,7 +7,8 @@ use wgpu::DeviceType;
 
 use crate::{
     host::{AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedLight, TracedTriangle, TracedView},
-    shading::{Light, Lighting, MaskLayer, Material, Prediction, ShadowView, Tone, View},
+    material::{Finish, Material, TextureMap, features},
+    shading::{Light, Lighting, MaskLayer, Prediction, ShadowView, Tone, View},
     splice::{FILES, splice, splice_for, splice_ray_query},
     uniforms::Uniforms,
 };
@@ -73,23 +74,67 @@ fn host_types_have_the_layout_of_their_wgsl_twins() {
     assert_layout!(predict, Prediction, [layers, count, predictor, unknown, lights]);
     assert_layout!(predict, MaskLayer, [view, slot, same_view, whole]);
     assert_layout!(predict, ShadowView, [clip_from_local, left, top, side, texel_m]);
-    assert_layout!(module("shading/gbuffer.wgsl"), Material, [base_color, alpha_cutoff, index, wrap_u, wrap_v]);
+    let gbuffer = module("shading/gbuffer.wgsl");
+    assert_layout!(
+        gbuffer,
+        Material,
+        [
+            base_color,
+            alpha_cutoff,
+            index,
+            wrap_u,
+            wrap_v,
+            emissive,
+            metallic,
+            roughness,
+            normal_scale,
+            occlusion_strength,
+            coat,
+            coat_roughness,
+            coat_normal_scale,
+            transmission,
+            unused,
+            maps
+        ]
+    );
+    assert_layout!(gbuffer, TextureMap, [u, second, v]);
+    assert_layout!(shade, Finish, [mirrored, strength, sheen, sheen_roughness, last, bent]);
     assert_layout!(module("shading/tone.wgsl"), Tone, [contrast, shoulder, b, c]);
 }
 
 #[test]
 fn constants_of_host_and_wgsl_are_equal() {
     let primary = module("visibility/primary.wgsl");
-    let constant = |name: &str| {
-        let (_, constant) = primary.constants.iter().find(|(_, c)| c.name.as_deref() == Some(name)).unwrap();
-        match primary.global_expressions[constant.init] {
+    let gbuffer = module("shading/gbuffer.wgsl");
+    let constant_of = |module: &naga::Module, name: &str| {
+        let (_, constant) = module.constants.iter().find(|(_, c)| c.name.as_deref() == Some(name)).unwrap();
+        match module.global_expressions[constant.init] {
             naga::Expression::Literal(naga::Literal::U32(value)) => value,
             ref other => panic!("{name} is {other:?}"),
         }
     };
+    let constant = |name| constant_of(&primary, name);
     assert_eq!(constant("TRAVERSAL_STACK"), TRAVERSAL_STACK);
     assert_eq!(constant("TRIANGLE_SINGLE_SIDED"), TRIANGLE_SINGLE_SIDED);
     assert_eq!(constant("TRIANGLE_ALPHA"), !TRIANGLE_SINGLE_SIDED);
+    for (name, value) in [
+        ("BASE_COLOR", features::BASE_COLOR),
+        ("METALLIC_ROUGHNESS", features::METALLIC_ROUGHNESS),
+        ("NORMAL", features::NORMAL),
+        ("OCCLUSION", features::OCCLUSION),
+        ("EMISSIVE", features::EMISSIVE),
+        ("COAT", features::COAT),
+        ("COAT_NORMAL", features::COAT_NORMAL),
+        ("TINT", features::TINT),
+        ("TRANSMISSION", features::TRANSMISSION),
+        ("MAPPED", features::MAPPED),
+        ("OCCLUSION_IN_RED", features::OCCLUSION_IN_RED),
+        ("TANGENTS", features::TANGENTS),
+        ("COLORS", features::COLORS),
+        ("UNLIT", features::UNLIT),
+    ] {
+        assert_eq!(constant_of(&gbuffer, name), value, "{name}");
+    }
 }
 
 /// Files without an entry point are validated in their importers.

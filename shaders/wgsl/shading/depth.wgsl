@@ -8,6 +8,7 @@
 struct Varying {
     @builtin(position) clip: vec4f,
     @location(0) uv: vec2f,
+    @location(1) alpha: f32,
 }
 
 @vertex
@@ -16,13 +17,13 @@ fn transform(@location(0) position: vec3f) -> @builtin(position) vec4f {
 }
 
 @vertex
-fn transform_masked(@location(0) position: vec3f, @location(2) uv: vec2f) -> Varying {
-    return Varying(clip_from_local * vec4f(position, 1.0), uv);
+fn transform_masked(@location(0) position: vec3f, @location(2) uv: vec2f, @location(5) color: vec4f) -> Varying {
+    return Varying(clip_from_local * vec4f(position, 1.0), uv, color.a);
 }
 
 @fragment
 fn masked(input: Varying) {
-    if mask_alpha(input.uv) < material.alpha_cutoff {
+    if mask_alpha(input.uv) * input.alpha < material.alpha_cutoff {
         discard;
     }
 }

@@ -2,15 +2,17 @@
 
 #import "shading/view.wgsl"
 #import "shading/lighting.wgsl"
+#import "shading/finish.wgsl"
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> lighting: Lighting;
 // Output of `predict.wgsl`: bit k of x and of y is light k.
 @group(0) @binding(2) var visibility_picture: texture_2d<u32>;
-// Emitted light of every material, exposed.
-@group(0) @binding(3) var<storage, read> emitted: array<vec4f>;
+// Of every material.
+@group(0) @binding(3) var<storage, read> finishes: array<Finish>;
 @group(0) @binding(4) var depth_picture: texture_depth_2d;
 @group(0) @binding(5) var color_picture: texture_2d<f32>;
+// See `packed_surface` of `gbuffer.wgsl`.
 @group(0) @binding(6) var normal_material_picture: texture_2d<u32>;
 
 // A pixel's visibility. All lights reach it in the columns that show the scene without visibility.
@@ -28,7 +30,8 @@ fn surface_point(pixel: vec2u) -> vec3f {
     return point_at_depth(view, pixel, textureLoad(depth_picture, pixel, 0));
 }
 
-// Clamps to the largest finite 16-bit float: a surface close to a lamp would become infinite, and be shown as black.
+// Clamps to half the largest finite 16-bit float, since two are added: a surface close to a lamp would become infinite,
+// and be shown as black.
 fn kept(light: vec3f) -> vec3f {
-    return min(light, vec3f(65504.0));
+    return min(light, vec3f(32752.0));
 }

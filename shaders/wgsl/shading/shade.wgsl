@@ -1,31 +1,42 @@
-// Shading: the light from each pixel's surface to the eye, linear and exposed.
+// Shading: the light from each pixel's surface to the eye, linear and exposed, added to what the surface emits.
 
 #import "shading/inputs.wgsl"
-#import "shading/environment.wgsl"
+#import "shading/around.wgsl"
 
 @vertex
 fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
     return covering_triangle(index);
 }
 
+// What the G-buffer says of a pixel's surface.
+fn look_at(pixel: vec2u, words: vec4u, toward_eye: vec3f) -> Look {
+    let finish = finishes[material_plus_1(words.y) - 1u];
+    let normal = unpack_normal(words.x);
+    let last = finish.last;
+    let plane_normal = select(unpack_plane_normal(words.y), unpack_normal(words.w), last == LAST_IS_PLANE_NORMAL);
+    let coat_normal = select(normal, unpack_normal(words.w), last == LAST_IS_COAT_NORMAL);
+    let color = textureLoad(color_picture, pixel, 0);
+    let normals = mat3x3f(normal, coat_normal, plane_normal);
+    return look_of(
+        normals, toward_eye, color.rgb, finish, unpack4x8unorm(words.z), unpack4x8unorm(words.w), color.a,
+    );
+}
+
 @fragment
 fn shade(@builtin(position) place: vec4f) -> @location(0) vec4f {
     let pixel = vec2u(place.xy);
-    let normal_material = textureLoad(normal_material_picture, pixel, 0).xy;
-    let material = material_plus_1(normal_material.y);
-    if material == 0u {
+    let words = textureLoad(normal_material_picture, pixel, 0);
+    if material_plus_1(words.y) == 0u {
         return vec4f(sky(ray_of_pixel(view, pixel)), 1.0);
     }
     let point = surface_point(pixel);
-    let normal = unpack_normal(normal_material.x);
+    let look = look_at(pixel, words, normalize(view.origin - point));
     let visibility = visibility_of(pixel);
-    var irradiance = ambient(normal);
+    var light = light_around(look);
     for (var k = 0u; k < lighting.count; k++) {
-        let light = arrival(lighting.lights[k], point);
-        let facing = dot(normal, light.toward);
+        let arriving = arrival(lighting.lights[k], point);
         // An irrelevant light adds nothing, whatever its bit.
-        irradiance += light.irradiance * (max(facing, 0.0) * reached(k, visibility));
+        light += answer(look, arriving.toward) * arriving.irradiance * reached(k, visibility);
     }
-    let color = textureLoad(color_picture, pixel, 0).rgb;
-    return vec4f(kept(color * irradiance + emitted[material - 1u].rgb), 1.0);
+    return vec4f(kept(light), 1.0);
 }

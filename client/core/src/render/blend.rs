@@ -4,21 +4,60 @@
 //! double-sided surface are drawn first. The server traces no BLEND surface, so they use the visibility of what lies
 //! behind them (`blend.wgsl`).
 
+use std::collections::HashMap;
+
 use glam::Vec3;
-use gnomon_scene::AlphaMode;
 use gnomon_shaders::gpu::Gpu;
 
 use super::{
     error::RenderError,
-    pipeline::shader,
-    scene_upload::{Batch, SceneUpload, VERTEX_LAYOUT},
+    pipeline::{kept, shader},
+    scene_upload::{Batch, SceneUpload},
     targets::{DEPTH, LIGHT, Targets},
 };
 
 #[derive(Debug)]
 pub(crate) struct BlendPass {
-    back_faces: wgpu::RenderPipeline,
-    front_faces: wgpu::RenderPipeline,
+    /// One for each kind of draw in the scene.
+    pipelines: HashMap<Kind, wgpu::RenderPipeline>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+struct Kind {
+    back_faces: bool,
+    features: u32,
+    step: Step,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+enum Step {
+    /// Covers what lies behind by alpha.
+    Cover,
+    /// Multiplies what lies behind by what passes.
+    Pass,
+    /// Adds the surface's own light.
+    Add,
+}
+
+impl Step {
+    fn color(self) -> wgpu::BlendComponent {
+        let (src_factor, dst_factor) = match self {
+            Self::Cover => (wgpu::BlendFactor::SrcAlpha, wgpu::BlendFactor::OneMinusSrcAlpha),
+            Self::Pass => (wgpu::BlendFactor::Zero, wgpu::BlendFactor::Src),
+            Self::Add => (wgpu::BlendFactor::SrcAlpha, wgpu::BlendFactor::One),
+        };
+        wgpu::BlendComponent { src_factor, dst_factor, operation: wgpu::BlendOperation::Add }
+    }
+}
+
+/// The draws of a batch, in their order.
+fn draws(batch: &Batch) -> impl Iterator<Item = Kind> {
+    let steps: &[Step] = if batch.transmissive { &[Step::Pass, Step::Add] } else { &[Step::Cover] };
+    let sides: &[bool] = if batch.double_sided { &[true, false] } else { &[false] };
+    let features = batch.features;
+    sides.iter().flat_map(move |back_faces| {
+        steps.iter().map(move |step| Kind { back_faces: *back_faces, features, step: *step })
+    })
 }
 
 impl BlendPass {
@@ -34,7 +73,9 @@ impl BlendPass {
             immediate_size: 0,
         });
         let module = shader(gpu, "shading/blend.wgsl")?;
-        let pipeline = |culled| {
+        let pipeline = |kind: Kind| {
+            let constants = [("FEATURES", f64::from(kind.features)), ("LAYERED", f64::from(u8::from(scene.layered)))];
+            let culled = if kind.back_faces { wgpu::Face::Front } else { wgpu::Face::Back };
             device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some("blending"),
                 layout: Some(&layout),
@@ -42,7 +83,7 @@ impl BlendPass {
                     module: &module,
                     entry_point: Some("transform"),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    buffers: &[Some(VERTEX_LAYOUT)],
+                    buffers: &scene.vertex_layouts(),
                 },
                 primitive: wgpu::PrimitiveState { cull_mode: Some(culled), ..wgpu::PrimitiveState::default() },
                 depth_stencil: Some(wgpu::DepthStencilState {
@@ -55,11 +96,14 @@ impl BlendPass {
                 multisample: wgpu::MultisampleState::default(),
                 fragment: Some(wgpu::FragmentState {
                     module: &module,
-                    entry_point: Some("blend"),
-                    compilation_options: wgpu::PipelineCompilationOptions::default(),
+                    entry_point: Some(if kind.step == Step::Pass { "passed" } else { "blend" }),
+                    compilation_options: wgpu::PipelineCompilationOptions {
+                        constants: &constants,
+                        ..wgpu::PipelineCompilationOptions::default()
+                    },
                     targets: &[Some(wgpu::ColorTargetState {
                         format: LIGHT,
-                        blend: Some(wgpu::BlendState::ALPHA_BLENDING),
+                        blend: Some(wgpu::BlendState { color: kind.step.color(), alpha: wgpu::BlendComponent::OVER }),
                         write_mask: wgpu::ColorWrites::ALL,
                     })],
                 }),
@@ -67,7 +111,11 @@ impl BlendPass {
                 cache: None,
             })
         };
-        Ok(Self { back_faces: pipeline(wgpu::Face::Front), front_faces: pipeline(wgpu::Face::Back) })
+        let mut pipelines = HashMap::new();
+        for kind in scene.batches.iter().filter(|batch| batch.is_blended()).flat_map(draws) {
+            pipelines.entry(kind).or_insert_with(|| pipeline(kind));
+        }
+        Ok(Self { pipelines })
     }
 
     /// Does nothing, and starts no pass, in a scene without BLEND materials.
@@ -79,8 +127,7 @@ impl BlendPass {
         shade_group: &wgpu::BindGroup,
         eye: Vec3,
     ) {
-        let mut batches: Vec<&Batch> =
-            scene.batches.iter().filter(|batch| matches!(batch.alpha, AlphaMode::Blend)).collect();
+        let mut batches: Vec<&Batch> = scene.batches.iter().filter(|batch| batch.is_blended()).collect();
         if batches.is_empty() {
             return;
         }
@@ -88,12 +135,7 @@ impl BlendPass {
         batches.sort_by(|one, other| distance(other).total_cmp(&distance(one)));
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("blending"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: &targets.light,
-                depth_slice: None,
-                resolve_target: None,
-                ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store },
-            })],
+            color_attachments: &[kept(&targets.light)],
             // Read-only: depth is both tested and read by the shader.
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: depth,
@@ -103,16 +145,13 @@ impl BlendPass {
             ..wgpu::RenderPassDescriptor::default()
         });
         pass.set_bind_group(0, shade_group, &[]);
-        pass.set_vertex_buffer(0, scene.vertices.slice(..));
-        pass.set_index_buffer(scene.indices.slice(..), wgpu::IndexFormat::Uint32);
+        scene.bind(&mut pass);
         for batch in batches {
             pass.set_bind_group(1, &scene.materials[batch.material], &[]);
-            if batch.double_sided {
-                pass.set_pipeline(&self.back_faces);
+            for kind in draws(batch) {
+                pass.set_pipeline(&self.pipelines[&kind]);
                 pass.draw_indexed(batch.indices.clone(), 0, 0..1);
             }
-            pass.set_pipeline(&self.front_faces);
-            pass.draw_indexed(batch.indices.clone(), 0, 0..1);
         }
     }
 }

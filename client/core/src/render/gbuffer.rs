@@ -1,43 +1,50 @@
-//! The G-buffer pass: depth, base colour, packed normal and material of the nearest surface in every pixel.
+//! The G-buffer pass: depth, base colour, packed surface and emitted light of the nearest surface in every pixel.
 
-use gnomon_scene::AlphaMode;
+use std::collections::HashMap;
+
 use gnomon_shaders::{gpu::Gpu, shading::View};
 
 use super::{
     error::RenderError,
     pipeline::{bind_group, bind_group_layout, cleared, shader, uniform},
-    scene_upload::{Batch, SceneUpload, VERTEX_LAYOUT},
-    targets::{COLOR, DEPTH, NORMAL_MATERIAL, Targets},
+    scene_upload::{Batch, SceneUpload},
+    targets::{COLOR, DEPTH, LIGHT, NORMAL_MATERIAL, Targets},
 };
 
 #[derive(Debug)]
 pub(crate) struct GbufferPass {
     group: wgpu::BindGroup,
-    /// By [`pipeline_of`]: OPAQUE or MASK, one side or both.
-    pipelines: [wgpu::RenderPipeline; 4],
+    /// One for each kind of material in the scene.
+    pipelines: HashMap<Kind, wgpu::RenderPipeline>,
 }
 
-fn pipeline_of(batch: &Batch) -> usize {
-    usize::from(matches!(batch.alpha, AlphaMode::Mask { .. })) * 2 + usize::from(batch.double_sided)
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+struct Kind {
+    masked: bool,
+    double_sided: bool,
+    features: u32,
+}
+
+impl Kind {
+    fn of(batch: &Batch) -> Self {
+        Self { masked: batch.is_masked(), double_sided: batch.double_sided, features: batch.features }
+    }
 }
 
 impl GbufferPass {
-    pub(crate) fn new(
-        gpu: &Gpu,
-        view: &wgpu::Buffer,
-        material_layout: &wgpu::BindGroupLayout,
-    ) -> Result<Self, RenderError> {
+    pub(crate) fn new(gpu: &Gpu, view: &wgpu::Buffer, scene: &SceneUpload) -> Result<Self, RenderError> {
         let device = &gpu.device;
         let layout =
             bind_group_layout(device, "G-buffer", wgpu::ShaderStages::VERTEX_FRAGMENT, &[uniform::<View>(gpu)]);
         let group = bind_group(device, "G-buffer", &layout, &[view.as_entire_binding()]);
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("G-buffer"),
-            bind_group_layouts: &[Some(&layout), Some(material_layout)],
+            bind_group_layouts: &[Some(&layout), Some(&scene.material_layout)],
             immediate_size: 0,
         });
         let module = shader(gpu, "shading/gbuffer.wgsl")?;
-        let pipeline = |fragment, cull_mode| {
+        let pipeline = |kind: Kind| {
+            let constants = [("FEATURES", f64::from(kind.features))];
             device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some("G-buffer"),
                 layout: Some(&pipeline_layout),
@@ -45,9 +52,12 @@ impl GbufferPass {
                     module: &module,
                     entry_point: Some("transform"),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    buffers: &[Some(VERTEX_LAYOUT)],
+                    buffers: &scene.vertex_layouts(),
                 },
-                primitive: wgpu::PrimitiveState { cull_mode, ..wgpu::PrimitiveState::default() },
+                primitive: wgpu::PrimitiveState {
+                    cull_mode: (!kind.double_sided).then_some(wgpu::Face::Back),
+                    ..wgpu::PrimitiveState::default()
+                },
                 depth_stencil: Some(wgpu::DepthStencilState {
                     format: DEPTH,
                     depth_write_enabled: Some(true),
@@ -58,17 +68,22 @@ impl GbufferPass {
                 multisample: wgpu::MultisampleState::default(),
                 fragment: Some(wgpu::FragmentState {
                     module: &module,
-                    entry_point: Some(fragment),
-                    compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    targets: &[Some(COLOR.into()), Some(NORMAL_MATERIAL.into())],
+                    entry_point: Some(if kind.masked { "masked" } else { "opaque" }),
+                    compilation_options: wgpu::PipelineCompilationOptions {
+                        constants: &constants,
+                        ..wgpu::PipelineCompilationOptions::default()
+                    },
+                    targets: &[Some(COLOR.into()), Some(NORMAL_MATERIAL.into()), Some(LIGHT.into())],
                 }),
                 multiview_mask: None,
                 cache: None,
             })
         };
-        let back = Some(wgpu::Face::Back);
-        let pipelines =
-            [pipeline("opaque", back), pipeline("opaque", None), pipeline("masked", back), pipeline("masked", None)];
+        let mut pipelines = HashMap::new();
+        for batch in scene.batches.iter().filter(|batch| !batch.is_blended()) {
+            let kind = Kind::of(batch);
+            pipelines.entry(kind).or_insert_with(|| pipeline(kind));
+        }
         Ok(Self { group, pipelines })
     }
 
@@ -80,7 +95,7 @@ impl GbufferPass {
     ) {
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("G-buffer"),
-            color_attachments: &[cleared(&targets.color), cleared(&targets.normal_material)],
+            color_attachments: &[cleared(&targets.color), cleared(&targets.normal_material), cleared(&targets.light)],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: depth,
                 depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
@@ -89,13 +104,12 @@ impl GbufferPass {
             ..wgpu::RenderPassDescriptor::default()
         });
         pass.set_bind_group(0, &self.group, &[]);
-        pass.set_vertex_buffer(0, scene.vertices.slice(..));
-        pass.set_index_buffer(scene.indices.slice(..), wgpu::IndexFormat::Uint32);
+        scene.bind(&mut pass);
         let mut current = None;
-        for batch in scene.batches.iter().filter(|batch| !matches!(batch.alpha, AlphaMode::Blend)) {
-            let pipeline = pipeline_of(batch);
-            if current.replace(pipeline) != Some(pipeline) {
-                pass.set_pipeline(&self.pipelines[pipeline]);
+        for batch in scene.batches.iter().filter(|batch| !batch.is_blended()) {
+            let kind = Kind::of(batch);
+            if current.replace(kind) != Some(kind) {
+                pass.set_pipeline(&self.pipelines[&kind]);
             }
             pass.set_bind_group(1, &scene.materials[batch.material], &[]);
             pass.draw_indexed(batch.indices.clone(), 0, 0..1);

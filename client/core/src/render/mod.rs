@@ -8,6 +8,7 @@ pub mod debug_view;
 mod error;
 pub mod exposure;
 mod gbuffer;
+mod material;
 mod pipeline;
 pub mod predict;
 pub mod present;

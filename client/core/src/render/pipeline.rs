@@ -79,16 +79,16 @@ pub(crate) fn covering_pipeline(
     fragment: &'static str,
     format: wgpu::TextureFormat,
 ) -> wgpu::RenderPipeline {
-    covering_pipeline_with(device, module, layouts, (fragment, &[]), format)
+    covering_pipeline_with(device, module, layouts, (fragment, &[]), format.into())
 }
 
-/// [`covering_pipeline`] with values for the fragment shader's overrides.
+/// [`covering_pipeline`] with values for the fragment shader's overrides, and any target.
 pub(crate) fn covering_pipeline_with(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,
     layouts: &[&wgpu::BindGroupLayout],
     (fragment, constants): (&'static str, &[(&str, f64)]),
-    format: wgpu::TextureFormat,
+    target: wgpu::ColorTargetState,
 ) -> wgpu::RenderPipeline {
     let groups: Vec<_> = layouts.iter().copied().map(Some).collect();
     let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -115,7 +115,7 @@ pub(crate) fn covering_pipeline_with(
                 constants,
                 ..wgpu::PipelineCompilationOptions::default()
             },
-            targets: &[Some(format.into())],
+            targets: &[Some(target)],
         }),
         multiview_mask: None,
         cache: None,
@@ -129,6 +129,16 @@ pub(crate) fn cleared(view: &wgpu::TextureView) -> Option<wgpu::RenderPassColorA
         depth_slice: None,
         resolve_target: None,
         ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store: wgpu::StoreOp::Store },
+    })
+}
+
+/// A colour attachment that is drawn over.
+pub(crate) fn kept(view: &wgpu::TextureView) -> Option<wgpu::RenderPassColorAttachment<'_>> {
+    Some(wgpu::RenderPassColorAttachment {
+        view,
+        depth_slice: None,
+        resolve_target: None,
+        ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store },
     })
 }
 

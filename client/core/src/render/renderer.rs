@@ -87,13 +87,13 @@ impl FrameRenderer {
         let targets = Targets::new(device, width, height);
         let history = DepthHistory::new(device, width, height);
         let view = Variable::<View>::new(gpu, "view");
-        let gbuffer = GbufferPass::new(gpu, view.buffer(), &scene_upload.material_layout)?;
+        let gbuffer = GbufferPass::new(gpu, view.buffer(), &scene_upload)?;
         let lights = exposure.lighting(&scene.lights);
         let mut lighting = Variable::<Lighting>::new(gpu, "lighting");
         lighting.set(&gpu.queue, lights);
         let constants = (view.buffer(), lighting.buffer());
         let predict = PredictPass::new(gpu, scene, &scene_upload, &targets, &history, constants, predictor)?;
-        let shade = ShadePass::new(gpu, constants, &targets, &history, scene)?;
+        let shade = ShadePass::new(gpu, constants, &targets, &history, &scene_upload)?;
         let blend = BlendPass::new(gpu, shade.layout(), &scene_upload)?;
         let tone = TonePass::new(gpu, &targets, format)?;
         let debug = DebugPass::new(gpu, view.buffer(), &targets, &history, format)?;

@@ -1,18 +1,14 @@
-//! The scene on the adapter: vertices, indices, and one bind group for each material.
-
-use std::collections::HashMap;
+//! The scene on the adapter: vertices, indices, draws in their order, and one bind group for each material.
 
 use glam::{Vec2, Vec3};
-use gnomon_scene::{AlphaMode, Scene, Texture, Wrap};
-use gnomon_shaders::{gpu::Gpu, shading::Material};
-use rayon::prelude::*;
+use gnomon_scene::{AlphaMode, Scene};
+use gnomon_shaders::{
+    gpu::Gpu,
+    material::{features, features_of, is_layered},
+};
 use wgpu::util::DeviceExt as _;
 
-use super::{
-    error::RenderError,
-    pipeline::{bind_group, bind_group_layout, constant, picture, uniform},
-    texture::{self, Srgb},
-};
+use super::{error::RenderError, material};
 
 /// A vertex as the shaders read it.
 #[repr(C)]
@@ -25,11 +21,17 @@ struct Vertex {
 
 const ATTRIBUTES: [wgpu::VertexAttribute; 3] = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Float32x2];
 
-pub(crate) const VERTEX_LAYOUT: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
-    array_stride: size_of::<Vertex>() as u64,
-    step_mode: wgpu::VertexStepMode::Vertex,
-    attributes: &ATTRIBUTES,
-};
+/// What few scenes have of their vertices.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct MoreOfVertex {
+    uv_1: Vec2,
+    tangent: [i16; 4],
+    color: [u16; 4],
+}
+
+const MORE_ATTRIBUTES: [wgpu::VertexAttribute; 3] =
+    wgpu::vertex_attr_array![3 => Float32x2, 4 => Snorm16x4, 5 => Unorm16x4];
 
 /// Triangles of one material, drawn together.
 #[derive(Debug, Clone)]
@@ -38,18 +40,40 @@ pub(crate) struct Batch {
     pub(crate) indices: std::ops::Range<u32>,
     pub(crate) alpha: AlphaMode,
     pub(crate) double_sided: bool,
+    /// Of [`features`].
+    pub(crate) features: u32,
+    /// Whether light passes it that colours what lies behind.
+    pub(crate) transmissive: bool,
     /// Centre of the triangles; blended batches are sorted by it.
     pub(crate) centre: Vec3,
 }
 
+impl Batch {
+    pub(crate) fn is_blended(&self) -> bool {
+        matches!(self.alpha, AlphaMode::Blend)
+    }
+
+    pub(crate) fn is_masked(&self) -> bool {
+        matches!(self.alpha, AlphaMode::Mask { .. })
+    }
+}
+
 #[derive(Debug)]
 pub(crate) struct SceneUpload {
-    pub(crate) vertices: wgpu::Buffer,
-    pub(crate) indices: wgpu::Buffer,
+    vertices: wgpu::Buffer,
+    /// Of [`MoreOfVertex`]: one for each vertex, or one for all.
+    more: wgpu::Buffer,
+    more_stride: u64,
+    indices: wgpu::Buffer,
+    /// OPAQUE and MASK ones sorted by pipeline and material, then BLEND ones in the scene's order.
     pub(crate) batches: Vec<Batch>,
     pub(crate) material_layout: wgpu::BindGroupLayout,
     /// One for each material of the scene.
     pub(crate) materials: Vec<wgpu::BindGroup>,
+    /// [`gnomon_shaders::material::Finish`] of each material.
+    pub(crate) finishes: wgpu::Buffer,
+    /// Whether some material is more than metallic-roughness.
+    pub(crate) layered: bool,
 }
 
 impl SceneUpload {
@@ -67,15 +91,53 @@ impl SceneUpload {
         let vertices: Vec<Vertex> = (scene.positions.iter().zip(&scene.normals).zip(&scene.uvs))
             .map(|((position, normal), uv)| Vertex { position: *position, normal: *normal, uv: *uv })
             .collect();
-        let material_layout = material_layout(gpu);
+        let more = more_of_vertices(scene);
+        let material_layout = material::layout(gpu);
         Ok(Self {
             vertices: buffer("vertices", bytemuck::cast_slice(&vertices), wgpu::BufferUsages::VERTEX)?,
+            // A stride of 0 gives every vertex the same.
+            more_stride: if more.len() == 1 { 0 } else { size_of::<MoreOfVertex>() as u64 },
+            more: buffer("more of vertices", bytemuck::cast_slice(&more), wgpu::BufferUsages::VERTEX)?,
             indices: buffer("indices", bytemuck::cast_slice(&scene.triangles), wgpu::BufferUsages::INDEX)?,
             batches: batches(scene),
-            materials: materials(gpu, scene, &material_layout, anisotropy)?,
+            materials: material::groups(gpu, scene, &material_layout, anisotropy)?,
             material_layout,
+            finishes: material::finishes(gpu, scene),
+            layered: scene.materials.iter().any(is_layered),
         })
     }
+
+    /// Layouts of the buffers that [`Self::bind`] binds.
+    pub(crate) fn vertex_layouts(&self) -> [Option<wgpu::VertexBufferLayout<'static>>; 2] {
+        let layout = |array_stride, attributes| {
+            Some(wgpu::VertexBufferLayout { array_stride, step_mode: wgpu::VertexStepMode::Vertex, attributes })
+        };
+        [layout(size_of::<Vertex>() as u64, &ATTRIBUTES), layout(self.more_stride, &MORE_ATTRIBUTES)]
+    }
+
+    /// Binds vertices and indices.
+    pub(crate) fn bind(&self, pass: &mut wgpu::RenderPass<'_>) {
+        pass.set_vertex_buffer(0, self.vertices.slice(..));
+        pass.set_vertex_buffer(1, self.more.slice(..));
+        pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint32);
+    }
+}
+
+/// One element for all vertices where the scene has nothing more of them.
+fn more_of_vertices(scene: &Scene) -> Vec<MoreOfVertex> {
+    let plain = MoreOfVertex { uv_1: Vec2::ZERO, tangent: [0; 4], color: [u16::MAX; 4] };
+    if scene.uvs_1.is_empty() && scene.tangents.is_empty() && scene.colors.is_empty() {
+        return vec![plain];
+    }
+    #[expect(clippy::cast_possible_truncation, reason = "components of a unit vector")]
+    let snorm = |value: f32| (value * f32::from(i16::MAX)).round() as i16;
+    let vertex = |place: usize| MoreOfVertex {
+        uv_1: scene.uvs_1.get(place).copied().unwrap_or(plain.uv_1),
+        tangent: scene.tangents.get(place).map_or(plain.tangent, |tangent| tangent.to_array().map(snorm)),
+        color: scene.colors.get(place).copied().unwrap_or(plain.color),
+    };
+    // A scene of one vertex has no triangle; nothing is read then.
+    (0..scene.positions.len()).map(vertex).collect()
 }
 
 fn batches(scene: &Scene) -> Vec<Batch> {
@@ -86,7 +148,7 @@ fn batches(scene: &Scene) -> Vec<Batch> {
         if let Some(last) = batches.last_mut()
             && last.material == draw.material as usize
             && last.indices.end == indices.start
-            && !matches!(last.alpha, AlphaMode::Blend)
+            && !last.is_blended()
         {
             last.indices.end = indices.end;
             continue;
@@ -97,113 +159,28 @@ fn batches(scene: &Scene) -> Vec<Batch> {
             low = low.min(scene.positions[*index as usize]);
             high = high.max(scene.positions[*index as usize]);
         }
+        let mut found = features_of(material);
+        if !scene.tangents.is_empty() && found & (features::NORMAL | features::COAT_NORMAL) != 0 {
+            found |= features::TANGENTS;
+        }
+        if !scene.colors.is_empty() {
+            found |= features::COLORS;
+        }
         batches.push(Batch {
             material: draw.material as usize,
             indices,
             alpha: material.alpha,
             double_sided: material.double_sided,
+            features: found,
+            transmissive: material.transmission.factor > 0.0 && !material.unlit,
             centre: (low + high) * 0.5,
         });
     }
-    batches
-}
-
-fn material_layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
-    let bindings = [
-        uniform::<Material>(gpu),
-        picture(wgpu::TextureSampleType::Float { filterable: true }),
-        wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
-    ];
-    bind_group_layout(&gpu.device, "material", wgpu::ShaderStages::FRAGMENT, &bindings)
-}
-
-fn materials(
-    gpu: &Gpu,
-    scene: &Scene,
-    layout: &wgpu::BindGroupLayout,
-    anisotropy: u16,
-) -> Result<Vec<wgpu::BindGroup>, RenderError> {
-    let (device, queue) = (&gpu.device, &gpu.queue);
-    let images = images(device, queue, scene)?;
-    let white = texture::upload(device, queue, (1, 1), texture::WHITE.to_vec(), &[]);
-    let mut samplers = HashMap::new();
-    let groups = (0_u32..).zip(&scene.materials).map(|(index, material)| {
-        let uniform = constant(gpu, "material", &Material::new(material, index));
-        let texture = material.base_color_texture;
-        let (wrap_u, wrap_v) = texture.map_or((Wrap::Repeat, Wrap::Repeat), |texture| (texture.wrap_u, texture.wrap_v));
-        let modes = [wrap_u, wrap_v].map(address_mode);
-        let sampler = samplers.entry(modes).or_insert_with(|| sampler(device, modes, anisotropy));
-        let view = texture.and_then(|texture| images.get(&texture.image)).unwrap_or(&white);
-        let resources = [
-            uniform.as_entire_binding(),
-            wgpu::BindingResource::TextureView(view),
-            wgpu::BindingResource::Sampler(sampler),
-        ];
-        bind_group(device, "material", layout, &resources)
+    // Stable: blended ones keep their order.
+    batches.sort_by_key(|batch| match batch.alpha {
+        AlphaMode::Opaque => (0, batch.double_sided, batch.features, batch.material),
+        AlphaMode::Mask { .. } => (1, batch.double_sided, batch.features, batch.material),
+        AlphaMode::Blend => (2, false, 0, 0),
     });
-    Ok(groups.collect())
-}
-
-/// Uploads every image that a material uses, with its mips. Each thread computes one image; a browser has one thread.
-fn images(
-    device: &wgpu::Device,
-    queue: &wgpu::Queue,
-    scene: &Scene,
-) -> Result<HashMap<u32, wgpu::TextureView>, RenderError> {
-    // True if some material reads the image's alpha: mips then weigh texels by it.
-    let mut wanted: HashMap<u32, bool> = HashMap::new();
-    for material in &scene.materials {
-        if let Some(Texture { image, .. }) = material.base_color_texture {
-            *wanted.entry(image).or_default() |= !matches!(material.alpha, AlphaMode::Opaque);
-        }
-    }
-    let limit = device.limits().max_texture_dimension_2d;
-    let mut wanted: Vec<(u32, bool)> = wanted.into_iter().collect();
-    wanted.sort_unstable();
-    for (image, _) in &wanted {
-        let image = &scene.images[*image as usize];
-        let side = image.width.max(image.height);
-        if side > limit {
-            return Err(RenderError::TooLarge { what: "texture side", needed: side.into(), limit: limit.into() });
-        }
-    }
-    let srgb = Srgb::new();
-    let mut views = HashMap::new();
-    // A few images at a time, to bound memory: at most one set of mips for each thread.
-    for group in wanted.chunks(rayon::current_num_threads()) {
-        let mips = |(image, weigh): &(u32, bool)| {
-            let image = &scene.images[*image as usize];
-            srgb.mips(&image.rgba, image.width, image.height, *weigh)
-        };
-        let made: Vec<Vec<u8>> = group.par_iter().map(mips).collect();
-        for ((index, _), mips) in group.iter().zip(made) {
-            let image = &scene.images[*index as usize];
-            let view = texture::upload(device, queue, (image.width, image.height), image.rgba.clone(), &mips);
-            views.insert(*index, view);
-        }
-        // Textures are written through staging memory, which only a submission frees.
-        queue.submit([]);
-    }
-    Ok(views)
-}
-
-fn address_mode(wrap: Wrap) -> wgpu::AddressMode {
-    match wrap {
-        Wrap::Repeat => wgpu::AddressMode::Repeat,
-        Wrap::MirroredRepeat => wgpu::AddressMode::MirrorRepeat,
-        Wrap::ClampToEdge => wgpu::AddressMode::ClampToEdge,
-    }
-}
-
-fn sampler(device: &wgpu::Device, [u, v]: [wgpu::AddressMode; 2], anisotropy: u16) -> wgpu::Sampler {
-    device.create_sampler(&wgpu::SamplerDescriptor {
-        label: Some("base colour"),
-        address_mode_u: u,
-        address_mode_v: v,
-        mag_filter: wgpu::FilterMode::Linear,
-        min_filter: wgpu::FilterMode::Linear,
-        mipmap_filter: wgpu::MipmapFilterMode::Linear,
-        anisotropy_clamp: anisotropy,
-        ..wgpu::SamplerDescriptor::default()
-    })
+    batches
 }

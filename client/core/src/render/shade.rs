@@ -1,18 +1,15 @@
 //! The shading pass: lights every pixel's surface by its visibility, and draws the sky where there is none.
 
-use glam::Vec4;
-use gnomon_scene::Scene;
 use gnomon_shaders::{
     gpu::Gpu,
     shading::{Lighting, View},
 };
-use wgpu::util::DeviceExt as _;
 
 use super::{
     error::RenderError,
-    exposure::EMISSIVE,
-    pipeline::{bind_group, bind_group_layout, cleared, covering_pipeline, picture, shader, storage, uniform},
+    pipeline::{bind_group, bind_group_layout, covering_pipeline_with, kept, picture, shader, storage, uniform},
     predict::depth_history::DepthHistory,
+    scene_upload::SceneUpload,
     targets::{LIGHT, Targets},
 };
 
@@ -22,8 +19,8 @@ pub(crate) struct ShadePass {
     layout: wgpu::BindGroupLayout,
     view: wgpu::Buffer,
     lighting: wgpu::Buffer,
-    /// Emitted light of each material.
-    emitted: wgpu::Buffer,
+    /// Of each material.
+    finishes: wgpu::Buffer,
     /// By the slot of the picture's depth in the history.
     groups: Vec<wgpu::BindGroup>,
     pipeline: wgpu::RenderPipeline,
@@ -35,23 +32,26 @@ impl ShadePass {
         (view, lighting): (&wgpu::Buffer, &wgpu::Buffer),
         targets: &Targets,
         history: &DepthHistory,
-        scene: &Scene,
+        scene: &SceneUpload,
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
-        let mut emitted: Vec<Vec4> =
-            scene.materials.iter().map(|material| (material.emissive * EMISSIVE).extend(0.0)).collect();
-        // A binding cannot be empty.
-        emitted.push(Vec4::ZERO);
-        let emitted = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some("emitted light"),
-            contents: bytemuck::cast_slice(&emitted),
-            usage: wgpu::BufferUsages::STORAGE,
-        });
         let layout = layout(gpu);
         let module = shader(gpu, "shading/shade.wgsl")?;
-        let pipeline = covering_pipeline(device, &module, &[&layout], "shade", LIGHT);
-        let (view, lighting) = (view.clone(), lighting.clone());
-        let mut pass = Self { layout, view, lighting, emitted, groups: Vec::new(), pipeline };
+        // What surfaces emit is there already.
+        let added = wgpu::BlendComponent {
+            src_factor: wgpu::BlendFactor::One,
+            dst_factor: wgpu::BlendFactor::One,
+            operation: wgpu::BlendOperation::Add,
+        };
+        let target = wgpu::ColorTargetState {
+            format: LIGHT,
+            blend: Some(wgpu::BlendState { color: added, alpha: added }),
+            write_mask: wgpu::ColorWrites::ALL,
+        };
+        let constants = [("LAYERED", f64::from(u8::from(scene.layered)))];
+        let pipeline = covering_pipeline_with(device, &module, &[&layout], ("shade", &constants), target);
+        let (view, lighting, finishes) = (view.clone(), lighting.clone(), scene.finishes.clone());
+        let mut pass = Self { layout, view, lighting, finishes, groups: Vec::new(), pipeline };
         pass.resize(device, targets, history);
         Ok(pass)
     }
@@ -63,7 +63,7 @@ impl ShadePass {
                 self.view.as_entire_binding(),
                 self.lighting.as_entire_binding(),
                 view(&targets.visibility),
-                self.emitted.as_entire_binding(),
+                self.finishes.as_entire_binding(),
                 view(depth),
                 view(&targets.color),
                 view(&targets.normal_material),
@@ -84,7 +84,7 @@ impl ShadePass {
     pub(crate) fn encode(&self, encoder: &mut wgpu::CommandEncoder, targets: &Targets, history: &DepthHistory) {
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("shading"),
-            color_attachments: &[cleared(&targets.light)],
+            color_attachments: &[kept(&targets.light)],
             ..wgpu::RenderPassDescriptor::default()
         });
         pass.set_pipeline(&self.pipeline);

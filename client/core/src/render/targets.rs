@@ -2,15 +2,15 @@
 
 /// sRGB-encoded.
 pub const PICTURE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
-/// First colour target of the G-buffer: base colour.
+/// First colour target of the G-buffer: base colour and occlusion.
 pub(crate) const COLOR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
-/// Second colour target of the G-buffer: packed shading normal; packed material and plane normal.
-pub(crate) const NORMAL_MATERIAL: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
+/// Second colour target of the G-buffer: the packed surface (`packed_surface` of `gbuffer.wgsl`).
+pub(crate) const NORMAL_MATERIAL: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
 /// Predicted visibility; `predict.wgsl` defines its two words.
 pub(crate) const VISIBILITY: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
 /// Reversed-Z depth, kept in [`super::predict::depth_history`].
 pub(crate) const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Shaded light, before tone mapping.
+/// Light, before tone mapping: what surfaces emit (the G-buffer's third target), then what they reflect added to it.
 pub(crate) const LIGHT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 
 #[derive(Debug)]
@@ -27,7 +27,7 @@ impl Targets {
     pub(crate) fn new(device: &wgpu::Device, width: u32, height: u32) -> Self {
         let picture = |label, format| {
             let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-            let usage = if format == LIGHT { usage } else { usage | wgpu::TextureUsages::COPY_SRC };
+            let usage = if format == LIGHT && !cfg!(test) { usage } else { usage | wgpu::TextureUsages::COPY_SRC };
             texture(device, label, (width, height), format, usage).create_view(&wgpu::TextureViewDescriptor::default())
         };
         Self {

@@ -53,7 +53,7 @@ fn the_g_buffer_holds_the_surface_that_each_pixels_centre_sees() {
     let mut renderer = renderer(&gpu, &scene, shape);
     renderer.draw_surfaces(&camera).unwrap();
     let surfaces = texels(&gpu, &renderer.targets.normal_material, wgpu::TextureAspect::All).unwrap();
-    let surfaces: &[[u32; 2]] = bytemuck::cast_slice(&surfaces);
+    let surfaces: &[[u32; 4]] = bytemuck::cast_slice(&surfaces);
     let depths = texels(&gpu, renderer.history.view(), wgpu::TextureAspect::DepthOnly).unwrap();
     let depths: &[f32] = bytemuck::cast_slice(&depths);
     let colors = texels(&gpu, &renderer.targets.color, wgpu::TextureAspect::All).unwrap();
@@ -167,6 +167,8 @@ fn lights_fall_off_with_distance_range_and_cone_as_the_host_computes_it() {
     // A paint that 8 bits of base colour represent exactly.
     let paint = ((188.0_f32 / 255.0 + 0.055) / 1.055).powf(2.4);
     scene.materials[0].base_color = Vec4::new(paint, paint, paint, 1.0);
+    // Lambert's law alone.
+    scene.materials[0].specular.strength = 0.0;
     let (width, height) = (150, 83);
     let camera = camera(width, height);
     let exposure = Exposure::of_scene(&floor_and_lights(), &Occluders::default()).at_ev(1.0);
@@ -260,7 +262,7 @@ fn a_masked_surface_has_holes_where_its_alpha_is_low() {
     let mut renderer = renderer(&gpu, &scene, shape);
     renderer.draw_surfaces(&camera).unwrap();
     let surfaces = texels(&gpu, &renderer.targets.normal_material, wgpu::TextureAspect::All).unwrap();
-    let surfaces: &[[u32; 2]] = bytemuck::cast_slice(&surfaces);
+    let surfaces: &[[u32; 4]] = bytemuck::cast_slice(&surfaces);
     let (mut holes, mut leaves) = (0, 0);
     for (place, surface) in (0_u32..).zip(surfaces) {
         let (x, y) = (place % 160, place / 160);

@@ -1,9 +1,28 @@
-//! Base colour textures: sRGB with mips made on the CPU, so that every adapter shows the same ones.
+//! Textures with mips made on the CPU, so that every adapter shows the same ones.
 
 use wgpu::util::DeviceExt as _;
 
 /// Used by materials without a texture.
 pub(crate) const WHITE: [u8; 4] = [255; 4];
+
+/// What a texture's texels are, which decides how they are averaged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) enum Content {
+    /// sRGB colours and linear alpha. Light is averaged.
+    Color,
+    /// As `Color`, weighed by alpha, so that cut-away texels do not bleed into visible ones.
+    ColorByAlpha,
+    /// Linear values.
+    Numbers,
+    /// Unit vectors. Mips have unit vectors, too.
+    Normals,
+}
+
+impl Content {
+    fn is_srgb(self) -> bool {
+        matches!(self, Self::Color | Self::ColorByAlpha)
+    }
+}
 
 /// Lookup tables between sRGB and linear 16-bit light.
 pub(crate) struct Srgb {
@@ -27,14 +46,15 @@ impl Srgb {
         }
     }
 
-    /// Returns all mips after the first level, concatenated, down to one texel. `weigh` weighs texels by alpha, so that
-    /// cut-away texels do not bleed into visible ones.
-    pub(crate) fn mips(&self, rgba: &[u8], width: u32, height: u32, weigh: bool) -> Vec<u8> {
+    /// Returns all mips after the first level, concatenated, down to one texel.
+    pub(crate) fn mips(&self, rgba: &[u8], width: u32, height: u32, content: Content) -> Vec<u8> {
         let (mut width, mut height) = (width as usize, height as usize);
         let mut level: Vec<[u16; 4]> = rgba
             .chunks_exact(4)
             .map(|t| {
-                let linear = |channel: u8| self.linear[usize::from(channel)];
+                let linear = |channel: u8| {
+                    if content.is_srgb() { self.linear[usize::from(channel)] } else { u16::from(channel) * 257 }
+                };
                 [linear(t[0]), linear(t[1]), linear(t[2]), u16::from(t[3]) * 257]
             })
             .collect();
@@ -52,14 +72,17 @@ impl Srgb {
                         level[rows[1] + columns[0]],
                         level[rows[1] + columns[1]],
                     ];
-                    next.push(average(&four, weigh));
+                    let mean = average(&four, content == Content::ColorByAlpha);
+                    next.push(if content == Content::Normals { unit(mean) } else { mean });
                 }
             }
             bytes.extend(next.iter().flat_map(|texel| {
-                let encoded = |light: u16| self.encoded[usize::from(light)];
                 #[expect(clippy::cast_possible_truncation, reason = "16 bits to 8")]
-                let alpha = ((u32::from(texel[3]) + 128) / 257) as u8;
-                [encoded(texel[0]), encoded(texel[1]), encoded(texel[2]), alpha]
+                let byte = |value: u16| ((u32::from(value) + 128) / 257) as u8;
+                let encoded = |value: u16| {
+                    if content.is_srgb() { self.encoded[usize::from(value)] } else { byte(value) }
+                };
+                [encoded(texel[0]), encoded(texel[1]), encoded(texel[2]), byte(texel[3])]
             }));
             (level, width, height) = (next, next_width, next_height);
         }
@@ -83,11 +106,21 @@ fn average(four: &[[u16; 4]; 4], weigh: bool) -> [u16; 4] {
     mean
 }
 
+/// The texel with the direction of `texel`, of length 1. Opposite normals have no mean, and stay as they are.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "components of a unit vector")]
+fn unit([x, y, z, alpha]: [u16; 4]) -> [u16; 4] {
+    let [x, y, z] = [x, y, z].map(|value| f32::from(value) / 32767.5 - 1.0);
+    let length = (x * x + y * y + z * z).sqrt().max(1e-3);
+    let [x, y, z] = [x, y, z].map(|value| ((value / length).clamp(-1.0, 1.0) * 32767.5 + 32767.5).round() as u16);
+    [x, y, z, alpha]
+}
+
 /// Uploads the first level and the mips from [`Srgb::mips`].
 pub(crate) fn upload(
     device: &wgpu::Device,
     queue: &wgpu::Queue,
     (width, height): (u32, u32),
+    content: Content,
     mut texels: Vec<u8>,
     mips: &[u8],
 ) -> wgpu::TextureView {
@@ -95,12 +128,16 @@ pub(crate) fn upload(
     let texture = device.create_texture_with_data(
         queue,
         &wgpu::TextureDescriptor {
-            label: Some("base colour"),
+            label: Some("texture"),
             size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
             mip_level_count: width.max(height).ilog2() + 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
-            format: wgpu::TextureFormat::Rgba8UnormSrgb,
+            format: if content.is_srgb() {
+                wgpu::TextureFormat::Rgba8UnormSrgb
+            } else {
+                wgpu::TextureFormat::Rgba8Unorm
+            },
             usage: wgpu::TextureUsages::TEXTURE_BINDING,
             view_formats: &[],
         },
@@ -118,7 +155,7 @@ mod tests {
     fn a_mip_averages_light_not_bytes() {
         let srgb = Srgb::new();
         let (black, white) = ([0, 0, 0, 255], [255, 255, 255, 255]);
-        let mips = srgb.mips(&[black, white, white, black].concat(), 2, 2, false);
+        let mips = srgb.mips(&[black, white, white, black].concat(), 2, 2, Content::Color);
         // Half the light of white is 188 in sRGB (IEC 61966-2-1).
         assert_eq!(mips, [188, 188, 188, 255]);
     }
@@ -128,8 +165,8 @@ mod tests {
         let srgb = Srgb::new();
         let (leaf, hole) = ([40, 120, 30, 255], [255, 0, 255, 0]);
         let picture = [leaf, hole, hole, hole].concat();
-        assert_eq!(srgb.mips(&picture, 2, 2, true), [40, 120, 30, 64]);
-        assert_ne!(srgb.mips(&picture, 2, 2, false)[..3], [40, 120, 30]);
+        assert_eq!(srgb.mips(&picture, 2, 2, Content::ColorByAlpha), [40, 120, 30, 64]);
+        assert_ne!(srgb.mips(&picture, 2, 2, Content::Color)[..3], [40, 120, 30]);
     }
 
     #[test]
@@ -137,8 +174,19 @@ mod tests {
         let srgb = Srgb::new();
         for (width, height, texels) in [(1, 1, 0), (5, 3, 2 + 1), (8, 1, 4 + 2 + 1), (3, 7, 3 + 1)] {
             let picture = vec![9; width as usize * height as usize * 4];
-            let mips = srgb.mips(&picture, width, height, true);
+            let mips = srgb.mips(&picture, width, height, Content::ColorByAlpha);
             assert_eq!(mips, vec![9; texels * 4], "{width}×{height}");
         }
+    }
+
+    #[test]
+    fn normals_stay_unit_vectors_and_numbers_are_averaged_as_they_are() {
+        let srgb = Srgb::new();
+        // Two ripples of 45° that lean to either side, along x. Their mean is straight up.
+        let (left, right) = ([37, 128, 218, 255], [218, 128, 37 + 181, 255]);
+        let texels = [left, right, left, right].concat();
+        let up = srgb.mips(&texels, 2, 2, Content::Normals);
+        assert!(up[0].abs_diff(128) <= 1 && up[1].abs_diff(128) <= 1 && up[2] == 255, "{up:?}");
+        assert_eq!(srgb.mips(&texels, 2, 2, Content::Numbers), [128, 128, 218, 255]);
     }
 }

@@ -1,12 +1,11 @@
 //! Draws depth alone, for views without a picture: those of masks and lights.
 
-use gnomon_scene::AlphaMode;
 use gnomon_shaders::gpu::Gpu;
 
 use crate::render::{
     error::RenderError,
     pipeline::{bind_group, bind_group_layout, shader, uniform},
-    scene_upload::{SceneUpload, VERTEX_LAYOUT},
+    scene_upload::SceneUpload,
     targets::DEPTH,
 };
 
@@ -47,7 +46,7 @@ impl DepthPass {
                     module: &module,
                     entry_point: Some(if masked { "transform_masked" } else { "transform" }),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    buffers: &[Some(VERTEX_LAYOUT)],
+                    buffers: &scene.vertex_layouts(),
                 },
                 primitive: wgpu::PrimitiveState {
                     cull_mode: (!both).then_some(wgpu::Face::Back),
@@ -90,11 +89,11 @@ impl DepthPass {
         faces: Faces,
     ) {
         pass.set_bind_group(0, view, &[]);
-        pass.set_vertex_buffer(0, scene.vertices.slice(..));
-        pass.set_index_buffer(scene.indices.slice(..), wgpu::IndexFormat::Uint32);
-        for batch in scene.batches.iter().filter(|batch| !matches!(batch.alpha, AlphaMode::Blend)) {
-            let masked = matches!(batch.alpha, AlphaMode::Mask { .. });
-            pass.set_pipeline(&self.pipelines[pipeline_of(masked, batch.double_sided || faces == Faces::Both)]);
+        scene.bind(pass);
+        for batch in scene.batches.iter().filter(|batch| !batch.is_blended()) {
+            pass.set_pipeline(
+                &self.pipelines[pipeline_of(batch.is_masked(), batch.double_sided || faces == Faces::Both)],
+            );
             pass.set_bind_group(1, &scene.materials[batch.material], &[]);
             pass.draw_indexed(batch.indices.clone(), 0, 0..1);
         }

@@ -86,7 +86,7 @@ impl PredictPass {
         let layers = Layers::new(gpu, &words_pass, smallest)?;
         let layouts = [&scene_layout, &surface_layout, &mask_layout];
         let pipelines = [0.0, 1.0].map(|layered| {
-            covering_pipeline_with(device, &module, &layouts, ("predict", &[("layered", layered)]), VISIBILITY)
+            covering_pipeline_with(device, &module, &layouts, ("predict", &[("layered", layered)]), VISIBILITY.into())
         });
         Ok(Self {
             predictor,
