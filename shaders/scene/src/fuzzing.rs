@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use crate::{LoadOptions, Scene, pack};
+use crate::{LoadOptions, Scene, pack, picture, reader::decoders};
 
 /// A packed scene that is accepted survives packing and unpacking again. The bytes are tried unchanged, and again as
 /// the content of the LZ4 block, which mutations do not reach.
@@ -23,6 +23,32 @@ pub fn gltf(bytes: &[u8], file: &Path) {
     if let Ok(scene) = Scene::load(file, &LoadOptions::default()) {
         travels(&scene);
     }
+}
+
+/// A picture that is accepted is as large as its head says, and what is sent of it decodes to the same texels.
+pub fn picture(bytes: &[u8]) {
+    for halvings in 0..2 {
+        // Larger ones take the same way, only longer.
+        let source = picture::Source::new(bytes.to_vec()).ok();
+        let Some(source) = source.filter(|source| picture::area(source.width, source.height) <= 1 << 20) else {
+            return;
+        };
+        let (width, height) = ((source.width >> halvings).max(1), (source.height >> halvings).max(1));
+        let Ok(image) = source.decode(halvings) else { return };
+        assert!((image.width, image.height) == (width, height), "a picture has another size than its head says");
+        let again = picture::decode(image.encoded.clone(), picture::area(width, height));
+        assert!(again.is_ok_and(|again| again == image), "a picture does not survive travel");
+    }
+}
+
+/// Draco data give an error, or a mesh of as many values as it says.
+pub fn draco(bytes: &[u8]) {
+    decoders::draco(bytes);
+}
+
+/// Data of meshopt's codecs give an error, or as many bytes as were asked for. The first four bytes say what to ask for.
+pub fn meshopt(bytes: &[u8]) {
+    decoders::meshopt(bytes);
 }
 
 fn travels(scene: &Scene) {

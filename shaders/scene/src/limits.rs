@@ -1,6 +1,6 @@
 //! Every bound on a scene and its files. All are checked before memory is taken.
 //!
-//! A scene at all of these bounds takes about 3.5 GiB while it loads. A file that breaks one takes far less, because
+//! A scene at all of these bounds takes about 5 GiB while it loads. A file that breaks one takes far less, because
 //! counts are summed from the JSON before the first vertex is read.
 
 use glam::{DVec3, Vec2};
@@ -67,8 +67,17 @@ pub const MAX_IMAGES_BYTES: u64 = 256 << 20;
 /// Largest width or height of an image: every adapter takes such a texture.
 pub const MAX_IMAGE_SIDE_PX: u32 = 8192;
 
-/// Most pixels in all images together: 512 MiB decoded.
+/// Most pixels in all images together: 512 MiB decoded. Images of a file that have more are scaled down.
 pub const MAX_IMAGES_PIXELS: u64 = 1 << 27;
+
+/// Largest width or height of an image in a file before it is scaled down.
+pub const MAX_SOURCE_IMAGE_SIDE_PX: u32 = 1 << 14;
+
+/// Most pixels of one image in a file before it is scaled down: 512 MiB decoded.
+pub const MAX_SOURCE_IMAGE_PIXELS: u64 = 1 << 27;
+
+/// Most pixels in all images of a file before they are scaled down. It bounds the time that decoding takes.
+pub const MAX_SOURCE_IMAGES_PIXELS: u64 = 1 << 32;
 
 /// Most memory that decoding one image takes besides its pixels, in bytes.
 pub const MAX_IMAGE_SCRATCH_BYTES: u64 = 512 << 20;

@@ -1,17 +1,27 @@
 //! The fuzz targets' properties on the stable toolchain, for valid scenes and damaged ones. The damage is seeded, so
 //! that failures repeat. With `GNOMON_FUZZ_SEEDS=FOLDER` the valid ones are written there as the targets' seeds.
-#![allow(missing_docs, clippy::unwrap_used, reason = "tests")]
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+mod common;
 
 use std::fs;
 
 use gnomon_scene::{LoadOptions, Scene, fuzzing, testing::write_scene};
 
+/// Runs a property on the seed cut at every byte.
+fn every_start(seed: &[u8], entry: impl Fn(&[u8])) {
+    for end in 0..seed.len() {
+        entry(&seed[..end]);
+    }
+}
+
 /// Runs a property on the seed, and on damaged copies of it.
 fn drive(target: &str, seed: &[u8], rounds: u32, mut entry: impl FnMut(&[u8])) {
     if let Some(folder) = std::env::var_os("GNOMON_FUZZ_SEEDS") {
+        let (target, variant) = target.split_once('-').unwrap_or((target, "seed"));
         let folder = std::path::Path::new(&folder).join(target);
         fs::create_dir_all(&folder).unwrap();
-        fs::write(folder.join("seed"), seed).unwrap();
+        fs::write(folder.join(variant), seed).unwrap();
     }
     let mut state = 7_u32;
     let mut below = |most: usize| {
@@ -86,6 +96,29 @@ fn glb() {
     drive("glb", &seed.concat(), 3_000, |bytes| fuzzing::gltf(bytes, &file));
     fs::write(&file, seed.concat()).unwrap();
     assert!(Scene::load(&file, &LoadOptions::default()).is_ok(), "the seed does not load");
+}
+
+#[test]
+fn pictures() {
+    for (name, seed) in common::formats::pictures() {
+        every_start(&seed, fuzzing::picture);
+        drive(&format!("picture-{name}"), &seed, 2_000, fuzzing::picture);
+    }
+}
+
+#[test]
+fn draco() {
+    let seed = common::formats::draco();
+    every_start(&seed, fuzzing::draco);
+    drive("draco", &seed, 5_000, fuzzing::draco);
+}
+
+#[test]
+fn meshopt() {
+    for (name, seed) in common::formats::meshopt() {
+        every_start(&seed, fuzzing::meshopt);
+        drive(&format!("meshopt-{name}"), &seed, 5_000, fuzzing::meshopt);
+    }
 }
 
 #[test]

@@ -332,7 +332,7 @@ fn faulty_pictures_are_named() {
     let fault = |picture: &[u8]| load(&textured(picture, json!({}))).unwrap_err().to_string();
     let whole = png();
     assert!(fault(&whole[..whole.len() / 2]).contains("picture"), "{}", fault(&whole[..whole.len() / 2]));
-    assert!(fault(b"GIF89a").contains("neither PNG nor JPEG"));
+    assert!(fault(b"GIF89a").contains("none of PNG, JPEG, WebP and KTX2"));
     assert!(fault(b"RIFF....WEBP").contains("WebP"));
     assert!(fault(b"").contains("empty"));
     let mut document = textured(&whole, json!({}));

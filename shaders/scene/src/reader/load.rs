@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::{
     checks::{features, layout, references},
+    compression,
     file::{buffers::Buffers, glb},
     flatten::{
         image, light,
@@ -20,7 +21,7 @@ pub(crate) fn load(path: &Path) -> Result<(Scene, LoadReport), SceneError> {
     let bytes = read_file(path, MAX_FILE_BYTES)?;
     let not_gltf = |fault: String| SceneError::NotGltf { path: path.to_owned(), fault };
     let container = glb::split(&bytes).map_err(not_gltf)?;
-    let document = json::parse(container.json).map_err(not_gltf)?;
+    let mut document = json::parse(container.json).map_err(not_gltf)?;
     features::check(&document)?;
     references::check(&document)?;
     layout::check(&document.json)?;
@@ -28,7 +29,8 @@ pub(crate) fn load(path: &Path) -> Result<(Scene, LoadReport), SceneError> {
     let placed = nodes::walk(&document)?;
 
     let folder = path.parent().unwrap_or_else(|| Path::new(""));
-    let buffers = Buffers::load(&document.json, container.bin, folder)?;
+    let mut buffers = Buffers::load(&document.json, container.bin, folder)?;
+    compression::expand(&mut document, &mut buffers)?;
     read(&document, &buffers, &placed, folder)
 }
 
@@ -43,7 +45,7 @@ fn read(
     let mut materials = Materials::default();
     meshes::flatten(document, buffers, placed, &mut materials, &mut scene, &mut report)?;
     scene.lights = light::read(document, placed, scene.origin_m)?;
-    scene.images = image::load(&document.json, buffers, folder, &materials.images)?;
+    scene.images = image::load(&document.json, buffers, folder, &materials.images, &mut report)?;
     scene.materials = materials.materials;
     if scene.triangles.is_empty() {
         return Err(SceneError::NoTriangles { dropped: report.dropped_triangles, skipped: report.skipped_primitives });

@@ -1,10 +1,11 @@
 //! Reads glTF 2.0, `.gltf` and `.glb`, into a [`Scene`](crate::Scene). No byte of the file is trusted.
 //!
 //! [`file`] splits a file into chunks and loads buffers; [`json`] parses its JSON into `gltf`'s model, within bounds;
-//! [`checks`] refuses unsupported features and checks every index and offset; [`flatten`] walks the nodes and makes
+//! [`checks`] refuses unsupported features and checks every index and offset; [`compression`] decompresses; [`flatten`] walks the nodes and makes
 //! triangles, materials, pictures and lights.
 
 mod checks;
+mod compression;
 mod file;
 mod flatten;
 mod json;
@@ -13,3 +14,6 @@ mod report;
 
 pub(crate) use load::load;
 pub use report::LoadReport;
+
+/// Decoders alone, for the fuzz targets.
+pub(crate) use compression::fuzzing as decoders;

@@ -13,15 +13,18 @@ pub struct LoadReport {
     pub skipped_primitives: u64,
     /// Morph targets with weight 0, ignored.
     pub ignored_morph_targets: u64,
+    /// Pictures scaled down because they are too large, alone or together.
+    pub scaled_pictures: u64,
 }
 
 impl fmt::Display for LoadReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { dropped_triangles, repaired_normals, skipped_primitives, ignored_morph_targets } = self;
+        let Self { dropped_triangles, repaired_normals, skipped_primitives, ignored_morph_targets, scaled_pictures } =
+            self;
         write!(
             f,
             "zero-area triangles dropped {dropped_triangles}, zero normals replaced {repaired_normals}, point and line \
-             primitives skipped {skipped_primitives}, morph targets ignored {ignored_morph_targets}"
+             primitives skipped {skipped_primitives}, morph targets ignored {ignored_morph_targets}, pictures scaled down {scaled_pictures}"
         )
     }
 }

@@ -84,10 +84,10 @@ pub struct Draw {
     pub material: u32,
 }
 
-/// A PNG or JPEG picture, with its size in pixels.
+/// A PNG, JPEG or WebP picture, with its size in pixels.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Image {
-    /// The file's bytes, which are sent.
+    /// The bytes that are sent: the file's, unless it had to be converted or scaled down.
     pub encoded: Vec<u8>,
     pub width: u32,
     pub height: u32,

@@ -1,5 +1,7 @@
 //! Finds the test scenes.
 
+pub(crate) mod formats;
+
 use std::path::{Path, PathBuf};
 
 use gnomon_scene::LoadOptions;

@@ -1,7 +1,7 @@
 //! Refuses features that Gnomon does not read, and names them.
 //!
 //! A required extension must be known. An optional one is ignored, unless that would show other geometry or another
-//! base colour than intended: compressed meshes are refused even if they bring an uncompressed copy.
+//! base colour than intended.
 
 use gltf::json::mesh::Primitive;
 use serde_json::{Map, Value};
@@ -12,7 +12,10 @@ use crate::{
 };
 
 /// Extensions that are read, or that do not affect Gnomon's shading.
-const KNOWN: [&str; 19] = [
+const KNOWN: [&str; 24] = [
+    "EXT_meshopt_compression",
+    "EXT_texture_webp",
+    "KHR_draco_mesh_compression",
     "KHR_lights_punctual",
     "KHR_materials_anisotropy",
     "KHR_materials_clearcoat",
@@ -28,7 +31,9 @@ const KNOWN: [&str; 19] = [
     "KHR_materials_variants",
     "KHR_materials_volume",
     "KHR_mesh_quantization",
+    "KHR_meshopt_compression",
     "KHR_node_visibility",
+    "KHR_texture_basisu",
     "KHR_texture_transform",
     "KHR_xmp",
     "KHR_xmp_json_ld",
@@ -42,15 +47,11 @@ pub(crate) fn check(document: &Document) -> Result<(), SceneError> {
             return Err(SceneError::unsupported("the file", format!("the required extension {name:.100}")));
         }
     }
-    for (index, view) in json.buffer_views.iter().enumerate() {
-        let others = view.extensions.as_ref().map(|extensions| &extensions.others);
-        refuse(others, &["EXT_meshopt_compression", "KHR_meshopt_compression"], || place("buffer view", index, None))?;
-    }
     for (index, mesh) in json.meshes.iter().enumerate() {
         for (number, primitive) in mesh.primitives.iter().enumerate() {
             let here = || format!("{}, primitive {number}", place("mesh", index, mesh.name.as_deref()));
             let others = primitive.extensions.as_ref().map(|extensions| &extensions.others);
-            refuse(others, &["KHR_draco_mesh_compression", "KHR_gaussian_splatting"], here)?;
+            refuse(others, &["KHR_gaussian_splatting"], here)?;
             if morphs(primitive) && weighted(mesh.weights.as_ref()) {
                 return Err(SceneError::unsupported(here(), "morph targets with weights other than 0"));
             }

@@ -12,8 +12,16 @@ use crate::{
     reader::checks::layout::view_range,
 };
 
-/// Buffers, each exactly as long as the JSON says. `None` for one without bytes.
-pub(crate) struct Buffers<'a>(Vec<Option<Cow<'a, [u8]>>>);
+/// Buffers, each exactly as long as the JSON says.
+pub(crate) struct Buffers<'a>(Vec<Content<'a>>);
+
+enum Content<'a> {
+    There(Cow<'a, [u8]>),
+    /// Neither a URI nor a binary chunk. Legal if nothing reads it, or what does is compressed elsewhere.
+    Missing,
+    /// Compressed, and broken.
+    Broken(String),
+}
 
 impl<'a> Buffers<'a> {
     /// Loads every buffer that has a URI. A first buffer without one is the `.glb`'s binary chunk.
@@ -36,23 +44,32 @@ impl<'a> Buffers<'a> {
             let data = match data {
                 Some(data) => {
                     let there = data.len();
-                    Some(prefix(data, buffer.byte_length.0).ok_or_else(|| {
+                    Content::There(prefix(data, buffer.byte_length.0).ok_or_else(|| {
                         let fault = format!("it says {} bytes, but has {there}", buffer.byte_length.0);
                         SceneError::invalid(here(), fault)
                     })?)
                 }
-                None => None,
+                None => Content::Missing,
             };
             buffers.push(data);
         }
         Ok(Self(buffers))
     }
 
-    /// Errors if the buffer has no bytes: neither a URI nor a binary chunk.
+    /// Appends a buffer that was decompressed, or the reason why it could not be. Returns its index.
+    pub(crate) fn push(&mut self, decompressed: Result<Vec<u8>, String>) -> usize {
+        self.0.push(decompressed.map_or_else(Content::Broken, |bytes| Content::There(Cow::Owned(bytes))));
+        self.0.len() - 1
+    }
+
+    /// Errors if the buffer has no bytes: neither a URI nor a binary chunk, or broken ones.
     pub(crate) fn get(&self, index: usize) -> Result<&[u8], SceneError> {
-        self.0.get(index).and_then(Option::as_deref).ok_or_else(|| {
-            SceneError::invalid(place("buffer", index, None), "it has no uri, and there is no GLB chunk with its bytes")
-        })
+        let fault = match self.0.get(index) {
+            Some(Content::There(bytes)) => return Ok(bytes),
+            Some(Content::Broken(fault)) => fault,
+            Some(Content::Missing) | None => "it has no uri, and there is no GLB chunk with its bytes",
+        };
+        Err(SceneError::invalid(place("buffer", index, None), fault))
     }
 
     /// Returns a buffer view's bytes.

@@ -8,6 +8,7 @@ use std::collections::HashMap;
 use glam::{Vec3, Vec4};
 use gltf::json::{self, Index, texture::WrappingMode, validation::Checked};
 
+use super::image::originals;
 use crate::{
     AlphaMode, Material, Texture, Wrap,
     error::{SceneError, place},
@@ -16,13 +17,15 @@ use crate::{
 };
 
 /// Extensions that bring pictures in formats that are not read.
-const OTHER_FORMATS: [&str; 4] = ["KHR_texture_basisu", "EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds"];
+const OTHER_FORMATS: [&str; 2] = ["EXT_texture_avif", "MSFT_texture_dds"];
 
 /// Materials and images that the scene uses, in the order of their first use.
 #[derive(Default)]
 pub(crate) struct Materials {
     pub(crate) materials: Vec<Material>,
     pub(crate) images: Vec<Index<json::Image>>,
+    /// See [`originals`].
+    originals: Vec<Index<json::Image>>,
     by_index: HashMap<Option<Index<json::Material>>, u32>,
 }
 
@@ -77,6 +80,10 @@ impl Materials {
         let sampler = texture.sampler.and_then(|sampler| document.json.get(sampler));
         let wrap_u = wrap(sampler.map(|sampler| sampler.wrap_s))?;
         let wrap_v = wrap(sampler.map(|sampler| sampler.wrap_t))?;
+        if self.originals.is_empty() {
+            self.originals = originals(&document.json);
+        }
+        let source = self.originals.get(source.value()).copied().unwrap_or(source);
         let known = self.images.iter().position(|image| *image == source);
         let image = known.unwrap_or_else(|| {
             self.images.push(source);

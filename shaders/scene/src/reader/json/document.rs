@@ -49,10 +49,17 @@ pub(crate) fn parse(json: &[u8]) -> Result<Document, String> {
 /// Sets of texture coordinates that are read.
 pub(crate) const TEXCOORDS: std::ops::Range<u32> = 0..4;
 
-/// Returns a texture's image. `gltf::json` gives the largest index to a texture without one.
+/// Returns a texture's image: what an extension brings, else its own.
 pub(crate) fn source(texture: &Texture) -> Option<Index<Image>> {
-    Some(texture.source).filter(|source| *source != Index::new(u32::MAX))
+    let extensions = texture.extensions.as_ref().map(|extensions| &extensions.others);
+    let source = |name: &&str| extensions?.get(*name)?.get("source")?.as_u64();
+    let from_extension = PICTURES.iter().find_map(source).and_then(|source| u32::try_from(source).ok());
+    // `gltf::json` gives the largest index to a texture without one.
+    from_extension.map(Index::new).or(Some(texture.source).filter(|source| *source != Index::new(u32::MAX)))
 }
+
+/// Extensions that bring pictures in formats beyond PNG and JPEG.
+const PICTURES: [&str; 2] = ["KHR_texture_basisu", "EXT_texture_webp"];
 
 /// Returns the accessor of a vertex attribute.
 pub(crate) fn attribute(primitive: &mesh::Primitive, semantic: mesh::Semantic) -> Option<Index<Accessor>> {

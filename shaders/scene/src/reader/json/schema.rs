@@ -138,9 +138,11 @@ const PRIMITIVE: Kind = Object(&[
     Optional("targets", List(UNBOUNDED, &Object(&[]))),
     Optional(
         "extensions",
-        Object(&[Optional("KHR_draco_mesh_compression", Presence), Optional("KHR_gaussian_splatting", Presence)]),
+        Object(&[Optional("KHR_draco_mesh_compression", DRACO), Optional("KHR_gaussian_splatting", Presence)]),
     ),
 ]);
+
+const DRACO: Kind = Object(&[Required("bufferView", Index), Required("attributes", ATTRIBUTES)]);
 
 /// Texture coordinate sets beyond the fourth are an error where a material uses them.
 const ATTRIBUTES: Kind = Object(&[
@@ -178,8 +180,18 @@ const BUFFER_VIEW: Kind = Object(&[
     Optional("byteStride", Size),
     Optional(
         "extensions",
-        Object(&[Optional("EXT_meshopt_compression", Presence), Optional("KHR_meshopt_compression", Presence)]),
+        Object(&[Optional("EXT_meshopt_compression", MESHOPT), Optional("KHR_meshopt_compression", MESHOPT)]),
     ),
+]);
+
+const MESHOPT: Kind = Object(&[
+    Required("buffer", Index),
+    Optional("byteOffset", Size),
+    Required("byteLength", Size),
+    Required("byteStride", Size),
+    Required("mode", Text),
+    Optional("filter", Text),
+    Required("count", Size),
 ]);
 
 const MATERIAL: Kind = Object(&[
@@ -221,8 +233,8 @@ const TEXTURE: Kind = Object(&[
     Optional(
         "extensions",
         Object(&[
-            Optional("KHR_texture_basisu", Presence),
-            Optional("EXT_texture_webp", Presence),
+            Optional("KHR_texture_basisu", Object(&[Optional("source", Index)])),
+            Optional("EXT_texture_webp", Object(&[Optional("source", Index)])),
             Optional("EXT_texture_avif", Presence),
             Optional("MSFT_texture_dds", Presence),
         ]),
