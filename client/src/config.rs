@@ -16,6 +16,7 @@ use crate::{
     mode::{Mode, Thresholds},
     pose_history::HISTORY_S,
     predictor::Predictor,
+    render::quality::Quality,
 };
 
 /// Most frames of a headless run.
@@ -144,6 +145,9 @@ pub struct ClientSettings {
         help_heading = "Late visibility"
     )]
     pub fade: f64,
+    /// What to pay for smooth pictures: low or high
+    #[arg(long, value_name = "QUALITY", default_value_t, value_parser = one_of(Quality::ALL), help_heading = "Picture")]
+    pub quality: Quality,
     /// Synchronise pictures with the screen's refresh
     #[arg(long, default_value_t = true, help_heading = "Window")]
     pub vsync: bool,

@@ -146,7 +146,8 @@ impl FrameDriver {
         let (url, welcome) = (pending.url().clone(), pending.welcome.clone());
         let exposure = exposure(&scene, &Occluders::largest_of(&scene), settings.exposure);
         let size = self.frames.renderer.size();
-        let renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predict)?;
+        let mut renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predict)?;
+        renderer.set_quality(settings.quality)?;
         match link.start(pending, MaskShape::new(width, height, welcome.lights)?) {
             Ok(()) => {}
             Err(error @ ClientError::Write { .. }) => return Err(error),

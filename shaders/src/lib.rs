@@ -5,6 +5,7 @@
 //! point at both ends.
 
 pub mod device_failure;
+pub mod edge_shares;
 pub mod gpu;
 pub mod host;
 pub mod material;

@@ -14,6 +14,7 @@ pub const FILES: &[(&str, &str)] = &[
     ("shading/blend.wgsl", include_str!("../wgsl/shading/blend.wgsl")),
     ("shading/debug_view.wgsl", include_str!("../wgsl/shading/debug_view.wgsl")),
     ("shading/depth.wgsl", include_str!("../wgsl/shading/depth.wgsl")),
+    ("shading/edges.wgsl", include_str!("../wgsl/shading/edges.wgsl")),
     ("shading/environment.wgsl", include_str!("../wgsl/shading/environment.wgsl")),
     ("shading/finish.wgsl", include_str!("../wgsl/shading/finish.wgsl")),
     ("shading/gbuffer.wgsl", include_str!("../wgsl/shading/gbuffer.wgsl")),

@@ -125,7 +125,8 @@ impl Start {
             load(options, largest, camera_path, stop, step, |_, _| false)?;
         let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
         let shape = MaskShape::new(largest.0, largest.1, lights)?;
-        let renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predict)?;
+        let mut renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predict)?;
+        renderer.set_quality(settings.quality)?;
         drop(scene);
         let welcome = connected.as_ref().map(|connected| connected.welcome().clone());
         let recorder = Recorder::for_run(options, size, welcome.as_ref(), exposure, gpu)?;

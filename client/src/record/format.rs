@@ -3,10 +3,14 @@
 use gnomon_scene::camera::Camera;
 use serde::{Deserialize, Serialize};
 
-use crate::{headless::stats::FrameStats, predictor::Predictor, render::debug_view::DebugView};
+use crate::{
+    headless::stats::FrameStats,
+    predictor::Predictor,
+    render::{debug_view::DebugView, quality::Quality},
+};
 
 /// First line of the file, with the format's version.
-pub const FIRST_LINE: &str = "gnomon recording 2\n";
+pub const FIRST_LINE: &str = "gnomon recording 3\n";
 
 /// Longest record: the largest mask, incompressible.
 pub const MAX_RECORD_BYTES: u32 = 128 << 20;
@@ -31,6 +35,7 @@ pub struct Start {
     /// Exposed irradiance per lux, and the reference's irradiance in lux.
     pub exposure: [f32; 2],
     pub predictor: Predictor,
+    pub quality: Quality,
     /// Graphics adapter. On another one, pictures may differ in their last bits.
     pub adapter: String,
 }
@@ -59,6 +64,8 @@ pub enum Record {
     Size([u32; 2]),
     /// New predictor.
     Predictor(Predictor),
+    /// New quality.
+    Quality(Quality),
     /// Lights that are on, one bit each.
     LightsOn(u32),
     /// First column that is drawn without shadows.

@@ -41,6 +41,7 @@ impl Recorder {
             size_px: [width, height],
             exposure: exposure.into(),
             predictor: options.settings.predict,
+            quality: options.settings.quality,
             adapter: gpu.info.name.clone(),
         };
         Self::create(path, start).map(Some)

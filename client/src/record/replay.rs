@@ -130,6 +130,7 @@ pub fn replay<E: From<ReplayError>>(
     let exposure = Exposure { scale, reference_lux };
     let renderer = FrameRenderer::new(gpu, scene, (width, height), exposure, PICTURE_FORMAT, start.predictor);
     let mut renderer = renderer.map_err(render)?;
+    renderer.set_quality(start.quality).map_err(render)?;
     let mut reader = PictureReader::new(gpu, width, height, 1);
     let mut decoder = Decoder::new();
     let mut newest_mask_frame = None;
@@ -144,6 +145,7 @@ pub fn replay<E: From<ReplayError>>(
                 reader = PictureReader::new(gpu, *width, *height, 1);
             }
             Record::Predictor(predictor) => renderer.set_predictor(*predictor),
+            Record::Quality(quality) => renderer.set_quality(*quality).map_err(render)?,
             Record::LightsOn(lights) => renderer.set_lights_on(*lights),
             Record::Split(split) => renderer.set_split(*split),
             Record::View(view) => renderer.set_debug_view(*view),

@@ -105,7 +105,8 @@ impl Play {
         let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
         (settings.lights, settings.lights_on) = (lights, all_of(lights));
         let size = fitted(screen.size(), largest);
-        let renderer = FrameRenderer::new(&screen.gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predictor)?;
+        let mut renderer = FrameRenderer::new(&screen.gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predictor)?;
+        renderer.set_quality(settings.quality)?;
         let extent_m = f64::from((scene.bounds.max - scene.bounds.min).length());
         let speed = (extent_m / CROSSING_S).clamp(INITIAL_SPEEDS_M_PER_S.0, INITIAL_SPEEDS_M_PER_S.1);
         let (width, height) = largest_mask(largest);
@@ -314,6 +315,10 @@ impl Play {
             self.driver.frames.renderer.set_predictor(settings.predictor);
             self.record(&Record::Predictor(settings.predictor))?;
         }
+        if settings.quality != self.applied.quality {
+            self.driver.frames.renderer.set_quality(settings.quality)?;
+            self.record(&Record::Quality(settings.quality))?;
+        }
         if settings.mode != self.applied.mode {
             self.driver.frames.machine.set_mode(settings.mode);
         }
@@ -350,6 +355,7 @@ fn all_of(lights: u32) -> u32 {
 pub(crate) fn settings(chosen: &ClientSettings) -> Settings {
     Settings {
         predictor: chosen.predict,
+        quality: chosen.quality,
         mode: chosen.mode,
         guard: match chosen.guard {
             Guard::Fixed(size) => Guard::Fixed(GuardSize { width: size.width.min(640), height: size.height.min(360) }),

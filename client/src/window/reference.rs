@@ -122,7 +122,8 @@ impl Reference {
     ) -> Result<Self, ClientError> {
         let Ready { server, scene, connected } = ready;
         let options = HeadlessOptions::new(Source::Server(server.url().clone()));
-        let renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, options.settings.predict)?;
+        let mut renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, options.settings.predict)?;
+        renderer.set_quality(options.settings.quality)?;
         let lights = connected.welcome().lights;
         let link = connected.start(MaskShape::new(largest.0, largest.1, lights)?, Default::default())?;
         let no_band = Guard::Fixed(GuardSize { width: 0, height: 0 });

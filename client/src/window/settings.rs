@@ -10,6 +10,7 @@ use crate::{
     mode::Mode,
     predictor::Predictor,
     render::debug_view::DebugView,
+    render::quality::Quality,
 };
 
 /// Content of the picture's right half.
@@ -40,6 +41,7 @@ pub(crate) const LIGHTS_AT_A_TIME: u32 = 9;
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Settings {
     pub(crate) predictor: Predictor,
+    pub(crate) quality: Quality,
     pub(crate) mode: Mode,
     pub(crate) guard: Guard,
     pub(crate) view: DebugView,
@@ -141,6 +143,7 @@ mod tests {
     fn settings() -> Settings {
         Settings {
             predictor: Predictor::default(),
+            quality: Quality::default(),
             mode: Mode::default(),
             guard: Guard::default(),
             view: DebugView::default(),

@@ -2,6 +2,7 @@
 
 #import "shading/inputs.wgsl"
 #import "shading/around.wgsl"
+#import "shading/edges.wgsl"
 
 @vertex
 fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
@@ -31,12 +32,12 @@ fn shade(@builtin(position) place: vec4f) -> @location(0) vec4f {
     }
     let point = surface_point(pixel);
     let look = look_at(pixel, words, normalize(view.origin - point));
-    let visibility = visibility_of(pixel);
+    let around = surroundings(pixel, point, look.plane_normal);
     var light = light_around(look);
     for (var k = 0u; k < lighting.count; k++) {
         let arriving = arrival(lighting.lights[k], point);
         // An irrelevant light adds nothing, whatever its bit.
-        light += answer(look, arriving.toward) * arriving.irradiance * reached(k, visibility);
+        light += answer(look, arriving.toward) * arriving.irradiance * smooth_share(around, k);
     }
     return vec4f(kept(light), 1.0);
 }

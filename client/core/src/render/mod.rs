@@ -5,6 +5,8 @@
 
 mod blend;
 pub mod debug_view;
+#[cfg(test)]
+mod edge_tests;
 mod error;
 pub mod exposure;
 mod gbuffer;
@@ -12,6 +14,7 @@ mod material;
 mod pipeline;
 pub mod predict;
 pub mod present;
+pub mod quality;
 pub mod readback;
 mod renderer;
 mod scene_upload;

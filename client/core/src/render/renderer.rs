@@ -15,6 +15,7 @@ use super::{
     gbuffer::GbufferPass,
     pipeline::{Variable, check_side},
     predict::{MaskView, PredictPass, depth_history::DepthHistory},
+    quality::Quality,
     readback,
     scene_upload::SceneUpload,
     shade::ShadePass,
@@ -149,6 +150,14 @@ impl FrameRenderer {
     /// Sets what pictures show from the next one on.
     pub fn set_debug_view(&mut self, view: DebugView) {
         self.debug_view = view;
+    }
+
+    /// Sets the quality from the next picture on; low at first.
+    ///
+    /// # Errors
+    /// If a shader does not compile.
+    pub fn set_quality(&mut self, quality: Quality) -> Result<(), RenderError> {
+        self.shade.set_quality(&self.gpu, quality)
     }
 
     /// Turns light k on if bit k is 1, off otherwise, from the next picture on.

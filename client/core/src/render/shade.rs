@@ -1,14 +1,18 @@
 //! The shading pass: lights every pixel's surface by its visibility, and draws the sky where there is none.
 
 use gnomon_shaders::{
+    edge_shares::edge_shares,
     gpu::Gpu,
     shading::{Lighting, View},
 };
+
+use wgpu::util::DeviceExt as _;
 
 use super::{
     error::RenderError,
     pipeline::{bind_group, bind_group_layout, covering_pipeline_with, kept, picture, shader, storage, uniform},
     predict::depth_history::DepthHistory,
+    quality::Quality,
     scene_upload::SceneUpload,
     targets::{LIGHT, Targets},
 };
@@ -21,9 +25,13 @@ pub(crate) struct ShadePass {
     lighting: wgpu::Buffer,
     /// Of each material.
     finishes: wgpu::Buffer,
+    edge_shares: wgpu::Buffer,
     /// By the slot of the picture's depth in the history.
     groups: Vec<wgpu::BindGroup>,
     pipeline: wgpu::RenderPipeline,
+    /// Some material has layers.
+    layered: bool,
+    quality: Quality,
 }
 
 impl ShadePass {
@@ -35,23 +43,16 @@ impl ShadePass {
         scene: &SceneUpload,
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
-        let layout = layout(gpu);
-        let module = shader(gpu, "shading/shade.wgsl")?;
-        // What surfaces emit is there already.
-        let added = wgpu::BlendComponent {
-            src_factor: wgpu::BlendFactor::One,
-            dst_factor: wgpu::BlendFactor::One,
-            operation: wgpu::BlendOperation::Add,
-        };
-        let target = wgpu::ColorTargetState {
-            format: LIGHT,
-            blend: Some(wgpu::BlendState { color: added, alpha: added }),
-            write_mask: wgpu::ColorWrites::ALL,
-        };
-        let constants = [("LAYERED", f64::from(u8::from(scene.layered)))];
-        let pipeline = covering_pipeline_with(device, &module, &[&layout], ("shade", &constants), target);
+        let edge_shares = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("edge shares"),
+            contents: bytemuck::cast_slice(&edge_shares()),
+            usage: wgpu::BufferUsages::STORAGE,
+        });
+        let (layout, layered, quality) = (layout(gpu), scene.layered, Quality::Low);
+        let pipeline = pipeline(gpu, &layout, layered, quality)?;
         let (view, lighting, finishes) = (view.clone(), lighting.clone(), scene.finishes.clone());
-        let mut pass = Self { layout, view, lighting, finishes, groups: Vec::new(), pipeline };
+        let mut pass =
+            Self { layout, view, lighting, finishes, edge_shares, groups: Vec::new(), pipeline, layered, quality };
         pass.resize(device, targets, history);
         Ok(pass)
     }
@@ -67,10 +68,19 @@ impl ShadePass {
                 view(depth),
                 view(&targets.color),
                 view(&targets.normal_material),
+                self.edge_shares.as_entire_binding(),
             ];
             bind_group(device, "shading", &self.layout, &resources)
         };
         self.groups = history.views().map(group).collect();
+    }
+
+    pub(crate) fn set_quality(&mut self, gpu: &Gpu, quality: Quality) -> Result<(), RenderError> {
+        if quality != self.quality {
+            self.pipeline = pipeline(gpu, &self.layout, self.layered, quality)?;
+            self.quality = quality;
+        }
+        Ok(())
     }
 
     pub(crate) fn layout(&self) -> &wgpu::BindGroupLayout {
@@ -93,6 +103,29 @@ impl ShadePass {
     }
 }
 
+fn pipeline(
+    gpu: &Gpu,
+    layout: &wgpu::BindGroupLayout,
+    layered: bool,
+    quality: Quality,
+) -> Result<wgpu::RenderPipeline, RenderError> {
+    let module = shader(gpu, "shading/shade.wgsl")?;
+    // What surfaces emit is there already.
+    let added = wgpu::BlendComponent {
+        src_factor: wgpu::BlendFactor::One,
+        dst_factor: wgpu::BlendFactor::One,
+        operation: wgpu::BlendOperation::Add,
+    };
+    let target = wgpu::ColorTargetState {
+        format: LIGHT,
+        blend: Some(wgpu::BlendState { color: added, alpha: added }),
+        write_mask: wgpu::ColorWrites::ALL,
+    };
+    let smooth = quality == Quality::High;
+    let constants = [("LAYERED", layered), ("smooth_edges", smooth)].map(|(name, on)| (name, f64::from(u8::from(on))));
+    Ok(covering_pipeline_with(&gpu.device, &module, &[layout], ("shade", &constants), target))
+}
+
 fn layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
     let bindings = [
         uniform::<View>(gpu),
@@ -102,6 +135,7 @@ fn layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
         picture(wgpu::TextureSampleType::Depth),
         picture(wgpu::TextureSampleType::Float { filterable: false }),
         picture(wgpu::TextureSampleType::Uint),
+        storage(true),
     ];
     bind_group_layout(&gpu.device, "shading", wgpu::ShaderStages::VERTEX_FRAGMENT, &bindings)
 }

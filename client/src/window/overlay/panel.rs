@@ -12,6 +12,7 @@ use crate::{
     mode::State,
     predictor::Predictor,
     render::debug_view::DebugView,
+    render::quality::Quality,
     window::settings::{GUARDS, LIGHTS_AT_A_TIME, MODES, Settings, Split},
 };
 
@@ -137,6 +138,7 @@ fn rows(ui: &mut egui::Ui, now: &Now, status: &Status<'_>) {
 fn settings_rows(ui: &mut egui::Ui, settings: &mut Settings) {
     ui.separator();
     choice_row(ui, "predictor (R)", &mut settings.predictor, &Predictor::ALL.map(|(_, predictor)| predictor));
+    choice_row(ui, "quality", &mut settings.quality, &Quality::ALL);
     choice_row(ui, "mode (M)", &mut settings.mode, &MODES);
     choice_row(ui, "guard band (G)", &mut settings.guard, &GUARDS);
     let views: Vec<DebugView> = settings.views().collect();
