@@ -26,6 +26,6 @@ pub use load::LoadOptions;
 pub use pack::PackError;
 pub use reader::LoadReport;
 pub use scene::{
-    Aabb, AlphaMode, AlphaPicture, CheckError, Clearcoat, Coordinates, Draw, Filter, Image, Light, LightKind, Material,
-    NamedCamera, Scene, Sheen, Specular, Summary, Texture, Transmission, Wrap, triangle_normal,
+    Aabb, AlphaChanges, AlphaMode, AlphaPicture, CheckError, Clearcoat, Coordinates, Draw, Filter, Image, Light,
+    LightKind, Material, NamedCamera, Scene, Sheen, Specular, Summary, Texture, Transmission, Wrap, triangle_normal,
 };

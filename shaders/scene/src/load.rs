@@ -9,6 +9,7 @@ use crate::{
     lights_file,
     limits::{MAX_LIGHTS, MAX_PACKED_BYTES},
     pack, reader,
+    scene::alpha_rules,
 };
 
 /// Options of [`Scene::load`].
@@ -39,7 +40,9 @@ impl Scene {
             let packed = read_file(path, MAX_PACKED_BYTES)?;
             (Self::unpack(&packed).map_err(fault)?, LoadReport::default())
         } else {
-            reader::load(path)?
+            let (mut scene, mut report) = reader::load(path)?;
+            report.alpha = alpha_rules::apply(&mut scene);
+            (scene, report)
         };
         if let Some(file) = &options.lights_from {
             scene.lights = lights_file::read(file, scene.origin_m)?;

@@ -349,7 +349,8 @@ fn faulty_pictures_are_named() {
 fn opaque_is_drawn_before_mask_before_blend() {
     let mut document = textured(&png(), json!({}));
     let leaf = document["materials"][0].clone();
-    document["materials"] = json!([{"alphaMode": "BLEND"}, leaf, {}]);
+    let glass = json!({"alphaMode": "BLEND", "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.5]}});
+    document["materials"] = json!([glass, leaf, {}]);
     let primitive = |material: usize| json!({"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "material": material});
     let primitives = [0, 1, 2, 1, 0].map(primitive);
     document["meshes"][0]["primitives"] = json!(primitives);
@@ -362,4 +363,9 @@ fn opaque_is_drawn_before_mask_before_blend() {
     assert_eq!(order, [opaque, opaque, leaf, leaf, leaf, leaf, blend, blend, blend, blend]);
     assert_eq!(scene.tracing_triangles().len(), 6);
     assert_eq!(scene.instances, 2);
+    // Nothing can be seen through the same glass with an alpha of 1.
+    document["materials"][0]["pbrMetallicRoughness"] = json!({});
+    let scene = load(&document).unwrap();
+    let order: Vec<_> = scene.draws.iter().map(|draw| scene.materials[draw.material as usize].alpha).collect();
+    assert_eq!(order, [[opaque; 6].as_slice(), &[leaf; 4]].concat());
 }

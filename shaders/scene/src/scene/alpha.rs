@@ -1,4 +1,5 @@
-//! The alpha of MASK materials, as the tracers and the rasteriser's alpha test read it.
+//! The alpha of MASK materials, as the tracers and the rasteriser's alpha test read it: the factor's, the picture's and
+//! the vertices' multiplied.
 
 use super::{material::AlphaMode, types::Scene};
 
@@ -23,6 +24,30 @@ impl Scene {
         let image = self.images.get(texture.image as usize)?;
         let alpha = image.rgba.iter().skip(3).step_by(4).copied().collect();
         Some(AlphaPicture { width: image.width, height: image.height, alpha })
+    }
+
+    /// Returns a vertex's alpha, 0 to 1: 1 where vertices have no colours.
+    #[must_use]
+    pub fn vertex_alpha(&self, vertex: u32) -> f32 {
+        self.colors.get(vertex as usize).map_or(1.0, |[_, _, _, alpha]| f32::from(*alpha) / f32::from(u16::MAX))
+    }
+
+    /// Returns whether some vertex of each material has an alpha below 1. Empty where vertices have no colours.
+    #[must_use]
+    pub fn vertex_alpha_materials(&self) -> Vec<bool> {
+        if self.colors.is_empty() {
+            return Vec::new();
+        }
+        let mut found = vec![false; self.materials.len()];
+        for draw in &self.draws {
+            let first = draw.first_triangle as usize;
+            let triangles = self.triangles.get(first..first + draw.triangles as usize).unwrap_or_default();
+            let fades = triangles.as_flattened().iter().any(|vertex| self.vertex_alpha(*vertex) < 1.0);
+            if let Some(material) = found.get_mut(draw.material as usize) {
+                *material |= fades;
+            }
+        }
+        found
     }
 }
 
