@@ -3,11 +3,11 @@
 //! Values that never change are computed here once: exposure, cone falloff, tone curve.
 
 use bytemuck::{Pod, Zeroable};
-use glam::{DVec3, Mat4, Vec3};
+use glam::{Mat4, Vec3};
 
 use gnomon_scene::{
     Light as SceneLight, LightKind,
-    camera::{Camera, NEAR_M},
+    camera::{Camera, NEAR_M, Space},
     limits::MAX_LIGHTS,
 };
 
@@ -36,15 +36,15 @@ pub struct View {
 }
 
 impl View {
-    /// Returns the view of `camera` in the space with its origin at `origin_m` of the world.
+    /// Returns the view of `camera` in the local space of a scene.
     #[must_use]
-    pub fn new(camera: &Camera, origin_m: DVec3, visibility_share: f32) -> Self {
-        let basis = camera.ray_basis(origin_m);
+    pub fn new(camera: &Camera, space: Space, visibility_share: f32) -> Self {
+        let basis = camera.ray_basis(space.origin_m);
         Self {
-            clip_from_local: camera.clip_from_local(origin_m),
+            clip_from_local: camera.clip_from_local(space),
             origin: basis.origin,
             #[expect(clippy::cast_possible_truncation, reason = "rounding is what is wanted")]
-            near_m: NEAR_M as f32,
+            near_m: space.near_m as f32,
             forward: basis.forward,
             width: camera.width,
             right: basis.right,
@@ -124,7 +124,9 @@ pub struct Light {
     pub cone_offset: f32,
     /// The light's first view in the shadow map.
     pub shadow_view: u32,
-    pub unused: [f32; 2],
+    /// Square of the distance within which light grows no more.
+    pub closest_squared: f32,
+    pub unused: f32,
 }
 
 impl Light {
@@ -151,8 +153,15 @@ impl Light {
             cone_scale,
             cone_offset,
             shadow_view: 0,
-            unused: [0.0; 2],
+            closest_squared: closest_squared(2.0 * NEAR_M),
+            unused: 0.0,
         }
+    }
+
+    /// Returns the light as it shines in `space`: [`Self::new`] suits all but small scenes.
+    #[must_use]
+    pub fn in_space(self, space: Space) -> Self {
+        Self { closest_squared: closest_squared(space.closest_m()), ..self }
     }
 
     /// Returns the unshadowed irradiance on a surface at `point` that faces the light, and the unit vector towards the
@@ -163,12 +172,18 @@ impl Light {
             return (self.intensity, -self.direction);
         }
         let between = self.position - point;
-        let squared = between.length_squared().max(1e-4);
+        let squared = between.length_squared().max(self.closest_squared);
         let toward = between / squared.sqrt();
         let reach = squared * self.inverse_range * self.inverse_range;
         let cone = (-toward.dot(self.direction) * self.cone_scale + self.cone_offset).clamp(0.0, 1.0);
         (self.intensity * ((1.0 - reach * reach).clamp(0.0, 1.0) / squared * cone * cone), toward)
     }
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "rounding is what is wanted")]
+fn closest_squared(closest_m: f64) -> f32 {
+    // Not 0, which is divided by.
+    ((closest_m * closest_m) as f32).max(f32::MIN_POSITIVE)
 }
 
 /// All light in the scene. Twin of `Lighting` in `lighting.wgsl`.

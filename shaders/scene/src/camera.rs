@@ -5,8 +5,39 @@
 
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Mat4, Vec3};
 
-/// Distance of the near plane, in metres. Camera paths come within 2 cm of a surface.
+use crate::Scene;
+
+/// Distance of the near plane in all but small scenes, in metres. Camera paths come within 2 cm of a surface.
 pub const NEAR_M: f64 = 0.005;
+
+/// In small scenes, the near plane's distance as a share of the scene's size.
+const NEAR_SHARE: f64 = 1e-3;
+
+/// A scene's local space, as cameras see it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Space {
+    /// World position of the local origin, in metres.
+    pub origin_m: DVec3,
+    /// Distance of the near plane, in metres. Reversed-Z depth keeps the same relative precision with any.
+    pub near_m: f64,
+}
+
+impl Space {
+    /// Returns the space of `scene`.
+    #[must_use]
+    pub fn of(scene: &Scene) -> Self {
+        let size_m = (scene.bounds.max.as_dvec3() - scene.bounds.min.as_dvec3()).length();
+        let near_m = if size_m > 0.0 { NEAR_M.min(NEAR_SHARE * size_m) } else { NEAR_M };
+        Self { origin_m: scene.origin_m, near_m }
+    }
+
+    /// Returns the distance within which light from a lamp grows no more, in metres. A punctual light has no size, and
+    /// would be infinitely bright at its own position.
+    #[must_use]
+    pub fn closest_m(&self) -> f64 {
+        2.0 * self.near_m
+    }
+}
 
 /// A camera and the size of its picture, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -102,22 +133,24 @@ impl Camera {
 
     /// Returns the matrix to clip space from the scene's local space (positions relative to its origin).
     #[must_use]
-    pub fn clip_from_local(&self, origin_m: DVec3) -> Mat4 {
+    pub fn clip_from_local(&self, space: Space) -> Mat4 {
         // The tracer's rays start at the position rounded to f32, so the rasteriser looks from there too.
-        let position = (self.position_m - origin_m).as_vec3().as_dvec3();
-        (self.clip_from_camera() * DMat4::from_quat(self.orientation.inverse()) * DMat4::from_translation(-position))
-            .as_mat4()
+        let position = (self.position_m - space.origin_m).as_vec3().as_dvec3();
+        (self.clip_from_camera(space.near_m)
+            * DMat4::from_quat(self.orientation.inverse())
+            * DMat4::from_translation(-position))
+        .as_mat4()
     }
 
-    /// Returns the matrix to clip space from camera space: reversed-Z, infinite far plane, near plane at [`NEAR_M`].
+    /// Returns the matrix to clip space from camera space: reversed-Z, infinite far plane, near plane at `near_m`.
     #[must_use]
-    pub fn clip_from_camera(&self) -> DMat4 {
+    pub fn clip_from_camera(&self, near_m: f64) -> DMat4 {
         let (half_width, half_height) = self.half_extent();
         DMat4::from_cols(
             DVec4::new(1.0 / half_width, 0.0, 0.0, 0.0),
             DVec4::new(0.0, 1.0 / half_height, 0.0, 0.0),
             DVec4::new(0.0, 0.0, 0.0, -1.0),
-            DVec4::new(0.0, 0.0, NEAR_M, 0.0),
+            DVec4::new(0.0, 0.0, near_m, 0.0),
         )
     }
 }
@@ -134,7 +167,7 @@ mod tests {
     fn a_point_on_a_pixels_ray_lands_on_that_pixels_centre() {
         let camera = camera();
         let origin = DVec3::new(1e5, 0.0, 0.0);
-        let clip_from_local = camera.clip_from_local(origin);
+        let clip_from_local = camera.clip_from_local(Space { origin_m: origin, near_m: NEAR_M });
         for (x, y) in [(0, 0), (639, 359), (320, 180), (17, 300)] {
             let (from, direction) = camera.ray(x, y);
             let clip = clip_from_local * (from + direction * 7.0 - origin).as_vec3().extend(1.0);
@@ -170,6 +203,17 @@ mod tests {
             }
         }
         assert_eq!(camera.widened((0, 0)), camera);
+    }
+
+    #[test]
+    fn the_near_plane_follows_small_scenes() {
+        let near_m = |size: f32| {
+            let mut scene = crate::scene::check::tests::scene();
+            (scene.bounds.min, scene.bounds.max) = (Vec3::ZERO, Vec3::X * size);
+            Space::of(&scene).near_m
+        };
+        assert_eq!([1e4, 30.0, 5.0, 0.0].map(near_m), [NEAR_M; 4]);
+        assert!((near_m(1e-3) - 1e-6).abs() < 1e-12);
     }
 
     #[test]

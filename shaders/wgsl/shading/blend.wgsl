@@ -1,28 +1,60 @@
-// BLEND surfaces, drawn over the shaded picture from far to near. They have no visibility of their own: a light reaches
-// them if it reaches the surface behind them, if its bit there is irrelevant, or if there is no surface.
+// BLEND surfaces, drawn over the shaded picture from far to near. They have no bits of their own. On a surface, such as
+// a label on a wall, they take its bits. Elsewhere the client's shadow maps tell which lights reach them.
 //
 // A transmissive surface is drawn twice: what lies behind it is multiplied by what passes, then its own light is added.
 
 #import "shading/inputs.wgsl"
 #import "shading/around.wgsl"
 #import "shading/surface.wgsl"
+#import "shading/shadow_map.wgsl"
+
+@group(2) @binding(0) var shadow_map: texture_depth_2d;
+@group(2) @binding(1) var<storage, read> shadow_views: array<ShadowView>;
+// x: 1 if the shadow maps are used, 0 if a light reaches what it reaches behind.
+@group(2) @binding(2) var<uniform> by_map: vec4u;
+
+// A surface behind that is nearer than this, in texels of a shadow map, knows better than the map.
+const NEAR_TEXELS: f32 = 2.0;
 
 @vertex
 fn transform(vertex: Vertex) -> Varying {
     return projected(vertex, view.clip_from_local, view.origin);
 }
 
-// How much of light k reaches the surface behind the pixel.
-fn reached_behind(k: u32, pixel: vec2u) -> f32 {
-    let behind = textureLoad(normal_material_picture, pixel, 0).xy;
+// How much of light k reaches the surface behind the pixel, or −1 if its bit there is irrelevant or there is none.
+fn reached_behind(k: u32, pixel: vec2u, behind: vec2u) -> f32 {
     if material_plus_1(behind.y) == 0u {
-        return 1.0;
+        return -1.0;
     }
     let light = arrival(lighting.lights[k], surface_point(pixel));
     if dot(unpack_normal(behind.x), light.toward) <= 0.0 || all(light.irradiance <= vec3f(0.0)) {
-        return 1.0;
+        return -1.0;
     }
     return reached(k, visibility_of(pixel));
+}
+
+// How much of light k reaches a point that is drawn on the pixel. `normal` faces the eye and the light.
+fn reached_here(k: u32, pixel: vec2u, point: vec3f, normal: vec3f) -> f32 {
+    if pixel.x >= lighting.lit_from_px {
+        return 1.0;
+    }
+    let behind = textureLoad(normal_material_picture, pixel, 0).xy;
+    if by_map.x == 0u {
+        // A light that is not known reaches.
+        return abs(reached_behind(k, pixel, behind));
+    }
+    let light = lighting.lights[k];
+    let shadow = shadow_views[shadow_view_of(light, point)];
+    if material_plus_1(behind.y) != 0u {
+        let apart = distance(point, surface_point(pixel));
+        let away = select(distance(point, light.position), 1.0, light.kind == DIRECTIONAL);
+        let known = reached_behind(k, pixel, behind);
+        if known >= 0.0 && apart <= NEAR_TEXELS * shadow.texel_m * away {
+            return known;
+        }
+    }
+    let toward = select(normalize(light.position - point), -light.direction, light.kind == DIRECTIONAL);
+    return select(0.0, 1.0, shadow_map_lit(shadow_map, shadow, light.kind, toward, point, normal));
 }
 
 fn look_at(surface: Surface, toward_eye: vec3f) -> Look {
@@ -44,7 +76,7 @@ fn blend(input: Varying, @builtin(front_facing) front: bool) -> @location(0) vec
         let arriving = arrival(lighting.lights[k], point);
         let sent = answer(look, arriving.toward) * arriving.irradiance;
         if any(sent > vec3f(0.0)) {
-            light += sent * reached_behind(k, pixel);
+            light += sent * reached_here(k, pixel, point, surface.plane_normal);
         }
     }
     return vec4f(kept(light + surface.emitted), surface.color.a);

@@ -20,8 +20,9 @@ struct Light {
     cone_offset: f32,
     // The light's first view in the shadow map.
     shadow_view: u32,
+    // Square of the distance within which light grows no more.
+    closest_squared: f32,
     unused_0: f32,
-    unused_1: f32,
 }
 
 struct Lighting {
@@ -54,8 +55,8 @@ fn arrival(light: Light, point: vec3f) -> Arrival {
         return Arrival(-light.direction, light.intensity);
     }
     let between = light.position - point;
-    // Clamped to 1 cm: a punctual light has no size, and would be infinitely bright at its own position.
-    let squared = max(dot(between, between), 1e-4);
+    // Clamped: a punctual light has no size, and would be infinitely bright at its own position.
+    let squared = max(dot(between, between), light.closest_squared);
     let toward = between * inverseSqrt(squared);
     let reach = squared * light.inverse_range * light.inverse_range;
     var strength = saturate(1.0 - reach * reach) / squared;

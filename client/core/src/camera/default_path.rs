@@ -47,7 +47,7 @@ pub fn default_path(scene: &Scene, occluders: &Occluders) -> CameraPath {
 /// Half a circle around the scene, slightly from above.
 fn orbit(scene: &Scene) -> Vec<(Vec3, Vec3)> {
     let middle = (scene.bounds.min + scene.bounds.max) * 0.5;
-    let radius = ((scene.bounds.max - scene.bounds.min).length() * 0.5).max(0.05);
+    let radius = (scene.bounds.max - scene.bounds.min).length() * 0.5;
     (0..=16_u8)
         .map(|step| {
             let angle = FRAC_PI_4 + TAU * 0.5 * f32::from(step) / 16.0;

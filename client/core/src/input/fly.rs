@@ -6,8 +6,8 @@ use glam::{DQuat, DVec3};
 use gnomon_protocol::limits::MAX_POSITION_M;
 use gnomon_scene::camera::Camera;
 
-/// Range of speeds.
-const SPEEDS_M_PER_S: (f64, f64) = (0.02, 2000.0);
+/// Range of speeds: a scene of 0.1 mm is crossed in seconds, and one of 10 km too.
+const SPEEDS_M_PER_S: (f64, f64) = (1e-6, 2e4);
 
 /// Speed factor of a notch of the wheel.
 const NOTCH: f64 = 1.25;

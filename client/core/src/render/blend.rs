@@ -1,8 +1,8 @@
 //! BLEND surfaces, drawn over the shaded picture from far to near and tested against its depth.
 //!
 //! They are sorted by the centre of each run of triangles, which is right unless runs overlap in depth. Back faces of a
-//! double-sided surface are drawn first. The server traces no BLEND surface, so they use the visibility of what lies
-//! behind them (`blend.wgsl`).
+//! double-sided surface are drawn first. The server traces no BLEND surface, so they are lit by the client's shadow
+//! maps, or by the visibility of what lies right behind them (`blend.wgsl`).
 
 use std::collections::HashMap;
 
@@ -11,13 +11,18 @@ use gnomon_shaders::gpu::Gpu;
 
 use super::{
     error::RenderError,
-    pipeline::{kept, shader},
+    pipeline::{Variable, bind_group, bind_group_layout, kept, picture, shader, storage, uniform},
+    predict::shadow_map::ShadowMap,
     scene_upload::{Batch, SceneUpload},
     targets::{DEPTH, LIGHT, Targets},
 };
+use crate::predictor::Predictor;
 
 #[derive(Debug)]
 pub(crate) struct BlendPass {
+    /// Whether shadow maps are used.
+    by_map: Variable<[u32; 4]>,
+    shadow_group: wgpu::BindGroup,
     /// One for each kind of draw in the scene.
     pipelines: HashMap<Kind, wgpu::RenderPipeline>,
 }
@@ -65,11 +70,21 @@ impl BlendPass {
         gpu: &Gpu,
         shade_layout: &wgpu::BindGroupLayout,
         scene: &SceneUpload,
+        shadow_map: &ShadowMap,
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
+        let by_map = Variable::new(gpu, "blending by shadow maps");
+        let bindings = [picture(wgpu::TextureSampleType::Depth), storage(true), uniform::<[u32; 4]>(gpu)];
+        let shadow_layout = bind_group_layout(device, "blending", wgpu::ShaderStages::FRAGMENT, &bindings);
+        let resources = [
+            wgpu::BindingResource::TextureView(&shadow_map.texture),
+            shadow_map.views.as_entire_binding(),
+            by_map.buffer().as_entire_binding(),
+        ];
+        let shadow_group = bind_group(device, "blending", &shadow_layout, &resources);
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("blending"),
-            bind_group_layouts: &[Some(shade_layout), Some(&scene.material_layout)],
+            bind_group_layouts: &[Some(shade_layout), Some(&scene.material_layout), Some(&shadow_layout)],
             immediate_size: 0,
         });
         let module = shader(gpu, "shading/blend.wgsl")?;
@@ -115,7 +130,12 @@ impl BlendPass {
         for kind in scene.batches.iter().filter(|batch| batch.is_blended()).flat_map(draws) {
             pipelines.entry(kind).or_insert_with(|| pipeline(kind));
         }
-        Ok(Self { pipelines })
+        Ok(Self { by_map, shadow_group, pipelines })
+    }
+
+    /// Sets the predictor from the next picture on: where it does not use the shadow maps, neither does blending.
+    pub(crate) fn set_predictor(&mut self, queue: &wgpu::Queue, predictor: Predictor) {
+        self.by_map.set(queue, [u32::from(predictor == Predictor::Surface), 0, 0, 0]);
     }
 
     /// Does nothing, and starts no pass, in a scene without BLEND materials.
@@ -146,6 +166,7 @@ impl BlendPass {
         });
         pass.set_bind_group(0, shade_group, &[]);
         scene.bind(&mut pass);
+        pass.set_bind_group(2, &self.shadow_group, &[]);
         for batch in batches {
             pass.set_bind_group(1, &scene.materials[batch.material], &[]);
             for kind in draws(batch) {

@@ -5,7 +5,7 @@
 //! curve.
 
 use glam::Vec3;
-use gnomon_scene::{Light as SceneLight, Scene, limits::MAX_LIGHTS};
+use gnomon_scene::{Light as SceneLight, Scene, camera::Space, limits::MAX_LIGHTS};
 use gnomon_shaders::shading::{Light, Lighting, Tone};
 
 use super::predict::shadow_map;
@@ -43,8 +43,9 @@ impl Exposure {
     /// Returns the exposure that suits `scene`.
     #[must_use]
     pub fn of_scene(scene: &Scene, occluders: &Occluders) -> Self {
-        let lights: Vec<Light> = scene.lights.iter().map(|light| Light::new(light, 1.0)).collect();
-        let reach = (scene.bounds.max - scene.bounds.min).length().max(1e-3);
+        let lights: Vec<Light> =
+            scene.lights.iter().map(|light| Light::new(light, 1.0).in_space(Space::of(scene))).collect();
+        let reach = (scene.bounds.max - scene.bounds.min).length();
         let mut received: Vec<f32> = sample_points(scene)
             .into_iter()
             .map(|(point, normal)| {
@@ -74,7 +75,7 @@ impl Exposure {
 
     /// Returns the lights in the shaders' layout.
     #[must_use]
-    pub fn lighting(self, lights: &[SceneLight]) -> Lighting {
+    pub fn lighting(self, lights: &[SceneLight], space: Space) -> Lighting {
         let ambient = self.reference_lux * self.scale;
         let mut lighting = Lighting {
             ambient_above: AMBIENT_ABOVE * ambient,
@@ -86,7 +87,7 @@ impl Exposure {
         };
         let mut shadow_view = 0;
         for (place, light) in lighting.lights.iter_mut().zip(lights) {
-            *place = Light { shadow_view, ..Light::new(light, self.scale) };
+            *place = Light { shadow_view, ..Light::new(light, self.scale).in_space(space) };
             shadow_view += shadow_map::views_of(light.kind);
             lighting.count += 1;
         }

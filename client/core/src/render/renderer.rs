@@ -1,6 +1,9 @@
 //! Runs the passes of a frame.
 
-use gnomon_scene::{Scene, camera::Camera};
+use gnomon_scene::{
+    Scene,
+    camera::{Camera, Space},
+};
 use gnomon_shaders::{
     device_failure::DeviceFailure,
     gpu::Gpu,
@@ -40,7 +43,7 @@ pub struct PixelVisibility {
 #[derive(Debug)]
 pub struct FrameRenderer {
     gpu: Gpu,
-    origin_m: glam::DVec3,
+    space: Space,
     exposure: Exposure,
     view: Variable<View>,
     scene: SceneUpload,
@@ -89,18 +92,20 @@ impl FrameRenderer {
         let history = DepthHistory::new(device, width, height);
         let view = Variable::<View>::new(gpu, "view");
         let gbuffer = GbufferPass::new(gpu, view.buffer(), &scene_upload)?;
-        let lights = exposure.lighting(&scene.lights);
+        let space = Space::of(scene);
+        let lights = exposure.lighting(&scene.lights, space);
         let mut lighting = Variable::<Lighting>::new(gpu, "lighting");
         lighting.set(&gpu.queue, lights);
         let constants = (view.buffer(), lighting.buffer());
         let predict = PredictPass::new(gpu, scene, &scene_upload, &targets, &history, constants, predictor)?;
         let shade = ShadePass::new(gpu, constants, &targets, &history, &scene_upload)?;
-        let blend = BlendPass::new(gpu, shade.layout(), &scene_upload)?;
+        let mut blend = BlendPass::new(gpu, shade.layout(), &scene_upload, predict.shadow_map())?;
+        blend.set_predictor(&gpu.queue, predictor);
         let tone = TonePass::new(gpu, &targets, format)?;
         let debug = DebugPass::new(gpu, view.buffer(), &targets, &history, format)?;
         let renderer = Self {
             gpu: gpu.clone(),
-            origin_m: scene.origin_m,
+            space,
             exposure,
             view,
             scene: scene_upload,
@@ -229,6 +234,7 @@ impl FrameRenderer {
     /// Sets how visibility is predicted from the next picture on.
     pub fn set_predictor(&mut self, predictor: Predictor) {
         self.predict.set_predictor(predictor);
+        self.blend.set_predictor(&self.gpu.queue, predictor);
     }
 
     /// Shades the surfaces that [`Self::draw_surfaces`] drew for the same `camera` into `target`, and submits the work
@@ -249,9 +255,9 @@ impl FrameRenderer {
         self.write_view(&camera, self.visibility_share);
         let mut encoder = self.begin();
         let pictures = (&self.targets, &self.history, &self.scene);
-        self.predict.encode(&self.gpu, &mut encoder, (&camera, self.origin_m), pictures);
+        self.predict.encode(&self.gpu, &mut encoder, (&camera, self.space), pictures);
         self.shade.encode(&mut encoder, &self.targets, &self.history);
-        let eye = (camera.position_m - self.origin_m).as_vec3();
+        let eye = (camera.position_m - self.space.origin_m).as_vec3();
         let group = self.shade.group(&self.history);
         self.blend.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene, group, eye);
         match self.debug_view {
@@ -300,7 +306,7 @@ impl FrameRenderer {
     }
 
     fn write_view(&mut self, camera: &Camera, visibility_share: f32) {
-        let view = View::new(camera, self.origin_m, visibility_share);
+        let view = View::new(camera, self.space, visibility_share);
         self.view.set(&self.gpu.queue, view);
     }
 

@@ -1,10 +1,13 @@
 //! Compares the passes with results computed on the CPU.
 
+mod blend;
+mod scale;
+
 use glam::{DVec3, Vec3, Vec4};
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{
     AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap,
-    camera::{Camera, NEAR_M},
+    camera::{Camera, NEAR_M, Space},
 };
 use gnomon_shaders::shading;
 
@@ -175,7 +178,7 @@ fn lights_fall_off_with_distance_range_and_cone_as_the_host_computes_it() {
     let mut renderer =
         FrameRenderer::new(&gpu, &scene, (width, height), exposure, PICTURE_FORMAT, Predictor::None).unwrap();
     let picture = draw(&gpu, &mut renderer, &camera, None).rgba;
-    let lighting = exposure.lighting(&scene.lights);
+    let lighting = exposure.lighting(&scene.lights, Space::of(&scene));
     let mut counts = [[0; 2]; 2];
     for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
         let (material, depth, margin) = nearest(&scene, &camera, x, y);

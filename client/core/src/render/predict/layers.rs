@@ -5,13 +5,12 @@
 //! same textures, at 8 bytes a pixel. There is one layer until the first partial mask, and then as many as were ever
 //! needed at once.
 
-use glam::DVec3;
 use gnomon_protocol::{
     coverage::{Coverage, max_layers},
     limits::MAX_LAYERS,
     mask::MaskShape,
 };
-use gnomon_scene::camera::Camera;
+use gnomon_scene::camera::{Camera, Space};
 use gnomon_shaders::{gpu::Gpu, shading::View};
 
 use super::{
@@ -153,7 +152,7 @@ impl Layers {
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        (count, origin_m): (usize, DVec3),
+        (count, space): (usize, Space),
         pass: &DepthPass,
         (history, upload): (&DepthHistory, &SceneUpload),
     ) {
@@ -180,7 +179,7 @@ impl Layers {
                 self.views.push((view, group));
             }
             let (view, group) = &mut self.views[layer.slot as usize];
-            view.set(&gpu.queue, View::new(&layer.traced_for, origin_m, 1.0));
+            view.set(&gpu.queue, View::new(&layer.traced_for, space, 1.0));
             let drawn = layer_of(depth, layer.slot);
             let mut render = depth_pass::begin(encoder, "depth of the mask's view", &drawn);
             pass.draw(&mut render, group, upload, Faces::Seen);

@@ -1,9 +1,11 @@
 //! Runs a frame's prediction.
 
 use bytemuck::Zeroable as _;
-use glam::DVec3;
 use gnomon_protocol::{limits::MAX_LAYERS, mask::MaskShape};
-use gnomon_scene::{Scene, camera::Camera};
+use gnomon_scene::{
+    Scene,
+    camera::{Camera, Space},
+};
 use gnomon_shaders::{
     gpu::Gpu,
     shading::{MAX_MASK_LAYERS, MaskLayer, Prediction, View},
@@ -39,6 +41,7 @@ pub(crate) struct PredictPass {
     nearest: wgpu::Sampler,
     uniform: Variable<Prediction>,
     depth_pass: DepthPass,
+    shadow_map: ShadowMap,
     words_pass: WordsPass,
     unknown: UnknownCount,
     lights: u32,
@@ -98,12 +101,18 @@ impl PredictPass {
             nearest: device.create_sampler(&wgpu::SamplerDescriptor::default()),
             uniform,
             depth_pass,
+            shadow_map,
             words_pass,
             unknown,
             lights,
             pixels: targets.width * targets.height,
             layers,
         })
+    }
+
+    /// The client's own shadow maps.
+    pub(crate) fn shadow_map(&self) -> &ShadowMap {
+        &self.shadow_map
     }
 
     /// Sets the predictor from the next picture on.
@@ -154,11 +163,11 @@ impl PredictPass {
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        (camera, origin_m): (&Camera, DVec3),
+        (camera, space): (&Camera, Space),
         (targets, history, upload): (&Targets, &DepthHistory, &SceneUpload),
     ) {
         let (predictor, unknown) = self.predictor.shader_constants();
-        let (layers, count) = self.usable_layers(camera, origin_m);
+        let (layers, count) = self.usable_layers(camera, space);
         let prediction = Prediction {
             layers,
             // At most `MAX_LAYERS`.
@@ -170,7 +179,7 @@ impl PredictPass {
         self.uniform.set(&gpu.queue, prediction);
         // Only prediction by surface reads the depth of the masks' views.
         if self.predictor == Predictor::Surface && layers[..count].iter().any(|layer| layer.same_view == 0) {
-            self.layers.need_depth(gpu, encoder, (count, origin_m), &self.depth_pass, (history, upload));
+            self.layers.need_depth(gpu, encoder, (count, space), &self.depth_pass, (history, upload));
         }
         let mask_group = self.layers.group(&gpu.device, &self.mask_layout, &self.nearest);
         self.unknown.clear(encoder);
@@ -196,7 +205,7 @@ impl PredictPass {
     }
 
     /// Returns the masks from which a picture for `camera` is predicted, and their number.
-    fn usable_layers(&self, camera: &Camera, origin_m: DVec3) -> ([MaskLayer; MAX_LAYERS], usize) {
+    fn usable_layers(&self, camera: &Camera, space: Space) -> ([MaskLayer; MAX_LAYERS], usize) {
         let mut layers = [MaskLayer::zeroed(); MAX_LAYERS];
         let size = |camera: &Camera| (camera.width, camera.height);
         // The baselines read only the newest mask, missing tiles included.
@@ -207,7 +216,7 @@ impl PredictPass {
         for (place, layer) in layers.iter_mut().zip(usable) {
             let same_view = self.predictor == Predictor::None || layer.traced_for == *camera;
             *place = MaskLayer {
-                view: View::new(&layer.traced_for, origin_m, 1.0),
+                view: View::new(&layer.traced_for, space, 1.0),
                 slot: layer.slot,
                 same_view: same_view.into(),
                 whole: u32::from(layer.coverage.is_none() || most == 1),

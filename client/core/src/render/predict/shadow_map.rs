@@ -5,7 +5,7 @@
 //! light, one map for a spot, and one of four times the texels for a directional light, which covers the whole scene.
 
 use glam::{DMat4, DVec3, DVec4, Mat4, Vec3};
-use gnomon_scene::{Aabb, Light, LightKind, Scene};
+use gnomon_scene::{Aabb, Light, LightKind, Scene, camera::Space};
 use gnomon_shaders::{gpu::Gpu, shading::ShadowView};
 use wgpu::util::DeviceExt as _;
 
@@ -21,9 +21,6 @@ const BUDGET_BYTES: u64 = 64 << 20;
 
 /// Longest side of the square: half of it in each direction fills the budget.
 const MOST_SIDE: u32 = 4096;
-
-/// Near plane of a lamp: nearer objects cast no shadow in the map.
-const NEAR_M: f64 = 0.005;
 
 /// Texels by which a cube face extends beyond its edges, so that the four texels around a point lie on one face.
 const MARGIN_TEXELS: f64 = 2.0;
@@ -47,7 +44,7 @@ impl ShadowMap {
     pub(crate) fn new(gpu: &Gpu, scene: &Scene, upload: &SceneUpload, pass: &DepthPass) -> Self {
         let device = &gpu.device;
         let limit = device.limits().max_texture_dimension_2d;
-        let (side, views) = layout(&scene.lights, &scene.bounds, limit);
+        let (side, views) = layout(&scene.lights, (&scene.bounds, Space::of(scene).near_m), limit);
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
         let texture = texture(device, "shadow map", (side, side), DEPTH, usage)
             .create_view(&wgpu::TextureViewDescriptor::default());
@@ -82,8 +79,9 @@ impl ShadowMap {
     }
 }
 
-/// Returns the square's side in texels, and every light's views, one light after the other.
-fn layout(lights: &[Light], bounds: &Aabb, limit: u32) -> (u32, Vec<ShadowView>) {
+/// Returns the square's side in texels, and every light's views, one light after the other. Objects nearer to a lamp
+/// than the near plane cast no shadow in its map.
+fn layout(lights: &[Light], (bounds, near_m): (&Aabb, f64), limit: u32) -> (u32, Vec<ShadowView>) {
     let directional = lights.iter().filter(|light| light.kind == LightKind::Directional).count();
     let others: u32 =
         lights.iter().filter(|light| light.kind != LightKind::Directional).map(|light| views_of(light.kind)).sum();
@@ -119,7 +117,7 @@ fn layout(lights: &[Light], bounds: &Aabb, limit: u32) -> (u32, Vec<ShadowView>)
                 LightKind::Directional => (blocks.next().unwrap_or((0, 0)), 2),
                 LightKind::Point | LightKind::Spot { .. } => (place(1), 1),
             };
-            views.push(view(light, face, bounds, at, cell, span));
+            views.push(view(light, face, (bounds, near_m), at, cell, span));
         }
     }
     (side, views)
@@ -130,17 +128,25 @@ fn isqrt(value: u64) -> u32 {
 }
 
 #[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "texels and rounding to f32")]
-fn view(light: &Light, face: u32, bounds: &Aabb, (x, y): (usize, usize), cell: u32, span: u32) -> ShadowView {
+fn view(
+    light: &Light,
+    face: u32,
+    (bounds, near_m): (&Aabb, f64),
+    (x, y): (usize, usize),
+    cell: u32,
+    span: u32,
+) -> ShadowView {
     let side = cell * span;
     let (clip_from_local, texel_m) = match light.kind {
         LightKind::Directional => parallel(light.direction, bounds, f64::from(side)),
         LightKind::Point => {
             let half = f64::from(side) / (f64::from(side) - 2.0 * MARGIN_TEXELS);
-            (perspective(light.position, face_rotation(face), half), 2.0 * half / f64::from(side))
+            (perspective(light.position, face_rotation(face), (half, near_m)), 2.0 * half / f64::from(side))
         }
         LightKind::Spot { outer_cone_rad, .. } => {
             let half = f64::from(outer_cone_rad).clamp(0.01, 1.45).tan() * 1.02;
-            (perspective(light.position, toward(light.direction.as_dvec3()), half), 2.0 * half / f64::from(side))
+            let rotation = toward(light.direction.as_dvec3());
+            (perspective(light.position, rotation, (half, near_m)), 2.0 * half / f64::from(side))
         }
     };
     ShadowView {
@@ -166,12 +172,12 @@ fn face_rotation(face: u32) -> DMat4 {
 }
 
 /// Reversed-Z with an infinite far plane, `half` wide at distance 1.
-fn perspective(position: Vec3, rotation: DMat4, half: f64) -> Mat4 {
+fn perspective(position: Vec3, rotation: DMat4, (half, near_m): (f64, f64)) -> Mat4 {
     let projection = DMat4::from_cols(
         DVec4::new(1.0 / half, 0.0, 0.0, 0.0),
         DVec4::new(0.0, 1.0 / half, 0.0, 0.0),
         DVec4::new(0.0, 0.0, 0.0, -1.0),
-        DVec4::new(0.0, 0.0, NEAR_M, 0.0),
+        DVec4::new(0.0, 0.0, near_m, 0.0),
     );
     (projection * rotation * DMat4::from_translation(-position.as_dvec3())).as_mat4()
 }
@@ -188,7 +194,7 @@ fn parallel(direction: Vec3, bounds: &Aabb, side: f64) -> (Mat4, f64) {
         corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), corner| (low.min(corner), high.max(corner)));
     // Square, so that texels are square, with room for the four texels around a point at its edge and a margin in
     // depth.
-    let extent = (high - low).max_element().max(1e-6);
+    let extent = (high - low).max_element().max(1e-9);
     let wide = (high.x - low.x).max(high.y - low.y).max(extent * 1e-3) * side / (side - 2.0 * MARGIN_TEXELS);
     let deep = (high.z - low.z).max(extent * 1e-3) * 1.02;
     let middle = (low + high) * 0.5;
@@ -203,6 +209,8 @@ fn parallel(direction: Vec3, bounds: &Aabb, side: f64) -> (Mat4, f64) {
 
 #[cfg(test)]
 mod tests {
+    use gnomon_scene::camera::NEAR_M;
+
     use super::*;
 
     fn light(kind: LightKind) -> Light {
@@ -231,7 +239,7 @@ mod tests {
             [vec![spot; 7], vec![LightKind::Directional; 3], vec![LightKind::Point; 5]].concat(),
         ] {
             let lights: Vec<Light> = kinds.iter().map(|kind| light(*kind)).collect();
-            let (side, views) = layout(&lights, &BOUNDS, 16384);
+            let (side, views) = layout(&lights, (&BOUNDS, NEAR_M), 16384);
             assert_eq!(views.len(), kinds.iter().map(|kind| views_of(*kind) as usize).sum::<usize>());
             assert!(u64::from(side) * u64::from(side) * 4 <= BUDGET_BYTES);
             for (i, one) in views.iter().enumerate() {
@@ -250,7 +258,7 @@ mod tests {
     #[test]
     fn points_around_a_lamp_lie_on_the_face_that_the_shader_picks() {
         let lamp = light(LightKind::Point);
-        let (_, views) = layout(std::slice::from_ref(&lamp), &BOUNDS, 4096);
+        let (_, views) = layout(std::slice::from_ref(&lamp), (&BOUNDS, NEAR_M), 4096);
         let steps = [-1.0_f32, -0.7, -0.2, 0.0, 0.3, 0.9, 1.0];
         for i in 0..7 * 7 * 7 {
             let from_light = Vec3::new(steps[i % 7], steps[i / 7 % 7], steps[i / 49]);
@@ -275,7 +283,7 @@ mod tests {
 
     #[test]
     fn a_directional_view_covers_the_scene_with_reversed_depth() {
-        let (_, views) = layout(&[light(LightKind::Directional)], &BOUNDS, 4096);
+        let (_, views) = layout(&[light(LightKind::Directional)], (&BOUNDS, NEAR_M), 4096);
         let clip = |point: Vec3| views[0].clip_from_local.project_point3(point);
         for i in 0..8 {
             let pick = |bit: u32, axis: usize| if i >> bit & 1 == 0 { BOUNDS.min[axis] } else { BOUNDS.max[axis] };
