@@ -5,7 +5,7 @@ use thiserror::Error;
 use crate::CheckError;
 
 /// Version of the format. Others are refused: scenes travel between programs of one release.
-pub(super) const VERSION: u32 = 2;
+pub(super) const VERSION: u32 = 3;
 
 /// Why a scene could not be packed or unpacked.
 #[derive(Debug, Error)]

@@ -1,16 +1,16 @@
 //! The packed form's layout.
 //!
 //! Little-endian throughout: `GNOMSCNE`, the format's version (u32), the number of bytes before compression (u64), then
-//! one LZ4 block. It holds the length of the head (u32), the head (postcard), positions, normals, UVs and triangles in
+//! one Zstandard frame. It holds the length of the head (u32), the head (postcard), what vertices have and triangles in
 //! [planes](super::planes), and the pictures' files.
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
-use lz4_flex::block;
 use serde::{Deserialize, Serialize};
 
 use super::{
     error::{PackError, VERSION, broken},
-    planes::{Cursor, write_planes},
+    planes::{Cursor, write_distinct, write_planes},
+    zstandard,
 };
 use crate::{
     Aabb, Draw, Light, Material, NamedCamera, Scene,
@@ -26,9 +26,6 @@ pub(crate) const MAGIC: [u8; 8] = *b"GNOMSCNE";
 
 /// Magic, version, length.
 const HEADER_BYTES: usize = 8 + 4 + 8;
-
-/// An LZ4 block cannot grow more than this: one byte of a match's length encodes at most 255.
-const MAX_LZ4_GROWTH: u64 = 255;
 
 /// Everything except the large arrays.
 #[derive(Serialize, Deserialize)]
@@ -73,12 +70,12 @@ impl Scene {
 
         let mut raw = short(head.len())?.to_le_bytes().to_vec();
         raw.extend(head);
-        write_planes(&mut raw, &self.positions, |p| p.to_array().map(f32::to_bits));
-        write_planes(&mut raw, &self.normals, |n| n.to_array().map(f32::to_bits));
-        write_planes(&mut raw, &self.uvs, |uv| uv.to_array().map(f32::to_bits));
-        write_planes(&mut raw, &self.uvs_1, |uv| uv.to_array().map(f32::to_bits));
-        write_planes(&mut raw, &self.tangents, |t| t.to_array().map(f32::to_bits));
-        write_planes(&mut raw, &self.colors, |[r, g, b, a]| [pair(*r, *g), pair(*b, *a)]);
+        write_distinct(&mut raw, &self.positions, |p| p.to_array().map(f32::to_bits));
+        write_distinct(&mut raw, &self.normals, |n| n.to_array().map(f32::to_bits));
+        write_distinct(&mut raw, &self.uvs, |uv| uv.to_array().map(f32::to_bits));
+        write_distinct(&mut raw, &self.uvs_1, |uv| uv.to_array().map(f32::to_bits));
+        write_distinct(&mut raw, &self.tangents, |t| t.to_array().map(f32::to_bits));
+        write_distinct(&mut raw, &self.colors, |[r, g, b, a]| [pair(*r, *g), pair(*b, *a)]);
         write_planes(&mut raw, &self.triangles, |corners| *corners);
         for image in &self.images {
             raw.extend_from_slice(&image.encoded);
@@ -87,7 +84,7 @@ impl Scene {
             |what, bytes, limit| if bytes <= limit { Ok(()) } else { Err(PackError::Size { what, bytes, limit }) };
         size("before compression", raw.len() as u64, MAX_UNPACKED_BYTES)?;
 
-        let packed = seal(&raw);
+        let packed = seal(&raw)?;
         size("packed", packed.len() as u64, MAX_PACKED_BYTES)?;
         Ok(packed)
     }
@@ -111,13 +108,13 @@ impl Scene {
         }
         let vec3 = |words: [u32; 3]| Vec3::from_array(words.map(f32::from_bits));
         let vec2 = |words: [u32; 2]| Vec2::from_array(words.map(f32::from_bits));
-        let positions = cursor.planes(head.vertices, vec3)?;
-        let normals = cursor.planes(head.vertices, vec3)?;
-        let uvs = cursor.planes(head.vertices, vec2)?;
+        let positions = cursor.distinct(head.vertices, vec3)?;
+        let normals = cursor.distinct(head.vertices, vec3)?;
+        let uvs = cursor.distinct(head.vertices, vec2)?;
         let [uvs_1, tangents, colors] = head.optional.map(|there| if there { head.vertices } else { 0 });
-        let uvs_1 = cursor.planes(uvs_1, vec2)?;
-        let tangents = cursor.planes(tangents, |words: [u32; 4]| Vec4::from_array(words.map(f32::from_bits)))?;
-        let colors = cursor.planes(colors, |[rg, ba]: [u32; 2]| {
+        let uvs_1 = cursor.distinct(uvs_1, vec2)?;
+        let tangents = cursor.distinct(tangents, |words: [u32; 4]| Vec4::from_array(words.map(f32::from_bits)))?;
+        let colors = cursor.distinct(colors, |[rg, ba]: [u32; 2]| {
             let ([r, g], [b, a]) = (halves(rg), halves(ba));
             [r, g, b, a]
         })?;
@@ -170,12 +167,13 @@ fn halves(word: u32) -> [u16; 2] {
 }
 
 /// Compresses the content and prepends the header.
-pub(crate) fn seal(raw: &[u8]) -> Vec<u8> {
+/// Errors if there is no memory for it.
+pub(crate) fn seal(raw: &[u8]) -> Result<Vec<u8>, PackError> {
     let mut packed = MAGIC.to_vec();
     packed.extend(VERSION.to_le_bytes());
     packed.extend((raw.len() as u64).to_le_bytes());
-    packed.extend(block::compress(raw));
-    packed
+    packed.extend(zstandard::compress(raw).map_err(broken)?);
+    Ok(packed)
 }
 
 fn decompress(bytes: &[u8]) -> Result<Vec<u8>, PackError> {
@@ -189,12 +187,9 @@ fn decompress(bytes: &[u8]) -> Result<Vec<u8>, PackError> {
         return Err(PackError::Version(version));
     }
     let raw_bytes = header.take(8)?.try_into().map_or(0, u64::from_le_bytes);
-    let limit = MAX_UNPACKED_BYTES.min(packed.len() as u64 * MAX_LZ4_GROWTH + 64);
-    let too_large = || PackError::Size { what: "before compression", bytes: raw_bytes, limit };
-    let size = usize::try_from(raw_bytes).ok().filter(|_| raw_bytes <= limit).ok_or_else(too_large)?;
-    let mut raw = vec![0; size];
-    let written = block::decompress_into(packed, &mut raw).map_err(|error| broken(error.to_string()))?;
-    if written == size { Ok(raw) } else { Err(broken(format!("{written} bytes unpacked, not {size}"))) }
+    let too_large = || PackError::Size { what: "before compression", bytes: raw_bytes, limit: MAX_UNPACKED_BYTES };
+    let size = usize::try_from(raw_bytes).ok().filter(|_| raw_bytes <= MAX_UNPACKED_BYTES).ok_or_else(too_large)?;
+    zstandard::decompress(packed, size).map_err(broken)
 }
 
 #[cfg(test)]
@@ -225,9 +220,9 @@ mod tests {
         assert!(matches!(Scene::unpack(b""), Err(PackError::Magic(0))));
         assert!(matches!(Scene::unpack(&[0; 64]), Err(PackError::Magic(64))));
         let mut newer = packed.clone();
-        newer[8] = 3;
-        assert!(matches!(Scene::unpack(&newer), Err(PackError::Version(3))));
-        // A length that the bytes cannot grow to is refused before memory is taken.
+        newer[8] = 4;
+        assert!(matches!(Scene::unpack(&newer), Err(PackError::Version(4))));
+        // A length beyond the bound is refused before memory is taken.
         let mut large = packed.clone();
         large[12..20].copy_from_slice(&u64::MAX.to_le_bytes());
         assert!(matches!(Scene::unpack(&large), Err(PackError::Size { bytes: u64::MAX, .. })));
@@ -239,11 +234,11 @@ mod tests {
     #[test]
     fn cut_and_extended_bytes_are_errors() {
         let raw = decompress(&scene().pack().unwrap()).unwrap();
-        assert!(Scene::unpack(&seal(&raw)).is_ok());
+        assert!(Scene::unpack(&seal(&raw).unwrap()).is_ok());
         for end in 0..raw.len() {
-            assert!(Scene::unpack(&seal(&raw[..end])).is_err(), "cut at {end} of {}", raw.len());
+            assert!(Scene::unpack(&seal(&raw[..end]).unwrap()).is_err(), "cut at {end} of {}", raw.len());
         }
-        assert!(Scene::unpack(&seal(&[&raw[..], &[0]].concat())).is_err());
+        assert!(Scene::unpack(&seal(&[&raw[..], &[0]].concat()).unwrap()).is_err());
     }
 
     proptest! {
@@ -259,7 +254,7 @@ mod tests {
                 let at = at.index(raw.len());
                 raw[at] = value;
             }
-            if let Ok(scene) = Scene::unpack(&seal(&raw)) {
+            if let Ok(scene) = Scene::unpack(&seal(&raw).unwrap()) {
                 prop_assert_eq!(scene.check(), Ok(()));
             }
         }

@@ -3,6 +3,7 @@
 mod error;
 mod format;
 mod planes;
+mod zstandard;
 
 pub use error::PackError;
 pub(crate) use format::{MAGIC, seal};
