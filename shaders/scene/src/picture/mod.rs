@@ -66,14 +66,15 @@ impl Source {
     /// Decodes the picture, with its sides halved so many times.
     /// Errors with a sentence if it is broken.
     pub(crate) fn decode(self, halvings: u32) -> Result<Image, String> {
-        let rgba = match self.format {
-            Format::Basis => basis::decode(&self.encoded, self.width, self.height)?,
-            format => rgba(&self.encoded, format, self.width, self.height)?,
+        let (level, rgba) = match self.format {
+            Format::Basis => basis::decode(&self.encoded, self.width, self.height, halvings)?,
+            format => (0, rgba(&self.encoded, format, self.width, self.height)?),
         };
         if halvings == 0 && self.format != Format::Basis {
             return Ok(Image { encoded: self.encoded, width: self.width, height: self.height, rgba });
         }
-        let (width, height, rgba) = scale::down(self.width, self.height, rgba, halvings);
+        let [width, height] = [self.width, self.height].map(|side| (side >> level).max(1));
+        let (width, height, rgba) = scale::down(width, height, rgba, halvings - level);
         if self.format == Format::Jpeg {
             let encoded = jpeg(width, height, &rgba)?;
             let rgba = self::rgba(&encoded, Format::Jpeg, width, height)?;
