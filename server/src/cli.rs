@@ -111,7 +111,7 @@ mod tests {
     use std::num::NonZeroUsize;
 
     use super::*;
-    use crate::config::{Backend, LogFormat, Transport};
+    use crate::config::{Backend, LogFormat, Switch, Transport};
 
     fn load_with(arguments: &[&str], environment: &[(&str, &str)]) -> Result<Loaded<Cli>, SettingsError> {
         load(Layers::of(arguments, environment))
@@ -143,6 +143,9 @@ mod tests {
             "--scene=a.glb",
             "--lights-from=l.json",
             "--lights=3",
+            "--default-light=off",
+            "--scene-name=hall",
+            "--variant=2",
             "--listen=127.0.0.1:9",
             "--advertise=edge",
             "--transport=lab-tcp",
@@ -181,6 +184,9 @@ mod tests {
             scene: Some("a.glb".into()),
             lights_from: Some("l.json".into()),
             lights: Some(3),
+            default_light: Switch::Off,
+            scene_name: Some("hall".into()),
+            variant: Some("2".into()),
             listen: "127.0.0.1:9".parse().unwrap(),
             advertise: Some("edge".into()),
             transport: Transport::LabTcp,

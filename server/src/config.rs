@@ -28,9 +28,18 @@ pub struct ServerConfig {
     /// JSON file with lights, for a scene without any
     #[arg(long, value_name = "FILE")]
     pub lights_from: Option<PathBuf>,
-    /// Keep only the first N lights
+    /// Keep only the first N lights that are on
     #[arg(long, value_name = "N", bounds(1, gnomon_protocol::limits::MAX_LIGHTS))]
     pub lights: Option<u32>,
+    /// Give a scene without lights a sun
+    #[arg(long, value_enum, default_value_t = Switch::On)]
+    pub default_light: Switch,
+    /// Name or number of the scene to show, of a file with several [default: the file's]
+    #[arg(long, value_name = "NAME")]
+    pub scene_name: Option<String>,
+    /// Name or number of the material variant to show [default: none]
+    #[arg(long, value_name = "NAME")]
+    pub variant: Option<String>,
     /// Address to listen on; port 0 takes a free port
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:4433")]
     pub listen: SocketAddr,
@@ -170,6 +179,21 @@ impl FromStr for AdminAddress {
         let on_loopback = text.parse().map(|port| SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), port));
         let address = on_loopback.or_else(|_| text.parse());
         address.map(Self::At).map_err(|_| format!("{text:?} is neither ADDR:PORT nor a port, nor off"))
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Switch {
+    On,
+    Off,
+}
+
+impl fmt::Display for Switch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::On => "on",
+            Self::Off => "off",
+        })
     }
 }
 

@@ -100,7 +100,7 @@ pub(crate) fn get_scene(
 ) -> Result<(Scene, Option<Connected>), ClientError> {
     match &options.source {
         Source::Offline { scene, lights_from, lights } => {
-            let load = LoadOptions { lights_from: lights_from.clone(), max_lights: *lights };
+            let load = LoadOptions { lights_from: lights_from.clone(), max_lights: *lights, ..LoadOptions::default() };
             progress(Step::Unpacking);
             Ok((Scene::load(scene, &load)?, None))
         }

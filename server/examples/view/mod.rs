@@ -26,7 +26,10 @@ pub(crate) struct ViewArguments {
 
 impl ViewArguments {
     pub(crate) fn load(&self, max_lights: Option<u32>) -> Result<Scene> {
-        Ok(Scene::load(&self.scene, &LoadOptions { lights_from: self.lights_from.clone(), max_lights })?)
+        Ok(Scene::load(
+            &self.scene,
+            &LoadOptions { lights_from: self.lights_from.clone(), max_lights, ..LoadOptions::default() },
+        )?)
     }
 
     pub(crate) fn camera(&self, (width, height): (u32, u32)) -> Camera {

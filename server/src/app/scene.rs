@@ -4,22 +4,45 @@ use std::{path::Path, sync::Arc};
 
 use bytes::Bytes;
 use gnomon_protocol::{ids::SceneDigest, limits::MAX_SCENE_BYTES};
-use gnomon_scene::{LoadOptions, LoadReport, Scene};
+use gnomon_scene::{LoadOptions, LoadReport, Scene, WarningKind};
 
 use super::error::StartError;
-use crate::{admission::services::SceneAsset, config::ServerConfig, session::brightness};
+use crate::{
+    admission::services::SceneAsset,
+    config::{ServerConfig, Switch},
+    session::brightness,
+};
 
 pub(super) fn load_options(config: &ServerConfig) -> LoadOptions {
-    LoadOptions { lights_from: config.lights_from.clone(), max_lights: config.lights }
+    LoadOptions {
+        lights_from: config.lights_from.clone(),
+        max_lights: config.lights,
+        default_light: config.default_light == Switch::On,
+        scene: config.scene_name.clone(),
+        variant: config.variant.clone(),
+    }
 }
 
-/// Errors if the scene cannot be loaded, or is too large for clients.
+/// Loads a scene, and logs what is not as its file says.
+/// Errors if it cannot be loaded, or is too large for clients.
 pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<(Arc<Scene>, SceneAsset), StartError> {
+    let (scene, asset, report) = load_with_report(path, options)?;
+    for warning in report.all() {
+        match warning.kind {
+            WarningKind::Mended | WarningKind::LeftOut => tracing::warn!(scene = %path.display(), "{warning}"),
+            WarningKind::NotDrawn | WarningKind::Note => tracing::info!(scene = %path.display(), "{warning}"),
+        }
+    }
+    Ok((scene, asset))
+}
+
+/// Errors as [`load`].
+pub(super) fn load_with_report(
+    path: &Path,
+    options: &LoadOptions,
+) -> Result<(Arc<Scene>, SceneAsset, LoadReport), StartError> {
     let (scene, report) = Scene::load_with_report(path, options)
         .map_err(|reason| StartError::Scene { path: path.to_owned(), reason: Box::new(reason) })?;
-    if report != LoadReport::default() {
-        tracing::warn!(scene = %path.display(), "the scene is incomplete: {report}");
-    }
     let pack_error = |reason: String| StartError::Pack { path: path.to_owned(), reason };
     let packed = scene.pack().map_err(|error| pack_error(error.to_string()))?;
     if packed.len() as u64 > MAX_SCENE_BYTES {
@@ -28,5 +51,5 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<(Arc<Scene>, Sc
     let lights = u32::try_from(scene.lights.len()).map_err(|error| pack_error(error.to_string()))?;
     let digest = SceneDigest(*blake3::hash(&packed).as_bytes());
     let weights = brightness::weights(&scene);
-    Ok((Arc::new(scene), SceneAsset { packed: Bytes::from(packed), digest, lights, weights }))
+    Ok((Arc::new(scene), SceneAsset { packed: Bytes::from(packed), digest, lights, weights }, report))
 }

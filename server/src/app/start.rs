@@ -11,7 +11,7 @@ use super::{
     accept::accept,
     error::StartError,
     running::RunningServer,
-    scene::{load, load_options},
+    scene::{load, load_options, load_with_report},
     url,
     warm_up::warm_up,
 };
@@ -179,10 +179,11 @@ impl Server {
         config.validate()?;
         let path = config.scene.as_deref().ok_or(StartError::NoScene)?;
         let tokens = config.token_file.as_deref().map(TokenStore::read).transpose()?;
-        let (scene, asset) = load(path, &load_options(config))?;
+        let (scene, asset, report) = load_with_report(path, &load_options(config))?;
+        let report: String = report.all().iter().map(|warning| format!("\n{warning}")).collect();
         let tokens = if tokens.is_some() { "required" } else { "none: everybody is admitted" };
         Ok(format!(
-            "scene       {}\n{}\npacked      {} bytes, digest {}\ntokens      {tokens}",
+            "scene       {}\n{}\npacked      {} bytes, digest {}\ntokens      {tokens}{report}",
             path.display(),
             scene.summary(),
             asset.packed.len(),

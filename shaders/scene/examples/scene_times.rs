@@ -16,7 +16,7 @@ fn timed<T>(what: &str, work: impl FnOnce() -> T) -> T {
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args_os().skip(1).map(PathBuf::from);
     let path = arguments.next().ok_or("usage: scene_times SCENE.gltf [LIGHTS.json]")?;
-    let options = LoadOptions { lights_from: arguments.next(), max_lights: None };
+    let options = LoadOptions { lights_from: arguments.next(), ..LoadOptions::default() };
     let (scene, report) = timed("load", || Scene::load_with_report(&path, &options))?;
     println!("{}\n{report}", scene.summary());
     timed("check", || scene.check())?;

@@ -4,7 +4,7 @@ use std::{io, path::PathBuf};
 
 use thiserror::Error;
 
-use crate::{limits::MAX_LIGHTS, pack::PackError};
+use crate::{LoadReport, limits::MAX_LIGHTS, pack::PackError};
 
 /// Why a scene could not be loaded. Every message names the file or the object, and the rule that it breaks.
 #[derive(Debug, Error)]
@@ -44,14 +44,14 @@ pub enum SceneError {
         name: String,
         fault: String,
     },
-    #[error("the scene has no triangles ({dropped} zero-area triangles, {skipped} point and line primitives left out)")]
-    NoTriangles { dropped: u64, skipped: u64 },
-    /// Neither the scene nor a lights file has a light.
-    #[error("the scene has no lights of its own: pass --lights-from FILE.json")]
+    #[error("the scene has no triangles{}", reasons(report))]
+    NoTriangles { dropped: u64, skipped: u64, report: Box<LoadReport> },
+    /// Neither the scene nor a lights file has a light, and none is to be added.
+    #[error("the scene has no lights of its own: pass --lights-from FILE.json, or --default-light on")]
     NoLights,
-    /// There are more lights than a mask has planes.
-    #[error("{0} lights, but at most {MAX_LIGHTS} fit a visibility mask: pass --lights N to keep the first N")]
-    TooManyLights(usize),
+    /// The file has no scene or variant of the wanted name or number.
+    #[error("there is no {kind} {wanted:?}; the file has: {names}")]
+    NoSuch { kind: &'static str, wanted: String, names: String },
     #[error("--lights {requested}: must be 1 to {MAX_LIGHTS}, and at most the scene's {available} lights")]
     LightCount { requested: u32, available: usize },
     #[error("lights file {}: {fault}", path.display())]
@@ -66,6 +66,12 @@ impl SceneError {
     pub(super) fn unsupported(place: impl Into<String>, feature: impl Into<String>) -> Self {
         Self::Unsupported { place: place.into(), feature: feature.into() }
     }
+}
+
+/// Returns what a load left out, as a part of a sentence.
+fn reasons(report: &LoadReport) -> String {
+    let warnings: Vec<String> = report.all().iter().map(ToString::to_string).collect();
+    if warnings.is_empty() { String::new() } else { format!(" ({})", warnings.join("; ")) }
 }
 
 /// Returns an object's kind, index and name as messages show them: `node 3 "lamp"`.

@@ -10,6 +10,7 @@ mod file;
 #[doc(hidden)]
 pub mod fuzzing;
 mod light;
+mod lights;
 mod lights_file;
 pub mod limits;
 mod load;
@@ -24,7 +25,7 @@ pub mod testing;
 pub use error::SceneError;
 pub use load::LoadOptions;
 pub use pack::PackError;
-pub use reader::LoadReport;
+pub use reader::{LoadReport, Warning, WarningKind};
 pub use scene::{
     Aabb, AlphaChanges, AlphaMode, AlphaPicture, CheckError, Clearcoat, Coordinates, Draw, Filter, Image, Light,
     LightKind, Material, NamedCamera, Scene, Sheen, Specular, Summary, Texture, Transmission, Wrap, triangle_normal,

@@ -9,6 +9,9 @@ use crate::{
     limits::{MAX_COORDINATE_M, MAX_NAME_BYTES, in_reach},
 };
 
+/// Exporters round π/2 up to f32.
+const CONE_ROUNDING: f64 = 1e-6;
+
 /// A light in world space, unchecked and without the defaults of KHR_lights_punctual.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct LightSource<'a> {
@@ -27,6 +30,48 @@ pub(super) struct LightSource<'a> {
 }
 
 impl LightSource<'_> {
+    /// Returns the light of a file whose details may be out of range, relative to the scene's origin, and what was
+    /// mended. Everything is read as other viewers do.
+    /// Errors with a sentence if it lies out of reach.
+    pub(super) fn mended(&self, origin_m: DVec3) -> Result<(Light, Vec<&'static str>), String> {
+        let mut mended = self.clone();
+        let mut faults = Vec::new();
+        let most = f64::from(f32::MAX);
+        let mut clamp = |value: &mut f64, most: f64, fault: &'static str| {
+            if !(0.0..=most).contains(value) {
+                *value = value.clamp(0.0, most);
+                faults.push(fault);
+            }
+        };
+        for channel in mended.color.iter_mut().flatten() {
+            clamp(channel, most, "a light's colour that is negative or too large");
+        }
+        if let Some(intensity) = &mut mended.intensity {
+            clamp(intensity, most, "a light's intensity that is negative or too large");
+        }
+        if let Some(outer) = &mut mended.outer_cone_rad {
+            clamp(outer, FRAC_PI_2 + CONE_ROUNDING, "a spot's outer cone angle outside 0 to π/2");
+        }
+        let outer = mended.outer_cone_rad.unwrap_or(FRAC_PI_4);
+        if let Some(inner) = &mut mended.inner_cone_rad {
+            clamp(inner, outer, "a spot's inner cone angle outside 0 to the outer one");
+            // Equal angles break the rule, but mean a sharp edge: exporters write them.
+            if self.kind == "spot" && *inner >= outer {
+                faults.push("a spot's inner cone angle that is not below the outer one: a sharp edge");
+            }
+        }
+        if let Some(range) = mended.range_m {
+            if range <= 0.0 {
+                faults.push("a light's range that is not positive: without end");
+            }
+            // A range that rounds to 0 lights next to nothing; one that rounds to infinity has no end.
+            let legal = (range > 0.0).then(|| range.max(f64::from(f32::MIN_POSITIVE)));
+            mended.range_m = legal.filter(|range| *range <= most);
+        }
+        faults.dedup();
+        Ok((mended.light(origin_m)?, faults))
+    }
+
     /// Returns the light, relative to the scene's origin.
     /// Errors with a sentence at the first value that is out of range.
     pub(super) fn light(&self, origin_m: DVec3) -> Result<Light, String> {
@@ -81,9 +126,8 @@ impl LightSource<'_> {
     fn cone(&self) -> Result<LightKind, String> {
         let inner = self.inner_cone_rad.unwrap_or(0.0);
         let outer = self.outer_cone_rad.unwrap_or(FRAC_PI_4);
-        // Exporters round π/2 up to f32.
-        if !(inner >= 0.0 && inner < outer && outer <= FRAC_PI_2 + 1e-6) {
-            return Err(format!("the spot's cone angles are {inner} and {outer}: must be 0 <= inner < outer <= π/2"));
+        if !(inner >= 0.0 && inner <= outer && outer <= FRAC_PI_2 + CONE_ROUNDING) {
+            return Err(format!("the spot's cone angles are {inner} and {outer}: must be 0 <= inner <= outer <= π/2"));
         }
         Ok(LightKind::Spot { inner_cone_rad: f32_of(inner), outer_cone_rad: f32_of(outer) })
     }
@@ -145,6 +189,40 @@ mod tests {
         assert!(fault(&|s| s.position.x = 2e9).contains("lies at"));
         assert!(fault(&|s| s.outer_cone_rad = Some(1.6)).contains("cone"));
         assert!(fault(&|s| (s.inner_cone_rad, s.outer_cone_rad) = (Some(0.2), Some(0.1))).contains("cone"));
+    }
+
+    #[test]
+    fn details_of_files_are_mended_as_other_viewers_read_them() {
+        let mended = |change: &dyn Fn(&mut LightSource<'_>)| {
+            let mut source = source("spot");
+            change(&mut source);
+            let (light, faults) = source.mended(DVec3::ZERO).unwrap();
+            let LightKind::Spot { inner_cone_rad, outer_cone_rad } = light.kind else { panic!("{light:?}") };
+            (light, [inner_cone_rad, outer_cone_rad], faults.len())
+        };
+        let (light, cone, faults) = mended(&|_| {});
+        assert_eq!((light, faults), (source("spot").light(DVec3::ZERO).unwrap(), 0));
+        assert_eq!(cone[0], 0.0);
+        assert_eq!(mended(&|s| s.color = Some([0.5, -1.0, 1e99])).0.color, Vec3::new(0.5, 0.0, f32::MAX));
+        assert_eq!(mended(&|s| s.intensity = Some(-1.0)).0.intensity, 0.0);
+        // Legal, and practically infinite or nothing.
+        let range = |range| {
+            let (light, _, faults) = mended(&|s| s.range_m = Some(range));
+            (light.range_m, faults)
+        };
+        assert_eq!(range(f64::MAX), (f32::INFINITY, 0));
+        assert_eq!(range(1e-60), (f32::MIN_POSITIVE, 0));
+        assert_eq!([range(0.0), range(-1.0)], [(f32::INFINITY, 1); 2]);
+        let cone = |inner, outer| {
+            let (_, cone, faults) = mended(&|s| (s.inner_cone_rad, s.outer_cone_rad) = (Some(inner), Some(outer)));
+            (cone, faults)
+        };
+        assert_eq!(cone(0.25, 0.25), ([0.25, 0.25], 1));
+        assert_eq!(cone(0.5, 0.25), ([0.25, 0.25], 2));
+        assert_eq!(cone(-0.5, 0.25), ([0.0, 0.25], 1));
+        let (wide, faults) = cone(0.5, 3.0);
+        assert!(wide[1] > 1.57 && wide[1] < 1.5708 + 1e-5 && faults == 1, "{wide:?}");
+        assert!(source("point").mended(DVec3::ZERO).is_ok());
     }
 
     #[test]

@@ -43,11 +43,25 @@ pub const MAX_IMAGES: usize = 1 << 12;
 /// Most values in one element of the JSON's lists, such as a mesh with all its primitives.
 pub const MAX_ELEMENT_VALUES: usize = 1 << 21;
 
-/// Most names in `extensionsRequired`.
+/// Most names in `extensionsRequired`, and in `extensionsUsed`.
 pub const MAX_EXTENSIONS: usize = 1 << 8;
 
 /// Most light definitions in a file. At most [`MAX_LIGHTS`] of them may be placed.
 pub const MAX_LIGHT_DEFINITIONS: usize = 1 << 12;
+
+/// Most camera definitions in a file. At most [`MAX_CAMERAS`] of them are kept.
+pub const MAX_CAMERA_DEFINITIONS: usize = 1 << 12;
+
+pub const MAX_SKINS: usize = 1 << 14;
+
+/// Most material variants (KHR_materials_variants).
+pub const MAX_VARIANTS: usize = 1 << 12;
+
+/// Most steps of posing: vertices times the morph targets and sets of joints that move them, once for each instance.
+pub const MAX_POSE_STEPS: u64 = 1 << 28;
+
+/// Most different warnings of one file. Further ones are counted.
+pub const MAX_WARNINGS: usize = 64;
 
 /// Most triangles after flattening: shared meshes count once for each instance.
 pub const MAX_TRIANGLES: u64 = 1 << 24;

@@ -6,19 +6,31 @@ use crate::{
     LoadReport, Scene,
     error::SceneError,
     file::{read_file, read_start},
-    lights_file,
-    limits::{MAX_LIGHTS, MAX_PACKED_BYTES},
+    lights, lights_file,
+    limits::MAX_PACKED_BYTES,
     pack, reader,
     scene::alpha_rules,
 };
 
 /// Options of [`Scene::load`].
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LoadOptions {
     /// A lights file whose lights *replace* those of the scene.
     pub lights_from: Option<PathBuf>,
-    /// Keeps only the first N lights: 1 to 32, and not more than the scene has.
+    /// Keeps only the first N lights that are on: 1 to 32, and not more than the scene has.
     pub max_lights: Option<u32>,
+    /// Gives a scene without lights a sun.
+    pub default_light: bool,
+    /// Name or number of the scene to show, of a file with several. The file's default if absent.
+    pub scene: Option<String>,
+    /// Name or number of the material variant to show (KHR_materials_variants). The default materials if absent.
+    pub variant: Option<String>,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self { lights_from: None, max_lights: None, default_light: true, scene: None, variant: None }
+    }
 }
 
 impl Scene {
@@ -30,36 +42,24 @@ impl Scene {
         Self::load_with_report(path, options).map(|(scene, _)| scene)
     }
 
-    /// Loads a scene as [`Self::load`], and reports what was left out.
+    /// Loads a scene as [`Self::load`], and reports what was left out or mended, and what is not drawn.
     ///
     /// # Errors
     /// See [`SceneError`].
     pub fn load_with_report(path: &Path, options: &LoadOptions) -> Result<(Self, LoadReport), SceneError> {
-        let (mut scene, report) = if read_start(path, pack::MAGIC.len() as u64)? == pack::MAGIC {
+        let (mut scene, mut report) = if read_start(path, pack::MAGIC.len() as u64)? == pack::MAGIC {
             let fault = |fault| SceneError::Packed { path: path.to_owned(), fault };
             let packed = read_file(path, MAX_PACKED_BYTES)?;
             (Self::unpack(&packed).map_err(fault)?, LoadReport::default())
         } else {
-            let (mut scene, mut report) = reader::load(path)?;
+            let (mut scene, mut report) = reader::load(path, options)?;
             report.alpha = alpha_rules::apply(&mut scene);
             (scene, report)
         };
         if let Some(file) = &options.lights_from {
             scene.lights = lights_file::read(file, scene.origin_m)?;
         }
-        let available = scene.lights.len();
-        if let Some(requested) = options.max_lights {
-            let count = usize::try_from(requested).ok().filter(|count| (1..=available.min(MAX_LIGHTS)).contains(count));
-            match count {
-                Some(count) => scene.lights.truncate(count),
-                None if available == 0 => return Err(SceneError::NoLights),
-                None => return Err(SceneError::LightCount { requested, available }),
-            }
-        }
-        match scene.lights.len() {
-            0 => Err(SceneError::NoLights),
-            1..=MAX_LIGHTS => Ok((scene, report)),
-            count => Err(SceneError::TooManyLights(count)),
-        }
+        lights::choose(&mut scene, options, &mut report)?;
+        Ok((scene, report))
     }
 }

@@ -50,6 +50,16 @@ fn load_with(document: &Value, options: &LoadOptions) -> Result<Scene, SceneErro
     Scene::load(&path, options)
 }
 
+/// Loads a scene, and returns what was mended, left out or not drawn.
+fn report(document: &Value) -> (Scene, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.gltf");
+    std::fs::write(&path, document.to_string()).unwrap();
+    let (scene, report) = Scene::load_with_report(&path, &LoadOptions::default()).unwrap();
+    assert_eq!(scene.check(), Ok(()));
+    (scene, report.to_string())
+}
+
 /// World positions of triangle `number`.
 fn world(scene: &Scene, number: usize) -> [DVec3; 3] {
     scene.triangles[number].map(|corner| scene.origin_m + scene.positions[corner as usize].as_dvec3())
@@ -150,7 +160,7 @@ fn hidden_nodes_and_everything_below_them_are_left_out() {
         {"extensions": {"KHR_node_visibility": {"visible": false}}, "children": [2]},
         {"mesh": 0, "extensions": {"KHR_lights_punctual": {"light": 0}}},
     ]);
-    assert!(matches!(load(&document), Err(SceneError::NoLights)));
+    assert_eq!(load(&document).unwrap().lights[0].name, "default sun");
     document["nodes"][1]["extensions"]["KHR_node_visibility"]["visible"] = json!(true);
     assert_eq!(load(&document).unwrap().instances, 2);
 }
@@ -222,21 +232,25 @@ fn lights_are_counted() {
         document
     };
     let keep = |count, max_lights| {
-        let options = LoadOptions { lights_from: None, max_lights: Some(max_lights) };
+        let options = LoadOptions { max_lights: Some(max_lights), ..LoadOptions::default() };
         load_with(&with_lights(count), &options)
     };
     assert_eq!(load(&with_lights(32)).unwrap().lights.len(), 32);
-    assert!(matches!(load(&with_lights(33)), Err(SceneError::TooManyLights(33))));
-    assert!(load(&with_lights(33)).unwrap_err().to_string().starts_with("33 lights"));
-    let error = load(&with_lights(0)).unwrap_err().to_string();
-    assert!(error.contains("--lights-from"), "{error}");
+    let (scene, told) = report(&with_lights(33));
+    assert_eq!(scene.lights.len(), 32);
+    assert!(told.contains("the strongest are kept"), "{told}");
+    assert_eq!(load(&with_lights(0)).unwrap().lights.len(), 1);
+    let without = LoadOptions { default_light: false, ..LoadOptions::default() };
+    let error = load_with(&with_lights(0), &without).unwrap_err().to_string();
+    assert!(error.contains("--lights-from") && error.contains("--default-light"), "{error}");
     let kept = keep(33, 2).unwrap().lights;
     assert_eq!(kept.iter().map(|light| light.position.x).collect::<Vec<_>>(), [0.0, 1.0]);
     assert_eq!(keep(33, 32).unwrap().lights.len(), 32);
     assert!(matches!(keep(3, 0), Err(SceneError::LightCount { requested: 0, available: 3 })));
     assert!(matches!(keep(3, 4), Err(SceneError::LightCount { requested: 4, available: 3 })));
     assert!(matches!(keep(40, 33), Err(SceneError::LightCount { requested: 33, available: 40 })));
-    assert!(matches!(keep(0, 1), Err(SceneError::NoLights)));
+    assert_eq!(keep(0, 1).unwrap().lights.len(), 1);
+    assert!(matches!(keep(0, 2), Err(SceneError::LightCount { requested: 2, available: 0 })));
 }
 
 #[test]
@@ -245,18 +259,18 @@ fn a_lights_file_replaces_the_scenes_lights() {
     let file = folder.path().join("lights.json");
     let from = |text: &str| {
         std::fs::write(&file, text).unwrap();
-        load_with(&document(None), &LoadOptions { lights_from: Some(file.clone()), max_lights: None })
+        load_with(&document(None), &LoadOptions { lights_from: Some(file.clone()), ..LoadOptions::default() })
     };
     let scene = from(r#"{"lights":[{"type":"directional","direction":[0,-1,0]}]}"#).unwrap();
     assert_eq!(scene.lights.iter().map(|light| light.kind).collect::<Vec<_>>(), [LightKind::Directional]);
-    assert!(matches!(from(r#"{"lights":[]}"#), Err(SceneError::NoLights)));
+    assert_eq!(from(r#"{"lights":[]}"#).unwrap().lights[0].name, "default sun");
     let lamp = r#"{"type":"point","position":[0,0,0]},"#.repeat(33);
     let many = format!(r#"{{"lights":[{}]}}"#, lamp.trim_end_matches(','));
-    assert!(matches!(from(&many), Err(SceneError::TooManyLights(33))));
+    assert_eq!(from(&many).unwrap().lights.len(), 32);
     let error = from(r#"{"lights":[{"type":"area","position":[0,0,0],"direction":[0,0,1]}]}"#).unwrap_err().to_string();
     assert!(error.contains("lights.json") && error.contains("area"), "{error}");
     std::fs::remove_file(&file).unwrap();
-    let options = LoadOptions { lights_from: Some(file.clone()), max_lights: None };
+    let options = LoadOptions { lights_from: Some(file.clone()), ..LoadOptions::default() };
     assert!(matches!(load_with(&document(None), &options), Err(SceneError::Read { .. })));
 }
 
@@ -321,28 +335,38 @@ fn texture_transforms_are_baked() {
     // The extension's own example: the lower left quadrant of the picture.
     let quadrant = transform(json!({"offset": [0, 1], "rotation": quarter, "scale": [0.5, 0.5]}));
     near(uvs(quadrant), [[0.0, 1.0], [0.0, 0.5], [0.5, 1.0]]);
-    let error = load(&textured(&png(), json!({"texCoord": 1}))).unwrap_err().to_string();
-    assert!(error.contains("TEXCOORD_1"), "{error}");
-    let error = load(&textured(&png(), transform(json!({"scale": [1e9, 1]})))).unwrap_err().to_string();
-    assert!(error.contains("65536"), "{error}");
+    let (scene, told) = report(&textured(&png(), json!({"texCoord": 1})));
+    assert!(told.contains("a texture without texture coordinates"), "{told}");
+    assert!(scene.materials[0].base_color_texture.is_none() && scene.images.is_empty());
+    let (scene, told) = report(&textured(&png(), transform(json!({"scale": [1e9, 1]}))));
+    assert!(told.contains("65536"), "{told}");
+    assert_eq!(scene.uvs[1], Vec2::new(65536.0, 0.0));
 }
 
 #[test]
-fn faulty_pictures_are_named() {
-    let fault = |picture: &[u8]| load(&textured(picture, json!({}))).unwrap_err().to_string();
+fn faulty_pictures_are_left_out_and_named() {
+    let left_out = |document: &Value| {
+        let (scene, told) = report(document);
+        assert!(scene.images.is_empty() && scene.materials[0].base_color_texture.is_none());
+        assert!(told.starts_with("left out: a picture that cannot be read (image 0"), "{told}");
+        told
+    };
     let whole = png();
-    assert!(fault(&whole[..whole.len() / 2]).contains("picture"), "{}", fault(&whole[..whole.len() / 2]));
-    assert!(fault(b"GIF89a").contains("none of PNG, JPEG, WebP and KTX2"));
-    assert!(fault(b"RIFF....WEBP").contains("WebP"));
-    assert!(fault(b"").contains("empty"));
+    left_out(&textured(&whole[..whole.len() / 2], json!({})));
+    assert!(left_out(&textured(b"GIF89a", json!({}))).contains("none of PNG, JPEG, WebP and KTX2"));
+    assert!(left_out(&textured(b"", json!({}))).contains("empty"));
     let mut document = textured(&whole, json!({}));
-    document["images"][0]["uri"] = json!("no%20such.png");
-    let error = load(&document).unwrap_err().to_string();
-    assert!(error.contains("no such.png"), "{error}");
-    document["images"][0]["uri"] = json!("../secret.png");
-    assert!(load(&document).unwrap_err().to_string().contains("leaves the scene's folder"));
-    document["images"][0]["uri"] = json!("https://example.com/a.png");
-    assert!(load(&document).unwrap_err().to_string().contains("is not local"));
+    for (uri, says) in [
+        ("no%20such.png", "no such.png"),
+        ("../secret.png", "leaves the scene's folder"),
+        ("https://example.com/a.png", "is not local"),
+    ] {
+        document["images"][0]["uri"] = json!(uri);
+        let told = left_out(&document);
+        assert!(told.contains(says), "{told}");
+    }
+    document["images"][0].as_object_mut().unwrap().remove("uri");
+    assert!(left_out(&document).contains("neither a uri nor a buffer view"));
 }
 
 #[test]

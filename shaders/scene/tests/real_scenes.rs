@@ -10,7 +10,7 @@ use common::scenes;
 use gnomon_scene::{LoadOptions, Scene};
 
 fn options(folder: &Path, lights: usize) -> LoadOptions {
-    LoadOptions { lights_from: (lights == 0).then(|| folder.join("lights_camera.json")), max_lights: None }
+    LoadOptions { lights_from: (lights == 0).then(|| folder.join("lights_camera.json")), ..LoadOptions::default() }
 }
 
 /// File, triangles, zero-area triangles among them, lights of its own.

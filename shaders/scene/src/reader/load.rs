@@ -7,49 +7,71 @@ use super::{
     compression,
     file::{buffers::Buffers, glb},
     flatten::{
-        image, light,
-        material::{self, Materials},
-        meshes, nodes,
+        camera, finish, image, light,
+        materials::{self, Materials, listed},
+        meshes::Meshes,
+        nodes::{self, Walk},
     },
     json::{self, Document},
-    report::LoadReport,
+    report::{LoadReport, WarningKind},
 };
-use crate::{Aabb, Scene, error::SceneError, file::read_file, limits::MAX_FILE_BYTES};
+use crate::{Aabb, LoadOptions, Scene, error::SceneError, file::read_file, limits::MAX_FILE_BYTES};
 
 /// Reads a scene. It may have no lights, or too many.
-pub(crate) fn load(path: &Path) -> Result<(Scene, LoadReport), SceneError> {
+pub(crate) fn load(path: &Path, options: &LoadOptions) -> Result<(Scene, LoadReport), SceneError> {
     let bytes = read_file(path, MAX_FILE_BYTES)?;
     let not_gltf = |fault: String| SceneError::NotGltf { path: path.to_owned(), fault };
     let container = glb::split(&bytes).map_err(not_gltf)?;
     let mut document = json::parse(container.json).map_err(not_gltf)?;
-    features::check(&document)?;
-    references::check(&document)?;
-    layout::check(&document.json)?;
-    material::check(&document)?;
-    let placed = nodes::walk(&document)?;
+    let mut report = LoadReport::default();
+    features::check(&document, &mut report)?;
+    references::check(&document, &mut report)?;
+    layout::check(&document.json, &mut report)?;
+    let walk = nodes::walk(&document, options.scene.as_deref(), &mut report)?;
+    let variant = variant(&document, options, &mut report)?;
 
     let folder = path.parent().unwrap_or_else(|| Path::new(""));
     let mut buffers = Buffers::load(&document.json, container.bin, folder)?;
     compression::expand(&mut document, &mut buffers)?;
-    read(&document, &buffers, &placed, folder)
+    let mut materials = Materials::default();
+    materials.variant = variant;
+    let scene = read(&document, &buffers, &walk, materials, folder, &mut report)?;
+    Ok((scene, report))
+}
+
+/// Returns the wanted variant. Without a wish, tells which ones there are.
+fn variant(document: &Document, options: &LoadOptions, report: &mut LoadReport) -> Result<Option<usize>, SceneError> {
+    if let Some(wanted) = &options.variant {
+        return materials::variant(document, wanted).map(Some);
+    }
+    let names: Vec<&str> = document.variants.iter().map(|variant| variant.name.as_deref().unwrap_or("")).collect();
+    if !names.is_empty() {
+        let what = format!("material variants, shown with --variant NAME: {}", listed(&names));
+        report.add(WarningKind::Note, what, "", 1);
+    }
+    Ok(None)
 }
 
 fn read(
     document: &Document,
     buffers: &Buffers<'_>,
-    placed: &[nodes::Placed],
+    walk: &Walk,
+    mut materials: Materials,
     folder: &Path,
-) -> Result<(Scene, LoadReport), SceneError> {
+    report: &mut LoadReport,
+) -> Result<Scene, SceneError> {
     let mut scene = Scene::default();
-    let mut report = LoadReport::default();
-    let mut materials = Materials::default();
-    meshes::flatten(document, buffers, placed, &mut materials, &mut scene, &mut report)?;
-    scene.lights = light::read(document, placed, scene.origin_m)?;
-    scene.images = image::load(&document.json, buffers, folder, &materials.images, &mut report)?;
-    scene.materials = materials.materials;
+    Meshes { document, buffers, walk }.flatten(&mut materials, &mut scene, report)?;
+    finish(&mut scene);
+    scene.lights = light::read(document, &walk.placed, scene.origin_m, report)?;
+    scene.cameras = camera::read(document, &walk.placed, report);
+    let pictures = image::load(&document.json, buffers, folder, &materials.images.0, report)?;
+    scene.images = pictures.images;
+    scene.materials = materials.finish(&pictures.indices);
     if scene.triangles.is_empty() {
-        return Err(SceneError::NoTriangles { dropped: report.dropped_triangles, skipped: report.skipped_primitives });
+        let (dropped, skipped) = (report.dropped_triangles, report.skipped_primitives);
+        return Err(SceneError::NoTriangles { dropped, skipped, report: Box::new(std::mem::take(report)) });
     }
     scene.bounds = Aabb::of(&scene);
-    Ok((scene, report))
+    Ok(scene)
 }

@@ -253,4 +253,23 @@ impl Material {
         .into_iter()
         .flatten()
     }
+
+    /// The places of all textures, in the same order.
+    pub(crate) fn textures_mut(&mut self) -> [&mut Option<Texture>; 13] {
+        [
+            &mut self.base_color_texture,
+            &mut self.metallic_roughness_texture,
+            &mut self.normal_texture,
+            &mut self.occlusion_texture,
+            &mut self.emissive_texture,
+            &mut self.specular.strength_texture,
+            &mut self.specular.color_texture,
+            &mut self.clearcoat.strength_texture,
+            &mut self.clearcoat.roughness_texture,
+            &mut self.clearcoat.normal_texture,
+            &mut self.sheen.color_texture,
+            &mut self.sheen.roughness_texture,
+            &mut self.transmission.texture,
+        ]
+    }
 }

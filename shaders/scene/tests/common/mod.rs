@@ -29,7 +29,7 @@ pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
 pub(crate) fn one_light(folder: &Path) -> LoadOptions {
     let lights = folder.join("lights.json");
     std::fs::write(&lights, r#"{"lights":[{"type":"point","position":[0,1,0]}]}"#).unwrap();
-    LoadOptions { lights_from: Some(lights), max_lights: None }
+    LoadOptions { lights_from: Some(lights), ..LoadOptions::default() }
 }
 
 /// Returns the largest resident size that this process has had.

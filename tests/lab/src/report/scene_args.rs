@@ -46,7 +46,8 @@ pub struct SceneArgs {
 
 impl SceneFile {
     pub fn load(&self) -> Result<Scene> {
-        let options = LoadOptions { lights_from: self.lights_from.clone(), max_lights: self.lights };
+        let options =
+            LoadOptions { lights_from: self.lights_from.clone(), max_lights: self.lights, ..LoadOptions::default() };
         Scene::load(&self.scene, &options).with_context(|| format!("loading {}", self.scene.display()))
     }
 }

@@ -1,7 +1,8 @@
 //! Checks where an accessor's elements lie (glTF 2.0, §3.6.2).
 //!
 //! Offsets need not be aligned, although the specification asks for it: alignment matters if buffers are mapped, and
-//! bytes are copied here. `min` and `max` are not read: bounds are computed.
+//! bytes are copied here. Strides may have any length, and accessors no elements: other viewers bear both. `min` and
+//! `max` are not read: bounds are computed.
 
 use gltf::json::{
     Accessor, Index, Root,
@@ -11,6 +12,7 @@ use gltf::json::{
 };
 
 use crate::{
+    LoadReport,
     error::{SceneError, place, within},
     limits::MAX_ACCESSOR_ELEMENTS,
 };
@@ -32,11 +34,11 @@ pub(crate) struct Span {
 #[derive(Debug)]
 pub(crate) struct Layout {
     pub(crate) place: String,
-    /// Number of elements, at least 1.
+    /// Number of elements. 0 breaks the specification.
     pub(crate) count: usize,
     pub(crate) component: ComponentType,
     pub(crate) normalized: bool,
-    /// A scalar or a vector.
+    /// A scalar, a vector, or a 4×4 matrix.
     pub(crate) shape: Type,
     /// `None` if all elements are zeros.
     pub(crate) base: Option<Span>,
@@ -51,25 +53,40 @@ pub(crate) struct SparseLayout {
     pub(crate) values: Span,
 }
 
-/// Checks every scalar and vector accessor of the file, used or not, and every buffer view.
+/// Checks every accessor of the file that may be read, used or not, and every buffer view.
 /// Errors as [`Layout::new`].
-pub(crate) fn check(json: &Root) -> Result<(), SceneError> {
+pub(crate) fn check(json: &Root, report: &mut LoadReport) -> Result<(), SceneError> {
     for (index, accessor) in json.accessors.iter().enumerate() {
-        // Matrices and types of later versions are legal if nothing reads them.
-        if shape(accessor).is_some() {
-            Layout::new(json, index)?;
+        // Other matrices and types of later versions are legal if nothing reads them.
+        if shape(accessor).is_none() {
+            continue;
+        }
+        let layout = Layout::new(json, index)?;
+        if accessor.normalized && !layout.normalized {
+            report.mended("normalised floats or 32-bit integers: taken as they are", &layout.place);
+        }
+        if accessor.buffer_view.is_none() && accessor.byte_offset.is_some_and(|offset| offset.0 > 0) {
+            report.mended("an offset without a buffer view: ignored", &layout.place);
+        }
+        if accessor.sparse.as_ref().is_some_and(|sparse| sparse.count.0 == 0) {
+            report.mended("a sparse part without elements: ignored", &layout.place);
         }
     }
-    for index in 0..json.buffer_views.len() {
+    for (index, view) in json.buffer_views.iter().enumerate() {
         view_range(json, index)?;
+        let stride = view.byte_stride.map(|stride| stride.0);
+        if stride.is_some_and(|stride| !((4..=252).contains(&stride) && stride.is_multiple_of(4))) {
+            let what = "a stride that is not a multiple of 4 from 4 to 252: taken as it is";
+            report.mended(what, &place("buffer view", index, None));
+        }
     }
     Ok(())
 }
 
-/// Returns the type of an accessor's elements. `None` for matrices, which skins have, and for types that do not exist.
+/// Returns the type of an accessor's elements. `None` for small matrices, and for types that do not exist.
 fn shape(accessor: &Accessor) -> Option<Type> {
     match accessor.type_ {
-        Checked::Valid(shape @ (Type::Scalar | Type::Vec2 | Type::Vec3 | Type::Vec4)) => Some(shape),
+        Checked::Valid(shape @ (Type::Scalar | Type::Vec2 | Type::Vec3 | Type::Vec4 | Type::Mat4)) => Some(shape),
         Checked::Valid(_) | Checked::Invalid => None,
     }
 }
@@ -87,35 +104,30 @@ impl Layout {
         };
         let component = component.0;
         let Some(shape) = shape(accessor) else {
-            return Err(SceneError::invalid(place, "its type is not SCALAR, VEC2, VEC3 or VEC4: it is not read here"));
+            return Err(SceneError::invalid(
+                place,
+                "its type is not SCALAR, VEC2, VEC3, VEC4 or MAT4: it is not read here",
+            ));
         };
         let element_bytes = component.size() * shape.multiplicity();
         let count = element_count(&place, accessor)?;
-        if accessor.normalized && matches!(component, ComponentType::F32 | ComponentType::U32) {
-            return Err(SceneError::invalid(place, "floats and 32-bit integers cannot be normalised"));
-        }
+        let normalized = accessor.normalized && !matches!(component, ComponentType::F32 | ComponentType::U32);
         let offset = accessor.byte_offset.unwrap_or_default();
         let base = match accessor.buffer_view {
-            Some(view) => Some(span(json, &place, (view, offset), count, element_bytes, true)?),
-            None if offset.0 > 0 => {
-                return Err(SceneError::invalid(place, "it has an offset, but no buffer view"));
-            }
-            None => None,
+            Some(view) if count > 0 => Some(span(json, &place, (view, offset), count, element_bytes, true)?),
+            _ => None,
         };
         let sparse = match &accessor.sparse {
-            Some(sparse) => Some(sparse_layout(json, &place, sparse, count, element_bytes)?),
-            None => None,
+            Some(sparse) if sparse.count.0 > 0 => Some(sparse_layout(json, &place, sparse, count, element_bytes)?),
+            _ => None,
         };
-        Ok(Self { place, count, component, normalized: accessor.normalized, shape, base, sparse })
+        Ok(Self { place, count, component, normalized, shape, base, sparse })
     }
 }
 
 fn element_count(place: &str, accessor: &Accessor) -> Result<usize, SceneError> {
     within(format!("elements of {place}"), accessor.count.0, MAX_ACCESSOR_ELEMENTS)?;
-    match usize::try_from(accessor.count.0) {
-        Ok(count) if count > 0 => Ok(count),
-        _ => Err(SceneError::invalid(place, "its count is 0")),
-    }
+    usize::try_from(accessor.count.0).map_err(|_| SceneError::invalid(place, "its count does not fit this machine"))
 }
 
 fn sparse_layout(
@@ -152,16 +164,9 @@ fn span(
 ) -> Result<Span, SceneError> {
     let (index, offset) = (view.value(), offset.0);
     let (buffer, view_start, view_bytes) = view_range(json, index)?;
-    let stride = json.buffer_views.get(index).and_then(|view| view.byte_stride);
-    let stride = match stride.map(|stride| stride.0 as u64) {
-        Some(stride) if may_stride && stride >= element_bytes as u64 => stride,
-        Some(stride) => {
-            let fault =
-                format!("buffer view {view} has a stride of {stride} bytes; not for elements of {element_bytes}");
-            return Err(SceneError::invalid(place, fault));
-        }
-        None => element_bytes as u64,
-    };
+    // Indices and values of sparse parts lie densely (§3.6.2.3). A stride of 0 counts as none, as in other viewers.
+    let stride = json.buffer_views.get(index).and_then(|view| view.byte_stride).filter(|_| may_stride);
+    let stride = stride.map(|stride| stride.0 as u64).filter(|stride| *stride > 0).unwrap_or(element_bytes as u64);
     let end = (count as u64 - 1)
         .checked_mul(stride)
         .and_then(|last| last.checked_add(offset)?.checked_add(element_bytes as u64))
@@ -181,7 +186,7 @@ fn span(
 }
 
 /// Returns a buffer view's buffer, first byte and length, which lie inside the buffer's declared length.
-/// Errors if it reaches beyond its buffer, or its stride is not legal.
+/// Errors if it reaches beyond its buffer.
 pub(crate) fn view_range(json: &Root, index: usize) -> Result<(usize, u64, u64), SceneError> {
     let place = || place("buffer view", index, None);
     let Some(view) = json.buffer_views.get(index) else {
@@ -190,16 +195,9 @@ pub(crate) fn view_range(json: &Root, index: usize) -> Result<(usize, u64, u64),
     let buffer_bytes = json.get(view.buffer).map_or(0, |buffer| buffer.byte_length.0);
     let (start, bytes) = (view.byte_offset.unwrap_or_default().0, view.byte_length.0);
     let end = start.checked_add(bytes).filter(|end| *end <= buffer_bytes);
-    if end.is_none() || bytes == 0 {
+    if end.is_none() {
         let fault =
             format!("{bytes} bytes from byte {start} on do not lie in buffer {} of {buffer_bytes} bytes", view.buffer);
-        return Err(SceneError::invalid(place(), fault));
-    }
-    if let Some(stride) = view.byte_stride.map(|stride| stride.0 as u64)
-        && !((4..=252).contains(&stride) && stride.is_multiple_of(4) && stride <= bytes)
-    {
-        let fault =
-            format!("its stride is {stride}, not a multiple of 4 from 4 to 252 and to its length of {bytes} bytes");
         return Err(SceneError::invalid(place(), fault));
     }
     Ok((view.buffer.value(), start, bytes))

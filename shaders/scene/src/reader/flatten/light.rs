@@ -4,36 +4,44 @@ use glam::DVec3;
 
 use super::nodes::Placed;
 use crate::{
-    Light,
+    Light, LoadReport,
     error::{SceneError, place},
     light::LightSource,
-    reader::json::{self, Document},
+    reader::{
+        json::{self, Document},
+        report::WarningKind,
+    },
 };
 
 /// Reads the lights of the placed nodes. Scales change neither range nor intensity, as the extension says.
-/// Errors if a light is malformed, used or not.
-pub(crate) fn read(document: &Document, placed: &[Placed], origin_m: DVec3) -> Result<Vec<Light>, SceneError> {
-    let definitions = &document.lights;
-    for (index, definition) in definitions.iter().enumerate() {
-        if definition.kind == "spot" && definition.spot.is_none() {
-            return Err(SceneError::invalid(
-                place("light", index, definition.name.as_deref()),
-                "it is a spot without a \"spot\" object",
-            ));
-        }
-        source(definition, None, DVec3::ZERO, DVec3::NEG_Z)
-            .light(DVec3::ZERO)
-            .map_err(|fault| SceneError::invalid(place("light", index, definition.name.as_deref()), fault))?;
-    }
+/// Errors if one lies out of reach.
+pub(crate) fn read(
+    document: &Document,
+    placed: &[Placed],
+    origin_m: DVec3,
+    report: &mut LoadReport,
+) -> Result<Vec<Light>, SceneError> {
     let mut lights = Vec::new();
     for at in placed {
         let Some(node) = document.json.nodes.get(at.node) else { continue };
         let named = node.extensions.as_ref().and_then(|extensions| extensions.khr_lights_punctual.as_ref());
-        let Some(definition) = named.and_then(|named| definitions.get(named.light.value())) else { continue };
+        let Some(definition) = named.and_then(|named| document.lights.get(named.light.value())) else { continue };
+        let here = place("node", at.node, node.name.as_deref());
+        if !matches!(definition.kind.as_str(), "directional" | "point" | "spot") {
+            let what = format!("lights of type {:.32?}, which is not directional, point or spot", definition.kind);
+            report.left_out(what, &here);
+            continue;
+        }
+        // Under a scale of 0 the axis itself has no length.
+        let axis = at.world_from_node.transform_vector3(DVec3::NEG_Z);
+        let direction = if axis.try_normalize().is_some() { axis } else { at.rotation * DVec3::NEG_Z };
         let position = at.world_from_node.w_axis.truncate();
-        let direction = at.world_from_node.transform_vector3(DVec3::NEG_Z);
-        let light = source(definition, node.name.as_deref(), position, direction).light(origin_m);
-        lights.push(light.map_err(|fault| SceneError::invalid(place("node", at.node, node.name.as_deref()), fault))?);
+        let source = source(definition, node.name.as_deref(), position, direction);
+        let light = source.mended(origin_m).map_err(|fault| SceneError::invalid(here.as_str(), fault))?;
+        for what in light.1 {
+            report.add(WarningKind::Mended, what, &here, 1);
+        }
+        lights.push(light.0);
     }
     Ok(lights)
 }

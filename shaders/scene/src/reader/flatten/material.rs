@@ -1,140 +1,218 @@
-//! Reads materials and the textures of their base colours (glTF 2.0, §3.9).
-//!
-//! Only base colour, emission, alpha and sidedness are read. A material with an emissive *texture* does not emit: its
-//! factor alone would make the whole surface glow, where the texture lights a few spots.
-
-use std::collections::HashMap;
+//! Reads materials (glTF 2.0, §3.9) and their extensions. Factors out of range are brought into it; a texture that
+//! cannot be placed is left out.
 
 use glam::{Vec3, Vec4};
-use gltf::json::{self, Index, texture::WrappingMode, validation::Checked};
+use gltf::json::Index;
 
-use super::image::originals;
+use super::{
+    coordinates::{Plan, set},
+    texture::{ImageSource, Images},
+};
 use crate::{
-    AlphaMode, Material, Texture, Wrap,
-    error::{SceneError, place},
+    AlphaMode, Clearcoat, Material, Sheen, Specular, Texture, Transmission,
     light::{f32_of, short_name},
-    reader::json::{Document, Factors, source},
+    reader::{
+        json::{self, Document, SpecularGlossiness, TextureInfo},
+        report::LoadReport,
+    },
 };
 
-/// Extensions that bring pictures in formats that are not read.
-const OTHER_FORMATS: [&str; 2] = ["EXT_texture_avif", "MSFT_texture_dds"];
-
-/// Materials and images that the scene uses, in the order of their first use.
-#[derive(Default)]
-pub(crate) struct Materials {
-    pub(crate) materials: Vec<Material>,
-    pub(crate) images: Vec<Index<json::Image>>,
-    /// See [`originals`].
-    originals: Vec<Index<json::Image>>,
-    by_index: HashMap<Option<Index<json::Material>>, u32>,
+/// Reads one material.
+pub(crate) struct MaterialReader<'a> {
+    pub(crate) document: &'a Document,
+    pub(crate) images: &'a mut Images,
+    pub(crate) report: &'a mut LoadReport,
+    /// A bit for each set of texture coordinates that the primitive has.
+    pub(crate) sets: u32,
+    pub(crate) place: &'a str,
+    pub(crate) plan: Plan,
 }
 
-impl Materials {
-    /// Returns the scene's index of a material of the file. `None` is the default material (§3.7.2.1).
-    /// Errors if it is malformed, or its picture has a format that is not read.
-    pub(crate) fn get(&mut self, document: &Document, index: Option<Index<json::Material>>) -> Result<u32, SceneError> {
-        if let Some(known) = self.by_index.get(&index) {
-            return Ok(*known);
+impl MaterialReader<'_> {
+    /// Returns the material. What it reads of the vertices is in `plan` afterwards.
+    pub(crate) fn read(&mut self, source: &json::Material) -> Material {
+        let extensions = &source.extensions;
+        for name in extensions.not_drawn() {
+            self.report.not_drawn(name, self.place);
         }
-        let fallback = (json::Material::default(), Factors::default());
-        let found = index.and_then(|index| Some((document.json.get(index)?, document.factors.get(index.value())?)));
-        let (source, factors) = found.unwrap_or((&fallback.0, &fallback.1));
-        let here = match index {
-            Some(index) => place("material", index.value(), source.name.as_deref()),
-            None => "the default material".to_owned(),
+        let base = &source.pbr_metallic_roughness;
+        let mut material = Material {
+            name: short_name(source.name.as_deref()),
+            alpha: self.alpha(source),
+            double_sided: source.double_sided,
+            unlit: extensions.unlit,
+            ..Material::default()
         };
-        let texture = source.pbr_metallic_roughness.base_color_texture.as_ref();
-        let texture = match texture {
-            Some(info) => Some(self.texture(document, info.index)?),
-            None => None,
-        };
-        let material = read(source, factors, texture, &here)?;
-        // At most one more than the document has, which is bounded.
-        let number = u32::try_from(self.materials.len()).unwrap_or(u32::MAX);
-        self.materials.push(material);
-        self.by_index.insert(index, number);
-        Ok(number)
-    }
-
-    fn texture(&mut self, document: &Document, index: Index<json::Texture>) -> Result<Texture, SceneError> {
-        let here = || place("texture", index.value(), None);
-        let Some(texture) = document.json.get(index) else {
-            return Err(SceneError::invalid(here(), "there is no such texture"));
-        };
-        let Some(source) = source(texture) else {
-            let others = texture.extensions.as_ref().map(|extensions| &extensions.others);
-            let there = |name: &&str| others.is_some_and(|others| others.contains_key(*name));
-            return Err(match OTHER_FORMATS.into_iter().find(there) {
-                Some(name) => SceneError::unsupported(here(), name),
-                None => SceneError::invalid(here(), "it has no source image"),
-            });
-        };
-        let wrap = |mode: Option<Checked<WrappingMode>>| match mode.unwrap_or_default() {
-            Checked::Valid(WrappingMode::Repeat) => Ok(Wrap::Repeat),
-            Checked::Valid(WrappingMode::MirroredRepeat) => Ok(Wrap::MirroredRepeat),
-            Checked::Valid(WrappingMode::ClampToEdge) => Ok(Wrap::ClampToEdge),
-            Checked::Invalid => {
-                Err(SceneError::invalid(here(), "its sampler's wrap mode is not one of 10497, 33071 and 33648"))
+        match &extensions.specular_glossiness {
+            Some(other) => self.specular_glossiness(other, &mut material),
+            None => {
+                material.base_color = Vec4::from_array(base.base_color_factor.map(|v| self.share(v)));
+                material.base_color_texture = self.base_color(base.base_color_texture.as_ref());
             }
-        };
-        let sampler = texture.sampler.and_then(|sampler| document.json.get(sampler));
-        let wrap_u = wrap(sampler.map(|sampler| sampler.wrap_s))?;
-        let wrap_v = wrap(sampler.map(|sampler| sampler.wrap_t))?;
-        if self.originals.is_empty() {
-            self.originals = originals(&document.json);
         }
-        let source = self.originals.get(source.value()).copied().unwrap_or(source);
-        let known = self.images.iter().position(|image| *image == source);
-        let image = known.unwrap_or_else(|| {
-            self.images.push(source);
-            self.images.len() - 1
-        });
-        Ok(Texture::new(u32::try_from(image).unwrap_or(u32::MAX), wrap_u, wrap_v))
+        if material.unlit {
+            return material;
+        }
+        if extensions.specular_glossiness.is_none() {
+            material.metallic = self.share(base.metallic_factor);
+            material.roughness = self.share(base.roughness_factor);
+            material.metallic_roughness_texture = self.texture(base.metallic_roughness_texture.as_ref());
+            self.specular(source, &mut material);
+        }
+        material.normal_texture = self.texture(source.normal_texture.as_ref());
+        material.normal_scale = normal_scale(source.normal_texture.as_ref());
+        material.occlusion_texture = self.texture(source.occlusion_texture.as_ref());
+        let strength = source.occlusion_texture.as_ref().and_then(|info| info.strength);
+        material.occlusion_strength = strength.map_or(1.0, |strength| self.share(strength));
+        material.emissive_texture = self.texture(source.emissive_texture.as_ref());
+        // The factor alone would make the whole surface glow, where a lost texture lights a few spots.
+        if source.emissive_texture.is_none() || material.emissive_texture.is_some() {
+            material.emissive = self.emissive(source);
+        }
+        self.layers(source, &mut material);
+        self.plan.tangents = material.normal_texture.is_some() || material.clearcoat.normal_texture.is_some();
+        material
+    }
+
+    fn alpha(&mut self, source: &json::Material) -> AlphaMode {
+        match source.alpha_mode.as_deref() {
+            None | Some("OPAQUE") => AlphaMode::Opaque,
+            Some("MASK") => AlphaMode::Mask { cutoff: self.amount(source.alpha_cutoff) },
+            Some("BLEND") => AlphaMode::Blend,
+            Some(_) => {
+                self.report.mended("an alpha mode that is not OPAQUE, MASK or BLEND: taken for OPAQUE", self.place);
+                AlphaMode::Opaque
+            }
+        }
+    }
+
+    fn emissive(&mut self, source: &json::Material) -> Vec3 {
+        if source.emissive_factor.iter().any(|v| *v > 1.0) {
+            self.report.mended("an emissive factor above 1: kept, as if by emissive strength", self.place);
+        }
+        let strength = source.extensions.emissive_strength.as_ref().and_then(|extension| extension.emissive_strength);
+        let strength = strength.unwrap_or(1.0);
+        Vec3::from_array(source.emissive_factor.map(|v| self.amount(v.max(0.0) * strength)))
+    }
+
+    fn specular(&mut self, source: &json::Material, material: &mut Material) {
+        if let Some(ior) = source.extensions.ior.as_ref().and_then(|extension| extension.ior) {
+            // 0 has a meaning of its own.
+            if ior != 0.0 && ior < 1.0 {
+                self.report.mended("an index of refraction below 1: taken for 1", self.place);
+            }
+            material.ior = if ior == 0.0 { 0.0 } else { f32_of(ior.clamp(1.0, f64::from(f32::MAX))) };
+        }
+        let Some(specular) = &source.extensions.specular else { return };
+        material.specular = Specular {
+            strength: specular.specular_factor.map_or(1.0, |v| self.share(v)),
+            strength_texture: self.texture(specular.specular_texture.as_ref()),
+            color: specular.specular_color_factor.map_or(Vec3::ONE, |color| self.color(color)),
+            color_texture: self.texture(specular.specular_color_texture.as_ref()),
+        };
+    }
+
+    /// KHR_materials_pbrSpecularGlossiness. An index of refraction of 0 lets the specular colour be the reflectance at
+    /// normal incidence. Roughness is 1 − glossiness; where a texture has the glossiness, one of roughness is made.
+    fn specular_glossiness(&mut self, source: &SpecularGlossiness, material: &mut Material) {
+        material.base_color = Vec4::from_array(source.diffuse_factor.unwrap_or([1.0; 4]).map(|v| self.share(v)));
+        material.base_color_texture = self.base_color(source.diffuse_texture.as_ref());
+        let glossiness = self.share(source.glossiness_factor.unwrap_or(1.0));
+        material.ior = 0.0;
+        material.roughness = 1.0 - glossiness;
+        material.specular.color = source.specular_factor.map_or(Vec3::ONE, |color| self.color(color));
+        if material.unlit {
+            return;
+        }
+        let Some(texture) = self.texture(source.specular_glossiness_texture.as_ref()) else { return };
+        material.specular.color_texture = Some(texture);
+        let baked = ImageSource::Roughness { image: texture.image, glossiness: glossiness.to_bits() };
+        material.roughness = 1.0;
+        material.metallic_roughness_texture =
+            Some(Texture { image: self.images.index(self.document, baked), ..texture });
+    }
+
+    fn layers(&mut self, source: &json::Material, material: &mut Material) {
+        let extensions = &source.extensions;
+        if let Some(clearcoat) = &extensions.clearcoat {
+            material.clearcoat = Clearcoat {
+                strength: self.share(clearcoat.clearcoat_factor),
+                strength_texture: self.texture(clearcoat.clearcoat_texture.as_ref()),
+                roughness: self.share(clearcoat.clearcoat_roughness_factor),
+                roughness_texture: self.texture(clearcoat.clearcoat_roughness_texture.as_ref()),
+                normal_texture: self.texture(clearcoat.clearcoat_normal_texture.as_ref()),
+                normal_scale: normal_scale(clearcoat.clearcoat_normal_texture.as_ref()),
+            };
+        }
+        if let Some(sheen) = &extensions.sheen {
+            material.sheen = Sheen {
+                color: self.color(sheen.sheen_color_factor),
+                color_texture: self.texture(sheen.sheen_color_texture.as_ref()),
+                roughness: self.share(sheen.sheen_roughness_factor),
+                roughness_texture: self.texture(sheen.sheen_roughness_texture.as_ref()),
+            };
+        }
+        if let Some(transmission) = &extensions.transmission {
+            material.transmission = Transmission {
+                factor: self.share(transmission.transmission_factor),
+                texture: self.texture(transmission.transmission_texture.as_ref()),
+            };
+        }
+    }
+
+    fn base_color(&mut self, info: Option<&TextureInfo>) -> Option<Texture> {
+        let info = info?;
+        let texture = self.sampled(info)?;
+        self.plan.place_base(info);
+        Some(texture)
+    }
+
+    fn texture(&mut self, info: Option<&TextureInfo>) -> Option<Texture> {
+        let info = info?;
+        let before = self.plan;
+        let texture = self.sampled(info)?;
+        match self.plan.place(info) {
+            Ok(coordinates) => Some(Texture { coordinates, ..texture }),
+            Err(fault) => {
+                self.plan = before;
+                self.report.left_out(fault, self.place);
+                None
+            }
+        }
+    }
+
+    /// Returns a texture without its place. `None` if the primitive lacks its coordinates, or it has no picture.
+    fn sampled(&mut self, info: &TextureInfo) -> Option<Texture> {
+        if 1_u32.checked_shl(set(info)).is_none_or(|bit| self.sets & bit == 0) {
+            self.report.left_out("a texture without texture coordinates", self.place);
+            return None;
+        }
+        self.images.texture(self.document, Index::new(info.index), self.report)
+    }
+
+    /// Brings a factor into 0 to 1.
+    fn share(&mut self, value: f64) -> f32 {
+        if !(0.0..=1.0).contains(&value) {
+            self.report.mended("a material's factor outside 0 to 1: the nearest end", self.place);
+        }
+        f32_of(value.clamp(0.0, 1.0))
+    }
+
+    /// Brings a number into 0 to the largest f32.
+    fn amount(&mut self, value: f64) -> f32 {
+        let most = f64::from(f32::MAX);
+        if !(0.0..=most).contains(&value) {
+            self.report.mended("a material's number that is negative or too large: the nearest end", self.place);
+        }
+        f32_of(value.clamp(0.0, most))
+    }
+
+    fn color(&mut self, color: [f64; 3]) -> Vec3 {
+        Vec3::from_array(color.map(|v| self.amount(v)))
     }
 }
 
-/// Checks every material of the file, used or not.
-/// Errors if one is malformed.
-pub(crate) fn check(document: &Document) -> Result<(), SceneError> {
-    for (index, (material, factors)) in document.json.materials.iter().zip(&document.factors).enumerate() {
-        read(material, factors, None, &place("material", index, material.name.as_deref()))?;
-    }
-    Ok(())
-}
-
-fn read(
-    source: &json::Material,
-    factors: &Factors,
-    texture: Option<Texture>,
-    here: &str,
-) -> Result<Material, SceneError> {
-    let invalid = |fault: String| SceneError::invalid(here, fault);
-    let color = factors.base_color;
-    if !color.iter().all(|v| (0.0..=1.0).contains(v)) {
-        return Err(invalid(format!("its base colour factor {color:?} does not lie in 0 to 1")));
-    }
-    let (emissive, strength) = (factors.emissive, factors.emissive_strength);
-    if !emissive.iter().all(|v| (0.0..=1.0).contains(v)) || !(0.0..=f64::from(f32::MAX)).contains(&strength) {
-        return Err(invalid(format!("its emissive factor {emissive:?} or strength {strength} is out of range")));
-    }
-    let emissive = if factors.has_emissive_texture { [0.0; 3] } else { emissive.map(|v| v * strength) };
-    let cutoff = factors.alpha_cutoff;
-    if !(0.0..=f64::from(f32::MAX)).contains(&cutoff) {
-        return Err(invalid(format!("its alpha cutoff {cutoff} is out of range")));
-    }
-    let alpha = match source.alpha_mode {
-        Checked::Valid(json::material::AlphaMode::Opaque) => AlphaMode::Opaque,
-        Checked::Valid(json::material::AlphaMode::Mask) => AlphaMode::Mask { cutoff: f32_of(cutoff) },
-        Checked::Valid(json::material::AlphaMode::Blend) => AlphaMode::Blend,
-        Checked::Invalid => return Err(invalid("its alpha mode is not OPAQUE, MASK or BLEND".to_owned())),
-    };
-    Ok(Material {
-        name: short_name(source.name.as_deref()),
-        base_color: Vec4::from_array(color.map(f32_of)),
-        base_color_texture: texture,
-        emissive: Vec3::from_array(emissive.map(f32_of)),
-        alpha,
-        double_sided: source.double_sided,
-        ..Material::default()
-    })
+fn normal_scale(info: Option<&TextureInfo>) -> f32 {
+    let most = f64::from(f32::MAX);
+    f32_of(info.and_then(|info| info.scale).unwrap_or(1.0).clamp(-most, most))
 }

@@ -1,9 +1,18 @@
-//! Turns nodes, meshes, materials, pictures and lights into the scene.
+//! Turns nodes, meshes, materials, pictures, lights and cameras into the scene.
 
 mod accessor;
+mod append;
+pub(crate) mod camera;
+mod coordinates;
 pub(crate) mod image;
+mod instances;
 pub(crate) mod light;
-pub(crate) mod material;
+mod material;
+pub(crate) mod materials;
 pub(crate) mod meshes;
 pub(crate) mod nodes;
+mod pose;
 mod primitive;
+mod texture;
+
+pub(crate) use append::finish;

@@ -1,51 +1,70 @@
 //! Checks that the nodes form a forest, and walks it with f64 transforms (glTF 2.0, §3.5).
 
-use glam::{DMat4, DQuat, DVec3};
+use glam::{DMat3, DMat4, DQuat, DVec3, DVec4};
 
 use gltf::json::{Index, Node};
 use serde_json::Value;
 
+use super::materials::choose;
 use crate::{
+    LoadReport,
     error::{SceneError, place},
     limits::MAX_DEPTH,
     reader::json::{Document, Transform},
 };
 
-/// Largest difference of a rotation's length from 1. Exporters round to f32, some to a few digits.
+/// Largest difference of a rotation's length from 1 that is no fault. Exporters round to f32, some to a few digits.
 const ROTATION_TOLERANCE: f64 = 1e-2;
+
+/// Largest difference of a matrix's last row from 0 0 0 1 that is no fault: f32 rounding.
+const ROW_TOLERANCE: f64 = 1e-6;
 
 pub(crate) struct Placed {
     pub(crate) node: usize,
     /// Transform from its own space to the world's.
     pub(crate) world_from_node: DMat4,
+    /// The rotation alone, which a scale of 0 does not lose.
+    pub(crate) rotation: DQuat,
 }
 
-/// Returns the default scene's nodes, parents first, in file order, except those that KHR_node_visibility hides.
-/// Without a default, the first scene is used; without scenes, all nodes.
-/// Errors if the nodes are not a forest, lie too deep, or have malformed transforms.
-pub(crate) fn walk(document: &Document) -> Result<Vec<Placed>, SceneError> {
-    let parents = parents(document)?;
-    for (index, scene) in document.json.scenes.iter().enumerate() {
-        for root in &scene.nodes {
-            if let Some(Some(parent)) = parents.get(root.value()) {
-                let fault = format!("node {root} is a child of node {parent}, not a root");
-                return Err(SceneError::invalid(place("scene", index, None), fault));
-            }
-        }
-    }
-    let locals = document.json.nodes.iter().zip(&document.transforms).enumerate();
-    let locals = locals.map(|(index, (node, transform))| local_transform(index, node, transform));
-    let locals = locals.collect::<Result<Vec<_>, _>>()?;
+/// The nodes of a scene.
+pub(crate) struct Walk {
+    pub(crate) placed: Vec<Placed>,
+    /// World transform of each node of the file, in the scene or not. Joints may lie outside it. May overflow.
+    pub(crate) worlds: Vec<DMat4>,
+}
 
-    let scene = document.json.scenes.get(document.json.scene.map_or(0, |scene| scene.value()));
-    let roots: Vec<usize> = match scene {
-        Some(scene) => scene.nodes.iter().map(Index::value).collect(),
-        None => (0..document.json.nodes.len()).filter(|node| parents.get(*node) == Some(&None)).collect(),
-    };
+impl Placed {
+    /// Returns the rotation of the node's axes, made orthonormal: −Z stays, +Y as far as it can.
+    pub(crate) fn orientation(&self) -> DQuat {
+        let [y, z] = [self.world_from_node.y_axis, self.world_from_node.z_axis].map(DVec4::truncate);
+        orthonormal(y, z).unwrap_or(self.rotation)
+    }
+}
+
+/// Returns the rotation whose third axis is `z` and whose second lies as near to `y` as it can. `None` if the vectors
+/// have no length, or one direction.
+fn orthonormal(y: DVec3, z: DVec3) -> Option<DQuat> {
+    let z = z.try_normalize()?;
+    let x = y.try_normalize()?.cross(z).try_normalize()?;
+    Some(DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z)).normalize())
+}
+
+/// Returns the nodes of the wanted scene, parents first, in file order, except those that KHR_node_visibility hides.
+/// Without a wish it is the default scene, or else the first; without scenes, all nodes.
+/// Errors if there is no such scene, or the nodes are not a forest, lie too deep, or have transforms that overflow.
+pub(crate) fn walk(document: &Document, wanted: Option<&str>, report: &mut LoadReport) -> Result<Walk, SceneError> {
+    let parents = parents(document)?;
+    let locals = document.json.nodes.iter().zip(&document.transforms).enumerate();
+    let locals: Vec<Local> =
+        locals.map(|(index, (node, transform))| local_transform(index, node, transform, report)).collect();
+    let roots = roots(document, &parents, wanted, report)?;
+
     let mut placed = Vec::new();
     let mut seen = vec![false; document.json.nodes.len()];
-    let mut stack: Vec<(usize, DMat4)> = roots.into_iter().rev().map(|root| (root, DMat4::IDENTITY)).collect();
-    while let Some((index, world_from_parent)) = stack.pop() {
+    let at_root = |root: usize| (root, DMat4::IDENTITY, DQuat::IDENTITY);
+    let mut stack: Vec<(usize, DMat4, DQuat)> = roots.into_iter().rev().map(at_root).collect();
+    while let Some((index, world_from_parent, rotation)) = stack.pop() {
         let (Some(node), Some(local), Some(seen)) =
             (document.json.nodes.get(index), locals.get(index), seen.get_mut(index))
         else {
@@ -55,15 +74,71 @@ pub(crate) fn walk(document: &Document) -> Result<Vec<Placed>, SceneError> {
         if std::mem::replace(seen, true) || is_hidden(node) {
             continue;
         }
-        let world_from_node = world_from_parent * *local;
+        let world_from_node = world_from_parent * local.matrix;
         if !world_from_node.is_finite() {
             let fault = "its transform, times its parents', overflows";
             return Err(SceneError::invalid(place("node", index, node.name.as_deref()), fault));
         }
-        placed.push(Placed { node: index, world_from_node });
-        stack.extend(node.children.iter().flatten().rev().map(|child| (child.value(), world_from_node)));
+        let rotation = (rotation * local.rotation).normalize();
+        placed.push(Placed { node: index, world_from_node, rotation });
+        stack.extend(node.children.iter().flatten().rev().map(|child| (child.value(), world_from_node, rotation)));
     }
-    Ok(placed)
+    Ok(Walk { placed, worlds: worlds(document, &parents, &locals) })
+}
+
+/// Returns the roots of the wanted scene.
+fn roots(
+    document: &Document,
+    parents: &[Option<usize>],
+    wanted: Option<&str>,
+    report: &mut LoadReport,
+) -> Result<Vec<usize>, SceneError> {
+    let scenes = &document.json.scenes;
+    let index = match wanted {
+        Some(wanted) => {
+            let names: Vec<&str> = scenes.iter().map(|scene| scene.name.as_deref().unwrap_or("")).collect();
+            choose("scene", wanted, &names)?
+        }
+        None => document.json.scene.map_or(0, |scene| scene.value()),
+    };
+    let Some(scene) = scenes.get(index) else {
+        return Ok((0..document.json.nodes.len()).filter(|node| parents.get(*node) == Some(&None)).collect());
+    };
+    let listed: Vec<usize> = scene.nodes.iter().map(Index::value).collect();
+    if listed.iter().all(|root| parents.get(*root) == Some(&None)) {
+        return Ok(listed);
+    }
+    // A child that is listed as a root stands there without its parents, unless they bring it themselves.
+    report.mended("a scene that lists a child of a node as a root", &place("scene", index, scene.name.as_deref()));
+    let mut is_listed = vec![false; document.json.nodes.len()];
+    listed.iter().for_each(|root| is_listed.get_mut(*root).into_iter().for_each(|listed| *listed = true));
+    let parent = |node: &usize| parents.get(*node).copied().flatten();
+    let brought = |root: &usize| {
+        std::iter::successors(parent(root), parent).any(|above| is_listed.get(above).copied().unwrap_or_default())
+    };
+    Ok(listed.into_iter().filter(|root| !brought(root)).collect())
+}
+
+/// Returns every node's world transform.
+fn worlds(document: &Document, parents: &[Option<usize>], locals: &[Local]) -> Vec<DMat4> {
+    // Only joints are looked up.
+    if document.skins.is_empty() {
+        return Vec::new();
+    }
+    let mut worlds = vec![DMat4::IDENTITY; locals.len()];
+    let roots = parents.iter().enumerate().filter(|(_, parent)| parent.is_none());
+    let mut stack: Vec<(usize, DMat4)> = roots.map(|(root, _)| (root, DMat4::IDENTITY)).collect();
+    while let Some((index, above)) = stack.pop() {
+        let (Some(node), Some(local), Some(world)) =
+            (document.json.nodes.get(index), locals.get(index), worlds.get_mut(index))
+        else {
+            continue;
+        };
+        *world = above * local.matrix;
+        let world = *world;
+        stack.extend(node.children.iter().flatten().map(|child| (child.value(), world)));
+    }
+    worlds
 }
 
 /// Returns whether KHR_node_visibility hides a node, and with it everything below.
@@ -119,25 +194,38 @@ fn parents(document: &Document) -> Result<Vec<Option<usize>>, SceneError> {
     }
 }
 
-fn local_transform(index: usize, node: &Node, transform: &Transform) -> Result<DMat4, SceneError> {
-    let invalid = |fault: String| SceneError::invalid(place("node", index, node.name.as_deref()), fault);
+/// A node's own transform.
+struct Local {
+    matrix: DMat4,
+    rotation: DQuat,
+}
+
+/// Returns a node's own transform. What is not legal is read as other viewers do.
+fn local_transform(index: usize, node: &Node, transform: &Transform, report: &mut LoadReport) -> Local {
+    let here = || place("node", index, node.name.as_deref());
     let Some(matrix) = &transform.matrix else {
         let rotation = transform.rotation.map_or(DQuat::IDENTITY, DQuat::from_array);
-        let length = rotation.length();
-        if length.is_nan() || (length - 1.0).abs() > ROTATION_TOLERANCE {
-            return Err(invalid(format!("its rotation has length {length}, not 1")));
+        if (rotation.length() - 1.0).abs() > ROTATION_TOLERANCE {
+            report.mended("a rotation whose length is not 1: normalised", &here());
         }
+        let rotation = if rotation.length_squared().is_normal() { rotation.normalize() } else { DQuat::IDENTITY };
+        let rotation = if rotation.is_finite() { rotation } else { DQuat::IDENTITY };
         let translation = transform.translation.map_or(DVec3::ZERO, DVec3::from_array);
         let scale = transform.scale.map_or(DVec3::ONE, DVec3::from_array);
-        return Ok(DMat4::from_scale_rotation_translation(scale, rotation.normalize(), translation));
+        return Local { matrix: DMat4::from_scale_rotation_translation(scale, rotation, translation), rotation };
     };
     if transform.translation.is_some() || transform.rotation.is_some() || transform.scale.is_some() {
-        return Err(invalid("it has a matrix and also a translation, rotation or scale".to_owned()));
+        report.mended("a matrix beside a translation, rotation or scale: the matrix counts", &here());
     }
-    let matrix = DMat4::from_cols_array(matrix);
-    let last = matrix.row(3);
-    if last.to_array() != [0.0, 0.0, 0.0, 1.0] {
-        return Err(invalid(format!("its matrix ends in the row {last}, not 0 0 0 1")));
+    let mut matrix = DMat4::from_cols_array(matrix);
+    if (matrix.row(3) - DVec4::W).abs().max_element() > ROW_TOLERANCE {
+        report.mended("a matrix whose last row is not 0 0 0 1: taken for it", &here());
     }
-    Ok(matrix)
+    for (column, last) in
+        [(&mut matrix.x_axis, 0.0), (&mut matrix.y_axis, 0.0), (&mut matrix.z_axis, 0.0), (&mut matrix.w_axis, 1.0)]
+    {
+        column.w = last;
+    }
+    let rotation = orthonormal(matrix.y_axis.truncate(), matrix.z_axis.truncate()).unwrap_or(DQuat::IDENTITY);
+    Local { matrix, rotation }
 }

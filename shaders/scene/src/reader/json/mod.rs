@@ -1,9 +1,11 @@
-//! Parses the JSON into the reader's model: `gltf::json`, and the numbers that it would round.
+//! Parses the JSON into the reader's model: `gltf::json`, and what it would round or does not know.
 
 mod document;
+mod material;
 mod numbers;
 mod schema;
 mod value;
 
-pub(crate) use document::{Document, TEXCOORDS, attribute, parse, source};
-pub(crate) use numbers::{Factors, Light, TextureTransform, Transform};
+pub(crate) use document::{Document, JOINTS, TEXCOORDS, attribute, parse, source};
+pub(crate) use material::{Material, SpecularGlossiness, TextureInfo, TextureTransform};
+pub(crate) use numbers::{Light, Target, Transform};

@@ -6,12 +6,12 @@
 
 use std::fmt;
 
-use Kind::{Flag, Index, List, Number, Object, Presence, Size, Text, Vector};
+use Kind::{Count, Flag, Index, List, Number, Object, Presence, Size, Text, Vector};
 use Property::{Optional, Required};
 
 use crate::limits::{
-    MAX_ACCESSORS, MAX_BUFFER_VIEWS, MAX_BUFFERS, MAX_EXTENSIONS, MAX_IMAGES, MAX_LIGHT_DEFINITIONS, MAX_MATERIALS,
-    MAX_MESHES, MAX_NODES, MAX_SCENES, MAX_TEXTURES,
+    MAX_ACCESSORS, MAX_BUFFER_VIEWS, MAX_BUFFERS, MAX_CAMERA_DEFINITIONS, MAX_EXTENSIONS, MAX_IMAGES,
+    MAX_LIGHT_DEFINITIONS, MAX_MATERIALS, MAX_MESHES, MAX_NODES, MAX_SCENES, MAX_SKINS, MAX_TEXTURES, MAX_VARIANTS,
 };
 
 /// What a value must be.
@@ -30,6 +30,8 @@ pub(super) enum Kind {
     Object(&'static [Property]),
     /// Anything: its value is skipped.
     Presence,
+    /// Anything: a list's elements are counted, and skipped.
+    Count,
 }
 
 /// A property's name and kind.
@@ -64,7 +66,7 @@ impl fmt::Display for Kind {
             List(UNBOUNDED, _) => f.write_str("an array"),
             List(max, _) => write!(f, "an array of at most {max} elements"),
             Object(_) => f.write_str("an object"),
-            Presence => f.write_str("anything"),
+            Presence | Count => f.write_str("anything"),
         }
     }
 }
@@ -76,8 +78,10 @@ const WEIGHTS: Kind = List(UNBOUNDED, &Number);
 pub(super) const ROOT: &[Property] = &[
     Required("asset", Object(&[Required("version", Text), Optional("minVersion", Text)])),
     Optional("extensionsRequired", List(MAX_EXTENSIONS, &Text)),
+    Optional("extensionsUsed", List(MAX_EXTENSIONS, &Text)),
+    Optional("animations", Count),
     Optional("scene", Index),
-    Optional("scenes", List(MAX_SCENES, &Object(&[Optional("nodes", INDICES)]))),
+    Optional("scenes", List(MAX_SCENES, &Object(&[Optional("name", Text), Optional("nodes", INDICES)]))),
     Optional("nodes", List(MAX_NODES, &NODE)),
     Optional("meshes", List(MAX_MESHES, &MESH)),
     Optional("accessors", List(MAX_ACCESSORS, &ACCESSOR)),
@@ -85,13 +89,36 @@ pub(super) const ROOT: &[Property] = &[
     Optional("buffers", List(MAX_BUFFERS, &Object(&[Optional("uri", Text), Required("byteLength", Size)]))),
     Optional("materials", List(MAX_MATERIALS, &MATERIAL)),
     Optional("textures", List(MAX_TEXTURES, &TEXTURE)),
-    Optional("samplers", List(MAX_TEXTURES, &Object(&[Optional("wrapS", Index), Optional("wrapT", Index)]))),
+    Optional("samplers", List(MAX_TEXTURES, &SAMPLER)),
     Optional(
         "images",
         List(MAX_IMAGES, &Object(&[Optional("name", Text), Optional("uri", Text), Optional("bufferView", Index)])),
     ),
-    Optional("extensions", Object(&[Optional("KHR_lights_punctual", LIGHTS)])),
+    Optional("cameras", List(MAX_CAMERA_DEFINITIONS, &CAMERA)),
+    Optional("skins", List(MAX_SKINS, &SKIN)),
+    Optional(
+        "extensions",
+        Object(&[Optional("KHR_lights_punctual", LIGHTS), Optional("KHR_materials_variants", VARIANTS)]),
+    ),
 ];
+
+const SAMPLER: Kind = Object(&[
+    Optional("magFilter", Index),
+    Optional("minFilter", Index),
+    Optional("wrapS", Index),
+    Optional("wrapT", Index),
+]);
+
+const CAMERA: Kind = Object(&[
+    Optional("name", Text),
+    Optional("type", Text),
+    Optional("perspective", Object(&[Optional("yfov", Number)])),
+]);
+
+const SKIN: Kind =
+    Object(&[Optional("name", Text), Optional("inverseBindMatrices", Index), Required("joints", INDICES)]);
+
+const VARIANTS: Kind = Object(&[Required("variants", List(MAX_VARIANTS, &Object(&[Optional("name", Text)])))]);
 
 const LIGHTS: Kind = Object(&[Required("lights", List(MAX_LIGHT_DEFINITIONS, &LIGHT))]);
 
@@ -106,6 +133,7 @@ const LIGHT: Kind = Object(&[
 
 const NODE: Kind = Object(&[
     Optional("name", Text),
+    Optional("camera", Index),
     Optional("children", INDICES),
     Optional("mesh", Index),
     Optional("skin", Index),
@@ -119,10 +147,13 @@ const NODE: Kind = Object(&[
         Object(&[
             Optional("KHR_lights_punctual", Object(&[Required("light", Index)])),
             Optional("KHR_node_visibility", Object(&[Optional("visible", Flag)])),
-            Optional("EXT_mesh_gpu_instancing", Presence),
+            Optional("EXT_mesh_gpu_instancing", Object(&[Optional("attributes", INSTANCE_ATTRIBUTES)])),
         ]),
     ),
 ]);
+
+const INSTANCE_ATTRIBUTES: Kind =
+    Object(&[Optional("TRANSLATION", Index), Optional("ROTATION", Index), Optional("SCALE", Index)]);
 
 const MESH: Kind = Object(&[
     Optional("name", Text),
@@ -135,23 +166,51 @@ const PRIMITIVE: Kind = Object(&[
     Optional("indices", Index),
     Optional("material", Index),
     Optional("mode", Index),
-    Optional("targets", List(UNBOUNDED, &Object(&[]))),
+    Optional("targets", List(UNBOUNDED, &TARGET)),
     Optional(
         "extensions",
-        Object(&[Optional("KHR_draco_mesh_compression", DRACO), Optional("KHR_gaussian_splatting", Presence)]),
+        Object(&[Optional("KHR_draco_mesh_compression", DRACO), Optional("KHR_materials_variants", MAPPINGS)]),
     ),
 ]);
 
+/// Of a morph target.
+const TARGET: Kind = Object(&[
+    Optional("POSITION", Index),
+    Optional("NORMAL", Index),
+    Optional("TANGENT", Index),
+    Optional("COLOR_0", Index),
+]);
+
+/// Which variants of KHR_materials_variants give a primitive another material.
+const MAPPINGS: Kind = Object(&[Required(
+    "mappings",
+    List(UNBOUNDED, &Object(&[Required("material", Index), Required("variants", INDICES)])),
+)]);
+
 const DRACO: Kind = Object(&[Required("bufferView", Index), Required("attributes", ATTRIBUTES)]);
 
-/// Texture coordinate sets beyond the fourth are an error where a material uses them.
+/// Further sets of texture coordinates count as missing.
 const ATTRIBUTES: Kind = Object(&[
     Optional("POSITION", Index),
     Optional("NORMAL", Index),
+    Optional("TANGENT", Index),
+    Optional("COLOR_0", Index),
     Optional("TEXCOORD_0", Index),
     Optional("TEXCOORD_1", Index),
     Optional("TEXCOORD_2", Index),
     Optional("TEXCOORD_3", Index),
+    Optional("TEXCOORD_4", Index),
+    Optional("TEXCOORD_5", Index),
+    Optional("TEXCOORD_6", Index),
+    Optional("TEXCOORD_7", Index),
+    Optional("JOINTS_0", Index),
+    Optional("JOINTS_1", Index),
+    Optional("JOINTS_2", Index),
+    Optional("JOINTS_3", Index),
+    Optional("WEIGHTS_0", Index),
+    Optional("WEIGHTS_1", Index),
+    Optional("WEIGHTS_2", Index),
+    Optional("WEIGHTS_3", Index),
 ]);
 
 const ACCESSOR: Kind = Object(&[
@@ -198,25 +257,83 @@ const MATERIAL: Kind = Object(&[
     Optional("name", Text),
     Optional(
         "pbrMetallicRoughness",
-        Object(&[Optional("baseColorFactor", Vector(4)), Optional("baseColorTexture", BASE_COLOR_TEXTURE)]),
+        Object(&[
+            Optional("baseColorFactor", Vector(4)),
+            Optional("baseColorTexture", TEXTURE_INFO),
+            Optional("metallicFactor", Number),
+            Optional("roughnessFactor", Number),
+            Optional("metallicRoughnessTexture", TEXTURE_INFO),
+        ]),
     ),
+    Optional("normalTexture", TEXTURE_INFO),
+    Optional("occlusionTexture", TEXTURE_INFO),
+    Optional("emissiveTexture", TEXTURE_INFO),
     Optional("emissiveFactor", Vector(3)),
-    Optional("emissiveTexture", Presence),
     Optional("alphaMode", Text),
     Optional("alphaCutoff", Number),
     Optional("doubleSided", Flag),
-    Optional(
-        "extensions",
-        Object(&[
-            Optional("KHR_materials_emissive_strength", Object(&[Optional("emissiveStrength", Number)])),
-            Optional("KHR_materials_pbrSpecularGlossiness", Presence),
-        ]),
-    ),
+    Optional("extensions", Object(MATERIAL_EXTENSIONS)),
 ]);
 
-const BASE_COLOR_TEXTURE: Kind = Object(&[
+const MATERIAL_EXTENSIONS: &[Property] = &[
+    Optional("KHR_materials_emissive_strength", Object(&[Optional("emissiveStrength", Number)])),
+    Optional("KHR_materials_unlit", Presence),
+    Optional("KHR_materials_ior", Object(&[Optional("ior", Number)])),
+    Optional(
+        "KHR_materials_specular",
+        Object(&[
+            Optional("specularFactor", Number),
+            Optional("specularTexture", TEXTURE_INFO),
+            Optional("specularColorFactor", Vector(3)),
+            Optional("specularColorTexture", TEXTURE_INFO),
+        ]),
+    ),
+    Optional(
+        "KHR_materials_clearcoat",
+        Object(&[
+            Optional("clearcoatFactor", Number),
+            Optional("clearcoatTexture", TEXTURE_INFO),
+            Optional("clearcoatRoughnessFactor", Number),
+            Optional("clearcoatRoughnessTexture", TEXTURE_INFO),
+            Optional("clearcoatNormalTexture", TEXTURE_INFO),
+        ]),
+    ),
+    Optional(
+        "KHR_materials_sheen",
+        Object(&[
+            Optional("sheenColorFactor", Vector(3)),
+            Optional("sheenColorTexture", TEXTURE_INFO),
+            Optional("sheenRoughnessFactor", Number),
+            Optional("sheenRoughnessTexture", TEXTURE_INFO),
+        ]),
+    ),
+    Optional(
+        "KHR_materials_transmission",
+        Object(&[Optional("transmissionFactor", Number), Optional("transmissionTexture", TEXTURE_INFO)]),
+    ),
+    Optional(
+        "KHR_materials_pbrSpecularGlossiness",
+        Object(&[
+            Optional("diffuseFactor", Vector(4)),
+            Optional("diffuseTexture", TEXTURE_INFO),
+            Optional("specularFactor", Vector(3)),
+            Optional("glossinessFactor", Number),
+            Optional("specularGlossinessTexture", TEXTURE_INFO),
+        ]),
+    ),
+    Optional("KHR_materials_anisotropy", Presence),
+    Optional("KHR_materials_diffuse_transmission", Presence),
+    Optional("KHR_materials_dispersion", Presence),
+    Optional("KHR_materials_iridescence", Presence),
+    Optional("KHR_materials_volume", Presence),
+];
+
+/// A texture's use, with the strength that some uses have.
+const TEXTURE_INFO: Kind = Object(&[
     Required("index", Index),
     Optional("texCoord", Index),
+    Optional("scale", Number),
+    Optional("strength", Number),
     Optional("extensions", Object(&[Optional("KHR_texture_transform", TEXTURE_TRANSFORM)])),
 ]);
 
@@ -233,10 +350,13 @@ const TEXTURE: Kind = Object(&[
     Optional(
         "extensions",
         Object(&[
-            Optional("KHR_texture_basisu", Object(&[Optional("source", Index)])),
-            Optional("EXT_texture_webp", Object(&[Optional("source", Index)])),
-            Optional("EXT_texture_avif", Presence),
-            Optional("MSFT_texture_dds", Presence),
+            Optional("KHR_texture_basisu", SOURCE),
+            Optional("EXT_texture_webp", SOURCE),
+            Optional("EXT_texture_avif", SOURCE),
+            Optional("MSFT_texture_dds", SOURCE),
         ]),
     ),
 ]);
+
+/// An extension's picture in another format.
+const SOURCE: Kind = Object(&[Optional("source", Index)]);

@@ -26,7 +26,11 @@ fn folder() -> PathBuf {
 }
 
 fn load(folder: &Path, place: &Place) -> Scene {
-    let options = LoadOptions { lights_from: place.lights.map(|file| folder.join(file)), max_lights: Some(4) };
+    let options = LoadOptions {
+        lights_from: place.lights.map(|file| folder.join(file)),
+        max_lights: Some(4),
+        ..LoadOptions::default()
+    };
     Scene::load(&folder.join(place.scene), &options).unwrap()
 }
 

@@ -1,0 +1,159 @@
+//! Writes one instance of a primitive into the scene: applies its transform in f64, and rounds once to f32.
+
+use glam::{DMat3, DMat4, DVec3, Vec2, Vec3, Vec4};
+
+use super::primitive::Geometry;
+use crate::{
+    Draw, LoadReport, Scene,
+    error::SceneError,
+    limits::MAX_VERTICES,
+    scene::normals::{repair, triangle_normal},
+};
+
+/// Appends one instance of a primitive.
+pub(crate) fn append(
+    geometry: &Geometry,
+    world_from_node: &DMat4,
+    material: u32,
+    scene: &mut Scene,
+    report: &mut LoadReport,
+) -> Result<(), SceneError> {
+    let index = |count: usize| {
+        let fault = || SceneError::Limit { what: "vertices".to_owned(), count: count as u64, limit: MAX_VERTICES };
+        u32::try_from(count).map_err(|_| fault())
+    };
+    let linear = DMat3::from_mat4(*world_from_node);
+    let mirrored = linear.determinant() < 0.0;
+    let local = |position: &Vec3| (world_from_node.transform_point3(position.as_dvec3()) - scene.origin_m).as_vec3();
+    let positions: Vec<Vec3> = geometry.positions.iter().map(local).collect();
+
+    let first_vertex = index(scene.positions.len())?;
+    let first_triangle = index(scene.triangles.len())?;
+    for triangle in &geometry.triangles {
+        // A mirror turns counter-clockwise into clockwise; swapping two corners turns it back (§3.7.4).
+        let [a, b, c] = if mirrored { [triangle[0], triangle[2], triangle[1]] } else { *triangle };
+        let [Some(pa), Some(pb), Some(pc)] = [a, b, c].map(|corner| positions.get(corner as usize).copied()) else {
+            continue;
+        };
+        let Some(normal) = triangle_normal(pa, pb, pc) else {
+            report.dropped_triangles += 1;
+            continue;
+        };
+        if geometry.normals.is_some() {
+            scene.triangles.push([a, b, c].map(|corner| first_vertex + corner));
+            continue;
+        }
+        let first = index(scene.positions.len())?;
+        scene.triangles.push([first, first + 1, first + 2]);
+        scene.positions.extend([pa, pb, pc]);
+        scene.normals.extend([rounded(normal); 3]);
+        let corners = [a, b, c].map(|corner| corner as usize);
+        scene.uvs.extend(corners.map(|corner| geometry.uvs.get(corner).copied().unwrap_or_default()));
+        let mut vertices = OptionalVertices::of(scene, first as usize);
+        if let Some(uvs) = &geometry.uvs_1 {
+            vertices.uvs_1(corners.map(|corner| uvs.get(corner).copied().unwrap_or_default()));
+        }
+        if let Some(colors) = &geometry.colors {
+            vertices.colors(corners.map(|corner| colors.get(corner).map_or(WHITE, |color| color16(*color))));
+        }
+    }
+    let kept = scene.triangles.get(first_triangle as usize..).unwrap_or_default();
+    if kept.is_empty() {
+        return Ok(());
+    }
+    if let Some(normals) = &geometry.normals {
+        let turn = normal_matrix(&linear);
+        let world = |normal: &Vec3| (turn * normal.as_dvec3()).try_normalize().map_or(Vec3::ZERO, rounded);
+        let mut normals: Vec<Vec3> = normals.iter().map(world).collect();
+        report.repaired_normals += repair(&positions, &mut normals, kept, first_vertex);
+        scene.positions.extend(positions);
+        scene.normals.extend(normals);
+        scene.uvs.extend_from_slice(&geometry.uvs);
+        let mut vertices = OptionalVertices::of(scene, first_vertex as usize);
+        if let Some(uvs) = &geometry.uvs_1 {
+            vertices.uvs_1(uvs.iter().copied());
+        }
+        if let Some(colors) = &geometry.colors {
+            vertices.colors(colors.iter().map(|color| color16(*color)));
+        }
+        if let Some(tangents) = &geometry.tangents {
+            let hand = if mirrored { -1.0 } else { 1.0 };
+            vertices.tangents(tangents.iter().map(|tangent| turned(*tangent, &linear, hand)));
+        }
+    }
+    let triangles = index(scene.triangles.len())? - first_triangle;
+    scene.draws.push(Draw { first_triangle, triangles, material });
+    Ok(())
+}
+
+/// Returns the inverse transpose of a transform, up to a positive factor: its cofactors, with the sign of its
+/// determinant. They exist even if a scale of 0 leaves no inverse.
+pub(crate) fn normal_matrix(linear: &DMat3) -> DMat3 {
+    let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
+    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
+    if linear.determinant() < 0.0 { -cofactors } else { cofactors }
+}
+
+/// A unit vector, rounded to f32.
+fn rounded(unit: DVec3) -> Vec3 {
+    unit.as_vec3().normalize()
+}
+
+/// Returns a tangent in world space. All zeros if it has no direction.
+fn turned(tangent: Vec4, linear: &DMat3, hand: f32) -> Vec4 {
+    let w = if tangent.w < 0.0 { -hand } else { hand };
+    (*linear * tangent.truncate().as_dvec3()).try_normalize().map_or(Vec4::ZERO, |unit| rounded(unit).extend(w))
+}
+
+/// Rounds a vertex colour. NaN counts as 1.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "rounded, within 0 to 65535")]
+fn color16(color: Vec4) -> [u16; 4] {
+    color.to_array().map(|v| if v.is_nan() { u16::MAX } else { (v.clamp(0.0, 1.0) * 65535.0).round() as u16 })
+}
+
+const WHITE: [u16; 4] = [u16::MAX; 4];
+
+/// Attributes that a scene has only if one of its vertices has them. The vertices before get stand-ins when the first
+/// one comes.
+struct OptionalVertices<'a> {
+    scene: &'a mut Scene,
+    before: usize,
+}
+
+impl<'a> OptionalVertices<'a> {
+    /// For the vertices after the first `before`.
+    fn of(scene: &'a mut Scene, before: usize) -> Self {
+        Self { scene, before }
+    }
+
+    fn uvs_1(&mut self, uvs: impl IntoIterator<Item = Vec2>) {
+        self.scene.uvs_1.resize(self.before, Vec2::ZERO);
+        self.scene.uvs_1.extend(uvs);
+    }
+
+    fn tangents(&mut self, tangents: impl IntoIterator<Item = Vec4>) {
+        self.scene.tangents.resize(self.before, Vec4::ZERO);
+        self.scene.tangents.extend(tangents);
+    }
+
+    fn colors(&mut self, colors: impl IntoIterator<Item = [u16; 4]>) {
+        self.scene.colors.resize(self.before, WHITE);
+        self.scene.colors.extend(colors);
+    }
+}
+
+/// Fills optional attributes up to the last vertex, and drops colours that are all white.
+pub(crate) fn finish(scene: &mut Scene) {
+    let count = scene.positions.len();
+    if !scene.uvs_1.is_empty() {
+        scene.uvs_1.resize(count, Vec2::ZERO);
+    }
+    if !scene.tangents.is_empty() {
+        scene.tangents.resize(count, Vec4::ZERO);
+    }
+    if scene.colors.iter().all(|color| *color == WHITE) {
+        scene.colors = Vec::new();
+    } else {
+        scene.colors.resize(count, WHITE);
+    }
+}
