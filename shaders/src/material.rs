@@ -193,9 +193,7 @@ pub struct Finish {
     pub sheen_roughness: f32,
     /// What the last word of the G-buffer's surface holds.
     pub last: u32,
-    /// 1 if the shading normal is not the interpolated one.
-    pub bent: u32,
-    pub unused: [u32; 2],
+    pub unused: [u32; 3],
 }
 
 impl Finish {
@@ -206,7 +204,7 @@ impl Finish {
     #[must_use]
     pub fn new(material: &SceneMaterial) -> Self {
         if material.unlit {
-            return Self { bent: 1, ..Self::zeroed() };
+            return Self::zeroed();
         }
         // KHR_materials_ior: 0 mirrors everything.
         let normal = if material.ior > 0.0 { ((material.ior - 1.0) / (material.ior + 1.0)).powi(2) } else { 1.0 };
@@ -217,8 +215,7 @@ impl Finish {
             sheen: material.sheen.color,
             sheen_roughness: material.sheen.roughness,
             last,
-            bent: material.normal_texture.is_some().into(),
-            unused: [0; 2],
+            unused: [0; 3],
         }
     }
 }

@@ -98,7 +98,7 @@ fn host_types_have_the_layout_of_their_wgsl_twins() {
         ]
     );
     assert_layout!(gbuffer, TextureMap, [u, second, v]);
-    assert_layout!(shade, Finish, [mirrored, strength, sheen, sheen_roughness, last, bent]);
+    assert_layout!(shade, Finish, [mirrored, strength, sheen, sheen_roughness, last]);
     assert_layout!(module("shading/tone.wgsl"), Tone, [contrast, shoulder, b, c]);
 }
 

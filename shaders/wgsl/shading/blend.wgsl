@@ -61,7 +61,8 @@ fn look_at(surface: Surface, toward_eye: vec3f) -> Look {
     let gloss = vec4f(surface.roughness, surface.metallic, surface.coat, surface.coat_roughness);
     let normals = mat3x3f(surface.normal, surface.coat_normal, surface.plane_normal);
     let finish = finishes[material.index];
-    return look_of(normals, toward_eye, surface.color.rgb, finish, gloss, surface.tint, surface.occlusion);
+    let smooth_normal = vec4f(surface.smooth_normal, surface.lean);
+    return look_of(normals, smooth_normal, toward_eye, surface.color.rgb, finish, gloss, surface.tint, surface.occlusion);
 }
 
 @fragment
@@ -70,6 +71,7 @@ fn blend(input: Varying, @builtin(front_facing) front: bool) -> @location(0) vec
     var look = look_at(surface, normalize(-input.from_eye));
     look.diffuse *= 1.0 - surface.transmission;
     let pixel = vec2u(input.clip.xy);
+    look.lean = select(look.lean, 0.0, pixel.x >= lighting.lit_from_px);
     let point = view.origin + input.from_eye;
     var light = light_around(look);
     for (var k = 0u; k < lighting.count; k++) {

@@ -21,9 +21,10 @@ fn transform(vertex: Vertex) -> Varying {
 }
 
 // Four words: shading normal; plane normal and material (`view.wgsl`); roughness, metallic, and the lacquer's strength
-// and roughness; and what the finish (`finish.wgsl`) says: the lacquer's normal, a tint, or the plane normal in full.
+// and roughness; and what the finish (`finish.wgsl`) says: the lacquer's normal, a tint, or the normal without normal map
+// and the lean.
 fn packed_surface(surface: Surface) -> vec4u {
-    var last = pack_normal(surface.plane_normal);
+    var last = pack_smooth(surface.smooth_normal, surface.lean);
     if has(COAT_NORMAL) || (has(NORMAL) && material.coat > 0.0) {
         last = pack_normal(surface.coat_normal);
     } else if has(TINT) {

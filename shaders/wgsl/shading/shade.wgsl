@@ -14,12 +14,17 @@ fn look_at(pixel: vec2u, words: vec4u, toward_eye: vec3f) -> Look {
     let finish = finishes[material_plus_1(words.y) - 1u];
     let normal = unpack_normal(words.x);
     let last = finish.last;
-    let plane_normal = select(unpack_plane_normal(words.y), unpack_normal(words.w), last == LAST_IS_PLANE_NORMAL);
+    var smooth_normal = vec4f(normal, 0.0);
+    // Without visibility, facets have no shadows.
+    if last == LAST_IS_SMOOTH && pixel.x < lighting.lit_from_px {
+        smooth_normal = unpack_smooth(words.w);
+    }
     let coat_normal = select(normal, unpack_normal(words.w), last == LAST_IS_COAT_NORMAL);
     let color = textureLoad(color_picture, pixel, 0);
-    let normals = mat3x3f(normal, coat_normal, plane_normal);
+    let normals = mat3x3f(normal, coat_normal, unpack_plane_normal(words.y));
     return look_of(
-        normals, toward_eye, color.rgb, finish, unpack4x8unorm(words.z), unpack4x8unorm(words.w), color.a,
+        normals, smooth_normal, toward_eye, color.rgb, finish, unpack4x8unorm(words.z), unpack4x8unorm(words.w),
+        color.a,
     );
 }
 
@@ -35,9 +40,12 @@ fn shade(@builtin(position) place: vec4f) -> @location(0) vec4f {
     let around = surroundings(pixel, point, look.plane_normal);
     var light = light_around(look);
     for (var k = 0u; k < lighting.count; k++) {
-        let arriving = arrival(lighting.lights[k], point);
-        // An irrelevant light adds nothing, whatever its bit.
-        light += answer(look, arriving.toward) * arriving.irradiance * smooth_share(around, k);
+        let share = smooth_share(around, k);
+        if share > 0.0 {
+            let arriving = arrival(lighting.lights[k], point);
+            // An irrelevant light adds nothing, whatever its bit.
+            light += answer(look, arriving.toward) * arriving.irradiance * share;
+        }
     }
     return vec4f(kept(light), 1.0);
 }

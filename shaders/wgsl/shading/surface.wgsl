@@ -43,7 +43,8 @@ const UNLIT: u32 = 8192u;
 
 struct Vertex {
     @location(0) position: vec3f,
-    @location(1) normal: vec3f,
+    // Unit vector; lean (`finish.wgsl`).
+    @location(1) normal: vec4f,
     @location(2) uv: vec2f,
     @location(3) uv_1: vec2f,
     // Unit vector and handedness, or zeros.
@@ -53,7 +54,7 @@ struct Vertex {
 
 struct Varying {
     @builtin(position) clip: vec4f,
-    @location(0) normal: vec3f,
+    @location(0) normal: vec4f,
     @location(1) uv: vec2f,
     // Relative to the eye: small numbers, so that their differences stay precise.
     @location(2) from_eye: vec3f,
@@ -72,13 +73,39 @@ fn has(feature: u32) -> bool {
     return (FEATURES & feature) != 0u;
 }
 
-// Texture coordinates of the texture with this map.
-fn mapped(input: Varying, map: u32) -> vec2f {
+// Texture coordinates, and their differences to the next pixels across and down.
+struct Place {
+    uv: vec2f,
+    across: vec2f,
+    down: vec2f,
+}
+
+// Where the texture with this map is read. Differences are taken before they are mapped: software adapters read zeros
+// from a storage buffer beside a triangle's edge, and a difference to one would choose the smallest mip.
+fn place_of(map: u32, input: Varying) -> Place {
     if !has(MAPPED) {
-        return input.uv;
+        return Place(input.uv, dpdx(input.uv), dpdy(input.uv));
     }
-    let uv = vec3f(select(input.uv, input.uv_1, material.maps[map].second == 1u), 1.0);
-    return vec2f(dot(material.maps[map].u, uv), dot(material.maps[map].v, uv));
+    let second = material.maps[map].second == 1u;
+    let u = material.maps[map].u;
+    let v = material.maps[map].v;
+    let uv = vec3f(select(input.uv, input.uv_1, second), 1.0);
+    let across = select(dpdx(input.uv), dpdx(input.uv_1), second);
+    let down = select(dpdy(input.uv), dpdy(input.uv_1), second);
+    return Place(
+        vec2f(dot(u, uv), dot(v, uv)),
+        vec2f(dot(u.xy, across), dot(v.xy, across)),
+        vec2f(dot(u.xy, down), dot(v.xy, down)),
+    );
+}
+
+// A texture's value at the point, filtered.
+fn texel(map: u32, read: texture_2d<f32>, read_by: sampler, input: Varying) -> vec4f {
+    if !has(MAPPED) {
+        return textureSample(read, read_by, input.uv);
+    }
+    let place = place_of(map, input);
+    return textureSampleGrad(read, read_by, place.uv, place.across, place.down);
 }
 
 // Linear base colour and alpha, filtered.
@@ -93,21 +120,19 @@ fn base_color(input: Varying) -> vec4f {
     return color;
 }
 
-// The texel of a normal map, turned from its tangent space. `normal` is the front's interpolated normal.
+// A normal map's vector, turned from its tangent space. `normal` is the front's interpolated normal.
 //
 // Without tangents the space follows from derivatives of position and texture coordinates (Schüler, "Normal Mapping
 // Without Precomputed Tangents", ShaderX5, 2006; three.js does so). Tangents point along u, bitangents against v.
-fn turned(texel: vec3f, scale: f32, uv: vec2f, normal: vec3f, input: Varying, front: bool) -> vec3f {
+fn turned(bent: vec3f, scale: f32, place: Place, normal: vec3f, input: Varying, front: bool) -> vec3f {
     let across = dpdx(input.from_eye);
     let down = dpdy(input.from_eye);
-    let uv_across = dpdx(uv);
-    let uv_down = dpdy(uv);
     let one = cross(down, normal);
     let other = cross(normal, across);
     // Pictures run downwards: seen from the front, across × down points away from the eye.
     let side = select(1.0, -1.0, front);
-    var tangent = (one * uv_across.x + other * uv_down.x) * side;
-    var bitangent = (one * uv_across.y + other * uv_down.y) * -side;
+    var tangent = (one * place.across.x + other * place.down.x) * side;
+    var bitangent = (one * place.across.y + other * place.down.y) * -side;
     let longest = max(dot(tangent, tangent), dot(bitangent, bitangent));
     let shrink = select(inverseSqrt(longest), 0.0, longest == 0.0);
     tangent *= shrink;
@@ -116,7 +141,6 @@ fn turned(texel: vec3f, scale: f32, uv: vec2f, normal: vec3f, input: Varying, fr
         tangent = normalize(input.tangent.xyz);
         bitangent = normalize(cross(normal, tangent)) * sign(input.tangent.w);
     }
-    let bent = texel * 2.0 - 1.0;
     return normalize(tangent * (bent.x * scale) + bitangent * (bent.y * scale) + normal * bent.z);
 }
 
@@ -124,6 +148,9 @@ struct Surface {
     color: vec4f,
     // Towards the side that is seen.
     normal: vec3f,
+    // Without normal map.
+    smooth_normal: vec3f,
+    lean: f32,
     coat_normal: vec3f,
     // The triangle's own, towards the eye.
     plane_normal: vec3f,
@@ -140,7 +167,7 @@ struct Surface {
 
 fn surface_of(input: Varying, front: bool) -> Surface {
     let side = select(-1.0, 1.0, front);
-    let smooth_normal = normalize(input.normal);
+    let smooth_normal = normalize(input.normal.xyz);
     let across = cross(dpdx(input.from_eye), dpdy(input.from_eye));
     // Scaled before it is normalised: the product of two small differences may be too small to be squared.
     let plane = normalize(across / max(max(abs(across.x), abs(across.y)), max(abs(across.z), 1e-37)));
@@ -149,45 +176,45 @@ fn surface_of(input: Varying, front: bool) -> Surface {
     let toward_eye = select(plane_or_normal, -plane_or_normal, dot(plane_or_normal, input.from_eye) > 0.0);
 
     var surface = Surface(
-        base_color(input), smooth_normal * side, smooth_normal * side, toward_eye, material.roughness,
-        material.metallic, 1.0, material.coat, material.coat_roughness, material.transmission, vec4f(1.0),
-        material.emissive,
+        base_color(input), smooth_normal * side, smooth_normal * side, input.normal.w, smooth_normal * side,
+        toward_eye, material.roughness, material.metallic, 1.0, material.coat, material.coat_roughness,
+        material.transmission, vec4f(1.0), material.emissive,
     );
     if has(METALLIC_ROUGHNESS) {
-        let texel = textureSample(metallic_roughness_picture, metallic_roughness_sampler, mapped(input, 0u));
-        surface.roughness *= texel.g;
-        surface.metallic *= texel.b;
+        let found = texel(0u, metallic_roughness_picture, metallic_roughness_sampler, input);
+        surface.roughness *= found.g;
+        surface.metallic *= found.b;
         if has(OCCLUSION_IN_RED) {
-            surface.occlusion = 1.0 + material.occlusion_strength * (texel.r - 1.0);
+            surface.occlusion = 1.0 + material.occlusion_strength * (found.r - 1.0);
         }
     }
     if has(NORMAL) {
-        let uv = mapped(input, 1u);
-        let texel = textureSample(normal_picture, normal_sampler, uv).xyz;
-        surface.normal = side * turned(texel, material.normal_scale, uv, smooth_normal, input, front);
+        let bent = texel(1u, normal_picture, normal_sampler, input).xyz * 2.0 - 1.0;
+        let place = place_of(1u, input);
+        surface.normal = side * turned(bent, material.normal_scale, place, smooth_normal, input, front);
     }
     if has(OCCLUSION) {
-        let texel = textureSample(occlusion_picture, occlusion_sampler, mapped(input, 2u)).r;
-        surface.occlusion = 1.0 + material.occlusion_strength * (texel - 1.0);
+        let found = texel(2u, occlusion_picture, occlusion_sampler, input).r;
+        surface.occlusion = 1.0 + material.occlusion_strength * (found - 1.0);
     }
     if has(EMISSIVE) {
-        surface.emitted *= textureSample(emissive_picture, emissive_sampler, mapped(input, 3u)).rgb;
+        surface.emitted *= texel(3u, emissive_picture, emissive_sampler, input).rgb;
     }
     if has(COAT) {
-        let texel = textureSample(coat_picture, coat_sampler, mapped(input, 4u));
-        surface.coat *= texel.r;
-        surface.coat_roughness *= texel.g;
+        let found = texel(4u, coat_picture, coat_sampler, input);
+        surface.coat *= found.r;
+        surface.coat_roughness *= found.g;
     }
     if has(COAT_NORMAL) {
-        let uv = mapped(input, 5u);
-        let texel = textureSample(coat_normal_picture, coat_normal_sampler, uv).xyz;
-        surface.coat_normal = side * turned(texel, material.coat_normal_scale, uv, smooth_normal, input, front);
+        let bent = texel(5u, coat_normal_picture, coat_normal_sampler, input).xyz * 2.0 - 1.0;
+        let place = place_of(5u, input);
+        surface.coat_normal = side * turned(bent, material.coat_normal_scale, place, smooth_normal, input, front);
     }
     if has(TINT) {
-        surface.tint = textureSample(tint_picture, tint_sampler, mapped(input, 6u));
+        surface.tint = texel(6u, tint_picture, tint_sampler, input);
     }
     if has(TRANSMISSION) {
-        surface.transmission *= textureSample(transmission_picture, transmission_sampler, mapped(input, 7u)).r;
+        surface.transmission *= texel(7u, transmission_picture, transmission_sampler, input).r;
     }
     if has(UNLIT) {
         surface.emitted = surface.color.rgb;

@@ -57,6 +57,17 @@ fn unpack_normal(bits: u32) -> vec3f {
     return from_octahedral(unpack2x16snorm(bits));
 }
 
+// Packs a unit vector into 24 bits and a number from 0 to 1 into 8.
+fn pack_smooth(n: vec3f, number: f32) -> u32 {
+    let flat = vec2u(round((octahedral(n) * 0.5 + 0.5) * 4095.0));
+    return flat.x | (flat.y << 12u) | (u32(round(saturate(number) * 255.0)) << 24u);
+}
+
+fn unpack_smooth(bits: u32) -> vec4f {
+    let flat = vec2f(f32(bits & 0xfffu), f32((bits >> 12u) & 0xfffu)) / 2047.5 - 1.0;
+    return vec4f(from_octahedral(flat), f32(bits >> 24u) / 255.0);
+}
+
 // The second word of the G-buffer. Lower half: 1 + the material's index, or 0 where there is no surface. Upper half:
 // the triangle's own normal, towards the eye, in two 8-bit numbers; `predict.wgsl` allows for its error of up to 1/100.
 fn pack_material(material: u32, plane_normal: vec3f) -> u32 {

@@ -11,6 +11,8 @@ mod error;
 pub mod exposure;
 mod gbuffer;
 mod material;
+#[cfg(test)]
+mod material_tests;
 mod pipeline;
 pub mod predict;
 pub mod present;

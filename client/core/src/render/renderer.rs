@@ -179,7 +179,7 @@ impl FrameRenderer {
 
     fn write_lighting(&mut self) {
         let mut lights = self.lights;
-        lights.lit_from_px = self.split_px.unwrap_or(u32::MAX);
+        lights.lit_from_px = if self.predict.knows_nothing() { 0 } else { self.split_px.unwrap_or(u32::MAX) };
         for (k, light) in lights.lights.iter_mut().enumerate() {
             if self.lights_on & (1 << k) == 0 {
                 light.intensity = glam::Vec3::ZERO;
@@ -253,6 +253,7 @@ impl FrameRenderer {
         let camera = self.sized(camera);
         self.visibility_share = visibility_share.clamp(0.0, 1.0);
         self.write_view(&camera, self.visibility_share);
+        self.write_lighting();
         let mut encoder = self.begin();
         let pictures = (&self.targets, &self.history, &self.scene);
         self.predict.encode(&self.gpu, &mut encoder, (&camera, self.space), pictures);

@@ -15,11 +15,12 @@ use super::{error::RenderError, material};
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Vertex {
     position: Vec3,
-    normal: Vec3,
+    /// Of the normal, and the lean.
+    normal: [i16; 4],
     uv: Vec2,
 }
 
-const ATTRIBUTES: [wgpu::VertexAttribute; 3] = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Float32x2];
+const ATTRIBUTES: [wgpu::VertexAttribute; 3] = wgpu::vertex_attr_array![0 => Float32x3, 1 => Snorm16x4, 2 => Float32x2];
 
 /// What few scenes have of their vertices.
 #[repr(C)]
@@ -88,8 +89,12 @@ impl SceneUpload {
             let contents = if bytes.is_empty() { &[0; size_of::<Vertex>()] } else { bytes };
             Ok(device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(what), contents, usage }))
         };
-        let vertices: Vec<Vertex> = (scene.positions.iter().zip(&scene.normals).zip(&scene.uvs))
-            .map(|((position, normal), uv)| Vertex { position: *position, normal: *normal, uv: *uv })
+        let vertices: Vec<Vertex> = (scene.positions.iter().zip(&scene.normals).zip(&scene.uvs).zip(leans(scene)))
+            .map(|(((position, normal), uv), lean)| Vertex {
+                position: *position,
+                normal: normal.extend(lean).to_array().map(snorm),
+                uv: *uv,
+            })
             .collect();
         let more = more_of_vertices(scene);
         let material_layout = material::layout(gpu);
@@ -123,14 +128,36 @@ impl SceneUpload {
     }
 }
 
+#[expect(clippy::cast_possible_truncation, reason = "values from −1 to 1")]
+fn snorm(value: f32) -> i16 {
+    (value * f32::from(i16::MAX)).round() as i16
+}
+
+/// Facets that lean more than this, 20°, keep their steps: softened, light would end too early.
+const MOST_LEAN: f32 = 0.35;
+
+/// For each vertex, the sine of the greatest angle between its normal and those of its triangles.
+fn leans(scene: &Scene) -> Vec<f32> {
+    let mut leans = vec![0.0; scene.positions.len()];
+    for corners in &scene.triangles {
+        let [a, b, c] = corners.map(|index| scene.positions[index as usize]);
+        let plane = (b - a).cross(c - a).normalize_or_zero();
+        for index in corners {
+            let sine = plane.cross(scene.normals[*index as usize]).length();
+            let lean: &mut f32 = &mut leans[*index as usize];
+            // What rounding leans is flat.
+            *lean = if sine > 0.01 { lean.max(sine.min(MOST_LEAN)) } else { *lean };
+        }
+    }
+    leans
+}
+
 /// One element for all vertices where the scene has nothing more of them.
 fn more_of_vertices(scene: &Scene) -> Vec<MoreOfVertex> {
     let plain = MoreOfVertex { uv_1: Vec2::ZERO, tangent: [0; 4], color: [u16::MAX; 4] };
     if scene.uvs_1.is_empty() && scene.tangents.is_empty() && scene.colors.is_empty() {
         return vec![plain];
     }
-    #[expect(clippy::cast_possible_truncation, reason = "components of a unit vector")]
-    let snorm = |value: f32| (value * f32::from(i16::MAX)).round() as i16;
     let vertex = |place: usize| MoreOfVertex {
         uv_1: scene.uvs_1.get(place).copied().unwrap_or(plain.uv_1),
         tangent: scene.tangents.get(place).map_or(plain.tangent, |tangent| tangent.to_array().map(snorm)),

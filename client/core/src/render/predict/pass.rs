@@ -115,6 +115,11 @@ impl PredictPass {
         &self.shadow_map
     }
 
+    /// Whether every light reaches everything, for want of masks and of a predictor.
+    pub(crate) fn knows_nothing(&self) -> bool {
+        self.predictor != Predictor::Surface && self.mask_views().next().is_none()
+    }
+
     /// Sets the predictor from the next picture on.
     pub(crate) fn set_predictor(&mut self, predictor: Predictor) {
         self.predictor = predictor;
