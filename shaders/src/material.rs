@@ -115,8 +115,8 @@ impl Material {
 
 /// A material's textures but the base colour's, in the order of their bindings in `surface.wgsl`.
 ///
-/// There is one for the lacquer's strength and roughness, and one for the tint of what is mirrored or of the sheen: that
-/// is what fits WebGPU's 16 textures. Where a file has two pictures, the second counts as white.
+/// There is one for the lacquer's strength and roughness, and one for the tint of what is mirrored or of the sheen:
+/// that is what fits WebGPU's 16 textures. Where a file has two pictures, the second counts as white.
 #[must_use]
 pub fn more_textures(material: &SceneMaterial) -> [Option<Texture>; MORE_TEXTURES] {
     if material.unlit {

@@ -63,7 +63,7 @@ fn host_types_have_the_layout_of_their_wgsl_twins() {
     assert_layout!(
         shade,
         Light,
-        [position, kind, direction, inverse_range, intensity, cone_scale, cone_offset, shadow_view]
+        [position, kind, direction, inverse_range, intensity, cone_scale, cone_offset, shadow_view, closest_squared]
     );
     assert_layout!(
         shade,

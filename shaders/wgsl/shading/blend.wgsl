@@ -62,7 +62,9 @@ fn look_at(surface: Surface, toward_eye: vec3f) -> Look {
     let normals = mat3x3f(surface.normal, surface.coat_normal, surface.plane_normal);
     let finish = finishes[material.index];
     let smooth_normal = vec4f(surface.smooth_normal, surface.lean);
-    return look_of(normals, smooth_normal, toward_eye, surface.color.rgb, finish, gloss, surface.tint, surface.occlusion);
+    return look_of(
+        normals, smooth_normal, toward_eye, surface.color.rgb, finish, gloss, surface.tint, surface.occlusion,
+    );
 }
 
 @fragment

@@ -186,9 +186,11 @@ fn scattered(look: Look, mirrored: vec3f) -> vec3f {
     return once + lost * once * mean / (1.0 - lost * mean);
 }
 
-// `color` is the base colour. The roughnesses are the material's.
+// `normals`: shading, lacquer's, plane. `smooth_normal`: and lean. `gloss`: roughness, metallic, the lacquer's strength
+// and roughness.
 fn look_of(
-    normals: mat3x3f, smooth_normal: vec4f, toward_eye: vec3f, color: vec3f, finish: Finish, gloss: vec4f, tint: vec4f, occlusion: f32,
+    normals: mat3x3f, smooth_normal: vec4f, toward_eye: vec3f, color: vec3f, finish: Finish, gloss: vec4f, tint: vec4f,
+    occlusion: f32,
 ) -> Look {
     let normal = normals[0];
     let metallic = gloss.y;

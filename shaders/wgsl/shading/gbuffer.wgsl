@@ -21,8 +21,8 @@ fn transform(vertex: Vertex) -> Varying {
 }
 
 // Four words: shading normal; plane normal and material (`view.wgsl`); roughness, metallic, and the lacquer's strength
-// and roughness; and what the finish (`finish.wgsl`) says: the lacquer's normal, a tint, or the normal without normal map
-// and the lean.
+// and roughness; and what the finish (`finish.wgsl`) says: the lacquer's normal, a tint, or the normal without normal
+// map and the lean.
 fn packed_surface(surface: Surface) -> vec4u {
     var last = pack_smooth(surface.smooth_normal, surface.lean);
     if has(COAT_NORMAL) || (has(NORMAL) && material.coat > 0.0) {

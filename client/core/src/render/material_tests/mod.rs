@@ -184,8 +184,8 @@ fn paint(bytes: [u8; 3]) -> Vec4 {
     Vec4::new(r, g, b, 1.0)
 }
 
-/// The G-buffer keeps roughness and metallic in 8 bits, and normals in 16: a highlight that is not sharp changes by less
-/// than a fortieth of itself. The fit of the albedo (`finish.wgsl`) is off by no more than another.
+/// The G-buffer keeps roughness and metallic in 8 bits, and normals in 16: a highlight that is not sharp changes by
+/// less than a fortieth of itself. The fit of the albedo (`finish.wgsl`) is off by no more than another.
 const TOLERANCE: f64 = 0.05;
 
 fn assert_near(found: DVec3, expected: DVec3, what: &str) {
