@@ -1,4 +1,4 @@
-//! Data that meshoptimizer 1.0 encoded (crate meshopt 0.7.0, all levels and versions), as hexadecimal digits.
+//! Data that meshoptimizer 1.3 encoded (crate meshopt 0.7.0, all levels and versions), as hexadecimal digits.
 
 use super::*;
 
