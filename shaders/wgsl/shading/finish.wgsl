@@ -92,7 +92,8 @@ fn mirror_lobe(alpha: f32, normal: vec3f, half_way: vec3f, facing: f32, facing_e
     let a2 = alpha * alpha;
     let sine = cross(normal, half_way);
     let cosine = saturate(dot(normal, half_way));
-    let spread = dot(sine, sine) + cosine * cosine * a2;
+    // Opposite to the normal the sine is 0, too.
+    let spread = select(1.0, dot(sine, sine) + cosine * cosine * a2, cosine > 0.0);
     let shadowed = facing * sqrt(a2 + (1.0 - a2) * facing_eye * facing_eye)
         + facing_eye * sqrt(a2 + (1.0 - a2) * facing * facing);
     return a2 / (spread * spread) * 0.5 / max(shadowed, 1e-6);

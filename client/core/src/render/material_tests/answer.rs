@@ -36,6 +36,27 @@ fn metal_and_paint_answer_light_as_appendix_b_says() {
 }
 
 #[test]
+fn normals_that_face_away_from_the_eye_have_no_highlight() {
+    let material = Material { roughness: 0.9, ..Material::default() };
+    let expected = Expected::of(&material);
+    let mut scene = card(material);
+    // Half way between a light that is nearly behind and the eye lies what is opposite to the normal.
+    let eye = camera().position_m.normalize();
+    let normal = (eye.cross(DVec3::Y).normalize() * 0.95 - eye * 0.3).normalize();
+    scene.normals = vec![normal.as_vec3(); 4];
+    scene.lights[0].direction = (eye + normal * 0.27).normalize().as_vec3();
+    let light = light_of(&scene);
+    let mut opposite = 0;
+    for (place, _, eye) in seen() {
+        let answer = expected.answer(normal, toward(&scene), eye) * irradiance(&scene);
+        assert_near(light[place], answer, "averted");
+        let lit = answer.max_element() > 0.0;
+        opposite += u32::from(lit && normal.dot((toward(&scene) + eye).normalize()) < -0.5);
+    }
+    assert!(opposite > 20, "{opposite}");
+}
+
+#[test]
 fn the_visibility_bit_hides_highlights_too() {
     let material = Material { metallic: 1.0, roughness: 0.4, ..Material::default() };
     let scene = card(material);

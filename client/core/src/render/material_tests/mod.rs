@@ -150,17 +150,18 @@ impl Expected {
 
     /// For light of unit irradiance; a white Lambert surface that faces it sends 1.
     fn answer(&self, normal: DVec3, toward: DVec3, eye: DVec3) -> DVec3 {
-        let (facing, facing_eye) = (normal.dot(toward), normal.dot(eye));
+        // The smooth normals of a coarse mesh may face away from the eye.
+        let (facing, facing_eye) = (normal.dot(toward), normal.dot(eye).max(0.0));
         if facing <= 0.0 {
             return DVec3::ZERO;
         }
         let half_way = (toward + eye).normalize();
         let between = eye.dot(half_way);
         let mirrored = self.dielectric.lerp(self.base, self.metallic);
-        let [one, other] = albedo(self.roughness, facing_eye);
+        let [one, other] = albedo(self.roughness, facing_eye.max(0.02));
         let more = DVec3::ONE + mirrored * (1.0 / (one + other) - 1.0);
         let below = self.base * (1.0 - self.metallic) * (DVec3::ONE - fresnel(self.dielectric, self.grazing, between));
-        let lobe = lobe(self.roughness.powi(2), normal.dot(half_way), facing, facing_eye);
+        let lobe = lobe(self.roughness.powi(2), normal.dot(half_way).max(0.0), facing, facing_eye);
         facing * (below + PI * lobe * more * fresnel(mirrored, self.grazing, between))
     }
 }
