@@ -30,7 +30,7 @@ fn geometry(scene: &Scene) -> blake3::Hash {
     let mut words = |values: &[u32]| {
         values.iter().for_each(|value| {
             hasher.update(&value.to_le_bytes());
-        })
+        });
     };
     for position in &scene.positions {
         words(&position.to_array().map(f32::to_bits));

@@ -14,6 +14,7 @@ mod lights;
 mod lights_file;
 pub mod limits;
 mod load;
+mod load_options;
 pub mod motion;
 mod pack;
 mod picture;
@@ -23,7 +24,7 @@ mod scene;
 pub mod testing;
 
 pub use error::SceneError;
-pub use load::LoadOptions;
+pub use load_options::LoadOptions;
 pub use pack::PackError;
 pub use reader::{LoadReport, Warning, WarningKind};
 pub use scene::{

@@ -221,7 +221,7 @@ mod tests {
         assert_eq!(cone(0.5, 0.25), ([0.25, 0.25], 2));
         assert_eq!(cone(-0.5, 0.25), ([0.0, 0.25], 1));
         let (wide, faults) = cone(0.5, 3.0);
-        assert!(wide[1] > 1.57 && wide[1] < 1.5708 + 1e-5 && faults == 1, "{wide:?}");
+        assert!((wide[1] - std::f32::consts::FRAC_PI_2).abs() < 1e-5 && faults == 1, "{wide:?}");
         assert!(source("point").mended(DVec3::ZERO).is_ok());
     }
 

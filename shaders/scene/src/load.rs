@@ -1,9 +1,9 @@
 //! Loads a scene from files: glTF or a packed scene, and perhaps a lights file.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::{
-    LoadReport, Scene,
+    LoadOptions, LoadReport, Scene,
     error::SceneError,
     file::{read_file, read_start},
     lights, lights_file,
@@ -11,27 +11,6 @@ use crate::{
     pack, reader,
     scene::alpha_rules,
 };
-
-/// Options of [`Scene::load`].
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LoadOptions {
-    /// A lights file whose lights *replace* those of the scene.
-    pub lights_from: Option<PathBuf>,
-    /// Keeps only the first N lights that are on: 1 to 32, and not more than the scene has.
-    pub max_lights: Option<u32>,
-    /// Gives a scene without lights a sun.
-    pub default_light: bool,
-    /// Name or number of the scene to show, of a file with several. The file's default if absent.
-    pub scene: Option<String>,
-    /// Name or number of the material variant to show (KHR_materials_variants). The default materials if absent.
-    pub variant: Option<String>,
-}
-
-impl Default for LoadOptions {
-    fn default() -> Self {
-        Self { lights_from: None, max_lights: None, default_light: true, scene: None, variant: None }
-    }
-}
 
 impl Scene {
     /// Loads a `.gltf` or `.glb` file, or a file with the bytes of [`Self::pack`].

@@ -70,6 +70,29 @@ fn gltf() {
 }
 
 #[test]
+fn gltf_of_every_kind() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("damaged.gltf");
+    let rich = common::gltf_file::GltfFile::of_every_kind();
+    assert_eq!(rich.load().1, "note: material variants, shown with --variant NAME: \"other\"");
+    let seed = rich.text();
+    drive("gltf-every_kind", seed.as_bytes(), 3_000, |bytes| fuzzing::gltf(bytes, &file));
+    // Most files with one other number still parse: wrong counts, indices and factors.
+    let digits: Vec<usize> =
+        seed.bytes().enumerate().filter(|(_, byte)| byte.is_ascii_digit()).map(|(at, _)| at).collect();
+    let mut loaded = 0;
+    for at in digits.into_iter().step_by(3) {
+        for digit in [b'0', b'2', b'9'] {
+            let mut bytes = seed.clone().into_bytes();
+            bytes[at] = digit;
+            fuzzing::gltf(&bytes, &file);
+            loaded += usize::from(Scene::load(&file, &LoadOptions::default()).is_ok());
+        }
+    }
+    assert!(loaded > 100, "{loaded} files load");
+}
+
+#[test]
 fn glb() {
     let folder = tempfile::tempdir().unwrap();
     write_scene(folder.path()).unwrap();

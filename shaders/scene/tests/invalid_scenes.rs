@@ -24,7 +24,8 @@ const HANG: Duration = Duration::from_secs(120);
 /// Most memory that the process may ever have had, in KiB.
 const MAX_PEAK_KIB: u64 = 1 << 20;
 
-/// Validator errors with which a file may load without a warning: code, part of the pointer to the fault (empty: any), and the reason.
+/// Validator errors with which a file may load without a warning: code, part of the pointer to the fault (empty: any),
+/// and the reason.
 const ALLOWED: [(&str, &str, &str); 41] = [
     ("", "/animations", "animations are not read: the scene is shown at rest"),
     ("", "/skins", "a skin that moves no mesh is not read"),

@@ -1,6 +1,7 @@
 //! Finds the test scenes.
 
 pub(crate) mod formats;
+pub(crate) mod gltf_file;
 
 use std::path::{Path, PathBuf};
 

@@ -4,13 +4,20 @@ use glam::{DMat4, DQuat, DVec3};
 use gltf::json::Index;
 use serde_json::Value;
 
-use super::{accessor, meshes::Instance, nodes::Placed, pose::Pose};
+use super::{accessor, nodes::Placed, pose::Pose};
 use crate::{
     LoadReport,
     error::{SceneError, place, within},
     limits::MAX_DRAWS,
     reader::{checks::layout::Layout, file::buffers::Buffers, json::Document},
 };
+
+/// A mesh in the scene.
+#[derive(Clone, Copy)]
+pub(crate) struct Instance {
+    pub(crate) world_from_node: DMat4,
+    pub(crate) pose: Option<Pose>,
+}
 
 /// Returns the instances of each mesh, in the order of the nodes.
 /// Errors if there are too many, or their transforms cannot be read.

@@ -11,10 +11,10 @@ use gltf::json::mesh;
 use super::{
     append::append,
     coordinates::Plan,
-    instances,
+    instances::{self, Instance},
     materials::Materials,
     nodes::Walk,
-    pose::{Joints, Pose},
+    pose::Joints,
     primitive::{self, Geometry, Mode, Source},
 };
 use crate::{
@@ -36,13 +36,6 @@ struct Part<'a> {
     material: u32,
     plan: Plan,
     instances: Rc<[Instance]>,
-}
-
-/// A mesh in the scene.
-#[derive(Clone, Copy)]
-pub(crate) struct Instance {
-    pub(crate) world_from_node: DMat4,
-    pub(crate) pose: Option<Pose>,
 }
 
 /// What meshes are made of.

@@ -1,6 +1,9 @@
 //! Morph targets and skins, in the pose of the file (glTF 2.0, §3.7.2.2 and §3.7.3). Everything is computed in f64.
 
-use std::{borrow::Cow, collections::HashMap};
+use std::{
+    borrow::Cow,
+    collections::{HashMap, hash_map::Entry},
+};
 
 use glam::{DMat3, DMat4, DVec3, DVec4, Vec3, Vec4};
 use gltf::json::{Index, mesh::Semantic};
@@ -211,14 +214,15 @@ impl Joints {
     ) -> Result<Option<&[DMat4]>, SceneError> {
         let Some(skin) = document.json.nodes.get(node).and_then(|node| node.skin) else { return Ok(None) };
         let index = skin.value();
-        if !self.0.contains_key(&index) {
-            let matrices = read(document, buffers, worlds, index)?;
-            if matrices.is_none() {
-                report.left_out("a skin without joints, or whose joints overflow", &place("skin", index, None));
-            }
-            self.0.insert(index, matrices);
+        let joints = match self.0.entry(index) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(unknown) => unknown.insert(read(document, buffers, worlds, index)?),
+        };
+        let joints = joints.as_deref();
+        if joints.is_none() {
+            report.left_out("a skin without joints, or whose joints overflow", &place("skin", index, None));
         }
-        Ok(self.0.get(&index).and_then(Option::as_deref))
+        Ok(joints)
     }
 }
 
@@ -245,5 +249,5 @@ fn read(
     };
     let joints = skin.joints.iter().enumerate();
     let joints = joints.map(|(number, joint)| worlds.get(*joint as usize).map(|world| *world * bind(number)));
-    Ok(joints.collect::<Option<Vec<_>>>().filter(|joints| joints.iter().all(|matrix| matrix.is_finite())))
+    Ok(joints.collect::<Option<Vec<_>>>().filter(|joints| joints.iter().all(DMat4::is_finite)))
 }
