@@ -8,6 +8,7 @@ use gnomon_shaders::gpu::Gpu;
 
 use crate::{
     camera_path::PathSpec,
+    environment::EnvironmentSpec,
     guard::{Guard, GuardChoice},
     link::{
         receive_options::{Packets, Reception},
@@ -16,7 +17,7 @@ use crate::{
     mode::{Mode, Thresholds},
     pose_history::HISTORY_S,
     predictor::Predictor,
-    render::quality::Quality,
+    render::{quality::Quality, tone::ToneCurve},
 };
 
 /// Most frames of a headless run.
@@ -43,9 +44,17 @@ pub struct ClientSettings {
     /// Size of the pictures, or initial size of the window, in pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720", help_heading = "Picture")]
     pub size: Size,
-    /// Exposure: 1 lux is shown as 2^-EV; the summary has the value used [default: chosen for the scene and its lights]
+    /// Exposure: 1 lux is shown as 2^-EV; the summary has the value used [default: to suit what the camera sees]
     #[arg(long, value_name = "EV", allow_negative_numbers = true, bounds(-40.0, 40.0_f32), help_heading = "Picture")]
     pub exposure: Option<f32>,
+    /// Light around the scene: sky (from its sun), flat, none, or an equirectangular Radiance picture FILE.hdr
+    #[arg(long, value_name = "ENVIRONMENT", default_value_t, help_heading = "Picture")]
+    pub environment: EnvironmentSpec,
+    /// Tone curve: how light becomes what a screen can show; none cuts off what is brighter
+    #[arg(
+        long, value_name = "CURVE", default_value_t, value_parser = one_of(ToneCurve::ALL), help_heading = "Picture"
+    )]
+    pub tone: ToneCurve,
     /// Frames to draw [default: once along the path]
     #[arg(long, value_name = "N", bounds(1, MAX_FRAMES), help_heading = "Headless runs")]
     pub frames: Option<u32>,

@@ -12,6 +12,7 @@ use crate::{
     app::local_server::LocalServerError,
     app::servers::{PinError, hex},
     camera_path::PathError,
+    environment::EnvironmentError,
     link::scene_cache::SceneFetchError,
     link::url::ServerUrl,
     render::RenderError,
@@ -27,6 +28,8 @@ pub enum ClientError {
     Option { option: &'static str, reason: String },
     #[error(transparent)]
     Path(#[from] PathError),
+    #[error(transparent)]
+    Environment(#[from] EnvironmentError),
     #[error(transparent)]
     Scene(#[from] SceneError),
     #[error(

@@ -18,7 +18,7 @@ use gnomon_scene::camera::Camera;
 use gnomon_shaders::gpu::Gpu;
 
 use crate::{
-    app::connect::exposure,
+    app::look::Look,
     config::ClientSettings,
     error::ClientError,
     link::{
@@ -72,6 +72,7 @@ pub(crate) struct Stage<'a> {
     pub(crate) settings: &'a ClientSettings,
     /// Largest mask to request, in pixels.
     pub(crate) largest_mask: (u32, u32),
+    pub(crate) camera: Camera,
 }
 
 /// A scene that has replaced another one.
@@ -141,12 +142,15 @@ impl FrameDriver {
         stage: Stage<'_>,
     ) -> Result<Option<NewScene>, ClientError> {
         let Some(link) = &mut self.link else { return Ok(None) };
-        let Stage { gpu, settings, largest_mask: (width, height) } = stage;
+        let Stage { gpu, settings, largest_mask: (width, height), camera } = stage;
         let OtherScene { pending, scene } = other;
         let (url, welcome) = (pending.url().clone(), pending.welcome.clone());
-        let exposure = exposure(&scene, &Occluders::largest_of(&scene), settings.exposure);
+        let (environment, _) = self.frames.renderer.environment();
+        let look = Look::new(environment, &scene, &Occluders::largest_of(&scene), camera);
         let size = self.frames.renderer.size();
-        let mut renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predict)?;
+        let first = look.first_exposure();
+        let mut renderer = FrameRenderer::new(gpu, &scene, size, first, PICTURE_FORMAT, settings.predict)?;
+        let exposure = look.apply(&mut renderer, settings)?;
         renderer.set_quality(settings.quality)?;
         match link.start(pending, MaskShape::new(width, height, welcome.lights)?) {
             Ok(()) => {}

@@ -9,6 +9,7 @@ pub mod app;
 pub mod camera_path;
 pub mod cli;
 pub mod config;
+pub mod environment;
 pub mod error;
 mod frame_driver;
 #[doc(hidden)]

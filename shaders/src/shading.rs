@@ -3,7 +3,7 @@
 //! Values that never change are computed here once: exposure, cone falloff, tone curve.
 
 use bytemuck::{Pod, Zeroable};
-use glam::{Mat4, Vec3};
+use glam::{Mat4, Vec3, Vec4};
 
 use gnomon_scene::{
     Light as SceneLight, LightKind,
@@ -197,14 +197,21 @@ pub struct Lighting {
     pub ambient_below: Vec3,
     /// First column of the picture that is drawn without shadows.
     pub lit_from_px: u32,
-    /// Radiance of the sky at the zenith, exposed.
+    /// Radiance of a painted sky at the zenith, exposed.
     pub zenith: Vec3,
-    pub unused_1: f32,
-    /// Radiance of the sky at the horizon, exposed.
+    /// Factor of the environment as it is seen.
+    pub sky_seen: f32,
+    /// Radiance of a painted sky at the horizon, exposed.
     pub horizon: Vec3,
-    pub unused_2: f32,
+    /// Factor of the environment as it lights surfaces.
+    pub sky_lit: f32,
     /// The lights, in the order of the mask's planes.
     pub lights: [Light; MAX_LIGHTS],
+    /// Irradiance from the environment over π, exposed: factors of 1, y, z, x, xy, yz, 3z² − 1, xz, x² − y².
+    pub harmonics: [Vec4; 9],
+    /// 1 if surfaces mirror the ambient light, else 0.
+    pub mirrored: f32,
+    pub unused: [f32; 3],
 }
 
 /// The tone curve x^a / (b·x^(a·d) + c) (Lottes, GDC 2016). Twin of `Tone` in `tone.wgsl`.

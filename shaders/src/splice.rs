@@ -22,6 +22,7 @@ pub const FILES: &[(&str, &str)] = &[
     ("shading/lighting.wgsl", include_str!("../wgsl/shading/lighting.wgsl")),
     ("shading/mask_words.wgsl", include_str!("../wgsl/shading/mask_words.wgsl")),
     ("shading/material.wgsl", include_str!("../wgsl/shading/material.wgsl")),
+    ("shading/meter.wgsl", include_str!("../wgsl/shading/meter.wgsl")),
     ("shading/predict.wgsl", include_str!("../wgsl/shading/predict.wgsl")),
     ("shading/present.wgsl", include_str!("../wgsl/shading/present.wgsl")),
     ("shading/shade.wgsl", include_str!("../wgsl/shading/shade.wgsl")),

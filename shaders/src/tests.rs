@@ -68,7 +68,19 @@ fn host_types_have_the_layout_of_their_wgsl_twins() {
     assert_layout!(
         shade,
         Lighting,
-        [ambient_above, count, ambient_below, lit_from_px, zenith, unused_1, horizon, unused_2, lights]
+        [
+            ambient_above,
+            count,
+            ambient_below,
+            lit_from_px,
+            zenith,
+            sky_seen,
+            horizon,
+            sky_lit,
+            lights,
+            harmonics,
+            mirrored
+        ]
     );
     let predict = module("shading/predict.wgsl");
     assert_layout!(predict, Prediction, [layers, count, predictor, unknown, lights]);
@@ -155,7 +167,9 @@ fn every_shader_is_valid() {
         valid(path, &text, Capabilities::IMMEDIATES | Capabilities::RAY_QUERY);
         assert!(text.contains("rayQueryProceed") && !text.contains("node_hits"), "{path} traverses our hierarchy");
     }
-    for name in ["gbuffer", "depth", "mask_words", "predict", "shade", "blend", "tone", "debug_view", "present"] {
+    for name in
+        ["gbuffer", "depth", "mask_words", "predict", "shade", "blend", "tone", "meter", "debug_view", "present"]
+    {
         assert!(checked.contains(&format!("shading/{name}.wgsl").as_str()), "{name} was not checked");
     }
 }

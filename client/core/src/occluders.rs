@@ -27,6 +27,8 @@ pub struct Met {
     pub distance: f32,
     /// True if the side that was hit is drawn.
     pub visible: bool,
+    /// Unit normal of the triangle's front.
+    pub normal: Vec3,
 }
 
 impl Occluders {
@@ -71,8 +73,9 @@ impl Occluders {
                 && distance < limit
             {
                 limit = distance;
-                let front = triangle.shape[1].cross(triangle.shape[2]).dot(direction) < 0.0;
-                nearest = Some(Met { distance, visible: front || triangle.double_sided });
+                let across = triangle.shape[1].cross(triangle.shape[2]);
+                let visible = across.dot(direction) < 0.0 || triangle.double_sided;
+                nearest = Some(Met { distance, visible, normal: across.normalize_or_zero() });
             }
         }
         nearest

@@ -7,8 +7,9 @@ use gnomon_scene::{LoadOptions, Scene};
 use tokio::runtime::Runtime;
 
 use crate::{
-    app::{first_visit::FirstVisit, servers::KnownServers},
+    app::{first_visit::FirstVisit, look::Look, servers::KnownServers},
     camera_path::CameraPath,
+    config::Size,
     default_path::default_path,
     error::ClientError,
     link::scene_cache::SceneCache,
@@ -22,7 +23,6 @@ use crate::{
     },
     occluders::Occluders,
     options::{HeadlessOptions, Source},
-    render::exposure::Exposure,
     stop::Stop,
 };
 
@@ -44,13 +44,13 @@ pub(crate) struct Loaded {
     pub(crate) scene: Scene,
     pub(crate) connected: Option<Connected>,
     pub(crate) camera_path: CameraPath,
-    pub(crate) exposure: Exposure,
+    pub(crate) look: Look,
 }
 
-/// Gets the scene, then a suitable camera path and exposure where `options` give none. Blocks.
+/// Gets the scene, then a suitable camera path where `options` give none. Blocks.
 ///
 /// # Errors
-/// As [`get_scene`].
+/// As [`get_scene`], and if the environment cannot be read.
 pub(crate) fn load(
     options: &HeadlessOptions,
     largest_mask: (u32, u32),
@@ -59,18 +59,15 @@ pub(crate) fn load(
     progress: impl FnMut(Step<'_>),
     trusts: impl FnMut(&ServerUrl, &[u8; 32]) -> bool,
 ) -> Result<Loaded, ClientError> {
+    let environment = options.settings.environment.open()?;
     let (scene, connected) = get_scene(options, largest_mask, stop, progress, trusts)?;
     let occluders = Occluders::largest_of(&scene);
     let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
-    let exposure = exposure(&scene, &occluders, options.settings.exposure);
+    let Size { width, height } = options.settings.size;
+    let first = camera_path.camera(options.settings.start_time, width, height);
+    let look = Look::new(environment, &scene, &occluders, first);
     stop.check()?;
-    Ok(Loaded { scene, connected, camera_path, exposure })
-}
-
-/// Returns the requested exposure, or a suitable one.
-pub(crate) fn exposure(scene: &Scene, occluders: &Occluders, requested_ev: Option<f32>) -> Exposure {
-    let suitable = Exposure::of_scene(scene, occluders);
-    requested_ev.map_or(suitable, |ev| suitable.at_ev(ev))
+    Ok(Loaded { scene, connected, camera_path, look })
 }
 
 #[derive(Debug, Clone, Copy)]

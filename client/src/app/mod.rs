@@ -5,6 +5,7 @@ pub(crate) mod connect;
 pub mod demo;
 mod first_visit;
 pub mod local_server;
+pub(crate) mod look;
 pub mod probe;
 pub mod servers;
 pub mod signals;

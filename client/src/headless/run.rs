@@ -121,15 +121,17 @@ impl Start {
             }
         };
         // Nobody is there to be asked for trust.
-        let Loaded { scene, connected, camera_path, exposure } =
+        let Loaded { scene, connected, camera_path, look } =
             load(options, largest, camera_path, stop, step, |_, _| false)?;
         let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
         let shape = MaskShape::new(largest.0, largest.1, lights)?;
-        let mut renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predict)?;
+        let first = look.first_exposure();
+        let mut renderer = FrameRenderer::new(gpu, &scene, size, first, PICTURE_FORMAT, settings.predict)?;
+        let exposure = look.apply(&mut renderer, settings)?;
         renderer.set_quality(settings.quality)?;
         drop(scene);
         let welcome = connected.as_ref().map(|connected| connected.welcome().clone());
-        let recorder = Recorder::for_run(options, size, welcome.as_ref(), exposure, gpu)?;
+        let recorder = Recorder::for_run(options, size, welcome.as_ref(), &renderer, gpu)?;
         stop.check()?;
         let link = connected.map(|connected| connected.start(shape, settings.reception())).transpose()?;
         let timing = timing(settings, &camera_path);
@@ -235,11 +237,11 @@ impl Run<'_> {
     fn draw(&mut self, index: u32, start: &mut Start, files: &mut Files) -> Result<(), ClientError> {
         let Self { options: HeadlessOptions { settings, .. }, gpu, .. } = *self;
         let Start { driver, timing, camera_path, .. } = start;
-        let stage = Stage { gpu, settings, largest_mask: settings.largest_mask() };
+        let camera = camera_path.camera(timing.time_s(index), settings.size.width, settings.size.height);
+        let stage = Stage { gpu, settings, largest_mask: settings.largest_mask(), camera };
         if let Some(new) = driver.maintain(FrameNumber(index), stage)? {
             (start.lights, start.exposure, start.welcome) = (new.welcome.lights, new.exposure, Some(new.welcome));
         }
-        let camera = camera_path.camera(timing.time_s(index), settings.size.width, settings.size.height);
         let drawn = driver.draw(FrameNumber(index), camera, timing.time_s(index), files)?;
         self.tally.add(&drawn, driver.link.is_some());
         if let Some(file) = &mut files.stats {

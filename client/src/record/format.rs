@@ -4,9 +4,10 @@ use gnomon_scene::camera::Camera;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    environment::EnvironmentSpec,
     headless::stats::FrameStats,
     predictor::Predictor,
-    render::{debug_view::DebugView, quality::Quality},
+    render::{debug_view::DebugView, quality::Quality, survey::Survey, tone::ToneCurve},
 };
 
 /// First line of the file, with the format's version.
@@ -34,6 +35,9 @@ pub struct Start {
     pub size_px: [u32; 2],
     /// Exposed irradiance per lux, and the reference's irradiance in lux.
     pub exposure: [f32; 2],
+    pub tone: ToneCurve,
+    pub environment: EnvironmentSpec,
+    pub survey: Survey,
     pub predictor: Predictor,
     pub quality: Quality,
     /// Graphics adapter. On another one, pictures may differ in their last bits.
@@ -66,6 +70,10 @@ pub enum Record {
     Predictor(Predictor),
     /// New quality.
     Quality(Quality),
+    /// New tone curve.
+    Tone(ToneCurve),
+    /// New exposure, as in [`Start`].
+    Exposure([f32; 2]),
     /// Lights that are on, one bit each.
     LightsOn(u32),
     /// First column that is drawn without shadows.

@@ -16,7 +16,7 @@ use gnomon_scene::camera::Camera;
 use gnomon_shaders::gpu::Gpu;
 
 use super::format::{FIRST_LINE, MAX_BYTES, MAX_RECORD_BYTES, Record, Start};
-use crate::{error::ClientError, options::HeadlessOptions, render::exposure::Exposure};
+use crate::{error::ClientError, options::HeadlessOptions, render::FrameRenderer};
 
 pub(crate) struct Recorder {
     path: PathBuf,
@@ -27,19 +27,22 @@ pub(crate) struct Recorder {
 }
 
 impl Recorder {
-    /// Starts the recording, if `options` request one. `width` and `height` are the pictures' in pixels.
+    /// Starts the recording of a renderer's pictures, if `options` request one. `width` and `height` are in pixels.
     pub(crate) fn for_run(
         options: &HeadlessOptions,
         (width, height): (u32, u32),
         welcome: Option<&Welcome>,
-        exposure: Exposure,
+        renderer: &FrameRenderer,
         gpu: &Gpu,
     ) -> Result<Option<Self>, ClientError> {
         let Some(path) = &options.record else { return Ok(None) };
         let start = Start {
             scene_digest: welcome.map(|welcome| welcome.scene_digest.to_string()),
             size_px: [width, height],
-            exposure: exposure.into(),
+            exposure: renderer.exposure().into(),
+            tone: renderer.tone(),
+            environment: options.settings.environment.clone(),
+            survey: renderer.environment().1,
             predictor: options.settings.predict,
             quality: options.settings.quality,
             adapter: gpu.info.name.clone(),

@@ -16,9 +16,9 @@ use gnomon_shaders::gpu::Gpu;
 use thiserror::Error;
 
 use super::format::{FIRST_LINE, MAX_RECORD_BYTES, Record, Start};
+use crate::environment::EnvironmentError;
 use crate::render::{
     FrameRenderer, PICTURE_FORMAT, RenderError,
-    exposure::Exposure,
     predict::MaskView,
     readback::{Picture, PictureReader},
 };
@@ -36,6 +36,8 @@ pub enum ReplayError {
     Shape(#[from] ShapeError),
     #[error("a recorded mask: {0}")]
     Decode(#[from] DecodeError),
+    #[error(transparent)]
+    Environment(#[from] EnvironmentError),
     #[error(transparent)]
     Render(#[from] RenderError),
 }
@@ -126,11 +128,13 @@ pub fn replay<E: From<ReplayError>>(
     mut visit: impl FnMut(Replayed<'_>) -> Result<(), E>,
 ) -> Result<(), E> {
     let render = |error: RenderError| E::from(ReplayError::Render(error));
-    let ([width, height], [scale, reference_lux]) = (start.size_px, start.exposure);
-    let exposure = Exposure { scale, reference_lux };
+    let ([width, height], exposure) = (start.size_px, start.exposure.into());
     let renderer = FrameRenderer::new(gpu, scene, (width, height), exposure, PICTURE_FORMAT, start.predictor);
     let mut renderer = renderer.map_err(render)?;
     renderer.set_quality(start.quality).map_err(render)?;
+    let environment = start.environment.open().map_err(|error| E::from(error.into()))?;
+    renderer.set_environment(environment, start.survey);
+    renderer.set_tone(start.tone);
     let mut reader = PictureReader::new(gpu, width, height, 1);
     let mut decoder = Decoder::new();
     let mut newest_mask_frame = None;
@@ -146,6 +150,8 @@ pub fn replay<E: From<ReplayError>>(
             }
             Record::Predictor(predictor) => renderer.set_predictor(*predictor),
             Record::Quality(quality) => renderer.set_quality(*quality).map_err(render)?,
+            Record::Tone(tone) => renderer.set_tone(*tone),
+            Record::Exposure(exposure) => renderer.set_exposure((*exposure).into()),
             Record::LightsOn(lights) => renderer.set_lights_on(*lights),
             Record::Split(split) => renderer.set_split(*split),
             Record::View(view) => renderer.set_debug_view(*view),

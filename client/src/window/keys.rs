@@ -36,6 +36,7 @@ pub(super) fn command(key: &Key) -> Option<Command> {
             "g" => Command::Guard,
             "v" => Command::View,
             "b" => Command::Split,
+            "t" => Command::Tone,
             "x" => Command::Vsync,
             "0" => Command::NextLights,
             digit => Command::Digit(digit.parse::<u32>().ok().filter(|digit| (1..=9).contains(digit))? - 1),

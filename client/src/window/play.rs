@@ -101,11 +101,16 @@ impl Play {
         settings: &mut Settings,
         stop: Stop,
     ) -> Result<Self, ClientError> {
-        let Loaded { scene, connected, camera_path, exposure } = loaded;
+        let Loaded { scene, connected, camera_path, look } = loaded;
         let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
         (settings.lights, settings.lights_on) = (lights, all_of(lights));
         let size = fitted(screen.size(), largest);
-        let mut renderer = FrameRenderer::new(&screen.gpu, &scene, size, exposure, PICTURE_FORMAT, settings.predictor)?;
+        let first = look.first_exposure();
+        let mut renderer = FrameRenderer::new(&screen.gpu, &scene, size, first, PICTURE_FORMAT, settings.predictor)?;
+        look.apply(&mut renderer, &options.settings)?;
+        // Both may have been chosen during loading.
+        renderer.set_predictor(settings.predictor);
+        renderer.set_tone(settings.tone);
         renderer.set_quality(settings.quality)?;
         let extent_m = f64::from((scene.bounds.max - scene.bounds.min).length());
         let speed = (extent_m / CROSSING_S).clamp(INITIAL_SPEEDS_M_PER_S.0, INITIAL_SPEEDS_M_PER_S.1);
@@ -114,7 +119,7 @@ impl Play {
         let server = connected.as_ref().map(|connected| (connected.url().clone(), connected.welcome().clone()));
         // Files before the session: a failure here leaves no session open.
         let welcome = server.as_ref().map(|(_, welcome)| welcome);
-        let recorder = Recorder::for_run(options, size, welcome, exposure, &screen.gpu)?;
+        let recorder = Recorder::for_run(options, size, welcome, &renderer, &screen.gpu)?;
         let stats = options.settings.stats.as_deref().map(StatsFile::create).transpose()?;
         let link = connected.map(|connected| connected.start(shape, options.settings.reception())).transpose()?;
         let machine = ModeMachine::new(settings.mode, options.settings.thresholds());
@@ -166,13 +171,19 @@ impl Play {
         motion: &Motion,
         step_s: f64,
     ) -> Result<FrameStats, ClientError> {
-        let stage =
-            Stage { gpu: &screen.gpu, settings: &self.options.settings, largest_mask: largest_mask(self.largest) };
+        let (width, height) = self.size();
+        let stage = Stage {
+            gpu: &screen.gpu,
+            settings: &self.options.settings,
+            largest_mask: largest_mask(self.largest),
+            camera: self.fly.camera(width, height),
+        };
         if let Some(new) = self.driver.maintain(FrameNumber(self.next), stage)? {
             self.follow(new, settings);
         }
         self.resize(screen.size())?;
         self.apply(screen, settings)?;
+        self.adapt(step_s)?;
         let (width, height) = self.driver.frames.renderer.size();
         let camera = if self.follows_path {
             self.path_s += step_s;
@@ -204,14 +215,23 @@ impl Play {
         Ok(drawn)
     }
 
+    /// Lets the exposure follow what the camera sees, unless it was chosen.
+    fn adapt(&mut self, step_s: f64) -> Result<(), ClientError> {
+        if self.options.settings.exposure.is_some() {
+            return Ok(());
+        }
+        let adapted = self.driver.frames.renderer.adapt(step_s);
+        adapted.map_or(Ok(()), |exposure| self.record(&Record::Exposure(exposure.into())))
+    }
+
     /// Goes on in a scene that the driver's renderer is new to. The camera stays.
     fn follow(&mut self, new: NewScene, settings: &mut Settings) {
         let NewScene { url, welcome, .. } = new;
         let lights = welcome.lights;
         (settings.lights, settings.lights_on) = (lights, all_of(lights));
-        let predictor = self.options.settings.predict;
-        self.applied =
-            Settings { split: Split::Off, predictor, lights, lights_on: all_of(lights), ..self.applied.clone() };
+        let ClientSettings { predict: predictor, tone, .. } = self.options.settings;
+        let lights_on = all_of(lights);
+        self.applied = Settings { split: Split::Off, predictor, tone, lights, lights_on, ..self.applied.clone() };
         self.view = DebugView::Picture;
         self.reference = LocalReference::Off;
         self.server = Some((url, welcome));
@@ -252,13 +272,14 @@ impl Play {
             }
             LocalReference::Starting(starting) => {
                 if let Some(ready) = starting.poll() {
-                    let exposure = self.driver.frames.renderer.exposure();
-                    let reference = Reference::new(gpu, ready?, size, exposure, largest)?;
+                    let reference = Reference::new(gpu, ready?, size, &self.driver.frames.renderer, largest)?;
                     self.reference = LocalReference::Drawing(Box::new(reference));
                 }
                 Ok(None)
             }
             LocalReference::Drawing(reference) => {
+                let exposure = self.driver.frames.renderer.exposure();
+                reference.set_look(exposure, self.applied.tone);
                 reference.draw(gpu, size, looked_at, (self.applied.lights_on, self.view)).map(Some)
             }
         }
@@ -319,6 +340,10 @@ impl Play {
             self.driver.frames.renderer.set_quality(settings.quality)?;
             self.record(&Record::Quality(settings.quality))?;
         }
+        if settings.tone != self.applied.tone {
+            self.driver.frames.renderer.set_tone(settings.tone);
+            self.record(&Record::Tone(settings.tone))?;
+        }
         if settings.mode != self.applied.mode {
             self.driver.frames.machine.set_mode(settings.mode);
         }
@@ -363,6 +388,7 @@ pub(crate) fn settings(chosen: &ClientSettings) -> Settings {
         },
         view: DebugView::Picture,
         split: Split::Off,
+        tone: chosen.tone,
         reference: LocalServer::program().is_ok(),
         lights: 0,
         lights_on: 0,

@@ -25,7 +25,7 @@ use crate::{
     link::scene_cache::SceneCache,
     mode::ModeMachine,
     options::{HeadlessOptions, Source},
-    render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView, exposure::Exposure, targets},
+    render::{FrameRenderer, PICTURE_FORMAT, debug_view::DebugView, exposure::Exposure, targets, tone::ToneCurve},
     stop::Stop,
 };
 
@@ -109,7 +109,7 @@ pub(super) struct Reference {
 }
 
 impl Reference {
-    /// Starts the session, for pictures of `size` pixels.
+    /// Starts the session, for pictures of `size` pixels that look like those of another renderer.
     ///
     /// # Errors
     /// Errors if the adapter has no memory for a second copy of the scene.
@@ -117,12 +117,15 @@ impl Reference {
         gpu: &Gpu,
         ready: Ready,
         size: (u32, u32),
-        exposure: Exposure,
+        like: &FrameRenderer,
         largest: (u32, u32),
     ) -> Result<Self, ClientError> {
         let Ready { server, scene, connected } = ready;
         let options = HeadlessOptions::new(Source::Server(server.url().clone()));
-        let mut renderer = FrameRenderer::new(gpu, &scene, size, exposure, PICTURE_FORMAT, options.settings.predict)?;
+        let predictor = options.settings.predict;
+        let mut renderer = FrameRenderer::new(gpu, &scene, size, like.exposure(), PICTURE_FORMAT, predictor)?;
+        let (environment, survey) = like.environment();
+        renderer.set_environment(environment, survey);
         renderer.set_quality(options.settings.quality)?;
         let lights = connected.welcome().lights;
         let link = connected.start(MaskShape::new(largest.0, largest.1, lights)?, Default::default())?;
@@ -133,6 +136,11 @@ impl Reference {
         let driver = FrameDriver::new(frames, Some(link), None, u32::MAX);
         let (target, view) = picture(gpu, size);
         Ok(Self { driver, target, view, next: 0, applied: (u32::MAX, DebugView::Picture), _server: server })
+    }
+
+    pub(super) fn set_look(&mut self, exposure: Exposure, tone: ToneCurve) {
+        self.driver.frames.renderer.set_exposure(exposure);
+        self.driver.frames.renderer.set_tone(tone);
     }
 
     /// Draws the picture from `camera` at `size` pixels. Waits for its mask.

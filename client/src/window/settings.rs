@@ -9,8 +9,7 @@ use crate::{
     input::keys::Command,
     mode::Mode,
     predictor::Predictor,
-    render::debug_view::DebugView,
-    render::quality::Quality,
+    render::{debug_view::DebugView, quality::Quality, tone::ToneCurve},
 };
 
 /// Content of the picture's right half.
@@ -46,6 +45,7 @@ pub(crate) struct Settings {
     pub(crate) guard: Guard,
     pub(crate) view: DebugView,
     pub(crate) split: Split,
+    pub(crate) tone: ToneCurve,
     /// True if a server program beside this one can trace a reference.
     pub(crate) reference: bool,
     pub(crate) lights: u32,
@@ -119,6 +119,7 @@ impl Settings {
                 let all: Vec<_> = self.views().collect();
                 self.view = after(&all, self.view);
             }
+            Command::Tone => self.tone = after(&ToneCurve::ALL, self.tone),
             Command::Split => self.split = after(self.splits(), self.split),
             Command::Vsync => self.vsync = !self.vsync,
             Command::Digit(digit) => {
@@ -148,6 +149,7 @@ mod tests {
             guard: Guard::default(),
             view: DebugView::default(),
             split: Split::Off,
+            tone: ToneCurve::default(),
             reference: true,
             lights: 3,
             lights_on: 0b111,
@@ -160,9 +162,14 @@ mod tests {
 
     #[test]
     fn keys_cycle_through_every_choice() {
-        for (command, steps) in
-            [(Command::Predictor, 5), (Command::Mode, 3), (Command::Guard, 4), (Command::View, 8), (Command::Split, 3)]
-        {
+        for (command, steps) in [
+            (Command::Predictor, 5),
+            (Command::Mode, 3),
+            (Command::Guard, 4),
+            (Command::View, 8),
+            (Command::Split, 3),
+            (Command::Tone, 4),
+        ] {
             let mut changed = settings();
             for step in 1..=steps {
                 changed.apply(command);

@@ -34,12 +34,20 @@ struct Lighting {
     ambient_below: vec3f,
     // First column of the picture that is drawn without shadows.
     lit_from_px: u32,
-    // Radiance of the sky at the zenith and at the horizon, exposed.
+    // Radiance of a painted sky at the zenith and at the horizon, exposed.
     zenith: vec3f,
-    unused_1: f32,
+    // Factors of the environment: as it is seen, and as it lights surfaces.
+    sky_seen: f32,
     horizon: vec3f,
-    unused_2: f32,
+    sky_lit: f32,
     lights: array<Light, 32>,
+    // Irradiance from the environment over π, exposed: factors of 1, y, z, x, xy, yz, 3z² − 1, xz, x² − y².
+    harmonics: array<vec4f, 9>,
+    // 1 if surfaces mirror the ambient light, else 0.
+    mirrored: f32,
+    unused_0: f32,
+    unused_1: f32,
+    unused_2: f32,
 }
 
 // Light that arrives unoccluded at a point.

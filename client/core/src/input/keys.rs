@@ -35,6 +35,8 @@ pub enum Command {
     Guard,
     /// Next debug view.
     View,
+    /// Next tone curve.
+    Tone,
     /// Next content of the picture's right half.
     Split,
     /// Turns vsync on or off.
@@ -61,7 +63,7 @@ pub const HELP: [(&str, &str); 16] = [
     ("B", "right half: without visibility, or a local reference"),
     ("1 to 9", "each light on and off"),
     ("0", "1 to 9 mean the next nine lights"),
-    ("R M G", "predictor, mode, guard band"),
+    ("R M G T", "predictor, mode, guard band, tone curve"),
     ("X", "wait for the screen (vsync)"),
     ("H, Esc", "this help, leave"),
 ];

@@ -6,7 +6,7 @@
 
 use glam::Vec3;
 use gnomon_scene::{Light as SceneLight, Scene, camera::Space, limits::MAX_LIGHTS};
-use gnomon_shaders::shading::{Light, Lighting, Tone};
+use gnomon_shaders::shading::{Light, Lighting};
 
 use super::predict::shadow_map;
 use crate::occluders::Occluders;
@@ -18,14 +18,6 @@ const PERCENTILE: f64 = 0.70;
 
 /// Exposed irradiance at the reference: white paint there appears slightly below white.
 const REFERENCE: f32 = 0.62;
-
-/// Ambient irradiance from above and below, as a share of the reference: shadows are dark but legible.
-const AMBIENT_ABOVE: Vec3 = Vec3::new(0.165, 0.178, 0.205);
-const AMBIENT_BELOW: Vec3 = Vec3::new(0.095, 0.087, 0.078);
-
-/// Exposed radiance of the sky, where there is no surface.
-const ZENITH: Vec3 = Vec3::new(0.20, 0.37, 0.72);
-const HORIZON: Vec3 = Vec3::new(0.78, 0.86, 0.95);
 
 /// Exposed radiance of an emissive factor of 1. By the specification the factor is in cd/m², but files use it as paint:
 /// beside lights of several thousand lux it would be black.
@@ -57,8 +49,7 @@ impl Exposure {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index below the length")]
         let place = (received.len() as f64 * PERCENTILE) as usize;
         // Nothing is lit: any exposure will do, since the ambient light still shows the scene.
-        let reference_lux = received.get(place).copied().unwrap_or(1.0);
-        Self { scale: REFERENCE / reference_lux, reference_lux }
+        Self::for_reference(received.get(place).copied().unwrap_or(1.0))
     }
 
     /// Returns the exposure that shows 1 lux as 2^−EV.
@@ -73,18 +64,23 @@ impl Exposure {
         -self.scale.log2()
     }
 
-    /// Returns the lights in the shaders' layout.
+    /// Returns the exposure that shows `lux` as the reference: where every picture starts from.
+    #[must_use]
+    pub fn for_reference(lux: f32) -> Self {
+        let reference_lux = if lux.is_normal() && lux > 0.0 { lux } else { 1.0 };
+        Self { scale: REFERENCE / reference_lux, reference_lux }
+    }
+
+    /// Returns the same exposure as the one that suits the scene: its reference is what it shows as such.
+    #[must_use]
+    pub(crate) fn as_reference(self) -> Self {
+        Self { reference_lux: REFERENCE / self.scale, ..self }
+    }
+
+    /// Returns the lights in the shaders' layout, without light around.
     #[must_use]
     pub fn lighting(self, lights: &[SceneLight], space: Space) -> Lighting {
-        let ambient = self.reference_lux * self.scale;
-        let mut lighting = Lighting {
-            ambient_above: AMBIENT_ABOVE * ambient,
-            ambient_below: AMBIENT_BELOW * ambient,
-            lit_from_px: u32::MAX,
-            zenith: ZENITH,
-            horizon: HORIZON,
-            ..bytemuck::Zeroable::zeroed()
-        };
+        let mut lighting = Lighting { lit_from_px: u32::MAX, ..bytemuck::Zeroable::zeroed() };
         let mut shadow_view = 0;
         for (place, light) in lighting.lights.iter_mut().zip(lights) {
             *place = Light { shadow_view, ..Light::new(light, self.scale).in_space(space) };
@@ -96,18 +92,20 @@ impl Exposure {
     }
 }
 
+impl From<[f32; 2]> for Exposure {
+    fn from([scale, reference_lux]: [f32; 2]) -> Self {
+        Self { scale, reference_lux }
+    }
+}
+
 impl From<Exposure> for [f32; 2] {
     fn from(exposure: Exposure) -> Self {
         [exposure.scale, exposure.reference_lux]
     }
 }
 
-#[must_use]
-pub fn tone() -> Tone {
-    Tone::new(1.25, 0.97, 9.0, 0.18, 0.19)
-}
-
-fn unhidden_lux(light: &Light, point: Vec3, normal: Vec3, reach: f32, occluders: &Occluders) -> f32 {
+/// What a light gives to a point, unless an occluder hides it.
+pub(super) fn unhidden_lux(light: &Light, point: Vec3, normal: Vec3, reach: f32, occluders: &Occluders) -> f32 {
     let (irradiance, toward) = light.arrival(point);
     let lux = irradiance.max_element() * normal.dot(toward);
     if lux.is_nan() || lux <= 0.0 {
@@ -118,7 +116,7 @@ fn unhidden_lux(light: &Light, point: Vec3, normal: Vec3, reach: f32, occluders:
 }
 
 /// Points and normals, distributed evenly by area.
-fn sample_points(scene: &Scene) -> Vec<(Vec3, Vec3)> {
+pub(super) fn sample_points(scene: &Scene) -> Vec<(Vec3, Vec3)> {
     let triangles = scene.tracing_triangles();
     let mut total = 0.0;
     let cumulative: Vec<f64> = triangles

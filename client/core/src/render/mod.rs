@@ -4,15 +4,18 @@
 //! [`predict`] carries visibility over from the views that masks were traced for.
 
 mod blend;
+mod counts;
 pub mod debug_view;
 #[cfg(test)]
 mod edge_tests;
+pub mod environment;
 mod error;
 pub mod exposure;
 mod gbuffer;
 mod material;
 #[cfg(test)]
 mod material_tests;
+mod meter;
 mod pipeline;
 pub mod predict;
 pub mod present;
@@ -21,13 +24,14 @@ pub mod readback;
 mod renderer;
 mod scene_upload;
 mod shade;
+pub mod survey;
 pub mod targets;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
 #[cfg(test)]
 mod tests;
 mod texture;
-mod tone;
+pub mod tone;
 
 pub use error::RenderError;
 pub use renderer::{FrameRenderer, PixelVisibility};

@@ -1,7 +1,7 @@
 //! Runs the passes of a frame.
 
 use gnomon_scene::{
-    Scene,
+    Light, Scene,
     camera::{Camera, Space},
 };
 use gnomon_shaders::{
@@ -13,19 +13,28 @@ use gnomon_shaders::{
 use super::{
     blend::BlendPass,
     debug_view::{DebugPass, DebugView},
+    environment::{Environment, Surroundings},
     error::RenderError,
     exposure::Exposure,
     gbuffer::GbufferPass,
+    meter::{self, Eye, MeterPass},
     pipeline::{Variable, check_side},
     predict::{MaskView, PredictPass, depth_history::DepthHistory},
     quality::Quality,
     readback,
     scene_upload::SceneUpload,
     shade::ShadePass,
+    survey::Survey,
     targets::Targets,
-    tone::TonePass,
+    tone::{ToneCurve, TonePass},
 };
 use crate::predictor::Predictor;
+
+/// Height of the pictures that are metered before the first one, in pixels.
+const METERED_ROWS: u32 = 90;
+
+/// How often: at the first guess, light may be beyond 16 bits.
+const METERED_TIMES: u8 = 2;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PixelVisibility {
@@ -45,6 +54,10 @@ pub struct FrameRenderer {
     gpu: Gpu,
     space: Space,
     exposure: Exposure,
+    surroundings: Surroundings,
+    eye: Eye,
+    /// Whether the eye sees pictures.
+    metering: bool,
     view: Variable<View>,
     scene: SceneUpload,
     pub(super) targets: Targets,
@@ -54,10 +67,11 @@ pub struct FrameRenderer {
     shade: ShadePass,
     blend: BlendPass,
     tone: TonePass,
+    meter: MeterPass,
     debug: DebugPass,
     debug_view: DebugView,
     lighting: Variable<Lighting>,
-    lights: Lighting,
+    lights: Vec<Light>,
     /// Bit k is 1 if light k is on.
     lights_on: u32,
     /// First column lit without visibility.
@@ -93,20 +107,24 @@ impl FrameRenderer {
         let view = Variable::<View>::new(gpu, "view");
         let gbuffer = GbufferPass::new(gpu, view.buffer(), &scene_upload)?;
         let space = Space::of(scene);
-        let lights = exposure.lighting(&scene.lights, space);
-        let mut lighting = Variable::<Lighting>::new(gpu, "lighting");
-        lighting.set(&gpu.queue, lights);
+        let lights = scene.lights.clone();
+        let lighting = Variable::<Lighting>::new(gpu, "lighting");
+        let surroundings = Surroundings::new(gpu, Environment::default(), Survey::default(), &lights);
         let constants = (view.buffer(), lighting.buffer());
         let predict = PredictPass::new(gpu, scene, &scene_upload, &targets, &history, constants, predictor)?;
-        let shade = ShadePass::new(gpu, constants, &targets, &history, &scene_upload)?;
+        let shade = ShadePass::new(gpu, constants, &targets, &history, &surroundings, &scene_upload)?;
         let mut blend = BlendPass::new(gpu, shade.layout(), &scene_upload, predict.shadow_map())?;
         blend.set_predictor(&gpu.queue, predictor);
-        let tone = TonePass::new(gpu, &targets, format)?;
+        let tone = TonePass::new(gpu, &targets, format, ToneCurve::Gnomon)?;
+        let meter = MeterPass::new(gpu, &targets)?;
         let debug = DebugPass::new(gpu, view.buffer(), &targets, &history, format)?;
-        let renderer = Self {
+        let mut renderer = Self {
             gpu: gpu.clone(),
             space,
             exposure,
+            surroundings,
+            eye: Eye::new(exposure, exposure.ev()),
+            metering: false,
             view,
             scene: scene_upload,
             targets,
@@ -116,6 +134,7 @@ impl FrameRenderer {
             shade,
             blend,
             tone,
+            meter,
             debug,
             debug_view: DebugView::Picture,
             lighting,
@@ -126,6 +145,7 @@ impl FrameRenderer {
             pending: None,
             failure,
         };
+        renderer.write_lighting();
         renderer.check()?;
         Ok(renderer)
     }
@@ -140,8 +160,9 @@ impl FrameRenderer {
         self.targets = Targets::new(device, width, height);
         self.history = DepthHistory::new(device, width, height);
         self.predict.resize(device, &self.targets, &self.history);
-        self.shade.resize(device, &self.targets, &self.history);
+        self.shade.bind(device, &self.targets, &self.history, &self.surroundings);
         self.tone.resize(device, &self.targets);
+        self.meter.resize(device, &self.targets);
         self.debug.resize(device, &self.targets, &self.history);
         self.check()
     }
@@ -178,14 +199,97 @@ impl FrameRenderer {
     }
 
     fn write_lighting(&mut self) {
-        let mut lights = self.lights;
-        lights.lit_from_px = if self.predict.knows_nothing() { 0 } else { self.split_px.unwrap_or(u32::MAX) };
-        for (k, light) in lights.lights.iter_mut().enumerate() {
+        let mut lighting = self.exposure.lighting(&self.lights, self.space);
+        lighting.lit_from_px = if self.predict.knows_nothing() { 0 } else { self.split_px.unwrap_or(u32::MAX) };
+        for (k, light) in lighting.lights.iter_mut().enumerate() {
             if self.lights_on & (1 << k) == 0 {
                 light.intensity = glam::Vec3::ZERO;
             }
         }
-        self.lighting.set(&self.gpu.queue, lights);
+        self.surroundings.light(&mut lighting, &self.lights, self.lights_on, self.exposure);
+        self.lighting.set(&self.gpu.queue, lighting);
+    }
+
+    /// Sets the light around and how bright the scene is, from the next picture on.
+    pub fn set_environment(&mut self, environment: Environment, survey: Survey) {
+        self.surroundings = Surroundings::new(&self.gpu, environment, survey, &self.lights);
+        self.shade.bind(&self.gpu.device, &self.targets, &self.history, &self.surroundings);
+        self.write_lighting();
+    }
+
+    #[must_use]
+    pub fn environment(&self) -> (Environment, Survey) {
+        (self.surroundings.environment.clone(), self.surroundings.survey())
+    }
+
+    /// Sets the tone curve from the next picture on.
+    pub fn set_tone(&mut self, curve: ToneCurve) {
+        self.tone.set_curve(&self.gpu.device, curve);
+    }
+
+    #[must_use]
+    pub fn tone(&self) -> ToneCurve {
+        self.tone.curve()
+    }
+
+    /// Sets the exposure from the next picture on.
+    pub fn set_exposure(&mut self, exposure: Exposure) {
+        if self.exposure != exposure {
+            self.exposure = exposure;
+            self.write_lighting();
+        }
+    }
+
+    /// Sets the exposure that suits what `camera` sees. Draws a few small pictures with the client's
+    /// own shadow maps, so it depends on neither masks nor predictor, and waits for them. To be called before the first
+    /// picture: masks are forgotten.
+    ///
+    /// # Errors
+    /// If the adapter failed.
+    pub fn meter(&mut self, camera: &Camera, predictor: Predictor) -> Result<(), RenderError> {
+        let incident = Exposure::for_reference(self.surroundings.survey().lux);
+        self.set_exposure(incident);
+        // A flat environment is in proportion to the reference, so there is nothing else to find out.
+        if !matches!(self.surroundings.environment, Environment::Flat) {
+            self.meter_pictures(camera, predictor)?;
+        }
+        self.eye = Eye::new(self.exposure, incident.ev());
+        Ok(())
+    }
+
+    fn meter_pictures(&mut self, camera: &Camera, predictor: Predictor) -> Result<(), RenderError> {
+        let (size, survey) = (self.size(), self.surroundings.survey());
+        let width = u64::from(METERED_ROWS) * u64::from(camera.width) / u64::from(camera.height.max(1));
+        self.resize((u32::try_from(width).unwrap_or(u32::MAX).clamp(16, 4 * METERED_ROWS), METERED_ROWS))?;
+        self.set_predictor(Predictor::Surface);
+        for _ in 0..METERED_TIMES {
+            self.draw_surfaces(camera)?;
+            let mut encoder = self.light(camera, 1.0);
+            self.meter.encode(&mut encoder, self.exposure.ev());
+            self.gpu.queue.submit([encoder.finish()]);
+            if let Some((histogram, _)) = self.meter.wait(&self.gpu)? {
+                let incident = Exposure::for_reference(survey.lux).scale / self.exposure.scale;
+                let gain = histogram.gain(incident, self.surroundings.environment.is_painted());
+                self.set_exposure(meter::corrected(self.exposure, gain).as_reference());
+            }
+        }
+        self.set_predictor(predictor);
+        self.resize(size)
+    }
+
+    /// Lets the exposure follow what pictures show, as an eye does, `step_s` seconds after the last call. Returns the
+    /// exposure if it changes. Does not wait.
+    pub fn adapt(&mut self, step_s: f64) -> Option<Exposure> {
+        self.metering = true;
+        if let Some((histogram, ev)) = self.meter.take_newest() {
+            self.eye.see(&histogram, ev, self.surroundings.environment.is_painted());
+        }
+        let ev = self.exposure.ev();
+        let adapted = self.eye.adapt(ev, step_s);
+        (adapted != ev).then(|| {
+            self.set_exposure(self.exposure.at_ev(adapted));
+            self.exposure
+        })
     }
 
     #[must_use]
@@ -250,6 +354,21 @@ impl FrameRenderer {
         target: &wgpu::TextureView,
         more: impl FnOnce(&mut wgpu::CommandEncoder),
     ) -> Result<wgpu::SubmissionIndex, RenderError> {
+        let mut encoder = self.light(camera, visibility_share);
+        if self.metering {
+            self.meter.encode(&mut encoder, self.exposure.ev());
+        }
+        match self.debug_view {
+            DebugView::Picture => self.tone.encode(&mut encoder, target),
+            view => self.debug.encode(&self.gpu.queue, &mut encoder, view, &self.history, target),
+        }
+        more(&mut encoder);
+        let submission = self.gpu.queue.submit([encoder.finish()]);
+        self.check().map(|()| submission)
+    }
+
+    /// Begins a submission with the passes up to the light that reaches the eye.
+    fn light(&mut self, camera: &Camera, visibility_share: f32) -> wgpu::CommandEncoder {
         let camera = self.sized(camera);
         self.visibility_share = visibility_share.clamp(0.0, 1.0);
         self.write_view(&camera, self.visibility_share);
@@ -261,13 +380,7 @@ impl FrameRenderer {
         let eye = (camera.position_m - self.space.origin_m).as_vec3();
         let group = self.shade.group(&self.history);
         self.blend.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene, group, eye);
-        match self.debug_view {
-            DebugView::Picture => self.tone.encode(&mut encoder, target),
-            view => self.debug.encode(&self.gpu.queue, &mut encoder, view, &self.history, target),
-        }
-        more(&mut encoder);
-        let submission = self.gpu.queue.submit([encoder.finish()]);
-        self.check().map(|()| submission)
+        encoder
     }
 
     /// Returns the share of pixels whose visibility came from masks (the sky counts), for the newest picture whose

@@ -9,6 +9,7 @@ use gnomon_shaders::{
 use wgpu::util::DeviceExt as _;
 
 use super::{
+    environment::Surroundings,
     error::RenderError,
     pipeline::{bind_group, bind_group_layout, covering_pipeline_with, kept, picture, shader, storage, uniform},
     predict::depth_history::DepthHistory,
@@ -40,6 +41,7 @@ impl ShadePass {
         (view, lighting): (&wgpu::Buffer, &wgpu::Buffer),
         targets: &Targets,
         history: &DepthHistory,
+        surroundings: &Surroundings,
         scene: &SceneUpload,
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
@@ -53,11 +55,18 @@ impl ShadePass {
         let (view, lighting, finishes) = (view.clone(), lighting.clone(), scene.finishes.clone());
         let mut pass =
             Self { layout, view, lighting, finishes, edge_shares, groups: Vec::new(), pipeline, layered, quality };
-        pass.resize(device, targets, history);
+        pass.bind(device, targets, history, surroundings);
         Ok(pass)
     }
 
-    pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
+    /// Binds new targets or another environment.
+    pub(crate) fn bind(
+        &mut self,
+        device: &wgpu::Device,
+        targets: &Targets,
+        history: &DepthHistory,
+        surroundings: &Surroundings,
+    ) {
         let view = wgpu::BindingResource::TextureView;
         let group = |depth| {
             let resources = [
@@ -69,6 +78,8 @@ impl ShadePass {
                 view(&targets.color),
                 view(&targets.normal_material),
                 self.edge_shares.as_entire_binding(),
+                view(&surroundings.view),
+                wgpu::BindingResource::Sampler(&surroundings.sampler),
             ];
             bind_group(device, "shading", &self.layout, &resources)
         };
@@ -136,6 +147,12 @@ fn layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
         picture(wgpu::TextureSampleType::Float { filterable: false }),
         picture(wgpu::TextureSampleType::Uint),
         storage(true),
+        wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Float { filterable: true },
+            view_dimension: wgpu::TextureViewDimension::Cube,
+            multisampled: false,
+        },
+        wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
     ];
     bind_group_layout(&gpu.device, "shading", wgpu::ShaderStages::VERTEX_FRAGMENT, &bindings)
 }

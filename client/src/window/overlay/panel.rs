@@ -11,8 +11,7 @@ use crate::{
     input::keys::HELP,
     mode::State,
     predictor::Predictor,
-    render::debug_view::DebugView,
-    render::quality::Quality,
+    render::{debug_view::DebugView, quality::Quality, tone::ToneCurve},
     window::settings::{GUARDS, LIGHTS_AT_A_TIME, MODES, Settings, Split},
 };
 
@@ -143,6 +142,7 @@ fn settings_rows(ui: &mut egui::Ui, settings: &mut Settings) {
     choice_row(ui, "guard band (G)", &mut settings.guard, &GUARDS);
     let views: Vec<DebugView> = settings.views().collect();
     choice_row(ui, "view (V)", &mut settings.view, &views);
+    choice_row(ui, "tone curve (T)", &mut settings.tone, &ToneCurve::ALL);
     let splits = settings.splits();
     choice_row(ui, "split (B)", &mut settings.split, splits);
     let (first, last) = settings.digits();

@@ -2,13 +2,12 @@
 //!
 //! [`mask_words`] converts received bit planes to one word a pixel, and [`layers`] keeps the newest masks.
 //! [`depth_history`] has the depth of their views, or [`depth_pass`] draws it again. [`shadow_map`] covers what they
-//! did not see, and [`known`] counts those pixels. [`pass`] runs them all and writes two words a pixel
-//! (`wgsl/shading/predict.wgsl`), which the shading passes read.
+//! did not see. [`pass`] runs them all, counts those pixels, and writes two words a pixel (`wgsl/shading/predict.wgsl`),
+//! which the shading passes read.
 
 mod bindings;
 pub(crate) mod depth_history;
 pub(crate) mod depth_pass;
-mod known;
 mod layers;
 mod mask_view;
 mod mask_words;

@@ -12,12 +12,13 @@ use gnomon_shaders::{
 };
 
 use super::{
-    bindings, depth_history::DepthHistory, depth_pass::DepthPass, known::UnknownCount, layers::Layers,
-    mask_view::MaskView, mask_words::WordsPass, shadow_map::ShadowMap,
+    bindings, depth_history::DepthHistory, depth_pass::DepthPass, layers::Layers, mask_view::MaskView,
+    mask_words::WordsPass, shadow_map::ShadowMap,
 };
 use crate::{
     predictor::Predictor,
     render::{
+        counts::Counts,
         error::RenderError,
         pipeline::{Variable, bind_group, cleared, covering_pipeline_with, shader},
         scene_upload::SceneUpload,
@@ -43,7 +44,9 @@ pub(crate) struct PredictPass {
     depth_pass: DepthPass,
     shadow_map: ShadowMap,
     words_pass: WordsPass,
-    unknown: UnknownCount,
+    /// Pixels with unknown visibility.
+    unknown: Counts<()>,
+    newest_unknown: Option<u32>,
     lights: u32,
     pixels: u32,
     pub(super) layers: Layers,
@@ -62,7 +65,7 @@ impl PredictPass {
         let device = &gpu.device;
         let depth_pass = DepthPass::new(gpu, upload)?;
         let shadow_map = ShadowMap::new(gpu, scene, upload, &depth_pass);
-        let unknown = UnknownCount::new(device);
+        let unknown = Counts::new(device, "unknown pixels", 1);
         let uniform = Variable::new(gpu, "prediction");
         let [scene_layout, surface_layout, mask_layout] = bindings::layouts(gpu);
         let picture = wgpu::BindingResource::TextureView;
@@ -104,6 +107,7 @@ impl PredictPass {
             shadow_map,
             words_pass,
             unknown,
+            newest_unknown: None,
             lights,
             pixels: targets.width * targets.height,
             layers,
@@ -201,12 +205,14 @@ impl PredictPass {
             pass.set_bind_group(2, mask_group, &[]);
             pass.draw(0..3, 0..1);
         }
-        self.unknown.copy(encoder);
+        self.unknown.copy(encoder, ());
     }
 
     /// Returns the share of pixels known from masks (the sky counts), for the newest picture whose count was read back.
     pub(crate) fn known_share(&mut self) -> Option<f64> {
-        self.unknown.newest().map(|unknown| 1.0 - f64::from(unknown) / f64::from(self.pixels))
+        let newest = self.unknown.take_newest().and_then(|(words, ())| words.first().copied());
+        self.newest_unknown = newest.or(self.newest_unknown);
+        self.newest_unknown.map(|unknown| 1.0 - f64::from(unknown) / f64::from(self.pixels))
     }
 
     /// Returns the masks from which a picture for `camera` is predicted, and their number.
