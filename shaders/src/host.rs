@@ -110,25 +110,32 @@ impl TracedLight {
 pub struct AlphaMaterial {
     /// Index of the picture's first texel; texels are bytes.
     pub first_texel: u32,
-    /// Width of the picture, in texels.
+    /// Width of the picture, in texels; 0 without one.
     pub width: u32,
     /// Height of the picture, in texels.
     pub height: u32,
     /// How texture coordinates outside 0 to 1 wrap: see [`wraps`].
     pub wraps: u32,
-    /// A point stops rays if its texel times `factor` is at least this.
+    /// A point stops rays if its texel times `factor`, times the vertices' alpha, is at least this.
     pub cutoff: f32,
     pub factor: f32,
+    /// 1 if the alpha of vertices counts. It then follows a triangle's texture coordinates.
+    pub vertex_alpha: u32,
     unused_0: u32,
-    unused_1: u32,
 }
 
 impl AlphaMaterial {
-    /// `size` is the picture's width and height in texels.
+    /// Returns a material without a picture.
     #[must_use]
-    pub fn new(first_texel: u32, size: (u32, u32), wraps: u32, cutoff: f32, factor: f32) -> Self {
-        let (width, height) = size;
-        Self { first_texel, width, height, wraps, cutoff, factor, unused_0: 0, unused_1: 0 }
+    pub fn new(cutoff: f32, factor: f32, vertex_alpha: bool) -> Self {
+        let vertex_alpha = vertex_alpha.into();
+        Self { first_texel: 0, width: 0, height: 0, wraps: 0, cutoff, factor, vertex_alpha, unused_0: 0 }
+    }
+
+    /// Adds a picture, whose `size` is its width and height in texels.
+    #[must_use]
+    pub fn with_picture(self, first_texel: u32, (width, height): (u32, u32), wraps: u32) -> Self {
+        Self { first_texel, width, height, wraps, ..self }
     }
 }
 
@@ -158,7 +165,7 @@ pub struct TracedTriangle {
     pub kind: u32,
     /// Second corner, in metres.
     pub b: [f32; 3],
-    /// Index of the first of its three texture coordinates, for a triangle with holes.
+    /// Index of the first of its texture coordinates, for a triangle with holes.
     pub first_uv: u32,
     /// Third corner, in metres.
     pub c: [f32; 3],

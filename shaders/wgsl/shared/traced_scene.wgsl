@@ -47,16 +47,17 @@ const LIGHT_SPOT: u32 = 2u;
 struct AlphaMaterial {
     // Index of the first texel in `alpha_texels`, which holds four a word.
     first_texel: u32,
-    // Size of the picture, in texels.
+    // Size of the picture, in texels; 0 without one.
     width: u32,
     height: u32,
     // Wrap modes: u in the low half, v in the high half; see `wrapped` in shared/texels.wgsl.
     wraps: u32,
-    // A point stops rays if texel · factor is at least the cutoff.
+    // A point stops rays if texel · factor · the vertices' alpha is at least the cutoff.
     cutoff: f32,
     factor: f32,
+    // 1 if the alpha of the material's vertices counts, 0 if it is 1.
+    vertex_alpha: u32,
     unused_0: u32,
-    unused_1: u32,
 }
 
 // Triangles, in the order of the hierarchy's leaves, three vec4u each. xyz are the corners' positions; the first w is
@@ -71,7 +72,8 @@ const TRIANGLE_ALPHA: u32 = 0x7fffffffu;
 @group(0) @binding(2) var<storage, read> lights: array<TracedLight>;
 @group(0) @binding(3) var<storage, read> alpha_materials: array<AlphaMaterial>;
 @group(0) @binding(4) var<storage, read> alpha_texels: array<u32>;
-// Texture coordinates of triangles with holes, three each.
+// Texture coordinates of triangles with holes, three each. Where the alpha of vertices counts, it follows: the first two
+// corners', then the third's and a zero.
 @group(0) @binding(5) var<storage, read> alpha_uvs: array<vec2f>;
 // Twelve numbers a triangle: the shading normals of its corners, then the unit normal of its plane.
 @group(0) @binding(6) var<storage, read> normals: array<f32>;

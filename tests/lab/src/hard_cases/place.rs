@@ -41,7 +41,7 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
         let scene = still_life().origin(origin).build();
         cases.push(Case::judged(format!("moved-1e{exponent}"), scene, view(1.0, origin, size)));
     }
-    for exponent in -3_i16..=4 {
+    for exponent in -4_i16..=4 {
         let factor = 10.0_f32.powi(i32::from(exponent));
         let camera = view(f64::from(factor), DVec3::ZERO, size);
         cases.push(Case::judged(format!("scaled-1e{exponent}"), scaled(still_life().build(), factor), camera));

@@ -46,6 +46,18 @@ pub(super) fn cases(size: (u32, u32)) -> Vec<Case> {
         .build();
     minified.uvs.iter_mut().for_each(|uv| *uv *= 100.0);
     cases.push(Case::judged("alpha-minified", minified, view).doubtful(0.01));
+    // Alpha of vertices: a sheet that fades from one side to the other, alone and times its picture.
+    for (name, has_picture) in [("alone", false), ("and-picture", true)] {
+        let sheet = floor().material(AlphaMode::Mask { cutoff: 0.5 }, true);
+        let sheet = if has_picture { sheet.alpha_picture(8, &chequer, Wrap::Repeat) } else { sheet };
+        let mut faded = sheet
+            .quad(Vec3::new(-2.0, 1.5, -2.0), Vec3::Z * 4.0, Vec3::X * 4.0)
+            .sun(Vec3::new(0.3, -1.0, -0.2))
+            .build();
+        let alpha = |at: &Vec3| if at.x > 0.0 && at.y > 0.0 { 60_000 } else { 0 };
+        faded.colors = faded.positions.iter().map(|at| [u16::MAX, u16::MAX, u16::MAX, alpha(at)]).collect();
+        cases.push(Case::judged(format!("vertex-alpha-{name}"), faded, view));
+    }
 
     // Two boxes with overlapping coplanar sides, a sheet on the floor, and a doubled one.
     let coplanar = floor()

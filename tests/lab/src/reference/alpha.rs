@@ -41,10 +41,16 @@ impl AlphaTest {
 
     /// Returns how far the alpha at (u, v) lies above the cutoff, and the error of that from f32 texture coordinates.
     /// The surface exists if the first is not negative.
-    pub(super) fn margin(&self, u: f64, v: f64) -> (f64, f64) {
-        let Some(picture) = &self.picture else { return (self.factor - self.cutoff, 0.0) };
+    ///
+    /// `vertices` is the alpha of the vertices there.
+    pub(super) fn margin(&self, u: f64, v: f64, vertices: f64) -> (f64, f64) {
+        let factor = self.factor * vertices;
+        let Some(picture) = &self.picture else {
+            // A constant is compared as it is; a mixture is rounded.
+            return (factor - self.cutoff, if vertices < 1.0 { 1e-6 } else { 0.0 });
+        };
         let (alpha, rounding) = picture.sample(u, v);
-        (alpha * self.factor - self.cutoff, rounding * self.factor + 1e-6)
+        (alpha * factor - self.cutoff, rounding * factor + 1e-6)
     }
 }
 

@@ -81,6 +81,8 @@ pub struct Reference {
 struct Surface {
     normals: [DVec3; 3],
     uvs: [[f64; 2]; 3],
+    /// Alpha of the corners.
+    alphas: [f64; 3],
     material: u32,
 }
 
@@ -104,6 +106,9 @@ impl Reference {
                 surfaces.push(Surface {
                     normals: vertices.map(|vertex| scene.normals[vertex].as_dvec3()),
                     uvs: vertices.map(|vertex| scene.uvs[vertex].as_dvec2().to_array()),
+                    alphas: vertices.map(|vertex| {
+                        scene.colors.get(vertex).map_or(1.0, |color| f64::from(color[3]) / f64::from(u16::MAX))
+                    }),
                     material: draw.material,
                 });
             }

@@ -169,7 +169,10 @@ impl Reference {
             for (weight, corner) in crossing.weights.iter().zip(surface.uvs) {
                 uv = [uv[0] + weight * corner[0], uv[1] + weight * corner[1]];
             }
-            let (above, rounding) = alpha.margin(uv[0], uv[1]);
+            let [of_a, of_b, of_c] = surface.alphas;
+            let [wa, wb, wc] = crossing.weights;
+            let vertices = if surface.alphas == [1.0; 3] { 1.0 } else { of_a * wa + of_b * wb + of_c * wc };
+            let (above, rounding) = alpha.margin(uv[0], uv[1], vertices);
             there &= above + nudge.alpha * rounding >= 0.0;
             // Moving the ray moves the sample too; the eight nudges show whether that matters.
             close |= above.abs() <= rounding + self.alpha_slope(triangle) * margin;
@@ -178,7 +181,7 @@ impl Reference {
     }
 
     /// Greatest change of alpha per metre on a triangle. One full step per texel is its bound, so only texels per metre
-    /// count, from the edges' texture coordinates.
+    /// count, from the edges' texture coordinates, and the vertices' alpha.
     fn alpha_slope(&self, triangle: u32) -> f64 {
         let corners = &self.corners[triangle as usize];
         let surface = &self.surfaces[triangle as usize];
@@ -186,7 +189,8 @@ impl Reference {
         let mut slope = 0.0_f64;
         for (i, j) in [(0, 1), (1, 2), (2, 0)] {
             let [u, v] = [0, 1].map(|axis| surface.uvs[j][axis] - surface.uvs[i][axis]);
-            slope = slope.max(u.hypot(v) * texels / corners[i].distance(corners[j]));
+            let step = u.hypot(v) * texels + (surface.alphas[j] - surface.alphas[i]).abs();
+            slope = slope.max(step / corners[i].distance(corners[j]));
         }
         slope
     }

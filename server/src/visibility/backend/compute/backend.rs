@@ -115,7 +115,6 @@ impl ComputeBackend {
     ) -> Result<Self, BackendError> {
         let failure = DeviceFailure::watch(&gpu.device);
         let geometry = Geometry::build(scene, traversal)?;
-        let tests_alpha = !geometry.alpha_materials.is_empty();
         let memory = DeviceMemory {
             hierarchy_bytes: size_of_val(&*geometry.nodes) as u64,
             triangle_bytes: (size_of_val(&*geometry.triangles) + size_of_val(&*geometry.normals)) as u64,
@@ -123,7 +122,7 @@ impl ComputeBackend {
             alpha_bytes: geometry.alpha_bytes(),
             mask_bytes: 0,
         };
-        let kernels = Kernels::new(&gpu, traversal, tests_alpha, offset_roundings)?;
+        let kernels = Kernels::new(&gpu, traversal, &geometry.alpha_materials, offset_roundings)?;
         let (nodes, structure) = match traversal {
             Traversal::Hierarchy => (geometry.nodes.len(), None),
             Traversal::RayQuery => {

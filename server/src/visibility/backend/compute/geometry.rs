@@ -26,7 +26,7 @@ pub(super) struct Geometry {
     pub(super) triangles: Vec<TracedTriangle>,
     /// Shading normals of each triangle's corners, then the unit normal of its plane (zero without an area).
     pub(super) normals: Vec<[Vec3; 4]>,
-    /// Texture coordinates of the triangles with holes, three each.
+    /// Texture coordinates of the triangles with holes, three each; where the alpha of vertices counts, that follows.
     pub(super) alpha_uvs: Vec<Vec2>,
     pub(super) alpha_materials: Vec<AlphaMaterial>,
     /// Alpha pictures, concatenated.
@@ -90,10 +90,17 @@ impl Geometry {
         let mut opacities = Vec::with_capacity(scene.materials.len());
         // Materials share pictures, so each image's texels are stored once.
         let mut first_texels = HashMap::new();
-        for material in &scene.materials {
+        let vertex_alpha = scene.vertex_alpha_materials();
+        for (place, material) in scene.materials.iter().enumerate() {
+            let vertex_alpha = vertex_alpha.get(place).is_some_and(|counts| *counts);
             opacities.push(match (material.alpha, material.base_color_texture) {
                 (AlphaMode::Opaque, _) => Opacity::Everywhere,
                 (AlphaMode::Blend, _) => Opacity::Nowhere,
+                (AlphaMode::Mask { cutoff }, None) if vertex_alpha => {
+                    let index = index_of_next("alpha materials", &self.alpha_materials)?;
+                    self.alpha_materials.push(AlphaMaterial::new(cutoff, material.base_color.w, true));
+                    Opacity::ByAlpha(index)
+                }
                 (AlphaMode::Mask { cutoff }, None) if material.base_color.w >= cutoff => Opacity::Everywhere,
                 (AlphaMode::Mask { .. }, None) => Opacity::Nowhere,
                 (AlphaMode::Mask { cutoff }, Some(texture)) => {
@@ -110,13 +117,9 @@ impl Geometry {
                             *first_texels.entry(texture.image).or_insert(first)
                         }
                     };
-                    self.alpha_materials.push(AlphaMaterial::new(
-                        first_texel,
-                        (image.width, image.height),
-                        wraps(texture.wrap_u, texture.wrap_v),
-                        cutoff,
-                        material.base_color.w,
-                    ));
+                    let (size, wraps) = ((image.width, image.height), wraps(texture.wrap_u, texture.wrap_v));
+                    let without = AlphaMaterial::new(cutoff, material.base_color.w, vertex_alpha);
+                    self.alpha_materials.push(without.with_picture(first_texel, size, wraps));
                     Opacity::ByAlpha(index)
                 }
             });
@@ -137,6 +140,10 @@ impl Geometry {
         if let Opacity::ByAlpha(index) = opacity {
             kind |= index + 1;
             self.alpha_uvs.extend(corners.map(|index| scene.uvs[index as usize]));
+            if self.alpha_materials.get(index as usize).is_some_and(|material| material.vertex_alpha != 0) {
+                let [a, b, c] = corners.map(|index| scene.vertex_alpha(index));
+                self.alpha_uvs.extend([Vec2::new(a, b), Vec2::new(c, 0.0)]);
+            }
         }
         self.triangles.push(TracedTriangle { a, kind, b, first_uv, c, unused: 0 });
         let [na, nb, nc] = corners.map(|index| scene.normals[index as usize]);

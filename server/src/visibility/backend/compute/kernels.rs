@@ -2,7 +2,7 @@
 
 use gnomon_shaders::{
     gpu::Gpu,
-    host::TracedView,
+    host::{AlphaMaterial, TracedView},
     splice::{splice, splice_ray_query},
 };
 
@@ -61,13 +61,13 @@ pub(super) struct FrameBuffers<'a> {
 }
 
 impl Kernels {
-    /// Compiles the kernels. `has_alpha`: the scene's triangles have holes. `offset_roundings` replaces
+    /// Compiles the kernels for the scene's `alpha_materials`. `offset_roundings` replaces
     /// `OFFSET_ROUNDINGS` of `visibility/primary.wgsl`. Errors if the device lacks a feature or a limit. The device's
     /// error handler gets what the device itself refuses.
     pub(super) fn new(
         gpu: &Gpu,
         traversal: Traversal,
-        has_alpha: bool,
+        alpha_materials: &[AlphaMaterial],
         offset_roundings: Option<u16>,
     ) -> Result<Self, BackendError> {
         if traversal == Traversal::RayQuery {
@@ -97,9 +97,13 @@ impl Kernels {
             bind_group_layouts: &[Some(&scene), Some(&frame)],
             immediate_size: TracedView::BYTES,
         });
-        let alpha = ("HAS_ALPHA", f64::from(u8::from(has_alpha)));
+        let flag = |name, set| (name, f64::from(u8::from(set)));
+        let alpha = [
+            flag("HAS_ALPHA", !alpha_materials.is_empty()),
+            flag("HAS_VERTEX_ALPHA", alpha_materials.iter().any(|material| material.vertex_alpha != 0)),
+        ];
         let offset = offset_roundings.map(|offset| ("OFFSET_ROUNDINGS", f64::from(offset)));
-        let primary_constants: Vec<(&str, f64)> = [alpha].into_iter().chain(offset).collect();
+        let primary_constants: Vec<(&str, f64)> = alpha.into_iter().chain(offset).collect();
         let pipeline = |name: &str, constants: &[(&str, f64)]| -> Result<wgpu::ComputePipeline, BackendError> {
             let path = format!("visibility/{name}.wgsl");
             let text = match traversal {
@@ -120,7 +124,7 @@ impl Kernels {
                 cache: None,
             }))
         };
-        let (primary, shadow) = (pipeline("primary", &primary_constants)?, pipeline("shadow", &[alpha])?);
+        let (primary, shadow) = (pipeline("primary", &primary_constants)?, pipeline("shadow", &alpha)?);
         Ok(Self { primary, shadow, scene, frame })
     }
 

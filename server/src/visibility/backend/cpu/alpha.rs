@@ -1,6 +1,6 @@
 //! The alpha test of MASK triangles.
 
-use gnomon_scene::{AlphaMode, AlphaPicture, Scene, Wrap};
+use gnomon_scene::{AlphaMode, AlphaPicture, Material, Scene, Wrap};
 
 use crate::visibility::backend::BackendError;
 
@@ -10,6 +10,8 @@ pub(super) struct Alpha {
     /// Index of the first MASK triangle. OPAQUE ones come first.
     first: u32,
     triangles: Vec<MaskTriangle>,
+    /// Alpha of each triangle's corners. Empty if it is 1 everywhere.
+    vertices: Vec<[f32; 3]>,
     materials: Vec<MaskMaterial>,
     /// One per image, however many materials use it.
     pictures: Vec<AlphaPicture>,
@@ -32,7 +34,12 @@ struct MaskMaterial {
 impl Alpha {
     /// Errors if a MASK material's picture is not decoded.
     pub(super) fn new(scene: &Scene) -> Result<Self, BackendError> {
-        let mut alpha = Self { first: 0, triangles: Vec::new(), materials: Vec::new(), pictures: Vec::new() };
+        let (triangles, vertices, materials, pictures) = Default::default();
+        let mut alpha = Self { first: 0, triangles, vertices, materials, pictures };
+        let is_mask = |material: &Material| matches!(material.alpha, AlphaMode::Mask { .. });
+        let vertex_alpha = scene.vertex_alpha_materials();
+        let vertices_count =
+            vertex_alpha.iter().zip(&scene.materials).any(|(counts, material)| *counts && is_mask(material));
         let mut places = vec![None; scene.materials.len()];
         let mut picture_places = vec![None; scene.images.len()];
         for draw in &scene.draws {
@@ -66,6 +73,9 @@ impl Alpha {
             for triangle in &scene.triangles[first..first + draw.triangles as usize] {
                 let uvs = triangle.map(|i| scene.uvs[i as usize].to_array());
                 alpha.triangles.push(MaskTriangle { uvs, material: place });
+                if vertices_count {
+                    alpha.vertices.push(triangle.map(|i| scene.vertex_alpha(i)));
+                }
             }
         }
         Ok(alpha)
@@ -73,19 +83,26 @@ impl Alpha {
 
     /// Returns whether a point of MASK triangle `triangle` passes the alpha test. `weights` need not sum to 1.
     pub(super) fn passes(&self, triangle: u32, weights: [f32; 3]) -> bool {
-        let triangle = &self.triangles[(triangle - self.first) as usize];
+        let place = (triangle - self.first) as usize;
+        let triangle = &self.triangles[place];
         let material = &self.materials[triangle.material as usize];
-        let Some((picture, wraps)) = material.picture else { return material.factor >= material.cutoff };
         let sum = weights[0] + weights[1] + weights[2];
-        let [u, v] = [0, 1].map(|i| {
-            (triangle.uvs[0][i] * weights[0] + triangle.uvs[1][i] * weights[1] + triangle.uvs[2][i] * weights[2]) / sum
-        });
-        sample(&self.pictures[picture], wraps, u, v) / 255.0 * material.factor >= material.cutoff
+        let mixed = |[a, b, c]: [f32; 3]| (a * weights[0] + b * weights[1] + c * weights[2]) / sum;
+        let factor = match self.vertices.get(place) {
+            // Rounding must not take from what is solid.
+            Some([1.0, 1.0, 1.0]) | None => material.factor,
+            Some(alphas) => material.factor * mixed(*alphas),
+        };
+        let Some((picture, wraps)) = material.picture else { return factor >= material.cutoff };
+        let [u, v] = [0, 1].map(|i| mixed(triangle.uvs.map(|uv| uv[i])));
+        sample(&self.pictures[picture], wraps, u, v) / 255.0 * factor >= material.cutoff
     }
 
     /// Memory of pictures and coordinates.
     pub(super) fn memory_bytes(&self) -> usize {
-        self.pictures.iter().map(|picture| picture.alpha.len()).sum::<usize>() + size_of_val(&*self.triangles)
+        self.pictures.iter().map(|picture| picture.alpha.len()).sum::<usize>()
+            + size_of_val(&*self.triangles)
+            + size_of_val(&*self.vertices)
     }
 }
 
