@@ -9,7 +9,10 @@ pub use gnomon_client_core::camera::path::{CameraPath, Keyframe};
 /// Largest path file that is read, in bytes.
 const MAX_FILE_BYTES: u64 = 16 << 20;
 
-/// A path on a command line: `FILE` or `FILE#NAME`.
+/// Stands for the scene instead of a file. `./scene` is a file.
+const SCENE: &str = "scene";
+
+/// A path on a command line: `FILE` or `FILE#NAME`, or `scene` or `scene#NAME` for a camera of the scene.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PathSpec {
     pub file: PathBuf,
@@ -25,6 +28,8 @@ pub enum PathError {
     TooLarge(PathBuf),
     #[error("camera path {}: {source}", file.display())]
     Parse { file: PathBuf, source: gnomon_client_core::camera::path::PathError },
+    #[error("--path {SCENE}: {0}")]
+    Scene(#[from] gnomon_client_core::camera::of_scene::NoSuchCamera),
 }
 
 impl FromStr for PathSpec {
@@ -46,6 +51,20 @@ impl fmt::Display for PathSpec {
 }
 
 impl PathSpec {
+    /// Returns which of the scene's cameras is meant, if one is: its name or number, or the first without one.
+    #[must_use]
+    pub fn scene_camera(&self) -> Option<Option<&str>> {
+        (self.file.as_os_str() == SCENE).then_some(self.name.as_deref())
+    }
+
+    /// Reads the path, unless it is a camera of the scene.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn load_file(&self) -> Result<Option<CameraPath>, PathError> {
+        if self.scene_camera().is_some() { Ok(None) } else { self.load().map(Some) }
+    }
+
     /// Reads the path.
     ///
     /// # Errors
@@ -66,6 +85,15 @@ impl PathSpec {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn cameras_of_the_scene_are_no_files() {
+        let of = |text: &str| text.parse::<PathSpec>().unwrap();
+        assert_eq!((of("scene").scene_camera(), of("scene#Door").scene_camera()), (Some(None), Some(Some("Door"))));
+        assert!(matches!(of("scene#2").load_file(), Ok(None)));
+        assert_eq!(of("./scene").scene_camera(), None);
+        assert!(matches!(of("no/scene").load_file(), Err(PathError::Read { .. })));
+    }
 
     #[test]
     fn files_are_read_by_name() {

@@ -15,10 +15,11 @@ use gnomon_settings::{
 use thiserror::Error;
 
 use crate::{
-    app::servers::KnownServers,
+    app::{local_server::LocalScene, servers::KnownServers},
     config::ClientSettings,
     error::ClientError,
     options::{HeadlessOptions, Source, WindowOptions},
+    target::Target,
 };
 
 /// The version, and the commit that the program is built from.
@@ -42,11 +43,11 @@ pub struct Arguments {
     /// Draw this glTF scene without a server: every light reaches everything
     #[arg(long, value_name = "SCENE", help_heading = "Picture")]
     pub offline: Option<PathBuf>,
-    /// With --offline: lights_camera.json file with lights, for a scene without any
-    #[arg(long, value_name = "FILE", requires = "offline", help_heading = "Picture")]
+    /// With a scene's file or --offline: lights_camera.json file with lights, for a scene without any
+    #[arg(long, value_name = "FILE", help_heading = "Picture")]
     pub lights_from: Option<PathBuf>,
-    /// With --offline: keep only the first N lights
-    #[arg(long, value_name = "N", requires = "offline", help_heading = "Picture")]
+    /// With a scene's file or --offline: keep only the first N lights
+    #[arg(long, value_name = "N", help_heading = "Picture")]
     pub lights: Option<u32>,
     /// Record the run into this file; `lab replay` draws it again
     #[arg(long, value_name = "FILE", help_heading = "Picture")]
@@ -106,12 +107,15 @@ impl Run {
 #[derive(Debug, Error)]
 pub enum ConfigError {
     #[error(
-        "which server? Pass the URL that gnomon-server printed, --demo to start one here, or --offline SCENE to draw \
-         without one"
+        "which server? Pass the URL that gnomon-server printed, a scene's file or --demo to start one here, or --offline \
+         SCENE to draw without one"
     )]
     NoSource,
-    #[error("a URL and --offline: choose one")]
+    #[error("a URL or file and --offline: choose one")]
     TwoSources,
+    /// A flag about a scene that the server has loaded.
+    #[error("--{0}: with a scene's file or --offline only")]
+    FileOnly(&'static str),
     #[error("--token-file {}: {reason}", file.display())]
     TokenFile { file: PathBuf, reason: String },
     /// A flag that has no meaning in a window.
@@ -142,7 +146,12 @@ pub fn resolve(loaded: Loaded<Arguments>) -> Result<Run, ConfigError> {
     }
     let source = match (arguments.offline, settings.url.clone()) {
         (Some(scene), None) => Source::Offline { scene, lights_from: arguments.lights_from, lights: arguments.lights },
-        (None, Some(url)) => Source::Server(url),
+        (None, Some(Target::File(file))) => {
+            Source::File(LocalScene { file, lights_from: arguments.lights_from, lights: arguments.lights })
+        }
+        (None, _) if arguments.lights_from.is_some() => return Err(ConfigError::FileOnly("lights-from")),
+        (None, _) if arguments.lights.is_some() => return Err(ConfigError::FileOnly("lights")),
+        (None, Some(Target::Server(url))) => Source::Server(url),
         // A window returns to the last server.
         (None, None) => match KnownServers::load().servers().first() {
             Some(url) if !arguments.headless && !arguments.check_config => Source::Server(url.clone()),
@@ -244,6 +253,15 @@ mod tests {
     }
 
     #[test]
+    fn a_file_is_opened_with_a_server_of_its_own() {
+        let file = |lights| LocalScene { file: "a/room.glb".into(), lights_from: None, lights };
+        assert_eq!(options_with("", "a/room.glb --headless --wait").unwrap().source, Source::File(file(None)));
+        assert_eq!(options_with("", "a/room.glb --lights 2").unwrap().source, Source::File(file(Some(2))));
+        let configured = options_with("url = \"a/room.glb\"", "--headless").unwrap();
+        assert_eq!(configured.source, Source::File(file(None)));
+    }
+
+    #[test]
     fn without_headless_there_is_a_window() {
         let Run::Window(options) =
             run_with("vsync = false\n", &format!("{URL} --exit-after 2.5 --full-screen")).unwrap()
@@ -331,6 +349,9 @@ mod tests {
             ("", "--size=-1x3", "--size -1x3: must be WIDTHxHEIGHT"),
             ("", "--codec zip", "must be one of words, words-lz4"),
             ("", "--lights 3", "--offline"),
+            ("", "gnomon+lab-udp://127.0.0.1:5 --lights 3", "--lights: with a scene's file or --offline only"),
+            ("", "room --headless", "neither a URL"),
+            ("", "room.glb --headless --offline a.gltf", "choose one"),
             ("", "http://x:1", "gnomon://"),
             ("", "--colour", "'--colour'"),
             ("", "--frames 0", "--frames 0: must be 1 to 10000000"),

@@ -10,14 +10,12 @@ use crate::{
     camera_path::PathSpec,
     environment::EnvironmentSpec,
     guard::{Guard, GuardChoice},
-    link::{
-        receive_options::{Packets, Reception},
-        url::ServerUrl,
-    },
+    link::receive_options::{Packets, Reception},
     mode::{Mode, Thresholds},
     pose_history::HISTORY_S,
     predictor::Predictor,
     render::{quality::Quality, tone::ToneCurve},
+    target::Target,
 };
 
 /// Most frames of a headless run.
@@ -32,10 +30,12 @@ const MODES: [Mode; 3] = [Mode::Auto, Mode::Concurrent, Mode::Sequential];
 /// Settings for runs with and without a window. The doc comments are the `--help` texts.
 #[derive(Debug, Clone, PartialEq, clap::Args)]
 pub struct ClientSettings {
-    /// URL that the server printed: gnomon://HOST:PORT/?cert=SHA256 [default in a window: the last server]
-    #[arg(value_name = "URL")]
-    pub url: Option<ServerUrl>,
-    /// Camera path: a lights_camera.json file, and the path's name if it has several [default: one to suit the scene]
+    /// URL that the server printed: gnomon://HOST:PORT/?cert=SHA256, or a scene's file, which a gnomon-server beside
+    /// this program then serves [default in a window: the last server]
+    #[arg(value_name = "URL|FILE")]
+    pub url: Option<Target>,
+    /// Camera path: a lights_camera.json file, and the path's name if it has several; or scene#NAME, a camera of the
+    /// scene by its name or number [default: the scene's first camera, or a path to suit the scene]
     #[arg(long, value_name = "FILE[#NAME]", help_heading = "Picture")]
     pub path: Option<PathSpec>,
     /// Start time on the path, in s

@@ -14,7 +14,7 @@ use gnomon_client_core::{
     render::FrameRenderer,
 };
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS, mask::MaskShape, message::Welcome};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{NamedCamera, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 
 use crate::{
@@ -81,6 +81,8 @@ pub(crate) struct NewScene {
     pub(crate) url: ServerUrl,
     pub(crate) welcome: Welcome,
     pub(crate) exposure: Exposure,
+    #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window shows it"))]
+    pub(crate) cameras: Vec<NamedCamera>,
 }
 
 #[derive(Debug, Default)]
@@ -167,7 +169,7 @@ impl FrameDriver {
             recorder.write(&Record::Event { frame: self.drawn.saturating_sub(1), text })?;
             recorder.finish()?;
         }
-        Ok(Some(NewScene { url, welcome, exposure }))
+        Ok(Some(NewScene { url, welcome, exposure, cameras: scene.cameras }))
     }
 
     /// Draws frame number `frame` from `camera` at `scene_time_s` into `sink`. Frame numbers ascend.

@@ -19,6 +19,7 @@ pub mod link;
 pub mod options;
 pub mod record;
 pub mod stop;
+pub mod target;
 #[cfg(feature = "window")]
 pub mod window;
 

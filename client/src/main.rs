@@ -13,7 +13,7 @@ use gnomon_client::{
     stop::{Cause, Stop},
 };
 #[cfg(feature = "window")]
-use gnomon_client::{app::demo::Demo, window::run_window};
+use gnomon_client::{app::demo::Demo, target::Target, window::run_window};
 use gnomon_protocol::text::Escaped;
 use gnomon_settings::{Layers, Loaded};
 use tracing_subscriber::EnvFilter;
@@ -93,7 +93,7 @@ fn run(loaded: Loaded<Arguments>, stop: &Stop) -> anyhow::Result<()> {
 fn run_demo(mut loaded: Loaded<Arguments>, stop: &Stop) -> anyhow::Result<()> {
     let demo = Demo::start()?;
     let settings = &mut loaded.program.settings;
-    settings.url = Some(demo.url().clone());
+    settings.url = Some(Target::Server(demo.url().clone()));
     if settings.path.is_none() {
         settings.path = Some(demo.path().parse()?);
     }

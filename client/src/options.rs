@@ -4,7 +4,7 @@ use std::{path::PathBuf, time::Duration};
 
 use gnomon_protocol::mask::MaskShape;
 
-use crate::{config::ClientSettings, error::ClientError, link::url::ServerUrl};
+use crate::{app::local_server::LocalScene, config::ClientSettings, error::ClientError, link::url::ServerUrl};
 
 /// Above it, nothing answers the hand any more.
 const MAX_SEQUENTIAL_LAG: u32 = 100;
@@ -13,6 +13,8 @@ const MAX_SEQUENTIAL_LAG: u32 = 100;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Source {
     Server(ServerUrl),
+    /// A local file, served by a server of its own on this machine.
+    File(LocalScene),
     /// A local file, drawn without visibility: every light reaches everything.
     Offline {
         scene: PathBuf,

@@ -53,7 +53,7 @@ fn host_types_have_the_layout_of_their_wgsl_twins() {
     assert_layout!(primary, TracedView, [origin, width, forward, height, right, lights, up, nodes, first_row]);
     assert_eq!(size_of::<TracedView>(), TracedView::BYTES as usize);
     assert_layout!(primary, TracedLight, [position, kind, direction, cos_outer, range_squared]);
-    assert_layout!(primary, AlphaMaterial, [first_texel, width, height, wraps, cutoff, factor]);
+    assert_layout!(primary, AlphaMaterial, [first_texel, width, height, wraps, cutoff, factor, vertex_alpha]);
     // The kernels read triangles as three vec4u; these fields are their w components.
     assert_eq!(size_of::<TracedTriangle>(), 48);
     assert_eq!((offset_of!(TracedTriangle, kind), offset_of!(TracedTriangle, first_uv)), (12, 28));

@@ -2,13 +2,19 @@
 
 use std::sync::Arc;
 
+use gnomon_client_core::camera::of_scene;
 use gnomon_protocol::{ids::BearerToken, mask::MaskShape, message::Welcome};
 use gnomon_scene::{LoadOptions, Scene};
 use tokio::runtime::Runtime;
 
 use crate::{
-    app::{first_visit::FirstVisit, look::Look, servers::KnownServers},
-    camera_path::CameraPath,
+    app::{
+        first_visit::FirstVisit,
+        local_server::{LocalScene, LocalServer, temporary_folder},
+        look::Look,
+        servers::KnownServers,
+    },
+    camera_path::{CameraPath, PathError, PathSpec},
     config::Size,
     default_path::default_path,
     error::ClientError,
@@ -45,6 +51,8 @@ pub(crate) struct Loaded {
     pub(crate) connected: Option<Connected>,
     pub(crate) camera_path: CameraPath,
     pub(crate) look: Look,
+    /// The server of a file that was opened. It must outlive the session.
+    pub(crate) local: Option<LocalServer>,
 }
 
 /// Gets the scene, then a suitable camera path where `options` give none. Blocks.
@@ -56,18 +64,34 @@ pub(crate) fn load(
     largest_mask: (u32, u32),
     camera_path: Option<CameraPath>,
     stop: &Stop,
-    progress: impl FnMut(Step<'_>),
+    mut progress: impl FnMut(Step<'_>),
     trusts: impl FnMut(&ServerUrl, &[u8; 32]) -> bool,
 ) -> Result<Loaded, ClientError> {
     let environment = options.settings.environment.open()?;
-    let (scene, connected) = get_scene(options, largest_mask, stop, progress, trusts)?;
+    let local = match &options.source {
+        Source::File(scene) => Some(LocalServer::start(temporary_folder("file")?, scene)?),
+        Source::Server(_) | Source::Offline { .. } => None,
+    };
+    stop.check()?;
+    let served = local.as_ref().map(|server| {
+        // Its URL is gone with it.
+        let source = Source::Server(server.url().clone());
+        HeadlessOptions { source, remember: false, ..options.clone() }
+    });
+    let (scene, connected) = get_scene(served.as_ref().unwrap_or(options), largest_mask, stop, &mut progress, trusts)?;
     let occluders = Occluders::largest_of(&scene);
-    let camera_path = camera_path.unwrap_or_else(|| default_path(&scene, &occluders));
+    let camera_path = match (camera_path, options.settings.path.as_ref().and_then(PathSpec::scene_camera)) {
+        (Some(path), _) => path,
+        (None, Some(wanted)) => of_scene::standing_at(&scene.cameras, wanted).map_err(PathError::Scene)?,
+        (None, None) => {
+            of_scene::standing_at(&scene.cameras, None).unwrap_or_else(|_| default_path(&scene, &occluders))
+        }
+    };
     let Size { width, height } = options.settings.size;
     let first = camera_path.camera(options.settings.start_time, width, height);
     let look = Look::new(environment, &scene, &occluders, first);
     stop.check()?;
-    Ok(Loaded { scene, connected, camera_path, look })
+    Ok(Loaded { scene, connected, camera_path, look, local })
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -96,7 +120,8 @@ pub(crate) fn get_scene(
     mut trusts: impl FnMut(&ServerUrl, &[u8; 32]) -> bool,
 ) -> Result<(Scene, Option<Connected>), ClientError> {
     match &options.source {
-        Source::Offline { scene, lights_from, lights } => {
+        Source::Offline { scene, lights_from, lights }
+        | Source::File(LocalScene { file: scene, lights_from, lights }) => {
             let load = LoadOptions { lights_from: lights_from.clone(), max_lights: *lights, ..LoadOptions::default() };
             progress(Step::Unpacking);
             Ok((Scene::load(scene, &load)?, None))

@@ -9,6 +9,7 @@ use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use crate::{
     app::connect::{Loaded, Step, load},
+    app::local_server::LocalServer,
     camera_path::{CameraPath, PathSpec},
     config::{ClientSettings, MAX_FRAMES, Size},
     error::ClientError,
@@ -16,7 +17,7 @@ use crate::{
     headless::pictures::PictureWriter,
     headless::progress::Progress,
     headless::stats::{FrameStats, StatsFile, Summary, mean, percentile},
-    link::state::LinkState,
+    link::{state::LinkState, url::Transport},
     mode::{ModeMachine, State},
     options::{HeadlessOptions, Source},
     record::Recorder,
@@ -49,7 +50,7 @@ pub fn run_headless_until(options: &HeadlessOptions, stop: &Stop) -> Result<Summ
     let Size { width, height } = settings.size;
     options.validate()?;
     // First check what is cheap and can fail, before connecting to a server.
-    let camera_path = settings.path.as_ref().map(PathSpec::load).transpose()?;
+    let camera_path = settings.path.as_ref().map(PathSpec::load_file).transpose()?.flatten();
     let pictures = settings.out.as_deref().map(PictureWriter::start).transpose()?;
     let stats = settings.stats.as_deref().map(StatsFile::create).transpose()?;
     if let Some(folder) = &settings.save_masks {
@@ -74,7 +75,7 @@ pub fn run_headless_until(options: &HeadlessOptions, stop: &Stop) -> Result<Summ
     let mut run = Run { options, gpu: &gpu, stop, progress: &progress, tally: &mut tally };
     let drawn = run.draw_all(&mut start, &mut files);
     progress.finish();
-    let Start { mut driver, welcome, lights, exposure, camera_path, .. } = start;
+    let Start { mut driver, welcome, lights, exposure, camera_path, local: _local, .. } = start;
     tally.duration = driver.frames.started().elapsed();
     let mut end = End {
         stopped_by: stop.asked(),
@@ -101,6 +102,8 @@ struct Start {
     welcome: Option<Welcome>,
     lights: u32,
     exposure: Exposure,
+    /// Ends after the session.
+    local: Option<LocalServer>,
 }
 
 impl Start {
@@ -121,7 +124,7 @@ impl Start {
             }
         };
         // Nobody is there to be asked for trust.
-        let Loaded { scene, connected, camera_path, look } =
+        let Loaded { scene, connected, camera_path, look, local } =
             load(options, largest, camera_path, stop, step, |_, _| false)?;
         let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
         let shape = MaskShape::new(largest.0, largest.1, lights)?;
@@ -143,7 +146,7 @@ impl Start {
         };
         let frames = FrameLoop::new(renderer, machine, settings.guard_choice(), source, Instant::now());
         let driver = FrameDriver::new(frames, link, recorder, timing.frames);
-        Ok(Self { driver, timing, camera_path, welcome, lights, exposure })
+        Ok(Self { driver, timing, camera_path, welcome, lights, exposure, local })
     }
 }
 
@@ -335,6 +338,7 @@ fn summary(
     let mean_of = |sum: u64| (arrived > 0).then(|| sum as f64 / arrived as f64);
     let transport = match &options.source {
         Source::Server(url) => url.transport.name(),
+        Source::File(_) => Transport::Quic.name(),
         Source::Offline { .. } => "offline",
     };
     Summary {

@@ -23,11 +23,12 @@ use super::{
     screen::Screen,
 };
 use crate::{
-    app::servers,
+    app::{connect::Loaded, local_server::LocalScene, servers},
     camera_path::{CameraPath, PathSpec},
+    config::ClientSettings,
     error::ClientError,
     input::{Controls, keys::Command},
-    options::{Source, WindowOptions},
+    options::{HeadlessOptions, Source, WindowOptions},
     stop::{Cause, Stop},
     window::settings::Settings,
 };
@@ -48,7 +49,7 @@ const MIN_SIZE: PhysicalSize<u32> = PhysicalSize::new(160, 90);
 /// client had given its server up.
 pub fn run_window(options: WindowOptions, stop: &Stop) -> Result<(), ClientError> {
     options.run.validate()?;
-    let camera_path = options.run.settings.path.as_ref().map(PathSpec::load).transpose()?;
+    let camera_path = options.run.settings.path.as_ref().map(PathSpec::load_file).transpose()?.flatten();
     let event_loop = EventLoop::new().map_err(|error| ClientError::Window(error.to_string()))?;
     let settings = play::settings(&options.run.settings);
     let mut app = App {
@@ -60,6 +61,7 @@ pub fn run_window(options: WindowOptions, stop: &Stop) -> Result<(), ClientError
         commands: Vec::new(),
         view: None,
         stage: Stage::Closed,
+        opening: None,
         notice: None,
         last_frame: None,
         hidden: false,
@@ -87,6 +89,11 @@ enum Stage {
     Failed(String),
 }
 
+struct Opening {
+    source: Source,
+    loading: Loading,
+}
+
 pub(super) struct App {
     options: WindowOptions,
     began: Instant,
@@ -98,6 +105,8 @@ pub(super) struct App {
     pub(super) commands: Vec<Command>,
     pub(super) view: Option<View>,
     stage: Stage,
+    /// A file that was dropped onto the window, while the picture before it goes on.
+    opening: Option<Opening>,
     notice: Option<(String, Instant)>,
     last_frame: Option<Instant>,
     /// True if the window is covered or has no area.
@@ -160,20 +169,10 @@ impl App {
         }
         if let Stage::Loading(loading) = &self.stage
             && let Some(loaded) = loading.poll()
-            && let Some(View { screen, .. }) = &self.view
         {
-            let (options, stop) = (&self.options.run, self.stop.clone());
-            let playing = loaded
-                .and_then(|loaded| Play::start(screen, loaded, options, self.largest_px, &mut self.settings, stop));
-            match playing {
-                Ok(play) => {
-                    tracing::info!(after_ms = self.began.elapsed().as_millis(), "the scene is loaded");
-                    self.stage = Stage::Playing(Box::new(play));
-                    self.notify("H: help     O: figures and settings     Tab: camera path");
-                }
-                Err(error) => self.fail(error),
-            }
+            self.play(loaded);
         }
+        self.show_opened();
         let now = Instant::now();
         let step_s = self.last_frame.replace(now).map_or(0.0, |before| (now - before).as_secs_f64());
         let Some(View { window, screen, egui }) = &mut self.view else { return Ok(()) };
@@ -228,6 +227,65 @@ impl App {
         Ok(())
     }
 
+    /// Begins to open a file that was dropped onto the window. The picture goes on until it is loaded.
+    pub(super) fn open_file(&mut self, file: &Path) {
+        if let Some(Opening { loading, .. }) = self.opening.take() {
+            // Its server ends when it has started.
+            drop(loading);
+        }
+        let source = Source::File(LocalScene { file: file.to_owned(), lights_from: None, lights: None });
+        let options = HeadlessOptions { source: source.clone(), ..self.options.run.clone() };
+        // A camera path was for the scene before.
+        let settings = ClientSettings { path: None, ..options.settings };
+        let options = HeadlessOptions { settings, ..options };
+        match Loading::start(options, largest_mask(self.largest_px), None, self.stop.clone()) {
+            Ok(loading) => {
+                self.opening = Some(Opening { source, loading });
+                self.notify(format!("opening {}", file.display()));
+            }
+            Err(error) => self.notify(format!("{}: {error}", file.display())),
+        }
+    }
+
+    /// Goes on with the scene of a dropped file once it is loaded, or says why it is not.
+    fn show_opened(&mut self) {
+        let Some(loaded) = self.opening.as_ref().and_then(|opening| opening.loading.poll()) else { return };
+        let Some(Opening { source, .. }) = self.opening.take() else { return };
+        let loaded = match loaded {
+            Ok(loaded) => loaded,
+            Err(error) => {
+                tracing::warn!(%error, "a dropped file is not shown");
+                return self.notify(error.to_string());
+            }
+        };
+        if let Stage::Playing(play) = std::mem::replace(&mut self.stage, Stage::Closed)
+            && let Err(error) = play.finish()
+        {
+            tracing::warn!(%error, "the scene before it");
+        }
+        let run = &mut self.options.run;
+        // Recording and statistics are of the first scene.
+        (run.source, run.settings.path, run.record, run.settings.stats) = (source, None, None, None);
+        self.camera_path = None;
+        self.play(Ok(loaded));
+    }
+
+    /// Shows a scene, or why it is not loaded.
+    fn play(&mut self, loaded: Result<Loaded, ClientError>) {
+        let Some(View { screen, .. }) = &self.view else { return };
+        let (options, stop) = (&self.options.run, self.stop.clone());
+        let playing =
+            loaded.and_then(|loaded| Play::start(screen, loaded, options, self.largest_px, &mut self.settings, stop));
+        match playing {
+            Ok(play) => {
+                tracing::info!(after_ms = self.began.elapsed().as_millis(), "the scene is loaded");
+                self.stage = Stage::Playing(Box::new(play));
+                self.notify("H: help     O: figures and settings     Tab: camera path");
+            }
+            Err(error) => self.fail(error),
+        }
+    }
+
     /// Shows the error instead of the picture.
     fn fail(&mut self, error: ClientError) {
         tracing::warn!(%error, "no picture");
@@ -278,6 +336,10 @@ impl App {
                 Ok(())
             }
         };
+        if let Some(Opening { loading, .. }) = self.opening.take() {
+            self.stop.ask(Cause::Closed);
+            loading.leave();
+        }
         ended.and(unsaved.map_or(Ok(()), Err))
     }
 }
@@ -305,7 +367,9 @@ fn draw_ui(
 ) -> bool {
     let (server, fingerprint) = match source {
         Source::Server(url) => (url.to_string(), url.certificates.first().map(servers::fingerprint)),
-        Source::Offline { scene, .. } => (scene.display().to_string(), None),
+        Source::Offline { scene, .. } | Source::File(LocalScene { file: scene, .. }) => {
+            (scene.display().to_string(), None)
+        }
     };
     match stage {
         Stage::Closed => {}

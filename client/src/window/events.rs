@@ -18,6 +18,9 @@ const PX_PER_NOTCH: f64 = 60.0;
 
 impl App {
     pub(super) fn handle_event(&mut self, event: &WindowEvent) {
+        if let WindowEvent::DroppedFile(file) = event {
+            return self.open_file(file);
+        }
         let Some(View { window, screen, egui }) = &mut self.view else { return };
         // Tab would cycle through the overlay's widgets, but each of them has its own key.
         let tab = matches!(event, WindowEvent::KeyboardInput { event, .. }

@@ -27,6 +27,7 @@ pub(super) fn command(key: &Key) -> Option<Command> {
         Key::Named(NamedKey::F11) => Some(Command::FullScreen),
         Key::Named(NamedKey::F1) => Some(Command::Help),
         Key::Character(text) => Some(match text.to_lowercase().as_str() {
+            "c" => Command::Camera,
             "f" => Command::FullScreen,
             "p" => Command::Picture,
             "h" | "?" => Command::Help,

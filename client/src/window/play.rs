@@ -1,8 +1,14 @@
 //! A scene on the screen: poses from a person or the camera path, frames from the driver shared with headless runs.
 
-use std::time::{Duration, Instant};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
-use gnomon_client_core::frame::frame_loop::{FrameLoop, MaskSource};
+use gnomon_client_core::{
+    camera::of_scene,
+    frame::frame_loop::{FrameLoop, MaskSource},
+};
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_PIXELS, mask::MaskShape, message::Welcome};
 use gnomon_scene::camera::Camera;
 use gnomon_shaders::gpu::Gpu;
@@ -36,8 +42,8 @@ use crate::{
 /// Time to cross the scene at the initial speed.
 const CROSSING_S: f64 = 12.0;
 
-/// Bounds of the initial speed: from a stroll to a drive.
-const INITIAL_SPEEDS_M_PER_S: (f64, f64) = (0.3, 20.0);
+/// Most initial speed: a drive. Farther is for the wheel.
+const MOST_INITIAL_SPEED_M_PER_S: f64 = 20.0;
 
 /// The window must keep a new size for this long before pictures are resized; until then they are stretched.
 const RESIZE_DELAY: Duration = Duration::from_millis(150);
@@ -66,6 +72,8 @@ pub(crate) struct Play {
     reference: LocalReference,
     /// A message to show once.
     pub(crate) message: Option<String>,
+    /// The server of a file that was opened. It ends after the session.
+    _local: Option<LocalServer>,
 }
 
 enum LocalReference {
@@ -101,9 +109,10 @@ impl Play {
         settings: &mut Settings,
         stop: Stop,
     ) -> Result<Self, ClientError> {
-        let Loaded { scene, connected, camera_path, look } = loaded;
+        let Loaded { scene, connected, camera_path, look, local } = loaded;
         let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
         (settings.lights, settings.lights_on) = (lights, all_of(lights));
+        settings.set_cameras(&scene.cameras);
         let size = fitted(screen.size(), largest);
         let first = look.first_exposure();
         let mut renderer = FrameRenderer::new(&screen.gpu, &scene, size, first, PICTURE_FORMAT, settings.predictor)?;
@@ -113,7 +122,7 @@ impl Play {
         renderer.set_tone(settings.tone);
         renderer.set_quality(settings.quality)?;
         let extent_m = f64::from((scene.bounds.max - scene.bounds.min).length());
-        let speed = (extent_m / CROSSING_S).clamp(INITIAL_SPEEDS_M_PER_S.0, INITIAL_SPEEDS_M_PER_S.1);
+        let speed = (extent_m / CROSSING_S).min(MOST_INITIAL_SPEED_M_PER_S);
         let (width, height) = largest_mask(largest);
         let shape = MaskShape::new(width, height, lights)?;
         let server = connected.as_ref().map(|connected| (connected.url().clone(), connected.welcome().clone()));
@@ -150,6 +159,7 @@ impl Play {
             stop,
             reference: LocalReference::Off,
             message: None,
+            _local: local,
         })
     }
 
@@ -226,12 +236,14 @@ impl Play {
 
     /// Goes on in a scene that the driver's renderer is new to. The camera stays.
     fn follow(&mut self, new: NewScene, settings: &mut Settings) {
-        let NewScene { url, welcome, .. } = new;
+        let NewScene { url, welcome, cameras, .. } = new;
+        settings.set_cameras(&cameras);
         let lights = welcome.lights;
         (settings.lights, settings.lights_on) = (lights, all_of(lights));
         let ClientSettings { predict: predictor, tone, .. } = self.options.settings;
         let lights_on = all_of(lights);
         self.applied = Settings { split: Split::Off, predictor, tone, lights, lights_on, ..self.applied.clone() };
+        (self.applied.cameras, self.applied.camera) = (settings.cameras.clone(), settings.camera);
         self.view = DebugView::Picture;
         self.reference = LocalReference::Off;
         self.server = Some((url, welcome));
@@ -350,6 +362,14 @@ impl Play {
         if settings.guard != self.applied.guard {
             self.driver.frames.guard = GuardChoice::new(settings.guard, self.size());
         }
+        if settings.camera != self.applied.camera
+            && let Some(camera) = settings.camera.and_then(|index| settings.cameras.get(index))
+        {
+            let (width, height) = self.size();
+            let camera = of_scene::standing(camera).camera(0.0, width, height);
+            self.fly = Fly::from_camera(&camera, self.fly.speed_m_per_s());
+            self.follows_path = false;
+        }
         if settings.lights_on != self.applied.lights_on {
             self.driver.frames.renderer.set_lights_on(settings.lights_on);
             self.record(&Record::LightsOn(settings.lights_on))?;
@@ -390,6 +410,8 @@ pub(crate) fn settings(chosen: &ClientSettings) -> Settings {
         split: Split::Off,
         tone: chosen.tone,
         reference: LocalServer::program().is_ok(),
+        cameras: Arc::default(),
+        camera: None,
         lights: 0,
         lights_on: 0,
         first_digit: 0,

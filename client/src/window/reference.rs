@@ -41,6 +41,7 @@ pub(super) fn local_scene(
         (Source::Offline { scene, lights_from, lights }, _) => {
             Ok(LocalScene { file: scene.clone(), lights_from: lights_from.clone(), lights: *lights })
         }
+        (Source::File(scene), _) => Ok(scene.clone()),
         (Source::Server(_), welcome) => {
             let cache = SceneCache::new(options.settings.cache_dir.clone(), options.settings.cache_limit());
             let folder = cache.folder().ok_or(LocalServerError::NoCache)?;

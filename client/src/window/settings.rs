@@ -1,8 +1,10 @@
 //! Settings that a person can change while the window is open.
 
-use std::fmt;
+use std::{fmt, sync::Arc};
 
+use gnomon_client_core::camera::of_scene;
 use gnomon_protocol::limits::MAX_LAYERS;
+use gnomon_scene::NamedCamera;
 
 use crate::{
     guard::{Guard, GuardSize},
@@ -48,6 +50,10 @@ pub(crate) struct Settings {
     pub(crate) tone: ToneCurve,
     /// True if a server program beside this one can trace a reference.
     pub(crate) reference: bool,
+    /// Cameras of the scene's file, each with a name or number.
+    pub(crate) cameras: Arc<[NamedCamera]>,
+    /// The one that was visited last.
+    pub(crate) camera: Option<usize>,
     pub(crate) lights: u32,
     /// One bit for each light.
     pub(crate) lights_on: u32,
@@ -104,6 +110,14 @@ impl Settings {
         (self.first_digit + 1, (self.first_digit + LIGHTS_AT_A_TIME).min(self.lights).max(1))
     }
 
+    /// Takes a new scene's cameras. The first picture is not from one of them if a path was asked for, so none is
+    /// visited yet.
+    pub(crate) fn set_cameras(&mut self, cameras: &[NamedCamera]) {
+        let labelled = |(index, camera)| NamedCamera { name: of_scene::label(index, camera), ..camera.clone() };
+        self.cameras = cameras.iter().enumerate().map(labelled).collect();
+        self.camera = None;
+    }
+
     /// Applies a key's command, if it changes a setting.
     pub(crate) fn apply(&mut self, command: Command) {
         match command {
@@ -121,6 +135,9 @@ impl Settings {
             }
             Command::Tone => self.tone = after(&ToneCurve::ALL, self.tone),
             Command::Split => self.split = after(self.splits(), self.split),
+            Command::Camera if !self.cameras.is_empty() => {
+                self.camera = Some(self.camera.map_or(0, |camera| (camera + 1) % self.cameras.len()));
+            }
             Command::Vsync => self.vsync = !self.vsync,
             Command::Digit(digit) => {
                 let light = self.first_digit + digit;
@@ -132,7 +149,7 @@ impl Settings {
                 let next = self.first_digit + LIGHTS_AT_A_TIME;
                 self.first_digit = if next < self.lights { next } else { 0 };
             }
-            Command::Path | Command::FullScreen | Command::Picture | Command::Leave => {}
+            Command::Camera | Command::Path | Command::FullScreen | Command::Picture | Command::Leave => {}
         }
     }
 }
@@ -151,6 +168,8 @@ mod tests {
             split: Split::Off,
             tone: ToneCurve::default(),
             reference: true,
+            cameras: Arc::default(),
+            camera: None,
             lights: 3,
             lights_on: 0b111,
             first_digit: 0,
@@ -199,6 +218,27 @@ mod tests {
         let mut few = settings();
         few.apply(Command::NextLights);
         assert_eq!(few.digits(), (1, 3));
+    }
+
+    #[test]
+    fn a_key_goes_through_the_cameras_of_the_file() {
+        let camera = |name: &str| NamedCamera {
+            name: name.to_owned(),
+            position_m: glam::DVec3::ZERO,
+            orientation: glam::DQuat::IDENTITY,
+            yfov_rad: 0.7,
+        };
+        let mut changed = settings();
+        changed.apply(Command::Camera);
+        assert_eq!(changed.camera, None);
+        changed.set_cameras(&[camera("door"), camera("")]);
+        assert_eq!(changed.cameras.iter().map(|camera| &*camera.name).collect::<Vec<_>>(), ["door", "2"]);
+        for expected in [0, 1, 0] {
+            changed.apply(Command::Camera);
+            assert_eq!(changed.camera, Some(expected));
+        }
+        changed.set_cameras(&[]);
+        assert_eq!(changed.camera, None);
     }
 
     #[test]

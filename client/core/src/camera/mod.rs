@@ -1,4 +1,5 @@
 //! Camera paths.
 
 pub mod default_path;
+pub mod of_scene;
 pub mod path;

@@ -32,6 +32,8 @@ pub struct CameraPath {
     name: String,
     keyframes: Vec<Keyframe>,
     yfov_rad: f64,
+    /// Used instead of the keyframes' directions, which know no roll.
+    orientation: Option<DQuat>,
 }
 
 #[derive(Debug, Error)]
@@ -89,12 +91,19 @@ impl CameraPath {
                 return Err(format!("keyframe {index} is not later than the one before it ({time_s} s)"));
             }
         }
-        Ok(Self { name: name.to_owned(), keyframes, yfov_rad })
+        Ok(Self { name: name.to_owned(), keyframes, yfov_rad, orientation: None })
     }
 
     /// A path that stays at one keyframe, which must be valid.
     pub(crate) fn standing(name: &str, keyframe: Keyframe, yfov_rad: f64) -> Self {
-        Self { name: name.to_owned(), keyframes: vec![keyframe], yfov_rad }
+        Self { name: name.to_owned(), keyframes: vec![keyframe], yfov_rad, orientation: None }
+    }
+
+    /// A path that stays at a place and orientation, which must be valid.
+    pub(crate) fn standing_as(name: &str, position_m: DVec3, orientation: DQuat, yfov_rad: f64) -> Self {
+        let target_m = position_m + orientation * DVec3::NEG_Z;
+        let path = Self::standing(name, Keyframe { time_s: 0.0, position_m, target_m }, yfov_rad);
+        Self { orientation: Some(orientation), ..path }
     }
 
     /// Parses `name` from a `lights_camera.json` file, or else `camera_path`, or else the first of `camera_paths` by
@@ -155,7 +164,8 @@ impl CameraPath {
             }
             _ => (from.position_m, from.direction()),
         };
-        Camera::looking_at(position, position + direction, self.yfov_rad, width, height)
+        let camera = Camera::looking_at(position, position + direction, self.yfov_rad, width, height);
+        Camera { orientation: self.orientation.unwrap_or(camera.orientation), ..camera }
     }
 }
 

@@ -21,6 +21,8 @@ pub enum MoveKey {
 pub enum Command {
     /// Switches between the camera path and manual control.
     Path,
+    /// Goes to the next camera of the scene's file.
+    Camera,
     /// Switches between full screen and window.
     FullScreen,
     /// Saves a picture.
@@ -49,13 +51,14 @@ pub enum Command {
 }
 
 /// Every key and what it does.
-pub const HELP: [(&str, &str); 16] = [
+pub const HELP: [(&str, &str); 17] = [
     ("W A S D, arrows", "walk"),
     ("Q E", "down and up"),
     ("Shift", "faster while held"),
     ("drag", "look; with two fingers walk"),
     ("wheel", "speed"),
     ("Tab", "camera path"),
+    ("C", "next camera of the file"),
     ("F", "full screen"),
     ("P", "picture to a PNG file"),
     ("O", "figures and choices"),

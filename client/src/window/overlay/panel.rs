@@ -1,6 +1,7 @@
 //! The panel of figures and settings, the notice, the labels of a split picture, and the help.
 
 use egui::{Align2, RichText};
+use gnomon_protocol::text::Escaped;
 
 use super::{
     figures::{Figures, Now},
@@ -101,7 +102,7 @@ fn rows(ui: &mut egui::Ui, now: &Now, status: &Status<'_>) {
     let (width, height) = status.picture_px;
     let mut rows = vec![
         ("picture", format!("{}, {width}×{height}", rate(now.client_fps))),
-        ("speed", format!("{:.2} m/s", status.speed_m_per_s)),
+        ("speed", speed(status.speed_m_per_s)),
         ("client", status.adapter.to_owned()),
     ];
     if let Some(backend) = status.backend {
@@ -134,8 +135,34 @@ fn rows(ui: &mut egui::Ui, now: &Now, status: &Status<'_>) {
     }
 }
 
+/// In the unit that shows at least two digits.
+fn speed(m_per_s: f64) -> String {
+    match m_per_s {
+        0.1.. => format!("{m_per_s:.2} m/s"),
+        1e-4.. => format!("{:.2} mm/s", m_per_s * 1e3),
+        _ => format!("{:.2} µm/s", m_per_s * 1e6),
+    }
+}
+
+fn camera_row(ui: &mut egui::Ui, settings: &mut Settings) {
+    if settings.cameras.is_empty() {
+        return;
+    }
+    let Settings { cameras, camera, .. } = settings;
+    // A file's names are a stranger's.
+    let name = |index: usize| cameras.get(index).map(|camera| Escaped(&camera.name).to_string());
+    ui.label(RichText::new("camera of the file (C)").color(BLUE));
+    let chosen = camera.and_then(name).unwrap_or_else(|| "–".to_owned());
+    egui::ComboBox::from_id_salt("camera").selected_text(chosen).show_ui(ui, |ui| {
+        for index in 0..cameras.len() {
+            ui.selectable_value(camera, Some(index), name(index).unwrap_or_default());
+        }
+    });
+}
+
 fn settings_rows(ui: &mut egui::Ui, settings: &mut Settings) {
     ui.separator();
+    camera_row(ui, settings);
     choice_row(ui, "predictor (R)", &mut settings.predictor, &Predictor::ALL.map(|(_, predictor)| predictor));
     choice_row(ui, "quality", &mut settings.quality, &Quality::ALL);
     choice_row(ui, "mode (M)", &mut settings.mode, &MODES);

@@ -115,6 +115,7 @@ impl ComputeBackend {
     ) -> Result<Self, BackendError> {
         let failure = DeviceFailure::watch(&gpu.device);
         let geometry = Geometry::build(scene, traversal)?;
+        let tests_alpha = !geometry.alpha_materials.is_empty();
         let memory = DeviceMemory {
             hierarchy_bytes: size_of_val(&*geometry.nodes) as u64,
             triangle_bytes: (size_of_val(&*geometry.triangles) + size_of_val(&*geometry.normals)) as u64,
