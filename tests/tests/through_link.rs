@@ -61,8 +61,9 @@ fn run_with(transport: &str, settings: LinkSettings, frames: u32, more: &[&str])
     job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
     let counts = link.counts();
     for direction in [counts.up, counts.down] {
-        let Counts { arrived, delivered, lost, burst_lost, queue_dropped, outage, overrun, .. } = direction;
-        assert_eq!(arrived, delivered + lost + burst_lost + queue_dropped + outage, "{counts:?}");
+        let Counts { arrived, delivered, lost, burst_lost, queue_dropped, too_large, outage, overrun, .. } = direction;
+        let dropped = lost + burst_lost + queue_dropped + too_large + outage;
+        assert_eq!(arrived, delivered + dropped, "{counts:?}");
         assert_eq!(overrun, 0, "{counts:?}");
     }
     let (summary, stats) = (job.summary().unwrap(), job.stats().unwrap());
@@ -111,6 +112,21 @@ fn quic_delivers_right_masks_through_loss_and_corruption() {
     // A frame that lost packets is incomplete.
     assert!(run.summary["frames_incomplete"].as_u64().unwrap() > 0, "{}", run.summary);
     assert_eq!(run.summary["frames_bad"], 0, "{}", run.summary);
+    masks_are_right(&run);
+}
+
+/// The smallest path that QUIC works on (RFC 9000, §14: datagrams of 1200 bytes), 800 ms there and back.
+#[test]
+fn a_far_and_narrow_path_carries_everything() {
+    let mut settings = LinkSettings::default();
+    for direction in [&mut settings.up, &mut settings.down] {
+        direction.set("delay=400ms mtu=1228B").unwrap();
+    }
+    let run = run("quic", settings, 150);
+    for direction in [run.counts.up, run.counts.down] {
+        assert_eq!((direction.too_large, direction.lost), (0, 0), "{:?}", run.counts);
+    }
+    assert!(run.masks.len() >= 10, "{}", run.summary);
     masks_are_right(&run);
 }
 

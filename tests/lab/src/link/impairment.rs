@@ -21,6 +21,9 @@ const JITTER_STEP_S: f64 = 0.02;
 /// Silence after which a bursty channel's state is drawn anew.
 const FORGETTING: Duration = Duration::from_millis(100);
 
+/// Headers of an IPv4 packet with a UDP datagram.
+const IP_AND_UDP_BYTES: u64 = 28;
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
     Up,
@@ -37,6 +40,8 @@ pub struct Counts {
     /// Lost in the bad state of a bursty channel.
     pub burst_lost: u64,
     pub queue_dropped: u64,
+    /// Larger than the path's MTU allows.
+    pub too_large: u64,
     pub outage: u64,
     /// Delivered with a flipped bit.
     pub corrupted: u64,
@@ -54,6 +59,7 @@ impl AddAssign for Counts {
         self.lost += other.lost;
         self.burst_lost += other.burst_lost;
         self.queue_dropped += other.queue_dropped;
+        self.too_large += other.too_large;
         self.outage += other.outage;
         self.corrupted += other.corrupted;
         self.duplicated += other.duplicated;
@@ -117,6 +123,10 @@ impl Impairment {
         let moment = self.moment(now);
         if self.settings.outages.iter().any(|&(start, length)| (start..start + length).contains(&now)) {
             counts.outage += 1;
+            return [None, None];
+        }
+        if self.settings.mtu.is_some_and(|mtu| datagram.len() as u64 + IP_AND_UDP_BYTES > mtu) {
+            counts.too_large += 1;
             return [None, None];
         }
         let in_burst = self.settings.burst.filter(|_| self.bad);

@@ -28,6 +28,8 @@ pub struct Settings {
     /// Probability that a datagram arrives with one bit flipped.
     pub corrupt: f64,
     pub rate: Option<Rate>,
+    /// Largest IPv4 packet in bytes, 28 of them headers; a datagram that does not fit is dropped.
+    pub mtu: Option<u64>,
     /// Outages: start since the link's first datagram, and length.
     pub outages: Vec<(Duration, Duration)>,
     /// Recorded delays and losses, which replace `delay` and `loss`, and their file (no blanks or commas in its path).
@@ -77,7 +79,7 @@ pub enum SettingsError {
     NoPair(String),
     #[error(
         "{0:?} is no setting; there are delay, jitter, loss, burst, burst-loss, reorder, reorder-by, duplicate, \
-         corrupt, rate, queue, outage and trace"
+         corrupt, rate, queue, mtu, outage and trace"
     )]
     Key(String),
     #[error("{key}={value}: {expected} is expected")]
@@ -151,6 +153,11 @@ impl Settings {
                 let rate = Rate { bits_per_s, queue_bytes: 0 };
                 self.rate = Some(Rate { queue_bytes: rate.bytes_in(DEFAULT_QUEUE), ..rate });
             }
+            "mtu" if value == "none" => self.mtu = None,
+            "mtu" => {
+                let bytes = number(value, &[("B", 1.0)]).and_then(whole).filter(|bytes| MTUS.contains(bytes));
+                self.mtu = Some(bytes.ok_or_else(|| wrong("68B to 65535B"))?);
+            }
             "outage" if value == "none" => self.outages.clear(),
             "outage" => {
                 let parsed = value
@@ -184,6 +191,9 @@ impl Rate {
 }
 
 const MIN_QUEUE_BYTES: u64 = 1500;
+
+/// Sizes of an IPv4 packet that a path may bear (RFC 791).
+const MTUS: std::ops::RangeInclusive<u64> = 68..=65_535;
 
 impl FromStr for Settings {
     type Err = SettingsError;
@@ -221,6 +231,7 @@ impl fmt::Display for Settings {
         if let Some(Rate { bits_per_s, queue_bytes }) = self.rate {
             words.push(format!("rate={}kbit queue={queue_bytes}B", bits_per_s / 1000));
         }
+        words.extend(self.mtu.map(|bytes| format!("mtu={bytes}B")));
         words.extend(self.outages.iter().map(|&(start, length)| format!("outage={}+{}", Time(start), Time(length))));
         words.extend(self.trace.as_ref().map(|(file, _)| format!("trace={}", file.display())));
         f.write_str(if words.is_empty() { "delay=0ms" } else { "" })?;
@@ -300,7 +311,7 @@ mod tests {
     fn settings_round_trip_through_text() {
         let text = "delay=20.5ms,jitter=5ms loss=1% burst=0.5%x8 burst-loss=80% reorder=2% reorder-by=3ms \
                     duplicate=0.1% \
-                    corrupt=0.01% rate=50Mbit queue=50ms outage=5s+2s outage=20s+500us";
+                    corrupt=0.01% rate=50Mbit queue=50ms mtu=1228B outage=5s+2s outage=20s+500us";
         let settings: Settings = text.parse().unwrap();
         assert_eq!((settings.delay, settings.jitter), (Duration::from_micros(20_500), Duration::from_millis(5)));
         assert_eq!(settings.burst, Some(Burst { share: 0.005, length: 8.0, loss: 0.8 }));
@@ -336,6 +347,8 @@ mod tests {
             ("queue=5KB", "needs rate"),
             ("rate=5Mbit queue=5", "bytes or time"),
             ("rate=5Mbit queue=10B", "bytes or time"),
+            ("mtu=67B", "68B to 65535B"),
+            ("mtu=1228", "68B to 65535B"),
             ("outage=5s", "START+LENGTH"),
             ("loss=1% jitter=30ms", "jitter exceeds delay"),
             ("trace=/no/such/file", "/no/such/file"),

@@ -81,6 +81,7 @@ fn describe(counts: &Counts) -> String {
         lost,
         burst_lost,
         queue_dropped,
+        too_large,
         outage,
         corrupted,
         duplicated,
@@ -90,7 +91,7 @@ fn describe(counts: &Counts) -> String {
     format!(
         "{arrived} arrived, {delivered} delivered ({corrupted} corrupted, {duplicated} duplicated, \
          {reordered} held back), {lost} lost, {burst_lost} lost in bursts, {queue_dropped} dropped by the queue, \
-         {outage} lost in outages, {overrun} beyond the link's memory"
+         {too_large} too large, {outage} lost in outages, {overrun} beyond the link's memory"
     )
 }
 
