@@ -32,6 +32,9 @@ use super::{
     soon,
 };
 
+/// Refusals of a client that comes back every half second.
+const MOST_REFUSALS: u32 = 40;
+
 /// Time for which honest clients are watched, once without liars and once beside them.
 const WATCHED: Duration = Duration::from_secs(4);
 
@@ -60,12 +63,23 @@ impl Rig {
         Peer { session, control, size: SIZE, next: 0, _endpoint: endpoint }
     }
 
-    /// A client that has sent Start.
+    /// A client that has sent Start. One that is refused as busy comes back, as real ones do: beside other programs a
+    /// first mask may take so long that the next client does not seem to fit.
     async fn started(&self, protocol: Protocol, hello: Hello) -> (Peer, Welcome) {
-        let mut peer = self.peer(protocol).await;
-        let welcome = peer.control.welcome(hello).await;
-        peer.control.send(&ClientMessage::Start).await;
-        (peer, welcome)
+        let mut refusals = 0;
+        loop {
+            let mut peer = self.peer(protocol).await;
+            peer.control.send(&ClientMessage::Hello(hello.clone())).await;
+            match peer.control.receive().await {
+                Some(ServerMessage::Welcome(welcome)) => {
+                    peer.control.send(&ClientMessage::Start).await;
+                    return (peer, welcome);
+                }
+                Some(ServerMessage::Refused(Refusal::Busy { .. })) if refusals < MOST_REFUSALS => refusals += 1,
+                other => panic!("no welcome: {other:?}"),
+            }
+            tokio::time::sleep(Duration::from_millis(500)).await;
+        }
     }
 }
 
