@@ -32,7 +32,7 @@ use crate::visibility::{
 };
 
 /// Size of the warm-up masks that are traced before the first session, in pixels.
-const WARM_UP_PX: (u32, u32) = (320, 180);
+const WARM_UP_PX: [(u32, u32); 2] = [(320, 180), (1280, 720)];
 
 /// Limit for opening a device and building the hierarchy. Only a driver that hangs takes longer.
 const START_PATIENCE: Duration = Duration::from_secs(600);
@@ -77,12 +77,10 @@ impl Engine {
             move || {
                 let guard = EndGuard(Arc::clone(&shared));
                 let started = open_tracer(&scene, &options).and_then(|(tracer, about)| {
-                    let warm_up = warm_up_view(&scene);
+                    let warm_up = warm_up_views(&scene);
                     let reopen = Box::new(move || open_tracer(&scene, &options).map(|(tracer, _)| tracer));
                     let mut worker = Worker::new(tracer, reopen, pending_end, shared);
-                    if let Some((camera, shape)) = warm_up {
-                        worker.warm_up(&camera, shape)?;
-                    }
+                    worker.warm_up(&warm_up)?;
                     Ok((worker, about))
                 });
                 match started {
@@ -297,13 +295,14 @@ impl Engine {
     }
 }
 
-/// The warm-up view, from the middle of the scene.
-fn warm_up_view(scene: &Scene) -> Option<(Camera, MaskShape)> {
-    let (width, height) = WARM_UP_PX;
-    let shape = MaskShape::new(width, height, u32::try_from(scene.lights.len()).ok()?).ok()?;
+/// The warm-up views, from the middle of the scene.
+fn warm_up_views(scene: &Scene) -> Vec<(Camera, MaskShape)> {
     let middle = scene.origin_m + scene.bounds.min.midpoint(scene.bounds.max).as_dvec3();
-    let camera = Camera::looking_at(middle, middle + glam::DVec3::X, 1.0, width, height);
-    Some((camera, shape))
+    let view = |(width, height)| {
+        let shape = MaskShape::new(width, height, u32::try_from(scene.lights.len()).ok()?).ok()?;
+        Some((Camera::looking_at(middle, middle + glam::DVec3::X, 1.0, width, height), shape))
+    };
+    WARM_UP_PX.into_iter().filter_map(view).collect()
 }
 
 impl Drop for Engine {

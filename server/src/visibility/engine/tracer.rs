@@ -175,6 +175,22 @@ impl Tracer {
         backend.wait(patience)
     }
 
+    /// Returns whether the oldest frame in flight is in the host's memory. Errors if the device has failed.
+    pub(super) fn has_landed(&self) -> Result<bool, BackendError> {
+        match self {
+            Self::Device { backend, .. } => backend.has_landed(),
+            Self::Cpu(_) | Self::Lost => Ok(false),
+        }
+    }
+
+    /// How long the device has worked on its oldest submission, and the session of the oldest frame in flight.
+    pub(super) fn at_work(&self) -> (Duration, Option<SessionKey>) {
+        match self {
+            Self::Device { backend, in_flight } => (backend.at_work_for(), in_flight.front().map(|job| job.session)),
+            Self::Cpu(_) | Self::Lost => (Duration::ZERO, None),
+        }
+    }
+
     /// Returns the oldest frame in flight if it has landed. Errors if the device has failed or the work panics.
     pub(super) fn collect(&mut self) -> Result<Option<(Job, TraceCost)>, TraceError> {
         let Self::Device { backend, in_flight } = self else { return Ok(None) };

@@ -19,6 +19,9 @@ const IDLE_AFTER: Duration = Duration::from_secs(10);
 /// Weight of the newest mask in the expected cost of the next.
 const NEWEST_SHARE: f64 = 0.125;
 
+/// Masks after which a session's cost is known.
+const MEASURED_AFTER: u64 = 8;
+
 /// Counters of one session. All but the expected cost only grow.
 #[derive(Debug)]
 pub struct SessionCosts {
@@ -30,6 +33,8 @@ pub struct SessionCosts {
     begun: AtomicU64,
     measured: MeasuredRate,
     expected_ns: AtomicU64,
+    /// What its masks cost a busy device.
+    planned_ns: AtomicU64,
     /// Microseconds after `opened_at`.
     asked_us: AtomicU64,
     traced: AtomicU64,
@@ -56,6 +61,7 @@ impl SessionCosts {
             begun: AtomicU64::new(0),
             measured: MeasuredRate::new(rate_hz.unwrap_or(LEAST_HZ)),
             expected_ns: AtomicU64::new(nanos(expected_ms)),
+            planned_ns: AtomicU64::new(nanos(expected_ms)),
             asked_us: AtomicU64::new(0),
             traced: AtomicU64::new(0),
             device_ns: AtomicU64::new(0),
@@ -79,6 +85,17 @@ impl SessionCosts {
         self.expected_ns.load(Ordering::Relaxed) as f64 * 1e-6
     }
 
+    /// What a mask costs a device that is busy ([`RayPrice`](super::price::RayPrice)), in milliseconds.
+    #[expect(clippy::cast_precision_loss, reason = "times far below 2⁵³ ns")]
+    pub(crate) fn planned_ms(&self) -> f64 {
+        self.planned_ns.load(Ordering::Relaxed) as f64 * 1e-6
+    }
+
+    /// Returns whether its cost is known from enough masks to say something about others.
+    fn is_measured(&self) -> bool {
+        self.traced.load(Ordering::Relaxed) >= MEASURED_AFTER
+    }
+
     pub(crate) fn pixels(&self) -> usize {
         self.pixels
     }
@@ -94,7 +111,7 @@ impl SessionCosts {
         let active = self.opened_at.elapsed().saturating_sub(asked) < IDLE_AFTER;
         let measured_hz = self.measured.planned_hz(self.begun.load(Ordering::Relaxed));
         let rate_hz = self.rate_hz.map(|declared_hz| if active { measured_hz } else { declared_hz });
-        Need { cost_ms: self.expected_ms(), rate_hz, active }
+        Need { cost_ms: self.planned_ms(), rate_hz, active }
     }
 
     /// Records that the client is gone: the session needs no more time, although its engine may not know yet.
@@ -114,14 +131,16 @@ impl SessionCosts {
         self.queue_us.fetch_add(micros(waited), Ordering::Relaxed);
     }
 
-    /// Records the cost of a traced mask.
-    pub(crate) fn record_end(&self, cost: &TraceCost) {
+    /// Records the cost of a traced mask, and what such a mask costs a busy device.
+    pub(crate) fn record_end(&self, cost: &TraceCost, planned_ms: f64) {
         let cost_ms = cost.device_ms();
-        let before_ms = self.expected_ms();
         // Only the engine's thread writes.
-        let expected_ms = before_ms + (cost_ms - before_ms) * NEWEST_SHARE;
-        let first = self.traced.fetch_add(1, Ordering::Relaxed) == 0;
-        self.expected_ns.store(nanos(if first { cost_ms } else { expected_ms }), Ordering::Relaxed);
+        let share = if self.traced.fetch_add(1, Ordering::Relaxed) == 0 { 1.0 } else { NEWEST_SHARE };
+        for (mean, before_ms, newest_ms) in
+            [(&self.expected_ns, self.expected_ms(), cost_ms), (&self.planned_ns, self.planned_ms(), planned_ms)]
+        {
+            mean.store(nanos(before_ms + (newest_ms - before_ms) * share), Ordering::Relaxed);
+        }
         self.device_ns.fetch_add(nanos(cost_ms), Ordering::Relaxed);
     }
 }
@@ -134,28 +153,41 @@ pub(crate) struct CostModel {
 }
 
 impl CostModel {
-    /// Learns from a mask. Larger masks count more: the cost of small ones is mostly fixed.
+    /// Sets what masks cost to what one of this many pixels costs a busy device, in milliseconds.
+    #[expect(clippy::cast_precision_loss, reason = "pixels far below 2⁵³")]
+    pub(crate) fn calibrate(&self, pixels: usize, planned_ms: f64) {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time of some picoseconds")]
+        self.per_pixel_ps.store((planned_ms * 1e9 / pixels.max(1) as f64).max(1.0) as u64, Ordering::Relaxed);
+    }
+
+    /// Learns from a mask's planned cost. Larger masks count more: the cost of small ones is mostly fixed.
     #[expect(clippy::cast_precision_loss, reason = "pixels and picoseconds far below 2⁵³")]
-    pub(crate) fn learn(&self, pixels: usize, cost: &TraceCost) {
+    pub(crate) fn learn(&self, pixels: usize, planned_ms: f64) {
         const MEMORY_PIXELS: f64 = 4e6;
         let pixels = pixels.max(1) as f64;
-        let newest_ps = cost.device_ms() * 1e9 / pixels;
+        let newest_ps = planned_ms * 1e9 / pixels;
         let before_ps = self.per_pixel_ps.load(Ordering::Relaxed) as f64;
         let share = if before_ps == 0.0 { 1.0 } else { (pixels / MEMORY_PIXELS).min(0.25) };
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time of some picoseconds")]
         self.per_pixel_ps.store((before_ps + (newest_ps - before_ps) * share).max(1.0) as u64, Ordering::Relaxed);
     }
 
-    /// Expected cost of a mask of this many pixels, in milliseconds. `known`: pixels and costs of the open sessions.
+    /// Expected cost of a mask of this many pixels, in milliseconds. `known`: the open sessions. A measured one is a
+    /// better guess than the pixels: a mask costs at least as much as any smaller one, and at most as much as any larger.
     #[expect(clippy::cast_precision_loss, reason = "pixels and picoseconds far below 2⁵³")]
     pub(crate) fn expected_ms<'a>(&self, pixels: usize, known: impl IntoIterator<Item = &'a SessionCosts>) -> f64 {
         let by_pixels = self.per_pixel_ps.load(Ordering::Relaxed) as f64 * pixels as f64 * 1e-9;
-        // A mask costs at least as much as any smaller one.
-        known
-            .into_iter()
-            .filter(|other| other.pixels() <= pixels)
-            .map(SessionCosts::expected_ms)
-            .fold(by_pixels, f64::max)
+        let (mut least_ms, mut most_ms) = (0.0, f64::INFINITY);
+        for other in known.into_iter().filter(|other| other.is_measured()) {
+            if other.pixels() <= pixels {
+                least_ms = f64::max(least_ms, other.planned_ms());
+            }
+            if other.pixels() >= pixels {
+                most_ms = f64::min(most_ms, other.planned_ms());
+            }
+        }
+        // Views differ: of two sessions of one size, the dearer counts.
+        by_pixels.min(most_ms).max(least_ms)
     }
 }
 
@@ -183,11 +215,12 @@ mod tests {
         assert_eq!((need.cost_ms, need.rate_hz, need.active), (7.0, Some(10.0), true));
         for _ in 0..3 {
             costs.record_begin(Duration::from_millis(2));
-            costs.record_end(&cost(1.5));
+            costs.record_end(&cost(1.5), 1.0);
         }
         let totals = costs.totals();
         assert_eq!((totals.traced, totals.device_ms, totals.queue_ms), (3, 4.5, 6.0));
-        assert!((costs.need().cost_ms - 1.5).abs() < 1e-9, "the first mask replaces the estimate");
+        assert!((costs.need().cost_ms - 1.0).abs() < 1e-9, "the first mask replaces the estimate");
+        assert!((costs.expected_ms() - 1.5).abs() < 1e-9);
     }
 
     #[test]
@@ -208,13 +241,24 @@ mod tests {
     fn new_sessions_are_expected_to_cost_by_their_size() {
         let model = CostModel::default();
         assert_eq!(model.expected_ms(1000, []), 0.0);
-        model.learn(100_000, &cost(10.0));
+        model.learn(100_000, 10.0);
         assert!((model.expected_ms(200_000, []) - 20.0).abs() < 1e-3);
         // A small mask with a large fixed cost does not make large masks look expensive.
-        model.learn(2304, &cost(1.0));
+        model.learn(2304, 1.0);
         assert!(model.expected_ms(200_000, []) < 21.0);
-        let small = SessionCosts::new(shape(64, 36), None, 1.0);
-        assert_eq!(model.expected_ms(2304, [&small]), 1.0);
-        assert!(model.expected_ms(2303, [&small]) < 0.3);
+        let session = |ms: f64, masks: u64| {
+            let session = SessionCosts::new(shape(64, 36), None, 50.0);
+            (0..masks).for_each(|_| session.record_end(&cost(9.0), ms));
+            session
+        };
+        // A session that has hardly traced says nothing.
+        assert!(model.expected_ms(2304, [&session(1.0, 7)]) < 0.3);
+        let known = session(1.0, 8);
+        assert_eq!(model.expected_ms(2304, [&known]), 1.0);
+        assert!(model.expected_ms(2303, [&known]) < 0.3);
+        // A larger one that is cheap caps the guess.
+        let cheap = session(0.1, 8);
+        assert!((model.expected_ms(2303, [&cheap]) - 0.1).abs() < 1e-6);
+        assert!((model.expected_ms(2304, [&cheap, &known]) - 1.0).abs() < 1e-6);
     }
 }

@@ -6,4 +6,5 @@ pub mod costs;
 pub(crate) mod measured_rate;
 pub mod pace;
 pub mod parts;
+pub(crate) mod price;
 pub mod scheduler;

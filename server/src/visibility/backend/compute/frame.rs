@@ -33,6 +33,12 @@ impl ComputeBackend {
         if self.is_silent() { self.submissions.waiting() } else { self.submissions.count() }
     }
 
+    /// How long the device has worked on the oldest submission that is not known to be finished.
+    #[must_use]
+    pub fn at_work_for(&self) -> Duration {
+        self.submissions.oldest_age()
+    }
+
     /// Frames that may begin now.
     #[must_use]
     pub fn free_slots(&self) -> usize {

@@ -3,6 +3,7 @@
 use std::{
     collections::HashMap,
     sync::{Arc, mpsc::Receiver},
+    time::{Duration, Instant},
 };
 
 use gnomon_protocol::mask::{Mask, MaskShape};
@@ -10,14 +11,24 @@ use gnomon_scene::camera::Camera;
 
 use super::session::{ActiveSession, SplitThreshold};
 use crate::visibility::{
+    TraceCost,
     backend::BackendError,
     engine::{
         port::OUTSTANDING_MASKS,
         shared::{PendingSession, Shared},
         tracer::Tracer,
     },
-    schedule::scheduler::{Scheduler, SessionKey},
+    schedule::{
+        price::RayPrice,
+        scheduler::{Scheduler, SessionKey},
+    },
 };
+
+/// How long each view is traced for warming up.
+const WARM_UP: Duration = Duration::from_millis(100);
+
+/// Masks that are traced even if that takes longer.
+const WARM_UP_MASKS: u32 = 4;
 
 /// Reopens a lost tracer.
 pub(super) type Reopen = Box<dyn FnMut() -> Result<Tracer, BackendError> + Send>;
@@ -33,6 +44,7 @@ pub(in super::super) struct Worker {
     pub(super) split_threshold: SplitThreshold,
     /// Device losses since the last traced mask.
     pub(super) losses_in_a_row: u32,
+    pub(super) price: RayPrice,
 }
 
 impl Worker {
@@ -52,18 +64,44 @@ impl Worker {
             scheduler: Scheduler::new(OUTSTANDING_MASKS),
             split_threshold: SplitThreshold::default(),
             losses_in_a_row: 0,
+            price: RayPrice::new(Instant::now()),
         }
     }
 
-    /// Traces two masks without a session, to warm up the device and learn their cost. Errors if the device fails.
-    pub(in super::super) fn warm_up(&mut self, camera: &Camera, shape: MaskShape) -> Result<(), BackendError> {
-        let mut mask = Mask::new(shape);
-        for _ in 0..2 {
-            if let Some(cost) = self.tracer.trace(camera, &mut mask)? {
-                self.shared.model.learn(shape.pixels(), &cost);
+    /// Traces masks of `views` without a session, to warm up the device and to learn what they cost when it is busy.
+    /// Each view but the first is left out if it would take too long. Errors if the device fails.
+    pub(in super::super) fn warm_up(&mut self, views: &[(Camera, MaskShape)]) -> Result<(), BackendError> {
+        let mut per_pixel_ms = 0.0;
+        for (camera, shape) in views {
+            let pixels = shape.pixels() as f64;
+            if per_pixel_ms * pixels > WARM_UP.as_secs_f64() * 1e3 / f64::from(WARM_UP_MASKS) {
+                break;
             }
+            let Some(cost) = self.usual_cost(camera, *shape)? else { break };
+            per_pixel_ms = cost.device_ms() / pixels;
+            self.price.calibrate(&cost);
+            self.shared.model.calibrate(shape.pixels(), cost.device_ms());
         }
         self.shrink_buffers()
+    }
+
+    /// Returns the median cost of the second half of the masks that are traced in [`WARM_UP`], one after the other.
+    fn usual_cost(&mut self, camera: &Camera, shape: MaskShape) -> Result<Option<TraceCost>, BackendError> {
+        let (mut mask, began) = (Mask::new(shape), Instant::now());
+        let mut costs = Vec::new();
+        while costs.len() < WARM_UP_MASKS as usize || began.elapsed() < WARM_UP {
+            let Some(cost) = self.tracer.trace(camera, &mut mask)? else { return Ok(None) };
+            costs.push(cost);
+            self.shared.pulse.beat();
+            // A slow device: its clock is not what makes it slow.
+            if began.elapsed() > 2 * WARM_UP {
+                break;
+            }
+        }
+        let warm = costs.len() / 2;
+        let mut warm: Vec<TraceCost> = costs.split_off(warm);
+        warm.sort_by(|one, other| one.device_ms().total_cmp(&other.device_ms()));
+        Ok(warm.get(warm.len() / 2).copied())
     }
 
     pub(super) fn insert(&mut self, session: PendingSession) -> SessionKey {

@@ -1,21 +1,25 @@
 //! The rounds of the engine's thread: new sessions, work, waiting for the device.
 
 use std::{
+    ops::RangeInclusive,
     sync::atomic::Ordering,
     time::{Duration, Instant},
 };
 
 use super::state::Worker;
+use crate::visibility::engine::tracer::TraceError;
 #[cfg(any(test, feature = "faults"))]
 use crate::visibility::{backend::BackendError, engine::faults::Fault};
-use crate::visibility::{backend::compute::RING_FRAMES, engine::tracer::TraceError};
 
-/// How long the thread waits for the device before it checks for new poses, while another frame may begin. A frame
-/// takes a GPU milliseconds, so polling costs little time and few wake-ups, and none when nothing is in flight.
-const POLL: Duration = Duration::from_micros(500);
+/// How long it waits for an empty ring at a time: it must notice a shutdown.
+const EMPTY_RING_WAIT: Duration = Duration::from_millis(100);
 
-/// How long it waits when the ring is full: no frame may begin, but it must notice a shutdown.
-const FULL_RING_WAIT: Duration = Duration::from_millis(100);
+/// Naps between two looks at the device.
+const NAPS: RangeInclusive<Duration> = Duration::from_micros(100)..=Duration::from_millis(100);
+
+/// A frame that takes longer than expected is looked at again after this share of the time that it has taken, and so
+/// noticed late by at most that share.
+const NAP_SHARE: u32 = 16;
 
 impl Worker {
     /// Traces until the engine is stopped or gives up its device. Ports close when this returns.
@@ -54,8 +58,20 @@ impl Worker {
             }
             return Ok(());
         }
-        let may_begin = load.is_some_and(|load| load.in_flight < RING_FRAMES);
-        self.land(if may_begin { POLL } else { FULL_RING_WAIT })
+        if !self.land(Duration::ZERO)? {
+            self.nap();
+        }
+        Ok(())
+    }
+
+    /// Sleeps until the device should have finished its oldest frame, or for a short time if that is over. A wake-up
+    /// ends it. The driver's own waits are no better: short ones keep a core busy, long ones sleep through new poses.
+    fn nap(&self) {
+        let (at_work, session) = self.tracer.at_work();
+        let expected_ms =
+            session.and_then(|key| self.sessions.get(&key)).map_or(0.0, |it| it.opened.costs.expected_ms());
+        let left = Duration::from_secs_f64(expected_ms * 1e-3).saturating_sub(at_work);
+        std::thread::park_timeout(left.max(at_work / NAP_SHARE).clamp(*NAPS.start(), *NAPS.end()));
     }
 
     /// Sleeps until something wakes the thread, or a session's pace lets its request begin.
@@ -79,7 +95,7 @@ impl Worker {
                 // Larger buffers replace the ring, which must be empty.
                 self.restart_partial_frames();
                 while self.tracer.load().is_some_and(|load| load.in_flight > 0) {
-                    self.land(FULL_RING_WAIT)?;
+                    self.land(EMPTY_RING_WAIT)?;
                 }
                 let shapes = self.shapes();
                 if let Err(error) = self.tracer.fit(shapes.iter().copied().chain([session.shape])) {

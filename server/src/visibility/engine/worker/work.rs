@@ -128,21 +128,27 @@ impl Worker {
         Ok(())
     }
 
-    /// Waits up to `patience` for the oldest submission, then delivers all completed frames.
-    pub(super) fn land(&mut self, patience: Duration) -> Result<(), TraceError> {
+    /// Waits up to `patience` for the oldest submission, then delivers all completed frames. Returns whether there was
+    /// one, or a piece of one.
+    pub(super) fn land(&mut self, patience: Duration) -> Result<bool, TraceError> {
         self.tracer.wait(patience)?;
+        let mut landed = self.tracer.has_landed()?;
         while let Some((job, cost)) = self.tracer.collect()? {
             self.deliver(job, cost);
+            landed = true;
         }
-        Ok(())
+        Ok(landed)
     }
 
     fn deliver(&mut self, job: Job, cost: TraceCost) {
         self.losses_in_a_row = 0;
         self.scheduler.finished(job.session, cost.device_ms());
-        self.shared.model.learn(job.mask.shape().pixels(), &cost);
+        // A processor hardly slows down between masks, and other work disturbs its times.
+        let rests = !self.tracer.is_synchronous();
+        let planned_ms = if rests { self.price.planned_ms(&cost, Instant::now()) } else { cost.device_ms() };
+        self.shared.model.learn(job.mask.shape().pixels(), planned_ms);
         if let Some(session) = self.sessions.get(&job.session) {
-            session.opened.costs.record_end(&cost);
+            session.opened.costs.record_end(&cost, planned_ms);
         }
         let TraceRequest { frame, ahead, received_at, .. } = job.request;
         tracing::debug!(
