@@ -27,6 +27,9 @@ pub mod features {
     pub const COLORS: u32 = 4096;
     /// Emits its base colour and answers no light.
     pub const UNLIT: u32 = 8192;
+
+    /// Those that need more of a vertex than position, normal and first texture coordinates.
+    pub const OF_VERTICES: u32 = MAPPED | TANGENTS | COLORS;
 }
 
 /// Textures of a material but the base colour's.

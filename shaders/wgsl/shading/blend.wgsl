@@ -21,6 +21,11 @@ fn transform(vertex: Vertex) -> Varying {
     return projected(vertex, view.clip_from_local, view.origin);
 }
 
+@vertex
+fn transform_more(vertex: Vertex, more: MoreOfVertex) -> MoreVarying {
+    return projected_more(vertex, more, view.clip_from_local, view.origin);
+}
+
 // How much of light k reaches the surface behind the pixel, or −1 if its bit there is irrelevant or there is none.
 fn reached_behind(k: u32, pixel: vec2u, behind: vec2u) -> f32 {
     if material_plus_1(behind.y) == 0u {
@@ -67,12 +72,11 @@ fn look_at(surface: Surface, toward_eye: vec3f) -> Look {
     );
 }
 
-@fragment
-fn blend(input: Varying, @builtin(front_facing) front: bool) -> @location(0) vec4f {
+fn blended(input: Point, clip: vec2f, front: bool) -> vec4f {
     let surface = surface_of(input, front);
     var look = look_at(surface, normalize(-input.from_eye));
     look.diffuse *= 1.0 - surface.transmission;
-    let pixel = vec2u(input.clip.xy);
+    let pixel = vec2u(clip);
     look.lean = select(look.lean, 0.0, pixel.x >= lighting.lit_from_px);
     let point = view.origin + input.from_eye;
     var light = light_around(look);
@@ -87,10 +91,29 @@ fn blend(input: Varying, @builtin(front_facing) front: bool) -> @location(0) vec
 }
 
 // Share of the light from behind that passes.
-@fragment
-fn passed(input: Varying, @builtin(front_facing) front: bool) -> @location(0) vec4f {
+fn share_passed(input: Point, front: bool) -> vec4f {
     let surface = surface_of(input, front);
     let look = look_at(surface, normalize(-input.from_eye));
     let inside = look.diffuse * surface.transmission * (1.0 - scattered(look, look.dielectric));
     return vec4f(mix(vec3f(1.0), inside, surface.color.a), 1.0);
+}
+
+@fragment
+fn blend(input: Varying, @builtin(front_facing) front: bool) -> @location(0) vec4f {
+    return blended(point_of(input), input.clip.xy, front);
+}
+
+@fragment
+fn blend_more(input: MoreVarying, @builtin(front_facing) front: bool) -> @location(0) vec4f {
+    return blended(point_of_more(input), input.clip.xy, front);
+}
+
+@fragment
+fn passed(input: Varying, @builtin(front_facing) front: bool) -> @location(0) vec4f {
+    return share_passed(point_of(input), front);
+}
+
+@fragment
+fn passed_more(input: MoreVarying, @builtin(front_facing) front: bool) -> @location(0) vec4f {
+    return share_passed(point_of_more(input), front);
 }

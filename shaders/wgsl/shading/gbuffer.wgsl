@@ -20,6 +20,11 @@ fn transform(vertex: Vertex) -> Varying {
     return projected(vertex, view.clip_from_local, view.origin);
 }
 
+@vertex
+fn transform_more(vertex: Vertex, more: MoreOfVertex) -> MoreVarying {
+    return projected_more(vertex, more, view.clip_from_local, view.origin);
+}
+
 // Four words: shading normal; plane normal and material (`view.wgsl`); roughness, metallic, and the lacquer's strength
 // and roughness; and what the finish (`finish.wgsl`) says: the lacquer's normal, a tint, or the normal without normal
 // map and the lean.
@@ -47,20 +52,34 @@ fn written(surface: Surface) -> Written {
     );
 }
 
-@fragment
-fn opaque(input: Varying, @builtin(front_facing) front: bool) -> Written {
-    return written(surface_of(input, front));
-}
-
-@fragment
-fn masked(input: Varying, @builtin(front_facing) front: bool) -> Written {
-    let seen = written(surface_of(input, front));
-    var alpha = mask_alpha(input.uv);
+fn masked_point(point: Point, front: bool) -> Written {
+    let seen = written(surface_of(point, front));
+    var alpha = mask_alpha(point.uv);
     if has(COLORS) {
-        alpha *= input.color.a;
+        alpha *= point.color.a;
     }
     if alpha < material.alpha_cutoff {
         discard;
     }
     return seen;
+}
+
+@fragment
+fn opaque(input: Varying, @builtin(front_facing) front: bool) -> Written {
+    return written(surface_of(point_of(input), front));
+}
+
+@fragment
+fn opaque_more(input: MoreVarying, @builtin(front_facing) front: bool) -> Written {
+    return written(surface_of(point_of_more(input), front));
+}
+
+@fragment
+fn masked(input: Varying, @builtin(front_facing) front: bool) -> Written {
+    return masked_point(point_of(input), front);
+}
+
+@fragment
+fn masked_more(input: MoreVarying, @builtin(front_facing) front: bool) -> Written {
+    return masked_point(point_of_more(input), front);
 }

@@ -46,6 +46,10 @@ struct Vertex {
     // Unit vector; lean (`finish.wgsl`).
     @location(1) normal: vec4f,
     @location(2) uv: vec2f,
+}
+
+// What few materials need of a vertex.
+struct MoreOfVertex {
     @location(3) uv_1: vec2f,
     // Unit vector and handedness, or zeros.
     @location(4) tangent: vec4f,
@@ -58,15 +62,44 @@ struct Varying {
     @location(1) uv: vec2f,
     // Relative to the eye: small numbers, so that their differences stay precise.
     @location(2) from_eye: vec3f,
-    @location(3) uv_1: vec2f,
-    @location(4) tangent: vec4f,
-    @location(5) color: vec4f,
+}
+
+struct MoreVarying {
+    @builtin(position) clip: vec4f,
+    @location(0) normal: vec4f,
+    @location(1) uvs: vec4f,
+    @location(2) from_eye: vec3f,
+    @location(3) tangent: vec4f,
+    @location(4) color: vec4f,
+}
+
+// A vertex between others.
+struct Point {
+    normal: vec4f,
+    uv: vec2f,
+    from_eye: vec3f,
+    uv_1: vec2f,
+    tangent: vec4f,
+    color: vec4f,
 }
 
 fn projected(vertex: Vertex, clip_from_local: mat4x4f, eye: vec3f) -> Varying {
     let clip = clip_from_local * vec4f(vertex.position, 1.0);
-    let from_eye = vertex.position - eye;
-    return Varying(clip, vertex.normal, vertex.uv, from_eye, vertex.uv_1, vertex.tangent, vertex.color);
+    return Varying(clip, vertex.normal, vertex.uv, vertex.position - eye);
+}
+
+fn projected_more(vertex: Vertex, more: MoreOfVertex, clip_from_local: mat4x4f, eye: vec3f) -> MoreVarying {
+    let clip = clip_from_local * vec4f(vertex.position, 1.0);
+    let uvs = vec4f(vertex.uv, more.uv_1);
+    return MoreVarying(clip, vertex.normal, uvs, vertex.position - eye, more.tangent, more.color);
+}
+
+fn point_of(input: Varying) -> Point {
+    return Point(input.normal, input.uv, input.from_eye, vec2f(0.0), vec4f(0.0), vec4f(1.0));
+}
+
+fn point_of_more(input: MoreVarying) -> Point {
+    return Point(input.normal, input.uvs.xy, input.from_eye, input.uvs.zw, input.tangent, input.color);
 }
 
 fn has(feature: u32) -> bool {
@@ -82,7 +115,7 @@ struct Place {
 
 // Where the texture with this map is read. Differences are taken before they are mapped: software adapters read zeros
 // from a storage buffer beside a triangle's edge, and a difference to one would choose the smallest mip.
-fn place_of(map: u32, input: Varying) -> Place {
+fn place_of(map: u32, input: Point) -> Place {
     if !has(MAPPED) {
         return Place(input.uv, dpdx(input.uv), dpdy(input.uv));
     }
@@ -100,7 +133,7 @@ fn place_of(map: u32, input: Varying) -> Place {
 }
 
 // A texture's value at the point, filtered.
-fn texel(map: u32, read: texture_2d<f32>, read_by: sampler, input: Varying) -> vec4f {
+fn texel(map: u32, read: texture_2d<f32>, read_by: sampler, input: Point) -> vec4f {
     if !has(MAPPED) {
         return textureSample(read, read_by, input.uv);
     }
@@ -109,7 +142,7 @@ fn texel(map: u32, read: texture_2d<f32>, read_by: sampler, input: Varying) -> v
 }
 
 // Linear base colour and alpha, filtered.
-fn base_color(input: Varying) -> vec4f {
+fn base_color(input: Point) -> vec4f {
     var color = material.base_color;
     if has(BASE_COLOR) {
         color *= textureSample(picture, picture_sampler, input.uv);
@@ -124,7 +157,7 @@ fn base_color(input: Varying) -> vec4f {
 //
 // Without tangents the space follows from derivatives of position and texture coordinates (Schüler, "Normal Mapping
 // Without Precomputed Tangents", ShaderX5, 2006; three.js does so). Tangents point along u, bitangents against v.
-fn turned(bent: vec3f, scale: f32, place: Place, normal: vec3f, input: Varying, front: bool) -> vec3f {
+fn turned(bent: vec3f, scale: f32, place: Place, normal: vec3f, input: Point, front: bool) -> vec3f {
     let across = dpdx(input.from_eye);
     let down = dpdy(input.from_eye);
     let one = cross(down, normal);
@@ -165,7 +198,7 @@ struct Surface {
     emitted: vec3f,
 }
 
-fn surface_of(input: Varying, front: bool) -> Surface {
+fn surface_of(input: Point, front: bool) -> Surface {
     let side = select(-1.0, 1.0, front);
     let smooth_normal = normalize(input.normal.xyz);
     let across = cross(dpdx(input.from_eye), dpdy(input.from_eye));

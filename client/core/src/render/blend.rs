@@ -7,7 +7,7 @@
 use std::collections::HashMap;
 
 use glam::Vec3;
-use gnomon_shaders::gpu::Gpu;
+use gnomon_shaders::{gpu::Gpu, material::features};
 
 use super::{
     error::RenderError,
@@ -90,15 +90,17 @@ impl BlendPass {
         let module = shader(gpu, "shading/blend.wgsl")?;
         let pipeline = |kind: Kind| {
             let constants = [("FEATURES", f64::from(kind.features)), ("LAYERED", f64::from(u8::from(scene.layered)))];
+            let more = kind.features & features::OF_VERTICES != 0;
+            let layouts = scene.vertex_layouts();
             let culled = if kind.back_faces { wgpu::Face::Front } else { wgpu::Face::Back };
             device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some("blending"),
                 layout: Some(&layout),
                 vertex: wgpu::VertexState {
                     module: &module,
-                    entry_point: Some("transform"),
+                    entry_point: Some(if more { "transform_more" } else { "transform" }),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    buffers: &scene.vertex_layouts(),
+                    buffers: &layouts[..if more { 2 } else { 1 }],
                 },
                 primitive: wgpu::PrimitiveState { cull_mode: Some(culled), ..wgpu::PrimitiveState::default() },
                 depth_stencil: Some(wgpu::DepthStencilState {
@@ -111,7 +113,12 @@ impl BlendPass {
                 multisample: wgpu::MultisampleState::default(),
                 fragment: Some(wgpu::FragmentState {
                     module: &module,
-                    entry_point: Some(if kind.step == Step::Pass { "passed" } else { "blend" }),
+                    entry_point: Some(match (kind.step == Step::Pass, more) {
+                        (false, false) => "blend",
+                        (false, true) => "blend_more",
+                        (true, false) => "passed",
+                        (true, true) => "passed_more",
+                    }),
                     compilation_options: wgpu::PipelineCompilationOptions {
                         constants: &constants,
                         ..wgpu::PipelineCompilationOptions::default()

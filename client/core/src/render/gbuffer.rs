@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use gnomon_shaders::{gpu::Gpu, shading::View};
+use gnomon_shaders::{gpu::Gpu, material::features, shading::View};
 
 use super::{
     error::RenderError,
@@ -44,15 +44,17 @@ impl GbufferPass {
         });
         let module = shader(gpu, "shading/gbuffer.wgsl")?;
         let pipeline = |kind: Kind| {
+            let more = kind.features & features::OF_VERTICES != 0;
+            let layouts = scene.vertex_layouts();
             let constants = [("FEATURES", f64::from(kind.features))];
             device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some("G-buffer"),
                 layout: Some(&pipeline_layout),
                 vertex: wgpu::VertexState {
                     module: &module,
-                    entry_point: Some("transform"),
+                    entry_point: Some(if more { "transform_more" } else { "transform" }),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    buffers: &scene.vertex_layouts(),
+                    buffers: &layouts[..if more { 2 } else { 1 }],
                 },
                 primitive: wgpu::PrimitiveState {
                     cull_mode: (!kind.double_sided).then_some(wgpu::Face::Back),
@@ -68,7 +70,12 @@ impl GbufferPass {
                 multisample: wgpu::MultisampleState::default(),
                 fragment: Some(wgpu::FragmentState {
                     module: &module,
-                    entry_point: Some(if kind.masked { "masked" } else { "opaque" }),
+                    entry_point: Some(match (kind.masked, more) {
+                        (false, false) => "opaque",
+                        (false, true) => "opaque_more",
+                        (true, false) => "masked",
+                        (true, true) => "masked_more",
+                    }),
                     compilation_options: wgpu::PipelineCompilationOptions {
                         constants: &constants,
                         ..wgpu::PipelineCompilationOptions::default()
