@@ -19,10 +19,6 @@ const PERCENTILE: f64 = 0.70;
 /// Exposed irradiance at the reference: white paint there appears slightly below white.
 const REFERENCE: f32 = 0.62;
 
-/// Exposed radiance of an emissive factor of 1. By the specification the factor is in cd/m², but files use it as paint:
-/// beside lights of several thousand lux it would be black.
-pub const EMISSIVE: f32 = 1.6;
-
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exposure {
     /// Exposed irradiance per lux.

@@ -12,10 +12,13 @@ use wgpu::util::DeviceExt as _;
 
 use super::{
     error::RenderError,
-    exposure::EMISSIVE,
     pipeline::{bind_group, bind_group_layout, constant, picture, uniform},
     texture::{self, Content, Srgb},
 };
+
+/// Exposed radiance of an emissive factor of 1. By the specification the factor is in cd/m², but files use it as paint:
+/// beside lights of several thousand lux it would be black.
+pub(crate) const EMISSIVE: f32 = 1.6;
 
 /// What the texels of [`more_textures`] are.
 const CONTENTS: [Content; 8] = [

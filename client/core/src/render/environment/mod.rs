@@ -1,7 +1,7 @@
 //! Light around the scene: what stands behind everything, what arrives from all sides, and what surfaces mirror of it.
 //!
-//! [`sky`] computes a sky from the scene's suns. A panorama can stand for it. Either becomes a [`cube`] of radiance with
-//! levels for roughness and [`harmonics`] for matt surfaces, made once. Lamps add an even light from everywhere, in
+//! [`sky`] computes a sky from the scene's suns. A panorama can stand for it. Either becomes a [`cube`] of radiance
+//! with levels for roughness, and [`harmonics`] for matt surfaces, made once. Lamps add an even light from everywhere, in
 //! proportion to what they give. Server and masks know nothing of it.
 
 mod cube;
@@ -98,7 +98,7 @@ impl Surroundings {
         self.survey
     }
 
-    /// Writes the light around to `lighting`, which shows `lights` with `exposure`. Bit k of `on` is 1 if light k is on.
+    /// Writes the light around to `lighting`. It shows `lights` with `exposure`; bit k of `on` is 1 if light k is on.
     pub(crate) fn light(&self, lighting: &mut Lighting, lights: &[Light], on: u32, exposure: Exposure) {
         let (mut sky_gain, mut seen, mut daylight) = (0.0, 1.0, 1.0);
         match &self.environment {

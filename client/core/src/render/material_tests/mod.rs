@@ -11,7 +11,8 @@ use gnomon_scene::{Draw, Light, LightKind, Material, Scene, camera::Camera};
 
 use super::{
     FrameRenderer, PICTURE_FORMAT,
-    exposure::{EMISSIVE, Exposure},
+    exposure::Exposure,
+    material::EMISSIVE,
     readback::texels,
     testing::{draw, gpu},
 };

@@ -2,7 +2,7 @@
 //!
 //! [`mask_words`] converts received bit planes to one word a pixel, and [`layers`] keeps the newest masks.
 //! [`depth_history`] has the depth of their views, or [`depth_pass`] draws it again. [`shadow_map`] covers what they
-//! did not see. [`pass`] runs them all, counts those pixels, and writes two words a pixel (`wgsl/shading/predict.wgsl`),
+//! did not see. [`pass`] runs them all, counts those pixels and writes two words a pixel (`wgsl/shading/predict.wgsl`),
 //! which the shading passes read.
 
 mod bindings;
