@@ -1,8 +1,8 @@
 //! Light around the scene: what stands behind everything, what arrives from all sides, and what surfaces mirror of it.
 //!
 //! [`sky`] computes a sky from the scene's suns. A panorama can stand for it. Either becomes a [`cube`] of radiance
-//! with levels for roughness, and [`harmonics`] for matt surfaces, made once. Lamps add an even light from everywhere, in
-//! proportion to what they give. Server and masks know nothing of it.
+//! with levels for roughness, and [`harmonics`] for matt surfaces, made once. Lamps add an even light from everywhere,
+//! in proportion to what they give. Server and masks know nothing of it.
 
 mod cube;
 mod harmonics;
