@@ -31,6 +31,11 @@ impl Kind {
     }
 }
 
+/// Leaves out the last target where nothing emits: what is written for each pixel is what a real GPU waits for.
+fn emitted<'a, T>(scene: &SceneUpload, targets: &'a [T; 3]) -> &'a [T] {
+    if scene.emits { targets } else { &targets[..2] }
+}
+
 impl GbufferPass {
     pub(crate) fn new(gpu: &Gpu, view: &wgpu::Buffer, scene: &SceneUpload) -> Result<Self, RenderError> {
         let device = &gpu.device;
@@ -80,7 +85,7 @@ impl GbufferPass {
                         constants: &constants,
                         ..wgpu::PipelineCompilationOptions::default()
                     },
-                    targets: &[Some(COLOR.into()), Some(NORMAL_MATERIAL.into()), Some(LIGHT.into())],
+                    targets: emitted(scene, &[Some(COLOR.into()), Some(NORMAL_MATERIAL.into()), Some(LIGHT.into())]),
                 }),
                 multiview_mask: None,
                 cache: None,
@@ -100,9 +105,10 @@ impl GbufferPass {
         (targets, depth): (&Targets, &wgpu::TextureView),
         scene: &SceneUpload,
     ) {
+        let attachments = [cleared(&targets.color), cleared(&targets.normal_material), cleared(&targets.light)];
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("G-buffer"),
-            color_attachments: &[cleared(&targets.color), cleared(&targets.normal_material), cleared(&targets.light)],
+            color_attachments: emitted(scene, &attachments),
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: depth,
                 depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),

@@ -75,6 +75,8 @@ pub(crate) struct SceneUpload {
     pub(crate) finishes: wgpu::Buffer,
     /// Whether some material is more than metallic-roughness.
     pub(crate) layered: bool,
+    /// Whether some material emits light.
+    pub(crate) emits: bool,
 }
 
 impl SceneUpload {
@@ -109,6 +111,7 @@ impl SceneUpload {
             material_layout,
             finishes: material::finishes(gpu, scene),
             layered: scene.materials.iter().any(is_layered),
+            emits: scene.materials.iter().any(|material| material.unlit || material.emissive != Vec3::ZERO),
         })
     }
 

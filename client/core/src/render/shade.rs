@@ -11,7 +11,9 @@ use wgpu::util::DeviceExt as _;
 use super::{
     environment::Surroundings,
     error::RenderError,
-    pipeline::{bind_group, bind_group_layout, covering_pipeline_with, kept, picture, shader, storage, uniform},
+    pipeline::{
+        bind_group, bind_group_layout, cleared, covering_pipeline_with, kept, picture, shader, storage, uniform,
+    },
     predict::depth_history::DepthHistory,
     quality::Quality,
     scene_upload::SceneUpload,
@@ -32,6 +34,8 @@ pub(crate) struct ShadePass {
     pipeline: wgpu::RenderPipeline,
     /// Some material has layers.
     layered: bool,
+    /// Some material emits light, which is in the target already.
+    emits: bool,
     quality: Quality,
 }
 
@@ -50,11 +54,12 @@ impl ShadePass {
             contents: bytemuck::cast_slice(&edge_shares()),
             usage: wgpu::BufferUsages::STORAGE,
         });
-        let (layout, layered, quality) = (layout(gpu), scene.layered, Quality::Low);
-        let pipeline = pipeline(gpu, &layout, layered, quality)?;
+        let (layout, layered, emits, quality) = (layout(gpu), scene.layered, scene.emits, Quality::Low);
+        let pipeline = pipeline(gpu, &layout, (layered, emits), quality)?;
         let (view, lighting, finishes) = (view.clone(), lighting.clone(), scene.finishes.clone());
+        let groups = Vec::new();
         let mut pass =
-            Self { layout, view, lighting, finishes, edge_shares, groups: Vec::new(), pipeline, layered, quality };
+            Self { layout, view, lighting, finishes, edge_shares, groups, pipeline, layered, emits, quality };
         pass.bind(device, targets, history, surroundings);
         Ok(pass)
     }
@@ -88,7 +93,7 @@ impl ShadePass {
 
     pub(crate) fn set_quality(&mut self, gpu: &Gpu, quality: Quality) -> Result<(), RenderError> {
         if quality != self.quality {
-            self.pipeline = pipeline(gpu, &self.layout, self.layered, quality)?;
+            self.pipeline = pipeline(gpu, &self.layout, (self.layered, self.emits), quality)?;
             self.quality = quality;
         }
         Ok(())
@@ -105,7 +110,7 @@ impl ShadePass {
     pub(crate) fn encode(&self, encoder: &mut wgpu::CommandEncoder, targets: &Targets, history: &DepthHistory) {
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("shading"),
-            color_attachments: &[kept(&targets.light)],
+            color_attachments: &[if self.emits { kept(&targets.light) } else { cleared(&targets.light) }],
             ..wgpu::RenderPassDescriptor::default()
         });
         pass.set_pipeline(&self.pipeline);
@@ -117,11 +122,10 @@ impl ShadePass {
 fn pipeline(
     gpu: &Gpu,
     layout: &wgpu::BindGroupLayout,
-    layered: bool,
+    (layered, emits): (bool, bool),
     quality: Quality,
 ) -> Result<wgpu::RenderPipeline, RenderError> {
     let module = shader(gpu, "shading/shade.wgsl")?;
-    // What surfaces emit is there already.
     let added = wgpu::BlendComponent {
         src_factor: wgpu::BlendFactor::One,
         dst_factor: wgpu::BlendFactor::One,
@@ -129,7 +133,7 @@ fn pipeline(
     };
     let target = wgpu::ColorTargetState {
         format: LIGHT,
-        blend: Some(wgpu::BlendState { color: added, alpha: added }),
+        blend: emits.then_some(wgpu::BlendState { color: added, alpha: added }),
         write_mask: wgpu::ColorWrites::ALL,
     };
     let smooth = quality == Quality::High;
