@@ -39,15 +39,17 @@ impl World {
 
 /// How each triangle's material treats rays.
 fn triangle_flags(scene: &Scene) -> Vec<TriangleFlags> {
+    let vertex_alpha = scene.vertex_alpha_materials();
     let mut flags = Vec::with_capacity(scene.tracing_triangles().len());
     for draw in &scene.draws {
         let material = &scene.materials[draw.material as usize];
         if material.alpha == AlphaMode::Blend {
             break;
         }
-        // Without a picture alpha is constant, so a triangle that passes needs no test.
-        let masked = matches!(material.alpha, AlphaMode::Mask { cutoff }
-            if material.base_color_texture.is_some() || material.base_color.w < cutoff);
+        // Without a picture or vertices that are see-through alpha is constant: a triangle that passes needs no test.
+        let varies = material.base_color_texture.is_some()
+            || vertex_alpha.get(draw.material as usize).is_some_and(|counts| *counts);
+        let masked = matches!(material.alpha, AlphaMode::Mask { cutoff } if varies || material.base_color.w < cutoff);
         let of_draw = TriangleFlags { single_sided: !material.double_sided, masked };
         flags.extend(std::iter::repeat_n(of_draw, draw.triangles as usize));
     }
