@@ -56,7 +56,10 @@ impl GltfFile {
         primitive["indices"] = json!(indices);
         let mappings = json!([{"material": 1, "variants": [0]}]);
         primitive["extensions"] = json!({"KHR_materials_variants": {"mappings": mappings}});
-        let texture = |index: u32, set: u32| json!({"index": index, "extensions": {"KHR_texture_transform": {"scale": [2, 3], "texCoord": set}}});
+        let texture = |index: u32, set: u32| {
+            let transform = json!({"scale": [2, 3], "texCoord": set});
+            json!({"index": index, "extensions": {"KHR_texture_transform": transform}})
+        };
         let json = &mut file.json;
         json["meshes"][0]["weights"] = json!([0.5]);
         json["extensions"] = json!({
