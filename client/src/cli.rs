@@ -107,8 +107,8 @@ impl Run {
 #[derive(Debug, Error)]
 pub enum ConfigError {
     #[error(
-        "which server? Pass the URL that gnomon-server printed, a scene's file or --demo to start one here, or --offline \
-         SCENE to draw without one"
+        "which server? Pass the URL that gnomon-server printed, a scene's file or --demo to start one here, or \
+         --offline SCENE to draw without one"
     )]
     NoSource,
     #[error("a URL or file and --offline: choose one")]

@@ -1,7 +1,9 @@
-//! Prints what a client's frame takes: `cargo run --release -p gnomon-client-core --features testing --example frame_cost
+//! Prints what a client's frame takes: `cargo run --release -p gnomon-client-core --features testing --example
+//! frame_cost
 //! -- SCENE WIDTHxHEIGHT EYE_X,Y,Z TARGET_X,Y,Z`.
 //!
-//! Each half is waited for: drawing surfaces, then all the rest with a whole mask of the same view. Medians of 30 frames.
+//! Each half is waited for: drawing surfaces, then all the rest with a whole mask of the same view. Medians
+//! of 30 frames.
 
 #![expect(clippy::disallowed_methods, reason = "a program of its own that measures")]
 

@@ -46,7 +46,8 @@ pub fn draco(bytes: &[u8]) {
     decoders::draco(bytes);
 }
 
-/// Data of meshopt's codecs give an error, or as many bytes as were asked for. The first four bytes say what to ask for.
+/// Data of meshopt's codecs give an error, or as many bytes as were asked for. The first four bytes say what to ask
+/// for.
 pub fn meshopt(bytes: &[u8]) {
     decoders::meshopt(bytes);
 }

@@ -182,7 +182,7 @@ fn meshopt_fills_buffers_without_bytes() {
     let (vertices, triangles) = (bytes(formats::ATTRIBUTES), bytes(formats::TRIANGLES));
     for name in ["EXT_meshopt_compression", "KHR_meshopt_compression"] {
         let data = [&vertices[..], &triangles].concat();
-        let view = |length: usize, extension: Value| json!({"buffer": 1, "byteLength": length, "extensions": {name: extension}});
+        let view = |length: usize, it: Value| json!({"buffer": 1, "byteLength": length, "extensions": {name: it}});
         let mut views = json!([
             view(
                 480,

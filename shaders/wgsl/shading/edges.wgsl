@@ -1,7 +1,7 @@
 // Shadow edges: the share of a pixel that a light reaches, from its bit and those of the eight pixels around it.
 //
-// A bit says whether a light reaches the centre of a pixel. Where bits differ, a shadow's edge runs between centres, and
-// is nearly straight there. `edge_shares` has, for each of the 512 patterns, the mean share over all straight edges
+// A bit says whether a light reaches the centre of a pixel. Where bits differ, a shadow's edge runs between centres,
+// and is nearly straight there. `edge_shares` has, for each of the 512 patterns, the mean share over all straight edges
 // that make it (`shaders/src/edge_shares.rs`). Pixels of other surfaces count as the pixel itself.
 
 #import "shading/inputs.wgsl"

@@ -73,7 +73,7 @@ pub(super) fn decode(encoded: &[u8], width: u32, height: u32, halvings: u32) -> 
     let rgba = decoded.unwrap_or_else(|_| Err("the decoder failed".to_owned()));
     let rgba = rgba.map_err(|fault| format!("its Basis Universal data are broken or not supported: {fault}"))?;
     let [width, height] = [width, height].map(|side| (side >> level).max(1));
-    if rgba.len() as u64 == super::area(width, height) * 4 {
+    if rgba.len() as u64 == super::area::area(width, height) * 4 {
         Ok((level, rgba))
     } else {
         Err(format!("its head says {width}×{height} pixels, its body has {} bytes", rgba.len()))

@@ -3,6 +3,7 @@
 //! Whatever the file's name or media type, the first bytes tell the format. Sizes are checked before pixels take
 //! memory. Both ends decode with the same code, so their texels are equal.
 
+mod area;
 mod basis;
 mod scale;
 mod webp;
@@ -10,7 +11,8 @@ mod webp;
 use std::io::Cursor;
 
 use image::{ExtendedColorType, ImageEncoder as _, ImageFormat, ImageReader, Limits, codecs};
-pub(crate) use scale::halvings;
+
+pub(crate) use self::{area::area, scale::halvings};
 
 use crate::{
     Image,
@@ -99,10 +101,6 @@ pub(crate) fn decode(encoded: Vec<u8>, pixels_left: u64) -> Result<Image, String
         ));
     }
     source.decode(0)
-}
-
-pub(crate) fn area(width: u32, height: u32) -> u64 {
-    u64::from(width) * u64::from(height)
 }
 
 fn format(encoded: &[u8]) -> Result<Format, String> {

@@ -1,6 +1,6 @@
 //! Scales pictures down until a scene fits its bounds.
 
-use super::area;
+use super::area::area;
 use crate::limits::{MAX_IMAGE_SIDE_PX, MAX_IMAGES_PIXELS};
 
 /// Returns how often the sides of each picture must be halved: until no side is beyond [`MAX_IMAGE_SIDE_PX`], and then
@@ -33,8 +33,8 @@ pub(crate) fn halvings(sizes: &[(u32, u32)]) -> Vec<u32> {
     times
 }
 
-/// Halves the sides of a picture so many times, rounded down. Each texel becomes the mean of those it covers, channel by
-/// channel: what the channels hold is not known here.
+/// Halves the sides of a picture so many times, rounded down. Each texel becomes the mean of those it covers, channel
+/// by channel: what the channels hold is not known here.
 pub(super) fn down(width: u32, height: u32, rgba: Vec<u8>, halvings: u32) -> (u32, u32, Vec<u8>) {
     if halvings == 0 {
         return (width, height, rgba);

@@ -1,7 +1,7 @@
 //! Decodes Draco's triangle meshes.
 //!
-//! The crate `draco-core` is a port to safe Rust that reads what the C++ library writes and is fuzzed by its authors. Its
-//! counts are bounded here, and a panic in it becomes an error.
+//! The crate `draco-core` is a port to safe Rust that reads what the C++ library writes and is fuzzed by its authors.
+//! Its counts are bounded here, and a panic in it becomes an error.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -41,8 +41,8 @@ pub(super) fn decode(data: &[u8], most_bytes: u64) -> Result<Geometry, String> {
 }
 
 impl Geometry {
-    /// Returns an attribute's values for each point, as vectors of so many components of a type. Integers that stand for
-    /// fractions become them where floats are asked for.
+    /// Returns an attribute's values for each point, as vectors of so many components of a type. Integers that stand
+    /// for fractions become them where floats are asked for.
     /// `None` if there is no such attribute, or it has fewer components.
     pub(super) fn attribute(&self, id: u32, components: usize, to: ComponentType) -> Option<Vec<u8>> {
         let attribute = self.mesh.attribute_by_unique_id(id)?;

@@ -10,7 +10,10 @@ use gltf::json::{
 };
 use serde::Deserialize;
 
-use super::{Room, add_buffer, add_view, draco};
+use super::{
+    draco,
+    room::{Room, add_buffer, add_view},
+};
 use crate::{
     error::{SceneError, place},
     reader::{file::buffers::Buffers, json::attribute},

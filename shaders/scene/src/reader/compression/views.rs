@@ -4,8 +4,8 @@ use gltf::json::{Root, validation::USize64};
 use serde::Deserialize;
 
 use super::{
-    Room, add_buffer,
     meshopt::{self, Mode},
+    room::{Room, add_buffer},
 };
 use crate::{
     error::{SceneError, place},

@@ -1,6 +1,6 @@
 //! The codec ATTRIBUTES: blocks of vertices whose bytes are transposed, as differences from the vertex before.
 
-use super::Input;
+use super::input::{Input, version};
 
 const HEADER: u8 = 0xa0;
 const NEWEST: u8 = 1;
@@ -23,7 +23,7 @@ enum Channel {
 /// Decodes `count` vertices of `stride` bytes, 4 to 256 and a multiple of 4.
 /// Errors if the data are too short or too long, or of another codec or a later version.
 pub(super) fn decode(data: &[u8], count: usize, stride: usize) -> Result<Vec<u8>, &'static str> {
-    let version = super::version(data, HEADER, NEWEST)?;
+    let version = version(data, HEADER, NEWEST)?;
     let channel_bytes = if version == 0 { 0 } else { stride / 4 };
     let tail = stride + channel_bytes;
     let padded = tail.max(if version == 0 { 32 } else { 24 });

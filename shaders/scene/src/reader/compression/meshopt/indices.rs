@@ -1,6 +1,6 @@
 //! The codecs TRIANGLES and INDICES.
 
-use super::Input;
+use super::input::{Input, unzigzag, version};
 
 const TRIANGLES_HEADER: u8 = 0xe0;
 const SEQUENCE_HEADER: u8 = 0xd0;
@@ -40,7 +40,7 @@ impl<T: Copy> Recent<T> {
 /// Decodes triangles of `count` corners.
 /// Errors if the data are too short or too long, or of another codec or a later version.
 pub(super) fn triangles(data: &[u8], count: usize) -> Result<Vec<u32>, &'static str> {
-    let version = super::version(data, TRIANGLES_HEADER, NEWEST)?;
+    let version = version(data, TRIANGLES_HEADER, NEWEST)?;
     let codes_end = 1 + count / 3;
     let Some(end) = data.len().checked_sub(TRIANGLES_TAIL).filter(|end| *end >= codes_end) else {
         return Err("it has fewer bytes than triangles");
@@ -155,7 +155,7 @@ impl Triangles<'_> {
 /// Decodes `count` indices in any order.
 /// Errors if the data are too short or too long, or of another codec or a later version.
 pub(super) fn sequence(data: &[u8], count: usize) -> Result<Vec<u32>, &'static str> {
-    super::version(data, SEQUENCE_HEADER, NEWEST)?;
+    version(data, SEQUENCE_HEADER, NEWEST)?;
     let Some(end) = data.len().checked_sub(SEQUENCE_TAIL).filter(|end| *end > count) else {
         return Err("it has fewer bytes than indices");
     };
@@ -169,7 +169,7 @@ pub(super) fn sequence(data: &[u8], count: usize) -> Result<Vec<u32>, &'static s
         }
         let value = input.varint()?;
         let last = &mut last[(value & 1) as usize];
-        *last = last.wrapping_add(super::unzigzag(value >> 1));
+        *last = last.wrapping_add(unzigzag(value >> 1));
         out.push(*last);
     }
     if input.at == end { Ok(out) } else { Err("its length does not fit its count") }
