@@ -76,7 +76,7 @@ fn count(mask: &Mask, set: bool) -> u64 {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measure {
-    /// `leaks`, `acne`, `undecided_share`, or `accepted` for files that must be refused.
+    /// `leaks`, `acne`, `undecided_share`, or `kept` for broken triangles that the loader must leave out.
     pub name: &'static str,
     pub value: f64,
     pub bound: f64,

@@ -16,14 +16,10 @@ use gnomon_protocol::mask::Mask;
 pub use self::case::{Case, Known, Measure};
 use crate::{backends::BackendName, reference::Truth, report::table::Table};
 
-/// Rows, like those of [`run`], for files that the loader must refuse.
-pub fn refusals() -> Vec<Vec<String>> {
-    let accepted = mesh::accepted().into_iter();
-    accepted
-        .map(|(case, taken)| {
-            row(case, "loader", Measure { name: "accepted", value: f64::from(u8::from(taken)), bound: 0.0 })
-        })
-        .collect()
+/// Rows, like those of [`run`], for files whose broken triangles the loader must leave out. Errors if it refuses one.
+pub fn left_out() -> Result<Vec<Vec<String>>> {
+    let kept = mesh::kept()?.into_iter();
+    Ok(kept.map(|(case, value)| row(case, "loader", Measure { name: "kept", value, bound: 0.0 })).collect())
 }
 
 /// Columns: case, backend, measure, value, bound, holds.

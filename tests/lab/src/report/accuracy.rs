@@ -96,7 +96,7 @@ fn judge_cases(
         picture.save(&file).with_context(|| format!("writing {}", file.display()))
     })?;
     if !cases.is_empty() {
-        table.rows.extend(hard_cases::refusals());
+        table.rows.extend(hard_cases::left_out()?);
         write(&options.out, "hard_cases.csv", &table)?;
     }
     Ok(table)
