@@ -53,10 +53,10 @@ impl PredictRig {
         Ok(mask)
     }
 
-    /// Without lag.
+    /// Without lag. Blended surfaces ask shadow maps, which only this predictor draws.
     pub(super) fn true_picture(&mut self, camera: &Camera) -> Result<RgbImage> {
         let mask = self.trace(camera)?;
-        Ok(self.draw(camera, Predictor::None, Some((&mask, camera)))?.0)
+        Ok(self.draw(camera, Predictor::Surface, Some((&mask, camera)))?.0)
     }
 
     /// Returns the client's picture and visibility for a view. `mask` comes with the view that it was traced for.
