@@ -111,7 +111,7 @@ fn load(options: &ParetoOptions, name: &str) -> Result<(Scene, CameraPath)> {
     let file = files.iter().map(|file| folder.join(file)).find(|file| file.is_file());
     let file = file.with_context(|| format!("no {} in {}", files.join(", "), folder.display()))?;
     let json = folder.join("lights_camera.json");
-    let scene = Scene::load(&file, &LoadOptions::default());
+    let scene = Scene::load(&file, &LoadOptions { default_light: false, ..LoadOptions::default() });
     let scene = match scene {
         Ok(scene) if !scene.lights.is_empty() => scene,
         _ => Scene::load(&file, &LoadOptions { lights_from: Some(json.clone()), ..LoadOptions::default() })
