@@ -165,7 +165,8 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     let path = standing(folder.path());
     let (server, url) = serve("127.0.0.1:0", certificate.path());
     let stats = folder.path().join("stats.jsonl");
-    let arguments = [&url, "--path", path.to_str().unwrap(), "--stats", stats.to_str().unwrap()];
+    // A chosen exposure: eyes that adapt never see quite the same again.
+    let arguments = [&url, "--path", path.to_str().unwrap(), "--stats", stats.to_str().unwrap(), "--exposure", "1.1"];
     let mut window = Window::open(&display, folder.path(), &arguments);
     let first = window.still_picture();
     assert_eq!(first.dimensions(), SIZE);
