@@ -26,9 +26,9 @@ struct NodeHits {
     inner: u32,
 }
 
-// Which of four children the ray hits, as bits of `NodeHits.bits`.
+// Which of four children the ray hits, as bits.
 fn quad_hits(
-    near: vec3u, far: vec3u, scale: vec3f, base_in: vec3f, base_out: vec3f, limit: f32, about: u32, octants: u32,
+    near: vec3u, far: vec3u, scale: vec3f, base_in: vec3f, base_out: vec3f, limit: f32,
 ) -> u32 {
     let in_x = fma(vec4f(unpack4xU8(near.x)), vec4f(scale.x), vec4f(base_in.x));
     let in_y = fma(vec4f(unpack4xU8(near.y)), vec4f(scale.y), vec4f(base_in.y));
@@ -38,12 +38,7 @@ fn quad_hits(
     let out_z = fma(vec4f(unpack4xU8(far.z)), vec4f(scale.z), vec4f(base_out.z));
     let enter = max(max(in_x, in_y), max(in_z, vec4f(0.0)));
     let leave = min(min(out_x, out_y), min(out_z, vec4f(limit)));
-    // Nodes carry 24 to 31 in their low five bits. Only there are bits 3 and 4 both set. Their index is XORed with the
-    // octant, so that the highest bit is the nearest child.
-    let inner = (about & (about << 1u)) & 0x10101010u;
-    let place = unpack4xU8((about ^ (octants & ((inner >> 4u) * 0xffu))) & 0x1f1f1f1fu);
-    let count = unpack4xU8((about >> 5u) & 0x07070707u);
-    let hits = select(vec4u(0u), count << place, enter <= leave);
+    let hits = select(vec4u(0u), vec4u(1u, 2u, 4u, 8u), enter <= leave);
     return hits.x | hits.y | hits.z | hits.w;
 }
 
@@ -59,7 +54,8 @@ fn node_hits(index: u32, ray: Ray, limit: f32) -> NodeHits {
     let spacing = bitcast<vec3f>((vec3u(head.w, head.w >> 8u, head.w >> 16u) & vec3u(0xffu)) << vec3u(23u));
     let scale = spacing * ray.inverse;
     let base = corner * ray.inverse;
-    let slack = (abs(corner) + 255.0 * spacing) * abs(ray.inverse) * SLACK;
+    // Of the distances along the ray.
+    let slack = SLACK * fma(vec3f(255.0), abs(scale), abs(base));
 
     let back = ray.direction < vec3f(0.0);
     let near_x = select(x.xy, x.zw, back.x);
@@ -69,12 +65,26 @@ fn node_hits(index: u32, ray: Ray, limit: f32) -> NodeHits {
     let far_y = select(y.zw, y.xy, back.y);
     let far_z = select(z.zw, z.xy, back.z);
 
-    let octants = ray.octant * 0x01010101u;
     let low = quad_hits(vec3u(near_x.x, near_y.x, near_z.x), vec3u(far_x.x, far_y.x, far_z.x), scale, base - slack,
-        base + slack, limit, links.z, octants);
+        base + slack, limit);
     let high = quad_hits(vec3u(near_x.y, near_y.y, near_z.y), vec3u(far_x.y, far_y.y, far_z.y), scale, base - slack,
-        base + slack, limit, links.w, octants);
-    return NodeHits(links.x, links.y, low | high, head.w >> 24u);
+        base + slack, limit);
+    let hits = low | (high << 4u);
+    let inner = head.w >> 24u;
+    // The highest bit is the nearest node: a node's number is XORed with the octant, one bit at a time.
+    var nodes_hit = hits & inner;
+    nodes_hit = select(nodes_hit, (nodes_hit << 4u) | (nodes_hit >> 4u), (ray.octant & 4u) != 0u);
+    nodes_hit = select(nodes_hit, ((nodes_hit & 0x33u) << 2u) | ((nodes_hit >> 2u) & 0x33u), (ray.octant & 2u) != 0u);
+    nodes_hit = select(nodes_hit, ((nodes_hit & 0x55u) << 1u) | ((nodes_hit >> 1u) & 0x55u), (ray.octant & 1u) != 0u);
+    var bits = nodes_hit << 24u;
+    var leaves = hits & ~inner;
+    while leaves != 0u {
+        let child = firstTrailingBit(leaves);
+        leaves &= leaves - 1u;
+        let about = select(links.z, links.w, child >= 4u) >> ((child & 3u) * 8u);
+        bits |= ((about >> 5u) & 7u) << (about & 31u);
+    }
+    return NodeHits(links.x, links.y, bits, inner);
 }
 
 // The state of a traversal: a group of sibling nodes that the ray hits. `x` is the index of the first sibling. Bits 31
