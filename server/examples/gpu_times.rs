@@ -1,7 +1,8 @@
 //! Times the `compute` back end on a scene, stage by stage, and compares its masks with those of the `cpu` back end.
 //!
 //! `cargo run --release -p gnomon-server --example gpu_times -- SCENE [--lights-from FILE] [--lights 1,4,8] [--size
-//! WxH] [--from X,Y,Z --to X,Y,Z] [--frames N] [--adapter NAME] [--allow-software] [--json FILE]`
+//! WxH] [--from X,Y,Z --to X,Y,Z] [--frames N] [--lists where-paid|always|never] [--adapter NAME] [--allow-software]
+//! [--json FILE]`
 //!
 //! For each number of lights it prints: times of the kernels by the device's clock, of the read-back, and of whole
 //! frames one at a time; frames per second with a full ring; and the share of relevant bits in which the back ends
@@ -19,9 +20,9 @@ use clap::Parser;
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{Scene, camera::Camera};
 use gnomon_server::visibility::{
-    TraceCost,
+    RayShares, TraceCost,
     backend::{
-        compute::{ComputeBackend, RING_FRAMES},
+        compute::{ComputeBackend, Lists, RING_FRAMES},
         cpu::CpuBackend,
     },
 };
@@ -43,6 +44,9 @@ struct Arguments {
     /// Frames to time.
     #[arg(long, default_value_t = 50)]
     frames: usize,
+    /// When blocks of pixels share lists of triangles.
+    #[arg(long, value_enum, default_value = "where-paid")]
+    lists: ListsArgument,
     /// Part of the adapter's name.
     #[arg(long)]
     adapter: Option<String>,
@@ -55,6 +59,23 @@ struct Arguments {
     /// Also writes the figures here.
     #[arg(long)]
     json: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum ListsArgument {
+    WherePaid,
+    Always,
+    Never,
+}
+
+impl From<ListsArgument> for Lists {
+    fn from(argument: ListsArgument) -> Self {
+        match argument {
+            ListsArgument::WherePaid => Self::WherePaid,
+            ListsArgument::Always => Self::Always,
+            ListsArgument::Never => Self::Never,
+        }
+    }
 }
 
 /// Median and 99th percentile.
@@ -79,6 +100,8 @@ struct Row {
     primary_mrays_per_s: f64,
     shadow_mrays_per_s: f64,
     shadow_rays: u64,
+    /// How the bits of these rays were found, by name.
+    shares: [(&'static str, u64); 4],
     differing_bits: u64,
     differing_part: f64,
 }
@@ -147,6 +170,7 @@ fn measure(scene: &Scene, compute: &mut ComputeBackend, camera: &Camera, frames:
         primary_mrays_per_s: rays as f64 / primary_ms.median / 1e3,
         shadow_mrays_per_s: shadow_rays as f64 / shadow_ms.median / 1e3,
         shadow_rays,
+        shares: std::array::from_fn(|i| (RayShares::NAMES[i], costs[0].0.shares.counts()[i])),
         differing_bits,
         differing_part: differing_bits as f64 / on_cpu.shadow_rays.max(1) as f64,
     })
@@ -167,22 +191,27 @@ fn main() -> Result<()> {
     };
     println!(
         "| lights | primary ms (p99) | shadow ms (p99) | read-back ms (p99) | frame ms (p99) | frames/s, full ring | \
-         primary Mray/s | shadow Mray/s | differing |"
+         primary Mray/s | shadow Mray/s | lit, dark, listed, traced, % | differing |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|");
     for &lights in &arguments.lights {
         let available = whole.lights.len();
         ensure!((1..=available).contains(&lights), "{lights} lights of a scene that has {available}");
         let mut scene = whole.clone();
         scene.lights.truncate(lights);
         let begin = Instant::now();
-        let mut compute = ComputeBackend::open(&scene, arguments.adapter.clone(), arguments.allow_software)?;
+        let mut compute = ComputeBackend::open_with_lists(
+            &scene,
+            arguments.adapter.clone(),
+            arguments.allow_software,
+            arguments.lists.into(),
+        )?;
         report.setup_s = begin.elapsed().as_secs_f64();
         report.backend = compute.describe();
         let row = measure(&scene, &mut compute, &camera, arguments.frames)?;
         let both = |spread: Spread| format!("{:.3} ({:.3})", spread.median, spread.p99);
         println!(
-            "| {lights} | {} | {} | {} | {} | {:.0} | {:.0} | {:.0} | {} of {} ({:.4} %) |",
+            "| {lights} | {} | {} | {} | {} | {:.0} | {:.0} | {:.0} | {} | {} of {} ({:.4} %) |",
             both(row.primary_ms),
             both(row.shadow_ms),
             both(row.readback_ms),
@@ -190,6 +219,9 @@ fn main() -> Result<()> {
             row.full_ring_frames_per_s,
             row.primary_mrays_per_s,
             row.shadow_mrays_per_s,
+            row.shares
+                .map(|(_, rays)| format!("{:.1}", 100.0 * rays as f64 / row.shadow_rays.max(1) as f64))
+                .join(", "),
             row.differing_bits,
             row.shadow_rays,
             row.differing_part * 100.0

@@ -33,7 +33,9 @@ pub struct TracedView {
     pub nodes: u32,
     /// First row of tiles in this part of the frame.
     pub first_row: u32,
-    unused: [u32; 3],
+    /// The row after its last.
+    pub end_row: u32,
+    unused: [u32; 2],
 }
 
 impl TracedView {
@@ -53,9 +55,27 @@ impl TracedView {
             up: basis.up.to_array(),
             nodes,
             first_row: 0,
-            unused: [0; 3],
+            end_row: height.div_ceil(8),
+            unused: [0; 2],
         }
     }
+}
+
+/// What the kernels count of a whole frame. Twin: `wgsl/visibility/counts.wgsl`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct TracedCounts {
+    /// Shadow rays. The next three count some of them where blocks of pixels share lists of triangles.
+    pub rays: u32,
+    /// Rays that no triangle may stop.
+    pub proven_lit: u32,
+    /// Rays of blocks that one triangle covers.
+    pub proven_dark: u32,
+    /// Rays tested against a list.
+    pub listed: u32,
+    /// Where the next list begins.
+    lists_end: u32,
+    unused: [u32; 3],
 }
 
 /// What decides a light's relevance and the end of its shadow rays.

@@ -37,9 +37,18 @@ pub const FILES: &[(&str, &str)] = &[
     ("shared/texels.wgsl", include_str!("../wgsl/shared/texels.wgsl")),
     ("shared/traced_scene.wgsl", include_str!("../wgsl/shared/traced_scene.wgsl")),
     ("visibility/closest_hit.wgsl", include_str!("../wgsl/visibility/closest_hit.wgsl")),
+    ("visibility/counts.wgsl", include_str!("../wgsl/visibility/counts.wgsl")),
+    ("visibility/lanes_subgroup.wgsl", include_str!("../wgsl/visibility/lanes_subgroup.wgsl")),
+    ("visibility/lanes_workgroup.wgsl", include_str!("../wgsl/visibility/lanes_workgroup.wgsl")),
+    ("visibility/lists.wgsl", include_str!("../wgsl/visibility/lists.wgsl")),
     ("visibility/primary.wgsl", include_str!("../wgsl/visibility/primary.wgsl")),
     ("visibility/ray_query.wgsl", include_str!("../wgsl/visibility/ray_query.wgsl")),
     ("visibility/shadow.wgsl", include_str!("../wgsl/visibility/shadow.wgsl")),
+    ("visibility/shadow_listed.wgsl", include_str!("../wgsl/visibility/shadow_listed.wgsl")),
+    ("visibility/shadow_lists.wgsl", include_str!("../wgsl/visibility/shadow_lists.wgsl")),
+    ("visibility/shadow_ray.wgsl", include_str!("../wgsl/visibility/shadow_ray.wgsl")),
+    ("visibility/shadow_rest.wgsl", include_str!("../wgsl/visibility/shadow_rest.wgsl")),
+    ("visibility/shaft.wgsl", include_str!("../wgsl/visibility/shaft.wgsl")),
     ("visibility/traverse.wgsl", include_str!("../wgsl/visibility/traverse.wgsl")),
 ];
 
@@ -77,6 +86,14 @@ pub fn splice_ray_query(path: &str) -> Result<String, SpliceError> {
     let text = splice_from(FILES, &[("visibility/traverse.wgsl", "visibility/ray_query.wgsl")], path)?;
     // Directives come before everything else.
     Ok(format!("enable wgpu_ray_query;\n{text}"))
+}
+
+/// As [`splice`], for adapters whose subgroups have 32 lanes.
+///
+/// # Errors
+/// Those of [`splice`].
+pub fn splice_subgroups(path: &str) -> Result<String, SpliceError> {
+    splice_from(FILES, &[("visibility/lanes_workgroup.wgsl", "visibility/lanes_subgroup.wgsl")], path)
 }
 
 /// Splices `path`. `replaced` has pairs of an import and the import that replaces it.

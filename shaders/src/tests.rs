@@ -6,10 +6,12 @@ use naga::valid::{Capabilities, ValidationFlags, Validator};
 use wgpu::DeviceType;
 
 use crate::{
-    host::{AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedLight, TracedTriangle, TracedView},
+    host::{
+        AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedCounts, TracedLight, TracedTriangle, TracedView,
+    },
     material::{Finish, Material, TextureMap, features},
     shading::{Light, Lighting, MaskLayer, Prediction, ShadowView, Tone, View},
-    splice::{FILES, splice, splice_for, splice_ray_query},
+    splice::{FILES, splice, splice_for, splice_ray_query, splice_subgroups},
     uniforms::Uniforms,
 };
 
@@ -50,7 +52,7 @@ macro_rules! assert_layout {
 #[test]
 fn host_types_have_the_layout_of_their_wgsl_twins() {
     let primary = module("visibility/primary.wgsl");
-    assert_layout!(primary, TracedView, [origin, width, forward, height, right, lights, up, nodes, first_row]);
+    assert_layout!(primary, TracedView, [origin, width, forward, height, right, lights, up, nodes, first_row, end_row]);
     assert_eq!(size_of::<TracedView>(), TracedView::BYTES as usize);
     assert_layout!(primary, TracedLight, [position, kind, direction, cos_outer, range_squared]);
     assert_layout!(primary, AlphaMaterial, [first_texel, width, height, wraps, cutoff, factor, vertex_alpha]);
@@ -167,6 +169,11 @@ fn every_shader_is_valid() {
         valid(path, &text, Capabilities::IMMEDIATES | Capabilities::RAY_QUERY);
         assert!(text.contains("rayQueryProceed") && !text.contains("node_hits"), "{path} traverses our hierarchy");
     }
+    let text = splice_subgroups("visibility/shadow_lists.wgsl").unwrap();
+    let module = valid("visibility/shadow_lists.wgsl", &text, Capabilities::IMMEDIATES | Capabilities::SUBGROUP);
+    assert!(text.contains("subgroupBallot") && !text.contains("lane_bits"), "it has no subgroups");
+    let counts = module.global_variables.iter().find(|(_, global)| global.name.as_deref() == Some("counts")).unwrap().1;
+    assert_eq!(module.types[counts.ty].inner.size(module.to_ctx()) as usize, size_of::<TracedCounts>());
     for name in
         ["gbuffer", "depth", "mask_words", "predict", "shade", "blend", "tone", "meter", "debug_view", "present"]
     {

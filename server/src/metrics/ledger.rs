@@ -9,7 +9,10 @@ use gnomon_protocol::{ids::FrameNumber, text::PeerText};
 use parking_lot::Mutex;
 
 use super::times::{Counts, Times};
-use crate::{net::link::TransportCounts, visibility::TraceCost};
+use crate::{
+    net::link::TransportCounts,
+    visibility::{RayShares, TraceCost},
+};
 
 /// Target of the log lines that a timer writes, once a second for each session: no peer can make them more.
 pub(crate) const TIMED: &str = "gnomon_server::rates";
@@ -86,6 +89,11 @@ ledger! {
     bytes,
     /// Tracing time on the device or processor, in microseconds.
     gpu_us,
+    /// Shadow rays of the masks traced, by how their bits were found.
+    rays_proven_lit,
+    rays_proven_dark,
+    rays_listed,
+    rays_traced,
     /// UDP datagrams received on the connection.
     udp_received,
     /// UDP datagrams sent on the connection.
@@ -169,6 +177,11 @@ impl Ledger {
         self.frames_traced.one();
         let spent = Duration::try_from_secs_f64((cost.primary_ms + cost.shadow_ms) * 1e-3).unwrap_or_default();
         self.gpu_us.add_us(spent);
+        let RayShares { proven_lit, proven_dark, listed, traced } = cost.shares;
+        self.rays_proven_lit.add(proven_lit);
+        self.rays_proven_dark.add(proven_dark);
+        self.rays_listed.add(listed);
+        self.rays_traced.add(traced);
         self.stages.trace.record(spent);
         self.stages.readback.record_ms(cost.readback_ms);
     }

@@ -16,7 +16,7 @@ use super::{
     registry::Snapshot,
     reloads::Reload,
 };
-use crate::net::connections::Stage;
+use crate::{net::connections::Stage, visibility::RayShares};
 
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Page {
@@ -170,6 +170,9 @@ impl Collector for Page {
         }
         page.counter("quic_lost", "QUIC packets declared lost", totals.quic_lost)?;
         page.counter("frames_traced", "Masks traced", totals.frames_traced)?;
+        let rays = [totals.rays_proven_lit, totals.rays_proven_dark, totals.rays_listed, totals.rays_traced];
+        let help = "Shadow rays of the masks traced, by how their bits were found";
+        page.family("shadow_rays", help, "found", RayShares::NAMES.into_iter().zip(rays))?;
         page.family(
             "frames",
             "Traced masks, by outcome",

@@ -267,6 +267,7 @@ fn log_frame(
         readback_ms = cost.readback_ms,
         primary_rays = cost.primary_rays,
         shadow_rays = cost.shadow_rays,
+        rays_traced = cost.shares.traced,
         "sent"
     );
 }

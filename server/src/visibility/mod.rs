@@ -69,6 +69,41 @@ pub struct TraceCost {
     pub primary_rays: u64,
     /// Shadow rays: relevant bits that the surface does not hide from itself.
     pub shadow_rays: u64,
+    /// How the bits of these rays were found.
+    pub shares: RayShares,
+}
+
+/// How the bits of shadow rays were found. The numbers sum to [`TraceCost::shadow_rays`].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct RayShares {
+    /// No triangle lies between their block of pixels and the light.
+    pub proven_lit: u64,
+    /// One triangle hides the light from their block of pixels. Few of these were traced after all.
+    pub proven_dark: u64,
+    /// Tested against the triangles that their block of pixels shares.
+    pub listed: u64,
+    /// Traced one by one.
+    pub traced: u64,
+}
+
+impl RayShares {
+    /// Names of [`Self::counts`].
+    pub const NAMES: [&str; 4] = ["proven_lit", "proven_dark", "listed", "traced"];
+
+    #[must_use]
+    pub fn counts(&self) -> [u64; 4] {
+        let Self { proven_lit, proven_dark, listed, traced } = *self;
+        [proven_lit, proven_dark, listed, traced]
+    }
+
+    fn plus(self, other: Self) -> Self {
+        Self {
+            proven_lit: self.proven_lit + other.proven_lit,
+            proven_dark: self.proven_dark + other.proven_dark,
+            listed: self.listed + other.listed,
+            traced: self.traced + other.traced,
+        }
+    }
 }
 
 impl TraceCost {
@@ -81,6 +116,7 @@ impl TraceCost {
             readback_ms: self.readback_ms + other.readback_ms,
             primary_rays: self.primary_rays + other.primary_rays,
             shadow_rays: self.shadow_rays + other.shadow_rays,
+            shares: self.shares.plus(other.shares),
         }
     }
 

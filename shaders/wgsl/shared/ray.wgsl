@@ -106,16 +106,17 @@ fn areas_across(ray: Ray, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> 
     return vec3f(edge(c, b), edge(a, c), edge(b, a));
 }
 
+// True if a ray with these areas passes a triangle by. Points on an edge belong to both of its triangles.
+fn is_beside(areas: vec3f) -> bool {
+    return any(areas < vec3f(0.0)) && any(areas > vec3f(0.0));
+}
+
 const MISSED: Hit = Hit(-1.0, vec3f(0.0), false, false);
 
 fn intersect_triangle(ray: Ray, triangle: u32, corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Hit {
     let areas = areas_across(ray, corner_a, corner_b, corner_c);
-    // Points on an edge belong to both of its triangles.
-    if any(areas < vec3f(0.0)) && any(areas > vec3f(0.0)) {
-        return MISSED;
-    }
     let area = areas.x + areas.y + areas.z;
-    if area == 0.0 {
+    if is_beside(areas) || area == 0.0 {
         return MISSED;
     }
     // The distance comes from the plane, not from the corners' depths by their weights. The weights of a thin triangle
@@ -146,7 +147,11 @@ fn is_between(hit: Hit, triangle: u32, corner_a: vec3f, end: End) -> bool {
     if !hit.clear || hit.distance <= 0.0 || hit.distance >= end.limit {
         return false;
     }
-    let normal = plane_normal(triangle);
+    return is_end_off_plane(plane_normal(triangle), corner_a, end);
+}
+
+// True if the end of a shadow ray lies off the plane of a triangle with this normal and corner.
+fn is_end_off_plane(normal: vec3f, corner_a: vec3f, end: End) -> bool {
     let to_a = corner_a - end.light;
     return !end.has_position || is_off_plane(normal, to_a, dot(normal, to_a));
 }

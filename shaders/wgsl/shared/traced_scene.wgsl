@@ -20,6 +20,8 @@ struct TracedView {
     nodes: u32,
     // First row of tiles in this part of the frame.
     first_row: u32,
+    // The row after its last.
+    end_row: u32,
 }
 
 // What decides a light's relevance and the end of its shadow rays.

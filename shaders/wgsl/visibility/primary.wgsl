@@ -9,13 +9,12 @@
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
 #import "visibility/traverse.wgsl"
+#import "visibility/counts.wgsl"
 
 var<immediate> view: TracedView;
 
 // Tile after tile, 64 pixels each: xyz is the shadow rays' start (bits of f32), w the lights that need a ray.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
-// Number of shadow rays in the whole frame.
-@group(1) @binding(2) var<storage, read_write> ray_count: atomic<u32>;
 
 var<workgroup> tile_rays: atomic<u32>;
 
@@ -95,6 +94,10 @@ fn primary(
     atomicAdd(&tile_rays, countOneBits(seen.w));
     workgroupBarrier();
     if bit == 0u {
-        atomicAdd(&ray_count, atomicLoad(&tile_rays));
+        atomicAdd(&counts[COUNT_RAYS], atomicLoad(&tile_rays));
+    }
+    if bit == 0u && place.x == 0u && place.y == 0u {
+        // This part's lists begin.
+        atomicStore(&counts[LISTS_END], 0u);
     }
 }

@@ -5,6 +5,7 @@
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
 #import "visibility/traverse.wgsl"
+#import "visibility/shadow_ray.wgsl"
 
 var<immediate> view: TracedView;
 
@@ -13,14 +14,6 @@ var<immediate> view: TracedView;
 @group(1) @binding(1) var<storage, read_write> mask: array<u32>;
 
 var<workgroup> tile_words: array<atomic<u32>, 2>;
-
-// True if nothing stops the segment from a shadow ray's start to the light.
-fn is_lit(start: vec3f, light: TracedLight) -> bool {
-    let directional = light.kind == LIGHT_DIRECTIONAL;
-    let direction = select(light.position - start, -light.direction, directional);
-    let end = End(select(1.0, FARTHEST, directional), light.position, !directional);
-    return !occluded(make_ray(start, direction), end);
-}
 
 @compute @workgroup_size(8, 8)
 fn shadow(
@@ -32,7 +25,8 @@ fn shadow(
     let tile = (view.first_row + place.y) * tiles.x + place.x;
     let seen = surfaces[tile * 64u + bit];
     let needed = ((seen.w >> place.z) & 1u) == 1u;
-    if needed && is_lit(bitcast<vec3f>(seen.xyz), lights[place.z]) {
+    let light = lights[place.z];
+    if needed && !occluded(shadow_ray(bitcast<vec3f>(seen.xyz), light), shadow_end(light)) {
         atomicOr(&tile_words[bit >> 5u], 1u << (bit & 31u));
     }
     workgroupBarrier();

@@ -8,7 +8,7 @@ use gnomon_shaders::gpu::Gpu;
 
 use super::{
     BackendError,
-    compute::{ComputeBackend, Traversal},
+    compute::{ComputeBackend, KernelOptions, Traversal},
 };
 
 /// Opens an adapter that has ray queries and uploads the scene. Builds the structure and compiles the kernels.
@@ -16,7 +16,7 @@ use super::{
 /// # Errors
 /// If there is no such adapter, it lacks ray queries or other needs of the kernels, or the scene does not fit it.
 pub fn open(scene: &Scene, adapter: Option<String>, allow_software: bool) -> Result<ComputeBackend, BackendError> {
-    ComputeBackend::open_traversing(scene, adapter, allow_software, Traversal::RayQuery, None)
+    ComputeBackend::open_with(scene, adapter, allow_software, KernelOptions::new(Traversal::RayQuery))
 }
 
 /// Opens an adapter with ray queries if it has them and the scene fits, and with `compute` otherwise.
@@ -43,5 +43,5 @@ pub fn open_preferred(
 /// # Errors
 /// If the device lacks what the kernels need, or the scene does not fit it.
 pub fn new(scene: &Scene, gpu: Gpu) -> Result<ComputeBackend, BackendError> {
-    ComputeBackend::new_traversing(scene, gpu, Traversal::RayQuery, None)
+    ComputeBackend::new_with(scene, gpu, KernelOptions::new(Traversal::RayQuery))
 }

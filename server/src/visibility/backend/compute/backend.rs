@@ -15,7 +15,7 @@ use wgpu::util::DeviceExt as _;
 use super::{
     acceleration,
     geometry::Geometry,
-    kernels::{self, Kernels, SCENE_BUFFERS, Traversal},
+    kernels::{self, KernelOptions, Kernels, KernelsFor, Lists, SCENE_BUFFERS, Traversal},
     limit::{PictureLimit, binding_limit},
     ring::{Capacity, RING_FRAMES, Ring, SLOTS},
     submission::{InFlight, Submissions},
@@ -71,7 +71,21 @@ impl ComputeBackend {
     /// # Errors
     /// If there is no such adapter, it lacks what the kernels need, or the scene does not fit it.
     pub fn open(scene: &Scene, adapter: Option<String>, allow_software: bool) -> Result<Self, BackendError> {
-        Self::open_traversing(scene, adapter, allow_software, Traversal::Hierarchy, None)
+        Self::open_with(scene, adapter, allow_software, KernelOptions::new(Traversal::Hierarchy))
+    }
+
+    /// As [`Self::open`], but blocks of pixels share lists as `lists` says.
+    ///
+    /// # Errors
+    /// Those of [`Self::open`].
+    pub fn open_with_lists(
+        scene: &Scene,
+        adapter: Option<String>,
+        allow_software: bool,
+        lists: Lists,
+    ) -> Result<Self, BackendError> {
+        let options = KernelOptions { lists, ..KernelOptions::new(Traversal::Hierarchy) };
+        Self::open_with(scene, adapter, allow_software, options)
     }
 
     /// As [`Self::open`], but shadow rays start `offset_roundings` rounding units off their surface: a fault for tests.
@@ -84,7 +98,9 @@ impl ComputeBackend {
         allow_software: bool,
         offset_roundings: u16,
     ) -> Result<Self, BackendError> {
-        Self::open_traversing(scene, adapter, allow_software, Traversal::Hierarchy, Some(offset_roundings))
+        let offset_roundings = Some(offset_roundings);
+        let options = KernelOptions { offset_roundings, ..KernelOptions::new(Traversal::Hierarchy) };
+        Self::open_with(scene, adapter, allow_software, options)
     }
 
     /// As [`Self::open`], on an open device.
@@ -92,27 +108,22 @@ impl ComputeBackend {
     /// # Errors
     /// If the device lacks what the kernels need, or the scene does not fit it.
     pub fn new(scene: &Scene, gpu: Gpu) -> Result<Self, BackendError> {
-        Self::new_traversing(scene, gpu, Traversal::Hierarchy, None)
+        Self::new_with(scene, gpu, KernelOptions::new(Traversal::Hierarchy))
     }
 
-    pub(in super::super) fn open_traversing(
+    pub(in super::super) fn open_with(
         scene: &Scene,
         adapter: Option<String>,
         allow_software: bool,
-        traversal: Traversal,
-        offset_roundings: Option<u16>,
+        options: KernelOptions,
     ) -> Result<Self, BackendError> {
-        let wanted = kernels::NEEDED | kernels::TIMING | traversal.features();
+        let wanted = kernels::NEEDED | kernels::TIMING | kernels::SUBGROUPS | options.traversal.features();
         let gpu = pollster::block_on(Gpu::open(&GpuOptions { adapter, wanted, allow_software }))?;
-        Self::new_traversing(scene, gpu, traversal, offset_roundings)
+        Self::new_with(scene, gpu, options)
     }
 
-    pub(in super::super) fn new_traversing(
-        scene: &Scene,
-        gpu: Gpu,
-        traversal: Traversal,
-        offset_roundings: Option<u16>,
-    ) -> Result<Self, BackendError> {
+    pub(in super::super) fn new_with(scene: &Scene, gpu: Gpu, options: KernelOptions) -> Result<Self, BackendError> {
+        let traversal = options.traversal;
         let failure = DeviceFailure::watch(&gpu.device);
         let geometry = Geometry::build(scene, traversal)?;
         let tests_alpha = !geometry.alpha_materials.is_empty();
@@ -123,7 +134,8 @@ impl ComputeBackend {
             alpha_bytes: geometry.alpha_bytes(),
             mask_bytes: 0,
         };
-        let kernels = Kernels::new(&gpu, traversal, &geometry.alpha_materials, offset_roundings)?;
+        let kernels_for = KernelsFor { alpha_materials: &geometry.alpha_materials, lights: scene.lights.len() };
+        let kernels = Kernels::new(&gpu, kernels_for, options)?;
         let (nodes, structure) = match traversal {
             Traversal::Hierarchy => (geometry.nodes.len(), None),
             Traversal::RayQuery => {
@@ -246,6 +258,12 @@ impl ComputeBackend {
     #[must_use]
     pub fn tests_alpha(&self) -> bool {
         self.tests_alpha
+    }
+
+    /// Returns whether blocks of pixels share lists of triangles in pictures of this size.
+    #[must_use]
+    pub fn uses_lists(&self, pixels: usize) -> bool {
+        self.kernels.lists.as_ref().is_some_and(|lists| pixels >= lists.least_pixels)
     }
 
     /// Device memory of the scene and one mask.

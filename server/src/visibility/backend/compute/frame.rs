@@ -1,25 +1,32 @@
 //! The steps of a frame on the device: begin, submit whole or in parts, wait, collect.
 //!
-//! A part runs both kernels on a band of rows of tiles, or copies a piece of the mask to the host. Parts of different
+//! A part runs all kernels on a band of rows of tiles, or copies a piece of the mask to the host. Parts of different
 //! frames may follow each other in any order: all data that outlives a part lies in the frame's own slot.
 
 use std::time::{Duration, Instant};
 
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::camera::Camera;
-use gnomon_shaders::host::TracedView;
+use gnomon_shaders::host::{TracedCounts, TracedView};
 
 use super::{
     backend::ComputeBackend,
-    ring::{RING_FRAMES, SLOTS},
+    ring::{RING_FRAMES, SLOTS, blocks},
     submission::{InFlight, PartialSubmission},
     timing::{PART_QUERIES, SLOT_QUERIES, Stages},
 };
-use crate::visibility::{TraceCost, backend::BackendError, schedule::parts::MAX_PARTS};
+use crate::visibility::{RayShares, TraceCost, backend::BackendError, schedule::parts::MAX_PARTS};
 
 /// Long masks are copied to the host, and read there, in pieces of this size, about 0.1 ms each.
 const PIECE_BYTES: u64 = 8 * PIECE_WORDS as u64;
 const PIECE_WORDS: usize = 1 << 17;
+
+/// Rays that were not counted elsewhere are traced.
+fn shares(counts: &TracedCounts) -> RayShares {
+    let [proven_lit, proven_dark, listed] = [counts.proven_lit, counts.proven_dark, counts.listed].map(u64::from);
+    let traced = u64::from(counts.rays).saturating_sub(proven_lit + proven_dark + listed);
+    RayShares { proven_lit, proven_dark, listed, traced }
+}
 
 impl ComputeBackend {
     /// Frames wholly submitted and not collected.
@@ -92,18 +99,22 @@ impl ComputeBackend {
             }
             let rows = frame.next_rows(rows.max(1));
             let first = first_query + PART_QUERIES * frame.parts;
-            for (stage, (kernel, planes)) in
-                (0..).zip([(&self.kernels.primary, 1), (&self.kernels.shadow, shape.lights())])
+            frame.view.end_row = rows.end;
+            let tiles = (shape.tiles_x(), rows.end - rows.start);
+            for (stage, dispatches) in
+                (0..).zip([vec![(&self.kernels.primary, tiles, 1)], self.shadow_work(shape, tiles)])
             {
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                     label: None,
                     timestamp_writes: self.timing.as_ref().map(|timing| timing.writes(first, stage)),
                 });
-                pass.set_pipeline(kernel);
-                pass.set_bind_group(0, &self.scene, &[]);
-                pass.set_bind_group(1, &slot.group, &[]);
-                pass.set_immediates(0, bytemuck::bytes_of(&frame.view));
-                pass.dispatch_workgroups(shape.tiles_x(), rows.end - rows.start, planes);
+                for (kernel, (x, y), z) in dispatches {
+                    pass.set_pipeline(kernel);
+                    pass.set_bind_group(0, &self.scene, &[]);
+                    pass.set_bind_group(1, &slot.group, &[]);
+                    pass.set_immediates(0, bytemuck::bytes_of(&frame.view));
+                    pass.dispatch_workgroups(x, y, z);
+                }
             }
             frame.view.first_row = rows.end;
             frame.parts += 1;
@@ -116,7 +127,7 @@ impl ComputeBackend {
         }
         let last = frame.copied_bytes >= slot.mask_bytes(shape);
         if last {
-            slot.copy_ray_count(&mut encoder);
+            slot.copy_counts(&mut encoder);
             if let Some(timing) = &self.timing {
                 let end = PART_QUERIES * frame.parts;
                 timing.write(&mut encoder, first_query + end);
@@ -134,6 +145,17 @@ impl ComputeBackend {
         let PartialSubmission { lease, shape, begun_at, parts, .. } = frame;
         self.in_flight.push_back(InFlight { lease, shape, begun_at, parts, read_words: 0 });
         Ok(None)
+    }
+
+    /// The kernels that find the bits of a part of so many tiles, each with its workgroups.
+    fn shadow_work(&self, shape: MaskShape, tiles: (u32, u32)) -> Vec<(&wgpu::ComputePipeline, (u32, u32), u32)> {
+        let (lights, blocks) = (shape.lights(), blocks(tiles.0, tiles.1));
+        match &self.kernels.lists {
+            Some(lists) if self.uses_lists(shape.pixels()) => {
+                vec![(&lists.find, blocks, lights), (&lists.test, blocks, lights), (&lists.rest, tiles, lights)]
+            }
+            _ => vec![(&self.kernels.shadow, tiles, lights)],
+        }
     }
 
     /// Waits up to `patience` for the oldest submission.
@@ -196,7 +218,7 @@ impl ComputeBackend {
         if words.end < oldest.shape.words() {
             return Ok(None);
         }
-        let (ticks, shadow_rays) = slot.finish(oldest.parts).map_err(BackendError::Device)?;
+        let (ticks, counts) = slot.finish(oldest.parts).map_err(BackendError::Device)?;
         let stages = match &self.timing {
             Some(timing) => timing.stages(&ticks),
             // Without a device clock, all of the time counts as tracing.
@@ -207,7 +229,8 @@ impl ComputeBackend {
             shadow_ms: stages.shadow_ms,
             readback_ms: stages.copy_ms + seen_at.elapsed().as_secs_f64() * 1e3,
             primary_rays: oldest.shape.pixels() as u64,
-            shadow_rays,
+            shadow_rays: u64::from(counts.rays),
+            shares: shares(&counts),
         };
         self.in_flight.pop_front();
         Ok(Some(cost))

@@ -1,9 +1,9 @@
-//! The two kernels as pipelines, and the layouts of their bindings.
+//! The kernels as pipelines, and the layouts of their bindings.
 
 use gnomon_shaders::{
     gpu::Gpu,
     host::{AlphaMaterial, TracedView},
-    splice::{splice, splice_ray_query},
+    splice::{splice, splice_ray_query, splice_subgroups},
 };
 
 use super::acceleration;
@@ -34,12 +34,16 @@ pub(super) const NEEDED: wgpu::Features = wgpu::Features::IMMEDIATES;
 pub(super) const TIMING: wgpu::Features =
     wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS);
 
+/// Device features that only faster kernels need.
+pub(super) const SUBGROUPS: wgpu::Features = wgpu::Features::SUBGROUP;
+
 /// Storage buffers that hold the scene.
 pub(super) const SCENE_BUFFERS: usize = 7;
-/// Storage buffers that hold a frame.
-const FRAME_BUFFERS: usize = 3;
-/// Storage buffers that a kernel reads or writes.
-const BUFFERS: u32 = 10;
+/// Storage buffers that hold a frame without lists, and with lists.
+const FRAME_BUFFERS: u32 = 3;
+const LISTED_FRAME_BUFFERS: u32 = 5;
+/// Storage buffers that a kernel reads or writes, without lists.
+const BUFFERS: u32 = SCENE_BUFFERS as u32 + FRAME_BUFFERS;
 
 #[derive(Debug)]
 pub(super) struct Kernels {
@@ -47,8 +51,61 @@ pub(super) struct Kernels {
     pub(super) primary: wgpu::ComputePipeline,
     /// `visibility/shadow.wgsl`.
     pub(super) shadow: wgpu::ComputePipeline,
+    pub(super) lists: Option<ListKernels>,
     scene: wgpu::BindGroupLayout,
     frame: wgpu::BindGroupLayout,
+}
+
+/// Kernels for blocks of pixels that share lists of triangles.
+#[derive(Debug)]
+pub(super) struct ListKernels {
+    /// `visibility/shadow_lists.wgsl`: a workgroup a block and light.
+    pub(super) find: wgpu::ComputePipeline,
+    /// `visibility/shadow_listed.wgsl`: the same.
+    pub(super) test: wgpu::ComputePipeline,
+    /// `visibility/shadow_rest.wgsl`: a workgroup a tile and light.
+    pub(super) rest: wgpu::ComputePipeline,
+    /// The smallest picture that they trace.
+    pub(super) least_pixels: usize,
+}
+
+/// When blocks of pixels share lists of triangles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Lists {
+    /// Where they were measured to be faster: on GPUs whose subgroups have 32 lanes, for several lights and large
+    /// pictures.
+    #[default]
+    WherePaid,
+    /// On every device that can. For tests: software adapters are slower with lists.
+    Always,
+    Never,
+}
+
+impl Lists {
+    /// Lights from which lists pay.
+    const PAID_LIGHTS: usize = 2;
+    /// Pixels from which lists pay. The blocks of smaller pictures see more of the scene, and have no lists more often.
+    const PAID_PIXELS: usize = 1_500_000;
+
+    /// The smallest picture that uses lists; `None` if none does.
+    fn least_pixels(self, gpu: &Gpu, traversal: Traversal, lights: usize) -> Option<usize> {
+        let buffers = gpu.device.limits().max_storage_buffers_per_shader_stage;
+        if traversal != Traversal::Hierarchy || buffers < SCENE_BUFFERS as u32 + LISTED_FRAME_BUFFERS {
+            return None;
+        }
+        let pays = !gpu.is_software() && has_subgroups(gpu) && lights >= Self::PAID_LIGHTS;
+        match self {
+            Self::WherePaid => pays.then_some(Self::PAID_PIXELS),
+            Self::Always => Some(0),
+            Self::Never => None,
+        }
+    }
+}
+
+/// Returns whether all subgroups have the 32 lanes of `visibility/lanes_subgroup.wgsl`.
+fn has_subgroups(gpu: &Gpu) -> bool {
+    let sizes = (gpu.info.subgroup_min_size, gpu.info.subgroup_max_size);
+    gpu.device.features().contains(SUBGROUPS) && sizes == (32, 32)
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -56,20 +113,18 @@ pub(super) struct FrameBuffers<'a> {
     /// 16 bytes a pixel between the kernels.
     pub(super) surfaces: &'a wgpu::Buffer,
     pub(super) mask: &'a wgpu::Buffer,
-    /// The number of shadow rays.
-    pub(super) ray_count: &'a wgpu::Buffer,
+    /// [`gnomon_shaders::host::TracedCounts`].
+    pub(super) counts: &'a wgpu::Buffer,
+    /// The blocks' states and lists; unused by kernels without lists.
+    pub(super) lists: [&'a wgpu::Buffer; 2],
 }
 
 impl Kernels {
-    /// Compiles the kernels for the scene's `alpha_materials`. `offset_roundings` replaces
-    /// `OFFSET_ROUNDINGS` of `visibility/primary.wgsl`. Errors if the device lacks a feature or a limit. The device's
-    /// error handler gets what the device itself refuses.
-    pub(super) fn new(
-        gpu: &Gpu,
-        traversal: Traversal,
-        alpha_materials: &[AlphaMaterial],
-        offset_roundings: Option<u16>,
-    ) -> Result<Self, BackendError> {
+    /// Compiles the kernels for a scene. Errors if the device lacks a feature or a limit. The device's error handler
+    /// gets what the device itself refuses.
+    pub(super) fn new(gpu: &Gpu, scene: KernelsFor<'_>, options: KernelOptions) -> Result<Self, BackendError> {
+        let KernelsFor { alpha_materials, lights } = scene;
+        let KernelOptions { traversal, lists, offset_roundings } = options;
         if traversal == Traversal::RayQuery {
             acceleration::check(gpu)?;
         }
@@ -91,7 +146,9 @@ impl Kernels {
             scene_types.push(acceleration::structure_type());
         }
         let scene = layout(&gpu.device, "scene", scene_types);
-        let frame = layout(&gpu.device, "frame", [false; FRAME_BUFFERS].map(buffer_type));
+        let least_pixels = lists.least_pixels(gpu, traversal, lights);
+        let frame_buffers = if least_pixels.is_some() { LISTED_FRAME_BUFFERS } else { FRAME_BUFFERS };
+        let frame = layout(&gpu.device, "frame", (0..frame_buffers).map(|_| buffer_type(false)));
         let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("tracing"),
             bind_group_layouts: &[Some(&scene), Some(&frame)],
@@ -107,14 +164,12 @@ impl Kernels {
         let pipeline = |name: &str, constants: &[(&str, f64)]| -> Result<wgpu::ComputePipeline, BackendError> {
             let path = format!("visibility/{name}.wgsl");
             let text = match traversal {
+                Traversal::Hierarchy if has_subgroups(gpu) => splice_subgroups(&path),
                 Traversal::Hierarchy => splice(&path),
                 Traversal::RayQuery => splice_ray_query(&path),
             };
             let text = text.map_err(|error| BackendError::Setup(format!("kernel {name}: {error}")))?;
-            let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some(name),
-                source: wgpu::ShaderSource::Wgsl(text.into()),
-            });
+            let module = module(gpu, traversal, name, text);
             Ok(gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(name),
                 layout: Some(&pipeline_layout),
@@ -125,7 +180,16 @@ impl Kernels {
             }))
         };
         let (primary, shadow) = (pipeline("primary", &primary_constants)?, pipeline("shadow", &alpha)?);
-        Ok(Self { primary, shadow, scene, frame })
+        let lists = match least_pixels {
+            Some(least_pixels) => Some(ListKernels {
+                find: pipeline("shadow_lists", &[])?,
+                test: pipeline("shadow_listed", &alpha)?,
+                rest: pipeline("shadow_rest", &alpha)?,
+                least_pixels,
+            }),
+            None => None,
+        };
+        Ok(Self { primary, shadow, lists, scene, frame })
     }
 
     /// The scene's bind group, in the order of `wgsl/shared/traced_scene.wgsl`. Ray queries need `structure`.
@@ -140,8 +204,46 @@ impl Kernels {
     }
 
     pub(super) fn bind_frame(&self, device: &wgpu::Device, buffers: FrameBuffers<'_>) -> wgpu::BindGroup {
-        let buffers = [buffers.surfaces, buffers.mask, buffers.ray_count];
-        bind(device, "frame", &self.frame, buffers.map(wgpu::Buffer::as_entire_binding))
+        let FrameBuffers { surfaces, mask, counts, lists: [states, lists] } = buffers;
+        let used = if self.lists.is_some() { LISTED_FRAME_BUFFERS } else { FRAME_BUFFERS } as usize;
+        let buffers = [surfaces, mask, counts, states, lists].map(wgpu::Buffer::as_entire_binding);
+        bind(device, "frame", &self.frame, buffers.into_iter().take(used))
+    }
+}
+
+/// What the kernels must know of the scene.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct KernelsFor<'a> {
+    pub(super) alpha_materials: &'a [AlphaMaterial],
+    pub(super) lights: usize,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(in super::super) struct KernelOptions {
+    pub(in super::super) traversal: Traversal,
+    pub(in super::super) lists: Lists,
+    /// Replaces `OFFSET_ROUNDINGS` of `visibility/primary.wgsl`: a fault for tests.
+    pub(in super::super) offset_roundings: Option<u16>,
+}
+
+impl KernelOptions {
+    pub(in super::super) fn new(traversal: Traversal) -> Self {
+        Self { traversal, lists: Lists::default(), offset_roundings: None }
+    }
+}
+
+/// Compiles a kernel without counters in its loops, which cost a tenth of the shadow rays' time. Every loop ends: those
+/// over a tree by its depth, others by a count or a shrinking set of bits. All accesses stay checked.
+fn module(gpu: &Gpu, traversal: Traversal, name: &str, text: String) -> wgpu::ShaderModule {
+    let descriptor = wgpu::ShaderModuleDescriptor { label: Some(name), source: wgpu::ShaderSource::Wgsl(text.into()) };
+    if traversal == Traversal::RayQuery {
+        return gpu.device.create_shader_module(descriptor);
+    }
+    let checks = wgpu::ShaderRuntimeChecks { force_loop_bounding: false, ..wgpu::ShaderRuntimeChecks::checked() };
+    // SAFETY: the only check that is left out bounds loops, and the text is ours, never a peer's.
+    #[expect(unsafe_code, reason = "the only way to leave out one check")]
+    unsafe {
+        gpu.device.create_shader_module_trusted(descriptor, checks)
     }
 }
 

@@ -13,9 +13,10 @@ mod submission;
 mod tests;
 mod timing;
 
-pub(super) use self::kernels::Traversal;
+pub(super) use self::kernels::{KernelOptions, Traversal};
 pub use self::{
     backend::{ComputeBackend, DeviceMemory},
+    kernels::Lists,
     limit::PictureLimit,
     ring::{RING_FRAMES, SLOTS},
     submission::PartialSubmission,

@@ -1,7 +1,7 @@
 //! The buffers of frames that have begun: one frame is traced, an earlier one is copied, and others are interrupted.
 //!
-//! Buffers are made when a session needs larger ones, never for a frame. All frames share the buffer between the two
-//! kernels: the queue runs their parts one after the other, and its content does not outlive a part.
+//! Buffers are made when a session needs larger ones, never for a frame. All frames share the buffers between the
+//! kernels: the queue runs their parts one after the other, and their content does not outlive a part.
 
 use std::{
     ops::Range,
@@ -12,6 +12,7 @@ use std::{
 };
 
 use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_shaders::host::TracedCounts;
 
 use super::{
     kernels::{FrameBuffers, Kernels},
@@ -27,12 +28,20 @@ pub const SLOTS: usize = 2 * RING_FRAMES;
 /// Bytes per pixel between the kernels: a position, and a bit per light.
 const SURFACE_BYTES: u64 = 16;
 const TILE_PIXELS: u64 = 64;
-/// Offset of the ray count in the host's buffer.
-const RAY_COUNT_AT: u64 = 0;
-/// The number of shadow rays is a u32. Padding aligns the timestamps.
-const RAY_COUNT_BYTES: u64 = 8;
+/// Sides of a block in `wgsl/visibility/lists.wgsl`, in tiles.
+pub(super) const BLOCK_TILES: u32 = 2;
+/// A block's state for a light.
+const STATE_BYTES: u64 = 8;
+/// Room for lists, for each block and light. Full lists of Sponza take a third of it on average. Blocks that find no
+/// room are traced ray by ray.
+const LIST_BYTES: u64 = 128;
+/// Smallest buffer, where a kernel needs none.
+const UNUSED_BYTES: u64 = 64;
+/// Offset of the counts in the host's buffer.
+const COUNTS_AT: u64 = 0;
+const COUNTS_BYTES: u64 = size_of::<TracedCounts>() as u64;
 /// Offset of the timestamps.
-const TIMES_AT: u64 = RAY_COUNT_AT + RAY_COUNT_BYTES;
+const TIMES_AT: u64 = COUNTS_AT + COUNTS_BYTES;
 /// Offset of the mask's words.
 const MASK_AT: u64 = (TIMES_AT + QUERY_BYTES).next_multiple_of(64);
 
@@ -44,6 +53,8 @@ const FAILED: u8 = 2;
 pub(super) struct Capacity {
     surface_bytes: u64,
     pub(super) mask_bytes: u64,
+    /// Blocks times lights.
+    shafts: u64,
 }
 
 impl Capacity {
@@ -52,18 +63,31 @@ impl Capacity {
         shapes.into_iter().fold(Self::default(), |sum, shape| Self {
             surface_bytes: sum.surface_bytes.max(shape.tiles() as u64 * TILE_PIXELS * SURFACE_BYTES),
             mask_bytes: sum.mask_bytes.max(mask_bytes(shape)),
+            shafts: sum.shafts.max(shafts(shape)),
         })
     }
 
     pub(super) fn holds(self, shape: MaskShape) -> bool {
         let needed = Self::of([shape]);
-        needed.surface_bytes <= self.surface_bytes && needed.mask_bytes <= self.mask_bytes
+        needed.surface_bytes <= self.surface_bytes
+            && needed.mask_bytes <= self.mask_bytes
+            && needed.shafts <= self.shafts
     }
 
-    /// Size of the largest buffer.
+    /// Size of the largest buffer. A block's surfaces take 4 KiB, and its states and lists for up to 32 lights no more.
     pub(super) fn largest_bytes(self) -> u64 {
         self.surface_bytes.max(self.mask_bytes + MASK_AT)
     }
+}
+
+/// Blocks of a picture in each direction.
+pub(super) fn blocks(tiles_x: u32, tiles_y: u32) -> (u32, u32) {
+    (tiles_x.div_ceil(BLOCK_TILES), tiles_y.div_ceil(BLOCK_TILES))
+}
+
+fn shafts(shape: MaskShape) -> u64 {
+    let (x, y) = blocks(shape.tiles_x(), shape.tiles_y());
+    u64::from(x) * u64::from(y) * u64::from(shape.lights())
 }
 
 fn mask_bytes(shape: MaskShape) -> u64 {
@@ -80,7 +104,7 @@ pub(super) struct Ring {
 pub(super) struct Slot {
     pub(super) group: wgpu::BindGroup,
     mask: wgpu::Buffer,
-    ray_count: wgpu::Buffer,
+    counts: wgpu::Buffer,
     timestamps: wgpu::Buffer,
     host: wgpu::Buffer,
     state: Arc<AtomicU8>,
@@ -113,14 +137,17 @@ impl Ring {
             device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
         };
         let surfaces = buffer("surfaces", capacity.surface_bytes, Usage::STORAGE);
+        let for_lists = |bytes: u64| if kernels.lists.is_some() { bytes } else { UNUSED_BYTES };
+        let states = buffer("states of blocks", for_lists(capacity.shafts * STATE_BYTES), Usage::STORAGE);
+        let lists = buffer("lists of blocks", for_lists(capacity.shafts * LIST_BYTES), Usage::STORAGE);
         let slots = std::array::from_fn(|_| {
             let mask = buffer("mask", capacity.mask_bytes, Usage::STORAGE | Usage::COPY_SRC);
-            let ray_count = buffer("ray count", RAY_COUNT_BYTES, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST);
-            let buffers = FrameBuffers { surfaces: &surfaces, mask: &mask, ray_count: &ray_count };
+            let counts = buffer("counts", COUNTS_BYTES, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST);
+            let buffers = FrameBuffers { surfaces: &surfaces, mask: &mask, counts: &counts, lists: [&states, &lists] };
             Slot {
                 group: kernels.bind_frame(device, buffers),
                 mask,
-                ray_count,
+                counts,
                 timestamps: buffer("timestamps", QUERY_BYTES, Usage::QUERY_RESOLVE | Usage::COPY_SRC),
                 host: buffer("host mask", MASK_AT + capacity.mask_bytes, Usage::MAP_READ | Usage::COPY_DST),
                 state: Arc::new(AtomicU8::new(PENDING)),
@@ -148,9 +175,9 @@ impl Slot {
         mask_bytes(shape).min(self.mask.size())
     }
 
-    /// Resets the ray count. Encode before the first part.
+    /// Resets the counts. Encode before the first part.
     pub(super) fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
-        encoder.clear_buffer(&self.ray_count, 0, None);
+        encoder.clear_buffer(&self.counts, 0, None);
     }
 
     /// Copies up to `most` bytes of the mask from byte `from` on, and returns their number. Encode after the kernels.
@@ -161,8 +188,8 @@ impl Slot {
     }
 
     /// Encode after all kernels.
-    pub(super) fn copy_ray_count(&self, encoder: &mut wgpu::CommandEncoder) {
-        encoder.copy_buffer_to_buffer(&self.ray_count, 0, &self.host, RAY_COUNT_AT, RAY_COUNT_BYTES);
+    pub(super) fn copy_counts(&self, encoder: &mut wgpu::CommandEncoder) {
+        encoder.copy_buffer_to_buffer(&self.counts, 0, &self.host, COUNTS_AT, COUNTS_BYTES);
     }
 
     /// Encode last.
@@ -205,14 +232,15 @@ impl Slot {
         Ok(())
     }
 
-    /// Returns the timestamps of `parts` parts and the ray count, and unmaps the buffer. Errors if it is not mapped.
-    pub(super) fn finish(&self, parts: u32) -> Result<(Vec<u64>, u64), String> {
+    /// Returns the timestamps of `parts` parts and the counts, and unmaps the buffer. Errors if it is not mapped.
+    pub(super) fn finish(&self, parts: u32) -> Result<(Vec<u64>, TracedCounts), String> {
         let view = self.host.get_mapped_range(..MASK_AT).map_err(|error| error.to_string())?;
-        let mut head = view.as_chunks().0.iter().copied().map(u64::from_le_bytes);
-        let shadow_rays = head.next().unwrap_or_default() & u64::from(u32::MAX);
-        let times = head.take(PART_QUERIES as usize * parts as usize + 1).collect();
+        let (counts, times) = view.split_at(COUNTS_BYTES as usize);
+        let counts = bytemuck::pod_read_unaligned(counts);
+        let times = times.as_chunks().0.iter().copied().map(u64::from_le_bytes);
+        let times = times.take(PART_QUERIES as usize * parts as usize + 1).collect();
         drop(view);
         self.host.unmap();
-        Ok((times, shadow_rays))
+        Ok((times, counts))
     }
 }

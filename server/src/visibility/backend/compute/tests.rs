@@ -6,7 +6,7 @@ use gnomon_scene::{LightKind, Scene, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 use obvhs::ray::{Ray, RayHit};
 
-use super::{ComputeBackend, PictureLimit, RING_FRAMES, geometry};
+use super::{ComputeBackend, Lists, PictureLimit, RING_FRAMES, geometry};
 use crate::visibility::{
     TraceCost,
     backend::{BackendError, cpu::CpuBackend},
@@ -67,6 +67,137 @@ fn masks_equal_those_of_the_cpu_back_end() {
         assert_eq!(on_device.primary_rays, u64::from(camera.width * camera.height));
         assert!(on_device.shadow_rays.abs_diff(rays) * 1000 <= rays, "{} of {rays} rays", on_device.shadow_rays);
     }
+}
+
+/// Slivers and large triangles in all directions: the lists of its blocks are long, or there are none.
+fn cloud(triangles: u32) -> TestScene {
+    let mut random = 1_u32;
+    let mut next = || {
+        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (random >> 8) as f32 / (1 << 24) as f32 * 2.0 - 1.0
+    };
+    let mut cloud = TestScene::default();
+    for index in 0..triangles {
+        let size = if index % 50 == 0 { 2.0 } else { 0.3 };
+        let centre = Vec3::new(next(), next(), next()) * 3.0;
+        let mut corner = || centre + Vec3::new(next(), next(), next()) * size;
+        cloud = cloud.triangle(DOUBLE_SIDED, [corner(), corner(), corner()]);
+    }
+    cloud
+}
+
+/// Scenes that ask everything of shared lists, each with cameras.
+fn hard_for_lists() -> Vec<(&'static str, Scene, Vec<Camera>)> {
+    let look = |from: [f64; 3], to: [f64; 3]| Camera::looking_at(DVec3::from(from), DVec3::from(to), 1.0, 150, 93);
+    let floor =
+        || TestScene::default().quad(SINGLE_SIDED, Vec3::new(-9.0, 0.0, 9.0), Vec3::X * 18.0, Vec3::NEG_Z * 18.0);
+    let above = vec![look([0.0, 3.0, 8.0], [0.0, 0.0, 0.0]), look([5.0, 0.3, 5.0], [0.0, 0.0, 0.0])];
+    let closed = TestScene::default().sphere(SINGLE_SIDED, Vec3::ZERO, 3.0, 40, true);
+    let in_closed = vec![look([0.0; 3], [0.0, 0.0, -1.0]), look([2.0, 1.0, 0.5], [-1.0, 0.2, 0.0])];
+    let suns = [Vec3::NEG_Y, Vec3::new(1.0, -0.02, 0.3), Vec3::new(-0.4, -1.0, 0.1)];
+    let with_suns = |scene: TestScene| {
+        suns.iter().fold(scene, |scene, sun| scene.light(LightKind::Directional, Vec3::ZERO, *sun, f32::INFINITY))
+    };
+    vec![
+        ("a room with every kind of light", room(), cameras()),
+        (
+            "a cloud with a light outside, one within, and suns",
+            with_suns(cloud(3000).point(Vec3::new(0.2, 6.0, 0.1)).point(Vec3::ZERO)).build(),
+            vec![look([3.5, 3.0, 4.0], [0.0; 3]), look([0.3, 0.2, 0.1], [2.0, 0.0, 1.0])],
+        ),
+        (
+            "a closed sphere with lights inside and outside",
+            closed.point(Vec3::ZERO).point(Vec3::new(2.9, 0.3, 0.0)).point(Vec3::new(1.3, -4.0, 7.0)).build(),
+            in_closed,
+        ),
+        (
+            "a roof over half a floor, and lights on the floor, just above it and on the roof",
+            with_suns(floor().quad(DOUBLE_SIDED, Vec3::new(-9.0, 2.0, -9.0), Vec3::X * 9.0, Vec3::Z * 18.0))
+                .point(Vec3::new(1.0, 0.0, 0.5))
+                .point(Vec3::new(1.0, 1e-4, 0.5))
+                .point(Vec3::new(-1.0, 2.0, 0.5))
+                .point(Vec3::new(-0.5, 40.0, 0.5))
+                .build(),
+            above.clone(),
+        ),
+        (
+            "leaves with holes in rows",
+            with_suns((0..12_u8).fold(floor(), |scene, row| {
+                let height = 0.2 + 0.1 * f32::from(row);
+                scene.quad(LEAF, Vec3::new(-3.0, height, 3.0), Vec3::X * 6.0, Vec3::new(0.0, 0.1, -6.0))
+            }))
+            .point(Vec3::new(0.4, 4.0, 0.3))
+            .build(),
+            above,
+        ),
+    ]
+}
+
+#[test]
+fn shared_lists_change_no_bit() {
+    let mut shares = [0; 4];
+    for (name, scene, cameras) in hard_for_lists() {
+        let open = |lists| ComputeBackend::open_with_lists(&scene, None, true, lists).unwrap();
+        let (mut single, mut listed) = (open(Lists::Never), open(Lists::Always));
+        assert_eq!((single.uses_lists(1), listed.uses_lists(1)), (false, true));
+        for camera in cameras {
+            let [mut a, mut b, mut again] = [(); 3].map(|()| mask_for(&scene, &camera));
+            b.words_mut().fill(0xdead_beef_dead_beef);
+            let alone = single.trace(&camera, &mut a).unwrap();
+            let shared = listed.trace(&camera, &mut b).unwrap();
+            assert_eq!(differing(&a, &b), 0, "{name}, {camera:?}");
+            assert!(ones(&a) > 500, "{name} is dark");
+            assert_eq!(alone.shares.counts(), [0, 0, 0, alone.shadow_rays], "{name}");
+            assert_eq!(shared.shares.counts().iter().sum::<u64>(), alone.shadow_rays, "{name}: {shared:?}");
+            listed.trace(&camera, &mut again).unwrap();
+            assert_eq!(again, b, "{name}: the same frame twice");
+            shares = std::array::from_fn(|i| shares[i] + shared.shares.counts()[i]);
+        }
+    }
+    println!("proven lit and dark, listed, traced: {shares:?}");
+    assert!(shares[1..].iter().all(|rays| *rays > 1000), "the scenes ask too little of the lists: {shares:?}");
+}
+
+#[test]
+fn parts_of_any_height_share_lists_of_their_own() {
+    let scene = room();
+    let mut listed = ComputeBackend::open_with_lists(&scene, None, true, Lists::Always).unwrap();
+    let camera = cameras()[1];
+    let mut whole = mask_for(&scene, &camera);
+    let cost = listed.trace(&camera, &mut whole).unwrap();
+    // Blocks begin at odd rows of tiles, and the last ones are cut off.
+    for rows in [1, 3, 5] {
+        let mut part = listed.begin(&camera, whole.shape()).unwrap();
+        while let Some(rest) = listed.submit_part(part, rows).unwrap() {
+            part = rest;
+        }
+        let mut mask = mask_for(&scene, &camera);
+        mask.words_mut().fill(u64::MAX);
+        let in_parts = loop {
+            if let Some(cost) = listed.collect(std::time::Duration::from_secs(1), &mut mask).unwrap() {
+                break cost;
+            }
+        };
+        assert_eq!(mask, whole, "{rows} rows a part");
+        assert_eq!(in_parts.shadow_rays, cost.shadow_rays);
+        assert_eq!(in_parts.shares.counts().iter().sum::<u64>(), cost.shadow_rays, "all parts are counted");
+    }
+}
+
+#[test]
+fn lists_are_shared_only_where_they_pay() {
+    let scene = room();
+    // Software adapters are slower with them, and few devices have room for fewer buffers than lists need.
+    assert!(!backend(&scene).uses_lists(usize::MAX));
+    let few = device(super::kernels::NEEDED, |limits| limits.max_storage_buffers_per_shader_stage = 11);
+    let options =
+        super::KernelOptions { lists: Lists::Always, ..super::KernelOptions::new(super::Traversal::Hierarchy) };
+    let mut compute = ComputeBackend::new_with(&scene, few, options).unwrap();
+    assert!(!compute.uses_lists(usize::MAX));
+    let camera = cameras()[0];
+    let mut mask = mask_for(&scene, &camera);
+    compute.trace(&camera, &mut mask).unwrap();
+    assert_eq!(mask, trace(&scene, &camera).0);
 }
 
 #[test]
@@ -188,20 +319,8 @@ fn far_from_the_origin_of_the_world_nothing_changes() {
 
 #[test]
 fn the_kernels_traverse_the_hierarchy_as_obvhs_does() {
-    // A cloud of slivers and large triangles, in which wrong nodes would show.
-    let mut random = 1_u32;
-    let mut next = || {
-        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (random >> 8) as f32 / (1 << 24) as f32 * 2.0 - 1.0
-    };
-    let mut cloud = TestScene::default();
-    for index in 0..700 {
-        let size = if index % 50 == 0 { 2.0 } else { 0.3 };
-        let centre = Vec3::new(next(), next(), next()) * 3.0;
-        let mut corner = || centre + Vec3::new(next(), next(), next()) * size;
-        cloud = cloud.triangle(DOUBLE_SIDED, [corner(), corner(), corner()]);
-    }
-    let scene = cloud.point(Vec3::new(0.2, 6.0, 0.1)).build();
+    // Wrong nodes would show.
+    let scene = cloud(700).point(Vec3::new(0.2, 6.0, 0.1)).build();
     let camera = Camera::looking_at(DVec3::new(3.5, 3.0, 4.0), DVec3::ZERO, 0.9, 160, 90);
     let (mask, cost) = trace(&scene, &camera);
 

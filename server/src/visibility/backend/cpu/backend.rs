@@ -15,7 +15,7 @@ use super::{
     tile::{Picture, TileCost, TileScratch, trace_tile},
     world::World,
 };
-use crate::visibility::{TraceCost, backend::BackendError};
+use crate::visibility::{RayShares, TraceCost, backend::BackendError};
 
 /// Most triangles that leaf and node indices can address.
 const MAX_TRIANGLES: usize = (1 << 31) - 1;
@@ -132,12 +132,14 @@ impl CpuBackend {
         });
         let per_thread_ms = 1e3 / self.pool.current_num_threads() as f64;
         let sum = |of: fn(&TileCost<C>) -> f64| costs.iter().map(of).sum::<f64>() * per_thread_ms;
+        let shadow_rays = costs.iter().map(|cost| cost.shadow_rays).sum();
         let cost = TraceCost {
             primary_ms: sum(|cost| cost.primary.as_secs_f64()),
             shadow_ms: sum(|cost| cost.shadow.as_secs_f64()),
             readback_ms: 0.0,
             primary_rays: u64::from(camera.width) * lines.len() as u64,
-            shadow_rays: costs.iter().map(|cost| cost.shadow_rays).sum(),
+            shadow_rays,
+            shares: RayShares { traced: shadow_rays, ..RayShares::default() },
         };
         (cost, costs)
     }

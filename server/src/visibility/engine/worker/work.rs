@@ -158,6 +158,10 @@ impl Worker {
             shadow_ms = cost.shadow_ms,
             readback_ms = cost.readback_ms,
             shadow_rays = cost.shadow_rays,
+            rays_proven_lit = cost.shares.proven_lit,
+            rays_proven_dark = cost.shares.proven_dark,
+            rays_listed = cost.shares.listed,
+            rays_traced = cost.shares.traced,
             age_ms = received_at.elapsed().as_secs_f64() * 1e3,
             "mask traced"
         );

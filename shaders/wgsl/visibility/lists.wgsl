@@ -1,0 +1,47 @@
+// Lists of the triangles that may stop the shadow rays of a block of pixels to one light. visibility/shadow_lists.wgsl
+// writes them, visibility/shadow_listed.wgsl tests them, and visibility/shadow_rest.wgsl traces the rays of blocks
+// without one. Blocks count from a part's first row of tiles, so parts may begin at any row.
+
+#import "shared/traced_scene.wgsl"
+#import "shared/mask.wgsl"
+
+// A block is two tiles wide and high.
+const BLOCK_TILES: u32 = 2u;
+
+// What is known of a block and a light: a number of triangles, or one of these.
+// One triangle probably covers the light, as seen from the whole block.
+const STATE_COVERED: u32 = 0x10001u;
+// There is no list.
+const STATE_OPEN: u32 = 0x10000u;
+
+// Each block's states by light: `x` as above, `y` the first entry in `lists`, or the covering triangle.
+@group(1) @binding(3) var<storage, read_write> states: array<vec2u>;
+@group(1) @binding(4) var<storage, read_write> lists: array<u32>;
+
+fn tiles_across(pixels: u32) -> u32 {
+    return (pixels + TILE_PX - 1u) / TILE_PX;
+}
+
+// Where the states of the block at tile (x, y) of a part begin.
+fn states_at(tile: vec2u) -> u32 {
+    let blocks_x = (tiles_across(view.width) + BLOCK_TILES - 1u) / BLOCK_TILES;
+    let block = tile / BLOCK_TILES;
+    return (block.y * blocks_x + block.x) * view.lights;
+}
+
+// A pixel of a block, by its number from 0 to 255: tile after tile.
+struct BlockPixel {
+    // The tile in the block, 0 to 3, and the pixel's bit in the tile.
+    within: u32,
+    bit: u32,
+    // The tile in the picture; meaningless outside.
+    tile: u32,
+    is_inside: bool,
+}
+
+fn block_pixel(block: vec2u, number: u32) -> BlockPixel {
+    let within = number / 64u;
+    let tiles_x = tiles_across(view.width);
+    let place = block * BLOCK_TILES + vec2u(within & 1u, (within >> 1u) + view.first_row);
+    return BlockPixel(within, number % 64u, place.y * tiles_x + place.x, place.x < tiles_x && place.y < view.end_row);
+}

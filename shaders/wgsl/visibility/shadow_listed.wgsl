@@ -1,0 +1,124 @@
+// Tests the shadow rays of each block of pixels and each light against the block's list. A workgroup takes a block, so
+// its 256 rays share what is read of a triangle.
+
+#import "shared/mask.wgsl"
+#import "shared/traced_scene.wgsl"
+#import "shared/ray.wgsl"
+#import "shared/alpha.wgsl"
+#import "visibility/lists.wgsl"
+#import "visibility/shadow_ray.wgsl"
+
+var<immediate> view: TracedView;
+
+// Written by visibility/primary.wgsl.
+@group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
+@group(1) @binding(1) var<storage, read_write> mask: array<u32>;
+
+// Triangles that are read at once.
+const CHUNK: u32 = 64u;
+
+struct Candidate {
+    corner_a: vec3f,
+    triangle: u32,
+    corner_b: vec3f,
+    // The first word of the triangle that is no coordinate.
+    kind: u32,
+    corner_c: vec3f,
+    unused: u32,
+    normal: vec3f,
+}
+
+var<workgroup> candidates: array<Candidate, CHUNK>;
+var<workgroup> block_words: array<atomic<u32>, 8>;
+// Whether a ray passes the triangle that should cover the light.
+var<workgroup> is_lit_beside_cover: atomic<u32>;
+
+fn candidate_of(triangle: u32) -> Candidate {
+    let a = triangles[triangle * 3u];
+    let b = triangles[triangle * 3u + 1u];
+    let c = triangles[triangle * 3u + 2u];
+    return Candidate(bitcast<vec3f>(a.xyz), triangle, bitcast<vec3f>(b.xyz), a.w, bitcast<vec3f>(c.xyz), 0u,
+        plane_normal(triangle));
+}
+
+// As `occluded` asks of each triangle, but the plane first: most rays share its answer.
+fn is_stopped_by(candidate: u32, ray: Ray, end: End) -> bool {
+    let corner_a = candidates[candidate].corner_a;
+    let normal = candidates[candidate].normal;
+    let to_a = corner_a - ray.origin;
+    let height = dot(normal, to_a);
+    let distance = height / dot(normal, ray.direction);
+    if !is_off_plane(normal, to_a, height) || distance <= 0.0 || distance >= end.limit {
+        return false;
+    }
+    let areas = areas_across(ray, corner_a, candidates[candidate].corner_b, candidates[candidate].corner_c);
+    let area = areas.x + areas.y + areas.z;
+    return !is_beside(areas) && area != 0.0 && is_end_off_plane(normal, corner_a, end)
+        && passes_alpha_test(candidates[candidate].triangle, candidates[candidate].kind, areas / area);
+}
+
+@compute @workgroup_size(256)
+fn shadow_listed(@builtin(workgroup_id) block: vec3u, @builtin(local_invocation_index) number: u32) {
+    let at = states_at(block.xy * BLOCK_TILES) + block.z;
+    let state = states[at];
+    if state.x == STATE_OPEN {
+        return;
+    }
+    if number < 8u {
+        atomicStore(&block_words[number], 0u);
+    }
+    if number == 0u {
+        atomicStore(&is_lit_beside_cover, 0u);
+    }
+    let pixel = block_pixel(block.xy, number);
+    var seen = vec4u(0u);
+    if pixel.is_inside {
+        seen = surfaces[pixel.tile * 64u + pixel.bit];
+    }
+    var lit = ((seen.w >> block.z) & 1u) == 1u;
+    let light = lights[block.z];
+    let ray = shadow_ray(bitcast<vec3f>(seen.xyz), light);
+    let end = shadow_end(light);
+    let is_covered = state.x == STATE_COVERED;
+    let count = select(state.x, 1u, is_covered);
+    for (var first = 0u; first < count; first += CHUNK) {
+        let read = min(count - first, CHUNK);
+        workgroupBarrier();
+        if number < read {
+            var triangle = state.y;
+            if !is_covered {
+                triangle = lists[state.y + first + number];
+            }
+            candidates[number] = candidate_of(triangle);
+        }
+        workgroupBarrier();
+        if lit {
+            for (var i = 0u; i < read; i++) {
+                if is_stopped_by(i, ray, end) {
+                    lit = false;
+                    break;
+                }
+            }
+        }
+    }
+    workgroupBarrier();
+    if lit {
+        atomicOr(&block_words[number >> 5u], 1u << (number & 31u));
+        if is_covered {
+            atomicStore(&is_lit_beside_cover, 1u);
+        }
+    }
+    workgroupBarrier();
+    if atomicLoad(&is_lit_beside_cover) == 1u {
+        // Whether other triangles stop this ray is not known.
+        if number == 0u {
+            states[at] = vec2u(STATE_OPEN, 0u);
+        }
+        return;
+    }
+    if pixel.is_inside && (pixel.bit & 31u) == 0u {
+        // A plane is the size of the whole picture; this may be a part of it.
+        let plane = tiles_across(view.width) * tiles_across(view.height);
+        mask[mask_word(block.z, plane, pixel.tile, pixel.bit)] = atomicLoad(&block_words[number >> 5u]);
+    }
+}
