@@ -40,10 +40,11 @@ pub(super) const SUBGROUPS: wgpu::Features = wgpu::Features::SUBGROUP;
 /// Storage buffers that hold the scene.
 pub(super) const SCENE_BUFFERS: usize = 7;
 /// Storage buffers that hold a frame without lists, and with lists.
-const FRAME_BUFFERS: u32 = 3;
-const LISTED_FRAME_BUFFERS: u32 = 5;
-/// Storage buffers that a kernel reads or writes, without lists.
-const BUFFERS: u32 = SCENE_BUFFERS as u32 + FRAME_BUFFERS;
+const FRAME_BUFFERS: usize = 3;
+const LISTED_FRAME_BUFFERS: usize = 5;
+/// Storage buffers that a kernel reads or writes, without lists and with them.
+const BUFFERS: u32 = 10;
+const LISTED_BUFFERS: u32 = 12;
 
 #[derive(Debug)]
 pub(super) struct Kernels {
@@ -90,7 +91,7 @@ impl Lists {
     /// The smallest picture that uses lists; `None` if none does.
     fn least_pixels(self, gpu: &Gpu, traversal: Traversal, lights: usize) -> Option<usize> {
         let buffers = gpu.device.limits().max_storage_buffers_per_shader_stage;
-        if traversal != Traversal::Hierarchy || buffers < SCENE_BUFFERS as u32 + LISTED_FRAME_BUFFERS {
+        if traversal != Traversal::Hierarchy || buffers < LISTED_BUFFERS {
             return None;
         }
         let pays = !gpu.is_software() && has_subgroups(gpu) && lights >= Self::PAID_LIGHTS;
@@ -205,7 +206,7 @@ impl Kernels {
 
     pub(super) fn bind_frame(&self, device: &wgpu::Device, buffers: FrameBuffers<'_>) -> wgpu::BindGroup {
         let FrameBuffers { surfaces, mask, counts, lists: [states, lists] } = buffers;
-        let used = if self.lists.is_some() { LISTED_FRAME_BUFFERS } else { FRAME_BUFFERS } as usize;
+        let used = if self.lists.is_some() { LISTED_FRAME_BUFFERS } else { FRAME_BUFFERS };
         let buffers = [surfaces, mask, counts, states, lists].map(wgpu::Buffer::as_entire_binding);
         bind(device, "frame", &self.frame, buffers.into_iter().take(used))
     }

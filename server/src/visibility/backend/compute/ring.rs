@@ -39,7 +39,8 @@ const LIST_BYTES: u64 = 128;
 const UNUSED_BYTES: u64 = 64;
 /// Offset of the counts in the host's buffer.
 const COUNTS_AT: u64 = 0;
-const COUNTS_BYTES: u64 = size_of::<TracedCounts>() as u64;
+const COUNTS_SIZE: usize = size_of::<TracedCounts>();
+const COUNTS_BYTES: u64 = COUNTS_SIZE as u64;
 /// Offset of the timestamps.
 const TIMES_AT: u64 = COUNTS_AT + COUNTS_BYTES;
 /// Offset of the mask's words.
@@ -235,7 +236,7 @@ impl Slot {
     /// Returns the timestamps of `parts` parts and the counts, and unmaps the buffer. Errors if it is not mapped.
     pub(super) fn finish(&self, parts: u32) -> Result<(Vec<u64>, TracedCounts), String> {
         let view = self.host.get_mapped_range(..MASK_AT).map_err(|error| error.to_string())?;
-        let (counts, times) = view.split_at(COUNTS_BYTES as usize);
+        let (counts, times) = view.split_at(COUNTS_SIZE);
         let counts = bytemuck::pod_read_unaligned(counts);
         let times = times.as_chunks().0.iter().copied().map(u64::from_le_bytes);
         let times = times.take(PART_QUERIES as usize * parts as usize + 1).collect();
