@@ -48,7 +48,7 @@ fn no_bit_of_the_real_scenes_differs() {
         let lights_from = scene.lights_from_json.then(|| scene.json_in(&folder));
         let options = LoadOptions { lights_from, ..LoadOptions::default() };
         let loaded = Scene::load(&folder.join(scene.file), &options).unwrap();
-        let cameras = scene.stops_in(&folder).unwrap().into_iter().map(|stop| stop.camera(240, 136));
+        let cameras = scene.stops_in(&folder).unwrap().into_iter().map(|stop| stop.camera(176, 100));
         let [_, dark, listed, _] = compare(scene.name, &loaded, cameras);
         assert!(dark + listed > 1000, "{}: hardly anything was shared", scene.name);
     }
