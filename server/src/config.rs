@@ -124,10 +124,14 @@ pub struct ServerConfig {
     /// Report health to the Agones sidecar; needs a build with --features agones
     #[arg(long)]
     pub agones: bool,
-    /// Address where web pages find port and certificate hashes, as /gnomon.json; a port alone is on loopback. Other
-    /// addresses need --cert-file, and answer over HTTPS [default: none]
+    /// Address of the page for browsers, and of /gnomon.json, where pages find port and certificate hashes; a port
+    /// alone is on loopback. Other addresses need --cert-file, and answer over HTTPS [default: none]
     #[arg(long, value_name = "[ADDR:]PORT")]
     pub web: Option<AdminAddress>,
+    /// Folder of the page for browsers, as `make web` builds it [default: the one in this program, if it was built with
+    /// --features page]
+    #[arg(long, value_name = "DIR")]
+    pub web_root: Option<PathBuf>,
     /// Origins of web pages that may connect, with commas between [default: every origin]
     #[arg(long, value_name = "https://HOST,…")]
     pub origins: Option<Origins>,
@@ -248,6 +252,8 @@ pub enum ConfigError {
          loopback only"
     )]
     WebInTheClear(SocketAddr),
+    #[error("--web-root is for the page at --web: pass both")]
+    RootWithoutWeb,
     #[error("--web is for web pages, which need --transport quic")]
     WebWithoutQuic,
     #[error("--web is for web pages, which --browsers=false turns away: leave one of them out")]
@@ -288,6 +294,9 @@ impl ServerConfig {
             if self.cert_file.is_none() && !web.ip().is_loopback() {
                 return Err(ConfigError::WebInTheClear(web));
             }
+        }
+        if self.web_root.is_some() && self.web.and_then(AdminAddress::address).is_none() {
+            return Err(ConfigError::RootWithoutWeb);
         }
         if self.agones && !cfg!(feature = "agones") {
             return Err(ConfigError::NoAgones);
@@ -410,6 +419,9 @@ mod tests {
         assert!(lab.contains("--transport quic"), "{lab}");
         let none = config("web = \"8080\"\nbrowsers = false").unwrap_err().to_string();
         assert!(none.contains("--browsers=false"), "{none}");
+        config("web = \"8080\"\nweb_root = \"page\"").unwrap();
+        let rootless = config("web_root = \"page\"").unwrap_err().to_string();
+        assert!(rootless.contains("--web-root") && rootless.contains("pass both"), "{rootless}");
     }
 
     #[test]

@@ -36,7 +36,7 @@
 //! | poses over their rate | [`MAX_SECONDS_OVER_RATE`] in a row | the session ends, `cause="violation"` |
 //! | wrong tokens | [`MAX_FAILED_TOKENS`] per address and minute | refused unseen, `cause="token"` |
 //! | a session that an operator ended | [`DISMISSED_FOR`] | not resumed, `cause="dismissed"` |
-//! | web connections | [`MAX_WEB_CONNECTIONS`] ([`MAX_WEB_CONNECTIONS_PER_ADDRESS`]), [`WEB_TIMEOUT`] | closed |
+//! | web connections | [`MAX_WEB_CONNECTIONS`] ([`MAX_WEB_CONNECTIONS_PER_ADDRESS`]), [`WEB_TIMEOUT`], [`WEB_CONNECTION_TIMEOUT`] | closed |
 //! | silence | [`WRITE_TIMEOUT`], [`SETUP_TIMEOUT`], [`SILENCE_TIMEOUT`], `idle_timeout_ms` | the session ends |
 
 use std::{num::NonZeroUsize, time::Duration};
@@ -212,14 +212,23 @@ pub const ADMIN_GRACE: Duration = Duration::from_millis(50);
 /// Limit for an admin request and its answer.
 pub const ADMIN_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Connections to the web address at once; others are closed.
-pub const MAX_WEB_CONNECTIONS: usize = 64;
+/// Connections to the web address at once, of at most 16 KiB each beside the files, which all share; others are closed.
+pub const MAX_WEB_CONNECTIONS: usize = 256;
 
 /// Share of [`MAX_WEB_CONNECTIONS`] for one address. Loopback is exempt, as a local proxy makes all pages share it.
 pub const MAX_WEB_CONNECTIONS_PER_ADDRESS: usize = 8;
 
-/// Limit for a connection to the web address: handshake, request and answer.
+/// Limit for a handshake with the web address, and for each request's head.
 pub const WEB_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Limit for a connection to the web address: the page takes a slow phone half of it.
+pub const WEB_CONNECTION_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Files of the page.
+pub const MAX_PAGE_FILES: usize = 32;
+
+/// Largest file of the page.
+pub const MAX_PAGE_FILE_BYTES: u64 = 16 * 1024 * 1024;
 
 /// Most bytes read of an answer from Agones' sidecar or a collector.
 pub const MAX_HTTP_ANSWER_BYTES: usize = 64 * 1024;

@@ -15,6 +15,12 @@ impl Origins {
     }
 }
 
+impl Origins {
+    pub(crate) fn list(&self) -> &[String] {
+        &self.0
+    }
+}
+
 impl FromStr for Origins {
     type Err = String;
 

@@ -80,6 +80,10 @@ impl Server {
             Some(address) => Some(web::Bound::listen(address).await?),
             None => None,
         };
+        let files = match &config.web_root {
+            Some(folder) => Some(web::Files::read(folder).map_err(web::WebError::from)?),
+            None => web::Files::built_in(),
+        };
         let otlp = config.otlp.clone().map(|collector| Task::spawn(report::run(collector, Arc::clone(&status))));
 
         let options = load_options(&config);
@@ -142,7 +146,7 @@ impl Server {
             (Some(web), Some(certificates)) => {
                 let port = url::port(&url_base, local_addr);
                 let (certificates, origins) = (Arc::clone(certificates), config.origins);
-                Some(web.serve(web::Page { port, scene: scene_name, certificates, origins }, &provider)?)
+                Some(web.serve(web::Page { port, scene: scene_name, certificates, origins, files }, &provider)?)
             }
             _ => None,
         };

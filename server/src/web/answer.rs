@@ -8,12 +8,17 @@ use hyper::{
     Method, Request, Response, StatusCode,
     body::Bytes,
     header::{
-        ACCESS_CONTROL_ALLOW_METHODS, ACCESS_CONTROL_ALLOW_ORIGIN, ALLOW, CACHE_CONTROL, CONTENT_TYPE, HeaderMap,
-        HeaderValue, ORIGIN, VARY, X_CONTENT_TYPE_OPTIONS,
+        ACCEPT_ENCODING, ACCESS_CONTROL_ALLOW_METHODS, ACCESS_CONTROL_ALLOW_ORIGIN, ALLOW, CACHE_CONTROL,
+        CONTENT_ENCODING, CONTENT_TYPE, ETAG, HOST, HeaderMap, HeaderValue, IF_NONE_MATCH, ORIGIN, VARY,
+        X_CONTENT_TYPE_OPTIONS,
     },
 };
 use serde_json::json;
 
+use super::{
+    files::{Asset, Files},
+    headers::protect,
+};
 use crate::{net::certificate::Certificates, origins::Origins};
 
 const METHODS: &str = "GET, HEAD, OPTIONS";
@@ -27,16 +32,22 @@ pub(crate) struct Page {
     pub(crate) certificates: Arc<Certificates>,
     /// `None` allows every origin.
     pub(crate) origins: Option<Origins>,
+    /// `None` if the server has no page of its own.
+    pub(crate) files: Option<Files>,
 }
 
 /// Never reads the request's body.
 pub(super) fn answer<B>(request: &Request<B>, page: &Page) -> Answer {
+    let reads = matches!(*request.method(), Method::GET | Method::HEAD);
+    if let Some(answer) = page.files.as_ref().filter(|_| reads).and_then(|files| file(request, files, page.port)) {
+        return answer;
+    }
     let mut answer = match (request.uri().path(), request.method()) {
         ("/gnomon.json", &Method::GET | &Method::HEAD) => with(StatusCode::OK, "application/json", page.json()),
         // A browser asks this first if the page's request has headers of its own.
-        ("/gnomon.json", &Method::OPTIONS) => with(StatusCode::NO_CONTENT, "text/plain", String::new()),
-        ("/gnomon.json", _) => with(StatusCode::METHOD_NOT_ALLOWED, "text/plain", "only GET\n".to_owned()),
-        _ => with(StatusCode::NOT_FOUND, "text/plain", "/gnomon.json\n".to_owned()),
+        ("/gnomon.json", &Method::OPTIONS) => with(StatusCode::NO_CONTENT, "text/plain", ""),
+        ("/gnomon.json", _) => with(StatusCode::METHOD_NOT_ALLOWED, "text/plain", "only GET\n"),
+        _ => with(StatusCode::NOT_FOUND, "text/plain", "/gnomon.json\n"),
     };
     let headers = answer.headers_mut();
     if headers.get(CONTENT_TYPE) != Some(&HeaderValue::from_static("application/json")) {
@@ -48,6 +59,55 @@ pub(super) fn answer<B>(request: &Request<B>, page: &Page) -> Answer {
     answer
 }
 
+/// Returns the page or one of its files; `None` if the path names none.
+fn file<B>(request: &Request<B>, files: &Files, port: u16) -> Option<Answer> {
+    let mut answer = match (request.uri().path(), files.asset(request.uri().path())) {
+        ("/", _) => index(request.headers(), files),
+        (_, Some(asset)) => whole(asset, accepts_gzip(request.headers())),
+        _ => return None,
+    };
+    protect(answer.headers_mut(), request.headers().get(HOST), port);
+    Some(answer)
+}
+
+/// Asked for each time, and sent if it is new: it names the files of this version.
+fn index(asked: &HeaderMap, files: &Files) -> Answer {
+    let tag = format!("\"{}\"", files.digest());
+    let known = asked.get(IF_NONE_MATCH).is_some_and(|known| known.as_bytes() == tag.as_bytes());
+    let mut answer = if known {
+        with(StatusCode::NOT_MODIFIED, "text/html; charset=utf-8", Bytes::new())
+    } else {
+        with(StatusCode::OK, "text/html; charset=utf-8", files.index().clone())
+    };
+    if let Ok(tag) = HeaderValue::try_from(tag) {
+        answer.headers_mut().insert(ETAG, tag);
+    }
+    answer.headers_mut().insert(CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    answer
+}
+
+/// Kept for good: another content has another path.
+fn whole(asset: &Asset, accepts_gzip: bool) -> Answer {
+    let compressed = asset.compressed.as_ref().filter(|_| accepts_gzip);
+    let mut answer = with(StatusCode::OK, asset.kind, compressed.unwrap_or(&asset.plain).clone());
+    let headers = answer.headers_mut();
+    if compressed.is_some() {
+        headers.insert(CONTENT_ENCODING, HeaderValue::from_static("gzip"));
+    }
+    headers.insert(VARY, HeaderValue::from_static("accept-encoding"));
+    headers.insert(CACHE_CONTROL, HeaderValue::from_static("public, max-age=31536000, immutable"));
+    answer
+}
+
+fn accepts_gzip(asked: &HeaderMap) -> bool {
+    let listed = asked.get(ACCEPT_ENCODING).and_then(|list| list.to_str().ok()).unwrap_or_default();
+    listed.split(',').any(|coding| {
+        let (name, weight) = coding.split_once(';').unwrap_or((coding, "q=1"));
+        let weight = weight.trim().strip_prefix("q=").and_then(|weight| weight.parse::<f32>().ok());
+        name.trim().eq_ignore_ascii_case("gzip") && weight.is_some_and(|weight| weight > 0.0)
+    })
+}
+
 impl Page {
     fn json(&self) -> String {
         json!({
@@ -55,6 +115,7 @@ impl Page {
             "protocol_version": PROTOCOL_VERSION,
             "scene": self.scene,
             "certificate_sha256": self.certificates.browser_hashes(),
+            "origins": self.origins.as_ref().map(Origins::list),
         })
         .to_string()
     }
@@ -75,8 +136,8 @@ impl Page {
     }
 }
 
-fn with(code: StatusCode, kind: &'static str, body: String) -> Answer {
-    let mut answer = Response::new(Full::new(Bytes::from(body)));
+fn with(code: StatusCode, kind: &'static str, body: impl Into<Bytes>) -> Answer {
+    let mut answer = Response::new(Full::new(body.into()));
     *answer.status_mut() = code;
     answer.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(kind));
     answer
@@ -95,7 +156,12 @@ mod tests {
             scene: "cloister".to_owned(),
             certificates: Arc::new(Certificates::open(&config, provider).unwrap()),
             origins: origins.map(|origins| origins.parse().unwrap()),
+            files: None,
         }
+    }
+
+    fn with_files(folder: &std::path::Path) -> Page {
+        Page { files: Some(Files::read(super::super::files::tests::folder().path()).unwrap()), ..page(folder, None) }
     }
 
     fn ask(page: &Page, method: Method, path: &str, origin: Option<&str>) -> Answer {
@@ -138,5 +204,41 @@ mod tests {
         let refused = ask(&page, Method::POST, "/gnomon.json", None);
         assert_eq!(refused.status(), StatusCode::METHOD_NOT_ALLOWED);
         assert_eq!(refused.headers()[ALLOW], METHODS);
+    }
+
+    #[test]
+    fn the_page_is_asked_for_again_and_its_files_are_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let page = with_files(folder.path());
+        let index = ask(&page, Method::GET, "/", None);
+        assert_eq!(
+            (index.status(), &index.headers()[CACHE_CONTROL]),
+            (StatusCode::OK, &HeaderValue::from_static("no-cache"))
+        );
+        let tag = index.headers()[ETAG].to_str().unwrap().to_owned();
+        for (known, status) in [(&*tag, StatusCode::NOT_MODIFIED), ("\"other\"", StatusCode::OK)] {
+            let request = Request::get("/").header(IF_NONE_MATCH, known).body(()).unwrap();
+            assert_eq!(answer(&request, &page).status(), status);
+        }
+        let path = format!("/{}/page.js", tag.trim_matches('"'));
+        for (accepted, compressed) in [
+            (None, false),
+            (Some("br, gzip"), true),
+            (Some("GZIP;q=0.5"), true),
+            (Some("gzip;q=0"), false),
+            (Some("identity"), false),
+        ] {
+            let mut request = Request::get(&path);
+            if let Some(accepted) = accepted {
+                request = request.header(ACCEPT_ENCODING, accepted);
+            }
+            let answer = answer(&request.body(()).unwrap(), &page);
+            assert_eq!(answer.headers().contains_key(CONTENT_ENCODING), compressed, "{accepted:?}");
+            assert!(answer.headers()[CACHE_CONTROL].to_str().unwrap().contains("immutable"));
+            assert_eq!(answer.headers()[VARY], "accept-encoding");
+        }
+        assert_eq!(ask(&page, Method::POST, "/", None).status(), StatusCode::NOT_FOUND);
+        assert_eq!(ask(&page, Method::GET, "/page.js", None).status(), StatusCode::NOT_FOUND);
+        assert_eq!(ask(&page, Method::GET, "/gnomon.json", None).headers()[CACHE_CONTROL], "no-store");
     }
 }

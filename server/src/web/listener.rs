@@ -14,10 +14,13 @@ use tokio::{
 };
 use tokio_rustls::TlsAcceptor;
 
-use super::answer::{Page, answer};
+use super::{
+    answer::{Page, answer},
+    files::FilesError,
+};
 use crate::{
     admission::addresses::AddressLimit,
-    limits::{MAX_WEB_CONNECTIONS, MAX_WEB_CONNECTIONS_PER_ADDRESS, WEB_TIMEOUT},
+    limits::{MAX_WEB_CONNECTIONS, MAX_WEB_CONNECTIONS_PER_ADDRESS, WEB_CONNECTION_TIMEOUT, WEB_TIMEOUT},
     net::certificate::Certificates,
     task::Task,
 };
@@ -28,6 +31,8 @@ pub enum WebError {
     Listen { address: SocketAddr, reason: io::Error },
     #[error("cannot set up TLS for the web address: {0}")]
     Tls(#[from] rustls::Error),
+    #[error(transparent)]
+    Files(#[from] FilesError),
 }
 
 /// A web address that answers nobody yet. Binding comes before loading the scene, so that a taken port fails early.
@@ -56,7 +61,7 @@ impl Bound {
             None => Some(acceptor(Arc::clone(&page.certificates), provider)?),
             Some(_) => None,
         };
-        tracing::info!(%local_addr, tls = tls.is_some(), "web address");
+        tracing::info!(%local_addr, tls = tls.is_some(), page = page.files.is_some(), "web address");
         Ok(Web { local_addr, _accepting: Task::spawn(accept(listener, tls, Arc::new(page))) })
     }
 }
@@ -88,7 +93,7 @@ async fn accept(listener: TcpListener, tls: Option<TlsAcceptor>, page: Arc<Page>
                     let (tls, page) = (tls.clone(), Arc::clone(&page));
                     tokio::spawn(async move {
                         // A peer that disconnects, never reads or speaks no TLS is not an error.
-                        let _ = timeout(WEB_TIMEOUT, serve(stream, tls, page)).await;
+                        let _ = timeout(WEB_CONNECTION_TIMEOUT, serve(stream, tls, page)).await;
                         drop(seat);
                     });
                 }
@@ -105,14 +110,14 @@ async fn serve(stream: TcpStream, tls: Option<TlsAcceptor>, page: Arc<Page>) {
     match tls {
         None => exchange(stream, page).await,
         Some(tls) => {
-            if let Ok(stream) = tls.accept(stream).await {
+            if let Ok(Ok(stream)) = timeout(WEB_TIMEOUT, tls.accept(stream)).await {
                 exchange(stream, page).await;
             }
         }
     }
 }
 
-/// Serves one connection, without keep-alive.
+/// Serves one connection: a page asks for its files over a few of them.
 async fn exchange(stream: impl AsyncRead + AsyncWrite + Unpin, page: Arc<Page>) {
     let service = service_fn(move |request| {
         let page = Arc::clone(&page);
@@ -122,7 +127,6 @@ async fn exchange(stream: impl AsyncRead + AsyncWrite + Unpin, page: Arc<Page>) 
         .timer(TokioTimer::new())
         .header_read_timeout(WEB_TIMEOUT)
         .max_buf_size(16 * 1024)
-        .keep_alive(false)
         .serve_connection(TokioIo::new(stream), service);
     let _ = connection.await;
 }

@@ -15,7 +15,11 @@ use tokio_rustls::TlsConnector;
 
 use super::{Rig, config, soon};
 
-const GET: &str = "GET /gnomon.json HTTP/1.1\r\nHost: edge\r\nOrigin: https://a.example\r\n\r\n";
+const GET: &str = "GET /gnomon.json HTTP/1.1\r\nHost: edge\r\nOrigin: https://a.example\r\nConnection: close\r\n\r\n";
+
+fn get(path: &str) -> String {
+    format!("GET {path} HTTP/1.1\r\nHost: edge\r\nAccept-Encoding: gzip\r\nConnection: close\r\n\r\n")
+}
 
 /// Returns everything that the server answers until it closes.
 async fn ask(mut stream: impl AsyncRead + AsyncWrite + Unpin, request: &str) -> String {
@@ -52,9 +56,46 @@ async fn a_page_finds_port_and_hashes() {
     assert_eq!(page["scene"], "scene");
     assert_eq!(page["certificate_sha256"]["current"], rig.server.browser_certificate_sha256().unwrap());
     assert_eq!(page["certificate_sha256"]["next"].as_str().unwrap().len(), 64);
-    assert!(ask_plain(web, "GET / HTTP/1.1\r\nHost: edge\r\n\r\n").await.starts_with("HTTP/1.1 404"));
+    assert!(ask_plain(web, &get("/")).await.starts_with("HTTP/1.1 404"), "there is no page");
     rig.server.shutdown().await;
     assert!(TcpStream::connect(web).await.is_err(), "it closes with the server");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_comes_from_a_folder() {
+    let root = tempfile::tempdir().unwrap();
+    let wasm = vec![b'w'; 3 << 20];
+    for (name, bytes) in [
+        ("index.html", &b"<script type=module src=assets/page.js></script>"[..]),
+        ("page.js", b"plain"),
+        ("page.js.gz", b"compressed"),
+        ("gnomon_web_bg.wasm", &wasm),
+    ] {
+        std::fs::write(root.path().join(name), bytes).unwrap();
+    }
+    let rig = Rig::start(|config, _| {
+        config.web = Some("127.0.0.1:0".parse().unwrap());
+        config.web_root = Some(root.path().to_owned());
+    })
+    .await;
+    let web = rig.server.web_addr().unwrap();
+    let index = ask_plain(web, &get("/")).await;
+    assert!(index.starts_with("HTTP/1.1 200 OK\r\n") && index.contains("content-type: text/html"), "{index}");
+    let port = rig.address().port();
+    let policy = index.lines().find_map(|line| line.strip_prefix("content-security-policy: ")).unwrap();
+    assert!(policy.contains(&format!("connect-src 'self' https://edge:{port};")), "{policy}");
+    assert!(policy.contains("default-src 'none'; script-src 'self' 'wasm-unsafe-eval';"), "{policy}");
+    let path = index.split_once("src=").unwrap().1.split_once('>').unwrap().0;
+    let script = ask_plain(web, &get(&format!("/{path}"))).await;
+    assert!(script.contains("content-encoding: gzip\r\n") && script.ends_with("compressed"), "{script}");
+    assert!(script.contains("immutable"), "{script}");
+    let wasm_path = path.replace("page.js", "gnomon_web_bg.wasm");
+    let answer = ask_plain(web, &get(&format!("/{wasm_path}"))).await;
+    assert!(answer.contains("content-type: application/wasm\r\n") && answer.len() > wasm.len());
+    let head = ask_plain(web, &get(&format!("/{wasm_path}")).replace("GET", "HEAD")).await;
+    assert!(head.contains(&format!("content-length: {}\r\n", wasm.len())) && head.ends_with("\r\n\r\n"), "{head}");
+    assert_eq!(json_of(&ask_plain(web, GET).await)["scene"], "scene");
+    assert!(ask_plain(web, &get("/../Cargo.toml")).await.starts_with("HTTP/1.1 404"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -89,6 +130,7 @@ async fn beyond_loopback_it_speaks_tls_with_the_operators_certificate() {
         "protocol_version": PROTOCOL_VERSION,
         "scene": "scene",
         "certificate_sha256": null,
+        "origins": null,
     });
     assert_eq!(page, expected);
     assert!(!ask_plain(web, GET).await.contains("200 OK"), "nothing in the clear");
@@ -122,4 +164,8 @@ async fn a_taken_or_open_web_address_is_an_error() {
         let error: StartError = Server::start(config).await.map(|server| server.url()).unwrap_err();
         assert!(error.to_string().contains(part) && error.to_string().contains("--web"), "{error}");
     }
+    let mut config = config(folder.path());
+    (config.web, config.web_root) = (Some("127.0.0.1:0".parse().unwrap()), Some(folder.path().join("nowhere")));
+    let error = Server::start(config).await.map(|server| server.url()).unwrap_err().to_string();
+    assert!(error.contains("--web-root") && error.contains("nowhere"), "{error}");
 }
