@@ -76,7 +76,8 @@ pub struct ClientSettings {
     /// Folder for the encoded masks, a file per frame
     #[arg(long, value_name = "DIR", help_heading = "Headless runs")]
     pub save_masks: Option<PathBuf>,
-    /// Log of received masks, one line each: frame, packets received or restored, packets restored, packets missing
+    /// Log of received masks, one line each: frame, packets received or restored, packets restored, packets missing,
+    /// digest of the decoded mask
     #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
     pub mask_log: Option<PathBuf>,
     /// Token, for a server that requires one; --token-file and the variable hide it from other users of this machine

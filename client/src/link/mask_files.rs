@@ -7,7 +7,8 @@ use std::{
     sync::Arc,
 };
 
-use gnomon_protocol::receive::ReceivedFrame;
+use gnomon_client_core::mask::digest::digest;
+use gnomon_protocol::{mask::Mask, receive::ReceivedFrame};
 use parking_lot::Mutex;
 
 use super::receive_options::Reception;
@@ -37,7 +38,7 @@ impl MaskFiles {
 
     /// # Errors
     /// Errors if a file cannot be written. A truncated body is removed.
-    pub(crate) fn write(&mut self, received: &ReceivedFrame<'_>) -> Result<(), ClientError> {
+    pub(crate) fn write(&mut self, received: &ReceivedFrame<'_>, mask: &Mask) -> Result<(), ClientError> {
         let failed = |path: &Path, source| ClientError::Write { path: path.into(), source };
         let &ReceivedFrame { frame, packets, restored, missing, body, .. } = received;
         if let Some(folder) = self.bodies.as_ref().filter(|_| received.is_whole) {
@@ -48,7 +49,9 @@ impl MaskFiles {
             })?;
         }
         if let Some((path, file)) = &mut self.log {
-            writeln!(file, "{frame} {packets} {restored} {missing}").map_err(|error| failed(path, error))?;
+            let digest = digest(mask);
+            let written = writeln!(file, "{frame} {packets} {restored} {missing} {digest}");
+            written.map_err(|error| failed(path, error))?;
         }
         Ok(())
     }

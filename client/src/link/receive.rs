@@ -105,7 +105,7 @@ impl ReceiveTask {
             }
         };
         if let Some(files) = &mut self.files {
-            files.write(&frame).map_err(|error| {
+            files.write(&frame, &back.mask).map_err(|error| {
                 let reason = error.to_string();
                 self.failure.lock().get_or_insert(error);
                 reason

@@ -50,6 +50,7 @@ pub(crate) struct Reception {
     pub(crate) reports_losses: bool,
     /// Folder for the body of each complete frame; all frames are then coded without a reference.
     pub(crate) save_masks: Option<PathBuf>,
-    /// Log with a line for each delivered mask: frame, packets received or restored, packets restored, packets missing.
+    /// Log with a line for each delivered mask: frame, packets received or restored, packets restored, packets
+    /// missing, digest.
     pub(crate) mask_log: Option<PathBuf>,
 }

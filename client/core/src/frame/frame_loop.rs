@@ -82,6 +82,11 @@ impl FrameLoop {
         self.source
     }
 
+    /// Takes the newest masks from now on, instead of waiting for each frame's own.
+    pub fn stream(&mut self, look_ahead: bool) {
+        self.source = MaskSource::Streamed { look_ahead };
+    }
+
     /// Sets the start from which [`FrameStats::t_ms`] and [`Pose::client_time_ms`] count.
     pub fn restart(&mut self, now: Instant) {
         self.started = now;

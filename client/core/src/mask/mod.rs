@@ -1,6 +1,7 @@
 //! Received masks on their way to the renderer: [`queue`] passes them on, and [`matcher`] finds the request that each
 //! one answers in the [`pose_history`].
 
+pub mod digest;
 pub mod matcher;
 pub mod pose_history;
 pub mod queue;

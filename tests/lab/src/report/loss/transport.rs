@@ -118,9 +118,9 @@ fn sent(log: &str) -> Result<BTreeMap<u32, Sent>> {
 /// Reads each frame's last report.
 fn received(text: &str) -> Result<BTreeMap<u32, Received>> {
     let line = |line: &str| {
-        let numbers: Vec<u64> = line.split(' ').map(str::parse).collect::<Result<_, _>>()?;
-        let [frame, packets, _, missing] = numbers[..] else { anyhow::bail!("{line:?} is no line of the mask log") };
-        Ok((u32::try_from(frame)?, Received { packets, missing }))
+        let fields: Vec<&str> = line.split(' ').collect();
+        let [frame, packets, _, missing, _] = fields[..] else { anyhow::bail!("{line:?} is no line of the mask log") };
+        Ok((frame.parse()?, Received { packets: packets.parse()?, missing: missing.parse()? }))
     };
     text.lines().map(line).collect()
 }
@@ -155,7 +155,7 @@ mod tests {
         let sent = sent(&log.join("\n")).unwrap();
         assert_eq!(sent[&4], Sent { packets: 2, bytes: 900 });
         // Frame 1 arrives in part and then whole, 2 in part, 4 not at all.
-        let received = received("0 9 0 0\n1 3 0 1\n1 4 1 0\n2 1 0 3\n5 1 0 0\n").unwrap();
+        let received = received("0 9 0 0 d0\n1 3 0 1 d1\n1 4 1 0 d1\n2 1 0 3 d2\n5 1 0 0 d5\n").unwrap();
         assert_eq!(received[&1], Received { packets: 4, missing: 0 });
         let outcome = summarise(&sent, &received, 1);
         assert_eq!((outcome.frames, outcome.frames_whole, outcome.packets, outcome.packets_used), (3, 1, 10, 5));
