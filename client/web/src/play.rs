@@ -1,0 +1,475 @@
+//! A scene that is walked through: poses out, masks in, pictures into whatever view the page gives.
+
+use std::{collections::VecDeque, time::Duration};
+
+use gnomon_client_core::{
+    camera::{default_path::default_path, of_scene, path::CameraPath},
+    frame::{
+        frame_loop::{FrameLoop, MaskSource},
+        guard::{Guard, GuardChoice},
+        mode::{Mode, ModeMachine, Thresholds},
+        stats::{FrameStats, StageTimes},
+    },
+    input::fly::{Fly, Motion},
+    mask::{digest::digest, queue::MaskQueue, received::ReceivedMask},
+    occluders::Occluders,
+    predictor::Predictor,
+    render::{
+        FrameRenderer, PICTURE_FORMAT, RenderError, debug_view::DebugView, environment::Environment,
+        exposure::Exposure, quality::Quality, survey::Survey, tone::ToneCurve,
+    },
+};
+use gnomon_protocol::{
+    ids::{FrameNumber, SceneDigest},
+    limits::MAX_LAYERS,
+    mask::MaskShape,
+    receive::ReceiverCounters,
+};
+use gnomon_scene::{NamedCamera, Scene, camera::Camera};
+use gnomon_shaders::gpu::Gpu;
+use web_time::Instant;
+
+use crate::{reception::Reception, view};
+
+/// Time to cross the scene at the initial speed.
+const CROSSING_S: f64 = 12.0;
+
+/// Most initial speed: a drive. Farther is for the wheel.
+const MOST_INITIAL_SPEED_M_PER_S: f64 = 20.0;
+
+/// Frames in which eyes are still closed: the exposure jumps to what suits the first pictures.
+const DAZZLED_FRAMES: u32 = 12;
+
+/// Longer than any eye needs.
+const LONG_S: f64 = 1e6;
+
+/// A pose whose mask is awaited is sent again after this time.
+const PATIENCE: Duration = Duration::from_millis(500);
+
+/// What a page chooses before the scene is there.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    /// `None` adapts to what the camera sees.
+    pub exposure: Option<f32>,
+    /// Where to begin, as a link has it.
+    pub view: Option<String>,
+    /// Draws these frames of a path, each with its own mask, and then goes on as ever.
+    pub walk: Option<Walk>,
+}
+
+#[derive(Debug, Clone)]
+pub struct Walk {
+    pub path: CameraPath,
+    pub frames: u32,
+}
+
+impl Walk {
+    /// The frame's time on the path, in seconds: frames are spread evenly over it, as in a headless run.
+    fn time_s(&self, frame: u32) -> f64 {
+        let step_s = self.path.duration_s() / f64::from(self.frames.saturating_sub(1).max(1));
+        f64::from(frame) * step_s
+    }
+}
+
+/// What a person changes while looking.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    pub predictor: Predictor,
+    pub mode: Mode,
+    pub view: DebugView,
+    pub tone: ToneCurve,
+    pub quality: Quality,
+    /// True if the right half is lit without visibility.
+    pub split: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            predictor: Predictor::default(),
+            mode: Mode::default(),
+            view: DebugView::default(),
+            tone: ToneCurve::default(),
+            quality: Quality::default(),
+            split: false,
+        }
+    }
+}
+
+/// What a frame has left behind.
+#[derive(Debug)]
+pub struct Drawn {
+    pub stats: FrameStats,
+    /// Of a walk: the frame, and the digest of the mask that it was drawn with.
+    pub walked: Option<(u32, String)>,
+    /// True if the walk ends with it.
+    pub arrived: bool,
+}
+
+#[derive(Debug)]
+pub struct Play {
+    gpu: Gpu,
+    frames: FrameLoop,
+    reception: Option<Reception>,
+    queue: MaskQueue,
+    /// The masks taken last, oldest first.
+    front: VecDeque<ReceivedMask>,
+    digest: SceneDigest,
+    lights: u32,
+    next: u32,
+    drawn: u32,
+    fly: Fly,
+    camera_path: CameraPath,
+    cameras: Vec<NamedCamera>,
+    camera: Option<usize>,
+    follows_path: bool,
+    path_s: f64,
+    options: Options,
+    applied: Settings,
+    shown_view: DebugView,
+    /// When the awaited pose was sent last.
+    awaited_since: Option<Instant>,
+}
+
+impl Play {
+    /// Prepares to draw pictures of this size.
+    ///
+    /// # Errors
+    /// If the scene or the picture exceeds a limit of the adapter, or the adapter fails.
+    pub fn new(
+        gpu: &Gpu,
+        scene: &Scene,
+        digest: SceneDigest,
+        size: (u32, u32),
+        options: &Options,
+        now: Instant,
+    ) -> Result<Self, RenderError> {
+        let occluders = Occluders::largest_of(scene);
+        let path = of_scene::standing_at(&scene.cameras, None).unwrap_or_else(|_| default_path(scene, &occluders));
+        let path = options.walk.as_ref().map_or(path, |walk| walk.path.clone());
+        let linked = options.view.as_deref().and_then(|text| view::read(text, size.0, size.1));
+        let first = linked.unwrap_or_else(|| path.camera(0.0, size.0, size.1));
+        let renderer = new_renderer(gpu, scene, &occluders, (size, &first), options.exposure)?;
+        let settings = Settings::default();
+        let source = match options.walk {
+            Some(_) => MaskSource::Awaited,
+            None => MaskSource::Streamed { look_ahead: !gpu.is_software() },
+        };
+        let machine = ModeMachine::new(settings.mode, Thresholds::default());
+        let guard = GuardChoice::new(Guard::default(), size);
+        let extent_m = f64::from((scene.bounds.max - scene.bounds.min).length());
+        let speed = (extent_m / CROSSING_S).min(MOST_INITIAL_SPEED_M_PER_S);
+        Ok(Self {
+            gpu: gpu.clone(),
+            frames: FrameLoop::new(renderer, machine, guard, source, now),
+            reception: None,
+            queue: MaskQueue::default(),
+            front: VecDeque::new(),
+            digest,
+            lights: lights_of(scene),
+            next: 0,
+            drawn: 0,
+            fly: Fly::from_camera(&first, speed),
+            camera_path: path,
+            cameras: scene.cameras.clone(),
+            camera: None,
+            follows_path: false,
+            path_s: 0.0,
+            options: options.clone(),
+            applied: settings,
+            shown_view: DebugView::Picture,
+            awaited_since: None,
+        })
+    }
+
+    /// The scene that is drawn.
+    #[must_use]
+    pub fn digest(&self) -> SceneDigest {
+        self.digest
+    }
+
+    /// Goes on in another scene. The camera stays.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn change_scene(&mut self, scene: &Scene, digest: SceneDigest) -> Result<(), RenderError> {
+        let (width, height) = self.size();
+        let camera = self.fly.camera(width, height);
+        let look = ((width, height), &camera);
+        let renderer = new_renderer(&self.gpu, scene, &Occluders::largest_of(scene), look, self.options.exposure)?;
+        self.frames.change_scene(FrameNumber(self.next), renderer);
+        (self.digest, self.lights, self.drawn) = (digest, lights_of(scene), 0);
+        (self.cameras, self.camera) = (scene.cameras.clone(), None);
+        self.front.clear();
+        self.shown_view = DebugView::Picture;
+        let settings = std::mem::take(&mut self.applied);
+        self.apply(&settings)
+    }
+
+    /// Poses go over a new connection from now on, for masks of at most this size.
+    ///
+    /// # Errors
+    /// If the size is beyond the protocol's limits.
+    pub fn connected(&mut self, (width, height): (u32, u32), now: Instant) -> Result<(), RenderError> {
+        let shape =
+            MaskShape::new(width, height, self.lights).map_err(|error| RenderError::Device(error.to_string()))?;
+        self.reception = Some(Reception::new(shape, now));
+        self.queue = MaskQueue::default();
+        self.frames.matcher.reconnected(FrameNumber(self.next));
+        self.awaited_since = None;
+        Ok(())
+    }
+
+    /// There is no connection: pictures go on without masks.
+    pub fn lost(&mut self) {
+        self.reception = None;
+    }
+
+    pub fn datagram(&mut self, datagram: &[u8], now: Instant) {
+        if let Some(reception) = &mut self.reception {
+            reception.push(datagram, now, &mut self.queue);
+        }
+    }
+
+    pub fn take_outgoing(&mut self) -> Option<Vec<u8>> {
+        self.reception.as_mut()?.take_outgoing()
+    }
+
+    #[must_use]
+    pub fn received(&self) -> ReceiverCounters {
+        self.reception.as_ref().map(Reception::counters).unwrap_or_default()
+    }
+
+    /// In pixels.
+    #[must_use]
+    pub fn size(&self) -> (u32, u32) {
+        self.frames.renderer.size()
+    }
+
+    /// # Errors
+    /// As [`FrameRenderer::resize`].
+    pub fn resize(&mut self, size: (u32, u32)) -> Result<(), RenderError> {
+        self.frames.renderer.resize(size)?;
+        self.frames.guard = GuardChoice::new(Guard::default(), size);
+        self.split(self.applied.split);
+        Ok(())
+    }
+
+    fn split(&mut self, split: bool) {
+        let half = self.size().0 / 2;
+        self.frames.renderer.set_split(split.then_some(half));
+    }
+
+    /// Applies what the person has changed.
+    ///
+    /// # Errors
+    /// If a shader does not compile.
+    pub fn apply(&mut self, settings: &Settings) -> Result<(), RenderError> {
+        let before = std::mem::replace(&mut self.applied, settings.clone());
+        if before.predictor != settings.predictor {
+            self.frames.renderer.set_predictor(settings.predictor);
+        }
+        if before.quality != settings.quality {
+            self.frames.renderer.set_quality(settings.quality)?;
+        }
+        if before.tone != settings.tone {
+            self.frames.renderer.set_tone(settings.tone);
+        }
+        if before.mode != settings.mode {
+            self.frames.machine.set_mode(settings.mode);
+        }
+        self.split(settings.split);
+        Ok(())
+    }
+
+    /// Switches between the camera path and the person, who goes on from there.
+    pub fn toggle_path(&mut self) {
+        if self.follows_path {
+            let (width, height) = self.size();
+            let camera = self.camera_path.camera(self.path_s, width, height);
+            self.fly = Fly::from_camera(&camera, self.fly.speed_m_per_s());
+        }
+        self.follows_path = !self.follows_path;
+    }
+
+    /// Goes to the next camera of the scene's file.
+    pub fn next_camera(&mut self) {
+        let next = self.camera.map_or(0, |camera| (camera + 1) % self.cameras.len().max(1));
+        if let Some(camera) = self.cameras.get(next) {
+            self.stand(&of_scene::standing(camera).camera(0.0, 1, 1));
+            self.camera = Some(next);
+        }
+    }
+
+    /// Goes where a link says. Returns whether it is a view.
+    pub fn go(&mut self, text: &str) -> bool {
+        let camera = view::read(text, 1, 1);
+        if let Some(camera) = &camera {
+            self.stand(camera);
+        }
+        camera.is_some()
+    }
+
+    fn stand(&mut self, camera: &Camera) {
+        self.fly = Fly::from_camera(camera, self.fly.speed_m_per_s());
+        self.follows_path = false;
+    }
+
+    /// Where the camera is, as a link has it.
+    #[must_use]
+    pub fn view(&self) -> String {
+        view::written(&self.camera_now())
+    }
+
+    fn camera_now(&self) -> Camera {
+        let (width, height) = self.size();
+        match &self.options.walk {
+            Some(walk) => walk.path.camera(walk.time_s(self.next), width, height),
+            None if self.follows_path => self.camera_path.camera(self.path_s, width, height),
+            None => self.fly.camera(width, height),
+        }
+    }
+
+    /// Draws the next frame, `step_s` seconds after the last, into `target`. `None` while a frame awaits its mask.
+    ///
+    /// # Errors
+    /// If the adapter failed.
+    pub fn frame(
+        &mut self,
+        motion: &Motion,
+        step_s: f64,
+        now: Instant,
+        target: impl FnOnce(&mut FrameRenderer, &Camera, f32) -> Result<(), RenderError>,
+    ) -> Result<Option<Drawn>, RenderError> {
+        if let Some(reception) = &mut self.reception {
+            reception.poll_deadline(now, &mut self.queue);
+        }
+        if self.options.walk.is_some() {
+            return self.walk(now, target);
+        }
+        if self.follows_path {
+            self.path_s += step_s;
+        } else {
+            self.fly.step(motion, step_s);
+        }
+        if self.options.exposure.is_none() {
+            let dazzled = self.drawn < DAZZLED_FRAMES;
+            let _ = self.frames.renderer.adapt(if dazzled { LONG_S } else { step_s });
+        }
+        let (frame, camera) = (FrameNumber(self.next), self.camera_now());
+        let scene_time_s = now.duration_since(self.frames.started()).as_secs_f64();
+        let connected = self.reception.is_some();
+        let request = self.frames.request(frame, &camera, scene_time_s, now, connected);
+        if let (Some(reception), Some(pose)) = (&mut self.reception, &request.pose) {
+            reception.send_pose(frame, pose);
+        }
+        let fresh = self.queue.take(&mut self.front);
+        let response = self.frames.accept_masks(self.front.iter().filter(|_| fresh), now)?;
+        let drawing = self.frames.choose(frame, &camera, now);
+        let view = match self.applied.view {
+            DebugView::Age { .. } => DebugView::Age { lags: self.lags() },
+            view => view,
+        };
+        if std::mem::replace(&mut self.shown_view, view) != view {
+            self.frames.renderer.set_debug_view(view);
+        }
+        self.frames.renderer.draw_surfaces(&drawing.camera)?;
+        target(&mut self.frames.renderer, &drawing.camera, drawing.decision.visibility_share)?;
+        let link = if connected { "live" } else { "lost" };
+        let outcome = (&drawing, request.look_ahead_ms, response);
+        let stats = self.frames.stats(frame, now, outcome, &StageTimes::default(), link);
+        self.next = self.next.wrapping_add(1);
+        self.drawn = self.drawn.saturating_add(1);
+        Ok(Some(Drawn { stats, walked: None, arrived: false }))
+    }
+
+    fn lags(&self) -> [u32; MAX_LAYERS] {
+        self.frames.mask_lags(FrameNumber(self.next.saturating_sub(1)))
+    }
+
+    /// Draws the next frame of a walk as soon as its own mask has come.
+    fn walk(
+        &mut self,
+        now: Instant,
+        target: impl FnOnce(&mut FrameRenderer, &Camera, f32) -> Result<(), RenderError>,
+    ) -> Result<Option<Drawn>, RenderError> {
+        let Some(reception) = &mut self.reception else { return Ok(None) };
+        let Some(walk) = &self.options.walk else { return Ok(None) };
+        let (width, height) = self.frames.renderer.size();
+        let (frame, time_s) = (FrameNumber(self.next), walk.time_s(self.next));
+        let camera = walk.path.camera(time_s, width, height);
+        let arrived = self.next + 1 >= walk.frames;
+        match self.awaited_since {
+            None => {
+                let request = self.frames.request(frame, &camera, time_s, now, true);
+                if let Some(pose) = &request.pose {
+                    reception.send_pose(frame, pose);
+                }
+                self.awaited_since = Some(now);
+            }
+            Some(since) if now.saturating_duration_since(since) > PATIENCE => {
+                if let Some(request) = self.frames.matcher.request(frame) {
+                    reception.send_pose_again(frame, &request.pose);
+                }
+                self.awaited_since = Some(now);
+            }
+            Some(_) => {}
+        }
+        if !self.has_mask_of(frame.0) {
+            return Ok(None);
+        }
+        let response = self.frames.accept_masks(self.front.iter(), now)?;
+        let digest = self.front.back().map(|mask| digest(&mask.mask)).unwrap_or_default();
+        let drawing = self.frames.choose(frame, &camera, now);
+        self.frames.renderer.draw_surfaces(&drawing.camera)?;
+        target(&mut self.frames.renderer, &drawing.camera, drawing.decision.visibility_share)?;
+        let outcome = (&drawing, 0, response);
+        let stats = self.frames.stats(frame, now, outcome, &StageTimes::default(), "live");
+        self.next += 1;
+        self.awaited_since = None;
+        Ok(Some(Drawn { stats, walked: Some((frame.0, digest)), arrived }))
+    }
+
+    /// Returns the next frame of the walk, while there is one.
+    #[must_use]
+    pub fn next_of_walk(&self) -> Option<u32> {
+        self.options.walk.as_ref().map(|_| self.next)
+    }
+
+    /// Returns whether the whole mask of this frame has come.
+    pub fn has_mask_of(&mut self, frame: u32) -> bool {
+        self.queue.take(&mut self.front);
+        self.front.back().is_some_and(|mask| mask.frame == FrameNumber(frame) && mask.coverage.is_whole())
+    }
+
+    /// Leaves the walk's path to the person, who goes on from its end.
+    pub fn end_walk(&mut self) {
+        if let Some(walk) = self.options.walk.take() {
+            let camera = walk.path.camera(walk.path.duration_s(), 1, 1);
+            self.stand(&camera);
+            self.frames.stream(!self.gpu.is_software());
+        }
+    }
+}
+
+fn lights_of(scene: &Scene) -> u32 {
+    u32::try_from(scene.lights.len()).unwrap_or(u32::MAX)
+}
+
+fn new_renderer(
+    gpu: &Gpu,
+    scene: &Scene,
+    occluders: &Occluders,
+    (size, camera): ((u32, u32), &Camera),
+    exposure: Option<f32>,
+) -> Result<FrameRenderer, RenderError> {
+    let survey = Survey::new(scene, occluders, camera);
+    let first = Exposure::for_reference(survey.lux);
+    let mut renderer = FrameRenderer::new(gpu, scene, size, first, PICTURE_FORMAT, Predictor::default())?;
+    renderer.set_environment(Environment::Sky, survey);
+    if let Some(ev) = exposure {
+        renderer.set_exposure(first.at_ev(ev));
+    }
+    renderer.set_quality(Quality::default())?;
+    Ok(renderer)
+}
