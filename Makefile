@@ -1,9 +1,11 @@
 # Everything a person does with a clone. `make demo` and `make test` do their own set-up.
-.PHONY: help setup demo window test lint deny fuzz
+.PHONY: help setup demo window web web-test test lint deny fuzz
 
 help:
 	@echo 'make demo   real server, real client, loopback: pictures in target/demo  (SCENE=… LIGHTS=… CAMERA=… SIZE=… FRAMES=…)'
 	@echo 'make window the same in a window, to walk around in'
+	@echo 'make web    the page for browsers, into target/web/page; wants: rustup target add wasm32-unknown-unknown'
+	@echo 'make web-test  the page in Chromium, on a server; wants node, npm, chromium, make web, and the programs of make test'
 	@echo 'make test   the whole suite; wants GNOMON_SCENES=DIR, the folder with the real scenes'
 	@echo 'make lint   fmt and clippy, warnings denied; import circles, long files, long lines'
 	@echo 'make deny   licences, bans, sources and known holes of every dependency'
@@ -20,6 +22,12 @@ demo: setup
 window: setup
 	cargo build --release --locked -p gnomon-server -p gnomon-client
 	target/release/gnomon-client --demo
+
+web:
+	client/web/build
+
+web-test:
+	cd tests/web && npm install --no-package-lock --no-audit --no-fund --silent && npm test
 
 # The ray-query back end wants an adapter that few machines have, so a driver is laid beside the system for its tests.
 test:

@@ -1,0 +1,159 @@
+// The page in a real browser, on a real server.
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { join } from "node:path";
+import { test } from "node:test";
+import { browser, cloisterPaths, compare, folder, native, open, screenshot, server, until } from "./rig.mjs";
+
+const FRAMES = 20;
+/** Compared with the native client's. */
+const PICTURES = [0, 9, 19];
+/** Fixed, since eyes that adapt never see quite the same again. */
+const EXPOSURE = 12;
+const LEAST_PSNR_DB = 50;
+
+test("a walk in the browser has the native client's masks, bit for bit, and its pictures", async (t) => {
+  const { page: url, url: nativeUrl } = await server(t);
+  const out = await folder(t);
+  const log = join(out, "masks.log");
+  await native(nativeUrl, [
+    "--wait", "--size", "640x360", "--frames", String(FRAMES), "--path", `${cloisterPaths}#walk`, "--exposure", String(EXPOSURE),
+    "--out", out, "--mask-log", log, "--cache-dir", out,
+  ]);
+  const expected = new Map();
+  for (const line of (await readFile(log, "utf8")).trim().split("\n")) {
+    const [frame, , , , digest] = line.split(" ");
+    expected.set(Number(frame), digest);
+  }
+  const started = await browser(t);
+  const walk = { path: await readFile(cloisterPaths, "utf8"), name: "walk", frames: FRAMES, pictures: PICTURES };
+  const page = await open(started, url, { options: { walk, exposure: EXPOSURE, size: [640, 360] } });
+  await until(page, "log.walked.at(-1)?.arrived && arg.every((frame) => log.pictures[frame])", PICTURES, 300_000);
+  const { walked, pictures, csp } = await page.evaluate(() => gnomon.log);
+  assert.deepEqual(csp, []);
+  assert.deepEqual(page.problems, []);
+  assert.equal(walked.length, FRAMES);
+  for (const { frame, digest } of walked) assert.equal(digest, expected.get(frame), `the mask of frame ${frame}`);
+  for (const frame of PICTURES) {
+    const file = await readFile(join(out, `frame_${String(frame).padStart(6, "0")}.png`));
+    const { psnr, differ } = await compare(started, pictures[frame], `data:image/png;base64,${file.toString("base64")}`);
+    t.diagnostic(`frame ${frame}: ${psnr.toFixed(1)} dB, ${(differ * 100).toFixed(2)} % of the channels differ`);
+    assert.ok(psnr >= LEAST_PSNR_DB, `frame ${frame}: ${psnr} dB`);
+  }
+});
+
+test("a person sees the scene on a desktop, and on a phone", async (t) => {
+  const { page: url } = await server(t);
+  const started = await browser(t);
+  const page = await open(started, url);
+  await until(page, "log.marks.shadowed && gnomon.figures().masks > 2");
+  await page.click("#tool-figures");
+  await page.click("#tool-split");
+  await page.waitForTimeout(1500);
+  await screenshot(page, "desktop");
+  const shown = await page.evaluate(() => gnomon.figures());
+  assert.ok(shown.frames_per_s > 0 && shown.known_share > 0.5, JSON.stringify(shown));
+  // The keys walk.
+  const { view: before } = shown;
+  await page.keyboard.down("KeyW");
+  await page.waitForTimeout(1500);
+  await page.keyboard.up("KeyW");
+  await page.waitForFunction((view) => gnomon.figures().view !== view, before);
+  // The link leads there again.
+  const { view } = await page.evaluate(() => gnomon.figures());
+  await page.evaluate(() => {
+    location.hash = "view=1,2,3,45,-10,60";
+  });
+  await page.waitForFunction(() => gnomon.figures().view === "1.000,2.000,3.000,45.00,-10.00,60.00");
+  assert.notEqual(view, before);
+  assert.deepEqual(await page.evaluate(() => gnomon.log.csp), []);
+  assert.deepEqual(page.problems, []);
+  await page.context().close();
+
+  const phone = await open(started, url, { viewport: { width: 390, height: 844 }, phone: true });
+  await until(phone, "log.marks.shadowed && gnomon.figures().masks > 2");
+  await phone.waitForTimeout(1500);
+  await screenshot(phone, "phone");
+  const wide = await phone.evaluate(() => document.documentElement.scrollWidth <= innerWidth);
+  assert.ok(wide, "nothing is cut off");
+  assert.deepEqual(phone.problems, []);
+});
+
+test("a browser that lacks WebGPU or WebTransport is told what would do", async (t) => {
+  const { page: url } = await server(t);
+  const old = await browser(t, { webgpu: false });
+  const page = await open(old, url);
+  await until(page, "log.failed?.why === 'webgpu'");
+  await page.waitForSelector("#card:not([hidden])");
+  await screenshot(page, "no-webgpu");
+  assert.match(await page.textContent("#card"), /WebGPU.*Chrome.*Safari.*Firefox/s);
+  const started = await browser(t);
+  const context = await started.newContext();
+  const other = await context.newPage();
+  await other.addInitScript(() => delete globalThis.WebTransport);
+  await other.goto(url);
+  await other.waitForSelector("#card:not([hidden])");
+  assert.match(await other.textContent("#card"), /WebTransport/);
+});
+
+test("a server that drains, goes and comes back is announced, lost and found", async (t) => {
+  const certificates = await folder(t);
+  const first = await server(t, { certificates, args: ["--drain-ms", "4000"] });
+  const listen = first.url.match(/gnomon:\/\/([^/]+)\//)[1];
+  const web = new URL(first.page).host;
+  const started = await browser(t);
+  const page = await open(started, first.page);
+  await until(page, "log.marks.shadowed");
+  first.child.kill("SIGTERM");
+  await until(page, "log.states.includes('draining')");
+  await page.waitForTimeout(300);
+  await screenshot(page, "draining");
+  assert.match(await page.textContent("#banner"), /about to stop/);
+  await until(page, "log.states.includes('lost')");
+  await page.waitForTimeout(300);
+  await screenshot(page, "lost");
+  assert.match(await page.textContent("#banner"), /Connection lost/);
+  await server(t, { certificates, listen, web });
+  await until(page, "log.states.at(-1) === 'live' && log.states.filter((name) => name === 'live').length === 2");
+  await screenshot(page, "found");
+  assert.match(await page.textContent("#banner"), /Connected again/);
+  const { masks } = await page.evaluate(() => gnomon.figures());
+  await page.waitForFunction((before) => gnomon.figures().masks !== before, masks);
+  assert.deepEqual(page.problems, []);
+});
+
+test("tokens, versions, origins and certificates that do not fit are said in words", async (t) => {
+  const { page: url } = await server(t);
+  const started = await browser(t);
+  const changed = (change) => async (route) => {
+    const response = await route.fetch();
+    await route.fulfill({ response, json: change(await response.json()) });
+  };
+  const old = await open(started, url, { route: changed((server) => ({ ...server, protocol_version: 5 })) });
+  await until(old, "log.failed?.why === 'version'");
+  assert.match(await old.textContent("#card"), /The server speaks version 5, this page version \d+/);
+
+  const wrong = { current: "00".repeat(32), next: "11".repeat(32) };
+  const pinned = await open(started, url, { route: changed((server) => ({ ...server, certificate_sha256: wrong })) });
+  await until(pinned, "log.states.includes('lost')");
+  assert.match(await pinned.textContent("#loading"), /UDP.*certificate/s);
+  assert.equal(await pinned.evaluate(() => gnomon.log.welcome), undefined);
+
+  const strict = await server(t, { args: ["--origins", "https://a.example"] });
+  const stranger = await open(started, strict.page);
+  await until(stranger, "log.failed?.why === 'origin'");
+  assert.match(await stranger.textContent("#card"), /https:\/\/a\.example/);
+
+  const secrets = await folder(t);
+  const { execFileSync } = await import("node:child_process");
+  const { writeFile } = await import("node:fs/promises");
+  const made = execFileSync(join(process.env.GNOMON_BIN ?? "../../target/debug", "gnomon-server"), ["token", "--name", "alice", "--days", "1"], { encoding: "utf8" });
+  const [secret, ...entry] = made.split("\n");
+  await writeFile(join(secrets, "tokens.toml"), entry.join("\n"));
+  const guarded = await server(t, { args: ["--token-file", join(secrets, "tokens.toml")] });
+  const without = await open(started, guarded.page);
+  await until(without, "log.failed?.why === 'token'");
+  const welcome = await open(started, `${guarded.page}#token=${secret}`);
+  await until(welcome, "log.marks.shadowed");
+  assert.ok(!welcome.url().includes(secret), "the token left the address bar");
+});
