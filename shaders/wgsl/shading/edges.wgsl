@@ -71,7 +71,7 @@ fn edge_share(around: Surroundings, k: u32, second: u32) -> f32 {
 // The share of the pixel that light k reaches: between 0 and 1 along a shadow's edge, and while one source of
 // visibility fades into the other.
 fn smooth_share(around: Surroundings, k: u32) -> f32 {
-    if ((around.disputed.x | around.disputed.y) >> k & 1u) == 0u {
+    if (((around.disputed.x | around.disputed.y) >> k) & 1u) == 0u {
         return reached(k, around.visibility);
     }
     return mix(edge_share(around, k, 1u), edge_share(around, k, 0u), view.visibility_share);
