@@ -224,6 +224,12 @@ pub const WEB_TIMEOUT: Duration = Duration::from_secs(5);
 /// Limit for a connection to the web address: the page takes a slow phone half of it.
 pub const WEB_CONNECTION_TIMEOUT: Duration = Duration::from_secs(60);
 
+/// WebSockets that wait to be greeted, which takes a moment; more are answered with status 503.
+pub const MAX_WAITING_SOCKETS: usize = 64;
+
+/// Bytes that the system takes of a WebSocket's frames before it sends them. More would be older when they arrive.
+pub const SOCKET_SEND_BUFFER_BYTES: usize = 64 * 1024;
+
 /// Files of the page.
 pub const MAX_PAGE_FILES: usize = 32;
 

@@ -4,7 +4,7 @@ use std::{pin::pin, sync::Arc};
 
 use gnomon_protocol::message::Refusal;
 use thiserror::Error;
-use tokio::task::JoinSet;
+use tokio::{sync::mpsc, task::JoinSet};
 use tracing::Instrument as _;
 
 use crate::{
@@ -17,7 +17,7 @@ use crate::{
     net::{
         connections::{Expelled, Guard, Place, Tenure, Turned},
         endpoint::{Arrival, ArrivalError, Endpoint, Opening},
-        link::{CloseCode, Link},
+        link::{CloseCode, Link, SocketArrival},
         page::PageError,
     },
     phase::stopping,
@@ -25,12 +25,22 @@ use crate::{
 };
 
 /// Serves peers until the server stops. Then refuses new peers and waits for the sessions to end.
-pub(super) async fn accept(endpoint: Arc<Endpoint>, services: Arc<Services>) {
+pub(super) async fn accept(
+    endpoint: Arc<Endpoint>,
+    mut sockets: mpsc::Receiver<SocketArrival>,
+    services: Arc<Services>,
+) {
     let mut phase = services.phase.clone();
     let mut sessions = JoinSet::new();
     loop {
+        let arrival = async {
+            tokio::select! {
+                arrival = endpoint.accept() => arrival,
+                Some(arrival) = sockets.recv() => Some(Arrival::Socket(Box::new(arrival))),
+            }
+        };
         tokio::select! {
-            arrival = endpoint.accept() => {
+            arrival = arrival => {
                 let Some(arrival) = arrival else { break };
                 match services.metrics.connections.arrive(arrival.peer().ip()) {
                     Ok(place) => {
@@ -54,6 +64,7 @@ pub(super) async fn accept(endpoint: Arc<Endpoint>, services: Arc<Services>) {
         tokio::select! {
             Some(ended) = sessions.join_next() => log_panic(ended),
             Some(arrival) = endpoint.accept() => arrival.refuse(),
+            Some(arrival) = sockets.recv() => drop(arrival),
         }
     }
 }

@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, OnceLock, atomic::AtomicBool},
 };
 
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
 
 use super::{
     accept::accept,
@@ -141,15 +141,20 @@ impl Server {
             alternative: config.alternative.clone(),
         });
         let _ = status.services.set(Arc::downgrade(&services));
-        let accepting = Task::spawn(accept(Arc::clone(&endpoint), Arc::clone(&services)));
-        let web = match (web, &certificates) {
-            (Some(web), Some(certificates)) => {
-                let port = url::port(&url_base, local_addr);
-                let (certificates, origins) = (Arc::clone(certificates), config.origins);
-                Some(web.serve(web::Page { port, scene: scene_name, certificates, origins, files }, &provider)?)
-            }
-            _ => None,
-        };
+        let (arrivals, sockets) = mpsc::channel(limits::MAX_WAITING_SOCKETS);
+        let accepting = Task::spawn(accept(Arc::clone(&endpoint), sockets, Arc::clone(&services)));
+        let web =
+            match (web, &certificates) {
+                (Some(web), Some(certificates)) => {
+                    let port = url::port(&url_base, local_addr);
+                    let (certificates, origins) = (Arc::clone(certificates), config.origins);
+                    Some(web.serve(
+                        web::Page { port, scene: scene_name, certificates, origins, files, arrivals },
+                        &provider,
+                    )?)
+                }
+                _ => None,
+            };
         readiness.set(Stage::Ready);
         #[cfg(feature = "agones")]
         let agones = config.agones.then(|| {

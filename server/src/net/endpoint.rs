@@ -22,7 +22,7 @@ use super::{
     alpn::is_web,
     certificate::{ALPN_WEB, Certificates},
     connections::{Guard, Place, Tenure, TenureRuntime, accept_for},
-    link::{DataLink, LabTcpData, LabUdpData, Link, QuicData},
+    link::{DataLink, LabTcpData, LabUdpData, Link, QuicData, SocketArrival},
     page::{self, PageError},
     socket::{CountingSocket, SocketCounts},
 };
@@ -172,7 +172,13 @@ fn transport_config(config: &ServerConfig) -> Result<quinn::TransportConfig, qui
 /// A peer whose first packet has arrived.
 pub(crate) enum Arrival {
     Quic(Box<quinn::Incoming>),
-    Lab { stream: tokio::net::TcpStream, peer: SocketAddr, transport: Transport },
+    Lab {
+        stream: tokio::net::TcpStream,
+        peer: SocketAddr,
+        transport: Transport,
+    },
+    /// Through the web address.
+    Socket(Box<SocketArrival>),
 }
 
 #[derive(Debug, Error)]
@@ -239,6 +245,7 @@ impl Arrival {
         match self {
             Self::Quic(incoming) => incoming.remote_address(),
             Self::Lab { peer, .. } => *peer,
+            Self::Socket(arrival) => arrival.peer,
         }
     }
 
@@ -247,6 +254,7 @@ impl Arrival {
         match self {
             Self::Quic(incoming) => incoming.refuse(),
             Self::Lab { stream, .. } => drop(stream),
+            Self::Socket(arrival) => drop(arrival),
         }
     }
 
@@ -266,6 +274,7 @@ impl Arrival {
             Self::Lab { stream, transport, .. } => {
                 Ok((Guard::lab(place, tenure), Opening::Lab { stream, peer, transport }))
             }
+            Self::Socket(arrival) => Ok((Guard::lab(place, tenure), Opening::Socket(arrival))),
         }
     }
 }
@@ -274,6 +283,7 @@ impl Arrival {
 pub(crate) enum Opening {
     Quic { connection: quinn::Connection, established: quinn::ZeroRttAccepted, peer: SocketAddr },
     Lab { stream: tokio::net::TcpStream, peer: SocketAddr, transport: Transport },
+    Socket(Box<SocketArrival>),
 }
 
 impl Opening {
@@ -310,6 +320,11 @@ impl Opening {
                 let (receive, send) = stream.into_split();
                 let carrier = if transport == Transport::LabTcp { "lab-tcp" } else { "lab-udp" };
                 Ok(Link::new(carrier, peer, receive, send, data))
+            }
+            Self::Socket(arrival) => {
+                let SocketArrival { peer, control, data } = *arrival;
+                let (receive, send) = tokio::io::split(control);
+                Ok(Link::new("websocket", peer, receive, send, DataLink::Socket(data)))
             }
         }
     }

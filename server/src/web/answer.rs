@@ -18,6 +18,7 @@ use serde_json::json;
 use super::{
     files::{Asset, Files},
     headers::protect,
+    socket::Arrivals,
 };
 use crate::{net::certificate::Certificates, origins::Origins};
 
@@ -34,6 +35,8 @@ pub(crate) struct Page {
     pub(crate) origins: Option<Origins>,
     /// `None` if the server has no page of its own.
     pub(crate) files: Option<Files>,
+    /// Where sessions over WebSockets go.
+    pub(crate) arrivals: Arrivals,
 }
 
 /// Never reads the request's body.
@@ -114,6 +117,7 @@ impl Page {
             "port": self.port,
             "protocol_version": PROTOCOL_VERSION,
             "scene": self.scene,
+            "websocket": super::socket::PATH,
             "certificate_sha256": self.certificates.browser_hashes(),
             "origins": self.origins.as_ref().map(Origins::list),
         })
@@ -157,6 +161,7 @@ mod tests {
             certificates: Arc::new(Certificates::open(&config, provider).unwrap()),
             origins: origins.map(|origins| origins.parse().unwrap()),
             files: None,
+            arrivals: tokio::sync::mpsc::channel(1).0,
         }
     }
 

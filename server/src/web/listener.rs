@@ -5,6 +5,7 @@ use std::{io, net::SocketAddr, sync::Arc, time::Duration};
 use hyper::{server::conn::http1, service::service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use rustls::crypto::CryptoProvider;
+use socket2::SockRef;
 use thiserror::Error;
 use tokio::{
     io::{AsyncRead, AsyncWrite},
@@ -17,10 +18,14 @@ use tokio_rustls::TlsAcceptor;
 use super::{
     answer::{Page, answer},
     files::FilesError,
+    socket,
 };
 use crate::{
     admission::addresses::AddressLimit,
-    limits::{MAX_WEB_CONNECTIONS, MAX_WEB_CONNECTIONS_PER_ADDRESS, WEB_CONNECTION_TIMEOUT, WEB_TIMEOUT},
+    limits::{
+        MAX_WEB_CONNECTIONS, MAX_WEB_CONNECTIONS_PER_ADDRESS, SOCKET_SEND_BUFFER_BYTES, WEB_CONNECTION_TIMEOUT,
+        WEB_TIMEOUT,
+    },
     net::certificate::Certificates,
     task::Task,
 };
@@ -93,7 +98,7 @@ async fn accept(listener: TcpListener, tls: Option<TlsAcceptor>, page: Arc<Page>
                     let (tls, page) = (tls.clone(), Arc::clone(&page));
                     tokio::spawn(async move {
                         // A peer that disconnects, never reads or speaks no TLS is not an error.
-                        let _ = timeout(WEB_CONNECTION_TIMEOUT, serve(stream, tls, page)).await;
+                        let _ = timeout(WEB_CONNECTION_TIMEOUT, serve(stream, peer, tls, page)).await;
                         drop(seat);
                     });
                 }
@@ -106,27 +111,37 @@ async fn accept(listener: TcpListener, tls: Option<TlsAcceptor>, page: Arc<Page>
     }
 }
 
-async fn serve(stream: TcpStream, tls: Option<TlsAcceptor>, page: Arc<Page>) {
+async fn serve(stream: TcpStream, peer: SocketAddr, tls: Option<TlsAcceptor>, page: Arc<Page>) {
+    // A session's frames are small, and late ones are worth nothing.
+    let _ = stream.set_nodelay(true);
+    let _ = SockRef::from(&stream).set_send_buffer_size(SOCKET_SEND_BUFFER_BYTES);
     match tls {
-        None => exchange(stream, page).await,
+        None => exchange(stream, peer, page).await,
         Some(tls) => {
             if let Ok(Ok(stream)) = timeout(WEB_TIMEOUT, tls.accept(stream)).await {
-                exchange(stream, page).await;
+                exchange(stream, peer, page).await;
             }
         }
     }
 }
 
 /// Serves one connection: a page asks for its files over a few of them.
-async fn exchange(stream: impl AsyncRead + AsyncWrite + Unpin, page: Arc<Page>) {
+async fn exchange(stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, peer: SocketAddr, page: Arc<Page>) {
     let service = service_fn(move |request| {
         let page = Arc::clone(&page);
-        async move { Ok::<_, std::convert::Infallible>(answer(&request, &page)) }
+        async move {
+            Ok::<_, std::convert::Infallible>(if socket::is_wanted(&request) {
+                socket::upgrade(request, peer, page.origins.as_ref(), page.arrivals.clone())
+            } else {
+                answer(&request, &page)
+            })
+        }
     });
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(WEB_TIMEOUT)
         .max_buf_size(16 * 1024)
-        .serve_connection(TokioIo::new(stream), service);
+        .serve_connection(TokioIo::new(stream), service)
+        .with_upgrades();
     let _ = connection.await;
 }

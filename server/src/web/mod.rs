@@ -19,10 +19,11 @@ mod built_in;
 mod files;
 mod headers;
 mod listener;
+mod socket;
 
+pub use self::listener::WebError;
 pub(crate) use self::{
     answer::Page,
     files::Files,
     listener::{Bound, Web},
 };
-pub use self::{files::FilesError, listener::WebError};

@@ -15,6 +15,7 @@ mod sessions;
 mod stopping;
 mod web;
 mod web_address;
+mod web_socket;
 
 pub(crate) const LIGHTS: u32 = 2;
 

@@ -131,6 +131,7 @@ async fn beyond_loopback_it_speaks_tls_with_the_operators_certificate() {
         "scene": "scene",
         "certificate_sha256": null,
         "origins": null,
+        "websocket": "/session",
     });
     assert_eq!(page, expected);
     assert!(!ask_plain(web, GET).await.contains("200 OK"), "nothing in the clear");

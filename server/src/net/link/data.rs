@@ -10,6 +10,7 @@ use super::{
     baseline::{LabTcpData, LabUdpData, LabUdpReceiver, LabUdpSender},
     closer::Closer,
     quic::QuicData,
+    socket::{SocketData, SocketReceiver, SocketSender},
 };
 
 /// The data channel before Start.
@@ -17,13 +18,14 @@ pub(crate) enum DataLink {
     Quic(QuicData),
     LabUdp(LabUdpData),
     LabTcp(LabTcpData),
+    Socket(SocketData),
 }
 
 impl DataLink {
     /// The session's data port on lab links.
     pub(crate) const fn port(&self) -> Option<u16> {
         match self {
-            Self::Quic(_) => None,
+            Self::Quic(_) | Self::Socket(_) => None,
             Self::LabUdp(data) => Some(data.port()),
             Self::LabTcp(data) => Some(data.port()),
         }
@@ -41,13 +43,17 @@ impl DataLink {
                 let (receiver, sender) = data.accept(limit).await?;
                 Ok((DataReceiver::LabTcp(receiver), DataSender::LabTcp(sender)))
             }
+            Self::Socket(data) => {
+                let (receiver, sender) = data.split();
+                Ok((DataReceiver::Socket(receiver), DataSender::Socket(sender)))
+            }
         }
     }
 
     pub(crate) fn closer(&self) -> Closer {
         match self {
             Self::Quic(data) => Closer::new(data.clone()),
-            Self::LabUdp(_) | Self::LabTcp(_) => Closer::none(),
+            Self::LabUdp(_) | Self::LabTcp(_) | Self::Socket(_) => Closer::none(),
         }
     }
 }
@@ -56,6 +62,7 @@ pub(crate) enum DataReceiver {
     Quic(QuicData),
     LabUdp(LabUdpReceiver),
     LabTcp(PacketReader),
+    Socket(SocketReceiver),
 }
 
 impl DataReceiver {
@@ -65,6 +72,7 @@ impl DataReceiver {
             Self::Quic(data) => data.receive().await,
             Self::LabUdp(receiver) => receiver.receive().await,
             Self::LabTcp(receiver) => receiver.receive().await,
+            Self::Socket(receiver) => receiver.receive().await,
         }
     }
 }
@@ -73,6 +81,7 @@ pub(crate) enum DataSender {
     Quic(QuicData),
     LabUdp(LabUdpSender),
     LabTcp(PacketWriter),
+    Socket(SocketSender),
 }
 
 impl DataSender {
@@ -81,6 +90,7 @@ impl DataSender {
         match self {
             Self::Quic(data) => data.max_packet_bytes(),
             Self::LabUdp(_) | Self::LabTcp(_) => gnomon_protocol::limits::MAX_LAB_PACKET_BYTES,
+            Self::Socket(_) => gnomon_protocol::limits::MAX_PACKET_BYTES,
         }
     }
 
@@ -90,14 +100,15 @@ impl DataSender {
             Self::Quic(data) => data.has_room(packets, bytes),
             // `send` blocks until the kernel has the last byte, so nothing queues.
             Self::LabUdp(_) | Self::LabTcp(_) => true,
+            Self::Socket(sender) => sender.has_room(),
         }
     }
 
-    /// Byte budget of a frame if the next one follows after `interval`. `None` if `send` blocks instead.
+    /// Byte budget of a frame if the next one follows after `interval`. `None` if frames wait for the system instead.
     pub(crate) fn frame_budget(&self, interval: Duration) -> Option<usize> {
         match self {
             Self::Quic(data) => Some(data.frame_budget(interval)),
-            Self::LabUdp(_) | Self::LabTcp(_) => None,
+            Self::LabUdp(_) | Self::LabTcp(_) | Self::Socket(_) => None,
         }
     }
 
@@ -114,6 +125,7 @@ impl DataSender {
             Self::Quic(data) => data.send(packet),
             Self::LabUdp(sender) => sender.send(&packet).await,
             Self::LabTcp(sender) => sender.send(&packet).await,
+            Self::Socket(sender) => sender.send(&packet),
         }
     }
 
@@ -122,6 +134,7 @@ impl DataSender {
         match self {
             Self::Quic(_) | Self::LabUdp(_) => Ok(()),
             Self::LabTcp(sender) => sender.flush().await,
+            Self::Socket(sender) => sender.flush(),
         }
     }
 }

@@ -7,6 +7,7 @@ mod counts;
 mod data;
 mod peer;
 mod quic;
+mod socket;
 
 pub(crate) use self::{
     baseline::{LabTcpData, LabUdpData},
@@ -16,4 +17,5 @@ pub(crate) use self::{
     data::{DataLink, DataReceiver, DataSender},
     peer::Link,
     quic::QuicData,
+    socket::{SocketArrival, SocketEnd, socket_pair},
 };
