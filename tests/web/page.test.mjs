@@ -12,6 +12,12 @@ const PICTURES = [0, 9, 19];
 const EXPOSURE = 12;
 const LEAST_PSNR_DB = 50;
 
+/** Lies about what the server announces. */
+const changed = (change) => async (route) => {
+  const response = await route.fetch();
+  await route.fulfill({ response, json: change(await response.json()) });
+};
+
 test("a walk in the browser has the native client's masks, bit for bit, and its pictures", async (t) => {
   const { page: url, url: nativeUrl } = await server(t);
   const out = await folder(t);
@@ -79,7 +85,7 @@ test("a person sees the scene on a desktop, and on a phone", async (t) => {
   assert.deepEqual(phone.problems, []);
 });
 
-test("a browser that lacks WebGPU or WebTransport is told what would do", async (t) => {
+test("a browser without WebGPU is told what would do, and a network without UDP is passed by WebSocket", async (t) => {
   const { page: url } = await server(t);
   const old = await browser(t, { webgpu: false });
   const page = await open(old, url);
@@ -88,12 +94,12 @@ test("a browser that lacks WebGPU or WebTransport is told what would do", async 
   await screenshot(page, "no-webgpu");
   assert.match(await page.textContent("#card"), /WebGPU.*Chrome.*Safari.*Firefox/s);
   const started = await browser(t);
-  const context = await started.newContext();
-  const other = await context.newPage();
-  await other.addInitScript(() => delete globalThis.WebTransport);
-  await other.goto(url);
-  await other.waitForSelector("#card:not([hidden])");
-  assert.match(await other.textContent("#card"), /WebTransport/);
+  // Behind a network that drops UDP: another port, where nobody answers.
+  const blocked = await open(started, url, { route: changed((server) => ({ ...server, port: 9 })) });
+  await until(blocked, "log.marks.shadowed && gnomon.figures().way === 'WebSocket'");
+  assert.match(await blocked.textContent("#banner"), /By WebSocket.*UDP/s);
+  await screenshot(blocked, "websocket");
+  assert.deepEqual(await blocked.evaluate(() => gnomon.log.csp), []);
 });
 
 test("a server that drains, goes and comes back is announced, lost and found", async (t) => {
@@ -108,7 +114,7 @@ test("a server that drains, goes and comes back is announced, lost and found", a
   await until(page, "log.states.includes('draining')");
   await page.waitForTimeout(300);
   await screenshot(page, "draining");
-  assert.match(await page.textContent("#banner"), /about to stop/);
+  assert.match(await page.textContent("#banner"), /ends this session in/);
   await until(page, "log.states.includes('lost')");
   await page.waitForTimeout(300);
   await screenshot(page, "lost");
@@ -125,16 +131,13 @@ test("a server that drains, goes and comes back is announced, lost and found", a
 test("tokens, versions, origins and certificates that do not fit are said in words", async (t) => {
   const { page: url } = await server(t);
   const started = await browser(t);
-  const changed = (change) => async (route) => {
-    const response = await route.fetch();
-    await route.fulfill({ response, json: change(await response.json()) });
-  };
   const old = await open(started, url, { route: changed((server) => ({ ...server, protocol_version: 5 })) });
   await until(old, "log.failed?.why === 'version'");
   assert.match(await old.textContent("#card"), /The server speaks version 5, this page version \d+/);
 
   const wrong = { current: "00".repeat(32), next: "11".repeat(32) };
-  const pinned = await open(started, url, { route: changed((server) => ({ ...server, certificate_sha256: wrong })) });
+  const lie = (server) => ({ ...server, certificate_sha256: wrong, websocket: null });
+  const pinned = await open(started, url, { route: changed(lie) });
   await until(pinned, "log.states.includes('lost')");
   assert.match(await pinned.textContent("#loading"), /UDP.*certificate/s);
   assert.equal(await pinned.evaluate(() => gnomon.log.welcome), undefined);
@@ -147,7 +150,7 @@ test("tokens, versions, origins and certificates that do not fit are said in wor
   const secrets = await folder(t);
   const { execFileSync } = await import("node:child_process");
   const { writeFile } = await import("node:fs/promises");
-  const made = execFileSync(join(process.env.GNOMON_BIN ?? "../../target/debug", "gnomon-server"), ["token", "--name", "alice", "--days", "1"], { encoding: "utf8" });
+  const made = execFileSync(join(process.env.WEB_TEST_BIN ?? "../../target/debug", "gnomon-server"), ["token", "--name", "alice", "--days", "1"], { encoding: "utf8" });
   const [secret, ...entry] = made.split("\n");
   await writeFile(join(secrets, "tokens.toml"), entry.join("\n"));
   const guarded = await server(t, { args: ["--token-file", join(secrets, "tokens.toml")] });

@@ -1,6 +1,6 @@
 // A server, a browser, and the page between them.
 //
-// GNOMON_BIN is the folder of gnomon-server and gnomon-client, GNOMON_PAGE the built page, CHROMIUM the browser; the
+// WEB_TEST_BIN is the folder of gnomon-server and gnomon-client, WEB_TEST_PAGE the built page, CHROMIUM the browser; the
 // defaults are what `cargo test`, `make web` and Debian's package leave. Screenshots go to target/web/screenshots.
 import { spawn } from "node:child_process";
 import { mkdir, mkdtemp, rm } from "node:fs/promises";
@@ -10,9 +10,9 @@ import { fileURLToPath } from "node:url";
 import { chromium } from "playwright-core";
 
 const root = resolve(fileURLToPath(import.meta.url), "../../..");
-const bin = process.env.GNOMON_BIN ?? join(root, "target/debug");
-const pageFolder = process.env.GNOMON_PAGE ?? join(root, "target/web/page");
-export const screenshots = process.env.GNOMON_SCREENSHOTS ?? join(root, "target/web/screenshots");
+const bin = process.env.WEB_TEST_BIN ?? join(root, "target/debug");
+const pageFolder = process.env.WEB_TEST_PAGE ?? join(root, "target/web/page");
+export const screenshots = process.env.WEB_TEST_SCREENSHOTS ?? join(root, "target/web/screenshots");
 export const cloister = join(root, "tests/assets/cloister.glb");
 export const cloisterPaths = join(root, "tests/assets/cloister.json");
 
@@ -46,16 +46,20 @@ export async function server(test, { args = [], env = {}, listen = "127.0.0.1:0"
   test.after(() => found.stop("SIGKILL"));
   await new Promise((ready, failed) => {
     child.once("exit", () => failed(new Error(`the server ended:\n${found.log}`)));
+    const heard = () => {
+      const web = found.log.match(/"message":"web address","local_addr":"([^"]+)"/)?.[1];
+      found.page = web && `http://${web}/`;
+      if (found.page && found.url) ready();
+    };
     child.stderr.on("data", (text) => {
       found.log += text;
+      heard();
     });
     child.stdout.on("data", (text) => {
       found.url ??= String(text).split("\n")[0];
-      ready();
+      heard();
     });
   });
-  found.web = found.log.match(/"message":"web address","local_addr":"([^"]+)"|"local_addr":"([^"]+)"[^\n]*"web address"/);
-  found.page = `http://${found.web?.[1] ?? found.web?.[2]}/`;
   return found;
 }
 

@@ -15,13 +15,30 @@ function after(ms, error) {
 }
 
 /**
- * Opens a way to `host`. `server` is its gnomon.json. `hear` gets `control(bytes)`, `datagram(bytes)` and, once and last,
- * `closed({ code, reason })`.
+ * Opens a way to the server: WebTransport, or else a WebSocket. `server` is its gnomon.json, `address` where that came
+ * from. `hear` gets `control(bytes)`, `datagram(bytes)` and, once and last, `closed({ code, reason })`.
  */
-export async function open(server, host, hear) {
-  if (typeof WebTransport === "undefined") throw new NotOpened("this browser has no WebTransport");
-  return openWebTransport(server, host, hear);
+export async function open(server, address, hear) {
+  const host = new URL(address).hostname;
+  let failure = fellBack ?? new NotOpened("this browser has no WebTransport");
+  if (typeof WebTransport !== "undefined" && !fellBack) {
+    try {
+      return await openWebTransport(server, host, hear);
+    } catch (error) {
+      if (!(error instanceof NotOpened) || !server.websocket) throw error;
+      failure = error;
+    }
+  }
+  const link = await openWebSocket(new URL(server.websocket, address), hear).catch((error) => {
+    throw new NotOpened(`${failure.message}; ${error.message}`);
+  });
+  // A network that drops UDP will go on doing so.
+  fellBack = failure;
+  return { ...link, why: failure.message };
 }
+
+/** Why WebTransport did not open. */
+let fellBack = null;
 
 async function openWebTransport(server, host, hear) {
   const pinned = server.certificate_sha256;
@@ -37,8 +54,8 @@ async function openWebTransport(server, host, hear) {
   } catch (error) {
     session.close();
     throw new NotOpened(
-      `UDP port ${server.port} of ${host} is not reached (${error.message.replace(/\.$/, "")}): a network on the way drops UDP, or ` +
-        "the server's certificate is not the one that it announces",
+      `WebTransport does not reach UDP port ${server.port} of ${host} (${error.message.replace(/\.$/, "")}): a network on ` +
+        "the way drops UDP, or the server's certificate is not the one that it announces",
     );
   }
   const { datagrams } = session;
@@ -73,5 +90,53 @@ async function openWebTransport(server, host, hear) {
       if (outgoing.desiredSize === null || outgoing.desiredSize > 0) outgoing.write(packet).catch(() => {});
     },
     close: () => session.close({ closeCode: 0, reason: "done" }),
+  };
+}
+
+/** Messages begin with a byte: the control stream's bytes, or datagrams. */
+const CONTROL = 0;
+const DATA = 1;
+
+/** Unsent bytes above which a newer pose had better wait. */
+const MOST_UNSENT = 1024;
+
+async function openWebSocket(url, hear) {
+  url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+  const socket = new WebSocket(url);
+  socket.binaryType = "arraybuffer";
+  await new Promise((opened, failed) => {
+    const error = new Error("a WebSocket does not open either");
+    socket.onopen = opened;
+    socket.onerror = () => failed(error);
+    setTimeout(() => failed(error), 2 * OPEN_MS);
+  }).catch((error) => {
+    socket.close();
+    throw error;
+  });
+  socket.onmessage = ({ data }) => {
+    const message = new Uint8Array(data);
+    if (message[0] === CONTROL) hear.control(message.subarray(1));
+    // A frame: its packets, each after its length.
+    for (let at = 1; message[0] === DATA && at + 2 <= message.length; ) {
+      const end = at + 2 + message[at] + 256 * message[at + 1];
+      hear.datagram(message.subarray(at + 2, end));
+      at = end;
+    }
+  };
+  socket.onerror = null;
+  socket.onclose = ({ code, reason }) => hear.closed({ code: code === 1000 ? 0 : null, reason });
+  const send = (kind, bytes) => {
+    const message = new Uint8Array(1 + bytes.length);
+    message[0] = kind;
+    message.set(bytes, 1);
+    socket.send(message);
+  };
+  return {
+    kind: "WebSocket",
+    control: (bytes) => send(CONTROL, bytes),
+    datagram: (bytes) => {
+      if (socket.bufferedAmount < MOST_UNSENT) send(DATA, bytes);
+    },
+    close: () => socket.close(1000),
   };
 }

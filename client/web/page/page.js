@@ -25,7 +25,6 @@ const TRY = [
 const PROBLEMS = {
   webgpu: { title: "This browser cannot draw the scene", text: "It has no WebGPU, or no graphics adapter for it. These have:", list: TRY },
   insecure: { title: "Open this page over https", text: "Browsers draw and connect only for pages that came over https, or from this machine itself." },
-  transport: { title: "This browser cannot reach the server", text: "It has no WebTransport. These have:", list: TRY },
   version: { title: "The server speaks another version", text: "Reload this page. If that does not help, the operator has to update the server." },
   origin: { title: "The server does not take sessions from this page", text: "Its operator lists the pages that may connect." },
   token: { title: "This server wants a token", text: "Open the link that its operator gave you: it ends in #token=…", again: true },
@@ -105,9 +104,10 @@ const heard = {
   },
   state: (state) => {
     log.states.push(state.name);
-    const { name, text, seconds: left, again } = state;
-    if (name === "live") banner(again ? "Connected again" : "", { good: true, ms: 2500 });
-    else if (name === "draining") banner(`The server is about to stop${text ? `: ${text}` : ""}. The picture goes on.`);
+    const { name, text, seconds: left, again, why } = state;
+    if (name === "live" && why && !again) banner(`By WebSocket. ${why}.`, { ms: 8000 });
+    else if (name === "live") banner(again ? "Connected again" : "", { good: true, ms: 5000 });
+    else if (name === "draining") banner(`The server ends this session in ${left} s: ${text}. The picture goes on.`);
     else if (name === "lost" && !serving) loading(`The server cannot be reached: ${text}.${seconds(left)}`);
     else if (name === "lost") banner(`Connection lost: ${text}.${seconds(left)} Until then without its shadows.`);
     else if (name === "refused" && !serving) loading(`${text}.${seconds(left)}`);
@@ -167,7 +167,6 @@ function start() {
   if (!isSecureContext) return problem("insecure");
   if (!navigator.gpu) return problem("webgpu");
   if (!canvas.transferControlToOffscreen) return problem("webgpu", "no OffscreenCanvas");
-  if (typeof WebTransport === "undefined") return problem("transport");
   worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
   worker.onmessage = ({ data }) => heard[data.is]?.(data);
   worker.onerror = ({ message }) => problem("broken", message);
@@ -175,7 +174,7 @@ function start() {
   const surface = canvas.transferControlToOffscreen();
   const server = new URL("gnomon.json", document.baseURI).href;
   const size = options.size ?? pixels();
-  const message = { is: "open", canvas: surface, server, host: location.hostname, token, size, options: { view, ...options } };
+  const message = { is: "open", canvas: surface, server, token, size, options: { view, ...options } };
   worker.postMessage(message, [surface]);
   new ResizeObserver(() => options.size || worker.postMessage({ is: "size", size: pixels() })).observe(canvas);
   document.addEventListener("visibilitychange", () => worker.postMessage({ is: "visible", visible: !document.hidden }));

@@ -27,6 +27,7 @@ let page = null; // What the page said first.
 let size = [1, 1];
 let link = null;
 let largest = [0, 0]; // Of this session's masks.
+let current = null; // How this session will have ended.
 let started = false; // Poses go out.
 let visible = true;
 let unseen = null;
@@ -103,12 +104,12 @@ async function serve() {
     while (unseen === "left") await pause(1 << 30);
     const end = await session();
     if (end.lasted) failures = 0;
+    if (end.again || unseen === "left") continue;
     const { refused } = end;
     if (refused && refused.retry_after_ms == null && refused.why !== "draining") {
       throw new Final(refused.why, refused.text);
     }
     if (end.code === 4) throw new Final("ended", end.reason || "the operator ended this session");
-    if (end.again) continue;
     const ms = refused?.retry_after_ms ?? Math.min(LONGEST_PAUSE_MS, FIRST_PAUSE_MS * 2 ** failures) * (0.75 + Math.random() / 2);
     failures += 1;
     state(refused ? "refused" : "lost", { text: refused?.text ?? end.reason, seconds: Math.ceil(ms / 1000), first: !started });
@@ -143,9 +144,8 @@ async function session() {
     throw new Final("origin", `It takes pages of ${server.origins.join(", ")}, and this one is of ${location.origin}.`);
   }
   if (!started) tell("stage", { text: `Connecting to ${server.scene}` });
-  const closed = new Promise((resolve) => {
-    end.close = resolve;
-  });
+  current = end;
+  const closed = new Promise((resolve, reject) => Object.assign(end, { close: resolve, fail: reject }));
   const hear = {
     control: (bytes) => {
       heardAt = performance.now();
@@ -156,7 +156,7 @@ async function session() {
         link?.close();
         return;
       }
-      listen(end);
+      listen(end).catch(end.fail);
     },
     datagram: (bytes) => {
       heardAt = performance.now();
@@ -166,7 +166,7 @@ async function session() {
     closed: ({ code, reason }) => end.close({ code, reason: end.reason || reason }),
   };
   try {
-    link = await open(server, page.host, hear);
+    link = await open(server, page.server, hear);
   } catch (error) {
     if (!(error instanceof NotOpened)) throw error;
     return { ...end, reason: error.message };
@@ -178,10 +178,14 @@ async function session() {
   const [width, height] = largest;
   client.connect(JSON.stringify({ token: page.token, width, height, rate_hz: 60, codec: page.options.codec }));
   flush();
-  const { code, reason } = await closed;
-  link = null;
-  client.lost();
-  return { ...end, code, reason: reason || "the connection is lost" };
+  try {
+    const { code, reason } = await closed;
+    return { ...end, code, reason: reason || "the connection is gone" };
+  } finally {
+    link.close();
+    link = null;
+    client.lost();
+  }
 }
 
 /** Does what the server's messages ask for. */
@@ -249,7 +253,7 @@ function begun(end) {
   mark("prepared");
   flush();
   [started, end.lasted] = [true, true];
-  state("live", { again: known, way: link.kind });
+  state("live", { again: known, way: link.kind, why: link.why });
 }
 
 async function store() {
@@ -374,10 +378,10 @@ function follow(next) {
   if (fits || !link) client.resize(...wanted);
   else {
     // Larger masks than this session may have: another takes it over.
+    current.again = true;
     client.leave();
     flush();
     link.close();
-    wake?.();
   }
 }
 
@@ -385,6 +389,7 @@ const heard = {
   size: ({ size: next }) => follow(next),
   visible: ({ visible: now }) => see(now),
   again: () => wake?.(),
+  drop: () => link?.close(),
   key: ({ code, down }) => client.key(code, down),
   drag: ({ down }) => client.drag(down),
   pointer: ({ x, y }) => client.pointer(x, y),

@@ -11,9 +11,10 @@ use gnomon_client_core::{
 };
 use gnomon_protocol::{
     PROTOCOL_VERSION,
-    codec::CodecId,
+    codec::{CodecId, Decoder},
     ids::{BearerToken, ResumeToken},
     limits::MAX_LAYERS,
+    mask::{Mask, MaskShape},
     message::Refusal,
 };
 use gnomon_scene::Scene;
@@ -443,6 +444,20 @@ impl Client {
     pub fn go(&mut self, view: &str) -> bool {
         self.play.as_mut().is_some_and(|play| play.go(view))
     }
+}
+
+/// Decodes a frame's body this many times. Returns the median in ms, for measurements (`tests/web/decode-times.mjs`).
+#[wasm_bindgen]
+pub fn decode_ms(body: &[u8], rounds: u32) -> Result<f64, JsError> {
+    let (mut decoder, mut mask) = (Decoder::new(), Mask::new(MaskShape::new(1, 1, 1)?));
+    let mut times = Vec::new();
+    for _ in 0..rounds.max(1) {
+        let begun = Instant::now();
+        decoder.decode(body, &mut mask)?;
+        times.push(begun.elapsed());
+    }
+    times.sort_unstable();
+    Ok(times[times.len() / 2].as_secs_f64() * 1e3)
 }
 
 fn move_key(code: &str) -> Option<MoveKey> {

@@ -72,7 +72,7 @@ impl Walk {
 }
 
 /// What a person changes while looking.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Settings {
     pub predictor: Predictor,
     pub mode: Mode,
@@ -81,19 +81,6 @@ pub struct Settings {
     pub quality: Quality,
     /// True if the right half is lit without visibility.
     pub split: bool,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self {
-            predictor: Predictor::default(),
-            mode: Mode::default(),
-            view: DebugView::default(),
-            tone: ToneCurve::default(),
-            quality: Quality::default(),
-            split: false,
-        }
-    }
 }
 
 /// What a frame has left behind.
