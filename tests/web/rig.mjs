@@ -90,6 +90,8 @@ export async function browser(test, { webgpu = true } = {}) {
 export async function open(started, url, { options = {}, viewport = { width: 960, height: 540 }, phone = false, route } = {}) {
   const context = await started.newContext({ viewport, hasTouch: phone, isMobile: phone, deviceScaleFactor: phone ? 2 : 1 });
   const page = await context.newPage();
+  // Software draws a picture in a second, or in ten beside other work.
+  page.setDefaultTimeout(180_000);
   page.problems = [];
   page.on("pageerror", (error) => page.problems.push(error.message));
   page.on("console", (message) => {
@@ -104,10 +106,10 @@ export async function open(started, url, { options = {}, viewport = { width: 960
   return page;
 }
 
-/** Waits until the page's log fulfils a condition, given as a function's text over `log`. */
-export async function until(page, condition, arg, ms = 120_000) {
+/** Waits until a condition over `gnomon.log` holds in the page. A function, since the page's policy runs no texts. */
+export async function until(page, condition, arg, ms = 180_000) {
   try {
-    await page.waitForFunction(`((log, arg) => ${condition})(gnomon.log, ${JSON.stringify(arg ?? null)})`, null, { timeout: ms, polling: 50 });
+    await page.waitForFunction(condition, arg, { timeout: ms, polling: 50 });
   } catch (error) {
     const log = await page.evaluate(() => JSON.stringify({ ...gnomon.log, pictures: Object.keys(gnomon.log.pictures) }));
     throw new Error(`${condition} does not come: ${log} ${page.problems.join("\n")}\n${error.message}`);

@@ -131,7 +131,7 @@ async fn exchange(stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, 
         let page = Arc::clone(&page);
         async move {
             Ok::<_, std::convert::Infallible>(if socket::is_wanted(&request) {
-                socket::upgrade(request, peer, page.origins.as_ref(), page.arrivals.clone())
+                socket::upgrade(request, peer, page.origins.as_ref(), &page.arrivals)
             } else {
                 answer(&request, &page)
             })

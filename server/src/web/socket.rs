@@ -62,7 +62,7 @@ pub(super) fn upgrade(
     mut request: Request<hyper::body::Incoming>,
     peer: SocketAddr,
     origins: Option<&Origins>,
-    arrivals: Arrivals,
+    arrivals: &Arrivals,
 ) -> Response<Full<Bytes>> {
     let headers = request.headers();
     let origin = headers.get(ORIGIN).map_or(&b""[..], |origin| origin.as_bytes());
