@@ -36,7 +36,8 @@
 //! | poses over their rate | [`MAX_SECONDS_OVER_RATE`] in a row | the session ends, `cause="violation"` |
 //! | wrong tokens | [`MAX_FAILED_TOKENS`] per address and minute | refused unseen, `cause="token"` |
 //! | a session that an operator ended | [`DISMISSED_FOR`] | not resumed, `cause="dismissed"` |
-//! | web connections | [`MAX_WEB_CONNECTIONS`] ([`MAX_WEB_CONNECTIONS_PER_ADDRESS`]), [`WEB_TIMEOUT`], [`WEB_CONNECTION_TIMEOUT`] | closed |
+//! | web connections | [`MAX_WEB_CONNECTIONS`] ([`MAX_WEB_CONNECTIONS_PER_ADDRESS`]) | closed |
+//! | a web request, a web connection | [`WEB_TIMEOUT`], [`WEB_CONNECTION_TIMEOUT`] | closed |
 //! | silence | [`WRITE_TIMEOUT`], [`SETUP_TIMEOUT`], [`SILENCE_TIMEOUT`], `idle_timeout_ms` | the session ends |
 
 use std::{num::NonZeroUsize, time::Duration};

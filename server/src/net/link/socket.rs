@@ -1,7 +1,7 @@
 //! A session over a WebSocket, for browsers behind networks that drop UDP.
 //!
-//! TCP keeps the order and sends lost bytes again, so that what is written late arrives late. Nothing queues: the gate is
-//! closed until the system has taken the last frame, and newer masks replace those that wait for it.
+//! TCP keeps the order and sends lost bytes again, so that what is written late arrives late. Nothing queues: the gate
+//! is closed until the system has taken the last frame, and newer masks replace those that wait for it.
 
 use std::{
     io,
