@@ -39,10 +39,17 @@ let worker = null;
 let last = {}; // The newest figures.
 let bannerTimer = null;
 let serving = false;
-const log = { states: [], walked: [], pictures: {}, marks: {}, failed: null, csp: [] };
+/** For tests, and for who asks what has happened. */
+const log = { states: [], banners: [], walked: [], pictures: {}, marks: {}, failed: null, csp: [] };
 globalThis.gnomon = { log, ask: (message) => worker.postMessage(message), figures: () => last };
 
-addEventListener("securitypolicyviolation", ({ violatedDirective, blockedURI }) => log.csp.push(`${violatedDirective} ${blockedURI}`));
+addEventListener("securitypolicyviolation", ({ violatedDirective, blockedURI }) => note(log.csp, `${violatedDirective} ${blockedURI}`));
+
+/** Of what happens again and again, the newest. */
+function note(list, entry) {
+  list.push(entry);
+  if (list.length > 100) list.shift();
+}
 
 function show(element, visible) {
   by(element).hidden = !visible;
@@ -66,6 +73,7 @@ function problem(why, detail) {
 
 function banner(text, { good = false, ms = 0 } = {}) {
   clearTimeout(bannerTimer);
+  if (text) note(log.banners, text);
   by("banner").textContent = text;
   by("banner").classList.toggle("good", good);
   show("banner", text !== "");
@@ -103,7 +111,7 @@ const heard = {
     show("tools", true);
   },
   state: (state) => {
-    log.states.push(state.name);
+    note(log.states, state.name);
     const { name, text, seconds: left, again, why } = state;
     if (name === "live" && why && !again) banner(`By WebSocket. ${why}.`, { ms: 8000 });
     else if (name === "live") banner(again ? "Connected again" : "", { good: true, ms: 5000 });
