@@ -38,10 +38,13 @@ const MOST_REFUSALS: u32 = 40;
 /// Time for which honest clients are watched, once without liars and once beside them.
 const WATCHED: Duration = Duration::from_secs(4);
 
-/// Rates of honest clients: the first at which they get their masks without liars, since other programs may leave the
+/// Rates of honest clients: the first at which they get [`ENOUGH`] without liars, since other programs may leave the
 /// server less of the processor. Each is more than an equal share of the tracing thread, if all liars got what they ask
 /// for.
-const HONEST_HZ: [u16; 3] = [20, 10, 5];
+const HONEST_HZ: [u16; 4] = [20, 10, 5, 2];
+
+/// A server that is at its limit without liars says nothing about them.
+const ENOUGH: f64 = 0.95;
 
 /// Masks of this size cost some milliseconds each, so that a few liars could take all of the tracing thread.
 const SIZE: [u16; 2] = [480, 270];
@@ -194,7 +197,7 @@ where
     let (rate_hz, alone) = loop {
         let rate_hz = *HONEST_HZ.get(without.len()).unwrap_or_else(|| panic!("only {without:.2?} without any liar"));
         let share = honest_share(rig, rate_hz).await;
-        if share >= 0.8 {
+        if share >= ENOUGH {
             break (rate_hz, share);
         }
         without.push(share);
