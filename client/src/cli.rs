@@ -8,8 +8,9 @@ use std::{
 use clap::Parser;
 use etcetera::BaseStrategy as _;
 use gnomon_protocol::limits::MAX_TOKEN_BYTES;
+use gnomon_scene::LoadOptions;
 use gnomon_settings::{
-    Bounds as _, Layers, Loaded, SettingsError, Shell,
+    Bounds as _, Layers, Loaded, SettingsError, Shell, Switch,
     files::{read_bounded, read_small},
 };
 use thiserror::Error;
@@ -43,12 +44,8 @@ pub struct Arguments {
     /// Draw this glTF scene without a server: every light reaches everything
     #[arg(long, value_name = "SCENE", help_heading = "Picture")]
     pub offline: Option<PathBuf>,
-    /// With a scene's file or --offline: lights_camera.json file with lights, for a scene without any
-    #[arg(long, value_name = "FILE", help_heading = "Picture")]
-    pub lights_from: Option<PathBuf>,
-    /// With a scene's file or --offline: keep only the first N lights
-    #[arg(long, value_name = "N", help_heading = "Picture")]
-    pub lights: Option<u32>,
+    #[command(flatten)]
+    pub reading: Reading,
     /// Record the run into this file; `lab replay` draws it again
     #[arg(long, value_name = "FILE", help_heading = "Picture")]
     pub record: Option<PathBuf>,
@@ -82,6 +79,52 @@ pub struct Arguments {
     /// Filter of the log on standard error, in tracing's syntax
     #[arg(long, env = "RUST_LOG", value_name = "FILTER", default_value = "warn", help_heading = "Program")]
     pub log: String,
+}
+
+/// How a scene on this machine is read: the settings that a server has, under the same names.
+#[derive(Debug, Clone, clap::Args)]
+#[command(next_help_heading = "Scene's file, also with --offline")]
+pub struct Reading {
+    /// JSON file with lights, for a scene without any
+    #[arg(long, value_name = "FILE")]
+    pub lights_from: Option<PathBuf>,
+    /// Keep only the first N lights that are on
+    #[arg(long, value_name = "N", bounds(1, gnomon_protocol::limits::MAX_LIGHTS))]
+    pub lights: Option<u32>,
+    /// Give a scene without lights a sun
+    #[arg(long, value_enum, default_value_t = Switch::On)]
+    pub default_light: Switch,
+    /// Name or number of the scene to show, of a file with several [default: the file's]
+    #[arg(long, value_name = "NAME")]
+    pub scene_name: Option<String>,
+    /// Name or number of the material variant to show [default: none]
+    #[arg(long, value_name = "NAME")]
+    pub variant: Option<String>,
+}
+
+impl Reading {
+    /// Returns the first flag that was given.
+    fn first_given(&self) -> Option<&'static str> {
+        let given = [
+            (self.lights_from.is_some(), "lights-from"),
+            (self.lights.is_some(), "lights"),
+            (!self.default_light.is_on(), "default-light"),
+            (self.scene_name.is_some(), "scene-name"),
+            (self.variant.is_some(), "variant"),
+        ];
+        given.into_iter().find_map(|(is_given, flag)| is_given.then_some(flag))
+    }
+
+    fn scene(self, file: PathBuf) -> LocalScene {
+        let options = LoadOptions {
+            lights_from: self.lights_from,
+            max_lights: self.lights,
+            default_light: self.default_light.is_on(),
+            scene: self.scene_name,
+            variant: self.variant,
+        };
+        LocalScene { file, options }
+    }
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -145,12 +188,9 @@ pub fn resolve(loaded: Loaded<Arguments>) -> Result<Run, ConfigError> {
         settings.token = Some(read_token(&file).map_err(|reason| ConfigError::TokenFile { file, reason })?);
     }
     let source = match (arguments.offline, settings.url.clone()) {
-        (Some(scene), None) => Source::Offline { scene, lights_from: arguments.lights_from, lights: arguments.lights },
-        (None, Some(Target::File(file))) => {
-            Source::File(LocalScene { file, lights_from: arguments.lights_from, lights: arguments.lights })
-        }
-        (None, _) if arguments.lights_from.is_some() => return Err(ConfigError::FileOnly("lights-from")),
-        (None, _) if arguments.lights.is_some() => return Err(ConfigError::FileOnly("lights")),
+        (Some(file), None) => Source::Offline(arguments.reading.scene(file)),
+        (None, Some(Target::File(file))) => Source::File(arguments.reading.scene(file)),
+        (None, _) if let Some(flag) = arguments.reading.first_given() => return Err(ConfigError::FileOnly(flag)),
         (None, Some(Target::Server(url))) => Source::Server(url),
         // A window returns to the last server.
         (None, None) => match KnownServers::load().servers().first() {
@@ -254,9 +294,37 @@ mod tests {
 
     #[test]
     fn a_file_is_opened_with_a_server_of_its_own() {
-        let file = |lights| LocalScene { file: "a/room.glb".into(), lights_from: None, lights };
+        let file = |max_lights| LocalScene {
+            file: "a/room.glb".into(),
+            options: LoadOptions { max_lights, ..LoadOptions::default() },
+        };
         assert_eq!(options_with("", "a/room.glb --headless --wait").unwrap().source, Source::File(file(None)));
         assert_eq!(options_with("", "a/room.glb --lights 2").unwrap().source, Source::File(file(Some(2))));
+        let line = "--default-light off --scene-name=-2 --variant red --lights-from l.json";
+        let Source::File(chosen) = options_with("", &format!("a/room.glb {line}")).unwrap().source else {
+            panic!("no file");
+        };
+        assert_eq!(
+            chosen.options,
+            LoadOptions {
+                lights_from: Some("l.json".into()),
+                max_lights: None,
+                default_light: false,
+                scene: Some("-2".to_owned()),
+                variant: Some("red".to_owned()),
+            }
+        );
+        // The server is told the same.
+        let words = ["--scene", "a/room.glb", "--lights-from=l.json", "--default-light=off", "--scene-name=-2"];
+        let told = chosen.server_arguments();
+        assert_eq!(
+            told.iter().map(|word| word.to_str().unwrap()).collect::<Vec<_>>(),
+            [&words[..], &["--variant=red"]].concat()
+        );
+        assert_eq!(
+            options_with("", &format!("{URL} --variant red")).unwrap_err(),
+            "--variant: with a scene's file or --offline only"
+        );
         let configured = options_with("url = \"a/room.glb\"", "--headless").unwrap();
         assert_eq!(configured.source, Source::File(file(None)));
     }

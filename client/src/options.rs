@@ -16,12 +16,7 @@ pub enum Source {
     /// A local file, served by a server of its own on this machine.
     File(LocalScene),
     /// A local file, drawn without visibility: every light reaches everything.
-    Offline {
-        scene: PathBuf,
-        /// File whose lights are added.
-        lights_from: Option<PathBuf>,
-        lights: Option<u32>,
-    },
+    Offline(LocalScene),
 }
 
 /// A headless run, and what it shares with a run in a window.
@@ -54,7 +49,7 @@ impl HeadlessOptions {
             let reason = format!("at most {MAX_SEQUENTIAL_LAG} frames can be drawn late");
             return wrong("sequential-lag", reason);
         }
-        if settings.wait && matches!(self.source, Source::Offline { .. }) {
+        if settings.wait && matches!(self.source, Source::Offline(_)) {
             return wrong("wait", "there is no mask to wait for without a server".to_owned());
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! Times the `cpu` back end on a scene: million rays per second and core, and traversal counts.
+//! Times the `cpu` back end on a scene: million rays per second and core, traversal counts, and the mask's digest.
 //!
 //! `cargo run --release -p gnomon-server --example trace_times -- SCENE [--lights-from FILE] [--lights N] [--size WxH]
 //! [--from X,Y,Z --to X,Y,Z] [--frames N] [--threads 1,2] [--picture FILE.pgm]`
@@ -54,6 +54,8 @@ fn main() -> Result<()> {
             let (cost, [primary, shadow]) = backend.trace_counted(&camera, &mut mask);
             println!("primary: {}", describe(&primary, cost.primary_rays));
             println!("shadow:  {}", describe(&shadow, cost.shadow_rays));
+            let bytes: Vec<u8> = mask.words().iter().flat_map(|word| word.to_le_bytes()).collect();
+            println!("mask:    BLAKE3 {}", blake3::hash(&bytes));
         }
         let before_s = processor_s();
         let costs: Vec<_> = (0..arguments.frames).map(|_| backend.trace(&camera, &mut mask)).collect();

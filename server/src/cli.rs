@@ -111,7 +111,9 @@ mod tests {
     use std::num::NonZeroUsize;
 
     use super::*;
-    use crate::config::{Backend, LogFormat, Switch, Transport};
+    use gnomon_settings::Switch;
+
+    use crate::config::{Backend, LogFormat, Transport};
 
     fn load_with(arguments: &[&str], environment: &[(&str, &str)]) -> Result<Loaded<Cli>, SettingsError> {
         load(Layers::of(arguments, environment))

@@ -9,7 +9,7 @@ use std::{
     time::Duration,
 };
 
-use gnomon_settings::{Bounds as _, SettingsError};
+use gnomon_settings::{Bounds as _, SettingsError, Switch};
 use thiserror::Error;
 
 pub use crate::visibility::engine::BackendChoice as Backend;
@@ -183,21 +183,6 @@ impl FromStr for AdminAddress {
         let on_loopback = text.parse().map(|port| SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), port));
         let address = on_loopback.or_else(|_| text.parse());
         address.map(Self::At).map_err(|_| format!("{text:?} is neither ADDR:PORT nor a port, nor off"))
-    }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Switch {
-    On,
-    Off,
-}
-
-impl fmt::Display for Switch {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::On => "on",
-            Self::Off => "off",
-        })
     }
 }
 

@@ -194,6 +194,13 @@ fn a_person_walks_looks_resizes_chooses_and_loses_the_server() {
     (1..views).for_each(|_| window.person("key v"));
     window.person("key h");
     window.picture_that("has nothing of overlay, help and debug views", |picture| *picture == looked);
+
+    // Tone curves, once around.
+    window.person("key t");
+    let toned = window.still_picture();
+    assert!(difference(&looked, &toned) > 0.5, "T changes no colours");
+    (0..3).for_each(|_| window.person("key t"));
+    window.picture_that("has its first tone curve again", |picture| *picture == looked);
     window.person("key b");
     let split = window.still_picture();
     assert!(difference(&looked, &split) > 1.0, "B splits nothing");

@@ -4,13 +4,13 @@ use std::sync::Arc;
 
 use gnomon_client_core::camera::of_scene;
 use gnomon_protocol::{ids::BearerToken, mask::MaskShape, message::Welcome};
-use gnomon_scene::{LoadOptions, Scene};
+use gnomon_scene::Scene;
 use tokio::runtime::Runtime;
 
 use crate::{
     app::{
         first_visit::FirstVisit,
-        local_server::{LocalScene, LocalServer, temporary_folder},
+        local_server::{LocalServer, temporary_folder},
         look::Look,
         servers::KnownServers,
     },
@@ -120,11 +120,9 @@ pub(crate) fn get_scene(
     mut trusts: impl FnMut(&ServerUrl, &[u8; 32]) -> bool,
 ) -> Result<(Scene, Option<Connected>), ClientError> {
     match &options.source {
-        Source::Offline { scene, lights_from, lights }
-        | Source::File(LocalScene { file: scene, lights_from, lights }) => {
-            let load = LoadOptions { lights_from: lights_from.clone(), max_lights: *lights, ..LoadOptions::default() };
+        Source::Offline(local) | Source::File(local) => {
             progress(Step::Unpacking);
-            Ok((Scene::load(scene, &load)?, None))
+            Ok((Scene::load(&local.file, &local.options)?, None))
         }
         Source::Server(url) => {
             let runtime = tokio::runtime::Builder::new_multi_thread()

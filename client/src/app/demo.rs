@@ -33,7 +33,7 @@ impl Demo {
         let write = |file: &Path, bytes| fs::write(file, bytes).with_context(|| format!("writing {}", file.display()));
         write(&file, SCENE)?;
         write(&paths, PATHS)?;
-        let server = LocalServer::start(folder, &LocalScene { file, lights_from: None, lights: None })?;
+        let server = LocalServer::start(folder, &LocalScene::new(file))?;
         Ok(Self { server, path: format!("{}#walk", paths.display()) })
     }
 

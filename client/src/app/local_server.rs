@@ -2,7 +2,7 @@
 
 use std::{
     convert::Infallible,
-    ffi::OsString,
+    ffi::{OsStr, OsString},
     fs,
     io::{BufRead as _, BufReader},
     path::{Path, PathBuf},
@@ -12,6 +12,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use gnomon_scene::LoadOptions;
 use tempfile::TempDir;
 use thiserror::Error;
 
@@ -41,14 +42,41 @@ pub enum LocalServerError {
     NotListening(String),
 }
 
+/// A scene on this machine, and how it is read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LocalScene {
     /// glTF file or packed scene.
     pub file: PathBuf,
-    /// File whose lights replace the scene's.
-    pub lights_from: Option<PathBuf>,
-    /// Keep the first lights only.
-    pub lights: Option<u32>,
+    pub options: LoadOptions,
+}
+
+impl LocalScene {
+    #[must_use]
+    pub fn new(file: PathBuf) -> Self {
+        Self { file, options: LoadOptions::default() }
+    }
+
+    /// Returns what makes `gnomon-server` serve it.
+    #[must_use]
+    pub fn server_arguments(&self) -> Vec<OsString> {
+        let LoadOptions { lights_from, max_lights, default_light, scene, variant } = &self.options;
+        let mut arguments: Vec<OsString> = vec!["--scene".into(), self.file.clone().into()];
+        // In one word: a name may begin with a dash.
+        let mut add = |flag: &str, value: Option<&OsStr>| {
+            if let Some(value) = value {
+                let mut argument = OsString::from(flag);
+                argument.push("=");
+                argument.push(value);
+                arguments.push(argument);
+            }
+        };
+        add("--lights-from", lights_from.as_deref().map(Path::as_os_str));
+        add("--lights", max_lights.map(|lights| lights.to_string()).as_deref().map(OsStr::new));
+        add("--default-light", (!default_light).then_some(OsStr::new("off")));
+        add("--scene-name", scene.as_deref().map(OsStr::new));
+        add("--variant", variant.as_deref().map(OsStr::new));
+        arguments
+    }
 }
 
 /// Creates a folder that is removed when dropped. Its name cannot be guessed, and only this user can read it, because
@@ -106,17 +134,10 @@ impl LocalServer {
         let failed = |source| LocalServerError::Start { folder: folder.path().to_owned(), source };
         let log = folder.path().join("server.log");
         let errors = fs::File::create(&log).map_err(failed)?;
-        let mut arguments: Vec<OsString> = vec!["--scene".into(), scene.file.clone().into()];
-        if let Some(file) = &scene.lights_from {
-            arguments.extend(["--lights-from".into(), file.into()]);
-        }
-        if let Some(lights) = scene.lights {
-            arguments.extend(["--lights".into(), lights.to_string().into()]);
-        }
         let mut command = command(&program);
         command
             .args(["--listen", "127.0.0.1:0"])
-            .args(arguments)
+            .args(scene.server_arguments())
             .arg("--cert-dir")
             .arg(folder.path().join("certificate"))
             .stdin(Stdio::null())

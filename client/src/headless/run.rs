@@ -339,7 +339,7 @@ fn summary(
     let transport = match &options.source {
         Source::Server(url) => url.transport.name(),
         Source::File(_) => Transport::Quic.name(),
-        Source::Offline { .. } => "offline",
+        Source::Offline(_) => "offline",
     };
     Summary {
         frames_rendered: tally.frames,
@@ -389,9 +389,10 @@ fn summary(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::app::local_server::LocalScene;
 
     fn options() -> HeadlessOptions {
-        HeadlessOptions::new(Source::Offline { scene: "x.gltf".into(), lights_from: None, lights: None })
+        HeadlessOptions::new(Source::Offline(LocalScene::new("x.gltf".into())))
     }
 
     #[test]

@@ -233,7 +233,7 @@ impl App {
             // Its server ends when it has started.
             drop(loading);
         }
-        let source = Source::File(LocalScene { file: file.to_owned(), lights_from: None, lights: None });
+        let source = Source::File(LocalScene::new(file.to_owned()));
         let options = HeadlessOptions { source: source.clone(), ..self.options.run.clone() };
         // A camera path was for the scene before.
         let settings = ClientSettings { path: None, ..options.settings };
@@ -367,9 +367,7 @@ fn draw_ui(
 ) -> bool {
     let (server, fingerprint) = match source {
         Source::Server(url) => (url.to_string(), url.certificates.first().map(servers::fingerprint)),
-        Source::Offline { scene, .. } | Source::File(LocalScene { file: scene, .. }) => {
-            (scene.display().to_string(), None)
-        }
+        Source::Offline(local) | Source::File(local) => (local.file.display().to_string(), None),
     };
     match stage {
         Stage::Closed => {}

@@ -38,16 +38,13 @@ pub(super) fn local_scene(
     welcome: Option<&Welcome>,
 ) -> Result<LocalScene, LocalServerError> {
     match (&options.source, welcome) {
-        (Source::Offline { scene, lights_from, lights }, _) => {
-            Ok(LocalScene { file: scene.clone(), lights_from: lights_from.clone(), lights: *lights })
-        }
-        (Source::File(scene), _) => Ok(scene.clone()),
+        (Source::Offline(scene) | Source::File(scene), _) => Ok(scene.clone()),
         (Source::Server(_), welcome) => {
             let cache = SceneCache::new(options.settings.cache_dir.clone(), options.settings.cache_limit());
             let folder = cache.folder().ok_or(LocalServerError::NoCache)?;
             let file = welcome.and_then(|welcome| cache.cached_file(welcome.scene_digest));
             let file = file.ok_or_else(|| LocalServerError::NotCached(folder.to_owned()))?;
-            Ok(LocalScene { file, lights_from: None, lights: None })
+            Ok(LocalScene::new(file))
         }
     }
 }

@@ -16,6 +16,7 @@ pub mod files;
 mod layer;
 mod load;
 mod page;
+mod switch;
 mod terminal;
 pub mod variables;
 
@@ -25,4 +26,5 @@ pub use error::SettingsError;
 pub use file::line_of;
 pub use load::{Layers, Loaded, Source, parse_toml};
 pub use page::{page, problems};
+pub use switch::Switch;
 pub use terminal::wants_colour;

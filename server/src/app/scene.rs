@@ -7,17 +7,13 @@ use gnomon_protocol::{ids::SceneDigest, limits::MAX_SCENE_BYTES};
 use gnomon_scene::{LoadOptions, LoadReport, Scene, WarningKind};
 
 use super::error::StartError;
-use crate::{
-    admission::services::SceneAsset,
-    config::{ServerConfig, Switch},
-    session::brightness,
-};
+use crate::{admission::services::SceneAsset, config::ServerConfig, session::brightness};
 
 pub(super) fn load_options(config: &ServerConfig) -> LoadOptions {
     LoadOptions {
         lights_from: config.lights_from.clone(),
         max_lights: config.lights,
-        default_light: config.default_light == Switch::On,
+        default_light: config.default_light.is_on(),
         scene: config.scene_name.clone(),
         variant: config.variant.clone(),
     }

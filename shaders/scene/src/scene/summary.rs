@@ -93,7 +93,9 @@ impl fmt::Display for Summary {
         let [directional, point, spot] = self.lights;
         let lights = directional + point + spot;
         writeln!(f, "lights      {lights} (directional {directional}, point {point}, spot {spot})")?;
-        writeln!(f, "bounds      {:.3} to {:.3} m", self.min_m, self.max_m)?;
+        // Scenes may be a tenth of a millimetre large.
+        let decimals = if (self.max_m - self.min_m).max_element() < 0.1 { 7 } else { 3 };
+        writeln!(f, "bounds      {:.decimals$} to {:.decimals$} m", self.min_m, self.max_m)?;
         writeln!(f, "origin      {} m", self.origin_m)?;
         write!(f, "memory      {:.1} MiB", self.memory_bytes as f64 / f64::from(1 << 20))
     }

@@ -68,7 +68,7 @@ fn add_plants(glb: &mut Glb, palette: &Palette, sides: [Id; 4]) {
     let fern = plants::fern(&mut Rng::new(0xfe), 0.9).weld(60.0);
     let flowers = plants::flowers(&mut Rng::new(0xf1), 0.9, 0.38, 12).weld(60.0);
     let potted = [("potted shrub", shrub), ("potted fern", fern), ("potted flowers", flowers)].map(|(name, plant)| {
-        glb.mesh(name, &[(palette.tile, pot.clone()), (palette.soil, soil.clone()), (palette.leaf, plant)])
+        glb.mesh(name, &[(palette.glaze, pot.clone()), (palette.soil, soil.clone()), (palette.leaf, plant)])
     });
     // (kind, x, z, height, turn, mirrored): pairs beside the paths, groups in the corners of the garth.
     let places = [

@@ -1,5 +1,7 @@
 //! Writes a binary glTF 2.0 file (glTF 2.0, §4.4): meshes, materials, pictures, lights, nodes and rigid animations.
 
+use std::collections::BTreeSet;
+
 use glam::{DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
 
@@ -106,7 +108,7 @@ impl Glb {
         pad(&mut self.binary, 0);
         let mut json = serde_json::to_vec(&json!({
             "asset": { "version": "2.0", "generator": generator },
-            "extensionsUsed": ["KHR_lights_punctual"],
+            "extensionsUsed": self.extensions(),
             "extensions": { "KHR_lights_punctual": { "lights": self.lights } },
             "scene": 0,
             "scenes": [{ "nodes": self.roots }],
@@ -133,6 +135,13 @@ impl Glb {
             file.extend(chunk);
         }
         Ok(file)
+    }
+
+    /// Names of the extensions that the file uses, in alphabetical order.
+    fn extensions(&self) -> BTreeSet<&str> {
+        let of_materials = self.materials.iter().filter_map(|material| material.get("extensions")?.as_object());
+        let names = of_materials.flat_map(|extensions| extensions.keys().map(String::as_str));
+        names.chain(["KHR_lights_punctual"]).collect()
     }
 
     /// Length of the binary part so far, in bytes.
@@ -174,7 +183,7 @@ impl Glb {
         );
         let mut attributes = json!({ "POSITION": position, "NORMAL": normal });
         // A plain colour needs no texture coordinates.
-        if self.materials.get(material).is_some_and(|m| m["pbrMetallicRoughness"].get("baseColorTexture").is_some()) {
+        if self.materials.get(material).is_some_and(reads_pictures) {
             let view = self.view(bytemuck::cast_slice(&mesh.uvs), Some(34962));
             attributes["TEXCOORD_0"] = json!(
                 self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": "VEC2", "count": count }))
@@ -197,6 +206,14 @@ impl Glb {
         self.binary.extend_from_slice(bytes);
         self.views.push(view);
         self.views.len() - 1
+    }
+}
+
+/// True if a material has a picture of any kind.
+fn reads_pictures(material: &Value) -> bool {
+    match material {
+        Value::Object(parts) => parts.iter().any(|(key, part)| key.ends_with("Texture") || reads_pictures(part)),
+        _ => false,
     }
 }
 

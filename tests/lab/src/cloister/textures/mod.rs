@@ -11,6 +11,7 @@ use super::rng::lattice;
 
 pub(crate) mod cloth;
 pub(crate) mod leaves;
+pub(crate) mod metal;
 pub(crate) mod stone;
 
 const JPEG_QUALITY: u8 = 86;
@@ -27,6 +28,27 @@ impl Picture {
         let at = |i: u32| (f64::from(i) + 0.5) / f64::from(size);
         let pixels = (0..size * size).map(|i| color(DVec2::new(at(i % size), at(i / size)))).collect();
         Self { size, pixels }
+    }
+
+    /// Returns the normal map of a relief that is high where this picture is bright: white stands `depth` of the
+    /// picture's width above black. It repeats as the picture does.
+    pub(crate) fn relief(&self, depth: f64) -> Self {
+        let size = self.size as usize;
+        let height = |x: usize, y: usize| {
+            let color = self.pixels[(y % size) * size + x % size];
+            depth * (0.3 * color.x + 0.6 * color.y + 0.1 * color.z)
+        };
+        // Neighbours on either side are two pixels apart.
+        let per_width = f64::from(self.size) / 2.0;
+        let pixels = (0..size * size).map(|i| {
+            let (x, y) = (i % size, i / size);
+            let right = (height(x + 1, y) - height(x + size - 1, y)) * per_width;
+            let down = (height(x, y + 1) - height(x, y + size - 1)) * per_width;
+            // Green points up in the picture (glTF 2.0, §3.9.3).
+            let normal = DVec3::new(-right, down, 1.0).normalize();
+            solid(normal * 0.5 + 0.5)
+        });
+        Self { size: self.size, pixels: pixels.collect() }
     }
 
     /// Returns a JPEG file; alpha is lost.
@@ -112,6 +134,22 @@ mod tests {
             let (left, right) = (noise(DVec2::new(0.0, y), 8, 3), noise(DVec2::new(8.0 - 1e-9, y), 8, 3));
             assert!((left - right).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn a_relief_leans_away_from_what_is_higher() {
+        // A ridge from top to bottom, brightest in the middle.
+        let ridge = Picture::new(16, |uv| solid(DVec3::splat(1.0 - (uv.x - 0.5).abs() * 2.0))).relief(0.25);
+        let normal = |x: usize| ridge.pixels[8 * 16 + x].truncate() * 2.0 - 1.0;
+        // Height rises by a quarter of the width over half of it.
+        let expected = DVec3::new(-0.5, 0.0, 1.0).normalize();
+        assert!(
+            (normal(4) - expected).length() < 1e-9
+                && (normal(11) * DVec3::new(-1.0, 1.0, 1.0) - expected).length() < 1e-9
+        );
+        // The same ridge from left to right leans up above its crest.
+        let ridge = Picture::new(16, |uv| solid(DVec3::splat(1.0 - (uv.y - 0.5).abs() * 2.0))).relief(0.25);
+        assert!(ridge.pixels[4 * 16 + 8].y > 0.7);
     }
 
     #[test]
