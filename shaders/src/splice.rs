@@ -25,6 +25,8 @@ pub const FILES: &[(&str, &str)] = &[
     ("shading/meter.wgsl", include_str!("../wgsl/shading/meter.wgsl")),
     ("shading/predict.wgsl", include_str!("../wgsl/shading/predict.wgsl")),
     ("shading/present.wgsl", include_str!("../wgsl/shading/present.wgsl")),
+    ("shading/put_off.wgsl", include_str!("../wgsl/shading/put_off.wgsl")),
+    ("shading/same_surface.wgsl", include_str!("../wgsl/shading/same_surface.wgsl")),
     ("shading/shade.wgsl", include_str!("../wgsl/shading/shade.wgsl")),
     ("shading/shadow_map.wgsl", include_str!("../wgsl/shading/shadow_map.wgsl")),
     ("shading/surface.wgsl", include_str!("../wgsl/shading/surface.wgsl")),

@@ -1,9 +1,9 @@
-//! Prints what a client's frame takes: `cargo run --release -p gnomon-client-core --features testing --example
-//! frame_cost
-//! -- SCENE WIDTHxHEIGHT EYE_X,Y,Z TARGET_X,Y,Z`.
+//! Prints what a client's frame takes, stage by stage: `cargo run --release -p gnomon-client-core --features testing
+//! --example frame_cost -- SCENE WIDTHxHEIGHT EYE_X,Y,Z TARGET_X,Y,Z [FRAMES]`.
 //!
-//! Each half is waited for: drawing surfaces, then all the rest with a whole mask of the same view. Medians
-//! of 30 frames.
+//! Each half of a frame is waited for: drawing surfaces, then all the rest. Then whole frames by the adapter's clock.
+//! The mask has the shadows of the client's own maps. It is of the same view, or of one 5 cm aside, so that it must be
+//! predicted; without any, each light reaches everything. Medians of so many frames, 30 unless told.
 
 #![expect(clippy::disallowed_methods, reason = "a program of its own that measures")]
 
@@ -13,13 +13,14 @@ use glam::DVec3;
 use gnomon_client_core::{
     occluders::Occluders,
     predictor::Predictor,
-    render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, predict::MaskView, readback::PictureReader},
+    render::{
+        FrameRenderer, PICTURE_FORMAT, exposure::Exposure, predict::MaskView, quality::Quality,
+        readback::PictureReader, stages,
+    },
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{LoadOptions, Scene, camera::Camera};
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
-
-const FRAMES: usize = 30;
 
 fn point(text: &str) -> Result<DVec3, Box<dyn Error>> {
     let numbers: Vec<f64> = text.split(',').map(str::parse).collect::<Result<_, _>>()?;
@@ -27,36 +28,112 @@ fn point(text: &str) -> Result<DVec3, Box<dyn Error>> {
     Ok(DVec3::new(x, y, z))
 }
 
+struct Frames {
+    gpu: Gpu,
+    renderer: FrameRenderer,
+    reader: PictureReader,
+    camera: Camera,
+    count: usize,
+}
+
+impl Frames {
+    /// The visibility that the client finds by itself.
+    fn mask(&mut self, camera: &Camera, shape: MaskShape) -> Result<Mask, Box<dyn Error>> {
+        self.renderer.draw_surfaces(camera)?;
+        self.renderer.set_mask(None)?;
+        self.renderer.shade(camera, 1.0, &self.reader.target(), |_| ())?;
+        let mut mask = Mask::new(shape);
+        for (place, pixel) in (0..).zip(self.renderer.read_visibility()?) {
+            let (x, y) = (place % shape.width(), place / shape.width());
+            (0..shape.lights()).for_each(|k| mask.set(k, x, y, pixel.word >> k & 1 == 1));
+        }
+        Ok(mask)
+    }
+
+    /// Draws one frame. Returns the times of both halves in ms, each waited for.
+    fn draw(&mut self, mask: Option<(&Mask, &Camera)>, waits: bool) -> Result<[f64; 2], Box<dyn Error>> {
+        let mut begun = Instant::now();
+        let mut lap = |gpu: &Gpu| -> Result<f64, Box<dyn Error>> {
+            if waits {
+                gpu.device.poll(wgpu::PollType::wait_indefinitely())?;
+            }
+            let ms = begun.elapsed().as_secs_f64() * 1e3;
+            begun = Instant::now();
+            Ok(ms)
+        };
+        self.renderer.draw_surfaces(&self.camera)?;
+        let surfaces = lap(&self.gpu)?;
+        let view = mask.map(|(mask, traced_for)| MaskView { mask, coverage: None, more: false, traced_for });
+        self.renderer.set_mask(view)?;
+        self.renderer.shade(&self.camera, 1.0, &self.reader.target(), |_| ())?;
+        Ok([surfaces, lap(&self.gpu)?])
+    }
+
+    fn measure(&mut self, what: &str, mask: Option<(&Mask, &Camera)>) -> Result<(), Box<dyn Error>> {
+        let mut halves = [Vec::new(), Vec::new()];
+        let mut stages: Vec<(&str, Vec<f64>)> = Vec::new();
+        // The first ones compile and upload.
+        for frame in 0..self.count + 3 {
+            let times = self.draw(mask, true)?;
+            self.renderer.stage_times()?;
+            if frame >= 3 {
+                halves.iter_mut().zip(times).for_each(|(all, ms)| all.push(ms));
+            }
+        }
+        for _ in 0..self.count {
+            self.draw(mask, false)?;
+            for (place, (name, ms)) in self.renderer.stage_times()?.into_iter().enumerate() {
+                if stages.len() <= place {
+                    stages.push((name, Vec::new()));
+                }
+                stages[place].1.push(ms);
+            }
+        }
+        let [surfaces, rest] = halves.map(median);
+        print!("{what}: {surfaces:.2} + {rest:.2} ms;");
+        let stages: Vec<_> = stages.into_iter().map(|(name, times)| (name, median(times))).collect();
+        stages.iter().for_each(|(name, ms)| print!(" {name} {ms:.2}"));
+        println!(", sum {:.2}", stages.iter().map(|(_, ms)| ms).sum::<f64>());
+        Ok(())
+    }
+}
+
+fn median(mut times: Vec<f64>) -> f64 {
+    times.sort_unstable_by(f64::total_cmp);
+    times.get(times.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
+    let begun = Instant::now();
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [scene, size, eye, target] = &arguments[..] else { return Err("SCENE WIDTHxHEIGHT EYE TARGET".into()) };
+    let (scene, size, eye, target, count) = match &arguments[..] {
+        [scene, size, eye, target] => (scene, size, eye, target, 30),
+        [scene, size, eye, target, count] => (scene, size, eye, target, count.parse()?),
+        _ => return Err("SCENE WIDTHxHEIGHT EYE TARGET [FRAMES]".into()),
+    };
     let (width, height) = size.split_once('x').ok_or("no size")?;
     let (width, height) = (width.parse()?, height.parse()?);
     let scene = Scene::load(Path::new(scene), &LoadOptions::default())?;
     let camera = Camera::looking_at(point(eye)?, point(target)?, 1.0, width, height);
-    let gpu = pollster::block_on(Gpu::open(&GpuOptions { allow_software: true, ..GpuOptions::default() }))?;
+    let options = GpuOptions { allow_software: true, wanted: stages::NEEDED, ..GpuOptions::default() };
+    let gpu = pollster::block_on(Gpu::open(&options))?;
     let exposure = Exposure::of_scene(&scene, &Occluders::largest_of(&scene));
-    let mut renderer = FrameRenderer::new(&gpu, &scene, (width, height), exposure, PICTURE_FORMAT, Predictor::Surface)?;
-    let mut mask = Mask::new(MaskShape::new(width, height, u32::try_from(scene.lights.len())?)?);
-    mask.words_mut().fill(u64::MAX);
+    let renderer = FrameRenderer::new(&gpu, &scene, (width, height), exposure, PICTURE_FORMAT, Predictor::Surface)?;
+    let shape = MaskShape::new(width, height, u32::try_from(scene.lights.len())?)?;
+    let aside = Camera { position_m: camera.position_m + camera.orientation * DVec3::X * 0.05, ..camera };
     let reader = PictureReader::new(&gpu, width, height, 1);
-    let mut times = [Vec::new(), Vec::new()];
-    for _ in 0..FRAMES + 3 {
-        let begun = Instant::now();
-        renderer.draw_surfaces(&camera)?;
-        gpu.device.poll(wgpu::PollType::wait_indefinitely())?;
-        times[0].push(begun.elapsed());
-        let begun = Instant::now();
-        renderer.set_mask(Some(MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera }))?;
-        renderer.shade(&camera, 1.0, &reader.target(), |_| ())?;
-        gpu.device.poll(wgpu::PollType::wait_indefinitely())?;
-        times[1].push(begun.elapsed());
-    }
-    for (what, times) in ["surfaces", "rest"].into_iter().zip(&mut times) {
-        // The first ones compile and upload.
-        times.drain(..3);
-        times.sort_unstable();
-        println!("{what}: {:.2} ms", times[FRAMES / 2].as_secs_f64() * 1e3);
+    let mut frames = Frames { gpu, renderer, reader, camera, count };
+    frames.draw(None, true)?;
+    println!("first picture: {:.2} s", begun.elapsed().as_secs_f64());
+    let (mask, other_mask) = (frames.mask(&camera, shape)?, frames.mask(&aside, shape)?);
+    frames.renderer.time_stages();
+    for quality in Quality::ALL {
+        frames.renderer.set_quality(quality)?;
+        frames.measure(&format!("{quality}, own view"), Some((&mask, &camera)))?;
+        frames.measure(&format!("{quality}, predicted"), Some((&other_mask, &aside)))?;
+        frames.renderer.set_predictor(Predictor::None);
+        frames.measure(&format!("{quality}, no mask"), None)?;
+        frames.renderer.set_predictor(Predictor::Surface);
     }
     Ok(())
 }

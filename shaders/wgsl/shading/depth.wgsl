@@ -1,4 +1,5 @@
-// Depth only, of the G-buffer's surfaces: for views that visibility was traced for, and for the lights' views.
+// Depth only, of the G-buffer's surfaces: for the picture itself, for views that visibility was traced for, and for the
+// lights' views.
 
 #import "shading/material.wgsl"
 
@@ -6,13 +7,13 @@
 @group(0) @binding(0) var<uniform> clip_from_local: mat4x4f;
 
 struct Varying {
-    @builtin(position) clip: vec4f,
+    @builtin(position) @invariant clip: vec4f,
     @location(0) uv: vec2f,
     @location(1) alpha: f32,
 }
 
 @vertex
-fn transform(@location(0) position: vec3f) -> @builtin(position) vec4f {
+fn transform(@location(0) position: vec3f) -> @builtin(position) @invariant vec4f {
     return clip_from_local * vec4f(position, 1.0);
 }
 

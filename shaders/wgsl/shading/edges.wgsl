@@ -5,11 +5,13 @@
 // that make it (`shaders/src/edge_shares.rs`). Pixels of other surfaces count as the pixel itself.
 
 #import "shading/inputs.wgsl"
+#import "shading/same_surface.wgsl"
 
 // False draws hard edges.
 override smooth_edges: bool = true;
 
 @group(0) @binding(7) var<storage, read> edge_shares: array<f32, 512>;
+@group(0) @binding(10) var nearest_texel: sampler;
 
 // A pixel's visibility, and what is around it.
 struct Surroundings {
@@ -22,18 +24,34 @@ struct Surroundings {
     same_surface: u32,
 }
 
-fn neighbour(pixel: vec2u, place: u32) -> vec2u {
-    let size = vec2i(i32(view.width), i32(view.height));
-    let at = vec2i(pixel) + vec2i(i32(place % 3u), i32(place / 3u)) - 1;
-    return vec2u(clamp(at, vec2i(0), size - 1));
+// Ones where not all four are the same.
+fn differing(words: vec4u) -> u32 {
+    return (words.x | words.y | words.z | words.w) & ~(words.x & words.y & words.z & words.w);
+}
+
+// Whether some light's bit is not the same in the nine pixels around. Also true beside columns that show the scene
+// without visibility.
+fn is_disputed(pixel: vec2u) -> bool {
+    if pixel.x > lighting.lit_from_px {
+        return false;
+    }
+    if pixel.x + 1u >= lighting.lit_from_px {
+        return true;
+    }
+    let texel = 1.0 / vec2f(f32(view.width), f32(view.height));
+    // Corners of the pixel: four squares of two by two, which repeat the border beyond it.
+    let low = vec2f(pixel) * texel;
+    let high = low + texel;
+    let a = textureGather(0, visibility_picture, nearest_texel, low);
+    let b = textureGather(0, visibility_picture, nearest_texel, vec2f(high.x, low.y));
+    let c = textureGather(0, visibility_picture, nearest_texel, vec2f(low.x, high.y));
+    let d = textureGather(0, visibility_picture, nearest_texel, high);
+    return (differing(a) | differing(b) | differing(c) | differing(d)) != 0u;
 }
 
 fn surroundings(pixel: vec2u, point: vec3f, plane_normal: vec3f) -> Surroundings {
     let own = visibility_of(pixel);
     var found = Surroundings(pixel, own, vec2u(0u), 0u);
-    if !smooth_edges {
-        return found;
-    }
     for (var place = 0u; place < 9u; place++) {
         found.disputed |= own ^ visibility_of(neighbour(pixel, place));
     }
@@ -42,14 +60,10 @@ fn surroundings(pixel: vec2u, point: vec3f, plane_normal: vec3f) -> Surroundings
     if all(found.disputed == vec2u(0u)) {
         return found;
     }
-    // As `quad_at` of `predict.wgsl`: allows for the packed normal's error, and for curved surfaces.
-    let footprint_m = dot(point - view.origin, view.forward) * 2.0 * length(view.up) / f32(view.height);
+    let footprint_m = footprint_of(point);
     for (var place = 0u; place < 9u; place++) {
-        let other = neighbour(pixel, place);
-        let depth = textureLoad(depth_picture, other, 0);
-        let away = point_at_depth(view, other, max(depth, 1e-30)) - point;
-        let on_plane = abs(dot(away, plane_normal)) <= 0.2 * footprint_m + 0.02 * length(away);
-        found.same_surface |= select(0u, 1u << place, depth > 0.0 && on_plane);
+        let on_plane = is_on_plane(neighbour(pixel, place), point, plane_normal, footprint_m);
+        found.same_surface |= select(0u, 1u << place, on_plane);
     }
     return found;
 }

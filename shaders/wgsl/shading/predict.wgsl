@@ -14,6 +14,7 @@
 #import "shading/lighting.wgsl"
 #import "shading/shadow_map.wgsl"
 #import "shading/baseline.wgsl"
+#import "shading/put_off.wgsl"
 
 // Twin: `shading::MaskLayer`.
 struct MaskLayer {
@@ -45,6 +46,15 @@ struct Prediction {
 // takes 7 to 9 % less time on an H200, with any predictor.
 override layered: bool = true;
 
+// True in a first pass, which puts off the pixels that shadow's edges cross and those without visibility: both take
+// many times as long as the others. A visibility share of 1 and prediction by surface are required.
+override puts_off: bool = false;
+
+// False if there is no mask; and if every mask was traced for the picture's own view. Software runs both sides of every
+// branch, so what is not needed must not be compiled.
+override masks: bool = true;
+override from_elsewhere: bool = true;
+
 const PREDICT_NOTHING: u32 = 0u;
 const PREDICT_DISSERTATION: u32 = 1u;
 const PREDICT_SURFACE: u32 = 2u;
@@ -57,16 +67,19 @@ const PREDICT_SURFACE: u32 = 2u;
 @group(0) @binding(5) var<storage, read_write> unknown_pixels: atomic<u32>;
 @group(1) @binding(0) var depth_picture: texture_depth_2d;
 @group(1) @binding(1) var normal_material_picture: texture_2d<u32>;
+// x: the lights that reach the pixel. y: below a visibility share of 1, the client's own estimate, which shading mixes
+// in. At a share of 1 shading ignores y, and it says where x is from: 0 if a mask lacked a light, or else 1 + the
+// oldest layer that a light needed.
+@group(1) @binding(2) var visibility: texture_storage_2d<rg32uint, write>;
+@group(1) @binding(3) var<storage, read_write> put_off: PutOff;
 @group(2) @binding(0) var mask_words: texture_2d_array<u32>;
 // Lights that have arrived, one texel for 64×8 pixels.
 @group(2) @binding(1) var mask_coverage: texture_2d_array<u32>;
 @group(2) @binding(2) var mask_depth: texture_depth_2d_array;
 @group(2) @binding(3) var nearest_texel: sampler;
 
-@vertex
-fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
-    return covering_triangle(index);
-}
+// Set where a first pass does not get far enough.
+var<private> unsettled: bool = false;
 
 // A surface point, as seen by the mask's view.
 struct Place {
@@ -212,7 +225,9 @@ fn by_surface(place: Place) -> Found {
     let on_centre = quad.on_surface & (quad.distance_2 < vec4f(ON_CENTRE_PX * ON_CENTRE_PX));
     let certain = any_of(select(vec4u(0u), quad.came, on_centre)) & disputed;
     var word = (some & ~not_every) | (any_of(select(vec4u(0u), quad.words, on_centre)) & certain);
-    if (disputed & ~certain) != 0u {
+    if puts_off {
+        unsettled = unsettled || (disputed & ~certain) != 0u;
+    } else if (disputed & ~certain) != 0u {
         word |= edge_word(place, disputed & ~certain);
     }
     return Found(known, word);
@@ -248,7 +263,7 @@ fn from_other_view(layer: u32, point: vec3f, normal: vec3f) -> Found {
 
 // What a mask says about a pixel's surface point.
 fn from_mask(layer: u32, pixel: vec2u, point: vec3f, normal: vec3f) -> Found {
-    if prediction.layers[layer].same_view == 1u {
+    if !from_elsewhere || prediction.layers[layer].same_view == 1u {
         return from_same_view(layer, pixel);
     }
     return from_other_view(layer, point, normal);
@@ -256,7 +271,7 @@ fn from_mask(layer: u32, pixel: vec2u, point: vec3f, normal: vec3f) -> Found {
 
 // What the masks say about a pixel's surface point. For each light, the newest mask that has its bit decides.
 fn from_masks(pixel: vec2u, point: vec3f, normal: vec3f) -> Told {
-    if prediction.count == 0u {
+    if !masks || prediction.count == 0u {
         return Told(NOTHING, 0u);
     }
     if !layered {
@@ -296,29 +311,47 @@ fn by_itself(pixel: vec2u, point: vec3f, normal: vec3f) -> u32 {
     return 0xffffffffu;
 }
 
-// x: the lights that reach the pixel. y: below a visibility share of 1, the client's own estimate, which shading mixes
-// in. At a share of 1 shading ignores y, and it says where x is from: 0 if a mask lacked a light, or else 1 + the
-// oldest layer that a light needed.
-@fragment
-fn predict(@builtin(position) place: vec4f) -> @location(0) vec2u {
-    let pixel = vec2u(place.xy);
+fn put(pixel: vec2u, words: vec2u) {
+    textureStore(visibility, pixel, vec4u(words, 0u, 0u));
+}
+
+@compute @workgroup_size(8, 8)
+fn predict(
+    @builtin(global_invocation_id) id: vec3u,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(local_invocation_index) place_in_group: u32,
+) {
+    var pixel = id.xy;
+    if !puts_off {
+        pixel = pixel_put_off(id.xy, group.xy, place_in_group);
+    }
+    if any(pixel >= vec2u(view.width, view.height)) {
+        return;
+    }
     let packed = textureLoad(normal_material_picture, pixel, 0).y;
     if material_plus_1(packed) == 0u {
-        return vec2u(0u);
+        put(pixel, vec2u(0u));
+        return;
     }
     let point = point_at_depth(view, pixel, textureLoad(depth_picture, pixel, 0));
     let normal = unpack_plane_normal(packed);
     let told = from_masks(pixel, point, normal);
     let found = told.found;
     let unknown = prediction.lights & ~found.known;
-    if unknown == 0u && view.visibility_share >= 1.0 {
-        return vec2u(found.word, 1u + told.oldest);
+    if puts_off && (unsettled || unknown != 0u) {
+        put_off_pixel(pixel);
+        return;
+    }
+    if unknown == 0u && (puts_off || view.visibility_share >= 1.0) {
+        put(pixel, vec2u(found.word, 1u + told.oldest));
+        return;
     }
     let own = by_itself(pixel, point, normal);
     if unknown == 0u {
-        return vec2u(found.word, own);
+        put(pixel, vec2u(found.word, own));
+        return;
     }
     atomicAdd(&unknown_pixels, 1u);
     let word = found.word | (own & unknown);
-    return vec2u(word, select(own, 0u, view.visibility_share >= 1.0));
+    put(pixel, vec2u(word, select(own, 0u, view.visibility_share >= 1.0)));
 }

@@ -57,7 +57,8 @@ struct MoreOfVertex {
 }
 
 struct Varying {
-    @builtin(position) clip: vec4f,
+    // As in `depth.wgsl`, to the last bit: depth is drawn first.
+    @builtin(position) @invariant clip: vec4f,
     @location(0) normal: vec4f,
     @location(1) uv: vec2f,
     // Relative to the eye: small numbers, so that their differences stay precise.
@@ -65,7 +66,7 @@ struct Varying {
 }
 
 struct MoreVarying {
-    @builtin(position) clip: vec4f,
+    @builtin(position) @invariant clip: vec4f,
     @location(0) normal: vec4f,
     @location(1) uvs: vec4f,
     @location(2) from_eye: vec3f,

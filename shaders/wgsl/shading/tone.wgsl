@@ -1,7 +1,13 @@
-// From exposed light to the screen: tone curve, sRGB encoding, dither.
+// From exposed light to the screen: tone curve, edges, sRGB encoding, dither.
 // `client/docs/light-and-exposure.md` says where the curves come from.
+//
+// Edges of surfaces are smooth as those of shadows are (`edges.wgsl`): where the nine pixels around show other
+// surfaces, too, the pattern says which share of the pixel its own surface covers. The rest is what the others show
+// (`client/docs/edges.md`).
 
 #import "shading/view.wgsl"
+#import "shading/same_surface.wgsl"
+#import "shading/put_off.wgsl"
 
 // The tone curve x^a / (b·x^(a·d) + c) of Lottes, "Advanced Techniques and Optimization of HDR Color Pipelines" (GDC
 // 2016). Twin: `shading::Tone`, which computes b and c.
@@ -18,13 +24,20 @@ const GNOMON: u32 = 2u;
 const NONE: u32 = 3u;
 override curve_kind: u32 = NEUTRAL;
 
-@group(0) @binding(0) var<uniform> tone: Tone;
-@group(0) @binding(1) var light_picture: texture_2d<f32>;
+// False draws each pixel as its centre is.
+override smooth_edges: bool = true;
 
-@vertex
-fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
-    return covering_triangle(index);
-}
+// True in a first pass, which puts off the pixels that an edge crosses.
+override puts_off: bool = false;
+
+@group(0) @binding(0) var<uniform> tone: Tone;
+@group(0) @binding(1) var<uniform> view: View;
+@group(0) @binding(2) var light_picture: texture_2d<f32>;
+@group(0) @binding(3) var depth_picture: texture_depth_2d;
+@group(0) @binding(4) var normal_material_picture: texture_2d<u32>;
+@group(0) @binding(5) var<storage, read> edge_shares: array<f32, 512>;
+@group(0) @binding(6) var<storage, read_write> put_off: PutOff;
+@group(1) @binding(0) var target_picture: texture_storage_2d<rgba8unorm, write>;
 
 fn curve(x: f32) -> f32 {
     let power = pow(x, tone.contrast);
@@ -106,11 +119,81 @@ fn threshold(pixel: vec2u) -> f32 {
     return (f32(rank) + 0.5) / 64.0 - 0.5;
 }
 
-@fragment
-fn show(@builtin(position) place: vec4f) -> @location(0) vec4f {
-    let pixel = vec2u(place.xy);
-    let light = textureLoad(light_picture, pixel, 0).rgb;
+// What a pixel's light becomes on the screen, linear.
+fn shown_at(pixel: vec2u) -> vec3f {
+    return toned(textureLoad(light_picture, pixel, 0).rgb);
+}
+
+fn put(pixel: vec2u, linear: vec3f) {
     // Pictures without a curve are for comparisons, which dither would disturb.
     let dither = select(threshold(pixel) / 255.0, 0.0, curve_kind == NONE);
-    return vec4f(encoded(toned(light)) + dither, 1.0);
+    textureStore(target_picture, pixel, vec4f(encoded(linear) + dither, 1.0));
+}
+
+// The pixels around that show the same surface of the same material: bit 3·row + column.
+fn same_around(pixel: vec2u) -> u32 {
+    let word = textureLoad(normal_material_picture, pixel, 0).y;
+    let material = material_plus_1(word);
+    let depth = textureLoad(depth_picture, pixel, 0);
+    let point = point_at_depth(view, pixel, max(depth, 1e-30));
+    let normal = unpack_plane_normal(word);
+    let footprint_m = footprint_of(point);
+    var same = 0u;
+    for (var place = 0u; place < 9u; place++) {
+        let other = neighbour(pixel, place);
+        let its_material = material_plus_1(textureLoad(normal_material_picture, other, 0).y);
+        // Where there is no surface there is the sky, behind any number of pixels.
+        let on_plane = material == 0u || is_on_plane(other, point, normal, footprint_m);
+        same |= select(0u, 1u << place, its_material == material && on_plane);
+    }
+    return same;
+}
+
+const ALL_NINE: u32 = 0x1ffu;
+
+// Weights of the pixels beside one and at its corners, before its own 1: a Gaussian of half a pixel, as a screen shows
+// one. As `WEIGHTS` of `edge_shares.rs`.
+const BESIDE: f32 = 0.1353;
+const AT_CORNER: f32 = 0.0183;
+
+// What a pixel shows if an edge crosses it, linear: what is on either side of the edge, by its share.
+fn smoothed(pixel: vec2u) -> vec3f {
+    let same = same_around(pixel);
+    var own = vec4f(shown_at(pixel), 1.0);
+    var others = vec4f(0.0);
+    for (var place = 0u; place < 9u; place++) {
+        if place == 4u {
+            continue;
+        }
+        let weight = select(AT_CORNER, BESIDE, place % 2u == 1u);
+        let seen = vec4f(shown_at(neighbour(pixel, place)), 1.0) * weight;
+        let is_same = ((same >> place) & 1u) == 1u;
+        own += select(vec4f(0.0), seen, is_same);
+        others += select(seen, vec4f(0.0), is_same);
+    }
+    return mix(others.rgb / max(others.a, AT_CORNER), own.rgb / own.a, edge_shares[same]);
+}
+
+@compute @workgroup_size(8, 8)
+fn show(
+    @builtin(global_invocation_id) id: vec3u,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(local_invocation_index) place_in_group: u32,
+) {
+    var pixel = id.xy;
+    if smooth_edges && !puts_off {
+        pixel = pixel_put_off(id.xy, group.xy, place_in_group);
+    }
+    if any(pixel >= vec2u(view.width, view.height)) {
+        return;
+    }
+    if puts_off && same_around(pixel) != ALL_NINE {
+        put_off_pixel(pixel);
+        return;
+    }
+    if smooth_edges && !puts_off {
+        put(pixel, smoothed(pixel));
+        return;
+    }
+    put(pixel, shown_at(pixel));
 }

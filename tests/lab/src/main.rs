@@ -7,7 +7,7 @@ use clap::{Parser, Subcommand};
 use gnomon_lab::{
     cloister,
     report::{
-        accuracy, chaos, codec, hostile, lag, link, load, loss, network, pareto, pipeline, predict_cost, replay,
+        accuracy, chaos, codec, edges, hostile, lag, link, load, loss, network, pareto, pipeline, predict_cost, replay,
         trace_error, video,
     },
 };
@@ -27,6 +27,8 @@ enum Command {
     Chaos(chaos::ChaosOptions),
     /// Measure each codec on a path's masks, in bytes and time: codec.csv.
     Codec(codec::CodecOptions),
+    /// Judge the client's shadow edges with the referee's samples: edges.csv.
+    Edges(edges::EdgesOptions),
     /// Send bad traffic to a server and measure its cost. Fails if a goal is missed.
     Hostile(hostile::HostileOptions),
     /// Write Gnomon's own scene: cloister.glb, and its camera paths, cloister.json.
@@ -70,6 +72,7 @@ fn run(arguments: Arguments) -> Result<()> {
         }
         Command::Chaos(options) => chaos::run(&options, progress)?,
         Command::Codec(options) => codec::measure(&options, progress)?,
+        Command::Edges(options) => edges::measure(&options, progress)?.1,
         Command::MakeScene { out } => {
             let made = cloister::generate(&out)?;
             println!(

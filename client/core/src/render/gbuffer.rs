@@ -1,4 +1,7 @@
 //! The G-buffer pass: depth, base colour, packed surface and emitted light of the nearest surface in every pixel.
+//!
+//! On GPUs depth comes first. So textures are read, and texels written, only for what is seen: once a pixel, however
+//! many surfaces lie behind each other. Software pays more for triangles than for what they hide.
 
 use std::collections::HashMap;
 
@@ -7,13 +10,16 @@ use gnomon_shaders::{gpu::Gpu, material::features, shading::View};
 use super::{
     error::RenderError,
     pipeline::{bind_group, bind_group_layout, cleared, shader, uniform},
+    predict::depth_pass::{self, DepthPass, Faces},
     scene_upload::{Batch, SceneUpload},
     targets::{COLOR, DEPTH, LIGHT, NORMAL_MATERIAL, Targets},
 };
 
 #[derive(Debug)]
 pub(crate) struct GbufferPass {
+    depth_first: bool,
     group: wgpu::BindGroup,
+    depth_group: wgpu::BindGroup,
     /// One for each kind of material in the scene.
     pipelines: HashMap<Kind, wgpu::RenderPipeline>,
 }
@@ -37,7 +43,12 @@ fn emitted<'a, T>(scene: &SceneUpload, targets: &'a [T; 3]) -> &'a [T] {
 }
 
 impl GbufferPass {
-    pub(crate) fn new(gpu: &Gpu, view: &wgpu::Buffer, scene: &SceneUpload) -> Result<Self, RenderError> {
+    pub(crate) fn new(
+        gpu: &Gpu,
+        view: &wgpu::Buffer,
+        (scene, depth_pass): (&SceneUpload, &DepthPass),
+        depth_first: bool,
+    ) -> Result<Self, RenderError> {
         let device = &gpu.device;
         let layout =
             bind_group_layout(device, "G-buffer", wgpu::ShaderStages::VERTEX_FRAGMENT, &[uniform::<View>(gpu)]);
@@ -67,8 +78,12 @@ impl GbufferPass {
                 },
                 depth_stencil: Some(wgpu::DepthStencilState {
                     format: DEPTH,
-                    depth_write_enabled: Some(true),
-                    depth_compare: Some(wgpu::CompareFunction::Greater),
+                    depth_write_enabled: Some(!depth_first),
+                    depth_compare: Some(if depth_first {
+                        wgpu::CompareFunction::Equal
+                    } else {
+                        wgpu::CompareFunction::Greater
+                    }),
                     stencil: wgpu::StencilState::default(),
                     bias: wgpu::DepthBiasState::default(),
                 }),
@@ -96,7 +111,21 @@ impl GbufferPass {
             let kind = Kind::of(batch);
             pipelines.entry(kind).or_insert_with(|| pipeline(kind));
         }
-        Ok(Self { group, pipelines })
+        let depth_group = depth_pass.group(device, view.as_entire_binding());
+        Ok(Self { depth_first, group, depth_group, pipelines })
+    }
+
+    /// Draws depth. [`Self::encode`] is to follow.
+    pub(crate) fn encode_depth(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        depth: &wgpu::TextureView,
+        (scene, depth_pass): (&SceneUpload, &DepthPass),
+    ) {
+        if self.depth_first {
+            let mut pass = depth_pass::begin(encoder, "depth first", depth);
+            depth_pass.draw(&mut pass, &self.depth_group, scene, Faces::Seen);
+        }
     }
 
     pub(crate) fn encode(
@@ -105,13 +134,16 @@ impl GbufferPass {
         (targets, depth): (&Targets, &wgpu::TextureView),
         scene: &SceneUpload,
     ) {
-        let attachments = [cleared(&targets.color), cleared(&targets.normal_material), cleared(&targets.light)];
+        let emitted_light = targets.emitted.as_ref().unwrap_or(&targets.light);
+        let attachments = [cleared(&targets.color), cleared(&targets.normal_material), cleared(emitted_light)];
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("G-buffer"),
             color_attachments: emitted(scene, &attachments),
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: depth,
-                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
+                // Read-only if it is there.
+                depth_ops: (!self.depth_first)
+                    .then_some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
                 stencil_ops: None,
             }),
             ..wgpu::RenderPassDescriptor::default()
@@ -119,13 +151,20 @@ impl GbufferPass {
         pass.set_bind_group(0, &self.group, &[]);
         scene.bind(&mut pass);
         let mut current = None;
-        for batch in scene.batches.iter().filter(|batch| !batch.is_blended()) {
+        let draw = |batch: &Batch| {
             let kind = Kind::of(batch);
             if current.replace(kind) != Some(kind) {
                 pass.set_pipeline(&self.pipelines[&kind]);
             }
             pass.set_bind_group(1, &scene.materials[batch.material], &[]);
             pass.draw_indexed(batch.indices.clone(), 0, 0..1);
+        };
+        let batches = scene.batches.iter().filter(|batch| !batch.is_blended());
+        if self.depth_first {
+            // Backwards: of surfaces in one place the first one's depth came first, and it stays.
+            batches.rev().for_each(draw);
+        } else {
+            batches.for_each(draw);
         }
     }
 }

@@ -9,7 +9,7 @@ use super::{
     counts::Counts,
     error::RenderError,
     exposure::Exposure,
-    pipeline::{bind_group, bind_group_layout, picture, shader, storage},
+    pipeline::{bind_group, bind_group_layout, compute, compute_pipeline, picture, shader, storage},
     targets::Targets,
 };
 
@@ -161,20 +161,8 @@ impl MeterPass {
             storage(false),
         ];
         let layout = bind_group_layout(device, "meter", wgpu::ShaderStages::COMPUTE, &bindings);
-        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("meter"),
-            bind_group_layouts: &[Some(&layout)],
-            immediate_size: 0,
-        });
         let module = shader(gpu, "shading/meter.wgsl")?;
-        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some("meter"),
-            layout: Some(&pipeline_layout),
-            module: &module,
-            entry_point: Some("meter"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            cache: None,
-        });
+        let pipeline = compute_pipeline(device, &module, &[&layout], ("meter", &[]));
         let counts = Counts::new(device, "luminances", 2 * BINS as u64);
         let group = group(device, &layout, targets, &counts);
         Ok(Self { layout, pipeline, group, counts })
@@ -190,15 +178,8 @@ impl MeterPass {
             return;
         }
         self.counts.clear(encoder);
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: Some("meter"),
-                ..wgpu::ComputePassDescriptor::default()
-            });
-            pass.set_pipeline(&self.pipeline);
-            pass.set_bind_group(0, &self.group, &[]);
-            pass.dispatch_workgroups(GROUPS.0, GROUPS.1, 1);
-        }
+        let dispatch = |pass: &mut wgpu::ComputePass<'_>| pass.dispatch_workgroups(GROUPS.0, GROUPS.1, 1);
+        compute(encoder, "meter", &self.pipeline, &[&self.group], dispatch);
         self.counts.copy(encoder, ev);
     }
 

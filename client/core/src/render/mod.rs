@@ -19,11 +19,13 @@ mod meter;
 mod pipeline;
 pub mod predict;
 pub mod present;
+mod put_off;
 pub mod quality;
 pub mod readback;
 mod renderer;
 mod scene_upload;
 mod shade;
+pub mod stages;
 pub mod survey;
 pub mod targets;
 #[cfg(any(test, feature = "testing"))]

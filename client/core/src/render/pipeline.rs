@@ -1,4 +1,4 @@
-//! Building blocks of the passes: bindings, uniform buffers, shader modules, full-screen pipelines.
+//! Building blocks of the passes: bindings, uniform buffers, shader modules, pipelines for all pixels.
 
 use gnomon_shaders::{gpu::Gpu, splice::splice_for};
 use wgpu::util::DeviceExt as _;
@@ -122,6 +122,55 @@ pub(crate) fn covering_pipeline_with(
     })
 }
 
+/// A compute pipeline with values for the shader's overrides.
+pub(crate) fn compute_pipeline(
+    device: &wgpu::Device,
+    module: &wgpu::ShaderModule,
+    layouts: &[&wgpu::BindGroupLayout],
+    (entry, constants): (&'static str, &[(&str, f64)]),
+) -> wgpu::ComputePipeline {
+    let groups: Vec<_> = layouts.iter().copied().map(Some).collect();
+    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(entry),
+        bind_group_layouts: &groups,
+        immediate_size: 0,
+    });
+    device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some(entry),
+        layout: Some(&layout),
+        module,
+        entry_point: Some(entry),
+        compilation_options: wgpu::PipelineCompilationOptions {
+            constants,
+            ..wgpu::PipelineCompilationOptions::default()
+        },
+        cache: None,
+    })
+}
+
+/// A compute pass of one dispatch. Groups are numbered in order.
+pub(crate) fn compute(
+    encoder: &mut wgpu::CommandEncoder,
+    label: &'static str,
+    pipeline: &wgpu::ComputePipeline,
+    groups: &[&wgpu::BindGroup],
+    dispatch: impl FnOnce(&mut wgpu::ComputePass<'_>),
+) {
+    let mut pass =
+        encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(label), timestamp_writes: None });
+    pass.set_pipeline(pipeline);
+    (0..).zip(groups).for_each(|(place, group)| pass.set_bind_group(place, *group, &[]));
+    dispatch(&mut pass);
+}
+
+/// Side of a workgroup of the passes that take a pixel an invocation.
+const WORKGROUP_PX: u32 = 8;
+
+/// One invocation for each pixel.
+pub(crate) fn dispatch_pixels(pass: &mut wgpu::ComputePass<'_>, (width, height): (u32, u32)) {
+    pass.dispatch_workgroups(width.div_ceil(WORKGROUP_PX), height.div_ceil(WORKGROUP_PX), 1);
+}
+
 /// A colour attachment that is cleared to zero.
 pub(crate) fn cleared(view: &wgpu::TextureView) -> Option<wgpu::RenderPassColorAttachment<'_>> {
     Some(wgpu::RenderPassColorAttachment {
@@ -147,7 +196,16 @@ pub(crate) fn picture(sample_type: wgpu::TextureSampleType) -> wgpu::BindingType
     wgpu::BindingType::Texture { sample_type, view_dimension: wgpu::TextureViewDimension::D2, multisampled: false }
 }
 
-pub(crate) fn storage(read_only: bool) -> wgpu::BindingType {
+/// Binding type of a 2D texture that a compute pass writes.
+pub(crate) fn written_picture(format: wgpu::TextureFormat) -> wgpu::BindingType {
+    wgpu::BindingType::StorageTexture {
+        access: wgpu::StorageTextureAccess::WriteOnly,
+        format,
+        view_dimension: wgpu::TextureViewDimension::D2,
+    }
+}
+
+pub(crate) const fn storage(read_only: bool) -> wgpu::BindingType {
     wgpu::BindingType::Buffer {
         ty: wgpu::BufferBindingType::Storage { read_only },
         has_dynamic_offset: false,

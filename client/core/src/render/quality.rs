@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Quality {
-    /// A light reaches a pixel or it does not, as its bit says.
+    /// Each pixel is as its centre is: a light reaches it or does not, as its bit says.
     Low,
-    /// Shadows' edges cross pixels smoothly (`edges.wgsl`).
+    /// Edges of shadows and surfaces cross pixels smoothly (`edges.wgsl`, `tone.wgsl`).
     #[default]
     High,
 }

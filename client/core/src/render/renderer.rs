@@ -6,9 +6,12 @@ use gnomon_scene::{
 };
 use gnomon_shaders::{
     device_failure::DeviceFailure,
+    edge_shares::edge_shares,
     gpu::Gpu,
     shading::{Lighting, View},
 };
+
+use wgpu::util::DeviceExt as _;
 
 use super::{
     blend::BlendPass,
@@ -24,6 +27,7 @@ use super::{
     readback,
     scene_upload::SceneUpload,
     shade::ShadePass,
+    stages::StageClock,
     survey::Survey,
     targets::Targets,
     tone::{ToneCurve, TonePass},
@@ -58,12 +62,12 @@ pub struct FrameRenderer {
     eye: Eye,
     /// Whether the eye sees pictures.
     metering: bool,
-    view: Variable<View>,
-    scene: SceneUpload,
+    pub(super) view: Variable<View>,
+    pub(super) scene: SceneUpload,
     pub(super) targets: Targets,
     pub(super) history: DepthHistory,
     pub(super) predict: PredictPass,
-    gbuffer: GbufferPass,
+    pub(super) gbuffer: GbufferPass,
     shade: ShadePass,
     blend: BlendPass,
     tone: TonePass,
@@ -80,6 +84,8 @@ pub struct FrameRenderer {
     visibility_share: f32,
     /// Commands of a mask that the next submission begins with.
     pending: Option<wgpu::CommandEncoder>,
+    /// Reads the adapter's clock between stages.
+    clock: Option<StageClock>,
     failure: DeviceFailure,
 }
 
@@ -102,20 +108,27 @@ impl FrameRenderer {
         check_side(device, width.max(height))?;
         // Anisotropic filtering is almost free on a GPU, but in software costs several times the rest of the frame.
         let scene_upload = SceneUpload::new(gpu, scene, if gpu.is_software() { 1 } else { 8 })?;
-        let targets = Targets::new(device, width, height);
+        let targets = Targets::new(device, (width, height), scene_upload.emits);
         let history = DepthHistory::new(device, width, height);
         let view = Variable::<View>::new(gpu, "view");
-        let gbuffer = GbufferPass::new(gpu, view.buffer(), &scene_upload)?;
         let space = Space::of(scene);
         let lights = scene.lights.clone();
         let lighting = Variable::<Lighting>::new(gpu, "lighting");
         let surroundings = Surroundings::new(gpu, Environment::default(), Survey::default(), &lights);
         let constants = (view.buffer(), lighting.buffer());
         let predict = PredictPass::new(gpu, scene, &scene_upload, &targets, &history, constants, predictor)?;
-        let shade = ShadePass::new(gpu, constants, &targets, &history, &surroundings, &scene_upload)?;
+        let depth_first = !gpu.is_software();
+        let gbuffer = GbufferPass::new(gpu, view.buffer(), (&scene_upload, predict.depth_pass()), depth_first)?;
+        let edge_shares = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("edge shares"),
+            contents: bytemuck::cast_slice(&edge_shares()),
+            usage: wgpu::BufferUsages::STORAGE,
+        });
+        let shaded_by = (view.buffer(), lighting.buffer(), &edge_shares);
+        let shade = ShadePass::new(gpu, shaded_by, &targets, &history, &surroundings, &scene_upload)?;
         let mut blend = BlendPass::new(gpu, shade.layout(), &scene_upload, predict.shadow_map())?;
         blend.set_predictor(&gpu.queue, predictor);
-        let tone = TonePass::new(gpu, &targets, format, ToneCurve::Gnomon)?;
+        let tone = TonePass::new(gpu, (view.buffer(), &edge_shares), &targets, &history, format)?;
         let meter = MeterPass::new(gpu, &targets)?;
         let debug = DebugPass::new(gpu, view.buffer(), &targets, &history, format)?;
         let mut renderer = Self {
@@ -143,6 +156,7 @@ impl FrameRenderer {
             split_px: None,
             visibility_share: 1.0,
             pending: None,
+            clock: None,
             failure,
         };
         renderer.write_lighting();
@@ -157,11 +171,11 @@ impl FrameRenderer {
     pub fn resize(&mut self, (width, height): (u32, u32)) -> Result<(), RenderError> {
         let device = &self.gpu.device;
         check_side(device, width.max(height))?;
-        self.targets = Targets::new(device, width, height);
+        self.targets = Targets::new(device, (width, height), self.scene.emits);
         self.history = DepthHistory::new(device, width, height);
         self.predict.resize(device, &self.targets, &self.history);
         self.shade.bind(device, &self.targets, &self.history, &self.surroundings);
-        self.tone.resize(device, &self.targets);
+        self.tone.resize(device, &self.targets, &self.history);
         self.meter.resize(device, &self.targets);
         self.debug.resize(device, &self.targets, &self.history);
         self.check()
@@ -183,6 +197,7 @@ impl FrameRenderer {
     /// # Errors
     /// If a shader does not compile.
     pub fn set_quality(&mut self, quality: Quality) -> Result<(), RenderError> {
+        self.tone.set_quality(quality);
         self.shade.set_quality(&self.gpu, quality)
     }
 
@@ -224,7 +239,7 @@ impl FrameRenderer {
 
     /// Sets the tone curve from the next picture on.
     pub fn set_tone(&mut self, curve: ToneCurve) {
-        self.tone.set_curve(&self.gpu.device, curve);
+        self.tone.set_curve(curve);
     }
 
     #[must_use]
@@ -308,7 +323,12 @@ impl FrameRenderer {
         self.write_view(&camera, self.visibility_share);
         self.history.begin(&camera);
         let mut encoder = self.begin();
+        self.mark(&mut encoder, "begin");
+        let scene = (&self.scene, self.predict.depth_pass());
+        self.gbuffer.encode_depth(&mut encoder, self.history.view(), scene);
+        self.mark(&mut encoder, "depth");
         self.gbuffer.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene);
+        self.mark(&mut encoder, "surfaces");
         self.gpu.queue.submit([encoder.finish()]);
         self.check()
     }
@@ -326,6 +346,7 @@ impl FrameRenderer {
         }
         let mut encoder = self.begin();
         let used = self.predict.set_mask(&self.gpu, &mut encoder, mask)?;
+        self.mark(&mut encoder, "mask");
         self.pending = Some(encoder);
         Ok(used)
     }
@@ -357,10 +378,17 @@ impl FrameRenderer {
         let mut encoder = self.light(camera, visibility_share);
         if self.metering {
             self.meter.encode(&mut encoder, self.exposure.ev());
+            self.mark(&mut encoder, "metering");
         }
         match self.debug_view {
-            DebugView::Picture => self.tone.encode(&mut encoder, target),
+            DebugView::Picture => {
+                self.tone.encode(&self.gpu, &mut encoder, (&self.targets, &self.history), target)?;
+            }
             view => self.debug.encode(&self.gpu.queue, &mut encoder, view, &self.history, target),
+        }
+        if let Some(clock) = &mut self.clock {
+            clock.mark(&mut encoder, "tone");
+            clock.finish(&mut encoder);
         }
         more(&mut encoder);
         let submission = self.gpu.queue.submit([encoder.finish()]);
@@ -375,12 +403,37 @@ impl FrameRenderer {
         self.write_lighting();
         let mut encoder = self.begin();
         let pictures = (&self.targets, &self.history, &self.scene);
-        self.predict.encode(&self.gpu, &mut encoder, (&camera, self.space), pictures);
-        self.shade.encode(&mut encoder, &self.targets, &self.history);
+        let view = (&camera, self.space, self.visibility_share);
+        self.predict.encode(&self.gpu, &mut encoder, view, pictures);
+        self.mark(&mut encoder, "prediction");
+        self.shade.encode(&mut encoder, &self.targets, &self.history, self.visibility_share);
+        self.mark(&mut encoder, "shading");
         let eye = (camera.position_m - self.space.origin_m).as_vec3();
         let group = self.shade.group(&self.history);
         self.blend.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene, group, eye);
+        self.mark(&mut encoder, "blending");
         encoder
+    }
+
+    /// Reads the adapter's clock between the stages of the next frames, if its device has [`super::stages::NEEDED`].
+    /// Returns whether it does. [`Self::stage_times`] is to be called after each frame.
+    pub fn time_stages(&mut self) -> bool {
+        self.clock = StageClock::new(&self.gpu);
+        self.clock.is_some()
+    }
+
+    /// Returns the stages of the last frame and their times in ms. Waits for the adapter: for measurements only.
+    ///
+    /// # Errors
+    /// If the adapter failed.
+    pub fn stage_times(&mut self) -> Result<Vec<(&'static str, f64)>, RenderError> {
+        self.clock.as_mut().map_or(Ok(Vec::new()), |clock| clock.take(&self.gpu))
+    }
+
+    fn mark(&mut self, encoder: &mut wgpu::CommandEncoder, ended: &'static str) {
+        if let Some(clock) = &mut self.clock {
+            clock.mark(encoder, ended);
+        }
     }
 
     /// Returns the share of pixels whose visibility came from masks (the sky counts), for the newest picture whose

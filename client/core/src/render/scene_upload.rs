@@ -1,7 +1,7 @@
 //! The scene on the adapter: vertices, indices, draws in their order, and one bind group for each material.
 
 use glam::{Vec2, Vec3};
-use gnomon_scene::{AlphaMode, Scene};
+use gnomon_scene::{AlphaMode, Material, Scene};
 use gnomon_shaders::{
     gpu::Gpu,
     material::{features, features_of, is_layered},
@@ -40,6 +40,8 @@ pub(crate) struct Batch {
     pub(crate) material: usize,
     pub(crate) indices: std::ops::Range<u32>,
     pub(crate) alpha: AlphaMode,
+    /// Whether some point fails the alpha test of a MASK material.
+    has_holes: bool,
     pub(crate) double_sided: bool,
     /// Of [`features`].
     pub(crate) features: u32,
@@ -55,7 +57,7 @@ impl Batch {
     }
 
     pub(crate) fn is_masked(&self) -> bool {
-        matches!(self.alpha, AlphaMode::Mask { .. })
+        self.has_holes
     }
 }
 
@@ -170,7 +172,24 @@ fn more_of_vertices(scene: &Scene) -> Vec<MoreOfVertex> {
     (0..scene.positions.len()).map(vertex).collect()
 }
 
+/// A bilinear mean of texels may round to this much less than the least of them.
+const ROUNDING: f32 = 1e-5;
+
+/// For each material, whether some point may fail its alpha test. Many files say MASK of all their materials.
+fn holes(scene: &Scene) -> Vec<bool> {
+    let fading = scene.vertex_alpha_materials();
+    let has_holes = |(index, material): (u32, &Material)| {
+        let AlphaMode::Mask { cutoff } = material.alpha else { return false };
+        let picture = scene.alpha_picture(index);
+        let least = picture.map_or(1.0, |picture| f32::from(picture.alpha.into_iter().min().unwrap_or(0)) / 255.0);
+        let fades = fading.get(index as usize).is_some_and(|fades| *fades);
+        fades || least * material.base_color.w < cutoff + ROUNDING
+    };
+    (0..).zip(&scene.materials).map(has_holes).collect()
+}
+
 fn batches(scene: &Scene) -> Vec<Batch> {
+    let holes = holes(scene);
     let mut batches: Vec<Batch> = Vec::new();
     for draw in scene.draws.iter().filter(|draw| draw.triangles > 0) {
         let material = &scene.materials[draw.material as usize];
@@ -200,6 +219,7 @@ fn batches(scene: &Scene) -> Vec<Batch> {
             material: draw.material as usize,
             indices,
             alpha: material.alpha,
+            has_holes: holes[draw.material as usize],
             double_sided: material.double_sided,
             features: found,
             transmissive: material.transmission.factor > 0.0 && !material.unlit,
@@ -208,9 +228,8 @@ fn batches(scene: &Scene) -> Vec<Batch> {
     }
     // Stable: blended ones keep their order.
     batches.sort_by_key(|batch| match batch.alpha {
-        AlphaMode::Opaque => (0, batch.double_sided, batch.features, batch.material),
-        AlphaMode::Mask { .. } => (1, batch.double_sided, batch.features, batch.material),
         AlphaMode::Blend => (2, false, 0, 0),
+        _ => (u8::from(batch.has_holes), batch.double_sided, batch.features, batch.material),
     });
     batches
 }

@@ -1,20 +1,17 @@
-//! The shading pass: lights every pixel's surface by its visibility, and draws the sky where there is none.
+//! The shading pass: lights every pixel's surface by its visibility, and draws the sky where there is none. Pixels that
+//! a shadow's edge crosses are put off to a second dispatch (`put_off.wgsl`).
 
 use gnomon_shaders::{
-    edge_shares::edge_shares,
     gpu::Gpu,
     shading::{Lighting, View},
 };
 
-use wgpu::util::DeviceExt as _;
-
 use super::{
     environment::Surroundings,
     error::RenderError,
-    pipeline::{
-        bind_group, bind_group_layout, cleared, covering_pipeline_with, kept, picture, shader, storage, uniform,
-    },
+    pipeline::{bind_group, bind_group_layout, compute_pipeline, picture, shader, storage, uniform, written_picture},
     predict::depth_history::DepthHistory,
+    put_off::PutOff,
     quality::Quality,
     scene_upload::SceneUpload,
     targets::{LIGHT, Targets},
@@ -24,42 +21,62 @@ use super::{
 #[derive(Debug)]
 pub(crate) struct ShadePass {
     layout: wgpu::BindGroupLayout,
+    target_layout: wgpu::BindGroupLayout,
     view: wgpu::Buffer,
     lighting: wgpu::Buffer,
     /// Of each material.
     finishes: wgpu::Buffer,
     edge_shares: wgpu::Buffer,
+    nearest: wgpu::Sampler,
     /// By the slot of the picture's depth in the history.
     groups: Vec<wgpu::BindGroup>,
-    pipeline: wgpu::RenderPipeline,
+    /// What is written.
+    target: wgpu::BindGroup,
+    pipelines: Pipelines,
     /// Some material has layers.
     layered: bool,
-    /// Some material emits light, which is in the target already.
+    /// Some material emits light.
     emits: bool,
     quality: Quality,
+}
+
+#[derive(Debug)]
+struct Pipelines {
+    /// Does every pixel, or those put off.
+    every: wgpu::ComputePipeline,
+    /// Puts off those that a shadow's edge crosses. `None` if edges are not smooth.
+    first: Option<wgpu::ComputePipeline>,
 }
 
 impl ShadePass {
     pub(crate) fn new(
         gpu: &Gpu,
-        (view, lighting): (&wgpu::Buffer, &wgpu::Buffer),
+        (view, lighting, edge_shares): (&wgpu::Buffer, &wgpu::Buffer, &wgpu::Buffer),
         targets: &Targets,
         history: &DepthHistory,
         surroundings: &Surroundings,
         scene: &SceneUpload,
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
-        let edge_shares = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some("edge shares"),
-            contents: bytemuck::cast_slice(&edge_shares()),
-            usage: wgpu::BufferUsages::STORAGE,
-        });
+        let written =
+            [written_picture(LIGHT), picture(wgpu::TextureSampleType::Float { filterable: false }), PutOff::layout()];
+        let target_layout = bind_group_layout(device, "shaded light", wgpu::ShaderStages::COMPUTE, &written);
         let (layout, layered, emits, quality) = (layout(gpu), scene.layered, scene.emits, Quality::Low);
-        let pipeline = pipeline(gpu, &layout, (layered, emits), quality)?;
-        let (view, lighting, finishes) = (view.clone(), lighting.clone(), scene.finishes.clone());
-        let groups = Vec::new();
-        let mut pass =
-            Self { layout, view, lighting, finishes, edge_shares, groups, pipeline, layered, emits, quality };
+        let mut pass = Self {
+            pipelines: pipelines(gpu, [&layout, &target_layout], (layered, emits), quality)?,
+            target: target(device, &target_layout, targets),
+            layout,
+            target_layout,
+            view: view.clone(),
+            lighting: lighting.clone(),
+            finishes: scene.finishes.clone(),
+            edge_shares: edge_shares.clone(),
+            nearest: device.create_sampler(&wgpu::SamplerDescriptor::default()),
+            groups: Vec::new(),
+            layered,
+            emits,
+            quality,
+        };
         pass.bind(device, targets, history, surroundings);
         Ok(pass)
     }
@@ -85,15 +102,18 @@ impl ShadePass {
                 self.edge_shares.as_entire_binding(),
                 view(&surroundings.view),
                 wgpu::BindingResource::Sampler(&surroundings.sampler),
+                wgpu::BindingResource::Sampler(&self.nearest),
             ];
             bind_group(device, "shading", &self.layout, &resources)
         };
         self.groups = history.views().map(group).collect();
+        self.target = target(device, &self.target_layout, targets);
     }
 
     pub(crate) fn set_quality(&mut self, gpu: &Gpu, quality: Quality) -> Result<(), RenderError> {
         if quality != self.quality {
-            self.pipeline = pipeline(gpu, &self.layout, (self.layered, self.emits), quality)?;
+            let layouts = [&self.layout, &self.target_layout];
+            self.pipelines = pipelines(gpu, layouts, (self.layered, self.emits), quality)?;
             self.quality = quality;
         }
         Ok(())
@@ -107,38 +127,44 @@ impl ShadePass {
         &self.groups[history.current()]
     }
 
-    pub(crate) fn encode(&self, encoder: &mut wgpu::CommandEncoder, targets: &Targets, history: &DepthHistory) {
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("shading"),
-            color_attachments: &[if self.emits { kept(&targets.light) } else { cleared(&targets.light) }],
-            ..wgpu::RenderPassDescriptor::default()
-        });
-        pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, self.group(history), &[]);
-        pass.draw(0..3, 0..1);
+    pub(crate) fn encode(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        targets: &Targets,
+        history: &DepthHistory,
+        visibility_share: f32,
+    ) {
+        // While one source of visibility fades into the other, edges of both count.
+        let first = self.pipelines.first.as_ref().filter(|_| visibility_share >= 1.0);
+        let groups = [self.group(history), &self.target];
+        targets.put_off.run(encoder, "shading", (first, &self.pipelines.every), &groups);
     }
 }
 
-fn pipeline(
+fn target(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, targets: &Targets) -> wgpu::BindGroup {
+    let resources = [
+        wgpu::BindingResource::TextureView(&targets.light),
+        // Where nothing is emitted, something must be bound.
+        wgpu::BindingResource::TextureView(targets.emitted.as_ref().unwrap_or(&targets.color)),
+        targets.put_off.binding(),
+    ];
+    bind_group(device, "shaded light", layout, &resources)
+}
+
+fn pipelines(
     gpu: &Gpu,
-    layout: &wgpu::BindGroupLayout,
+    layouts: [&wgpu::BindGroupLayout; 2],
     (layered, emits): (bool, bool),
     quality: Quality,
-) -> Result<wgpu::RenderPipeline, RenderError> {
+) -> Result<Pipelines, RenderError> {
     let module = shader(gpu, "shading/shade.wgsl")?;
-    let added = wgpu::BlendComponent {
-        src_factor: wgpu::BlendFactor::One,
-        dst_factor: wgpu::BlendFactor::One,
-        operation: wgpu::BlendOperation::Add,
-    };
-    let target = wgpu::ColorTargetState {
-        format: LIGHT,
-        blend: emits.then_some(wgpu::BlendState { color: added, alpha: added }),
-        write_mask: wgpu::ColorWrites::ALL,
-    };
     let smooth = quality == Quality::High;
-    let constants = [("LAYERED", layered), ("smooth_edges", smooth)].map(|(name, on)| (name, f64::from(u8::from(on))));
-    Ok(covering_pipeline_with(&gpu.device, &module, &[layout], ("shade", &constants), target))
+    let pipeline = |puts_off: bool| {
+        let constants = [("LAYERED", layered), ("EMITS", emits), ("smooth_edges", smooth), ("puts_off", puts_off)]
+            .map(|(name, on)| (name, f64::from(u8::from(on))));
+        compute_pipeline(&gpu.device, &module, &layouts, ("shade", &constants))
+    };
+    Ok(Pipelines { every: pipeline(false), first: smooth.then(|| pipeline(true)) })
 }
 
 fn layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
@@ -157,6 +183,8 @@ fn layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
             multisampled: false,
         },
         wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
+        wgpu::BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering),
     ];
-    bind_group_layout(&gpu.device, "shading", wgpu::ShaderStages::VERTEX_FRAGMENT, &bindings)
+    let stages = wgpu::ShaderStages::VERTEX_FRAGMENT | wgpu::ShaderStages::COMPUTE;
+    bind_group_layout(&gpu.device, "shading", stages, &bindings)
 }

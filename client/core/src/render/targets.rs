@@ -1,5 +1,7 @@
 //! The textures that the passes write and read, of the picture's size.
 
+use super::put_off::PutOff;
+
 /// sRGB-encoded.
 pub const PICTURE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 /// First colour target of the G-buffer: base colour and occlusion.
@@ -10,7 +12,7 @@ pub(crate) const NORMAL_MATERIAL: wgpu::TextureFormat = wgpu::TextureFormat::Rgb
 pub(crate) const VISIBILITY: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
 /// Reversed-Z depth, kept in [`super::predict::depth_history`].
 pub(crate) const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Light, before tone mapping: what surfaces emit (the G-buffer's third target), then what they reflect added to it.
+/// Light, before tone mapping. Also what surfaces emit, the G-buffer's third target.
 pub(crate) const LIGHT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 
 #[derive(Debug)]
@@ -20,23 +22,30 @@ pub(crate) struct Targets {
     pub(crate) color: wgpu::TextureView,
     pub(crate) normal_material: wgpu::TextureView,
     pub(crate) visibility: wgpu::TextureView,
+    /// What surfaces emit, where some do.
+    pub(crate) emitted: Option<wgpu::TextureView>,
     pub(crate) light: wgpu::TextureView,
+    pub(crate) put_off: PutOff,
 }
 
 impl Targets {
-    pub(crate) fn new(device: &wgpu::Device, width: u32, height: u32) -> Self {
-        let picture = |label, format| {
-            let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
+    pub(crate) fn new(device: &wgpu::Device, (width, height): (u32, u32), emits: bool) -> Self {
+        let picture = |label, format, usage| {
+            let usage = usage | wgpu::TextureUsages::TEXTURE_BINDING;
             let usage = if format == LIGHT && !cfg!(test) { usage } else { usage | wgpu::TextureUsages::COPY_SRC };
             texture(device, label, (width, height), format, usage).create_view(&wgpu::TextureViewDescriptor::default())
         };
+        let (drawn, computed) = (wgpu::TextureUsages::RENDER_ATTACHMENT, wgpu::TextureUsages::STORAGE_BINDING);
         Self {
             width,
             height,
-            color: picture("base colour", COLOR),
-            normal_material: picture("normal and material", NORMAL_MATERIAL),
-            visibility: picture("visibility", VISIBILITY),
-            light: picture("light", LIGHT),
+            color: picture("base colour", COLOR, drawn),
+            normal_material: picture("normal and material", NORMAL_MATERIAL, drawn),
+            visibility: picture("visibility", VISIBILITY, computed),
+            emitted: emits.then(|| picture("emitted light", LIGHT, drawn)),
+            // Blended surfaces are drawn over it.
+            light: picture("light", LIGHT, drawn | computed),
+            put_off: PutOff::new(device, (width, height)),
         }
     }
 }

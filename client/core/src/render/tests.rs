@@ -1,6 +1,7 @@
 //! Compares the passes with results computed on the CPU.
 
 mod blend;
+mod coincident;
 mod scale;
 
 use glam::{DVec3, Vec3, Vec4};

@@ -1,14 +1,25 @@
-//! The tone pass: maps exposed light to displayed values.
+//! The tone pass: maps exposed light to displayed values, and smooths the edges of surfaces. Pixels that an edge
+//! crosses are put off to a second dispatch (`put_off.wgsl`).
 
 use std::{fmt, str::FromStr};
 
-use gnomon_shaders::{gpu::Gpu, shading::Tone};
+use gnomon_shaders::{
+    gpu::Gpu,
+    shading::{Tone, View},
+};
 use serde::{Deserialize, Serialize};
 
 use super::{
     error::RenderError,
-    pipeline::{bind_group, bind_group_layout, cleared, constant, covering_pipeline_with, picture, shader, uniform},
-    targets::Targets,
+    pipeline::{
+        bind_group, bind_group_layout, cleared, compute_pipeline, constant, picture, shader, storage, uniform,
+        written_picture,
+    },
+    predict::depth_history::DepthHistory,
+    present::PresentPass,
+    put_off::PutOff,
+    quality::Quality,
+    targets::{PICTURE_FORMAT, Targets, texture},
 };
 
 /// How exposed light becomes what a screen can show.
@@ -91,36 +102,71 @@ pub fn gnomon() -> Tone {
 #[derive(Debug)]
 pub(crate) struct TonePass {
     layout: wgpu::BindGroupLayout,
+    target_layout: wgpu::BindGroupLayout,
     tone: wgpu::Buffer,
-    group: wgpu::BindGroup,
+    view: wgpu::Buffer,
+    edge_shares: wgpu::Buffer,
+    /// By the slot of the picture's depth in the history.
+    groups: Vec<wgpu::BindGroup>,
     module: wgpu::ShaderModule,
-    format: wgpu::TextureFormat,
     curve: ToneCurve,
-    pipeline: wgpu::RenderPipeline,
+    quality: Quality,
+    /// `None` until the next picture.
+    pipelines: Option<Pipelines>,
+    format: wgpu::TextureFormat,
+    /// Where the target cannot be written by the pass: a picture that can, and what draws it into the target.
+    between: Option<(wgpu::TextureView, PresentPass)>,
+}
+
+#[derive(Debug)]
+struct Pipelines {
+    /// Does every pixel, or those put off.
+    every: wgpu::ComputePipeline,
+    /// Puts off those that an edge crosses. `None` if edges are not smooth.
+    first: Option<wgpu::ComputePipeline>,
 }
 
 impl TonePass {
     pub(crate) fn new(
         gpu: &Gpu,
+        (view, edge_shares): (&wgpu::Buffer, &wgpu::Buffer),
         targets: &Targets,
+        history: &DepthHistory,
         format: wgpu::TextureFormat,
-        curve: ToneCurve,
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
-        let bindings = [uniform::<Tone>(gpu), picture(wgpu::TextureSampleType::Float { filterable: false })];
-        let layout = bind_group_layout(device, "tone", wgpu::ShaderStages::FRAGMENT, &bindings);
-        let tone = constant(gpu, "tone", &gnomon());
-        let group = group(device, &layout, &tone, targets);
-        let module = shader(gpu, "shading/tone.wgsl")?;
-        let pipeline = pipeline(device, &module, &layout, curve, format);
-        Ok(Self { layout, tone, group, module, format, curve, pipeline })
+        let bindings = [
+            uniform::<Tone>(gpu),
+            uniform::<View>(gpu),
+            picture(wgpu::TextureSampleType::Float { filterable: false }),
+            picture(wgpu::TextureSampleType::Depth),
+            picture(wgpu::TextureSampleType::Uint),
+            storage(true),
+            PutOff::layout(),
+        ];
+        let stages = wgpu::ShaderStages::COMPUTE;
+        let mut pass = Self {
+            layout: bind_group_layout(device, "tone", stages, &bindings),
+            target_layout: bind_group_layout(device, "shown picture", stages, &[written_picture(PICTURE_FORMAT)]),
+            tone: constant(gpu, "tone", &gnomon()),
+            view: view.clone(),
+            edge_shares: edge_shares.clone(),
+            groups: Vec::new(),
+            module: shader(gpu, "shading/tone.wgsl")?,
+            curve: ToneCurve::Gnomon,
+            quality: Quality::Low,
+            pipelines: None,
+            format,
+            between: None,
+        };
+        pass.resize(device, targets, history);
+        Ok(pass)
     }
 
     /// The curve is compiled into the pass, so that no pixel chooses.
-    pub(crate) fn set_curve(&mut self, device: &wgpu::Device, curve: ToneCurve) {
+    pub(crate) fn set_curve(&mut self, curve: ToneCurve) {
         if self.curve != curve {
-            self.curve = curve;
-            self.pipeline = pipeline(device, &self.module, &self.layout, curve, self.format);
+            (self.curve, self.pipelines) = (curve, None);
         }
     }
 
@@ -128,38 +174,87 @@ impl TonePass {
         self.curve
     }
 
-    pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets) {
-        self.group = group(device, &self.layout, &self.tone, targets);
+    pub(crate) fn set_quality(&mut self, quality: Quality) {
+        if self.quality != quality {
+            (self.quality, self.pipelines) = (quality, None);
+        }
     }
 
-    pub(crate) fn encode(&self, encoder: &mut wgpu::CommandEncoder, target: &wgpu::TextureView) {
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("tone"),
-            color_attachments: &[cleared(target)],
-            ..wgpu::RenderPassDescriptor::default()
-        });
-        pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, &self.group, &[]);
-        pass.draw(0..3, 0..1);
+    pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
+        let view = wgpu::BindingResource::TextureView;
+        let group = |depth| {
+            let resources = [
+                self.tone.as_entire_binding(),
+                self.view.as_entire_binding(),
+                view(&targets.light),
+                view(depth),
+                view(&targets.normal_material),
+                self.edge_shares.as_entire_binding(),
+                targets.put_off.binding(),
+            ];
+            bind_group(device, "tone", &self.layout, &resources)
+        };
+        self.groups = history.views().map(group).collect();
+        self.between = None;
+    }
+
+    /// Errors if a shader does not compile.
+    pub(crate) fn encode(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        (targets, history): (&Targets, &DepthHistory),
+        target: &wgpu::TextureView,
+    ) -> Result<(), RenderError> {
+        let written = (target.texture().usage(), target.texture().format());
+        if written.0.contains(wgpu::TextureUsages::STORAGE_BINDING) && written.1 == PICTURE_FORMAT {
+            self.compute(gpu, encoder, (targets, history), target);
+            return Ok(());
+        }
+        let size = (targets.width, targets.height);
+        let (picture, mut present) = match self.between.take() {
+            Some(between) => between,
+            None => (between(&gpu.device, size), PresentPass::new(gpu, self.format)?),
+        };
+        self.compute(gpu, encoder, (targets, history), &picture);
+        {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("show"),
+                color_attachments: &[cleared(target)],
+                ..wgpu::RenderPassDescriptor::default()
+            });
+            present.draw((&gpu.device, &gpu.queue), &mut pass, &picture, size);
+        }
+        self.between = Some((picture, present));
+        Ok(())
+    }
+
+    fn compute(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        (targets, history): (&Targets, &DepthHistory),
+        target: &wgpu::TextureView,
+    ) {
+        let device = &gpu.device;
+        let target = [wgpu::BindingResource::TextureView(target)];
+        let target = bind_group(device, "shown picture", &self.target_layout, &target);
+        let make = |puts_off: bool| {
+            let on = |on| f64::from(u8::from(on));
+            let smooth = on(self.quality == Quality::High);
+            let constants = [("curve_kind", self.curve.kind()), ("smooth_edges", smooth), ("puts_off", on(puts_off))];
+            compute_pipeline(device, &self.module, &[&self.layout, &self.target_layout], ("show", &constants))
+        };
+        let smooth = self.quality == Quality::High;
+        let pipelines =
+            &*self.pipelines.get_or_insert_with(|| Pipelines { every: make(false), first: smooth.then(|| make(true)) });
+        let groups = [&self.groups[history.current()], &target];
+        targets.put_off.run(encoder, "tone", (pipelines.first.as_ref(), &pipelines.every), &groups);
     }
 }
 
-fn pipeline(
-    device: &wgpu::Device,
-    module: &wgpu::ShaderModule,
-    layout: &wgpu::BindGroupLayout,
-    curve: ToneCurve,
-    format: wgpu::TextureFormat,
-) -> wgpu::RenderPipeline {
-    covering_pipeline_with(device, module, &[layout], ("show", &[("curve_kind", curve.kind())]), format.into())
-}
-
-fn group(
-    device: &wgpu::Device,
-    layout: &wgpu::BindGroupLayout,
-    tone: &wgpu::Buffer,
-    targets: &Targets,
-) -> wgpu::BindGroup {
-    let resources = [tone.as_entire_binding(), wgpu::BindingResource::TextureView(&targets.light)];
-    bind_group(device, "tone", layout, &resources)
+/// A picture that the pass can write and [`PresentPass`] can read.
+fn between(device: &wgpu::Device, size: (u32, u32)) -> wgpu::TextureView {
+    let usage = wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::TEXTURE_BINDING;
+    texture(device, "shown picture", size, PICTURE_FORMAT, usage).create_view(&wgpu::TextureViewDescriptor::default())
 }

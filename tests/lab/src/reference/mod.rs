@@ -61,6 +61,16 @@ impl Truth {
     }
 }
 
+/// A point that a pixel shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Point {
+    pub place: DVec3,
+    /// Unit normal of the triangle's plane, towards the camera.
+    pub normal: DVec3,
+    /// Along the view.
+    pub depth_m: f64,
+}
+
 #[derive(Debug)]
 pub struct Reference {
     origin_m: DVec3,
@@ -136,6 +146,12 @@ impl Reference {
             push_m: magnitude_m * 1e-9,
             exact_m: magnitude_m * 1e-12,
         }
+    }
+
+    /// Returns the point that each pixel of the camera's picture shows, row by row.
+    pub fn points(&self, camera: &Camera) -> Vec<Option<Point>> {
+        let pixels = 0..camera.width * camera.height;
+        pixels.into_par_iter().map(|pixel| self.point(camera, pixel % camera.width, pixel / camera.width)).collect()
     }
 
     /// Judges every pixel of the camera's picture, on the current rayon pool.

@@ -4,7 +4,7 @@ use glam::DVec3;
 use gnomon_scene::{Light, LightKind, camera::Camera};
 
 use super::{
-    Reference, Verdict,
+    Point, Reference, Verdict,
     triangle::{Crossing, Ray},
 };
 
@@ -66,6 +66,16 @@ impl Reference {
             }
         }
         verdict
+    }
+
+    /// The surface that a pixel's centre sees.
+    pub(super) fn point(&self, camera: &Camera, x: u32, y: u32) -> Option<Point> {
+        let (position, direction) = camera.ray(x, y);
+        let ray = Ray::new(position - self.origin_m, direction);
+        let nudge = Nudge { offset: DVec3::ZERO, alpha: 0.0, limit: 0.0 };
+        let nearest = self.nearest(&ray, nudge, &mut Doubt::default())?.first;
+        let seen = self.seen(&ray, nearest);
+        Some(Point { place: seen.point, normal: seen.geometric, depth_m: nearest.1.t })
     }
 
     fn judge_nudged(&self, origin: DVec3, direction: DVec3, nudge: Nudge, doubt: &mut Doubt) -> Verdict {

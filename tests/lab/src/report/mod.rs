@@ -3,6 +3,7 @@
 pub mod accuracy;
 pub mod chaos;
 pub mod codec;
+pub mod edges;
 pub mod hostile;
 pub mod lag;
 pub mod link;

@@ -18,7 +18,7 @@ use gnomon_server::visibility::backend::cpu::CpuBackend;
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use image::RgbImage;
 
-use crate::reference::{Reference, Truth};
+use crate::reference::{Point, Reference, Truth};
 
 pub(super) struct PredictRig {
     lights: u32,
@@ -44,6 +44,15 @@ impl PredictRig {
 
     pub(super) fn truth(&self, camera: &Camera) -> Truth {
         self.reference.trace(camera)
+    }
+
+    pub(super) fn points(&self, camera: &Camera) -> Vec<Option<Point>> {
+        self.reference.points(camera)
+    }
+
+    /// For settings of pictures.
+    pub(super) fn renderer(&mut self) -> &mut FrameRenderer {
+        &mut self.renderer
     }
 
     /// Returns the mask that a server would send for a view.

@@ -5,7 +5,11 @@ use gnomon_shaders::{
     shading::{Lighting, Prediction, View},
 };
 
-use crate::render::pipeline::{bind_group_layout, storage, uniform};
+use crate::render::{
+    pipeline::{bind_group_layout, storage, uniform, written_picture},
+    put_off::PutOff,
+    targets::VISIBILITY,
+};
 
 /// Layouts of the pass's three groups: scene and lights, the picture's surfaces, masks.
 pub(super) fn layouts(gpu: &Gpu) -> [wgpu::BindGroupLayout; 3] {
@@ -18,7 +22,7 @@ pub(super) fn layouts(gpu: &Gpu) -> [wgpu::BindGroupLayout; 3] {
     let [depths, all_words] = pictures(wgpu::TextureViewDimension::D2Array);
     let nearest = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::NonFiltering);
     let layout = |label, bindings: &[wgpu::BindingType]| {
-        bind_group_layout(&gpu.device, label, wgpu::ShaderStages::FRAGMENT, bindings)
+        bind_group_layout(&gpu.device, label, wgpu::ShaderStages::COMPUTE, bindings)
     };
     [
         layout(
@@ -32,7 +36,7 @@ pub(super) fn layouts(gpu: &Gpu) -> [wgpu::BindGroupLayout; 3] {
                 storage(false),
             ],
         ),
-        layout("prediction: surfaces", &[depth, words]),
+        layout("prediction: surfaces", &[depth, words, written_picture(VISIBILITY), PutOff::layout()]),
         layout("prediction: masks", &[all_words, all_words, depths, nearest]),
     ]
 }

@@ -1,4 +1,4 @@
-//! Draws depth alone, for views without a picture: those of masks and lights.
+//! Draws depth alone: before a picture's surfaces, and for views without a picture, those of masks and lights.
 
 use gnomon_shaders::gpu::Gpu;
 

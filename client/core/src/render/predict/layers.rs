@@ -31,6 +31,8 @@ pub(crate) struct Layers {
     shape: MaskShape,
     planes: MaskPlanes,
     words: wgpu::Texture,
+    /// Each layer of [`Self::words`], to be written.
+    written: Vec<wgpu::BindGroup>,
     /// Bits of the lights that arrived, one texel for each tile position.
     coverage: wgpu::Texture,
     /// One texel until it is needed: most pictures of clients that wait for masks need none.
@@ -67,7 +69,8 @@ impl Layers {
         let (words, coverage) = (words(device, shape, 1), coverage(device, shape, 1));
         let depth = depth(device, [1; 3]);
         let stack = Vec::with_capacity(MAX_LAYERS);
-        Ok(Self { shape, planes, words, coverage, depth, stack, group: None, views: Vec::new() })
+        let written = written(device, pass, &words);
+        Ok(Self { shape, planes, words, written, coverage, depth, stack, group: None, views: Vec::new() })
     }
 
     pub(crate) fn shape(&self) -> MaskShape {
@@ -99,8 +102,8 @@ impl Layers {
             self.stack.remove(0);
         }
         let has_depth = newest.as_ref().is_some_and(|newest| newest.has_depth);
-        let slot = newest.map_or_else(|| self.free_slot(&gpu.device, encoder), |newest| newest.slot);
-        pass.write(&gpu.queue, encoder, (&self.planes, mask), &layer_of(&self.words, slot));
+        let slot = newest.map_or_else(|| self.free_slot(&gpu.device, encoder, pass), |newest| newest.slot);
+        pass.write(&gpu.queue, encoder, (&self.planes, mask), &self.written[slot as usize]);
         if let Some(coverage) = &coverage {
             self.write_coverage(&gpu.queue, slot, coverage);
         }
@@ -108,7 +111,7 @@ impl Layers {
     }
 
     /// Returns a free slot, or the oldest mask's if there is none.
-    fn free_slot(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder) -> u32 {
+    fn free_slot(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder, pass: &WordsPass) -> u32 {
         let most = max_layers(self.shape);
         self.stack.truncate(most - 1);
         // At most `MAX_LAYERS`.
@@ -116,6 +119,7 @@ impl Layers {
         let slot = (0..most).find(|slot| self.stack.iter().all(|layer| layer.slot != *slot)).unwrap_or(0);
         if slot >= self.words.depth_or_array_layers() {
             self.grow(device, encoder, (slot + 1).next_power_of_two().min(most));
+            self.written = written(device, pass, &self.words);
         }
         slot
     }
@@ -209,8 +213,12 @@ impl Layers {
 }
 
 fn words(device: &wgpu::Device, shape: MaskShape, count: u32) -> wgpu::Texture {
-    let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | MOVED;
+    let usage = wgpu::TextureUsages::STORAGE_BINDING | MOVED;
     layered_texture(device, "mask words", [shape.width(), shape.height(), count], WORDS, usage)
+}
+
+fn written(device: &wgpu::Device, pass: &WordsPass, words: &wgpu::Texture) -> Vec<wgpu::BindGroup> {
+    (0..words.depth_or_array_layers()).map(|slot| pass.target(device, &layer_of(words, slot))).collect()
 }
 
 fn coverage(device: &wgpu::Device, shape: MaskShape, count: u32) -> wgpu::Texture {

@@ -5,7 +5,10 @@ use gnomon_shaders::gpu::Gpu;
 
 use crate::render::{
     error::RenderError,
-    pipeline::{bind_group, bind_group_layout, cleared, constant, covering_pipeline, shader, storage, uniform},
+    pipeline::{
+        bind_group, bind_group_layout, compute, compute_pipeline, constant, dispatch_pixels, shader, storage, uniform,
+        written_picture,
+    },
 };
 
 pub(crate) const WORDS: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
@@ -23,12 +26,14 @@ struct MaskSize {
 #[derive(Debug)]
 pub(crate) struct WordsPass {
     layout: wgpu::BindGroupLayout,
-    pipeline: wgpu::RenderPipeline,
+    target_layout: wgpu::BindGroupLayout,
+    pipeline: wgpu::ComputePipeline,
 }
 
 /// Memory for the planes of masks of one shape.
 #[derive(Debug)]
 pub(crate) struct MaskPlanes {
+    shape: MaskShape,
     planes: wgpu::Buffer,
     group: wgpu::BindGroup,
 }
@@ -37,10 +42,17 @@ impl WordsPass {
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, RenderError> {
         let device = &gpu.device;
         let bindings = [uniform::<MaskSize>(gpu), storage(true)];
-        let layout = bind_group_layout(device, "mask", wgpu::ShaderStages::FRAGMENT, &bindings);
+        let layout = bind_group_layout(device, "mask", wgpu::ShaderStages::COMPUTE, &bindings);
+        let written = [written_picture(WORDS)];
+        let target_layout = bind_group_layout(device, "mask words", wgpu::ShaderStages::COMPUTE, &written);
         let module = shader(gpu, "shading/mask_words.wgsl")?;
-        let pipeline = covering_pipeline(device, &module, &[&layout], "gather", WORDS);
-        Ok(Self { layout, pipeline })
+        let pipeline = compute_pipeline(device, &module, &[&layout, &target_layout], ("gather", &[]));
+        Ok(Self { layout, target_layout, pipeline })
+    }
+
+    /// Binds a texture for [`Self::write`] to write.
+    pub(crate) fn target(&self, device: &wgpu::Device, words: &wgpu::TextureView) -> wgpu::BindGroup {
+        bind_group(device, "mask words", &self.target_layout, &[wgpu::BindingResource::TextureView(words)])
     }
 
     /// Allocates memory for masks of this shape.
@@ -63,7 +75,7 @@ impl WordsPass {
         let size = constant(gpu, "mask size", &size);
         let resources = [size.as_entire_binding(), planes.as_entire_binding()];
         let group = bind_group(device, "mask", &self.layout, &resources);
-        Ok(MaskPlanes { planes, group })
+        Ok(MaskPlanes { shape, planes, group })
     }
 
     /// Uploads a mask; the commands in `encoder` convert it to `words`. `planes` has the mask's shape.
@@ -72,19 +84,13 @@ impl WordsPass {
         queue: &wgpu::Queue,
         encoder: &mut wgpu::CommandEncoder,
         (planes, mask): (&MaskPlanes, &Mask),
-        words: &wgpu::TextureView,
+        words: &wgpu::BindGroup,
     ) {
         // A little-endian u64 has its low u32 first, as the shader indexes it.
         #[cfg(target_endian = "big")]
         compile_error!("masks are uploaded as they lie in memory");
         queue.write_buffer(&planes.planes, 0, bytemuck::cast_slice(mask.words()));
-        let mut render = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("mask words"),
-            color_attachments: &[cleared(words)],
-            ..wgpu::RenderPassDescriptor::default()
-        });
-        render.set_pipeline(&self.pipeline);
-        render.set_bind_group(0, &planes.group, &[]);
-        render.draw(0..3, 0..1);
+        let size = (planes.shape.width(), planes.shape.height());
+        compute(encoder, "mask words", &self.pipeline, &[&planes.group, words], |pass| dispatch_pixels(pass, size));
     }
 }

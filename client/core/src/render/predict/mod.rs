@@ -8,6 +8,7 @@
 mod bindings;
 pub(crate) mod depth_history;
 pub(crate) mod depth_pass;
+mod kernels;
 mod layers;
 mod mask_view;
 mod mask_words;

@@ -12,17 +12,23 @@ use gnomon_shaders::{
 };
 
 use super::{
-    bindings, depth_history::DepthHistory, depth_pass::DepthPass, layers::Layers, mask_view::MaskView,
-    mask_words::WordsPass, shadow_map::ShadowMap,
+    bindings,
+    depth_history::DepthHistory,
+    depth_pass::DepthPass,
+    kernels::{Kernel, Kernels},
+    layers::Layers,
+    mask_view::MaskView,
+    mask_words::WordsPass,
+    shadow_map::ShadowMap,
 };
 use crate::{
     predictor::Predictor,
     render::{
         counts::Counts,
         error::RenderError,
-        pipeline::{Variable, bind_group, cleared, covering_pipeline_with, shader},
+        pipeline::{Variable, bind_group, shader},
         scene_upload::SceneUpload,
-        targets::{Targets, VISIBILITY},
+        targets::Targets,
     },
 };
 
@@ -32,8 +38,7 @@ const _: () = assert!(MAX_LAYERS == MAX_MASK_LAYERS);
 #[derive(Debug)]
 pub(crate) struct PredictPass {
     predictor: Predictor,
-    /// For at most one complete mask, and for several or a partial one.
-    pipelines: [wgpu::RenderPipeline; 2],
+    kernels: Kernels,
     scene_group: wgpu::BindGroup,
     surface_layout: wgpu::BindGroupLayout,
     mask_layout: wgpu::BindGroupLayout,
@@ -90,13 +95,10 @@ impl PredictPass {
         let smallest =
             MaskShape::new(1, 1, lights.clamp(1, 32)).map_err(|error| RenderError::Device(error.to_string()))?;
         let layers = Layers::new(gpu, &words_pass, smallest)?;
-        let layouts = [&scene_layout, &surface_layout, &mask_layout];
-        let pipelines = [0.0, 1.0].map(|layered| {
-            covering_pipeline_with(device, &module, &layouts, ("predict", &[("layered", layered)]), VISIBILITY.into())
-        });
+        let kernels = Kernels::new(module, [scene_layout, surface_layout.clone(), mask_layout.clone()]);
         Ok(Self {
             predictor,
-            pipelines,
+            kernels,
             scene_group,
             surface_layout,
             mask_layout,
@@ -112,6 +114,10 @@ impl PredictPass {
             pixels: targets.width * targets.height,
             layers,
         })
+    }
+
+    pub(crate) fn depth_pass(&self) -> &DepthPass {
+        &self.depth_pass
     }
 
     /// The client's own shadow maps.
@@ -172,7 +178,7 @@ impl PredictPass {
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        (camera, space): (&Camera, Space),
+        (camera, space, visibility_share): (&Camera, Space, f32),
         (targets, history, upload): (&Targets, &DepthHistory, &SceneUpload),
     ) {
         let (predictor, unknown) = self.predictor.shader_constants();
@@ -190,21 +196,21 @@ impl PredictPass {
         if self.predictor == Predictor::Surface && layers[..count].iter().any(|layer| layer.same_view == 0) {
             self.layers.need_depth(gpu, encoder, (count, space), &self.depth_pass, (history, upload));
         }
-        let mask_group = self.layers.group(&gpu.device, &self.mask_layout, &self.nearest);
+        let mask_group = self.layers.group(&gpu.device, &self.mask_layout, &self.nearest).clone();
+        let groups = [&self.scene_group, &self.surface_groups[history.current()], &mask_group];
+        let layered = layers[..count].iter().any(|layer| layer.whole == 0);
+        let (first, every) = if count == 0 {
+            (None, Kernel::WithoutMask)
+        } else if visibility_share >= 1.0 && !layered && layers[0].same_view == 1 {
+            (None, Kernel::OwnView)
+        } else {
+            let puts_off = visibility_share >= 1.0 && self.predictor == Predictor::Surface;
+            (puts_off.then_some(Kernel::First { layered }), Kernel::Every { layered })
+        };
+        let first = first.map(|first| self.kernels.get(&gpu.device, first));
+        let every = self.kernels.get(&gpu.device, every);
         self.unknown.clear(encoder);
-        {
-            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                label: Some("prediction"),
-                color_attachments: &[cleared(&targets.visibility)],
-                ..wgpu::RenderPassDescriptor::default()
-            });
-            let layered = layers[..count].iter().any(|layer| layer.whole == 0);
-            pass.set_pipeline(&self.pipelines[usize::from(layered)]);
-            pass.set_bind_group(0, &self.scene_group, &[]);
-            pass.set_bind_group(1, &self.surface_groups[history.current()], &[]);
-            pass.set_bind_group(2, mask_group, &[]);
-            pass.draw(0..3, 0..1);
-        }
+        targets.put_off.run(encoder, "prediction", (first.as_ref(), &every), &groups);
         self.unknown.copy(encoder, ());
     }
 
@@ -247,8 +253,14 @@ fn surface_groups(
     history: &DepthHistory,
 ) -> Vec<wgpu::BindGroup> {
     let picture = wgpu::BindingResource::TextureView;
-    history
-        .views()
-        .map(|depth| bind_group(device, "prediction", layout, &[picture(depth), picture(&targets.normal_material)]))
-        .collect()
+    let group = |depth| {
+        let resources = [
+            picture(depth),
+            picture(&targets.normal_material),
+            picture(&targets.visibility),
+            targets.put_off.binding(),
+        ];
+        bind_group(device, "prediction", layout, &resources)
+    };
+    history.views().map(group).collect()
 }
