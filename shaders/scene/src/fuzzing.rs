@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use crate::{LoadOptions, Scene, pack, picture, reader::decoders};
+use crate::{LoadOptions, Scene, limits::MAX_IMAGE_SIDE_PX, pack, picture, reader::decoders};
 
 /// A packed scene that is accepted survives packing and unpacking again. The bytes are tried unchanged, and again as
 /// the content of the Zstandard frame, which mutations do not reach.
@@ -25,7 +25,8 @@ pub fn gltf(bytes: &[u8], file: &Path) {
     }
 }
 
-/// A picture that is accepted is as large as its head says, and what is sent of it decodes to the same texels.
+/// A picture that is accepted is as large as its head says, and what is sent of it decodes to the same texels. A longer
+/// side than a sent picture may have is halved before by all who decode it.
 pub fn picture(bytes: &[u8]) {
     for halvings in 0..2 {
         // Larger ones take the same way, only longer.
@@ -34,6 +35,9 @@ pub fn picture(bytes: &[u8]) {
             return;
         };
         let (width, height) = ((source.width >> halvings).max(1), (source.height >> halvings).max(1));
+        if width.max(height) > MAX_IMAGE_SIDE_PX {
+            continue;
+        }
         let Ok(image) = source.decode(halvings) else { return };
         assert!((image.width, image.height) == (width, height), "a picture has another size than its head says");
         let again = picture::decode(image.encoded.clone(), picture::area(width, height));
