@@ -24,7 +24,7 @@ fn transform_masked(@location(0) position: vec3f, @location(2) uv: vec2f, @locat
 
 @fragment
 fn masked(input: Varying) {
-    if mask_alpha(input.uv) * input.alpha < material.alpha_cutoff {
+    if mask_alpha(input.uv) * vertex_alpha(input.alpha) < material.alpha_cutoff {
         discard;
     }
 }

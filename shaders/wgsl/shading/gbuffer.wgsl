@@ -56,7 +56,7 @@ fn masked_point(point: Point, front: bool) -> Written {
     let seen = written(surface_of(point, front));
     var alpha = mask_alpha(point.uv);
     if has(COLORS) {
-        alpha *= point.color.a;
+        alpha *= vertex_alpha(point.color.a);
     }
     if alpha < material.alpha_cutoff {
         discard;

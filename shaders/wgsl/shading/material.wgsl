@@ -45,6 +45,12 @@ fn picture_alpha(x: i32, y: i32, size: vec2i) -> f32 {
     return textureLoad(picture, place, 0).a;
 }
 
+// A point's alpha between its vertices. Interpolation rounds: between ones it may be a little less, which would decide
+// a test against a cutoff. 16-bit colours have no alpha in between.
+fn vertex_alpha(interpolated: f32) -> f32 {
+    return select(interpolated, 1.0, interpolated > 0.99999);
+}
+
 // The alpha that decides a MASK point, but for its vertices': bilinear in the full-size picture, exactly as the tracers
 // read it, so that both ends see the same leaf. Never through the picture's sampler, which would read a smaller mip.
 fn mask_alpha(uv: vec2f) -> f32 {

@@ -8,7 +8,7 @@ use std::{
 const MOST_LINES: usize = 500;
 const MOST_CHARACTERS: usize = 120;
 /// Folders without sources of ours.
-const SKIPPED: [&str; 4] = ["target", "scenes", "shared", "corpus"];
+const SKIPPED: [&str; 5] = ["target", "scenes", "shared", "corpus", "node_modules"];
 
 #[derive(Debug, Default)]
 pub struct Sources {
