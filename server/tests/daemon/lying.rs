@@ -38,9 +38,9 @@ const MOST_REFUSALS: u32 = 40;
 /// Time for which honest clients are watched, once without liars and once beside them.
 const WATCHED: Duration = Duration::from_secs(4);
 
-/// Twice the rates of honest clients. The first at which they get [`ENOUGH`] without liars is taken, since other programs
-/// may leave the server less of the processor: the other half is for what liars may ask for, who have declared that.
-/// Half is more than an equal share of the tracing thread, if all liars got what they ask for.
+/// Twice the rates of honest clients. The first at which they get [`ENOUGH`] without liars is taken, since other
+/// programs may leave the server less of the processor. Half of it is more than an equal share of the tracing thread,
+/// if all liars got what they ask for; the other half is there for what liars have declared.
 const TWICE_HONEST_HZ: [u16; 4] = [40, 20, 10, 4];
 
 /// A server that is at its limit without liars says nothing about them.
