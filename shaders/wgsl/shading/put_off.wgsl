@@ -1,5 +1,5 @@
 // Pixels that need more work than most are put off: a second dispatch does them, in which every invocation has such a
-// pixel. Invocations run side by side, so otherwise a few would hold up many. Whoever imports this declares `put_off`.
+// pixel. Invocations run side by side, so otherwise a few would hold up many. Importers declare `put_off`.
 // Host: `render::put_off`.
 
 struct PutOff {

@@ -1,4 +1,4 @@
-// Which of the pixels around show a pixel's own surface. Whoever imports this declares `view` and `depth_picture`.
+// Which of the pixels around show a pixel's own surface. Importers declare `view` and `depth_picture`.
 
 #import "shading/view.wgsl"
 
