@@ -1,5 +1,5 @@
-//! Promise: sessions survive jumps of the wall clock by hours in both directions. Tokens and certificates expire by the
-//! clock, and no time in the log is negative.
+//! Promise: sessions survive jumps of the wall clock by hours in both directions. Tokens, with their sessions, and
+//! certificates expire by the clock, and no time in the log is negative.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod walk;
@@ -56,12 +56,16 @@ fn sessions_go_on_and_tokens_and_certificates_expire_by_the_clock() {
     let refused = |token: &str| run(token, 1).unwrap_err().to_string();
     let browsers = server.browser_certificate_sha256().unwrap();
     std::thread::scope(|scope| {
-        let long = scope.spawn(|| run(&for_a_day, 120));
-        while server.sessions() == 0 {
+        let long = scope.spawn(|| run(&for_ever, 160));
+        let expiring = scope.spawn(|| run(&for_a_day, 1200));
+        while server.sessions() < 2 {
             std::thread::sleep(Duration::from_millis(5));
         }
-        // Forwards beyond the expiry of the token and of the browsers' certificate: the session goes on.
+        // Forwards beyond the expiry of a token and of the browsers' certificate: a session whose token is still good
+        // goes on.
         step::set(14 * DAY_S);
+        let ended = expiring.join().unwrap().unwrap_err().to_string();
+        assert!(ended.contains("its token expired"), "{ended}");
         assert!(refused(&for_a_day).contains("token"), "{}", refused(&for_a_day));
         assert_eq!(run(&for_ever, 5).unwrap().poses, 5);
         let renewed = server.browser_certificate_sha256().unwrap();
@@ -89,5 +93,5 @@ fn sessions_go_on_and_tokens_and_certificates_expire_by_the_clock() {
             assert!(seconds < 3600.0, "it lasted as long as it did, whatever the clock said: {line}");
         }
     }
-    assert_eq!(ended, 3, "{text}");
+    assert_eq!(ended, 4, "{text}");
 }

@@ -298,7 +298,9 @@ async fn about_sizes() {
             match other.control.receive().await {
                 Some(ServerMessage::Welcome(_)) => admitted.push(other),
                 Some(ServerMessage::Refused(Refusal::Busy { reason, .. })) => {
-                    assert!(reason.to_string().contains("MB of memory"), "{reason}");
+                    let reason = reason.to_string();
+                    // Beside other programs such a frame may take longer than the honest clients tolerate.
+                    assert!(reason.contains("MB of memory") || reason.contains("frame would take"), "{reason}");
                     refused += 1;
                 }
                 other => panic!("{other:?}"),
