@@ -34,7 +34,8 @@ fn received(server: &ServerProcess, stop: &Stop) -> Mask {
         size: SIZE,
         folder: folder.path(),
         save_masks: true,
-        arguments: vec!["--wait".into(), "--allow-software".into()],
+        // The masks are judged, so the pictures may cost little.
+        arguments: ["--wait", "--allow-software", "--predict", "none", "--quality", "low"].map(Into::into).to_vec(),
     };
     job.start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
     let mut masks = masks::read(&folder.path().join("masks")).unwrap();
