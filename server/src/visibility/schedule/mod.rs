@@ -3,6 +3,7 @@
 
 pub mod capacity;
 pub mod costs;
+pub(crate) mod dearest;
 pub(crate) mod measured_rate;
 pub mod pace;
 pub mod parts;

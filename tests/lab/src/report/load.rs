@@ -9,6 +9,7 @@ use gnomon_client::{
     headless::stats::percentile,
     link::url::ServerUrl,
 };
+use gnomon_protocol::codec::CodecId;
 use serde::Serialize;
 
 use super::scene_args::size;
@@ -36,6 +37,9 @@ pub struct LoadOptions {
     /// Poses a second of each client [default: a pose whenever the mask of the one before has arrived].
     #[arg(long)]
     pub fps: Option<f64>,
+    /// How masks are coded.
+    #[arg(long, default_value = "planes-lz4")]
+    pub codec: CodecId,
     /// File for the figures as JSON, besides printing them.
     #[arg(long)]
     pub out: Option<PathBuf>,
@@ -73,6 +77,7 @@ pub fn run(options: &LoadOptions) -> Result<LoadReport> {
                 let ask = Ask { size: options.size, fps: options.fps, frames: options.frames };
                 let probe = ProbeOptions {
                     token: options.token.clone(),
+                    codec: options.codec,
                     start_time_s: path.duration_s() * f64::from(client) / f64::from(options.clients),
                     ..ask.of(&options.url)
                 };

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use crate::visibility::{
     engine::{shared::PendingSession, tracer::PartialFrame},
-    schedule::{pace::Pace, parts, scheduler::Demand},
+    schedule::{dearest::DearestView, pace::Pace, parts, scheduler::Demand},
 };
 
 /// How long the shortest frame cost among the sessions is remembered.
@@ -22,6 +22,7 @@ pub(super) struct ActiveSession {
     /// The frame being traced in parts is background work.
     pub(super) in_background: bool,
     pub(super) pace: Pace,
+    pub(super) dearest: DearestView,
     /// When its pace last held a request back, although it had declared a rate.
     held_back_at: Option<Instant>,
 }
@@ -68,7 +69,8 @@ impl SplitThreshold {
 impl ActiveSession {
     pub(super) fn new(opened: PendingSession) -> Self {
         let pace = Pace::new(opened.costs.rate_hz(), Instant::now());
-        Self { opened, due: None, partial: None, in_background: false, pace, held_back_at: None }
+        let dearest = DearestView::default();
+        Self { opened, due: None, partial: None, in_background: false, pace, dearest, held_back_at: None }
     }
 
     pub(super) fn is_closed(&self) -> bool {

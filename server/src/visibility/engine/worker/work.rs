@@ -145,9 +145,11 @@ impl Worker {
         self.scheduler.finished(job.session, cost.device_ms());
         // A processor hardly slows down between masks, and other work disturbs its times.
         let rests = !self.tracer.is_synchronous();
-        let planned_ms = if rests { self.price.planned_ms(&cost, Instant::now()) } else { cost.device_ms() };
-        self.shared.model.learn(job.mask.shape().pixels(), planned_ms);
-        if let Some(session) = self.sessions.get(&job.session) {
+        let now = Instant::now();
+        let busy_ms = if rests { self.price.planned_ms(&cost, now) } else { cost.device_ms() };
+        self.shared.model.learn(job.mask.shape().pixels(), busy_ms);
+        if let Some(session) = self.sessions.get_mut(&job.session) {
+            let planned_ms = if rests { session.dearest.plan_ms(busy_ms, now) } else { busy_ms };
             session.opened.costs.record_end(&cost, planned_ms);
         }
         let TraceRequest { frame, ahead, received_at, .. } = job.request;
