@@ -153,7 +153,7 @@ impl FrameDriver {
         let first = look.first_exposure();
         let mut renderer = FrameRenderer::new(gpu, &scene, size, first, PICTURE_FORMAT, settings.predict)?;
         let exposure = look.apply(&mut renderer, settings)?;
-        renderer.set_quality(settings.quality)?;
+        renderer.set_quality(settings.quality);
         match link.start(pending, MaskShape::new(width, height, welcome.lights)?) {
             Ok(()) => {}
             Err(error @ ClientError::Write { .. }) => return Err(error),

@@ -1,9 +1,12 @@
 // The page in a real browser, on a real server.
 import assert from "node:assert/strict";
-import { readFile } from "node:fs/promises";
+import { execFileSync } from "node:child_process";
+import { readFile, writeFile } from "node:fs/promises";
 import { join } from "node:path";
-import { test } from "node:test";
-import { browser, cloisterPaths, compare, folder, native, open, screenshot, server, until } from "./rig.mjs";
+import { after, test } from "node:test";
+import { bin, browser, closeBrowsers, cloisterPaths, compare, folder, hide, native, open, screenshot, server, until } from "./rig.mjs";
+
+after(closeBrowsers);
 
 const FRAMES = Number(process.env.WEB_TEST_FRAMES ?? 20);
 /** Compared with the native client's. */
@@ -11,6 +14,9 @@ const PICTURES = [0, FRAMES >> 1, FRAMES - 1];
 /** Fixed, since eyes that adapt never see quite the same again. */
 const EXPOSURE = 12;
 const LEAST_PSNR_DB = 50;
+
+/** Where pictures do not matter, they cost little. */
+const SMALL = { size: [160, 90] };
 
 /** Lies about what the server announces. */
 const changed = (change) => async (route) => {
@@ -21,6 +27,9 @@ const changed = (change) => async (route) => {
     // The server or the page is gone.
   }
 };
+
+/** A network that drops UDP: nobody answers at another port. */
+const behind = changed((server) => ({ ...server, port: 9 }));
 
 /** All that the page has said over the picture. */
 const said = (page) => page.evaluate(() => gnomon.log.banners.join("\n"));
@@ -100,26 +109,28 @@ test("a browser without WebGPU is told what would do, and a network without UDP 
   await screenshot(page, "no-webgpu");
   assert.match(await page.textContent("#card"), /WebGPU.*Chrome.*Safari.*Firefox/s);
   const started = await browser(t);
-  // Behind a network that drops UDP: another port, where nobody answers.
-  const blocked = await open(started, url, { route: changed((server) => ({ ...server, port: 9 })) });
+  const blocked = await open(started, url, { options: SMALL, route: behind });
   await until(blocked, () => gnomon.log.marks.shadowed && gnomon.figures().way === 'WebSocket');
   assert.match(await said(blocked), /By WebSocket.*UDP/s);
   await screenshot(blocked, "websocket");
   assert.deepEqual(await blocked.evaluate(() => gnomon.log.csp), []);
 });
 
+/** Another server, as the one that drains names it. */
+const ALTERNATIVE = `gnomon://b.example:1/?cert=${"0f".repeat(32)}`;
+
 test("a server that drains, goes and comes back is announced, lost and found", async (t) => {
   const certificates = await folder(t);
-  const first = await server(t, { certificates, args: ["--drain-ms", "300000"] });
+  const first = await server(t, { certificates, args: ["--drain-ms", "300000", "--alternative", ALTERNATIVE] });
   const listen = first.url.match(/gnomon:\/\/([^/]+)\//)[1];
   const web = new URL(first.page).host;
   const started = await browser(t);
-  const page = await open(started, first.page);
+  const page = await open(started, first.page, { options: SMALL });
   await until(page, () => gnomon.log.marks.shadowed);
   first.child.kill("SIGTERM");
   await until(page, () => gnomon.log.states.includes('draining'));
   await screenshot(page, "draining");
-  assert.match(await said(page), /ends this session in/);
+  assert.match(await said(page), /ends this session in.* gnomon:\/\/b\.example:1\//);
   // A second one does not wait for the end of the drain.
   first.child.kill("SIGTERM");
   await until(page, () => gnomon.log.states.includes('lost'));
@@ -154,15 +165,44 @@ test("tokens, versions, origins and certificates that do not fit are said in wor
   assert.match(await stranger.textContent("#card"), /https:\/\/a\.example/);
 
   const secrets = await folder(t);
-  const { execFileSync } = await import("node:child_process");
-  const { writeFile } = await import("node:fs/promises");
-  const made = execFileSync(join(process.env.WEB_TEST_BIN ?? "../../target/debug", "gnomon-server"), ["token", "--name", "alice", "--days", "1"], { encoding: "utf8" });
-  const [secret, ...entry] = made.split("\n");
-  await writeFile(join(secrets, "tokens.toml"), entry.join("\n"));
-  const guarded = await server(t, { args: ["--token-file", join(secrets, "tokens.toml")] });
+  const tokens = join(secrets, "tokens.toml");
+  const [alice, bob, carol] = ["alice", "bob", "carol"].map((name) => {
+    const made = execFileSync(join(bin, "gnomon-server"), ["token", "--name", name, "--days", "1"], { encoding: "utf8" });
+    const [secret, ...entry] = made.split("\n");
+    return { secret, entry: entry.join("\n") };
+  });
+  await writeFile(tokens, [alice, bob, carol].map(({ entry }) => entry).join("\n"));
+  const guarded = await server(t, { args: ["--token-file", tokens] });
   const without = await open(started, guarded.page);
   await until(without, () => gnomon.log.failed?.why === 'token');
-  const welcome = await open(started, `${guarded.page}#token=${secret}`);
-  await until(welcome, () => gnomon.log.marks.shadowed);
-  assert.ok(!welcome.url().includes(secret), "the token left the address bar");
+  // A token that is withdrawn ends its session, and coming back is for the person to try. One after the other: a busy
+  // machine has no place for two.
+  for (const [{ secret }, left, way] of [[alice, [bob, carol]], [bob, [carol], behind]]) {
+    const welcome = await open(started, `${guarded.page}#token=${secret}`, { options: SMALL, route: way });
+    await until(welcome, () => gnomon.log.marks.shadowed);
+    assert.ok(!welcome.url().includes(secret), "the token left the address bar");
+    await writeFile(tokens, left.map(({ entry }) => entry).join("\n"));
+    guarded.child.kill("SIGHUP");
+    await until(welcome, () => gnomon.log.failed?.why === 'ended');
+    assert.match(await welcome.textContent("#card"), /withdrawn/);
+    await welcome.context().close();
+  }
+});
+
+test("a page that is lost or unseen comes back, again and again", async (t) => {
+  const { page: url } = await server(t);
+  const page = await open(await browser(t), url, { options: { ...SMALL, unseen_ms: 100 } });
+  await until(page, () => gnomon.log.marks.shadowed);
+  const lives = (count) => until(page, (count) => gnomon.log.lives === count, count);
+  for (let times = 2; times < 5; times += 1) {
+    await page.evaluate(() => gnomon.ask({ is: "drop" }));
+    await lives(times);
+  }
+  await hide(page, true);
+  await until(page, () => gnomon.log.states.at(-1) === "asleep");
+  await hide(page, false);
+  await lives(5);
+  const { masks } = await page.evaluate(() => gnomon.figures());
+  await page.waitForFunction((before) => gnomon.figures().masks !== before, masks);
+  assert.deepEqual(page.problems, []);
 });

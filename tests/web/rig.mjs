@@ -3,14 +3,15 @@
 // WEB_TEST_BIN is the folder of gnomon-server and gnomon-client, WEB_TEST_PAGE the built page, CHROMIUM the browser; the
 // defaults are what `cargo test`, `make web` and Debian's package leave. Screenshots go to target/web/screenshots.
 import { spawn } from "node:child_process";
-import { mkdir, mkdtemp, rm } from "node:fs/promises";
+import { existsSync } from "node:fs";
+import { mkdir, mkdtemp, rename, rm, writeFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { join, resolve } from "node:path";
 import { fileURLToPath } from "node:url";
 import { chromium } from "playwright-core";
 
 const root = resolve(fileURLToPath(import.meta.url), "../../..");
-const bin = process.env.WEB_TEST_BIN ?? join(root, "target/debug");
+export const bin = process.env.WEB_TEST_BIN ?? join(root, "target/debug");
 const pageFolder = process.env.WEB_TEST_PAGE ?? join(root, "target/web/page");
 export const screenshots = process.env.WEB_TEST_SCREENSHOTS ?? join(root, "target/web/screenshots");
 export const cloister = join(root, "tests/assets/cloister.glb");
@@ -77,13 +78,56 @@ export async function native(url, args) {
   if (code !== 0) throw new Error(`gnomon-client ended with ${code}:\n${log}`);
 }
 
-/** Starts Chromium, without WebGPU if `webgpu` is false. Ends with the test. */
-export async function browser(test, { webgpu = true } = {}) {
+/** Starts Chromium, without WebGPU if `webgpu` is false. */
+export function launch({ webgpu = true, env = {} } = {}) {
   const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium";
   const args = [...QUIET, ...(webgpu ? SOFTWARE_WEBGPU : [])];
-  const started = await chromium.launch({ executablePath, headless: true, args });
-  test.after(() => started.close());
+  return chromium.launch({ executablePath, headless: true, args, env: { ...process.env, ...env } });
+}
+
+const shared = new Map();
+
+/** Returns a browser that the tests of a file share, until `closeBrowsers`. Its pages end with the test: they would go on drawing. */
+export async function browser(test, { webgpu = true } = {}) {
+  if (!shared.has(webgpu)) shared.set(webgpu, launch({ webgpu }));
+  const started = await shared.get(webgpu);
+  test.after(() => Promise.all(started.contexts().map((context) => context.close())));
   return started;
+}
+
+/** To be called at the end of such a file. */
+export async function closeBrowsers() {
+  for (const started of shared.values()) await (await started).close();
+}
+
+/** Hides the page, or shows it again, as another tab in front would. */
+export async function hide(page, hidden) {
+  await page.evaluate((hidden) => {
+    Object.defineProperty(document, "hidden", { configurable: true, get: () => hidden });
+    document.dispatchEvent(new Event("visibilitychange"));
+  }, hidden);
+}
+
+/** A clock that programs with this environment read, and that a test sets: `set("+6.5d")`. */
+export async function clock(test) {
+  const library = ["x86_64", "aarch64"]
+    .map((machine) => `/usr/lib/${machine}-linux-gnu/faketime/libfaketimeMT.so.1`)
+    .find((path) => existsSync(path));
+  if (!library) throw new Error("libfaketime is not installed: run deploy/setup tests");
+  const path = join(await folder(test), "clock");
+  const set = async (time) => {
+    await writeFile(`${path}.new`, time);
+    await rename(`${path}.new`, path);
+  };
+  await set("+0d");
+  const env = {
+    LD_PRELOAD: library,
+    FAKETIME_TIMESTAMP_FILE: path,
+    FAKETIME_DONT_FAKE_MONOTONIC: "1",
+    // Chromium asks for the time so often that the file must not be read each time.
+    FAKETIME_CACHE_DURATION: "1",
+  };
+  return { env, set };
 }
 
 /** Opens the page. `options` is what a page around it may choose. Errors in the page fail the test. */

@@ -128,7 +128,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (mask, other_mask) = (frames.mask(&camera, shape)?, frames.mask(&aside, shape)?);
     frames.renderer.time_stages();
     for quality in Quality::ALL {
-        frames.renderer.set_quality(quality)?;
+        frames.renderer.set_quality(quality);
         frames.measure(&format!("{quality}, own view"), Some((&mask, &camera)))?;
         frames.measure(&format!("{quality}, predicted"), Some((&other_mask, &aside)))?;
         frames.renderer.set_predictor(Predictor::None);

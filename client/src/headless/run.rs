@@ -131,7 +131,7 @@ impl Start {
         let first = look.first_exposure();
         let mut renderer = FrameRenderer::new(gpu, &scene, size, first, PICTURE_FORMAT, settings.predict)?;
         let exposure = look.apply(&mut renderer, settings)?;
-        renderer.set_quality(settings.quality)?;
+        renderer.set_quality(settings.quality);
         drop(scene);
         let welcome = connected.as_ref().map(|connected| connected.welcome().clone());
         let recorder = Recorder::for_run(options, size, welcome.as_ref(), &renderer, gpu)?;

@@ -131,7 +131,7 @@ pub fn replay<E: From<ReplayError>>(
     let ([width, height], exposure) = (start.size_px, start.exposure.into());
     let renderer = FrameRenderer::new(gpu, scene, (width, height), exposure, PICTURE_FORMAT, start.predictor);
     let mut renderer = renderer.map_err(render)?;
-    renderer.set_quality(start.quality).map_err(render)?;
+    renderer.set_quality(start.quality);
     let environment = start.environment.open().map_err(|error| E::from(error.into()))?;
     renderer.set_environment(environment, start.survey);
     renderer.set_tone(start.tone);
@@ -149,7 +149,7 @@ pub fn replay<E: From<ReplayError>>(
                 reader = PictureReader::new(gpu, *width, *height, 1);
             }
             Record::Predictor(predictor) => renderer.set_predictor(*predictor),
-            Record::Quality(quality) => renderer.set_quality(*quality).map_err(render)?,
+            Record::Quality(quality) => renderer.set_quality(*quality),
             Record::Tone(tone) => renderer.set_tone(*tone),
             Record::Exposure(exposure) => renderer.set_exposure((*exposure).into()),
             Record::LightsOn(lights) => renderer.set_lights_on(*lights),

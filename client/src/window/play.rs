@@ -120,7 +120,7 @@ impl Play {
         // Both may have been chosen during loading.
         renderer.set_predictor(settings.predictor);
         renderer.set_tone(settings.tone);
-        renderer.set_quality(settings.quality)?;
+        renderer.set_quality(settings.quality);
         let extent_m = f64::from((scene.bounds.max - scene.bounds.min).length());
         let speed = (extent_m / CROSSING_S).min(MOST_INITIAL_SPEED_M_PER_S);
         let (width, height) = largest_mask(largest);
@@ -349,7 +349,7 @@ impl Play {
             self.record(&Record::Predictor(settings.predictor))?;
         }
         if settings.quality != self.applied.quality {
-            self.driver.frames.renderer.set_quality(settings.quality)?;
+            self.driver.frames.renderer.set_quality(settings.quality);
             self.record(&Record::Quality(settings.quality))?;
         }
         if settings.tone != self.applied.tone {

@@ -124,7 +124,7 @@ impl Reference {
         let mut renderer = FrameRenderer::new(gpu, &scene, size, like.exposure(), PICTURE_FORMAT, predictor)?;
         let (environment, survey) = like.environment();
         renderer.set_environment(environment, survey);
-        renderer.set_quality(options.settings.quality)?;
+        renderer.set_quality(options.settings.quality);
         let lights = connected.welcome().lights;
         let link = connected.start(MaskShape::new(largest.0, largest.1, lights)?, Default::default())?;
         let no_band = Guard::Fixed(GuardSize { width: 0, height: 0 });

@@ -97,6 +97,9 @@ async function openWebTransport(server, host, hear) {
 const CONTROL = 0;
 const DATA = 1;
 
+/** A WebSocket's code for a session that ends as WebTransport's does with code 0. */
+const FIRST_CODE = 4000;
+
 /** Unsent bytes above which a newer pose had better wait. */
 const MOST_UNSENT = 1024;
 
@@ -124,7 +127,7 @@ async function openWebSocket(url, hear) {
     }
   };
   socket.onerror = null;
-  socket.onclose = ({ code, reason }) => hear.closed({ code: code === 1000 ? 0 : null, reason });
+  socket.onclose = ({ code, reason }) => hear.closed({ code: code >= FIRST_CODE ? code - FIRST_CODE : null, reason });
   const send = (kind, bytes) => {
     const message = new Uint8Array(1 + bytes.length);
     message[0] = kind;

@@ -40,7 +40,7 @@ let last = {}; // The newest figures.
 let bannerTimer = null;
 let serving = false;
 /** For tests, and for who asks what has happened. */
-const log = { states: [], banners: [], walked: [], pictures: {}, marks: {}, failed: null, csp: [] };
+const log = { states: [], lives: 0, banners: [], walked: [], pictures: {}, marks: {}, failed: null, csp: [] };
 globalThis.gnomon = { log, ask: (message) => worker.postMessage(message), figures: () => last };
 
 addEventListener("securitypolicyviolation", ({ violatedDirective, blockedURI }) => note(log.csp, `${violatedDirective} ${blockedURI}`));
@@ -112,10 +112,12 @@ const heard = {
   },
   state: (state) => {
     note(log.states, state.name);
-    const { name, text, seconds: left, again, why } = state;
+    log.lives += state.name === "live";
+    const { name, text, seconds: left, again, why, elsewhere } = state;
+    const other = elsewhere ? ` For programs it names ${elsewhere}.` : "";
     if (name === "live" && why && !again) banner(`By WebSocket. ${why}.`, { ms: 8000 });
     else if (name === "live") banner(again ? "Connected again" : "", { good: true, ms: 5000 });
-    else if (name === "draining") banner(`The server ends this session in ${left} s: ${text}. The picture goes on.`);
+    else if (name === "draining") banner(`The server ends this session in ${left} s: ${text}. The picture goes on.${other}`);
     else if (name === "lost" && !serving) loading(`The server cannot be reached: ${text}.${seconds(left)}`);
     else if (name === "lost") banner(`Connection lost: ${text}.${seconds(left)} Until then without its shadows.`);
     else if (name === "refused" && !serving) loading(`${text}.${seconds(left)}`);
@@ -174,6 +176,8 @@ function pixels() {
 function start() {
   if (!isSecureContext) return problem("insecure");
   if (!navigator.gpu) return problem("webgpu");
+  // The browser's process for graphics takes as long to start as the page to load.
+  navigator.gpu.requestAdapter().catch(() => {});
   if (!canvas.transferControlToOffscreen) return problem("webgpu", "no OffscreenCanvas");
   worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
   worker.onmessage = ({ data }) => heard[data.is]?.(data);

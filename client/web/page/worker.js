@@ -1,6 +1,7 @@
 // Network, decoding and drawing, away from the page's thread. The page says what a person does; this says what to show.
 import init, { Client } from "./gnomon_web.js";
 import { NotOpened, open } from "./link.js";
+import { areCompiled } from "./pipelines.js";
 
 /** Most pixels of a picture, and of one that the processor draws. */
 const MOST_PIXELS = 1920 * 1080;
@@ -14,7 +15,7 @@ const LONGEST_PAUSE_MS = 8000;
 const PING_MS = 1000;
 const SILENT_MS = 4000;
 
-/** A page that nobody sees for so long gives its place back. */
+/** A page that nobody sees for so long gives its place back, unless `unseen_ms` says otherwise. */
 const UNSEEN_MS = 30_000;
 
 /** Scenes that are kept. */
@@ -23,6 +24,7 @@ const KEPT_SCENES = 4;
 const FIGURES_MS = 500;
 
 let client = null;
+let memory = null; // Of wasm.
 let page = null; // What the page said first.
 let size = [1, 1];
 let link = null;
@@ -66,7 +68,10 @@ async function begin(message) {
   page = message;
   size = page.size;
   mark("begun");
-  const ready = init({ module_or_path: new URL("./gnomon_web_bg.wasm", import.meta.url) }).then(() => mark("compiled"));
+  const ready = init({ module_or_path: new URL("./gnomon_web_bg.wasm", import.meta.url) }).then((wasm) => {
+    memory = wasm.memory;
+    mark("compiled");
+  });
   const answer = ask().catch((error) => error);
   await ready;
   if (!navigator.gpu) throw new Final("webgpu", "WebGPU is missing in workers");
@@ -203,14 +208,14 @@ async function listen(end) {
         break;
       case "scene":
         mark("fetched");
-        await keep(end.digest, client.packed());
-        begun(end);
+        keep(end.digest, client.packed());
+        await begun(end);
         break;
       case "refused":
         end.refused = event;
         break;
       case "draining":
-        state("draining", { text: event.reason, seconds: Math.ceil(event.deadline_ms / 1000) });
+        state("draining", { text: event.reason, seconds: Math.ceil(event.deadline_ms / 1000), elsewhere: event.elsewhere });
         break;
       case "closing":
         end.reason = event.reason;
@@ -226,26 +231,35 @@ async function listen(end) {
 async function welcomed(event, end) {
   end.digest = event.digest;
   if (event.has_scene) {
-    begun(end);
+    await begun(end);
     return;
   }
   const kept = await look(event.digest);
   if (kept && client.offer(kept)) {
     mark("found");
-    begun(end);
+    await begun(end);
   } else {
     client.fetch();
     flush();
   }
 }
 
-/** The scene is there: poses go out from the next frame on. */
-function begun(end) {
+/** Lets the browser do what was asked of it. */
+const turn = () => new Promise((resolve) => setTimeout(resolve));
+
+/** The scene is there: poses go out as soon as it can be drawn. */
+async function begun(end) {
   if (!link) return;
   const known = started;
   tell("stage", { text: "Preparing the scene" });
   try {
+    for (const step of ["unpacked", "uploaded"]) {
+      if (!client.prepare()) break;
+      mark(step);
+      await turn();
+    }
     client.prepare();
+    if (current !== end || !link) return;
     client.start();
   } catch (error) {
     throw new Final("scene", error.message);
@@ -306,7 +320,7 @@ function watch() {
 function draw(now) {
   requestAnimationFrame(draw);
   try {
-    const news = client.frame();
+    const news = areCompiled() && client.frame();
     if (news) heed(JSON.parse(news));
     flush();
     show(now);
@@ -315,10 +329,11 @@ function draw(now) {
   }
 }
 
-function heed({ drawn, shadowed, share, walked }) {
+function heed({ drawn, shadowed, shown, share, walked }) {
   if (drawn) mark("drawn");
   if (shadowed) mark("shadowed");
-  if (drawn || shadowed) tell("drawn", { marks });
+  if (shown) mark("shown");
+  if (drawn || shadowed || shown) tell("drawn", { marks });
   if (share) client.resize(...fitted(size));
   if (walked) {
     if (walked.arrived) client.end_walk();
@@ -332,7 +347,7 @@ function show(now) {
   if (now - figuresAt >= FIGURES_MS) {
     figuresAt = now;
     const figures = client.figures();
-    if (figures) tell("figures", { ...JSON.parse(figures), trip, way: link?.kind, view: client.view() });
+    if (figures) tell("figures", { ...JSON.parse(figures), trip, way: link?.kind, view: client.view(), wasm_bytes: memory.buffer.byteLength });
   }
 }
 
@@ -366,7 +381,7 @@ function see(now) {
       client?.leave();
       flush();
       setTimeout(() => link?.close(), 100);
-    }, UNSEEN_MS);
+    }, page?.options.unseen_ms ?? UNSEEN_MS);
   }
 }
 

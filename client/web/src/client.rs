@@ -7,7 +7,7 @@ use gnomon_client_core::{
     frame::mode::Mode,
     input::{Controls, Sticks, keys::MoveKey},
     predictor::Predictor,
-    render::{debug_view::DebugView, readback::Picture},
+    render::{FrameRenderer, debug_view::DebugView, readback::Picture},
 };
 use gnomon_protocol::{
     PROTOCOL_VERSION,
@@ -28,7 +28,7 @@ use crate::{
     conversation::{Conversation, Event, Wishes},
     figures::Figures,
     pace::Pace,
-    play::{Options, Play, Settings, Walk},
+    play::{Options, Play, Settings, Walk, new_renderer},
     scene_fetch::digest_of,
     screen::Screen,
 };
@@ -77,6 +77,7 @@ pub struct Client {
     /// Of the largest mask of this session, in pixels.
     largest: (u32, u32),
     packed: Option<Vec<u8>>,
+    preparing: Option<Preparing>,
     play: Option<Play>,
     options: Options,
     settings: Settings,
@@ -89,9 +90,17 @@ pub struct Client {
     pictures: Vec<u32>,
     /// For the page, after the next frame.
     news: Map<String, Value>,
-    /// True from the first frame on, and from the first one with a mask.
+    /// True from the first frame on, from the first one with a mask, and once the adapter has drawn that.
     drawn: bool,
     shadowed: bool,
+    shown: bool,
+}
+
+/// How far a scene is on its way from bytes to pictures.
+enum Preparing {
+    Unpacked(Box<Scene>),
+    /// The adapter compiles.
+    Uploaded(Box<(Scene, FrameRenderer)>),
 }
 
 fn failed(error: impl std::fmt::Display) -> JsError {
@@ -117,6 +126,7 @@ impl Client {
             resume: None,
             largest: (0, 0),
             packed: None,
+            preparing: None,
             play: None,
             options: Options { exposure, view, walk },
             settings: Settings::default(),
@@ -129,6 +139,7 @@ impl Client {
             news: Map::new(),
             drawn: false,
             shadowed: false,
+            shown: false,
         })
     }
 
@@ -198,8 +209,12 @@ impl Client {
                 json!({ "is": "scene" })
             }
             Event::Pong(number) => json!({ "is": "pong", "number": number }),
-            Event::Draining { reason, deadline, .. } => json!({
-                "is": "draining", "reason": reason.to_string(), "deadline_ms": deadline.as_millis() as u64,
+            Event::Draining { reason, deadline, alternative } => json!({
+                "is": "draining",
+                "reason": reason.to_string(),
+                "deadline_ms": deadline.as_millis() as u64,
+                // Its certificates are not those that it shows to browsers, so that a page cannot follow.
+                "elsewhere": alternative.map(|url| url.to_string()),
             }),
             Event::Closing(reason) => json!({ "is": "closing", "reason": reason.to_string() }),
         };
@@ -226,26 +241,42 @@ impl Client {
         fits
     }
 
-    /// Unpacks the scene that was fetched or offered, if there is one, and prepares to draw it.
-    pub fn prepare(&mut self) -> Result<(), JsError> {
+    /// Takes a step in preparing to draw the scene that was fetched or offered. Returns whether there are more. The
+    /// adapter compiles while the later ones compute, if the page lets others run between them.
+    pub fn prepare(&mut self) -> Result<bool, JsError> {
         let welcome = self.conversation.as_ref().and_then(Conversation::welcome);
-        let (Some(packed), Some(welcome)) = (self.packed.take(), welcome) else { return Ok(()) };
-        let scene = Scene::unpack(&packed)?;
-        let (lights, announced) = (scene.lights.len(), welcome.lights);
-        if lights != announced as usize {
-            return Err(failed(format!("the server announced {announced} lights, and its scene has {lights}")));
+        let Some(welcome) = welcome else { return Ok(false) };
+        if let Some(packed) = self.packed.take() {
+            let scene = Scene::unpack(&packed)?;
+            let (lights, announced) = (scene.lights.len(), welcome.lights);
+            if lights != announced as usize {
+                return Err(failed(format!("the server announced {announced} lights, and its scene has {lights}")));
+            }
+            self.preparing = Some(Preparing::Unpacked(Box::new(scene)));
+            return Ok(true);
         }
-        let (digest, now) = (welcome.scene_digest, Instant::now());
-        match &mut self.play {
-            Some(play) => play.change_scene(&scene, digest)?,
-            None => {
-                let size = self.screen.size();
-                let mut play = Play::new(&self.screen.gpu, &scene, digest, size, &self.options, now)?;
-                play.apply(&self.settings)?;
-                self.play = Some(play);
+        let (gpu, size, now) = (&self.screen.gpu, self.screen.size(), Instant::now());
+        match self.preparing.take() {
+            None => return Ok(false),
+            Some(Preparing::Unpacked(scene)) => {
+                let renderer = new_renderer(gpu, &scene, size, &self.options)?;
+                self.preparing = Some(Preparing::Uploaded(Box::new((*scene, renderer))));
+                return Ok(true);
+            }
+            Some(Preparing::Uploaded(uploaded)) => {
+                let (scene, renderer) = *uploaded;
+                let scene = (&scene, welcome.scene_digest);
+                match &mut self.play {
+                    Some(play) => play.change_scene(renderer, scene, now)?,
+                    None => {
+                        let mut play = Play::new(gpu, renderer, scene, size, &self.options, now)?;
+                        play.apply(&self.settings)?;
+                        self.play = Some(play);
+                    }
+                }
             }
         }
-        Ok(())
+        Ok(false)
     }
 
     /// Says Start: poses go out from the next frame on.
@@ -303,6 +334,13 @@ impl Client {
         if !self.screen.is_ready() {
             return Ok(None);
         }
+        if self.shadowed && self.screen.is_idle() && !std::mem::replace(&mut self.shown, true) {
+            self.news.insert("shown".to_owned(), true.into());
+        }
+        // The rest is not to be compiled before the first picture, but beside nothing.
+        if play.is_draft() && (!self.screen.is_idle() || play.end_draft()) {
+            return Ok(self.take_news());
+        }
         if let Some(next) = play.next_of_walk() {
             if self.screen.is_saving() {
                 return Ok(None);
@@ -330,8 +368,12 @@ impl Client {
         } else if let Some(share) = self.pace.frame(step_s) {
             self.news.insert("share".to_owned(), share.into());
         }
+        Ok(self.take_news())
+    }
+
+    fn take_news(&mut self) -> Option<String> {
         let news = std::mem::take(&mut self.news);
-        Ok((!news.is_empty()).then(|| Value::Object(news).to_string()))
+        (!news.is_empty()).then(|| Value::Object(news).to_string())
     }
 
     /// After a walk, the person goes on.

@@ -46,6 +46,9 @@ const LONG_S: f64 = 1e6;
 /// A pose whose mask is awaited is sent again after this time.
 const PATIENCE: Duration = Duration::from_millis(500);
 
+/// How long the first picture waits for its mask, and then goes without.
+const FIRST_PATIENCE: Duration = Duration::from_secs(2);
+
 /// What a page chooses before the scene is there.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
@@ -116,17 +119,21 @@ pub struct Play {
     shown_view: DebugView,
     /// When the awaited pose was sent last.
     awaited_since: Option<Instant>,
+    /// Until the first picture is drawn: when it began to wait for its mask.
+    first_since: Option<Instant>,
+    /// True while pictures are drafts.
+    is_draft: bool,
 }
 
 impl Play {
-    /// Prepares to draw pictures of this size.
+    /// Prepares to draw pictures of this size, with what [`new_renderer`] made for the scene.
     ///
     /// # Errors
-    /// If the scene or the picture exceeds a limit of the adapter, or the adapter fails.
+    /// If the picture exceeds a limit of the adapter, or the adapter fails.
     pub fn new(
         gpu: &Gpu,
-        scene: &Scene,
-        digest: SceneDigest,
+        mut renderer: FrameRenderer,
+        (scene, digest): (&Scene, SceneDigest),
         size: (u32, u32),
         options: &Options,
         now: Instant,
@@ -136,7 +143,10 @@ impl Play {
         let path = options.walk.as_ref().map_or(path, |walk| walk.path.clone());
         let linked = options.view.as_deref().and_then(|text| view::read(text, size.0, size.1));
         let first = linked.unwrap_or_else(|| path.camera(0.0, size.0, size.1));
-        let renderer = new_renderer(gpu, scene, &occluders, (size, &first), options.exposure)?;
+        if renderer.size() != size {
+            renderer.resize(size)?;
+        }
+        light(&mut renderer, scene, &occluders, &first, options.exposure);
         let settings = Settings::default();
         let source = match options.walk {
             Some(_) => MaskSource::Awaited,
@@ -166,6 +176,8 @@ impl Play {
             applied: settings,
             shown_view: DebugView::Picture,
             awaited_since: None,
+            first_since: Some(now),
+            is_draft: options.walk.is_none(),
         })
     }
 
@@ -175,20 +187,28 @@ impl Play {
         self.digest
     }
 
-    /// Goes on in another scene. The camera stays.
+    /// Goes on in another scene, with what [`new_renderer`] made for it. The camera stays.
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn change_scene(&mut self, scene: &Scene, digest: SceneDigest) -> Result<(), RenderError> {
+    pub fn change_scene(
+        &mut self,
+        mut renderer: FrameRenderer,
+        (scene, digest): (&Scene, SceneDigest),
+        now: Instant,
+    ) -> Result<(), RenderError> {
         let (width, height) = self.size();
+        if renderer.size() != (width, height) {
+            renderer.resize((width, height))?;
+        }
         let camera = self.fly.camera(width, height);
-        let look = ((width, height), &camera);
-        let renderer = new_renderer(&self.gpu, scene, &Occluders::largest_of(scene), look, self.options.exposure)?;
+        light(&mut renderer, scene, &Occluders::largest_of(scene), &camera, self.options.exposure);
         self.frames.change_scene(FrameNumber(self.next), renderer);
         (self.digest, self.lights, self.drawn) = (digest, lights_of(scene), 0);
         (self.cameras, self.camera) = (scene.cameras.clone(), None);
         self.front.clear();
         self.shown_view = DebugView::Picture;
+        (self.first_since, self.is_draft) = (Some(now), self.options.walk.is_none());
         let settings = std::mem::take(&mut self.applied);
         self.apply(&settings)
     }
@@ -204,7 +224,50 @@ impl Play {
         self.queue = MaskQueue::default();
         self.frames.matcher.reconnected(FrameNumber(self.next));
         self.awaited_since = None;
+        if self.first_since.is_some() && self.options.walk.is_none() {
+            self.first_since = Some(now);
+            self.ask_first(now);
+        }
         Ok(())
+    }
+
+    /// Sends the first picture's pose.
+    fn ask_first(&mut self, now: Instant) {
+        let (frame, camera) = (FrameNumber(self.next), self.camera_now());
+        let request = self.frames.request(frame, &camera, 0.0, now, true);
+        if let (Some(reception), Some(pose)) = (&mut self.reception, &request.pose) {
+            reception.send_pose(frame, pose);
+        }
+        self.awaited_since = Some(now);
+    }
+
+    /// Returns whether the first picture had better wait for its mask. A mask that is late is asked for again.
+    fn awaits_first(&mut self, now: Instant) -> bool {
+        let Some(since) = self.first_since else { return false };
+        if self.has_mask_of(self.next) || now.saturating_duration_since(since) > FIRST_PATIENCE {
+            return false;
+        }
+        if self.awaited_since.is_some_and(|sent| now.saturating_duration_since(sent) > PATIENCE) {
+            self.ask_first(now);
+        }
+        true
+    }
+
+    /// Returns whether pictures are still drafts, which lack what takes long to compile.
+    #[must_use]
+    pub fn is_draft(&self) -> bool {
+        self.is_draft
+    }
+
+    /// Ends the drafts, once one is drawn. Returns whether it does: then pipelines are on their way.
+    pub fn end_draft(&mut self) -> bool {
+        let ends = self.is_draft && self.first_since.is_none();
+        if ends {
+            self.is_draft = false;
+            self.frames.renderer.set_draft(false);
+            self.frames.renderer.compile();
+        }
+        ends
     }
 
     /// There is no connection: pictures go on without masks.
@@ -257,7 +320,7 @@ impl Play {
             self.frames.renderer.set_predictor(settings.predictor);
         }
         if before.quality != settings.quality {
-            self.frames.renderer.set_quality(settings.quality)?;
+            self.frames.renderer.set_quality(settings.quality);
         }
         if before.tone != settings.tone {
             self.frames.renderer.set_tone(settings.tone);
@@ -334,24 +397,35 @@ impl Play {
         if self.options.walk.is_some() {
             return self.walk(now, target);
         }
+        if self.awaits_first(now) {
+            return Ok(None);
+        }
+        let first = self.first_since.take().is_some();
         if self.follows_path {
             self.path_s += step_s;
-        } else {
+        } else if !first {
             self.fly.step(motion, step_s);
         }
-        if self.options.exposure.is_none() {
+        if self.options.exposure.is_none() && !self.is_draft {
             let dazzled = self.drawn < DAZZLED_FRAMES;
             let _ = self.frames.renderer.adapt(if dazzled { LONG_S } else { step_s });
         }
         let (frame, camera) = (FrameNumber(self.next), self.camera_now());
         let scene_time_s = now.duration_since(self.frames.started()).as_secs_f64();
         let connected = self.reception.is_some();
-        let request = self.frames.request(frame, &camera, scene_time_s, now, connected);
-        if let (Some(reception), Some(pose)) = (&mut self.reception, &request.pose) {
-            reception.send_pose(frame, pose);
+        let mut look_ahead_ms = 0;
+        if self.awaited_since.take().is_none() {
+            let request = self.frames.request(frame, &camera, scene_time_s, now, connected);
+            if let (Some(reception), Some(pose)) = (&mut self.reception, &request.pose) {
+                reception.send_pose(frame, pose);
+            }
+            look_ahead_ms = request.look_ahead_ms;
         }
-        let fresh = self.queue.take(&mut self.front);
+        let fresh = self.queue.take(&mut self.front) || first;
         let response = self.frames.accept_masks(self.front.iter().filter(|_| fresh), now)?;
+        if first && self.frames.matcher.current().is_some() {
+            self.frames.machine.skip_fade();
+        }
         let drawing = self.frames.choose(frame, &camera, now);
         let view = match self.applied.view {
             DebugView::Age { .. } => DebugView::Age { lags: self.lags() },
@@ -363,7 +437,7 @@ impl Play {
         self.frames.renderer.draw_surfaces(&drawing.camera)?;
         target(&mut self.frames.renderer, &drawing.camera, drawing.decision.visibility_share)?;
         let link = if connected { "live" } else { "lost" };
-        let outcome = (&drawing, request.look_ahead_ms, response);
+        let outcome = (&drawing, look_ahead_ms, response);
         let stats = self.frames.stats(frame, now, outcome, &StageTimes::default(), link);
         self.next = self.next.wrapping_add(1);
         self.drawn = self.drawn.saturating_add(1);
@@ -443,20 +517,30 @@ fn lights_of(scene: &Scene) -> u32 {
     u32::try_from(scene.lights.len()).unwrap_or(u32::MAX)
 }
 
-fn new_renderer(
+/// Uploads a scene, and compiles what its first pictures take: drafts, unless a walk's pictures are wanted as they are.
+///
+/// # Errors
+/// If the scene or the picture exceeds a limit of the adapter, or the adapter fails.
+pub fn new_renderer(
     gpu: &Gpu,
     scene: &Scene,
-    occluders: &Occluders,
-    (size, camera): ((u32, u32), &Camera),
-    exposure: Option<f32>,
+    size: (u32, u32),
+    options: &Options,
 ) -> Result<FrameRenderer, RenderError> {
+    // How bright the scene is will be found out while the adapter compiles.
+    let exposure = Exposure::for_reference(1.0);
+    let mut renderer = FrameRenderer::new(gpu, scene, size, exposure, PICTURE_FORMAT, Predictor::default())?;
+    renderer.set_tone(ToneCurve::default());
+    renderer.set_quality(Quality::default());
+    renderer.set_draft(options.walk.is_none());
+    renderer.compile();
+    Ok(renderer)
+}
+
+/// Gives a new renderer its light, as bright as what `camera` sees wants, or `exposure` says.
+fn light(renderer: &mut FrameRenderer, scene: &Scene, occluders: &Occluders, camera: &Camera, exposure: Option<f32>) {
     let survey = Survey::new(scene, occluders, camera);
     let first = Exposure::for_reference(survey.lux);
-    let mut renderer = FrameRenderer::new(gpu, scene, size, first, PICTURE_FORMAT, Predictor::default())?;
+    renderer.set_exposure(exposure.map_or(first, |ev| first.at_ev(ev)));
     renderer.set_environment(Environment::Sky, survey);
-    if let Some(ev) = exposure {
-        renderer.set_exposure(first.at_ev(ev));
-    }
-    renderer.set_quality(Quality::default())?;
-    Ok(renderer)
 }

@@ -116,6 +116,11 @@ impl Screen {
         self.under_way.load(Ordering::Acquire) < MOST_UNDER_WAY
     }
 
+    /// Returns whether the adapter has drawn all that it was given.
+    pub(crate) fn is_idle(&self) -> bool {
+        self.under_way.load(Ordering::Acquire) == 0
+    }
+
     /// Shades a frame's surfaces ([`FrameRenderer::shade`]) and shows the picture.
     pub(crate) fn show(
         &mut self,

@@ -51,6 +51,7 @@ pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Serv
     }
     // Its tasks must end before the ledger is closed below.
     session.stream_task.shutdown().await;
+    closer.announce(end.code(), &end.reason());
     if !matches!(end, End::Left | End::Lost(_)) {
         session.outbox.notify(ServerMessage::Closing { reason: end.reason().as_ref().into() });
         // Closing at once would overtake the message, so wait until the client has read it and left.

@@ -13,4 +13,4 @@ macro_rules! files {
 }
 
 pub(super) const FILES: &[(&str, &[u8])] =
-    files!["index.html" "page.css" "page.js" "worker.js" "link.js" "gnomon_web.js" "gnomon_web_bg.wasm"];
+    files!["index.html" "page.css" "page.js" "worker.js" "link.js" "pipelines.js" "gnomon_web.js" "gnomon_web_bg.wasm"];

@@ -23,13 +23,13 @@ use tokio_tungstenite::{
     tungstenite::{
         Message,
         handshake::derive_accept_key,
-        protocol::{Role, WebSocketConfig},
+        protocol::{CloseFrame, Role, WebSocketConfig},
     },
 };
 
 use crate::{
     limits::{LINGER, MAX_CLIENT_MESSAGE_BYTES},
-    net::link::{SocketArrival, SocketEnd, socket_pair},
+    net::link::{LastWords, SocketArrival, SocketEnd, socket_pair},
     origins::Origins,
 };
 
@@ -105,12 +105,21 @@ fn refused(code: StatusCode, text: &'static str) -> Response<Full<Bytes>> {
     answer
 }
 
+/// Longest reason that a WebSocket's close may give, in bytes.
+const MAX_REASON_BYTES: usize = 123;
+
+fn farewell(last_words: &LastWords) -> Option<CloseFrame> {
+    let (code, reason) = last_words.get()?;
+    let reason = &reason[..reason.floor_char_boundary(MAX_REASON_BYTES)];
+    Some(CloseFrame { code: code.websocket().into(), reason: reason.into() })
+}
+
 /// Carries a session until either side ends it.
 async fn carry<S>(socket: WebSocketStream<S>, end: SocketEnd)
 where
     S: tokio::io::AsyncRead + tokio::io::AsyncWrite + Unpin,
 {
-    let SocketEnd { control, poses, mut frames, busy } = end;
+    let SocketEnd { control, poses, mut frames, busy, last_words } = end;
     let (mut from_session, mut to_session) = tokio::io::split(control);
     let (mut to_page, mut from_page) = socket.split();
     let reading = async {
@@ -144,7 +153,7 @@ where
                     },
                     // The session has ended, and has said why.
                     Ok(0) | Err(_) => {
-                        let _ = timeout(LINGER, to_page.close()).await;
+                        let _ = timeout(LINGER, to_page.send(Message::Close(farewell(&last_words)))).await;
                         return;
                     }
                 },

@@ -30,7 +30,8 @@ struct Page {
 enum Heard {
     Said(ServerMessage),
     Frame(Vec<u8>),
-    End,
+    /// With the socket's code and reason, if it was closed with some.
+    End(Option<(u16, String)>),
 }
 
 impl Page {
@@ -68,7 +69,10 @@ impl Page {
                     assert_eq!(bytes[0], DATA);
                     return Heard::Frame(bytes[1..].to_vec());
                 }
-                Some(Ok(Message::Close(_)) | Err(_)) | None => return Heard::End,
+                Some(Ok(Message::Close(frame))) => {
+                    return Heard::End(frame.map(|frame| (frame.code.into(), frame.reason.to_string())));
+                }
+                Some(Err(_)) | None => return Heard::End(None),
                 Some(Ok(_)) => {}
             }
         }
@@ -131,7 +135,7 @@ async fn scene_and_frames_come_through_a_web_socket() {
     }
     rig.sessions(1).await;
     page.say(&ClientMessage::Bye).await;
-    while !matches!(page.hear().await, Heard::End) {}
+    while !matches!(page.hear().await, Heard::End(_)) {}
     rig.sessions(0).await;
 }
 
@@ -159,16 +163,28 @@ async fn a_page_that_goes_or_babbles_ends_its_session_only() {
         let mut babbler = Page::open(web, None).await.unwrap();
         babbler.welcome(hello()).await;
         let _ = babbler.socket.send(message).await;
-        while !matches!(babbler.hear().await, Heard::End) {}
+        while !matches!(babbler.hear().await, Heard::End(_)) {}
     }
     let mut silent = Page::open(web, None).await.unwrap();
     silent.send(CONTROL, &[0xff; 64]).await;
-    while !matches!(silent.hear().await, Heard::End) {}
+    while !matches!(silent.hear().await, Heard::End(_)) {}
     rig.sessions(1).await;
     rig.server.shutdown().await;
     let mut last = honest.hear().await;
     while let Heard::Said(ServerMessage::Draining { .. } | ServerMessage::Closing { .. }) = last {
         last = honest.hear().await;
     }
-    assert!(matches!(last, Heard::End), "{last:?}");
+    assert!(matches!(&last, Heard::End(Some((4000, _)))), "{last:?}");
+}
+
+/// A page is told as by WebTransport, whose code for this is 4.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_session_that_the_operator_ends_closes_its_socket_with_the_code_and_the_reason() {
+    let (rig, web) = with_web(None).await;
+    let mut page = Page::open(web, None).await.unwrap();
+    let welcome = page.welcome(hello()).await;
+    assert!(rig.server.end_session(welcome.session.0));
+    let Heard::Said(ServerMessage::Closing { reason }) = page.hear().await else { panic!("no goodbye") };
+    let Heard::End(Some((code, said))) = page.hear().await else { panic!("no code") };
+    assert_eq!((code, said.as_str()), (4004, reason.unescaped()));
 }

@@ -129,6 +129,11 @@ impl ModeMachine {
         self.calm_frames = 0;
     }
 
+    /// Lets masks count fully from the next frame on: before a first picture there is nothing to fade from.
+    pub fn skip_fade(&mut self) {
+        self.share = 1.0;
+    }
+
     /// Advances by one frame.
     pub fn step(&mut self, seen: Observation) -> Decision {
         let Thresholds { sequential_lag, calm_frames, prediction_lag_s, fade_s } = self.thresholds;

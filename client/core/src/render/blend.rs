@@ -4,7 +4,7 @@
 //! double-sided surface are drawn first. The server traces no BLEND surface, so they are lit by the client's shadow
 //! maps, or by the visibility of what lies right behind them (`blend.wgsl`).
 
-use std::collections::HashMap;
+use std::{collections::HashMap, sync::OnceLock};
 
 use glam::Vec3;
 use gnomon_shaders::{gpu::Gpu, material::features};
@@ -20,11 +20,14 @@ use crate::predictor::Predictor;
 
 #[derive(Debug)]
 pub(crate) struct BlendPass {
+    device: wgpu::Device,
+    module: wgpu::ShaderModule,
+    layout: wgpu::PipelineLayout,
     /// Whether shadow maps are used.
     by_map: Variable<[u32; 4]>,
     shadow_group: wgpu::BindGroup,
-    /// One for each kind of draw in the scene.
-    pipelines: HashMap<Kind, wgpu::RenderPipeline>,
+    /// One for each kind of draw in the scene, compiled when it is first drawn with.
+    pipelines: HashMap<Kind, OnceLock<wgpu::RenderPipeline>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -88,16 +91,22 @@ impl BlendPass {
             immediate_size: 0,
         });
         let module = shader(gpu, "shading/blend.wgsl")?;
-        let pipeline = |kind: Kind| {
+        let blended = scene.batches.iter().filter(|batch| batch.is_blended());
+        let pipelines = blended.flat_map(draws).map(|kind| (kind, OnceLock::new())).collect();
+        Ok(Self { device: device.clone(), module, layout, by_map, shadow_group, pipelines })
+    }
+
+    fn pipeline(&self, scene: &SceneUpload, kind: Kind) -> &wgpu::RenderPipeline {
+        self.pipelines[&kind].get_or_init(|| {
             let constants = [("FEATURES", f64::from(kind.features)), ("LAYERED", f64::from(u8::from(scene.layered)))];
             let more = kind.features & features::OF_VERTICES != 0;
             let layouts = scene.vertex_layouts();
             let culled = if kind.back_faces { wgpu::Face::Front } else { wgpu::Face::Back };
-            device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            self.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some("blending"),
-                layout: Some(&layout),
+                layout: Some(&self.layout),
                 vertex: wgpu::VertexState {
-                    module: &module,
+                    module: &self.module,
                     entry_point: Some(if more { "transform_more" } else { "transform" }),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
                     buffers: &layouts[..if more { 2 } else { 1 }],
@@ -112,7 +121,7 @@ impl BlendPass {
                 }),
                 multisample: wgpu::MultisampleState::default(),
                 fragment: Some(wgpu::FragmentState {
-                    module: &module,
+                    module: &self.module,
                     entry_point: Some(match (kind.step == Step::Pass, more) {
                         (false, false) => "blend",
                         (false, true) => "blend_more",
@@ -132,12 +141,19 @@ impl BlendPass {
                 multiview_mask: None,
                 cache: None,
             })
-        };
-        let mut pipelines = HashMap::new();
-        for kind in scene.batches.iter().filter(|batch| batch.is_blended()).flat_map(draws) {
-            pipelines.entry(kind).or_insert_with(|| pipeline(kind));
+        })
+    }
+
+    /// Whether the scene has BLEND surfaces.
+    pub(crate) fn has_any(&self) -> bool {
+        !self.pipelines.is_empty()
+    }
+
+    /// Compiles what drawing `scene` takes.
+    pub(crate) fn compile(&self, scene: &SceneUpload) {
+        for kind in self.pipelines.keys() {
+            self.pipeline(scene, *kind);
         }
-        Ok(Self { by_map, shadow_group, pipelines })
     }
 
     /// Sets the predictor from the next picture on: where it does not use the shadow maps, neither does blending.
@@ -145,7 +161,7 @@ impl BlendPass {
         self.by_map.set(queue, [u32::from(predictor == Predictor::Surface), 0, 0, 0]);
     }
 
-    /// Does nothing, and starts no pass, in a scene without BLEND materials.
+    /// Draws the BLEND surfaces of `scene`.
     pub(crate) fn encode(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -155,9 +171,6 @@ impl BlendPass {
         eye: Vec3,
     ) {
         let mut batches: Vec<&Batch> = scene.batches.iter().filter(|batch| batch.is_blended()).collect();
-        if batches.is_empty() {
-            return;
-        }
         let distance = |batch: &Batch| batch.centre.distance_squared(eye);
         batches.sort_by(|one, other| distance(other).total_cmp(&distance(one)));
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -177,7 +190,7 @@ impl BlendPass {
         for batch in batches {
             pass.set_bind_group(1, &scene.materials[batch.material], &[]);
             for kind in draws(batch) {
-                pass.set_pipeline(&self.pipelines[&kind]);
+                pass.set_pipeline(self.pipeline(scene, kind));
                 pass.draw_indexed(batch.indices.clone(), 0, 0..1);
             }
         }

@@ -1,6 +1,6 @@
 //! Debug views: show the passes' data for each pixel instead of the picture.
 
-use std::fmt;
+use std::{fmt, sync::OnceLock};
 
 use bytemuck::{Pod, Zeroable};
 use gnomon_protocol::limits::MAX_LAYERS;
@@ -78,7 +78,10 @@ pub(crate) struct DebugPass {
     choice: Variable<Choice>,
     /// By the slot of the picture's depth in the history.
     groups: Vec<wgpu::BindGroup>,
-    pipeline: wgpu::RenderPipeline,
+    module: wgpu::ShaderModule,
+    format: wgpu::TextureFormat,
+    /// Compiled when it is first shown.
+    pipeline: OnceLock<wgpu::RenderPipeline>,
 }
 
 impl DebugPass {
@@ -93,8 +96,8 @@ impl DebugPass {
         let layout = layout(gpu);
         let choice = Variable::new(gpu, "debug view");
         let module = shader(gpu, "shading/debug_view.wgsl")?;
-        let pipeline = covering_pipeline(device, &module, &[&layout], "look", format);
-        let mut pass = Self { layout, view: view.clone(), choice, groups: Vec::new(), pipeline };
+        let (view, groups, pipeline) = (view.clone(), Vec::new(), OnceLock::new());
+        let mut pass = Self { layout, view, choice, groups, module, format, pipeline };
         pass.resize(device, targets, history);
         Ok(pass)
     }
@@ -116,19 +119,21 @@ impl DebugPass {
 
     pub(crate) fn encode(
         &mut self,
-        queue: &wgpu::Queue,
+        gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         view: DebugView,
         history: &DepthHistory,
         target: &wgpu::TextureView,
     ) {
-        self.choice.set(queue, view.into());
+        self.choice.set(&gpu.queue, view.into());
+        let compile = || covering_pipeline(&gpu.device, &self.module, &[&self.layout], "look", self.format);
+        let pipeline = self.pipeline.get_or_init(compile);
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("debug view"),
             color_attachments: &[cleared(target)],
             ..wgpu::RenderPassDescriptor::default()
         });
-        pass.set_pipeline(&self.pipeline);
+        pass.set_pipeline(pipeline);
         pass.set_bind_group(0, &self.groups[history.current()], &[]);
         pass.draw(0..3, 0..1);
     }

@@ -26,7 +26,7 @@ fn shares(quality: Quality, mask: &Mask) -> Vec<f64> {
     let above = scene.origin_m + DVec3::new(2.0, 3.0, 2.0);
     let camera = Camera::looking_at(above, above - DVec3::Y, 0.6, SIDE, SIDE);
     let mut renderer = renderer(&gpu, &scene, MaskShape::new(SIDE, SIDE, 1).unwrap());
-    renderer.set_quality(quality).unwrap();
+    renderer.set_quality(quality);
     let mut light = |mask: &Mask| -> Vec<f64> {
         draw(&gpu, &mut renderer, &camera, Some(mask));
         let texels = texels(&gpu, &renderer.targets.light, wgpu::TextureAspect::All).unwrap();
@@ -88,7 +88,7 @@ fn square(gpu: &Gpu, scene: &Scene, quality: Quality, camera: &Camera) -> Vec<f6
     let mut renderer = renderer(gpu, scene, MaskShape::new(camera.width, camera.height, 1).unwrap());
     renderer.set_environment(Environment::None, Survey::default());
     renderer.set_tone(ToneCurve::None);
-    renderer.set_quality(quality).unwrap();
+    renderer.set_quality(quality);
     let linear = |byte: u8| (f64::from(byte) / 255.0 + 0.055) / 1.055;
     let light = |byte: u8| if byte <= 10 { f64::from(byte) / 255.0 / 12.92 } else { linear(byte).powf(2.4) };
     draw(gpu, &mut renderer, camera, None).rgba.as_chunks::<4>().0.iter().map(|[_, green, ..]| light(*green)).collect()
@@ -135,7 +135,7 @@ fn pixels_that_are_put_off_are_drawn_as_all_others_would_be() {
     }
     let camera = testing::camera(SIDE, SIDE);
     let mut renderer = renderer(&gpu, &scene, shape);
-    renderer.set_quality(Quality::High).unwrap();
+    renderer.set_quality(Quality::High);
     let mut light = |visibility_share: f32| -> Vec<f64> {
         let view = MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera };
         let reader = PictureReader::new(&gpu, SIDE, SIDE, 1);

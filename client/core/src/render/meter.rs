@@ -3,6 +3,8 @@
 //! The adapter counts ten thousand pixels spread over the picture (`wgsl/shading/meter.wgsl`). White paint in the light
 //! that a survey found would be shown as white, unless that makes the picture too dark or too bright.
 
+use std::sync::OnceLock;
+
 use gnomon_shaders::gpu::Gpu;
 
 use super::{
@@ -146,7 +148,9 @@ impl Eye {
 #[derive(Debug)]
 pub(crate) struct MeterPass {
     layout: wgpu::BindGroupLayout,
-    pipeline: wgpu::ComputePipeline,
+    module: wgpu::ShaderModule,
+    /// Compiled when light is first counted.
+    pipeline: OnceLock<wgpu::ComputePipeline>,
     group: wgpu::BindGroup,
     /// With the EV that the light was exposed for.
     counts: Counts<f32>,
@@ -162,24 +166,28 @@ impl MeterPass {
         ];
         let layout = bind_group_layout(device, "meter", wgpu::ShaderStages::COMPUTE, &bindings);
         let module = shader(gpu, "shading/meter.wgsl")?;
-        let pipeline = compute_pipeline(device, &module, &[&layout], ("meter", &[]));
         let counts = Counts::new(device, "luminances", 2 * BINS as u64);
         let group = group(device, &layout, targets, &counts);
-        Ok(Self { layout, pipeline, group, counts })
+        Ok(Self { layout, module, pipeline: OnceLock::new(), group, counts })
     }
 
     pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets) {
         self.group = group(device, &self.layout, targets, &self.counts);
     }
 
+    /// Compiles what counting takes.
+    pub(crate) fn compile(&self, device: &wgpu::Device) -> &wgpu::ComputePipeline {
+        self.pipeline.get_or_init(|| compute_pipeline(device, &self.module, &[&self.layout], ("meter", &[])))
+    }
+
     /// Counts the light of a picture exposed for `ev`, unless earlier counts are still on their way.
-    pub(crate) fn encode(&mut self, encoder: &mut wgpu::CommandEncoder, ev: f32) {
+    pub(crate) fn encode(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder, ev: f32) {
         if !self.counts.has_free_slot() {
             return;
         }
         self.counts.clear(encoder);
         let dispatch = |pass: &mut wgpu::ComputePass<'_>| pass.dispatch_workgroups(GROUPS.0, GROUPS.1, 1);
-        compute(encoder, "meter", &self.pipeline, &[&self.group], dispatch);
+        compute(encoder, "meter", self.compile(device), &[&self.group], dispatch);
         self.counts.copy(encoder, ev);
     }
 

@@ -74,6 +74,8 @@ pub struct FrameRenderer {
     meter: MeterPass,
     debug: DebugPass,
     debug_view: DebugView,
+    quality: Quality,
+    draft: bool,
     lighting: Variable<Lighting>,
     lights: Vec<Light>,
     /// Bit k is 1 if light k is on.
@@ -150,6 +152,8 @@ impl FrameRenderer {
             meter,
             debug,
             debug_view: DebugView::Picture,
+            quality: Quality::Low,
+            draft: false,
             lighting,
             lights,
             lights_on: u32::MAX,
@@ -193,12 +197,31 @@ impl FrameRenderer {
     }
 
     /// Sets the quality from the next picture on; low at first.
-    ///
-    /// # Errors
-    /// If a shader does not compile.
-    pub fn set_quality(&mut self, quality: Quality) -> Result<(), RenderError> {
-        self.tone.set_quality(quality);
-        self.shade.set_quality(&self.gpu, quality)
+    pub fn set_quality(&mut self, quality: Quality) {
+        self.quality = quality;
+        let drawn = if self.draft { Quality::Low } else { quality };
+        self.tone.set_quality(drawn);
+        self.shade.set_quality(drawn);
+    }
+
+    /// Drafts have hard edges and no BLEND surfaces, whatever the quality. They take a third of the pipelines: a client
+    /// whose adapter compiles slowly shows one while the rest is compiled.
+    pub fn set_draft(&mut self, draft: bool) {
+        self.draft = draft;
+        self.set_quality(self.quality);
+    }
+
+    /// Compiles what the next pictures take, instead of when they need it: for drafts, what those take that have whole
+    /// masks of their own views.
+    pub fn compile(&mut self) {
+        let device = &self.gpu.device;
+        self.predict.compile(&self.gpu, &self.scene, self.draft);
+        self.shade.compile(device);
+        self.tone.compile(device);
+        if !self.draft {
+            self.blend.compile(&self.scene);
+            self.meter.compile(device);
+        }
     }
 
     /// Turns light k on if bit k is 1, off otherwise, from the next picture on.
@@ -280,7 +303,7 @@ impl FrameRenderer {
         for _ in 0..METERED_TIMES {
             self.draw_surfaces(camera)?;
             let mut encoder = self.light(camera, 1.0);
-            self.meter.encode(&mut encoder, self.exposure.ev());
+            self.meter.encode(&self.gpu.device, &mut encoder, self.exposure.ev());
             self.gpu.queue.submit([encoder.finish()]);
             if let Some((histogram, _)) = self.meter.wait(&self.gpu)? {
                 let incident = Exposure::for_reference(survey.lux).scale / self.exposure.scale;
@@ -377,14 +400,14 @@ impl FrameRenderer {
     ) -> Result<wgpu::SubmissionIndex, RenderError> {
         let mut encoder = self.light(camera, visibility_share);
         if self.metering {
-            self.meter.encode(&mut encoder, self.exposure.ev());
+            self.meter.encode(&self.gpu.device, &mut encoder, self.exposure.ev());
             self.mark(&mut encoder, "metering");
         }
         match self.debug_view {
             DebugView::Picture => {
                 self.tone.encode(&self.gpu, &mut encoder, (&self.targets, &self.history), target)?;
             }
-            view => self.debug.encode(&self.gpu.queue, &mut encoder, view, &self.history, target),
+            view => self.debug.encode(&self.gpu, &mut encoder, view, &self.history, target),
         }
         if let Some(clock) = &mut self.clock {
             clock.mark(&mut encoder, "tone");
@@ -406,11 +429,16 @@ impl FrameRenderer {
         let view = (&camera, self.space, self.visibility_share);
         self.predict.encode(&self.gpu, &mut encoder, view, pictures);
         self.mark(&mut encoder, "prediction");
-        self.shade.encode(&mut encoder, &self.targets, &self.history, self.visibility_share);
+        self.shade.encode(&self.gpu.device, &mut encoder, &self.targets, &self.history, self.visibility_share);
         self.mark(&mut encoder, "shading");
-        let eye = (camera.position_m - self.space.origin_m).as_vec3();
-        let group = self.shade.group(&self.history);
-        self.blend.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene, group, eye);
+        if !self.draft && self.blend.has_any() {
+            if self.predict.by_surface() {
+                self.predict.need_shadow_map(&self.gpu, &mut encoder, &self.scene);
+            }
+            let eye = (camera.position_m - self.space.origin_m).as_vec3();
+            let group = self.shade.group(&self.history);
+            self.blend.encode(&mut encoder, (&self.targets, self.history.view()), &self.scene, group, eye);
+        }
         self.mark(&mut encoder, "blending");
         encoder
     }

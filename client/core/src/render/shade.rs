@@ -32,7 +32,9 @@ pub(crate) struct ShadePass {
     groups: Vec<wgpu::BindGroup>,
     /// What is written.
     target: wgpu::BindGroup,
-    pipelines: Pipelines,
+    module: wgpu::ShaderModule,
+    /// `None` until the next picture.
+    pipelines: Option<Pipelines>,
     /// Some material has layers.
     layered: bool,
     /// Some material emits light.
@@ -40,8 +42,8 @@ pub(crate) struct ShadePass {
     quality: Quality,
 }
 
-#[derive(Debug)]
-struct Pipelines {
+#[derive(Debug, Clone)]
+pub(crate) struct Pipelines {
     /// Does every pixel, or those put off.
     every: wgpu::ComputePipeline,
     /// Puts off those that a shadow's edge crosses. `None` if edges are not smooth.
@@ -63,7 +65,8 @@ impl ShadePass {
         let target_layout = bind_group_layout(device, "shaded light", wgpu::ShaderStages::COMPUTE, &written);
         let (layout, layered, emits, quality) = (layout(gpu), scene.layered, scene.emits, Quality::Low);
         let mut pass = Self {
-            pipelines: pipelines(gpu, [&layout, &target_layout], (layered, emits), quality)?,
+            module: shader(gpu, "shading/shade.wgsl")?,
+            pipelines: None,
             target: target(device, &target_layout, targets),
             layout,
             target_layout,
@@ -110,13 +113,29 @@ impl ShadePass {
         self.target = target(device, &self.target_layout, targets);
     }
 
-    pub(crate) fn set_quality(&mut self, gpu: &Gpu, quality: Quality) -> Result<(), RenderError> {
-        if quality != self.quality {
-            let layouts = [&self.layout, &self.target_layout];
-            self.pipelines = pipelines(gpu, layouts, (self.layered, self.emits), quality)?;
-            self.quality = quality;
+    pub(crate) fn set_quality(&mut self, quality: Quality) {
+        if self.quality != quality {
+            (self.quality, self.pipelines) = (quality, None);
         }
-        Ok(())
+    }
+
+    /// Compiles what pictures of the chosen quality take.
+    pub(crate) fn compile(&mut self, device: &wgpu::Device) -> &Pipelines {
+        self.pipelines.get_or_insert_with(|| {
+            let smooth = self.quality == Quality::High;
+            let pipeline = |puts_off: bool| {
+                let constants = [
+                    ("LAYERED", self.layered),
+                    ("EMITS", self.emits),
+                    ("smooth_edges", smooth),
+                    ("puts_off", puts_off),
+                ]
+                .map(|(name, on)| (name, f64::from(u8::from(on))));
+                let layouts = [&self.layout, &self.target_layout];
+                compute_pipeline(device, &self.module, &layouts, ("shade", &constants))
+            };
+            Pipelines { every: pipeline(false), first: smooth.then(|| pipeline(true)) }
+        })
     }
 
     pub(crate) fn layout(&self) -> &wgpu::BindGroupLayout {
@@ -128,16 +147,17 @@ impl ShadePass {
     }
 
     pub(crate) fn encode(
-        &self,
+        &mut self,
+        device: &wgpu::Device,
         encoder: &mut wgpu::CommandEncoder,
         targets: &Targets,
         history: &DepthHistory,
         visibility_share: f32,
     ) {
         // While one source of visibility fades into the other, edges of both count.
-        let first = self.pipelines.first.as_ref().filter(|_| visibility_share >= 1.0);
-        let groups = [self.group(history), &self.target];
-        targets.put_off.run(encoder, "shading", (first, &self.pipelines.every), &groups);
+        let Pipelines { every, first } = self.compile(device).clone();
+        let first = first.as_ref().filter(|_| visibility_share >= 1.0);
+        targets.put_off.run(encoder, "shading", (first, &every), &[self.group(history), &self.target]);
     }
 }
 
@@ -149,22 +169,6 @@ fn target(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, targets: &Targe
         targets.put_off.binding(),
     ];
     bind_group(device, "shaded light", layout, &resources)
-}
-
-fn pipelines(
-    gpu: &Gpu,
-    layouts: [&wgpu::BindGroupLayout; 2],
-    (layered, emits): (bool, bool),
-    quality: Quality,
-) -> Result<Pipelines, RenderError> {
-    let module = shader(gpu, "shading/shade.wgsl")?;
-    let smooth = quality == Quality::High;
-    let pipeline = |puts_off: bool| {
-        let constants = [("LAYERED", layered), ("EMITS", emits), ("smooth_edges", smooth), ("puts_off", puts_off)]
-            .map(|(name, on)| (name, f64::from(u8::from(on))));
-        compute_pipeline(&gpu.device, &module, &layouts, ("shade", &constants))
-    };
-    Ok(Pipelines { every: pipeline(false), first: smooth.then(|| pipeline(true)) })
 }
 
 fn layout(gpu: &Gpu) -> wgpu::BindGroupLayout {

@@ -118,8 +118,8 @@ pub(crate) struct TonePass {
     between: Option<(wgpu::TextureView, PresentPass)>,
 }
 
-#[derive(Debug)]
-struct Pipelines {
+#[derive(Debug, Clone)]
+pub(crate) struct Pipelines {
     /// Does every pixel, or those put off.
     every: wgpu::ComputePipeline,
     /// Puts off those that an edge crosses. `None` if edges are not smooth.
@@ -198,6 +198,20 @@ impl TonePass {
         self.between = None;
     }
 
+    /// Compiles what pictures of the chosen curve and quality take.
+    pub(crate) fn compile(&mut self, device: &wgpu::Device) -> &Pipelines {
+        self.pipelines.get_or_insert_with(|| {
+            let on = |on| f64::from(u8::from(on));
+            let smooth = self.quality == Quality::High;
+            let make = |puts_off: bool| {
+                let constants =
+                    [("curve_kind", self.curve.kind()), ("smooth_edges", on(smooth)), ("puts_off", on(puts_off))];
+                compute_pipeline(device, &self.module, &[&self.layout, &self.target_layout], ("show", &constants))
+            };
+            Pipelines { every: make(false), first: smooth.then(|| make(true)) }
+        })
+    }
+
     /// Errors if a shader does not compile.
     pub(crate) fn encode(
         &mut self,
@@ -239,17 +253,9 @@ impl TonePass {
         let device = &gpu.device;
         let target = [wgpu::BindingResource::TextureView(target)];
         let target = bind_group(device, "shown picture", &self.target_layout, &target);
-        let make = |puts_off: bool| {
-            let on = |on| f64::from(u8::from(on));
-            let smooth = on(self.quality == Quality::High);
-            let constants = [("curve_kind", self.curve.kind()), ("smooth_edges", smooth), ("puts_off", on(puts_off))];
-            compute_pipeline(device, &self.module, &[&self.layout, &self.target_layout], ("show", &constants))
-        };
-        let smooth = self.quality == Quality::High;
-        let pipelines =
-            &*self.pipelines.get_or_insert_with(|| Pipelines { every: make(false), first: smooth.then(|| make(true)) });
+        let Pipelines { every, first } = self.compile(device).clone();
         let groups = [&self.groups[history.current()], &target];
-        targets.put_off.run(encoder, "tone", (pipelines.first.as_ref(), &pipelines.every), &groups);
+        targets.put_off.run(encoder, "tone", (first.as_ref(), &every), &groups);
     }
 }
 

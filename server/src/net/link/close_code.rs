@@ -15,6 +15,11 @@ pub(crate) enum CloseCode {
 }
 
 impl CloseCode {
+    /// The WebSocket's code (RFC 6455 §7.4), from the range for private use.
+    pub(crate) const fn websocket(self) -> u16 {
+        4000 + self as u16
+    }
+
     /// The HTTP/3 code (RFC 9114 §8.1) for a connection that has no WebTransport session.
     pub(crate) const fn http3(self) -> VarInt {
         VarInt::from_u32(match self {

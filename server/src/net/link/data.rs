@@ -52,8 +52,9 @@ impl DataLink {
 
     pub(crate) fn closer(&self) -> Closer {
         match self {
-            Self::Quic(data) => Closer::new(data.clone()),
-            Self::LabUdp(_) | Self::LabTcp(_) | Self::Socket(_) => Closer::none(),
+            Self::Quic(data) => Closer::quic(data.clone()),
+            Self::LabUdp(_) | Self::LabTcp(_) => Closer::none(),
+            Self::Socket(data) => Closer::socket(data.last_words()),
         }
     }
 }

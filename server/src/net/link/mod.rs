@@ -17,5 +17,5 @@ pub(crate) use self::{
     data::{DataLink, DataReceiver, DataSender},
     peer::Link,
     quic::QuicData,
-    socket::{SocketArrival, SocketEnd, socket_pair},
+    socket::{LastWords, SocketArrival, SocketEnd, socket_pair},
 };

@@ -7,13 +7,15 @@ use std::{
     io,
     net::SocketAddr,
     sync::{
-        Arc,
+        Arc, OnceLock,
         atomic::{AtomicBool, Ordering},
     },
 };
 
 use bytes::Bytes;
 use tokio::{io::DuplexStream, sync::mpsc};
+
+use super::close_code::CloseCode;
 
 /// Poses that wait for the session, which takes them at once; more are dropped.
 const WAITING_POSES: usize = 16;
@@ -33,6 +35,7 @@ pub(crate) struct SocketData {
     poses: mpsc::Receiver<Bytes>,
     frames: mpsc::Sender<Vec<u8>>,
     busy: Busy,
+    last_words: LastWords,
 }
 
 /// The socket's end.
@@ -42,6 +45,22 @@ pub(crate) struct SocketEnd {
     /// Packets of a frame, each after its length (u16, little-endian).
     pub(crate) frames: mpsc::Receiver<Vec<u8>>,
     pub(crate) busy: Busy,
+    pub(crate) last_words: LastWords,
+}
+
+/// What the socket says when it closes: a code, and a reason.
+#[derive(Clone, Default)]
+pub(crate) struct LastWords(Arc<OnceLock<(CloseCode, String)>>);
+
+impl LastWords {
+    /// The first ones count.
+    pub(super) fn set(&self, code: CloseCode, reason: &str) {
+        self.0.get_or_init(|| (code, reason.to_owned()));
+    }
+
+    pub(crate) fn get(&self) -> Option<(CloseCode, &str)> {
+        self.0.get().map(|(code, reason)| (*code, reason.as_str()))
+    }
 }
 
 /// Whether a frame is being written.
@@ -60,14 +79,18 @@ pub(crate) fn socket_pair() -> (DuplexStream, SocketData, SocketEnd) {
     let (near, control) = tokio::io::duplex(CONTROL_BYTES);
     let (pose_sender, poses) = mpsc::channel(WAITING_POSES);
     let (frames, frame_receiver) = mpsc::channel(1);
-    let busy = Busy::default();
-    let end = SocketEnd { control, poses: pose_sender, frames: frame_receiver, busy: busy.clone() };
-    (near, SocketData { poses, frames, busy }, end)
+    let (busy, last_words) = (Busy::default(), LastWords::default());
+    let data = SocketData { poses, frames, busy: busy.clone(), last_words: last_words.clone() };
+    (near, data, SocketEnd { control, poses: pose_sender, frames: frame_receiver, busy, last_words })
 }
 
 impl SocketData {
+    pub(super) fn last_words(&self) -> LastWords {
+        self.last_words.clone()
+    }
+
     pub(super) fn split(self) -> (SocketReceiver, SocketSender) {
-        let Self { poses, frames, busy } = self;
+        let Self { poses, frames, busy, last_words: _ } = self;
         (SocketReceiver(poses), SocketSender { frames, busy, packets: Vec::new() })
     }
 }

@@ -65,7 +65,7 @@ pub fn measure(options: &EdgesOptions, mut progress: impl FnMut(&str)) -> Result
     let lights = loaded.lights.len();
     let mut rig = PredictRig::new(&loaded, scene.size, options.allow_software)?;
     let renderer = rig.renderer();
-    renderer.set_quality(Quality::High)?;
+    renderer.set_quality(Quality::High);
     // Light is read back from pictures.
     renderer.set_tone(ToneCurve::None);
     let mut errors = vec![EdgeError::default(); lights + 1];

@@ -1,5 +1,7 @@
 //! Draws depth alone: before a picture's surfaces, and for views without a picture, those of masks and lights.
 
+use std::sync::OnceLock;
+
 use gnomon_shaders::gpu::Gpu;
 
 use crate::render::{
@@ -11,9 +13,12 @@ use crate::render::{
 
 #[derive(Debug)]
 pub(crate) struct DepthPass {
+    device: wgpu::Device,
+    module: wgpu::ShaderModule,
     layout: wgpu::BindGroupLayout,
-    /// By [`pipeline_of`]: OPAQUE or MASK, front faces or both.
-    pipelines: [wgpu::RenderPipeline; 4],
+    pipeline_layout: wgpu::PipelineLayout,
+    /// By [`pipeline_of`]: OPAQUE or MASK, front faces or both. Compiled when they are first drawn with.
+    pipelines: [OnceLock<wgpu::RenderPipeline>; 4],
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,12 +43,16 @@ impl DepthPass {
             immediate_size: 0,
         });
         let module = shader(gpu, "shading/depth.wgsl")?;
-        let pipeline = |masked: bool, both: bool| {
-            device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        Ok(Self { device: device.clone(), module, layout, pipeline_layout, pipelines: Default::default() })
+    }
+
+    fn pipeline(&self, scene: &SceneUpload, masked: bool, both: bool) -> &wgpu::RenderPipeline {
+        self.pipelines[pipeline_of(masked, both)].get_or_init(|| {
+            self.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some("depth"),
-                layout: Some(&pipeline_layout),
+                layout: Some(&self.pipeline_layout),
                 vertex: wgpu::VertexState {
-                    module: &module,
+                    module: &self.module,
                     entry_point: Some(if masked { "transform_masked" } else { "transform" }),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
                     buffers: &scene.vertex_layouts(),
@@ -61,7 +70,7 @@ impl DepthPass {
                 }),
                 multisample: wgpu::MultisampleState::default(),
                 fragment: masked.then_some(wgpu::FragmentState {
-                    module: &module,
+                    module: &self.module,
                     entry_point: Some("masked"),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
                     targets: &[],
@@ -69,10 +78,14 @@ impl DepthPass {
                 multiview_mask: None,
                 cache: None,
             })
-        };
-        let pipelines =
-            [(false, false), (false, true), (true, false), (true, true)].map(|(masked, both)| pipeline(masked, both));
-        Ok(Self { layout, pipelines })
+        })
+    }
+
+    /// Compiles what drawing `scene` takes.
+    pub(crate) fn compile(&self, scene: &SceneUpload, faces: Faces) {
+        for batch in scene.batches.iter().filter(|batch| !batch.is_blended()) {
+            self.pipeline(scene, batch.is_masked(), batch.double_sided || faces == Faces::Both);
+        }
     }
 
     /// Binds a buffer that begins with the view's matrix `clip_from_local`.
@@ -91,9 +104,7 @@ impl DepthPass {
         pass.set_bind_group(0, view, &[]);
         scene.bind(pass);
         for batch in scene.batches.iter().filter(|batch| !batch.is_blended()) {
-            pass.set_pipeline(
-                &self.pipelines[pipeline_of(batch.is_masked(), batch.double_sided || faces == Faces::Both)],
-            );
+            pass.set_pipeline(self.pipeline(scene, batch.is_masked(), batch.double_sided || faces == Faces::Both));
             pass.set_bind_group(1, &scene.materials[batch.material], &[]);
             pass.draw_indexed(batch.indices.clone(), 0, 0..1);
         }

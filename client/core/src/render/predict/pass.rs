@@ -14,7 +14,7 @@ use gnomon_shaders::{
 use super::{
     bindings,
     depth_history::DepthHistory,
-    depth_pass::DepthPass,
+    depth_pass::{DepthPass, Faces},
     kernels::{Kernel, Kernels},
     layers::Layers,
     mask_view::MaskView,
@@ -69,7 +69,7 @@ impl PredictPass {
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
         let depth_pass = DepthPass::new(gpu, upload)?;
-        let shadow_map = ShadowMap::new(gpu, scene, upload, &depth_pass);
+        let shadow_map = ShadowMap::new(gpu, scene);
         let unknown = Counts::new(device, "unknown pixels", 1);
         let uniform = Variable::new(gpu, "prediction");
         let [scene_layout, surface_layout, mask_layout] = bindings::layouts(gpu);
@@ -125,9 +125,31 @@ impl PredictPass {
         &self.shadow_map
     }
 
+    /// Ensures that the shadow maps are drawn before what `encoder` does next.
+    pub(crate) fn need_shadow_map(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, upload: &SceneUpload) {
+        self.shadow_map.need(gpu, encoder, &self.depth_pass, upload);
+    }
+
+    /// Compiles what pictures take. With `own_view`, only what those take that have whole masks of their own views.
+    pub(crate) fn compile(&mut self, gpu: &Gpu, upload: &SceneUpload, own_view: bool) {
+        if own_view {
+            self.kernels.get(&gpu.device, Kernel::OwnView);
+            return;
+        }
+        for kernel in [Kernel::First { layered: false }, Kernel::Every { layered: false }, Kernel::WithoutMask] {
+            self.kernels.get(&gpu.device, kernel);
+        }
+        self.depth_pass.compile(upload, Faces::Both);
+    }
+
     /// Whether every light reaches everything, for want of masks and of a predictor.
     pub(crate) fn knows_nothing(&self) -> bool {
         self.predictor != Predictor::Surface && self.mask_views().next().is_none()
+    }
+
+    /// Whether shadow maps say what masks do not.
+    pub(crate) fn by_surface(&self) -> bool {
+        self.predictor == Predictor::Surface
     }
 
     /// Sets the predictor from the next picture on.
@@ -197,7 +219,6 @@ impl PredictPass {
             self.layers.need_depth(gpu, encoder, (count, space), &self.depth_pass, (history, upload));
         }
         let mask_group = self.layers.group(&gpu.device, &self.mask_layout, &self.nearest).clone();
-        let groups = [&self.scene_group, &self.surface_groups[history.current()], &mask_group];
         let layered = layers[..count].iter().any(|layer| layer.whole == 0);
         let (first, every) = if count == 0 {
             (None, Kernel::WithoutMask)
@@ -207,9 +228,13 @@ impl PredictPass {
             let puts_off = visibility_share >= 1.0 && self.predictor == Predictor::Surface;
             (puts_off.then_some(Kernel::First { layered }), Kernel::Every { layered })
         };
+        if every != Kernel::OwnView && self.by_surface() {
+            self.need_shadow_map(gpu, encoder, upload);
+        }
         let first = first.map(|first| self.kernels.get(&gpu.device, first));
         let every = self.kernels.get(&gpu.device, every);
         self.unknown.clear(encoder);
+        let groups = [&self.scene_group, &self.surface_groups[history.current()], &mask_group];
         targets.put_off.run(encoder, "prediction", (first.as_ref(), &every), &groups);
         self.unknown.copy(encoder, ());
     }

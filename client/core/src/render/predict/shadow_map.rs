@@ -1,4 +1,4 @@
-//! The client's own shadow maps, drawn once when the scene is loaded.
+//! The client's own shadow maps, drawn once, with the first picture that needs them.
 //!
 //! Received visibility lacks surfaces that its view did not see. There the client looks into a map of its own: coarser
 //! than the server's rays, but never late. All maps share one square of [`BUDGET_BYTES`]: six cube faces for a point
@@ -37,36 +37,20 @@ pub(crate) fn views_of(kind: LightKind) -> u32 {
 pub(crate) struct ShadowMap {
     pub(crate) texture: wgpu::TextureView,
     pub(crate) views: wgpu::Buffer,
+    /// What is still to be drawn.
+    undrawn: Vec<ShadowView>,
 }
 
 impl ShadowMap {
-    /// Draws the maps of all lights of `scene`.
-    pub(crate) fn new(gpu: &Gpu, scene: &Scene, upload: &SceneUpload, pass: &DepthPass) -> Self {
+    /// Allocates the maps of all lights of `scene`.
+    pub(crate) fn new(gpu: &Gpu, scene: &Scene) -> Self {
         let device = &gpu.device;
         let limit = device.limits().max_texture_dimension_2d;
         let (side, views) = layout(&scene.lights, (&scene.bounds, Space::of(scene).near_m), limit);
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
         let texture = texture(device, "shadow map", (side, side), DEPTH, usage)
             .create_view(&wgpu::TextureViewDescriptor::default());
-        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let groups: Vec<wgpu::BindGroup> = views
-                .iter()
-                .map(|view| {
-                    let buffer = constant(gpu, "light's view", &view.clip_from_local);
-                    pass.group(device, buffer.as_entire_binding())
-                })
-                .collect();
-            let mut render = depth_pass::begin(&mut encoder, "shadow map", &texture);
-            for (view, group) in views.iter().zip(&groups) {
-                render.set_viewport(view.left, view.top, view.side, view.side, 0.0, 1.0);
-                #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "whole, at most 4096")]
-                let [left, top, side] = [view.left, view.top, view.side].map(|texels| texels as u32);
-                render.set_scissor_rect(left, top, side, side);
-                pass.draw(&mut render, group, upload, Faces::Both);
-            }
-        }
-        gpu.queue.submit([encoder.finish()]);
+        let undrawn = views.clone();
         let mut views = views;
         // A binding cannot be empty.
         views.push(bytemuck::Zeroable::zeroed());
@@ -75,7 +59,34 @@ impl ShadowMap {
             contents: bytemuck::cast_slice(&views),
             usage: wgpu::BufferUsages::STORAGE,
         });
-        Self { texture, views }
+        Self { texture, views, undrawn }
+    }
+
+    /// Ensures that the maps are drawn before what `encoder` does next.
+    pub(crate) fn need(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        pass: &DepthPass,
+        upload: &SceneUpload,
+    ) {
+        let views = std::mem::take(&mut self.undrawn);
+        if views.is_empty() {
+            return;
+        }
+        let group = |view: &ShadowView| {
+            let buffer = constant(gpu, "light's view", &view.clip_from_local);
+            pass.group(&gpu.device, buffer.as_entire_binding())
+        };
+        let groups: Vec<wgpu::BindGroup> = views.iter().map(group).collect();
+        let mut render = depth_pass::begin(encoder, "shadow map", &self.texture);
+        for (view, group) in views.iter().zip(&groups) {
+            render.set_viewport(view.left, view.top, view.side, view.side, 0.0, 1.0);
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "whole, at most 4096")]
+            let [left, top, side] = [view.left, view.top, view.side].map(|texels| texels as u32);
+            render.set_scissor_rect(left, top, side, side);
+            pass.draw(&mut render, group, upload, Faces::Both);
+        }
     }
 }
 
