@@ -108,8 +108,8 @@ export async function hide(page, hidden) {
   }, hidden);
 }
 
-/** A clock that programs with this environment read, and that a test sets: `set("+6.5d")`. */
-export async function clock(test) {
+/** A clock that a program with this environment reads, and that a test sets: `set("+6.5d")`. */
+export async function clock(test, time) {
   const library = ["x86_64", "aarch64"]
     .map((machine) => `/usr/lib/${machine}-linux-gnu/faketime/libfaketimeMT.so.1`)
     .find((path) => existsSync(path));
@@ -119,13 +119,12 @@ export async function clock(test) {
     await writeFile(`${path}.new`, time);
     await rename(`${path}.new`, path);
   };
-  await set("+0d");
+  await set(time);
   const env = {
     LD_PRELOAD: library,
     FAKETIME_TIMESTAMP_FILE: path,
     FAKETIME_DONT_FAKE_MONOTONIC: "1",
-    // Chromium asks for the time so often that the file must not be read each time.
-    FAKETIME_CACHE_DURATION: "1",
+    FAKETIME_NO_CACHE: "1",
   };
   return { env, set };
 }

@@ -5,16 +5,15 @@
 use gnomon_client_core::{
     camera::path::CameraPath,
     frame::mode::Mode,
-    input::{Controls, Sticks, keys::MoveKey},
+    input::{Controls, Sticks},
     predictor::Predictor,
     render::{FrameRenderer, debug_view::DebugView, readback::Picture},
 };
 use gnomon_protocol::{
     PROTOCOL_VERSION,
-    codec::{CodecId, Decoder},
+    codec::CodecId,
     ids::{BearerToken, ResumeToken},
     limits::MAX_LAYERS,
-    mask::{Mask, MaskShape},
     message::Refusal,
 };
 use gnomon_scene::Scene;
@@ -27,8 +26,11 @@ use web_time::Instant;
 use crate::{
     conversation::{Conversation, Event, Wishes},
     figures::Figures,
+    keys::move_key,
+    options::{Options, Settings, Walk},
     pace::Pace,
-    play::{Options, Play, Settings, Walk, new_renderer},
+    play::Play,
+    renderer::new_renderer,
     scene_fetch::digest_of,
     screen::Screen,
 };
@@ -486,31 +488,4 @@ impl Client {
     pub fn go(&mut self, view: &str) -> bool {
         self.play.as_mut().is_some_and(|play| play.go(view))
     }
-}
-
-/// Decodes a frame's body this many times. Returns the median in ms, for measurements (`tests/web/decode-times.mjs`).
-#[wasm_bindgen]
-pub fn decode_ms(body: &[u8], rounds: u32) -> Result<f64, JsError> {
-    let (mut decoder, mut mask) = (Decoder::new(), Mask::new(MaskShape::new(1, 1, 1)?));
-    let mut times = Vec::new();
-    for _ in 0..rounds.max(1) {
-        let begun = Instant::now();
-        decoder.decode(body, &mut mask)?;
-        times.push(begun.elapsed());
-    }
-    times.sort_unstable();
-    Ok(times[times.len() / 2].as_secs_f64() * 1e3)
-}
-
-fn move_key(code: &str) -> Option<MoveKey> {
-    Some(match code {
-        "KeyW" | "ArrowUp" => MoveKey::Forward,
-        "KeyS" | "ArrowDown" => MoveKey::Back,
-        "KeyA" | "ArrowLeft" => MoveKey::Left,
-        "KeyD" | "ArrowRight" => MoveKey::Right,
-        "KeyE" | "PageUp" => MoveKey::Up,
-        "KeyQ" | "PageDown" => MoveKey::Down,
-        "ShiftLeft" | "ShiftRight" => MoveKey::Fast,
-        _ => return None,
-    })
 }

@@ -8,10 +8,15 @@
 #[cfg(target_arch = "wasm32")]
 mod client;
 pub mod conversation;
+#[cfg(target_arch = "wasm32")]
+mod decode_times;
 pub mod figures;
+pub mod keys;
+pub mod options;
 pub mod pace;
 pub mod play;
 pub mod reception;
+pub mod renderer;
 pub mod scene_fetch;
 #[cfg(target_arch = "wasm32")]
 mod screen;

@@ -7,17 +7,13 @@ use gnomon_client_core::{
     frame::{
         frame_loop::{FrameLoop, MaskSource},
         guard::{Guard, GuardChoice},
-        mode::{Mode, ModeMachine, Thresholds},
+        mode::{ModeMachine, Thresholds},
         stats::{FrameStats, StageTimes},
     },
     input::fly::{Fly, Motion},
     mask::{digest::digest, queue::MaskQueue, received::ReceivedMask},
     occluders::Occluders,
-    predictor::Predictor,
-    render::{
-        FrameRenderer, PICTURE_FORMAT, RenderError, debug_view::DebugView, environment::Environment,
-        exposure::Exposure, quality::Quality, survey::Survey, tone::ToneCurve,
-    },
+    render::{FrameRenderer, RenderError, debug_view::DebugView},
 };
 use gnomon_protocol::{
     ids::{FrameNumber, SceneDigest},
@@ -29,7 +25,12 @@ use gnomon_scene::{NamedCamera, Scene, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 use web_time::Instant;
 
-use crate::{reception::Reception, view};
+use crate::{
+    options::{Options, Settings},
+    reception::Reception,
+    renderer::light,
+    view,
+};
 
 /// Time to cross the scene at the initial speed.
 const CROSSING_S: f64 = 12.0;
@@ -48,43 +49,6 @@ const PATIENCE: Duration = Duration::from_millis(500);
 
 /// How long the first picture waits for its mask, and then goes without.
 const FIRST_PATIENCE: Duration = Duration::from_secs(2);
-
-/// What a page chooses before the scene is there.
-#[derive(Debug, Clone, Default)]
-pub struct Options {
-    /// `None` adapts to what the camera sees.
-    pub exposure: Option<f32>,
-    /// Where to begin, as a link has it.
-    pub view: Option<String>,
-    /// Draws these frames of a path, each with its own mask, and then goes on as ever.
-    pub walk: Option<Walk>,
-}
-
-#[derive(Debug, Clone)]
-pub struct Walk {
-    pub path: CameraPath,
-    pub frames: u32,
-}
-
-impl Walk {
-    /// The frame's time on the path, in seconds: frames are spread evenly over it, as in a headless run.
-    fn time_s(&self, frame: u32) -> f64 {
-        let step_s = self.path.duration_s() / f64::from(self.frames.saturating_sub(1).max(1));
-        f64::from(frame) * step_s
-    }
-}
-
-/// What a person changes while looking.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Settings {
-    pub predictor: Predictor,
-    pub mode: Mode,
-    pub view: DebugView,
-    pub tone: ToneCurve,
-    pub quality: Quality,
-    /// True if the right half is lit without visibility.
-    pub split: bool,
-}
 
 /// What a frame has left behind.
 #[derive(Debug)]
@@ -126,7 +90,7 @@ pub struct Play {
 }
 
 impl Play {
-    /// Prepares to draw pictures of this size, with what [`new_renderer`] made for the scene.
+    /// Prepares to draw pictures of this size, with what [`crate::renderer::new_renderer`] made for the scene.
     ///
     /// # Errors
     /// If the picture exceeds a limit of the adapter, or the adapter fails.
@@ -187,7 +151,7 @@ impl Play {
         self.digest
     }
 
-    /// Goes on in another scene, with what [`new_renderer`] made for it. The camera stays.
+    /// Goes on in another scene, with what [`crate::renderer::new_renderer`] made for it. The camera stays.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -515,32 +479,4 @@ impl Play {
 
 fn lights_of(scene: &Scene) -> u32 {
     u32::try_from(scene.lights.len()).unwrap_or(u32::MAX)
-}
-
-/// Uploads a scene, and compiles what its first pictures take: drafts, unless a walk's pictures are wanted as they are.
-///
-/// # Errors
-/// If the scene or the picture exceeds a limit of the adapter, or the adapter fails.
-pub fn new_renderer(
-    gpu: &Gpu,
-    scene: &Scene,
-    size: (u32, u32),
-    options: &Options,
-) -> Result<FrameRenderer, RenderError> {
-    // How bright the scene is will be found out while the adapter compiles.
-    let exposure = Exposure::for_reference(1.0);
-    let mut renderer = FrameRenderer::new(gpu, scene, size, exposure, PICTURE_FORMAT, Predictor::default())?;
-    renderer.set_tone(ToneCurve::default());
-    renderer.set_quality(Quality::default());
-    renderer.set_draft(options.walk.is_none());
-    renderer.compile();
-    Ok(renderer)
-}
-
-/// Gives a new renderer its light, as bright as what `camera` sees wants, or `exposure` says.
-fn light(renderer: &mut FrameRenderer, scene: &Scene, occluders: &Occluders, camera: &Camera, exposure: Option<f32>) {
-    let survey = Survey::new(scene, occluders, camera);
-    let first = Exposure::for_reference(survey.lux);
-    renderer.set_exposure(exposure.map_or(first, |ev| first.at_ev(ev)));
-    renderer.set_environment(Environment::Sky, survey);
 }

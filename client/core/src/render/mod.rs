@@ -6,6 +6,7 @@
 mod blend;
 mod counts;
 pub mod debug_view;
+mod draft;
 #[cfg(test)]
 mod edge_tests;
 pub mod environment;

@@ -55,7 +55,7 @@ pub struct PixelVisibility {
 /// Draws frames of one scene at one size.
 #[derive(Debug)]
 pub struct FrameRenderer {
-    gpu: Gpu,
+    pub(super) gpu: Gpu,
     space: Space,
     exposure: Exposure,
     surroundings: Surroundings,
@@ -68,14 +68,14 @@ pub struct FrameRenderer {
     pub(super) history: DepthHistory,
     pub(super) predict: PredictPass,
     pub(super) gbuffer: GbufferPass,
-    shade: ShadePass,
-    blend: BlendPass,
-    tone: TonePass,
-    meter: MeterPass,
+    pub(super) shade: ShadePass,
+    pub(super) blend: BlendPass,
+    pub(super) tone: TonePass,
+    pub(super) meter: MeterPass,
     debug: DebugPass,
     debug_view: DebugView,
-    quality: Quality,
-    draft: bool,
+    pub(super) quality: Quality,
+    pub(super) draft: bool,
     lighting: Variable<Lighting>,
     lights: Vec<Light>,
     /// Bit k is 1 if light k is on.
@@ -194,34 +194,6 @@ impl FrameRenderer {
     /// Sets what pictures show from the next one on.
     pub fn set_debug_view(&mut self, view: DebugView) {
         self.debug_view = view;
-    }
-
-    /// Sets the quality from the next picture on; low at first.
-    pub fn set_quality(&mut self, quality: Quality) {
-        self.quality = quality;
-        let drawn = if self.draft { Quality::Low } else { quality };
-        self.tone.set_quality(drawn);
-        self.shade.set_quality(drawn);
-    }
-
-    /// Drafts have hard edges and no BLEND surfaces, whatever the quality. They take a third of the pipelines: a client
-    /// whose adapter compiles slowly shows one while the rest is compiled.
-    pub fn set_draft(&mut self, draft: bool) {
-        self.draft = draft;
-        self.set_quality(self.quality);
-    }
-
-    /// Compiles what the next pictures take, instead of when they need it: for drafts, what those take that have whole
-    /// masks of their own views.
-    pub fn compile(&mut self) {
-        let device = &self.gpu.device;
-        self.predict.compile(&self.gpu, &self.scene, self.draft);
-        self.shade.compile(device);
-        self.tone.compile(device);
-        if !self.draft {
-            self.blend.compile(&self.scene);
-            self.meter.compile(device);
-        }
     }
 
     /// Turns light k on if bit k is 1, off otherwise, from the next picture on.
