@@ -21,7 +21,10 @@ use gnomon_protocol::{
     pose::{Pose, encode_pose_packet},
     reassembler::{Policy, Progress, Reassembler},
 };
-use gnomon_server::config::ServerConfig;
+use gnomon_server::{
+    config::ServerConfig,
+    visibility::schedule::pace::{BURST, TOLERANCE},
+};
 use tokio::{task::JoinSet, time::MissedTickBehavior};
 use web_transport_quinn::Session;
 
@@ -188,18 +191,22 @@ async fn honest_share(rig: &Arc<Rig>, rate_hz: u16) -> f64 {
 /// time.
 const ATTEMPTS: usize = 4;
 
-/// Watches honest clients without liars, and beside `liars` that go on until the flag is set.
-async fn honest_clients_keep_their_masks<L, F>(rig: &Arc<Rig>, liars: L)
+/// Time after which most liars have begun.
+const SOON: Duration = Duration::from_millis(500);
+
+/// Watches honest clients without liars, and beside `liars` that have `begun` for so long and go on until the flag is
+/// set. Liars are told the honest clients' rate.
+async fn honest_clients_keep_their_masks<L, F>(rig: &Arc<Rig>, begun: Duration, liars: L)
 where
-    L: Fn(Arc<Rig>, Arc<AtomicBool>) -> F,
+    L: Fn(Arc<Rig>, u16, Arc<AtomicBool>) -> F,
     F: Future<Output = ()> + Send + 'static,
 {
     let mut attempts = Vec::new();
     while attempts.len() < ATTEMPTS {
         let (rate_hz, alone) = share_alone(rig).await;
         let stop = Arc::new(AtomicBool::new(false));
-        let lying = tokio::spawn(liars(Arc::clone(rig), Arc::clone(&stop)));
-        tokio::time::sleep(Duration::from_millis(500)).await;
+        let lying = tokio::spawn(liars(Arc::clone(rig), rate_hz, Arc::clone(&stop)));
+        tokio::time::sleep(begun).await;
         let beside = honest_share(rig, rate_hz).await;
         stop.store(true, Ordering::Relaxed);
         soon(lying).await.unwrap();
@@ -245,9 +252,12 @@ async fn clients_that_lie_harm_themselves_only() {
 /// They declare 1 Hz and ask for 40.
 async fn about_a_low_rate() {
     let rig = rig(|_| {}).await;
-    honest_clients_keep_their_masks(&rig, |rig, stop| async move {
+    // The masks that each may have at once are nobody's lie. At the rate that is left they take five seconds.
+    let begun = Duration::from_secs_f64(BURST / TOLERANCE) + SOON;
+    honest_clients_keep_their_masks(&rig, begun, |rig, honest_hz, stop| async move {
         let mut liars = JoinSet::new();
-        for number in 0..14 {
+        // So many that what they declared, and a quarter more, is no more than the other half.
+        for number in 0..(usize::from(2 * honest_hz) * 4 / 5).min(14) {
             let (rig, stop) = (Arc::clone(&rig), Arc::clone(&stop));
             liars.spawn(async move {
                 let (mut liar, _) = rig.started(Protocol::BOTH[number % 2], sized(1)).await;
@@ -269,7 +279,7 @@ async fn about_a_low_rate() {
 /// They declare nothing and ask for 40 masks a second, so they get what the others leave.
 async fn about_no_rate() {
     let rig = rig(|_| {}).await;
-    honest_clients_keep_their_masks(&rig, |rig, stop| async move {
+    honest_clients_keep_their_masks(&rig, SOON, |rig, _, stop| async move {
         let mut liars = JoinSet::new();
         for protocol in Protocol::BOTH {
             let (rig, stop) = (Arc::clone(&rig), Arc::clone(&stop));
@@ -287,7 +297,7 @@ async fn about_no_rate() {
 /// They ask for larger masks than agreed, and for sessions that would need more memory than there is.
 async fn about_sizes() {
     let rig = rig(|config| config.memory_budget_mb = Some(100)).await;
-    honest_clients_keep_their_masks(&rig, |rig, stop| async move {
+    honest_clients_keep_their_masks(&rig, SOON, |rig, _, stop| async move {
         let (mut liar, _) = rig.started(Protocol::Native, sized(40)).await;
         liar.size = [4000, 2000];
         let largest = Hello { width: 3840, height: 2160, codec: CodecId::TilesSmall, ..hello() };
@@ -331,7 +341,7 @@ async fn about_sizes() {
 /// They guess secrets, use one twice, and race for one.
 async fn about_resuming() {
     let rig = rig(|_| {}).await;
-    honest_clients_keep_their_masks(&rig, |rig, stop| async move {
+    honest_clients_keep_their_masks(&rig, SOON, |rig, _, stop| async move {
         while !stop.load(Ordering::Relaxed) {
             let (victim, welcome) = rig.started(Protocol::Native, sized(1)).await;
             let guess = Some(ResumeToken([7; 16]));
@@ -356,7 +366,7 @@ async fn about_resuming() {
 /// They acknowledge frames that were never sent, and report losses that cannot be.
 async fn about_what_they_have_and_lose() {
     let rig = rig(|_| {}).await;
-    honest_clients_keep_their_masks(&rig, |rig, stop| async move {
+    honest_clients_keep_their_masks(&rig, SOON, |rig, _, stop| async move {
         let mut liars = JoinSet::new();
         for (number, protocol) in Protocol::BOTH.into_iter().cycle().take(4).enumerate() {
             let (rig, stop) = (Arc::clone(&rig), Arc::clone(&stop));
@@ -410,7 +420,7 @@ fn lies(round: u32) -> Vec<Vec<u8>> {
 /// They fetch what is not there, and the same again and again.
 async fn about_the_scene() {
     let rig = rig(|config| config.network_budget_mbit = Some(100)).await;
-    honest_clients_keep_their_masks(&rig, |rig, stop| async move {
+    honest_clients_keep_their_masks(&rig, SOON, |rig, _, stop| async move {
         let mut number = 0;
         // Each kind of offset at least once.
         while number < 3 || !stop.load(Ordering::Relaxed) {

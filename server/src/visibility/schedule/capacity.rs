@@ -50,13 +50,10 @@ impl fmt::Display for Overload {
                 let left_ms = left_ms.max(0.0);
                 write!(formatter, "it would need {needed_ms:.1} ms of the device per second, and {left_ms:.1} are left")
             }
-            Self::LongFrame { frame_ms, tolerated_ms } => {
-                let tolerated_ms = tolerated_ms.max(0.0);
-                write!(
-                    formatter,
-                    "a frame would take {frame_ms:.1} ms, and the other sessions tolerate {tolerated_ms:.1}"
-                )
-            }
+            Self::LongFrame { frame_ms, tolerated_ms } => write!(
+                formatter,
+                "a frame would take {frame_ms:.1} ms, and the other sessions tolerate {tolerated_ms:.1}"
+            ),
         }
     }
 }
@@ -72,8 +69,9 @@ pub fn admit(sessions: impl IntoIterator<Item = Need>, new: Need, budget_ms: f64
         any = true;
         used_ms += session.per_second_ms();
         if let Some(rate) = session.rate_hz {
-            // What its period leaves after its own frame.
-            shortest_ms = f64::min(shortest_ms, 1e3 / rate - session.cost_ms);
+            // What its period leaves after its own frame. One that is late alone is not made late by others.
+            let left_ms = 1e3 / rate - session.cost_ms;
+            shortest_ms = f64::min(shortest_ms, if left_ms > 0.0 { left_ms } else { f64::INFINITY });
         }
     }
     if !any {
@@ -123,6 +121,8 @@ mod tests {
         assert!(refused.to_string().contains("3000.0 ms"), "{refused}");
         // A session without a rate is no reason to refuse others.
         assert_eq!(admit([greedy], modest, 900.0), Ok(()));
+        // Nor is one whose frame takes longer than its period, as long as there is time.
+        assert_eq!(admit([need(30.0, 40.0)], modest, 9000.0), Ok(()));
     }
 
     #[test]
