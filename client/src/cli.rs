@@ -121,6 +121,7 @@ impl Reading {
             max_lights: self.lights,
             default_light: self.default_light.is_on(),
             scene: self.scene_name,
+            animation: None,
             variant: self.variant,
         };
         LocalScene { file, options }
@@ -311,6 +312,7 @@ mod tests {
                 max_lights: None,
                 default_light: false,
                 scene: Some("-2".to_owned()),
+                animation: None,
                 variant: Some("red".to_owned()),
             }
         );

@@ -59,7 +59,7 @@ impl LocalScene {
     /// Returns what makes `gnomon-server` serve it.
     #[must_use]
     pub fn server_arguments(&self) -> Vec<OsString> {
-        let LoadOptions { lights_from, max_lights, default_light, scene, variant } = &self.options;
+        let LoadOptions { lights_from, max_lights, default_light, scene, animation: _, variant } = &self.options;
         let mut arguments: Vec<OsString> = vec!["--scene".into(), self.file.clone().into()];
         // In one word: a name may begin with a dash.
         let mut add = |flag: &str, value: Option<&OsStr>| {

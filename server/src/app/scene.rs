@@ -15,6 +15,7 @@ pub(super) fn load_options(config: &ServerConfig) -> LoadOptions {
         max_lights: config.lights,
         default_light: config.default_light.is_on(),
         scene: config.scene_name.clone(),
+        animation: None,
         variant: config.variant.clone(),
     }
 }

@@ -8,20 +8,24 @@ use crate::{LoadOptions, Scene, limits::MAX_IMAGE_SIDE_PX, pack, picture, reader
 /// A packed scene that is accepted survives packing and unpacking again. The bytes are tried unchanged, and again as
 /// the content of the Zstandard frame, which mutations do not reach.
 pub fn packed(bytes: &[u8]) {
-    for sent in [Ok(bytes.to_vec()), pack::seal(bytes)].into_iter().flatten() {
+    for sent in [Ok(bytes.to_vec()), pack::seal(bytes, false), pack::seal(bytes, true)].into_iter().flatten() {
         if let Ok(scene) = Scene::unpack(&sent) {
             travels(&scene);
         }
     }
 }
 
-/// A file accepted as glTF survives packing and unpacking. The bytes are written to `file`.
+/// A file accepted as glTF survives packing and unpacking, at rest and with all its animations. The bytes are written
+/// to `file`.
 pub fn gltf(bytes: &[u8], file: &Path) {
     if std::fs::write(file, bytes).is_err() {
         return;
     }
-    if let Ok(scene) = Scene::load(file, &LoadOptions::default()) {
-        travels(&scene);
+    for animation in ["off", "all"] {
+        let options = LoadOptions { animation: Some(animation.to_owned()), ..LoadOptions::default() };
+        if let Ok(scene) = Scene::load(file, &options) {
+            travels(&scene);
+        }
     }
 }
 
@@ -58,7 +62,13 @@ pub fn meshopt(bytes: &[u8]) {
 
 fn travels(scene: &Scene) {
     // Only scenes that are too large to travel cannot be packed.
-    if let Ok(packed) = scene.pack() {
-        assert!(Scene::unpack(&packed).is_ok_and(|again| again == *scene), "a scene does not survive packing");
+    let Ok(packed) = scene.pack() else { return };
+    assert!(Scene::unpack(&packed).is_ok_and(|again| again == *scene), "a scene does not survive packing");
+    if scene.animation.is_some() {
+        for still in [scene.at_rest(), scene.still_at(0.25), scene.still_at(1e300)] {
+            // Everything may be hidden.
+            let fault = still.check().err().filter(|_| !still.triangles.is_empty());
+            assert_eq!(fault, None, "a scene is not legal at some time");
+        }
     }
 }

@@ -1,7 +1,8 @@
 //! The scene: flattened triangles, materials, textures and lights, in the space that server and client compute in.
 //!
 //! [`load`] tells glTF from the packed form; [`reader`] turns glTF into a [`Scene`]; [`pack`] turns a scene into bytes
-//! to send, and back. [`camera`] gives each pixel's ray, [`motion`] predicts the camera. [`limits`] holds every bound.
+//! to send, and back. [`moment`] says where everything is at a time. [`camera`] gives each pixel's ray, [`motion`]
+//! predicts the camera. [`limits`] holds every bound.
 //! Only [`file`], [`testing`] and [`fuzzing`] touch files.
 
 pub mod camera;
@@ -15,6 +16,7 @@ mod lights_file;
 pub mod limits;
 mod load;
 mod load_options;
+mod moment;
 pub mod motion;
 mod pack;
 mod picture;
@@ -25,9 +27,11 @@ pub mod testing;
 
 pub use error::SceneError;
 pub use load_options::LoadOptions;
+pub use moment::{Moment, Placement};
 pub use pack::PackError;
 pub use reader::{LoadReport, Warning, WarningKind};
 pub use scene::{
-    Aabb, AlphaChanges, AlphaMode, AlphaPicture, CheckError, Clearcoat, Coordinates, Draw, Filter, Image, Light,
-    LightKind, Material, NamedCamera, Scene, Sheen, Specular, Summary, Texture, Transmission, Wrap, triangle_normal,
+    Aabb, AlphaChanges, AlphaMode, AlphaPicture, AnimatedCamera, AnimatedLight, AnimatedNode, Animation, CheckError,
+    Clearcoat, Coordinates, Draw, Filter, Image, Interpolation, Light, LightKind, Material, NamedCamera, Piece, Place,
+    Scene, Sheen, Specular, Summary, Texture, Track, Transmission, Wrap, triangle_normal,
 };

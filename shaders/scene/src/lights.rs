@@ -20,16 +20,17 @@ const SUN_LUX: f32 = std::f32::consts::PI;
 /// Leaves the scene with 1 to 32 lights.
 /// Errors if there are none and none is to be added, or fewer than the options ask for.
 pub(crate) fn choose(scene: &mut Scene, options: &LoadOptions, report: &mut LoadReport) -> Result<(), SceneError> {
-    let off = scene.lights.iter().filter(|light| !light.shines()).count();
+    let shines: Vec<bool> = (0..).zip(&scene.lights).map(|(index, light)| ever_shines(scene, index, light)).collect();
+    let off = shines.iter().filter(|shines| !**shines).count();
     if off < scene.lights.len() {
-        scene.lights.retain(Light::shines);
+        keep(scene, |index| shines.get(index) == Some(&true));
         report.add(WarningKind::LeftOut, "lights that are off", "", off as u64);
     }
     let available = scene.lights.len();
     if let Some(requested) = options.max_lights {
         let count = usize::try_from(requested).ok().filter(|count| (1..=MAX_LIGHTS).contains(count));
         match count {
-            Some(count) if count <= available => scene.lights.truncate(count),
+            Some(count) if count <= available => keep(scene, |index| index < count),
             // The sun is one light.
             Some(1) if available == 0 && options.default_light => {}
             _ if available == 0 && !options.default_light => return Err(SceneError::NoLights),
@@ -57,9 +58,36 @@ fn keep_strongest(scene: &mut Scene) {
         scene.lights.iter().enumerate().map(|(index, light)| (strength(light, radius), index)).collect();
     // Stable: of equal lights, the first ones stay.
     order.sort_by(|(a, _), (b, _)| b.total_cmp(a));
-    let mut kept: Vec<usize> = order.into_iter().take(MAX_LIGHTS).map(|(_, index)| index).collect();
-    kept.sort_unstable();
-    scene.lights = kept.into_iter().filter_map(|index| scene.lights.get(index).cloned()).collect();
+    let kept: Vec<usize> = order.into_iter().take(MAX_LIGHTS).map(|(_, index)| index).collect();
+    keep(scene, |index| kept.contains(&index));
+}
+
+/// Returns whether a light is on at some time.
+fn ever_shines(scene: &Scene, index: u32, light: &Light) -> bool {
+    let moving = scene.animation.iter().flat_map(|animation| &animation.lights).find(|moving| moving.light == index);
+    light.shines() || moving.is_some_and(|moving| moving.intensity_track.is_some() || moving.color_track.is_some())
+}
+
+/// Keeps lights by their index, and what moves them.
+fn keep(scene: &mut Scene, kept: impl Fn(usize) -> bool) {
+    let mut index = 0..;
+    scene.lights.retain(|_| index.next().is_some_and(&kept));
+    if let Some(animation) = &mut scene.animation {
+        animation.lights.retain(|moving| kept(moving.light as usize));
+        for moving in &mut animation.lights {
+            let before = (0..moving.light).filter(|index| kept(*index as usize)).count();
+            // Fewer than it was.
+            moving.light = u32::try_from(before).unwrap_or(moving.light);
+        }
+    }
+    drop_if_empty(scene);
+}
+
+/// Leaves the scene without an animation if nothing moves any more.
+pub(crate) fn drop_if_empty(scene: &mut Scene) {
+    if scene.animation.as_ref().is_some_and(|animation| animation.is_empty()) {
+        scene.animation = None;
+    }
 }
 
 /// Returns what a light brings to a surface that faces it, in lux.

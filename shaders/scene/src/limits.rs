@@ -60,6 +60,16 @@ pub const MAX_VARIANTS: usize = 1 << 12;
 /// Most steps of posing: vertices times the morph targets and sets of joints that move them, once for each instance.
 pub const MAX_POSE_STEPS: u64 = 1 << 28;
 
+/// Most animations of a file, and most channels and samplers of one that are read.
+pub const MAX_ANIMATIONS: usize = 1 << 14;
+pub const MAX_CHANNELS: usize = 1 << 18;
+
+/// Most times and values of all tracks together: 64 MiB.
+pub const MAX_TRACK_VALUES: u64 = 1 << 24;
+
+/// Most animated nodes, and most pieces of geometry that move.
+pub const MAX_MOVING: u64 = 1 << 16;
+
 /// Most different warnings of one file. Further ones are counted.
 pub const MAX_WARNINGS: usize = 64;
 

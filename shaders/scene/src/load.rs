@@ -37,6 +37,8 @@ impl Scene {
         };
         if let Some(file) = &options.lights_from {
             scene.lights = lights_file::read(file, scene.origin_m)?;
+            scene.animation.iter_mut().for_each(|animation| animation.lights.clear());
+            lights::drop_if_empty(&mut scene);
         }
         lights::choose(&mut scene, options, &mut report)?;
         Ok((scene, report))

@@ -13,12 +13,15 @@ pub struct LoadOptions {
     pub default_light: bool,
     /// Name or number of the scene to show, of a file with several. The file's default if absent.
     pub scene: Option<String>,
+    /// Name or number of the animation to show; `all` shows them together, each in rounds of its own, and `off` shows
+    /// the pose of the file. `off` if absent.
+    pub animation: Option<String>,
     /// Name or number of the material variant to show (KHR_materials_variants). The default materials if absent.
     pub variant: Option<String>,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { lights_from: None, max_lights: None, default_light: true, scene: None, variant: None }
+        Self { lights_from: None, max_lights: None, default_light: true, scene: None, animation: None, variant: None }
     }
 }

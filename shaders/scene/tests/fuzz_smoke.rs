@@ -74,7 +74,11 @@ fn gltf_of_every_kind() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("damaged.gltf");
     let rich = common::gltf_file::GltfFile::of_every_kind();
-    assert_eq!(rich.load().1, "note: material variants, shown with --variant NAME: \"other\"");
+    let told = "not drawn: animations: everything stands as the file has it (2×)\n\
+         note: material variants, shown with --variant NAME: \"other\"";
+    assert_eq!(rich.load().1, told);
+    let options = LoadOptions { animation: Some("all".to_owned()), ..LoadOptions::default() };
+    assert!(rich.load_with(&options).unwrap().0.animation.is_some(), "nothing moves in the seed");
     let seed = rich.text();
     drive("gltf-every_kind", seed.as_bytes(), 3_000, |bytes| fuzzing::gltf(bytes, &file));
     // Most files with one other number still parse: wrong counts, indices and factors.
@@ -149,4 +153,7 @@ fn packed() {
     let folder = tempfile::tempdir().unwrap();
     let scene = Scene::load(&write_scene(folder.path()).unwrap(), &LoadOptions::default()).unwrap();
     drive("packed", &scene.pack().unwrap(), 10_000, fuzzing::packed);
+    let options = LoadOptions { animation: Some("all".to_owned()), ..LoadOptions::default() };
+    let (moving, _) = common::gltf_file::GltfFile::of_every_kind().load_with(&options).unwrap();
+    drive("packed-moving", &moving.pack().unwrap(), 3_000, fuzzing::packed);
 }

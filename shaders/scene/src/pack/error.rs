@@ -7,12 +7,15 @@ use crate::CheckError;
 /// Version of the format. Others are refused: scenes travel between programs of one release.
 pub(super) const VERSION: u32 = 3;
 
+/// Version of a scene in which something moves. One in which everything rests keeps its bytes, and its digest.
+pub(super) const MOVING: u32 = 4;
+
 /// Why a scene could not be packed or unpacked.
 #[derive(Debug, Error)]
 pub enum PackError {
     #[error("{0} bytes that do not start with \"GNOMSCNE\" are no packed scene")]
     Magic(usize),
-    #[error("the packed scene has version {0}; this program reads version {VERSION}")]
+    #[error("the packed scene has version {0}; this program reads versions {VERSION} and {MOVING}")]
     Version(u32),
     /// Larger than [`limits`](crate::limits) allows.
     #[error("the scene takes {bytes} bytes {what}; at most {limit} are allowed")]

@@ -2,18 +2,19 @@
 //!
 //! Little-endian throughout: `GNOMSCNE`, the format's version (u32), the number of bytes before compression (u64), then
 //! one Zstandard frame. It holds the length of the head (u32), the head (postcard), what vertices have and triangles in
-//! [planes](super::planes), and the pictures' files.
+//! [planes](super::planes), and the pictures' files. A scene in which something moves has another version and goes on:
+//! the length of the animation (u32), the animation (postcard), and what moving vertices have in planes.
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    error::{PackError, VERSION, broken},
+    error::{MOVING, PackError, VERSION, broken},
     planes::{Cursor, write_distinct, write_planes},
     zstandard,
 };
 use crate::{
-    Aabb, Draw, Light, Material, NamedCamera, Scene,
+    Aabb, Animation, Draw, Light, Material, NamedCamera, Scene,
     limits::{
         MAX_IMAGES, MAX_IMAGES_BYTES, MAX_IMAGES_PIXELS, MAX_PACKED_BYTES, MAX_TRIANGLES, MAX_UNPACKED_BYTES,
         MAX_VERTICES,
@@ -80,11 +81,19 @@ impl Scene {
         for image in &self.images {
             raw.extend_from_slice(&image.encoded);
         }
+        if let Some(animation) = &self.animation {
+            let head = postcard::to_stdvec(animation).map_err(|error| broken(error.to_string()))?;
+            raw.extend(short(head.len())?.to_le_bytes());
+            raw.extend(head);
+            write_distinct(&mut raw, &animation.positions, |p| p.to_array().map(f32::to_bits));
+            write_distinct(&mut raw, &animation.normals, |n| n.to_array().map(f32::to_bits));
+            write_distinct(&mut raw, &animation.tangents, |t| t.to_array().map(f32::to_bits));
+        }
         let size =
             |what, bytes, limit| if bytes <= limit { Ok(()) } else { Err(PackError::Size { what, bytes, limit }) };
         size("before compression", raw.len() as u64, MAX_UNPACKED_BYTES)?;
 
-        let packed = seal(&raw)?;
+        let packed = seal(&raw, self.animation.is_some())?;
         size("packed", packed.len() as u64, MAX_PACKED_BYTES)?;
         Ok(packed)
     }
@@ -94,15 +103,9 @@ impl Scene {
     /// # Errors
     /// See [`PackError`].
     pub fn unpack(bytes: &[u8]) -> Result<Self, PackError> {
-        let raw = decompress(bytes)?;
+        let (raw, moves) = decompress(bytes)?;
         let mut cursor = Cursor(&raw);
-        let head_bytes = cursor.take(4)?;
-        let head_bytes = u32::from_le_bytes(head_bytes.try_into().map_err(|_| broken("its head has no length"))?);
-        let head = cursor.take(head_bytes as usize)?;
-        let (head, left): (Head, _) = postcard::take_from_bytes(head).map_err(|error| broken(error.to_string()))?;
-        if !left.is_empty() {
-            return Err(broken(format!("{} bytes follow its head", left.len())));
-        }
+        let head: Head = head(&mut cursor)?;
         if u64::from(head.vertices) > MAX_VERTICES || u64::from(head.triangles) > MAX_TRIANGLES {
             return Err(broken(format!("{} vertices and {} triangles", head.vertices, head.triangles)));
         }
@@ -132,6 +135,7 @@ impl Scene {
             pixels_left -= u64::from(image.width) * u64::from(image.height);
             images.push(image);
         }
+        let animation = if moves { Some(Box::new(animation(&mut cursor, &head)?)) } else { None };
         if !cursor.0.is_empty() {
             return Err(broken(format!("{} bytes follow its end", cursor.0.len())));
         }
@@ -151,10 +155,33 @@ impl Scene {
             lights: head.lights,
             cameras: head.cameras,
             instances: head.instances,
+            animation,
         };
         scene.check()?;
         Ok(scene)
     }
+}
+
+/// Reads what postcard wrote, after its length.
+fn head<T: serde::de::DeserializeOwned>(cursor: &mut Cursor<'_>) -> Result<T, PackError> {
+    let bytes = cursor.take(4)?;
+    let bytes = u32::from_le_bytes(bytes.try_into().map_err(|_| broken("a head has no length"))?);
+    let head = cursor.take(bytes as usize)?;
+    let (head, left) = postcard::take_from_bytes(head).map_err(|error| broken(error.to_string()))?;
+    if left.is_empty() { Ok(head) } else { Err(broken(format!("{} bytes follow a head", left.len()))) }
+}
+
+fn animation(cursor: &mut Cursor<'_>, scene: &Head) -> Result<Animation, PackError> {
+    let animation: Animation = head(cursor)?;
+    let vertices: u64 = animation.pieces.iter().map(|piece| u64::from(piece.vertices)).sum();
+    let vertices = u32::try_from(vertices).ok().filter(|vertices| *vertices <= scene.vertices);
+    let vertices = vertices.ok_or_else(|| broken("more vertices move than there are"))?;
+    let vec3 = |words: [u32; 3]| Vec3::from_array(words.map(f32::from_bits));
+    let positions = cursor.distinct(vertices, vec3)?;
+    let normals = cursor.distinct(vertices, vec3)?;
+    let tangents = if scene.optional[1] { vertices } else { 0 };
+    let tangents = cursor.distinct(tangents, |words: [u32; 4]| Vec4::from_array(words.map(f32::from_bits)))?;
+    Ok(Animation { positions, normals, tangents, ..animation })
 }
 
 fn pair(low: u16, high: u16) -> u32 {
@@ -168,28 +195,29 @@ fn halves(word: u32) -> [u16; 2] {
 
 /// Compresses the content and prepends the header.
 /// Errors if there is no memory for it.
-pub(crate) fn seal(raw: &[u8]) -> Result<Vec<u8>, PackError> {
+pub(crate) fn seal(raw: &[u8], moves: bool) -> Result<Vec<u8>, PackError> {
     let mut packed = MAGIC.to_vec();
-    packed.extend(VERSION.to_le_bytes());
+    packed.extend(if moves { MOVING } else { VERSION }.to_le_bytes());
     packed.extend((raw.len() as u64).to_le_bytes());
     packed.extend(zstandard::compress(raw).map_err(broken)?);
     Ok(packed)
 }
 
-fn decompress(bytes: &[u8]) -> Result<Vec<u8>, PackError> {
+/// Returns the content, and whether something moves.
+fn decompress(bytes: &[u8]) -> Result<(Vec<u8>, bool), PackError> {
     let (header, packed) = bytes.split_at_checked(HEADER_BYTES).ok_or(PackError::Magic(bytes.len()))?;
     let mut header = Cursor(header);
     if header.take(8)? != MAGIC {
         return Err(PackError::Magic(bytes.len()));
     }
     let version = header.take(4)?.try_into().map_or(0, u32::from_le_bytes);
-    if version != VERSION {
+    if version != VERSION && version != MOVING {
         return Err(PackError::Version(version));
     }
     let raw_bytes = header.take(8)?.try_into().map_or(0, u64::from_le_bytes);
     let too_large = || PackError::Size { what: "before compression", bytes: raw_bytes, limit: MAX_UNPACKED_BYTES };
     let size = usize::try_from(raw_bytes).ok().filter(|_| raw_bytes <= MAX_UNPACKED_BYTES).ok_or_else(too_large)?;
-    zstandard::decompress(packed, size).map_err(broken)
+    Ok((zstandard::decompress(packed, size).map_err(broken)?, version == MOVING))
 }
 
 #[cfg(test)]
@@ -197,14 +225,15 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::scene::check::tests::scene;
+    use crate::scene::check::tests::{moving, scene};
 
     #[test]
     fn scenes_survive_and_pack_to_the_same_bytes() {
-        let scene = scene();
-        let packed = scene.pack().unwrap();
-        assert_eq!(Scene::unpack(&packed).unwrap(), scene);
-        assert_eq!(scene.clone().pack().unwrap(), packed);
+        for scene in [scene(), moving()] {
+            let packed = scene.pack().unwrap();
+            assert_eq!(Scene::unpack(&packed).unwrap(), scene);
+            assert_eq!(scene.clone().pack().unwrap(), packed);
+        }
     }
 
     #[test]
@@ -220,8 +249,8 @@ mod tests {
         assert!(matches!(Scene::unpack(b""), Err(PackError::Magic(0))));
         assert!(matches!(Scene::unpack(&[0; 64]), Err(PackError::Magic(64))));
         let mut newer = packed.clone();
-        newer[8] = 4;
-        assert!(matches!(Scene::unpack(&newer), Err(PackError::Version(4))));
+        newer[8] = 5;
+        assert!(matches!(Scene::unpack(&newer), Err(PackError::Version(5))));
         // A length beyond the bound is refused before memory is taken.
         let mut large = packed.clone();
         large[12..20].copy_from_slice(&u64::MAX.to_le_bytes());
@@ -233,12 +262,16 @@ mod tests {
 
     #[test]
     fn cut_and_extended_bytes_are_errors() {
-        let raw = decompress(&scene().pack().unwrap()).unwrap();
-        assert!(Scene::unpack(&seal(&raw).unwrap()).is_ok());
-        for end in 0..raw.len() {
-            assert!(Scene::unpack(&seal(&raw[..end]).unwrap()).is_err(), "cut at {end} of {}", raw.len());
+        for scene in [scene(), moving()] {
+            let (raw, moves) = decompress(&scene.pack().unwrap()).unwrap();
+            assert_eq!(moves, scene.animation.is_some());
+            assert!(Scene::unpack(&seal(&raw, moves).unwrap()).is_ok());
+            for end in 0..raw.len() {
+                assert!(Scene::unpack(&seal(&raw[..end], moves).unwrap()).is_err(), "cut at {end} of {}", raw.len());
+            }
+            assert!(Scene::unpack(&seal(&[&raw[..], &[0]].concat(), moves).unwrap()).is_err());
+            assert!(Scene::unpack(&seal(&raw, !moves).unwrap()).is_err());
         }
-        assert!(Scene::unpack(&seal(&[&raw[..], &[0]].concat()).unwrap()).is_err());
     }
 
     proptest! {
@@ -249,13 +282,16 @@ mod tests {
         fn changed_bytes_give_an_error_or_a_legal_scene(
             changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         ) {
-            let mut raw = decompress(&scene().pack().unwrap()).unwrap();
-            for (at, value) in changes {
-                let at = at.index(raw.len());
-                raw[at] = value;
-            }
-            if let Ok(scene) = Scene::unpack(&seal(&raw).unwrap()) {
-                prop_assert_eq!(scene.check(), Ok(()));
+            for scene in [scene(), moving()] {
+                let (mut raw, moves) = decompress(&scene.pack().unwrap()).unwrap();
+                for (at, value) in &changes {
+                    let at = at.index(raw.len());
+                    raw[at] = *value;
+                }
+                if let Ok(scene) = Scene::unpack(&seal(&raw, moves).unwrap()) {
+                    prop_assert_eq!(scene.check(), Ok(()));
+                    drop(scene.still_at(0.5));
+                }
             }
         }
     }

@@ -7,7 +7,9 @@ use super::{
     compression,
     file::{buffers::Buffers, glb},
     flatten::{
-        camera, finish, image, light,
+        animation, camera,
+        channels::{self, Channels},
+        finish, image, light,
         materials::{self, Materials, listed},
         meshes::Meshes,
         nodes::{self, Walk},
@@ -15,7 +17,7 @@ use super::{
     json::{self, Document},
     report::{LoadReport, WarningKind},
 };
-use crate::{Aabb, LoadOptions, Scene, error::SceneError, file::read_file, limits::MAX_FILE_BYTES};
+use crate::{Aabb, Animation, LoadOptions, Scene, error::SceneError, file::read_file, limits::MAX_FILE_BYTES};
 
 /// Reads a scene. It may have no lights, or too many.
 pub(crate) fn load(path: &Path, options: &LoadOptions) -> Result<(Scene, LoadReport), SceneError> {
@@ -27,7 +29,6 @@ pub(crate) fn load(path: &Path, options: &LoadOptions) -> Result<(Scene, LoadRep
     features::check(&document, &mut report)?;
     references::check(&document, &mut report)?;
     layout::check(&document.json, &mut report)?;
-    let walk = nodes::walk(&document, options.scene.as_deref(), &mut report)?;
     let variant = variant(&document, options, &mut report)?;
 
     let folder = path.parent().unwrap_or_else(|| Path::new(""));
@@ -35,7 +36,11 @@ pub(crate) fn load(path: &Path, options: &LoadOptions) -> Result<(Scene, LoadRep
     compression::expand(&mut document, &mut buffers)?;
     let mut materials = Materials::default();
     materials.variant = variant;
-    let scene = read(&document, &buffers, &walk, materials, folder, &mut report)?;
+    let channels = channels::read(&document, &buffers, options.animation.as_deref(), &mut report)?;
+    let walk = nodes::walk(&document, &channels, options.scene.as_deref(), &mut report)?;
+    let (mut scene, animation) = read(&document, &buffers, (&walk, &channels), materials, folder, &mut report)?;
+    animation::finish(&mut scene, animation, walk.animated, &channels, &mut report);
+    animation::tell_skins(&document, &channels, &mut report);
     Ok((scene, report))
 }
 
@@ -55,16 +60,16 @@ fn variant(document: &Document, options: &LoadOptions, report: &mut LoadReport) 
 fn read(
     document: &Document,
     buffers: &Buffers<'_>,
-    walk: &Walk,
+    (walk, channels): (&Walk, &Channels),
     mut materials: Materials,
     folder: &Path,
     report: &mut LoadReport,
-) -> Result<Scene, SceneError> {
-    let mut scene = Scene::default();
-    Meshes { document, buffers, walk }.flatten(&mut materials, &mut scene, report)?;
-    finish(&mut scene);
-    scene.lights = light::read(document, &walk.placed, scene.origin_m, report)?;
-    scene.cameras = camera::read(document, &walk.placed, report);
+) -> Result<(Scene, Animation), SceneError> {
+    let (mut scene, mut animation) = (Scene::default(), Animation::default());
+    Meshes { document, buffers, walk }.flatten(&mut materials, &mut scene, &mut animation, report)?;
+    finish(&mut scene, &mut animation);
+    (scene.lights, animation.lights) = light::read(document, channels, &walk.placed, scene.origin_m, report)?;
+    (scene.cameras, animation.cameras) = camera::read(document, channels, &walk.placed, report);
     let pictures = image::load(&document.json, buffers, folder, &materials.images.0, report)?;
     scene.images = pictures.images;
     scene.materials = materials.finish(&pictures.indices);
@@ -73,5 +78,6 @@ fn read(
         return Err(SceneError::NoTriangles { dropped, skipped, report: Box::new(std::mem::take(report)) });
     }
     scene.bounds = Aabb::of(&scene);
-    Ok(scene)
+    // Pieces are added by the order of their materials; their vertices lie in the same order.
+    Ok((scene, animation))
 }

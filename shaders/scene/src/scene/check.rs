@@ -6,9 +6,10 @@ use glam::{Vec3, Vec4};
 use thiserror::Error;
 
 use super::{
+    aabb::Aabb,
     material::{AlphaMode, Coordinates, Material},
     normals::triangle_normal,
-    types::{Aabb, Image, Light, LightKind, NamedCamera, Scene},
+    types::{Image, Light, LightKind, NamedCamera, Scene},
 };
 use crate::limits::{
     MAX_CAMERAS, MAX_DRAWS, MAX_IMAGE_SIDE_PX, MAX_IMAGES, MAX_IMAGES_PIXELS, MAX_LIGHTS, MAX_MATERIALS,
@@ -23,19 +24,23 @@ const UNIT_TOLERANCE: f32 = 1e-4;
 #[error("{0}")]
 pub struct CheckError(String);
 
-fn ensure(holds: bool, fault: impl FnOnce() -> String) -> Result<(), CheckError> {
+pub(super) fn ensure(holds: bool, fault: impl FnOnce() -> String) -> Result<(), CheckError> {
     if holds { Ok(()) } else { Err(CheckError(fault())) }
 }
 
 /// Errors at the first element for which `holds` is false.
-fn all<T: std::fmt::Debug>(what: &str, elements: &[T], holds: impl Fn(&T) -> bool) -> Result<(), CheckError> {
+pub(super) fn all<T: std::fmt::Debug>(
+    what: &str,
+    elements: &[T],
+    holds: impl Fn(&T) -> bool,
+) -> Result<(), CheckError> {
     match elements.iter().enumerate().find(|(_, element)| !holds(element)) {
         Some((index, element)) => Err(CheckError(format!("{what} {index} is {element:?}"))),
         None => Ok(()),
     }
 }
 
-fn at_most(what: &str, count: usize, limit: u64) -> Result<(), CheckError> {
+pub(super) fn at_most(what: &str, count: usize, limit: u64) -> Result<(), CheckError> {
     ensure(count as u64 <= limit, || format!("{count} {what}, more than {limit}"))
 }
 
@@ -44,7 +49,7 @@ fn is_local(position: Vec3) -> bool {
     in_reach(position.as_dvec3() / 2.0)
 }
 
-fn is_unit(vector: Vec3) -> bool {
+pub(super) fn is_unit(vector: Vec3) -> bool {
     (vector.length_squared() - 1.0).abs() <= UNIT_TOLERANCE
 }
 
@@ -76,7 +81,8 @@ impl Scene {
         ensure((1..=MAX_LIGHTS).contains(&self.lights.len()), || format!("{} lights", self.lights.len()))?;
         all("light", &self.lights, is_legal_light)?;
         at_most("cameras", self.cameras.len(), MAX_CAMERAS as u64)?;
-        all("camera", &self.cameras, is_legal_camera)
+        all("camera", &self.cameras, is_legal_camera)?;
+        self.check_animation()
     }
 
     fn check_geometry(&self) -> Result<(), CheckError> {
@@ -101,9 +107,11 @@ impl Scene {
         all("tangent", &self.tangents, |tangent| {
             *tangent == Vec4::ZERO || (is_unit(tangent.truncate()) && tangent.w.abs() == 1.0)
         })?;
+        // A moving triangle may have no area in the file's pose: its own space counts.
+        let moves = |corner: u32| self.animation.as_ref().is_some_and(|animation| animation.piece_of(corner).is_some());
         all("triangle", &self.triangles, |corners| {
             let [a, b, c] = corners.map(|corner| self.positions.get(corner as usize).copied());
-            a.zip(b).zip(c).is_some_and(|((a, b), c)| triangle_normal(a, b, c).is_some())
+            a.zip(b).zip(c).is_some_and(|((a, b), c)| triangle_normal(a, b, c).is_some() || moves(corners[0]))
         })?;
         let bounds = Aabb::of(self);
         ensure(self.bounds == bounds, || format!("bounds are {:?}, but say {:?}", bounds, self.bounds))
@@ -193,10 +201,10 @@ fn is_legal_light(light: &Light) -> bool {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use glam::{DQuat, DVec3, Vec2};
+    use glam::{DMat4, DQuat, DVec3, Vec2};
 
     use super::*;
-    use crate::{Draw, Texture, Wrap};
+    use crate::{AnimatedLight, AnimatedNode, Animation, Draw, Interpolation, Piece, Place, Texture, Track, Wrap};
 
     /// Two triangles: one OPAQUE, one MASK with a picture of 2 × 1 pixels; a point and a spot light.
     pub(crate) fn scene() -> Scene {
@@ -252,6 +260,107 @@ pub(crate) mod tests {
                 yfov_rad: 0.7,
             }],
             instances: 2,
+            animation: None,
+        }
+    }
+
+    /// The scene with its first triangle on a node that rises by 2 m a second, and its first light on one below that
+    /// blinks.
+    pub(crate) fn moving() -> Scene {
+        let mut scene = scene();
+        let track = |values: &[f32]| {
+            let values = values.to_vec();
+            Track { period_s: 2.0, interpolation: Interpolation::Linear, times_s: vec![0.0, 2.0], values }
+        };
+        let node = AnimatedNode {
+            parent: None,
+            above: DMat4::IDENTITY,
+            translation_m: DVec3::ZERO,
+            rotation: DQuat::IDENTITY,
+            scale: DVec3::ONE,
+            visible: true,
+            translation_track: Some(track(&[0.0, 0.0, 0.0, 0.0, 4.0, 0.0])),
+            rotation_track: None,
+            scale_track: None,
+            visible_track: None,
+        };
+        let below = AnimatedNode {
+            parent: Some(0),
+            translation_track: None,
+            visible_track: Some(Track { interpolation: Interpolation::Step, ..track(&[1.0, 0.0]) }),
+            ..node.clone()
+        };
+        // No triangle shares a vertex with what rests.
+        scene.triangles[1] = [4, 3, 5];
+        scene.positions.extend_from_within(1..3);
+        scene.normals = vec![Vec3::Z; 6];
+        scene.uvs = vec![Vec2::ZERO; 6];
+        scene.uvs_1 = vec![Vec2::ZERO; 6];
+        scene.tangents = vec![Vec4::new(1.0, 0.0, 0.0, -1.0); 6];
+        scene.colors = vec![[9, 9, 9, 65535]; 6];
+        let own = [Vec3::ZERO, Vec3::X, Vec3::Y];
+        let bounds = Aabb::around(&own);
+        scene.animation = Some(Box::new(Animation {
+            name: "up".to_owned(),
+            nodes: vec![node, below],
+            pieces: vec![Piece { node: 0, first_vertex: 0, vertices: 3, bounds, mirrored: false }],
+            positions: own.to_vec(),
+            normals: vec![Vec3::Z; 3],
+            tangents: vec![Vec4::new(1.0, 0.0, 0.0, -1.0); 3],
+            lights: vec![AnimatedLight {
+                light: 0,
+                place: Some(Place { node: 1, node_from_own: DMat4::IDENTITY }),
+                intensity_track: Some(track(&[1.0, 3.0])),
+                ..AnimatedLight::default()
+            }],
+            cameras: Vec::new(),
+        }));
+        scene
+    }
+
+    /// A change that breaks one guarantee of what moves.
+    type MovingBreak = (&'static str, fn(&mut Animation));
+
+    const MOVING_BREAKS: [MovingBreak; 21] = [
+        ("an animation of nothing", |a| (a.pieces, a.lights) = Default::default()),
+        ("animated node 1", |a| a.nodes[1].parent = Some(1)),
+        ("animated node 0", |a| a.nodes[0].above.x_axis.x = f64::NAN),
+        ("animated node 0", |a| a.nodes[0].scale.y = f64::INFINITY),
+        ("animated node 0", |a| a.nodes[0].rotation.w = 2.0),
+        ("track", |a| a.nodes[0].translation_track.as_mut().unwrap().times_s.clear()),
+        ("track", |a| a.nodes[0].translation_track.as_mut().unwrap().times_s[0] = 3.0),
+        ("track", |a| a.nodes[0].translation_track.as_mut().unwrap().values[5] = f32::NAN),
+        ("track", |a| a.nodes[0].translation_track.as_mut().unwrap().period_s = -1.0),
+        ("track", |a| a.nodes[0].translation_track.as_mut().unwrap().interpolation = Interpolation::CubicSpline),
+        ("moving piece 0", |a| a.pieces[0].node = 2),
+        ("moving piece 0", |a| a.pieces[0].first_vertex = 4),
+        ("moving piece 0", |a| a.pieces[0].vertices = 0),
+        ("moving piece 0", |a| a.pieces[0].bounds.max.x = 2.0),
+        ("moving position 1", |a| a.positions[1].x = f32::NAN),
+        ("moving normal 1", |a| a.normals[1] = Vec3::ZERO),
+        ("positions, normals and tangents", |a| a.tangents.clear()),
+        ("triangle 0", |a| a.pieces[0].vertices = 2),
+        ("triangle 0", |a| a.positions[2] = Vec3::X),
+        ("that is not there", |a| a.lights[0].light = 2),
+        ("hangs on an animated node", |a| a.lights[0].place.as_mut().unwrap().node = 7),
+    ];
+
+    #[test]
+    fn every_broken_guarantee_of_what_moves_is_found() {
+        assert_eq!(moving().check(), Ok(()));
+        for (index, (says, break_it)) in MOVING_BREAKS.iter().enumerate() {
+            let mut scene = moving();
+            let animation = scene.animation.as_mut().unwrap();
+            break_it(animation);
+            let of_pieces: usize = animation.pieces.iter().map(|piece| piece.vertices as usize).sum();
+            if *says == "triangle 0" {
+                animation.positions.truncate(of_pieces);
+                animation.normals.truncate(of_pieces);
+                animation.tangents.truncate(of_pieces);
+                animation.pieces[0].bounds = Aabb::around(&animation.positions);
+            }
+            let fault = scene.check().expect_err(&format!("break {index} ({says}) went unseen")).to_string();
+            assert!(fault.contains(says), "break {index}: {fault:?} does not say {says:?}");
         }
     }
 

@@ -1,13 +1,17 @@
 //! A scene's parts: geometry, materials, pictures and lights.
 //!
-//! Positions are f32, relative to [`Scene::origin_m`], which is f64. Nothing moves, so everything is flattened: node
-//! transforms are applied, shared meshes are repeated, strips and fans become lists, mirrored nodes keep their front
-//! faces.
+//! Positions are f32, relative to [`Scene::origin_m`], which is f64. Everything is flattened: node transforms are
+//! applied, shared meshes are repeated, strips and fans become lists, mirrored nodes keep their front faces. What moves
+//! is flattened in the pose of the file, and [`Scene::animation`] has it in its own space as well.
 
 use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
-use super::material::{AlphaMode, Material};
+use super::{
+    aabb::Aabb,
+    animation::Animation,
+    material::{AlphaMode, Material},
+};
 
 /// A loaded scene. [`Scene::check`] holds for it: every index is in range, every position, normal and UV is finite,
 /// normals and light directions are unit vectors, and there are 1 to 32 lights.
@@ -42,6 +46,9 @@ pub struct Scene {
     pub cameras: Vec<NamedCamera>,
     /// Number of mesh instances in the file.
     pub instances: u32,
+    /// What moves. The other fields have it in the pose of the file. `None` if everything rests.
+    #[serde(skip)]
+    pub animation: Option<Box<Animation>>,
 }
 
 /// A perspective camera of the file.
@@ -57,22 +64,11 @@ pub struct NamedCamera {
     pub yfov_rad: f64,
 }
 
-/// An axis-aligned box, in metres.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Aabb {
-    pub min: Vec3,
-    pub max: Vec3,
-}
-
 impl Aabb {
     /// Returns the bounds of a scene's triangles. All zeros if there are none, or if they name no vertex.
     pub(crate) fn of(scene: &Scene) -> Self {
         let corners = scene.triangles.iter().flatten();
-        let mut positions = corners.filter_map(|corner| scene.positions.get(*corner as usize));
-        let Some(first) = positions.next() else { return Self { min: Vec3::ZERO, max: Vec3::ZERO } };
-        let (min, max) =
-            positions.fold((*first, *first), |(min, max), position| (min.min(*position), max.max(*position)));
-        Self { min, max }
+        Self::around(corners.filter_map(|corner| scene.positions.get(*corner as usize)))
     }
 }
 
@@ -154,6 +150,7 @@ impl Default for Scene {
             lights: Vec::new(),
             cameras: Vec::new(),
             instances: 0,
+            animation: None,
         }
     }
 }

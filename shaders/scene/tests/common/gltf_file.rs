@@ -36,7 +36,8 @@ impl GltfFile {
         file
     }
 
-    /// The triangle with everything that the reader reads: skinned, morphed, in instances, with all layers of material.
+    /// The triangle with everything that the reader reads: skinned, morphed, in instances, animated, with all layers of
+    /// material.
     pub(crate) fn of_every_kind() -> Self {
         let mut file = Self::triangle();
         for number in 0..3 {
@@ -50,6 +51,9 @@ impl GltfFile {
         let up = file.floats("VEC3", &[0.0, 0.0, 2.0].repeat(3));
         let indices = file.accessor(5121, "SCALAR", 3, &[0, 1, 2]);
         let places = file.floats("VEC3", &[0.0, 0.0, 0.0, 3.0, 0.0, 0.0]);
+        let times = file.floats("SCALAR", &[0.0, 1.0]);
+        let vectors = file.floats("VEC3", &[0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.5, 0.0, 0.0].repeat(2));
+        let turns = file.floats("VEC4", &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0]);
         let primitive = file.primitive();
         primitive["attributes"]["JOINTS_0"] = json!(joints);
         primitive["targets"] = json!([{"POSITION": up, "NORMAL": up, "TANGENT": up, "COLOR_0": up}]);
@@ -79,6 +83,26 @@ impl GltfFile {
         let plain = json!({"primitives": [{"attributes": {"POSITION": 0}, "mode": 5}]});
         json["meshes"].as_array_mut().unwrap().push(plain);
         json["skins"] = json!([{"joints": [1, 2]}]);
+        json["animations"] = json!([
+            {
+                "name": "turn",
+                "channels": [
+                    {"sampler": 0, "target": {"node": 1, "path": "translation"}},
+                    {"sampler": 1, "target": {"node": 3, "path": "rotation"}},
+                    {"sampler": 0, "target": {"node": 3, "path": "scale"}},
+                ],
+                "samplers": [
+                    {"input": times, "output": vectors, "interpolation": "CUBICSPLINE"},
+                    {"input": times, "output": turns},
+                ],
+            },
+            {"channels": [
+                {"sampler": 0, "target": {"path": "pointer", "extensions": {"KHR_animation_pointer": {
+                    "pointer": "/extensions/KHR_lights_punctual/lights/0/intensity"}}}},
+                {"sampler": 0, "target": {"path": "pointer", "extensions": {"KHR_animation_pointer": {
+                    "pointer": "/nodes/3/extensions/KHR_node_visibility/visible"}}}},
+            ], "samplers": [{"input": times, "output": times, "interpolation": "STEP"}]},
+        ]);
         json["cameras"] = json!([{"type": "perspective", "perspective": {"yfov": 0.7}}]);
         json["samplers"] = json!([{"magFilter": 9728, "minFilter": 9985, "wrapS": 33071}]);
         json["textures"][1]["sampler"] = json!(0);

@@ -3,17 +3,14 @@
 //! A required extension must be drawn, or not be visible; otherwise the file is refused. An optional one is ignored and
 //! said to be, as the specification asks.
 
-use crate::{
-    LoadReport,
-    error::SceneError,
-    reader::{json::Document, report::WarningKind},
-};
+use crate::{LoadReport, error::SceneError, reader::json::Document};
 
 /// Extensions that are drawn.
-const DRAWN: [&str; 19] = [
+const DRAWN: [&str; 20] = [
     "EXT_mesh_gpu_instancing",
     "EXT_meshopt_compression",
     "EXT_texture_webp",
+    "KHR_animation_pointer",
     "KHR_draco_mesh_compression",
     "KHR_lights_punctual",
     "KHR_materials_clearcoat",
@@ -58,7 +55,6 @@ pub(crate) fn check(document: &Document, report: &mut LoadReport) -> Result<(), 
             report.not_drawn(format!("the extension {name:.100}"), "");
         }
     }
-    report.add(WarningKind::NotDrawn, "animations: everything stands as the file has it", "", document.animations);
     Ok(())
 }
 
@@ -88,12 +84,5 @@ mod tests {
             let report = checked(json!({"extensionsRequired": [name], "extensionsUsed": [name]})).unwrap();
             assert!(report.is_empty(), "{report}");
         }
-    }
-
-    #[test]
-    fn animations_are_counted() {
-        let report = checked(json!({"animations": [{}, {"channels": 7}]})).unwrap();
-        assert_eq!(report.warnings[0].count, 2);
-        assert!(checked(json!({"animations": "none"})).unwrap().is_empty());
     }
 }

@@ -4,19 +4,21 @@ use glam::{DMat3, DMat4, DVec3, Vec2, Vec3, Vec4};
 
 use super::primitive::Geometry;
 use crate::{
-    Draw, LoadReport, Scene,
+    Aabb, Animation, Draw, LoadReport, Piece, Place, Scene,
     error::SceneError,
     limits::MAX_VERTICES,
+    moment::normal_matrix,
     scene::normals::{repair, triangle_normal},
 };
 
-/// Appends one instance of a primitive.
+/// Appends one instance of a primitive, and what moves to its animation.
 pub(crate) fn append(
     geometry: &Geometry,
     world_from_node: &DMat4,
     material: u32,
     scene: &mut Scene,
     report: &mut LoadReport,
+    moving: Option<(&Place, &mut Animation)>,
 ) -> Result<(), SceneError> {
     let index = |count: usize| {
         let fault = || SceneError::Limit { what: "vertices".to_owned(), count: count as u64, limit: MAX_VERTICES };
@@ -26,6 +28,14 @@ pub(crate) fn append(
     let mirrored = linear.determinant() < 0.0;
     let local = |position: &Vec3| (world_from_node.transform_point3(position.as_dvec3()) - scene.origin_m).as_vec3();
     let positions: Vec<Vec3> = geometry.positions.iter().map(local).collect();
+    // In the space of the node that moves it.
+    let own: Option<Vec<Vec3>> = moving.as_ref().map(|(place, _)| {
+        let own = |position: &Vec3| place.node_from_own.transform_point3(position.as_dvec3()).as_vec3();
+        geometry.positions.iter().map(own).collect()
+    });
+    // Whether the mover's own transform mirrors in the pose of the file: then corners are clockwise in its space.
+    let clockwise = moving.as_ref().is_some_and(|(place, _)| mirrored != (place.node_from_own.determinant() < 0.0));
+    let mut own_vertices = Own::default();
 
     let first_vertex = index(scene.positions.len())?;
     let first_triangle = index(scene.triangles.len())?;
@@ -35,7 +45,14 @@ pub(crate) fn append(
         let [Some(pa), Some(pb), Some(pc)] = [a, b, c].map(|corner| positions.get(corner as usize).copied()) else {
             continue;
         };
-        let Some(normal) = triangle_normal(pa, pb, pc) else {
+        let in_own = own.as_ref().map(|own| [a, b, c].map(|at| own.get(at as usize).copied().unwrap_or_default()));
+        let own_normal = in_own.map(|[a, b, c]| triangle_normal(a, b, c));
+        // What moves may have no area in the file's pose: its own space counts.
+        let normal = match own_normal {
+            Some(own_normal) => own_normal.map(|own| triangle_normal(pa, pb, pc).unwrap_or(own)),
+            None => triangle_normal(pa, pb, pc),
+        };
+        let Some(normal) = normal else {
             report.dropped_triangles += 1;
             continue;
         };
@@ -47,6 +64,10 @@ pub(crate) fn append(
         scene.triangles.push([first, first + 1, first + 2]);
         scene.positions.extend([pa, pb, pc]);
         scene.normals.extend([rounded(normal); 3]);
+        if let (Some(corners), Some(Some(normal))) = (in_own, own_normal) {
+            own_vertices.positions.extend(corners);
+            own_vertices.normals.extend([rounded(if clockwise { -normal } else { normal }); 3]);
+        }
         let corners = [a, b, c].map(|corner| corner as usize);
         scene.uvs.extend(corners.map(|corner| geometry.uvs.get(corner).copied().unwrap_or_default()));
         let mut vertices = OptionalVertices::of(scene, first as usize);
@@ -65,7 +86,12 @@ pub(crate) fn append(
         let turn = normal_matrix(&linear);
         let world = |normal: &Vec3| (turn * normal.as_dvec3()).try_normalize().map_or(Vec3::ZERO, rounded);
         let mut normals: Vec<Vec3> = normals.iter().map(world).collect();
-        report.repaired_normals += repair(&positions, &mut normals, kept, first_vertex);
+        let mut repaired = repair(&positions, &mut normals, kept, first_vertex);
+        if let (Some((place, _)), Some(own)) = (&moving, &own) {
+            // What has no area in the file's pose is not broken.
+            (own_vertices, repaired) = Own::of(geometry, own, place, (kept, first_vertex, clockwise));
+        }
+        report.repaired_normals += repaired;
         scene.positions.extend(positions);
         scene.normals.extend(normals);
         scene.uvs.extend_from_slice(&geometry.uvs);
@@ -83,15 +109,50 @@ pub(crate) fn append(
     }
     let triangles = index(scene.triangles.len())? - first_triangle;
     scene.draws.push(Draw { first_triangle, triangles, material });
+    if let Some((place, animation)) = moving {
+        let vertices = index(scene.positions.len())? - first_vertex;
+        let bounds = Aabb::around(&own_vertices.positions);
+        animation.pieces.push(Piece { node: place.node, first_vertex, vertices, bounds, mirrored: clockwise });
+        animation.positions.append(&mut own_vertices.positions);
+        animation.normals.append(&mut own_vertices.normals);
+        // Pieces before may have had none.
+        animation.tangents.resize(animation.positions.len() - vertices as usize, Vec4::ZERO);
+        animation.tangents.append(&mut own_vertices.tangents);
+        animation.tangents.resize(animation.positions.len(), Vec4::ZERO);
+    }
     Ok(())
 }
 
-/// Returns the inverse transpose of a transform, up to a positive factor: its cofactors, with the sign of its
-/// determinant. They exist even if a scale of 0 leaves no inverse.
-pub(crate) fn normal_matrix(linear: &DMat3) -> DMat3 {
-    let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
-    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
-    if linear.determinant() < 0.0 { -cofactors } else { cofactors }
+/// Vertices in the space of the node that moves them.
+#[derive(Default)]
+struct Own {
+    positions: Vec<Vec3>,
+    normals: Vec<Vec3>,
+    tangents: Vec<Vec4>,
+}
+
+impl Own {
+    /// Returns vertices with normals of their own, and how many were broken. `triangles` are the kept ones.
+    fn of(
+        geometry: &Geometry,
+        positions: &[Vec3],
+        place: &Place,
+        (triangles, first_vertex, clockwise): (&[[u32; 3]], u32, bool),
+    ) -> (Self, u64) {
+        let linear = DMat3::from_mat4(place.node_from_own);
+        let turn = normal_matrix(&linear);
+        let own = |normal: &Vec3| (turn * normal.as_dvec3()).try_normalize().map_or(Vec3::ZERO, rounded);
+        let mut normals: Vec<Vec3> = geometry.normals.iter().flatten().map(own).collect();
+        let repaired = if clockwise {
+            let swapped: Vec<[u32; 3]> = triangles.iter().map(|[a, b, c]| [*a, *c, *b]).collect();
+            repair(positions, &mut normals, &swapped, first_vertex)
+        } else {
+            repair(positions, &mut normals, triangles, first_vertex)
+        };
+        let hand = if linear.determinant() < 0.0 { -1.0 } else { 1.0 };
+        let tangents = geometry.tangents.iter().flatten().map(|tangent| turned(*tangent, &linear, hand)).collect();
+        (Self { positions: positions.to_vec(), normals, tangents }, repaired)
+    }
 }
 
 /// A unit vector, rounded to f32.
@@ -143,8 +204,11 @@ impl<'a> OptionalVertices<'a> {
 }
 
 /// Fills optional attributes up to the last vertex, and drops colours that are all white.
-pub(crate) fn finish(scene: &mut Scene) {
+pub(crate) fn finish(scene: &mut Scene, animation: &mut Animation) {
     let count = scene.positions.len();
+    if scene.tangents.is_empty() {
+        animation.tangents = Vec::new();
+    }
     if !scene.uvs_1.is_empty() {
         scene.uvs_1.resize(count, Vec2::ZERO);
     }

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::{accessor, nodes::Placed, pose::Pose};
 use crate::{
-    LoadReport,
+    LoadReport, Place,
     error::{SceneError, place, within},
     limits::MAX_DRAWS,
     reader::{checks::layout::Layout, file::buffers::Buffers, json::Document},
@@ -17,6 +17,8 @@ use crate::{
 pub(crate) struct Instance {
     pub(crate) world_from_node: DMat4,
     pub(crate) pose: Option<Pose>,
+    /// The animated node that moves it.
+    pub(crate) place: Option<Place>,
 }
 
 /// Returns the instances of each mesh, in the order of the nodes.
@@ -33,7 +35,9 @@ pub(crate) fn collect(
         let Some(node) = document.json.nodes.get(at.node) else { continue };
         let Some(list) = node.mesh.and_then(|mesh| instances.get_mut(mesh.value())) else { continue };
         let pose = Pose::of(document, at.node);
-        let one = Instance { world_from_node: at.world_from_node, pose };
+        // A skinned mesh follows its joints, and not its node.
+        let moved_by = at.place.filter(|_| !pose.is_some_and(|pose| pose.skinned));
+        let one = Instance { world_from_node: at.world_from_node, pose, place: moved_by };
         let extension =
             node.extensions.as_ref().and_then(|extensions| extensions.others.get("EXT_mesh_gpu_instancing"));
         let Some(attributes) = extension.and_then(|extension| extension.get("attributes")) else {
@@ -52,7 +56,8 @@ pub(crate) fn collect(
         for local in locals(document, buffers, attributes, count)? {
             let world_from_node = at.world_from_node * local;
             if world_from_node.is_finite() {
-                list.push(Instance { world_from_node, ..one });
+                let hung = |place: Place| Place { node_from_own: place.node_from_own * local, ..place };
+                list.push(Instance { world_from_node, place: one.place.map(hung), ..one });
             }
         }
         if list.len() - before < count {

@@ -18,7 +18,7 @@ use super::{
     primitive::{self, Geometry, Mode, Source},
 };
 use crate::{
-    LoadReport, Scene,
+    Animation, LoadReport, Place, Scene,
     error::{SceneError, place, within},
     limits::{MAX_COORDINATE_M, MAX_DRAWS, MAX_POSE_STEPS, MAX_TRIANGLES, MAX_VERTICES, in_reach},
     reader::{
@@ -46,12 +46,13 @@ pub(crate) struct Meshes<'a> {
 }
 
 impl Meshes<'_> {
-    /// Writes the geometry of `scene` and the materials that it uses.
+    /// Writes the geometry of `scene` and the materials that it uses; what moves is written to `animation` too.
     /// Errors if a primitive cannot be read, or the flattened scene goes beyond [`limits`](crate::limits).
     pub(crate) fn flatten(
         &self,
         materials: &mut Materials,
         scene: &mut Scene,
+        animation: &mut Animation,
         report: &mut LoadReport,
     ) -> Result<(), SceneError> {
         let parts = self.parts(materials, scene, report)?;
@@ -64,34 +65,35 @@ impl Meshes<'_> {
                 if material.map_or(0, |material| material.alpha.order()) != order {
                     continue;
                 }
-                self.each(part, &mut joints, report, |geometry, world, report| {
-                    append(geometry, world, part.material, scene, report)
+                self.each(part, &mut joints, report, |geometry, (world, place), report| {
+                    append(geometry, world, part.material, scene, report, place.map(|place| (place, &mut *animation)))
                 })?;
             }
         }
         Ok(())
     }
 
-    /// Reads a primitive, and hands each of its instances out: its geometry, and the transform to world space.
+    /// Reads a primitive, and hands each of its instances out: its geometry, the transform to world space, and what
+    /// moves it.
     fn each(
         &self,
         part: &Part<'_>,
         joints: &mut Joints,
         report: &mut LoadReport,
-        mut use_it: impl FnMut(&Geometry, &DMat4, &mut LoadReport) -> Result<(), SceneError>,
+        mut use_it: impl FnMut(&Geometry, (&DMat4, Option<&Place>), &mut LoadReport) -> Result<(), SceneError>,
     ) -> Result<(), SceneError> {
         let Self { document, buffers, walk } = *self;
         let source = Source { document, buffers, primitive: part.primitive, place: &part.place };
         let geometry = source.read(part.mode, &part.plan, report)?;
         for instance in part.instances.iter() {
             let Some(pose) = instance.pose else {
-                use_it(&geometry, &instance.world_from_node, report)?;
+                use_it(&geometry, (&instance.world_from_node, instance.place.as_ref()), report)?;
                 continue;
             };
             let joints = joints.of(document, buffers, &walk.worlds, pose.node, report)?;
             let world = instance.world_from_node;
             let (posed, world) = pose.apply(&source, part.targets, &geometry, world, joints, report)?;
-            use_it(&posed, &world, report)?;
+            use_it(&posed, (&world, instance.place.as_ref()), report)?;
         }
         Ok(())
     }
@@ -170,7 +172,7 @@ impl Meshes<'_> {
         for part in parts {
             // What is wrong is told when the geometry is read again.
             let mut told = LoadReport::default();
-            self.each(part, joints, &mut told, |geometry, world, _| {
+            self.each(part, joints, &mut told, |geometry, (world, _), _| {
                 // Flat triangles take the vertices that they use, others all.
                 let corners = geometry.triangles.iter().flatten().filter(|_| geometry.normals.is_none());
                 let mut corners = corners.filter_map(|corner| geometry.positions.get(*corner as usize));

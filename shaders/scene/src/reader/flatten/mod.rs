@@ -1,8 +1,10 @@
 //! Turns nodes, meshes, materials, pictures, lights and cameras into the scene.
 
 mod accessor;
+pub(crate) mod animation;
 mod append;
 pub(crate) mod camera;
+pub(crate) mod channels;
 mod coordinates;
 pub(crate) mod image;
 mod instances;

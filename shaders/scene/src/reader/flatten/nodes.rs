@@ -1,15 +1,19 @@
 //! Checks that the nodes form a forest, and walks it with f64 transforms (glTF 2.0, §3.5).
 
-use glam::{DMat3, DMat4, DQuat, DVec3, DVec4};
+use glam::{DMat4, DQuat, DVec3, DVec4};
 
 use gltf::json::{Index, Node};
 use serde_json::Value;
 
-use super::materials::choose;
+use super::{
+    channels::{Channels, NodeTracks},
+    materials::choose,
+};
 use crate::{
-    LoadReport,
-    error::{SceneError, place},
-    limits::MAX_DEPTH,
+    AnimatedNode, LoadReport, Place, Track,
+    error::{SceneError, place, within},
+    limits::{MAX_DEPTH, MAX_MOVING},
+    moment::orthonormal,
     reader::json::{Document, Transform},
 };
 
@@ -25,6 +29,8 @@ pub(crate) struct Placed {
     pub(crate) world_from_node: DMat4,
     /// The rotation alone, which a scale of 0 does not lose.
     pub(crate) rotation: DQuat,
+    /// The animated node that moves it.
+    pub(crate) place: Option<Place>,
 }
 
 /// The nodes of a scene.
@@ -32,6 +38,8 @@ pub(crate) struct Walk {
     pub(crate) placed: Vec<Placed>,
     /// World transform of each node of the file, in the scene or not. Joints may lie outside it. May overflow.
     pub(crate) worlds: Vec<DMat4>,
+    /// Nodes that move, parents first.
+    pub(crate) animated: Vec<AnimatedNode>,
 }
 
 impl Placed {
@@ -42,36 +50,35 @@ impl Placed {
     }
 }
 
-/// Returns the rotation whose third axis is `z` and whose second lies as near to `y` as it can. `None` if the vectors
-/// have no length, or one direction.
-fn orthonormal(y: DVec3, z: DVec3) -> Option<DQuat> {
-    let z = z.try_normalize()?;
-    let x = y.try_normalize()?.cross(z).try_normalize()?;
-    Some(DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z)).normalize())
-}
-
-/// Returns the nodes of the wanted scene, parents first, in file order, except those that KHR_node_visibility hides.
+/// Returns the nodes of the wanted scene, parents first, in file order, except those that KHR_node_visibility always
+/// hides.
 /// Without a wish it is the default scene, or else the first; without scenes, all nodes.
 /// Errors if there is no such scene, or the nodes are not a forest, lie too deep, or have transforms that overflow.
-pub(crate) fn walk(document: &Document, wanted: Option<&str>, report: &mut LoadReport) -> Result<Walk, SceneError> {
+pub(crate) fn walk(
+    document: &Document,
+    channels: &Channels,
+    wanted: Option<&str>,
+    report: &mut LoadReport,
+) -> Result<Walk, SceneError> {
     let parents = parents(document)?;
     let locals = document.json.nodes.iter().zip(&document.transforms).enumerate();
     let locals: Vec<Local> =
-        locals.map(|(index, (node, transform))| local_transform(index, node, transform, report)).collect();
+        locals.map(|(index, (node, transform))| local_transform(index, node, transform, channels, report)).collect();
     let roots = roots(document, &parents, wanted, report)?;
 
-    let mut placed = Vec::new();
+    let (mut placed, mut animated) = (Vec::new(), Vec::new());
     let mut seen = vec![false; document.json.nodes.len()];
-    let at_root = |root: usize| (root, DMat4::IDENTITY, DQuat::IDENTITY);
-    let mut stack: Vec<(usize, DMat4, DQuat)> = roots.into_iter().rev().map(at_root).collect();
-    while let Some((index, world_from_parent, rotation)) = stack.pop() {
+    let at_root = |root: usize| (root, DMat4::IDENTITY, DQuat::IDENTITY, None);
+    let mut stack: Vec<(usize, DMat4, DQuat, Option<Place>)> = roots.into_iter().rev().map(at_root).collect();
+    while let Some((index, world_from_parent, rotation, above)) = stack.pop() {
         let (Some(node), Some(local), Some(seen)) =
             (document.json.nodes.get(index), locals.get(index), seen.get_mut(index))
         else {
             continue;
         };
         // A scene may list a root twice, although the schema forbids it. It is shown once.
-        if std::mem::replace(seen, true) || is_hidden(node) {
+        let tracks = channels.nodes.get(&index);
+        if std::mem::replace(seen, true) || is_hidden(node, tracks) == Hidden::Always {
             continue;
         }
         let world_from_node = world_from_parent * local.matrix;
@@ -80,10 +87,51 @@ pub(crate) fn walk(document: &Document, wanted: Option<&str>, report: &mut LoadR
             return Err(SceneError::invalid(place("node", index, node.name.as_deref()), fault));
         }
         let rotation = (rotation * local.rotation).normalize();
-        placed.push(Placed { node: index, world_from_node, rotation });
-        stack.extend(node.children.iter().flatten().rev().map(|child| (child.value(), world_from_node, rotation)));
+        let place = match tracks.filter(|tracks| !tracks.rest()) {
+            Some(tracks) => {
+                let visible = is_hidden(node, None) == Hidden::Never;
+                let number = u32::try_from(animated.len()).unwrap_or(u32::MAX);
+                animated.push(animated_node((above, world_from_parent), local, visible, tracks));
+                Some(Place { node: number, node_from_own: DMat4::IDENTITY })
+            }
+            None => above.map(|above| Place { node_from_own: above.node_from_own * local.matrix, ..above }),
+        };
+        placed.push(Placed { node: index, world_from_node, rotation, place });
+        let below = |child: &Index<Node>| (child.value(), world_from_node, rotation, place);
+        stack.extend(node.children.iter().flatten().rev().map(below));
     }
-    Ok(Walk { placed, worlds: worlds(document, &parents, &locals) })
+    within("animated nodes", animated.len() as u64, MAX_MOVING)?;
+    Ok(Walk { placed, worlds: worlds(document, &parents, &locals), animated })
+}
+
+/// Returns a node that moves. Constant values are in `local` already. `above` is where the node's parent hangs on an
+/// animated node; without one, `world_from_parent` never changes.
+fn animated_node(
+    (above, world_from_parent): (Option<Place>, DMat4),
+    local: &Local,
+    visible: bool,
+    tracks: &NodeTracks,
+) -> AnimatedNode {
+    let animated_from_parent = above.map_or(world_from_parent, |above| above.node_from_own);
+    // A matrix is taken apart only if something animates its parts.
+    let (animated_from_own, (translation_m, rotation, scale)) = match local.parts {
+        Some(parts) => (animated_from_parent, parts),
+        None => (animated_from_parent * local.matrix, (DVec3::ZERO, DQuat::IDENTITY, DVec3::ONE)),
+    };
+    let changing = |track: &Option<Track>, width| track.clone().filter(|track| !track.is_constant(width));
+    let shown = tracks.visible.as_ref().filter(|track| track.is_constant(1)).map(|track| track.sample::<1>(0.0));
+    AnimatedNode {
+        parent: above.map(|above| above.node),
+        above: animated_from_own,
+        translation_m,
+        rotation,
+        scale,
+        visible: shown.map_or(visible, |[shown]| shown != 0.0),
+        translation_track: changing(&tracks.translation, 3),
+        rotation_track: changing(&tracks.rotation, 4),
+        scale_track: changing(&tracks.scale, 3),
+        visible_track: changing(&tracks.visible, 1),
+    }
 }
 
 /// Returns the roots of the wanted scene.
@@ -141,10 +189,23 @@ fn worlds(document: &Document, parents: &[Option<usize>], locals: &[Local]) -> V
     worlds
 }
 
-/// Returns whether KHR_node_visibility hides a node, and with it everything below.
-fn is_hidden(node: &Node) -> bool {
+/// When KHR_node_visibility hides a node, and with it everything below.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Hidden {
+    Never,
+    Always,
+    Sometimes,
+}
+
+fn is_hidden(node: &Node, tracks: Option<&NodeTracks>) -> Hidden {
     let visibility = node.extensions.as_ref().and_then(|extensions| extensions.others.get("KHR_node_visibility"));
-    visibility.and_then(|visibility| visibility.get("visible")).and_then(Value::as_bool) == Some(false)
+    let visible = visibility.and_then(|visibility| visibility.get("visible")).and_then(Value::as_bool) != Some(false);
+    let visible = match tracks.and_then(|tracks| tracks.visible.as_ref()) {
+        Some(track) if !track.is_constant(1) => return Hidden::Sometimes,
+        Some(track) => track.sample::<1>(0.0) != [0.0],
+        None => visible,
+    };
+    if visible { Hidden::Never } else { Hidden::Always }
 }
 
 /// Errors if a node has two parents, is its own ancestor, or lies too deep.
@@ -198,11 +259,35 @@ fn parents(document: &Document) -> Result<Vec<Option<usize>>, SceneError> {
 struct Local {
     matrix: DMat4,
     rotation: DQuat,
+    /// Translation, rotation and scale, if the matrix is made of them.
+    parts: Option<(DVec3, DQuat, DVec3)>,
+}
+
+impl Local {
+    /// Tracks that never change take the places of the file's values.
+    fn new(translation: DVec3, rotation: DQuat, scale: DVec3, tracks: Option<&NodeTracks>) -> Self {
+        let vector = |track: Option<&Track>| {
+            track.filter(|track| track.is_constant(3)).map(|track| DVec3::from_array(track.sample(0.0)))
+        };
+        let translation = vector(tracks.and_then(|tracks| tracks.translation.as_ref())).unwrap_or(translation);
+        let scale = vector(tracks.and_then(|tracks| tracks.scale.as_ref())).unwrap_or(scale);
+        let turned = tracks.and_then(|tracks| tracks.rotation.as_ref()).filter(|track| track.is_constant(4));
+        let rotation = turned.map_or(rotation, |track| track.rotation(0.0));
+        let matrix = DMat4::from_scale_rotation_translation(scale, rotation, translation);
+        Self { matrix, rotation, parts: Some((translation, rotation, scale)) }
+    }
 }
 
 /// Returns a node's own transform. What is not legal is read as other viewers do.
-fn local_transform(index: usize, node: &Node, transform: &Transform, report: &mut LoadReport) -> Local {
+fn local_transform(
+    index: usize,
+    node: &Node,
+    transform: &Transform,
+    channels: &Channels,
+    report: &mut LoadReport,
+) -> Local {
     let here = || place("node", index, node.name.as_deref());
+    let tracks = channels.nodes.get(&index).filter(|tracks| tracks.transforms());
     let Some(matrix) = &transform.matrix else {
         let rotation = transform.rotation.map_or(DQuat::IDENTITY, DQuat::from_array);
         if (rotation.length() - 1.0).abs() > ROTATION_TOLERANCE {
@@ -211,8 +296,7 @@ fn local_transform(index: usize, node: &Node, transform: &Transform, report: &mu
         let rotation = if rotation.length_squared().is_normal() { rotation.normalize() } else { DQuat::IDENTITY };
         let rotation = if rotation.is_finite() { rotation } else { DQuat::IDENTITY };
         let translation = transform.translation.map_or(DVec3::ZERO, DVec3::from_array);
-        let scale = transform.scale.map_or(DVec3::ONE, DVec3::from_array);
-        return Local { matrix: DMat4::from_scale_rotation_translation(scale, rotation, translation), rotation };
+        return Local::new(translation, rotation, transform.scale.map_or(DVec3::ONE, DVec3::from_array), tracks);
     };
     if transform.translation.is_some() || transform.rotation.is_some() || transform.scale.is_some() {
         report.mended("a matrix beside a translation, rotation or scale: the matrix counts", &here());
@@ -226,6 +310,13 @@ fn local_transform(index: usize, node: &Node, transform: &Transform, report: &mu
     {
         column.w = last;
     }
+    if tracks.is_some() {
+        report.mended("an animated node with a matrix: taken apart", &here());
+        let (scale, rotation, translation) = matrix.to_scale_rotation_translation();
+        let whole = scale.is_finite() && rotation.is_finite();
+        let (scale, rotation) = if whole { (scale, rotation.normalize()) } else { (DVec3::ONE, DQuat::IDENTITY) };
+        return Local::new(translation, rotation, scale, tracks);
+    }
     let rotation = orthonormal(matrix.y_axis.truncate(), matrix.z_axis.truncate()).unwrap_or(DQuat::IDENTITY);
-    Local { matrix, rotation }
+    Local { matrix, rotation, parts: None }
 }

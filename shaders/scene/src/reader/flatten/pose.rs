@@ -10,12 +10,12 @@ use gltf::json::{Index, mesh::Semantic};
 
 use super::{
     accessor,
-    append::normal_matrix,
     primitive::{Geometry, Source},
 };
 use crate::{
     LoadReport,
     error::{SceneError, place},
+    moment::normal_matrix,
     reader::{
         checks::layout::Layout,
         file::buffers::Buffers,

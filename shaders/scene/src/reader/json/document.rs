@@ -13,7 +13,7 @@ use serde_json::{Value, from_value};
 
 use super::{
     material::Material,
-    numbers::{Camera, Light, Skin, Target, Transform, Variant},
+    numbers::{Animation, Camera, Light, Skin, Target, Transform, Variant},
     schema::ROOT,
     value::{PropertyName, list, property},
 };
@@ -34,8 +34,7 @@ pub(crate) struct Document {
     pub(crate) lights: Vec<Light>,
     /// Of KHR_materials_variants.
     pub(crate) variants: Vec<Variant>,
-    /// Number of animations.
-    pub(crate) animations: u64,
+    pub(crate) animations: Vec<Animation>,
 }
 
 /// Errors with a sentence if the JSON breaks the schema, or is for another version of glTF.
@@ -109,7 +108,7 @@ impl<'de> Visitor<'de> for DocumentVisitor {
             match name {
                 "asset" => json.asset = property(&mut map, known)?,
                 "extensionsUsed" => json.extensions_used = property(&mut map, known)?,
-                "animations" => *animations = property(&mut map, known)?,
+                "animations" => *animations = list(&mut map, known, from_value)?,
                 "extensionsRequired" => json.extensions_required = property(&mut map, known)?,
                 "scene" => json.scene = property(&mut map, known)?,
                 "scenes" => json.scenes = list(&mut map, known, scene)?,

@@ -8,4 +8,4 @@ mod value;
 
 pub(crate) use document::{Document, JOINTS, TEXCOORDS, attribute, parse, source};
 pub(crate) use material::{Material, SpecularGlossiness, TextureInfo, TextureTransform};
-pub(crate) use numbers::{Light, Target, Transform};
+pub(crate) use numbers::{Animation, AnimationSampler, ChannelTarget, Light, Target, Transform};

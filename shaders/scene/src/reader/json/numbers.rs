@@ -66,6 +66,50 @@ pub(crate) struct Target {
     pub(crate) color: Option<u32>,
 }
 
+/// An animation (§5.5), unchecked.
+#[derive(Deserialize)]
+pub(crate) struct Animation {
+    pub(crate) name: Option<String>,
+    #[serde(default)]
+    pub(crate) channels: Vec<Channel>,
+    #[serde(default)]
+    pub(crate) samplers: Vec<AnimationSampler>,
+}
+
+#[derive(Deserialize)]
+pub(crate) struct Channel {
+    pub(crate) sampler: Option<u32>,
+    pub(crate) target: Option<ChannelTarget>,
+}
+
+/// What a channel changes.
+#[derive(Deserialize)]
+pub(crate) struct ChannelTarget {
+    pub(crate) node: Option<u32>,
+    pub(crate) path: Option<String>,
+    pub(crate) extensions: Option<ChannelExtensions>,
+}
+
+#[derive(Deserialize)]
+pub(crate) struct ChannelExtensions {
+    #[serde(rename = "KHR_animation_pointer")]
+    pub(crate) pointer: Option<Pointer>,
+}
+
+#[derive(Deserialize)]
+pub(crate) struct Pointer {
+    pub(crate) pointer: Option<String>,
+}
+
+#[derive(Deserialize)]
+pub(crate) struct AnimationSampler {
+    /// Accessor of the keys' times.
+    pub(crate) input: Option<u32>,
+    /// Accessor of their values.
+    pub(crate) output: Option<u32>,
+    pub(crate) interpolation: Option<String>,
+}
+
 /// A material variant of KHR_materials_variants.
 #[derive(Deserialize)]
 pub(crate) struct Variant {

@@ -6,12 +6,13 @@
 
 use std::fmt;
 
-use Kind::{Count, Flag, Index, List, Number, Object, Presence, Size, Text, Vector};
+use Kind::{Flag, Index, List, Number, Object, Presence, Size, Text, Vector};
 use Property::{Optional, Required};
 
 use crate::limits::{
-    MAX_ACCESSORS, MAX_BUFFER_VIEWS, MAX_BUFFERS, MAX_CAMERA_DEFINITIONS, MAX_EXTENSIONS, MAX_IMAGES,
-    MAX_LIGHT_DEFINITIONS, MAX_MATERIALS, MAX_MESHES, MAX_NODES, MAX_SCENES, MAX_SKINS, MAX_TEXTURES, MAX_VARIANTS,
+    MAX_ACCESSORS, MAX_ANIMATIONS, MAX_BUFFER_VIEWS, MAX_BUFFERS, MAX_CAMERA_DEFINITIONS, MAX_CHANNELS, MAX_EXTENSIONS,
+    MAX_IMAGES, MAX_LIGHT_DEFINITIONS, MAX_MATERIALS, MAX_MESHES, MAX_NODES, MAX_SCENES, MAX_SKINS, MAX_TEXTURES,
+    MAX_VARIANTS,
 };
 
 /// What a value must be.
@@ -30,8 +31,6 @@ pub(super) enum Kind {
     Object(&'static [Property]),
     /// Anything: its value is skipped.
     Presence,
-    /// Anything: a list's elements are counted, and skipped.
-    Count,
 }
 
 /// A property's name and kind.
@@ -66,7 +65,7 @@ impl fmt::Display for Kind {
             List(UNBOUNDED, _) => f.write_str("an array"),
             List(max, _) => write!(f, "an array of at most {max} elements"),
             Object(_) => f.write_str("an object"),
-            Presence | Count => f.write_str("anything"),
+            Presence => f.write_str("anything"),
         }
     }
 }
@@ -79,7 +78,7 @@ pub(super) const ROOT: &[Property] = &[
     Required("asset", Object(&[Required("version", Text), Optional("minVersion", Text)])),
     Optional("extensionsRequired", List(MAX_EXTENSIONS, &Text)),
     Optional("extensionsUsed", List(MAX_EXTENSIONS, &Text)),
-    Optional("animations", Count),
+    Optional("animations", List(MAX_ANIMATIONS, &ANIMATION)),
     Optional("scene", Index),
     Optional("scenes", List(MAX_SCENES, &Object(&[Optional("name", Text), Optional("nodes", INDICES)]))),
     Optional("nodes", List(MAX_NODES, &NODE)),
@@ -117,6 +116,22 @@ const CAMERA: Kind = Object(&[
 
 const SKIN: Kind =
     Object(&[Optional("name", Text), Optional("inverseBindMatrices", Index), Required("joints", INDICES)]);
+
+const ANIMATION: Kind = Object(&[
+    Optional("name", Text),
+    Optional("channels", List(MAX_CHANNELS, &Object(&[Optional("sampler", Index), Optional("target", ANIMATED)]))),
+    Optional("samplers", List(MAX_CHANNELS, &ANIMATION_SAMPLER)),
+]);
+
+/// What an animation's channel changes.
+const ANIMATED: Kind = Object(&[
+    Optional("node", Index),
+    Optional("path", Text),
+    Optional("extensions", Object(&[Optional("KHR_animation_pointer", Object(&[Optional("pointer", Text)]))])),
+]);
+
+const ANIMATION_SAMPLER: Kind =
+    Object(&[Optional("input", Index), Optional("output", Index), Optional("interpolation", Text)]);
 
 const VARIANTS: Kind = Object(&[Required("variants", List(MAX_VARIANTS, &Object(&[Optional("name", Text)])))]);
 

@@ -112,7 +112,6 @@ impl<'de> DeserializeSeed<'de> for Parser<'_> {
                 let value = Option::<IgnoredAny>::deserialize(deserializer)?;
                 Ok(value.map_or(Value::Null, |_| Value::Bool(true)))
             }
-            Kind::Count => deserializer.deserialize_any(Counter),
             _ => deserializer.deserialize_any(self),
         }
     }
@@ -224,44 +223,6 @@ impl<'de> Visitor<'de> for Parser<'_> {
     }
 }
 
-/// Counts a list's elements, and takes anything else for an empty list.
-struct Counter;
-
-impl<'de> Visitor<'de> for Counter {
-    type Value = Value;
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("anything")
-    }
-    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Value, A::Error> {
-        let mut count = 0_u64;
-        while list.next_element::<IgnoredAny>()?.is_some() {
-            count += 1;
-        }
-        Ok(count.into())
-    }
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Value, A::Error> {
-        IgnoredAny.visit_map(map).map(|_| 0.into())
-    }
-    fn visit_unit<E: Error>(self) -> Result<Value, E> {
-        Ok(0.into())
-    }
-    fn visit_bool<E: Error>(self, _: bool) -> Result<Value, E> {
-        Ok(0.into())
-    }
-    fn visit_i64<E: Error>(self, _: i64) -> Result<Value, E> {
-        Ok(0.into())
-    }
-    fn visit_u64<E: Error>(self, _: u64) -> Result<Value, E> {
-        Ok(0.into())
-    }
-    fn visit_f64<E: Error>(self, _: f64) -> Result<Value, E> {
-        Ok(0.into())
-    }
-    fn visit_str<E: Error>(self, _: &str) -> Result<Value, E> {
-        Ok(0.into())
-    }
-}
-
 /// Returns a float's value if it is an integer: JSON may write one as `24.0` or `5.126e3`.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "it is integral and within range")]
 fn integer(value: f64) -> Option<u64> {
@@ -301,6 +262,11 @@ mod tests {
             (r#""accessors":[{"sparse":{"count":1,"indices":[]}}]"#, "/accessors/0/sparse/indices: invalid type"),
             (r#""meshes":[{"primitives":[{}]}]"#, "/meshes/0/primitives/0: missing field `attributes`"),
             (r#""extensions":{"KHR_lights_punctual":{"lights":[{}]}}"#, "/lights/0: missing field `type`"),
+            (r#""animations":[[]]"#, "/animations/0: invalid type: sequence"),
+            (
+                r#""animations":[{"channels":[{"target":{"node":-1}}]}]"#,
+                "/animations/0/channels/0/target/node: invalid",
+            ),
         ] {
             let fault = fault(properties);
             assert!(fault.contains(says) && fault.contains(" at line 1 column "), "{properties}: {fault}");
@@ -329,12 +295,13 @@ mod tests {
 
     #[test]
     fn unread_properties_may_hold_anything() {
-        let properties = r#""extras":7,"animations":[[]],"extensions":{"NEW_thing":[1]},
+        let properties = r#""extras":7,"extensions":{"NEW_thing":[1]},
+            "animations":[{"extras":[],"channels":[{"target":{"extras":1}}]}],
             "nodes":[{"camera":null,"extras":[],"name":null,"extensions":{"NEW_thing":null}}],
             "materials":[{"extensions":{"KHR_materials_unlit":[],"KHR_materials_volume":7}}],
             "samplers":[{"name":1}],"scenes":[{}]"#;
         let document = with(properties).unwrap();
-        assert_eq!(document.animations, 1);
+        assert_eq!(document.animations[0].channels.len(), 1);
         assert!(document.materials[0].extensions.unlit && document.json.scenes[0].nodes.is_empty());
     }
 }

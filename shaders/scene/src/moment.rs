@@ -1,0 +1,303 @@
+//! A scene at one time: where its pieces are, and how its lights and cameras are (`docs/living.md`).
+//!
+//! This is the only place that evaluates an animation. Server and client both use it, in f64.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Vec3, Vec4};
+
+use crate::{
+    Aabb, AnimatedCamera, AnimatedLight, AnimatedNode, Animation, Draw, Light, LightKind, NamedCamera, Piece, Place,
+    Scene, Track, light::f32_of, limits::in_reach, scene::triangle_normal,
+};
+
+/// What moves in a scene, at one time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moment {
+    /// One for each piece of the animation. `None`: it is not shown, or lies out of reach.
+    pub pieces: Vec<Option<Placement>>,
+    /// All lights of the scene. One that is not shown is off.
+    pub lights: Vec<Light>,
+}
+
+/// Where a piece is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Placement {
+    /// Transform from the piece's space to the world's.
+    pub world_from_piece: DMat4,
+    /// The scene's origin, in metres.
+    pub origin_m: DVec3,
+    /// The piece is inside out, compared with the pose of the file: two corners of each triangle change places.
+    pub turned: bool,
+    /// Takes normals to the world, up to their length.
+    normals: DMat3,
+    /// −1 if the transform mirrors.
+    hand: f32,
+}
+
+impl Placement {
+    /// Returns a position in the scene's local space. It is rounded once, as those of what rests are.
+    #[must_use]
+    pub fn position(&self, position: Vec3) -> Vec3 {
+        (self.world_from_piece.transform_point3(position.as_dvec3()) - self.origin_m).as_vec3()
+    }
+
+    /// Returns a unit normal. A transform that flattens the piece may leave none: then it stays as it is.
+    #[must_use]
+    pub fn normal(&self, normal: Vec3) -> Vec3 {
+        let turned = (self.normals * normal.as_dvec3()).try_normalize();
+        turned.map_or(normal, |turned| turned.as_vec3().normalize())
+    }
+
+    /// Returns a tangent as [`Scene::tangents`] has it.
+    #[must_use]
+    pub fn tangent(&self, tangent: Vec4) -> Vec4 {
+        let turned = self.world_from_piece.transform_vector3(tangent.truncate().as_dvec3()).try_normalize();
+        turned.map_or(Vec4::ZERO, |turned| turned.as_vec3().normalize().extend(tangent.w * self.hand))
+    }
+
+    /// Returns a triangle's corners, counter-clockwise seen from the front.
+    #[must_use]
+    pub fn corners<T>(&self, [a, b, c]: [T; 3]) -> [T; 3] {
+        if self.turned { [a, c, b] } else { [a, b, c] }
+    }
+}
+
+/// A node at one time.
+#[derive(Clone, Copy)]
+struct World {
+    world_from_node: DMat4,
+    visible: bool,
+}
+
+/// When to look at an animation.
+#[derive(Clone, Copy)]
+enum When {
+    /// In the file's pose, without any track.
+    File,
+    Time(f64),
+}
+
+impl When {
+    fn sample<const N: usize>(self, track: Option<&Track>) -> Option<[f64; N]> {
+        match self {
+            Self::File => None,
+            Self::Time(time_s) => track.map(|track| track.sample(time_s)),
+        }
+    }
+}
+
+impl Scene {
+    /// Returns what moves, at a time in seconds. `None` if everything rests.
+    #[must_use]
+    pub fn moment(&self, time_s: f64) -> Option<Moment> {
+        self.animation.as_ref().map(|animation| self.moment_of(animation, When::Time(time_s)))
+    }
+
+    /// Returns the cameras at a time in seconds.
+    #[must_use]
+    pub fn cameras_at(&self, time_s: f64) -> Vec<NamedCamera> {
+        let mut cameras = self.cameras.clone();
+        let Some(animation) = &self.animation else { return cameras };
+        let when = When::Time(time_s);
+        let worlds = worlds(animation, when);
+        for moving in &animation.cameras {
+            if let Some(camera) = cameras.get_mut(moving.camera as usize) {
+                move_camera(camera, moving, &worlds, when);
+            }
+        }
+        cameras
+    }
+
+    /// Returns the scene as it stands at a time in seconds: one in which everything rests. It may have no triangles.
+    #[must_use]
+    pub fn still_at(&self, time_s: f64) -> Self {
+        self.still(When::Time(time_s))
+    }
+
+    /// Returns the scene in the pose of the file: one in which everything rests. It may have no triangles.
+    #[must_use]
+    pub fn at_rest(&self) -> Self {
+        self.still(When::File)
+    }
+
+    fn moment_of(&self, animation: &Animation, when: When) -> Moment {
+        let worlds = worlds(animation, when);
+        let pieces = animation.pieces.iter().map(|piece| placement(piece, &worlds, self.origin_m)).collect();
+        let mut lights = self.lights.clone();
+        for moving in &animation.lights {
+            if let Some(light) = lights.get_mut(moving.light as usize) {
+                move_light(light, moving, &worlds, self.origin_m, when);
+            }
+        }
+        Moment { pieces, lights }
+    }
+
+    fn still(&self, when: When) -> Self {
+        let mut scene = Self { animation: None, ..self.clone() };
+        let Some(animation) = &self.animation else { return scene };
+        let moment = self.moment_of(animation, when);
+        scene.lights = moment.lights;
+        if let When::Time(time_s) = when {
+            scene.cameras = self.cameras_at(time_s);
+        }
+        for ((piece, first), placement) in animation.pieces.iter().zip(animation.first_positions()).zip(&moment.pieces)
+        {
+            let Some(placement) = placement else { continue };
+            for at in 0..piece.vertices as usize {
+                let (to, from) = (piece.first_vertex as usize + at, first + at);
+                set(&mut scene.positions, to, animation.positions.get(from).map(|p| placement.position(*p)));
+                set(&mut scene.normals, to, animation.normals.get(from).map(|n| placement.normal(*n)));
+                set(&mut scene.tangents, to, animation.tangents.get(from).map(|t| placement.tangent(*t)));
+            }
+        }
+        let (mut triangles, mut draws) = (Vec::with_capacity(scene.triangles.len()), Vec::new());
+        for draw in &scene.draws {
+            let first_triangle = triangles.len();
+            let of_draw = draw.first_triangle as usize..(draw.first_triangle + draw.triangles) as usize;
+            for corners in scene.triangles.get(of_draw).unwrap_or_default() {
+                let corners = match animation.piece_of(corners[0]).map(|piece| moment.pieces.get(piece)) {
+                    Some(Some(Some(placement))) => placement.corners(*corners),
+                    Some(_) => continue,
+                    None => *corners,
+                };
+                let [a, b, c] = corners.map(|corner| scene.positions.get(corner as usize).copied().unwrap_or_default());
+                if triangle_normal(a, b, c).is_some() {
+                    triangles.push(corners);
+                }
+            }
+            if triangles.len() > first_triangle {
+                // Both are below the numbers that the scene's own triangles have.
+                let [first_triangle, end] =
+                    [first_triangle, triangles.len()].map(|count| u32::try_from(count).unwrap_or(u32::MAX));
+                draws.push(Draw { first_triangle, triangles: end - first_triangle, material: draw.material });
+            }
+        }
+        (scene.triangles, scene.draws) = (triangles, draws);
+        scene.bounds = Aabb::of(&scene);
+        scene
+    }
+}
+
+fn set<T>(list: &mut [T], at: usize, value: Option<T>) {
+    if let (Some(place), Some(value)) = (list.get_mut(at), value) {
+        *place = value;
+    }
+}
+
+/// Returns the animated nodes' transforms. Parents come first.
+fn worlds(animation: &Animation, when: When) -> Vec<World> {
+    let mut worlds: Vec<World> = Vec::with_capacity(animation.nodes.len());
+    for node in &animation.nodes {
+        let above = node.parent.and_then(|parent| worlds.get(parent as usize).copied());
+        let above = above.unwrap_or(World { world_from_node: DMat4::IDENTITY, visible: true });
+        let shown = when.sample::<1>(node.visible_track.as_ref()).map_or(node.visible, |[shown]| shown != 0.0);
+        worlds.push(World {
+            world_from_node: above.world_from_node * node.above * own(node, when),
+            visible: above.visible && shown,
+        });
+    }
+    worlds
+}
+
+fn own(node: &AnimatedNode, when: When) -> DMat4 {
+    let vector = |track: &Option<Track>, fixed| when.sample(track.as_ref()).map_or(fixed, DVec3::from_array);
+    let rotation = match (when, &node.rotation_track) {
+        (When::Time(time_s), Some(track)) => track.rotation(time_s),
+        _ => node.rotation,
+    };
+    let (scale, translation) =
+        (vector(&node.scale_track, node.scale), vector(&node.translation_track, node.translation_m));
+    DMat4::from_scale_rotation_translation(scale, rotation, translation)
+}
+
+fn placement(piece: &Piece, worlds: &[World], origin_m: DVec3) -> Option<Placement> {
+    let world = worlds.get(piece.node as usize).filter(|world| world.visible)?;
+    let world_from_piece = world.world_from_node;
+    let Aabb { min, max } = piece.bounds;
+    let corner = |number: usize| {
+        let pick = |bit: usize, low: f32, high: f32| if number >> bit & 1 == 1 { high } else { low };
+        Vec3::new(pick(0, min.x, max.x), pick(1, min.y, max.y), pick(2, min.z, max.z)).as_dvec3()
+    };
+    // A transform is affine, so the corners bound the vertices.
+    if !(0..8).all(|number| in_reach(world_from_piece.transform_point3(corner(number)))) {
+        return None;
+    }
+    let linear = DMat3::from_mat4(world_from_piece);
+    let mirrors = linear.determinant() < 0.0;
+    Some(Placement {
+        world_from_piece,
+        origin_m,
+        turned: mirrors != piece.mirrored,
+        normals: normal_matrix(&linear),
+        hand: if mirrors { -1.0 } else { 1.0 },
+    })
+}
+
+/// Returns the inverse transpose of a transform, up to a positive factor: its cofactors, with the sign of its
+/// determinant. They exist even if a scale of 0 leaves no inverse.
+pub(crate) fn normal_matrix(linear: &DMat3) -> DMat3 {
+    let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
+    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
+    if linear.determinant() < 0.0 { -cofactors } else { cofactors }
+}
+
+/// Where something on a node is, and whether it is shown. `None` if it lies nowhere.
+fn hung(place: &Place, worlds: &[World]) -> Option<(DMat4, bool)> {
+    let world = worlds.get(place.node as usize)?;
+    let there = world.world_from_node * place.node_from_own;
+    (there.is_finite() && in_reach(there.w_axis.truncate())).then_some((there, world.visible))
+}
+
+fn move_light(light: &mut Light, moving: &AnimatedLight, worlds: &[World], origin_m: DVec3, when: When) {
+    let positive = |track: &Option<Track>| when.sample::<1>(track.as_ref()).map(|[v]| f32_of(v.clamp(0.0, MOST)));
+    if let Some(color) = when.sample::<3>(moving.color_track.as_ref()) {
+        light.color = Vec3::from_array(color.map(|v| f32_of(v.clamp(0.0, MOST))));
+    }
+    light.intensity = positive(&moving.intensity_track).unwrap_or(light.intensity);
+    if let Some(range_m) = positive(&moving.range_track).filter(|_| light.kind != LightKind::Directional) {
+        light.range_m = if range_m > 0.0 { range_m } else { f32::INFINITY };
+    }
+    if let LightKind::Spot { inner_cone_rad, outer_cone_rad } = &mut light.kind {
+        let angle =
+            |track: &Option<Track>| when.sample::<1>(track.as_ref()).map(|[angle]| f32_of(angle.clamp(0.0, FRAC_PI_2)));
+        *outer_cone_rad = angle(&moving.outer_cone_track).unwrap_or(*outer_cone_rad);
+        *inner_cone_rad = angle(&moving.inner_cone_track).unwrap_or(*inner_cone_rad).min(*outer_cone_rad);
+    }
+    let Some(place) = &moving.place else { return };
+    let Some((there, visible)) = hung(place, worlds) else {
+        light.intensity = 0.0;
+        return;
+    };
+    if !visible {
+        light.intensity = 0.0;
+    }
+    if light.kind != LightKind::Directional {
+        light.position = (there.w_axis.truncate() - origin_m).as_vec3();
+    }
+    if light.kind != LightKind::Point {
+        // Under a scale of 0 the axis has no length: the light keeps the file's.
+        let axis = there.transform_vector3(DVec3::NEG_Z).try_normalize();
+        light.direction = axis.map_or(light.direction, |axis| axis.as_vec3().normalize());
+    }
+}
+
+/// Largest value of a light, which becomes an f32.
+const MOST: f64 = f32::MAX as f64;
+
+fn move_camera(camera: &mut NamedCamera, moving: &AnimatedCamera, worlds: &[World], when: When) {
+    let zoomed = when.sample::<1>(moving.yfov_track.as_ref()).map(|[yfov]| yfov);
+    camera.yfov_rad = zoomed.filter(|yfov| *yfov > 0.0 && *yfov < PI).unwrap_or(camera.yfov_rad);
+    let Some((there, _)) = moving.place.as_ref().and_then(|place| hung(place, worlds)) else { return };
+    camera.position_m = there.w_axis.truncate();
+    let [y, z] = [there.y_axis, there.z_axis].map(DVec4::truncate);
+    camera.orientation = orthonormal(y, z).unwrap_or(camera.orientation);
+}
+
+/// Returns the rotation whose third axis is `z` and whose second lies as near to `y` as it can. `None` if the vectors
+/// have no length, or one direction.
+pub(crate) fn orthonormal(y: DVec3, z: DVec3) -> Option<DQuat> {
+    let z = z.try_normalize()?;
+    let x = y.try_normalize()?.cross(z).try_normalize()?;
+    Some(DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z)).normalize())
+}
