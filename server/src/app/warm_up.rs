@@ -20,6 +20,7 @@ pub(super) async fn warm_up(engine: &Engine, lights: u32) -> Result<(), String> 
     port.request(TraceRequest {
         frame: FrameNumber(0),
         camera,
+        scene_time_s: 0.0,
         ahead: None,
         received_at: started_at,
         interval: Duration::from_secs(1),

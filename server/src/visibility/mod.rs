@@ -39,6 +39,8 @@ pub struct TraceRequest {
     pub frame: FrameNumber,
     /// The view, and the size of the mask.
     pub camera: Camera,
+    /// Time of the scene's animation, in seconds: where to find what moves.
+    pub scene_time_s: f64,
     /// The extrapolated pose of `camera`. `None`: it is the client's own pose of this frame.
     pub ahead: Option<Pose>,
     pub received_at: Instant,

@@ -7,8 +7,8 @@ use clap::{Parser, Subcommand};
 use gnomon_lab::{
     cloister,
     report::{
-        accuracy, chaos, codec, edges, hostile, lag, link, load, loss, network, pareto, pipeline, predict_cost, replay,
-        trace_error, video,
+        accuracy, chaos, codec, edges, hostile, lag, link, living, load, loss, network, pareto, pipeline, predict_cost,
+        replay, trace_error, video,
     },
 };
 
@@ -45,6 +45,8 @@ enum Command {
     PredictCost(predict_cost::PredictCostOptions),
     /// Emulate a network between a client and a server on this machine.
     Link(link::LinkOptions),
+    /// Judge masks of scenes that move, at several times, with the f64 referee.
+    Living(living::LivingOptions),
     /// Run many clients without graphics against a running server.
     Load(load::LoadOptions),
     /// Measure the effect of packet loss on shown masks: loss.csv.
@@ -97,6 +99,7 @@ fn run(arguments: Arguments) -> Result<()> {
             anyhow::ensure!(report.holds, "a goal is missed");
             return Ok(());
         }
+        Command::Living(options) => living::measure(&options, progress)?,
         Command::Load(options) => {
             println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?);
             return Ok(());

@@ -62,8 +62,9 @@ pub(in crate::session) async fn receive_poses(
         // Before the request, so that a stopping session waits for this frame's mask.
         ledger.set_newest_requested(frame);
         let predicted = look_ahead.predict(&pose);
-        let camera = pose_camera(predicted.as_ref().unwrap_or(&pose));
+        let traced = predicted.as_ref().unwrap_or(&pose);
+        let (camera, scene_time_s) = (pose_camera(traced), traced.scene_time_s);
         let interval = interval.update(received_at);
-        requests.request(TraceRequest { frame, camera, ahead: predicted, received_at, interval });
+        requests.request(TraceRequest { frame, camera, scene_time_s, ahead: predicted, received_at, interval });
     }
 }

@@ -62,6 +62,7 @@ fn request(frame: u32, width: u32, height: u32) -> TraceRequest {
     TraceRequest {
         frame: FrameNumber(frame),
         camera: camera(frame, width, height),
+        scene_time_s: 0.0,
         ahead: None,
         received_at: Instant::now(),
         interval: Duration::from_millis(16),

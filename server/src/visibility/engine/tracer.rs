@@ -17,7 +17,7 @@ use crate::visibility::{
     backend::{
         BackendError,
         compute::{ComputeBackend, PartialSubmission},
-        cpu::CpuBackend,
+        cpu::{CpuBackend, Posed},
     },
     schedule::scheduler::SessionKey,
 };
@@ -57,7 +57,12 @@ pub(super) struct PartialFrame {
 
 enum Progress {
     Device(PartialSubmission),
-    Cpu { next_row: u32, cost: TraceCost },
+    /// `posed`: what moves, at the frame's time.
+    Cpu {
+        next_row: u32,
+        cost: TraceCost,
+        posed: Option<Box<Posed>>,
+    },
 }
 
 /// State of a frame after one of its parts.
@@ -125,7 +130,16 @@ impl Tracer {
                 Ok(rest) => Progress::Device(rest),
                 Err(error) => return Err(TraceError::Device { error, job: Some(Box::new(job)) }),
             },
-            Self::Cpu(_) | Self::Lost => Progress::Cpu { next_row: 0, cost: TraceCost::default() },
+            Self::Cpu(backend) => {
+                let (from, time_s) = (Instant::now(), job.request.scene_time_s);
+                let Ok(posed) = catch_unwind(AssertUnwindSafe(|| backend.pose(time_s).map(Box::new))) else {
+                    return Err(TraceError::Panicked { job: Box::new(job) });
+                };
+                // Without anything that moves it takes no time.
+                let primary_ms = posed.as_ref().map_or(0.0, |_| from.elapsed().as_secs_f64() * 1e3);
+                Progress::Cpu { next_row: 0, cost: TraceCost { primary_ms, ..TraceCost::default() }, posed }
+            }
+            Self::Lost => Progress::Cpu { next_row: 0, cost: TraceCost::default(), posed: None },
         };
         Ok(PartialFrame { job, rows_per_part, progress })
     }
@@ -148,17 +162,22 @@ impl Tracer {
                     Err(_) => Err(TraceError::Panicked { job: Box::new(job) }),
                 }
             }
-            (Self::Cpu(backend), Progress::Cpu { cost, .. }) => {
+            (Self::Cpu(backend), Progress::Cpu { cost, posed, .. }) => {
                 let next_row = rows.end;
-                let (camera, mask) = (&job.request.camera, &mut job.mask);
-                let Ok(part) = catch_unwind(AssertUnwindSafe(|| backend.trace_rows(camera, mask, rows))) else {
+                let (camera, mask, posed_now) = (&job.request.camera, &mut job.mask, posed.as_deref());
+                let trace = || backend.trace_rows(camera, mask, rows, posed_now);
+                let Ok(part) = catch_unwind(AssertUnwindSafe(trace)) else {
                     return Err(TraceError::Panicked { job: Box::new(job) });
                 };
                 let cost = cost.plus(part);
                 if next_row == job.mask.shape().tiles_y() {
                     return Ok(Advance::Traced(job, cost));
                 }
-                Ok(Advance::Partial(PartialFrame { job, rows_per_part, progress: Progress::Cpu { next_row, cost } }))
+                Ok(Advance::Partial(PartialFrame {
+                    job,
+                    rows_per_part,
+                    progress: Progress::Cpu { next_row, cost, posed },
+                }))
             }
             _ => {
                 let error = BackendError::Device("the device is not open".to_owned());

@@ -25,9 +25,9 @@ pub enum Child {
 }
 
 /// Set in the word of a child that is a leaf.
-const LEAF_BIT: u32 = 1 << 31;
+pub(super) const LEAF_BIT: u32 = 1 << 31;
 /// The word of a missing child.
-const NO_CHILD: u32 = u32::MAX;
+pub(super) const NO_CHILD: u32 = u32::MAX;
 
 /// A node: its children's boxes side by side. A missing child's box is inverted (+∞ to −∞), so rays never hit it.
 #[derive(Debug, Clone)]
@@ -37,11 +37,11 @@ pub struct Node {
     pub min: [F8; 3],
     /// Highest corners, by axis.
     pub max: [F8; 3],
-    children: [u32; WIDTH],
+    pub(super) children: [u32; WIDTH],
 }
 
 impl Node {
-    const EMPTY: Self = Self {
+    pub(super) const EMPTY: Self = Self {
         min: [F8([f32::INFINITY; WIDTH]); 3],
         max: [F8([f32::NEG_INFINITY; WIDTH]); 3],
         children: [NO_CHILD; WIDTH],
@@ -81,10 +81,17 @@ pub struct Leaf {
     pub span: F8,
     /// Bit i: slot i is used.
     pub used: u8,
+    /// Bit i: slot i has a triangle, which has no area now unless the slot is used.
+    pub(super) there: u8,
     /// Bit i: triangle i is single-sided.
     pub single_sided: u8,
     /// Bit i: triangle i is masked.
     pub masked: u8,
+}
+
+/// Product of two sides' sizes: see [`Leaf::span`].
+pub(super) fn span([a, b, c]: [Vec3; 3]) -> f32 {
+    (b - a).abs().element_sum() * (c - a).abs().element_sum()
 }
 
 /// The tree. Node 0 is the root.
@@ -244,6 +251,7 @@ impl<'a> Collapse<'a> {
             triangles: [0; WIDTH],
             span: F8::default(),
             used: 0,
+            there: 0,
             single_sided: 0,
             masked: 0,
         };
@@ -262,10 +270,10 @@ impl<'a> Collapse<'a> {
                     place.0[slot] = coordinate;
                 }
             }
-            let [a, b, c] = triangles[triangle as usize].map(|index| positions[index as usize]);
-            leaf.span.0[slot] = (b - a).abs().element_sum() * (c - a).abs().element_sum();
+            leaf.span.0[slot] = span(triangles[triangle as usize].map(|index| positions[index as usize]));
             let flags = flags(triangle);
             leaf.used |= 1 << slot;
+            leaf.there |= 1 << slot;
             leaf.single_sided |= u8::from(flags.single_sided) << slot;
             leaf.masked |= u8::from(flags.masked) << slot;
             slot += 1;
@@ -282,7 +290,7 @@ fn children(binary: &Bvh2, n: usize) -> Option<[usize; 2]> {
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "there are fewer nodes and leaves than triangles, below 2^31")]
-fn word(index: usize) -> u32 {
+pub(super) fn word(index: usize) -> u32 {
     index as u32
 }
 

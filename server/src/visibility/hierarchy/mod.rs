@@ -3,3 +3,4 @@
 pub(crate) mod balance;
 pub(crate) mod binary;
 pub mod bvh;
+pub mod moving;

@@ -19,6 +19,7 @@
 //! for certain, and back ends must agree.
 
 mod alpha;
+mod animation;
 mod bvh;
 #[cfg(test)]
 mod closed_form;
@@ -30,6 +31,7 @@ use gnomon_scene::{Light, LightKind, Scene, camera::Camera};
 use rayon::prelude::*;
 
 use alpha::AlphaTest;
+use animation::Animated;
 use bvh::Bvh;
 
 /// Lights beyond this multiple of the scene's greatest coordinate count as distant.
@@ -103,18 +105,46 @@ struct Sheet {
 }
 
 impl Reference {
-    /// Prepares the OPAQUE and MASK triangles of a scene. `rounding_m` follows from the scene's size: see the module.
+    /// Prepares the OPAQUE and MASK triangles of a scene at time 0. `rounding_m` follows from the scene's size: see the
+    /// module.
     pub fn new(scene: &Scene) -> Self {
+        Self::at(scene, 0.0)
+    }
+
+    /// As [`Self::new`], with what moves where it is at a time of the scene, in seconds.
+    pub fn at(scene: &Scene, time_s: f64) -> Self {
+        let animated = Animated::new(scene, time_s);
+        let all_lights = animated.as_ref().map_or_else(|| scene.lights.clone(), Animated::lights);
         let (mut corners, mut surfaces) = (Vec::new(), Vec::new());
         let traced = scene.tracing_triangles().len();
         for draw in &scene.draws {
             let first = draw.first_triangle as usize;
             let end = (first + draw.triangles as usize).min(traced);
             for triangle in scene.triangles.get(first..end).unwrap_or_default() {
+                let moving = animated.as_ref().and_then(|animated| Some((animated, animated.piece(*triangle)?)));
+                if moving.as_ref().is_some_and(|(animated, piece)| !animated.is_shown(*piece)) {
+                    continue;
+                }
+                let [a, b, c] = *triangle;
+                let turned = moving.as_ref().is_some_and(|(animated, piece)| animated.is_turned(*piece));
+                let triangle = if turned { [a, c, b] } else { [a, b, c] };
                 let vertices = triangle.map(|vertex| vertex as usize);
-                corners.push(vertices.map(|vertex| scene.positions[vertex].as_dvec3()));
+                let (positions, normals) = match moving {
+                    Some((animated, piece)) => {
+                        let moved = triangle.map(|vertex| animated.vertex(piece, vertex));
+                        (moved.each_ref().map(|vertex| vertex.position), moved.map(|vertex| vertex.normal.normalize()))
+                    }
+                    None => (
+                        vertices.map(|vertex| scene.positions[vertex].as_dvec3()),
+                        vertices.map(|vertex| scene.normals[vertex].as_dvec3()),
+                    ),
+                };
+                if !has_area(&positions) {
+                    continue;
+                }
+                corners.push(positions);
                 surfaces.push(Surface {
-                    normals: vertices.map(|vertex| scene.normals[vertex].as_dvec3()),
+                    normals,
                     uvs: vertices.map(|vertex| scene.uvs[vertex].as_dvec2().to_array()),
                     alphas: vertices.map(|vertex| {
                         scene.colors.get(vertex).map_or(1.0, |color| f64::from(color[3]) / f64::from(u16::MAX))
@@ -123,7 +153,7 @@ impl Reference {
                 });
             }
         }
-        let lights = scene.lights.iter().filter(|light| light.kind != LightKind::Directional);
+        let lights = all_lights.iter().filter(|light| light.kind != LightKind::Directional);
         let scene_m =
             corners.iter().flatten().map(|corner| corner.abs().max_element()).fold(f64::MIN_POSITIVE, f64::max);
         // For more distant lights only the direction counts, which is as precise as at this distance.
@@ -141,7 +171,7 @@ impl Reference {
                 .iter()
                 .map(|material| Sheet { double_sided: material.double_sided, alpha: AlphaTest::new(scene, material) })
                 .collect(),
-            lights: scene.lights.clone(),
+            lights: all_lights,
             rounding_m,
             push_m: magnitude_m * 1e-9,
             exact_m: magnitude_m * 1e-12,
@@ -165,4 +195,10 @@ impl Reference {
         let lights = u32::try_from(self.lights.len()).unwrap_or(u32::MAX);
         Truth { width: camera.width, height: camera.height, lights, pixels }
     }
+}
+
+/// What moves may shrink to nothing. What rests has an area.
+fn has_area([a, b, c]: &[DVec3; 3]) -> bool {
+    let (ab, ac) = (*b - *a, *c - *a);
+    ab.cross(ac).length() > 1e-7 * ab.length_squared().max(ac.length_squared()).max((*c - *b).length_squared())
 }

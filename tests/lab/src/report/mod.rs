@@ -7,6 +7,7 @@ pub mod edges;
 pub mod hostile;
 pub mod lag;
 pub mod link;
+pub mod living;
 pub mod load;
 pub mod loss;
 pub mod network;

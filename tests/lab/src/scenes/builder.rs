@@ -1,7 +1,10 @@
 //! Scenes built in code from rectangles, boxes and spheres, which closed forms can judge.
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
-use gnomon_scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
+use gnomon_scene::{
+    Aabb, AlphaMode, AnimatedLight, AnimatedNode, Animation, Draw, Image, Light, LightKind, Material, Piece, Place,
+    Scene, Texture, Wrap,
+};
 
 /// Groups triangles by material.
 #[derive(Debug)]
@@ -154,6 +157,46 @@ impl SceneBuilder {
         self
     }
 
+    /// Adds what `add` adds, in the space of a node that moves. Without `node`, the last one.
+    pub fn moving(mut self, node: Option<AnimatedNode>, add: impl FnOnce(Self) -> Self) -> Self {
+        let (first, lights) = (self.scene.positions.len(), self.scene.lights.len());
+        self.scene.animation.get_or_insert_default().nodes.extend(node);
+        let mut this = add(self);
+        let Scene { positions, normals, lights: all, animation, .. } = &mut this.scene;
+        let Some(animation) = animation else { return this };
+        let index = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
+        let node = index(animation.nodes.len() - 1);
+        for (light, added) in all.iter().enumerate().skip(lights) {
+            let turn = glam::Quat::from_rotation_arc(Vec3::NEG_Z, added.direction).as_dquat();
+            let node_from_own = glam::DMat4::from_rotation_translation(turn, added.position.as_dvec3());
+            let place = Some(Place { node, node_from_own });
+            animation.lights.push(AnimatedLight { light: index(light), place, ..AnimatedLight::default() });
+        }
+        if let Some(added @ [_, ..]) = positions.get(first..) {
+            let (first_vertex, vertices, bounds) = (index(first), index(added.len()), Aabb::around(added));
+            animation.pieces.push(Piece { node, first_vertex, vertices, bounds, mirrored: false });
+            animation.positions.extend_from_slice(added);
+            animation.normals.extend_from_slice(&normals[first..]);
+        }
+        this
+    }
+
+    /// Returns a node that stands where its parent does, and changes nothing.
+    pub fn node(parent: Option<u32>) -> AnimatedNode {
+        AnimatedNode {
+            parent,
+            above: glam::DMat4::IDENTITY,
+            translation_m: DVec3::ZERO,
+            rotation: glam::DQuat::IDENTITY,
+            scale: DVec3::ONE,
+            visible: true,
+            translation_track: None,
+            rotation_track: None,
+            scale_track: None,
+            visible_track: None,
+        }
+    }
+
     pub fn build(mut self) -> Scene {
         let mut points = self.scene.positions.iter().copied();
         let first = points.next().unwrap_or(Vec3::ZERO);
@@ -161,6 +204,13 @@ impl SceneBuilder {
             points.fold(Aabb { min: first, max: first }, |b, p| Aabb { min: b.min.min(p), max: b.max.max(p) });
         // The loader makes no materials without triangles, so neither does this.
         debug_assert!(!self.scene.lights.is_empty(), "a scene has at least one light");
+        if let Some(Animation { nodes, .. }) = self.scene.animation.as_deref_mut() {
+            // Nodes move about the world's origin.
+            let origin_m = self.scene.origin_m;
+            nodes.iter_mut().filter(|node| node.parent.is_none()).for_each(|node| {
+                node.above = glam::DMat4::from_translation(origin_m) * node.above;
+            });
+        }
         self.scene
     }
 }

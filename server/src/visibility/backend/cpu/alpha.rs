@@ -32,8 +32,9 @@ struct MaskMaterial {
 }
 
 impl Alpha {
+    /// Takes the triangles that stop rays and that `takes` takes. They are counted without the others.
     /// Errors if a MASK material's picture is not decoded.
-    pub(super) fn new(scene: &Scene) -> Result<Self, BackendError> {
+    pub(super) fn new(scene: &Scene, takes: &dyn Fn(&[u32; 3]) -> bool) -> Result<Self, BackendError> {
         let (triangles, vertices, materials, pictures) = Default::default();
         let mut alpha = Self { first: 0, triangles, vertices, materials, pictures };
         let is_mask = |material: &Material| matches!(material.alpha, AlphaMode::Mask { .. });
@@ -43,11 +44,17 @@ impl Alpha {
         let mut places = vec![None; scene.materials.len()];
         let mut picture_places = vec![None; scene.images.len()];
         for draw in &scene.draws {
+            let first = draw.first_triangle as usize;
+            let of_draw =
+                scene.triangles[first..first + draw.triangles as usize].iter().filter(|corners| takes(corners));
             let material = &scene.materials[draw.material as usize];
-            let AlphaMode::Mask { cutoff } = material.alpha else { continue };
-            if alpha.triangles.is_empty() {
-                alpha.first = draw.first_triangle;
-            }
+            let AlphaMode::Mask { cutoff } = material.alpha else {
+                if material.alpha == AlphaMode::Opaque {
+                    // OPAQUE draws come before MASK ones. The count is at most the scene's, which fits.
+                    alpha.first += u32::try_from(of_draw.count()).unwrap_or(u32::MAX);
+                }
+                continue;
+            };
             let place = match places[draw.material as usize] {
                 Some(place) => place,
                 None => {
@@ -69,8 +76,7 @@ impl Alpha {
                 }
             };
             let place = u32::try_from(place).map_err(|_| BackendError::Alpha { material: draw.material })?;
-            let first = draw.first_triangle as usize;
-            for triangle in &scene.triangles[first..first + draw.triangles as usize] {
+            for triangle in of_draw {
                 let uvs = triangle.map(|i| scene.uvs[i as usize].to_array());
                 alpha.triangles.push(MaskTriangle { uvs, material: place });
                 if vertices_count {
@@ -162,7 +168,7 @@ mod tests {
         (rest.first_triangle, rest.triangles) = (rest.first_triangle + 1, rest.triangles - 1);
         rest.material = u32::try_from(scene.materials.len() - 1).unwrap();
         scene.draws.insert(at + 1, rest);
-        let alpha = Alpha::new(&scene).unwrap();
+        let alpha = Alpha::new(&scene, &|_| true).unwrap();
         assert_eq!((alpha.materials.len(), alpha.pictures.len()), (2, 1));
     }
 
@@ -170,7 +176,7 @@ mod tests {
     fn a_missing_picture_is_an_error() {
         let mut scene = room();
         scene.images.iter_mut().for_each(|image| image.rgba.clear());
-        assert!(matches!(Alpha::new(&scene), Err(BackendError::Alpha { material: LEAF })));
+        assert!(matches!(Alpha::new(&scene, &|_| true), Err(BackendError::Alpha { material: LEAF })));
     }
 
     #[test]

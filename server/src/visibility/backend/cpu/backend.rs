@@ -13,7 +13,7 @@ use super::{
     count::{Counter, Silent, TraversalStats},
     simd::{Level, Simd, WithSimd},
     tile::{Picture, TileCost, TileScratch, trace_tile},
-    world::World,
+    world::{Posed, Stage, World},
 };
 use crate::visibility::{RayShares, TraceCost, backend::BackendError};
 
@@ -60,8 +60,7 @@ impl CpuBackend {
     /// One line for logs: instructions, threads, and the tree.
     #[must_use]
     pub fn describe(&self) -> String {
-        let world = &self.world;
-        let bytes = world.bvh.memory_bytes() + size_of_val(&*world.corners) + world.alpha.memory_bytes();
+        let (world, bytes) = (&self.world.resting, self.world.memory_bytes());
         format!(
             "cpu: {} packets of eight, {} threads, {} triangles in {} leaves under {} nodes of eight, {:.1} MB",
             self.level.name(),
@@ -73,22 +72,28 @@ impl CpuBackend {
         )
     }
 
-    /// Traces the view of `camera` into `mask`, which has the camera's size and a plane for each light of the scene.
-    /// Writes every word. Times are sums over the threads, divided by their number, so they exclude idle time.
+    /// Moves what moves to where it is at a time of the scene, in seconds. `None` if everything rests.
+    pub fn pose(&self, scene_time_s: f64) -> Option<Posed> {
+        self.pool.install(|| self.world.pose(scene_time_s))
+    }
+
+    /// Traces the view of `camera` at time 0 into `mask`, which has the camera's size and a plane for each light of the
+    /// scene. Writes every word. Times are sums over the threads, divided by their number, so they exclude idle time.
     ///
     /// # Panics
     /// If the mask's shape is not the camera's and the scene's.
     pub fn trace(&self, camera: &Camera, mask: &mut Mask) -> TraceCost {
         let rows = 0..mask.shape().tiles_y();
-        self.run::<Silent>(camera, mask, rows).0
+        self.trace_rows(camera, mask, rows, self.pose(0.0).as_ref())
     }
 
-    /// As [`Self::trace`], but only for these rows of tiles. Writes no other words.
+    /// As [`Self::trace`], but only for these rows of tiles, and with what moves where [`Self::pose`] has put it.
+    /// Writes no other words.
     ///
     /// # Panics
     /// If the mask's shape is not the camera's and the scene's.
-    pub fn trace_rows(&self, camera: &Camera, mask: &mut Mask, rows: Range<u32>) -> TraceCost {
-        self.run::<Silent>(camera, mask, rows).0
+    pub fn trace_rows(&self, camera: &Camera, mask: &mut Mask, rows: Range<u32>, posed: Option<&Posed>) -> TraceCost {
+        self.run::<Silent>(camera, mask, rows, posed).0
     }
 
     /// As [`Self::trace`], but slower. Also returns traversal counts for camera rays and for shadow rays.
@@ -97,7 +102,7 @@ impl CpuBackend {
     /// If the mask's shape is not the camera's and the scene's.
     pub fn trace_counted(&self, camera: &Camera, mask: &mut Mask) -> (TraceCost, [TraversalStats; 2]) {
         let rows = 0..mask.shape().tiles_y();
-        let (cost, costs) = self.run::<TraversalStats>(camera, mask, rows);
+        let (cost, costs) = self.run::<TraversalStats>(camera, mask, rows, self.pose(0.0).as_ref());
         let mut stats = [TraversalStats::default(); 2];
         for cost in &costs {
             stats[0].add(&cost.primary_stats);
@@ -106,11 +111,18 @@ impl CpuBackend {
         (cost, stats)
     }
 
-    fn run<C: Counter>(&self, camera: &Camera, mask: &mut Mask, rows: Range<u32>) -> (TraceCost, Vec<TileCost<C>>) {
+    fn run<C: Counter>(
+        &self,
+        camera: &Camera,
+        mask: &mut Mask,
+        rows: Range<u32>,
+        posed: Option<&Posed>,
+    ) -> (TraceCost, Vec<TileCost<C>>) {
+        let stage = self.world.stage(posed);
         let shape = mask.shape();
         assert_eq!(
             (shape.width(), shape.height(), shape.lights() as usize),
-            (camera.width, camera.height, self.world.lights.len()),
+            (camera.width, camera.height, self.world.lights()),
             "the mask's width, height and lights"
         );
         let picture = Picture { basis: camera.ray_basis(self.origin_m), width: camera.width, height: camera.height };
@@ -121,7 +133,7 @@ impl CpuBackend {
             runs.into_par_iter()
                 .map_init(Box::<TileScratch>::default, |scratch, run| {
                     level.dispatch(TraceRun {
-                        world: &self.world,
+                        stage: &stage,
                         picture: &picture,
                         run,
                         scratch,
@@ -173,7 +185,7 @@ fn share_out(mask: &mut Mask, rows: Range<u32>) -> Vec<Run<'_>> {
 }
 
 struct TraceRun<'a, C> {
-    world: &'a World,
+    stage: &'a Stage<'a>,
     picture: &'a Picture,
     run: Run<'a>,
     scratch: &'a mut TileScratch,
@@ -189,7 +201,7 @@ impl<C: Counter> WithSimd for TraceRun<'_, C> {
         for (tile_x, tile) in (self.run.tile_x..).zip(0..tiles) {
             let words = &mut self.run.words;
             let place = (tile_x, self.run.tile_y);
-            trace_tile(s, self.world, self.picture, place, self.scratch, &mut self.cost, |plane, word| {
+            trace_tile(s, self.stage, self.picture, place, self.scratch, &mut self.cost, |plane, word| {
                 words[plane][tile] = word;
             });
         }

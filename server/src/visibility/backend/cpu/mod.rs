@@ -26,4 +26,4 @@ mod traverse;
 mod vector;
 mod world;
 
-pub use self::{backend::CpuBackend, count::TraversalStats};
+pub use self::{backend::CpuBackend, count::TraversalStats, world::Posed};

@@ -19,17 +19,38 @@ pub(super) struct Corners {
     geometric: [f32; 3],
 }
 
+/// The corners of a scene's triangles: those that rest, and after them those that move.
+#[derive(Clone, Copy)]
+pub(super) struct AllCorners<'a> {
+    pub(super) resting: &'a [Corners],
+    pub(super) moving: &'a [Corners],
+}
+
+impl<'a> AllCorners<'a> {
+    #[inline(always)]
+    fn of(&self, triangle: u32) -> &'a Corners {
+        let triangle = triangle as usize;
+        if triangle < self.resting.len() {
+            &self.resting[triangle]
+        } else {
+            &self.moving[triangle - self.resting.len()]
+        }
+    }
+}
+
 impl Corners {
-    /// The corners of all triangles that stop rays.
-    pub(super) fn of(scene: &Scene) -> Vec<Self> {
-        scene
-            .tracing_triangles()
-            .iter()
-            .map(|corners| {
-                let of = |from: &[Vec3]| corners.map(|i| from[i as usize]);
-                Self::new(of(&scene.positions), of(&scene.normals))
-            })
-            .collect()
+    /// The corners of these triangles.
+    pub(super) fn of(scene: &Scene, triangles: &[[u32; 3]]) -> Vec<Self> {
+        let corners = triangles.iter().map(|corners| {
+            let of = |from: &[Vec3]| corners.map(|i| from[i as usize]);
+            Self::new(of(&scene.positions), of(&scene.normals))
+        });
+        corners.collect()
+    }
+
+    /// The positions. `None` if they have no area.
+    pub(super) fn positions(&self) -> Option<[Vec3; 3]> {
+        (self.geometric != [0.0; 3]).then(|| self.positions.map(Vec3::from_array))
     }
 
     /// The unit normal of the plane.
@@ -38,7 +59,7 @@ impl Corners {
         self.geometric
     }
 
-    fn new(positions: [Vec3; 3], normals: [Vec3; 3]) -> Self {
+    pub(super) fn new(positions: [Vec3; 3], normals: [Vec3; 3]) -> Self {
         let [a, b, c] = positions;
         Self {
             positions: positions.map(|corner| corner.to_array()),
@@ -84,7 +105,7 @@ impl Surface {
         s: S,
         p: usize,
         lanes: u8,
-        corners: &[Corners],
+        corners: AllCorners<'_>,
         triangles: &[u32; 8],
         (apex, direction): (Vec3, [S::F; 3]),
     ) {
@@ -96,7 +117,7 @@ impl Surface {
         let mut normals = [[F8::default(); 3]; 3];
         let mut geometric = [F8::default(); 3];
         for (lane, &triangle) in triangles.iter().enumerate() {
-            let from = &corners[triangle as usize];
+            let from = corners.of(triangle);
             for corner in 0..3 {
                 for axis in 0..3 {
                     positions[corner][axis].0[lane] = from.positions[corner][axis];
@@ -164,7 +185,8 @@ mod tests {
         fn run<S: Simd>(self, s: S) -> [DVec3; 8] {
             let mut surface = Surface::default();
             let direction = vector::load(s, &self.2);
-            surface.set_packet(s, 0, 0xff, self.0, &[0, 1, 2, 3, 4, 5, 6, 7], (self.1, direction));
+            let corners = AllCorners { resting: self.0, moving: &[] };
+            surface.set_packet(s, 0, 0xff, corners, &[0, 1, 2, 3, 4, 5, 6, 7], (self.1, direction));
             std::array::from_fn(|lane| {
                 let [x, y, z] = [0, 1, 2].map(|axis| f64::from(surface.pushed[axis][0].0[lane]));
                 DVec3::new(x, y, z)

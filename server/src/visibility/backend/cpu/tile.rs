@@ -14,7 +14,7 @@ use super::{
     surface::{Coordinates, Surface},
     traverse::{Hits, Scratch, intersect, occluded},
     vector,
-    world::World,
+    world::Stage,
 };
 use crate::visibility::hierarchy::bvh::Child;
 
@@ -41,8 +41,8 @@ pub(super) struct TileScratch {
     hits: Hits,
     surface: Surface,
     traversal: Scratch,
-    /// The child that last stopped a shadow ray, by light.
-    blockers: [Child; 32],
+    /// The child that last stopped a shadow ray, by light: in the tree of what rests, and of what moves.
+    blockers: [[Child; 2]; 32],
 }
 
 impl Default for TileScratch {
@@ -52,7 +52,7 @@ impl Default for TileScratch {
             hits: Hits::default(),
             surface: Surface::default(),
             traversal: Scratch::default(),
-            blockers: [Child::None; 32],
+            blockers: [[Child::None; 2]; 32],
         }
     }
 }
@@ -77,7 +77,7 @@ fn float(x: u32) -> f32 {
 #[inline(always)]
 pub(super) fn trace_tile<S: Simd, C: Counter>(
     s: S,
-    world: &World,
+    stage: &Stage<'_>,
     picture: &Picture,
     (tile_x, tile_y): (u32, u32),
     scratch: &mut TileScratch,
@@ -107,26 +107,29 @@ pub(super) fn trace_tile<S: Simd, C: Counter>(
             let inverse = s.div(s.splat(1.0), z);
             group.set_packet(s, p, x * inverse, y * inverse, lanes[p]);
         }
-        intersect(s, world, &group, hits, traversal, &mut cost.primary_stats);
+        // In a loop, so that the code is there once.
+        for geometry in stage.geometries() {
+            intersect(s, geometry, &group, hits, traversal, &mut cost.primary_stats);
+        }
     }
     for (p, &present) in present.iter().enumerate() {
         let hit = s.bits(s.gt(s.load(&hits.inverse_depth[p]), s.splat(0.0))) & present;
         let direction = vector::load_packet(s, directions, p);
-        surface.set_packet(s, p, hit, &world.corners, &hits.triangle[p], (picture.basis.origin, direction));
+        surface.set_packet(s, p, hit, stage.corners(), &hits.triangle[p], (picture.basis.origin, direction));
     }
     let traced = Instant::now();
     cost.primary += traced - start;
 
-    for (plane, light) in world.lights.iter().enumerate() {
+    for (plane, light) in stage.lights.iter().enumerate() {
         let mut rays = [0; PACKETS];
         for p in (0..PACKETS).filter(|&p| surface.lanes[p] != 0) {
             rays[p] = light.rays(s, surface, p);
         }
-        traversal.blocker = blockers[plane];
+        traversal.blockers = blockers[plane];
         cost.shadow_rays += rays.iter().map(|lanes| u64::from(lanes.count_ones())).sum::<u64>();
-        let word = light_tile(s, world, light, &rays, surface, traversal, &mut cost.shadow_stats);
+        let word = light_tile(s, stage, light, &rays, surface, traversal, &mut cost.shadow_stats);
         write(plane, word);
-        blockers[plane] = traversal.blocker;
+        blockers[plane] = traversal.blockers;
     }
     cost.shadow += traced.elapsed();
 }
@@ -165,7 +168,7 @@ fn aim<S: Simd>(
 #[inline(always)]
 fn light_tile<S: Simd, C: Counter>(
     s: S,
-    world: &World,
+    stage: &Stage<'_>,
     light: &PreparedLight,
     rays: &[u8; PACKETS],
     surface: &Surface,
@@ -178,9 +181,9 @@ fn light_tile<S: Simd, C: Counter>(
     let points = &surface.pushed;
     if light.directional || light.distant {
         let projection = if light.directional {
-            Projection::along(light.direction, world.middle)
+            Projection::along(light.direction, stage.middle)
         } else {
-            Projection::from_distant(light.position, world.middle)
+            Projection::from_distant(light.position, stage.middle)
         };
         let mut group = Group::empty(projection);
         for p in (0..PACKETS).filter(|&p| rays[p] != 0) {
@@ -190,7 +193,7 @@ fn light_tile<S: Simd, C: Counter>(
             let inverse = s.div(s.splat(1.0), s.fma(s.splat(projection.spread), from_middle[2], s.splat(1.0)));
             group.set_packet(s, p, x * inverse, y * inverse, rays[p]);
         }
-        return trace_group::<S, C, true>(s, world, group, points, scratch, count);
+        return trace_group::<S, C, true>(s, stage, group, points, scratch, count);
     }
     let mut word = 0;
     for (face, lanes) in (0..).zip(&light.faces(s, surface, rays)) {
@@ -204,7 +207,7 @@ fn light_tile<S: Simd, C: Counter>(
             let inverse = s.div(s.splat(1.0), z);
             group.set_packet(s, p, x * inverse, y * inverse, lanes[p]);
         }
-        word |= trace_group::<S, C, false>(s, world, group, points, scratch, count);
+        word |= trace_group::<S, C, false>(s, stage, group, points, scratch, count);
     }
     word
 }
@@ -219,27 +222,48 @@ const PADDING: f32 = 0.3;
 #[inline(always)]
 fn trace_group<S: Simd, C: Counter, const PARALLEL: bool>(
     s: S,
-    world: &World,
+    stage: &Stage<'_>,
     mut group: Group,
     points: &Coordinates,
     scratch: &mut Scratch,
     count: &mut C,
 ) -> u64 {
-    let wide = if PARALLEL { WIDE_PARALLEL * world.size_m } else { WIDE };
+    let wide = if PARALLEL { WIDE_PARALLEL * stage.size_m } else { WIDE };
     let side = (group.group_x[1] - group.group_x[0]).max(group.group_y[1] - group.group_y[0]);
     if side > wide {
         let mut regrouping = Regrouping::of(&group, wide * PADDING);
         let mut left = [0; PACKETS];
         for range in regrouping.sort() {
             let mut part = regrouping.part(s, range, group.projection, points);
-            occluded::<S, C, PARALLEL>(s, world, &mut part.group, &part.points, scratch, count);
+            occluded_by_any::<S, C, PARALLEL>(s, stage, &mut part.group, &part.points, scratch, count);
             part.add_left(&mut left);
         }
         group.lanes = left;
     } else {
-        occluded::<S, C, PARALLEL>(s, world, &mut group, points, scratch, count);
+        occluded_by_any::<S, C, PARALLEL>(s, stage, &mut group, points, scratch, count);
     }
     group.lanes.iter().enumerate().fold(0, |word, (p, &lanes)| word | word_bits(p, lanes))
+}
+
+/// Removes the rays that something stops, resting or moving: see [`occluded`].
+#[inline(always)]
+fn occluded_by_any<S: Simd, C: Counter, const PARALLEL: bool>(
+    s: S,
+    stage: &Stage<'_>,
+    group: &mut Group,
+    points: &Coordinates,
+    scratch: &mut Scratch,
+    count: &mut C,
+) {
+    for (tree, geometry) in stage.geometries().enumerate() {
+        if tree > 0 {
+            if group.packets == 0 {
+                return;
+            }
+            group.shrink(s);
+        }
+        occluded::<S, C, PARALLEL>(s, geometry, (tree, stage.size_m), group, points, scratch, count);
+    }
 }
 
 /// Packet `p` of `points` in the projection's frame, relative to its origin.

@@ -1,7 +1,6 @@
 //! Takes a group of rays through the tree: [`intersect`] finds nearest triangles, [`occluded`] any that stops a ray.
 
 use super::{
-    alpha::Alpha,
     count::Counter,
     frustum::Frustum,
     group::{Group, PACKETS},
@@ -9,7 +8,7 @@ use super::{
     rounding::{PLANE_ROUNDINGS, ROUNDING},
     simd::{F8, Simd},
     vector,
-    world::World,
+    world::Geometry,
 };
 use crate::visibility::hierarchy::bvh::{Child, Leaf, Node};
 
@@ -18,13 +17,14 @@ pub(super) struct Scratch {
     /// Nodes and leaves left to visit, and where each one's box begins along z.
     stack: Vec<(Child, f32)>,
     prepared: Prepared,
-    /// The child that last stopped a shadow ray to this light, visited first.
-    pub(super) blocker: Child,
+    /// The child that last stopped a shadow ray to this light, visited first: in the tree of what rests, and of what
+    /// moves.
+    pub(super) blockers: [Child; 2],
 }
 
 impl Default for Scratch {
     fn default() -> Self {
-        Self { stack: Vec::new(), prepared: Prepared::default(), blocker: Child::None }
+        Self { stack: Vec::new(), prepared: Prepared::default(), blockers: [Child::None; 2] }
     }
 }
 
@@ -44,11 +44,12 @@ impl Default for Hits {
 /// Boxes are culled with this margin, since 1/z has a relative error.
 const DEPTH_SLACK: f32 = 1.0 + 1.0 / (1 << 20) as f32;
 
-/// Finds the nearest triangle of every ray in `group`, which has an apex. `hits` may hold other groups' hits only.
+/// Finds the nearest triangle of every ray in `group`, which has an apex. `hits` may hold other groups' hits, and this
+/// one's in other geometry.
 #[inline(always)]
 pub(super) fn intersect<S: Simd, C: Counter>(
     s: S,
-    world: &World,
+    geometry: Geometry<'_>,
     group: &Group,
     hits: &mut Hits,
     scratch: &mut Scratch,
@@ -64,6 +65,16 @@ pub(super) fn intersect<S: Simd, C: Counter>(
     }
     let mut inverse_far = 0.0;
     let mut z_far = f32::INFINITY;
+    if geometry.first != 0 {
+        // The rays may have hit what rests.
+        let nothing = s.splat(f32::INFINITY);
+        for p in (0..PACKETS).filter(|p| group.packets >> p & 1 == 1) {
+            let best = s.load(&hits.inverse_depth[p]);
+            packet_far.0[p] = s.lowest(s.select(s.mask(group.lanes[p]), best, nothing));
+        }
+        inverse_far = s.lowest(s.load(&packet_far));
+        z_far = if inverse_far > 0.0 { DEPTH_SLACK / inverse_far } else { f32::INFINITY };
+    }
     let Scratch { stack, prepared, .. } = scratch;
     stack.clear();
     stack.push((Child::Node(0), 0.0));
@@ -76,10 +87,10 @@ pub(super) fn intersect<S: Simd, C: Counter>(
             Child::None => continue,
             Child::Node(n) => {
                 count.node();
-                push_nearest_last(s, &frustum, &world.bvh.nodes[n as usize], s.splat(z_far), stack);
+                push_nearest_last(s, &frustum, &geometry.bvh.nodes[n as usize], s.splat(z_far), stack);
                 continue;
             }
-            Child::Leaf(l) => &world.bvh.leaves[l as usize],
+            Child::Leaf(l) => &geometry.bvh.leaves[l as usize],
         };
         count.leaf(leaf.used.count_ones());
         let mut alive = prepare::<S, false, true>(s, leaf, group, inverse_far, prepared);
@@ -105,7 +116,7 @@ pub(super) fn intersect<S: Simd, C: Counter>(
                 count.candidate();
                 if leaf.masked >> slot & 1 == 1 {
                     count.alpha(lanes.count_ones());
-                    lanes = alpha_filter(s, &world.alpha, leaf.triangles[slot], edges, lanes);
+                    lanes = alpha_filter(s, geometry, leaf.triangles[slot], edges, lanes);
                     if lanes == 0 {
                         continue;
                     }
@@ -114,7 +125,7 @@ pub(super) fn intersect<S: Simd, C: Counter>(
                 s.store(best, &mut hits.inverse_depth[p]);
                 for (lane, triangle) in hits.triangle[p].iter_mut().enumerate() {
                     if lanes >> lane & 1 == 1 {
-                        *triangle = leaf.triangles[slot];
+                        *triangle = geometry.first + leaf.triangles[slot];
                     }
                 }
                 let nothing = s.splat(f32::INFINITY);
@@ -130,20 +141,22 @@ pub(super) fn intersect<S: Simd, C: Counter>(
 }
 
 /// Removes from `group` every ray that a triangle stops before its end point in `points` (scene axes, by packet). The
-/// remaining rays reach their points.
+/// remaining rays reach their points. `tree` says which blocker is this geometry's; `size_m` bounds the scene.
 #[inline(always)]
 pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
     s: S,
-    world: &World,
+    geometry: Geometry<'_>,
+    (tree, size_m): (usize, f32),
     group: &mut Group,
     points: &[[F8; PACKETS]; 3],
     scratch: &mut Scratch,
     count: &mut C,
 ) {
-    let mut frustum = Frustum::new::<PARALLEL>(s, group, world.size_m);
+    let mut frustum = Frustum::new::<PARALLEL>(s, group, size_m);
     let mut swept = group.packets;
     let z_far = s.splat(farthest(s, group, points));
-    let Scratch { stack, prepared, blocker } = scratch;
+    let Scratch { stack, prepared, blockers } = scratch;
+    let blocker = &mut blockers[tree];
     stack.clear();
     stack.push((Child::Node(0), 0.0));
     stack.push((*blocker, 0.0));
@@ -152,16 +165,16 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
         if group.packets != swept {
             swept = group.packets;
             group.shrink(s);
-            frustum = Frustum::new::<PARALLEL>(s, group, world.size_m);
+            frustum = Frustum::new::<PARALLEL>(s, group, size_m);
         }
         let leaf = match child {
             Child::None => continue,
             Child::Node(n) => {
                 count.node();
-                push_nearest_last(s, &frustum, &world.bvh.nodes[n as usize], z_far, stack);
+                push_nearest_last(s, &frustum, &geometry.bvh.nodes[n as usize], z_far, stack);
                 continue;
             }
-            Child::Leaf(l) => &world.bvh.leaves[l as usize],
+            Child::Leaf(l) => &geometry.bvh.leaves[l as usize],
         };
         count.leaf(leaf.used.count_ones());
         let mut alive = prepare::<S, PARALLEL, false>(s, leaf, group, 0.0, prepared);
@@ -182,11 +195,11 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
                 }
                 count.candidate();
                 let back = prepared.back >> slot & 1 == 1;
-                let normal = world.corners[leaf.triangles[slot] as usize].geometric();
+                let normal = geometry.corners[leaf.triangles[slot] as usize].geometric();
                 lanes &= s.bits(behind_plane(s, normal, leaf, slot, back, vector::load_packet(s, points, p)));
                 if lanes != 0 && leaf.masked >> slot & 1 == 1 {
                     count.alpha(lanes.count_ones());
-                    lanes = alpha_filter(s, &world.alpha, leaf.triangles[slot], edges, lanes);
+                    lanes = alpha_filter(s, geometry, leaf.triangles[slot], edges, lanes);
                 }
                 if lanes == 0 {
                     continue;
@@ -260,14 +273,16 @@ fn behind_plane<S: Simd>(s: S, normal: [f32; 3], leaf: &Leaf, slot: usize, back:
 
 /// Returns the lanes whose hit of a MASK triangle passes the alpha test.
 #[inline(always)]
-fn alpha_filter<S: Simd>(s: S, alpha: &Alpha, triangle: u32, edges: [S::F; 3], lanes: u8) -> u8 {
+fn alpha_filter<S: Simd>(s: S, geometry: Geometry<'_>, triangle: u32, edges: [S::F; 3], lanes: u8) -> u8 {
+    // Texture coordinates keep their order where corners have changed places.
+    let edges = if geometry.is_turned(triangle) { [edges[0], edges[2], edges[1]] } else { edges };
     let mut weights = [F8::default(); 3];
     s.store(edges[0], &mut weights[0]);
     s.store(edges[1], &mut weights[1]);
     s.store(edges[2], &mut weights[2]);
     let mut kept = 0;
     for lane in (0..8).filter(|lane| lanes >> lane & 1 == 1) {
-        let passes = alpha.passes(triangle, weights.each_ref().map(|weight| weight.0[lane]));
+        let passes = geometry.alpha.passes(triangle, weights.each_ref().map(|weight| weight.0[lane]));
         kept |= u8::from(passes) << lane;
     }
     kept

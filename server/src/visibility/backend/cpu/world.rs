@@ -1,40 +1,285 @@
-//! All data that tracing reads.
+//! All data that tracing reads: geometry that rests, geometry that moves as it is at one time, and the lights.
 
 use glam::Vec3;
-use gnomon_scene::{AlphaMode, Scene};
+use gnomon_scene::{Aabb, AlphaMode, Light, Moment, Scene};
+use rayon::iter::{IntoParallelIterator, IntoParallelRefIterator, ParallelIterator};
 
-use super::{alpha::Alpha, light::PreparedLight, surface::Corners};
+use super::{
+    alpha::Alpha,
+    light::PreparedLight,
+    surface::{AllCorners, Corners},
+};
 use crate::visibility::{
     backend::BackendError,
-    hierarchy::bvh::{TriangleFlags, WideBvh},
+    hierarchy::{
+        bvh::{TriangleFlags, WideBvh},
+        moving::Bounds,
+    },
 };
 
 pub(super) struct World {
+    pub(super) resting: Resting,
+    moving: Option<Box<Moving>>,
+    /// Without anything that moves.
+    around: Around,
+}
+
+/// What never moves.
+pub(super) struct Resting {
     pub(super) bvh: WideBvh,
     pub(super) corners: Vec<Corners>,
     pub(super) alpha: Alpha,
-    pub(super) lights: Vec<PreparedLight>,
+}
+
+/// What moves, in its own spaces.
+struct Moving {
+    /// The scene's animation, lights and origin, without geometry.
+    stage: Scene,
+    alpha: Alpha,
+    /// Moving triangles that stop rays, as indices into the animation's positions; the same of those that let light
+    /// through, which only bound the scene.
+    triangles: Vec<[u32; 3]>,
+    through: Vec<[u32; 3]>,
+    pieces: Vec<MovingPiece>,
+    /// Bounds of what rests, BLEND triangles too. `None` if nothing does.
+    resting: Option<Bounds>,
+}
+
+struct MovingPiece {
+    /// Its vertices, as a range of the animation's.
+    vertices: std::ops::Range<usize>,
+    /// Its tree. Triangles are indices into `Moving::triangles`.
+    bvh: WideBvh,
+}
+
+/// What moves, as it is at one time.
+pub struct Posed {
+    bvh: WideBvh,
+    corners: Vec<Corners>,
+    /// Triangles two of whose corners have changed places, by index. Empty if none has.
+    turned: Vec<bool>,
+    around: Around,
+}
+
+/// Lights, and how large the scene is.
+struct Around {
+    lights: Vec<PreparedLight>,
     /// The origin of parallel rays: the middle of the scene.
-    pub(super) middle: Vec3,
+    middle: Vec3,
     /// Bound on the distance of scene coordinates from the middle, even when sheared.
+    size_m: f32,
+}
+
+/// A tree, and what its triangles are.
+#[derive(Clone, Copy)]
+pub(super) struct Geometry<'a> {
+    pub(super) bvh: &'a WideBvh,
+    pub(super) corners: &'a [Corners],
+    pub(super) alpha: &'a Alpha,
+    /// Index of the first triangle among all.
+    pub(super) first: u32,
+    /// See [`Posed::turned`].
+    turned: &'a [bool],
+}
+
+impl Geometry<'_> {
+    /// Returns whether corners 1 and 2 of a triangle have changed places.
+    #[inline(always)]
+    pub(super) fn is_turned(&self, triangle: u32) -> bool {
+        self.turned.get(triangle as usize) == Some(&true)
+    }
+}
+
+/// Everything at one time.
+#[derive(Clone, Copy)]
+pub(super) struct Stage<'a> {
+    pub(super) resting: Geometry<'a>,
+    pub(super) moving: Option<Geometry<'a>>,
+    pub(super) lights: &'a [PreparedLight],
+    pub(super) middle: Vec3,
     pub(super) size_m: f32,
 }
 
-impl World {
-    /// Builds the tree on the current rayon pool. Errors if the alpha picture of a MASK material is not decoded.
-    pub(super) fn new(scene: &Scene) -> Result<Self, BackendError> {
-        let flags = triangle_flags(scene);
-        let middle = (scene.bounds.min + scene.bounds.max) * 0.5;
-        let size_m = (scene.bounds.max - scene.bounds.min).max_element() * 2.0;
-        Ok(Self {
-            bvh: WideBvh::build(&scene.positions, scene.tracing_triangles(), &|t| flags[t as usize]),
-            corners: Corners::of(scene),
-            alpha: Alpha::new(scene)?,
-            lights: scene.lights.iter().map(|light| PreparedLight::new(light, middle, size_m)).collect(),
-            middle,
-            size_m,
-        })
+impl<'a> Stage<'a> {
+    /// What rests, and then what moves.
+    #[inline(always)]
+    pub(super) fn geometries(&self) -> impl Iterator<Item = Geometry<'a>> + use<'a> {
+        [Some(self.resting), self.moving].into_iter().flatten()
     }
+
+    pub(super) fn corners(&self) -> AllCorners<'a> {
+        let moving = self.moving.map_or(&[][..], |moving| moving.corners);
+        AllCorners { resting: self.resting.corners, moving }
+    }
+}
+
+impl Around {
+    fn new(lights: &[Light], Aabb { min, max }: Aabb) -> Self {
+        let middle = (min + max) * 0.5;
+        let size_m = (max - min).max_element() * 2.0;
+        let lights = lights.iter().map(|light| PreparedLight::new(light, middle, size_m)).collect();
+        Self { lights, middle, size_m }
+    }
+}
+
+impl World {
+    /// Builds the trees on the current rayon pool. Errors if the alpha picture of a MASK material is not decoded.
+    pub(super) fn new(scene: &Scene) -> Result<Self, BackendError> {
+        let rests = |corners: &[u32; 3]| !moves(scene, corners);
+        let (flags, all) = (triangle_flags(scene), scene.tracing_triangles());
+        let (triangles, flags): (Vec<[u32; 3]>, Vec<TriangleFlags>) =
+            all.iter().zip(flags).filter(|(corners, _)| rests(corners)).unzip();
+        let resting = Resting {
+            bvh: WideBvh::build(&scene.positions, &triangles, &|t| flags[t as usize]),
+            corners: Corners::of(scene, &triangles),
+            alpha: Alpha::new(scene, &rests)?,
+        };
+        let moving = if scene.animation.is_some() { Some(Box::new(Moving::new(scene)?)) } else { None };
+        Ok(Self { resting, moving, around: Around::new(&scene.lights, scene.bounds) })
+    }
+
+    pub(super) fn lights(&self) -> usize {
+        self.around.lights.len()
+    }
+
+    pub(super) fn memory_bytes(&self) -> usize {
+        let Resting { bvh, corners, alpha } = &self.resting;
+        let moving = self.moving.iter().map(|moving| moving.memory_bytes()).sum::<usize>();
+        bvh.memory_bytes() + size_of_val(&**corners) + alpha.memory_bytes() + moving
+    }
+
+    /// Moves what moves, on the current rayon pool. `None` if everything rests.
+    pub(super) fn pose(&self, time_s: f64) -> Option<Posed> {
+        self.moving.as_ref().map(|moving| moving.pose(time_s))
+    }
+
+    /// Returns everything at the time of `posed`.
+    pub(super) fn stage<'a>(&'a self, posed: Option<&'a Posed>) -> Stage<'a> {
+        let Resting { bvh, corners, alpha } = &self.resting;
+        let resting = Geometry { bvh, corners, alpha, first: 0, turned: &[] };
+        // Fewer than 2^31 triangles: see `MAX_TRIANGLES`.
+        let first = u32::try_from(corners.len()).unwrap_or(u32::MAX);
+        let moving = posed.zip(self.moving.as_ref()).map(|(posed, moving)| {
+            let Posed { bvh, corners, turned, .. } = posed;
+            Geometry { bvh, corners, alpha: &moving.alpha, first, turned }
+        });
+        let Around { lights, middle, size_m } = posed.map_or(&self.around, |posed| &posed.around);
+        Stage { resting, moving, lights, middle: *middle, size_m: *size_m }
+    }
+}
+
+impl Moving {
+    fn new(scene: &Scene) -> Result<Self, BackendError> {
+        let alpha = Alpha::new(scene, &|corners| moves(scene, corners))?;
+        let animation = scene.animation.clone().unwrap_or_default();
+        let firsts = animation.first_positions();
+        let own = |corners: &[u32; 3]| {
+            let piece = animation.piece_of(corners[0])?;
+            let (first, before) = (firsts.get(piece)?, animation.pieces.get(piece)?.first_vertex);
+            // Moving vertices are at most as many as the scene's, whose number fits.
+            let index = |corner: u32| u32::try_from(first + (corner - before) as usize).unwrap_or(u32::MAX);
+            Some((piece, corners.map(index)))
+        };
+        let (flags, all) = (triangle_flags(scene), scene.tracing_triangles());
+        let (mut triangles, mut of_pieces) = (Vec::new(), vec![Vec::new(); animation.pieces.len()]);
+        for (corners, flags) in all.iter().zip(flags) {
+            if let Some((piece, corners)) = own(corners) {
+                of_pieces[piece].push((triangles.len(), corners, flags));
+                triangles.push(corners);
+            }
+        }
+        let through = scene.triangles[all.len()..].iter().filter_map(|corners| Some(own(corners)?.1)).collect();
+        let build = |(piece, members): (usize, Vec<(usize, [u32; 3], TriangleFlags)>)| {
+            let (corners, flags): (Vec<[u32; 3]>, Vec<TriangleFlags>) =
+                members.iter().map(|(_, corners, flags)| (*corners, *flags)).unzip();
+            let mut bvh = WideBvh::build(&animation.positions, &corners, &|t| flags[t as usize]);
+            for triangle in bvh.leaves.iter_mut().flat_map(|leaf| &mut leaf.triangles) {
+                let index = members.get(*triangle as usize).map_or(0, |(index, ..)| *index);
+                *triangle = u32::try_from(index).unwrap_or(u32::MAX);
+            }
+            MovingPiece { vertices: firsts[piece]..firsts[piece] + animation.pieces[piece].vertices as usize, bvh }
+        };
+        let pieces = of_pieces.into_iter().enumerate().map(build).collect();
+        let corners = scene.triangles.iter().filter(|corners| !moves(scene, corners)).flatten();
+        let mut positions = corners.map(|corner| scene.positions[*corner as usize]);
+        let resting = positions
+            .next()
+            .map(|first| positions.fold([first; 2], |[min, max], position| [min.min(position), max.max(position)]));
+        let (lights, origin_m) = (scene.lights.clone(), scene.origin_m);
+        let stage = Scene { animation: Some(animation), lights, origin_m, ..Scene::default() };
+        Ok(Self { stage, alpha, triangles, through, pieces, resting })
+    }
+
+    fn memory_bytes(&self) -> usize {
+        let animation = self.stage.animation.iter();
+        let vertices = animation.map(|animation| size_of_val(&*animation.positions) * 2).sum::<usize>();
+        let trees = self.pieces.iter().map(|piece| piece.bvh.memory_bytes()).sum::<usize>();
+        // The trees and the corners are there again, posed.
+        self.alpha.memory_bytes() + vertices + 2 * trees + self.triangles.len() * size_of::<Corners>()
+    }
+
+    fn pose(&self, time_s: f64) -> Posed {
+        let moment = self.stage.moment(time_s).unwrap_or(Moment { pieces: Vec::new(), lights: Vec::new() });
+        let Some(animation) = &self.stage.animation else { return self.nothing(&moment) };
+        let pieces: Vec<_> = self.pieces.iter().zip(&moment.pieces).collect();
+        // Each piece's vertices, in the order of the pieces.
+        let vertices: Vec<(Vec3, Vec3)> = pieces
+            .par_iter()
+            .flat_map_iter(|(piece, placement)| {
+                piece.vertices.clone().map(move |at| {
+                    let (position, normal) = (animation.positions[at], animation.normals[at]);
+                    // What is not shown is in no tree.
+                    placement.as_ref().map_or((position, normal), |it| (it.position(position), it.normal(normal)))
+                })
+            })
+            .collect();
+        let piece_of = |vertex: u32| self.pieces.partition_point(|piece| piece.vertices.end <= vertex as usize);
+        let placed = |corners: &[u32; 3]| {
+            let placement = moment.pieces.get(piece_of(corners[0])).copied().flatten()?;
+            Some(placement.corners(corners.map(|corner| vertices[corner as usize])))
+        };
+        let corners: Vec<Corners> = self
+            .triangles
+            .par_iter()
+            .map(|corners| {
+                let [a, b, c] = placed(corners).unwrap_or_default();
+                Corners::new([a.0, b.0, c.0], [a.1, b.1, c.1])
+            })
+            .collect();
+        let is_turned = |corners: &[u32; 3]| {
+            moment.pieces.get(piece_of(corners[0])).copied().flatten().is_some_and(|placement| placement.turned)
+        };
+        let any = moment.pieces.iter().flatten().any(|placement| placement.turned);
+        let turned = if any { self.triangles.iter().map(is_turned).collect() } else { Vec::new() };
+        let trees: Vec<(WideBvh, Bounds)> = pieces
+            .into_par_iter()
+            .filter(|(piece, placement)| placement.is_some() && !piece.bvh.leaves.is_empty())
+            .map(|(piece, _)| {
+                let mut bvh = piece.bvh.clone();
+                let bounds = bvh.refit(|triangle| corners[triangle as usize].positions());
+                (bvh, bounds)
+            })
+            .collect();
+        // Those without any area have inverted bounds.
+        let trees: Vec<_> = trees.into_iter().filter(|(_, [min, max])| min.cmple(*max).all()).collect();
+        let through = self.through.iter().filter_map(placed);
+        let through = through.map(|[a, b, c]| [a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0)]);
+        let all = self.resting.into_iter().chain(trees.iter().map(|(_, bounds)| *bounds)).chain(through);
+        let bounds = all.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])]);
+        let [min, max] = bounds.unwrap_or_default();
+        Posed { bvh: WideBvh::join(trees), corners, turned, around: Around::new(&moment.lights, Aabb { min, max }) }
+    }
+
+    fn nothing(&self, moment: &Moment) -> Posed {
+        let [min, max] = self.resting.unwrap_or_default();
+        let around = Around::new(&moment.lights, Aabb { min, max });
+        Posed { bvh: WideBvh::join(Vec::new()), corners: Vec::new(), turned: Vec::new(), around }
+    }
+}
+
+/// Returns whether a triangle moves.
+fn moves(scene: &Scene, corners: &[u32; 3]) -> bool {
+    scene.animation.as_ref().is_some_and(|animation| animation.piece_of(corners[0]).is_some())
 }
 
 /// How each triangle's material treats rays.

@@ -64,7 +64,14 @@ fn ask(port: &SessionPort, frame: u32, kind: (u32, u32, f64)) {
     let received_at = Instant::now();
     // A short frame is due sooner.
     let (camera, interval) = (camera(frame, kind), Duration::from_millis(u64::from(kind.0)));
-    port.request(TraceRequest { frame: FrameNumber(frame), camera, ahead: None, received_at, interval });
+    port.request(TraceRequest {
+        frame: FrameNumber(frame),
+        camera,
+        scene_time_s: 0.0,
+        ahead: None,
+        received_at,
+        interval,
+    });
 }
 
 impl Rig {

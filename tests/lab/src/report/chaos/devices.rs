@@ -263,6 +263,7 @@ fn request(port: &mut SessionPort, shape: MaskShape, frame: u32) {
     port.request(TraceRequest {
         frame: FrameNumber(frame),
         camera: Camera::looking_at(glam::DVec3::ZERO, target, 1.0, shape.width(), shape.height()),
+        scene_time_s: 0.0,
         ahead: None,
         received_at: Instant::now(),
         interval: Duration::from_millis(16),

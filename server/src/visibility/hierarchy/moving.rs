@@ -1,0 +1,208 @@
+//! Hierarchies of what moves: refitted in place, and joined under a small top for each frame.
+//!
+//! A rigid piece's triangles stay together however it moves, so its tree keeps its shape: only boxes and corners
+//! change. They are computed from the moved triangles, which are f32 in the scene's space like all others, so a tree of
+//! moved triangles is traversed by the same code, with the same error bounds, as one of resting ones
+//! (`shaders/scene/docs/living.md`).
+
+use glam::Vec3;
+
+use super::bvh::{Child, LEAF_BIT, Leaf, NO_CHILD, Node, WIDTH, WideBvh, span, word};
+
+/// Lowest and highest corner. Inverted around nothing.
+pub type Bounds = [Vec3; 2];
+
+const NOTHING: Bounds = [Vec3::INFINITY, Vec3::NEG_INFINITY];
+
+fn joined(one: Bounds, other: Bounds) -> Bounds {
+    [one[0].min(other[0]), one[1].max(other[1])]
+}
+
+impl WideBvh {
+    /// Moves triangles, without changing which of them lie together. `corners` returns a triangle's new corners, or
+    /// `None` if it has no area: then nothing hits it. Returns the bounds of all.
+    pub fn refit(&mut self, mut corners: impl FnMut(u32) -> Option<[Vec3; 3]>) -> Bounds {
+        let leaves: Vec<Bounds> = self.leaves.iter_mut().map(|leaf| leaf.refit(&mut corners)).collect();
+        let mut nodes = vec![NOTHING; self.nodes.len()];
+        // Children come after their parents.
+        for (n, node) in self.nodes.iter_mut().enumerate().rev() {
+            for slot in 0..WIDTH {
+                let bounds = match node.child(slot) {
+                    Child::None => continue,
+                    Child::Node(child) => nodes[child as usize],
+                    Child::Leaf(child) => leaves[child as usize],
+                };
+                node.set_bounds(slot, bounds);
+                nodes[n] = joined(nodes[n], bounds);
+            }
+        }
+        nodes.first().copied().unwrap_or(NOTHING)
+    }
+
+    /// Joins trees with their bounds under one root. Indices of triangles stay as they are.
+    #[must_use]
+    pub fn join(trees: Vec<(Self, Bounds)>) -> Self {
+        let (nodes, levels) = top(&trees.iter().map(|(_, bounds)| *bounds).collect::<Vec<_>>());
+        let of_top = nodes.len();
+        let mut all = Self { nodes, leaves: Vec::new(), depth: levels };
+        let mut roots = Vec::with_capacity(trees.len());
+        for (mut tree, _) in trees {
+            let (first_node, first_leaf) = (all.nodes.len(), all.leaves.len());
+            roots.push(word(first_node));
+            for node in &mut tree.nodes {
+                node.children = std::array::from_fn(|slot| match node.child(slot) {
+                    Child::None => NO_CHILD,
+                    Child::Node(child) => word(child as usize + first_node),
+                    Child::Leaf(child) => word(child as usize + first_leaf) | LEAF_BIT,
+                });
+            }
+            all.nodes.append(&mut tree.nodes);
+            all.leaves.append(&mut tree.leaves);
+            all.depth = all.depth.max(tree.depth + levels);
+        }
+        // In the top, leaves stand for whole trees.
+        for node in &mut all.nodes[..of_top] {
+            for child in node.children.iter_mut().filter(|child| **child != NO_CHILD && **child & LEAF_BIT != 0) {
+                *child = roots[(*child & !LEAF_BIT) as usize];
+            }
+        }
+        all
+    }
+}
+
+impl Leaf {
+    fn refit(&mut self, corners: &mut impl FnMut(u32) -> Option<[Vec3; 3]>) -> Bounds {
+        let mut bounds = NOTHING;
+        self.used = 0;
+        for slot in (0..WIDTH).filter(|slot| self.there >> slot & 1 == 1) {
+            let Some(moved) = corners(self.triangles[slot]) else { continue };
+            self.used |= 1 << slot;
+            for (places, position) in self.corners.iter_mut().zip(moved) {
+                for (place, coordinate) in places.iter_mut().zip(position.to_array()) {
+                    place.0[slot] = coordinate;
+                }
+                bounds = joined(bounds, [position; 2]);
+            }
+            self.span.0[slot] = span(moved);
+        }
+        bounds
+    }
+}
+
+impl Node {
+    fn set_bounds(&mut self, slot: usize, [min, max]: Bounds) {
+        for axis in 0..3 {
+            self.min[axis].0[slot] = min[axis];
+            self.max[axis].0[slot] = max[axis];
+        }
+    }
+}
+
+/// Returns a small tree over boxes, whose leaves are the boxes' indices, and its number of levels. Each node halves its
+/// largest part until there are eight, along the longest side of the centres.
+fn top(boxes: &[Bounds]) -> (Vec<Node>, usize) {
+    let (mut nodes, mut levels) = (vec![Node::EMPTY], 1);
+    let mut order: Vec<usize> = (0..boxes.len()).collect();
+    let mut open = vec![(0, 0..boxes.len(), 1)];
+    while let Some((place, range, level)) = open.pop() {
+        levels = levels.max(level);
+        let mut parts = vec![range];
+        while parts.len() < WIDTH {
+            let largest = (0..parts.len()).max_by_key(|part| parts[*part].len()).unwrap_or(0);
+            let part = parts[largest].clone();
+            if part.len() < 2 {
+                break;
+            }
+            let members = &mut order[part.clone()];
+            let centre = |index: &usize| boxes[*index][0] + boxes[*index][1];
+            let [min, max] = members.iter().fold(NOTHING, |bounds, index| joined(bounds, [centre(index); 2]));
+            let axis = (max - min).max_position();
+            members.sort_unstable_by(|a, b| centre(a)[axis].total_cmp(&centre(b)[axis]));
+            let middle = part.start + part.len() / 2;
+            parts[largest] = part.start..middle;
+            parts.push(middle..part.end);
+        }
+        for (slot, part) in parts.into_iter().filter(|part| !part.is_empty()).enumerate() {
+            let bounds = order[part.clone()].iter().fold(NOTHING, |bounds, index| joined(bounds, boxes[*index]));
+            nodes[place].set_bounds(slot, bounds);
+            nodes[place].children[slot] = if part.len() == 1 {
+                word(order[part.start]) | LEAF_BIT
+            } else {
+                nodes.push(Node::EMPTY);
+                open.push((nodes.len() - 1, part, level + 1));
+                word(nodes.len() - 1)
+            };
+        }
+    }
+    (nodes, levels)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::visibility::hierarchy::bvh::TriangleFlags;
+
+    /// A strip of triangles that starts at `at`; every third of them has no area once it has moved.
+    fn strip(at: Vec3, count: u32) -> (WideBvh, Vec<[Vec3; 3]>) {
+        let along = |i: u32| at + Vec3::new(i as f32, (i * i % 7) as f32, 0.0);
+        let corners: Vec<[Vec3; 3]> = (0..count).map(|i| [along(i), along(i) + Vec3::Z, along(i) + Vec3::Y]).collect();
+        let positions: Vec<Vec3> = corners.iter().flatten().copied().collect();
+        let triangles: Vec<[u32; 3]> = (0..count).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        (WideBvh::build(&positions, &triangles, &|_| TriangleFlags::default()), corners)
+    }
+
+    #[test]
+    fn moved_triangles_lie_in_all_boxes_above_them_and_flat_ones_are_hit_by_nothing() {
+        for trees in [0, 1, 2, 8, 9, 70] {
+            let moved = |tree: u32, triangle: u32, corners: &[Vec3; 3]| {
+                let turn = glam::Quat::from_rotation_x(tree as f32);
+                (!triangle.is_multiple_of(3)).then(|| corners.map(|corner| turn * corner * 3.0 - Vec3::Y))
+            };
+            let mut all = Vec::new();
+            for tree in 0..trees {
+                let (mut bvh, corners) = strip(Vec3::splat(10.0 * tree as f32), 40);
+                let bounds = bvh.refit(|triangle| moved(tree, triangle, &corners[triangle as usize]));
+                // Indices tell trees apart.
+                bvh.leaves.iter_mut().for_each(|leaf| leaf.triangles = leaf.triangles.map(|t| t + 40 * tree));
+                all.push((bvh, bounds));
+            }
+            let joined = WideBvh::join(all);
+            let mut seen = vec![0; 40 * trees as usize];
+            let mut open = vec![(Child::Node(0), [Vec3::NEG_INFINITY, Vec3::INFINITY], 0)];
+            while let Some((child, [min, max], depth)) = open.pop() {
+                assert!(depth <= joined.depth, "{depth} of {}", joined.depth);
+                match child {
+                    Child::None => {}
+                    Child::Node(n) => {
+                        let node = &joined.nodes[n as usize];
+                        for slot in (0..WIDTH).filter(|slot| node.child(*slot) != Child::None) {
+                            let side = |of: &[super::super::bvh::F8; 3]| {
+                                Vec3::from_array([0, 1, 2].map(|axis| of[axis].0[slot]))
+                            };
+                            let (low, high) = (side(&node.min), side(&node.max));
+                            assert!(low.cmpge(min).all() && high.cmple(max).all());
+                            open.push((node.child(slot), [low, high], depth + 1));
+                        }
+                    }
+                    Child::Leaf(l) => {
+                        let leaf = &joined.leaves[l as usize];
+                        for slot in (0..WIDTH).filter(|slot| leaf.used >> slot & 1 == 1) {
+                            let (tree, triangle) = (leaf.triangles[slot] / 40, leaf.triangles[slot] % 40);
+                            seen[leaf.triangles[slot] as usize] += 1;
+                            let (_, corners) = strip(Vec3::splat(10.0 * tree as f32), 40);
+                            let expected = moved(tree, triangle, &corners[triangle as usize]).unwrap();
+                            for (corner, expected) in leaf.corners.iter().zip(expected) {
+                                let at = Vec3::from_array([0, 1, 2].map(|axis| corner[axis].0[slot]));
+                                assert_eq!(at, expected);
+                                assert!(at.cmpge(min).all() && at.cmple(max).all());
+                            }
+                        }
+                    }
+                }
+            }
+            for (triangle, seen) in seen.into_iter().enumerate() {
+                assert_eq!(seen, u32::from(!(triangle % 40).is_multiple_of(3)), "{triangle}");
+            }
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! Promise: masks of moving scenes are right. At any time at most 0.01 % of the relevant bits differ from the f64
+//! referee, which evaluates the animation by its own code; and a moving scene is the still scene of that time, bit by
+//! bit.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use std::path::Path;
+
+use gnomon_lab::{
+    report::living::{judge, views},
+    scenes::living::{TIMES_S, all},
+};
+use gnomon_scene::{LoadOptions, Scene};
+
+/// Most bits, as a share of the relevant ones, that may differ where the referee is certain.
+const MOST_WRONG: f64 = 0.0001;
+
+fn holds(name: &str, scene: &Scene) {
+    assert_eq!(scene.check(), Ok(()), "{name}");
+    let judged = judge(scene, &views(scene, (320, 180)), &TIMES_S).unwrap();
+    for judged in &judged {
+        let (time_s, error) = (judged.time_s, &judged.error);
+        println!("{name} at {time_s} s: {error}");
+        assert!(error.sure_share() <= MOST_WRONG, "{name} at {time_s} s: {:?}", error.examples);
+        assert!(error.undecided * 100 <= error.relevant, "{name} at {time_s} s: {} undecided", error.undecided);
+        assert_eq!(error.irrelevant_set, 0, "{name} at {time_s} s");
+        assert!(judged.as_still, "{name} at {time_s} s: not the still scene's mask");
+    }
+    // A view may see backs alone at a time.
+    let relevant = judged.iter().map(|judged| judged.error.relevant).sum::<u64>();
+    assert!(relevant > 20_000, "{name}: only {relevant} relevant bits");
+    // Every second one is the same view.
+    assert!(judged.iter().step_by(2).any(|other| other.mask != judged[0].mask), "{name} does not move");
+}
+
+#[test]
+fn small_living_scenes_are_right_at_any_time() {
+    for (name, scene) in all() {
+        holds(name, &scene);
+    }
+}
+
+#[test]
+fn real_animated_files_are_right_at_any_time() {
+    let folder = std::env::var_os("GNOMON_SCENES").expect("GNOMON_SCENES names the scenes");
+    for file in [
+        "CesiumMilkTruck.glb",
+        "SimpleAnimation.glb",
+        "AnimatedCube/glTF/AnimatedCube.gltf",
+        "03_all_animations/03_all_animations.gltf",
+        "07_nla-anim/07_nla-anim.gltf",
+    ] {
+        let options = LoadOptions { animation: Some("all".to_owned()), ..LoadOptions::default() };
+        holds(file, &Scene::load(&Path::new(&folder).join("animated").join(file), &options).unwrap());
+    }
+}
