@@ -136,6 +136,9 @@ fn eight_clients_are_served_and_killing_three_leaves_the_others_served() {
         backend: Backend::Cpu,
         cert_dir: Some(certificate.path().into()),
         idle_timeout_ms: u64::try_from(IDLE.as_millis()).unwrap(),
+        // All are admitted, however long their first masks take beside other programs.
+        device_budget_ms: 100_000,
+        cores_budget_ms: Some(100_000),
         ..ServerConfig::default()
     };
     let runtime = tokio::runtime::Runtime::new().unwrap();
@@ -144,7 +147,9 @@ fn eight_clients_are_served_and_killing_three_leaves_the_others_served() {
 
     let mut clients: Vec<_> = (0..CLIENTS).map(|number| Client::start(&url, &json, number)).collect();
     wait_until("eight sessions with frames", PATIENCE, || {
-        clients.iter_mut().for_each(|client| assert!(client.program.is_running().unwrap(), "a client ended too early"));
+        for client in &mut clients {
+            assert!(client.program.is_running().unwrap(), "a client ended too early: {:?}", client.program.said());
+        }
         clients.iter().all(|client| client.received() >= 3)
     });
     assert_eq!(server.sessions(), CLIENTS);
