@@ -139,14 +139,14 @@ fn a_draining_server_sends_its_clients_elsewhere() {
     let script = Script { drain_at: Some((20, elsewhere.url())), ..Script::default() };
     let stage = Stage::start("lab-tcp", script);
     let folder = tempfile::tempdir().unwrap();
-    let (summary, lines) = run(&options(&stage, folder.path(), 200));
-    assert_eq!((summary.frames_rendered, summary.reconnects, summary.connection_lost), (200, 1, None));
+    let (summary, lines) = run(&options(&stage, folder.path(), 300));
+    assert_eq!((summary.frames_rendered, summary.reconnects, summary.connection_lost), (300, 1, None));
     assert_eq!(elsewhere.resumed(), [None], "the resume token goes to no other server");
     assert!(
         lines.iter().all(|line| line["link"] == "live" || line["link"] == "draining"),
         "no frame was without a server"
     );
-    assert!(lines.last().unwrap()["mask_frame"].as_u64() > Some(150), "{:?}", lines.last());
+    assert!(lines.last().unwrap()["mask_frame"].as_u64() > Some(200), "{:?}", lines.last());
     assert!(stage.received_bye());
 }
 
@@ -169,17 +169,21 @@ fn a_still_camera_requests_rarely_and_is_no_outage() {
 
 #[test]
 fn unrequested_masks_are_counted_and_ignored() {
-    // A frame number that was not sent yet, then a mask that is too small.
-    let script = Script { strays: vec![(20, 25)], smaller: vec![40], ..Script::default() };
+    // A frame number that is not sent for a while yet, then masks that are too small: several, since a newer mask takes the
+    // place of one that a busy machine has not looked at.
+    let small = 40..60;
+    let script = Script { strays: vec![(20, 100)], smaller: small.clone().collect(), ..Script::default() };
     let stage = Stage::start("lab-udp", script);
     let folder = tempfile::tempdir().unwrap();
-    let (summary, lines) = run(&options(&stage, folder.path(), 80));
-    assert_eq!((summary.frames_rendered, summary.frames_bad), (80, 0));
+    let (summary, lines) = run(&options(&stage, folder.path(), 120));
+    assert_eq!((summary.frames_rendered, summary.frames_bad), (120, 0));
     let rejected = summary.masks_rejected;
-    assert_eq!((rejected.future, rejected.wrong_size), (1, 1), "{rejected:?}");
+    assert_eq!(rejected.future, 1, "{rejected:?}");
+    assert!((1..=small.len() as u64).contains(&rejected.wrong_size), "{rejected:?}");
     assert!(lines.iter().all(|line| line["mask_frame"].as_u64() <= line["frame"].as_u64()));
-    assert!(lines.iter().all(|line| line["mask_frame"] != 40));
-    assert!(lines.last().unwrap()["mask_frame"].as_u64() > Some(70), "{:?}", lines.last());
+    let drawn = lines.iter().filter_map(|line| u32::try_from(line["mask_frame"].as_u64()?).ok());
+    assert!(drawn.filter(|frame| small.contains(frame)).count() == 0, "{lines:?}");
+    assert!(lines.last().unwrap()["mask_frame"].as_u64() > Some(80), "{:?}", lines.last());
 }
 
 #[test]
