@@ -170,8 +170,8 @@ fn a_still_camera_requests_rarely_and_is_no_outage() {
 
 #[test]
 fn unrequested_masks_are_counted_and_ignored() {
-    // A frame number that is not sent for a while yet, then masks that are too small: several, since a newer mask takes the
-    // place of one that a busy machine has not looked at.
+    // A frame number that is not sent for a while yet, then masks that are too small: several, since a newer mask takes
+    // the place of one that a busy machine has not looked at.
     let small = 40..60;
     let script = Script { strays: vec![(20, 100)], smaller: small.clone().collect(), ..Script::default() };
     let stage = Stage::start("lab-udp", script);
