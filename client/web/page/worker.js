@@ -247,20 +247,27 @@ async function welcomed(event, end) {
 /** Lets the browser do what was asked of it. */
 const turn = () => new Promise((resolve) => setTimeout(resolve));
 
-/** The scene is there: poses go out as soon as it can be drawn. */
+/** The scene is there. The first pose goes out before all is ready to draw: the server traces meanwhile. */
 async function begun(end) {
   if (!link) return;
   const known = started;
   tell("stage", { text: "Preparing the scene" });
   try {
+    let more = client.prepare();
     for (const step of ["unpacked", "uploaded"]) {
-      if (!client.prepare()) break;
+      if (!more) break;
       mark(step);
       await turn();
+      more = client.prepare();
     }
-    client.prepare();
     if (current !== end || !link) return;
     client.start();
+    flush();
+    mark("started");
+    if (more) {
+      await turn();
+      client.prepare();
+    }
   } catch (error) {
     throw new Final("scene", error.message);
   }

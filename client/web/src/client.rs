@@ -103,6 +103,8 @@ enum Preparing {
     Unpacked(Box<Scene>),
     /// The adapter compiles.
     Uploaded(Box<(Scene, FrameRenderer)>),
+    /// Poses can be sent. How light it is is not known yet.
+    Dark(Box<Scene>),
 }
 
 fn failed(error: impl std::fmt::Display) -> JsError {
@@ -267,21 +269,28 @@ impl Client {
             }
             Some(Preparing::Uploaded(uploaded)) => {
                 let (scene, renderer) = *uploaded;
-                let scene = (&scene, welcome.scene_digest);
+                let named = (&scene, welcome.scene_digest);
                 match &mut self.play {
-                    Some(play) => play.change_scene(renderer, scene, now)?,
+                    Some(play) => play.change_scene(renderer, named, now)?,
                     None => {
-                        let mut play = Play::new(gpu, renderer, scene, size, &self.options, now)?;
+                        let mut play = Play::new(gpu, renderer, named, size, &self.options, now)?;
                         play.apply(&self.settings)?;
                         self.play = Some(play);
                     }
+                }
+                self.preparing = Some(Preparing::Dark(Box::new(scene)));
+                return Ok(true);
+            }
+            Some(Preparing::Dark(scene)) => {
+                if let Some(play) = &mut self.play {
+                    play.light(&scene);
                 }
             }
         }
         Ok(false)
     }
 
-    /// Says Start: poses go out from the next frame on.
+    /// Says Start: poses go out from now on. The server traces the first while the scene is lit.
     pub fn start(&mut self) -> Result<(), JsError> {
         let (Some(conversation), Some(play)) = (&mut self.conversation, &mut self.play) else {
             return Err(JsError::new("there is no session"));
@@ -333,7 +342,7 @@ impl Client {
     /// the first frame, the first shadows, a new share of the pixels, a step of a walk.
     pub fn frame(&mut self) -> Result<Option<String>, JsError> {
         let Some(play) = &mut self.play else { return Ok(None) };
-        if !self.screen.is_ready() {
+        if !self.screen.is_ready() || self.preparing.is_some() {
             return Ok(None);
         }
         if self.shadowed && self.screen.is_idle() && !std::mem::replace(&mut self.shown, true) {

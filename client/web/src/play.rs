@@ -102,15 +102,14 @@ impl Play {
         options: &Options,
         now: Instant,
     ) -> Result<Self, RenderError> {
-        let occluders = Occluders::largest_of(scene);
-        let path = of_scene::standing_at(&scene.cameras, None).unwrap_or_else(|_| default_path(scene, &occluders));
+        let path = of_scene::standing_at(&scene.cameras, None)
+            .unwrap_or_else(|_| default_path(scene, &Occluders::largest_of(scene)));
         let path = options.walk.as_ref().map_or(path, |walk| walk.path.clone());
         let linked = options.view.as_deref().and_then(|text| view::read(text, size.0, size.1));
         let first = linked.unwrap_or_else(|| path.camera(0.0, size.0, size.1));
         if renderer.size() != size {
             renderer.resize(size)?;
         }
-        light(&mut renderer, scene, &occluders, &first, options.exposure);
         let settings = Settings::default();
         let source = match options.walk {
             Some(_) => MaskSource::Awaited,
@@ -165,8 +164,6 @@ impl Play {
         if renderer.size() != (width, height) {
             renderer.resize((width, height))?;
         }
-        let camera = self.fly.camera(width, height);
-        light(&mut renderer, scene, &Occluders::largest_of(scene), &camera, self.options.exposure);
         self.frames.change_scene(FrameNumber(self.next), renderer);
         (self.digest, self.lights, self.drawn) = (digest, lights_of(scene), 0);
         (self.cameras, self.camera) = (scene.cameras.clone(), None);
@@ -175,6 +172,12 @@ impl Play {
         (self.first_since, self.is_draft) = (Some(now), self.options.walk.is_none());
         let settings = std::mem::take(&mut self.applied);
         self.apply(&settings)
+    }
+
+    /// Finds out how light it is, and what the sky looks like. Call before the scene's first picture.
+    pub fn light(&mut self, scene: &Scene) {
+        let camera = self.camera_now();
+        light(&mut self.frames.renderer, scene, &Occluders::largest_of(scene), &camera, self.options.exposure);
     }
 
     /// Poses go over a new connection from now on, for masks of at most this size.
