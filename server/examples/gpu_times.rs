@@ -99,6 +99,8 @@ struct Row {
     full_ring_frames_per_s: f64,
     primary_mrays_per_s: f64,
     shadow_mrays_per_s: f64,
+    /// Share of the primary rays that were tested against lists.
+    primary_listed_part: f64,
     shadow_rays: u64,
     /// How the bits of these rays were found, by name.
     shares: [(&'static str, u64); 4],
@@ -169,6 +171,7 @@ fn measure(scene: &Scene, compute: &mut ComputeBackend, camera: &Camera, frames:
         full_ring_frames_per_s,
         primary_mrays_per_s: rays as f64 / primary_ms.median / 1e3,
         shadow_mrays_per_s: shadow_rays as f64 / shadow_ms.median / 1e3,
+        primary_listed_part: costs[0].0.primary_listed as f64 / rays as f64,
         shadow_rays,
         shares: std::array::from_fn(|i| (RayShares::NAMES[i], costs[0].0.shares.counts()[i])),
         differing_bits,
@@ -191,9 +194,9 @@ fn main() -> Result<()> {
     };
     println!(
         "| lights | primary ms (p99) | shadow ms (p99) | read-back ms (p99) | frame ms (p99) | frames/s, full ring | \
-         primary Mray/s | shadow Mray/s | lit, dark, listed, traced, % | differing |"
+         primary Mray/s | shadow Mray/s | primary listed, % | lit, dark, listed, traced, % | differing |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
     for &lights in &arguments.lights {
         let available = whole.lights.len();
         ensure!((1..=available).contains(&lights), "{lights} lights of a scene that has {available}");
@@ -211,7 +214,7 @@ fn main() -> Result<()> {
         let row = measure(&scene, &mut compute, &camera, arguments.frames)?;
         let both = |spread: Spread| format!("{:.3} ({:.3})", spread.median, spread.p99);
         println!(
-            "| {lights} | {} | {} | {} | {} | {:.0} | {:.0} | {:.0} | {} | {} of {} ({:.4} %) |",
+            "| {lights} | {} | {} | {} | {} | {:.0} | {:.0} | {:.0} | {:.1} | {} | {} of {} ({:.4} %) |",
             both(row.primary_ms),
             both(row.shadow_ms),
             both(row.readback_ms),
@@ -219,6 +222,7 @@ fn main() -> Result<()> {
             row.full_ring_frames_per_s,
             row.primary_mrays_per_s,
             row.shadow_mrays_per_s,
+            100.0 * row.primary_listed_part,
             row.shares
                 .map(|(_, rays)| format!("{:.1}", 100.0 * rays as f64 / row.shadow_rays.max(1) as f64))
                 .join(", "),

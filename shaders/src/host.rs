@@ -75,7 +75,9 @@ pub struct TracedCounts {
     pub listed: u32,
     /// Where the next list begins.
     lists_end: u32,
-    unused: [u32; 3],
+    /// Primary rays tested against a list.
+    pub primary_listed: u32,
+    unused: [u32; 2],
 }
 
 /// What decides a light's relevance and the end of its shadow rays.

@@ -169,11 +169,14 @@ fn every_shader_is_valid() {
         valid(path, &text, Capabilities::IMMEDIATES | Capabilities::RAY_QUERY);
         assert!(text.contains("rayQueryProceed") && !text.contains("node_hits"), "{path} traverses our hierarchy");
     }
-    let text = splice_subgroups("visibility/shadow_lists.wgsl").unwrap();
-    let module = valid("visibility/shadow_lists.wgsl", &text, Capabilities::IMMEDIATES | Capabilities::SUBGROUP);
-    assert!(text.contains("subgroupBallot") && !text.contains("lane_bits"), "it has no subgroups");
-    let counts = module.global_variables.iter().find(|(_, global)| global.name.as_deref() == Some("counts")).unwrap().1;
-    assert_eq!(module.types[counts.ty].inner.size(module.to_ctx()) as usize, size_of::<TracedCounts>());
+    for path in ["visibility/primary_lists.wgsl", "visibility/shadow_lists.wgsl"] {
+        let text = splice_subgroups(path).unwrap();
+        let module = valid(path, &text, Capabilities::IMMEDIATES | Capabilities::SUBGROUP);
+        assert!(text.contains("subgroupBallot") && !text.contains("lane_bits"), "{path} has no subgroups");
+        let named = |global: &naga::GlobalVariable| global.name.as_deref() == Some("counts");
+        let counts = module.global_variables.iter().find(|(_, global)| named(global)).unwrap().1;
+        assert_eq!(module.types[counts.ty].inner.size(module.to_ctx()) as usize, size_of::<TracedCounts>());
+    }
     for name in
         ["gbuffer", "depth", "mask_words", "predict", "shade", "blend", "tone", "meter", "debug_view", "present"]
     {

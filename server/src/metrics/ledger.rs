@@ -89,6 +89,9 @@ ledger! {
     bytes,
     /// Tracing time on the device or processor, in microseconds.
     gpu_us,
+    /// Primary rays of the masks traced: those tested against a list, and those traced one by one.
+    primary_listed,
+    primary_traced,
     /// Shadow rays of the masks traced, by how their bits were found.
     rays_proven_lit,
     rays_proven_dark,
@@ -177,6 +180,8 @@ impl Ledger {
         self.frames_traced.one();
         let spent = Duration::try_from_secs_f64((cost.primary_ms + cost.shadow_ms) * 1e-3).unwrap_or_default();
         self.gpu_us.add_us(spent);
+        self.primary_listed.add(cost.primary_listed);
+        self.primary_traced.add(cost.primary_rays.saturating_sub(cost.primary_listed));
         let RayShares { proven_lit, proven_dark, listed, traced } = cost.shares;
         self.rays_proven_lit.add(proven_lit);
         self.rays_proven_dark.add(proven_dark);

@@ -170,6 +170,8 @@ impl Collector for Page {
         }
         page.counter("quic_lost", "QUIC packets declared lost", totals.quic_lost)?;
         page.counter("frames_traced", "Masks traced", totals.frames_traced)?;
+        let primary = [("listed", totals.primary_listed), ("traced", totals.primary_traced)];
+        page.family("primary_rays", "Primary rays of the masks traced, by how they were answered", "found", primary)?;
         let rays = [totals.rays_proven_lit, totals.rays_proven_dark, totals.rays_listed, totals.rays_traced];
         let help = "Shadow rays of the masks traced, by how their bits were found";
         page.family("shadow_rays", help, "found", RayShares::NAMES.into_iter().zip(rays))?;

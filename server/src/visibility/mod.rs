@@ -69,6 +69,8 @@ pub struct TraceCost {
     /// Time from the end of tracing until the bits are in host memory, in milliseconds; 0 on the CPU.
     pub readback_ms: f64,
     pub primary_rays: u64,
+    /// Primary rays that were tested against the triangles that their block of pixels shares. The others were traced.
+    pub primary_listed: u64,
     /// Shadow rays: relevant bits that the surface does not hide from itself.
     pub shadow_rays: u64,
     /// How the bits of these rays were found.
@@ -117,6 +119,7 @@ impl TraceCost {
             shadow_ms: self.shadow_ms + other.shadow_ms,
             readback_ms: self.readback_ms + other.readback_ms,
             primary_rays: self.primary_rays + other.primary_rays,
+            primary_listed: self.primary_listed + other.primary_listed,
             shadow_rays: self.shadow_rays + other.shadow_rays,
             shares: self.shares.plus(other.shares),
         }

@@ -8,3 +8,9 @@ struct ClosestHit {
 }
 
 const NOTHING: u32 = 0xffffffffu;
+
+// True if a hit is closer than the closest so far. Of hits at the same distance the triangle with the lower number
+// counts, so that the order of tests does not.
+fn is_closer(distance: f32, triangle: u32, limit: f32, closest: u32) -> bool {
+    return distance < limit || (distance == limit && triangle < closest);
+}

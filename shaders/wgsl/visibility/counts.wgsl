@@ -10,5 +10,7 @@ const COUNT_PROVEN_LIT: u32 = 1u;
 const COUNT_PROVEN_DARK: u32 = 2u;
 // Tested against a list.
 const COUNT_LISTED: u32 = 3u;
-// Not a count: where the next list begins.
+// Not a count: where the next list begins. Kernels that are done with lists set it back to 0.
 const LISTS_END: u32 = 4u;
+// Primary rays tested against a list. The others are traced one by one.
+const COUNT_PRIMARY_LISTED: u32 = 5u;

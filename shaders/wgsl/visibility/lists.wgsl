@@ -1,6 +1,7 @@
-// Lists of the triangles that may stop the shadow rays of a block of pixels to one light. visibility/shadow_lists.wgsl
-// writes them, visibility/shadow_listed.wgsl tests them, and visibility/shadow_rest.wgsl traces the rays of blocks
-// without one. Blocks count from a part's first row of tiles, so parts may begin at any row.
+// Lists of the triangles that may stop the rays of a block of pixels: primary rays, and shadow rays to one light. The
+// `…_lists.wgsl` kernels write them, `…_listed.wgsl` test them, and `…_rest.wgsl` trace the rays of blocks without one.
+// Blocks count from a part's first row of tiles, so parts may begin at any row. Shadow rays' lists replace those of
+// primary rays.
 
 #import "shared/traced_scene.wgsl"
 #import "shared/mask.wgsl"
@@ -8,13 +9,14 @@
 // A block is two tiles wide and high.
 const BLOCK_TILES: u32 = 2u;
 
-// What is known of a block and a light: a number of triangles, or one of these.
+// What is known of a block, or of a block and a light: a list's length, or one of these.
 // One triangle probably covers the light, as seen from the whole block.
 const STATE_COVERED: u32 = 0x10001u;
 // There is no list.
 const STATE_OPEN: u32 = 0x10000u;
 
-// Each block's states by light: `x` as above, `y` the first entry in `lists`, or the covering triangle.
+// Each block's states by light: `x` as above, `y` the first entry in `lists`, or the covering triangle. Primary rays
+// use the first light's.
 @group(1) @binding(3) var<storage, read_write> states: array<vec2u>;
 @group(1) @binding(4) var<storage, read_write> lists: array<u32>;
 

@@ -6,6 +6,7 @@
 #import "shared/ray.wgsl"
 #import "shared/alpha.wgsl"
 #import "visibility/lists.wgsl"
+#import "visibility/candidates.wgsl"
 #import "visibility/shadow_ray.wgsl"
 
 var<immediate> view: TracedView;
@@ -14,32 +15,9 @@ var<immediate> view: TracedView;
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
 @group(1) @binding(1) var<storage, read_write> mask: array<u32>;
 
-// Triangles that are read at once.
-const CHUNK: u32 = 64u;
-
-struct Candidate {
-    corner_a: vec3f,
-    triangle: u32,
-    corner_b: vec3f,
-    // The first word of the triangle that is no coordinate.
-    kind: u32,
-    corner_c: vec3f,
-    unused: u32,
-    normal: vec3f,
-}
-
-var<workgroup> candidates: array<Candidate, CHUNK>;
 var<workgroup> block_words: array<atomic<u32>, 8>;
 // Whether a ray passes the triangle that should cover the light.
 var<workgroup> is_lit_beside_cover: atomic<u32>;
-
-fn candidate_of(triangle: u32) -> Candidate {
-    let a = triangles[triangle * 3u];
-    let b = triangles[triangle * 3u + 1u];
-    let c = triangles[triangle * 3u + 2u];
-    return Candidate(bitcast<vec3f>(a.xyz), triangle, bitcast<vec3f>(b.xyz), a.w, bitcast<vec3f>(c.xyz), 0u,
-        plane_normal(triangle));
-}
 
 // As `occluded` asks of each triangle, but the plane first: most rays share its answer.
 fn is_stopped_by(candidate: u32, ray: Ray, end: End) -> bool {

@@ -5,6 +5,7 @@
 #import "shared/traced_scene.wgsl"
 #import "shared/ray.wgsl"
 #import "visibility/traverse.wgsl"
+#import "visibility/counts.wgsl"
 #import "visibility/lists.wgsl"
 #import "visibility/shadow_ray.wgsl"
 
@@ -22,10 +23,14 @@ fn shadow_rest(
     @builtin(num_workgroups) tiles: vec3u,
     @builtin(local_invocation_id) local: vec3u,
 ) {
+    let bit = mask_bit(local.xy);
+    if bit == 0u && all(place == vec3u(0u)) {
+        // This part's lists are done with.
+        atomicStore(&counts[LISTS_END], 0u);
+    }
     if states[states_at(place.xy) + place.z].x != STATE_OPEN {
         return;
     }
-    let bit = mask_bit(local.xy);
     let tile = (view.first_row + place.y) * tiles.x + place.x;
     let seen = surfaces[tile * 64u + bit];
     let needed = ((seen.w >> place.z) & 1u) == 1u;

@@ -40,7 +40,7 @@ fn intersect(ray: Ray) -> ClosestHit {
             let c = triangles[triangle * 3u + 2u];
             let hit = intersect_triangle(ray, triangle, bitcast<vec3f>(a.xyz), bitcast<vec3f>(b.xyz),
                 bitcast<vec3f>(c.xyz));
-            if hit.clear && hit.distance > 0.0 && hit.distance < limit
+            if hit.clear && hit.distance > 0.0 && is_closer(hit.distance, triangle, limit, closest.triangle)
                 && (hit.front || (a.w & TRIANGLE_SINGLE_SIDED) == 0u)
                 && passes_alpha_test(triangle, a.w, hit.weights) {
                 limit = hit.distance;

@@ -11,6 +11,7 @@ use gnomon_shaders::host::{TracedCounts, TracedView};
 
 use super::{
     backend::ComputeBackend,
+    kernels::Listed,
     ring::{RING_FRAMES, SLOTS, blocks},
     submission::{InFlight, PartialSubmission},
     timing::{PART_QUERIES, SLOT_QUERIES, Stages},
@@ -20,6 +21,14 @@ use crate::visibility::{RayShares, TraceCost, backend::BackendError, schedule::p
 /// Long masks are copied to the host, and read there, in pieces of this size, about 0.1 ms each.
 const PIECE_BYTES: u64 = 8 * PIECE_WORDS as u64;
 const PIECE_WORDS: usize = 1 << 17;
+
+/// A kernel, and its workgroups across, down, and by light.
+type Dispatch<'a> = (&'a wgpu::ComputePipeline, (u32, u32), u32);
+
+fn listed_work(kernels: &Listed, tiles: (u32, u32), lights: u32) -> Vec<Dispatch<'_>> {
+    let blocks = blocks(tiles.0, tiles.1);
+    vec![(&kernels.find, blocks, lights), (&kernels.test, blocks, lights), (&kernels.rest, tiles, lights)]
+}
 
 /// Rays that were not counted elsewhere are traced.
 fn shares(counts: &TracedCounts) -> RayShares {
@@ -101,9 +110,7 @@ impl ComputeBackend {
             let first = first_query + PART_QUERIES * frame.parts;
             frame.view.end_row = rows.end;
             let tiles = (shape.tiles_x(), rows.end - rows.start);
-            for (stage, dispatches) in
-                (0..).zip([vec![(&self.kernels.primary, tiles, 1)], self.shadow_work(shape, tiles)])
-            {
+            for (stage, dispatches) in (0..).zip(self.work(shape, tiles)) {
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                     label: None,
                     timestamp_writes: self.timing.as_ref().map(|timing| timing.writes(first, stage)),
@@ -147,14 +154,14 @@ impl ComputeBackend {
         Ok(None)
     }
 
-    /// The kernels that find the bits of a part of so many tiles, each with its workgroups.
-    fn shadow_work(&self, shape: MaskShape, tiles: (u32, u32)) -> Vec<(&wgpu::ComputePipeline, (u32, u32), u32)> {
-        let (lights, blocks) = (shape.lights(), blocks(tiles.0, tiles.1));
-        match &self.kernels.lists {
+    /// The kernels for a part of so many tiles, of primary and of shadow rays, each with its workgroups.
+    fn work(&self, shape: MaskShape, tiles: (u32, u32)) -> [Vec<Dispatch<'_>>; 2] {
+        let (kernels, lights) = (&self.kernels, shape.lights());
+        match &kernels.lists {
             Some(lists) if self.uses_lists(shape.pixels()) => {
-                vec![(&lists.find, blocks, lights), (&lists.test, blocks, lights), (&lists.rest, tiles, lights)]
+                [listed_work(&lists.primary, tiles, 1), listed_work(&lists.shadow, tiles, lights)]
             }
-            _ => vec![(&self.kernels.shadow, tiles, lights)],
+            _ => [vec![(&kernels.primary, tiles, 1)], vec![(&kernels.shadow, tiles, lights)]],
         }
     }
 
@@ -229,6 +236,7 @@ impl ComputeBackend {
             shadow_ms: stages.shadow_ms,
             readback_ms: stages.copy_ms + seen_at.elapsed().as_secs_f64() * 1e3,
             primary_rays: oldest.shape.pixels() as u64,
+            primary_listed: u64::from(counts.primary_listed),
             shadow_rays: u64::from(counts.rays),
             shares: shares(&counts),
         };

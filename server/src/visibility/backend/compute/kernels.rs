@@ -60,14 +60,21 @@ pub(super) struct Kernels {
 /// Kernels for blocks of pixels that share lists of triangles.
 #[derive(Debug)]
 pub(super) struct ListKernels {
-    /// `visibility/shadow_lists.wgsl`: a workgroup a block and light.
-    pub(super) find: wgpu::ComputePipeline,
-    /// `visibility/shadow_listed.wgsl`: the same.
-    pub(super) test: wgpu::ComputePipeline,
-    /// `visibility/shadow_rest.wgsl`: a workgroup a tile and light.
-    pub(super) rest: wgpu::ComputePipeline,
+    pub(super) primary: Listed,
+    pub(super) shadow: Listed,
     /// The smallest picture that they trace.
     pub(super) least_pixels: usize,
+}
+
+/// Kernels that answer rays by lists.
+#[derive(Debug)]
+pub(super) struct Listed {
+    /// `visibility/…_lists.wgsl`: a workgroup a block (and light).
+    pub(super) find: wgpu::ComputePipeline,
+    /// `visibility/…_listed.wgsl`: the same.
+    pub(super) test: wgpu::ComputePipeline,
+    /// `visibility/…_rest.wgsl`: a workgroup a tile (and light).
+    pub(super) rest: wgpu::ComputePipeline,
 }
 
 /// When blocks of pixels share lists of triangles.
@@ -181,11 +188,17 @@ impl Kernels {
             }))
         };
         let (primary, shadow) = (pipeline("primary", &primary_constants)?, pipeline("shadow", &alpha)?);
+        let listed = |rays: &str, constants: &[(&str, f64)]| -> Result<Listed, BackendError> {
+            Ok(Listed {
+                find: pipeline(&format!("{rays}_lists"), &[])?,
+                test: pipeline(&format!("{rays}_listed"), constants)?,
+                rest: pipeline(&format!("{rays}_rest"), constants)?,
+            })
+        };
         let lists = match least_pixels {
             Some(least_pixels) => Some(ListKernels {
-                find: pipeline("shadow_lists", &[])?,
-                test: pipeline("shadow_listed", &alpha)?,
-                rest: pipeline("shadow_rest", &alpha)?,
+                primary: listed("primary", &primary_constants)?,
+                shadow: listed("shadow", &alpha)?,
                 least_pixels,
             }),
             None => None,
@@ -223,7 +236,7 @@ pub(super) struct KernelsFor<'a> {
 pub(in super::super) struct KernelOptions {
     pub(in super::super) traversal: Traversal,
     pub(in super::super) lists: Lists,
-    /// Replaces `OFFSET_ROUNDINGS` of `visibility/primary.wgsl`: a fault for tests.
+    /// Replaces `OFFSET_ROUNDINGS` of `visibility/surface.wgsl`: a fault for tests.
     pub(in super::super) offset_roundings: Option<u16>,
 }
 

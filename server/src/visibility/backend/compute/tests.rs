@@ -135,7 +135,7 @@ fn hard_for_lists() -> Vec<(&'static str, Scene, Vec<Camera>)> {
 
 #[test]
 fn shared_lists_change_no_bit() {
-    let mut shares = [0; 4];
+    let (mut shares, mut primary) = ([0; 4], [0; 2]);
     for (name, scene, cameras) in hard_for_lists() {
         let open = |lists| ComputeBackend::open_with_lists(&scene, None, true, lists).unwrap();
         let (mut single, mut listed) = (open(Lists::Never), open(Lists::Always));
@@ -148,13 +148,16 @@ fn shared_lists_change_no_bit() {
             assert_eq!(differing(&a, &b), 0, "{name}, {camera:?}");
             assert!(ones(&a) > 500, "{name} is dark");
             assert_eq!(alone.shares.counts(), [0, 0, 0, alone.shadow_rays], "{name}");
+            assert_eq!(alone.primary_listed, 0, "{name}");
+            primary = [primary[0] + shared.primary_rays, primary[1] + shared.primary_listed];
             assert_eq!(shared.shares.counts().iter().sum::<u64>(), alone.shadow_rays, "{name}: {shared:?}");
             listed.trace(&camera, &mut again).unwrap();
             assert_eq!(again, b, "{name}: the same frame twice");
             shares = std::array::from_fn(|i| shares[i] + shared.shares.counts()[i]);
         }
     }
-    println!("proven lit and dark, listed, traced: {shares:?}");
+    println!("proven lit and dark, listed, traced: {shares:?}; primary rays and those listed: {primary:?}");
+    assert!(primary[1] > 1000 && primary[1] + 1000 < primary[0], "all primary rays in one way: {primary:?}");
     assert!(shares[1..].iter().all(|rays| *rays > 1000), "the scenes ask too little of the lists: {shares:?}");
 }
 

@@ -150,6 +150,7 @@ impl CpuBackend {
             shadow_ms: sum(|cost| cost.shadow.as_secs_f64()),
             readback_ms: 0.0,
             primary_rays: u64::from(camera.width) * lines.len() as u64,
+            primary_listed: 0,
             shadow_rays,
             shares: RayShares { traced: shadow_rays, ..RayShares::default() },
         };

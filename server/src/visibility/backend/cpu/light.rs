@@ -7,7 +7,7 @@ use super::{group::PACKETS, rounding::ROUNDING, simd::Simd, surface::Surface, ve
 
 /// How far rounding may move a light's height above a shadow ray's start, in rounding units of Σ |lᵢ − sᵢ|: 1 for the
 /// normal, which has no coordinate above 1, 1 for the difference, 3 for products and sums. Twin: `FACING_ROUNDINGS` in
-/// visibility/primary.wgsl.
+/// visibility/surface.wgsl.
 const FACING_ROUNDINGS: f32 = 5.0;
 
 #[derive(Debug, Clone, Copy)]

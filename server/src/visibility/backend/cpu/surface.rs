@@ -72,7 +72,7 @@ impl Corners {
 /// How far above the surface shadow rays start, in rounding units of Σ |nᵢ|·Σₖ |wₖ|·|pₖᵢ| with unit normal n, corners p
 /// and weights w. Interpolation may move the point off the plane by 3 for products and sums, by up to 8 because weights
 /// that do not sum to 1 scale it, and by 1 for rounding the start: 12 in all. Errors of the weights only slide the
-/// point along the plane. Twin: `OFFSET_ROUNDINGS` in visibility/primary.wgsl, which derives the 8.
+/// point along the plane. Twin: `OFFSET_ROUNDINGS` in visibility/surface.wgsl, which derives the 8.
 const OFFSET_ROUNDINGS: f32 = 16.0;
 
 /// Three coordinates of a tile's points, by packet.

@@ -159,6 +159,7 @@ impl Worker {
             primary_ms = cost.primary_ms,
             shadow_ms = cost.shadow_ms,
             readback_ms = cost.readback_ms,
+            primary_listed = cost.primary_listed,
             shadow_rays = cost.shadow_rays,
             rays_proven_lit = cost.shares.proven_lit,
             rays_proven_dark = cost.shares.proven_dark,
