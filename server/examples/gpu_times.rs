@@ -148,7 +148,7 @@ fn measure(scene: &Scene, compute: &mut ComputeBackend, camera: &Camera, frames:
             while compute.collect(Duration::from_secs(1), &mut scratch)?.is_none() {}
         }
         if frame < frames {
-            compute.submit(camera, shape)?;
+            compute.submit(camera, 0.0, shape)?;
         }
     }
     let full_ring_frames_per_s = frames as f64 / begin.elapsed().as_secs_f64();

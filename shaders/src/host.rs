@@ -35,14 +35,17 @@ pub struct TracedView {
     pub first_row: u32,
     /// The row after its last.
     pub end_row: u32,
-    unused: [u32; 2],
+    /// Where the hierarchy begins: a node; or, if the adapter has its own, the first triangle of those that move.
+    pub root: u32,
+    /// The first light of the frame's time.
+    pub first_light: u32,
 }
 
 impl TracedView {
     /// Size in bytes, which every device offers as immediate data.
     pub const BYTES: u32 = 80;
 
-    /// Returns the view of a whole picture of `width`×`height` pixels.
+    /// Returns the view of a whole picture of `width`×`height` pixels, of a scene in which everything rests.
     #[must_use]
     pub fn new(basis: &RayBasis, width: u32, height: u32, lights: u32, nodes: u32) -> Self {
         Self {
@@ -56,7 +59,8 @@ impl TracedView {
             nodes,
             first_row: 0,
             end_row: height.div_ceil(8),
-            unused: [0; 2],
+            root: 0,
+            first_light: 0,
         }
     }
 }

@@ -52,7 +52,11 @@ macro_rules! assert_layout {
 #[test]
 fn host_types_have_the_layout_of_their_wgsl_twins() {
     let primary = module("visibility/primary.wgsl");
-    assert_layout!(primary, TracedView, [origin, width, forward, height, right, lights, up, nodes, first_row, end_row]);
+    assert_layout!(
+        primary,
+        TracedView,
+        [origin, width, forward, height, right, lights, up, nodes, first_row, end_row, root, first_light]
+    );
     assert_eq!(size_of::<TracedView>(), TracedView::BYTES as usize);
     assert_layout!(primary, TracedLight, [position, kind, direction, cos_outer, range_squared]);
     assert_layout!(primary, AlphaMaterial, [first_texel, width, height, wraps, cutoff, factor, vertex_alpha]);

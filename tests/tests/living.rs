@@ -6,7 +6,9 @@
 use std::path::Path;
 
 use gnomon_lab::{
+    backends::BackendName,
     report::living::{judge, views},
+    rig::ray_queries::with_ray_queries,
     scenes::living::{TIMES_S, all},
 };
 use gnomon_scene::{LoadOptions, Scene};
@@ -14,33 +16,57 @@ use gnomon_scene::{LoadOptions, Scene};
 /// Most bits, as a share of the relevant ones, that may differ where the referee is certain.
 const MOST_WRONG: f64 = 0.0001;
 
-fn holds(name: &str, scene: &Scene) {
+fn holds(name: &str, scene: &Scene, backends: &[BackendName]) {
     assert_eq!(scene.check(), Ok(()), "{name}");
-    let judged = judge(scene, &views(scene, (320, 180)), &TIMES_S).unwrap();
+    let judged = judge(scene, &views(scene, (320, 180)), &TIMES_S, backends).unwrap();
     for judged in &judged {
-        let (time_s, error) = (judged.time_s, &judged.error);
-        println!("{name} at {time_s} s: {error}");
-        assert!(error.sure_share() <= MOST_WRONG, "{name} at {time_s} s: {:?}", error.examples);
-        assert!(error.undecided * 100 <= error.relevant, "{name} at {time_s} s: {} undecided", error.undecided);
-        assert_eq!(error.irrelevant_set, 0, "{name} at {time_s} s");
-        assert!(judged.as_still, "{name} at {time_s} s: not the still scene's mask");
+        let error = &judged.error;
+        let what = format!("{name} at {} s on {}", judged.time_s, judged.backend.name());
+        println!("{what}: {error}");
+        assert!(error.sure_share() <= MOST_WRONG, "{what}: {:?}", error.examples);
+        assert!(error.undecided * 100 <= error.relevant, "{what}: {} undecided", error.undecided);
+        assert_eq!(error.irrelevant_set, 0, "{what}");
+        assert!(judged.as_still, "{what}: not the still scene's mask");
     }
     // A view may see backs alone at a time.
     let relevant = judged.iter().map(|judged| judged.error.relevant).sum::<u64>();
     assert!(relevant > 20_000, "{name}: only {relevant} relevant bits");
-    // Every second one is the same view.
-    assert!(judged.iter().step_by(2).any(|other| other.mask != judged[0].mask), "{name} does not move");
+    // Of two views.
+    let same_view = judged.iter().step_by(2 * backends.len());
+    assert!(same_view.clone().any(|other| other.mask != judged[0].mask), "{name} does not move");
 }
 
 #[test]
 fn small_living_scenes_are_right_at_any_time() {
     for (name, scene) in all() {
-        holds(name, &scene);
+        holds(name, &scene, &BackendName::EVERYWHERE);
     }
 }
 
 #[test]
+fn small_living_scenes_are_right_with_ray_queries() {
+    with_ray_queries("small_living_scenes_are_right_with_ray_queries", &all()[0].1, || {
+        for (name, scene) in all() {
+            holds(name, &scene, &[BackendName::RayQuery]);
+        }
+    })
+    .unwrap();
+}
+
+#[test]
 fn real_animated_files_are_right_at_any_time() {
+    real_files(&BackendName::EVERYWHERE);
+}
+
+#[test]
+fn real_animated_files_are_right_with_ray_queries() {
+    with_ray_queries("real_animated_files_are_right_with_ray_queries", &all()[0].1, || {
+        real_files(&[BackendName::RayQuery]);
+    })
+    .unwrap();
+}
+
+fn real_files(backends: &[BackendName]) {
     let folder = std::env::var_os("GNOMON_SCENES").expect("GNOMON_SCENES names the scenes");
     for file in [
         "CesiumMilkTruck.glb",
@@ -50,6 +76,6 @@ fn real_animated_files_are_right_at_any_time() {
         "07_nla-anim/07_nla-anim.gltf",
     ] {
         let options = LoadOptions { animation: Some("all".to_owned()), ..LoadOptions::default() };
-        holds(file, &Scene::load(&Path::new(&folder).join("animated").join(file), &options).unwrap());
+        holds(file, &Scene::load(&Path::new(&folder).join("animated").join(file), &options).unwrap(), backends);
     }
 }

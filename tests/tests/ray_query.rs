@@ -9,15 +9,16 @@ use glam::{DVec3, Vec3};
 use gnomon_lab::{
     metrics::RelevantError,
     reference::Reference,
+    report::living::views,
     rig::{ServerProcess, ray_queries},
-    scenes::builder::SceneBuilder,
+    scenes::{builder::SceneBuilder, living},
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{AlphaMode, Scene, Wrap, camera::Camera};
 use gnomon_server::visibility::{
     TraceCost,
     backend::{
-        compute::{ComputeBackend, RING_FRAMES},
+        compute::{ComputeBackend, RING_FRAMES, SLOTS},
         cpu::CpuBackend,
         ray_query,
     },
@@ -226,7 +227,7 @@ fn wrong_shapes_are_refused_and_several_frames_fly_at_once() {
         let mut backend = ray_query::open(&scene, None, true).unwrap();
         let cameras = &cameras()[..RING_FRAMES];
         let shape = mask_for(&scene, &cameras[0]).shape();
-        let error = backend.submit(&cameras[0], shape).unwrap_err().to_string();
+        let error = backend.submit(&cameras[0], 0.0, shape).unwrap_err().to_string();
         assert!(error.contains("no buffers"), "{error}");
         let mut mask = Mask::new(MaskShape::new(cameras[0].width, cameras[0].height, 2).unwrap());
         let error = backend.trace(&cameras[0], &mut mask).unwrap_err().to_string();
@@ -235,11 +236,46 @@ fn wrong_shapes_are_refused_and_several_frames_fly_at_once() {
         let alone: Vec<Mask> = cameras.iter().map(|camera| traced(&scene, camera).0).collect();
         backend.fit(alone.iter().map(Mask::shape)).unwrap();
         for (camera, mask) in cameras.iter().zip(&alone) {
-            backend.submit(camera, mask.shape()).unwrap();
+            backend.submit(camera, 0.0, mask.shape()).unwrap();
         }
         for expected in &alone {
             while backend.collect(std::time::Duration::from_millis(50), &mut mask).unwrap().is_none() {}
             assert_eq!(&mask, expected);
+        }
+    });
+}
+
+#[test]
+fn frames_of_different_times_are_under_way_at_once() {
+    with_ray_queries("frames_of_different_times_are_under_way_at_once", || {
+        for (name, scene) in living::all() {
+            let (mut together, mut alone) =
+                (ray_query::open(&scene, None, true).unwrap(), ray_query::open(&scene, None, true).unwrap());
+            let camera = views(&scene, (120, 80))[0];
+            let shape = mask_for(&scene, &camera).shape();
+            together.fit([shape]).unwrap();
+            // Slots are used again, for other times and for the same.
+            for from_s in [0.1, 1.0, 1.0] {
+                let times: Vec<f64> = (0..SLOTS).map(|slot| from_s + slot as f64 * 0.27).collect();
+                let begin = |time_s: &f64| Some(together.begin(&camera, *time_s, shape).unwrap());
+                let mut parts: Vec<_> = times.iter().map(begin).collect();
+                let mut order = Vec::new();
+                while order.len() < SLOTS {
+                    for (slot, part) in parts.iter_mut().enumerate() {
+                        let Some(frame) = part.take() else { continue };
+                        *part = together.submit_part(frame, 4).unwrap();
+                        if part.is_none() {
+                            order.push(times[slot]);
+                        }
+                    }
+                }
+                for time_s in order {
+                    let [mut mask, mut expected] = [(); 2].map(|()| mask_for(&scene, &camera));
+                    while together.collect(std::time::Duration::from_secs(1), &mut mask).unwrap().is_none() {}
+                    alone.trace_at(&camera, time_s, &mut expected).unwrap();
+                    assert_eq!(mask, expected, "{name} at {time_s} s");
+                }
+            }
         }
     });
 }

@@ -178,7 +178,7 @@ impl Counter {
 impl Ledger {
     pub(crate) fn traced(&self, cost: &TraceCost) {
         self.frames_traced.one();
-        let spent = Duration::try_from_secs_f64((cost.primary_ms + cost.shadow_ms) * 1e-3).unwrap_or_default();
+        let spent = Duration::try_from_secs_f64(cost.device_ms() * 1e-3).unwrap_or_default();
         self.gpu_us.add_us(spent);
         self.primary_listed.add(cost.primary_listed);
         self.primary_traced.add(cost.primary_rays.saturating_sub(cost.primary_listed));

@@ -62,6 +62,8 @@ pub struct TracedMask {
 /// Cost of a mask: time by stage, and rays.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct TraceCost {
+    /// Time to move what moves, in milliseconds: on the processor, during which the engine submits nothing.
+    pub pose_ms: f64,
     /// Device time to find surface points, in milliseconds.
     pub primary_ms: f64,
     /// Device time of shadow rays, in milliseconds.
@@ -115,6 +117,7 @@ impl TraceCost {
     #[must_use]
     pub fn plus(self, other: Self) -> Self {
         Self {
+            pose_ms: self.pose_ms + other.pose_ms,
             primary_ms: self.primary_ms + other.primary_ms,
             shadow_ms: self.shadow_ms + other.shadow_ms,
             readback_ms: self.readback_ms + other.readback_ms,
@@ -125,9 +128,9 @@ impl TraceCost {
         }
     }
 
-    /// Device time in milliseconds.
+    /// Device time in milliseconds, with that of moving what moves, which the engine's other work waits for.
     #[must_use]
     pub fn device_ms(&self) -> f64 {
-        self.primary_ms + self.shadow_ms
+        self.pose_ms + self.primary_ms + self.shadow_ms
     }
 }

@@ -2,8 +2,11 @@
 
 use std::f32::consts::{PI, TAU};
 
-use glam::{DVec3, Quat, Vec2, Vec3};
-use gnomon_scene::{Aabb, AlphaMode, Draw, Image, Light, LightKind, Material, Scene, Texture, Wrap};
+use glam::{DMat4, DQuat, DVec3, Quat, Vec2, Vec3};
+use gnomon_scene::{
+    Aabb, AlphaMode, AnimatedLight, AnimatedNode, Animation, Draw, Image, Interpolation, Light, LightKind, Material,
+    Piece, Place, Scene, Texture, Track, Wrap,
+};
 
 /// Materials of [`TestScene`], one for each kind of surface.
 pub(crate) const DOUBLE_SIDED: u32 = 0;
@@ -176,4 +179,76 @@ pub(crate) fn room() -> Scene {
         .light(LightKind::Directional, Vec3::ZERO, Vec3::new(0.3, -1.0, 0.2), f32::INFINITY)
         .point(Vec3::new(3.9, 0.4, 2.7))
         .build()
+}
+
+/// The room, in which half of a box turns and carries a lamp, its other half is hidden at times, the leaf is turned
+/// inside out, and the pane moves, which stops no ray.
+pub(crate) fn living_room() -> Scene {
+    let mut scene = room();
+    let track = |interpolation, times_s: &[f32], values: &[f32]| {
+        let period_s = times_s.last().copied().map_or(0.0, f64::from);
+        Some(Track { period_s, interpolation, times_s: times_s.to_vec(), values: values.to_vec() })
+    };
+    let still = AnimatedNode {
+        parent: None,
+        above: DMat4::IDENTITY,
+        translation_m: DVec3::ZERO,
+        rotation: DQuat::IDENTITY,
+        scale: DVec3::ONE,
+        visible: true,
+        translation_track: None,
+        rotation_track: None,
+        scale_track: None,
+        visible_track: None,
+    };
+    let turn = |angle: f32| Quat::from_rotation_y(angle).to_array();
+    let turning = AnimatedNode {
+        translation_track: track(Interpolation::Linear, &[0.0, 2.0], &[0.0, 0.0, 0.0, 3.0, 0.2, 1.0]),
+        rotation_track: track(Interpolation::Linear, &[0.0, 2.0], &[turn(0.0), turn(1.1)].concat()),
+        ..still.clone()
+    };
+    let hidden = AnimatedNode {
+        visible_track: track(Interpolation::Step, &[0.0, 0.5, 1.0], &[1.0, 0.0, 1.0]),
+        scale_track: track(Interpolation::Linear, &[0.0, 1.0], &[1.0, 1.0, 1.0, 1.3, 0.8, 1.0]),
+        ..still.clone()
+    };
+    let inside_out = AnimatedNode {
+        scale_track: track(Interpolation::Linear, &[0.0, 1.5], &[1.0, 1.0, 1.0, -1.2, 1.0, 0.9]),
+        ..still.clone()
+    };
+    let drifting = AnimatedNode {
+        translation_track: track(Interpolation::Linear, &[0.0, 1.0], &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]),
+        ..still
+    };
+    let mut animation = Animation { nodes: vec![turning, hidden, inside_out, drifting], ..Animation::default() };
+    let vertices = |material: u32| {
+        let draw = scene.draws.iter().find(|draw| draw.material == material).unwrap();
+        3 * draw.first_triangle..3 * (draw.first_triangle + draw.triangles)
+    };
+    let (boxed, leaf, pane) = (vertices(DOUBLE_SIDED), vertices(LEAF), vertices(GLASS));
+    let half = boxed.start + 18;
+    for (node, vertices) in [(0, boxed.start..half), (1, half..boxed.end), (2, leaf), (3, pane)] {
+        let (from, to) = (vertices.start as usize, vertices.end as usize);
+        let positions = &scene.positions[from..to];
+        let min = positions.iter().copied().reduce(Vec3::min).unwrap();
+        let max = positions.iter().copied().reduce(Vec3::max).unwrap();
+        animation.pieces.push(Piece {
+            node,
+            first_vertex: vertices.start,
+            vertices: vertices.end - vertices.start,
+            bounds: Aabb { min, max },
+            mirrored: false,
+        });
+        animation.positions.extend_from_slice(positions);
+        animation.normals.extend_from_slice(&scene.normals[from..to]);
+    }
+    let node_from_own = DMat4::from_translation(scene.lights[0].position.as_dvec3());
+    animation.lights.push(AnimatedLight {
+        light: 0,
+        place: Some(Place { node: 0, node_from_own }),
+        ..AnimatedLight::default()
+    });
+    scene.animation = Some(Box::new(animation));
+    assert_eq!(scene.check(), Ok(()));
+    scene
 }

@@ -22,6 +22,10 @@ struct TracedView {
     first_row: u32,
     // The row after its last.
     end_row: u32,
+    // Where the hierarchy begins: a node; or, if the adapter has its own, the first triangle of those that move.
+    root: u32,
+    // The first light of the frame's time.
+    first_light: u32,
 }
 
 // What decides a light's relevance and the end of its shadow rays.

@@ -33,7 +33,7 @@ var<workgroup> kept: array<u32, LIST_MOST + 1u>;
 
 // A child that the shaft may reach.
 struct Child {
-    // A node, or 0: the root is no child.
+    // A node, or 0, which is the root of something, and so no child.
     node: u32,
     triangle: u32,
     triangles: u32,
@@ -114,7 +114,7 @@ fn find(lane: u32) -> u32 {
     var found_count = 0u;
     var kept_count = 0u;
     if lane == 0u {
-        waiting[0] = 0u;
+        waiting[0] = view.root;
     }
     loop {
         workgroupBarrier();

@@ -13,7 +13,15 @@
 
 @group(0) @binding(7) var structure: acceleration_structure;
 
-// Our own test of a candidate. Candidates are numbered as in `triangles`.
+// Marks the instance of what moves. Twin: `MOVES` in backend/compute/acceleration.rs.
+const MOVES: u32 = 1u;
+
+// The triangle of a candidate. What rests is numbered as in `triangles`, and what moves from its first one on.
+fn candidate_triangle(candidate: RayIntersection) -> u32 {
+    return candidate.primitive_index + select(0u, view.root, candidate.instance_custom_data == MOVES);
+}
+
+// Our own test of a candidate.
 fn intersect_candidate(ray: Ray, triangle: u32) -> Hit {
     let a = bitcast<vec3f>(triangles[triangle * 3u].xyz);
     let b = bitcast<vec3f>(triangles[triangle * 3u + 1u].xyz);
@@ -30,7 +38,7 @@ fn intersect(ray: Ray) -> ClosestHit {
     var query: ray_query;
     rayQueryInitialize(&query, structure, RayDesc(RAY_FLAG_NONE, 0xffu, 0.0, FARTHEST, ray.origin, ray.slanted));
     while rayQueryProceed(&query) {
-        let triangle = rayQueryGetCandidateIntersection(&query).primitive_index;
+        let triangle = candidate_triangle(rayQueryGetCandidateIntersection(&query));
         let kind = triangles[triangle * 3u].w;
         let hit = intersect_candidate(ray, triangle);
         if hit.clear && hit.distance > 0.0 && hit.distance < limit
@@ -54,7 +62,7 @@ fn occluded(ray: Ray, end: End) -> bool {
     rayQueryInitialize(&query, structure,
         RayDesc(RAY_FLAG_TERMINATE_ON_FIRST_HIT, 0xffu, 0.0, end.limit, ray.origin, ray.slanted));
     while rayQueryProceed(&query) {
-        let triangle = rayQueryGetCandidateIntersection(&query).primitive_index;
+        let triangle = candidate_triangle(rayQueryGetCandidateIntersection(&query));
         let hit = intersect_candidate(ray, triangle);
         let corner = triangles[triangle * 3u];
         if is_between(hit, triangle, bitcast<vec3f>(corner.xyz), end)

@@ -54,7 +54,7 @@ fn shadow_listed(@builtin(workgroup_id) block: vec3u, @builtin(local_invocation_
         seen = surfaces[pixel.tile * 64u + pixel.bit];
     }
     var lit = ((seen.w >> block.z) & 1u) == 1u;
-    let light = lights[block.z];
+    let light = lights[view.first_light + block.z];
     let ray = shadow_ray(bitcast<vec3f>(seen.xyz), light);
     let end = shadow_end(light);
     let is_covered = state.x == STATE_COVERED;

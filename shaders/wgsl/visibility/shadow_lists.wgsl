@@ -37,7 +37,7 @@ fn start_of(i: u32, lane: u32) -> Start {
 fn shadow_lists(@builtin(workgroup_id) place: vec3u, @builtin(local_invocation_index) lane: u32) {
     block = place.xy;
     own_light = place.z;
-    let light = lights[place.z];
+    let light = lights[view.first_light + place.z];
     var rays = 0u;
     for (var i = 0u; i < PIXELS; i++) {
         rays += countOneBits(ballot(start_of(i, lane).counts, lane));

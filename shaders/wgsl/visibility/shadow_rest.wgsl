@@ -34,7 +34,7 @@ fn shadow_rest(
     let tile = (view.first_row + place.y) * tiles.x + place.x;
     let seen = surfaces[tile * 64u + bit];
     let needed = ((seen.w >> place.z) & 1u) == 1u;
-    let light = lights[place.z];
+    let light = lights[view.first_light + place.z];
     if needed && !occluded(shadow_ray(bitcast<vec3f>(seen.xyz), light), shadow_end(light)) {
         atomicOr(&tile_words[bit >> 5u], 1u << (bit & 31u));
     }

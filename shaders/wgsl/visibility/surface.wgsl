@@ -56,7 +56,8 @@ fn surface(hit: ClosestHit) -> vec4u {
     let start = point + geometric * (OFFSET_ROUNDINGS * ROUNDING * dot(abs(geometric), summed));
     var needed = 0u;
     for (var light = 0u; light < view.lights; light++) {
-        needed |= select(0u, 1u << light, needs_shadow_ray(lights[light], point, start, geometric, shading));
+        let about = lights[view.first_light + light];
+        needed |= select(0u, 1u << light, needs_shadow_ray(about, point, start, geometric, shading));
     }
     return vec4u(bitcast<vec3u>(start), needed);
 }

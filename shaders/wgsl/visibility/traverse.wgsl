@@ -12,7 +12,7 @@ fn intersect(ray: Ray) -> ClosestHit {
     var limit = FARTHEST;
     var stack: array<vec2u, TRAVERSAL_STACK>;
     var depth = 0u;
-    var group = select(vec2u(0u), ROOT_GROUP, view.nodes > 0u);
+    var group = vec2u(view.root, select(0u, ROOT_BITS, view.nodes > 0u));
     loop {
         if (group.y & GROUP_NODES) == 0u {
             if depth == 0u {
@@ -55,7 +55,7 @@ fn intersect(ray: Ray) -> ClosestHit {
 fn occluded(ray: Ray, end: End) -> bool {
     var stack: array<vec2u, TRAVERSAL_STACK>;
     var depth = 0u;
-    var group = select(vec2u(0u), ROOT_GROUP, view.nodes > 0u);
+    var group = vec2u(view.root, select(0u, ROOT_BITS, view.nodes > 0u));
     loop {
         if (group.y & GROUP_NODES) == 0u {
             if depth == 0u {

@@ -20,6 +20,8 @@ pub enum BackendName {
 
 /// Traces a camera's view into a mask of its size.
 pub type Trace = Box<dyn FnMut(&Camera, &mut Mask) -> Result<TraceCost>>;
+/// Traces a camera's view of the scene at a time in seconds into a mask of its size.
+pub type TraceAt = Box<dyn FnMut(&Camera, f64, &mut Mask) -> Result<TraceCost>>;
 
 impl BackendName {
     pub const ALL: [Self; 3] = [Self::Cpu, Self::Compute, Self::RayQuery];
@@ -35,17 +37,23 @@ impl BackendName {
         }
     }
 
-    /// Opens the back end for a scene. Software adapters count.
+    /// Opens the back end for a scene, at time 0. Software adapters count.
     pub fn open(self, scene: &Scene) -> Result<Trace> {
+        let mut trace = self.open_at(scene)?;
+        Ok(Box::new(move |camera, mask| trace(camera, 0.0, mask)))
+    }
+
+    /// Opens the back end for a scene at any time. Software adapters count.
+    pub fn open_at(self, scene: &Scene) -> Result<TraceAt> {
         let mut backend = match self {
             Self::Cpu => {
                 let backend = CpuBackend::new(scene, None)?;
-                return Ok(Box::new(move |camera, mask| Ok(backend.trace(camera, mask))));
+                return Ok(Box::new(move |camera, time_s, mask| Ok(backend.trace_at(camera, time_s, mask))));
             }
             Self::Compute => ComputeBackend::open(scene, None, true)?,
             Self::RayQuery => ray_query::open(scene, None, true)?,
         };
-        Ok(Box::new(move |camera, mask| Ok(backend.trace(camera, mask)?)))
+        Ok(Box::new(move |camera, time_s, mask| Ok(backend.trace_at(camera, time_s, mask)?)))
     }
 
     /// Returns whether an adapter here, software or not, supports the back end.

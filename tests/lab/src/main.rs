@@ -7,8 +7,8 @@ use clap::{Parser, Subcommand};
 use gnomon_lab::{
     cloister,
     report::{
-        accuracy, chaos, codec, edges, hostile, lag, link, living, load, loss, network, pareto, pipeline, predict_cost,
-        replay, trace_error, video,
+        accuracy, chaos, codec, edges, hostile, lag, link, living, load, loss, moving_times, network, pareto, pipeline,
+        predict_cost, replay, trace_error, video,
     },
 };
 
@@ -47,6 +47,8 @@ enum Command {
     Link(link::LinkOptions),
     /// Judge masks of scenes that move, at several times, with the f64 referee.
     Living(living::LivingOptions),
+    /// Measure what moving things cost a back end on a device, and compare its masks with those of `cpu`.
+    MovingTimes(moving_times::MovingTimesOptions),
     /// Run many clients without graphics against a running server.
     Load(load::LoadOptions),
     /// Measure the effect of packet loss on shown masks: loss.csv.
@@ -100,6 +102,7 @@ fn run(arguments: Arguments) -> Result<()> {
             return Ok(());
         }
         Command::Living(options) => living::measure(&options, progress)?,
+        Command::MovingTimes(options) => moving_times::measure(&options, progress)?,
         Command::Load(options) => {
             println!("{}", serde_json::to_string_pretty(&load::run(&options)?)?);
             return Ok(());

@@ -126,18 +126,23 @@ impl Tracer {
     /// Begins a frame. Each [`Self::advance`] traces `rows_per_part` rows of tiles. Errors if the device has failed.
     pub(super) fn begin(&mut self, job: Job, rows_per_part: u32) -> Result<PartialFrame, TraceError> {
         let progress = match self {
-            Self::Device { backend, .. } => match backend.begin(&job.request.camera, job.mask.shape()) {
-                Ok(rest) => Progress::Device(rest),
-                Err(error) => return Err(TraceError::Device { error, job: Some(Box::new(job)) }),
-            },
+            Self::Device { backend, .. } => {
+                let TraceRequest { camera, scene_time_s, .. } = &job.request;
+                let begin = || backend.begin(camera, *scene_time_s, job.mask.shape());
+                match catch_unwind(AssertUnwindSafe(begin)) {
+                    Ok(Ok(rest)) => Progress::Device(rest),
+                    Ok(Err(error)) => return Err(TraceError::Device { error, job: Some(Box::new(job)) }),
+                    Err(_) => return Err(TraceError::Panicked { job: Box::new(job) }),
+                }
+            }
             Self::Cpu(backend) => {
                 let (from, time_s) = (Instant::now(), job.request.scene_time_s);
                 let Ok(posed) = catch_unwind(AssertUnwindSafe(|| backend.pose(time_s).map(Box::new))) else {
                     return Err(TraceError::Panicked { job: Box::new(job) });
                 };
                 // Without anything that moves it takes no time.
-                let primary_ms = posed.as_ref().map_or(0.0, |_| from.elapsed().as_secs_f64() * 1e3);
-                Progress::Cpu { next_row: 0, cost: TraceCost { primary_ms, ..TraceCost::default() }, posed }
+                let pose_ms = posed.as_ref().map_or(0.0, |_| from.elapsed().as_secs_f64() * 1e3);
+                Progress::Cpu { next_row: 0, cost: TraceCost { pose_ms, ..TraceCost::default() }, posed }
             }
             Self::Lost => Progress::Cpu { next_row: 0, cost: TraceCost::default(), posed: None },
         };
@@ -243,11 +248,17 @@ impl Tracer {
         }
     }
 
-    /// Traces a whole mask. `None` if the device is lost. Errors if the device has failed or frames are in flight.
-    pub(super) fn trace(&mut self, camera: &Camera, mask: &mut Mask) -> Result<Option<TraceCost>, BackendError> {
+    /// Traces a whole mask of the scene at a time in seconds. `None` if the device is lost. Errors if the device has
+    /// failed or frames are in flight.
+    pub(super) fn trace(
+        &mut self,
+        camera: &Camera,
+        scene_time_s: f64,
+        mask: &mut Mask,
+    ) -> Result<Option<TraceCost>, BackendError> {
         match self {
-            Self::Device { backend, .. } => backend.trace(camera, mask).map(Some),
-            Self::Cpu(backend) => Ok(Some(backend.trace(camera, mask))),
+            Self::Device { backend, .. } => backend.trace_at(camera, scene_time_s, mask).map(Some),
+            Self::Cpu(backend) => Ok(Some(backend.trace_at(camera, scene_time_s, mask))),
             Self::Lost => Ok(None),
         }
     }

@@ -12,9 +12,10 @@ use super::bvh::{Child, LEAF_BIT, Leaf, NO_CHILD, Node, WIDTH, WideBvh, span, wo
 /// Lowest and highest corner. Inverted around nothing.
 pub type Bounds = [Vec3; 2];
 
-const NOTHING: Bounds = [Vec3::INFINITY, Vec3::NEG_INFINITY];
+/// Bounds of nothing.
+pub(crate) const NOTHING: Bounds = [Vec3::INFINITY, Vec3::NEG_INFINITY];
 
-fn joined(one: Bounds, other: Bounds) -> Bounds {
+pub(crate) fn joined(one: Bounds, other: Bounds) -> Bounds {
     [one[0].min(other[0]), one[1].max(other[1])]
 }
 
@@ -42,7 +43,7 @@ impl WideBvh {
     /// Joins trees with their bounds under one root. Indices of triangles stay as they are.
     #[must_use]
     pub fn join(trees: Vec<(Self, Bounds)>) -> Self {
-        let (nodes, levels) = top(&trees.iter().map(|(_, bounds)| *bounds).collect::<Vec<_>>());
+        let (nodes, levels) = top(&trees.iter().map(|(_, bounds)| *bounds).collect::<Vec<_>>(), WIDTH);
         let of_top = nodes.len();
         let mut all = Self { nodes, leaves: Vec::new(), depth: levels };
         let mut roots = Vec::with_capacity(trees.len());
@@ -99,15 +100,16 @@ impl Node {
 }
 
 /// Returns a small tree over boxes, whose leaves are the boxes' indices, and its number of levels. Each node halves its
-/// largest part until there are eight, along the longest side of the centres.
-fn top(boxes: &[Bounds]) -> (Vec<Node>, usize) {
+/// largest part until there are eight, along the longest side of the centres. The root has at most `most_in_root`.
+pub(crate) fn top(boxes: &[Bounds], most_in_root: usize) -> (Vec<Node>, usize) {
     let (mut nodes, mut levels) = (vec![Node::EMPTY], 1);
     let mut order: Vec<usize> = (0..boxes.len()).collect();
     let mut open = vec![(0, 0..boxes.len(), 1)];
     while let Some((place, range, level)) = open.pop() {
         levels = levels.max(level);
         let mut parts = vec![range];
-        while parts.len() < WIDTH {
+        let most = if place == 0 { most_in_root } else { WIDTH };
+        while parts.len() < most {
             let largest = (0..parts.len()).max_by_key(|part| parts[*part].len()).unwrap_or(0);
             let part = parts[largest].clone();
             if part.len() < 2 {

@@ -1,5 +1,5 @@
-//! `lab living`: errors of the `cpu` back end on scenes that move, at several times, against the referee's own
-//! evaluation of the animation; and whether a moving scene's mask is that of the scene that stands still then.
+//! `lab living`: errors of the back ends on scenes that move, at several times, against the referee's own evaluation of
+//! the animation; and whether a moving scene's mask is that of the scene that stands still then.
 
 use std::path::PathBuf;
 
@@ -7,10 +7,9 @@ use anyhow::{Context, Result};
 use glam::DVec3;
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{LoadOptions, Scene, camera::Camera};
-use gnomon_server::visibility::backend::cpu::CpuBackend;
 
 use super::{scene_args, table::Table};
-use crate::{metrics::RelevantError, reference::Reference, scenes::living};
+use crate::{backends::BackendName, metrics::RelevantError, reference::Reference, scenes::living};
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct LivingOptions {
@@ -22,11 +21,15 @@ pub struct LivingOptions {
     /// Size of the pictures, WIDTHxHEIGHT.
     #[arg(long, value_parser = scene_args::size, default_value = "320x180")]
     pub size: (u32, u32),
+    /// Which of them trace; `ray-query` needs an adapter that has it.
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = BackendName::EVERYWHERE)]
+    pub backends: Vec<BackendName>,
 }
 
 /// What one picture shows.
 #[derive(Debug)]
 pub struct Judged {
+    pub backend: BackendName,
     pub time_s: f64,
     pub mask: Mask,
     pub error: RelevantError,
@@ -42,47 +45,54 @@ pub fn views(scene: &Scene, (width, height): (u32, u32)) -> [Camera; 2] {
         .map(|way| Camera::looking_at(middle + way * size, middle, 0.9, width, height))
 }
 
-/// Traces a scene at these times, from each camera.
-pub fn judge(scene: &Scene, cameras: &[Camera], times_s: &[f64]) -> Result<Vec<Judged>> {
-    let backend = CpuBackend::new(scene, None)?;
+/// Traces a scene at these times, from each camera, with each back end: in this order, the back ends innermost.
+pub fn judge(scene: &Scene, cameras: &[Camera], times_s: &[f64], backends: &[BackendName]) -> Result<Vec<Judged>> {
+    let mut traces = backends.iter().map(|backend| backend.open_at(scene)).collect::<Result<Vec<_>>>()?;
     let lights = u32::try_from(scene.lights.len())?;
     let mut all = Vec::new();
     for &time_s in times_s {
-        let (reference, posed) = (Reference::at(scene, time_s), backend.pose(time_s));
-        let unmoved = CpuBackend::new(&scene.still_at(time_s), None)?;
+        let (reference, unmoved) = (Reference::at(scene, time_s), scene.still_at(time_s));
+        let mut stills = backends.iter().map(|backend| backend.open(&unmoved)).collect::<Result<Vec<_>>>()?;
         for camera in cameras {
-            let shape = MaskShape::new(camera.width, camera.height, lights)?;
-            let [mut mask, mut still] = [Mask::new(shape), Mask::new(shape)];
-            backend.trace_rows(camera, &mut mask, 0..shape.tiles_y(), posed.as_ref());
-            unmoved.trace(camera, &mut still);
-            let error = RelevantError::of(&mask, &reference.trace(camera));
-            all.push(Judged { time_s, as_still: mask == still, mask, error });
+            let truth = reference.trace(camera);
+            for ((&backend, trace), unmoved) in backends.iter().zip(&mut traces).zip(&mut stills) {
+                let shape = MaskShape::new(camera.width, camera.height, lights)?;
+                let [mut mask, mut still] = [Mask::new(shape), Mask::new(shape)];
+                trace(camera, time_s, &mut mask)?;
+                unmoved(camera, &mut still)?;
+                let error = RelevantError::of(&mask, &truth);
+                all.push(Judged { backend, time_s, as_still: mask == still, mask, error });
+            }
         }
     }
     Ok(all)
 }
 
-/// Returns one row per scene, summed over its times and views.
+/// Returns one row per scene and back end, summed over its times and views.
 pub fn measure(options: &LivingOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
-    let mut table = Table::new("scene | pieces | relevant bits | wrong | wrong % | undecided % | as still");
+    let mut table = Table::new("scene | pieces | back end | relevant bits | wrong | wrong % | undecided % | as still");
     let mut row = |name: &str, scene: &Scene| -> Result<()> {
-        let mut sum = RelevantError::default();
-        let judged = judge(scene, &views(scene, options.size), &options.times)?;
-        let as_still = judged.iter().all(|judged| judged.as_still);
-        judged.into_iter().for_each(|judged| sum += judged.error);
-        progress(&format!("{name}: {sum}"));
-        let percent = |share: f64| format!("{:.4}", 100.0 * share);
-        #[expect(clippy::cast_precision_loss, reason = "bits of a few pictures")]
-        let undecided = sum.undecided as f64 / sum.relevant.max(1) as f64;
-        table.rows.push(vec![
-            name.to_owned(),
-            scene.animation.as_ref().map_or(0, |animation| animation.pieces.len()).to_string(),
-            sum.relevant.to_string(),
-            (sum.wrong - sum.wrong_undecided).to_string(),
-            percent(sum.sure_share()),
-            percent(undecided),
-            as_still.to_string(),
-        ]);
+        let judged = judge(scene, &views(scene, options.size), &options.times, &options.backends)?;
+        for &backend in &options.backends {
+            let mut sum = RelevantError::default();
+            let of_backend = || judged.iter().filter(|judged| judged.backend == backend);
+            let as_still = of_backend().all(|judged| judged.as_still);
+            of_backend().for_each(|judged| sum += judged.error.clone());
+            progress(&format!("{name} on {}: {sum}", backend.name()));
+            let percent = |share: f64| format!("{:.4}", 100.0 * share);
+            #[expect(clippy::cast_precision_loss, reason = "bits of a few pictures")]
+            let undecided = sum.undecided as f64 / sum.relevant.max(1) as f64;
+            table.rows.push(vec![
+                name.to_owned(),
+                scene.animation.as_ref().map_or(0, |animation| animation.pieces.len()).to_string(),
+                backend.name().to_owned(),
+                sum.relevant.to_string(),
+                (sum.wrong - sum.wrong_undecided).to_string(),
+                percent(sum.sure_share()),
+                percent(undecided),
+                as_still.to_string(),
+            ]);
+        }
         Ok(())
     };
     if options.files.is_empty() {

@@ -10,6 +10,7 @@ pub mod link;
 pub mod living;
 pub mod load;
 pub mod loss;
+pub mod moving_times;
 pub mod network;
 pub mod pareto;
 pub mod pipeline;

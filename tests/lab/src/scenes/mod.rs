@@ -2,4 +2,5 @@
 
 pub mod builder;
 pub mod living;
+pub mod movers;
 pub mod real;

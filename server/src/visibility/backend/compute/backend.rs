@@ -13,10 +13,12 @@ use gnomon_shaders::{
 use wgpu::util::DeviceExt as _;
 
 use super::{
-    acceleration,
+    acceleration::Structures,
+    enlarge,
     geometry::Geometry,
     kernels::{self, KernelOptions, Kernels, KernelsFor, Lists, SCENE_BUFFERS, Traversal},
     limit::{PictureLimit, binding_limit},
+    movers::{Movers, Posed, RegionBuffers, Sizes},
     ring::{Capacity, RING_FRAMES, Ring, SLOTS},
     submission::{InFlight, Submissions},
     timing::Timing,
@@ -37,7 +39,10 @@ pub struct ComputeBackend {
     tests_alpha: bool,
     memory: DeviceMemory,
     pub(super) kernels: Kernels,
-    pub(super) scene: wgpu::BindGroup,
+    /// One; or one a slot, where each has an acceleration structure of its own.
+    scenes: Vec<wgpu::BindGroup>,
+    /// What moves, with the buffers that it is in.
+    pub(super) moving: Option<Box<Moving>>,
     pub(super) timing: Option<Timing>,
     pub(super) origin_m: DVec3,
     pub(super) lights: u32,
@@ -51,6 +56,36 @@ pub struct ComputeBackend {
     silent_after: Option<Duration>,
 }
 
+/// What moves, and where it is on the device.
+#[derive(Debug)]
+pub(super) struct Moving {
+    pub(super) movers: Movers,
+    pub(super) buffers: RegionBuffers,
+    /// `None` where our own hierarchy is walked.
+    pub(super) structures: Option<Structures>,
+}
+
+impl Moving {
+    /// Moves what moves to where it is at a time in seconds, in a slot without a frame.
+    pub(super) fn pose(&mut self, queue: &wgpu::Queue, slot: usize, scene_time_s: f64) -> Posed {
+        // Known again when the frame is submitted.
+        self.movers.set(slot, None);
+        let posed = self.movers.pose(queue, &self.buffers, slot, scene_time_s);
+        if let Some(structures) = &mut self.structures {
+            structures.write(queue, slot, self.movers.triangles(posed));
+        }
+        posed
+    }
+
+    /// Builds a slot's acceleration structure, if it has one. Encode before the kernels of its frame.
+    pub(super) fn build(&mut self, encoder: &mut wgpu::CommandEncoder, slot: usize, posed: Posed) {
+        if let Some(structures) = &self.structures {
+            structures.build(encoder, slot, posed.triangles);
+        }
+        self.movers.set(slot, Some(posed));
+    }
+}
+
 /// Memory of a device that grows with the scene and its masks, in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DeviceMemory {
@@ -61,6 +96,8 @@ pub struct DeviceMemory {
     pub lights_bytes: u64,
     /// Alpha materials, their pictures, and texture coordinates.
     pub alpha_bytes: u64,
+    /// What moves, once for each frame that may have begun: nodes, triangles, normals and lights.
+    pub moving_bytes: u64,
     /// Words of one mask; 0 while there are no buffers.
     pub mask_bytes: u64,
 }
@@ -125,27 +162,41 @@ impl ComputeBackend {
     pub(in super::super) fn new_with(scene: &Scene, gpu: Gpu, options: KernelOptions) -> Result<Self, BackendError> {
         let traversal = options.traversal;
         let failure = DeviceFailure::watch(&gpu.device);
-        let geometry = Geometry::build(scene, traversal)?;
+        let mut geometry = Geometry::build(scene, traversal)?;
+        let movers = Movers::new(scene, &mut geometry, traversal);
         let tests_alpha = !geometry.alpha_materials.is_empty();
         let memory = DeviceMemory {
             hierarchy_bytes: size_of_val(&*geometry.nodes) as u64,
             triangle_bytes: (size_of_val(&*geometry.triangles) + size_of_val(&*geometry.normals)) as u64,
             lights_bytes: (size_of::<TracedLight>() * scene.lights.len()) as u64,
             alpha_bytes: geometry.alpha_bytes(),
+            moving_bytes: movers.as_ref().map_or(0, Movers::room_bytes),
             mask_bytes: 0,
         };
         let kernels_for = KernelsFor { alpha_materials: &geometry.alpha_materials, lights: scene.lights.len() };
         let kernels = Kernels::new(&gpu, kernels_for, options)?;
-        let (nodes, structure) = match traversal {
+        let (nodes, structures) = match traversal {
             Traversal::Hierarchy => (geometry.nodes.len(), None),
             Traversal::RayQuery => {
-                (geometry.triangles.len(), Some(acceleration::build_structure(&gpu, &geometry.triangles)?))
+                let most_moving = movers.as_ref().map_or(0, Movers::most_triangles);
+                let greatest = enlarge::greatest_moving(scene);
+                (geometry.triangles.len(), Some(Structures::new(&gpu, &geometry.triangles, most_moving, greatest)?))
             }
         };
         let nodes =
             u32::try_from(nodes).map_err(|_| BackendError::Setup(format!("the hierarchy has {nodes} nodes")))?;
-        let buffers = upload(&gpu, scene, geometry)?;
-        let scene_group = kernels.bind_scene(&gpu.device, &buffers, structure.as_ref());
+        let buffers = upload(&gpu, scene, geometry, movers.as_ref().map(Movers::room))?;
+        let scenes = match &structures {
+            Some(structures) => {
+                let bind = |top| kernels.bind_scene(&gpu.device, &buffers, Some(top));
+                structures.tops().iter().map(bind).collect()
+            }
+            None => vec![kernels.bind_scene(&gpu.device, &buffers, None)],
+        };
+        let moving = movers.map(|movers| {
+            let [nodes, triangles, lights, _, _, _, normals] = buffers;
+            Box::new(Moving { movers, buffers: RegionBuffers { nodes, triangles, lights, normals }, structures })
+        });
         let timing = Timing::new(&gpu.device, &gpu.queue, u32::try_from(SLOTS).unwrap_or(u32::MAX));
         if let Some(reason) = failure.take() {
             return Err(BackendError::Setup(reason));
@@ -155,7 +206,8 @@ impl ComputeBackend {
             tests_alpha,
             memory,
             kernels,
-            scene: scene_group,
+            scenes,
+            moving,
             timing,
             origin_m: scene.origin_m,
             lights: u32::try_from(scene.lights.len()).unwrap_or(u32::MAX),
@@ -254,6 +306,11 @@ impl ComputeBackend {
         self.gpu.device.destroy();
     }
 
+    /// The scene's bind group for frames of a slot.
+    pub(super) fn scene(&self, slot: usize) -> &wgpu::BindGroup {
+        &self.scenes[slot % self.scenes.len()]
+    }
+
     /// Returns whether the kernels test alpha: only if the scene's triangles have holes.
     #[must_use]
     pub fn tests_alpha(&self) -> bool {
@@ -273,10 +330,22 @@ impl ComputeBackend {
     }
 }
 
-/// The scene's buffers, in the order of `wgsl/shared/traced_scene.wgsl`.
-fn upload(gpu: &Gpu, scene: &Scene, geometry: Geometry) -> Result<[wgpu::Buffer; SCENE_BUFFERS], BackendError> {
-    let usage = wgpu::BufferUsages::STORAGE;
-    let lights: Vec<TracedLight> = scene.lights.iter().map(TracedLight::new).collect();
+/// The scene's buffers, in the order of `wgsl/shared/traced_scene.wgsl`, with room for what moves behind what rests.
+fn upload(
+    gpu: &Gpu,
+    scene: &Scene,
+    mut geometry: Geometry,
+    room: Option<Sizes>,
+) -> Result<[wgpu::Buffer; SCENE_BUFFERS], BackendError> {
+    let mut usage = wgpu::BufferUsages::STORAGE;
+    let mut lights: Vec<TracedLight> = scene.lights.iter().map(TracedLight::new).collect();
+    if let Some(room) = room {
+        usage |= wgpu::BufferUsages::COPY_DST;
+        extend(&mut geometry.nodes, room.nodes);
+        extend(&mut geometry.triangles, room.triangles);
+        extend(&mut geometry.normals, room.triangles);
+        extend(&mut lights, room.lights);
+    }
     let mut texels = geometry.alpha_texels;
     // The kernels read them four at a time.
     texels.resize(texels.len().next_multiple_of(4), 0);
@@ -298,4 +367,9 @@ fn upload(gpu: &Gpu, scene: &Scene, geometry: Geometry) -> Result<[wgpu::Buffer;
         buffer("list of texture coordinates", bytemuck::cast_slice(&geometry.alpha_uvs))?,
         buffer("list of normals", bytemuck::cast_slice(&geometry.normals))?,
     ])
+}
+
+/// Adds entries that are written later.
+fn extend<T: bytemuck::Zeroable + Clone>(list: &mut Vec<T>, room: usize) {
+    list.resize(list.len() + room, T::zeroed());
 }

@@ -5,20 +5,36 @@
 //! candidates, and the kernels' own watertight test decides which one it hits.
 
 use glam::Vec3;
+use gnomon_scene::{Piece, Scene};
 use gnomon_shaders::host::TracedTriangle;
+use rayon::iter::{IntoParallelRefIterator as _, ParallelIterator as _};
 
 /// Outward shift of edges, relative to the greatest coordinate: 64 rounding units. Adapters may be off by a few.
 const PAD: f64 = 1.0 / (1 << 18) as f64;
 /// A corner moves at most this many times as far as its edges. Needle tips would otherwise move without bound.
 const FARTHEST: f64 = 1024.0;
 
-/// The corners of each triangle, enlarged.
-pub(super) fn enlarged(triangles: &[TracedTriangle]) -> Vec<[Vec3; 3]> {
-    let corners = |triangle: &TracedTriangle| [triangle.a, triangle.b, triangle.c].map(Vec3::from_array);
-    let greatest =
-        triangles.iter().flat_map(corners).fold(0.0_f32, |most, corner| most.max(corner.abs().max_element()));
+/// The greatest coordinate of all corners.
+pub(super) fn greatest(triangles: &[TracedTriangle]) -> f32 {
+    triangles.iter().flat_map(corners).fold(0.0_f32, |most, corner| most.max(corner.abs().max_element()))
+}
+
+/// The corners of each triangle, enlarged for a scene with this greatest coordinate. Runs on the current rayon pool.
+pub(super) fn enlarged(triangles: &[TracedTriangle], greatest: f32) -> Vec<[Vec3; 3]> {
     let pad_m = f64::from(greatest) * PAD;
-    triangles.iter().map(|triangle| enlarge(corners(triangle), pad_m)).collect()
+    triangles.par_iter().map(|triangle| enlarge(corners(triangle), pad_m)).collect()
+}
+
+/// The greatest coordinate of what moves, in the pose of the file.
+pub(super) fn greatest_moving(scene: &Scene) -> f32 {
+    let pieces = scene.animation.iter().flat_map(|animation| &animation.pieces);
+    let of_piece = |piece: &Piece| (piece.first_vertex as usize, piece.vertices as usize);
+    let vertices = pieces.map(of_piece).flat_map(|(first, count)| scene.positions.iter().skip(first).take(count));
+    vertices.fold(0.0, |most, vertex| most.max(vertex.abs().max_element()))
+}
+
+fn corners(triangle: &TracedTriangle) -> [Vec3; 3] {
+    [triangle.a, triangle.b, triangle.c].map(Vec3::from_array)
 }
 
 fn enlarge(corners: [Vec3; 3], pad_m: f64) -> [Vec3; 3] {

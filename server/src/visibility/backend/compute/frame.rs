@@ -61,11 +61,17 @@ impl ComputeBackend {
         self.ring.as_ref().map_or(0, |ring| ring.slots.iter().filter(|slot| slot.is_free()).count())
     }
 
-    /// Begins a frame without submitting anything. The shape must fit ([`Self::fit`]).
+    /// Begins a frame of the scene at a time in seconds, without submitting anything. Moves what moves there. The shape
+    /// must fit ([`Self::fit`]).
     ///
     /// # Errors
     /// If [`SLOTS`] frames have begun, or the camera or the shape does not fit.
-    pub fn begin(&mut self, camera: &Camera, shape: MaskShape) -> Result<PartialSubmission, BackendError> {
+    pub fn begin(
+        &mut self,
+        camera: &Camera,
+        scene_time_s: f64,
+        shape: MaskShape,
+    ) -> Result<PartialSubmission, BackendError> {
         if (camera.width, camera.height, self.lights) != (shape.width(), shape.height(), shape.lights()) {
             return Err(BackendError::Device(format!(
                 "a camera of {}×{} pixels and {} lights for {shape:?}",
@@ -79,8 +85,18 @@ impl ComputeBackend {
             return Err(BackendError::Device(format!("{SLOTS} frames have begun already")));
         };
         let basis = camera.ray_basis(self.origin_m);
-        let view = TracedView::new(&basis, shape.width(), shape.height(), shape.lights(), self.nodes);
-        Ok(PartialSubmission { lease, shape, view, begun_at: Instant::now(), parts: 0, copied_bytes: 0 })
+        let mut view = TracedView::new(&basis, shape.width(), shape.height(), shape.lights(), self.nodes);
+        let begun_at = Instant::now();
+        let (mut posed, mut is_new) = (None, false);
+        if let Some(moving) = &mut self.moving {
+            let at = moving.movers.at(lease.slot(), scene_time_s);
+            is_new = at.is_none();
+            let now = at.unwrap_or_else(|| moving.pose(&self.gpu.queue, lease.slot(), scene_time_s));
+            (view.root, view.nodes, view.first_light) = (now.root, now.nodes, now.first_light);
+            posed = Some(now);
+        }
+        let pose_ms = posed.map_or(0.0, |_| begun_at.elapsed().as_secs_f64() * 1e3);
+        Ok(PartialSubmission { lease, shape, view, begun_at, posed, is_new, pose_ms, parts: 0, copied_bytes: 0 })
     }
 
     /// Submits the next part of a frame: `rows` rows of tiles, or a piece of its mask. Submits all of the rest if
@@ -105,6 +121,9 @@ impl ComputeBackend {
             }
             if frame.parts == 0 {
                 slot.clear(&mut encoder);
+                if let (Some(moving), Some(posed)) = (&mut self.moving, frame.posed.filter(|_| frame.is_new)) {
+                    moving.build(&mut encoder, frame.lease.slot(), posed);
+                }
             }
             let rows = frame.next_rows(rows.max(1));
             let first = first_query + PART_QUERIES * frame.parts;
@@ -117,7 +136,7 @@ impl ComputeBackend {
                 });
                 for (kernel, (x, y), z) in dispatches {
                     pass.set_pipeline(kernel);
-                    pass.set_bind_group(0, &self.scene, &[]);
+                    pass.set_bind_group(0, self.scene(frame.lease.slot()), &[]);
                     pass.set_bind_group(1, &slot.group, &[]);
                     pass.set_immediates(0, bytemuck::bytes_of(&frame.view));
                     pass.dispatch_workgroups(x, y, z);
@@ -149,8 +168,8 @@ impl ComputeBackend {
         if !last {
             return Ok(Some(frame));
         }
-        let PartialSubmission { lease, shape, begun_at, parts, .. } = frame;
-        self.in_flight.push_back(InFlight { lease, shape, begun_at, parts, read_words: 0 });
+        let PartialSubmission { lease, shape, begun_at, pose_ms, parts, .. } = frame;
+        self.in_flight.push_back(InFlight { lease, shape, begun_at, pose_ms, parts, read_words: 0 });
         Ok(None)
     }
 
@@ -229,9 +248,13 @@ impl ComputeBackend {
         let stages = match &self.timing {
             Some(timing) => timing.stages(&ticks),
             // Without a device clock, all of the time counts as tracing.
-            None => Stages { shadow_ms: (seen_at - oldest.begun_at).as_secs_f64() * 1e3, ..Stages::default() },
+            None => {
+                let shadow_ms = (seen_at - oldest.begun_at).as_secs_f64() * 1e3 - oldest.pose_ms;
+                Stages { shadow_ms, ..Stages::default() }
+            }
         };
         let cost = TraceCost {
+            pose_ms: oldest.pose_ms,
             primary_ms: stages.primary_ms,
             shadow_ms: stages.shadow_ms,
             readback_ms: stages.copy_ms + seen_at.elapsed().as_secs_f64() * 1e3,
@@ -244,23 +267,31 @@ impl ComputeBackend {
         Ok(Some(cost))
     }
 
-    /// Submits a whole frame and returns at once. The shape must fit ([`Self::fit`]).
+    /// Submits a whole frame of the scene at a time in seconds, and returns at once. The shape must fit ([`Self::fit`]).
     ///
     /// # Errors
     /// If [`RING_FRAMES`] frames are in flight, the shape does not fit, or the device has failed.
-    pub fn submit(&mut self, camera: &Camera, shape: MaskShape) -> Result<(), BackendError> {
+    pub fn submit(&mut self, camera: &Camera, scene_time_s: f64, shape: MaskShape) -> Result<(), BackendError> {
         if self.in_flight.len() >= RING_FRAMES {
             return Err(BackendError::Device(format!("{RING_FRAMES} frames are in flight already")));
         }
-        let frame = self.begin(camera, shape)?;
+        let frame = self.begin(camera, scene_time_s, shape)?;
         self.submit_part(frame, u32::MAX).map(drop)
     }
 
-    /// Traces one mask and waits for it. `mask` must have the camera's size and a plane for each light of the scene.
+    /// Traces one mask of the scene at time 0 and waits for it. `mask` must have the camera's size and a plane for each light of the scene.
     ///
     /// # Errors
     /// If the shape does not fit, frames are in flight, or the device has failed.
     pub fn trace(&mut self, camera: &Camera, mask: &mut Mask) -> Result<TraceCost, BackendError> {
+        self.trace_at(camera, 0.0, mask)
+    }
+
+    /// As [`Self::trace`], of the scene at a time in seconds.
+    ///
+    /// # Errors
+    /// Those of [`Self::trace`].
+    pub fn trace_at(&mut self, camera: &Camera, scene_time_s: f64, mask: &mut Mask) -> Result<TraceCost, BackendError> {
         if !self.in_flight.is_empty() {
             return Err(BackendError::Device(format!("{} frames are in flight", self.in_flight.len())));
         }
@@ -269,7 +300,7 @@ impl ComputeBackend {
             self.picture_limit().check(shape)?;
             self.fit([shape])?;
         }
-        self.submit(camera, shape)?;
+        self.submit(camera, scene_time_s, shape)?;
         loop {
             if let Some(cost) = self.collect(Duration::from_secs(1), mask)? {
                 return Ok(cost);

@@ -1,9 +1,9 @@
 //! The scene in the kernels' format: obvhs' CWBVH, and the triangles in the order of its leaves.
 
-use std::collections::HashMap;
+use std::{collections::HashMap, ops::Range};
 
 use glam::{Vec2, Vec3, Vec3A};
-use gnomon_scene::{AlphaMode, Material, Scene, triangle_normal};
+use gnomon_scene::{AlphaMode, Animation, Material, Scene, triangle_normal};
 use gnomon_shaders::host::{AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedTriangle, wraps};
 use obvhs::{
     Boundable,
@@ -12,7 +12,7 @@ use obvhs::{
     triangle::Triangle,
 };
 
-use super::kernels::Traversal;
+use super::{kernels::Traversal, refit::most_levels};
 use crate::visibility::{
     backend::BackendError,
     hierarchy::{balance::bound_depth, binary},
@@ -31,6 +31,29 @@ pub(super) struct Geometry {
     pub(super) alpha_materials: Vec<AlphaMaterial>,
     /// Alpha pictures, concatenated.
     pub(super) alpha_texels: Vec<u8>,
+    /// The pieces that move, which are in none of the first three lists.
+    pub(super) pieces: Vec<PieceGeometry>,
+}
+
+/// A piece in its own space. Its indices count from its own first node, triangle and vertex.
+#[derive(Debug, Default)]
+pub(super) struct PieceGeometry {
+    /// Nodes of its hierarchy, the root first. Empty as [`Geometry::nodes`].
+    pub(super) nodes: Vec<CwBvhNode>,
+    /// In the order of the hierarchy's leaves.
+    pub(super) triangles: Vec<PieceTriangle>,
+    /// Its vertices among the animation's.
+    pub(super) vertices: Range<usize>,
+}
+
+/// What of a triangle does not move.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PieceTriangle {
+    pub(super) corners: [u32; 3],
+    /// See [`TracedTriangle::kind`].
+    pub(super) kind: u32,
+    /// See [`TracedTriangle::first_uv`]: as in the file's pose, and with the second and third corner exchanged.
+    pub(super) first_uvs: [u32; 2],
 }
 
 /// Where a material's triangles stop rays.
@@ -49,34 +72,97 @@ impl Geometry {
         let opacities = geometry.add_alpha(scene)?;
         let tracing = scene.tracing_triangles();
         let mut stopping = Vec::with_capacity(tracing.len());
+        let pieces = scene.animation.as_ref().map_or(0, |animation| animation.pieces.len());
+        let mut moving: Vec<Stopping> = vec![Stopping::new(); pieces];
+        let piece_of = |corner: u32| scene.animation.as_ref().and_then(|animation| animation.piece_of(corner));
         for draw in &scene.draws {
             let first = draw.first_triangle as usize;
             // BLEND draws lie behind the end of `tracing`.
             let triangles = tracing.get(first..first + draw.triangles as usize).unwrap_or_default();
             if opacities[draw.material as usize] != Opacity::Nowhere {
-                stopping.extend(triangles.iter().map(|&corners| (corners, draw.material)));
+                for &corners in triangles {
+                    let list = piece_of(corners[0]).map_or(&mut stopping, |piece| &mut moving[piece]);
+                    list.push((corners, draw.material));
+                }
             }
         }
+        let most_depth = if moving.iter().all(Vec::is_empty) { TRAVERSAL_STACK } else { TRAVERSAL_STACK - 1 };
+        geometry.add_resting(scene, &stopping, &opacities, traversal, most_depth)?;
+        if let Some(animation) = &scene.animation {
+            let most_depth = TRAVERSAL_STACK.saturating_sub(most_levels(moving.len()));
+            for ((piece, first), stopping) in animation.pieces.iter().zip(animation.first_positions()).zip(&moving) {
+                let vertices = first..first + piece.vertices as usize;
+                let own = Own { animation, first_vertex: piece.first_vertex, vertices };
+                let piece = geometry.piece(scene, own, stopping, &opacities, traversal, most_depth)?;
+                geometry.pieces.push(piece);
+            }
+        }
+        Ok(geometry)
+    }
+
+    /// Adds the triangles that rest, and builds their hierarchy.
+    fn add_resting(
+        &mut self,
+        scene: &Scene,
+        stopping: &Stopping,
+        opacities: &[Opacity],
+        traversal: Traversal,
+        most_depth: u32,
+    ) -> Result<(), BackendError> {
         if stopping.is_empty() {
-            return Ok(geometry);
+            return Ok(());
         }
         if traversal == Traversal::RayQuery {
-            for (corners, material) in stopping {
+            for &(corners, material) in stopping {
                 let (surface, opacity) = (&scene.materials[material as usize], opacities[material as usize]);
-                geometry.add_triangle(scene, corners, surface, opacity)?;
+                self.add_triangle(scene, corners, surface, opacity)?;
             }
-            return Ok(geometry);
+            return Ok(());
         }
-        let corner = |index: u32| Vec3A::from(scene.positions[index as usize]);
-        let shapes: Vec<Triangle> =
-            stopping.iter().map(|&([a, b, c], _)| Triangle { v0: corner(a), v1: corner(b), v2: corner(c) }).collect();
-        let hierarchy = build_hierarchy(&shapes);
+        let hierarchy =
+            build_hierarchy(&shapes(&scene.positions, stopping.iter().map(|(corners, _)| *corners)), most_depth);
         for &primitive in &hierarchy.primitive_indices {
             let (corners, material) = stopping[primitive as usize];
-            geometry.add_triangle(scene, corners, &scene.materials[material as usize], opacities[material as usize])?;
+            self.add_triangle(scene, corners, &scene.materials[material as usize], opacities[material as usize])?;
         }
-        geometry.nodes = hierarchy.nodes;
-        Ok(geometry)
+        self.nodes = hierarchy.nodes;
+        Ok(())
+    }
+
+    /// Adds what a piece needs for alpha, and builds its hierarchy in its own space.
+    fn piece(
+        &mut self,
+        scene: &Scene,
+        own: Own<'_>,
+        stopping: &Stopping,
+        opacities: &[Opacity],
+        traversal: Traversal,
+        most_depth: u32,
+    ) -> Result<PieceGeometry, BackendError> {
+        let Own { animation, first_vertex, vertices } = own;
+        let within = |corners: [u32; 3]| corners.map(|corner| corner - first_vertex);
+        let (order, nodes) = match traversal {
+            Traversal::Hierarchy if !stopping.is_empty() => {
+                let positions = animation.positions.get(vertices.clone()).unwrap_or_default();
+                let shapes = shapes(positions, stopping.iter().map(|(corners, _)| within(*corners)));
+                let hierarchy = build_hierarchy(&shapes, most_depth);
+                (hierarchy.primitive_indices, hierarchy.nodes)
+            }
+            _ => ((0..).take(stopping.len()).collect(), Vec::new()),
+        };
+        let mut triangles = Vec::with_capacity(stopping.len());
+        for at in order {
+            let (corners, material) = stopping[at as usize];
+            let (surface, opacity) = (&scene.materials[material as usize], opacities[material as usize]);
+            let (kind, first_uv) = self.add_alpha_of(scene, corners, surface, opacity)?;
+            let [a, b, c] = corners;
+            let turned_uv = match opacity {
+                Opacity::ByAlpha(_) => self.add_alpha_of(scene, [a, c, b], surface, opacity)?.1,
+                Opacity::Everywhere | Opacity::Nowhere => first_uv,
+            };
+            triangles.push(PieceTriangle { corners: within(corners), kind, first_uvs: [first_uv, turned_uv] });
+        }
+        Ok(PieceGeometry { nodes, triangles, vertices })
     }
 
     /// Memory that only triangles with holes need.
@@ -134,7 +220,22 @@ impl Geometry {
         material: &Material,
         opacity: Opacity,
     ) -> Result<(), BackendError> {
+        let (kind, first_uv) = self.add_alpha_of(scene, corners, material, opacity)?;
         let [a, b, c] = corners.map(|index| scene.positions[index as usize].to_array());
+        self.triangles.push(TracedTriangle { a, kind, b, first_uv, c, unused: 0 });
+        let [na, nb, nc] = corners.map(|index| scene.normals[index as usize]);
+        self.normals.push([na, nb, nc, plane_normal([a, b, c].map(Vec3::from_array))]);
+        Ok(())
+    }
+
+    /// Adds what the alpha test of a triangle needs. Returns its [`TracedTriangle::kind`] and `first_uv`.
+    fn add_alpha_of(
+        &mut self,
+        scene: &Scene,
+        corners: [u32; 3],
+        material: &Material,
+        opacity: Opacity,
+    ) -> Result<(u32, u32), BackendError> {
         let first_uv = index_of_next("texture coordinates", &self.alpha_uvs)?;
         let mut kind = if material.double_sided { 0 } else { TRIANGLE_SINGLE_SIDED };
         if let Opacity::ByAlpha(index) = opacity {
@@ -145,12 +246,30 @@ impl Geometry {
                 self.alpha_uvs.extend([Vec2::new(a, b), Vec2::new(c, 0.0)]);
             }
         }
-        self.triangles.push(TracedTriangle { a, kind, b, first_uv, c, unused: 0 });
-        let [na, nb, nc] = corners.map(|index| scene.normals[index as usize]);
-        let plane = triangle_normal(a.into(), b.into(), c.into()).unwrap_or_default();
-        self.normals.push([na, nb, nc, plane.as_vec3()]);
-        Ok(())
+        Ok((kind, first_uv))
     }
+}
+
+/// Triangles that stop rays, by their corners, each with its material.
+type Stopping = Vec<([u32; 3], u32)>;
+
+/// Where a piece's vertices are.
+struct Own<'a> {
+    animation: &'a Animation,
+    /// Its first vertex among the scene's.
+    first_vertex: u32,
+    /// Its vertices among the animation's.
+    vertices: Range<usize>,
+}
+
+/// The unit normal of a triangle's plane, zero for one without an area.
+pub(super) fn plane_normal([a, b, c]: [Vec3; 3]) -> Vec3 {
+    triangle_normal(a, b, c).unwrap_or_default().as_vec3()
+}
+
+fn shapes(positions: &[Vec3], triangles: impl Iterator<Item = [u32; 3]>) -> Vec<Triangle> {
+    let corner = |index: u32| Vec3A::from(positions[index as usize]);
+    triangles.map(|[a, b, c]| Triangle { v0: corner(a), v1: corner(b), v2: corner(c) }).collect()
 }
 
 fn index_of_next<T>(what: &str, list: &[T]) -> Result<u32, BackendError> {
@@ -158,17 +277,17 @@ fn index_of_next<T>(what: &str, list: &[T]) -> Result<u32, BackendError> {
         .map_err(|_| BackendError::Setup(format!("the scene has {} {what}, more than 2^32", list.len())))
 }
 
-/// Builds the hierarchy over these triangles in the kernels' format.
-pub(super) fn build_hierarchy(shapes: &[Triangle]) -> CwBvh {
+/// Builds the hierarchy over these triangles in the kernels' format, of at most so many levels.
+pub(super) fn build_hierarchy(shapes: &[Triangle], most_depth: u32) -> CwBvh {
     let mut binary = binary::build(&shapes.iter().map(Boundable::aabb).collect::<Vec<_>>());
     // A leaf of this format holds at most three triangles.
     let compress = |binary: &Bvh2| bvh2_to_cwbvh(binary, 3, true, false);
     let hierarchy = compress(&binary);
-    if depth(&hierarchy.nodes) <= TRAVERSAL_STACK {
+    if depth(&hierarchy.nodes) <= most_depth {
         return hierarchy;
     }
     // Every level of wide nodes can push one entry on the stack, and spans at least one level of binary nodes.
-    bound_depth(&mut binary, TRAVERSAL_STACK);
+    bound_depth(&mut binary, most_depth);
     compress(&binary)
 }
 
@@ -200,7 +319,7 @@ mod tests {
                 [Vec3A::Y, Vec3A::Z].map(|up| Triangle { v0, v1: v0 + Vec3A::X * side, v2: v0 + up * side })
             })
             .collect();
-        let hierarchy = build_hierarchy(&chain);
+        let hierarchy = build_hierarchy(&chain, TRAVERSAL_STACK);
         assert!(depth(&hierarchy.nodes) <= TRAVERSAL_STACK);
         let mut named = hierarchy.primitive_indices;
         named.sort_unstable();

@@ -7,6 +7,8 @@ mod frame;
 mod geometry;
 mod kernels;
 mod limit;
+mod movers;
+mod refit;
 mod ring;
 mod submission;
 #[cfg(test)]

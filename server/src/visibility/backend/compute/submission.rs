@@ -13,7 +13,7 @@ use std::{
 use gnomon_protocol::mask::MaskShape;
 use gnomon_shaders::host::TracedView;
 
-use super::ring::Lease;
+use super::{movers::Posed, ring::Lease};
 
 /// A frame whose last part is not yet submitted. Dropping it frees its slot.
 #[derive(Debug)]
@@ -22,6 +22,12 @@ pub struct PartialSubmission {
     pub(super) shape: MaskShape,
     pub(super) view: TracedView,
     pub(super) begun_at: Instant,
+    /// What moves, at the frame's time.
+    pub(super) posed: Option<Posed>,
+    /// Its region has just been written.
+    pub(super) is_new: bool,
+    /// Time that moving it took, in milliseconds.
+    pub(super) pose_ms: f64,
     /// Tracing parts submitted.
     pub(super) parts: u32,
     /// Bytes of the mask whose copy to the host has been submitted.
@@ -48,6 +54,7 @@ pub(super) struct InFlight {
     pub(super) lease: Lease,
     pub(super) shape: MaskShape,
     pub(super) begun_at: Instant,
+    pub(super) pose_ms: f64,
     pub(super) parts: u32,
     /// Words of the mask that the host has read.
     pub(super) read_words: usize,

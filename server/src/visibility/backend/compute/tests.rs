@@ -1,5 +1,7 @@
 //! Compares the kernels with closed forms, with obvhs' own traversal, and with the `cpu` back end.
 
+mod moving;
+
 use glam::{DVec3, Vec3, Vec3A};
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{LightKind, Scene, camera::Camera};
@@ -170,7 +172,7 @@ fn parts_of_any_height_share_lists_of_their_own() {
     let cost = listed.trace(&camera, &mut whole).unwrap();
     // Blocks begin at odd rows of tiles, and the last ones are cut off.
     for rows in [1, 3, 5] {
-        let mut part = listed.begin(&camera, whole.shape()).unwrap();
+        let mut part = listed.begin(&camera, 0.0, whole.shape()).unwrap();
         while let Some(rest) = listed.submit_part(part, rows).unwrap() {
             part = rest;
         }
@@ -335,7 +337,7 @@ fn the_kernels_traverse_the_hierarchy_as_obvhs_does() {
             obvhs::triangle::Triangle { v0, v1, v2 }
         })
         .collect();
-    let hierarchy = geometry::build_hierarchy(&shapes);
+    let hierarchy = geometry::build_hierarchy(&shapes, gnomon_shaders::host::TRAVERSAL_STACK);
     let triangle = |id: usize| shapes[hierarchy.primitive_indices[id] as usize];
     let light = Vec3A::from(scene.lights[0].position);
     let (mut wrong, mut seen) = (0, 0);
@@ -372,9 +374,9 @@ fn frames_in_flight_come_back_complete_and_in_order() {
     compute.fit(alone.iter().map(Mask::shape)).unwrap();
     for _ in 0..2 {
         for (camera, mask) in cameras.iter().zip(&alone) {
-            compute.submit(camera, mask.shape()).unwrap();
+            compute.submit(camera, 0.0, mask.shape()).unwrap();
         }
-        assert!(compute.submit(&cameras[0], alone[0].shape()).is_err(), "the ring is full");
+        assert!(compute.submit(&cameras[0], 0.0, alone[0].shape()).is_err(), "the ring is full");
         for expected in &alone {
             let mut mask = Mask::new(MaskShape::new(1, 1, 1).unwrap());
             while compute.collect(std::time::Duration::from_millis(50), &mut mask).unwrap().is_none() {}
@@ -389,7 +391,7 @@ fn sizes_that_do_not_fit_are_refused_with_numbers() {
     let scene = room();
     let mut compute = backend(&scene);
     let camera = cameras()[0];
-    let error = compute.submit(&camera, mask_for(&scene, &camera).shape()).unwrap_err();
+    let error = compute.submit(&camera, 0.0, mask_for(&scene, &camera).shape()).unwrap_err();
     assert!(error.to_string().contains("no buffers"), "{error}");
     let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, 2).unwrap());
     let error = compute.trace(&camera, &mut mask).unwrap_err();

@@ -1,6 +1,6 @@
 //! The back end: a prepared scene, and the threads that trace it.
 
-use std::{num::NonZeroUsize, ops::Range};
+use std::{num::NonZeroUsize, ops::Range, time::Instant};
 
 use gnomon_protocol::mask::{Mask, TILE_PX};
 use gnomon_scene::{Scene, camera::Camera};
@@ -83,8 +83,18 @@ impl CpuBackend {
     /// # Panics
     /// If the mask's shape is not the camera's and the scene's.
     pub fn trace(&self, camera: &Camera, mask: &mut Mask) -> TraceCost {
-        let rows = 0..mask.shape().tiles_y();
-        self.trace_rows(camera, mask, rows, self.pose(0.0).as_ref())
+        self.trace_at(camera, 0.0, mask)
+    }
+
+    /// As [`Self::trace`], of the scene at a time in seconds.
+    ///
+    /// # Panics
+    /// Those of [`Self::trace`].
+    pub fn trace_at(&self, camera: &Camera, scene_time_s: f64, mask: &mut Mask) -> TraceCost {
+        let (from, rows) = (Instant::now(), 0..mask.shape().tiles_y());
+        let posed = self.pose(scene_time_s);
+        let pose_ms = posed.as_ref().map_or(0.0, |_| from.elapsed().as_secs_f64() * 1e3);
+        TraceCost { pose_ms, ..self.trace_rows(camera, mask, rows, posed.as_ref()) }
     }
 
     /// As [`Self::trace`], but only for these rows of tiles, and with what moves where [`Self::pose`] has put it.
@@ -146,6 +156,7 @@ impl CpuBackend {
         let sum = |of: fn(&TileCost<C>) -> f64| costs.iter().map(of).sum::<f64>() * per_thread_ms;
         let shadow_rays = costs.iter().map(|cost| cost.shadow_rays).sum();
         let cost = TraceCost {
+            pose_ms: 0.0,
             primary_ms: sum(|cost| cost.primary.as_secs_f64()),
             shadow_ms: sum(|cost| cost.shadow.as_secs_f64()),
             readback_ms: 0.0,

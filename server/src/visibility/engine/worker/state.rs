@@ -30,6 +30,9 @@ const WARM_UP: Duration = Duration::from_millis(100);
 /// Masks that are traced even if that takes longer.
 const WARM_UP_MASKS: u32 = 4;
 
+/// Time of the scene between them, in seconds.
+const WARM_UP_STEP_S: f64 = 1.0 / 60.0;
+
 /// Reopens a lost tracer.
 pub(super) type Reopen = Box<dyn FnMut() -> Result<Tracer, BackendError> + Send>;
 
@@ -90,7 +93,9 @@ impl Worker {
         let (mut mask, began) = (Mask::new(shape), Instant::now());
         let mut costs = Vec::new();
         while costs.len() < WARM_UP_MASKS as usize || began.elapsed() < WARM_UP {
-            let Some(cost) = self.tracer.trace(camera, &mut mask)? else { return Ok(None) };
+            // Each mask has a time of its own, so that what moves is moved for it.
+            let scene_time_s = costs.len() as f64 * WARM_UP_STEP_S;
+            let Some(cost) = self.tracer.trace(camera, scene_time_s, &mut mask)? else { return Ok(None) };
             costs.push(cost);
             self.shared.pulse.beat();
             // A slow device: its clock is not what makes it slow.

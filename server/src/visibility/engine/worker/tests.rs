@@ -29,7 +29,7 @@ use crate::visibility::{
         tracer::{TraceError, Tracer},
     },
     schedule::costs::SessionCosts,
-    test_scenes::room,
+    test_scenes::{living_room, room},
 };
 
 /// Expected to take 12 ms, and so cut into parts of four of its 90 rows while there are short frames.
@@ -50,6 +50,19 @@ fn compute() -> Tracer {
     Tracer::on_device(ComputeBackend::open(&room(), None, true).unwrap())
 }
 
+fn living_cpu() -> Tracer {
+    Tracer::on_cpu(CpuBackend::new(&living_room(), None).unwrap())
+}
+
+fn living_compute() -> Tracer {
+    Tracer::on_device(ComputeBackend::open(&living_room(), None, true).unwrap())
+}
+
+/// Every frame has a time of its own.
+fn scene_time_s(frame: u32) -> f64 {
+    f64::from(frame) * 0.37
+}
+
 fn shape((width, height, _): (u32, u32, f64)) -> MaskShape {
     MaskShape::new(width, height, 5).unwrap()
 }
@@ -67,7 +80,7 @@ fn ask(port: &SessionPort, frame: u32, kind: (u32, u32, f64)) {
     port.request(TraceRequest {
         frame: FrameNumber(frame),
         camera,
-        scene_time_s: 0.0,
+        scene_time_s: scene_time_s(frame),
         ahead: None,
         received_at,
         interval,
@@ -136,13 +149,13 @@ fn expect<T>(result: Result<T, TraceError>) -> T {
 /// The mask of a frame that is traced whole.
 fn whole(tracer: &mut Tracer, frame: u32, kind: (u32, u32, f64)) -> Mask {
     let mut mask = Mask::new(shape(kind));
-    assert!(tracer.trace(&camera(frame, kind), &mut mask).unwrap().is_some());
+    assert!(tracer.trace(&camera(frame, kind), scene_time_s(frame), &mut mask).unwrap().is_some());
     mask
 }
 
 #[test]
 fn short_frames_overtake_a_long_one_and_no_bit_changes() {
-    for open in [cpu, compute] {
+    for open in [cpu, compute, living_cpu, living_compute] {
         let mut reference = open();
         let mut rig = Rig::new(open());
         let (mut greedy, mut modest) = (rig.open(LONG), rig.open(SHORT));
@@ -179,7 +192,7 @@ fn short_frames_overtake_a_long_one_and_no_bit_changes() {
 
 #[test]
 fn an_interrupted_frame_ends_with_its_session_and_restarts_when_buffers_grow() {
-    for open in [cpu, compute] {
+    for open in [cpu, compute, living_compute] {
         let mut rig = Rig::new(open());
         let (mut greedy, mut modest) = (rig.open(LONG), rig.open(SHORT));
         let leaving: Vec<SessionPort> = (0..3).map(|_| rig.open(LONG)).collect();

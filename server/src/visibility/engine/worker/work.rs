@@ -156,6 +156,7 @@ impl Worker {
         tracing::debug!(
             engine_session = job.session,
             frame = frame.0,
+            pose_ms = cost.pose_ms,
             primary_ms = cost.primary_ms,
             shadow_ms = cost.shadow_ms,
             readback_ms = cost.readback_ms,
