@@ -97,6 +97,10 @@ pub struct Reading {
     /// Name or number of the scene to show, of a file with several [default: the file's]
     #[arg(long, value_name = "NAME")]
     pub scene_name: Option<String>,
+    /// Name or number of the animation that moves the scene; `all` takes all together, `off` the pose of the file
+    /// [default: off]
+    #[arg(long, value_name = "NAME")]
+    pub animation: Option<String>,
     /// Name or number of the material variant to show [default: none]
     #[arg(long, value_name = "NAME")]
     pub variant: Option<String>,
@@ -110,6 +114,7 @@ impl Reading {
             (self.lights.is_some(), "lights"),
             (!self.default_light.is_on(), "default-light"),
             (self.scene_name.is_some(), "scene-name"),
+            (self.animation.is_some(), "animation"),
             (self.variant.is_some(), "variant"),
         ];
         given.into_iter().find_map(|(is_given, flag)| is_given.then_some(flag))
@@ -121,7 +126,7 @@ impl Reading {
             max_lights: self.lights,
             default_light: self.default_light.is_on(),
             scene: self.scene_name,
-            animation: None,
+            animation: self.animation,
             variant: self.variant,
         };
         LocalScene { file, options }
@@ -301,7 +306,7 @@ mod tests {
         };
         assert_eq!(options_with("", "a/room.glb --headless --wait").unwrap().source, Source::File(file(None)));
         assert_eq!(options_with("", "a/room.glb --lights 2").unwrap().source, Source::File(file(Some(2))));
-        let line = "--default-light off --scene-name=-2 --variant red --lights-from l.json";
+        let line = "--default-light off --scene-name=-2 --animation=-all --variant red --lights-from l.json";
         let Source::File(chosen) = options_with("", &format!("a/room.glb {line}")).unwrap().source else {
             panic!("no file");
         };
@@ -312,7 +317,7 @@ mod tests {
                 max_lights: None,
                 default_light: false,
                 scene: Some("-2".to_owned()),
-                animation: None,
+                animation: Some("-all".to_owned()),
                 variant: Some("red".to_owned()),
             }
         );
@@ -321,11 +326,15 @@ mod tests {
         let told = chosen.server_arguments();
         assert_eq!(
             told.iter().map(|word| word.to_str().unwrap()).collect::<Vec<_>>(),
-            [&words[..], &["--variant=red"]].concat()
+            [&words[..], &["--animation=-all", "--variant=red"]].concat()
         );
         assert_eq!(
             options_with("", &format!("{URL} --variant red")).unwrap_err(),
             "--variant: with a scene's file or --offline only"
+        );
+        assert_eq!(
+            options_with("", &format!("{URL} --animation all")).unwrap_err(),
+            "--animation: with a scene's file or --offline only"
         );
         let configured = options_with("url = \"a/room.glb\"", "--headless").unwrap();
         assert_eq!(configured.source, Source::File(file(None)));

@@ -6,6 +6,7 @@
 use std::time::{Duration, Instant};
 
 use gnomon_client_core::{
+    camera::of_scene,
     frame::{
         frame_loop::{FrameLoop, MaskSource},
         stats::{FrameStats, StageTimes},
@@ -19,6 +20,7 @@ use gnomon_shaders::gpu::Gpu;
 
 use crate::{
     app::look::Look,
+    camera_path::CameraPath,
     config::ClientSettings,
     error::ClientError,
     link::{
@@ -73,6 +75,8 @@ pub(crate) struct Stage<'a> {
     /// Largest mask to request, in pixels.
     pub(crate) largest_mask: (u32, u32),
     pub(crate) camera: Camera,
+    /// In seconds.
+    pub(crate) scene_time_s: f64,
 }
 
 /// A scene that has replaced another one.
@@ -83,6 +87,8 @@ pub(crate) struct NewScene {
     pub(crate) exposure: Exposure,
     #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window shows it"))]
     pub(crate) cameras: Vec<NamedCamera>,
+    #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window shows it"))]
+    pub(crate) camera_paths: Vec<CameraPath>,
 }
 
 #[derive(Debug, Default)]
@@ -144,11 +150,14 @@ impl FrameDriver {
         stage: Stage<'_>,
     ) -> Result<Option<NewScene>, ClientError> {
         let Some(link) = &mut self.link else { return Ok(None) };
-        let Stage { gpu, settings, largest_mask: (width, height), camera } = stage;
+        let Stage { gpu, settings, largest_mask: (width, height), camera, scene_time_s } = stage;
         let OtherScene { pending, scene } = other;
         let (url, welcome) = (pending.url().clone(), pending.welcome.clone());
         let (environment, _) = self.frames.renderer.environment();
-        let look = Look::new(environment, &scene, &Occluders::largest_of(&scene), camera);
+        let look = {
+            let shown = scene.as_at(scene_time_s);
+            Look::new(environment, &shown, &Occluders::largest_of(&shown), (camera, scene_time_s))
+        };
         let size = self.frames.renderer.size();
         let first = look.first_exposure();
         let mut renderer = FrameRenderer::new(gpu, &scene, size, first, PICTURE_FORMAT, settings.predict)?;
@@ -169,7 +178,8 @@ impl FrameDriver {
             recorder.write(&Record::Event { frame: self.drawn.saturating_sub(1), text })?;
             recorder.finish()?;
         }
-        Ok(Some(NewScene { url, welcome, exposure, cameras: scene.cameras }))
+        let camera_paths = of_scene::paths(&scene);
+        Ok(Some(NewScene { url, welcome, exposure, cameras: scene.cameras, camera_paths }))
     }
 
     /// Draws frame number `frame` from `camera` at `scene_time_s` into `sink`. Frame numbers ascend.
@@ -191,6 +201,7 @@ impl FrameDriver {
         }
         if waits {
             // Draws the surfaces while waiting for the mask.
+            self.frames.renderer.set_time(scene_time_s);
             self.frames.renderer.draw_surfaces(&camera)?;
             times.surfaces = clock.lap();
             if let Some(link) = &mut self.link {
@@ -209,6 +220,7 @@ impl FrameDriver {
         let drawing = self.frames.choose(frame, &camera, begun);
         let renderer = &mut self.frames.renderer;
         if !waits {
+            renderer.set_time(drawing.scene_time_s);
             renderer.draw_surfaces(&drawing.camera)?;
             times.surfaces = clock.lap();
         }
@@ -224,6 +236,7 @@ impl FrameDriver {
                 frame: frame.0,
                 requested: (&camera).into(),
                 shown: (&drawing.camera).into(),
+                scene_time_s: drawing.scene_time_s,
                 visibility_share: drawing.decision.visibility_share,
                 timing: (&stats).into(),
             })?;

@@ -37,6 +37,10 @@ pub struct ServerConfig {
     /// Name or number of the scene to show, of a file with several [default: the file's]
     #[arg(long, value_name = "NAME")]
     pub scene_name: Option<String>,
+    /// Name or number of the animation that moves the scene; `all` takes all together, `off` the pose of the file
+    /// [default: off]
+    #[arg(long, value_name = "NAME")]
+    pub animation: Option<String>,
     /// Name or number of the material variant to show [default: none]
     #[arg(long, value_name = "NAME")]
     pub variant: Option<String>,

@@ -63,7 +63,13 @@ impl Frames {
         };
         self.renderer.draw_surfaces(&self.camera)?;
         let surfaces = lap(&self.gpu)?;
-        let view = mask.map(|(mask, traced_for)| MaskView { mask, coverage: None, more: false, traced_for });
+        let view = mask.map(|(mask, traced_for)| MaskView {
+            mask,
+            coverage: None,
+            more: false,
+            traced_for,
+            scene_time_s: 0.0,
+        });
         self.renderer.set_mask(view)?;
         self.renderer.shade(&self.camera, 1.0, &self.reader.target(), |_| ())?;
         Ok([surfaces, lap(&self.gpu)?])

@@ -79,17 +79,18 @@ pub(crate) fn load(
         HeadlessOptions { source, remember: false, ..options.clone() }
     });
     let (scene, connected) = get_scene(served.as_ref().unwrap_or(options), largest_mask, stop, &mut progress, trusts)?;
-    let occluders = Occluders::largest_of(&scene);
+    let start_s = options.settings.start_time;
+    let shown = scene.as_at(start_s);
+    let occluders = Occluders::largest_of(&shown);
     let camera_path = match (camera_path, options.settings.path.as_ref().and_then(PathSpec::scene_camera)) {
         (Some(path), _) => path,
-        (None, Some(wanted)) => of_scene::standing_at(&scene.cameras, wanted).map_err(PathError::Scene)?,
-        (None, None) => {
-            of_scene::standing_at(&scene.cameras, None).unwrap_or_else(|_| default_path(&scene, &occluders))
-        }
+        (None, Some(wanted)) => of_scene::path_of(&scene, wanted).map_err(PathError::Scene)?,
+        (None, None) => of_scene::path_of(&scene, None).unwrap_or_else(|_| default_path(&shown, &occluders)),
     };
     let Size { width, height } = options.settings.size;
-    let first = camera_path.camera(options.settings.start_time, width, height);
-    let look = Look::new(environment, &scene, &occluders, first);
+    let first = camera_path.camera(start_s, width, height);
+    let look = Look::new(environment, &shown, &occluders, (first, start_s));
+    drop(shown);
     stop.check()?;
     Ok(Loaded { scene, connected, camera_path, look, local })
 }

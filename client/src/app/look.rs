@@ -12,14 +12,21 @@ use crate::{
 pub(crate) struct Look {
     environment: Environment,
     survey: Survey,
-    /// Where the run begins.
+    /// Where the run begins, and when, in seconds of the scene.
     camera: Camera,
+    scene_time_s: f64,
 }
 
 impl Look {
-    pub(crate) fn new(environment: Environment, scene: &Scene, occluders: &Occluders, camera: Camera) -> Self {
+    /// `scene` is as it is at the time at which `camera` sees it.
+    pub(crate) fn new(
+        environment: Environment,
+        scene: &Scene,
+        occluders: &Occluders,
+        (camera, scene_time_s): (Camera, f64),
+    ) -> Self {
         let survey = Survey::new(scene, occluders, &camera);
-        Self { environment, survey, camera }
+        Self { environment, survey, camera, scene_time_s }
     }
 
     /// Returns the exposure to make a renderer with.
@@ -36,6 +43,7 @@ impl Look {
         renderer: &mut FrameRenderer,
         settings: &ClientSettings,
     ) -> Result<Exposure, RenderError> {
+        renderer.set_time(self.scene_time_s);
         renderer.set_tone(settings.tone);
         renderer.set_environment(self.environment, self.survey);
         match settings.exposure {

@@ -169,7 +169,7 @@ struct Timing {
 }
 
 impl Timing {
-    /// Returns the frame's time on the path, in seconds.
+    /// Returns the frame's time on the path, and that of the scene, in seconds.
     fn time_s(&self, frame: u32) -> f64 {
         self.start_s + f64::from(frame) * self.step_s
     }
@@ -241,11 +241,12 @@ impl Run<'_> {
         let Self { options: HeadlessOptions { settings, .. }, gpu, .. } = *self;
         let Start { driver, timing, camera_path, .. } = start;
         let camera = camera_path.camera(timing.time_s(index), settings.size.width, settings.size.height);
-        let stage = Stage { gpu, settings, largest_mask: settings.largest_mask(), camera };
+        let scene_time_s = timing.time_s(index);
+        let stage = Stage { gpu, settings, largest_mask: settings.largest_mask(), camera, scene_time_s };
         if let Some(new) = driver.maintain(FrameNumber(index), stage)? {
             (start.lights, start.exposure, start.welcome) = (new.welcome.lights, new.exposure, Some(new.welcome));
         }
-        let drawn = driver.draw(FrameNumber(index), camera, timing.time_s(index), files)?;
+        let drawn = driver.draw(FrameNumber(index), camera, scene_time_s, files)?;
         self.tally.add(&drawn, driver.link.is_some());
         if let Some(file) = &mut files.stats {
             file.write(&drawn)?;
@@ -315,7 +316,9 @@ fn timing(settings: &ClientSettings, path: &CameraPath) -> Timing {
     });
     let step_s = match settings.fps {
         Some(fps) => 1.0 / fps,
-        None => rest / f64::from(frames.saturating_sub(1).max(1)),
+        None if rest > 0.0 => rest / f64::from(frames.saturating_sub(1).max(1)),
+        // The camera stands, or moves with the scene, whose time goes on.
+        None => 1.0 / DEFAULT_STEPS_PER_S,
     };
     Timing { frames, start_s: settings.start_time, step_s, paced: settings.fps.is_some() }
 }
@@ -425,6 +428,9 @@ mod tests {
         let with = |frames, fps, start_time| {
             timing(&ClientSettings { start_time, frames, fps, ..ClientSettings::default() }, &path)
         };
+        let standing = CameraPath::new("stands", vec![key(0.0)], 1.0).unwrap();
+        let still = timing(&ClientSettings { frames: Some(4), ..ClientSettings::default() }, &standing);
+        assert_eq!((still.time_s(0), still.time_s(3), still.paced), (0.0, 0.1, false));
         let times = |timing: Timing| (timing.frames, timing.time_s(0), timing.time_s(timing.frames - 1), timing.paced);
         assert_eq!(times(with(Some(5), None, 0.0)), (5, 0.0, 4.0, false));
         assert_eq!(times(with(Some(1), None, 1.0)), (1, 1.0, 1.0, false));

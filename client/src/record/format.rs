@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// First line of the file, with the format's version.
-pub const FIRST_LINE: &str = "gnomon recording 3\n";
+pub const FIRST_LINE: &str = "gnomon recording 4\n";
 
 /// Longest record: the largest mask, incompressible.
 pub const MAX_RECORD_BYTES: u32 = 128 << 20;
@@ -84,8 +84,9 @@ pub enum Record {
     Mask {
         /// Frame that requested it.
         frame: u32,
-        /// View that it was traced for.
+        /// View that it was traced for, and time of the scene in seconds, 0 if everything rests.
         traced_for: RecordedCamera,
+        scene_time_s: f64,
         /// In the codec `planes-lz4`.
         body: Vec<u8>,
         /// Tiles that had arrived, as `Coverage::words` returns them; `None` for all.
@@ -96,6 +97,8 @@ pub enum Record {
         /// View from the newest pose.
         requested: RecordedCamera,
         shown: RecordedCamera,
+        /// Time of the scene that is shown, in seconds.
+        scene_time_s: f64,
         /// Weight of received visibility, 0 to 1.
         visibility_share: f32,
         timing: Timing,

@@ -6,13 +6,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use gnomon_client_core::camera::Viewpoint;
 use gnomon_protocol::{
     codec::{CodecId, EncodedFrame, Encoder},
     coverage::Coverage,
     mask::Mask,
     message::Welcome,
 };
-use gnomon_scene::camera::Camera;
 use gnomon_shaders::gpu::Gpu;
 
 use super::format::{FIRST_LINE, MAX_BYTES, MAX_RECORD_BYTES, Record, Start};
@@ -63,7 +63,7 @@ impl Recorder {
     pub(crate) fn write_mask(
         &mut self,
         frame: u32,
-        traced_for: &Camera,
+        traced_for: &Viewpoint,
         (mask, coverage): (&Mask, &Coverage),
     ) -> Result<(), ClientError> {
         if self.full {
@@ -73,7 +73,9 @@ impl Recorder {
         let encoded = self.encoder.encode(mask, &mut encoded_mask);
         encoded.map_err(|error| self.failed(std::io::Error::other(error)))?;
         let coverage = (!coverage.is_whole()).then(|| coverage.words().to_vec());
-        self.write(&Record::Mask { frame, traced_for: traced_for.into(), body: encoded_mask.into_body(), coverage })
+        let Viewpoint { camera, scene_time_s } = *traced_for;
+        let body = encoded_mask.into_body();
+        self.write(&Record::Mask { frame, traced_for: (&camera).into(), scene_time_s, body, coverage })
     }
 
     /// Adds a record, unless the recording is full.

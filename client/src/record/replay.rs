@@ -107,6 +107,8 @@ pub enum Replayed<'a> {
         picture: Picture,
         /// View that the picture shows.
         shown: Camera,
+        /// Time of the scene, in seconds.
+        scene_time_s: f64,
         /// Weight of received visibility, 0 to 1.
         visibility_share: f32,
         renderer: &'a FrameRenderer,
@@ -155,7 +157,8 @@ pub fn replay<E: From<ReplayError>>(
             Record::LightsOn(lights) => renderer.set_lights_on(*lights),
             Record::Split(split) => renderer.set_split(*split),
             Record::View(view) => renderer.set_debug_view(*view),
-            Record::Mask { frame, traced_for, body, coverage } => {
+            Record::Mask { frame, traced_for, scene_time_s, body, coverage } => {
+                let scene_time_s = *scene_time_s;
                 let traced_for = Camera::from(traced_for);
                 let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
                 let shape = MaskShape::new(traced_for.width, traced_for.height, lights).map_err(ReplayError::from);
@@ -168,19 +171,22 @@ pub fn replay<E: From<ReplayError>>(
                 });
                 let coverage = coverage.transpose()?;
                 let more = newest_mask_frame.replace(*frame) == Some(*frame);
-                let view = MaskView { mask: &mask, coverage: coverage.as_ref(), more, traced_for: &traced_for };
+                let coverage = coverage.as_ref();
+                let view = MaskView { mask: &mask, coverage, more, traced_for: &traced_for, scene_time_s };
                 renderer.set_mask(Some(view)).map_err(render)?;
             }
             Record::Frame { frame, .. } if !wanted(*frame) => {}
-            Record::Frame { frame, shown, visibility_share, .. } => {
-                let shown = Camera::from(shown);
+            Record::Frame { frame, shown, scene_time_s, visibility_share, .. } => {
+                let (shown, scene_time_s) = (Camera::from(shown), *scene_time_s);
+                renderer.set_time(scene_time_s);
                 renderer.draw_surfaces(&shown).map_err(render)?;
                 let target = reader.target();
                 let shaded = renderer.shade(&shown, *visibility_share, &target, |encoder| reader.copy(encoder));
                 reader.submitted((*frame).into(), shaded.map_err(render)?, true);
                 if let Some(picture) = reader.take_oldest().map_err(render)?.flatten() {
                     let visibility_share = *visibility_share;
-                    visit(Replayed::Picture { picture, shown, visibility_share, renderer: &renderer })?;
+                    let renderer = &renderer;
+                    visit(Replayed::Picture { picture, shown, scene_time_s, visibility_share, renderer })?;
                 }
             }
             Record::Event { .. } => {}

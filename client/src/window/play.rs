@@ -57,6 +57,8 @@ pub(crate) struct Play {
     camera_path: CameraPath,
     /// True if the camera follows the path, not the person.
     follows_path: bool,
+    /// Of the scene's file.
+    scene_cameras: Vec<CameraPath>,
     /// Time on the path.
     path_s: f64,
     next: u32,
@@ -146,6 +148,7 @@ impl Play {
             figures: Figures::default(),
             fly: Fly::from_camera(&first, speed),
             camera_path,
+            scene_cameras: of_scene::paths(&scene),
             follows_path: false,
             path_s: options.settings.start_time,
             next: 0,
@@ -167,10 +170,20 @@ impl Play {
     pub(crate) fn toggle_path(&mut self) {
         if self.follows_path {
             let (width, height) = self.size();
-            let camera = self.camera_path.camera(self.path_s, width, height);
+            let camera = self.path_camera(self.scene_time_s(), (width, height));
             self.fly = Fly::from_camera(&camera, self.fly.speed_m_per_s());
         }
         self.follows_path = !self.follows_path;
+    }
+
+    /// Time of the scene, in seconds.
+    fn scene_time_s(&self) -> f64 {
+        self.options.settings.start_time + self.driver.frames.started().elapsed().as_secs_f64()
+    }
+
+    fn path_camera(&self, scene_time_s: f64, (width, height): (u32, u32)) -> Camera {
+        let time_s = if self.camera_path.follows_scene() { scene_time_s } else { self.path_s };
+        self.camera_path.camera(time_s, width, height)
     }
 
     /// Draws the next frame, `step_s` seconds after the last.
@@ -182,11 +195,13 @@ impl Play {
         step_s: f64,
     ) -> Result<FrameStats, ClientError> {
         let (width, height) = self.size();
+        let scene_time_s = self.scene_time_s();
         let stage = Stage {
             gpu: &screen.gpu,
             settings: &self.options.settings,
             largest_mask: largest_mask(self.largest),
             camera: self.fly.camera(width, height),
+            scene_time_s,
         };
         if let Some(new) = self.driver.maintain(FrameNumber(self.next), stage)? {
             self.follow(new, settings);
@@ -197,12 +212,11 @@ impl Play {
         let (width, height) = self.driver.frames.renderer.size();
         let camera = if self.follows_path {
             self.path_s += step_s;
-            self.camera_path.camera(self.path_s, width, height)
+            self.path_camera(scene_time_s, (width, height))
         } else {
             self.fly.step(motion, step_s);
             self.fly.camera(width, height)
         };
-        let scene_time_s = self.driver.frames.started().elapsed().as_secs_f64();
         if settings.split == Split::Reference {
             match self.draw_reference(&screen.gpu, (camera, scene_time_s)) {
                 Ok(drawn) => screen.right_half = drawn.map(|picture| (picture, width / 2)),
@@ -236,8 +250,9 @@ impl Play {
 
     /// Goes on in a scene that the driver's renderer is new to. The camera stays.
     fn follow(&mut self, new: NewScene, settings: &mut Settings) {
-        let NewScene { url, welcome, cameras, .. } = new;
+        let NewScene { url, welcome, cameras, camera_paths, .. } = new;
         settings.set_cameras(&cameras);
+        self.scene_cameras = camera_paths;
         let lights = welcome.lights;
         (settings.lights, settings.lights_on) = (lights, all_of(lights));
         let ClientSettings { predict: predictor, tone, .. } = self.options.settings;
@@ -363,12 +378,16 @@ impl Play {
             self.driver.frames.guard = GuardChoice::new(settings.guard, self.size());
         }
         if settings.camera != self.applied.camera
-            && let Some(camera) = settings.camera.and_then(|index| settings.cameras.get(index))
+            && let Some(path) = settings.camera.and_then(|index| self.scene_cameras.get(index))
         {
             let (width, height) = self.size();
-            let camera = of_scene::standing(camera).camera(0.0, width, height);
+            let camera = path.camera(self.scene_time_s(), width, height);
             self.fly = Fly::from_camera(&camera, self.fly.speed_m_per_s());
-            self.follows_path = false;
+            // One that moves is followed until the person leaves its path.
+            self.follows_path = path.follows_scene();
+            if self.follows_path {
+                self.camera_path = path.clone();
+            }
         }
         if settings.lights_on != self.applied.lights_on {
             self.driver.frames.renderer.set_lights_on(settings.lights_on);

@@ -59,7 +59,9 @@ fn a_picture_on_the_screen_equals_a_headless_one() {
     windowed.set_debug_view(DebugView::Picture);
     let reader = PictureReader::new(&gpu, SIZE.0, SIZE.1, 1);
     windowed.draw_surfaces(&camera).unwrap();
-    windowed.set_mask(Some(MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera })).unwrap();
+    windowed
+        .set_mask(Some(MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera, scene_time_s: 0.0 }))
+        .unwrap();
     windowed.shade(&camera, 1.0, &reader.target(), |_| ()).unwrap();
     assert!(on_screen(&gpu, &reader.target(), SIZE) == headless.rgba, "the screen shows other bytes");
 

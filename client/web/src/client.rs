@@ -283,7 +283,7 @@ impl Client {
             }
             Some(Preparing::Dark(scene)) => {
                 if let Some(play) = &mut self.play {
-                    play.light(&scene);
+                    play.light(&scene, now);
                 }
             }
         }
@@ -478,13 +478,13 @@ impl Client {
 
     pub fn toggle_path(&mut self) {
         if let Some(play) = &mut self.play {
-            play.toggle_path();
+            play.toggle_path(Instant::now());
         }
     }
 
     pub fn next_camera(&mut self) {
         if let Some(play) = &mut self.play {
-            play.next_camera();
+            play.next_camera(Instant::now());
         }
     }
 

@@ -21,7 +21,7 @@ use gnomon_protocol::{
     mask::MaskShape,
     receive::ReceiverCounters,
 };
-use gnomon_scene::{NamedCamera, Scene, camera::Camera};
+use gnomon_scene::{Scene, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 use web_time::Instant;
 
@@ -74,7 +74,8 @@ pub struct Play {
     drawn: u32,
     fly: Fly,
     camera_path: CameraPath,
-    cameras: Vec<NamedCamera>,
+    /// Of the scene's file.
+    cameras: Vec<CameraPath>,
     camera: Option<usize>,
     follows_path: bool,
     path_s: f64,
@@ -102,8 +103,10 @@ impl Play {
         options: &Options,
         now: Instant,
     ) -> Result<Self, RenderError> {
-        let path = of_scene::standing_at(&scene.cameras, None)
-            .unwrap_or_else(|_| default_path(scene, &Occluders::largest_of(scene)));
+        let path = of_scene::path_of(scene, None).unwrap_or_else(|_| {
+            let shown = scene.as_at(0.0);
+            default_path(&shown, &Occluders::largest_of(&shown))
+        });
         let path = options.walk.as_ref().map_or(path, |walk| walk.path.clone());
         let linked = options.view.as_deref().and_then(|text| view::read(text, size.0, size.1));
         let first = linked.unwrap_or_else(|| path.camera(0.0, size.0, size.1));
@@ -131,7 +134,7 @@ impl Play {
             drawn: 0,
             fly: Fly::from_camera(&first, speed),
             camera_path: path,
-            cameras: scene.cameras.clone(),
+            cameras: of_scene::paths(scene),
             camera: None,
             follows_path: false,
             path_s: 0.0,
@@ -166,7 +169,7 @@ impl Play {
         }
         self.frames.change_scene(FrameNumber(self.next), renderer);
         (self.digest, self.lights, self.drawn) = (digest, lights_of(scene), 0);
-        (self.cameras, self.camera) = (scene.cameras.clone(), None);
+        (self.cameras, self.camera) = (of_scene::paths(scene), None);
         self.front.clear();
         self.shown_view = DebugView::Picture;
         (self.first_since, self.is_draft) = (Some(now), self.options.walk.is_none());
@@ -175,9 +178,11 @@ impl Play {
     }
 
     /// Finds out how light it is, and what the sky looks like. Call before the scene's first picture.
-    pub fn light(&mut self, scene: &Scene) {
-        let camera = self.camera_now();
-        light(&mut self.frames.renderer, scene, &Occluders::largest_of(scene), &camera, self.options.exposure);
+    pub fn light(&mut self, scene: &Scene, now: Instant) {
+        let (camera, scene_time_s) = (self.camera_now(now), self.scene_time_s(now));
+        let shown = scene.as_at(scene_time_s);
+        let occluders = Occluders::largest_of(&shown);
+        light(&mut self.frames.renderer, &shown, &occluders, (&camera, scene_time_s), self.options.exposure);
     }
 
     /// Poses go over a new connection from now on, for masks of at most this size.
@@ -200,8 +205,8 @@ impl Play {
 
     /// Sends the first picture's pose.
     fn ask_first(&mut self, now: Instant) {
-        let (frame, camera) = (FrameNumber(self.next), self.camera_now());
-        let request = self.frames.request(frame, &camera, 0.0, now, true);
+        let (frame, camera) = (FrameNumber(self.next), self.camera_now(now));
+        let request = self.frames.request(frame, &camera, self.scene_time_s(now), now, true);
         if let (Some(reception), Some(pose)) = (&mut self.reception, &request.pose) {
             reception.send_pose(frame, pose);
         }
@@ -300,21 +305,34 @@ impl Play {
     }
 
     /// Switches between the camera path and the person, who goes on from there.
-    pub fn toggle_path(&mut self) {
+    pub fn toggle_path(&mut self, now: Instant) {
         if self.follows_path {
-            let (width, height) = self.size();
-            let camera = self.camera_path.camera(self.path_s, width, height);
-            self.fly = Fly::from_camera(&camera, self.fly.speed_m_per_s());
+            self.fly = Fly::from_camera(&self.path_camera(now), self.fly.speed_m_per_s());
         }
         self.follows_path = !self.follows_path;
     }
 
+    /// Time of the scene, in seconds.
+    fn scene_time_s(&self, now: Instant) -> f64 {
+        now.saturating_duration_since(self.frames.started()).as_secs_f64()
+    }
+
+    fn path_camera(&self, now: Instant) -> Camera {
+        let (width, height) = self.size();
+        let time_s = if self.camera_path.follows_scene() { self.scene_time_s(now) } else { self.path_s };
+        self.camera_path.camera(time_s, width, height)
+    }
+
     /// Goes to the next camera of the scene's file.
-    pub fn next_camera(&mut self) {
+    pub fn next_camera(&mut self, now: Instant) {
         let next = self.camera.map_or(0, |camera| (camera + 1) % self.cameras.len().max(1));
-        if let Some(camera) = self.cameras.get(next) {
-            self.stand(&of_scene::standing(camera).camera(0.0, 1, 1));
+        if let Some(path) = self.cameras.get(next).cloned() {
+            self.stand(&path.camera(self.scene_time_s(now), 1, 1));
             self.camera = Some(next);
+            // One that moves is followed until the person leaves its path.
+            if path.follows_scene() {
+                (self.camera_path, self.follows_path) = (path, true);
+            }
         }
     }
 
@@ -334,15 +352,15 @@ impl Play {
 
     /// Where the camera is, as a link has it.
     #[must_use]
-    pub fn view(&self) -> String {
-        view::written(&self.camera_now())
+    pub fn view(&self, now: Instant) -> String {
+        view::written(&self.camera_now(now))
     }
 
-    fn camera_now(&self) -> Camera {
+    fn camera_now(&self, now: Instant) -> Camera {
         let (width, height) = self.size();
         match &self.options.walk {
             Some(walk) => walk.path.camera(walk.time_s(self.next), width, height),
-            None if self.follows_path => self.camera_path.camera(self.path_s, width, height),
+            None if self.follows_path => self.path_camera(now),
             None => self.fly.camera(width, height),
         }
     }
@@ -377,12 +395,11 @@ impl Play {
             let dazzled = self.drawn < DAZZLED_FRAMES;
             let _ = self.frames.renderer.adapt(if dazzled { LONG_S } else { step_s });
         }
-        let (frame, camera) = (FrameNumber(self.next), self.camera_now());
-        let scene_time_s = now.duration_since(self.frames.started()).as_secs_f64();
+        let (frame, camera) = (FrameNumber(self.next), self.camera_now(now));
         let connected = self.reception.is_some();
         let mut look_ahead_ms = 0;
         if self.awaited_since.take().is_none() {
-            let request = self.frames.request(frame, &camera, scene_time_s, now, connected);
+            let request = self.frames.request(frame, &camera, self.scene_time_s(now), now, connected);
             if let (Some(reception), Some(pose)) = (&mut self.reception, &request.pose) {
                 reception.send_pose(frame, pose);
             }
@@ -401,6 +418,7 @@ impl Play {
         if std::mem::replace(&mut self.shown_view, view) != view {
             self.frames.renderer.set_debug_view(view);
         }
+        self.frames.renderer.set_time(drawing.scene_time_s);
         self.frames.renderer.draw_surfaces(&drawing.camera)?;
         target(&mut self.frames.renderer, &drawing.camera, drawing.decision.visibility_share)?;
         let link = if connected { "live" } else { "lost" };
@@ -449,6 +467,7 @@ impl Play {
         let response = self.frames.accept_masks(self.front.iter(), now)?;
         let digest = self.front.back().map(|mask| digest(&mask.mask)).unwrap_or_default();
         let drawing = self.frames.choose(frame, &camera, now);
+        self.frames.renderer.set_time(drawing.scene_time_s);
         self.frames.renderer.draw_surfaces(&drawing.camera)?;
         target(&mut self.frames.renderer, &drawing.camera, drawing.decision.visibility_share)?;
         let outcome = (&drawing, 0, response);

@@ -33,14 +33,16 @@ pub fn new_renderer(
     Ok(renderer)
 }
 
-/// Gives a new renderer its light, as bright as what `camera` sees wants, or `exposure` says.
+/// Gives a new renderer its light, as bright as what `camera` sees wants, or `exposure` says. `scene` is as it is at
+/// that time, in seconds.
 pub(crate) fn light(
     renderer: &mut FrameRenderer,
     scene: &Scene,
     occluders: &Occluders,
-    camera: &Camera,
+    (camera, scene_time_s): (&Camera, f64),
     exposure: Option<f32>,
 ) {
+    renderer.set_time(scene_time_s);
     let survey = Survey::new(scene, occluders, camera);
     let first = Exposure::for_reference(survey.lux);
     renderer.set_exposure(exposure.map_or(first, |ev| first.at_ev(ev)));

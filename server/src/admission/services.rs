@@ -21,6 +21,8 @@ pub(crate) struct SceneAsset {
     pub(crate) lights: u32,
     /// Weight of each light, see [`crate::session::brightness::weights`].
     pub(crate) weights: Vec<u32>,
+    /// Whether something moves in it.
+    pub(crate) moves: bool,
 }
 
 pub(crate) struct Services {

@@ -15,7 +15,7 @@ pub(super) fn load_options(config: &ServerConfig) -> LoadOptions {
         max_lights: config.lights,
         default_light: config.default_light.is_on(),
         scene: config.scene_name.clone(),
-        animation: None,
+        animation: config.animation.clone(),
         variant: config.variant.clone(),
     }
 }
@@ -47,6 +47,6 @@ pub(super) fn load_with_report(
     }
     let lights = u32::try_from(scene.lights.len()).map_err(|error| pack_error(error.to_string()))?;
     let digest = SceneDigest(*blake3::hash(&packed).as_bytes());
-    let weights = brightness::weights(&scene);
-    Ok((Arc::new(scene), SceneAsset { packed: Bytes::from(packed), digest, lights, weights }, report))
+    let (weights, moves) = (brightness::weights(&scene), scene.animation.is_some());
+    Ok((Arc::new(scene), SceneAsset { packed: Bytes::from(packed), digest, lights, weights, moves }, report))
 }

@@ -42,9 +42,10 @@ impl Stream {
             newest_feedback,
         );
         let mut phase = services.phase.clone();
+        let traced = (self.shape, services.scene.moves);
         let poses = async {
             tokio::select! {
-                lost = receive_poses(receiver, &requests, &feedback, self.shape, &ledger) => {
+                lost = receive_poses(receiver, &requests, &feedback, traced, &ledger) => {
                     lost.map(|never| match never {})
                 }
                 // A stopping session takes no more poses, but finishes its frames in flight.

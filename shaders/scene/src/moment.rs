@@ -2,7 +2,10 @@
 //!
 //! This is the only place that evaluates an animation. Server and client both use it, in f64.
 
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::{
+    borrow::Cow,
+    f64::consts::{FRAC_PI_2, PI},
+};
 
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Vec3, Vec4};
 
@@ -113,6 +116,12 @@ impl Scene {
     #[must_use]
     pub fn still_at(&self, time_s: f64) -> Self {
         self.still(When::Time(time_s))
+    }
+
+    /// Returns the scene as [`Self::still_at`] does, without a copy if everything rests.
+    #[must_use]
+    pub fn as_at(&self, time_s: f64) -> Cow<'_, Self> {
+        if self.animation.is_some() { Cow::Owned(self.still_at(time_s)) } else { Cow::Borrowed(self) }
     }
 
     /// Returns the scene in the pose of the file: one in which everything rests. It may have no triangles.

@@ -1,5 +1,5 @@
-// The client's own shadow maps of the static scene, drawn once (`render/predict/shadow_map.rs`). They are used where no
-// received visibility applies.
+// The client's own shadow maps, drawn once, or when something has moved (`render/predict/shadow_map.rs`). They are used
+// where no received visibility applies.
 
 #import "shading/view.wgsl"
 #import "shading/lighting.wgsl"

@@ -3,12 +3,14 @@
 //! Between two keyframes the position moves in a straight line at constant speed, and the view direction turns at a
 //! constant rate along the great circle. Before the first keyframe, the path shows the first one. After the last one,
 //! the camera goes back to the first, and so on to and fro.
+//!
+//! A path may also be that of a camera that moves in the scene's file.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::Arc};
 
 use glam::{DQuat, DVec3};
 use gnomon_protocol::limits::{MAX_POSITION_M, YFOV_RANGE_RAD};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{NamedCamera, Scene, camera::Camera};
 use serde::Deserialize;
 use thiserror::Error;
 
@@ -34,6 +36,16 @@ pub struct CameraPath {
     yfov_rad: f64,
     /// Used instead of the keyframes' directions, which know no roll.
     orientation: Option<DQuat>,
+    /// Followed instead of all this.
+    scene: Option<SceneCamera>,
+}
+
+/// A camera that moves in the scene's file.
+#[derive(Debug, Clone, PartialEq)]
+struct SceneCamera {
+    /// Nothing but cameras, and what moves them.
+    stage: Arc<Scene>,
+    index: usize,
 }
 
 #[derive(Debug, Error)]
@@ -91,12 +103,12 @@ impl CameraPath {
                 return Err(format!("keyframe {index} is not later than the one before it ({time_s} s)"));
             }
         }
-        Ok(Self { name: name.to_owned(), keyframes, yfov_rad, orientation: None })
+        Ok(Self { name: name.to_owned(), keyframes, yfov_rad, orientation: None, scene: None })
     }
 
     /// A path that stays at one keyframe, which must be valid.
     pub(crate) fn standing(name: &str, keyframe: Keyframe, yfov_rad: f64) -> Self {
-        Self { name: name.to_owned(), keyframes: vec![keyframe], yfov_rad, orientation: None }
+        Self { name: name.to_owned(), keyframes: vec![keyframe], yfov_rad, orientation: None, scene: None }
     }
 
     /// A path that stays at a place and orientation, which must be valid.
@@ -104,6 +116,17 @@ impl CameraPath {
         let target_m = position_m + orientation * DVec3::NEG_Z;
         let path = Self::standing(name, Keyframe { time_s: 0.0, position_m, target_m }, yfov_rad);
         Self { orientation: Some(orientation), ..path }
+    }
+
+    /// This path as that of the scene's camera with this index.
+    pub(crate) fn of_moving(self, stage: Arc<Scene>, index: usize) -> Self {
+        Self { scene: Some(SceneCamera { stage, index }), ..self }
+    }
+
+    /// Whether the times of [`Self::camera`] are times of the scene, in seconds.
+    #[must_use]
+    pub fn follows_scene(&self) -> bool {
+        self.scene.is_some()
     }
 
     /// Parses `name` from a `lights_camera.json` file, or else `camera_path`, or else the first of `camera_paths` by
@@ -151,6 +174,9 @@ impl CameraPath {
     /// Returns the camera `time_s` seconds after the first keyframe, for a picture of this size.
     #[must_use]
     pub fn camera(&self, time_s: f64, width: u32, height: u32) -> Camera {
+        if let Some(camera) = self.scene.as_ref().and_then(|scene| scene.camera(time_s)) {
+            return Camera { width, height, ..camera };
+        }
         let duration = self.duration_s();
         let lap = if duration > 0.0 { time_s.max(0.0) % (2.0 * duration) } else { 0.0 };
         let time = self.keyframes[0].time_s + if lap > duration { 2.0 * duration - lap } else { lap };
@@ -166,6 +192,15 @@ impl CameraPath {
         };
         let camera = Camera::looking_at(position, position + direction, self.yfov_rad, width, height);
         Camera { orientation: self.orientation.unwrap_or(camera.orientation), ..camera }
+    }
+}
+
+impl SceneCamera {
+    fn camera(&self, scene_time_s: f64) -> Option<Camera> {
+        let cameras = self.stage.cameras_at(scene_time_s);
+        let NamedCamera { position_m, orientation, yfov_rad, .. } = cameras.get(self.index)?;
+        let yfov_rad = yfov_rad.clamp(*YFOV_RANGE_RAD.start(), *YFOV_RANGE_RAD.end());
+        Some(Camera { position_m: *position_m, orientation: *orientation, yfov_rad, width: 1, height: 1 })
     }
 }
 

@@ -41,6 +41,8 @@ pub struct PoseRequest {
 #[derive(Debug, Clone, Copy)]
 pub struct Drawing {
     pub camera: Camera,
+    /// Time of the scene, in seconds.
+    pub scene_time_s: f64,
     pub decision: Decision,
 }
 
@@ -67,7 +69,7 @@ impl FrameLoop {
         source: MaskSource,
         now: Instant,
     ) -> Self {
-        let matcher = MaskMatcher::default();
+        let matcher = MaskMatcher::new(renderer.moves());
         Self { renderer, machine, guard, matcher, source, started: now, previous: None, state: None }
     }
 
@@ -95,10 +97,11 @@ impl FrameLoop {
     /// Draws with another scene's renderer from `frame` on, without the masks so far.
     pub fn change_scene(&mut self, frame: FrameNumber, renderer: FrameRenderer) {
         self.renderer = renderer;
-        self.matcher.scene_changed(frame);
+        self.matcher.scene_changed(frame, self.renderer.moves());
     }
 
-    /// Remembers the frame and decides whether it needs a new mask. `connected` is false while no mask can arrive.
+    /// Remembers the frame and decides whether it needs a new mask. `scene_time_s` is the scene's time, in seconds;
+    /// `connected` is false while no mask can arrive.
     pub fn request(
         &mut self,
         frame: FrameNumber,
@@ -127,7 +130,8 @@ impl FrameLoop {
             mask_px: [wide.width, wide.height].map(|side| u16::try_from(side).unwrap_or(u16::MAX)),
             look_ahead_ms,
         };
-        let needed = connected && self.matcher.should_request(frame, &wide, now);
+        let view = self.matcher.viewpoint(wide, scene_time_s);
+        let needed = connected && self.matcher.should_request(frame, &view, now);
         let sends = match self.source {
             MaskSource::Offline => false,
             MaskSource::Awaited => true,
@@ -154,7 +158,8 @@ impl FrameLoop {
                 mask: &mask.mask,
                 coverage: Some(&mask.coverage),
                 more: matched.more,
-                traced_for: &matched.traced_for,
+                traced_for: &matched.traced_for.camera,
+                scene_time_s: matched.traced_for.scene_time_s,
             }))?;
             if used {
                 response = matched.response;
@@ -167,12 +172,14 @@ impl FrameLoop {
         Ok(response)
     }
 
-    /// Chooses the camera to draw from and the weight of received visibility.
+    /// Chooses the camera to draw from, at which time of the scene, and the weight of received visibility. The frame
+    /// was requested.
     pub fn choose(&mut self, frame: FrameNumber, camera: &Camera, now: Instant) -> Drawing {
+        let scene_time_s = self.matcher.request(frame).map_or(0.0, |request| request.pose.scene_time_s);
         let previous = self.previous.replace((*camera, now));
         if !matches!(self.source, MaskSource::Streamed { .. }) {
             let decision = Decision { state: State::Concurrent, visibility_share: 1.0 };
-            return Drawing { camera: *camera, decision };
+            return Drawing { camera: *camera, scene_time_s, decision };
         }
         let current = self.matcher.current();
         let step_s = previous.map_or(0.0, |(_, previous)| now.duration_since(previous).as_secs_f64());
@@ -186,11 +193,11 @@ impl FrameLoop {
                 state => tracing::info!(frame = frame.0, ?lag, ?state, "visibility"),
             }
         }
-        let camera = match (decision.state, current) {
-            (State::Sequential, Some(current)) => current.request.camera,
-            _ => *camera,
+        let (camera, scene_time_s) = match (decision.state, current) {
+            (State::Sequential, Some(current)) => (current.request.camera, current.request.pose.scene_time_s),
+            _ => (*camera, scene_time_s),
         };
-        Drawing { camera, decision }
+        Drawing { camera, scene_time_s, decision }
     }
 
     /// Returns the statistics of a frame that was shown.
@@ -339,5 +346,45 @@ mod tests {
         assert_eq!(frames.accept_masks([old].iter(), now).unwrap(), None);
         assert_eq!(frames.matcher.rejections().before_reconnect, 1);
         assert_eq!(answer(&mut frames, 3, 2), (true, Some(0), State::Concurrent));
+    }
+
+    #[test]
+    fn a_still_camera_asks_for_masks_while_the_scene_moves() {
+        let gpu = testing::gpu();
+        let shape = MaskShape::new(16, 16, 2).unwrap();
+        let mut living = testing::floor_and_lights();
+        let intensity_track = Some(gnomon_scene::Track {
+            period_s: 2.0,
+            interpolation: gnomon_scene::Interpolation::Linear,
+            times_s: vec![0.0, 2.0],
+            values: vec![1.0, 9.0],
+        });
+        let lamp = gnomon_scene::AnimatedLight { light: 1, intensity_track, ..Default::default() };
+        let animation = gnomon_scene::Animation { lights: vec![lamp], ..Default::default() };
+        living.animation = Some(Box::new(animation));
+        for (scene, moves) in [(testing::floor_and_lights(), false), (living, true)] {
+            let machine = ModeMachine::new(Mode::Auto, Thresholds::default());
+            let guard = GuardChoice::new(Guard::Fixed(GuardSize { width: 0, height: 0 }), (16, 16));
+            let (source, now) = (MaskSource::Streamed { look_ahead: false }, Instant::now());
+            let renderer = testing::renderer(&gpu, &scene, shape);
+            assert_eq!(renderer.moves(), moves);
+            let mut frames = FrameLoop::new(renderer, machine, guard, source, now);
+            let camera = testing::camera(16, 16);
+            // The scene's time of each frame: it stands still in between.
+            let asked = [0.0, 0.1, 0.2, 0.2, 0.2, 0.3].map(|scene_time_s| {
+                let number = FrameNumber(frames.matcher.current().map_or(0, |current| current.request.frame.0 + 1));
+                let asks = frames.request(number, &camera, scene_time_s, now, true).pose.is_some();
+                if asks {
+                    let mask = ReceivedMask { frame: number, ..ReceivedMask::blank(shape, now) };
+                    frames.accept_masks([mask].iter(), now).unwrap();
+                    assert_eq!(frames.choose(number, &camera, now).scene_time_s, scene_time_s);
+                    assert_eq!(frames.mask_lags(number), [0; MAX_LAYERS]);
+                }
+                asks
+            });
+            let expected =
+                if moves { [true, true, true, false, false, true] } else { [true, false, false, false, false, false] };
+            assert_eq!(asked, expected, "moves: {moves}");
+        }
     }
 }

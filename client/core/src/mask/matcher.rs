@@ -14,8 +14,9 @@ use super::{
     pose_history::{MaskRequest, PoseHistory, Rejection, Rejections},
     received::ReceivedMask,
 };
+use crate::camera::Viewpoint;
 
-/// Interval of requests while the camera is still and its mask complete: keeps the server warm at almost no cost.
+/// Interval of requests while the camera and the scene are still and its mask complete: keeps the server warm at almost no cost.
 const REFRESH: Duration = Duration::from_secs(1);
 
 /// Matches masks with requests and keeps the latencies that follow from it.
@@ -27,7 +28,9 @@ pub struct MaskMatcher {
     /// Tiles that have arrived for the current mask's view, from all masks of that view.
     coverage: Option<Coverage>,
     /// Views of the latest masks and the frames that requested them, newest first; at most one for each layer.
-    views: VecDeque<(Camera, FrameNumber)>,
+    views: VecDeque<(Viewpoint, FrameNumber)>,
+    /// Whether something moves in the scene.
+    scene_moves: bool,
     last_request: Option<Instant>,
     /// The last frame whose pose was sent more than once.
     repeated: Option<FrameNumber>,
@@ -42,8 +45,8 @@ pub struct MaskMatcher {
 pub struct CurrentMask {
     pub request: MaskRequest,
     /// The view that it was traced for.
-    traced_for: Camera,
-    /// The newest frame that it fully answers: its own, or a later one if the camera has not moved since.
+    traced_for: Viewpoint,
+    /// The newest frame that it fully answers: its own, or a later one if nothing has moved since.
     as_of: FrameNumber,
     /// When that frame began.
     as_of_begun: Instant,
@@ -70,7 +73,7 @@ impl CurrentMask {
 #[derive(Debug, Clone, Copy)]
 pub struct MatchedMask {
     /// The view that it was traced for.
-    pub traced_for: Camera,
+    pub traced_for: Viewpoint,
     /// True if it adds tiles to the previous mask.
     pub more: bool,
     /// From sending the pose until the mask arrived.
@@ -78,9 +81,21 @@ pub struct MatchedMask {
 }
 
 impl MaskMatcher {
+    /// A matcher for a scene in which something moves, or nothing.
+    #[must_use]
+    pub fn new(scene_moves: bool) -> Self {
+        Self { scene_moves, ..Self::default() }
+    }
+
+    /// Returns what a camera sees at a time of the scene, in seconds.
+    #[must_use]
+    pub fn viewpoint(&self, camera: Camera, scene_time_s: f64) -> Viewpoint {
+        if self.scene_moves { Viewpoint { camera, scene_time_s } } else { Viewpoint::resting(camera) }
+    }
+
     /// Returns whether to request a mask for `view`, and counts it as requested if so. False while every tile of that
     /// view has arrived, except once per [`REFRESH`].
-    pub fn should_request(&mut self, frame: FrameNumber, view: &Camera, now: Instant) -> bool {
+    pub fn should_request(&mut self, frame: FrameNumber, view: &Viewpoint, now: Instant) -> bool {
         let complete = self.coverage.as_ref().is_some_and(Coverage::is_whole);
         let answer = self.current.as_mut().filter(|current| complete && current.traced_for == *view);
         let recent = self.last_request.is_some_and(|last| now.saturating_duration_since(last) < REFRESH);
@@ -117,7 +132,8 @@ impl MaskMatcher {
     }
 
     /// Forgets all masks: from `frame` on, they are of another scene and go over a new connection.
-    pub fn scene_changed(&mut self, frame: FrameNumber) {
+    pub fn scene_changed(&mut self, frame: FrameNumber, moves: bool) {
+        self.scene_moves = moves;
         self.reconnected(frame);
         self.forget_masks();
     }
@@ -137,12 +153,13 @@ impl MaskMatcher {
     ///
     /// # Errors
     /// If it answers no request of the current connection.
-    pub fn find(&self, mask: &ReceivedMask) -> Result<(MaskRequest, Camera), Rejection> {
+    pub fn find(&self, mask: &ReceivedMask) -> Result<(MaskRequest, Viewpoint), Rejection> {
         let request = *self.history.answered(mask.frame, mask.mask.shape())?;
-        let traced_for = mask.traced_for.map_or(request.mask_camera, |pose| {
-            Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, request.pose.mask_px)
+        let traced_for = mask.traced_for.map_or((request.mask_camera, request.pose.scene_time_s), |pose| {
+            let camera = Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, request.pose.mask_px);
+            (camera, pose.scene_time_s)
         });
-        Ok((request, traced_for))
+        Ok((request, self.viewpoint(traced_for.0, traced_for.1)))
     }
 
     /// Makes `mask` the current one. Returns `None` and counts a rejection if it answers no request.
@@ -197,9 +214,10 @@ impl MaskMatcher {
 
     /// Returns the age in frames of the masks traced for `views`, newest first.
     #[must_use]
-    pub fn lags<'a>(&self, frame: FrameNumber, mut views: impl Iterator<Item = &'a Camera>) -> [u32; MAX_LAYERS] {
+    pub fn lags<'a>(&self, frame: FrameNumber, mut views: impl Iterator<Item = &'a Viewpoint>) -> [u32; MAX_LAYERS] {
         let newest = views.next().zip(self.current).map_or(0, |(_, current)| current.lag(frame));
-        let requested_by = |view: &Camera| self.views.iter().find(|(known, _)| known == view).map(|(_, frame)| frame.0);
+        let requested_by =
+            |view: &Viewpoint| self.views.iter().find(|(known, _)| known == view).map(|(_, frame)| frame.0);
         let older = views.map(|view| requested_by(view).map_or(newest, |requested| frame.0.saturating_sub(requested)));
         let mut lags = [newest; MAX_LAYERS];
         lags[1..].iter_mut().zip(older).for_each(|(lag, older)| *lag = older);

@@ -137,7 +137,7 @@ fn pixels_that_are_put_off_are_drawn_as_all_others_would_be() {
     let mut renderer = renderer(&gpu, &scene, shape);
     renderer.set_quality(Quality::High);
     let mut light = |visibility_share: f32| -> Vec<f64> {
-        let view = MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera };
+        let view = MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera, scene_time_s: 0.0 };
         let reader = PictureReader::new(&gpu, SIDE, SIDE, 1);
         renderer.draw_surfaces(&camera).unwrap();
         renderer.set_mask(Some(view)).unwrap();

@@ -10,7 +10,7 @@ use gnomon_shaders::{gpu::Gpu, material::features, shading::View};
 use super::{
     error::RenderError,
     pipeline::{bind_group, bind_group_layout, cleared, shader, uniform},
-    predict::depth_pass::{self, DepthPass, Faces},
+    predict::depth_pass::{self, DepthPass, Faces, Part},
     scene_upload::{Batch, SceneUpload},
     targets::{COLOR, DEPTH, LIGHT, NORMAL_MATERIAL, Targets},
 };
@@ -124,7 +124,7 @@ impl GbufferPass {
     ) {
         if self.depth_first {
             let mut pass = depth_pass::begin(encoder, "depth first", depth);
-            depth_pass.draw(&mut pass, &self.depth_group, scene, Faces::Seen);
+            depth_pass.draw(&mut pass, &self.depth_group, scene, (Part::All, Faces::Seen));
         }
     }
 

@@ -17,6 +17,7 @@ mod material;
 #[cfg(test)]
 mod material_tests;
 mod meter;
+mod movers;
 mod pipeline;
 pub mod predict;
 pub mod present;
@@ -34,7 +35,9 @@ pub mod testing;
 #[cfg(test)]
 mod tests;
 mod texture;
+mod time;
 pub mod tone;
+mod vertex;
 
 pub use error::RenderError;
 pub use renderer::{FrameRenderer, PixelVisibility};

@@ -32,7 +32,7 @@ use super::{
     targets::Targets,
     tone::{ToneCurve, TonePass},
 };
-use crate::predictor::Predictor;
+use crate::{camera::Viewpoint, predictor::Predictor};
 
 /// Height of the pictures that are metered before the first one, in pixels.
 const METERED_ROWS: u32 = 90;
@@ -58,7 +58,7 @@ pub struct FrameRenderer {
     pub(super) gpu: Gpu,
     space: Space,
     exposure: Exposure,
-    surroundings: Surroundings,
+    pub(super) surroundings: Surroundings,
     eye: Eye,
     /// Whether the eye sees pictures.
     metering: bool,
@@ -77,7 +77,7 @@ pub struct FrameRenderer {
     pub(super) quality: Quality,
     pub(super) draft: bool,
     lighting: Variable<Lighting>,
-    lights: Vec<Light>,
+    pub(super) lights: Vec<Light>,
     /// Bit k is 1 if light k is on.
     lights_on: u32,
     /// First column lit without visibility.
@@ -163,6 +163,7 @@ impl FrameRenderer {
             clock: None,
             failure,
         };
+        renderer.set_time(0.0);
         renderer.write_lighting();
         renderer.check()?;
         Ok(renderer)
@@ -316,8 +317,9 @@ impl FrameRenderer {
         let camera = self.sized(camera);
         // Surfaces do not depend on the share.
         self.write_view(&camera, self.visibility_share);
-        self.history.begin(&camera);
+        self.history.begin(&self.seen(camera));
         let mut encoder = self.begin();
+        self.scene.show_now(&self.gpu.device, &mut encoder);
         self.mark(&mut encoder, "begin");
         let scene = (&self.scene, self.predict.depth_pass());
         self.gbuffer.encode_depth(&mut encoder, self.history.view(), scene);
@@ -347,7 +349,7 @@ impl FrameRenderer {
     }
 
     /// The views that the masks in use were traced for, newest first.
-    pub fn mask_views(&self) -> impl Iterator<Item = &Camera> {
+    pub fn mask_views(&self) -> impl Iterator<Item = &Viewpoint> {
         self.predict.mask_views()
     }
 
@@ -397,8 +399,9 @@ impl FrameRenderer {
         self.write_view(&camera, self.visibility_share);
         self.write_lighting();
         let mut encoder = self.begin();
-        let pictures = (&self.targets, &self.history, &self.scene);
-        let view = (&camera, self.space, self.visibility_share);
+        let seen = self.seen(camera);
+        let pictures = (&self.targets, &self.history, &mut self.scene);
+        let view = (&seen, self.space, self.visibility_share);
         self.predict.encode(&self.gpu, &mut encoder, view, pictures);
         self.mark(&mut encoder, "prediction");
         self.shade.encode(&self.gpu.device, &mut encoder, &self.targets, &self.history, self.visibility_share);

@@ -1,38 +1,19 @@
 //! The scene on the adapter: vertices, indices, draws in their order, and one bind group for each material.
 
-use glam::{Vec2, Vec3};
-use gnomon_scene::{AlphaMode, Material, Scene};
+use glam::Vec3;
+use gnomon_scene::{AlphaMode, Light, Material, Scene};
 use gnomon_shaders::{
     gpu::Gpu,
     material::{features, features_of, is_layered},
 };
 use wgpu::util::DeviceExt as _;
 
-use super::{error::RenderError, material};
-
-/// A vertex as the shaders read it.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-struct Vertex {
-    position: Vec3,
-    /// Of the normal, and the lean.
-    normal: [i16; 4],
-    uv: Vec2,
-}
-
-const ATTRIBUTES: [wgpu::VertexAttribute; 3] = wgpu::vertex_attr_array![0 => Float32x3, 1 => Snorm16x4, 2 => Float32x2];
-
-/// What few scenes have of their vertices.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-struct MoreOfVertex {
-    uv_1: Vec2,
-    tangent: [i16; 4],
-    color: [u16; 4],
-}
-
-const MORE_ATTRIBUTES: [wgpu::VertexAttribute; 3] =
-    wgpu::vertex_attr_array![3 => Float32x2, 4 => Snorm16x4, 5 => Unorm16x4];
+use super::{
+    error::RenderError,
+    material,
+    movers::{Buffers, Movers},
+    vertex::{ATTRIBUTES, MORE_ATTRIBUTES, MoreOfVertex, Vertex, more_of_vertices, vertices},
+};
 
 /// Triangles of one material, drawn together.
 #[derive(Debug, Clone)]
@@ -49,6 +30,8 @@ pub(crate) struct Batch {
     pub(crate) transmissive: bool,
     /// Centre of the triangles; blended batches are sorted by it.
     pub(crate) centre: Vec3,
+    /// Whether they move.
+    pub(crate) moves: bool,
 }
 
 impl Batch {
@@ -79,6 +62,10 @@ pub(crate) struct SceneUpload {
     pub(crate) layered: bool,
     /// Whether some material emits light.
     pub(crate) emits: bool,
+    /// `None` if everything rests.
+    movers: Option<Movers>,
+    /// BLEND batches that move, with their vertices.
+    blended_movers: Vec<(usize, Vec<u32>)>,
 }
 
 impl SceneUpload {
@@ -93,28 +80,66 @@ impl SceneUpload {
             let contents = if bytes.is_empty() { &[0; size_of::<Vertex>()] } else { bytes };
             Ok(device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(what), contents, usage }))
         };
-        let vertices: Vec<Vertex> = (scene.positions.iter().zip(&scene.normals).zip(&scene.uvs).zip(leans(scene)))
-            .map(|(((position, normal), uv), lean)| Vertex {
-                position: *position,
-                normal: normal.extend(lean).to_array().map(snorm),
-                uv: *uv,
-            })
-            .collect();
-        let more = more_of_vertices(scene);
+        let (vertices, more) = (vertices(scene), more_of_vertices(scene));
+        let movers = Movers::new(scene, &vertices, &more);
+        let batches = batches(scene);
+        let blended_movers = match movers {
+            Some(_) => blended_movers(scene, &batches),
+            None => Vec::new(),
+        };
+        let written = if movers.is_some() { wgpu::BufferUsages::COPY_DST } else { wgpu::BufferUsages::empty() };
+        let (vertex_usage, index_usage) = (wgpu::BufferUsages::VERTEX | written, wgpu::BufferUsages::INDEX | written);
         let material_layout = material::layout(gpu);
         Ok(Self {
-            vertices: buffer("vertices", bytemuck::cast_slice(&vertices), wgpu::BufferUsages::VERTEX)?,
+            vertices: buffer("vertices", bytemuck::cast_slice(&vertices), vertex_usage)?,
             // A stride of 0 gives every vertex the same.
             more_stride: if more.len() == 1 { 0 } else { size_of::<MoreOfVertex>() as u64 },
-            more: buffer("more of vertices", bytemuck::cast_slice(&more), wgpu::BufferUsages::VERTEX)?,
-            indices: buffer("indices", bytemuck::cast_slice(&scene.triangles), wgpu::BufferUsages::INDEX)?,
-            batches: batches(scene),
+            more: buffer("more of vertices", bytemuck::cast_slice(&more), vertex_usage)?,
+            indices: buffer("indices", bytemuck::cast_slice(&scene.triangles), index_usage)?,
+            batches,
             materials: material::groups(gpu, scene, &material_layout, anisotropy)?,
             material_layout,
             finishes: material::finishes(gpu, scene),
             layered: scene.materials.iter().any(is_layered),
             emits: scene.materials.iter().any(|material| material.unlit || material.emissive != Vec3::ZERO),
+            movers,
+            blended_movers,
         })
+    }
+
+    /// What moves. `None` if everything rests.
+    pub(crate) fn movers(&self) -> Option<&Movers> {
+        self.movers.as_ref()
+    }
+
+    /// Moves what moves to a time of the scene, in seconds. Returns the lights if it is another time.
+    pub(crate) fn set_time(&mut self, time_s: f64) -> Option<Vec<Light>> {
+        let movers = self.movers.as_mut()?;
+        if !movers.set_time(time_s) {
+            return None;
+        }
+        for (batch, vertices) in &self.blended_movers {
+            let shown = || vertices.iter().filter_map(|vertex| movers.position(*vertex));
+            if let (Some(batch), Some(centre)) = (self.batches.get_mut(*batch), centre(shown())) {
+                batch.centre = centre;
+            }
+        }
+        Some(movers.moment().lights.clone())
+    }
+
+    /// Ensures that what `encoder` draws next is the scene as it is now.
+    pub(crate) fn show_now(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder) {
+        if let Some(time_s) = self.movers.as_ref().map(Movers::time_s) {
+            self.show(device, encoder, time_s);
+        }
+    }
+
+    /// Ensures that what `encoder` draws next is the scene as it is at a time. [`Self::show_now`] is to follow.
+    pub(crate) fn show(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder, time_s: f64) {
+        let Self { vertices, more, indices, movers, .. } = self;
+        if let Some(movers) = movers {
+            movers.write(device, encoder, Buffers { vertices, more, indices }, time_s);
+        }
     }
 
     /// Layouts of the buffers that [`Self::bind`] binds.
@@ -131,45 +156,6 @@ impl SceneUpload {
         pass.set_vertex_buffer(1, self.more.slice(..));
         pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint32);
     }
-}
-
-#[expect(clippy::cast_possible_truncation, reason = "values from −1 to 1")]
-fn snorm(value: f32) -> i16 {
-    (value * f32::from(i16::MAX)).round() as i16
-}
-
-/// Facets that lean more than this, 20°, keep their steps: softened, light would end too early.
-const MOST_LEAN: f32 = 0.35;
-
-/// For each vertex, the sine of the greatest angle between its normal and those of its triangles.
-fn leans(scene: &Scene) -> Vec<f32> {
-    let mut leans = vec![0.0; scene.positions.len()];
-    for corners in &scene.triangles {
-        let [a, b, c] = corners.map(|index| scene.positions[index as usize]);
-        let plane = (b - a).cross(c - a).normalize_or_zero();
-        for index in corners {
-            let sine = plane.cross(scene.normals[*index as usize]).length();
-            let lean: &mut f32 = &mut leans[*index as usize];
-            // What rounding leans is flat.
-            *lean = if sine > 0.01 { lean.max(sine.min(MOST_LEAN)) } else { *lean };
-        }
-    }
-    leans
-}
-
-/// One element for all vertices where the scene has nothing more of them.
-fn more_of_vertices(scene: &Scene) -> Vec<MoreOfVertex> {
-    let plain = MoreOfVertex { uv_1: Vec2::ZERO, tangent: [0; 4], color: [u16::MAX; 4] };
-    if scene.uvs_1.is_empty() && scene.tangents.is_empty() && scene.colors.is_empty() {
-        return vec![plain];
-    }
-    let vertex = |place: usize| MoreOfVertex {
-        uv_1: scene.uvs_1.get(place).copied().unwrap_or(plain.uv_1),
-        tangent: scene.tangents.get(place).map_or(plain.tangent, |tangent| tangent.to_array().map(snorm)),
-        color: scene.colors.get(place).copied().unwrap_or(plain.color),
-    };
-    // A scene of one vertex has no triangle; nothing is read then.
-    (0..scene.positions.len()).map(vertex).collect()
 }
 
 /// A bilinear mean of texels may round to this much less than the least of them.
@@ -194,20 +180,20 @@ fn batches(scene: &Scene) -> Vec<Batch> {
     for draw in scene.draws.iter().filter(|draw| draw.triangles > 0) {
         let material = &scene.materials[draw.material as usize];
         let indices = draw.first_triangle * 3..(draw.first_triangle + draw.triangles) * 3;
+        // A draw is one instance's, so all of it moves or rests.
+        let first = scene.triangles[draw.first_triangle as usize][0];
+        let moves = scene.animation.as_ref().is_some_and(|animation| animation.piece_of(first).is_some());
         if let Some(last) = batches.last_mut()
             && last.material == draw.material as usize
             && last.indices.end == indices.start
+            && last.moves == moves
             && !last.is_blended()
         {
             last.indices.end = indices.end;
             continue;
         }
         let corners = &scene.triangles[draw.first_triangle as usize..][..draw.triangles as usize];
-        let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        for index in corners.as_flattened() {
-            low = low.min(scene.positions[*index as usize]);
-            high = high.max(scene.positions[*index as usize]);
-        }
+        let positions = corners.as_flattened().iter().map(|index| scene.positions[*index as usize]);
         let mut found = features_of(material);
         if !scene.tangents.is_empty() && found & (features::NORMAL | features::COAT_NORMAL) != 0 {
             found |= features::TANGENTS;
@@ -223,7 +209,8 @@ fn batches(scene: &Scene) -> Vec<Batch> {
             double_sided: material.double_sided,
             features: found,
             transmissive: material.transmission.factor > 0.0 && !material.unlit,
-            centre: (low + high) * 0.5,
+            centre: centre(positions).unwrap_or_default(),
+            moves,
         });
     }
     // Stable: blended ones keep their order.
@@ -232,4 +219,23 @@ fn batches(scene: &Scene) -> Vec<Batch> {
         _ => (u8::from(batch.has_holes), batch.double_sided, batch.features, batch.material),
     });
     batches
+}
+
+/// The middle of the bounds. `None` if there is nothing.
+fn centre(positions: impl Iterator<Item = Vec3>) -> Option<Vec3> {
+    let bounds = positions.map(|position| (position, position));
+    let bounds = bounds.reduce(|(low, high), (more, _)| (low.min(more), high.max(more)));
+    bounds.map(|(low, high)| (low + high) * 0.5)
+}
+
+fn blended_movers(scene: &Scene, batches: &[Batch]) -> Vec<(usize, Vec<u32>)> {
+    let moving = batches.iter().enumerate().filter(|(_, batch)| batch.moves && batch.is_blended());
+    let vertices = |batch: &Batch| {
+        let indices = batch.indices.start as usize..batch.indices.end as usize;
+        let mut vertices = scene.triangles.as_flattened().get(indices).unwrap_or_default().to_vec();
+        vertices.sort_unstable();
+        vertices.dedup();
+        vertices
+    };
+    moving.map(|(number, batch)| (number, vertices(batch))).collect()
 }

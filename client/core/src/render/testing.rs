@@ -98,6 +98,7 @@ pub fn draw_with(gpu: &Gpu, renderer: &mut FrameRenderer, camera: &Camera, mask:
         coverage: None,
         more: false,
         traced_for,
+        scene_time_s: 0.0,
     });
     renderer.set_mask(mask).unwrap();
     let target = reader.target();

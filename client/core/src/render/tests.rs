@@ -2,6 +2,7 @@
 
 mod blend;
 mod coincident;
+mod living;
 mod scale;
 
 use glam::{DVec3, Vec3, Vec4};

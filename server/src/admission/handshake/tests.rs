@@ -51,6 +51,7 @@ fn services(folder: &Path, tokens: &str, change: impl FnOnce(&mut ServerConfig))
             digest: SceneDigest([0; 32]),
             lights: u32::try_from(scene.lights.len()).unwrap(),
             weights: vec![1; scene.lights.len()],
+            moves: false,
         },
         engine: Fleet::start(&scene, &options).unwrap(),
         tokens: (!tokens.is_empty()).then(|| Arc::new(TokenStore::read(&path).unwrap())),

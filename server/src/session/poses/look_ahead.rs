@@ -1,7 +1,8 @@
-//! Predicts where a client's camera will be when its mask is shown.
+//! Predicts where a client's camera will be when its mask is shown, and what moves in the scene.
 //!
 //! The client measures the time from pose to screen, since only it sees the whole path, and sends it as
-//! `look_ahead_ms`. The server extrapolates the camera's motion by it, and traces the mask there.
+//! `look_ahead_ms`. The server extrapolates the camera's motion by it, and traces the mask there, at the time that the
+//! scene will have reached.
 
 use gnomon_protocol::pose::Pose;
 use gnomon_scene::{camera::Camera, motion::Motion};
@@ -15,10 +16,16 @@ const STANDS_STILL: f64 = 1e-6;
 pub(super) struct LookAhead {
     motion: Motion,
     clock: ClientClock,
+    scene_moves: bool,
 }
 
 impl LookAhead {
-    /// Returns the pose to trace instead of `pose`, the client's newest. `None` if the camera stands still or the
+    /// For a scene in which something moves, or nothing.
+    pub(super) fn new(scene_moves: bool) -> Self {
+        Self { scene_moves, ..Self::default() }
+    }
+
+    /// Returns the pose to trace instead of `pose`, the client's newest. `None` if camera and scene stand still or the
     /// client requests no prediction.
     pub(super) fn predict(&mut self, pose: &Pose) -> Option<Pose> {
         let time_s = self.clock.seconds(pose.client_time_ms);
@@ -28,15 +35,14 @@ impl LookAhead {
         let then = self.motion.extrapolate(then_s)?;
         let stays = then.position_m.distance(now.position_m) < STANDS_STILL
             && then.orientation.angle_between(now.orientation) < STANDS_STILL;
-        if pose.look_ahead_ms == 0 || stays {
+        if pose.look_ahead_ms == 0 || stays && !self.scene_moves {
             return None;
         }
-        let predicted = Pose {
-            position_m: then.position_m.to_array(),
-            orientation: then.orientation.to_array(),
-            scene_time_s: pose.scene_time_s + f64::from(pose.look_ahead_ms) * 1e-3,
-            ..*pose
-        };
+        let mut predicted = Pose { scene_time_s: pose.scene_time_s + f64::from(pose.look_ahead_ms) * 1e-3, ..*pose };
+        if !stays {
+            predicted.position_m = then.position_m.to_array();
+            predicted.orientation = then.orientation.to_array();
+        }
         // If the prediction leaves the world's limits, trace the client's own pose.
         predicted.validate().ok().map(|()| predicted)
     }
@@ -79,6 +85,11 @@ mod tests {
         assert_eq!(look_ahead.predict(&pose(0.16, u32::MAX.wrapping_sub(80).wrapping_add(160), 0)), None);
         let mut still = LookAhead::default();
         assert!((0..5_u32).all(|frame| still.predict(&pose(1.0, frame * 16, 100)).is_none()));
+        // Whatever the camera does, a moving scene is traced as it will be.
+        let (mut living, here) = (LookAhead::new(true), pose(1.0, 16, 100));
+        let found = living.predict(&here).unwrap();
+        assert_eq!(found, Pose { scene_time_s: here.scene_time_s + 0.1, ..here });
+        assert_eq!(living.predict(&pose(1.0, 32, 0)), None);
     }
 
     #[test]

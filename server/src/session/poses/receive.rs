@@ -23,11 +23,11 @@ pub(in crate::session) async fn receive_poses(
     mut receiver: DataReceiver,
     requests: &RequestSender,
     feedback: &watch::Sender<Feedback>,
-    shape: MaskShape,
+    (shape, scene_moves): (MaskShape, bool),
     ledger: &Ledger,
 ) -> io::Result<Infallible> {
     let mut newest = NewestPose::default();
-    let mut look_ahead = LookAhead::default();
+    let mut look_ahead = LookAhead::new(scene_moves);
     let mut interval = PoseInterval::new(Instant::now());
     let mut rate = RateLimit::new(Instant::now());
     loop {

@@ -105,6 +105,7 @@ impl PredictRig {
             coverage: None,
             more: false,
             traced_for,
+            scene_time_s: 0.0,
         }))?;
         let target = self.pictures.target();
         let submission = self.renderer.shade(camera, 1.0, &target, |encoder| {

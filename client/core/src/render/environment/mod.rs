@@ -13,7 +13,7 @@ mod sky;
 use std::sync::Arc;
 
 use glam::{Vec3, Vec4};
-use gnomon_scene::Light;
+use gnomon_scene::{Light, LightKind};
 use gnomon_shaders::{gpu::Gpu, shading::Lighting};
 use wgpu::util::DeviceExt as _;
 
@@ -72,18 +72,15 @@ pub(crate) struct Surroundings {
     pub(crate) sampler: wgpu::Sampler,
     harmonics: Harmonics,
     survey: Survey,
+    /// What the lamps gave together when the scene was surveyed.
+    surveyed_lamps: f32,
+    /// What the sky was made of.
+    suns: Vec<Vec4>,
 }
 
 impl Surroundings {
     pub(crate) fn new(gpu: &Gpu, environment: Environment, survey: Survey, lights: &[Light]) -> Self {
-        let (cube, levels) = match &environment {
-            Environment::Flat | Environment::None => (Cube::black(), 1),
-            Environment::Sky if sky::sun_lux(lights) == 0.0 => (Cube::black(), 1),
-            Environment::Sky => (Cube::new(SKY_SIDE, sky::radiance(lights)), LEVELS),
-            Environment::Panorama(panorama) => (panorama.cube(), LEVELS),
-        };
-        let harmonics = project(&cube);
-        let view = upload(gpu, &cube.mirrored(levels));
+        let (harmonics, view) = made(gpu, &environment, lights);
         let sampler = gpu.device.create_sampler(&wgpu::SamplerDescriptor {
             label: Some("environment"),
             mag_filter: wgpu::FilterMode::Linear,
@@ -91,7 +88,20 @@ impl Surroundings {
             mipmap_filter: wgpu::MipmapFilterMode::Linear,
             ..wgpu::SamplerDescriptor::default()
         });
-        Self { environment, view, sampler, harmonics, survey }
+        let (surveyed_lamps, suns) = (power_of_lamps(lights, u32::MAX), sky::rough(lights));
+        Self { environment, view, sampler, harmonics, survey, surveyed_lamps, suns }
+    }
+
+    /// Takes the lights of another time. Returns whether the sky is another one, so that [`Self::view`] is new: if a sun
+    /// has turned or changed by more than eyes notice.
+    pub(crate) fn follow(&mut self, gpu: &Gpu, lights: &[Light]) -> bool {
+        let suns = sky::rough(lights);
+        let is_other = matches!(self.environment, Environment::Sky) && self.suns != suns;
+        if is_other {
+            self.suns = suns;
+            (self.harmonics, self.view) = made(gpu, &self.environment, lights);
+        }
+        is_other
     }
 
     pub(crate) fn survey(&self) -> Survey {
@@ -114,7 +124,7 @@ impl Surroundings {
                 let shining = lights.iter().enumerate().filter(|(k, _)| on & (1 << k) != 0).map(|(_, light)| light);
                 sky_gain = sky::sun_lux(shining) * exposure.scale;
                 (seen, daylight) = (SKY_SEEN, self.survey.daylight);
-                let lamps = self.survey.lamp_lux * share_of_lamps(lights, on) * exposure.scale;
+                let lamps = self.survey.lamp_lux * self.share_of_lamps(lights, on) * exposure.scale;
                 lighting.ambient_above = AMBIENT_ABOVE * lamps;
                 lighting.ambient_below = AMBIENT_BELOW * lamps;
                 lighting.mirrored = 1.0;
@@ -129,19 +139,30 @@ impl Surroundings {
         lighting.sky_lit = sky_gain * daylight;
         lighting.harmonics = self.harmonics.map(|factor| Vec4::from((factor * lighting.sky_lit, 0.0)));
     }
+
+    /// Share of the lamps' surveyed light that shines.
+    fn share_of_lamps(&self, lights: &[Light], on: u32) -> f32 {
+        let shining = power_of_lamps(lights, on);
+        if self.surveyed_lamps > 0.0 { shining / self.surveyed_lamps } else { 0.0 }
+    }
 }
 
-/// Share of the lamps' light that is on.
-fn share_of_lamps(lights: &[Light], on: u32) -> f32 {
-    let (mut shining, mut all) = (0.0, 0.0);
-    for (k, light) in lights.iter().enumerate() {
-        if light.kind != gnomon_scene::LightKind::Directional {
-            let power = light.intensity * light.color.max_element();
-            all += power;
-            shining += if on & (1 << k) == 0 { 0.0 } else { power };
-        }
-    }
-    if all > 0.0 { shining / all } else { 0.0 }
+/// Makes what an environment gives matt surfaces, and what others mirror of it.
+fn made(gpu: &Gpu, environment: &Environment, lights: &[Light]) -> (Harmonics, wgpu::TextureView) {
+    let (cube, levels) = match environment {
+        Environment::Flat | Environment::None => (Cube::black(), 1),
+        Environment::Sky if sky::sun_lux(lights) == 0.0 => (Cube::black(), 1),
+        Environment::Sky => (Cube::new(SKY_SIDE, sky::radiance(lights)), LEVELS),
+        Environment::Panorama(panorama) => (panorama.cube(), LEVELS),
+    };
+    (project(&cube), upload(gpu, &cube.mirrored(levels)))
+}
+
+/// What the lamps that are on give together.
+fn power_of_lamps(lights: &[Light], on: u32) -> f32 {
+    let lamps = lights.iter().enumerate().filter(|(_, light)| light.kind != LightKind::Directional);
+    let shining = lamps.filter(|(k, _)| on & (1 << k) != 0);
+    shining.map(|(_, light)| light.intensity * light.color.max_element()).sum()
 }
 
 /// Uploads a cube's levels, the largest first.

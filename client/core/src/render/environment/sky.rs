@@ -1,6 +1,6 @@
 //! A clear sky from the scene's suns: its directional lights that come from above. Without any, it is night.
 
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 use gnomon_scene::{Light, LightKind};
 
 /// Radiance at the zenith and at the horizon when the sun stands high, as shares of what white paint shows of the sun.
@@ -42,6 +42,18 @@ fn sun(light: &Light) -> Option<Sun> {
     let shines = light.kind == LightKind::Directional && light.direction.y < 0.0;
     let lux = light.color * light.intensity;
     (shines && lux.dot(LUMINANCE) > 0.0).then_some(Sun { toward: -light.direction, lux })
+}
+
+/// Returns what a sky is made of, in steps too small to be seen: each sun's direction, to a degree, and its share of the
+/// light, to a percent.
+pub(super) fn rough(lights: &[Light]) -> Vec<Vec4> {
+    let suns: Vec<Sun> = lights.iter().filter_map(sun).collect();
+    let total = suns.iter().map(|sun| sun.lux.dot(LUMINANCE)).sum::<f32>().max(f32::MIN_POSITIVE);
+    let step = |sun: &Sun| {
+        let shares = (sun.lux / total * 100.0).round();
+        [(sun.toward * 57.0).round().extend(shares.x), shares.extend(0.0)]
+    };
+    suns.iter().flat_map(step).collect()
 }
 
 /// Returns the sky's radiance by direction, as a share of what white paint shows of all suns together.

@@ -4,9 +4,10 @@
 //! bytes a pixel and picture. [`BUDGET_BYTES`] limits the ring. If a mask is older than the ring, or its view was never
 //! drawn (a guard band, a pose predicted by the server), its depth is drawn again ([`super::depth_pass`]).
 
-use gnomon_scene::camera::Camera;
-
-use crate::render::targets::{DEPTH, texture};
+use crate::{
+    camera::Viewpoint,
+    render::targets::{DEPTH, texture},
+};
 
 /// 64 pictures of 640×360, 16 of 1920×1080.
 const BUDGET_BYTES: u64 = 133 << 20;
@@ -25,8 +26,8 @@ pub(crate) struct DepthHistory {
 #[derive(Debug)]
 struct Slot {
     view: wgpu::TextureView,
-    /// The view whose depth the texture holds.
-    camera: Option<Camera>,
+    /// What the depth that the texture holds is of.
+    seen: Option<Viewpoint>,
 }
 
 impl DepthHistory {
@@ -35,7 +36,7 @@ impl DepthHistory {
         let slot = |_| Slot {
             view: texture(device, "depth", (width, height), DEPTH, usage | wgpu::TextureUsages::COPY_SRC)
                 .create_view(&wgpu::TextureViewDescriptor::default()),
-            camera: None,
+            seen: None,
         };
         Self { slots: (0..pictures(width, height)).map(slot).collect(), current: 0 }
     }
@@ -60,14 +61,14 @@ impl DepthHistory {
     }
 
     /// Advances to the texture for a new picture.
-    pub(crate) fn begin(&mut self, camera: &Camera) {
+    pub(crate) fn begin(&mut self, seen: &Viewpoint) {
         self.current = (self.current + 1) % self.slots.len();
-        self.slots[self.current].camera = Some(*camera);
+        self.slots[self.current].seen = Some(*seen);
     }
 
-    /// Returns the index of the picture drawn for exactly this camera, if it is still in the ring.
-    pub(crate) fn find(&self, camera: &Camera) -> Option<usize> {
-        self.slots.iter().position(|slot| slot.camera.as_ref() == Some(camera))
+    /// Returns the index of the picture drawn for exactly this camera and time, if it is still in the ring.
+    pub(crate) fn find(&self, seen: &Viewpoint) -> Option<usize> {
+        self.slots.iter().position(|slot| slot.seen.as_ref() == Some(seen))
     }
 }
 
@@ -77,6 +78,8 @@ fn pictures(width: u32, height: u32) -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use gnomon_scene::camera::Camera;
+
     use super::*;
     use crate::render::testing::{camera, gpu};
 
@@ -92,7 +95,11 @@ mod tests {
     fn pictures_are_found_until_they_are_overwritten() {
         let gpu = gpu();
         let mut history = DepthHistory::new(&gpu.device, 3840, 2160);
-        let at = |frame: u32| Camera { yfov_rad: 1.0 + f64::from(frame) * 0.01, ..camera(3840, 2160) };
+        let at = |frame: u32| {
+            let camera = Camera { yfov_rad: 1.0 + f64::from(frame / 2) * 0.01, ..camera(3840, 2160) };
+            // Every second one differs in its time alone.
+            Viewpoint { camera, scene_time_s: f64::from(frame) }
+        };
         for frame in 0..20 {
             history.begin(&at(frame));
             assert_eq!(history.find(&at(frame)), Some(history.current()));

@@ -7,7 +7,7 @@ use gnomon_shaders::gpu::Gpu;
 use crate::render::{
     error::RenderError,
     pipeline::{bind_group, bind_group_layout, shader, uniform},
-    scene_upload::SceneUpload,
+    scene_upload::{Batch, SceneUpload},
     targets::DEPTH,
 };
 
@@ -27,6 +27,24 @@ pub(crate) enum Faces {
     Seen,
     /// Both, since either side stops light.
     Both,
+}
+
+/// Which part of a scene is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Part {
+    All,
+    Resting,
+    Moving,
+}
+
+impl Part {
+    fn has(self, batch: &Batch) -> bool {
+        match self {
+            Self::All => true,
+            Self::Resting => !batch.moves,
+            Self::Moving => batch.moves,
+        }
+    }
 }
 
 fn pipeline_of(masked: bool, both: bool) -> usize {
@@ -99,11 +117,11 @@ impl DepthPass {
         pass: &mut wgpu::RenderPass<'_>,
         view: &wgpu::BindGroup,
         scene: &SceneUpload,
-        faces: Faces,
+        (part, faces): (Part, Faces),
     ) {
         pass.set_bind_group(0, view, &[]);
         scene.bind(pass);
-        for batch in scene.batches.iter().filter(|batch| !batch.is_blended()) {
+        for batch in scene.batches.iter().filter(|batch| !batch.is_blended() && part.has(batch)) {
             pass.set_pipeline(self.pipeline(scene, batch.is_masked(), batch.double_sided || faces == Faces::Both));
             pass.set_bind_group(1, &scene.materials[batch.material], &[]);
             pass.draw_indexed(batch.indices.clone(), 0, 0..1);
@@ -117,11 +135,21 @@ pub(crate) fn begin<'a>(
     label: &'static str,
     view: &wgpu::TextureView,
 ) -> wgpu::RenderPass<'a> {
+    begin_with(encoder, label, view, wgpu::LoadOp::Clear(0.0))
+}
+
+/// Begins a pass that draws depth into `view`, over what `load` leaves there.
+pub(crate) fn begin_with<'a>(
+    encoder: &'a mut wgpu::CommandEncoder,
+    label: &'static str,
+    view: &wgpu::TextureView,
+    load: wgpu::LoadOp<f32>,
+) -> wgpu::RenderPass<'a> {
     encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
         label: Some(label),
         depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
             view,
-            depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
+            depth_ops: Some(wgpu::Operations { load, store: wgpu::StoreOp::Store }),
             stencil_ops: None,
         }),
         ..wgpu::RenderPassDescriptor::default()

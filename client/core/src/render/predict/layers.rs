@@ -10,20 +10,23 @@ use gnomon_protocol::{
     limits::MAX_LAYERS,
     mask::MaskShape,
 };
-use gnomon_scene::camera::{Camera, Space};
+use gnomon_scene::camera::Space;
 use gnomon_shaders::{gpu::Gpu, shading::View};
 
 use super::{
     depth_history::DepthHistory,
-    depth_pass::{self, DepthPass, Faces},
+    depth_pass::{self, DepthPass, Faces, Part},
     mask_view::MaskView,
     mask_words::{MaskPlanes, WORDS, WordsPass},
 };
-use crate::render::{
-    error::RenderError,
-    pipeline::{Variable, bind_group, check_side},
-    scene_upload::SceneUpload,
-    targets::{DEPTH, layered_texture},
+use crate::{
+    camera::Viewpoint,
+    render::{
+        error::RenderError,
+        pipeline::{Variable, bind_group, check_side},
+        scene_upload::SceneUpload,
+        targets::{DEPTH, layered_texture},
+    },
 };
 
 #[derive(Debug)]
@@ -50,7 +53,7 @@ pub(crate) struct Layer {
     /// Layer of the textures.
     pub(crate) slot: u32,
     /// The view that it was traced for.
-    pub(crate) traced_for: Camera,
+    pub(crate) traced_for: Viewpoint,
     /// `None` if all tiles have arrived.
     pub(crate) coverage: Option<Coverage>,
     /// True if the view's depth was drawn.
@@ -87,15 +90,11 @@ impl Layers {
     }
 
     /// Lays a mask of [`Self::shape`] over the others, or replaces them if it is complete.
-    pub(crate) fn push(
-        &mut self,
-        gpu: &Gpu,
-        encoder: &mut wgpu::CommandEncoder,
-        pass: &WordsPass,
-        MaskView { mask, coverage, more, traced_for }: MaskView<'_>,
-    ) {
+    pub(crate) fn push(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, pass: &WordsPass, view: MaskView<'_>) {
+        let MaskView { mask, coverage, more, .. } = view;
+        let traced_for = view.viewpoint();
         let coverage = coverage.filter(|coverage| !coverage.is_whole()).cloned();
-        let newest = self.stack.first().filter(|newest| more && newest.traced_for == *traced_for).cloned();
+        let newest = self.stack.first().filter(|newest| more && newest.traced_for == traced_for).cloned();
         if coverage.is_none() {
             self.stack.clear();
         } else if newest.is_some() {
@@ -107,7 +106,7 @@ impl Layers {
         if let Some(coverage) = &coverage {
             self.write_coverage(&gpu.queue, slot, coverage);
         }
-        self.stack.insert(0, Layer { slot, traced_for: *traced_for, coverage, has_depth });
+        self.stack.insert(0, Layer { slot, traced_for, coverage, has_depth });
     }
 
     /// Returns a free slot, or the oldest mask's if there is none.
@@ -151,14 +150,15 @@ impl Layers {
         );
     }
 
-    /// Ensures that the newest `count` masks have the depth of their views; draws it if no picture has it.
+    /// Ensures that the newest `count` masks have the depth of their views; draws it if no picture has it. What moves
+    /// is drawn where it was.
     pub(crate) fn need_depth(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         (count, space): (usize, Space),
         pass: &DepthPass,
-        (history, upload): (&DepthHistory, &SceneUpload),
+        (history, upload): (&DepthHistory, &mut SceneUpload),
     ) {
         let wanted = [self.shape.width(), self.shape.height(), self.words.depth_or_array_layers()];
         let had = self.depth.size();
@@ -183,11 +183,13 @@ impl Layers {
                 self.views.push((view, group));
             }
             let (view, group) = &mut self.views[layer.slot as usize];
-            view.set(&gpu.queue, View::new(&layer.traced_for, space, 1.0));
+            view.set(&gpu.queue, View::new(&layer.traced_for.camera, space, 1.0));
+            upload.show(&gpu.device, encoder, layer.traced_for.scene_time_s);
             let drawn = layer_of(depth, layer.slot);
             let mut render = depth_pass::begin(encoder, "depth of the mask's view", &drawn);
-            pass.draw(&mut render, group, upload, Faces::Seen);
+            pass.draw(&mut render, group, upload, (Part::All, Faces::Seen));
         }
+        upload.show_now(&gpu.device, encoder);
     }
 
     /// Words, coverage and depth of all layers, and a sampler. The depth is valid only after [`Self::need_depth`].

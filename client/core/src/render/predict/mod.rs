@@ -14,6 +14,7 @@ mod mask_view;
 mod mask_words;
 mod pass;
 pub(crate) mod shadow_map;
+mod swept;
 #[cfg(test)]
 mod tests;
 

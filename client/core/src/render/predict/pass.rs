@@ -3,7 +3,7 @@
 use bytemuck::Zeroable as _;
 use gnomon_protocol::{limits::MAX_LAYERS, mask::MaskShape};
 use gnomon_scene::{
-    Scene,
+    Light, Scene,
     camera::{Camera, Space},
 };
 use gnomon_shaders::{
@@ -16,12 +16,13 @@ use super::{
     depth_history::DepthHistory,
     depth_pass::{DepthPass, Faces},
     kernels::{Kernel, Kernels},
-    layers::Layers,
+    layers::{Layer, Layers},
     mask_view::MaskView,
     mask_words::WordsPass,
     shadow_map::ShadowMap,
 };
 use crate::{
+    camera::Viewpoint,
     predictor::Predictor,
     render::{
         counts::Counts,
@@ -125,6 +126,11 @@ impl PredictPass {
         &self.shadow_map
     }
 
+    /// Takes the lights of another time, at which everything is drawn anew.
+    pub(crate) fn set_lights(&mut self, gpu: &Gpu, lights: &[Light]) {
+        self.shadow_map.set_lights(gpu, lights);
+    }
+
     /// Ensures that the shadow maps are drawn before what `encoder` does next.
     pub(crate) fn need_shadow_map(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, upload: &SceneUpload) {
         self.shadow_map.need(gpu, encoder, &self.depth_pass, upload);
@@ -191,20 +197,20 @@ impl PredictPass {
     }
 
     /// Newest first.
-    pub(crate) fn mask_views(&self) -> impl Iterator<Item = &Camera> {
+    pub(crate) fn mask_views(&self) -> impl Iterator<Item = &Viewpoint> {
         self.layers.stack().iter().map(|layer| &layer.traced_for)
     }
 
-    /// Writes the visibility picture. The G-buffer holds what `camera` sees.
+    /// Writes the visibility picture. The G-buffer holds what `seen` sees.
     pub(crate) fn encode(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        (camera, space, visibility_share): (&Camera, Space, f32),
-        (targets, history, upload): (&Targets, &DepthHistory, &SceneUpload),
+        (seen, space, visibility_share): (&Viewpoint, Space, f32),
+        (targets, history, upload): (&Targets, &DepthHistory, &mut SceneUpload),
     ) {
         let (predictor, unknown) = self.predictor.shader_constants();
-        let (layers, count) = self.usable_layers(camera, space);
+        let (layers, count) = self.usable_layers(seen, space);
         let prediction = Prediction {
             layers,
             // At most `MAX_LAYERS`.
@@ -246,19 +252,21 @@ impl PredictPass {
         self.newest_unknown.map(|unknown| 1.0 - f64::from(unknown) / f64::from(self.pixels))
     }
 
-    /// Returns the masks from which a picture for `camera` is predicted, and their number.
-    fn usable_layers(&self, camera: &Camera, space: Space) -> ([MaskLayer; MAX_LAYERS], usize) {
+    /// Returns the masks from which a picture for `seen` is predicted, and their number.
+    fn usable_layers(&self, seen: &Viewpoint, space: Space) -> ([MaskLayer; MAX_LAYERS], usize) {
         let mut layers = [MaskLayer::zeroed(); MAX_LAYERS];
         let size = |camera: &Camera| (camera.width, camera.height);
         // The baselines read only the newest mask, missing tiles included.
         let most = if self.predictor == Predictor::Surface { MAX_LAYERS } else { 1 };
         let stack = self.layers.stack().iter().take(most);
-        let usable = stack.filter(|layer| self.predictor != Predictor::None || size(&layer.traced_for) == size(camera));
+        let fits =
+            |layer: &&Layer| self.predictor != Predictor::None || size(&layer.traced_for.camera) == size(&seen.camera);
+        let usable = stack.filter(fits);
         let mut count = 0;
         for (place, layer) in layers.iter_mut().zip(usable) {
-            let same_view = self.predictor == Predictor::None || layer.traced_for == *camera;
+            let same_view = self.predictor == Predictor::None || layer.traced_for == *seen;
             *place = MaskLayer {
-                view: View::new(&layer.traced_for, space, 1.0),
+                view: View::new(&layer.traced_for.camera, space, 1.0),
                 slot: layer.slot,
                 same_view: same_view.into(),
                 whole: u32::from(layer.coverage.is_none() || most == 1),

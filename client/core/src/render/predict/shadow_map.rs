@@ -1,15 +1,19 @@
-//! The client's own shadow maps, drawn once, with the first picture that needs them.
+//! The client's own shadow maps, drawn once, with the first picture that needs them; anew when something has moved.
 //!
 //! Received visibility lacks surfaces that its view did not see. There the client looks into a map of its own: coarser
 //! than the server's rays, but never late. All maps share one square of [`BUDGET_BYTES`]: six cube faces for a point
 //! light, one map for a spot, and one of four times the texels for a directional light, which covers the whole scene.
+//! Where no light moves, the maps of what rests are kept beside them, and only what moves is drawn over these.
 
 use glam::{DMat4, DVec3, DVec4, Mat4, Vec3};
 use gnomon_scene::{Aabb, Light, LightKind, Scene, camera::Space};
 use gnomon_shaders::{gpu::Gpu, shading::ShadowView};
 use wgpu::util::DeviceExt as _;
 
-use super::depth_pass::{self, DepthPass, Faces};
+use super::{
+    depth_pass::{self, DepthPass, Faces, Part},
+    swept::swept_bounds,
+};
 use crate::render::{
     pipeline::constant,
     scene_upload::SceneUpload,
@@ -37,29 +41,56 @@ pub(crate) fn views_of(kind: LightKind) -> u32 {
 pub(crate) struct ShadowMap {
     pub(crate) texture: wgpu::TextureView,
     pub(crate) views: wgpu::Buffer,
-    /// What is still to be drawn.
-    undrawn: Vec<ShadowView>,
+    /// Every light's views, one light after the other, with the matrix that a view's group binds.
+    lights_views: Vec<ShadowView>,
+    groups: Vec<(Mat4, wgpu::BindGroup)>,
+    is_drawn: bool,
+    /// What all views cover, and the distance of their near planes in metres.
+    space: (Aabb, f64),
+    /// Whether every light's views are the same at any time.
+    lights_rest: bool,
+    /// The maps of what rests, once they are drawn. Used only beside something that moves.
+    resting: Option<wgpu::TextureView>,
 }
 
 impl ShadowMap {
     /// Allocates the maps of all lights of `scene`.
     pub(crate) fn new(gpu: &Gpu, scene: &Scene) -> Self {
         let device = &gpu.device;
-        let limit = device.limits().max_texture_dimension_2d;
-        let (side, views) = layout(&scene.lights, (&scene.bounds, Space::of(scene).near_m), limit);
+        let space = (swept_bounds(scene), Space::of(scene).near_m);
+        let (side, lights_views) = layout(&scene.lights, (&space.0, space.1), device.limits().max_texture_dimension_2d);
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-        let texture = texture(device, "shadow map", (side, side), DEPTH, usage)
+        let mut views_usage = wgpu::BufferUsages::STORAGE;
+        let (mut copied, mut lights_rest) = (wgpu::TextureUsages::empty(), true);
+        if let Some(animation) = &scene.animation {
+            views_usage |= wgpu::BufferUsages::COPY_DST;
+            copied = wgpu::TextureUsages::COPY_DST;
+            lights_rest =
+                animation.lights.iter().all(|light| light.place.is_none() && light.outer_cone_track.is_none());
+        }
+        let texture = texture(device, "shadow map", (side, side), DEPTH, usage | copied)
             .create_view(&wgpu::TextureViewDescriptor::default());
-        let undrawn = views.clone();
-        let mut views = views;
         // A binding cannot be empty.
-        views.push(bytemuck::Zeroable::zeroed());
+        let contents = [&lights_views[..], &[bytemuck::Zeroable::zeroed()]].concat();
         let views = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: Some("lights' views"),
-            contents: bytemuck::cast_slice(&views),
-            usage: wgpu::BufferUsages::STORAGE,
+            contents: bytemuck::cast_slice(&contents),
+            usage: views_usage,
         });
-        Self { texture, views, undrawn }
+        let (groups, is_drawn, resting) = (Vec::new(), false, None);
+        Self { texture, views, lights_views, groups, is_drawn, space, lights_rest, resting }
+    }
+
+    /// Takes the lights of another time, at which the maps are to be drawn anew.
+    pub(crate) fn set_lights(&mut self, gpu: &Gpu, lights: &[Light]) {
+        self.is_drawn = false;
+        if self.lights_rest {
+            return;
+        }
+        let (bounds, near_m) = &self.space;
+        let (_, views) = layout(lights, (bounds, *near_m), gpu.device.limits().max_texture_dimension_2d);
+        gpu.queue.write_buffer(&self.views, 0, bytemuck::cast_slice(&views));
+        self.lights_views = views;
     }
 
     /// Ensures that the maps are drawn before what `encoder` does next.
@@ -70,22 +101,59 @@ impl ShadowMap {
         pass: &DepthPass,
         upload: &SceneUpload,
     ) {
-        let views = std::mem::take(&mut self.undrawn);
-        if views.is_empty() {
+        if std::mem::replace(&mut self.is_drawn, true) || self.lights_views.is_empty() {
             return;
         }
-        let group = |view: &ShadowView| {
-            let buffer = constant(gpu, "light's view", &view.clip_from_local);
-            pass.group(&gpu.device, buffer.as_entire_binding())
-        };
-        let groups: Vec<wgpu::BindGroup> = views.iter().map(group).collect();
-        let mut render = depth_pass::begin(encoder, "shadow map", &self.texture);
-        for (view, group) in views.iter().zip(&groups) {
+        self.bind_views(gpu, pass);
+        let clear = wgpu::LoadOp::Clear(0.0);
+        if upload.movers().is_none() || !self.lights_rest {
+            self.draw(encoder, (&self.texture, clear), (pass, upload), Part::All);
+            return;
+        }
+        let resting = self.resting.take().unwrap_or_else(|| {
+            let side = self.texture.texture().width();
+            let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
+            let resting = texture(&gpu.device, "shadow map of what rests", (side, side), DEPTH, usage);
+            let resting = resting.create_view(&wgpu::TextureViewDescriptor::default());
+            self.draw(encoder, (&resting, clear), (pass, upload), Part::Resting);
+            resting
+        });
+        let (from, to) = (resting.texture(), self.texture.texture());
+        encoder.copy_texture_to_texture(from.as_image_copy(), to.as_image_copy(), from.size());
+        self.draw(encoder, (&self.texture, wgpu::LoadOp::Load), (pass, upload), Part::Moving);
+        self.resting = Some(resting);
+    }
+
+    /// Binds the views' matrices that have changed.
+    fn bind_views(&mut self, gpu: &Gpu, pass: &DepthPass) {
+        let matrices = self.lights_views.iter().map(|view| view.clip_from_local);
+        for (number, matrix) in matrices.enumerate() {
+            if self.groups.get(number).is_some_and(|(bound, _)| *bound == matrix) {
+                continue;
+            }
+            let buffer = constant(gpu, "light's view", &matrix);
+            let bound = (matrix, pass.group(&gpu.device, buffer.as_entire_binding()));
+            match self.groups.get_mut(number) {
+                Some(group) => *group = bound,
+                None => self.groups.push(bound),
+            }
+        }
+    }
+
+    fn draw(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        (target, load): (&wgpu::TextureView, wgpu::LoadOp<f32>),
+        (pass, upload): (&DepthPass, &SceneUpload),
+        part: Part,
+    ) {
+        let mut render = depth_pass::begin_with(encoder, "shadow map", target, load);
+        for (view, (_, group)) in self.lights_views.iter().zip(&self.groups) {
             render.set_viewport(view.left, view.top, view.side, view.side, 0.0, 1.0);
             #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "whole, at most 4096")]
             let [left, top, side] = [view.left, view.top, view.side].map(|texels| texels as u32);
             render.set_scissor_rect(left, top, side, side);
-            pass.draw(&mut render, group, upload, Faces::Both);
+            pass.draw(&mut render, group, upload, (part, Faces::Both));
         }
     }
 }

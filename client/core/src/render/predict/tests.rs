@@ -16,6 +16,7 @@ use gnomon_shaders::gpu::Gpu;
 
 use super::MaskView;
 use crate::{
+    camera::Viewpoint,
     predictor::{Predictor, Unknown},
     render::{
         FrameRenderer, PixelVisibility,
@@ -104,7 +105,12 @@ fn predict(
     mask: &Mask,
     traced_for: &Camera,
 ) -> Vec<PixelVisibility> {
-    predict_from(gpu, renderer, camera, &[MaskView { mask, coverage: None, more: false, traced_for }])
+    predict_from(
+        gpu,
+        renderer,
+        camera,
+        &[MaskView { mask, coverage: None, more: false, traced_for, scene_time_s: 0.0 }],
+    )
 }
 
 /// Draws `camera` after these masks arrived.
@@ -284,7 +290,7 @@ fn kept_depth_and_redrawn_depth_give_the_same_result() {
     let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
     renderer.draw_surfaces(&then).unwrap();
     let kept = predict(&gpu, &mut renderer, &now, &mask, &then);
-    assert!(renderer.history.find(&then).is_some());
+    assert!(renderer.history.find(&Viewpoint::resting(then)).is_some());
     assert!(anew == kept);
 }
 
@@ -369,7 +375,13 @@ fn missing_tiles_are_looked_up_in_earlier_masks() {
     let masks: Vec<_> = masks
         .iter()
         .zip(&views)
-        .map(|((mask, coverage), traced_for)| MaskView { mask, coverage: Some(coverage), more: false, traced_for })
+        .map(|((mask, coverage), traced_for)| MaskView {
+            mask,
+            coverage: Some(coverage),
+            more: false,
+            traced_for,
+            scene_time_s: 0.0,
+        })
         .collect();
     let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
     let shown = predict_from(&gpu, &mut renderer, &now, &masks);
@@ -417,7 +429,13 @@ fn the_number_of_layers_is_limited() {
     let masks: Vec<_> = parts
         .iter()
         .zip(&views)
-        .map(|((mask, coverage), traced_for)| MaskView { mask, coverage: Some(coverage), more: false, traced_for })
+        .map(|((mask, coverage), traced_for)| MaskView {
+            mask,
+            coverage: Some(coverage),
+            more: false,
+            traced_for,
+            scene_time_s: 0.0,
+        })
         .collect();
     let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
     // One after the other, so that pictures are drawn from few layers and from many.
@@ -442,6 +460,7 @@ fn the_number_of_layers_is_limited() {
         coverage: Some(coverage),
         more: false,
         traced_for: &now,
+        scene_time_s: 0.0,
     });
     let known_rows = |masks: &[MaskView<'_>], renderer: &mut FrameRenderer| {
         renderer.set_mask(None).unwrap();

@@ -41,7 +41,13 @@ impl Viewer {
     ) -> Result<Shown> {
         self.renderer.set_predictor(predictor);
         self.renderer.draw_surfaces(camera)?;
-        let used = self.renderer.set_mask(Some(MaskView { mask, coverage: None, more: false, traced_for }))?;
+        let used = self.renderer.set_mask(Some(MaskView {
+            mask,
+            coverage: None,
+            more: false,
+            traced_for,
+            scene_time_s: 0.0,
+        }))?;
         anyhow::ensure!(used, "the client does not take a mask of {:?}", mask.shape());
         let target = self.reader.target();
         let submission = self.renderer.shade(camera, 1.0, &target, |encoder| self.reader.copy(encoder))?;

@@ -1,0 +1,254 @@
+//! What moves, on the adapter: its vertices and corners are written anew for each time of the scene, as the scene has
+//! them that stands still then (`shaders/scene/docs/living.md`). Passes see ordinary triangles.
+
+use glam::Vec3;
+use gnomon_scene::{Animation, Moment, Placement, Scene};
+use rayon::prelude::*;
+use wgpu::util::DeviceExt as _;
+
+use super::vertex::{MoreOfVertex, Vertex};
+
+#[derive(Debug)]
+pub(crate) struct Movers {
+    /// The scene without what rests.
+    stage: Scene,
+    /// Where each piece's vertices begin in the lists below.
+    firsts: Vec<usize>,
+    /// In the pose of the file, piece by piece.
+    vertices: Vec<Vertex>,
+    /// Empty if nothing more of them turns.
+    more: Vec<MoreOfVertex>,
+    /// The pieces' vertices in the scene's buffers, in the order of the pieces.
+    vertex_runs: Vec<VertexRun>,
+    triangle_runs: Vec<TriangleRun>,
+    now: Posed,
+    /// Time of the vertices that the buffers hold once all that was encoded has run. `None`: those of the file.
+    written_s: Option<f64>,
+    /// How the corners are that they hold then, one for each piece.
+    written: Vec<Corners>,
+}
+
+/// What moves, at one time.
+#[derive(Debug)]
+struct Posed {
+    time_s: f64,
+    moment: Moment,
+    vertices: Vec<Vertex>,
+    more: Vec<MoreOfVertex>,
+}
+
+/// Vertices that follow each other, also in [`Movers::vertices`].
+#[derive(Debug, Clone, Copy)]
+struct VertexRun {
+    first: u32,
+    count: u32,
+}
+
+/// Triangles of one piece that follow each other.
+#[derive(Debug)]
+struct TriangleRun {
+    first: u32,
+    piece: usize,
+    corners: Vec<[u32; 3]>,
+}
+
+/// How the corners of a piece's triangles are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Corners {
+    AsInFile,
+    Turned,
+    /// Nothing is drawn.
+    Hidden,
+}
+
+impl Corners {
+    fn of(placement: Option<&Placement>) -> Self {
+        match placement {
+            None => Self::Hidden,
+            Some(placement) if placement.turned => Self::Turned,
+            Some(_) => Self::AsInFile,
+        }
+    }
+}
+
+/// The scene's buffers.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Buffers<'a> {
+    pub(crate) vertices: &'a wgpu::Buffer,
+    pub(crate) more: &'a wgpu::Buffer,
+    pub(crate) indices: &'a wgpu::Buffer,
+}
+
+impl Movers {
+    /// Takes what moves from the scene's vertices. `None` if everything rests.
+    pub(crate) fn new(scene: &Scene, vertices: &[Vertex], more: &[MoreOfVertex]) -> Option<Self> {
+        let animation = scene.animation.as_deref()?;
+        let range = |first: u32, count: u32| first as usize..first as usize + count as usize;
+        let turns = !scene.tangents.is_empty() && more.len() == vertices.len();
+        let mut vertex_runs: Vec<VertexRun> = Vec::new();
+        let (mut own, mut own_more) = (Vec::new(), Vec::new());
+        for piece in &animation.pieces {
+            let of_piece = range(piece.first_vertex, piece.vertices);
+            own.extend_from_slice(vertices.get(of_piece.clone()).unwrap_or_default());
+            own_more.extend_from_slice(more.get(of_piece).filter(|_| turns).unwrap_or_default());
+            match vertex_runs.last_mut() {
+                Some(last) if last.first + last.count == piece.first_vertex => last.count += piece.vertices,
+                _ => vertex_runs.push(VertexRun { first: piece.first_vertex, count: piece.vertices }),
+            }
+        }
+        let stage = Scene {
+            animation: Some(Box::new(animation.clone())),
+            lights: scene.lights.clone(),
+            origin_m: scene.origin_m,
+            ..Scene::default()
+        };
+        let now = Posed { time_s: f64::NAN, moment: nothing(), vertices: Vec::new(), more: Vec::new() };
+        let (firsts, triangle_runs) = (animation.first_positions(), triangle_runs(scene, animation));
+        let written = vec![Corners::AsInFile; animation.pieces.len()];
+        let (vertices, more, written_s) = (own, own_more, None);
+        Some(Self { stage, firsts, vertices, more, vertex_runs, triangle_runs, now, written_s, written })
+    }
+
+    pub(crate) fn time_s(&self) -> f64 {
+        self.now.time_s
+    }
+
+    /// Moves to a time. Returns whether it is another one.
+    pub(crate) fn set_time(&mut self, time_s: f64) -> bool {
+        let is_other = self.now.time_s.to_bits() != time_s.to_bits();
+        if is_other {
+            self.now = self.pose(time_s);
+        }
+        is_other
+    }
+
+    /// What moves, now.
+    pub(crate) fn moment(&self) -> &Moment {
+        &self.now.moment
+    }
+
+    /// Returns where a vertex of the scene is now. `None` if it rests, or is not shown.
+    pub(crate) fn position(&self, vertex: u32) -> Option<Vec3> {
+        let animation = self.stage.animation.as_deref()?;
+        let piece = animation.piece_of(vertex)?;
+        self.now.moment.pieces.get(piece)?.as_ref()?;
+        let at = self.firsts.get(piece)? + (vertex - animation.pieces.get(piece)?.first_vertex) as usize;
+        self.now.vertices.get(at).map(|vertex| vertex.position)
+    }
+
+    fn pose(&self, time_s: f64) -> Posed {
+        let moment = self.stage.moment(time_s).unwrap_or_else(nothing);
+        let none = Animation::default();
+        let animation = self.stage.animation.as_deref().unwrap_or(&none);
+        let pieces = || {
+            let pieces = animation.pieces.par_iter().zip(&self.firsts).zip(&moment.pieces);
+            pieces.map(|((piece, first), placement)| (*first..*first + piece.vertices as usize, placement.as_ref()))
+        };
+        let vertices = pieces().flat_map_iter(|(range, placement)| {
+            range.map(move |at| {
+                let (vertex, position, normal) = (self.vertices[at], animation.positions[at], animation.normals[at]);
+                placement.map_or(vertex, |it| vertex.moved(it.position(position), it.normal(normal)))
+            })
+        });
+        let vertices = vertices.collect();
+        let more = if self.more.is_empty() {
+            Vec::new()
+        } else {
+            let more = pieces().flat_map_iter(|(range, placement)| {
+                range.map(move |at| {
+                    let turned = placement.zip(animation.tangents.get(at)).map(|(it, tangent)| it.tangent(*tangent));
+                    turned.map_or(self.more[at], |tangent| self.more[at].moved(tangent))
+                })
+            });
+            more.collect()
+        };
+        Posed { time_s, moment, vertices, more }
+    }
+
+    /// Writes what the buffers lack of a time, before what `encoder` does next.
+    pub(crate) fn write(
+        &mut self,
+        device: &wgpu::Device,
+        encoder: &mut wgpu::CommandEncoder,
+        buffers: Buffers<'_>,
+        time_s: f64,
+    ) {
+        if self.written_s.is_some_and(|written_s| written_s.to_bits() == time_s.to_bits()) {
+            return;
+        }
+        let other = (self.now.time_s.to_bits() != time_s.to_bits()).then(|| self.pose(time_s));
+        let posed = other.as_ref().unwrap_or(&self.now);
+        let mut writer = Writer { device, encoder };
+        writer.runs(buffers.vertices, &posed.vertices, &self.vertex_runs);
+        writer.runs(buffers.more, &posed.more, &self.vertex_runs);
+        let wanted: Vec<Corners> =
+            posed.moment.pieces.iter().map(|placement| Corners::of(placement.as_ref())).collect();
+        for run in &self.triangle_runs {
+            let (before, after) = (self.written.get(run.piece), wanted.get(run.piece));
+            if let Some(corners) = after.filter(|_| before != after) {
+                writer.corners(buffers.indices, run, *corners);
+            }
+        }
+        (self.written, self.written_s) = (wanted, Some(time_s));
+    }
+}
+
+fn nothing() -> Moment {
+    Moment { pieces: Vec::new(), lights: Vec::new() }
+}
+
+fn triangle_runs(scene: &Scene, animation: &Animation) -> Vec<TriangleRun> {
+    let mut runs: Vec<TriangleRun> = Vec::new();
+    for (number, corners) in (0..).zip(&scene.triangles) {
+        let Some(piece) = animation.piece_of(corners[0]) else { continue };
+        match runs.last_mut() {
+            Some(last) if last.piece == piece && last.first as usize + last.corners.len() == number as usize => {
+                last.corners.push(*corners);
+            }
+            _ => runs.push(TriangleRun { first: number, piece, corners: vec![*corners] }),
+        }
+    }
+    runs
+}
+
+/// Copies in the order of the encoder's commands, so that a submission may draw several times of the scene.
+struct Writer<'a> {
+    device: &'a wgpu::Device,
+    encoder: &'a mut wgpu::CommandEncoder,
+}
+
+impl Writer<'_> {
+    fn staged(&self, bytes: &[u8]) -> wgpu::Buffer {
+        self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("what moves"),
+            contents: bytes,
+            usage: wgpu::BufferUsages::COPY_SRC,
+        })
+    }
+
+    fn runs<T: bytemuck::NoUninit>(&mut self, to: &wgpu::Buffer, all: &[T], runs: &[VertexRun]) {
+        if all.is_empty() {
+            return;
+        }
+        let staged = self.staged(bytemuck::cast_slice(all));
+        let stride = size_of::<T>() as u64;
+        let mut from = 0;
+        for run in runs {
+            let bytes = u64::from(run.count) * stride;
+            self.encoder.copy_buffer_to_buffer(&staged, from, to, u64::from(run.first) * stride, bytes);
+            from += bytes;
+        }
+    }
+
+    fn corners(&mut self, to: &wgpu::Buffer, run: &TriangleRun, corners: Corners) {
+        let arranged = |[a, b, c]: [u32; 3]| match corners {
+            Corners::AsInFile => [a, b, c],
+            Corners::Turned => [a, c, b],
+            Corners::Hidden => [a; 3],
+        };
+        let triangles: Vec<[u32; 3]> = run.corners.iter().map(|corners| arranged(*corners)).collect();
+        let staged = self.staged(bytemuck::cast_slice(&triangles));
+        let offset = u64::from(run.first) * size_of::<[u32; 3]>() as u64;
+        self.encoder.copy_buffer_to_buffer(&staged, 0, to, offset, staged.size());
+    }
+}

@@ -1,0 +1,215 @@
+//! What moves is drawn as the scene that stands still at that time.
+
+use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
+use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_scene::{
+    Aabb, AlphaMode, AnimatedLight, AnimatedNode, Animation, Draw, Interpolation, Material, Piece, Place, Scene, Track,
+    camera::Camera,
+};
+use gnomon_shaders::gpu::Gpu;
+
+use crate::{
+    occluders::Occluders,
+    predictor::Predictor,
+    render::{
+        FrameRenderer, PICTURE_FORMAT, PixelVisibility,
+        environment::Environment,
+        exposure::Exposure,
+        predict::MaskView,
+        readback::PictureReader,
+        survey::Survey,
+        testing::{camera, floor_and_lights, gpu},
+    },
+};
+
+const SIZE: (u32, u32) = (160, 90);
+
+/// At keys, between them, after many rounds, and back again.
+const TIMES_S: [f64; 7] = [0.0, 0.3, 0.9, 1.0, 1.7, 1234.5, 0.3];
+
+fn track(interpolation: Interpolation, times_s: &[f32], values: &[f32]) -> Option<Track> {
+    let period_s = times_s.last().copied().map_or(0.0, f64::from);
+    Some(Track { period_s, interpolation, times_s: times_s.to_vec(), values: values.to_vec() })
+}
+
+fn node() -> AnimatedNode {
+    AnimatedNode {
+        parent: None,
+        above: glam::DMat4::IDENTITY,
+        // The scene's origin.
+        translation_m: DVec3::X * 1000.0,
+        rotation: DQuat::IDENTITY,
+        scale: DVec3::ONE,
+        visible: true,
+        translation_track: None,
+        rotation_track: None,
+        scale_track: None,
+        visible_track: None,
+    }
+}
+
+/// A swinging wall; a single-sided square that turns inside out; one that is shown half of the time; a pane of BLEND.
+/// The lamp's brightness changes, and if `lights_move` the sun turns and the lamp travels.
+pub(in crate::render) fn living(lights_move: bool) -> Scene {
+    let mut scene = floor_and_lights();
+    scene.lights[0].direction = Vec3::new(0.5, -0.7, -0.4).normalize();
+    let mut animation = Animation { nodes: vec![node(); 6], ..Animation::default() };
+    let piece = |animation: &mut Animation, node: u32, scene: &Scene, first_vertex: u32| {
+        let own = first_vertex as usize..first_vertex as usize + 4;
+        let bounds = Aabb::around(&scene.positions[own.clone()]);
+        animation.positions.extend_from_slice(&scene.positions[own.clone()]);
+        animation.normals.extend_from_slice(&scene.normals[own.clone()]);
+        animation.tangents.extend_from_slice(&scene.tangents[own]);
+        animation.pieces.push(Piece { node, first_vertex, vertices: 4, bounds, mirrored: false });
+    };
+    for (material, corner) in
+        [(2, Vec3::new(-1.4, 0.1, 0.3)), (1, Vec3::new(0.6, 0.2, 0.5)), (3, Vec3::new(-0.4, 0.1, 1.0))]
+    {
+        let first = u32::try_from(scene.positions.len()).unwrap();
+        let square = [Vec3::ZERO, Vec3::X * 0.7, Vec3::new(0.7, 0.8, 0.0), Vec3::Y * 0.8];
+        scene.positions.extend(square.map(|at| at + corner));
+        scene.normals.extend([Vec3::Z; 4]);
+        scene.uvs.extend([Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y]);
+        let first_triangle = u32::try_from(scene.triangles.len()).unwrap();
+        scene.triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+        scene.draws.push(Draw { first_triangle, triangles: 2, material });
+    }
+    scene.materials.push(Material { base_color: Vec4::new(0.2, 0.7, 0.2, 1.0), ..scene.materials[0].clone() });
+    let pane = Vec4::new(0.2, 0.3, 0.9, 0.5);
+    scene.materials.push(Material { base_color: pane, alpha: AlphaMode::Blend, ..scene.materials[1].clone() });
+    scene.tangents = vec![Vec4::new(1.0, 0.0, 0.0, 1.0); scene.positions.len()];
+    for (node, first_vertex) in [(0, 4), (1, 8), (2, 12), (3, 16)] {
+        piece(&mut animation, node, &scene, first_vertex);
+    }
+    let turn = |axis: DVec3, angles: [f64; 3]| {
+        let values = angles.map(|angle| DQuat::from_axis_angle(axis, angle).as_quat().to_array());
+        track(Interpolation::Linear, &[0.0, 1.0, 2.0], values.as_flattened())
+    };
+    animation.nodes[0].rotation_track = turn(DVec3::Y, [0.0, 0.9, -0.7]);
+    animation.nodes[1].scale_track =
+        track(Interpolation::Linear, &[0.0, 1.6, 2.0], &[1.0, 1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 0.5, 1.0]);
+    animation.nodes[2].visible_track = track(Interpolation::Step, &[0.0, 0.5, 1.5], &[1.0, 0.0, 1.0]);
+    animation.nodes[3].translation_track = track(
+        Interpolation::CubicSpline,
+        &[0.0, 2.0],
+        &[[0.0; 3], [1000.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0; 3], [1000.0, 0.5, 0.9], [0.0; 3]].concat(),
+    );
+    animation.nodes[4].rotation_track = turn(DVec3::Z, [0.2, 0.9, 0.3]);
+    animation.nodes[5].translation_track =
+        track(Interpolation::Linear, &[0.0, 1.0, 2.0], &[1000.0, 2.0, 2.0, 1002.0, 2.5, -2.0, 999.0, 3.0, 1.0]);
+    let intensity_track = track(Interpolation::Linear, &[0.0, 2.0], &[40.0, 10.0]);
+    let mut lamp = AnimatedLight { light: 1, intensity_track, ..AnimatedLight::default() };
+    if lights_move {
+        // Lights shine along −z.
+        let node_from_own = glam::DMat4::from_rotation_x(-1.1);
+        let sun = Place { node: 4, node_from_own };
+        animation.lights.push(AnimatedLight { light: 0, place: Some(sun), ..AnimatedLight::default() });
+        lamp.place = Some(Place { node: 5, node_from_own: glam::DMat4::IDENTITY });
+    } else {
+        animation.nodes.truncate(4);
+    }
+    animation.lights.push(lamp);
+    scene.animation = Some(Box::new(animation));
+    assert_eq!(scene.check(), Ok(()));
+    // All that moves stays in there.
+    scene.bounds = Aabb { min: Vec3::new(-4.0, -2.0, -4.0), max: Vec3::new(4.0, 3.0, 4.0) };
+    scene
+}
+
+/// The scene that stands still at a time. Maps and near plane are those of the moving one.
+fn still(scene: &Scene, time_s: f64) -> Scene {
+    Scene { bounds: scene.bounds, ..scene.still_at(time_s) }
+}
+
+fn renderer(gpu: &Gpu, scene: &Scene, exposure: Exposure) -> FrameRenderer {
+    FrameRenderer::new(gpu, scene, SIZE, exposure, PICTURE_FORMAT, Predictor::Surface).unwrap()
+}
+
+/// Draws what the camera sees at a time. Returns the picture's bytes and its visibility.
+fn draw(
+    gpu: &Gpu,
+    renderer: &mut FrameRenderer,
+    (camera, time_s): (&Camera, f64),
+    mask: Option<MaskView<'_>>,
+) -> (Vec<u8>, Vec<PixelVisibility>) {
+    let mut reader = PictureReader::new(gpu, SIZE.0, SIZE.1, 1);
+    renderer.set_time(time_s);
+    renderer.draw_surfaces(camera).unwrap();
+    assert_eq!(renderer.set_mask(mask).unwrap(), mask.is_some());
+    let submission = renderer.shade(camera, 1.0, &reader.target(), |encoder| reader.copy(encoder)).unwrap();
+    reader.submitted(0, submission, true);
+    (reader.take_oldest().unwrap().flatten().unwrap().rgba, renderer.read_visibility().unwrap())
+}
+
+#[test]
+fn a_moving_scene_is_drawn_as_the_still_one_of_its_time() {
+    let (gpu, camera) = (gpu(), camera(SIZE.0, SIZE.1));
+    for lights_move in [false, true] {
+        let scene = living(lights_move);
+        let exposure = Exposure::of_scene(&scene, &Occluders::default());
+        let mut moving = renderer(&gpu, &scene, exposure);
+        let mut pictures = Vec::new();
+        for time_s in TIMES_S {
+            let mut standing = renderer(&gpu, &still(&scene, time_s), exposure);
+            let found = draw(&gpu, &mut moving, (&camera, time_s), None);
+            assert!(found == draw(&gpu, &mut standing, (&camera, time_s), None), "{time_s} s, {lights_move}");
+            pictures.push(found.0);
+        }
+        assert_eq!(pictures[1], pictures[6]);
+        assert!(pictures[..6].iter().enumerate().all(|(i, one)| !pictures[..i].contains(one)), "nothing moves");
+    }
+}
+
+#[test]
+fn the_sky_follows_a_sun() {
+    let (gpu, camera, scene) = (gpu(), camera(SIZE.0, SIZE.1), living(true));
+    let exposure = Exposure::of_scene(&scene, &Occluders::default());
+    let survey = Survey { lux: 3.0, lamp_lux: 0.0, daylight: 0.8 };
+    let drawn = |scene: &Scene, time_s: f64| {
+        let mut renderer = renderer(&gpu, scene, exposure);
+        renderer.set_environment(Environment::Sky, survey);
+        draw(&gpu, &mut renderer, (&camera, time_s), None)
+    };
+    let found = drawn(&scene, 0.75);
+    assert!(found == drawn(&still(&scene, 0.75), 0.75));
+    assert_ne!(found, drawn(&scene, 0.0));
+}
+
+/// A mask in which each light reaches every second column.
+fn stripes() -> Mask {
+    let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, 2).unwrap());
+    for y in 0..SIZE.1 {
+        for x in 0..SIZE.0 {
+            (0..2).for_each(|light| mask.set(light, x, y, (x / 4 + light) % 2 == 0));
+        }
+    }
+    mask
+}
+
+#[test]
+fn a_mask_of_an_earlier_time_is_laid_over_what_was_seen_then() {
+    let (gpu, now, scene) = (gpu(), camera(SIZE.0, SIZE.1), living(false));
+    let exposure = Exposure::of_scene(&scene, &Occluders::default());
+    let mask = stripes();
+    let (then_s, now_s) = (0.4, 0.7);
+    let view = |scene_time_s| MaskView { mask: &mask, coverage: None, more: false, traced_for: &now, scene_time_s };
+    let mut seen_before = renderer(&gpu, &scene, exposure);
+    draw(&gpu, &mut seen_before, (&now, then_s), None);
+    let kept = draw(&gpu, &mut seen_before, (&now, now_s), Some(view(then_s)));
+    let mut fresh = renderer(&gpu, &scene, exposure);
+    // Its depth is drawn again, in the same submission that draws the picture of another time.
+    assert!(kept == draw(&gpu, &mut fresh, (&now, now_s), Some(view(then_s))));
+    // A mask of this time is taken as it is; the same camera at another time is another view.
+    let own = draw(&gpu, &mut fresh, (&now, now_s), Some(view(now_s)));
+    assert!(own.1.iter().enumerate().all(|(at, pixel)| {
+        let x = u32::try_from(at).unwrap() % SIZE.0;
+        pixel.word == 0 || pixel.word == 1 << (x / 4 % 2)
+    }));
+    let unknown = |(_, pixels): &(Vec<u8>, Vec<PixelVisibility>)| {
+        pixels.iter().filter(|pixel| !pixel.known && pixel.word != 0).count()
+    };
+    assert!(unknown(&kept) > unknown(&own), "{} {}", unknown(&kept), unknown(&own));
+    // The next picture is of its own time again.
+    let after = draw(&gpu, &mut fresh, (&now, now_s), None);
+    assert!(after == draw(&gpu, &mut renderer(&gpu, &still(&scene, now_s), exposure), (&now, now_s), None));
+}
