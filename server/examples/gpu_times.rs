@@ -1,12 +1,12 @@
 //! Times the `compute` back end on a scene, stage by stage, and compares its masks with those of the `cpu` back end.
 //!
 //! `cargo run --release -p gnomon-server --example gpu_times -- SCENE [--lights-from FILE] [--lights 1,4,8] [--size
-//! WxH] [--from X,Y,Z --to X,Y,Z] [--frames N] [--lists where-paid|always|never] [--adapter NAME] [--allow-software]
-//! [--json FILE]`
+//! WxH,…] [--from X,Y,Z --to X,Y,Z | --views FROM:TO;…] [--frames N] [--lists where-paid|always|never,…] [--adapter
+//! NAME] [--allow-software] [--json FILE]`
 //!
-//! For each number of lights it prints: times of the kernels by the device's clock, of the read-back, and of whole
-//! frames one at a time; frames per second with a full ring; and the share of relevant bits in which the back ends
-//! differ. Ends with an error if that share exceeds `--tolerance`.
+//! For each number of lights, size, view and way to use lists it prints: times of the kernels by the device's clock, of
+//! the read-back, and of whole frames one at a time; frames per second with a full ring; and the share of relevant bits
+//! in which the back ends differ. Ends with an error if that share exceeds `--tolerance`, or if lists change a bit.
 
 mod view;
 
@@ -17,8 +17,9 @@ use std::{
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
+use glam::DVec3;
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{Scene, camera::Camera};
+use gnomon_scene::camera::Camera;
 use gnomon_server::visibility::{
     RayShares, TraceCost,
     backend::{
@@ -28,7 +29,7 @@ use gnomon_server::visibility::{
 };
 use serde::Serialize;
 
-use self::view::{ViewArguments, size};
+use self::view::{ViewArguments, from_to, size};
 
 /// Traces a scene repeatedly on a graphics adapter and prints the speed.
 #[derive(Debug, Parser)]
@@ -38,21 +39,27 @@ struct Arguments {
     /// Numbers of lights: the first N of the scene.
     #[arg(long, value_delimiter = ',', default_values_t = [1, 4, 8])]
     lights: Vec<usize>,
-    /// Size of the mask.
-    #[arg(long, default_value = "1920x1080", value_parser = size)]
-    size: (u32, u32),
+    /// Sizes of the mask.
+    #[arg(long, value_delimiter = ',', default_value = "1920x1080", value_parser = size)]
+    size: Vec<(u32, u32)>,
+    /// Views instead of the one: a position and a point that is looked at each.
+    #[arg(long, value_delimiter = ';', value_parser = from_to, allow_hyphen_values = true)]
+    views: Vec<(DVec3, DVec3)>,
     /// Frames to time.
     #[arg(long, default_value_t = 50)]
     frames: usize,
-    /// When blocks of pixels share lists of triangles.
-    #[arg(long, value_enum, default_value = "where-paid")]
-    lists: ListsArgument,
+    /// When blocks of pixels share lists of triangles: each of these in turn.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "where-paid")]
+    lists: Vec<ListsArgument>,
     /// Part of the adapter's name.
     #[arg(long)]
     adapter: Option<String>,
     /// Use a software adapter if there is no other.
     #[arg(long)]
     allow_software: bool,
+    /// Do not trace on the processor to compare.
+    #[arg(long)]
+    no_cpu: bool,
     /// Largest share of the relevant bits in which the back ends may differ.
     #[arg(long, default_value_t = 0.001)]
     tolerance: f64,
@@ -61,7 +68,7 @@ struct Arguments {
     json: Option<PathBuf>,
 }
 
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, clap::ValueEnum, Serialize)]
 enum ListsArgument {
     WherePaid,
     Always,
@@ -89,6 +96,9 @@ struct Spread {
 #[derive(Debug, Serialize)]
 struct Row {
     lights: usize,
+    /// Number of the view, from 0.
+    view: usize,
+    lists: ListsArgument,
     width: u32,
     height: u32,
     frames: usize,
@@ -113,9 +123,46 @@ struct Report {
     scene: String,
     triangles: usize,
     backend: String,
-    cpu_backend: String,
     setup_s: f64,
     rows: Vec<Row>,
+}
+
+impl Arguments {
+    fn camera(&self, view: usize, (width, height): (u32, u32)) -> Camera {
+        match self.views.get(view) {
+            Some((from, to)) => self.view.looking((*from, *to), (width, height)),
+            None => self.view.camera((width, height)),
+        }
+    }
+}
+
+impl Row {
+    #[expect(clippy::cast_precision_loss, reason = "counts far below 2^53")]
+    fn print(&self) {
+        let both = |spread: Spread| format!("{:.3} ({:.3})", spread.median, spread.p99);
+        println!(
+            "| {} | {}×{} | {} | {:?} | {} | {} | {} | {} | {:.0} | {:.0} | {:.0} | {:.1} | {} | {} of {} ({:.4} %) |",
+            self.lights,
+            self.width,
+            self.height,
+            self.view,
+            self.lists,
+            both(self.primary_ms),
+            both(self.shadow_ms),
+            both(self.readback_ms),
+            both(self.frame_ms),
+            self.full_ring_frames_per_s,
+            self.primary_mrays_per_s,
+            self.shadow_mrays_per_s,
+            100.0 * self.primary_listed_part,
+            self.shares
+                .map(|(_, rays)| format!("{:.1}", 100.0 * rays as f64 / self.shadow_rays.max(1) as f64))
+                .join(", "),
+            self.differing_bits,
+            self.shadow_rays,
+            self.differing_part * 100.0
+        );
+    }
 }
 
 fn spread(costs: &[(TraceCost, f64)], of: impl Fn(&(TraceCost, f64)) -> f64) -> Spread {
@@ -126,8 +173,12 @@ fn spread(costs: &[(TraceCost, f64)], of: impl Fn(&(TraceCost, f64)) -> f64) -> 
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts far below 2^53")]
-fn measure(scene: &Scene, compute: &mut ComputeBackend, camera: &Camera, frames: usize) -> Result<Row> {
-    let lights = scene.lights.len();
+fn measure(
+    (compute, lists): (&mut ComputeBackend, ListsArgument),
+    cpu: Option<&CpuBackend>,
+    (view, camera): (usize, &Camera),
+    (lights, frames): (usize, usize),
+) -> Result<(Row, Mask)> {
     let shape = MaskShape::new(camera.width, camera.height, u32::try_from(lights)?)?;
     let mut mask = Mask::new(shape);
     // The first frames raise clocks and load memory.
@@ -153,14 +204,18 @@ fn measure(scene: &Scene, compute: &mut ComputeBackend, camera: &Camera, frames:
     }
     let full_ring_frames_per_s = frames as f64 / begin.elapsed().as_secs_f64();
 
-    let mut expected = Mask::new(shape);
-    let on_cpu = CpuBackend::new(scene, None)?.trace(camera, &mut expected);
-    let differing_bits = mask.words().iter().zip(expected.words()).map(|(a, b)| u64::from((a ^ b).count_ones())).sum();
+    let differing_bits = cpu.map_or(0, |cpu| {
+        let mut expected = Mask::new(shape);
+        cpu.trace(camera, &mut expected);
+        differing(&mask, &expected)
+    });
 
     let (primary_ms, shadow_ms) = (spread(&costs, |c| c.0.primary_ms), spread(&costs, |c| c.0.shadow_ms));
     let (rays, shadow_rays) = (costs[0].0.primary_rays, costs[0].0.shadow_rays);
-    Ok(Row {
+    let row = Row {
         lights,
+        view,
+        lists,
         width: camera.width,
         height: camera.height,
         frames,
@@ -175,62 +230,59 @@ fn measure(scene: &Scene, compute: &mut ComputeBackend, camera: &Camera, frames:
         shadow_rays,
         shares: std::array::from_fn(|i| (RayShares::NAMES[i], costs[0].0.shares.counts()[i])),
         differing_bits,
-        differing_part: differing_bits as f64 / on_cpu.shadow_rays.max(1) as f64,
-    })
+        differing_part: differing_bits as f64 / shadow_rays.max(1) as f64,
+    };
+    Ok((row, mask))
+}
+
+fn differing(one: &Mask, other: &Mask) -> u64 {
+    one.words().iter().zip(other.words()).map(|(a, b)| u64::from((a ^ b).count_ones())).sum()
 }
 
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     ensure!(arguments.frames > 0, "nothing to time in 0 frames");
     let whole = arguments.view.load(None)?;
-    let camera = arguments.view.camera(arguments.size);
+    let views = arguments.views.len().max(1);
     let mut report = Report {
         scene: arguments.view.scene.display().to_string(),
         triangles: whole.tracing_triangles().len(),
         backend: String::new(),
-        cpu_backend: CpuBackend::new(&whole, None)?.describe(),
         setup_s: 0.0,
         rows: Vec::new(),
     };
     println!(
-        "| lights | primary ms (p99) | shadow ms (p99) | read-back ms (p99) | frame ms (p99) | frames/s, full ring | \
-         primary Mray/s | shadow Mray/s | primary listed, % | lit, dark, listed, traced, % | differing |"
+        "| lights | size | view | lists | primary ms (p99) | shadow ms (p99) | read-back ms (p99) | frame ms (p99) | \
+         frames/s, full ring | primary Mray/s | shadow Mray/s | primary listed, % | lit, dark, listed, traced, % | \
+         differing |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     for &lights in &arguments.lights {
         let available = whole.lights.len();
         ensure!((1..=available).contains(&lights), "{lights} lights of a scene that has {available}");
         let mut scene = whole.clone();
         scene.lights.truncate(lights);
-        let begin = Instant::now();
-        let mut compute = ComputeBackend::open_with_lists(
-            &scene,
-            arguments.adapter.clone(),
-            arguments.allow_software,
-            arguments.lists.into(),
-        )?;
-        report.setup_s = begin.elapsed().as_secs_f64();
-        report.backend = compute.describe();
-        let row = measure(&scene, &mut compute, &camera, arguments.frames)?;
-        let both = |spread: Spread| format!("{:.3} ({:.3})", spread.median, spread.p99);
-        println!(
-            "| {lights} | {} | {} | {} | {} | {:.0} | {:.0} | {:.0} | {:.1} | {} | {} of {} ({:.4} %) |",
-            both(row.primary_ms),
-            both(row.shadow_ms),
-            both(row.readback_ms),
-            both(row.frame_ms),
-            row.full_ring_frames_per_s,
-            row.primary_mrays_per_s,
-            row.shadow_mrays_per_s,
-            100.0 * row.primary_listed_part,
-            row.shares
-                .map(|(_, rays)| format!("{:.1}", 100.0 * rays as f64 / row.shadow_rays.max(1) as f64))
-                .join(", "),
-            row.differing_bits,
-            row.shadow_rays,
-            row.differing_part * 100.0
-        );
-        report.rows.push(row);
+        let cpu = (!arguments.no_cpu).then(|| CpuBackend::new(&scene, None)).transpose()?;
+        let mut ways = Vec::new();
+        for &lists in &arguments.lists {
+            let begin = Instant::now();
+            let (adapter, software) = (arguments.adapter.clone(), arguments.allow_software);
+            ways.push((ComputeBackend::open_with_lists(&scene, adapter, software, lists.into())?, lists));
+            report.setup_s = begin.elapsed().as_secs_f64();
+        }
+        for (&size, view) in arguments.size.iter().flat_map(|size| (0..views).map(move |view| (size, view))) {
+            let camera = arguments.camera(view, size);
+            let mut first: Option<Mask> = None;
+            for (compute, lists) in &mut ways {
+                report.backend = compute.describe();
+                let (row, mask) =
+                    measure((compute, *lists), cpu.as_ref(), (view, &camera), (lights, arguments.frames))?;
+                row.print();
+                report.rows.push(row);
+                let changed = differing(first.get_or_insert_with(|| mask.clone()), &mask);
+                ensure!(changed == 0, "{changed} bits of one way to use lists are not those of another");
+            }
+        }
     }
     let json = serde_json::to_string_pretty(&report)?;
     println!("\n{json}");

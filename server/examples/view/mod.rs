@@ -32,8 +32,13 @@ impl ViewArguments {
         )?)
     }
 
-    pub(crate) fn camera(&self, (width, height): (u32, u32)) -> Camera {
-        Camera::looking_at(self.from, self.to, self.yfov.to_radians(), width, height)
+    pub(crate) fn camera(&self, size: (u32, u32)) -> Camera {
+        self.looking((self.from, self.to), size)
+    }
+
+    /// A camera with this field of view at another place.
+    pub(crate) fn looking(&self, (from, to): (DVec3, DVec3), (width, height): (u32, u32)) -> Camera {
+        Camera::looking_at(from, to, self.yfov.to_radians(), width, height)
     }
 }
 
@@ -46,4 +51,10 @@ fn point(text: &str) -> Result<DVec3> {
     let numbers: Vec<f64> = text.split(',').map(str::parse).collect::<Result<_, _>>()?;
     let numbers: [f64; 3] = numbers.try_into().ok().context("a point is X,Y,Z")?;
     Ok(DVec3::from_array(numbers))
+}
+
+#[allow(dead_code, reason = "not all of the examples have several views")]
+pub(crate) fn from_to(text: &str) -> Result<(DVec3, DVec3)> {
+    let (from, to) = text.split_once(':').context("a view is FROM:TO")?;
+    Ok((point(from)?, point(to)?))
 }
