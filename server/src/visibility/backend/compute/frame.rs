@@ -279,7 +279,8 @@ impl ComputeBackend {
         self.submit_part(frame, u32::MAX).map(drop)
     }
 
-    /// Traces one mask of the scene at time 0 and waits for it. `mask` must have the camera's size and a plane for each light of the scene.
+    /// Traces one mask of the scene at time 0 and waits for it. `mask` must have the camera's size and a plane for each
+    /// light of the scene.
     ///
     /// # Errors
     /// If the shape does not fit, frames are in flight, or the device has failed.
