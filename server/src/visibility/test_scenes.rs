@@ -249,6 +249,11 @@ pub(crate) fn living_room() -> Scene {
         ..AnimatedLight::default()
     });
     scene.animation = Some(Box::new(animation));
+    let (first, others) = scene.positions.split_first().unwrap();
+    scene.bounds = others.iter().fold(Aabb { min: *first, max: *first }, |Aabb { min, max }, position| Aabb {
+        min: min.min(*position),
+        max: max.max(*position),
+    });
     assert_eq!(scene.check(), Ok(()));
     scene
 }
