@@ -57,9 +57,9 @@ pub fn write_scene(folder: &Path) -> io::Result<PathBuf> {
     Ok(path)
 }
 
-/// Writes `living.gltf` and `living.bin` into `folder` and returns the path of the former: an 8 × 8 m floor, a square that
-/// slides over it and turns, a lamp that stands, one that travels, and a camera that rises. Their animations, of four
-/// seconds each, are called `slide`, `travel` and `rise`.
+/// Writes `living.gltf` and `living.bin` into `folder` and returns the path of the former: an 8 × 8 m floor, a square
+/// that slides over it and turns, a lamp that stands, one that travels, and a camera that rises. Their animations, of
+/// four seconds each, are called `slide`, `travel` and `rise`.
 ///
 /// # Errors
 /// Errors if a file cannot be written.
@@ -107,10 +107,16 @@ pub fn write_living_scene(folder: &Path) -> io::Result<PathBuf> {
             "min": [-side, 0.0, -side], "max": [side, 0.0, side],
         })
     };
-    let keys = |view: usize, kind: &str| serde_json::json!({"bufferView": view, "componentType": 5126, "count": 3, "type": kind});
+    let keys = |view: usize, kind: &str| {
+        let float = 5126;
+        serde_json::json!({"bufferView": view, "componentType": float, "count": 3, "type": kind})
+    };
     let animation = |name: &str, channels: &[(usize, usize, &str)]| {
         let samplers = channels.iter().map(|(_, output, _)| serde_json::json!({"input": 3, "output": output}));
-        let channel = |(sampler, (node, _, path)): (usize, &(usize, usize, &str))| serde_json::json!({"sampler": sampler, "target": {"node": node, "path": path}});
+        let channel = |(sampler, (node, _, path)): (usize, &(usize, usize, &str))| {
+            let target = serde_json::json!({"node": node, "path": path});
+            serde_json::json!({"sampler": sampler, "target": target})
+        };
         serde_json::json!({
             "name": name,
             "samplers": samplers.collect::<Vec<_>>(),

@@ -16,7 +16,8 @@ use super::{
 };
 use crate::camera::Viewpoint;
 
-/// Interval of requests while the camera and the scene are still and its mask complete: keeps the server warm at almost no cost.
+/// Interval of requests while camera and scene are still and the mask is complete: keeps the server warm at almost no
+/// cost.
 const REFRESH: Duration = Duration::from_secs(1);
 
 /// Matches masks with requests and keeps the latencies that follow from it.

@@ -92,8 +92,8 @@ impl Surroundings {
         Self { environment, view, sampler, harmonics, survey, surveyed_lamps, suns }
     }
 
-    /// Takes the lights of another time. Returns whether the sky is another one, so that [`Self::view`] is new: if a sun
-    /// has turned or changed by more than eyes notice.
+    /// Takes the lights of another time. Returns whether the sky is another one, so that [`Self::view`] is new: if a
+    /// sun has turned or changed by more than eyes notice.
     pub(crate) fn follow(&mut self, gpu: &Gpu, lights: &[Light]) -> bool {
         let suns = sky::rough(lights);
         let is_other = matches!(self.environment, Environment::Sky) && self.suns != suns;

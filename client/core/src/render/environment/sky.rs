@@ -44,8 +44,8 @@ fn sun(light: &Light) -> Option<Sun> {
     (shines && lux.dot(LUMINANCE) > 0.0).then_some(Sun { toward: -light.direction, lux })
 }
 
-/// Returns what a sky is made of, in steps too small to be seen: each sun's direction, to a degree, and its share of the
-/// light, to a percent.
+/// Returns what a sky is made of, in steps too small to be seen: each sun's direction, to a degree, and its share of
+/// the light, to a percent.
 pub(super) fn rough(lights: &[Light]) -> Vec<Vec4> {
     let suns: Vec<Sun> = lights.iter().filter_map(sun).collect();
     let total = suns.iter().map(|sun| sun.lux.dot(LUMINANCE)).sum::<f32>().max(f32::MIN_POSITIVE);
