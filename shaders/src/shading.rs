@@ -88,6 +88,16 @@ pub struct Prediction {
     pub lights: u32,
 }
 
+/// The way from a piece's place now to that of a mask's time: the rows of an affine transform of local space, all zeros
+/// if it was not shown then. Twin of `Before` in `before.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct Before {
+    pub x: Vec4,
+    pub y: Vec4,
+    pub z: Vec4,
+}
+
 /// A light's view of the scene, in a square of the shadow map. Twin of `ShadowView` in `shadow_map.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]

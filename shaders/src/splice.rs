@@ -11,7 +11,9 @@ use crate::uniforms::Uniforms;
 pub const FILES: &[(&str, &str)] = &[
     ("shading/around.wgsl", include_str!("../wgsl/shading/around.wgsl")),
     ("shading/baseline.wgsl", include_str!("../wgsl/shading/baseline.wgsl")),
+    ("shading/before.wgsl", include_str!("../wgsl/shading/before.wgsl")),
     ("shading/blend.wgsl", include_str!("../wgsl/shading/blend.wgsl")),
+    ("shading/changed.wgsl", include_str!("../wgsl/shading/changed.wgsl")),
     ("shading/debug_view.wgsl", include_str!("../wgsl/shading/debug_view.wgsl")),
     ("shading/depth.wgsl", include_str!("../wgsl/shading/depth.wgsl")),
     ("shading/edges.wgsl", include_str!("../wgsl/shading/edges.wgsl")),
@@ -23,6 +25,7 @@ pub const FILES: &[(&str, &str)] = &[
     ("shading/mask_words.wgsl", include_str!("../wgsl/shading/mask_words.wgsl")),
     ("shading/material.wgsl", include_str!("../wgsl/shading/material.wgsl")),
     ("shading/meter.wgsl", include_str!("../wgsl/shading/meter.wgsl")),
+    ("shading/pieces.wgsl", include_str!("../wgsl/shading/pieces.wgsl")),
     ("shading/predict.wgsl", include_str!("../wgsl/shading/predict.wgsl")),
     ("shading/present.wgsl", include_str!("../wgsl/shading/present.wgsl")),
     ("shading/put_off.wgsl", include_str!("../wgsl/shading/put_off.wgsl")),

@@ -10,7 +10,7 @@ use crate::{
         AlphaMaterial, TRAVERSAL_STACK, TRIANGLE_SINGLE_SIDED, TracedCounts, TracedLight, TracedTriangle, TracedView,
     },
     material::{Finish, Material, TextureMap, features},
-    shading::{Light, Lighting, MaskLayer, Prediction, ShadowView, Tone, View},
+    shading::{Before, Light, Lighting, MaskLayer, Prediction, ShadowView, Tone, View},
     splice::{FILES, splice, splice_for, splice_ray_query, splice_subgroups},
     uniforms::Uniforms,
 };
@@ -91,6 +91,7 @@ fn host_types_have_the_layout_of_their_wgsl_twins() {
     let predict = module("shading/predict.wgsl");
     assert_layout!(predict, Prediction, [layers, count, predictor, unknown, lights]);
     assert_layout!(predict, MaskLayer, [view, slot, same_view, whole]);
+    assert_layout!(predict, Before, [x, y, z]);
     assert_layout!(predict, ShadowView, [clip_from_local, left, top, side, texel_m]);
     let gbuffer = module("shading/gbuffer.wgsl");
     assert_layout!(

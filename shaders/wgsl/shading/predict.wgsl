@@ -9,12 +9,15 @@
 // borders (the dissertation's Figure 20).
 //
 // Masks may arrive in part. Tiles missing from the newest are looked up in earlier ones, each in its own view.
+//
+// What moves is looked up where it was. A light whose shadow on a point has changed since is unknown (`changed.wgsl`).
 
 #import "shading/view.wgsl"
 #import "shading/lighting.wgsl"
 #import "shading/shadow_map.wgsl"
 #import "shading/baseline.wgsl"
 #import "shading/put_off.wgsl"
+#import "shading/before.wgsl"
 
 // Twin: `shading::MaskLayer`.
 struct MaskLayer {
@@ -55,6 +58,9 @@ override puts_off: bool = false;
 override masks: bool = true;
 override from_elsewhere: bool = true;
 
+// True if something has moved since a mask was traced, and prediction is by surface.
+override moved: bool = false;
+
 const PREDICT_NOTHING: u32 = 0u;
 const PREDICT_DISSERTATION: u32 = 1u;
 const PREDICT_SURFACE: u32 = 2u;
@@ -65,6 +71,8 @@ const PREDICT_SURFACE: u32 = 2u;
 @group(0) @binding(3) var<storage, read> shadow_views: array<ShadowView>;
 @group(0) @binding(4) var<uniform> prediction: Prediction;
 @group(0) @binding(5) var<storage, read_write> unknown_pixels: atomic<u32>;
+// For each layer, and for each piece.
+@group(0) @binding(6) var<storage, read> before: array<Before>;
 @group(1) @binding(0) var depth_picture: texture_depth_2d;
 @group(1) @binding(1) var normal_material_picture: texture_2d<u32>;
 // x: the lights that reach the pixel. y: below a visibility share of 1, the client's own estimate, which shading mixes
@@ -72,6 +80,10 @@ const PREDICT_SURFACE: u32 = 2u;
 // oldest layer that a light needed.
 @group(1) @binding(2) var visibility: texture_storage_2d<rg32uint, write>;
 @group(1) @binding(3) var<storage, read_write> put_off: PutOff;
+// Index + 1 of the piece that a pixel shows, or 0.
+@group(1) @binding(4) var piece_picture: texture_2d<u32>;
+// Lights whose shadow has changed, one bit each.
+@group(1) @binding(5) var changed_picture: texture_2d<u32>;
 @group(2) @binding(0) var mask_words: texture_2d_array<u32>;
 // Lights that have arrived, one texel for 64×8 pixels.
 @group(2) @binding(1) var mask_coverage: texture_2d_array<u32>;
@@ -265,6 +277,20 @@ fn from_other_view(layer: u32, point: vec3f, normal: vec3f) -> Found {
 fn from_mask(layer: u32, pixel: vec2u, point: vec3f, normal: vec3f) -> Found {
     if !from_elsewhere || prediction.layers[layer].same_view == 1u {
         return from_same_view(layer, pixel);
+    }
+    if moved {
+        let known = prediction.lights & ~textureLoad(changed_picture, pixel, 0).x;
+        var found = NOTHING;
+        let piece = textureLoad(piece_picture, pixel, 0).x;
+        if piece == 0u {
+            found = from_other_view(layer, point, normal);
+        } else {
+            let place = before[layer * (arrayLength(&before) / 8u) + piece - 1u];
+            if was_shown(place) {
+                found = from_other_view(layer, point_before(place, point), normal_before(place, normal));
+            }
+        }
+        return Found(found.known & known, found.word & known);
     }
     return from_other_view(layer, point, normal);
 }

@@ -1,8 +1,9 @@
 //! What moves, on the adapter: its vertices and corners are written anew for each time of the scene, as the scene has
 //! them that stands still then (`shaders/scene/docs/living.md`). Passes see ordinary triangles.
 
-use glam::Vec3;
+use glam::{DMat4, Vec3};
 use gnomon_scene::{Animation, Moment, Placement, Scene};
+use gnomon_shaders::shading::Before;
 use rayon::prelude::*;
 use wgpu::util::DeviceExt as _;
 
@@ -136,8 +137,27 @@ impl Movers {
         self.now.vertices.get(at).map(|vertex| vertex.position)
     }
 
+    /// What moves, at a time.
+    pub(crate) fn moment_at(&self, time_s: f64) -> Moment {
+        self.stage.moment(time_s).unwrap_or_else(nothing)
+    }
+
+    /// For each piece, the way from where its points are now to where they were then.
+    pub(crate) fn before(&self, then: &Moment) -> Vec<Before> {
+        let way = |(now, then): (&Option<Placement>, &Option<Placement>)| {
+            let ((now, then), origin_m) = (now.as_ref().zip(then.as_ref())?, self.stage.origin_m);
+            // Local space has the scene's origin.
+            let (there, back) = (DMat4::from_translation(-origin_m), DMat4::from_translation(origin_m));
+            let way = there * then.world_from_piece * now.world_from_piece.inverse() * back;
+            let [x, y, z] = [way.row(0), way.row(1), way.row(2)].map(|row| row.as_vec4());
+            (x.is_finite() && y.is_finite() && z.is_finite()).then_some(Before { x, y, z })
+        };
+        let pieces = self.now.moment.pieces.iter().zip(&then.pieces);
+        pieces.map(|pair| way(pair).unwrap_or_default()).collect()
+    }
+
     fn pose(&self, time_s: f64) -> Posed {
-        let moment = self.stage.moment(time_s).unwrap_or_else(nothing);
+        let moment = self.moment_at(time_s);
         let none = Animation::default();
         let animation = self.stage.animation.as_deref().unwrap_or(&none);
         let pieces = || {

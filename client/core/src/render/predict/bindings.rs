@@ -34,9 +34,10 @@ pub(super) fn layouts(gpu: &Gpu) -> [wgpu::BindGroupLayout; 3] {
                 storage(true),
                 uniform::<Prediction>(gpu),
                 storage(false),
+                storage(true),
             ],
         ),
-        layout("prediction: surfaces", &[depth, words, written_picture(VISIBILITY), PutOff::layout()]),
+        layout("prediction: surfaces", &[depth, words, written_picture(VISIBILITY), PutOff::layout(), words, words]),
         layout("prediction: masks", &[all_words, all_words, depths, nearest]),
     ]
 }

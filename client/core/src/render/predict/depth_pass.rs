@@ -106,6 +106,11 @@ impl DepthPass {
         }
     }
 
+    /// Layout of [`Self::group`].
+    pub(crate) fn layout(&self) -> &wgpu::BindGroupLayout {
+        &self.layout
+    }
+
     /// Binds a buffer that begins with the view's matrix `clip_from_local`.
     pub(crate) fn group(&self, device: &wgpu::Device, view: wgpu::BindingResource<'_>) -> wgpu::BindGroup {
         bind_group(device, "depth", &self.layout, &[view])

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use crate::render::pipeline::compute_pipeline;
 
-/// What a pipeline is compiled for. `layered`: several masks, or a partial one.
+/// What a pipeline is compiled for. `layered`: several masks, or a partial one. `moved`: something has, since.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Kernel {
     WithoutMask,
@@ -13,10 +13,12 @@ pub(super) enum Kernel {
     /// Puts off pixels that take long.
     First {
         layered: bool,
+        moved: bool,
     },
     /// Does every pixel, or those put off.
     Every {
         layered: bool,
+        moved: bool,
     },
 }
 
@@ -35,9 +37,13 @@ impl Kernels {
     pub(super) fn get(&mut self, device: &wgpu::Device, kernel: Kernel) -> wgpu::ComputePipeline {
         let compile = || {
             let on = |on: bool| f64::from(u8::from(on));
-            let layered = matches!(kernel, Kernel::First { layered: true } | Kernel::Every { layered: true });
+            let (layered, moved) = match kernel {
+                Kernel::First { layered, moved } | Kernel::Every { layered, moved } => (layered, moved),
+                Kernel::WithoutMask | Kernel::OwnView => (false, false),
+            };
             let constants = [
                 ("layered", on(layered)),
+                ("moved", on(moved)),
                 ("puts_off", on(matches!(kernel, Kernel::First { .. } | Kernel::OwnView))),
                 ("masks", on(kernel != Kernel::WithoutMask)),
                 ("from_elsewhere", on(kernel != Kernel::OwnView)),

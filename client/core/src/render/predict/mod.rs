@@ -12,7 +12,9 @@ mod kernels;
 mod layers;
 mod mask_view;
 mod mask_words;
+mod moved;
 mod pass;
+mod pieces;
 pub(crate) mod shadow_map;
 mod swept;
 #[cfg(test)]

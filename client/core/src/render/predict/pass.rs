@@ -19,6 +19,7 @@ use super::{
     layers::{Layer, Layers},
     mask_view::MaskView,
     mask_words::WordsPass,
+    moved::{Moved, Now},
     shadow_map::ShadowMap,
 };
 use crate::{
@@ -49,6 +50,10 @@ pub(crate) struct PredictPass {
     uniform: Variable<Prediction>,
     depth_pass: DepthPass,
     shadow_map: ShadowMap,
+    moved: Moved,
+    /// Uniforms of the picture.
+    view: wgpu::Buffer,
+    lighting: wgpu::Buffer,
     words_pass: WordsPass,
     /// Pixels with unknown visibility.
     unknown: Counts<()>,
@@ -71,6 +76,7 @@ impl PredictPass {
         let device = &gpu.device;
         let depth_pass = DepthPass::new(gpu, upload)?;
         let shadow_map = ShadowMap::new(gpu, scene);
+        let moved = Moved::new(gpu, (scene, upload), (&depth_pass, view), (targets, history))?;
         let unknown = Counts::new(device, "unknown pixels", 1);
         let uniform = Variable::new(gpu, "prediction");
         let [scene_layout, surface_layout, mask_layout] = bindings::layouts(gpu);
@@ -86,9 +92,10 @@ impl PredictPass {
                 shadow_map.views.as_entire_binding(),
                 uniform.buffer().as_entire_binding(),
                 unknown.binding(),
+                moved.before.as_entire_binding(),
             ],
         );
-        let surface_groups = surface_groups(device, &surface_layout, targets, history);
+        let surface_groups = surface_groups(device, &surface_layout, (targets, history), &moved);
         let module = shader(gpu, "shading/predict.wgsl")?;
         let words_pass = WordsPass::new(gpu)?;
         let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
@@ -108,6 +115,9 @@ impl PredictPass {
             uniform,
             depth_pass,
             shadow_map,
+            moved,
+            view: view.clone(),
+            lighting: lighting.clone(),
             words_pass,
             unknown,
             newest_unknown: None,
@@ -142,7 +152,8 @@ impl PredictPass {
             self.kernels.get(&gpu.device, Kernel::OwnView);
             return;
         }
-        for kernel in [Kernel::First { layered: false }, Kernel::Every { layered: false }, Kernel::WithoutMask] {
+        let (layered, moved) = (false, upload.movers().is_some());
+        for kernel in [Kernel::First { layered, moved }, Kernel::Every { layered, moved }, Kernel::WithoutMask] {
             self.kernels.get(&gpu.device, kernel);
         }
         self.depth_pass.compile(upload, Faces::Both);
@@ -165,7 +176,8 @@ impl PredictPass {
 
     /// Changes the pictures' size. The masks stay.
     pub(crate) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
-        self.surface_groups = surface_groups(device, &self.surface_layout, targets, history);
+        self.moved.resize(device, targets, history);
+        self.surface_groups = surface_groups(device, &self.surface_layout, (targets, history), &self.moved);
         self.pixels = targets.width * targets.height;
     }
 
@@ -221,8 +233,17 @@ impl PredictPass {
         };
         self.uniform.set(&gpu.queue, prediction);
         // Only prediction by surface reads the depth of the masks' views.
+        let mut moved = false;
         if self.predictor == Predictor::Surface && layers[..count].iter().any(|layer| layer.same_view == 0) {
             self.layers.need_depth(gpu, encoder, (count, space), &self.depth_pass, (history, upload));
+            if upload.movers().is_some() {
+                self.need_shadow_map(gpu, encoder, upload);
+                let (view, lighting, scene_time_s) = (&self.view, &self.lighting, seen.scene_time_s);
+                let now = Now { view, lighting, map: &self.shadow_map, space, scene_time_s };
+                let masks = (&self.layers.stack()[..count], now);
+                let pictures = (targets, &self.depth_pass);
+                moved = self.moved.encode(gpu, encoder, masks, pictures, (history, upload));
+            }
         }
         let mask_group = self.layers.group(&gpu.device, &self.mask_layout, &self.nearest).clone();
         let layered = layers[..count].iter().any(|layer| layer.whole == 0);
@@ -232,7 +253,7 @@ impl PredictPass {
             (None, Kernel::OwnView)
         } else {
             let puts_off = visibility_share >= 1.0 && self.predictor == Predictor::Surface;
-            (puts_off.then_some(Kernel::First { layered }), Kernel::Every { layered })
+            (puts_off.then_some(Kernel::First { layered, moved }), Kernel::Every { layered, moved })
         };
         if every != Kernel::OwnView && self.by_surface() {
             self.need_shadow_map(gpu, encoder, upload);
@@ -282,8 +303,8 @@ impl PredictPass {
 fn surface_groups(
     device: &wgpu::Device,
     layout: &wgpu::BindGroupLayout,
-    targets: &Targets,
-    history: &DepthHistory,
+    (targets, history): (&Targets, &DepthHistory),
+    moved: &Moved,
 ) -> Vec<wgpu::BindGroup> {
     let picture = wgpu::BindingResource::TextureView;
     let group = |depth| {
@@ -292,6 +313,8 @@ fn surface_groups(
             picture(&targets.normal_material),
             picture(&targets.visibility),
             targets.put_off.binding(),
+            picture(&moved.pieces),
+            picture(&moved.changed),
         ];
         bind_group(device, "prediction", layout, &resources)
     };

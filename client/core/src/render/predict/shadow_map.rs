@@ -56,18 +56,36 @@ pub(crate) struct ShadowMap {
 impl ShadowMap {
     /// Allocates the maps of all lights of `scene`.
     pub(crate) fn new(gpu: &Gpu, scene: &Scene) -> Self {
-        let device = &gpu.device;
         let space = (swept_bounds(scene), Space::of(scene).near_m);
-        let (side, lights_views) = layout(&scene.lights, (&space.0, space.1), device.limits().max_texture_dimension_2d);
+        let limit = gpu.device.limits().max_texture_dimension_2d;
+        let (side, lights_views) = layout(&scene.lights, (&space.0, space.1), limit);
+        let lights_rest = scene.animation.as_ref().map(|animation| {
+            animation.lights.iter().all(|light| light.place.is_none() && light.outer_cone_track.is_none())
+        });
+        Self::allocate(gpu, side, lights_views, (space, lights_rest))
+    }
+
+    /// Maps of the same lights for another time of the scene, in which something moves.
+    pub(crate) fn another(&self, gpu: &Gpu) -> Self {
+        let side = self.texture.texture().width();
+        let mut other = Self::allocate(gpu, side, self.lights_views.clone(), (self.space, Some(self.lights_rest)));
+        other.resting.clone_from(&self.resting);
+        other
+    }
+
+    /// `lights_rest` is `None` if nothing moves.
+    fn allocate(
+        gpu: &Gpu,
+        side: u32,
+        lights_views: Vec<ShadowView>,
+        (space, lights_rest): ((Aabb, f64), Option<bool>),
+    ) -> Self {
+        let device = &gpu.device;
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-        let mut views_usage = wgpu::BufferUsages::STORAGE;
-        let (mut copied, mut lights_rest) = (wgpu::TextureUsages::empty(), true);
-        if let Some(animation) = &scene.animation {
-            views_usage |= wgpu::BufferUsages::COPY_DST;
-            copied = wgpu::TextureUsages::COPY_DST;
-            lights_rest =
-                animation.lights.iter().all(|light| light.place.is_none() && light.outer_cone_track.is_none());
-        }
+        let (copied, written) = match lights_rest {
+            Some(_) => (wgpu::TextureUsages::COPY_DST, wgpu::BufferUsages::COPY_DST),
+            None => (wgpu::TextureUsages::empty(), wgpu::BufferUsages::empty()),
+        };
         let texture = texture(device, "shadow map", (side, side), DEPTH, usage | copied)
             .create_view(&wgpu::TextureViewDescriptor::default());
         // A binding cannot be empty.
@@ -75,9 +93,10 @@ impl ShadowMap {
         let views = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: Some("lights' views"),
             contents: bytemuck::cast_slice(&contents),
-            usage: views_usage,
+            usage: wgpu::BufferUsages::STORAGE | written,
         });
         let (groups, is_drawn, resting) = (Vec::new(), false, None);
+        let lights_rest = lights_rest.unwrap_or(true);
         Self { texture, views, lights_views, groups, is_drawn, space, lights_rest, resting }
     }
 

@@ -213,3 +213,42 @@ fn a_mask_of_an_earlier_time_is_laid_over_what_was_seen_then() {
     let after = draw(&gpu, &mut fresh, (&now, now_s), None);
     assert!(after == draw(&gpu, &mut renderer(&gpu, &still(&scene, now_s), exposure), (&now, now_s), None));
 }
+
+/// The visibility that the client finds by itself, as a mask.
+fn as_mask(pixels: &[PixelVisibility]) -> Mask {
+    let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, 2).unwrap());
+    for (place, pixel) in (0..).zip(pixels) {
+        (0..2).for_each(|light| mask.set(light, place % SIZE.0, place / SIZE.0, pixel.word >> light & 1 == 1));
+    }
+    mask
+}
+
+#[test]
+fn late_masks_know_where_movers_and_their_shadows_have_gone() {
+    let (gpu, camera) = (gpu(), camera(SIZE.0, SIZE.1));
+    let (then_s, now_s) = (0.3, 0.45);
+    for lights_move in [false, true] {
+        let scene = living(lights_move);
+        let mut moving = renderer(&gpu, &scene, Exposure::of_scene(&scene, &Occluders::default()));
+        let then = draw(&gpu, &mut moving, (&camera, then_s), None).1;
+        let truth = draw(&gpu, &mut moving, (&camera, now_s), None).1;
+        let mask = as_mask(&then);
+        let (coverage, more, traced_for) = (None, false, &camera);
+        let view = MaskView { mask: &mask, coverage, more, traced_for, scene_time_s: then_s };
+        let found = draw(&gpu, &mut moving, (&camera, now_s), Some(view)).1;
+        let wrong = |pixels: &[PixelVisibility]| {
+            pixels.iter().zip(&truth).map(|(one, other)| (one.word ^ other.word).count_ones()).sum::<u32>()
+        };
+        let known = found.iter().filter(|pixel| pixel.known).count();
+        println!(
+            "{lights_move}: {} wrong of old bits, {} of predicted ones, {known} known",
+            wrong(&then),
+            wrong(&found)
+        );
+        assert!(wrong(&then) > 100, "nothing moves: {}", wrong(&then));
+        // Where maps of both times agree, the mask does with them, up to a pixel at edges.
+        assert!(wrong(&found) * 10 < wrong(&then), "{} of {}", wrong(&found), wrong(&then));
+        // Most of the picture rests, and so do most shadows.
+        assert!(known * 2 > found.len(), "{known} known");
+    }
+}

@@ -1,0 +1,222 @@
+//! What prediction must know where something moves: the piece that a pixel shows, where that was when a mask was
+//! traced, and which lights' shadows have changed since (`changed.wgsl`).
+//!
+//! Shadows are compared in two sets of maps, of the picture's time and of the newest mask's. A scene in which nothing
+//! moves has none of this.
+
+use gnomon_protocol::limits::MAX_LAYERS;
+use gnomon_scene::{Scene, camera::Space};
+use gnomon_shaders::{
+    gpu::Gpu,
+    shading::{Before, Lighting, View},
+};
+
+use super::{
+    depth_history::DepthHistory, depth_pass::DepthPass, layers::Layer, pieces::PiecesPass, shadow_map::ShadowMap,
+};
+use crate::render::{
+    error::RenderError,
+    exposure::Exposure,
+    pipeline::{
+        Variable, bind_group, bind_group_layout, compute, compute_pipeline, dispatch_pixels, picture, shader, storage,
+        uniform, written_picture,
+    },
+    scene_upload::SceneUpload,
+    targets::{Targets, texture},
+};
+
+/// Bits of lights, and numbers of pieces.
+pub(super) const WORD: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+
+#[derive(Debug)]
+pub(super) struct Moved {
+    /// Index + 1 of each pixel's piece.
+    pub(super) pieces: wgpu::TextureView,
+    /// Lights whose shadow has changed, one bit each.
+    pub(super) changed: wgpu::TextureView,
+    /// [`Before`] of each layer and piece.
+    pub(super) before: wgpu::Buffer,
+    /// `None` if everything rests.
+    live: Option<Live>,
+}
+
+#[derive(Debug)]
+struct Live {
+    pieces_pass: PiecesPass,
+    pipeline: wgpu::ComputePipeline,
+    scene_layout: wgpu::BindGroupLayout,
+    surface_layout: wgpu::BindGroupLayout,
+    /// By the slot of the picture's depth in the history.
+    surface_groups: Vec<wgpu::BindGroup>,
+    /// [`Before`] of each piece, for the newest mask.
+    before: wgpu::Buffer,
+    lighting_then: Variable<Lighting>,
+    /// What the picture's shadows are compared with, once there was need.
+    then: Option<Then>,
+}
+
+#[derive(Debug)]
+struct Then {
+    scene_time_s: f64,
+    map: ShadowMap,
+    scene_group: wgpu::BindGroup,
+}
+
+/// What the comparison reads of the picture.
+#[derive(Clone, Copy)]
+pub(super) struct Now<'a> {
+    pub(super) view: &'a wgpu::Buffer,
+    pub(super) lighting: &'a wgpu::Buffer,
+    pub(super) map: &'a ShadowMap,
+    pub(super) space: Space,
+    pub(super) scene_time_s: f64,
+}
+
+fn pictures(device: &wgpu::Device, size: (u32, u32)) -> [wgpu::TextureView; 2] {
+    [wgpu::TextureUsages::RENDER_ATTACHMENT, wgpu::TextureUsages::STORAGE_BINDING].map(|usage| {
+        texture(device, "what has moved", size, WORD, usage | wgpu::TextureUsages::TEXTURE_BINDING)
+            .create_view(&wgpu::TextureViewDescriptor::default())
+    })
+}
+
+fn places(device: &wgpu::Device, count: usize) -> wgpu::Buffer {
+    device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("where pieces were"),
+        size: (count.max(1) * size_of::<Before>()) as u64,
+        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}
+
+impl Moved {
+    pub(super) fn new(
+        gpu: &Gpu,
+        (scene, upload): (&Scene, &SceneUpload),
+        (depth_pass, view): (&DepthPass, &wgpu::Buffer),
+        (targets, history): (&Targets, &DepthHistory),
+    ) -> Result<Self, RenderError> {
+        let device = &gpu.device;
+        let pieces = scene.animation.as_ref().map_or(0, |animation| animation.pieces.len().max(1));
+        let live = match upload.movers() {
+            Some(_) => {
+                let pieces_pass = PiecesPass::new(gpu, (scene, upload), (depth_pass, view))?;
+                Some(Live::new(gpu, pieces_pass, pieces)?)
+            }
+            None => None,
+        };
+        let [picture, changed] = pictures(device, (1, 1));
+        let mut moved = Self { pieces: picture, changed, before: places(device, pieces * MAX_LAYERS), live };
+        moved.resize(device, targets, history);
+        Ok(moved)
+    }
+
+    /// Changes the pictures' size.
+    pub(super) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
+        let Some(live) = &mut self.live else { return };
+        [self.pieces, self.changed] = pictures(device, (targets.width, targets.height));
+        let view = wgpu::BindingResource::TextureView;
+        let group = |depth| {
+            let resources = [view(depth), view(&targets.normal_material), view(&self.pieces), view(&self.changed)];
+            bind_group(device, "changed shadows", &live.surface_layout, &resources)
+        };
+        live.surface_groups = history.views().map(group).collect();
+    }
+
+    /// Finds out what has moved since the masks of these layers were traced. Returns false if nothing has, because all
+    /// are of the picture's own time.
+    pub(super) fn encode(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        (layers, now): (&[Layer], Now<'_>),
+        (targets, depth_pass): (&Targets, &DepthPass),
+        (history, upload): (&DepthHistory, &mut SceneUpload),
+    ) -> bool {
+        let Some(live) = &mut self.live else { return false };
+        let is_other = |layer: &&Layer| layer.traced_for.scene_time_s.to_bits() != now.scene_time_s.to_bits();
+        let Some(newest) = layers.iter().find(is_other) else { return false };
+        let Some(movers) = upload.movers() else { return false };
+        for (place, layer) in layers.iter().enumerate() {
+            let before = movers.before(&movers.moment_at(layer.traced_for.scene_time_s));
+            let offset = (place * size_of_val(&*before)) as u64;
+            gpu.queue.write_buffer(&self.before, offset, bytemuck::cast_slice(&before));
+            if layer.slot == newest.slot {
+                gpu.queue.write_buffer(&live.before, 0, bytemuck::cast_slice(&before));
+            }
+        }
+        live.pieces_pass.encode(&gpu.device, encoder, (&self.pieces, history.view()), upload);
+        live.draw_then(gpu, encoder, newest.traced_for.scene_time_s, now, (depth_pass, upload));
+        if let Some(then) = &live.then {
+            let groups = [&then.scene_group, &live.surface_groups[history.current()]];
+            let size = (targets.width, targets.height);
+            compute(encoder, "changed shadows", &live.pipeline, &groups, |pass| dispatch_pixels(pass, size));
+        }
+        true
+    }
+}
+
+impl Live {
+    fn new(gpu: &Gpu, pieces_pass: PiecesPass, pieces: usize) -> Result<Self, RenderError> {
+        let device = &gpu.device;
+        let [depth, words] = [wgpu::TextureSampleType::Depth, wgpu::TextureSampleType::Uint].map(picture);
+        let (view, lighting) = (uniform::<View>(gpu), uniform::<Lighting>(gpu));
+        let of_scene = [view, lighting, depth, storage(true), lighting, depth, storage(true), storage(true)];
+        let of_surface = [depth, words, words, written_picture(WORD)];
+        let layout = |bindings: &[wgpu::BindingType]| {
+            bind_group_layout(device, "changed shadows", wgpu::ShaderStages::COMPUTE, bindings)
+        };
+        let (scene_layout, surface_layout) = (layout(&of_scene), layout(&of_surface));
+        let module = shader(gpu, "shading/changed.wgsl")?;
+        let pipeline = compute_pipeline(device, &module, &[&scene_layout, &surface_layout], ("compare", &[]));
+        Ok(Self {
+            pieces_pass,
+            pipeline,
+            scene_layout,
+            surface_layout,
+            surface_groups: Vec::new(),
+            before: places(device, pieces),
+            lighting_then: Variable::new(gpu, "lighting of the mask's time"),
+            then: None,
+        })
+    }
+
+    /// Draws the shadow maps of another time, unless they are those that were drawn last.
+    fn draw_then(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        scene_time_s: f64,
+        now: Now<'_>,
+        (depth_pass, upload): (&DepthPass, &mut SceneUpload),
+    ) {
+        let Some(lights) = upload.movers().map(|movers| movers.moment_at(scene_time_s).lights) else { return };
+        // Only where lights are is read.
+        let lighting = Exposure::for_reference(1.0).lighting(&lights, now.space);
+        self.lighting_then.set(&gpu.queue, lighting);
+        let (before, lighting_then, layout) = (&self.before, &self.lighting_then, &self.scene_layout);
+        let then = self.then.get_or_insert_with(|| {
+            let map = now.map.another(gpu);
+            let view = wgpu::BindingResource::TextureView;
+            let resources = [
+                now.view.as_entire_binding(),
+                now.lighting.as_entire_binding(),
+                view(&now.map.texture),
+                now.map.views.as_entire_binding(),
+                lighting_then.buffer().as_entire_binding(),
+                view(&map.texture),
+                map.views.as_entire_binding(),
+                before.as_entire_binding(),
+            ];
+            let scene_group = bind_group(&gpu.device, "changed shadows", layout, &resources);
+            Then { scene_time_s: f64::NAN, map, scene_group }
+        });
+        if then.scene_time_s.to_bits() == scene_time_s.to_bits() {
+            return;
+        }
+        then.scene_time_s = scene_time_s;
+        then.map.set_lights(gpu, &lights);
+        upload.show(&gpu.device, encoder, scene_time_s);
+        then.map.need(gpu, encoder, depth_pass, upload);
+        upload.show_now(&gpu.device, encoder);
+    }
+}
