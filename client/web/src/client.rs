@@ -490,7 +490,7 @@ impl Client {
 
     /// Where the camera is, for a link.
     pub fn view(&self) -> Option<String> {
-        self.play.as_ref().map(Play::view)
+        self.play.as_ref().map(|play| play.view(Instant::now()))
     }
 
     /// Goes where a link says. Returns whether it is a view.
