@@ -2,7 +2,7 @@
 .PHONY: help setup demo window web web-test test lint deny fuzz
 
 help:
-	@echo 'make demo   real server, real client, loopback: pictures in target/demo  (SCENE=… LIGHTS=… CAMERA=… SIZE=… FRAMES=…)'
+	@echo 'make demo   real server, real client, loopback: pictures in target/demo  (SCENE=… LIGHTS=… CAMERA=… ANIMATION=… SIZE=… FRAMES=…)'
 	@echo 'make window the same in a window, to walk around in'
 	@echo 'make web    the page for browsers, into target/web/page; wants: rustup target add wasm32-unknown-unknown'
 	@echo 'make web-test  the page in Chromium, on a server; wants node, npm, chromium, make web, and the programs of make test'

@@ -33,7 +33,9 @@ impl Demo {
         let write = |file: &Path, bytes| fs::write(file, bytes).with_context(|| format!("writing {}", file.display()));
         write(&file, SCENE)?;
         write(&paths, PATHS)?;
-        let server = LocalServer::start(folder, &LocalScene::new(file))?;
+        let mut scene = LocalScene::new(file);
+        scene.options.animation = Some("all".to_owned());
+        let server = LocalServer::start(folder, &scene)?;
         Ok(Self { server, path: format!("{}#walk", paths.display()) })
     }
 
