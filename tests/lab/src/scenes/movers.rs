@@ -41,7 +41,7 @@ pub fn with_movers(scene: &Scene, count: u32) -> Scene {
             rotation_track: track(Interpolation::Linear, &times, &turns),
             ..SceneBuilder::node(None)
         });
-        let bounds = Aabb { min: Vec3::splat(-radius), max: Vec3::splat(radius) };
+        let bounds = Aabb::around(&ball);
         animation.pieces.push(Piece { node, first_vertex, vertices: index(ball.len()), bounds, mirrored: false });
         for position in &ball {
             animation.positions.push(*position);

@@ -1,12 +1,12 @@
-//! The adapter's own acceleration structures, for ray queries: a bottom level over the triangles that rest, another over
-//! those that move, and a top level with an instance of each, in place: no transform rounds. Where nothing moves there
-//! is one of each; else every slot has a top level and one of what moves, built for each frame. Triangles are slightly
-//! enlarged ([`enlarge`]). They keep the scene's order, so a candidate's index is its triangle's.
+//! The adapter's own acceleration structures, for ray queries: a bottom level over the triangles that rest, another
+//! over those that move, and a top level with an instance of each, in place: no transform rounds. Where nothing moves
+//! there is one top level; else every slot has one, and a bottom level of what moves, both built for each frame.
+//! Triangles are slightly enlarged ([`enlarge`]). They keep the scene's order, so a candidate's index is its triangle's.
 
 use glam::Vec3;
 use gnomon_shaders::{gpu::Gpu, host::TracedTriangle};
 
-use super::{enlarge, ring::SLOTS};
+use super::enlarge;
 use crate::visibility::backend::BackendError;
 
 /// The device feature that ray queries need.
@@ -47,17 +47,17 @@ struct Bottom {
 }
 
 impl Structures {
-    /// Builds the structure over the triangles that rest. Up to `most_moving` others move; in the file's pose their
-    /// greatest coordinate is `greatest_moving`. Errors if the adapter cannot build structures over so many. The
+    /// Builds the structure over the triangles that rest. Up to `most_moving` others move, in so many slots; in the
+    /// file's pose their greatest coordinate is `greatest_moving`. Errors if the adapter cannot build structures over so many. The
     /// device's error handler gets what the device itself refuses.
     pub(super) fn new(
         gpu: &Gpu,
         resting: &[TracedTriangle],
-        most_moving: usize,
+        (most_moving, slots): (usize, usize),
         greatest_moving: f32,
     ) -> Result<Self, BackendError> {
         let (resting_count, most_moving) = (count(gpu, resting.len())?, count(gpu, most_moving)?);
-        let slots = if most_moving > 0 { SLOTS } else { 1 };
+        let slots = if most_moving > 0 { slots } else { 1 };
         let create_top = |_| {
             gpu.device.create_tlas(&wgpu::CreateTlasDescriptor {
                 label: Some("scene"),

@@ -180,7 +180,10 @@ impl ComputeBackend {
             Traversal::RayQuery => {
                 let most_moving = movers.as_ref().map_or(0, Movers::most_triangles);
                 let greatest = enlarge::greatest_moving(scene);
-                (geometry.triangles.len(), Some(Structures::new(&gpu, &geometry.triangles, most_moving, greatest)?))
+                (
+                    geometry.triangles.len(),
+                    Some(Structures::new(&gpu, &geometry.triangles, (most_moving, SLOTS), greatest)?),
+                )
             }
         };
         let nodes =

@@ -267,7 +267,7 @@ impl ComputeBackend {
         Ok(Some(cost))
     }
 
-    /// Submits a whole frame of the scene at a time in seconds, and returns at once. The shape must fit ([`Self::fit`]).
+    /// Submits a whole frame of the scene at a time in seconds. Returns at once. The shape must fit ([`Self::fit`]).
     ///
     /// # Errors
     /// If [`RING_FRAMES`] frames are in flight, the shape does not fit, or the device has failed.
