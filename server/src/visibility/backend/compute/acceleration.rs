@@ -1,7 +1,8 @@
 //! The adapter's own acceleration structures, for ray queries: a bottom level over the triangles that rest, another
 //! over those that move, and a top level with an instance of each, in place: no transform rounds. Where nothing moves
 //! there is one top level; else every slot has one, and a bottom level of what moves, both built for each frame.
-//! Triangles are slightly enlarged ([`enlarge`]). They keep the scene's order, so a candidate's index is its triangle's.
+//! Triangles are slightly enlarged ([`enlarge`]). They keep the scene's order, so a candidate's index is its
+//! triangle's.
 
 use glam::Vec3;
 use gnomon_shaders::{gpu::Gpu, host::TracedTriangle};
@@ -48,8 +49,8 @@ struct Bottom {
 
 impl Structures {
     /// Builds the structure over the triangles that rest. Up to `most_moving` others move, in so many slots; in the
-    /// file's pose their greatest coordinate is `greatest_moving`. Errors if the adapter cannot build structures over so many. The
-    /// device's error handler gets what the device itself refuses.
+    /// file's pose their greatest coordinate is `greatest_moving`. Errors if the adapter cannot build structures over
+    /// so many. The device's error handler gets what the device itself refuses.
     pub(super) fn new(
         gpu: &Gpu,
         resting: &[TracedTriangle],
