@@ -374,7 +374,7 @@ fn a_device_that_does_not_answer_is_opened_again() {
 #[test]
 fn a_call_that_does_not_return_is_noticed_and_delays_no_stop() {
     let (engine, _) = engine(BackendChoice::Cpu);
-    assert!(engine.answers_within(Duration::from_millis(1)), "it rests");
+    eventually("rest", || engine.answers_within(Duration::from_millis(1)));
     engine.inject(Fault::StuckCall);
     eventually("silence", || !engine.answers_within(Duration::from_millis(50)));
     assert!(engine.answers(), "a round may take a while");
