@@ -25,7 +25,7 @@ pub mod window;
 
 pub use error::ClientError;
 pub use gnomon_client_core::{
-    camera::default_path,
+    camera::{Viewpoint, default_path},
     frame::{guard, mode},
     input,
     mask::pose_history,

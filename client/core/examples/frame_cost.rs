@@ -1,9 +1,10 @@
 //! Prints what a client's frame takes, stage by stage: `cargo run --release -p gnomon-client-core --features testing
-//! --example frame_cost -- SCENE WIDTHxHEIGHT EYE_X,Y,Z TARGET_X,Y,Z [FRAMES]`.
+//! --example frame_cost -- SCENE WIDTHxHEIGHT EYE_X,Y,Z TARGET_X,Y,Z [FRAMES [ANIMATION]]`.
 //!
 //! Each half of a frame is waited for: drawing surfaces, then all the rest. Then whole frames by the adapter's clock.
 //! The mask has the shadows of the client's own maps. It is of the same view, or of one 5 cm aside, so that it must be
-//! predicted; without any, each light reaches everything. Medians of so many frames, 30 unless told.
+//! predicted; without any, each light reaches everything. Medians of so many frames, 30 unless told. With an animation,
+//! all that is measured twice: while the scene stands, and while it moves by a sixtieth of a second a frame.
 
 #![expect(clippy::disallowed_methods, reason = "a program of its own that measures")]
 
@@ -34,7 +35,13 @@ struct Frames {
     reader: PictureReader,
     camera: Camera,
     count: usize,
+    /// Time of the scene, and from frame to frame, in seconds.
+    time_s: f64,
+    step_s: f64,
 }
+
+/// How many frames late a mask is that must be predicted.
+const LAG: f64 = 6.0;
 
 impl Frames {
     /// The visibility that the client finds by itself.
@@ -61,14 +68,14 @@ impl Frames {
             begun = Instant::now();
             Ok(ms)
         };
+        self.time_s += self.step_s;
+        self.renderer.set_time(self.time_s);
         self.renderer.draw_surfaces(&self.camera)?;
         let surfaces = lap(&self.gpu)?;
-        let view = mask.map(|(mask, traced_for)| MaskView {
-            mask,
-            coverage: None,
-            more: false,
-            traced_for,
-            scene_time_s: 0.0,
+        let view = mask.map(|(mask, traced_for)| {
+            let late_s = if *traced_for == self.camera { 0.0 } else { LAG * self.step_s };
+            let scene_time_s = if self.renderer.moves() { self.time_s - late_s } else { 0.0 };
+            MaskView { mask, coverage: None, more: false, traced_for, scene_time_s }
         });
         self.renderer.set_mask(view)?;
         self.renderer.shade(&self.camera, 1.0, &self.reader.target(), |_| ())?;
@@ -112,14 +119,16 @@ fn median(mut times: Vec<f64>) -> f64 {
 fn main() -> Result<(), Box<dyn Error>> {
     let begun = Instant::now();
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let (scene, size, eye, target, count) = match &arguments[..] {
-        [scene, size, eye, target] => (scene, size, eye, target, 30),
-        [scene, size, eye, target, count] => (scene, size, eye, target, count.parse()?),
-        _ => return Err("SCENE WIDTHxHEIGHT EYE TARGET [FRAMES]".into()),
+    let (scene, size, eye, target, count, animation) = match &arguments[..] {
+        [scene, size, eye, target] => (scene, size, eye, target, 30, None),
+        [scene, size, eye, target, count] => (scene, size, eye, target, count.parse()?, None),
+        [scene, size, eye, target, count, animation] => (scene, size, eye, target, count.parse()?, Some(animation)),
+        _ => return Err("SCENE WIDTHxHEIGHT EYE TARGET [FRAMES [ANIMATION]]".into()),
     };
     let (width, height) = size.split_once('x').ok_or("no size")?;
     let (width, height) = (width.parse()?, height.parse()?);
-    let scene = Scene::load(Path::new(scene), &LoadOptions::default())?;
+    let scene =
+        Scene::load(Path::new(scene), &LoadOptions { animation: animation.cloned(), ..LoadOptions::default() })?;
     let camera = Camera::looking_at(point(eye)?, point(target)?, 1.0, width, height);
     let options = GpuOptions { allow_software: true, wanted: stages::NEEDED, ..GpuOptions::default() };
     let gpu = pollster::block_on(Gpu::open(&options))?;
@@ -128,17 +137,21 @@ fn main() -> Result<(), Box<dyn Error>> {
     let shape = MaskShape::new(width, height, u32::try_from(scene.lights.len())?)?;
     let aside = Camera { position_m: camera.position_m + camera.orientation * DVec3::X * 0.05, ..camera };
     let reader = PictureReader::new(&gpu, width, height, 1);
-    let mut frames = Frames { gpu, renderer, reader, camera, count };
+    let mut frames = Frames { gpu, renderer, reader, camera, count, time_s: 0.0, step_s: 0.0 };
     frames.draw(None, true)?;
     println!("first picture: {:.2} s", begun.elapsed().as_secs_f64());
     let (mask, other_mask) = (frames.mask(&camera, shape)?, frames.mask(&aside, shape)?);
     frames.renderer.time_stages();
-    for quality in Quality::ALL {
+    let steps = if frames.renderer.moves() { vec![(0.0, ""), (1.0 / 60.0, "moving, ")] } else { vec![(0.0, "")] };
+    for (quality, (step_s, moving)) in
+        Quality::ALL.into_iter().flat_map(|quality| steps.iter().map(move |step| (quality, *step)))
+    {
+        frames.step_s = step_s;
         frames.renderer.set_quality(quality);
-        frames.measure(&format!("{quality}, own view"), Some((&mask, &camera)))?;
-        frames.measure(&format!("{quality}, predicted"), Some((&other_mask, &aside)))?;
+        frames.measure(&format!("{moving}{quality}, own view"), Some((&mask, &camera)))?;
+        frames.measure(&format!("{moving}{quality}, predicted"), Some((&other_mask, &aside)))?;
         frames.renderer.set_predictor(Predictor::None);
-        frames.measure(&format!("{quality}, no mask"), None)?;
+        frames.measure(&format!("{moving}{quality}, no mask"), None)?;
         frames.renderer.set_predictor(Predictor::Surface);
     }
     Ok(())

@@ -8,7 +8,7 @@ mod outcome;
 mod plots;
 
 use anyhow::{Result, bail};
-use gnomon_client::{camera_path::CameraPath, guard::GuardSize, predictor::Predictor};
+use gnomon_client::{Viewpoint, camera_path::CameraPath, guard::GuardSize, predictor::Predictor};
 use gnomon_protocol::mask::Mask;
 use gnomon_scene::{AlphaMode, Scene, camera::Camera, motion::Motion};
 
@@ -69,17 +69,20 @@ pub fn measure(options: &LagOptions, mut progress: impl FnMut(&str)) -> Result<T
     for frame in 0..options.scene.frames {
         let time_s = rig.time_s(frame);
         let camera = rig.camera(time_s);
+        rig.predict.set_time(time_s);
         let truth = rig.predict.truth(&camera);
         let true_picture = rig.predict.true_picture(&camera)?;
-        let mut traced: Option<(Camera, Mask)> = None;
+        let mut traced: Option<(Viewpoint, Mask)> = None;
         for (setting, outcome) in settings.iter().zip(&mut outcomes) {
             let traced_for = rig.traced_for(setting, time_s);
             // Settings that differ only in the predictor share a mask.
-            let mask = match traced.take().filter(|(camera, _)| *camera == traced_for) {
+            rig.predict.set_mask_time(traced_for.scene_time_s);
+            let mask = match traced.take().filter(|(seen, _)| *seen == traced_for) {
                 Some((_, mask)) => mask,
-                None => rig.predict.trace(&traced_for)?,
+                None => rig.predict.trace(&traced_for.camera)?,
             };
-            let (picture, visibility) = rig.predict.draw(&camera, setting.predictor, Some((&mask, &traced_for)))?;
+            let view = Some((&mask, &traced_for.camera));
+            let (picture, visibility) = rig.predict.draw(&camera, setting.predictor, view)?;
             outcome.bits.add(&visibility, &truth);
             outcome.known_share.push(rig.predict.known_share().unwrap_or(f64::NAN));
             if !options.bits_only {
@@ -200,19 +203,20 @@ impl Rig {
         Camera { orientation: glam::DQuat::from_rotation_y(rate * time_s) * start.orientation, ..start }
     }
 
-    /// The camera of the newest mask at `time_s`: that of `lag` frames before, or the server's extrapolation from it
-    /// and the poses before.
-    fn traced_for(&self, setting: &Setting, time_s: f64) -> Camera {
+    /// The view of the newest mask at `time_s`: that of `lag` frames before, or the server's extrapolation from it and
+    /// the poses before.
+    fn traced_for(&self, setting: &Setting, time_s: f64) -> Viewpoint {
         let before = |frames: u32| time_s - f64::from(frames) / self.fps;
-        let mut camera = self.camera(before(setting.lag));
+        let (mut camera, mut scene_time_s) = (self.camera(before(setting.lag)), before(setting.lag));
         if setting.predict_pose == PosePrediction::Velocity {
             let mut motion = Motion::default();
             for frames in (setting.lag..=setting.lag + POSES_BEFORE).rev() {
                 motion.push(before(frames), self.camera(before(frames)));
             }
             camera = motion.extrapolate(time_s).unwrap_or(camera);
+            scene_time_s = time_s;
         }
-        camera.widened(setting.guard.per_side())
+        Viewpoint { camera: camera.widened(setting.guard.per_side()), scene_time_s }
     }
 }
 

@@ -24,6 +24,11 @@ pub(super) struct PredictRig {
     lights: u32,
     backend: CpuBackend,
     reference: Reference,
+    /// `None` if everything rests.
+    moving: Option<Scene>,
+    /// Times of the scene, in seconds: of pictures, and of masks.
+    now_s: f64,
+    then_s: f64,
     renderer: FrameRenderer,
     pictures: PictureReader,
 }
@@ -37,9 +42,26 @@ impl PredictRig {
             lights: u32::try_from(scene.lights.len()).context("more lights than a mask has")?,
             backend: CpuBackend::new(scene, None)?,
             reference: Reference::new(scene),
+            moving: scene.animation.is_some().then(|| scene.clone()),
+            now_s: 0.0,
+            then_s: 0.0,
             renderer: FrameRenderer::new(&gpu, scene, size, exposure, PICTURE_FORMAT, Predictor::Surface)?,
             pictures: PictureReader::new(&gpu, size.0, size.1, 1),
         })
+    }
+
+    /// Draws and judges pictures, and traces masks, at this time of the scene from now on; 0 at first.
+    pub(super) fn set_time(&mut self, now_s: f64) {
+        (self.now_s, self.then_s) = (now_s, now_s);
+        self.renderer.set_time(now_s);
+        if let Some(scene) = &self.moving {
+            self.reference = Reference::at(scene, now_s);
+        }
+    }
+
+    /// Traces masks at this time of the scene from now on, until [`Self::set_time`].
+    pub(super) fn set_mask_time(&mut self, then_s: f64) {
+        self.then_s = then_s;
     }
 
     pub(super) fn truth(&self, camera: &Camera) -> Truth {
@@ -58,7 +80,8 @@ impl PredictRig {
     /// Returns the mask that a server would send for a view.
     pub(super) fn trace(&self, camera: &Camera) -> Result<Mask> {
         let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, self.lights)?);
-        self.backend.trace(camera, &mut mask);
+        let (rows, posed) = (0..mask.shape().tiles_y(), self.backend.pose(self.then_s));
+        self.backend.trace_rows(camera, &mut mask, rows, posed.as_ref());
         Ok(mask)
     }
 
@@ -98,6 +121,7 @@ impl PredictRig {
         mask: Option<(&Mask, &Camera)>,
         copied: bool,
     ) -> Result<Option<Picture>> {
+        let scene_time_s = if self.moving.is_some() { self.then_s } else { 0.0 };
         self.renderer.set_predictor(predictor);
         self.renderer.draw_surfaces(camera)?;
         self.renderer.set_mask(mask.map(|(mask, traced_for)| MaskView {
@@ -105,7 +129,7 @@ impl PredictRig {
             coverage: None,
             more: false,
             traced_for,
-            scene_time_s: 0.0,
+            scene_time_s,
         }))?;
         let target = self.pictures.target();
         let submission = self.renderer.shade(camera, 1.0, &target, |encoder| {

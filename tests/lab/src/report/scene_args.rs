@@ -24,6 +24,9 @@ pub struct SceneFile {
     /// Keeps only the first N lights.
     #[arg(long)]
     pub lights: Option<u32>,
+    /// Name or number of the animation that moves the scene; `all` takes all together.
+    #[arg(long)]
+    pub animation: Option<String>,
 }
 
 #[derive(Debug, Clone, clap::Args)]
@@ -46,8 +49,12 @@ pub struct SceneArgs {
 
 impl SceneFile {
     pub fn load(&self) -> Result<Scene> {
-        let options =
-            LoadOptions { lights_from: self.lights_from.clone(), max_lights: self.lights, ..LoadOptions::default() };
+        let options = LoadOptions {
+            lights_from: self.lights_from.clone(),
+            max_lights: self.lights,
+            animation: self.animation.clone(),
+            ..LoadOptions::default()
+        };
         Scene::load(&self.scene, &options).with_context(|| format!("loading {}", self.scene.display()))
     }
 }
@@ -65,6 +72,9 @@ impl SceneArgs {
         }
         if let Some(lights) = self.file.lights {
             arguments.extend(["--lights".into(), lights.to_string().into()]);
+        }
+        if let Some(animation) = &self.file.animation {
+            arguments.extend(["--animation".into(), animation.into()]);
         }
         arguments
     }
