@@ -10,6 +10,8 @@ use gnomon_lab::{
         table::Table,
     },
 };
+use gnomon_scene::testing::write_living_scene;
+use serde_json::json;
 
 fn only<'a>(table: &'a Table, wanted: &[(&str, &str)]) -> &'a [String] {
     let found: Vec<_> = table.rows.iter().filter(|row| wanted.iter().all(|(c, v)| table.text(row, c) == *v)).collect();
@@ -77,4 +79,34 @@ fn networks_are_compared_with_no_server() {
         assert!(rows.number(sequential, "lag_p50") >= 0.0 && rows.number(sequential, "degraded_share") < 1.0);
     }
     assert!(["network_frame_time.svg", "network_lag.svg"].iter().all(|file| out.path().join(file).is_file()));
+}
+
+#[test]
+fn late_masks_of_what_moves_are_laid_where_it_has_gone() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = write_living_scene(folder.path()).unwrap();
+    let key = |t: f64, x: f64| json!({"t": t, "pos": [x, 2.5, 5.0], "target": [0.0, 0.5, 0.0]});
+    let path = folder.path().join("path.json");
+    let keys = json!({"camera_path": {"keyframes": [key(0.0, -1.0), key(4.0, 1.5)]}});
+    std::fs::write(&path, keys.to_string()).unwrap();
+    let measured = |animation: &str| {
+        let line = "--size 160x90 --frames 4 --lags 6 --predict dissertation,surface --predict-pose off,velocity \
+                    --bits-only --allow-software";
+        let (scene, path, out) = (scene.display(), path.display(), folder.path().display());
+        let line = format!("--scene {scene} --path {path} --animation {animation} {line} --out {out}");
+        let options: LagOptions = parse(&line).unwrap();
+        let rows = lag::measure(&options, |_| {}).unwrap();
+        let wrong = |predictor, pose| {
+            rows.number(only(&rows, &[("predictor", predictor), ("server_prediction", pose)]), "bit_error")
+        };
+        [wrong("dissertation", "off"), wrong("surface", "off"), wrong("surface", "velocity")]
+    };
+    let [_, resting, _] = measured("off");
+    for animation in ["slide", "travel", "all"] {
+        let [theirs, ours, ahead] = measured(animation);
+        println!("{animation}: {theirs} → {ours} %, {ahead} % with the server's look-ahead; {resting} % at rest");
+        assert!(ours < 0.25 * theirs && ours < 0.5, "{animation}: {theirs} → {ours}");
+        // The server traces what moves where it will be.
+        assert!(ahead <= ours.max(resting), "{animation}: {ahead} with look-ahead, {ours} without");
+    }
 }

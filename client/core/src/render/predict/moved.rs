@@ -12,7 +12,11 @@ use gnomon_shaders::{
 };
 
 use super::{
-    depth_history::DepthHistory, depth_pass::DepthPass, layers::Layer, pieces::PiecesPass, shadow_map::ShadowMap,
+    depth_history::DepthHistory,
+    depth_pass::DepthPass,
+    layers::Layer,
+    pieces::{NUMBER, PiecesPass},
+    shadow_map::ShadowMap,
 };
 use crate::render::{
     error::RenderError,
@@ -25,8 +29,8 @@ use crate::render::{
     targets::{Targets, texture},
 };
 
-/// Bits of lights, and numbers of pieces.
-pub(super) const WORD: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+/// Bits of lights.
+const WORD: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 
 #[derive(Debug)]
 pub(super) struct Moved {
@@ -73,10 +77,12 @@ pub(super) struct Now<'a> {
 }
 
 fn pictures(device: &wgpu::Device, size: (u32, u32)) -> [wgpu::TextureView; 2] {
-    [wgpu::TextureUsages::RENDER_ATTACHMENT, wgpu::TextureUsages::STORAGE_BINDING].map(|usage| {
-        texture(device, "what has moved", size, WORD, usage | wgpu::TextureUsages::TEXTURE_BINDING)
-            .create_view(&wgpu::TextureViewDescriptor::default())
-    })
+    [(NUMBER, wgpu::TextureUsages::RENDER_ATTACHMENT), (WORD, wgpu::TextureUsages::STORAGE_BINDING)].map(
+        |(format, usage)| {
+            texture(device, "what has moved", size, format, usage | wgpu::TextureUsages::TEXTURE_BINDING)
+                .create_view(&wgpu::TextureViewDescriptor::default())
+        },
+    )
 }
 
 fn places(device: &wgpu::Device, count: usize) -> wgpu::Buffer {

@@ -14,6 +14,9 @@ use crate::render::{
     targets::DEPTH,
 };
 
+/// Numbers of pieces.
+pub(super) const NUMBER: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+
 const ATTRIBUTES: [wgpu::VertexAttribute; 1] = wgpu::vertex_attr_array![6 => Uint32];
 
 #[derive(Debug)]
@@ -92,7 +95,7 @@ impl PiecesPass {
                     module: &self.module,
                     entry_point: Some(if masked { "masked" } else { "opaque" }),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    targets: &[Some(super::moved::WORD.into())],
+                    targets: &[Some(NUMBER.into())],
                 }),
                 multiview_mask: None,
                 cache: None,
