@@ -132,6 +132,9 @@ fn both_programs_name_the_animations_that_there_are() {
     let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
     let unknown = words(&["--animation", "dance"]);
     let listen = words(&["--listen", "127.0.0.1:0", "--backend", "cpu", "--cert-dir"]);
-    fails("gnomon-server", &[&words(&["--scene"])[..], &[file.clone()], &listen, &[certificate], &unknown].concat());
+    fails(
+        "gnomon-server",
+        &[&words(&["--scene"])[..], std::slice::from_ref(&file), &listen, &[certificate], &unknown].concat(),
+    );
     fails("gnomon-client", &[&words(&["--headless", "--allow-software", "--offline"])[..], &[file], &unknown].concat());
 }

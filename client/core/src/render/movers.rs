@@ -1,7 +1,7 @@
 //! What moves, on the adapter: its vertices and corners are written anew for each time of the scene, as the scene has
 //! them that stands still then (`shaders/scene/docs/living.md`). Passes see ordinary triangles.
 
-use glam::{DMat4, Vec3};
+use glam::{DMat4, DVec4, Vec3};
 use gnomon_scene::{Animation, Moment, Placement, Scene};
 use gnomon_shaders::shading::Before;
 use rayon::prelude::*;
@@ -149,7 +149,7 @@ impl Movers {
             // Local space has the scene's origin.
             let (there, back) = (DMat4::from_translation(-origin_m), DMat4::from_translation(origin_m));
             let way = there * then.world_from_piece * now.world_from_piece.inverse() * back;
-            let [x, y, z] = [way.row(0), way.row(1), way.row(2)].map(|row| row.as_vec4());
+            let [x, y, z] = [way.row(0), way.row(1), way.row(2)].map(DVec4::as_vec4);
             (x.is_finite() && y.is_finite() && z.is_finite()).then_some(Before { x, y, z })
         };
         let pieces = self.now.moment.pieces.iter().zip(&then.pieces);
