@@ -3,6 +3,7 @@
 use std::{fs, path::Path};
 
 use anyhow::{Context as _, Result};
+use gnomon_shaders::gpu::Gpu;
 
 use super::local_server::{LocalScene, LocalServer, temporary_folder};
 use crate::link::url::ServerUrl;
@@ -17,15 +18,17 @@ pub struct Demo {
 }
 
 impl Demo {
-    /// Starts the server and waits until it listens.
+    /// Starts the server and waits until it listens. Without an `animation`, things move if there is a real GPU of the
+    /// name `adapter`: software Vulkan takes several times as long for a late mask of a scene that moves.
     ///
     /// # Errors
     /// Errors if there is no server program, or it does not start.
-    pub fn start() -> Result<Self> {
-        Self::start_server().context("--demo")
+    pub fn start(animation: Option<String>, adapter: Option<&str>) -> Result<Self> {
+        let moves = || (pollster::block_on(Gpu::count(adapter)) > 0).then(|| "all".to_owned());
+        Self::start_server(animation.or_else(moves)).context("--demo")
     }
 
-    fn start_server() -> Result<Self> {
+    fn start_server(animation: Option<String>) -> Result<Self> {
         // Reports a missing server before writing anything.
         LocalServer::program()?;
         let folder = temporary_folder("demo")?;
@@ -34,7 +37,7 @@ impl Demo {
         write(&file, SCENE)?;
         write(&paths, PATHS)?;
         let mut scene = LocalScene::new(file);
-        scene.options.animation = Some("all".to_owned());
+        scene.options.animation = animation;
         let server = LocalServer::start(folder, &scene)?;
         Ok(Self { server, path: format!("{}#walk", paths.display()) })
     }
