@@ -266,6 +266,7 @@ async function begun(end) {
     mark("started");
     if (more) {
       await turn();
+      if (current !== end || !link) return;
       client.prepare();
     }
   } catch (error) {

@@ -309,11 +309,15 @@ impl Client {
         self.conversation.as_mut().map_or(Ok(()), Conversation::leave).map_err(failed)
     }
 
-    /// The connection is gone.
+    /// The connection is gone. Pictures go on; a scene that is not there yet is asked for again.
     pub fn lost(&mut self) {
         self.conversation = None;
+        let preparing = self.preparing.take();
         if let Some(play) = &mut self.play {
             play.lost();
+            if let Some(Preparing::Dark(scene)) = preparing {
+                play.light(&scene, Instant::now());
+            }
         }
     }
 
@@ -342,7 +346,7 @@ impl Client {
     /// the first frame, the first shadows, a new share of the pixels, a step of a walk.
     pub fn frame(&mut self) -> Result<Option<String>, JsError> {
         let Some(play) = &mut self.play else { return Ok(None) };
-        if !self.screen.is_ready() || self.preparing.is_some() {
+        if !self.screen.is_ready() || matches!(self.preparing, Some(Preparing::Dark(_))) {
             return Ok(None);
         }
         if self.shadowed && self.screen.is_idle() && !std::mem::replace(&mut self.shown, true) {

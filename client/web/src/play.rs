@@ -220,7 +220,12 @@ impl Play {
             return false;
         }
         if self.awaited_since.is_some_and(|sent| now.saturating_duration_since(sent) > PATIENCE) {
-            self.ask_first(now);
+            // The same pose: a mask that is under way answers it, too.
+            let frame = FrameNumber(self.next);
+            if let (Some(reception), Some(request)) = (&mut self.reception, self.frames.matcher.request(frame)) {
+                reception.send_pose_again(frame, &request.pose);
+            }
+            self.awaited_since = Some(now);
         }
         true
     }

@@ -87,7 +87,7 @@ ledger! {
     packets_unsent,
     /// Bytes sent in packets, headers included.
     bytes,
-    /// Tracing time on the device or processor, in microseconds.
+    /// Tracing time on the device or processor, with the time to move what moves, in microseconds.
     gpu_us,
     /// Primary rays of the masks traced: those tested against a list, and those traced one by one.
     primary_listed,

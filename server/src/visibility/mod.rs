@@ -131,6 +131,12 @@ impl TraceCost {
     /// Device time in milliseconds, with that of moving what moves, which the engine's other work waits for.
     #[must_use]
     pub fn device_ms(&self) -> f64 {
-        self.pose_ms + self.primary_ms + self.shadow_ms
+        self.pose_ms + self.rays_ms()
+    }
+
+    /// Device time of all rays in milliseconds.
+    #[must_use]
+    pub fn rays_ms(&self) -> f64 {
+        self.primary_ms + self.shadow_ms
     }
 }

@@ -89,9 +89,9 @@ fn node_hits(index: u32, ray: Ray, limit: f32) -> NodeHits {
 
 // The state of a traversal: a group of sibling nodes that the ray hits. `x` is the index of the first sibling. Bits 31
 // to 24 of `y` are siblings to visit; bits 7 to 0 mark the slots of their parent that hold nodes.
-// The bits of a group whose first and only node is a root.
-const ROOT_BITS: u32 = 0x80000000u;
 const GROUP_NODES: u32 = 0xff000000u;
+// `y` of a group whose first and only node is a root.
+const ROOT_BITS: u32 = 0x80000000u;
 
 // The index of the group's node at bit `bit`.
 fn group_node(group: vec2u, bit: u32, octant: u32) -> u32 {

@@ -15,7 +15,8 @@
 #import "visibility/lists.wgsl"
 #import "visibility/shaft.wgsl"
 
-// The octant of the shaft's direction, as a ray's: the child that is likely the nearest is visited first.
+// The octant of the shaft's direction, as a ray's: the child that is likely the nearest is visited first. 0 where the
+// order does not matter.
 var<private> walk_octant: u32;
 
 // Nodes that wait for a visit, the next on top.
@@ -57,7 +58,7 @@ fn child_of(node: u32, child: u32) -> Child {
     let corner = bitcast<vec3f>(head.xyz) - shaft.apex;
     let low = corner + spacing * vec3f(byte_of(x.xy, child), byte_of(y.xy, child), byte_of(z.xy, child));
     let high = corner + spacing * vec3f(byte_of(x.zw, child), byte_of(y.zw, child), byte_of(z.zw, child));
-    if about == 0u || misses_box((low + high) * 0.5, (high - low) * 0.5) {
+    if about == 0u || misses_box((low + high) * 0.5, (high - low) * 0.5, size_of(corner)) {
         return NO_CHILD;
     }
     let inner = head.w >> 24u;

@@ -10,7 +10,8 @@ struct ClosestHit {
 const NOTHING: u32 = 0xffffffffu;
 
 // True if a hit is closer than the closest so far. Of hits at the same distance the triangle with the lower number
-// counts, so that the order of tests does not.
+// counts, so that the order of tests does not. An adapter's own traversal does without: it may leave out what is no
+// closer than a hit that was confirmed.
 fn is_closer(distance: f32, triangle: u32, limit: f32, closest: u32) -> bool {
     return distance < limit || (distance == limit && triangle < closest);
 }

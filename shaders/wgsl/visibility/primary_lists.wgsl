@@ -25,8 +25,8 @@ const ENOUGH_FOUND: u32 = 8u;
 // places make 4 u.
 const FRUSTUM_SLACK: f32 = 1.9073486328125e-6;
 
-// Sets the shaft around a block's rays.
-fn set_frustum(block: vec2u, lane: u32) {
+// Sets the shaft around a block's rays. False if it is wider than a right angle.
+fn set_frustum(block: vec2u, lane: u32) -> bool {
     let pixels = block_pixels(block);
     shaft.apex = view.origin;
     shaft.axis = block_axis(block);
@@ -49,6 +49,7 @@ fn set_frustum(block: vec2u, lane: u32) {
     shaft.half = vec3f(0.0);
     let positive = select(vec3u(4u, 2u, 1u), vec3u(0u), shaft.axis < vec3f(0.0));
     walk_octant = positive.x | positive.y | positive.z;
+    return max(max(-shaft.low.x, -shaft.low.y), max(shaft.high.x, shaft.high.y)) <= 1.0;
 }
 
 // Drops kept triangles behind the nearest cover. Returns how many are left.
@@ -74,8 +75,10 @@ fn keep_near(count: u32, lane: u32) -> u32 {
 
 @compute @workgroup_size(32)
 fn primary_lists(@builtin(workgroup_id) place: vec3u, @builtin(local_invocation_index) lane: u32) {
-    set_frustum(place.xy, lane);
-    var count = find(lane);
+    var count = TOO_MANY;
+    if set_frustum(place.xy, lane) {
+        count = find(lane);
+    }
     workgroupBarrier();
     var state = vec2u(STATE_OPEN, 0u);
     if count != TOO_MANY {

@@ -10,7 +10,7 @@
 
 var<immediate> view: TracedView;
 
-// Written by visibility/primary.wgsl.
+// Written by the kernels of primary rays.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
 
 // Pixels of a block that each lane has.

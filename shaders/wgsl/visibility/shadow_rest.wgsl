@@ -11,7 +11,7 @@
 
 var<immediate> view: TracedView;
 
-// Written by visibility/primary.wgsl.
+// Written by the kernels of primary rays.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
 @group(1) @binding(1) var<storage, read_write> mask: array<u32>;
 

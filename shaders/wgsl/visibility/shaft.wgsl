@@ -15,7 +15,7 @@
 // Margin of places and heights, as a share of the distances involved: 48 u. The triangle test may see a corner 5 u of
 // its distance from the ray's start away from its true place, in each of three coordinates: 9 u along a vector of
 // length 1, and as much again along the axis, times a bound of at most 1. This picture: 4 u for a place, 5 u for its
-// comparison. Quantised boxes: 2 u. The ray's direction: 2 u. That makes 31.
+// comparison. Quantised boxes: 2 u of their own distance and of their node's. The ray's direction: 2 u. That makes 31.
 const SHAFT_SLACK: f32 = 2.86102294921875e-6;
 
 // Margin of the volume that two corners span with a ray, as a share of the corners' distance, their edge, and the
@@ -26,8 +26,8 @@ const EDGE_SLACK: f32 = 3.814697265625e-6;
 // A triangle whose nearest corner is this close to the apex, as a share of its distances, is not tested by its edges.
 const LEAST_NEARNESS: f32 = 0.0009765625;
 
-// The picture of the scene from the apex: places across the shaft and depth along it. The vectors are not exactly of length 1
-// or at right angles. They need not be: all places are measured with the same.
+// The picture of the scene from the apex: places across the shaft and depth along it. The vectors are not exactly of
+// length 1 or at right angles. They need not be: all places are measured with the same.
 struct Shaft {
     // The light, or the camera; among the starts for a directional light. Everything is relative to it.
     apex: vec3f,
@@ -69,9 +69,9 @@ fn scale_of(depth: f32) -> f32 {
     return select(depth, 1.0, shaft.is_beam);
 }
 
-// True if the shaft misses a box.
-fn misses_box(centre: vec3f, half: vec3f) -> bool {
-    let slack = SHAFT_SLACK * (dot(vec3f(1.0), abs(centre) + half) + shaft.reach);
+// True if the shaft misses a box. Its node's corner, from which it was measured, is `away`.
+fn misses_box(centre: vec3f, half: vec3f, away: f32) -> bool {
+    let slack = SHAFT_SLACK * (dot(vec3f(1.0), abs(centre) + half) + away + shaft.reach);
     let place = picture(centre);
     let extent = vec3f(dot(abs(shaft.side), half), dot(abs(shaft.upright), half), dot(abs(shaft.axis), half)) + slack;
     let scale = scale_of(place.z);

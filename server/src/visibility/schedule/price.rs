@@ -3,7 +3,8 @@
 //! A device that rests between masks lowers its clock: an H200 takes up to three times as long for a mask of a lone
 //! session at 60 masks/s as for the same mask when it never rests. Planned with such times it would refuse sessions for
 //! which it would only have to speed up. So a mask counts with its rays, at the price that rays had when the device was
-//! last busy. When it is busy, measured times are what they seem, and count.
+//! last busy. When it is busy, measured times are what they seem, and count. So does the time to move what moves, which
+//! is the processor's and the same for every mask.
 
 use std::time::{Duration, Instant};
 
@@ -35,13 +36,14 @@ impl RayPrice {
 
     /// Sets the price to that of a mask which a busy device traced.
     pub(crate) fn calibrate(&mut self, cost: &TraceCost) {
-        self.per_ray_ms = Some(cost.device_ms() / rays(cost));
+        self.per_ray_ms = Some(cost.rays_ms() / rays(cost));
     }
 
     /// Takes a mask that was collected at `now`. Returns what such a mask would cost the device when it is busy, in
     /// milliseconds: not more than it did cost.
     pub(crate) fn planned_ms(&mut self, cost: &TraceCost, now: Instant) -> f64 {
         let (measured_ms, rays) = (cost.device_ms(), rays(cost));
+        let rays_ms = cost.rays_ms();
         self.window_ms += measured_ms;
         let window = now.saturating_duration_since(self.window_began);
         if window >= WINDOW {
@@ -53,10 +55,10 @@ impl RayPrice {
             return measured_ms;
         };
         if self.busy {
-            *price_ms += (measured_ms / rays - *price_ms) * NEWEST_SHARE;
+            *price_ms += (rays_ms / rays - *price_ms) * NEWEST_SHARE;
             return measured_ms;
         }
-        measured_ms.min(*price_ms * rays)
+        cost.pose_ms + rays_ms.min(*price_ms * rays)
     }
 }
 
@@ -103,6 +105,15 @@ mod tests {
         price.planned_ms(&cost(9.0, 1_000_000), later);
         let planned_ms = price.planned_ms(&cost(9.0, 1_000_000), later + WINDOW);
         assert!((planned_ms - 4.0).abs() < 0.01, "{planned_ms}");
+    }
+
+    #[test]
+    fn moving_things_costs_the_same_whatever_the_picture() {
+        let start = Instant::now();
+        let mut price = RayPrice::new(start);
+        price.calibrate(&TraceCost { pose_ms: 6.0, ..cost(2.5, 1_000_000) });
+        let planned_ms = price.planned_ms(&TraceCost { pose_ms: 6.0, ..cost(0.9, 100_000) }, start);
+        assert!((planned_ms - 6.25).abs() < 1e-9, "{planned_ms}");
     }
 
     #[test]

@@ -96,7 +96,8 @@ pub struct DeviceMemory {
     pub lights_bytes: u64,
     /// Alpha materials, their pictures, and texture coordinates.
     pub alpha_bytes: u64,
-    /// What moves, once for each frame that may have begun: nodes, triangles, normals and lights.
+    /// What moves, once for each frame that may have begun: nodes, triangles, normals and lights. An adapter's own
+    /// structures are not counted.
     pub moving_bytes: u64,
     /// Words of one mask; 0 while there are no buffers.
     pub mask_bytes: u64,
