@@ -3,17 +3,22 @@
 use glam::Vec3;
 use gnomon_scene::{Aabb, AnimatedNode, Animation, Scene, Track};
 
-/// Times at which the movers are looked at, spread over the longest round.
+/// Times at which the movers are looked at, spread over a round.
 const LOOKS: u16 = 64;
+
+/// Most rounds of different lengths: animations that are shown together each have their own.
+const MOST_ROUNDS: usize = 16;
 
 /// Returns the bounds of a scene and of all that moves in it, as far as a few looks tell. They stay the same at any
 /// time, so that maps that cover them do, too.
 pub(super) fn swept_bounds(scene: &Scene) -> Aabb {
     let mut bounds = scene.bounds;
     let Some(animation) = &scene.animation else { return bounds };
-    let round_s = round_s(animation);
-    for look in 0..LOOKS {
-        let Some(moment) = scene.moment(round_s * f64::from(look) / f64::from(LOOKS)) else { break };
+    let rounds_s = rounds_s(animation);
+    let times_s =
+        rounds_s.iter().flat_map(|round_s| (0..LOOKS).map(move |look| f64::from(look) / f64::from(LOOKS) * round_s));
+    for time_s in times_s {
+        let Some(moment) = scene.moment(time_s) else { break };
         for (piece, placement) in animation.pieces.iter().zip(&moment.pieces) {
             let Some(placement) = placement else { continue };
             let Aabb { min, max } = piece.bounds;
@@ -28,12 +33,16 @@ pub(super) fn swept_bounds(scene: &Scene) -> Aabb {
     bounds
 }
 
-/// The longest round of a node, in seconds.
-fn round_s(animation: &Animation) -> f64 {
+/// The lengths of the movers' rounds, in seconds, the longest first. At least one.
+fn rounds_s(animation: &Animation) -> Vec<f64> {
     let tracks = |node: &AnimatedNode| {
         let AnimatedNode { translation_track, rotation_track, scale_track, .. } = node;
-        let tracks = [translation_track, rotation_track, scale_track].into_iter().flatten();
-        tracks.map(|track: &Track| track.period_s).fold(0.0, f64::max)
+        let length = |track: &Option<Track>| track.as_ref().map(|track| track.period_s);
+        [translation_track, rotation_track, scale_track].map(length)
     };
-    animation.nodes.iter().map(tracks).fold(0.0, f64::max)
+    let mut rounds_s: Vec<f64> = animation.nodes.iter().flat_map(tracks).flatten().collect();
+    rounds_s.sort_by(|one, other| other.total_cmp(one));
+    rounds_s.dedup();
+    rounds_s.truncate(MOST_ROUNDS);
+    if rounds_s.is_empty() { vec![0.0] } else { rounds_s }
 }
