@@ -4,7 +4,7 @@ use std::{path::Path, sync::Arc};
 
 use bytes::Bytes;
 use gnomon_protocol::{ids::SceneDigest, limits::MAX_SCENE_BYTES};
-use gnomon_scene::{LoadOptions, LoadReport, Scene, WarningKind};
+use gnomon_scene::{Animation, LoadOptions, LoadReport, Scene, WarningKind};
 
 use super::error::StartError;
 use crate::{admission::services::SceneAsset, config::ServerConfig, session::brightness};
@@ -47,6 +47,7 @@ pub(super) fn load_with_report(
     }
     let lights = u32::try_from(scene.lights.len()).map_err(|error| pack_error(error.to_string()))?;
     let digest = SceneDigest(*blake3::hash(&packed).as_bytes());
-    let (weights, moves) = (brightness::weights(&scene), scene.animation.is_some());
+    let weights = brightness::weights(&scene);
+    let moves = scene.animation.as_deref().is_some_and(Animation::moves_scene);
     Ok((Arc::new(scene), SceneAsset { packed: Bytes::from(packed), digest, lights, weights, moves }, report))
 }

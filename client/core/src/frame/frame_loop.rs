@@ -362,7 +362,12 @@ mod tests {
         let lamp = gnomon_scene::AnimatedLight { light: 1, intensity_track, ..Default::default() };
         let animation = gnomon_scene::Animation { lights: vec![lamp], ..Default::default() };
         living.animation = Some(Box::new(animation));
-        for (scene, moves) in [(testing::floor_and_lights(), false), (living, true)] {
+        // One that nothing moves in but a camera.
+        let mut filmed = testing::floor_and_lights();
+        let camera = gnomon_scene::AnimatedCamera { camera: 0, place: None, yfov_track: None };
+        let animation = gnomon_scene::Animation { cameras: vec![camera], ..Default::default() };
+        filmed.animation = Some(Box::new(animation));
+        for (scene, moves) in [(testing::floor_and_lights(), false), (living, true), (filmed, false)] {
             let machine = ModeMachine::new(Mode::Auto, Thresholds::default());
             let guard = GuardChoice::new(Guard::Fixed(GuardSize { width: 0, height: 0 }), (16, 16));
             let (source, now) = (MaskSource::Streamed { look_ahead: false }, Instant::now());

@@ -83,7 +83,7 @@ pub(crate) struct Buffers<'a> {
 impl Movers {
     /// Takes what moves from the scene's vertices. `None` if everything rests.
     pub(crate) fn new(scene: &Scene, vertices: &[Vertex], more: &[MoreOfVertex]) -> Option<Self> {
-        let animation = scene.animation.as_deref()?;
+        let animation = scene.animation.as_deref().filter(|animation| animation.moves_scene())?;
         let range = |first: u32, count: u32| first as usize..first as usize + count as usize;
         let turns = !scene.tangents.is_empty() && more.len() == vertices.len();
         let mut vertex_runs: Vec<VertexRun> = Vec::new();

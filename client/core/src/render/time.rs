@@ -6,7 +6,7 @@ use super::{movers::Movers, renderer::FrameRenderer};
 use crate::camera::Viewpoint;
 
 impl FrameRenderer {
-    /// Whether something moves in the scene.
+    /// Whether something moves in the scene, other than cameras.
     #[must_use]
     pub fn moves(&self) -> bool {
         self.scene.movers().is_some()

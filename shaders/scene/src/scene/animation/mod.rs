@@ -118,7 +118,13 @@ impl Animation {
     /// Returns whether nothing moves.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.pieces.is_empty() && self.lights.is_empty() && self.cameras.is_empty()
+        !self.moves_scene() && self.cameras.is_empty()
+    }
+
+    /// Returns whether more moves than cameras do, so that one that stands still sees it.
+    #[must_use]
+    pub fn moves_scene(&self) -> bool {
+        !self.pieces.is_empty() || !self.lights.is_empty()
     }
 }
 
