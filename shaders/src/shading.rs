@@ -70,7 +70,8 @@ pub struct MaskLayer {
     pub same_view: u32,
     /// 1 if all of it has arrived.
     pub whole: u32,
-    pub unused: u32,
+    /// 1 if it was traced for the picture's own time.
+    pub same_time: u32,
 }
 
 /// The inputs of prediction. Twin of `Prediction` in `predict.wgsl`.

@@ -29,7 +29,8 @@ struct MaskLayer {
     same_view: u32,
     // 1 if all of it has arrived.
     whole: u32,
-    unused_0: u32,
+    // 1 if the mask was traced for the picture's own time.
+    same_time: u32,
 }
 
 // Twin: `shading::Prediction`.
@@ -278,7 +279,7 @@ fn from_mask(layer: u32, pixel: vec2u, point: vec3f, normal: vec3f) -> Found {
     if !from_elsewhere || prediction.layers[layer].same_view == 1u {
         return from_same_view(layer, pixel);
     }
-    if moved {
+    if moved && prediction.layers[layer].same_time == 0u {
         let known = prediction.lights & ~textureLoad(changed_picture, pixel, 0).x;
         var found = NOTHING;
         let piece = textureLoad(piece_picture, pixel, 0).x;

@@ -60,6 +60,13 @@ pub(crate) struct Layer {
     has_depth: bool,
 }
 
+impl Layer {
+    /// Whether it was traced for this time of the scene.
+    pub(crate) fn is_of(&self, scene_time_s: f64) -> bool {
+        self.traced_for.scene_time_s.to_bits() == scene_time_s.to_bits()
+    }
+}
+
 impl Layers {
     /// Allocates memory for one mask of this shape.
     ///

@@ -128,8 +128,8 @@ impl Moved {
         live.surface_groups = history.views().map(group).collect();
     }
 
-    /// Finds out what has moved since the masks of these layers were traced. Returns false if nothing has, because all
-    /// are of the picture's own time.
+    /// Finds out what has moved since those of these layers' masks were traced that are of another time than the
+    /// picture. Returns false if there are none.
     pub(super) fn encode(
         &mut self,
         gpu: &Gpu,
@@ -139,10 +139,10 @@ impl Moved {
         (history, upload): (&DepthHistory, &mut SceneUpload),
     ) -> bool {
         let Some(live) = &mut self.live else { return false };
-        let is_other = |layer: &&Layer| layer.traced_for.scene_time_s.to_bits() != now.scene_time_s.to_bits();
-        let Some(newest) = layers.iter().find(is_other) else { return false };
+        let others = || layers.iter().enumerate().filter(|(_, layer)| !layer.is_of(now.scene_time_s));
+        let Some((_, newest)) = others().next() else { return false };
         let Some(movers) = upload.movers() else { return false };
-        for (place, layer) in layers.iter().enumerate() {
+        for (place, layer) in others() {
             let before = movers.before(&movers.moment_at(layer.traced_for.scene_time_s));
             let offset = (place * size_of_val(&*before)) as u64;
             gpu.queue.write_buffer(&self.before, offset, bytemuck::cast_slice(&before));

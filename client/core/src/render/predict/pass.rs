@@ -291,7 +291,7 @@ impl PredictPass {
                 slot: layer.slot,
                 same_view: same_view.into(),
                 whole: u32::from(layer.coverage.is_none() || most == 1),
-                unused: 0,
+                same_time: u32::from(layer.is_of(seen.scene_time_s)),
             };
             count += 1;
         }

@@ -1,7 +1,10 @@
 //! What moves is drawn as the scene that stands still at that time.
 
 use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
-use gnomon_protocol::mask::{Mask, MaskShape};
+use gnomon_protocol::{
+    coverage::Coverage,
+    mask::{Mask, MaskShape},
+};
 use gnomon_scene::{
     Aabb, AlphaMode, AnimatedLight, AnimatedNode, Animation, Draw, Interpolation, Material, Piece, Place, Scene, Track,
     camera::Camera,
@@ -250,5 +253,31 @@ fn late_masks_know_where_movers_and_their_shadows_have_gone() {
         assert!(wrong(&found) * 10 < wrong(&then), "{} of {}", wrong(&found), wrong(&then));
         // Most of the picture rests, and so do most shadows.
         assert!(known * 2 > found.len(), "{known} known");
+    }
+}
+
+/// The newest mask is partial, and of the picture's own time, from another place. What an older one of another time
+/// lacks, because shadows have changed since, it still has.
+#[test]
+fn an_older_mask_takes_nothing_from_one_of_the_pictures_own_time() {
+    let (gpu, camera, scene) = (gpu(), camera(SIZE.0, SIZE.1), living(true));
+    let (then_s, now_s) = (0.4, 0.7);
+    let shape = MaskShape::new(SIZE.0, SIZE.1, 2).unwrap();
+    let [across, down] = Coverage::places(shape);
+    let left = (0..down).flat_map(|_| (0..across).map(|x| if x == 0 { 0b11 } else { 0 })).collect();
+    let (mask, part) = (stripes(), Coverage::from_words(shape, left).unwrap());
+    let aside = Camera { position_m: camera.position_m + DVec3::X * 0.05, ..camera };
+    let newest = MaskView { mask: &mask, coverage: Some(&part), more: false, traced_for: &aside, scene_time_s: now_s };
+    let older = MaskView { coverage: None, scene_time_s: then_s, ..newest };
+    let found = |older: Option<MaskView<'_>>| {
+        let mut renderer = renderer(&gpu, &scene, Exposure::of_scene(&scene, &Occluders::default()));
+        assert_eq!(renderer.set_mask(older).unwrap(), older.is_some());
+        draw(&gpu, &mut renderer, (&camera, now_s), Some(newest)).1
+    };
+    let (alone, above) = (found(None), found(Some(older)));
+    let known = alone.iter().zip(&above).filter(|(alone, _)| alone.known);
+    assert!(known.clone().filter(|(alone, _)| alone.word != 0).count() > 100);
+    for (alone, above) in known {
+        assert_eq!((alone.word, alone.known), (above.word, above.known));
     }
 }
