@@ -59,6 +59,8 @@ pub(crate) struct Play {
     follows_path: bool,
     /// Of the scene's file.
     scene_cameras: Vec<CameraPath>,
+    /// The one of them that is followed instead of the path.
+    followed: Option<CameraPath>,
     /// Time on the path.
     path_s: f64,
     next: u32,
@@ -149,6 +151,7 @@ impl Play {
             fly: Fly::from_camera(&first, speed),
             camera_path,
             scene_cameras: of_scene::paths(&scene),
+            followed: None,
             follows_path: false,
             path_s: options.settings.start_time,
             next: 0,
@@ -169,11 +172,15 @@ impl Play {
     /// Switches between the camera path and the person, who continues from the camera's current position.
     pub(crate) fn toggle_path(&mut self) {
         if self.follows_path {
-            let (width, height) = self.size();
-            let camera = self.path_camera(self.scene_time_s(), (width, height));
-            self.fly = Fly::from_camera(&camera, self.fly.speed_m_per_s());
+            self.stand(&self.path_camera(self.scene_time_s(), self.size()));
+        } else {
+            self.follows_path = true;
         }
-        self.follows_path = !self.follows_path;
+    }
+
+    fn stand(&mut self, camera: &Camera) {
+        self.fly = Fly::from_camera(camera, self.fly.speed_m_per_s());
+        (self.followed, self.follows_path) = (None, false);
     }
 
     /// Time of the scene, in seconds.
@@ -182,8 +189,9 @@ impl Play {
     }
 
     fn path_camera(&self, scene_time_s: f64, (width, height): (u32, u32)) -> Camera {
-        let time_s = if self.camera_path.follows_scene() { scene_time_s } else { self.path_s };
-        self.camera_path.camera(time_s, width, height)
+        let path = self.followed.as_ref().unwrap_or(&self.camera_path);
+        let time_s = if path.follows_scene() { scene_time_s } else { self.path_s };
+        path.camera(time_s, width, height)
     }
 
     /// Draws the next frame, `step_s` seconds after the last.
@@ -252,6 +260,9 @@ impl Play {
     fn follow(&mut self, new: NewScene, settings: &mut Settings) {
         let NewScene { url, welcome, cameras, camera_paths, .. } = new;
         settings.set_cameras(&cameras);
+        if self.followed.is_some() {
+            self.stand(&self.path_camera(self.scene_time_s(), self.size()));
+        }
         self.scene_cameras = camera_paths;
         let lights = welcome.lights;
         (settings.lights, settings.lights_on) = (lights, all_of(lights));
@@ -378,15 +389,13 @@ impl Play {
             self.driver.frames.guard = GuardChoice::new(settings.guard, self.size());
         }
         if settings.camera != self.applied.camera
-            && let Some(path) = settings.camera.and_then(|index| self.scene_cameras.get(index))
+            && let Some(path) = settings.camera.and_then(|index| self.scene_cameras.get(index)).cloned()
         {
             let (width, height) = self.size();
-            let camera = path.camera(self.scene_time_s(), width, height);
-            self.fly = Fly::from_camera(&camera, self.fly.speed_m_per_s());
+            self.stand(&path.camera(self.scene_time_s(), width, height));
             // One that moves is followed until the person leaves its path.
-            self.follows_path = path.follows_scene();
-            if self.follows_path {
-                self.camera_path = path.clone();
+            if path.follows_scene() {
+                (self.followed, self.follows_path) = (Some(path), true);
             }
         }
         if settings.lights_on != self.applied.lights_on {

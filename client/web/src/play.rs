@@ -77,6 +77,8 @@ pub struct Play {
     /// Of the scene's file.
     cameras: Vec<CameraPath>,
     camera: Option<usize>,
+    /// The one of them that is followed instead of the path.
+    followed: Option<CameraPath>,
     follows_path: bool,
     path_s: f64,
     options: Options,
@@ -136,6 +138,7 @@ impl Play {
             camera_path: path,
             cameras: of_scene::paths(scene),
             camera: None,
+            followed: None,
             follows_path: false,
             path_s: 0.0,
             options: options.clone(),
@@ -166,6 +169,9 @@ impl Play {
         let (width, height) = self.size();
         if renderer.size() != (width, height) {
             renderer.resize((width, height))?;
+        }
+        if self.followed.is_some() {
+            self.stand(&self.path_camera(now));
         }
         self.frames.change_scene(FrameNumber(self.next), renderer);
         (self.digest, self.lights, self.drawn) = (digest, lights_of(scene), 0);
@@ -312,9 +318,10 @@ impl Play {
     /// Switches between the camera path and the person, who goes on from there.
     pub fn toggle_path(&mut self, now: Instant) {
         if self.follows_path {
-            self.fly = Fly::from_camera(&self.path_camera(now), self.fly.speed_m_per_s());
+            self.stand(&self.path_camera(now));
+        } else {
+            self.follows_path = true;
         }
-        self.follows_path = !self.follows_path;
     }
 
     /// Time of the scene, in seconds.
@@ -324,8 +331,9 @@ impl Play {
 
     fn path_camera(&self, now: Instant) -> Camera {
         let (width, height) = self.size();
-        let time_s = if self.camera_path.follows_scene() { self.scene_time_s(now) } else { self.path_s };
-        self.camera_path.camera(time_s, width, height)
+        let path = self.followed.as_ref().unwrap_or(&self.camera_path);
+        let time_s = if path.follows_scene() { self.scene_time_s(now) } else { self.path_s };
+        path.camera(time_s, width, height)
     }
 
     /// Goes to the next camera of the scene's file.
@@ -336,7 +344,7 @@ impl Play {
             self.camera = Some(next);
             // One that moves is followed until the person leaves its path.
             if path.follows_scene() {
-                (self.camera_path, self.follows_path) = (path, true);
+                (self.followed, self.follows_path) = (Some(path), true);
             }
         }
     }
@@ -352,7 +360,7 @@ impl Play {
 
     fn stand(&mut self, camera: &Camera) {
         self.fly = Fly::from_camera(camera, self.fly.speed_m_per_s());
-        self.follows_path = false;
+        (self.followed, self.follows_path) = (None, false);
     }
 
     /// Where the camera is, as a link has it.
