@@ -116,6 +116,13 @@ impl Moved {
         Ok(moved)
     }
 
+    /// Compiles what late masks take.
+    pub(super) fn compile(&self, device: &wgpu::Device, upload: &SceneUpload) {
+        if let Some(live) = &self.live {
+            live.pieces_pass.compile(device, upload);
+        }
+    }
+
     /// Changes the pictures' size.
     pub(super) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
         let Some(live) = &mut self.live else { return };

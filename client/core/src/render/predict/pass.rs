@@ -157,6 +157,7 @@ impl PredictPass {
             self.kernels.get(&gpu.device, kernel);
         }
         self.depth_pass.compile(upload, Faces::Both);
+        self.moved.compile(&gpu.device, upload);
     }
 
     /// Whether every light reaches everything, for want of masks and of a predictor.

@@ -10,7 +10,7 @@ use super::depth_pass::DepthPass;
 use crate::render::{
     error::RenderError,
     pipeline::{cleared, shader},
-    scene_upload::SceneUpload,
+    scene_upload::{Batch, SceneUpload},
     targets::DEPTH,
 };
 
@@ -103,6 +103,13 @@ impl PiecesPass {
         })
     }
 
+    /// Compiles what drawing the scene's pieces takes.
+    pub(super) fn compile(&self, device: &wgpu::Device, upload: &SceneUpload) {
+        for batch in drawn(upload) {
+            self.pipeline(device, upload, (batch.is_masked(), batch.double_sided));
+        }
+    }
+
     /// Draws the pieces that a picture shows. `depth` is the picture's.
     pub(super) fn encode(
         &self,
@@ -125,10 +132,14 @@ impl PiecesPass {
         pass.set_bind_group(0, &self.group, &[]);
         upload.bind(&mut pass);
         pass.set_vertex_buffer(2, self.pieces.slice(..));
-        for batch in upload.batches.iter().filter(|batch| batch.moves && !batch.is_blended()) {
+        for batch in drawn(upload) {
             pass.set_pipeline(self.pipeline(device, upload, (batch.is_masked(), batch.double_sided)));
             pass.set_bind_group(1, &upload.materials[batch.material], &[]);
             pass.draw_indexed(batch.indices.clone(), 0, 0..1);
         }
     }
+}
+
+fn drawn(upload: &SceneUpload) -> impl Iterator<Item = &Batch> {
+    upload.batches.iter().filter(|batch| batch.moves && !batch.is_blended())
 }
