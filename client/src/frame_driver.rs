@@ -155,7 +155,7 @@ impl FrameDriver {
         let (url, welcome) = (pending.url().clone(), pending.welcome.clone());
         let (environment, _) = self.frames.renderer.environment();
         let look = {
-            let shown = scene.as_at(scene_time_s);
+            let shown = scene.bare_at(scene_time_s);
             Look::new(environment, &shown, &Occluders::largest_of(&shown), (camera, scene_time_s))
         };
         let size = self.frames.renderer.size();

@@ -80,7 +80,7 @@ pub(crate) fn load(
     });
     let (scene, connected) = get_scene(served.as_ref().unwrap_or(options), largest_mask, stop, &mut progress, trusts)?;
     let start_s = options.settings.start_time;
-    let shown = scene.as_at(start_s);
+    let shown = scene.bare_at(start_s);
     let occluders = Occluders::largest_of(&shown);
     let camera_path = match (camera_path, options.settings.path.as_ref().and_then(PathSpec::scene_camera)) {
         (Some(path), _) => path,

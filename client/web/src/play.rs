@@ -106,7 +106,7 @@ impl Play {
         now: Instant,
     ) -> Result<Self, RenderError> {
         let path = of_scene::path_of(scene, None).unwrap_or_else(|_| {
-            let shown = scene.as_at(0.0);
+            let shown = scene.bare_at(0.0);
             default_path(&shown, &Occluders::largest_of(&shown))
         });
         let path = options.walk.as_ref().map_or(path, |walk| walk.path.clone());
@@ -186,7 +186,7 @@ impl Play {
     /// Finds out how light it is, and what the sky looks like. Call before the scene's first picture.
     pub fn light(&mut self, scene: &Scene, now: Instant) {
         let (camera, scene_time_s) = (self.camera_now(now), self.scene_time_s(now));
-        let shown = scene.as_at(scene_time_s);
+        let shown = scene.bare_at(scene_time_s);
         let occluders = Occluders::largest_of(&shown);
         light(&mut self.frames.renderer, &shown, &occluders, (&camera, scene_time_s), self.options.exposure);
     }

@@ -10,8 +10,8 @@ use std::{
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Vec3, Vec4};
 
 use crate::{
-    Aabb, AnimatedCamera, AnimatedLight, AnimatedNode, Animation, Draw, Light, LightKind, NamedCamera, Piece, Place,
-    Scene, Track, light::f32_of, limits::in_reach, scene::triangle_normal,
+    Aabb, AnimatedCamera, AnimatedLight, AnimatedNode, Animation, Draw, Image, Light, LightKind, NamedCamera, Piece,
+    Place, Scene, Track, light::f32_of, limits::in_reach, scene::triangle_normal,
 };
 
 /// What moves in a scene, at one time.
@@ -115,19 +115,23 @@ impl Scene {
     /// Returns the scene as it stands at a time in seconds: one in which everything rests. It may have no triangles.
     #[must_use]
     pub fn still_at(&self, time_s: f64) -> Self {
-        self.still(When::Time(time_s))
+        self.still(self.images.clone(), When::Time(time_s))
     }
 
-    /// Returns the scene as [`Self::still_at`] does, without a copy if everything rests.
+    /// Returns the scene as [`Self::still_at`] does, for those who read no pictures: a copy has none. There is no copy
+    /// if everything rests.
     #[must_use]
-    pub fn as_at(&self, time_s: f64) -> Cow<'_, Self> {
-        if self.animation.is_some() { Cow::Owned(self.still_at(time_s)) } else { Cow::Borrowed(self) }
+    pub fn bare_at(&self, time_s: f64) -> Cow<'_, Self> {
+        if self.animation.is_none() {
+            return Cow::Borrowed(self);
+        }
+        Cow::Owned(self.still(Vec::new(), When::Time(time_s)))
     }
 
     /// Returns the scene in the pose of the file: one in which everything rests. It may have no triangles.
     #[must_use]
     pub fn at_rest(&self) -> Self {
-        self.still(When::File)
+        self.still(self.images.clone(), When::File)
     }
 
     fn moment_of(&self, animation: &Animation, when: When) -> Moment {
@@ -142,8 +146,26 @@ impl Scene {
         Moment { pieces, lights }
     }
 
-    fn still(&self, when: When) -> Self {
-        let mut scene = Self { animation: None, ..self.clone() };
+    fn still(&self, images: Vec<Image>, when: When) -> Self {
+        // Field by field: pictures and animations are large.
+        let mut scene = Self {
+            origin_m: self.origin_m,
+            bounds: self.bounds,
+            positions: self.positions.clone(),
+            normals: self.normals.clone(),
+            uvs: self.uvs.clone(),
+            uvs_1: self.uvs_1.clone(),
+            tangents: self.tangents.clone(),
+            colors: self.colors.clone(),
+            triangles: self.triangles.clone(),
+            draws: self.draws.clone(),
+            materials: self.materials.clone(),
+            images,
+            lights: self.lights.clone(),
+            cameras: self.cameras.clone(),
+            instances: self.instances,
+            animation: None,
+        };
         let Some(animation) = &self.animation else { return scene };
         let moment = self.moment_of(animation, when);
         scene.lights = moment.lights;

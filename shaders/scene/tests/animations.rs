@@ -4,9 +4,11 @@
 
 mod common;
 
+use std::borrow::Cow;
+
 use common::{files, gltf_file::GltfFile, one_light, scenes};
 use glam::{DQuat, DVec3, Vec3};
-use gnomon_scene::{LoadOptions, Scene, SceneError};
+use gnomon_scene::{Image, LoadOptions, Scene, SceneError};
 use serde_json::{Value, json};
 
 fn options(animation: &str) -> LoadOptions {
@@ -91,6 +93,13 @@ fn a_scene_at_rest_is_the_scene_without_its_animation() {
     assert_eq!(moving.at_rest(), resting);
     assert_ne!(moving.still_at(0.0), resting);
     assert_eq!(Scene { animation: None, ..moving.clone() }, resting);
+    // For those who read no pictures, they are not copied.
+    let picture = Image { encoded: vec![1], width: 1, height: 1, rgba: vec![0; 4] };
+    let pictured = Scene { images: vec![picture], ..moving.clone() };
+    let still = pictured.still_at(0.5);
+    assert_eq!(still.images, pictured.images);
+    assert_eq!(*pictured.bare_at(0.5), Scene { images: Vec::new(), ..still });
+    assert!(matches!(resting.bare_at(0.5), Cow::Borrowed(_)));
     // Nothing that rests is written twice, and a scene that rests has the bytes that it had.
     assert_eq!(moving.animation.as_ref().unwrap().positions.len(), 3);
     assert_eq!(resting.pack().unwrap()[8..12], 3_u32.to_le_bytes());
