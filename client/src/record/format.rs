@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// First line of the file, with the format's version.
-pub const FIRST_LINE: &str = "gnomon recording 4\n";
+pub const FIRST_LINE: &str = "gnomon recording 5\n";
 
 /// Longest record: the largest mask, incompressible.
 pub const MAX_RECORD_BYTES: u32 = 128 << 20;

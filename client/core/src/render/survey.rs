@@ -5,10 +5,10 @@
 
 use glam::Vec3;
 use gnomon_scene::{
-    LightKind, Scene,
+    Light, LightKind, Scene,
     camera::{Camera, Space},
 };
-use gnomon_shaders::shading::Light;
+use gnomon_shaders::shading;
 use serde::{Deserialize, Serialize};
 
 use super::exposure::{sample_points, unhidden_lux};
@@ -34,6 +34,9 @@ pub struct Survey {
     pub lux: f32,
     /// From lamps alone, typically.
     pub lamp_lux: f32,
+    /// The intensity of all lamps that gives this much. If all are off, each is taken for one of 1 cd: some may shine
+    /// later.
+    pub lamps: f32,
     /// Share of the sky's light that arrives: 1 outdoors, little in a closed room.
     pub daylight: f32,
 }
@@ -41,7 +44,7 @@ pub struct Survey {
 impl Default for Survey {
     /// Outdoors, without lamps.
     fn default() -> Self {
-        Self { lux: 1.0, lamp_lux: 0.0, daylight: 1.0 }
+        Self { lux: 1.0, lamp_lux: 0.0, lamps: 0.0, daylight: 1.0 }
     }
 }
 
@@ -53,9 +56,17 @@ impl Survey {
         if points.len() < ENOUGH {
             points = sample_points(scene);
         }
-        let lights: Vec<Light> =
-            scene.lights.iter().map(|light| Light::new(light, 1.0).in_space(Space::of(scene))).collect();
+        let mut lights: Vec<shading::Light> =
+            scene.lights.iter().map(|light| shading::Light::new(light, 1.0).in_space(Space::of(scene))).collect();
         let is_sun: Vec<bool> = scene.lights.iter().map(|light| light.kind == LightKind::Directional).collect();
+        let mut power = power_of_lamps(&scene.lights, u32::MAX);
+        let are_off = power == 0.0;
+        if are_off {
+            for (light, _) in lights.iter_mut().zip(&is_sun).filter(|(_, is_sun)| !**is_sun) {
+                light.intensity = Vec3::ONE;
+                power += 1.0;
+            }
+        }
         let (mut lux, mut lamp_lux) = (Vec::with_capacity(points.len()), Vec::with_capacity(points.len()));
         let (mut sunny, mut open, mut tried) = (0_u16, 0_u16, 0_u16);
         for (index, (point, normal)) in points.iter().enumerate() {
@@ -64,7 +75,7 @@ impl Survey {
                 let received = unhidden_lux(light, *point, *normal, reach, occluders);
                 *(if *is_sun { &mut sun } else { &mut lamps }) += received;
             }
-            lux.push(sun + lamps);
+            lux.push(if are_off { sun } else { sun + lamps });
             lamp_lux.push(lamps);
             sunny += u16::from(sun > 0.0);
             let direction = scattered(*normal, index);
@@ -81,9 +92,17 @@ impl Survey {
         Self {
             lux: typical(lux).unwrap_or(1.0),
             lamp_lux: typical(lamp_lux).unwrap_or(0.0),
+            lamps: power,
             daylight: open.max(scattered).max(LEAST_DAYLIGHT),
         }
     }
+}
+
+/// What the lamps that are on give together; bit k of `on` is 1 if light k is.
+pub(super) fn power_of_lamps(lights: &[Light], on: u32) -> f32 {
+    let lamps = lights.iter().enumerate().filter(|(_, light)| light.kind != LightKind::Directional);
+    let shining = lamps.filter(|(k, _)| on & (1 << k) != 0);
+    shining.map(|(_, light)| light.intensity * light.color.max_element()).sum()
 }
 
 /// Points that the camera's rays meet, and unit normals towards it.

@@ -13,7 +13,7 @@ mod sky;
 use std::sync::Arc;
 
 use glam::{Vec3, Vec4};
-use gnomon_scene::{Light, LightKind};
+use gnomon_scene::Light;
 use gnomon_shaders::{gpu::Gpu, shading::Lighting};
 use wgpu::util::DeviceExt as _;
 
@@ -21,7 +21,10 @@ use self::{
     cube::Cube,
     harmonics::{Harmonics, irradiance, project},
 };
-use super::{exposure::Exposure, survey::Survey};
+use super::{
+    exposure::Exposure,
+    survey::{Survey, power_of_lamps},
+};
 
 pub use panorama::{MAX_PIXELS, Panorama, PanoramaError};
 
@@ -72,8 +75,6 @@ pub(crate) struct Surroundings {
     pub(crate) sampler: wgpu::Sampler,
     harmonics: Harmonics,
     survey: Survey,
-    /// What the lamps gave together when the scene was surveyed.
-    surveyed_lamps: f32,
     /// What the sky was made of.
     suns: Vec<Vec4>,
 }
@@ -88,8 +89,7 @@ impl Surroundings {
             mipmap_filter: wgpu::MipmapFilterMode::Linear,
             ..wgpu::SamplerDescriptor::default()
         });
-        let (surveyed_lamps, suns) = (power_of_lamps(lights, u32::MAX), sky::rough(lights));
-        Self { environment, view, sampler, harmonics, survey, surveyed_lamps, suns }
+        Self { environment, view, sampler, harmonics, survey, suns: sky::rough(lights) }
     }
 
     /// Takes the lights of another time. Returns whether the sky is another one, so that [`Self::view`] is new: if a
@@ -142,8 +142,7 @@ impl Surroundings {
 
     /// Share of the lamps' surveyed light that shines.
     fn share_of_lamps(&self, lights: &[Light], on: u32) -> f32 {
-        let shining = power_of_lamps(lights, on);
-        if self.surveyed_lamps > 0.0 { shining / self.surveyed_lamps } else { 0.0 }
+        if self.survey.lamps > 0.0 { power_of_lamps(lights, on) / self.survey.lamps } else { 0.0 }
     }
 }
 
@@ -156,13 +155,6 @@ fn made(gpu: &Gpu, environment: &Environment, lights: &[Light]) -> (Harmonics, w
         Environment::Panorama(panorama) => (panorama.cube(), LEVELS),
     };
     (project(&cube), upload(gpu, &cube.mirrored(levels)))
-}
-
-/// What the lamps that are on give together.
-fn power_of_lamps(lights: &[Light], on: u32) -> f32 {
-    let lamps = lights.iter().enumerate().filter(|(_, light)| light.kind != LightKind::Directional);
-    let shining = lamps.filter(|(k, _)| on & (1 << k) != 0);
-    shining.map(|(_, light)| light.intensity * light.color.max_element()).sum()
 }
 
 /// Uploads a cube's levels, the largest first.

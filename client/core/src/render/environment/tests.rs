@@ -131,6 +131,28 @@ fn night_is_black_and_lamps_light_it_a_little() {
 }
 
 #[test]
+fn lamps_that_were_off_when_surveyed_light_the_night_later() {
+    let (gpu, mut scene) = (gpu(), floor_and_lights());
+    scene.lights.remove(0);
+    let (camera, exposure) = (camera(SIZE.0, SIZE.1), Exposure { scale: 1.0, reference_lux: 1.0 });
+    let mut dark = scene.clone();
+    dark.lights.iter_mut().for_each(|light| light.intensity = 0.0);
+    let ambient = |surveyed: &Scene, shown: &Scene| {
+        let survey = Survey::new(surveyed, &Occluders::all_of(surveyed), &camera);
+        let surroundings = Surroundings::new(&gpu, Environment::Sky, survey, &surveyed.lights);
+        let mut lighting = exposure.lighting(&shown.lights, Space::of(shown));
+        surroundings.light(&mut lighting, &shown.lights, u32::MAX, exposure);
+        lighting.ambient_above
+    };
+    let (expected, found) = (ambient(&scene, &scene), ambient(&dark, &scene));
+    assert!(expected.min_element() > 0.0);
+    // A handful of products, each rounded.
+    assert!(found.abs_diff_eq(expected, 10.0 * f32::EPSILON * expected.max_element()), "{found}, not {expected}");
+    assert_eq!(ambient(&dark, &dark), Vec3::ZERO);
+    assert_eq!(Survey::new(&dark, &Occluders::all_of(&dark), &camera).lux, 1.0);
+}
+
+#[test]
 fn the_sky_lights_what_it_reaches() {
     let (gpu, scene) = (gpu(), floor_and_lights());
     let exposure = Exposure { scale: 0.5, reference_lux: 1.0 };

@@ -167,7 +167,7 @@ fn a_moving_scene_is_drawn_as_the_still_one_of_its_time() {
 fn the_sky_follows_a_sun() {
     let (gpu, camera, scene) = (gpu(), camera(SIZE.0, SIZE.1), living(true));
     let exposure = Exposure::of_scene(&scene, &Occluders::default());
-    let survey = Survey { lux: 3.0, lamp_lux: 0.0, daylight: 0.8 };
+    let survey = Survey { lux: 3.0, daylight: 0.8, ..Survey::default() };
     let drawn = |scene: &Scene, time_s: f64| {
         let mut renderer = renderer(&gpu, scene, exposure);
         renderer.set_environment(Environment::Sky, survey);
