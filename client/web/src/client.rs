@@ -7,7 +7,7 @@ use gnomon_client_core::{
     frame::mode::Mode,
     input::{Controls, Sticks},
     predictor::Predictor,
-    render::{FrameRenderer, debug_view::DebugView, readback::Picture},
+    render::{debug_view::DebugView, readback::Picture},
 };
 use gnomon_protocol::{
     PROTOCOL_VERSION,
@@ -30,6 +30,7 @@ use crate::{
     options::{Options, Settings, Walk},
     pace::Pace,
     play::Play,
+    preparing::Preparing,
     renderer::new_renderer,
     scene_fetch::digest_of,
     screen::Screen,
@@ -96,15 +97,6 @@ pub struct Client {
     drawn: bool,
     shadowed: bool,
     shown: bool,
-}
-
-/// How far a scene is on its way from bytes to pictures.
-enum Preparing {
-    Unpacked(Box<Scene>),
-    /// The adapter compiles.
-    Uploaded(Box<(Scene, FrameRenderer)>),
-    /// Poses can be sent. How light it is is not known yet.
-    Dark(Box<Scene>),
 }
 
 fn failed(error: impl std::fmt::Display) -> JsError {

@@ -15,6 +15,8 @@ pub mod keys;
 pub mod options;
 pub mod pace;
 pub mod play;
+#[cfg(target_arch = "wasm32")]
+mod preparing;
 pub mod reception;
 pub mod renderer;
 pub mod scene_fetch;

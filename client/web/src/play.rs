@@ -1,5 +1,7 @@
 //! A scene that is walked through: poses out, masks in, pictures into whatever view the page gives.
 
+mod walk;
+
 use std::{collections::VecDeque, time::Duration};
 
 use gnomon_client_core::{
@@ -11,7 +13,7 @@ use gnomon_client_core::{
         stats::{FrameStats, StageTimes},
     },
     input::fly::{Fly, Motion},
-    mask::{digest::digest, queue::MaskQueue, received::ReceivedMask},
+    mask::{queue::MaskQueue, received::ReceivedMask},
     occluders::Occluders,
     render::{FrameRenderer, RenderError, debug_view::DebugView},
 };
@@ -226,14 +228,18 @@ impl Play {
             return false;
         }
         if self.awaited_since.is_some_and(|sent| now.saturating_duration_since(sent) > PATIENCE) {
-            // The same pose: a mask that is under way answers it, too.
-            let frame = FrameNumber(self.next);
-            if let (Some(reception), Some(request)) = (&mut self.reception, self.frames.matcher.request(frame)) {
-                reception.send_pose_again(frame, &request.pose);
-            }
-            self.awaited_since = Some(now);
+            self.ask_again(now);
         }
         true
+    }
+
+    /// Sends the pose of the next frame again. It is the same: a mask that is under way answers it, too.
+    fn ask_again(&mut self, now: Instant) {
+        let frame = FrameNumber(self.next);
+        if let (Some(reception), Some(request)) = (&mut self.reception, self.frames.matcher.request(frame)) {
+            reception.send_pose_again(frame, &request.pose);
+        }
+        self.awaited_since = Some(now);
     }
 
     /// Returns whether pictures are still drafts, which lack what takes long to compile.
@@ -446,69 +452,10 @@ impl Play {
         self.frames.mask_lags(FrameNumber(self.next.saturating_sub(1)))
     }
 
-    /// Draws the next frame of a walk as soon as its own mask has come.
-    fn walk(
-        &mut self,
-        now: Instant,
-        target: impl FnOnce(&mut FrameRenderer, &Camera, f32) -> Result<(), RenderError>,
-    ) -> Result<Option<Drawn>, RenderError> {
-        let Some(reception) = &mut self.reception else { return Ok(None) };
-        let Some(walk) = &self.options.walk else { return Ok(None) };
-        let (width, height) = self.frames.renderer.size();
-        let (frame, time_s) = (FrameNumber(self.next), walk.time_s(self.next));
-        let camera = walk.path.camera(time_s, width, height);
-        let arrived = self.next + 1 >= walk.frames;
-        match self.awaited_since {
-            None => {
-                let request = self.frames.request(frame, &camera, time_s, now, true);
-                if let Some(pose) = &request.pose {
-                    reception.send_pose(frame, pose);
-                }
-                self.awaited_since = Some(now);
-            }
-            Some(since) if now.saturating_duration_since(since) > PATIENCE => {
-                if let Some(request) = self.frames.matcher.request(frame) {
-                    reception.send_pose_again(frame, &request.pose);
-                }
-                self.awaited_since = Some(now);
-            }
-            Some(_) => {}
-        }
-        if !self.has_mask_of(frame.0) {
-            return Ok(None);
-        }
-        let response = self.frames.accept_masks(self.front.iter(), now)?;
-        let digest = self.front.back().map(|mask| digest(&mask.mask)).unwrap_or_default();
-        let drawing = self.frames.choose(frame, &camera, now);
-        self.frames.renderer.set_time(drawing.scene_time_s);
-        self.frames.renderer.draw_surfaces(&drawing.camera)?;
-        target(&mut self.frames.renderer, &drawing.camera, drawing.decision.visibility_share)?;
-        let outcome = (&drawing, 0, response);
-        let stats = self.frames.stats(frame, now, outcome, &StageTimes::default(), "live");
-        self.next += 1;
-        self.awaited_since = None;
-        Ok(Some(Drawn { stats, walked: Some((frame.0, digest)), arrived }))
-    }
-
-    /// Returns the next frame of the walk, while there is one.
-    #[must_use]
-    pub fn next_of_walk(&self) -> Option<u32> {
-        self.options.walk.as_ref().map(|_| self.next)
-    }
-
     /// Returns whether the whole mask of this frame has come.
     pub fn has_mask_of(&mut self, frame: u32) -> bool {
         self.queue.take(&mut self.front);
         self.front.back().is_some_and(|mask| mask.frame == FrameNumber(frame) && mask.coverage.is_whole())
-    }
-
-    /// Leaves the walk's path to the person, who goes on from its end.
-    pub fn end_walk(&mut self) {
-        if let Some(walk) = self.options.walk.take() {
-            let camera = walk.path.camera(walk.path.duration_s(), 1, 1);
-            self.stand(&camera);
-            self.frames.stream(!self.gpu.is_software());
-        }
     }
 }
 

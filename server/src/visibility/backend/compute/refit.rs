@@ -77,8 +77,8 @@ pub(super) fn refit(
 }
 
 /// Sets the grid of a node and the boxes of its children, inverted where there is nothing. Returns the bounds of all.
-/// A node with nothing keeps the boxes that it had: its parent's box of it is inverted, so no ray visits it, and a block
-/// of rays that does finds triangles without an area.
+/// A node with nothing keeps the boxes that it had: its parent's box of it is inverted, so no ray visits it, and a
+/// block of rays that does finds triangles without an area.
 fn set_boxes(node: &mut CwBvhNode, boxes: [Bounds; WIDTH]) -> Bounds {
     let all = boxes.into_iter().reduce(joined).unwrap_or(NOTHING);
     let [min, max] = all;
