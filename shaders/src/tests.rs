@@ -90,7 +90,7 @@ fn host_types_have_the_layout_of_their_wgsl_twins() {
     );
     let predict = module("shading/predict.wgsl");
     assert_layout!(predict, Prediction, [layers, count, predictor, unknown, lights]);
-    assert_layout!(predict, MaskLayer, [view, slot, same_view, whole]);
+    assert_layout!(predict, MaskLayer, [view, slot, same_view, whole, same_time]);
     assert_layout!(predict, Before, [x, y, z]);
     assert_layout!(predict, ShadowView, [clip_from_local, left, top, side, texel_m]);
     let gbuffer = module("shading/gbuffer.wgsl");
