@@ -165,14 +165,18 @@ fn short_frames_overtake_a_long_one_and_no_bit_changes() {
         assert_eq!(rig.interrupted(), 1);
         for frame in 10..15 {
             ask(&modest, frame, SHORT);
+            // Later frames may wait their turn: how much time they have used depends on the machine.
+            if frame == 10 {
+                // Until it has come, or is whole on a device: a busy host may hear of it after the long one.
+                let on_device = |rig: &mut Rig| rig.worker.tracer.load().is_some_and(|load| load.in_flight > 0);
+                while modest.masks.waiting() == 0 && !on_device(&mut rig) {
+                    rig.step();
+                }
+                assert_eq!(rig.interrupted(), 1, "the short frame waited for the long one");
+            }
             let traced = rig.mask(&mut modest);
             assert!(traced.frame == FrameNumber(frame) && traced.mask == whole(&mut reference, frame, SHORT));
             modest.recycle(traced.mask);
-            // Later frames may wait their turn: how much time they have used depends on the machine.
-            if frame == 10 {
-                assert_eq!(rig.interrupted(), 1, "the short frame waited for the long one");
-                assert!(greedy.masks.try_recv().is_err());
-            }
         }
         let traced = rig.mask(&mut greedy);
         let expected = whole(&mut reference, 1, LONG);
