@@ -81,7 +81,8 @@ pub struct TracedCounts {
     lists_end: u32,
     /// Primary rays tested against a list.
     pub primary_listed: u32,
-    unused: [u32; 2],
+    /// Blocks in the queue, of primary rays and of shadow rays.
+    queued: [u32; 4],
 }
 
 /// What decides a light's relevance and the end of its shadow rays.

@@ -2,11 +2,8 @@
 
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"
-#import "shared/ray.wgsl"
-#import "visibility/traverse.wgsl"
 #import "visibility/counts.wgsl"
-#import "visibility/primary_ray.wgsl"
-#import "visibility/surface.wgsl"
+#import "visibility/primary_seen.wgsl"
 
 var<immediate> view: TracedView;
 
@@ -24,13 +21,7 @@ fn primary(
     let row = view.first_row + place.y;
     let pixel = vec2u(place.x, row) * TILE_PX + local.xy;
     let bit = mask_bit(local.xy);
-    var seen = vec4u(0u);
-    if pixel.x < view.width && pixel.y < view.height {
-        let hit = intersect(make_ray(view.origin, pixel_direction(pixel)));
-        if hit.triangle != NOTHING {
-            seen = surface(hit);
-        }
-    }
+    let seen = seen_at(pixel);
     let tile = row * tiles.x + place.x;
     surfaces[tile * 64u + bit] = seen;
 

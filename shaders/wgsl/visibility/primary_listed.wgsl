@@ -1,5 +1,6 @@
 // Finds the surface points of each block of pixels among the block's list. A workgroup takes a block, so its 256 rays
-// share what is read of a triangle.
+// share what is read of a triangle. The first layer of workgroups traces the rays of blocks without a list: few, and
+// they take long, so they go first, and lists are tested beside them.
 
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"
@@ -8,16 +9,18 @@
 #import "visibility/counts.wgsl"
 #import "visibility/lists.wgsl"
 #import "visibility/candidates.wgsl"
+#import "visibility/primary_queued.wgsl"
 #import "visibility/frustum.wgsl"
 #import "visibility/primary_ray.wgsl"
 #import "visibility/surface.wgsl"
 
 var<immediate> view: TracedView;
 
+const QUEUE: u32 = PRIMARY_QUEUE;
+
 // As in visibility/primary.wgsl.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
 
-var<workgroup> block_rays: atomic<u32>;
 var<workgroup> block_pixels_seen: atomic<u32>;
 // Whether a ray hits nothing before the depth from which on triangles are not listed.
 var<workgroup> is_beyond_list: atomic<u32>;
@@ -52,7 +55,24 @@ fn nearer(candidate: u32, ray: Ray, nearest: Nearest) -> Nearest {
 }
 
 @compute @workgroup_size(256)
-fn primary_listed(@builtin(workgroup_id) block: vec3u, @builtin(local_invocation_index) number: u32) {
+fn primary_listed(
+    @builtin(workgroup_id) block: vec3u,
+    @builtin(num_workgroups) blocks: vec3u,
+    @builtin(local_invocation_index) number: u32,
+) {
+    if block.z == 0u {
+        let first = block.y * blocks.x + block.x;
+        if first == 0u && number == 0u {
+            // Those of an earlier part are done with.
+            atomicStore(&counts[SHADOW_QUEUE], 0u);
+            atomicStore(&counts[SHADOW_QUEUE + 1u], 0u);
+        }
+        let end = atomicLoad(&counts[QUEUE]);
+        for (var i = first; i < end; i += blocks.x * blocks.y) {
+            trace_queued(i, number);
+        }
+        return;
+    }
     let at = states_at(block.xy * BLOCK_TILES);
     let state = states[at];
     if state.x == STATE_OPEN {
@@ -60,14 +80,11 @@ fn primary_listed(@builtin(workgroup_id) block: vec3u, @builtin(local_invocation
     }
     if number == 0u {
         atomicStore(&is_beyond_list, 0u);
-        atomicStore(&block_rays, 0u);
         atomicStore(&block_pixels_seen, 0u);
     }
     let place = block_pixel(block.xy, number);
-    let tile = block.xy * BLOCK_TILES + vec2u(place.within & 1u, (place.within >> 1u) + view.first_row);
-    let pixel = tile * TILE_PX + vec2u(place.bit % TILE_PX, place.bit / TILE_PX);
-    let is_seen = place.is_inside && pixel.x < view.width && pixel.y < view.height;
-    let direction = pixel_direction(pixel);
+    let is_seen = place.is_inside && place.pixel.x < view.width && place.pixel.y < view.height;
+    let direction = pixel_direction(place.pixel);
     let ray = make_ray(view.origin, direction);
     var nearest = Nearest(ClosestHit(NOTHING, vec3f(0.0), false), FARTHEST);
     let count = state.x - 1u;
@@ -95,7 +112,7 @@ fn primary_listed(@builtin(workgroup_id) block: vec3u, @builtin(local_invocation
     workgroupBarrier();
     if atomicLoad(&is_beyond_list) == 1u {
         if number == 0u {
-            states[at] = vec2u(STATE_OPEN, 0u);
+            queue_again(block.xy, 0u);
         }
         return;
     }
@@ -103,13 +120,8 @@ fn primary_listed(@builtin(workgroup_id) block: vec3u, @builtin(local_invocation
     if nearest.hit.triangle != NOTHING {
         seen = surface(nearest.hit);
     }
-    if place.is_inside {
-        surfaces[place.tile * 64u + place.bit] = seen;
-    }
-    atomicAdd(&block_rays, countOneBits(seen.w));
-    workgroupBarrier();
+    take(place, seen, number);
     if number == 0u {
-        atomicAdd(&counts[COUNT_RAYS], atomicLoad(&block_rays));
         atomicAdd(&counts[COUNT_PRIMARY_LISTED], atomicLoad(&block_pixels_seen));
     }
 }

@@ -16,6 +16,8 @@
 
 var<immediate> view: TracedView;
 
+const QUEUE: u32 = PRIMARY_QUEUE;
+
 const COVER_ENDS_WALK: bool = false;
 // Few, so that covering triangles are known early.
 const ENOUGH_FOUND: u32 = 8u;
@@ -91,5 +93,8 @@ fn primary_lists(@builtin(workgroup_id) place: vec3u, @builtin(local_invocation_
     }
     if lane == 0u {
         states[states_at(place.xy * BLOCK_TILES)] = state;
+        if state.x == STATE_OPEN {
+            queue_without_list(place.xy, 0u);
+        }
     }
 }

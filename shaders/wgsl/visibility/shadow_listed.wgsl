@@ -1,5 +1,6 @@
 // Tests the shadow rays of each block of pixels and each light against the block's list. A workgroup takes a block, so
-// its 256 rays share what is read of a triangle.
+// its 256 rays share what is read of a triangle. The first layer of workgroups traces the rays of blocks without a list:
+// few, and they take long, so they go first, and lists are tested beside them.
 
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"
@@ -7,15 +8,17 @@
 #import "shared/alpha.wgsl"
 #import "visibility/lists.wgsl"
 #import "visibility/candidates.wgsl"
+#import "visibility/shadow_queued.wgsl"
 #import "visibility/shadow_ray.wgsl"
 
 var<immediate> view: TracedView;
+
+const QUEUE: u32 = SHADOW_QUEUE;
 
 // Written by the kernels of primary rays.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
 @group(1) @binding(1) var<storage, read_write> mask: array<u32>;
 
-var<workgroup> block_words: array<atomic<u32>, 8>;
 // Whether a ray passes the triangle that should cover the light.
 var<workgroup> is_lit_beside_cover: atomic<u32>;
 
@@ -36,7 +39,25 @@ fn is_stopped_by(candidate: u32, ray: Ray, end: End) -> bool {
 }
 
 @compute @workgroup_size(256)
-fn shadow_listed(@builtin(workgroup_id) block: vec3u, @builtin(local_invocation_index) number: u32) {
+fn shadow_listed(
+    @builtin(workgroup_id) place: vec3u,
+    @builtin(num_workgroups) blocks: vec3u,
+    @builtin(local_invocation_index) number: u32,
+) {
+    if place.z == 0u {
+        let first = place.y * blocks.x + place.x;
+        if first == 0u && number == 0u {
+            // Those of primary rays are done with.
+            atomicStore(&counts[PRIMARY_QUEUE], 0u);
+            atomicStore(&counts[PRIMARY_QUEUE + 1u], 0u);
+        }
+        let end = atomicLoad(&counts[QUEUE]);
+        for (var i = first; i < end; i += blocks.x * blocks.y) {
+            trace_queued(i, number);
+        }
+        return;
+    }
+    let block = vec3u(place.xy, place.z - 1u);
     let at = states_at(block.xy * BLOCK_TILES) + block.z;
     let state = states[at];
     if state.x == STATE_OPEN {
@@ -90,13 +111,9 @@ fn shadow_listed(@builtin(workgroup_id) block: vec3u, @builtin(local_invocation_
     if atomicLoad(&is_lit_beside_cover) == 1u {
         // Whether other triangles stop this ray is not known.
         if number == 0u {
-            states[at] = vec2u(STATE_OPEN, 0u);
+            queue_again(block.xy, block.z);
         }
         return;
     }
-    if pixel.is_inside && (pixel.bit & 31u) == 0u {
-        // A plane is the size of the whole picture; this may be a part of it.
-        let plane = tiles_across(view.width) * tiles_across(view.height);
-        mask[mask_word(block.z, plane, pixel.tile, pixel.bit)] = atomicLoad(&block_words[number >> 5u]);
-    }
+    write_words(pixel, block.z, number);
 }

@@ -10,6 +10,8 @@
 
 var<immediate> view: TracedView;
 
+const QUEUE: u32 = SHADOW_QUEUE;
+
 // Written by the kernels of primary rays.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
 
@@ -59,6 +61,9 @@ fn shadow_lists(@builtin(workgroup_id) place: vec3u, @builtin(local_invocation_i
     }
     if lane == 0u {
         states[states_at(block * BLOCK_TILES) + own_light] = state;
+        if state.x == STATE_OPEN {
+            queue_without_list(block, own_light);
+        }
         if rays > 0u && state.x != STATE_OPEN {
             let found = select(COUNT_LISTED, COUNT_PROVEN_LIT, state.x == 0u);
             atomicAdd(&counts[select(found, COUNT_PROVEN_DARK, state.x == STATE_COVERED)], rays);

@@ -1,47 +1,31 @@
-// Traces the shadow rays of blocks without a list one by one, as visibility/shadow.wgsl does. A workgroup is one tile
-// and one light. Tiles that took their lights one after the other were a third slower: few have work, and it is long.
+// Traces the shadow rays of blocks whose list did not do one by one. Few are left, so few workgroups take them in turns.
 
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"
-#import "shared/ray.wgsl"
-#import "visibility/traverse.wgsl"
 #import "visibility/counts.wgsl"
 #import "visibility/lists.wgsl"
-#import "visibility/shadow_ray.wgsl"
+#import "visibility/shadow_queued.wgsl"
 
 var<immediate> view: TracedView;
+
+const QUEUE: u32 = SHADOW_QUEUE;
 
 // Written by the kernels of primary rays.
 @group(1) @binding(0) var<storage, read_write> surfaces: array<vec4u>;
 @group(1) @binding(1) var<storage, read_write> mask: array<u32>;
 
-var<workgroup> tile_words: array<atomic<u32>, 2>;
-
-@compute @workgroup_size(8, 8)
+@compute @workgroup_size(256)
 fn shadow_rest(
-    @builtin(workgroup_id) place: vec3u,
-    @builtin(num_workgroups) tiles: vec3u,
-    @builtin(local_invocation_id) local: vec3u,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) number: u32,
 ) {
-    let bit = mask_bit(local.xy);
-    if bit == 0u && all(place == vec3u(0u)) {
+    if group.x == 0u && number == 0u {
         // This part's lists are done with.
         atomicStore(&counts[LISTS_END], 0u);
     }
-    if states[states_at(place.xy) + place.z].x != STATE_OPEN {
-        return;
-    }
-    let tile = (view.first_row + place.y) * tiles.x + place.x;
-    let seen = surfaces[tile * 64u + bit];
-    let needed = ((seen.w >> place.z) & 1u) == 1u;
-    let light = lights[view.first_light + place.z];
-    if needed && !occluded(shadow_ray(bitcast<vec3f>(seen.xyz), light), shadow_end(light)) {
-        atomicOr(&tile_words[bit >> 5u], 1u << (bit & 31u));
-    }
-    workgroupBarrier();
-    if bit < 2u {
-        // A plane is the size of the whole picture; this may be a part of it.
-        let plane = tiles.x * tiles_across(view.height);
-        mask[mask_word(place.z, plane, tile, bit * 32u)] = atomicLoad(&tile_words[bit]);
+    let count = atomicLoad(&counts[QUEUE + 1u]);
+    for (var i = group.x; i < count; i += groups.x) {
+        trace_queued(arrayLength(&queue) - 1u - i, number);
     }
 }

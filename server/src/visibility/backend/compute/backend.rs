@@ -16,7 +16,7 @@ use super::{
     acceleration::Structures,
     enlarge,
     geometry::Geometry,
-    kernels::{self, KernelOptions, Kernels, KernelsFor, Lists, SCENE_BUFFERS, Traversal},
+    kernels::{self, KernelOptions, Kernels, Lists, SCENE_BUFFERS, Traversal},
     limit::{PictureLimit, binding_limit},
     movers::{Movers, Posed, RegionBuffers, Sizes},
     ring::{Capacity, RING_FRAMES, Ring, SLOTS},
@@ -174,8 +174,7 @@ impl ComputeBackend {
             moving_bytes: movers.as_ref().map_or(0, Movers::room_bytes),
             mask_bytes: 0,
         };
-        let kernels_for = KernelsFor { alpha_materials: &geometry.alpha_materials, lights: scene.lights.len() };
-        let kernels = Kernels::new(&gpu, kernels_for, options)?;
+        let kernels = Kernels::new(&gpu, &geometry.alpha_materials, options)?;
         let (nodes, structures) = match traversal {
             Traversal::Hierarchy => (geometry.nodes.len(), None),
             Traversal::RayQuery => {

@@ -25,9 +25,12 @@ const PIECE_WORDS: usize = 1 << 17;
 /// A kernel, and its workgroups across, down, and by light.
 type Dispatch<'a> = (&'a wgpu::ComputePipeline, (u32, u32), u32);
 
+/// Workgroups for the few blocks whose list did not do: one for each multiprocessor of a large GPU.
+const REST_GROUPS: u32 = 128;
+
 fn listed_work(kernels: &Listed, tiles: (u32, u32), lights: u32) -> Vec<Dispatch<'_>> {
     let blocks = blocks(tiles.0, tiles.1);
-    vec![(&kernels.find, blocks, lights), (&kernels.test, blocks, lights), (&kernels.rest, tiles, lights)]
+    vec![(&kernels.find, blocks, lights), (&kernels.test, blocks, lights + 1), (&kernels.rest, (REST_GROUPS, 1), 1)]
 }
 
 /// Rays that were not counted elsewhere are traced.

@@ -41,10 +41,10 @@ pub(super) const SUBGROUPS: wgpu::Features = wgpu::Features::SUBGROUP;
 pub(super) const SCENE_BUFFERS: usize = 7;
 /// Storage buffers that hold a frame without lists, and with lists.
 const FRAME_BUFFERS: usize = 3;
-const LISTED_FRAME_BUFFERS: usize = 5;
+const LISTED_FRAME_BUFFERS: usize = 6;
 /// Storage buffers that a kernel reads or writes, without lists and with them.
 const BUFFERS: u32 = 10;
-const LISTED_BUFFERS: u32 = 12;
+const LISTED_BUFFERS: u32 = 13;
 
 #[derive(Debug)]
 pub(super) struct Kernels {
@@ -71,17 +71,16 @@ pub(super) struct ListKernels {
 pub(super) struct Listed {
     /// `visibility/…_lists.wgsl`: a workgroup a block (and light).
     pub(super) find: wgpu::ComputePipeline,
-    /// `visibility/…_listed.wgsl`: the same.
+    /// `visibility/…_listed.wgsl`: the same, and as many for the queue.
     pub(super) test: wgpu::ComputePipeline,
-    /// `visibility/…_rest.wgsl`: a workgroup a tile (and light).
+    /// `visibility/…_rest.wgsl`: any number of workgroups.
     pub(super) rest: wgpu::ComputePipeline,
 }
 
 /// When blocks of pixels share lists of triangles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Lists {
-    /// Where they were measured to be faster: on GPUs whose subgroups have 32 lanes, for several lights and large
-    /// pictures.
+    /// Where they were measured to be faster: on GPUs whose subgroups have 32 lanes, for large pictures.
     #[default]
     WherePaid,
     /// On every device that can. For tests: software adapters are slower with lists.
@@ -90,20 +89,17 @@ pub enum Lists {
 }
 
 impl Lists {
-    /// Lights from which lists pay.
-    const PAID_LIGHTS: usize = 2;
     /// Pixels from which lists pay. The blocks of smaller pictures see more of the scene, and have no lists more often.
-    const PAID_PIXELS: usize = 1_500_000;
+    const PAID_PIXELS: usize = 500_000;
 
     /// The smallest picture that uses lists; `None` if none does.
-    fn least_pixels(self, gpu: &Gpu, traversal: Traversal, lights: usize) -> Option<usize> {
+    fn least_pixels(self, gpu: &Gpu, traversal: Traversal) -> Option<usize> {
         let buffers = gpu.device.limits().max_storage_buffers_per_shader_stage;
         if traversal != Traversal::Hierarchy || buffers < LISTED_BUFFERS {
             return None;
         }
-        let pays = !gpu.is_software() && has_subgroups(gpu) && lights >= Self::PAID_LIGHTS;
         match self {
-            Self::WherePaid => pays.then_some(Self::PAID_PIXELS),
+            Self::WherePaid => (!gpu.is_software() && has_subgroups(gpu)).then_some(Self::PAID_PIXELS),
             Self::Always => Some(0),
             Self::Never => None,
         }
@@ -123,15 +119,18 @@ pub(super) struct FrameBuffers<'a> {
     pub(super) mask: &'a wgpu::Buffer,
     /// [`gnomon_shaders::host::TracedCounts`].
     pub(super) counts: &'a wgpu::Buffer,
-    /// The blocks' states and lists; unused by kernels without lists.
-    pub(super) lists: [&'a wgpu::Buffer; 2],
+    /// The blocks' states, lists and queue; unused by kernels without lists.
+    pub(super) lists: [&'a wgpu::Buffer; 3],
 }
 
 impl Kernels {
     /// Compiles the kernels for a scene. Errors if the device lacks a feature or a limit. The device's error handler
     /// gets what the device itself refuses.
-    pub(super) fn new(gpu: &Gpu, scene: KernelsFor<'_>, options: KernelOptions) -> Result<Self, BackendError> {
-        let KernelsFor { alpha_materials, lights } = scene;
+    pub(super) fn new(
+        gpu: &Gpu,
+        alpha_materials: &[AlphaMaterial],
+        options: KernelOptions,
+    ) -> Result<Self, BackendError> {
         let KernelOptions { traversal, lists, offset_roundings } = options;
         if traversal == Traversal::RayQuery {
             acceleration::check(gpu)?;
@@ -154,7 +153,7 @@ impl Kernels {
             scene_types.push(acceleration::structure_type());
         }
         let scene = layout(&gpu.device, "scene", scene_types);
-        let least_pixels = lists.least_pixels(gpu, traversal, lights);
+        let least_pixels = lists.least_pixels(gpu, traversal);
         let frame_buffers = if least_pixels.is_some() { LISTED_FRAME_BUFFERS } else { FRAME_BUFFERS };
         let frame = layout(&gpu.device, "frame", (0..frame_buffers).map(|_| buffer_type(false)));
         let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -218,18 +217,11 @@ impl Kernels {
     }
 
     pub(super) fn bind_frame(&self, device: &wgpu::Device, buffers: FrameBuffers<'_>) -> wgpu::BindGroup {
-        let FrameBuffers { surfaces, mask, counts, lists: [states, lists] } = buffers;
+        let FrameBuffers { surfaces, mask, counts, lists: [states, lists, queue] } = buffers;
         let used = if self.lists.is_some() { LISTED_FRAME_BUFFERS } else { FRAME_BUFFERS };
-        let buffers = [surfaces, mask, counts, states, lists].map(wgpu::Buffer::as_entire_binding);
+        let buffers = [surfaces, mask, counts, states, lists, queue].map(wgpu::Buffer::as_entire_binding);
         bind(device, "frame", &self.frame, buffers.into_iter().take(used))
     }
-}
-
-/// What the kernels must know of the scene.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct KernelsFor<'a> {
-    pub(super) alpha_materials: &'a [AlphaMaterial],
-    pub(super) lights: usize,
 }
 
 #[derive(Debug, Clone, Copy)]

@@ -30,8 +30,9 @@ const SURFACE_BYTES: u64 = 16;
 const TILE_PIXELS: u64 = 64;
 /// Sides of a block in `wgsl/visibility/lists.wgsl`, in tiles.
 pub(super) const BLOCK_TILES: u32 = 2;
-/// A block's state for a light.
+/// A block's state for a light, and its place in the queue.
 const STATE_BYTES: u64 = 8;
+const QUEUE_BYTES: u64 = 4;
 /// Room for lists, for each block and light. Full lists of Sponza take a third of it on average. Blocks that find no
 /// room are traced ray by ray.
 const LIST_BYTES: u64 = 128;
@@ -141,10 +142,12 @@ impl Ring {
         let for_lists = |bytes: u64| if kernels.lists.is_some() { bytes } else { UNUSED_BYTES };
         let states = buffer("states of blocks", for_lists(capacity.shafts * STATE_BYTES), Usage::STORAGE);
         let lists = buffer("lists of blocks", for_lists(capacity.shafts * LIST_BYTES), Usage::STORAGE);
+        let queue = buffer("queue of blocks", for_lists(capacity.shafts * QUEUE_BYTES), Usage::STORAGE);
         let slots = std::array::from_fn(|_| {
             let mask = buffer("mask", capacity.mask_bytes, Usage::STORAGE | Usage::COPY_SRC);
             let counts = buffer("counts", COUNTS_BYTES, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST);
-            let buffers = FrameBuffers { surfaces: &surfaces, mask: &mask, counts: &counts, lists: [&states, &lists] };
+            let lists = [&states, &lists, &queue];
+            let buffers = FrameBuffers { surfaces: &surfaces, mask: &mask, counts: &counts, lists };
             Slot {
                 group: kernels.bind_frame(device, buffers),
                 mask,
