@@ -201,7 +201,7 @@ impl FrameDriver {
         }
         if waits {
             // Draws the surfaces while waiting for the mask.
-            self.frames.renderer.set_time(scene_time_s);
+            self.frames.show_requested(frame);
             self.frames.renderer.draw_surfaces(&camera)?;
             times.surfaces = clock.lap();
             if let Some(link) = &mut self.link {
@@ -220,7 +220,7 @@ impl FrameDriver {
         let drawing = self.frames.choose(frame, &camera, begun);
         let renderer = &mut self.frames.renderer;
         if !waits {
-            renderer.set_time(drawing.scene_time_s);
+            renderer.set_time(&drawing.scene);
             renderer.draw_surfaces(&drawing.camera)?;
             times.surfaces = clock.lap();
         }
@@ -236,7 +236,7 @@ impl FrameDriver {
                 frame: frame.0,
                 requested: (&camera).into(),
                 shown: (&drawing.camera).into(),
-                scene_time_s: drawing.scene_time_s,
+                scene_time_s: drawing.scene.time_s,
                 visibility_share: drawing.decision.visibility_share,
                 timing: (&stats).into(),
             })?;

@@ -11,7 +11,7 @@ from aioquic.quic.configuration import QuicConfiguration
 from aioquic.quic.events import DatagramFrameReceived, StreamDataReceived
 from cryptography.hazmat.primitives.serialization import Encoding
 
-VERSION, PLANES_LZ4, WIDTH, HEIGHT = 6, 2, 72, 40
+VERSION, PLANES_LZ4, WIDTH, HEIGHT = 7, 2, 72, 40
 
 
 def varint(value):

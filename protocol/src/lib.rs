@@ -27,4 +27,4 @@ pub use self::{
 };
 
 /// Version of everything in this crate that a peer can see. Peers with different versions refuse each other.
-pub const PROTOCOL_VERSION: u16 = 6;
+pub const PROTOCOL_VERSION: u16 = 7;

@@ -143,7 +143,7 @@ fn message() {
         ServerMessage::SceneChunk { offset: 65_536, bytes: vec![1; 100] },
         ServerMessage::Pong(300),
         ServerMessage::Draining { reason: text(), deadline_ms: 5000, alternative: Some(text()) },
-        ServerMessage::Closing { reason: text() },
+        ServerMessage::Closing { reason: text(), may_return: false },
     ];
     let encoded = client.iter().map(message::encode).chain(server.iter().map(message::encode));
     let seeds: Vec<_> = encoded.map(|bytes| bytes.unwrap()[4..].to_vec()).collect();

@@ -24,7 +24,7 @@ fn hex(text: &str) -> Vec<u8> {
 
 #[test]
 fn version() {
-    assert_eq!(PROTOCOL_VERSION, 6);
+    assert_eq!(PROTOCOL_VERSION, 7);
 }
 
 #[test]
@@ -155,7 +155,8 @@ fn server_messages() {
         (ServerMessage::Pong(5), "02000000 | 03 05".to_owned()),
         (draining(Some("u")), "09000000 | 04 02'7570 8827 01'01'75".to_owned()),
         (draining(None), "07000000 | 04 02'7570 8827 00".to_owned()),
-        (ServerMessage::Closing { reason: "end".into() }, "05000000 | 05 03'656e64".to_owned()),
+        (ServerMessage::Closing { reason: "end".into(), may_return: true }, "06000000 | 05 03'656e64 01".to_owned()),
+        (ServerMessage::Closing { reason: "end".into(), may_return: false }, "06000000 | 05 03'656e64 00".to_owned()),
     ] {
         assert_eq!(message::encode(&message), Ok(hex(&bytes)));
         assert_eq!(message::decode(&hex(&bytes)[4..]), Ok(message));

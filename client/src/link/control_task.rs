@@ -72,7 +72,10 @@ impl ControlTask {
                     let deadline = Instant::now() + Duration::from_millis(deadline_ms.into());
                     self.health.update(|health| health.draining = Some(Draining { reason, deadline, alternative }));
                 }
-                Some(Ok(ServerMessage::Closing { reason })) => return format!("closed by the server: {reason}"),
+                Some(Ok(ServerMessage::Closing { reason, may_return })) => {
+                    self.health.update(|health| health.dismissed = !may_return);
+                    return format!("closed by the server: {reason}");
+                }
                 Some(Ok(message)) => {
                     let violation = format!("the server violates the protocol: {message:?}");
                     return violation.chars().take(200).collect();

@@ -167,7 +167,7 @@ async fn close_at(stop: Stop, quic: QuicHandle) {
 fn unexpected(url: &ServerUrl, message: ServerMessage) -> ClientError {
     let url = Box::new(url.clone());
     let name = match message {
-        ServerMessage::Closing { reason } | ServerMessage::Draining { reason, .. } => {
+        ServerMessage::Closing { reason, .. } | ServerMessage::Draining { reason, .. } => {
             return ClientError::Connect { url, reason: reason.to_string() };
         }
         ServerMessage::Welcome(_) => "Welcome",

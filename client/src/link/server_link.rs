@@ -77,6 +77,7 @@ impl ServerLink {
     pub(crate) fn state(&self) -> LinkState {
         let health = self.session.health();
         match (&self.reconnect, self.masks.ended(), health.draining) {
+            (_, Some(reason), _) if health.dismissed => LinkState::Lost { reason, retry_at: None },
             // The search starts with the next frame.
             (None, Some(reason), _) => LinkState::Lost { reason, retry_at: Some(Instant::now()) },
             (Some(reconnect), Some(_), _) => reconnect.state(),
@@ -91,7 +92,7 @@ impl ServerLink {
     }
 
     /// Starts or ends the search for a new connection. The search runs while the server is lost or silent, or is about
-    /// to stop and names an alternative. The old connection is used as long as possible.
+    /// to stop and names an alternative, but never after it has sent the client away. The old connection is used as long as possible.
     ///
     /// # Errors
     /// Errors if a file of masks could not be written: no other connection can mend that.
@@ -103,6 +104,10 @@ impl ServerLink {
             return Ok(None);
         }
         let health = self.session.health();
+        if health.dismissed {
+            self.reconnect = None;
+            return Ok(None);
+        }
         let lost = self.masks.ended().or_else(|| health.silent.then(|| "the server is silent".to_owned()));
         let alternative = health.draining.and_then(|notice| notice.alternative);
         match (&mut self.reconnect, lost, alternative) {

@@ -11,7 +11,7 @@ use gnomon_protocol::{
     coverage::Coverage,
     mask::{Mask, MaskShape, ShapeError},
 };
-use gnomon_scene::{Scene, camera::Camera};
+use gnomon_scene::{Scene, SceneAt, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 use thiserror::Error;
 
@@ -158,7 +158,7 @@ pub fn replay<E: From<ReplayError>>(
             Record::Split(split) => renderer.set_split(*split),
             Record::View(view) => renderer.set_debug_view(*view),
             Record::Mask { frame, traced_for, scene_time_s, body, coverage } => {
-                let scene_time_s = *scene_time_s;
+                let at = SceneAt::from(*scene_time_s);
                 let traced_for = Camera::from(traced_for);
                 let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
                 let shape = MaskShape::new(traced_for.width, traced_for.height, lights).map_err(ReplayError::from);
@@ -172,7 +172,7 @@ pub fn replay<E: From<ReplayError>>(
                 let coverage = coverage.transpose()?;
                 let more = newest_mask_frame.replace(*frame) == Some(*frame);
                 let coverage = coverage.as_ref();
-                let view = MaskView { mask: &mask, coverage, more, traced_for: &traced_for, scene_time_s };
+                let view = MaskView { mask: &mask, coverage, more, traced_for: &traced_for, scene: &at };
                 renderer.set_mask(Some(view)).map_err(render)?;
             }
             Record::Frame { frame, .. } if !wanted(*frame) => {}

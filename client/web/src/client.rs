@@ -212,7 +212,9 @@ impl Client {
                 // Its certificates are not those that it shows to browsers, so that a page cannot follow.
                 "elsewhere": alternative.map(|url| url.to_string()),
             }),
-            Event::Closing(reason) => json!({ "is": "closing", "reason": reason.to_string() }),
+            Event::Closing { reason, may_return } => {
+                json!({ "is": "closing", "reason": reason.to_string(), "may_return": may_return })
+            }
         };
         Some(value.to_string())
     }

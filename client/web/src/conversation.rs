@@ -48,7 +48,11 @@ pub enum Event {
         deadline: Duration,
         alternative: Option<PeerText>,
     },
-    Closing(PeerText),
+    Closing {
+        reason: PeerText,
+        /// Whether the page may come back by itself.
+        may_return: bool,
+    },
 }
 
 /// How the server broke the rules.
@@ -146,7 +150,7 @@ impl Conversation {
             (ServerMessage::Draining { reason, deadline_ms, alternative }, _) => {
                 Event::Draining { reason, deadline: Duration::from_millis(deadline_ms.into()), alternative }
             }
-            (ServerMessage::Closing { reason }, _) => Event::Closing(reason),
+            (ServerMessage::Closing { reason, may_return }, _) => Event::Closing { reason, may_return },
             (ServerMessage::Welcome(_), Some(_)) => return Err(ConversationError::OutOfTurn("another Welcome")),
             (ServerMessage::Refused(_), Some(_)) => return Err(ConversationError::OutOfTurn("a refusal")),
             (_, None) => return Err(ConversationError::OutOfTurn("a message before Welcome")),

@@ -437,7 +437,7 @@ impl Play {
         if std::mem::replace(&mut self.shown_view, view) != view {
             self.frames.renderer.set_debug_view(view);
         }
-        self.frames.renderer.set_time(drawing.scene_time_s);
+        self.frames.renderer.set_time(&drawing.scene);
         self.frames.renderer.draw_surfaces(&drawing.camera)?;
         target(&mut self.frames.renderer, &drawing.camera, drawing.decision.visibility_share)?;
         let link = if connected { "live" } else { "lost" };

@@ -87,6 +87,8 @@ pub enum ServerMessage {
     /// The session ends now.
     Closing {
         reason: PeerText,
+        /// False if the session was ended by an operator, or with its token: the client must not come back by itself.
+        may_return: bool,
     },
 }
 
@@ -224,7 +226,7 @@ impl CheckText for ServerMessage {
                 check("reason", reason.unescaped().len(), MAX_TEXT_BYTES)?;
                 check("alternative", alternative.as_ref().map_or(0, |url| url.unescaped().len()), MAX_TEXT_BYTES)
             }
-            Self::Closing { reason } => check("reason", reason.unescaped().len(), MAX_TEXT_BYTES),
+            Self::Closing { reason, .. } => check("reason", reason.unescaped().len(), MAX_TEXT_BYTES),
             Self::SceneChunk { bytes, .. } => check("scene chunk", bytes.len(), SCENE_CHUNK_BYTES),
             Self::Refused(_) | Self::Pong(_) => Ok(()),
         }
@@ -289,7 +291,7 @@ mod tests {
             alternative: Some(text(alternative).into()),
         };
         let chunk = |bytes| ServerMessage::SceneChunk { offset: 0, bytes: vec![0; bytes] };
-        let closing = |bytes| ServerMessage::Closing { reason: text(bytes).into() };
+        let closing = |bytes| ServerMessage::Closing { reason: text(bytes).into(), may_return: true };
         let busy = |bytes| ServerMessage::Refused(Refusal::Busy { reason: text(bytes).into(), retry_after_ms: 5 });
         let unsupported = |bytes| ServerMessage::Refused(Refusal::Unsupported(text(bytes).into()));
         for (good, bad, field, limit) in [

@@ -160,7 +160,7 @@ mod tests {
             queued <= 7 + (CONTROL_QUEUE + 1) * SCENE_CHUNK_BYTES,
             "{queued} bytes queued for a client that reads none"
         );
-        outbox.notify(ServerMessage::Closing { reason: "test".into() });
+        outbox.notify(ServerMessage::Closing { reason: "test".into(), may_return: true });
 
         let whole = scene.clone();
         let pumping = tokio::spawn(async move {

@@ -53,7 +53,8 @@ pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Serv
     session.stream_task.shutdown().await;
     closer.announce(end.code(), &end.reason());
     if !matches!(end, End::Left | End::Lost(_)) {
-        session.outbox.notify(ServerMessage::Closing { reason: end.reason().as_ref().into() });
+        let (reason, may_return) = (end.reason().as_ref().into(), end.may_return());
+        session.outbox.notify(ServerMessage::Closing { reason, may_return });
         // Closing at once would overtake the message, so wait until the client has read it and left.
         session.outbox.finish(limits::LINGER).await;
         let _ = timeout(limits::LINGER, session.reader.drain()).await;

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS, pose::Pose};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 use web_time::Instant;
 
 use super::{
@@ -38,11 +38,10 @@ pub struct PoseRequest {
 }
 
 /// What a frame draws.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Drawing {
     pub camera: Camera,
-    /// Time of the scene, in seconds.
-    pub scene_time_s: f64,
+    pub scene: SceneAt,
     pub decision: Decision,
 }
 
@@ -130,7 +129,8 @@ impl FrameLoop {
             mask_px: [wide.width, wide.height].map(|side| u16::try_from(side).unwrap_or(u16::MAX)),
             look_ahead_ms,
         };
-        let view = self.matcher.viewpoint(wide, scene_time_s);
+        let scene = SceneAt::from(scene_time_s);
+        let view = self.matcher.viewpoint(wide, &scene);
         let needed = connected && self.matcher.should_request(frame, &view, now);
         let sends = match self.source {
             MaskSource::Offline => false,
@@ -138,8 +138,23 @@ impl FrameLoop {
             MaskSource::Streamed { .. } => needed,
         };
         let sent_at = sends.then_some(now);
-        self.matcher.insert(MaskRequest { frame, begun: now, camera: *camera, mask_camera: wide, pose, sent_at });
+        self.matcher.insert(MaskRequest {
+            frame,
+            begun: now,
+            camera: *camera,
+            mask_camera: wide,
+            scene,
+            pose,
+            sent_at,
+        });
         PoseRequest { pose: sends.then_some(pose), look_ahead_ms }
+    }
+
+    /// Lets the renderer show what the frame, which was requested, shows of the scene.
+    pub fn show_requested(&mut self, frame: FrameNumber) {
+        if let Some(request) = self.matcher.request(frame) {
+            self.renderer.set_time(&request.scene);
+        }
     }
 
     /// Passes those of `masks` that answer a request to the renderer, oldest first. Returns the newest response time.
@@ -159,7 +174,7 @@ impl FrameLoop {
                 coverage: Some(&mask.coverage),
                 more: matched.more,
                 traced_for: &matched.traced_for.camera,
-                scene_time_s: matched.traced_for.scene_time_s,
+                scene: &matched.traced_for.scene,
             }))?;
             if used {
                 response = matched.response;
@@ -175,11 +190,11 @@ impl FrameLoop {
     /// Chooses the camera to draw from, at which time of the scene, and the weight of received visibility. The frame
     /// was requested.
     pub fn choose(&mut self, frame: FrameNumber, camera: &Camera, now: Instant) -> Drawing {
-        let scene_time_s = self.matcher.request(frame).map_or(0.0, |request| request.pose.scene_time_s);
+        let scene = self.matcher.request(frame).map(|request| request.scene.clone()).unwrap_or_default();
         let previous = self.previous.replace((*camera, now));
         if !matches!(self.source, MaskSource::Streamed { .. }) {
             let decision = Decision { state: State::Concurrent, visibility_share: 1.0 };
-            return Drawing { camera: *camera, scene_time_s, decision };
+            return Drawing { camera: *camera, scene, decision };
         }
         let current = self.matcher.current();
         let step_s = previous.map_or(0.0, |(_, previous)| now.duration_since(previous).as_secs_f64());
@@ -193,11 +208,11 @@ impl FrameLoop {
                 state => tracing::info!(frame = frame.0, ?lag, ?state, "visibility"),
             }
         }
-        let (camera, scene_time_s) = match (decision.state, current) {
-            (State::Sequential, Some(current)) => (current.request.camera, current.request.pose.scene_time_s),
-            _ => (*camera, scene_time_s),
+        let (camera, scene) = match (decision.state, current) {
+            (State::Sequential, Some(current)) => (current.request.camera, current.request.scene.clone()),
+            _ => (*camera, scene),
         };
-        Drawing { camera, scene_time_s, decision }
+        Drawing { camera, scene, decision }
     }
 
     /// Returns the statistics of a frame that was shown.
@@ -382,7 +397,7 @@ mod tests {
                 if asks {
                     let mask = ReceivedMask { frame: number, ..ReceivedMask::blank(shape, now) };
                     frames.accept_masks([mask].iter(), now).unwrap();
-                    assert_eq!(frames.choose(number, &camera, now).scene_time_s, scene_time_s);
+                    assert_eq!(frames.choose(number, &camera, now).scene, scene_time_s.into());
                     assert_eq!(frames.mask_lags(number), [0; MAX_LAYERS]);
                 }
                 asks

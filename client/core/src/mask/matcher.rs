@@ -7,7 +7,7 @@ use gnomon_protocol::{
     ids::FrameNumber,
     limits::{MAX_LAYERS, MAX_LOOK_AHEAD_MS},
 };
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 use web_time::Instant;
 
 use super::{
@@ -30,7 +30,7 @@ pub struct MaskMatcher {
     coverage: Option<Coverage>,
     /// Views of the latest masks and the frames that requested them, newest first; at most one for each layer.
     views: VecDeque<(Viewpoint, FrameNumber)>,
-    /// Whether something moves in the scene.
+    /// Whether something in the scene moves with time.
     scene_moves: bool,
     last_request: Option<Instant>,
     /// The last frame whose pose was sent more than once.
@@ -42,7 +42,7 @@ pub struct MaskMatcher {
 }
 
 /// The mask that the renderer uses.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct CurrentMask {
     pub request: MaskRequest,
     /// The view that it was traced for.
@@ -71,7 +71,7 @@ impl CurrentMask {
 }
 
 /// A mask that answers a request.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct MatchedMask {
     /// The view that it was traced for.
     pub traced_for: Viewpoint,
@@ -82,16 +82,17 @@ pub struct MatchedMask {
 }
 
 impl MaskMatcher {
-    /// A matcher for a scene in which something moves, or nothing.
+    /// A matcher for a scene in which something moves with time, or nothing.
     #[must_use]
     pub fn new(scene_moves: bool) -> Self {
         Self { scene_moves, ..Self::default() }
     }
 
-    /// Returns what a camera sees at a time of the scene, in seconds.
+    /// Returns what a camera sees of the scene in this state.
     #[must_use]
-    pub fn viewpoint(&self, camera: Camera, scene_time_s: f64) -> Viewpoint {
-        if self.scene_moves { Viewpoint { camera, scene_time_s } } else { Viewpoint::resting(camera) }
+    pub fn viewpoint(&self, camera: Camera, scene: &SceneAt) -> Viewpoint {
+        let scene = scene.clone();
+        Viewpoint { camera, scene: if self.scene_moves { scene } else { scene.at_any_time() } }
     }
 
     /// Returns whether to request a mask for `view`, and counts it as requested if so. False while every tile of that
@@ -155,12 +156,16 @@ impl MaskMatcher {
     /// # Errors
     /// If it answers no request of the current connection.
     pub fn find(&self, mask: &ReceivedMask) -> Result<(MaskRequest, Viewpoint), Rejection> {
-        let request = *self.history.answered(mask.frame, mask.mask.shape())?;
-        let traced_for = mask.traced_for.map_or((request.mask_camera, request.pose.scene_time_s), |pose| {
-            let camera = Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, request.pose.mask_px);
-            (camera, pose.scene_time_s)
-        });
-        Ok((request, self.viewpoint(traced_for.0, traced_for.1)))
+        let request = self.history.answered(mask.frame, mask.mask.shape())?.clone();
+        let (camera, scene) = match &mask.traced_for {
+            None => (request.mask_camera, request.scene.clone()),
+            Some(pose) => (
+                Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, request.pose.mask_px),
+                SceneAt { time_s: pose.scene_time_s, ..request.scene.clone() },
+            ),
+        };
+        let traced_for = self.viewpoint(camera, &scene);
+        Ok((request, traced_for))
     }
 
     /// Makes `mask` the current one. Returns `None` and counts a rejection if it answers no request.
@@ -173,24 +178,27 @@ impl MaskMatcher {
                 return None;
             }
         };
-        let more = self.current.is_some_and(|current| current.request.frame == request.frame);
+        let more = self.current.as_ref().is_some_and(|current| current.request.frame == request.frame);
         let response = request.sent_at.map(|sent| mask.received_at.saturating_duration_since(sent));
-        let same_view = self.current.filter(|before| before.traced_for == traced_for);
+        let same_view = self.current.as_ref().filter(|before| before.traced_for == traced_for);
         let (as_of, as_of_begun) = same_view
             .filter(|before| before.as_of > request.frame)
             .map_or((request.frame, request.begun), |before| (before.as_of, before.as_of_begun));
-        let before = self.coverage.take().filter(|_| same_view.is_some());
+        let is_same = same_view.is_some();
+        let before = self.coverage.take().filter(|_| is_same);
         self.coverage = Some(before.map_or_else(|| mask.coverage.clone(), |before| before.or(&mask.coverage)));
         let (bytes, packets) = (mask.payload_bytes, mask.packets);
-        self.current = Some(CurrentMask { request, traced_for, as_of, as_of_begun, bytes, packets });
         self.views.truncate(MAX_LAYERS - 1);
-        self.views.push_front((traced_for, request.frame));
+        self.views.push_front((traced_for.clone(), request.frame));
+        let (frame, sent_at) = (request.frame, request.sent_at);
+        let seen = traced_for.clone();
+        self.current = Some(CurrentMask { request, traced_for: seen, as_of, as_of_begun, bytes, packets });
         // Karn's rule for round trips: the response to a repeated pose says nothing about the server. If it counted,
         // one lost frame would make the next loss cost twice as much.
-        if self.repeated != Some(request.frame) && !more {
+        if self.repeated != Some(frame) && !more {
             let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
             self.slowest_response = response.map(|response| response.max(faded)).or(self.slowest_response);
-            let latency = request.sent_at.map(|sent| shown_at.saturating_duration_since(sent));
+            let latency = sent_at.map(|sent| shown_at.saturating_duration_since(sent));
             let smoothed = latency.map(|latency| self.latency.map_or(latency, |before| (before * 7 + latency) / 8));
             self.latency = smoothed.or(self.latency);
         }
@@ -216,7 +224,7 @@ impl MaskMatcher {
     /// Returns the age in frames of the masks traced for `views`, newest first.
     #[must_use]
     pub fn lags<'a>(&self, frame: FrameNumber, mut views: impl Iterator<Item = &'a Viewpoint>) -> [u32; MAX_LAYERS] {
-        let newest = views.next().zip(self.current).map_or(0, |(_, current)| current.lag(frame));
+        let newest = views.next().zip(self.current.as_ref()).map_or(0, |(_, current)| current.lag(frame));
         let requested_by =
             |view: &Viewpoint| self.views.iter().find(|(known, _)| known == view).map(|(_, frame)| frame.0);
         let older = views.map(|view| requested_by(view).map_or(newest, |requested| frame.0.saturating_sub(requested)));

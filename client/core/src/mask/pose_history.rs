@@ -3,7 +3,7 @@
 use std::{collections::VecDeque, time::Duration};
 
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose::Pose};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 use serde::Serialize;
 use web_time::Instant;
 
@@ -17,7 +17,7 @@ const MIN_FRAMES: usize = 256;
 const MAX_FRAMES: usize = 1 << 16;
 
 /// A frame and the mask requested for it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct MaskRequest {
     pub frame: FrameNumber,
     /// When the frame began.
@@ -27,6 +27,8 @@ pub struct MaskRequest {
     /// The same with the guard band. Stored as computed: if it were rebuilt from the pose, its quaternion would be
     /// normalised twice, could differ in the last bit, and would count as another view.
     pub mask_camera: Camera,
+    /// What the picture shows of the scene.
+    pub scene: SceneAt,
     /// The pose as sent, with the mask's size and field of view.
     pub pose: Pose,
     /// `None` if no server was connected or the frame needed no mask.
@@ -175,7 +177,15 @@ mod tests {
             height: 36,
         };
         let sent_at = sent.then_some(begun);
-        MaskRequest { frame: FrameNumber(frame), begun, camera, mask_camera: camera, pose, sent_at }
+        MaskRequest {
+            frame: FrameNumber(frame),
+            begun,
+            camera,
+            mask_camera: camera,
+            scene: SceneAt::default(),
+            pose,
+            sent_at,
+        }
     }
 
     /// Inserts 8 s of frames at this rate. Returns how many of them are remembered.

@@ -3,6 +3,7 @@
 use std::{convert::Infallible, io, time::Instant};
 
 use gnomon_protocol::{mask::MaskShape, pose};
+use gnomon_scene::SceneAt;
 use tokio::sync::watch;
 
 use super::{
@@ -63,8 +64,8 @@ pub(in crate::session) async fn receive_poses(
         ledger.set_newest_requested(frame);
         let predicted = look_ahead.predict(&pose);
         let traced = predicted.as_ref().unwrap_or(&pose);
-        let (camera, scene_time_s) = (pose_camera(traced), traced.scene_time_s);
+        let (camera, scene) = (pose_camera(traced), SceneAt::from(traced.scene_time_s));
         let interval = interval.update(received_at);
-        requests.request(TraceRequest { frame, camera, scene_time_s, ahead: predicted, received_at, interval });
+        requests.request(TraceRequest { frame, camera, scene, ahead: predicted, received_at, interval });
     }
 }

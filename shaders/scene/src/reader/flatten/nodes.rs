@@ -121,6 +121,8 @@ fn animated_node(
     let changing = |track: &Option<Track>, width| track.clone().filter(|track| !track.is_constant(width));
     let shown = tracks.visible.as_ref().filter(|track| track.is_constant(1)).map(|track| track.sample::<1>(0.0));
     AnimatedNode {
+        name: String::new(),
+        editable: false,
         parent: above.map(|above| above.node),
         above: animated_from_own,
         translation_m,
