@@ -118,7 +118,7 @@ class Client(QuicConnectionProtocol):
 
     async def frame(self, position):
         """Sends the pose of frame 0 until its mask comes."""
-        pose = struct.pack("<9d", *position, 0, 0, 0, 1, 1.2, 0) + struct.pack("<IHHH", 0, WIDTH, HEIGHT, 0)
+        pose = struct.pack("<9d", *position, 0, 0, 0, 1, 1.2, 0) + struct.pack("<IHHHI", 0, WIDTH, HEIGHT, 0, 0)
         parts = {}
         for sequence in range(200):
             header = struct.pack("<IIHHI", sequence, 0, len(pose), 0, 0xFFFFFFFF)

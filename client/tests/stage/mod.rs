@@ -227,6 +227,9 @@ impl Session<'_> {
             backend: "stage".into(),
             data_port: Some(port),
             resume: ResumeToken([7; 16]),
+            may_edit: true,
+            shared_world: false,
+            revision: 0,
         }));
         let mut started = false;
         let mut data = Some(data);

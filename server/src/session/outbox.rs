@@ -49,6 +49,11 @@ impl Outbox {
         }
     }
 
+    /// Whether no message waits for the writer.
+    pub(super) fn is_empty(&self) -> bool {
+        self.priority.is_empty()
+    }
+
     pub(super) fn send_scene_from(&mut self, offset: usize) {
         self.scene_next = Some(offset);
     }

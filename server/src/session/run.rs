@@ -16,7 +16,7 @@ use crate::{
 /// Serves an admitted client until it leaves, is lost, or the server stops. Then releases its permits.
 pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Services>) {
     let started_at = Instant::now();
-    let AdmittedClient { mut permit, port, shape, coding, rate_hz, client, reservation, mut grant } = admitted;
+    let AdmittedClient { mut permit, port, shape, coding, rate_hz, client, reservation, mut grant, world } = admitted;
     let codec = coding.codec;
     tracing::info!(%client, width = shape.width(), height = shape.height(), %codec, "session started");
     let closer = link.data.closer();
@@ -38,6 +38,7 @@ pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Serv
         stream_task: JoinSet::new(),
         stream: Some(Stream { data: link.data, port, shape, coding, in_background: rate_hz.is_none() }),
         fetches: 0,
+        world,
         ledger: Arc::clone(&ledger),
         services,
     };

@@ -117,7 +117,7 @@ pub const MAX_CAMERAS: usize = 1 << 8;
 pub const MAX_COORDINATE_M: f64 = 1e9;
 
 /// Nodes and lights of a scene that are edited at once.
-pub const MAX_EDITED: usize = 4096;
+pub const MAX_EDITED: usize = 1024;
 
 /// Returns whether a position in world space is finite and within [`MAX_COORDINATE_M`].
 pub(super) fn in_reach(position: DVec3) -> bool {

@@ -2,11 +2,11 @@
 //!
 //! The program around it supplies time and masks, sends the poses, shows the pictures and measures the stages.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use glam::DVec3;
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS, pose::Pose};
-use gnomon_scene::{SceneAt, camera::Camera};
+use gnomon_scene::{Edit, SceneAt, camera::Camera};
 use web_time::Instant;
 
 use super::{
@@ -15,7 +15,7 @@ use super::{
     stats::{FrameStats, StageTimes, millis},
 };
 use crate::{
-    mask::{matcher::MaskMatcher, pose_history::MaskRequest, received::ReceivedMask},
+    mask::{matcher::MaskMatcher, pose_history::MaskRequest, received::ReceivedMask, world::WorldError},
     render::{FrameRenderer, RenderError, predict::MaskView},
 };
 
@@ -46,6 +46,19 @@ pub struct Drawing {
 }
 
 /// Makes the decisions of each frame, and owns the renderer.
+///
+/// An application that moves things itself hands their transforms over before each frame:
+///
+/// ```
+/// use gnomon_client_core::{frame::frame_loop::FrameLoop, mask::world::WorldError};
+/// use gnomon_scene::{Edit, NodeEdit};
+///
+/// /// `door` is the number of a node that may be edited: its place in `scene.animation`'s nodes.
+/// fn turn(frames: &mut FrameLoop, door: u32, angle_rad: f64) -> Result<(), WorldError> {
+///     let rotation = Some(glam::DQuat::from_rotation_y(angle_rad));
+///     frames.edit(&[Edit::Node(door, NodeEdit { rotation, ..NodeEdit::default() })])
+/// }
+/// ```
 #[derive(Debug)]
 pub struct FrameLoop {
     pub renderer: FrameRenderer,
@@ -99,8 +112,16 @@ impl FrameLoop {
         self.matcher.scene_changed(frame, self.renderer.moves());
     }
 
-    /// Remembers the frame and decides whether it needs a new mask. `scene_time_s` is the scene's time, in seconds;
-    /// `connected` is false while no mask can arrive.
+    /// Changes nodes and lights from the next frame on. An edit replaces what was said of its node or light before.
+    ///
+    /// # Errors
+    /// If the server does not let this client edit.
+    pub fn edit(&mut self, edits: &[Edit]) -> Result<(), WorldError> {
+        self.matcher.world.edit(edits)
+    }
+
+    /// Remembers the frame and decides whether it needs a new mask. `scene_time_s` is the scene's time, in seconds,
+    /// unless the server's clock gives it; `connected` is false while no mask can arrive.
     pub fn request(
         &mut self,
         frame: FrameNumber,
@@ -119,17 +140,19 @@ impl FrameLoop {
         // Wraps after 49 days, as documented at the field.
         #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³²")]
         let client_time_ms = now.duration_since(self.started).as_millis() as u32;
+        let (now_s, world) = (self.matcher.world.scene_time_s(now), &self.matcher.world);
+        let scene = SceneAt { time_s: now_s.unwrap_or(scene_time_s), edits: Arc::clone(world.drawn()) };
         let pose = Pose {
             position_m: wide.position_m.to_array(),
             orientation: wide.orientation.to_array(),
             yfov_rad: wide.yfov_rad,
-            scene_time_s,
+            scene_time_s: scene.time_s,
             client_time_ms,
             // Sides are at most 4096.
             mask_px: [wide.width, wide.height].map(|side| u16::try_from(side).unwrap_or(u16::MAX)),
             look_ahead_ms,
+            revision: world.revision(),
         };
-        let scene = SceneAt::from(scene_time_s);
         let view = self.matcher.viewpoint(wide, &scene);
         let needed = connected && self.matcher.should_request(frame, &view, now);
         let sends = match self.source {

@@ -1,11 +1,12 @@
 //! Finds the request that each received mask answers, and decides when to request another one.
 
-use std::{collections::VecDeque, time::Duration};
+use std::{collections::VecDeque, sync::Arc, time::Duration};
 
 use gnomon_protocol::{
     coverage::Coverage,
     ids::FrameNumber,
     limits::{MAX_LAYERS, MAX_LOOK_AHEAD_MS},
+    pose::Pose,
 };
 use gnomon_scene::{SceneAt, camera::Camera};
 use web_time::Instant;
@@ -13,6 +14,7 @@ use web_time::Instant;
 use super::{
     pose_history::{MaskRequest, PoseHistory, Rejection, Rejections},
     received::ReceivedMask,
+    world::World,
 };
 use crate::camera::Viewpoint;
 
@@ -23,6 +25,8 @@ const REFRESH: Duration = Duration::from_secs(1);
 /// Matches masks with requests and keeps the latencies that follow from it.
 #[derive(Debug, Default)]
 pub struct MaskMatcher {
+    /// What people have changed in the scene.
+    pub world: World,
     history: PoseHistory,
     rejections: Rejections,
     current: Option<CurrentMask>,
@@ -136,6 +140,7 @@ impl MaskMatcher {
     /// Forgets all masks: from `frame` on, they are of another scene and go over a new connection.
     pub fn scene_changed(&mut self, frame: FrameNumber, moves: bool) {
         self.scene_moves = moves;
+        self.world.forget();
         self.reconnected(frame);
         self.forget_masks();
     }
@@ -154,16 +159,21 @@ impl MaskMatcher {
     /// Returns the request that `mask` answers and the view that it was traced for.
     ///
     /// # Errors
-    /// If it answers no request of the current connection.
+    /// If it answers no request of the current connection, or was traced with an unknown state of the scene.
     pub fn find(&self, mask: &ReceivedMask) -> Result<(MaskRequest, Viewpoint), Rejection> {
         let request = self.history.answered(mask.frame, mask.mask.shape())?.clone();
-        let (camera, scene) = match &mask.traced_for {
-            None => (request.mask_camera, request.scene.clone()),
-            Some(pose) => (
-                Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, request.pose.mask_px),
-                SceneAt { time_s: pose.scene_time_s, ..request.scene.clone() },
-            ),
+        let pose = mask.traced_for.as_ref();
+        let revision = pose.map_or(request.pose.revision, |pose| pose.revision);
+        let edits = Arc::clone(self.world.state(revision)?);
+        // As computed: see `MaskRequest::mask_camera`.
+        let same_camera = |pose: &Pose| {
+            let own = &request.pose;
+            pose.position_m == own.position_m && pose.orientation == own.orientation && pose.yfov_rad == own.yfov_rad
         };
+        let camera = pose.filter(|pose| !same_camera(pose)).map_or(request.mask_camera, |pose| {
+            Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, request.pose.mask_px)
+        });
+        let scene = SceneAt { time_s: pose.map_or(request.scene.time_s, |pose| pose.scene_time_s), edits };
         let traced_for = self.viewpoint(camera, &scene);
         Ok((request, traced_for))
     }

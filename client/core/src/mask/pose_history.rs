@@ -49,6 +49,10 @@ pub enum Rejection {
     BeforeReconnect,
     /// Its size or its number of lights differs from the requested one.
     WrongSize,
+    /// It was traced with a state of the scene that the client has not heard of yet.
+    UnknownRevision,
+    /// It was traced with a state of the scene that the client has forgotten.
+    OldRevision,
 }
 
 /// Rejected masks by cause.
@@ -59,6 +63,8 @@ pub struct Rejections {
     pub never_sent: u64,
     pub before_reconnect: u64,
     pub wrong_size: u64,
+    pub unknown_revision: u64,
+    pub old_revision: u64,
 }
 
 impl Rejections {
@@ -69,6 +75,8 @@ impl Rejections {
             Rejection::NeverSent => &mut self.never_sent,
             Rejection::BeforeReconnect => &mut self.before_reconnect,
             Rejection::WrongSize => &mut self.wrong_size,
+            Rejection::UnknownRevision => &mut self.unknown_revision,
+            Rejection::OldRevision => &mut self.old_revision,
         };
         *counter += 1;
     }
@@ -168,6 +176,7 @@ mod tests {
             client_time_ms: 0,
             mask_px: [64, 36],
             look_ahead_ms: 0,
+            revision: 0,
         };
         let camera = Camera {
             position_m: DVec3::X * f64::from(frame),
@@ -252,10 +261,20 @@ mod tests {
             Rejection::BeforeReconnect,
             Rejection::WrongSize,
             Rejection::WrongSize,
+            Rejection::UnknownRevision,
+            Rejection::OldRevision,
         ] {
             counts.count(rejection);
         }
-        let expected = Rejections { future: 1, forgotten: 1, never_sent: 1, before_reconnect: 1, wrong_size: 2 };
+        let expected = Rejections {
+            future: 1,
+            forgotten: 1,
+            never_sent: 1,
+            before_reconnect: 1,
+            wrong_size: 2,
+            unknown_revision: 1,
+            old_revision: 1,
+        };
         assert_eq!(counts, expected);
     }
 }
