@@ -104,6 +104,9 @@ pub struct Reading {
     /// Name or number of the material variant to show [default: none]
     #[arg(long, value_name = "NAME")]
     pub variant: Option<String>,
+    /// Names of the nodes that may be moved and hidden, with commas between, or `all` [default: none]
+    #[arg(long, value_name = "NAME[,NAME…]")]
+    pub editable: Option<String>,
 }
 
 impl Reading {
@@ -116,6 +119,7 @@ impl Reading {
             (self.scene_name.is_some(), "scene-name"),
             (self.animation.is_some(), "animation"),
             (self.variant.is_some(), "variant"),
+            (self.editable.is_some(), "editable"),
         ];
         given.into_iter().find_map(|(is_given, flag)| is_given.then_some(flag))
     }
@@ -128,6 +132,7 @@ impl Reading {
             scene: self.scene_name,
             animation: self.animation,
             variant: self.variant,
+            editable: self.editable.iter().flat_map(|names| names.split(',')).map(str::to_owned).collect(),
         };
         LocalScene { file, options }
     }
@@ -306,7 +311,8 @@ mod tests {
         };
         assert_eq!(options_with("", "a/room.glb --headless --wait").unwrap().source, Source::File(file(None)));
         assert_eq!(options_with("", "a/room.glb --lights 2").unwrap().source, Source::File(file(Some(2))));
-        let line = "--default-light off --scene-name=-2 --animation=-all --variant red --lights-from l.json";
+        let line =
+            "--default-light off --scene-name=-2 --animation=-all --variant red --lights-from l.json --editable=a,b";
         let Source::File(chosen) = options_with("", &format!("a/room.glb {line}")).unwrap().source else {
             panic!("no file");
         };
@@ -319,6 +325,7 @@ mod tests {
                 scene: Some("-2".to_owned()),
                 animation: Some("-all".to_owned()),
                 variant: Some("red".to_owned()),
+                editable: vec!["a".to_owned(), "b".to_owned()],
             }
         );
         // The server is told the same.
@@ -326,7 +333,7 @@ mod tests {
         let told = chosen.server_arguments();
         assert_eq!(
             told.iter().map(|word| word.to_str().unwrap()).collect::<Vec<_>>(),
-            [&words[..], &["--animation=-all", "--variant=red"]].concat()
+            [&words[..], &["--animation=-all", "--variant=red", "--editable=a,b"]].concat()
         );
         assert_eq!(
             options_with("", &format!("{URL} --variant red")).unwrap_err(),

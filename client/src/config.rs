@@ -64,6 +64,10 @@ pub struct ClientSettings {
     /// Shade each frame with its own mask, and wait for it
     #[arg(long, help_heading = "Headless runs")]
     pub wait: bool,
+    /// File with changes to the scene, a JSON line each: the time on the path in s, and what is changed then of a node
+    /// or a light
+    #[arg(long, value_name = "FILE", help_heading = "Headless runs")]
+    pub edits: Option<PathBuf>,
     /// Folder for pictures: a PNG per frame, or in a window one per press of P
     #[arg(long, value_name = "DIR", help_heading = "Headless runs")]
     pub out: Option<PathBuf>,

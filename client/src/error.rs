@@ -2,6 +2,7 @@
 
 use std::{path::PathBuf, time::Duration};
 
+use gnomon_client_core::mask::world::WorldError;
 use gnomon_protocol::{ids::FrameNumber, mask::ShapeError, message::Refusal};
 use gnomon_scene::{PackError, SceneError};
 use gnomon_shaders::gpu::GpuError;
@@ -32,6 +33,10 @@ pub enum ClientError {
     Environment(#[from] EnvironmentError),
     #[error(transparent)]
     Scene(#[from] SceneError),
+    #[error("{path}, line {line}: {reason}")]
+    Edits { path: PathBuf, line: usize, reason: String },
+    #[error(transparent)]
+    World(#[from] WorldError),
     #[error(
         "no answer from {url} within {} s: is gnomon-server running there, and does UDP reach it?",
         after.as_secs_f64()

@@ -95,13 +95,22 @@ pub(crate) struct NewScene {
 pub(crate) struct RunTotals {
     pub(crate) link: LinkTotals,
     pub(crate) rejections: Rejections,
+    pub(crate) edits_refused: u64,
     /// Why the server was first lost.
     pub(crate) lost: Option<String>,
 }
 
 impl FrameDriver {
     /// Draws `planned` frames; `link` is `None` exactly if the loop's masks are [`MaskSource::Offline`].
-    pub(crate) fn new(frames: FrameLoop, link: Option<ServerLink>, recorder: Option<Recorder>, planned: u32) -> Self {
+    pub(crate) fn new(
+        mut frames: FrameLoop,
+        link: Option<ServerLink>,
+        recorder: Option<Recorder>,
+        planned: u32,
+    ) -> Self {
+        if let Some(link) = &link {
+            frames.matcher.world.begin(link.terms());
+        }
         Self { frames, link, recorder, drawn: 0, planned, lost: None, recorded_link: None }
     }
 
@@ -121,7 +130,7 @@ impl FrameDriver {
         let mut rejections = self.frames.matcher.rejections();
         // The receive task drops most early masks before they are decoded.
         rejections.future += link.received.future;
-        RunTotals { link, rejections, lost: self.lost.take() }
+        RunTotals { link, rejections, edits_refused: self.frames.matcher.world.refused(), lost: self.lost.take() }
     }
 
     /// Looks for a lost server, unless frames wait for their masks. If it has come back with another scene, the
@@ -137,6 +146,7 @@ impl FrameDriver {
             None => Ok(None),
             Some(Change::Reconnected) => {
                 self.frames.matcher.reconnected(frame);
+                self.begin_world();
                 Ok(None)
             }
             Some(Change::OtherScene(other)) => self.change_scene(frame, *other, stage),
@@ -172,6 +182,7 @@ impl FrameDriver {
             }
         }
         self.frames.change_scene(frame, renderer);
+        self.begin_world();
         if let Some(mut recorder) = self.recorder.take() {
             let text = format!("the server has the scene {}: the recording ends here", welcome.scene_digest);
             tracing::warn!("{text}");
@@ -180,6 +191,12 @@ impl FrameDriver {
         }
         let camera_paths = of_scene::paths(&scene);
         Ok(Some(NewScene { url, welcome, exposure, cameras: scene.cameras, camera_paths }))
+    }
+
+    fn begin_world(&mut self) {
+        if let Some(link) = &self.link {
+            self.frames.matcher.world.begin(link.terms());
+        }
     }
 
     /// Draws frame number `frame` from `camera` at `scene_time_s` into `sink`. Frame numbers ascend.
@@ -195,13 +212,17 @@ impl FrameDriver {
         let mut times = StageTimes::default();
         let waits = self.frames.source() == MaskSource::Awaited;
         let connected = self.link.as_ref().is_some_and(|link| link.ended().is_none());
+        if let Some(link) = &mut self.link {
+            let world = &mut self.frames.matcher.world;
+            if waits { link.settle(world) } else { link.exchange(world, begun) }
+        }
         let request = self.frames.request(frame, &camera, scene_time_s, begun, connected);
         if let (Some(link), Some(pose)) = (&self.link, request.pose) {
             link.send_pose(frame, pose);
         }
         if waits {
             // Draws the surfaces while waiting for the mask.
-            self.frames.renderer.set_time(scene_time_s);
+            self.frames.show_requested(frame);
             self.frames.renderer.draw_surfaces(&camera)?;
             times.surfaces = clock.lap();
             if let Some(link) = &mut self.link {
@@ -220,7 +241,7 @@ impl FrameDriver {
         let drawing = self.frames.choose(frame, &camera, begun);
         let renderer = &mut self.frames.renderer;
         if !waits {
-            renderer.set_time(drawing.scene_time_s);
+            renderer.set_time(&drawing.scene);
             renderer.draw_surfaces(&drawing.camera)?;
             times.surfaces = clock.lap();
         }
@@ -236,7 +257,8 @@ impl FrameDriver {
                 frame: frame.0,
                 requested: (&camera).into(),
                 shown: (&drawing.camera).into(),
-                scene_time_s: drawing.scene_time_s,
+                scene_time_s: drawing.scene.time_s,
+                edits: drawing.scene.edits.as_ref().clone(),
                 visibility_share: drawing.decision.visibility_share,
                 timing: (&stats).into(),
             })?;

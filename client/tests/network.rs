@@ -86,7 +86,7 @@ fn a_run_continues_after_its_server_leaves() {
     let last = lines.last().unwrap();
     assert_eq!((&last["state"], last["visibility_share"].as_f64()), (&"degraded".into(), Some(0.0)));
 
-    let answer = ServerMessage::Closing { reason: "no play today".into() };
+    let answer = ServerMessage::Closing { reason: "no play today".into(), may_return: true };
     let stage = Stage::start("lab-tcp", Script { answer: Some(answer), ..Script::default() });
     let folder = tempfile::tempdir().unwrap();
     run_headless(&options(&stage, folder.path(), 10)).unwrap_err();
@@ -111,6 +111,17 @@ fn a_returning_server_is_found_and_resumed() {
     assert!(last["mask_frame"].as_u64() > Some(30), "{last}");
     assert_eq!(stage.resumed()[..2], [None, Some(ResumeToken([7; 16]))]);
     assert_eq!(stage.scene_fetches(), [0], "the scene is cached");
+}
+
+#[test]
+fn a_client_that_was_sent_away_stays_away() {
+    let stage = Stage::start("lab-tcp", Script { close_at: Some(30), dismissed: true, ..Script::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let (summary, lines) = run(&options(&stage, folder.path(), 240));
+    assert_eq!((summary.frames_rendered, lines.len(), summary.reconnects), (240, 240, 0));
+    assert!(summary.lost_at_end.unwrap().contains("curtain"));
+    assert_eq!(lines[239]["link"], "lost");
+    assert_eq!(stage.resumed(), [None]);
 }
 
 #[test]

@@ -11,7 +11,7 @@ from aioquic.quic.configuration import QuicConfiguration
 from aioquic.quic.events import DatagramFrameReceived, StreamDataReceived
 from cryptography.hazmat.primitives.serialization import Encoding
 
-VERSION, PLANES_LZ4, WIDTH, HEIGHT = 6, 2, 72, 40
+VERSION, PLANES_LZ4, WIDTH, HEIGHT = 7, 2, 72, 40
 
 
 def varint(value):
@@ -118,7 +118,7 @@ class Client(QuicConnectionProtocol):
 
     async def frame(self, position):
         """Sends the pose of frame 0 until its mask comes."""
-        pose = struct.pack("<9d", *position, 0, 0, 0, 1, 1.2, 0) + struct.pack("<IHHH", 0, WIDTH, HEIGHT, 0)
+        pose = struct.pack("<9d", *position, 0, 0, 0, 1, 1.2, 0) + struct.pack("<IHHHI", 0, WIDTH, HEIGHT, 0, 0)
         parts = {}
         for sequence in range(200):
             header = struct.pack("<IIHHI", sequence, 0, len(pose), 0, 0xFFFFFFFF)

@@ -23,8 +23,8 @@ pub use self::{
     path::{average, congestion, loss},
     receive::reassembler,
     send::{packetizer, refresh},
-    wire::{acknowledgement, frame, header, message},
+    wire::{acknowledgement, edit, frame, header, message},
 };
 
 /// Version of everything in this crate that a peer can see. Peers with different versions refuse each other.
-pub const PROTOCOL_VERSION: u16 = 6;
+pub const PROTOCOL_VERSION: u16 = 7;

@@ -46,6 +46,15 @@ pub const MAX_MESSAGE_BYTES: usize = 128 * 1024;
 /// Scene bytes in one control message.
 pub const SCENE_CHUNK_BYTES: usize = 64 * 1024;
 
+/// Nodes and lights in one message that a client changes a scene with.
+pub const MAX_EDITS: usize = 32;
+
+/// Nodes and lights of a scene that are changed at once.
+pub const MAX_EDITED: usize = 1024;
+
+/// States of a scene that either end remembers.
+pub const KEPT_REVISIONS: usize = 64;
+
 /// Largest packed scene that a client accepts.
 pub const MAX_SCENE_BYTES: u64 = 1 << 30;
 

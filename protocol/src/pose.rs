@@ -1,8 +1,8 @@
 //! The client's camera: the only thing that it sends for every frame.
 //!
 //! The dissertation sends three vectors of three f32 (§3.5, 36 bytes). Ours are f64, so that a scene may be far from
-//! its origin. A pose also has the field of view, the scene's time, the mask's size and the look-ahead: 82 bytes,
-//! little-endian, in the order of the fields.
+//! its origin. A pose also has the field of view, the scene's time, the mask's size, the look-ahead and the scene's revision:
+//! 86 bytes, little-endian, in the order of the fields.
 
 use thiserror::Error;
 
@@ -12,7 +12,7 @@ use crate::{
     limits::{MAX_LOOK_AHEAD_MS, MAX_POSITION_M, MAX_SIDE_PX, YFOV_RANGE_RAD},
 };
 
-pub const POSE_BYTES: usize = 82;
+pub const POSE_BYTES: usize = 86;
 
 /// Bytes of a pose packet: header and pose.
 pub const POSE_PACKET_BYTES: usize = HEADER_BYTES + POSE_BYTES;
@@ -36,6 +36,9 @@ pub struct Pose {
     /// Estimated time from `client_time_ms` until the mask is shown, in milliseconds. The server traces for the pose
     /// that it predicts for then, and puts it into the frame's head. 0 requests exactly this pose.
     pub look_ahead_ms: u16,
+    /// Newest state of the scene that the client knew ([`Edited::revision`](crate::message::Edited)). The server traces
+    /// its newest, and puts a pose with that into the frame's head if it is another one.
+    pub revision: u32,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
@@ -87,9 +90,10 @@ impl Pose {
         }
         bytes[72..76].copy_from_slice(&self.client_time_ms.to_le_bytes());
         let [width, height] = self.mask_px;
-        for (place, value) in bytes[76..].chunks_exact_mut(2).zip([width, height, self.look_ahead_ms]) {
+        for (place, value) in bytes[76..82].chunks_exact_mut(2).zip([width, height, self.look_ahead_ms]) {
             place.copy_from_slice(&value.to_le_bytes());
         }
+        bytes[82..].copy_from_slice(&self.revision.to_le_bytes());
         bytes
     }
 
@@ -115,6 +119,7 @@ impl Pose {
             client_time_ms,
             mask_px: [short(76), short(78)],
             look_ahead_ms: short(80),
+            revision: u32::from_le_bytes([bytes[82], bytes[83], bytes[84], bytes[85]]),
         };
         pose.validate().map(|()| pose)
     }
@@ -140,7 +145,7 @@ pub fn encode_pose_packet(sequence: u32, frame: FrameNumber, pose: &Pose) -> [u8
     let header = PacketHeader {
         sequence,
         frame: Some(frame),
-        #[expect(clippy::cast_possible_truncation, reason = "82")]
+        #[expect(clippy::cast_possible_truncation, reason = "86")]
         data_bytes: POSE_BYTES as u16,
         frame_packets: None,
         first: false,
@@ -177,6 +182,7 @@ mod tests {
         client_time_ms: 77,
         mask_px: [1920, 1080],
         look_ahead_ms: 120,
+        revision: 0x0102_0304,
     };
 
     #[test]
@@ -233,10 +239,10 @@ mod tests {
         assert_eq!(with(10, &[2]), PosePacketError::Visibility(5));
         assert_eq!(with(10, &[1]), PosePacketError::Visibility(5));
         assert_eq!(with(12, &[0]), PosePacketError::Visibility(5));
-        let short = HeaderError::DataSize { stated: 82, found: 81 };
-        assert_eq!(decode_pose_packet(&good[..97]), Err(PosePacketError::Header(short)));
-        let mut other = good[..97].to_vec();
-        other[8] = 81;
-        assert_eq!(decode_pose_packet(&other), Err(PosePacketError::Pose(PoseError::Length(81))));
+        let short = HeaderError::DataSize { stated: 86, found: 85 };
+        assert_eq!(decode_pose_packet(&good[..101]), Err(PosePacketError::Header(short)));
+        let mut other = good[..101].to_vec();
+        other[8] = 85;
+        assert_eq!(decode_pose_packet(&other), Err(PosePacketError::Pose(PoseError::Length(85))));
     }
 }

@@ -10,11 +10,12 @@ use std::num::NonZeroU16;
 use gnomon_protocol::{
     acknowledgement::Acknowledgement,
     codec::{CodecId, EncodedFrame, Encoder, ReferenceName},
+    edit::{Edit, LightEdit, NodeEdit},
     fuzzing,
     header::PacketHeader,
     ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
     mask::{Mask, MaskShape},
-    message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
+    message::{self, ClientMessage, Edited, Hello, Refusal, ServerMessage, Welcome},
     pose::{Pose, encode_pose_packet},
     text::PeerText,
 };
@@ -97,6 +98,7 @@ fn pose() {
         client_time_ms: 5,
         mask_px: [64, 36],
         look_ahead_ms: 0,
+        revision: 0,
     };
     let seeds = [pose.encode().to_vec(), encode_pose_packet(1, FrameNumber(2), &pose).to_vec()];
     drive(fuzzing::pose, &seeds, 20_000);
@@ -126,13 +128,34 @@ fn message() {
         backend: text(),
         data_port: Some(4433),
         resume: ResumeToken([7; 16]),
+        may_edit: true,
+        shared_world: true,
+        revision: 1 << 20,
     };
+    let node = NodeEdit {
+        node: 3,
+        translation_m: Some([1.0, 2.0, f64::NAN]),
+        rotation: Some([0.0, 0.0, 0.0, 1.0]),
+        scale: Some([1.0; 3]),
+        shown: Some(true),
+    };
+    let light = LightEdit {
+        light: 1,
+        position_m: Some([1e9; 3]),
+        direction: Some([0.0, 1.0, 0.0]),
+        color: Some([1.0; 3]),
+        intensity: Some(3.0),
+        range_m: Some(f32::INFINITY),
+        cone_rad: Some([0.1, 0.2]),
+    };
+    let edits = vec![Edit::Node(node), Edit::Light(light), Edit::Light(LightEdit::default())];
     let client = [
         ClientMessage::Hello(hello),
         ClientMessage::FetchScene { offset: 1 << 40 },
         ClientMessage::Start,
         ClientMessage::Ping(300),
         ClientMessage::Bye,
+        ClientMessage::Edit { number: 7, edits: edits.clone() },
     ];
     let server = [
         ServerMessage::Welcome(welcome),
@@ -143,7 +166,10 @@ fn message() {
         ServerMessage::SceneChunk { offset: 65_536, bytes: vec![1; 100] },
         ServerMessage::Pong(300),
         ServerMessage::Draining { reason: text(), deadline_ms: 5000, alternative: Some(text()) },
-        ServerMessage::Closing { reason: text() },
+        ServerMessage::Closing { reason: text(), may_return: false },
+        ServerMessage::Edited(Edited { revision: 5, yours: Some(7), whole: false, edits }),
+        ServerMessage::EditRefused { number: 7, reason: text() },
+        ServerMessage::Clock(1 << 40),
     ];
     let encoded = client.iter().map(message::encode).chain(server.iter().map(message::encode));
     let seeds: Vec<_> = encoded.map(|bytes| bytes.unwrap()[4..].to_vec()).collect();

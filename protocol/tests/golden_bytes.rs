@@ -7,10 +7,11 @@ use std::num::NonZeroU16;
 use gnomon_protocol::{
     PROTOCOL_VERSION,
     codec::{CodecId, Decoder, EncodedFrame, Encoder, Reference},
+    edit::{Edit, LightEdit, NodeEdit},
     header::PacketHeader,
     ids::{BearerToken, FrameNumber, ResumeToken, SceneDigest, SessionId},
     mask::{Mask, MaskShape},
-    message::{self, ClientMessage, Hello, Refusal, ServerMessage, Welcome},
+    message::{self, ClientMessage, Edited, Hello, Refusal, ServerMessage, Welcome},
     packetizer::Packetizer,
     pose::{Pose, decode_pose_packet, encode_pose_packet},
     text::PeerText,
@@ -24,7 +25,7 @@ fn hex(text: &str) -> Vec<u8> {
 
 #[test]
 fn version() {
-    assert_eq!(PROTOCOL_VERSION, 6);
+    assert_eq!(PROTOCOL_VERSION, 7);
 }
 
 #[test]
@@ -60,11 +61,12 @@ fn pose_packet() {
         client_time_ms: 0x0102_0304,
         mask_px: [1920, 1080],
         look_ahead_ms: 0x0102,
+        revision: 0x0A0B_0C0D,
     };
-    let bytes = hex("07000000 0b0a0000 5200 0000 ffffffff |
+    let bytes = hex("07000000 0b0a0000 5600 0000 ffffffff |
         000000000000f03f 00000000000000c0 000000000000e03f |
         0000000000000000 333333333333e33f 0000000000000080 9a9999999999e93f |
-        000000000000f03f 0000000000001040 04030201 8007 3804 0201");
+        000000000000f03f 0000000000001040 04030201 8007 3804 0201 0d0c0b0a");
     assert_eq!(encode_pose_packet(7, FrameNumber(0x0A0B), &pose), *bytes);
     assert_eq!(decode_pose_packet(&bytes), Ok((7, FrameNumber(0x0A0B), pose)));
 }
@@ -75,6 +77,23 @@ fn frame_packets() {
         Packetizer::new(20).packets(FrameNumber(3), 16, &b"abcdef".to_vec().into()).unwrap().collect();
     let expected = ["00000000 03000000 0400 0500 10000000 | 61626364", "01000000 03000000 0200 0400 10000000 | 6566"];
     assert_eq!(packets, expected.map(hex));
+}
+
+fn node() -> Edit {
+    let translation_m = Some([1.0, -2.0, 0.5]);
+    Edit::Node(NodeEdit { node: 3, translation_m, rotation: None, scale: None, shown: Some(false) })
+}
+
+fn light() -> Edit {
+    Edit::Light(LightEdit {
+        light: 2,
+        position_m: None,
+        direction: Some([0.0, -1.0, 0.0]),
+        color: Some([1.0, 0.5, 0.0]),
+        intensity: Some(2.0),
+        range_m: Some(f32::INFINITY),
+        cone_rad: Some([0.5, 1.0]),
+    })
 }
 
 #[test]
@@ -106,6 +125,12 @@ fn client_messages() {
         (ClientMessage::Start, "01000000 | 02"),
         (ClientMessage::Ping(5), "02000000 | 03 05"),
         (ClientMessage::Bye, "01000000 | 04"),
+        (
+            ClientMessage::Edit { number: 5, edits: vec![node(), light()] },
+            "5e000000 | 05 05 02 | 00 03 01'000000000000f03f'00000000000000c0'000000000000e03f 00 00 01'00 | \
+             01 02 00 01'0000000000000000'000000000000f0bf'0000000000000000 01'0000803f'0000003f'00000000 01'00000040 \
+             01'0000807f 01'0000003f'0000803f",
+        ),
     ] {
         assert_eq!(message::encode(&message), Ok(hex(bytes)));
         assert_eq!(message::decode(&hex(bytes)[4..]), Ok(message));
@@ -126,6 +151,9 @@ fn server_messages() {
             backend: "cpu".into(),
             data_port,
             resume: ResumeToken([0x5A; 16]),
+            may_edit: true,
+            shared_world: false,
+            revision: 300,
         })
     };
     let draining = |alternative: Option<&str>| ServerMessage::Draining {
@@ -134,8 +162,8 @@ fn server_messages() {
         alternative: alternative.map(PeerText::from),
     };
     for (message, bytes) in [
-        (welcome(None), format!("3b000000 | 00 01 {digest_hex} 808004 04 03'637075 00 {resume}")),
-        (welcome(Some(4433)), format!("3d000000 | 00 01 {digest_hex} 808004 04 03'637075 01'd122 {resume}")),
+        (welcome(None), format!("3f000000 | 00 01 {digest_hex} 808004 04 03'637075 00 {resume} 01 00 ac02")),
+        (welcome(Some(4433)), format!("41000000 | 00 01 {digest_hex} 808004 04 03'637075 01'd122 {resume} 01 00 ac02")),
         (ServerMessage::Refused(Refusal::Version { server: 1, client: 2 }), "04000000 | 01 00 01 02".to_owned()),
         (ServerMessage::Refused(Refusal::Token), "02000000 | 01 01".to_owned()),
         (
@@ -155,7 +183,23 @@ fn server_messages() {
         (ServerMessage::Pong(5), "02000000 | 03 05".to_owned()),
         (draining(Some("u")), "09000000 | 04 02'7570 8827 01'01'75".to_owned()),
         (draining(None), "07000000 | 04 02'7570 8827 00".to_owned()),
-        (ServerMessage::Closing { reason: "end".into() }, "05000000 | 05 03'656e64".to_owned()),
+        (
+            ServerMessage::Edited(Edited { revision: 300, yours: Some(5), whole: false, edits: Vec::new() }),
+            "07000000 | 06 ac02 01'05 00 00".to_owned(),
+        ),
+        (
+            ServerMessage::Edited(Edited {
+                revision: 1,
+                yours: None,
+                whole: true,
+                edits: vec![Edit::Node(NodeEdit { node: 7, shown: Some(true), ..NodeEdit::default() })],
+            }),
+            "0c000000 | 06 01 00 01 01 | 00 07 00 00 00 01'01".to_owned(),
+        ),
+        (ServerMessage::EditRefused { number: 5, reason: "no".into() }, "05000000 | 07 05 02'6e6f".to_owned()),
+        (ServerMessage::Clock(300), "03000000 | 08 ac02".to_owned()),
+        (ServerMessage::Closing { reason: "end".into(), may_return: true }, "06000000 | 05 03'656e64 01".to_owned()),
+        (ServerMessage::Closing { reason: "end".into(), may_return: false }, "06000000 | 05 03'656e64 00".to_owned()),
     ] {
         assert_eq!(message::encode(&message), Ok(hex(&bytes)));
         assert_eq!(message::decode(&hex(&bytes)[4..]), Ok(message));

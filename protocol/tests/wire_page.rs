@@ -6,11 +6,12 @@ use std::{collections::BTreeMap, num::NonZeroU16};
 use gnomon_protocol::{
     PROTOCOL_VERSION,
     codec::{CodecId, EncodedFrame, Encoder},
+    edit::{Edit, LightEdit, NodeEdit},
     ids::{FrameNumber, ResumeToken, SceneDigest, SessionId},
     limits,
     loss::{LossFeedback, LossTotals},
     mask::{Mask, MaskShape},
-    message::{self, ClientMessage, Hello, ServerMessage, Welcome},
+    message::{self, ClientMessage, Edited, Hello, ServerMessage, Welcome},
     packetizer::Packetizer,
     pose::{Pose, encode_pose_packet},
 };
@@ -59,7 +60,18 @@ fn examples_are_what_the_encoder_makes() {
         backend: "cpu".into(),
         data_port: None,
         resume: ResumeToken([0x5A; 16]),
+        may_edit: true,
+        shared_world: false,
+        revision: 0,
     };
+    let edit = ClientMessage::Edit {
+        number: 5,
+        edits: vec![
+            Edit::Node(NodeEdit { node: 3, translation_m: Some([1.0, -2.0, 0.5]), ..NodeEdit::default() }),
+            Edit::Light(LightEdit { light: 2, intensity: Some(0.0), ..LightEdit::default() }),
+        ],
+    };
+    let edited = Edited { revision: 9, yours: Some(5), whole: false, edits: Vec::new() };
     let pose = Pose {
         position_m: [1.0, -2.0, 0.5],
         orientation: [0.0, 0.6, -0.0, 0.8],
@@ -68,6 +80,7 @@ fn examples_are_what_the_encoder_makes() {
         client_time_ms: 0x0102_0304,
         mask_px: [1920, 1080],
         look_ahead_ms: 258,
+        revision: 9,
     };
     let losses = LossFeedback { sequence: 2, totals: LossTotals { expected: 1000, lost: 10, runs: 4 } };
     let mut mask = Mask::new(MaskShape::new(2, 2, 1).unwrap());
@@ -81,6 +94,8 @@ fn examples_are_what_the_encoder_makes() {
     let expected = BTreeMap::from([
         ("hello", message::encode(&ClientMessage::Hello(hello)).unwrap()),
         ("welcome", message::encode(&ServerMessage::Welcome(welcome)).unwrap()),
+        ("edit", message::encode(&edit).unwrap()),
+        ("edited", message::encode(&ServerMessage::Edited(edited)).unwrap()),
         ("pose", encode_pose_packet(7, FrameNumber(2571), &pose).to_vec()),
         ("loss-report", losses.encode().to_vec()),
         ("frame", packets[0].to_vec()),
@@ -103,6 +118,9 @@ fn limits_and_version_are_the_codes() {
         ("MAX_MESSAGE_BYTES", limits::MAX_MESSAGE_BYTES as u64),
         ("MAX_TOKEN_BYTES", limits::MAX_TOKEN_BYTES as u64),
         ("MAX_TEXT_BYTES", limits::MAX_TEXT_BYTES as u64),
+        ("MAX_EDITS", limits::MAX_EDITS as u64),
+        ("MAX_EDITED", limits::MAX_EDITED as u64),
+        ("KEPT_REVISIONS", limits::KEPT_REVISIONS as u64),
         ("SCENE_CHUNK_BYTES", limits::SCENE_CHUNK_BYTES as u64),
         ("MAX_SCENE_BYTES", limits::MAX_SCENE_BYTES),
         ("MAX_LIGHTS", limits::MAX_LIGHTS.into()),

@@ -41,6 +41,13 @@ pub struct ServerConfig {
     /// [default: off]
     #[arg(long, value_name = "NAME")]
     pub animation: Option<String>,
+    /// Names of the nodes that clients may move and hide, with commas between, or `all`; lights may always be changed
+    /// [default: none]
+    #[arg(long, value_name = "NAME[,NAME…]")]
+    pub editable: Option<String>,
+    /// Show all clients one scene and one clock: what one changes, all see
+    #[arg(long)]
+    pub shared_world: bool,
     /// Name or number of the material variant to show [default: none]
     #[arg(long, value_name = "NAME")]
     pub variant: Option<String>,

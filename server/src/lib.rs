@@ -23,6 +23,7 @@ mod session;
 mod task;
 pub mod visibility;
 mod web;
+mod world;
 
 pub use admission::tokens;
 pub use app::{error, running::RunningServer, signals, start::Server};

@@ -13,6 +13,8 @@
 //! | bytes before admission | [`MAX_BYTES_BEFORE_ADMISSION`] | refused, `cause="broken"` |
 //! | a message | [`MAX_CLIENT_MESSAGE_BYTES`] | the session ends |
 //! | messages per second | [`MAX_MESSAGES_PER_SECOND`] | the session ends |
+//! | edits per second | [`MAX_EDITS_PER_SECOND`] | the session ends |
+//! | edits of a message, of a scene | `MAX_EDITS`, `MAX_EDITED` of the protocol | the session ends; refused |
 //! | streams | [`MAX_BIDI_STREAMS`], [`MAX_UNI_STREAMS`] | flow control |
 //! | unread stream bytes | [`STREAM_RECEIVE_WINDOW_BYTES`], [`RECEIVE_WINDOW_BYTES`] in all | flow control |
 //! | sessions | `max_sessions`, `max_sessions_per_address` | refused, `cause="full"`, `"address"` |
@@ -115,6 +117,9 @@ pub const MAX_SCENE_FETCHES: u32 = 4;
 
 /// Control messages per second: more than twice the frame rate.
 pub const MAX_MESSAGES_PER_SECOND: u64 = 1000;
+
+/// Messages per second that change the scene: twice those of a client that is dragged without end.
+pub const MAX_EDITS_PER_SECOND: u64 = 250;
 
 /// Invalid datagrams per second of a client. QUIC delivers none damaged, so an honest client sends none.
 pub const MAX_BAD_POSES_PER_SECOND: u64 = 200;

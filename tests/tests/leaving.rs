@@ -108,6 +108,9 @@ fn admit(listener: &TcpListener) -> TcpStream {
         backend: "none".into(),
         data_port: Some(1),
         resume: ResumeToken([7; 16]),
+        may_edit: true,
+        shared_world: false,
+        revision: 0,
     });
     stream.write_all(&message::encode(&welcome).unwrap()).unwrap();
     assert_eq!(read(&mut stream), ClientMessage::FetchScene { offset: 0 });

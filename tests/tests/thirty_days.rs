@@ -207,6 +207,7 @@ impl Browser {
             client_time_ms: 0,
             mask_px: [SIDE_PX; 2],
             look_ahead_ms: 0,
+            revision: 0,
         };
         let (mut reassembler, mut decoder) = (Reassembler::new(Policy::WholeFrame), Decoder::new());
         let mut mask = Mask::new(MaskShape::new(SIDE_PX.into(), SIDE_PX.into(), lights).unwrap());

@@ -20,7 +20,7 @@ use gnomon_client_core::{
     },
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{LoadOptions, Scene, camera::Camera};
+use gnomon_scene::{LoadOptions, Scene, SceneAt, camera::Camera};
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 fn point(text: &str) -> Result<DVec3, Box<dyn Error>> {
@@ -72,11 +72,11 @@ impl Frames {
         self.renderer.set_time(self.time_s);
         self.renderer.draw_surfaces(&self.camera)?;
         let surfaces = lap(&self.gpu)?;
-        let view = mask.map(|(mask, traced_for)| {
-            let late_s = if *traced_for == self.camera { 0.0 } else { LAG * self.step_s };
-            let scene_time_s = if self.renderer.moves() { self.time_s - late_s } else { 0.0 };
-            MaskView { mask, coverage: None, more: false, traced_for, scene_time_s }
-        });
+        let late = mask.is_some_and(|(_, traced_for)| *traced_for != self.camera);
+        let late_s = if late { LAG * self.step_s } else { 0.0 };
+        let scene = SceneAt::from(if self.renderer.moves() { self.time_s - late_s } else { 0.0 });
+        let view =
+            mask.map(|(mask, traced_for)| MaskView { mask, coverage: None, more: false, traced_for, scene: &scene });
         self.renderer.set_mask(view)?;
         self.renderer.shade(&self.camera, 1.0, &self.reader.target(), |_| ())?;
         Ok([surfaces, lap(&self.gpu)?])

@@ -59,7 +59,7 @@ impl LocalScene {
     /// Returns what makes `gnomon-server` serve it.
     #[must_use]
     pub fn server_arguments(&self) -> Vec<OsString> {
-        let LoadOptions { lights_from, max_lights, default_light, scene, animation, variant } = &self.options;
+        let LoadOptions { lights_from, max_lights, default_light, scene, animation, variant, editable } = &self.options;
         let mut arguments: Vec<OsString> = vec!["--scene".into(), self.file.clone().into()];
         // In one word: a name may begin with a dash.
         let mut add = |flag: &str, value: Option<&OsStr>| {
@@ -76,6 +76,7 @@ impl LocalScene {
         add("--scene-name", scene.as_deref().map(OsStr::new));
         add("--animation", animation.as_deref().map(OsStr::new));
         add("--variant", variant.as_deref().map(OsStr::new));
+        add("--editable", (!editable.is_empty()).then(|| editable.join(",")).as_deref().map(OsStr::new));
         arguments
     }
 }

@@ -175,5 +175,6 @@ fn pose(path: &CameraPath, time_s: f64, since_first: Duration, size: [u32; 2]) -
         // Sides are at most 4096.
         mask_px: size.map(|side| u16::try_from(side).unwrap_or(u16::MAX)),
         look_ahead_ms: 0,
+        revision: 0,
     }
 }

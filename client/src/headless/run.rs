@@ -14,6 +14,7 @@ use crate::{
     config::{ClientSettings, MAX_FRAMES, Size},
     error::ClientError,
     frame_driver::{FrameDriver, RunTotals, Shown, Sink, Stage},
+    headless::edits::{Script, Timeline},
     headless::pictures::PictureWriter,
     headless::progress::Progress,
     headless::stats::{FrameStats, StatsFile, Summary, mean, percentile},
@@ -51,6 +52,7 @@ pub fn run_headless_until(options: &HeadlessOptions, stop: &Stop) -> Result<Summ
     options.validate()?;
     // First check what is cheap and can fail, before connecting to a server.
     let camera_path = settings.path.as_ref().map(PathSpec::load_file).transpose()?.flatten();
+    let script = settings.edits.as_deref().map(Script::read).transpose()?;
     let pictures = settings.out.as_deref().map(PictureWriter::start).transpose()?;
     let stats = settings.stats.as_deref().map(StatsFile::create).transpose()?;
     if let Some(folder) = &settings.save_masks {
@@ -65,7 +67,7 @@ pub fn run_headless_until(options: &HeadlessOptions, stop: &Stop) -> Result<Summ
         ..GpuOptions::default()
     }))?;
     let progress = Progress::new(options.progress);
-    let mut start = Start::new(options, camera_path, &gpu, stop, &progress)
+    let mut start = Start::new(options, (camera_path, script), &gpu, stop, &progress)
         // Leaving breaks what was under way.
         .map_err(|error| stop.asked().map_or(error, ClientError::from))?;
 
@@ -99,6 +101,7 @@ struct Start {
     driver: FrameDriver,
     timing: Timing,
     camera_path: CameraPath,
+    edits: Timeline,
     welcome: Option<Welcome>,
     lights: u32,
     exposure: Exposure,
@@ -109,7 +112,7 @@ struct Start {
 impl Start {
     fn new(
         options: &HeadlessOptions,
-        camera_path: Option<CameraPath>,
+        (camera_path, script): (Option<CameraPath>, Option<Script>),
         gpu: &Gpu,
         stop: &Stop,
         progress: &Progress,
@@ -132,6 +135,7 @@ impl Start {
         let mut renderer = FrameRenderer::new(gpu, &scene, size, first, PICTURE_FORMAT, settings.predict)?;
         let exposure = look.apply(&mut renderer, settings)?;
         renderer.set_quality(settings.quality);
+        let edits = script.map_or(Ok(Timeline::default()), |script| script.of(&scene))?;
         drop(scene);
         let welcome = connected.as_ref().map(|connected| connected.welcome().clone());
         let recorder = Recorder::for_run(options, size, welcome.as_ref(), &renderer, gpu)?;
@@ -146,7 +150,7 @@ impl Start {
         };
         let frames = FrameLoop::new(renderer, machine, settings.guard_choice(), source, Instant::now());
         let driver = FrameDriver::new(frames, link, recorder, timing.frames);
-        Ok(Self { driver, timing, camera_path, welcome, lights, exposure, local })
+        Ok(Self { driver, timing, camera_path, edits, welcome, lights, exposure, local })
     }
 }
 
@@ -239,12 +243,16 @@ impl Run<'_> {
 
     fn draw(&mut self, index: u32, start: &mut Start, files: &mut Files) -> Result<(), ClientError> {
         let Self { options: HeadlessOptions { settings, .. }, gpu, .. } = *self;
-        let Start { driver, timing, camera_path, .. } = start;
+        let Start { driver, timing, camera_path, edits, .. } = start;
         let camera = camera_path.camera(timing.time_s(index), settings.size.width, settings.size.height);
         let scene_time_s = timing.time_s(index);
         let stage = Stage { gpu, settings, largest_mask: settings.largest_mask(), camera, scene_time_s };
         if let Some(new) = driver.maintain(FrameNumber(index), stage)? {
             (start.lights, start.exposure, start.welcome) = (new.welcome.lights, new.exposure, Some(new.welcome));
+        }
+        let due = edits.until(scene_time_s);
+        if !due.is_empty() {
+            driver.frames.edit(&due)?;
         }
         let drawn = driver.draw(FrameNumber(index), camera, scene_time_s, files)?;
         self.tally.add(&drawn, driver.link.is_some());
@@ -382,6 +390,7 @@ fn summary(
         predict_pose: settings.looks_ahead(gpu),
         connection_lost: totals.lost.clone(),
         reconnects: totals.link.reconnects,
+        edits_refused: totals.edits_refused,
         lost_at_end: end.loss.clone(),
         stopped_by: end.stopped_by.map(Cause::name),
         exposure_ev: exposure.ev(),

@@ -77,6 +77,8 @@ pub struct Summary {
     pub connection_lost: Option<String>,
     /// How often a lost or draining server was replaced by a new connection.
     pub reconnects: u32,
+    /// Edits that the server refused.
+    pub edits_refused: u64,
     /// Why there was no server when the run ended, if there was none.
     pub lost_at_end: Option<String>,
     /// What ended the run early: `SIGINT`, `SIGTERM` or `SIGHUP`.
@@ -197,6 +199,7 @@ mod tests {
             predict_pose: false,
             connection_lost: None,
             reconnects: 0,
+            edits_refused: 0,
             lost_at_end: None,
             stopped_by: None,
             exposure_ev: 3.5,

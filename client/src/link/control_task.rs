@@ -5,13 +5,14 @@ use std::{
     time::{Duration, Instant},
 };
 
+use gnomon_client_core::mask::world::News;
 use gnomon_protocol::message::{ClientMessage, ServerMessage};
 use gnomon_transport::{
     control::{ControlReader, ControlWriter},
     root_cause,
 };
 use parking_lot::Mutex;
-use tokio::time::MissedTickBehavior;
+use tokio::{sync::mpsc, time::MissedTickBehavior};
 
 use super::{
     alternative,
@@ -32,6 +33,10 @@ pub(super) struct ControlTask {
     pub(super) health: HealthCell,
     /// Of this session: it bounds what the server may name as an alternative.
     pub(super) transport: Transport,
+    /// Messages that change the scene.
+    pub(super) edits: mpsc::Receiver<ClientMessage>,
+    /// Waits while the frame loop does not take them.
+    pub(super) news: mpsc::Sender<News>,
 }
 
 impl ControlTask {
@@ -43,6 +48,12 @@ impl ControlTask {
         let mut unanswered: Option<(u64, Instant)> = None;
         loop {
             let event = tokio::select! {
+                Some(edit) = self.edits.recv() => {
+                    if let Err(error) = self.writer.write(&edit).await {
+                        return format!("connection lost: {}", root_cause(&error));
+                    }
+                    continue;
+                }
                 _ = interval.tick() => None,
                 message = self.reader.next() => Some(message),
             };
@@ -72,8 +83,19 @@ impl ControlTask {
                     let deadline = Instant::now() + Duration::from_millis(deadline_ms.into());
                     self.health.update(|health| health.draining = Some(Draining { reason, deadline, alternative }));
                 }
-                Some(Ok(ServerMessage::Closing { reason })) => return format!("closed by the server: {reason}"),
+                Some(Ok(ServerMessage::Closing { reason, may_return })) => {
+                    self.health.update(|health| health.dismissed = !may_return);
+                    return format!("closed by the server: {reason}");
+                }
                 Some(Ok(message)) => {
+                    let message = match News::try_from(message) {
+                        Ok(news) => {
+                            // Without a receiver the session is over.
+                            let _ = self.news.send(news).await;
+                            continue;
+                        }
+                        Err(message) => message,
+                    };
                     let violation = format!("the server violates the protocol: {message:?}");
                     return violation.chars().take(200).collect();
                 }

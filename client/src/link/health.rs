@@ -29,6 +29,8 @@ pub(crate) struct Health {
     /// Nothing has arrived for [`OUTAGE`].
     pub(crate) silent: bool,
     pub(crate) draining: Option<Draining>,
+    /// An operator ended the session, or its token ended: the client is not to come back by itself.
+    pub(crate) dismissed: bool,
 }
 
 /// Health of one session. Its tasks write it; the renderer reads it.

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use gnomon_client_core::mask::world::Terms;
 use gnomon_protocol::{
     mask::MaskShape,
     message::{ClientMessage, ServerMessage, Welcome},
@@ -149,7 +150,7 @@ impl PendingSession {
             .map_err(|error| ClientError::Connect { url: Box::new(url.clone()), reason: format!("data: {error}") })?;
         let options = SessionOptions { resume: Some(welcome.resume), ..options };
         let spec = SessionSpec { url, options, scene_digest: welcome.scene_digest, shape, reception };
-        Ok(Session::start(spec, connection, files))
+        Ok(Session::start((spec, Terms::from(&welcome)), connection, files))
     }
 
     async fn write(&mut self, message: &ClientMessage) -> Result<(), ClientError> {
@@ -167,13 +168,16 @@ async fn close_at(stop: Stop, quic: QuicHandle) {
 fn unexpected(url: &ServerUrl, message: ServerMessage) -> ClientError {
     let url = Box::new(url.clone());
     let name = match message {
-        ServerMessage::Closing { reason } | ServerMessage::Draining { reason, .. } => {
+        ServerMessage::Closing { reason, .. } | ServerMessage::Draining { reason, .. } => {
             return ClientError::Connect { url, reason: reason.to_string() };
         }
         ServerMessage::Welcome(_) => "Welcome",
         ServerMessage::Refused(_) => "Refused",
         ServerMessage::SceneChunk { .. } => "SceneChunk",
         ServerMessage::Pong(_) => "Pong",
+        ServerMessage::Edited(_) => "Edited",
+        ServerMessage::EditRefused { .. } => "EditRefused",
+        ServerMessage::Clock(_) => "Clock",
     };
     ClientError::Protocol { url, reason: format!("unexpected {name}") }
 }

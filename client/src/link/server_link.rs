@@ -5,7 +5,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use gnomon_client_core::mask::{matcher::MaskMatcher, received::ReceivedMask};
+use gnomon_client_core::mask::{
+    matcher::MaskMatcher,
+    received::ReceivedMask,
+    world::{Terms, World},
+};
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose::Pose};
 use tokio::runtime::Runtime;
 
@@ -25,6 +29,9 @@ const FIRST_RESPONSE: Duration = Duration::from_secs(2);
 
 /// Shortest time before a pose is sent again.
 const MIN_PATIENCE: Duration = Duration::from_millis(250);
+
+/// How often a client that waits for its edits looks for the answer.
+const SETTLING: Duration = Duration::from_millis(1);
 
 /// Total patience for one frame.
 const GIVE_UP: Duration = Duration::from_secs(120);
@@ -77,6 +84,7 @@ impl ServerLink {
     pub(crate) fn state(&self) -> LinkState {
         let health = self.session.health();
         match (&self.reconnect, self.masks.ended(), health.draining) {
+            (_, Some(reason), _) if health.dismissed => LinkState::Lost { reason, retry_at: None },
             // The search starts with the next frame.
             (None, Some(reason), _) => LinkState::Lost { reason, retry_at: Some(Instant::now()) },
             (Some(reconnect), Some(_), _) => reconnect.state(),
@@ -91,7 +99,7 @@ impl ServerLink {
     }
 
     /// Starts or ends the search for a new connection. The search runs while the server is lost or silent, or is about
-    /// to stop and names an alternative. The old connection is used as long as possible.
+    /// to stop and names an alternative, but never after it has sent the client away. The old connection is used as long as possible.
     ///
     /// # Errors
     /// Errors if a file of masks could not be written: no other connection can mend that.
@@ -103,6 +111,10 @@ impl ServerLink {
             return Ok(None);
         }
         let health = self.session.health();
+        if health.dismissed {
+            self.reconnect = None;
+            return Ok(None);
+        }
         let lost = self.masks.ended().or_else(|| health.silent.then(|| "the server is silent".to_owned()));
         let alternative = health.draining.and_then(|notice| notice.alternative);
         match (&mut self.reconnect, lost, alternative) {
@@ -155,6 +167,26 @@ impl ServerLink {
         self.session.spec().options.stop.asked().is_some()
     }
 
+    /// How the server keeps its scene.
+    pub(crate) fn terms(&self) -> Terms {
+        self.session.terms()
+    }
+
+    /// Takes what the server has said of its scene, and sends what this client changes.
+    pub(crate) fn exchange(&mut self, world: &mut World, now: Instant) {
+        self.session.exchange(world, now);
+    }
+
+    /// As [`Self::exchange`], until the server has answered every change. Blocks.
+    pub(crate) fn settle(&mut self, world: &mut World) {
+        let begun = Instant::now();
+        self.exchange(world, begun);
+        while world.is_waiting() && self.ended().is_none() && begun.elapsed() < GIVE_UP {
+            std::thread::sleep(SETTLING);
+            self.exchange(world, Instant::now());
+        }
+    }
+
     pub(crate) fn send_pose(&self, frame: FrameNumber, pose: Pose) {
         self.session.send_pose(frame, pose);
     }
@@ -205,6 +237,8 @@ impl ServerLink {
                 match front.map(|front| matcher.find(front)) {
                     Some(Ok(_)) => return Ok(()),
                     Some(Err(rejection)) => {
+                        // A mask may overtake the news of what it was traced with.
+                        self.session.exchange(&mut matcher.world, Instant::now());
                         matcher.count_rejection(rejection);
                         rejected = true;
                         waited = Waited::Lost;

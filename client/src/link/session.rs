@@ -1,15 +1,23 @@
 //! A running session: three tasks, until either side leaves.
 
-use std::{convert::Infallible, io, pin::pin, sync::Arc, time::Duration};
+use std::{
+    convert::Infallible,
+    io,
+    pin::pin,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
+use gnomon_client_core::mask::world::{News, Terms, World};
 use gnomon_protocol::{
     ids::FrameNumber,
+    message::ClientMessage,
     pose::Pose,
     receive::{FrameReceiver, ReceiverConfig},
 };
 use gnomon_transport::root_cause;
 use tokio::{
-    sync::{oneshot, watch},
+    sync::{mpsc, oneshot, watch},
     task::JoinHandle,
     time::timeout,
 };
@@ -26,6 +34,10 @@ use super::{
 };
 use crate::error::ClientError;
 
+/// Messages with edits that wait to be written, and news of the scene that wait for the frame loop.
+const WAITING_EDITS: usize = 4;
+const WAITING_NEWS: usize = 64;
+
 /// How long a server may take to send the reason after its data has ended.
 const CLOSING_TIMEOUT: Duration = Duration::from_millis(300);
 
@@ -39,12 +51,19 @@ pub(crate) struct Session {
     health: HealthCell,
     quic: QuicHandle,
     failure: FileFailure,
+    terms: Terms,
+    edits: mpsc::Sender<ClientMessage>,
+    news: mpsc::Receiver<News>,
     leave: oneshot::Sender<()>,
     tasks: JoinHandle<()>,
 }
 
 impl Session {
-    pub(super) fn start(spec: SessionSpec, connection: OpenConnection, files: Option<MaskFiles>) -> (Self, MaskReader) {
+    pub(super) fn start(
+        (spec, terms): (SessionSpec, Terms),
+        connection: OpenConnection,
+        files: Option<MaskFiles>,
+    ) -> (Self, MaskReader) {
         let OpenConnection { reader, writer, sender, receiver: datagrams, quic } = connection;
         let (mask_writer, mask_reader) = mask_buffer(spec.shape);
         let (poses, newest_pose) = watch::channel(None);
@@ -71,12 +90,16 @@ impl Session {
         };
         let (round_trip, health) = (RoundTrip::default(), HealthCell::default());
         let (leave, left) = oneshot::channel();
+        let (edits, edited) = mpsc::channel(WAITING_EDITS);
+        let (heard, news) = mpsc::channel(WAITING_NEWS);
         let control = ControlTask {
             reader,
             writer,
             round_trip: Arc::clone(&round_trip),
             health: health.clone(),
             transport: spec.url.transport,
+            edits: edited,
+            news: heard,
         };
         let silence = watch_silence(quic.clone(), health.clone());
         let send = send_poses(sender, newest_pose, acknowledgements, losses);
@@ -89,7 +112,22 @@ impl Session {
             }
         };
         let tasks = tokio::spawn(run_tasks(control, receive, send, silence, left));
-        (Self { spec, poses, counters, requested, round_trip, health, quic, failure, leave, tasks }, mask_reader)
+        let session = Self {
+            spec,
+            poses,
+            counters,
+            requested,
+            round_trip,
+            health,
+            quic,
+            failure,
+            terms,
+            edits,
+            news,
+            leave,
+            tasks,
+        };
+        (session, mask_reader)
     }
 
     /// Sends a frame's pose. It replaces an unsent one.
@@ -102,6 +140,24 @@ impl Session {
     pub(crate) fn send_pose_again(&self, frame: FrameNumber, pose: Pose, refused: bool) {
         self.requested.change(|requests| requests.request_again(frame, refused));
         self.send_pose(frame, pose);
+    }
+
+    /// How the server keeps its scene.
+    pub(crate) fn terms(&self) -> Terms {
+        self.terms
+    }
+
+    /// Takes what the server has said of its scene, and sends what this client changes.
+    pub(crate) fn exchange(&mut self, world: &mut World, now: Instant) {
+        let round_trip = self.round_trip().unwrap_or_default();
+        while let Ok(news) = self.news.try_recv() {
+            world.hear(&news, round_trip, now);
+        }
+        if let Ok(room) = self.edits.try_reserve()
+            && let Some((number, edits)) = world.next_message(now)
+        {
+            room.send(ClientMessage::Edit { number, edits });
+        }
     }
 
     pub(crate) fn received(&self) -> Received {

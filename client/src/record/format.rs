@@ -1,6 +1,6 @@
 //! The records of a recording.
 
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{Edits, camera::Camera};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// First line of the file, with the format's version.
-pub const FIRST_LINE: &str = "gnomon recording 5\n";
+pub const FIRST_LINE: &str = "gnomon recording 6\n";
 
 /// Longest record: the largest mask, incompressible.
 pub const MAX_RECORD_BYTES: u32 = 128 << 20;
@@ -87,6 +87,8 @@ pub enum Record {
         /// View that it was traced for, and time of the scene in seconds, 0 if everything rests.
         traced_for: RecordedCamera,
         scene_time_s: f64,
+        /// What people had changed in the scene.
+        edits: Edits,
         /// In the codec `planes-lz4`.
         body: Vec<u8>,
         /// Tiles that had arrived, as `Coverage::words` returns them; `None` for all.
@@ -99,6 +101,8 @@ pub enum Record {
         shown: RecordedCamera,
         /// Time of the scene that is shown, in seconds.
         scene_time_s: f64,
+        /// What people have changed in it.
+        edits: Edits,
         /// Weight of received visibility, 0 to 1.
         visibility_share: f32,
         timing: Timing,

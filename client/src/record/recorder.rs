@@ -73,9 +73,16 @@ impl Recorder {
         let encoded = self.encoder.encode(mask, &mut encoded_mask);
         encoded.map_err(|error| self.failed(std::io::Error::other(error)))?;
         let coverage = (!coverage.is_whole()).then(|| coverage.words().to_vec());
-        let Viewpoint { camera, scene_time_s } = *traced_for;
-        let body = encoded_mask.into_body();
-        self.write(&Record::Mask { frame, traced_for: (&camera).into(), scene_time_s, body, coverage })
+        let Viewpoint { camera, scene } = traced_for;
+        let (body, edits) = (encoded_mask.into_body(), scene.edits.as_ref().clone());
+        self.write(&Record::Mask {
+            frame,
+            traced_for: camera.into(),
+            scene_time_s: scene.time_s,
+            edits,
+            body,
+            coverage,
+        })
     }
 
     /// Adds a record, unless the recording is full.

@@ -4,6 +4,7 @@ use std::{
     fs::File,
     io::{BufReader, Read},
     path::Path,
+    sync::Arc,
 };
 
 use gnomon_protocol::{
@@ -11,7 +12,7 @@ use gnomon_protocol::{
     coverage::Coverage,
     mask::{Mask, MaskShape, ShapeError},
 };
-use gnomon_scene::{Scene, camera::Camera};
+use gnomon_scene::{Scene, SceneAt, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 use thiserror::Error;
 
@@ -107,8 +108,7 @@ pub enum Replayed<'a> {
         picture: Picture,
         /// View that the picture shows.
         shown: Camera,
-        /// Time of the scene, in seconds.
-        scene_time_s: f64,
+        scene: SceneAt,
         /// Weight of received visibility, 0 to 1.
         visibility_share: f32,
         renderer: &'a FrameRenderer,
@@ -157,8 +157,8 @@ pub fn replay<E: From<ReplayError>>(
             Record::LightsOn(lights) => renderer.set_lights_on(*lights),
             Record::Split(split) => renderer.set_split(*split),
             Record::View(view) => renderer.set_debug_view(*view),
-            Record::Mask { frame, traced_for, scene_time_s, body, coverage } => {
-                let scene_time_s = *scene_time_s;
+            Record::Mask { frame, traced_for, scene_time_s, edits, body, coverage } => {
+                let at = SceneAt { time_s: *scene_time_s, edits: Arc::new(edits.clone()) };
                 let traced_for = Camera::from(traced_for);
                 let lights = u32::try_from(scene.lights.len()).unwrap_or(u32::MAX);
                 let shape = MaskShape::new(traced_for.width, traced_for.height, lights).map_err(ReplayError::from);
@@ -172,13 +172,14 @@ pub fn replay<E: From<ReplayError>>(
                 let coverage = coverage.transpose()?;
                 let more = newest_mask_frame.replace(*frame) == Some(*frame);
                 let coverage = coverage.as_ref();
-                let view = MaskView { mask: &mask, coverage, more, traced_for: &traced_for, scene_time_s };
+                let view = MaskView { mask: &mask, coverage, more, traced_for: &traced_for, scene: &at };
                 renderer.set_mask(Some(view)).map_err(render)?;
             }
             Record::Frame { frame, .. } if !wanted(*frame) => {}
-            Record::Frame { frame, shown, scene_time_s, visibility_share, .. } => {
-                let (shown, scene_time_s) = (Camera::from(shown), *scene_time_s);
-                renderer.set_time(scene_time_s);
+            Record::Frame { frame, shown, scene_time_s, edits, visibility_share, .. } => {
+                let shown = Camera::from(shown);
+                let scene = SceneAt { time_s: *scene_time_s, edits: Arc::new(edits.clone()) };
+                renderer.set_time(&scene);
                 renderer.draw_surfaces(&shown).map_err(render)?;
                 let target = reader.target();
                 let shaded = renderer.shade(&shown, *visibility_share, &target, |encoder| reader.copy(encoder));
@@ -186,7 +187,7 @@ pub fn replay<E: From<ReplayError>>(
                 if let Some(picture) = reader.take_oldest().map_err(render)?.flatten() {
                     let visibility_share = *visibility_share;
                     let renderer = &renderer;
-                    visit(Replayed::Picture { picture, shown, scene_time_s, visibility_share, renderer })?;
+                    visit(Replayed::Picture { picture, shown, scene, visibility_share, renderer })?;
                 }
             }
             Record::Event { .. } => {}

@@ -60,7 +60,13 @@ fn a_picture_on_the_screen_equals_a_headless_one() {
     let reader = PictureReader::new(&gpu, SIZE.0, SIZE.1, 1);
     windowed.draw_surfaces(&camera).unwrap();
     windowed
-        .set_mask(Some(MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera, scene_time_s: 0.0 }))
+        .set_mask(Some(MaskView {
+            mask: &mask,
+            coverage: None,
+            more: false,
+            traced_for: &camera,
+            scene: &gnomon_scene::SceneAt::default(),
+        }))
         .unwrap();
     windowed.shade(&camera, 1.0, &reader.target(), |_| ()).unwrap();
     assert!(on_screen(&gpu, &reader.target(), SIZE) == headless.rgba, "the screen shows other bytes");

@@ -48,6 +48,8 @@ pub(crate) struct Script {
     pub(crate) foreign: Vec<u32>,
     /// Frame at which the server closes the session.
     pub(crate) close_at: Option<u32>,
+    /// The client must not come back then.
+    pub(crate) dismissed: bool,
     /// Frame at which the server drains, and the URL that it names.
     pub(crate) drain_at: Option<(u32, String)>,
     /// Stop serving after the first session.
@@ -225,6 +227,9 @@ impl Session<'_> {
             backend: "stage".into(),
             data_port: Some(port),
             resume: ResumeToken([7; 16]),
+            may_edit: true,
+            shared_world: false,
+            revision: 0,
         }));
         let mut started = false;
         let mut data = Some(data);
@@ -290,7 +295,7 @@ fn send_frames(data: Data, mut control: TcpStream, mut script: Script, codec: Co
         assert!(latest.is_none_or(|latest| latest < (frame, sequence)), "poses arrive in order");
         latest = Some((frame, sequence));
         if script.close_at == Some(frame) {
-            let closing = ServerMessage::Closing { reason: "the curtain falls".into() };
+            let closing = ServerMessage::Closing { reason: "the curtain falls".into(), may_return: !script.dismissed };
             let _ = control.write_all(&message::encode(&closing).unwrap());
             return;
         }

@@ -109,12 +109,12 @@ async function serve() {
     while (unseen === "left") await pause(1 << 30);
     const end = await session();
     if (end.lasted) failures = 0;
+    if (end.dismissed || end.code === 4) throw new Final("ended", end.reason || "the operator ended this session");
     if (end.again || unseen === "left") continue;
     const { refused } = end;
     if (refused && refused.retry_after_ms == null && refused.why !== "draining") {
       throw new Final(refused.why, refused.text);
     }
-    if (end.code === 4) throw new Final("ended", end.reason || "the operator ended this session");
     const ms = refused?.retry_after_ms ?? Math.min(LONGEST_PAUSE_MS, FIRST_PAUSE_MS * 2 ** failures) * (0.75 + Math.random() / 2);
     failures += 1;
     state(refused ? "refused" : "lost", { text: refused?.text ?? end.reason, seconds: Math.ceil(ms / 1000), first: !started });
@@ -134,7 +134,7 @@ function pause(ms) {
 
 /** Runs one session. Returns how it ended. */
 async function session() {
-  const end = { lasted: false, refused: null, again: false, code: null, reason: "" };
+  const end = { lasted: false, refused: null, again: false, dismissed: false, code: null, reason: "" };
   let server;
   try {
     server = await ask();
@@ -219,6 +219,9 @@ async function listen(end) {
         break;
       case "closing":
         end.reason = event.reason;
+        end.dismissed = !event.may_return;
+        // A transport may take long to say that it has closed, and may lose the code.
+        if (end.dismissed) end.close({ code: null, reason: event.reason });
         break;
       case "pong":
         if (event.number === ping.number) trip = performance.now() - ping.at;

@@ -6,14 +6,14 @@ use gnomon_client_core::{
     camera::path::CameraPath,
     frame::mode::Mode,
     input::{Controls, Sticks},
+    mask::world::Terms,
     predictor::Predictor,
-    render::{debug_view::DebugView, readback::Picture},
+    render::readback::Picture,
 };
 use gnomon_protocol::{
     PROTOCOL_VERSION,
     codec::CodecId,
     ids::{BearerToken, ResumeToken},
-    limits::MAX_LAYERS,
     message::Refusal,
 };
 use gnomon_scene::Scene;
@@ -27,7 +27,7 @@ use crate::{
     conversation::{Conversation, Event, Wishes},
     figures::Figures,
     keys::move_key,
-    options::{Options, Settings, Walk},
+    options::{Options, Settings, Walk, view_named},
     pace::Pace,
     play::Play,
     preparing::Preparing,
@@ -212,7 +212,13 @@ impl Client {
                 // Its certificates are not those that it shows to browsers, so that a page cannot follow.
                 "elsewhere": alternative.map(|url| url.to_string()),
             }),
-            Event::Closing(reason) => json!({ "is": "closing", "reason": reason.to_string() }),
+            Event::World(news) => {
+                self.play.iter_mut().for_each(|play| play.hear(&news, Instant::now()));
+                json!({ "is": "world" })
+            }
+            Event::Closing { reason, may_return } => {
+                json!({ "is": "closing", "reason": reason.to_string(), "may_return": may_return })
+            }
         };
         Some(value.to_string())
     }
@@ -288,8 +294,8 @@ impl Client {
             return Err(JsError::new("there is no session"));
         };
         conversation.start()?;
-        play.connected(self.largest, Instant::now())?;
-        Ok(())
+        let terms = conversation.welcome().map(Terms::from).unwrap_or_default();
+        Ok(play.connected(self.largest, terms, Instant::now())?)
     }
 
     pub fn ping(&mut self, number: u32) -> Result<(), JsError> {
@@ -456,17 +462,7 @@ impl Client {
             "mode" => self.settings.mode = value.parse::<Mode>().map_err(failed)?,
             "quality" => self.settings.quality = value.parse()?,
             "split" => self.settings.split = value == "on",
-            "view" => {
-                self.settings.view = match value {
-                    "picture" => DebugView::Picture,
-                    "unknown" => DebugView::Unknown,
-                    "age" => DebugView::Age { lags: [0; MAX_LAYERS] },
-                    "depth" => DebugView::Depth,
-                    "normals" => DebugView::Normals,
-                    "light" => DebugView::Light(0),
-                    _ => return Err(failed(format!("no view {value:?}"))),
-                };
-            }
+            "view" => self.settings.view = view_named(value).ok_or_else(|| failed(format!("no view {value:?}")))?,
             _ => return Err(failed(format!("no choice {name:?}"))),
         }
         self.play.as_mut().map_or(Ok(()), |play| play.apply(&self.settings)).map_err(failed)

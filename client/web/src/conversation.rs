@@ -2,6 +2,7 @@
 
 use std::{collections::VecDeque, time::Duration};
 
+use gnomon_client_core::mask::world::News;
 use gnomon_protocol::{
     PROTOCOL_VERSION,
     codec::CodecId,
@@ -31,7 +32,7 @@ pub struct Wishes {
 }
 
 /// What the server has said.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Event {
     Welcome(Welcome),
     Refused(Refusal),
@@ -48,7 +49,12 @@ pub enum Event {
         deadline: Duration,
         alternative: Option<PeerText>,
     },
-    Closing(PeerText),
+    World(News),
+    Closing {
+        reason: PeerText,
+        /// Whether the page may come back by itself.
+        may_return: bool,
+    },
 }
 
 /// How the server broke the rules.
@@ -146,7 +152,14 @@ impl Conversation {
             (ServerMessage::Draining { reason, deadline_ms, alternative }, _) => {
                 Event::Draining { reason, deadline: Duration::from_millis(deadline_ms.into()), alternative }
             }
-            (ServerMessage::Closing { reason }, _) => Event::Closing(reason),
+            (
+                message @ (ServerMessage::Edited(_) | ServerMessage::EditRefused { .. } | ServerMessage::Clock(_)),
+                Some(_),
+            ) => match News::try_from(message) {
+                Ok(news) => Event::World(news),
+                Err(_) => return Ok(()),
+            },
+            (ServerMessage::Closing { reason, may_return }, _) => Event::Closing { reason, may_return },
             (ServerMessage::Welcome(_), Some(_)) => return Err(ConversationError::OutOfTurn("another Welcome")),
             (ServerMessage::Refused(_), Some(_)) => return Err(ConversationError::OutOfTurn("a refusal")),
             (_, None) => return Err(ConversationError::OutOfTurn("a message before Welcome")),
@@ -234,6 +247,9 @@ mod tests {
             backend: "cpu".into(),
             data_port: None,
             resume: ResumeToken([7; 16]),
+            may_edit: true,
+            shared_world: false,
+            revision: 0,
         })
     }
 

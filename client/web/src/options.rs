@@ -6,6 +6,7 @@ use gnomon_client_core::{
     predictor::Predictor,
     render::{debug_view::DebugView, quality::Quality, tone::ToneCurve},
 };
+use gnomon_protocol::limits::MAX_LAYERS;
 
 /// What a page chooses before the scene is there.
 #[derive(Debug, Clone, Default)]
@@ -29,6 +30,20 @@ impl Walk {
     pub(crate) fn time_s(&self, frame: u32) -> f64 {
         let step_s = self.path.duration_s() / f64::from(self.frames.saturating_sub(1).max(1));
         f64::from(frame) * step_s
+    }
+}
+
+/// Returns the debug view of this name on the page.
+#[must_use]
+pub fn view_named(name: &str) -> Option<DebugView> {
+    match name {
+        "picture" => Some(DebugView::Picture),
+        "unknown" => Some(DebugView::Unknown),
+        "age" => Some(DebugView::Age { lags: [0; MAX_LAYERS] }),
+        "depth" => Some(DebugView::Depth),
+        "normals" => Some(DebugView::Normals),
+        "light" => Some(DebugView::Light(0)),
+        _ => None,
     }
 }
 

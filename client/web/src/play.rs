@@ -13,7 +13,11 @@ use gnomon_client_core::{
         stats::{FrameStats, StageTimes},
     },
     input::fly::{Fly, Motion},
-    mask::{queue::MaskQueue, received::ReceivedMask},
+    mask::{
+        queue::MaskQueue,
+        received::ReceivedMask,
+        world::{News, Terms},
+    },
     occluders::Occluders,
     render::{FrameRenderer, RenderError, debug_view::DebugView},
 };
@@ -197,18 +201,25 @@ impl Play {
     ///
     /// # Errors
     /// If the size is beyond the protocol's limits.
-    pub fn connected(&mut self, (width, height): (u32, u32), now: Instant) -> Result<(), RenderError> {
+    pub fn connected(&mut self, (width, height): (u32, u32), terms: Terms, now: Instant) -> Result<(), RenderError> {
         let shape =
             MaskShape::new(width, height, self.lights).map_err(|error| RenderError::Device(error.to_string()))?;
         self.reception = Some(Reception::new(shape, now));
         self.queue = MaskQueue::default();
         self.frames.matcher.reconnected(FrameNumber(self.next));
+        self.frames.matcher.world.begin(terms);
         self.awaited_since = None;
         if self.first_since.is_some() && self.options.walk.is_none() {
             self.first_since = Some(now);
             self.ask_first(now);
         }
         Ok(())
+    }
+
+    /// Takes what the server says of its scene.
+    pub fn hear(&mut self, news: &News, now: Instant) {
+        // Half of the way to the server is not known here: a shared clock is as late.
+        self.frames.matcher.world.hear(news, Duration::ZERO, now);
     }
 
     /// Sends the first picture's pose.
@@ -437,7 +448,7 @@ impl Play {
         if std::mem::replace(&mut self.shown_view, view) != view {
             self.frames.renderer.set_debug_view(view);
         }
-        self.frames.renderer.set_time(drawing.scene_time_s);
+        self.frames.renderer.set_time(&drawing.scene);
         self.frames.renderer.draw_surfaces(&drawing.camera)?;
         target(&mut self.frames.renderer, &drawing.camera, drawing.decision.visibility_share)?;
         let link = if connected { "live" } else { "lost" };

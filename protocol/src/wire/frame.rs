@@ -7,7 +7,7 @@
 //! | 3–4 | height in pixels |
 //! | 5 | lights; bit 7: a pose follows; bit 6: a reference follows |
 //! | 6–7 | number of slices n |
-//! | 82 more, if bit 7 | the pose that the mask was traced for ([`crate::pose`]), if not the client's own |
+//! | 86 more, if bit 7 | the pose that the mask was traced for ([`crate::pose`]), if not the client's own |
 //! | 8 more, if bit 6 | the reference that the slices are coded against: its frame, u32, and its digest, u32 |
 //! | 4n more | length of each slice in bytes, u32 |
 //! | to the end | the slices, one after the other |
@@ -273,6 +273,7 @@ mod tests {
             client_time_ms: 5,
             mask_px: [10, 20],
             look_ahead_ms: 6,
+            revision: 0,
         };
         let head = FrameHead { traced_for: Some(pose), ..head() };
         let mut body = Vec::new();

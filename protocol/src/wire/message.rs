@@ -8,6 +8,9 @@
 //!                                      ←    SceneChunk … until all bytes are there
 //! Start                                →
 //! poses and frame packets now flow beside this stream; Ping ↔ Pong measure the round trip
+//! Edit (what the client changes)       →
+//!                                      ←    Edited (revision, what has changed)             or EditRefused (reason)
+//!                                      ←    Clock, in a world that clients share
 //!                                      ←    Draining (the server is about to stop), Closing (reason), end
 //! Bye                                  →
 //! ```
@@ -21,12 +24,12 @@ use thiserror::Error;
 
 use crate::{
     ids::{BearerToken, ResumeToken, SceneDigest, SessionId},
-    limits::{MAX_MESSAGE_BYTES, MAX_TEXT_BYTES, MAX_TOKEN_BYTES, SCENE_CHUNK_BYTES},
+    limits::{MAX_EDITED, MAX_EDITS, MAX_MESSAGE_BYTES, MAX_TEXT_BYTES, MAX_TOKEN_BYTES, SCENE_CHUNK_BYTES},
     text::PeerText,
-    wire::CodecId,
+    wire::{CodecId, edit::Edit},
 };
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ClientMessage {
     /// Opens the conversation. The version comes first, so that any version can read it.
     Hello(Hello),
@@ -39,6 +42,13 @@ pub enum ClientMessage {
     /// The server answers with [`ServerMessage::Pong`] and the same number.
     Ping(u64),
     Bye,
+    /// Changes the scene, all of it or nothing. Only after Start, and if [`Welcome::may_edit`].
+    Edit {
+        /// The answer names it. Ascending.
+        number: u32,
+        /// At most [`crate::limits::MAX_EDITS`].
+        edits: Vec<Edit>,
+    },
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,7 +73,7 @@ pub struct Hello {
     pub resume: Option<ResumeToken>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ServerMessage {
     Welcome(Welcome),
     /// The client is not admitted; the connection ends.
@@ -87,7 +97,30 @@ pub enum ServerMessage {
     /// The session ends now.
     Closing {
         reason: PeerText,
+        /// False if the session was ended by an operator, or with its token: the client must not come back by itself.
+        may_return: bool,
     },
+    Edited(Edited),
+    /// An [`ClientMessage::Edit`] has changed nothing.
+    EditRefused {
+        number: u32,
+        reason: PeerText,
+    },
+    /// Time of the scene in a shared world, in microseconds: after Start and after each Pong.
+    Clock(u64),
+}
+
+/// A new state of the scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Edited {
+    /// Ascending. 0 is the scene as its file has it.
+    pub revision: u32,
+    /// Number of the receiver's own edit that this is, if it is one.
+    pub yours: Option<u32>,
+    /// True if these are all that differ from the file; false if they change the state before.
+    pub whole: bool,
+    /// At most [`crate::limits::MAX_EDITED`].
+    pub edits: Vec<Edit>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -106,6 +139,12 @@ pub struct Welcome {
     pub data_port: Option<u16>,
     /// Lets the client take its session over after its connection was lost.
     pub resume: ResumeToken,
+    /// Whether the client may change the scene.
+    pub may_edit: bool,
+    /// Whether all clients see one scene and one clock.
+    pub shared_world: bool,
+    /// Of the scene's state. If it is not 0, the state follows Start as [`ServerMessage::Edited`].
+    pub revision: u32,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Error)]
@@ -146,7 +185,7 @@ impl Refusal {
 pub enum MessageError {
     #[error("a message of {0} bytes: at most {MAX_MESSAGE_BYTES} are allowed")]
     TooLong(u64),
-    #[error("{field} has {bytes} bytes, at most {limit} are allowed")]
+    #[error("{field}: {bytes}, at most {limit} are allowed")]
     Text { field: &'static str, bytes: usize, limit: usize },
     /// The bytes do not decode, or some are left over.
     #[error("malformed message: {0}")]
@@ -190,7 +229,7 @@ pub fn decode<M: DeserializeOwned + CheckText>(bytes: &[u8]) -> Result<M, Messag
     }
 }
 
-/// Bounds on the texts and chunks inside a message.
+/// Bounds on the texts, chunks and lists inside a message.
 pub trait CheckText {
     /// # Errors
     /// If a text or a chunk is too long.
@@ -208,6 +247,7 @@ impl CheckText for ClientMessage {
                 check("token", hello.token.as_deref().map_or(0, str::len), MAX_TOKEN_BYTES)?;
                 check("client", hello.client.unescaped().len(), MAX_TEXT_BYTES)
             }
+            Self::Edit { edits, .. } => check("edits", edits.len(), MAX_EDITS),
             Self::FetchScene { .. } | Self::Start | Self::Ping(_) | Self::Bye => Ok(()),
         }
     }
@@ -224,9 +264,11 @@ impl CheckText for ServerMessage {
                 check("reason", reason.unescaped().len(), MAX_TEXT_BYTES)?;
                 check("alternative", alternative.as_ref().map_or(0, |url| url.unescaped().len()), MAX_TEXT_BYTES)
             }
-            Self::Closing { reason } => check("reason", reason.unescaped().len(), MAX_TEXT_BYTES),
+            Self::Closing { reason, .. } => check("reason", reason.unescaped().len(), MAX_TEXT_BYTES),
             Self::SceneChunk { bytes, .. } => check("scene chunk", bytes.len(), SCENE_CHUNK_BYTES),
-            Self::Refused(_) | Self::Pong(_) => Ok(()),
+            Self::Edited(edited) => check("edits", edited.edits.len(), MAX_EDITED),
+            Self::EditRefused { reason, .. } => check("reason", reason.unescaped().len(), MAX_TEXT_BYTES),
+            Self::Refused(_) | Self::Pong(_) | Self::Clock(_) => Ok(()),
         }
     }
 }
@@ -234,6 +276,7 @@ impl CheckText for ServerMessage {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::edit::NodeEdit;
 
     fn hello() -> Hello {
         let client = "gnomon-client 0.1.0".into();
@@ -289,7 +332,15 @@ mod tests {
             alternative: Some(text(alternative).into()),
         };
         let chunk = |bytes| ServerMessage::SceneChunk { offset: 0, bytes: vec![0; bytes] };
-        let closing = |bytes| ServerMessage::Closing { reason: text(bytes).into() };
+        let closing = |bytes| ServerMessage::Closing { reason: text(bytes).into(), may_return: true };
+        let edit = || Edit::Node(NodeEdit::default());
+        let edited =
+            |count| ServerMessage::Edited(Edited { revision: 1, yours: None, whole: true, edits: vec![edit(); count] });
+        let refused = |bytes| ServerMessage::EditRefused { number: 1, reason: text(bytes).into() };
+        let edits = |count| ClientMessage::Edit { number: 1, edits: vec![edit(); count] };
+        assert_eq!(decoded(&edits(MAX_EDITS)), Ok(edits(MAX_EDITS)));
+        let too_many = MessageError::Text { field: "edits", bytes: MAX_EDITS + 1, limit: MAX_EDITS };
+        assert_eq!(decoded(&edits(MAX_EDITS + 1)), Err(too_many));
         let busy = |bytes| ServerMessage::Refused(Refusal::Busy { reason: text(bytes).into(), retry_after_ms: 5 });
         let unsupported = |bytes| ServerMessage::Refused(Refusal::Unsupported(text(bytes).into()));
         for (good, bad, field, limit) in [
@@ -298,6 +349,8 @@ mod tests {
             (busy(1024), busy(1025), "refusal", 1024),
             (draining(1024, 0), draining(1025, 0), "reason", 1024),
             (draining(0, 1024), draining(0, 1025), "alternative", 1024),
+            (edited(MAX_EDITED), edited(MAX_EDITED + 1), "edits", MAX_EDITED),
+            (refused(1024), refused(1025), "reason", 1024),
             (chunk(SCENE_CHUNK_BYTES), chunk(SCENE_CHUNK_BYTES + 1), "scene chunk", SCENE_CHUNK_BYTES),
         ] {
             assert_eq!(decoded(&good), Ok(good));

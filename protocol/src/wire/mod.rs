@@ -2,6 +2,7 @@
 
 pub mod acknowledgement;
 mod codec_id;
+pub mod edit;
 pub mod frame;
 pub mod header;
 pub mod message;

@@ -171,7 +171,7 @@ mod tests {
         let sent = [
             ServerMessage::Pong(u64::MAX),
             ServerMessage::SceneChunk { offset: 3, bytes: vec![9; 60_000] },
-            ServerMessage::Closing { reason: "test".into() },
+            ServerMessage::Closing { reason: "test".into(), may_return: true },
         ];
         let bytes: Vec<u8> = sent.iter().flat_map(|message| message::encode(message).unwrap()).collect();
         for chunk in [1, 2, 3, 7, 4096, 100_000] {

@@ -29,6 +29,7 @@ use crate::{
     metrics::causes::RefusalCause,
     net::link::{CloseCode, Link},
     visibility::engine::{OpenError, SessionPort},
+    world::{World, WorldOf},
 };
 
 /// A client that passed the handshake. The session releases all of its fields when it ends.
@@ -45,6 +46,7 @@ pub(crate) struct AdmittedClient {
     pub(crate) reservation: Reservation,
     /// Its token; `None` on a server without tokens.
     pub(crate) grant: Option<Grant>,
+    pub(crate) world: WorldOf,
 }
 
 impl AdmittedClient {
@@ -95,6 +97,9 @@ pub(crate) async fn greet(link: &mut Link, services: &Services) -> Result<Admitt
                 backend: shortened(services.engine.description()).into(),
                 data_port: link.data.port(),
                 resume: admitted.permit.resume,
+                may_edit: admitted.world.may_edit,
+                shared_world: admitted.world.shared,
+                revision: admitted.world.told,
             };
             link.writer.write(&ServerMessage::Welcome(welcome)).await?;
             admitted.take_over();
@@ -191,7 +196,12 @@ fn decide(applicant: Applicant, peer: SocketAddr, services: &Services) -> Result
         })?;
     let holding = Holding { token, address, costs: Arc::clone(&port.costs), share: reservation.share() };
     let permit = services.permits.register(place, holding, claim).map_err(|refusal| (RefusalCause::Full, refusal))?;
-    Ok(AdmittedClient { permit, port, shape, coding, rate_hz, client: hello.client, reservation, grant })
+    let may_edit = grant.as_ref().is_none_or(Grant::may_edit);
+    let world = match &services.shared_world {
+        Some(world) => WorldOf::shared(world, permit.id, may_edit),
+        None => WorldOf::own(World::new(Instant::now()), permit.id, may_edit),
+    };
+    Ok(AdmittedClient { permit, port, shape, coding, rate_hz, client: hello.client, reservation, grant, world })
 }
 
 /// `resumes`: the client has proved that it knows an open session's secret, so its address does not matter.

@@ -4,13 +4,14 @@ use std::{sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use gnomon_protocol::ids::SceneDigest;
+use gnomon_scene::Scene;
 use tokio::sync::watch;
 
 use super::{
     addresses::AddressLimit, capacity::HostCapacity, encoders::Encoders, failed_tokens::FailedTokens,
     permit::SessionPermits, tokens::store::TokenStore,
 };
-use crate::{metrics::registry::Metrics, origins::Origins, phase::Phase, visibility::engine::Fleet};
+use crate::{metrics::registry::Metrics, origins::Origins, phase::Phase, visibility::engine::Fleet, world::World};
 
 /// The scene in the form that clients fetch.
 #[derive(Debug)]
@@ -21,13 +22,17 @@ pub(crate) struct SceneAsset {
     pub(crate) lights: u32,
     /// Weight of each light, see [`crate::session::brightness::weights`].
     pub(crate) weights: Vec<u32>,
-    /// Whether something moves in it.
+    /// Whether something moves in it with time.
     pub(crate) moves: bool,
+    /// Its nodes that may be edited, and its lights, without geometry.
+    pub(crate) stage: Scene,
 }
 
 pub(crate) struct Services {
     pub(crate) scene: SceneAsset,
     pub(crate) engine: Fleet,
+    /// `None` gives each session a world of its own.
+    pub(crate) shared_world: Option<Arc<World>>,
     /// `None` admits every client.
     pub(crate) tokens: Option<Arc<TokenStore>>,
     pub(crate) failed_tokens: FailedTokens,

@@ -17,6 +17,7 @@ pub(super) fn load_options(config: &ServerConfig) -> LoadOptions {
         scene: config.scene_name.clone(),
         animation: config.animation.clone(),
         variant: config.variant.clone(),
+        editable: config.editable.iter().flat_map(|names| names.split(',')).map(str::to_owned).collect(),
     }
 }
 
@@ -49,5 +50,8 @@ pub(super) fn load_with_report(
     let digest = SceneDigest(*blake3::hash(&packed).as_bytes());
     let weights = brightness::weights(&scene);
     let moves = scene.animation.as_deref().is_some_and(Animation::moves_scene);
-    Ok((Arc::new(scene), SceneAsset { packed: Bytes::from(packed), digest, lights, weights, moves }, report))
+    let nodes = scene.animation.as_ref().map(|animation| animation.nodes.clone());
+    let animation = nodes.map(|nodes| Box::new(Animation { nodes, ..Animation::default() }));
+    let stage = Scene { lights: scene.lights.clone(), origin_m: scene.origin_m, animation, ..Scene::default() };
+    Ok((Arc::new(scene), SceneAsset { packed: Bytes::from(packed), digest, lights, weights, moves, stage }, report))
 }

@@ -3,6 +3,7 @@
 use std::{
     num::NonZeroUsize,
     sync::{Arc, OnceLock, atomic::AtomicBool},
+    time::Instant,
 };
 
 use tokio::sync::{mpsc, watch};
@@ -34,6 +35,7 @@ use crate::{
     task::Task,
     visibility::engine::{EngineOptions, Fleet},
     web,
+    world::World,
 };
 
 #[derive(Debug)]
@@ -125,6 +127,7 @@ impl Server {
         }
         let capacity = HostCapacity::new(&config, cores, asset.packed.len() as u64, engine.devices());
         let services = Arc::new(Services {
+            shared_world: config.shared_world.then(|| Arc::new(World::new(Instant::now()))),
             scene: asset,
             engine,
             tokens,

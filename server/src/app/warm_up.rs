@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 
 use crate::visibility::{TraceRequest, engine::Engine};
 
@@ -20,7 +20,7 @@ pub(super) async fn warm_up(engine: &Engine, lights: u32) -> Result<(), String> 
     port.request(TraceRequest {
         frame: FrameNumber(0),
         camera,
-        scene_time_s: 0.0,
+        scene: SceneAt::default(),
         ahead: None,
         received_at: started_at,
         interval: Duration::from_secs(1),

@@ -54,6 +54,10 @@ macro_rules! ledger {
 
 ledger! {
     messages,
+    /// Messages that change the scene.
+    edits,
+    /// Those of them that changed nothing.
+    edits_refused,
     /// Poses used.
     poses,
     acknowledgements,

@@ -142,6 +142,12 @@ impl Collector for Page {
         page.family("refusals", "Peers refused, by cause", "cause", refused)?;
         page.counter("retries", "Peers that were sent a Retry to prove their address", self.retries)?;
         page.family(
+            "edits",
+            "Messages that change the scene, by outcome",
+            "outcome",
+            [("taken", totals.edits.saturating_sub(totals.edits_refused)), ("refused", totals.edits_refused)],
+        )?;
+        page.family(
             "datagrams_received",
             "Datagrams received by sessions, by outcome",
             "outcome",

@@ -6,6 +6,7 @@ use std::{
 };
 
 use gnomon_protocol::{
+    edit::Edit,
     message::{ClientMessage, ServerMessage},
     text::PeerText,
 };
@@ -16,7 +17,7 @@ use tokio::{
 };
 
 use super::{driver::DriveError, end::End, outbox::Outbox, stream::Stream, watchdog::Watchdog};
-use crate::{admission::services::Services, limits, metrics::ledger::Ledger, phase::Phase};
+use crate::{admission::services::Services, limits, metrics::ledger::Ledger, phase::Phase, world::WorldOf};
 
 pub(super) struct Session {
     pub(super) reader: ControlReader<ClientMessage>,
@@ -25,6 +26,7 @@ pub(super) struct Session {
     /// Taken by Start.
     pub(super) stream: Option<Stream>,
     pub(super) fetches: u32,
+    pub(super) world: WorldOf,
     pub(super) ledger: Arc<Ledger>,
     pub(super) services: Arc<Services>,
 }
@@ -37,6 +39,7 @@ impl Session {
         let mut tick = tokio::time::interval(Duration::from_secs(1));
         tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
         tick.tick().await;
+        let mut revisions = self.world.world.subscribe();
         loop {
             let now = *phase.borrow_and_update();
             if now != notified {
@@ -50,7 +53,7 @@ impl Session {
             let pace = |bytes| self.services.capacity.scene_chunk(bytes, Instant::now());
             tokio::select! {
                 message = self.reader.next() => match message {
-                    Ok(message) => if let Err(end) = self.answer(&message) {
+                    Ok(message) => if let Err(end) = self.answer(message) {
                         return end;
                     },
                     Err(ControlError::Closed) => return End::Left,
@@ -60,6 +63,13 @@ impl Session {
                 sent = self.outbox.pump(&self.services.scene.packed, pace) => if let Err(error) = sent {
                     return End::Lost(error.to_string());
                 },
+                // A client that does not read is told later, and then perhaps the whole state.
+                changed = revisions.changed(), if self.stream.is_none() && self.outbox.is_empty() => {
+                    if changed.is_err() {
+                        return End::Stopping;
+                    }
+                    self.tell_news();
+                }
                 Some(ended) = self.stream_task.join_next() => return End::of_stream(ended),
                 _ = tick.tick() => if let Err(end) = watchdog.check(&self.ledger, self.stream.is_none()) {
                     return end;
@@ -72,13 +82,16 @@ impl Session {
         }
     }
 
-    fn answer(&mut self, message: &ClientMessage) -> Result<(), End> {
+    fn answer(&mut self, message: ClientMessage) -> Result<(), End> {
         self.ledger.messages.one();
         let violation = |reason: &str| Err(End::Violation(reason.to_owned()));
-        match *message {
+        match message {
             ClientMessage::Ping(number) => {
                 // Dropped if the client does not read its answers.
                 self.outbox.reply(ServerMessage::Pong(number));
+                if let Some(clock) = self.world.clock().filter(|_| self.stream.is_none()) {
+                    self.outbox.reply(clock);
+                }
                 Ok(())
             }
             ClientMessage::Bye => Err(End::Left),
@@ -98,15 +111,41 @@ impl Session {
             ClientMessage::Start => {
                 let Some(stream) = self.stream.take() else { return violation("a second Start") };
                 self.outbox.stop_scene();
+                for message in self.world.begin().into_iter().chain(self.world.clock()) {
+                    self.outbox.notify(message);
+                }
+                self.tell_news();
                 self.start(stream);
                 Ok(())
             }
+            ClientMessage::Edit { number, edits } => self.edit(number, edits),
+        }
+    }
+
+    fn edit(&mut self, number: u32, edits: Vec<Edit>) -> Result<(), End> {
+        if self.stream.is_some() {
+            return Err(End::Violation("an edit before Start".to_owned()));
+        }
+        self.ledger.edits.one();
+        if let Err(reason) = self.world.edit(number, edits, &self.services.scene.stage) {
+            self.ledger.edits_refused.one();
+            tracing::debug!(number, reason, "an edit is refused");
+            self.outbox.reply(ServerMessage::EditRefused { number, reason: reason.as_str().into() });
+        }
+        Ok(())
+    }
+
+    /// Tells the client of the scene's new states.
+    fn tell_news(&mut self) {
+        for message in self.world.news() {
+            self.outbox.notify(message);
         }
     }
 
     /// Starts the stream in its own task, so that a panic ends only this session.
     fn start(&mut self, stream: Stream) {
-        let work = stream.run(Arc::clone(&self.services), Arc::clone(&self.ledger));
+        let world = Arc::clone(&self.world.world);
+        let work = stream.run(Arc::clone(&self.services), world, Arc::clone(&self.ledger));
         self.stream_task.spawn(tracing::Instrument::in_current_span(work));
     }
 

@@ -50,6 +50,11 @@ impl End {
         }
     }
 
+    /// Whether the client may come back by itself.
+    pub(super) const fn may_return(&self) -> bool {
+        !matches!(self, Self::Ended(_))
+    }
+
     pub(super) const fn cause(&self) -> EndCause {
         match self {
             Self::Left => EndCause::Left,
@@ -84,6 +89,7 @@ mod tests {
         stream.spawn(async { panic!("inner secrets") });
         let end = End::of_stream(stream.join_next().await.unwrap());
         assert_eq!(end.code(), CloseCode::Internal);
+        assert!(end.may_return());
         assert!(matches!(&end, End::Failed(reason) if !reason.contains("secrets")), "{end:?}");
     }
 }

@@ -49,6 +49,11 @@ impl Outbox {
         }
     }
 
+    /// Whether no message waits for the writer.
+    pub(super) fn is_empty(&self) -> bool {
+        self.priority.is_empty()
+    }
+
     pub(super) fn send_scene_from(&mut self, offset: usize) {
         self.scene_next = Some(offset);
     }
@@ -160,7 +165,7 @@ mod tests {
             queued <= 7 + (CONTROL_QUEUE + 1) * SCENE_CHUNK_BYTES,
             "{queued} bytes queued for a client that reads none"
         );
-        outbox.notify(ServerMessage::Closing { reason: "test".into() });
+        outbox.notify(ServerMessage::Closing { reason: "test".into(), may_return: true });
 
         let whole = scene.clone();
         let pumping = tokio::spawn(async move {

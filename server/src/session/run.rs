@@ -16,7 +16,7 @@ use crate::{
 /// Serves an admitted client until it leaves, is lost, or the server stops. Then releases its permits.
 pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Services>) {
     let started_at = Instant::now();
-    let AdmittedClient { mut permit, port, shape, coding, rate_hz, client, reservation, mut grant } = admitted;
+    let AdmittedClient { mut permit, port, shape, coding, rate_hz, client, reservation, mut grant, world } = admitted;
     let codec = coding.codec;
     tracing::info!(%client, width = shape.width(), height = shape.height(), %codec, "session started");
     let closer = link.data.closer();
@@ -38,6 +38,7 @@ pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Serv
         stream_task: JoinSet::new(),
         stream: Some(Stream { data: link.data, port, shape, coding, in_background: rate_hz.is_none() }),
         fetches: 0,
+        world,
         ledger: Arc::clone(&ledger),
         services,
     };
@@ -53,7 +54,8 @@ pub(crate) async fn run(link: Link, admitted: AdmittedClient, services: Arc<Serv
     session.stream_task.shutdown().await;
     closer.announce(end.code(), &end.reason());
     if !matches!(end, End::Left | End::Lost(_)) {
-        session.outbox.notify(ServerMessage::Closing { reason: end.reason().as_ref().into() });
+        let (reason, may_return) = (end.reason().as_ref().into(), end.may_return());
+        session.outbox.notify(ServerMessage::Closing { reason, may_return });
         // Closing at once would overtake the message, so wait until the client has read it and left.
         session.outbox.finish(limits::LINGER).await;
         let _ = timeout(limits::LINGER, session.reader.drain()).await;

@@ -16,6 +16,7 @@ use crate::{
     net::link::DataLink,
     phase::stopping,
     visibility::engine::SessionPort,
+    world::World,
 };
 
 /// The stream's inputs, kept until Start.
@@ -30,7 +31,12 @@ pub(super) struct Stream {
 
 impl Stream {
     /// Runs until the server stops. Errors if the link or the engine fails.
-    pub(super) async fn run(self, services: Arc<Services>, ledger: Arc<Ledger>) -> Result<(), DriveError> {
+    pub(super) async fn run(
+        self,
+        services: Arc<Services>,
+        world: Arc<World>,
+        ledger: Arc<Ledger>,
+    ) -> Result<(), DriveError> {
         let (receiver, sender) = self.data.open(services.handshake_timeout).await?;
         let SessionPort { requests, masks, .. } = self.port;
         let (feedback, newest_feedback) = watch::channel(Feedback::default());
@@ -42,7 +48,7 @@ impl Stream {
             newest_feedback,
         );
         let mut phase = services.phase.clone();
-        let traced = (self.shape, services.scene.moves);
+        let traced = (self.shape, services.scene.moves, &*world);
         let poses = async {
             tokio::select! {
                 lost = receive_poses(receiver, &requests, &feedback, traced, &ledger) => {

@@ -61,6 +61,7 @@ impl Watchdog {
         let whole_seconds = seconds.ceil() as u64;
         for (count, per_second, what) in [
             (latest.messages, limits::MAX_MESSAGES_PER_SECOND, "control messages"),
+            (latest.edits, limits::MAX_EDITS_PER_SECOND, "edits"),
             (latest.poses_bad, limits::MAX_BAD_POSES_PER_SECOND, "invalid datagrams"),
         ] {
             if count > per_second * whole_seconds {

@@ -32,15 +32,15 @@ pub(crate) mod test_scenes;
 use std::time::{Duration, Instant};
 
 use gnomon_protocol::{ids::FrameNumber, mask::Mask, pose::Pose};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct TraceRequest {
     pub frame: FrameNumber,
     /// The view, and the size of the mask.
     pub camera: Camera,
-    /// Time of the scene's animation, in seconds: where to find what moves.
-    pub scene_time_s: f64,
+    /// Which state of the scene: where to find what moves, and what was edited.
+    pub scene: SceneAt,
     /// The extrapolated pose of `camera`. `None`: it is the client's own pose of this frame.
     pub ahead: Option<Pose>,
     pub received_at: Instant,

@@ -190,6 +190,8 @@ pub(crate) fn living_room() -> Scene {
         Some(Track { period_s, interpolation, times_s: times_s.to_vec(), values: values.to_vec() })
     };
     let still = AnimatedNode {
+        name: String::new(),
+        editable: false,
         parent: None,
         above: DMat4::IDENTITY,
         translation_m: DVec3::ZERO,

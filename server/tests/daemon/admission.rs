@@ -122,7 +122,7 @@ async fn a_protocol_violation_ends_only_its_session() {
             }
         };
         assert!(
-            matches!(&closing, Some(ServerMessage::Closing { reason: said }) if said.to_string().contains(reason)),
+            matches!(&closing, Some(ServerMessage::Closing { reason: said, .. }) if said.to_string().contains(reason)),
             "{closing:?}"
         );
         assert_eq!(bad.control.receive().await, None);

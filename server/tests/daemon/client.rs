@@ -45,6 +45,7 @@ pub(crate) fn pose() -> Pose {
         client_time_ms: 0,
         mask_px: [WIDTH, HEIGHT].map(|side| u16::try_from(side).unwrap()),
         look_ahead_ms: 0,
+        revision: 0,
     }
 }
 

@@ -147,7 +147,7 @@ impl Peer {
     async fn closing(&mut self) -> String {
         loop {
             match self.control.receive().await {
-                Some(ServerMessage::Closing { reason }) => return reason.to_string(),
+                Some(ServerMessage::Closing { reason, .. }) => return reason.to_string(),
                 Some(_) => {}
                 None => panic!("closed without a reason"),
             }

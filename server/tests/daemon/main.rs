@@ -5,6 +5,7 @@ mod admin;
 mod admission;
 mod client;
 mod connections;
+mod edits;
 mod frames;
 mod lab;
 mod lying;

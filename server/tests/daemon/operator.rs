@@ -89,7 +89,10 @@ async fn the_admin_address_shows_the_servers_state() {
 async fn closing(client: &mut Native) -> String {
     loop {
         match client.control.receive().await {
-            Some(ServerMessage::Closing { reason }) => return reason.to_string(),
+            Some(ServerMessage::Closing { reason, may_return }) => {
+                assert!(!may_return, "{reason}");
+                return reason.to_string();
+            }
             Some(_) => {}
             None => panic!("no reason"),
         }

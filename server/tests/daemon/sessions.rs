@@ -108,7 +108,9 @@ async fn an_operator_sees_who_is_there_and_ends_a_session() {
     assert_eq!(rig.server.sessions(), 1);
     assert_eq!(command(admin, Some(&secret), Some(id)).await.unwrap(), format!("session {id} ends"));
     match client.control.receive().await {
-        Some(ServerMessage::Closing { reason }) => assert!(reason.to_string().contains("operator"), "{reason}"),
+        Some(ServerMessage::Closing { reason, may_return }) => {
+            assert!(reason.to_string().contains("operator") && !may_return, "{reason}");
+        }
         other => panic!("{other:?}"),
     }
     client.connection.close(0u32.into(), b"");

@@ -184,7 +184,7 @@ async fn a_session_that_the_operator_ends_closes_its_socket_with_the_code_and_th
     let mut page = Page::open(web, None).await.unwrap();
     let welcome = page.welcome(hello()).await;
     assert!(rig.server.end_session(welcome.session.0));
-    let Heard::Said(ServerMessage::Closing { reason }) = page.hear().await else { panic!("no goodbye") };
+    let Heard::Said(ServerMessage::Closing { reason, .. }) = page.hear().await else { panic!("no goodbye") };
     let Heard::End(Some((code, said))) = page.hear().await else { panic!("no code") };
     assert_eq!((code, said.as_str()), (4004, reason.unescaped()));
 }

@@ -1,11 +1,12 @@
 //! The scene: flattened triangles, materials, textures and lights, in the space that server and client compute in.
 //!
 //! [`load`] tells glTF from the packed form; [`reader`] turns glTF into a [`Scene`]; [`pack`] turns a scene into bytes
-//! to send, and back. [`moment`] says where everything is at a time. [`camera`] gives each pixel's ray, [`motion`]
-//! predicts the camera. [`limits`] holds every bound.
+//! to send, and back. [`moment`] says where everything is at a time, [`edits`] what people have changed. [`camera`] gives
+//! each pixel's ray, [`motion`] predicts the camera. [`limits`] holds every bound.
 //! Only [`file`], [`testing`] and [`fuzzing`] touch files.
 
 pub mod camera;
+mod edits;
 mod error;
 mod file;
 #[doc(hidden)]
@@ -22,9 +23,11 @@ mod pack;
 mod picture;
 mod reader;
 mod scene;
+mod scene_at;
 #[doc(hidden)]
 pub mod testing;
 
+pub use edits::{Edit, EditError, Edits, LightEdit, NodeEdit};
 pub use error::SceneError;
 pub use load_options::LoadOptions;
 pub use moment::{Moment, Placement};
@@ -35,3 +38,4 @@ pub use scene::{
     Clearcoat, Coordinates, Draw, Filter, Image, Interpolation, Light, LightKind, Material, NamedCamera, Piece, Place,
     Scene, Sheen, Specular, Summary, Texture, Track, Transmission, Wrap, triangle_normal,
 };
+pub use scene_at::SceneAt;

@@ -116,6 +116,9 @@ pub const MAX_CAMERAS: usize = 1 << 8;
 /// and squares and products of such distances stay within f32.
 pub const MAX_COORDINATE_M: f64 = 1e9;
 
+/// Nodes and lights of a scene that are edited at once.
+pub const MAX_EDITED: usize = 1024;
+
 /// Returns whether a position in world space is finite and within [`MAX_COORDINATE_M`].
 pub(super) fn in_reach(position: DVec3) -> bool {
     // Each coordinate is compared, because `max_element` ignores NaN.

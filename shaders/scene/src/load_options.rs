@@ -18,10 +18,20 @@ pub struct LoadOptions {
     pub animation: Option<String>,
     /// Name or number of the material variant to show (KHR_materials_variants). The default materials if absent.
     pub variant: Option<String>,
+    /// Names of the nodes that people may move and hide ([`Edits`](crate::Edits)); `all` means every node.
+    pub editable: Vec<String>,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { lights_from: None, max_lights: None, default_light: true, scene: None, animation: None, variant: None }
+        Self {
+            lights_from: None,
+            max_lights: None,
+            default_light: true,
+            scene: None,
+            animation: None,
+            variant: None,
+            editable: Vec::new(),
+        }
     }
 }

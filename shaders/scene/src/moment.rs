@@ -10,14 +10,14 @@ use std::{
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Vec3, Vec4};
 
 use crate::{
-    Aabb, AnimatedCamera, AnimatedLight, AnimatedNode, Animation, Draw, Image, Light, LightKind, NamedCamera, Piece,
-    Place, Scene, Track, light::f32_of, limits::in_reach, scene::triangle_normal,
+    Aabb, AnimatedCamera, AnimatedLight, AnimatedNode, Animation, Draw, Image, Light, LightKind, NamedCamera, NodeEdit,
+    Piece, Place, Scene, SceneAt, Track, light::f32_of, limits::in_reach, scene::triangle_normal,
 };
 
-/// What moves in a scene, at one time.
+/// What moves or was edited in a scene, at one time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moment {
-    /// One for each piece of the animation. `None`: it is not shown, or lies out of reach.
+    /// One for each piece of the animation. `None`: it is not shown, or lies out of reach. Empty without an animation.
     pub pieces: Vec<Option<Placement>>,
     /// All lights of the scene. One that is not shown is off.
     pub lights: Vec<Light>,
@@ -75,34 +75,47 @@ struct World {
 
 /// When to look at an animation.
 #[derive(Clone, Copy)]
-enum When {
-    /// In the file's pose, without any track.
+enum When<'a> {
+    /// In the file's pose, without any track or edit.
     File,
-    Time(f64),
+    At(&'a SceneAt),
 }
 
-impl When {
+impl When<'_> {
     fn sample<const N: usize>(self, track: Option<&Track>) -> Option<[f64; N]> {
         match self {
             Self::File => None,
-            Self::Time(time_s) => track.map(|track| track.sample(time_s)),
+            Self::At(at) => track.map(|track| track.sample(at.time_s)),
+        }
+    }
+
+    fn edit(self, node: usize) -> NodeEdit {
+        match self {
+            Self::File => NodeEdit::default(),
+            // There are fewer nodes than 2³².
+            Self::At(at) => at.edits.node(u32::try_from(node).unwrap_or(u32::MAX)),
         }
     }
 }
 
 impl Scene {
-    /// Returns what moves, at a time in seconds. `None` if everything rests.
+    /// Returns what moves or was edited, at a time in seconds. `None` if everything is as in the file.
     #[must_use]
-    pub fn moment(&self, time_s: f64) -> Option<Moment> {
-        self.animation.as_ref().map(|animation| self.moment_of(animation, When::Time(time_s)))
+    pub fn moment(&self, at: impl Into<SceneAt>) -> Option<Moment> {
+        let at = at.into();
+        (!self.rests(&at)).then(|| self.moment_of(When::At(&at)))
     }
 
     /// Returns the cameras at a time in seconds.
     #[must_use]
-    pub fn cameras_at(&self, time_s: f64) -> Vec<NamedCamera> {
+    pub fn cameras_at(&self, at: impl Into<SceneAt>) -> Vec<NamedCamera> {
+        self.cameras_of(&at.into())
+    }
+
+    fn cameras_of(&self, at: &SceneAt) -> Vec<NamedCamera> {
         let mut cameras = self.cameras.clone();
         let Some(animation) = &self.animation else { return cameras };
-        let when = When::Time(time_s);
+        let when = When::At(at);
         let worlds = worlds(animation, when);
         for moving in &animation.cameras {
             if let Some(camera) = cameras.get_mut(moving.camera as usize) {
@@ -114,18 +127,19 @@ impl Scene {
 
     /// Returns the scene as it stands at a time in seconds: one in which everything rests. It may have no triangles.
     #[must_use]
-    pub fn still_at(&self, time_s: f64) -> Self {
-        self.still(self.images.clone(), When::Time(time_s))
+    pub fn still_at(&self, at: impl Into<SceneAt>) -> Self {
+        self.still(self.images.clone(), When::At(&at.into()))
     }
 
     /// Returns the scene as [`Self::still_at`] does, for those who read no pictures: a copy has none. There is no copy
     /// if everything rests.
     #[must_use]
-    pub fn bare_at(&self, time_s: f64) -> Cow<'_, Self> {
-        if self.animation.is_none() {
+    pub fn bare_at(&self, at: impl Into<SceneAt>) -> Cow<'_, Self> {
+        let at = at.into();
+        if self.rests(&at) {
             return Cow::Borrowed(self);
         }
-        Cow::Owned(self.still(Vec::new(), When::Time(time_s)))
+        Cow::Owned(self.still(Vec::new(), When::At(&at)))
     }
 
     /// Returns the scene in the pose of the file: one in which everything rests. It may have no triangles.
@@ -134,19 +148,40 @@ impl Scene {
         self.still(self.images.clone(), When::File)
     }
 
-    fn moment_of(&self, animation: &Animation, when: When) -> Moment {
+    fn rests(&self, at: &SceneAt) -> bool {
+        self.animation.is_none() && at.edits.is_empty()
+    }
+
+    fn moment_of(&self, when: When<'_>) -> Moment {
+        let none = Animation::default();
+        let animation = self.animation.as_deref().unwrap_or(&none);
         let worlds = worlds(animation, when);
         let pieces = animation.pieces.iter().map(|piece| placement(piece, &worlds, self.origin_m)).collect();
         let mut lights = self.lights.clone();
+        let mut off = Vec::new();
         for moving in &animation.lights {
-            if let Some(light) = lights.get_mut(moving.light as usize) {
-                move_light(light, moving, &worlds, self.origin_m, when);
+            if let Some(light) = lights.get_mut(moving.light as usize)
+                && !move_light(light, moving, &worlds, self.origin_m, when)
+            {
+                off.push(moving.light);
+            }
+        }
+        if let When::At(at) = when {
+            for (number, edit) in at.edits.lights() {
+                if let Some(light) = lights.get_mut(number as usize) {
+                    edit.apply(light, self.origin_m);
+                }
+            }
+        }
+        for number in off {
+            if let Some(light) = lights.get_mut(number as usize) {
+                light.intensity = 0.0;
             }
         }
         Moment { pieces, lights }
     }
 
-    fn still(&self, images: Vec<Image>, when: When) -> Self {
+    fn still(&self, images: Vec<Image>, when: When<'_>) -> Self {
         // Field by field: pictures and animations are large.
         let mut scene = Self {
             origin_m: self.origin_m,
@@ -166,11 +201,11 @@ impl Scene {
             instances: self.instances,
             animation: None,
         };
-        let Some(animation) = &self.animation else { return scene };
-        let moment = self.moment_of(animation, when);
+        let moment = self.moment_of(when);
         scene.lights = moment.lights;
-        if let When::Time(time_s) = when {
-            scene.cameras = self.cameras_at(time_s);
+        let Some(animation) = &self.animation else { return scene };
+        if let When::At(at) = when {
+            scene.cameras = self.cameras_of(at);
         }
         for ((piece, first), placement) in animation.pieces.iter().zip(animation.first_positions()).zip(&moment.pieces)
         {
@@ -217,29 +252,34 @@ fn set<T>(list: &mut [T], at: usize, value: Option<T>) {
 }
 
 /// Returns the animated nodes' transforms. Parents come first.
-fn worlds(animation: &Animation, when: When) -> Vec<World> {
+fn worlds(animation: &Animation, when: When<'_>) -> Vec<World> {
     let mut worlds: Vec<World> = Vec::with_capacity(animation.nodes.len());
-    for node in &animation.nodes {
+    for (number, node) in animation.nodes.iter().enumerate() {
+        let edit = when.edit(number);
         let above = node.parent.and_then(|parent| worlds.get(parent as usize).copied());
         let above = above.unwrap_or(World { world_from_node: DMat4::IDENTITY, visible: true });
         let shown = when.sample::<1>(node.visible_track.as_ref()).map_or(node.visible, |[shown]| shown != 0.0);
         worlds.push(World {
-            world_from_node: above.world_from_node * node.above * own(node, when),
-            visible: above.visible && shown,
+            world_from_node: above.world_from_node * node.above * own(node, &edit, when),
+            visible: above.visible && edit.shown.unwrap_or(shown),
         });
     }
     worlds
 }
 
-fn own(node: &AnimatedNode, when: When) -> DMat4 {
+fn own(node: &AnimatedNode, edit: &NodeEdit, when: When<'_>) -> DMat4 {
     let vector = |track: &Option<Track>, fixed| when.sample(track.as_ref()).map_or(fixed, DVec3::from_array);
     let rotation = match (when, &node.rotation_track) {
-        (When::Time(time_s), Some(track)) => track.rotation(time_s),
+        (When::At(at), Some(track)) => track.rotation(at.time_s),
         _ => node.rotation,
     };
     let (scale, translation) =
         (vector(&node.scale_track, node.scale), vector(&node.translation_track, node.translation_m));
-    DMat4::from_scale_rotation_translation(scale, rotation, translation)
+    DMat4::from_scale_rotation_translation(
+        edit.scale.unwrap_or(scale),
+        edit.rotation.map_or(rotation, DQuat::normalize),
+        edit.translation_m.unwrap_or(translation),
+    )
 }
 
 fn placement(piece: &Piece, worlds: &[World], origin_m: DVec3) -> Option<Placement> {
@@ -280,7 +320,8 @@ fn hung(place: &Place, worlds: &[World]) -> Option<(DMat4, bool)> {
     (there.is_finite() && in_reach(there.w_axis.truncate())).then_some((there, world.visible))
 }
 
-fn move_light(light: &mut Light, moving: &AnimatedLight, worlds: &[World], origin_m: DVec3, when: When) {
+/// Returns whether the light is shown.
+fn move_light(light: &mut Light, moving: &AnimatedLight, worlds: &[World], origin_m: DVec3, when: When<'_>) -> bool {
     let positive = |track: &Option<Track>| when.sample::<1>(track.as_ref()).map(|[v]| f32_of(v.clamp(0.0, MOST)));
     if let Some(color) = when.sample::<3>(moving.color_track.as_ref()) {
         light.color = Vec3::from_array(color.map(|v| f32_of(v.clamp(0.0, MOST))));
@@ -295,14 +336,8 @@ fn move_light(light: &mut Light, moving: &AnimatedLight, worlds: &[World], origi
         *outer_cone_rad = angle(&moving.outer_cone_track).unwrap_or(*outer_cone_rad);
         *inner_cone_rad = angle(&moving.inner_cone_track).unwrap_or(*inner_cone_rad).min(*outer_cone_rad);
     }
-    let Some(place) = &moving.place else { return };
-    let Some((there, visible)) = hung(place, worlds) else {
-        light.intensity = 0.0;
-        return;
-    };
-    if !visible {
-        light.intensity = 0.0;
-    }
+    let Some(place) = &moving.place else { return true };
+    let Some((there, visible)) = hung(place, worlds) else { return false };
     if light.kind != LightKind::Directional {
         light.position = (there.w_axis.truncate() - origin_m).as_vec3();
     }
@@ -311,12 +346,13 @@ fn move_light(light: &mut Light, moving: &AnimatedLight, worlds: &[World], origi
         let axis = there.transform_vector3(DVec3::NEG_Z).try_normalize();
         light.direction = axis.map_or(light.direction, |axis| axis.as_vec3().normalize());
     }
+    visible
 }
 
 /// Largest value of a light, which becomes an f32.
 const MOST: f64 = f32::MAX as f64;
 
-fn move_camera(camera: &mut NamedCamera, moving: &AnimatedCamera, worlds: &[World], when: When) {
+fn move_camera(camera: &mut NamedCamera, moving: &AnimatedCamera, worlds: &[World], when: When<'_>) {
     let zoomed = when.sample::<1>(moving.yfov_track.as_ref()).map(|[yfov]| yfov);
     camera.yfov_rad = zoomed.filter(|yfov| *yfov > 0.0 && *yfov < PI).unwrap_or(camera.yfov_rad);
     let Some((there, _)) = moving.place.as_ref().and_then(|place| hung(place, worlds)) else { return };

@@ -1,17 +1,17 @@
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 
-/// A camera, and the time at which it sees the scene: what a picture or a mask shows.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// A camera, and the state of the scene that it sees: what a picture or a mask shows.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Viewpoint {
     pub camera: Camera,
-    /// Time of the scene, in seconds. 0 if everything rests, for then a camera sees the same at any time.
-    pub scene_time_s: f64,
+    /// Its time is 0 if nothing moves with time, for then a camera sees the same at any time.
+    pub scene: SceneAt,
 }
 
 impl Viewpoint {
     /// A view of a scene in which everything rests.
     #[must_use]
     pub fn resting(camera: Camera) -> Self {
-        Self { camera, scene_time_s: 0.0 }
+        Self { camera, scene: SceneAt::default() }
     }
 }

@@ -2,11 +2,11 @@
 //!
 //! The program around it supplies time and masks, sends the poses, shows the pictures and measures the stages.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use glam::DVec3;
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS, pose::Pose};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{Edit, SceneAt, camera::Camera};
 use web_time::Instant;
 
 use super::{
@@ -15,7 +15,7 @@ use super::{
     stats::{FrameStats, StageTimes, millis},
 };
 use crate::{
-    mask::{matcher::MaskMatcher, pose_history::MaskRequest, received::ReceivedMask},
+    mask::{matcher::MaskMatcher, pose_history::MaskRequest, received::ReceivedMask, world::WorldError},
     render::{FrameRenderer, RenderError, predict::MaskView},
 };
 
@@ -38,15 +38,27 @@ pub struct PoseRequest {
 }
 
 /// What a frame draws.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Drawing {
     pub camera: Camera,
-    /// Time of the scene, in seconds.
-    pub scene_time_s: f64,
+    pub scene: SceneAt,
     pub decision: Decision,
 }
 
 /// Makes the decisions of each frame, and owns the renderer.
+///
+/// An application that moves things itself hands their transforms over before each frame:
+///
+/// ```
+/// use gnomon_client_core::{frame::frame_loop::FrameLoop, mask::world::WorldError};
+/// use gnomon_scene::{Edit, NodeEdit};
+///
+/// /// `door` is the number of a node that may be edited: its place in `scene.animation`'s nodes.
+/// fn turn(frames: &mut FrameLoop, door: u32, angle_rad: f64) -> Result<(), WorldError> {
+///     let rotation = Some(glam::DQuat::from_rotation_y(angle_rad));
+///     frames.edit(&[Edit::Node(door, NodeEdit { rotation, ..NodeEdit::default() })])
+/// }
+/// ```
 #[derive(Debug)]
 pub struct FrameLoop {
     pub renderer: FrameRenderer,
@@ -100,8 +112,16 @@ impl FrameLoop {
         self.matcher.scene_changed(frame, self.renderer.moves());
     }
 
-    /// Remembers the frame and decides whether it needs a new mask. `scene_time_s` is the scene's time, in seconds;
-    /// `connected` is false while no mask can arrive.
+    /// Changes nodes and lights from the next frame on. An edit replaces what was said of its node or light before.
+    ///
+    /// # Errors
+    /// If the server does not let this client edit.
+    pub fn edit(&mut self, edits: &[Edit]) -> Result<(), WorldError> {
+        self.matcher.world.edit(edits)
+    }
+
+    /// Remembers the frame and decides whether it needs a new mask. `scene_time_s` is the scene's time, in seconds,
+    /// unless the server's clock gives it; `connected` is false while no mask can arrive.
     pub fn request(
         &mut self,
         frame: FrameNumber,
@@ -120,17 +140,20 @@ impl FrameLoop {
         // Wraps after 49 days, as documented at the field.
         #[expect(clippy::cast_possible_truncation, reason = "milliseconds modulo 2³²")]
         let client_time_ms = now.duration_since(self.started).as_millis() as u32;
+        let (now_s, world) = (self.matcher.world.scene_time_s(now), &self.matcher.world);
+        let scene = SceneAt { time_s: now_s.unwrap_or(scene_time_s), edits: Arc::clone(world.drawn()) };
         let pose = Pose {
             position_m: wide.position_m.to_array(),
             orientation: wide.orientation.to_array(),
             yfov_rad: wide.yfov_rad,
-            scene_time_s,
+            scene_time_s: scene.time_s,
             client_time_ms,
             // Sides are at most 4096.
             mask_px: [wide.width, wide.height].map(|side| u16::try_from(side).unwrap_or(u16::MAX)),
             look_ahead_ms,
+            revision: world.revision(),
         };
-        let view = self.matcher.viewpoint(wide, scene_time_s);
+        let view = self.matcher.viewpoint(wide, &scene);
         let needed = connected && self.matcher.should_request(frame, &view, now);
         let sends = match self.source {
             MaskSource::Offline => false,
@@ -138,8 +161,23 @@ impl FrameLoop {
             MaskSource::Streamed { .. } => needed,
         };
         let sent_at = sends.then_some(now);
-        self.matcher.insert(MaskRequest { frame, begun: now, camera: *camera, mask_camera: wide, pose, sent_at });
+        self.matcher.insert(MaskRequest {
+            frame,
+            begun: now,
+            camera: *camera,
+            mask_camera: wide,
+            scene,
+            pose,
+            sent_at,
+        });
         PoseRequest { pose: sends.then_some(pose), look_ahead_ms }
+    }
+
+    /// Lets the renderer show what the frame, which was requested, shows of the scene.
+    pub fn show_requested(&mut self, frame: FrameNumber) {
+        if let Some(request) = self.matcher.request(frame) {
+            self.renderer.set_time(&request.scene);
+        }
     }
 
     /// Passes those of `masks` that answer a request to the renderer, oldest first. Returns the newest response time.
@@ -159,7 +197,7 @@ impl FrameLoop {
                 coverage: Some(&mask.coverage),
                 more: matched.more,
                 traced_for: &matched.traced_for.camera,
-                scene_time_s: matched.traced_for.scene_time_s,
+                scene: &matched.traced_for.scene,
             }))?;
             if used {
                 response = matched.response;
@@ -175,11 +213,11 @@ impl FrameLoop {
     /// Chooses the camera to draw from, at which time of the scene, and the weight of received visibility. The frame
     /// was requested.
     pub fn choose(&mut self, frame: FrameNumber, camera: &Camera, now: Instant) -> Drawing {
-        let scene_time_s = self.matcher.request(frame).map_or(0.0, |request| request.pose.scene_time_s);
+        let scene = self.matcher.request(frame).map(|request| request.scene.clone()).unwrap_or_default();
         let previous = self.previous.replace((*camera, now));
         if !matches!(self.source, MaskSource::Streamed { .. }) {
             let decision = Decision { state: State::Concurrent, visibility_share: 1.0 };
-            return Drawing { camera: *camera, scene_time_s, decision };
+            return Drawing { camera: *camera, scene, decision };
         }
         let current = self.matcher.current();
         let step_s = previous.map_or(0.0, |(_, previous)| now.duration_since(previous).as_secs_f64());
@@ -193,11 +231,11 @@ impl FrameLoop {
                 state => tracing::info!(frame = frame.0, ?lag, ?state, "visibility"),
             }
         }
-        let (camera, scene_time_s) = match (decision.state, current) {
-            (State::Sequential, Some(current)) => (current.request.camera, current.request.pose.scene_time_s),
-            _ => (*camera, scene_time_s),
+        let (camera, scene) = match (decision.state, current) {
+            (State::Sequential, Some(current)) => (current.request.camera, current.request.scene.clone()),
+            _ => (*camera, scene),
         };
-        Drawing { camera, scene_time_s, decision }
+        Drawing { camera, scene, decision }
     }
 
     /// Returns the statistics of a frame that was shown.
@@ -382,7 +420,7 @@ mod tests {
                 if asks {
                     let mask = ReceivedMask { frame: number, ..ReceivedMask::blank(shape, now) };
                     frames.accept_masks([mask].iter(), now).unwrap();
-                    assert_eq!(frames.choose(number, &camera, now).scene_time_s, scene_time_s);
+                    assert_eq!(frames.choose(number, &camera, now).scene, scene_time_s.into());
                     assert_eq!(frames.mask_lags(number), [0; MAX_LAYERS]);
                 }
                 asks

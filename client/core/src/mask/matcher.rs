@@ -1,18 +1,20 @@
 //! Finds the request that each received mask answers, and decides when to request another one.
 
-use std::{collections::VecDeque, time::Duration};
+use std::{collections::VecDeque, sync::Arc, time::Duration};
 
 use gnomon_protocol::{
     coverage::Coverage,
     ids::FrameNumber,
     limits::{MAX_LAYERS, MAX_LOOK_AHEAD_MS},
+    pose::Pose,
 };
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 use web_time::Instant;
 
 use super::{
     pose_history::{MaskRequest, PoseHistory, Rejection, Rejections},
     received::ReceivedMask,
+    world::World,
 };
 use crate::camera::Viewpoint;
 
@@ -23,6 +25,8 @@ const REFRESH: Duration = Duration::from_secs(1);
 /// Matches masks with requests and keeps the latencies that follow from it.
 #[derive(Debug, Default)]
 pub struct MaskMatcher {
+    /// What people have changed in the scene.
+    pub world: World,
     history: PoseHistory,
     rejections: Rejections,
     current: Option<CurrentMask>,
@@ -30,7 +34,7 @@ pub struct MaskMatcher {
     coverage: Option<Coverage>,
     /// Views of the latest masks and the frames that requested them, newest first; at most one for each layer.
     views: VecDeque<(Viewpoint, FrameNumber)>,
-    /// Whether something moves in the scene.
+    /// Whether something in the scene moves with time.
     scene_moves: bool,
     last_request: Option<Instant>,
     /// The last frame whose pose was sent more than once.
@@ -42,7 +46,7 @@ pub struct MaskMatcher {
 }
 
 /// The mask that the renderer uses.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct CurrentMask {
     pub request: MaskRequest,
     /// The view that it was traced for.
@@ -71,7 +75,7 @@ impl CurrentMask {
 }
 
 /// A mask that answers a request.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct MatchedMask {
     /// The view that it was traced for.
     pub traced_for: Viewpoint,
@@ -82,16 +86,17 @@ pub struct MatchedMask {
 }
 
 impl MaskMatcher {
-    /// A matcher for a scene in which something moves, or nothing.
+    /// A matcher for a scene in which something moves with time, or nothing.
     #[must_use]
     pub fn new(scene_moves: bool) -> Self {
         Self { scene_moves, ..Self::default() }
     }
 
-    /// Returns what a camera sees at a time of the scene, in seconds.
+    /// Returns what a camera sees of the scene in this state.
     #[must_use]
-    pub fn viewpoint(&self, camera: Camera, scene_time_s: f64) -> Viewpoint {
-        if self.scene_moves { Viewpoint { camera, scene_time_s } } else { Viewpoint::resting(camera) }
+    pub fn viewpoint(&self, camera: Camera, scene: &SceneAt) -> Viewpoint {
+        let scene = scene.clone();
+        Viewpoint { camera, scene: if self.scene_moves { scene } else { scene.at_any_time() } }
     }
 
     /// Returns whether to request a mask for `view`, and counts it as requested if so. False while every tile of that
@@ -135,6 +140,7 @@ impl MaskMatcher {
     /// Forgets all masks: from `frame` on, they are of another scene and go over a new connection.
     pub fn scene_changed(&mut self, frame: FrameNumber, moves: bool) {
         self.scene_moves = moves;
+        self.world.forget();
         self.reconnected(frame);
         self.forget_masks();
     }
@@ -153,14 +159,23 @@ impl MaskMatcher {
     /// Returns the request that `mask` answers and the view that it was traced for.
     ///
     /// # Errors
-    /// If it answers no request of the current connection.
+    /// If it answers no request of the current connection, or was traced with an unknown state of the scene.
     pub fn find(&self, mask: &ReceivedMask) -> Result<(MaskRequest, Viewpoint), Rejection> {
-        let request = *self.history.answered(mask.frame, mask.mask.shape())?;
-        let traced_for = mask.traced_for.map_or((request.mask_camera, request.pose.scene_time_s), |pose| {
-            let camera = Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, request.pose.mask_px);
-            (camera, pose.scene_time_s)
+        let request = self.history.answered(mask.frame, mask.mask.shape())?.clone();
+        let pose = mask.traced_for.as_ref();
+        let revision = pose.map_or(request.pose.revision, |pose| pose.revision);
+        let edits = Arc::clone(self.world.state(revision)?);
+        // As computed: see `MaskRequest::mask_camera`.
+        let same_camera = |pose: &Pose| {
+            let own = &request.pose;
+            pose.position_m == own.position_m && pose.orientation == own.orientation && pose.yfov_rad == own.yfov_rad
+        };
+        let camera = pose.filter(|pose| !same_camera(pose)).map_or(request.mask_camera, |pose| {
+            Camera::of_pose(pose.position_m, pose.orientation, pose.yfov_rad, request.pose.mask_px)
         });
-        Ok((request, self.viewpoint(traced_for.0, traced_for.1)))
+        let scene = SceneAt { time_s: pose.map_or(request.scene.time_s, |pose| pose.scene_time_s), edits };
+        let traced_for = self.viewpoint(camera, &scene);
+        Ok((request, traced_for))
     }
 
     /// Makes `mask` the current one. Returns `None` and counts a rejection if it answers no request.
@@ -173,24 +188,27 @@ impl MaskMatcher {
                 return None;
             }
         };
-        let more = self.current.is_some_and(|current| current.request.frame == request.frame);
+        let more = self.current.as_ref().is_some_and(|current| current.request.frame == request.frame);
         let response = request.sent_at.map(|sent| mask.received_at.saturating_duration_since(sent));
-        let same_view = self.current.filter(|before| before.traced_for == traced_for);
+        let same_view = self.current.as_ref().filter(|before| before.traced_for == traced_for);
         let (as_of, as_of_begun) = same_view
             .filter(|before| before.as_of > request.frame)
             .map_or((request.frame, request.begun), |before| (before.as_of, before.as_of_begun));
-        let before = self.coverage.take().filter(|_| same_view.is_some());
+        let is_same = same_view.is_some();
+        let before = self.coverage.take().filter(|_| is_same);
         self.coverage = Some(before.map_or_else(|| mask.coverage.clone(), |before| before.or(&mask.coverage)));
         let (bytes, packets) = (mask.payload_bytes, mask.packets);
-        self.current = Some(CurrentMask { request, traced_for, as_of, as_of_begun, bytes, packets });
         self.views.truncate(MAX_LAYERS - 1);
-        self.views.push_front((traced_for, request.frame));
+        self.views.push_front((traced_for.clone(), request.frame));
+        let (frame, sent_at) = (request.frame, request.sent_at);
+        let seen = traced_for.clone();
+        self.current = Some(CurrentMask { request, traced_for: seen, as_of, as_of_begun, bytes, packets });
         // Karn's rule for round trips: the response to a repeated pose says nothing about the server. If it counted,
         // one lost frame would make the next loss cost twice as much.
-        if self.repeated != Some(request.frame) && !more {
+        if self.repeated != Some(frame) && !more {
             let faded = self.slowest_response.map_or(Duration::ZERO, |slowest| slowest * 7 / 8);
             self.slowest_response = response.map(|response| response.max(faded)).or(self.slowest_response);
-            let latency = request.sent_at.map(|sent| shown_at.saturating_duration_since(sent));
+            let latency = sent_at.map(|sent| shown_at.saturating_duration_since(sent));
             let smoothed = latency.map(|latency| self.latency.map_or(latency, |before| (before * 7 + latency) / 8));
             self.latency = smoothed.or(self.latency);
         }
@@ -216,7 +234,7 @@ impl MaskMatcher {
     /// Returns the age in frames of the masks traced for `views`, newest first.
     #[must_use]
     pub fn lags<'a>(&self, frame: FrameNumber, mut views: impl Iterator<Item = &'a Viewpoint>) -> [u32; MAX_LAYERS] {
-        let newest = views.next().zip(self.current).map_or(0, |(_, current)| current.lag(frame));
+        let newest = views.next().zip(self.current.as_ref()).map_or(0, |(_, current)| current.lag(frame));
         let requested_by =
             |view: &Viewpoint| self.views.iter().find(|(known, _)| known == view).map(|(_, frame)| frame.0);
         let older = views.map(|view| requested_by(view).map_or(newest, |requested| frame.0.saturating_sub(requested)));

@@ -3,7 +3,7 @@
 use std::{collections::VecDeque, time::Duration};
 
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape, pose::Pose};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 use serde::Serialize;
 use web_time::Instant;
 
@@ -17,7 +17,7 @@ const MIN_FRAMES: usize = 256;
 const MAX_FRAMES: usize = 1 << 16;
 
 /// A frame and the mask requested for it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct MaskRequest {
     pub frame: FrameNumber,
     /// When the frame began.
@@ -27,6 +27,8 @@ pub struct MaskRequest {
     /// The same with the guard band. Stored as computed: if it were rebuilt from the pose, its quaternion would be
     /// normalised twice, could differ in the last bit, and would count as another view.
     pub mask_camera: Camera,
+    /// What the picture shows of the scene.
+    pub scene: SceneAt,
     /// The pose as sent, with the mask's size and field of view.
     pub pose: Pose,
     /// `None` if no server was connected or the frame needed no mask.
@@ -47,6 +49,10 @@ pub enum Rejection {
     BeforeReconnect,
     /// Its size or its number of lights differs from the requested one.
     WrongSize,
+    /// It was traced with a state of the scene that the client has not heard of yet.
+    UnknownRevision,
+    /// It was traced with a state of the scene that the client has forgotten.
+    OldRevision,
 }
 
 /// Rejected masks by cause.
@@ -57,6 +63,8 @@ pub struct Rejections {
     pub never_sent: u64,
     pub before_reconnect: u64,
     pub wrong_size: u64,
+    pub unknown_revision: u64,
+    pub old_revision: u64,
 }
 
 impl Rejections {
@@ -67,6 +75,8 @@ impl Rejections {
             Rejection::NeverSent => &mut self.never_sent,
             Rejection::BeforeReconnect => &mut self.before_reconnect,
             Rejection::WrongSize => &mut self.wrong_size,
+            Rejection::UnknownRevision => &mut self.unknown_revision,
+            Rejection::OldRevision => &mut self.old_revision,
         };
         *counter += 1;
     }
@@ -166,6 +176,7 @@ mod tests {
             client_time_ms: 0,
             mask_px: [64, 36],
             look_ahead_ms: 0,
+            revision: 0,
         };
         let camera = Camera {
             position_m: DVec3::X * f64::from(frame),
@@ -175,7 +186,15 @@ mod tests {
             height: 36,
         };
         let sent_at = sent.then_some(begun);
-        MaskRequest { frame: FrameNumber(frame), begun, camera, mask_camera: camera, pose, sent_at }
+        MaskRequest {
+            frame: FrameNumber(frame),
+            begun,
+            camera,
+            mask_camera: camera,
+            scene: SceneAt::default(),
+            pose,
+            sent_at,
+        }
     }
 
     /// Inserts 8 s of frames at this rate. Returns how many of them are remembered.
@@ -242,10 +261,20 @@ mod tests {
             Rejection::BeforeReconnect,
             Rejection::WrongSize,
             Rejection::WrongSize,
+            Rejection::UnknownRevision,
+            Rejection::OldRevision,
         ] {
             counts.count(rejection);
         }
-        let expected = Rejections { future: 1, forgotten: 1, never_sent: 1, before_reconnect: 1, wrong_size: 2 };
+        let expected = Rejections {
+            future: 1,
+            forgotten: 1,
+            never_sent: 1,
+            before_reconnect: 1,
+            wrong_size: 2,
+            unknown_revision: 1,
+            old_revision: 1,
+        };
         assert_eq!(counts, expected);
     }
 }

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3, Vec3, Vec4};
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{Light, LightKind, Scene, camera::Camera};
+use gnomon_scene::{Light, LightKind, Scene, SceneAt, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 
 use super::{
@@ -137,7 +137,8 @@ fn pixels_that_are_put_off_are_drawn_as_all_others_would_be() {
     let mut renderer = renderer(&gpu, &scene, shape);
     renderer.set_quality(Quality::High);
     let mut light = |visibility_share: f32| -> Vec<f64> {
-        let view = MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera, scene_time_s: 0.0 };
+        let view =
+            MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera, scene: &SceneAt::default() };
         let reader = PictureReader::new(&gpu, SIDE, SIDE, 1);
         renderer.draw_surfaces(&camera).unwrap();
         renderer.set_mask(Some(view)).unwrap();

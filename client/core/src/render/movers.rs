@@ -1,8 +1,8 @@
-//! What moves, on the adapter: its vertices and corners are written anew for each time of the scene, as the scene has
+//! What moves, on the adapter: its vertices and corners are written anew for each state of the scene, as the scene has
 //! them that stands still then (`shaders/scene/docs/living.md`). Passes see ordinary triangles.
 
-use glam::{DMat4, DVec4, Vec3};
-use gnomon_scene::{Animation, Moment, Placement, Scene};
+use glam::{DMat4, DVec3, DVec4, Vec3};
+use gnomon_scene::{Animation, Light, Moment, Placement, Scene, SceneAt};
 use gnomon_shaders::shading::Before;
 use rayon::prelude::*;
 use wgpu::util::DeviceExt as _;
@@ -23,16 +23,17 @@ pub(crate) struct Movers {
     vertex_runs: Vec<VertexRun>,
     triangle_runs: Vec<TriangleRun>,
     now: Posed,
-    /// Time of the vertices that the buffers hold once all that was encoded has run. `None`: those of the file.
-    written_s: Option<f64>,
+    /// State of the vertices that the buffers hold once all that was encoded has run. `None`: those of the file.
+    written_at: Option<SceneAt>,
     /// How the corners are that they hold then, one for each piece.
     written: Vec<Corners>,
 }
 
-/// What moves, at one time.
+/// What moves or was edited, in one state of the scene.
 #[derive(Debug)]
 struct Posed {
-    time_s: f64,
+    /// `None` until there is one.
+    scene: Option<SceneAt>,
     moment: Moment,
     vertices: Vec<Vertex>,
     more: Vec<MoreOfVertex>,
@@ -83,7 +84,7 @@ pub(crate) struct Buffers<'a> {
 impl Movers {
     /// Takes what moves from the scene's vertices. `None` if everything rests.
     pub(crate) fn new(scene: &Scene, vertices: &[Vertex], more: &[MoreOfVertex]) -> Option<Self> {
-        let animation = scene.animation.as_deref().filter(|animation| animation.moves_scene())?;
+        let animation = scene.animation.as_deref().filter(|animation| animation.has_parts())?;
         let range = |first: u32, count: u32| first as usize..first as usize + count as usize;
         let turns = !scene.tangents.is_empty() && more.len() == vertices.len();
         let mut vertex_runs: Vec<VertexRun> = Vec::new();
@@ -103,22 +104,38 @@ impl Movers {
             origin_m: scene.origin_m,
             ..Scene::default()
         };
-        let now = Posed { time_s: f64::NAN, moment: nothing(), vertices: Vec::new(), more: Vec::new() };
+        let (now, written_at) = (Posed::nothing(), None);
         let (firsts, triangle_runs) = (animation.first_positions(), triangle_runs(scene, animation));
         let written = vec![Corners::AsInFile; animation.pieces.len()];
-        let (vertices, more, written_s) = (own, own_more, None);
-        Some(Self { stage, firsts, vertices, more, vertex_runs, triangle_runs, now, written_s, written })
+        let (vertices, more) = (own, own_more);
+        Some(Self { stage, firsts, vertices, more, vertex_runs, triangle_runs, now, written_at, written })
     }
 
-    pub(crate) fn time_s(&self) -> f64 {
-        self.now.time_s
+    /// The lights of a scene in which nothing moves, for people to change.
+    pub(crate) fn of_lights(lights: &[Light], origin_m: DVec3) -> Self {
+        Self {
+            stage: Scene { lights: lights.to_vec(), origin_m, ..Scene::default() },
+            firsts: Vec::new(),
+            vertices: Vec::new(),
+            more: Vec::new(),
+            vertex_runs: Vec::new(),
+            triangle_runs: Vec::new(),
+            now: Posed::nothing(),
+            written_at: None,
+            written: Vec::new(),
+        }
     }
 
-    /// Moves to a time. Returns whether it is another one.
-    pub(crate) fn set_time(&mut self, time_s: f64) -> bool {
-        let is_other = self.now.time_s.to_bits() != time_s.to_bits();
+    /// The present state.
+    pub(crate) fn scene(&self) -> SceneAt {
+        self.now.scene.clone().unwrap_or_default()
+    }
+
+    /// Moves to a state. Returns whether it is another one.
+    pub(crate) fn set_time(&mut self, scene: SceneAt) -> bool {
+        let is_other = self.now.scene.as_ref() != Some(&scene);
         if is_other {
-            self.now = self.pose(time_s);
+            self.now = self.pose(&scene);
         }
         is_other
     }
@@ -137,9 +154,10 @@ impl Movers {
         self.now.vertices.get(at).map(|vertex| vertex.position)
     }
 
-    /// What moves, at a time.
-    pub(crate) fn moment_at(&self, time_s: f64) -> Moment {
-        self.stage.moment(time_s).unwrap_or_else(nothing)
+    /// What moves or was edited, in this state.
+    pub(crate) fn moment_at(&self, scene: &SceneAt) -> Moment {
+        let as_in_file = || Moment { lights: self.stage.lights.clone(), ..nothing() };
+        self.stage.moment(scene).unwrap_or_else(as_in_file)
     }
 
     /// For each piece, the way from where its points are now to where they were then.
@@ -156,8 +174,8 @@ impl Movers {
         pieces.map(|pair| way(pair).unwrap_or_default()).collect()
     }
 
-    fn pose(&self, time_s: f64) -> Posed {
-        let moment = self.moment_at(time_s);
+    fn pose(&self, scene: &SceneAt) -> Posed {
+        let moment = self.moment_at(scene);
         let none = Animation::default();
         let animation = self.stage.animation.as_deref().unwrap_or(&none);
         let pieces = || {
@@ -182,21 +200,21 @@ impl Movers {
             });
             more.collect()
         };
-        Posed { time_s, moment, vertices, more }
+        Posed { scene: Some(scene.clone()), moment, vertices, more }
     }
 
-    /// Writes what the buffers lack of a time, before what `encoder` does next.
+    /// Writes what the buffers lack of a state, before what `encoder` does next.
     pub(crate) fn write(
         &mut self,
         device: &wgpu::Device,
         encoder: &mut wgpu::CommandEncoder,
         buffers: Buffers<'_>,
-        time_s: f64,
+        scene: &SceneAt,
     ) {
-        if self.written_s.is_some_and(|written_s| written_s.to_bits() == time_s.to_bits()) {
+        if self.written_at.as_ref() == Some(scene) {
             return;
         }
-        let other = (self.now.time_s.to_bits() != time_s.to_bits()).then(|| self.pose(time_s));
+        let other = (self.now.scene.as_ref() != Some(scene)).then(|| self.pose(scene));
         let posed = other.as_ref().unwrap_or(&self.now);
         let mut writer = Writer { device, encoder };
         writer.runs(buffers.vertices, &posed.vertices, &self.vertex_runs);
@@ -209,7 +227,13 @@ impl Movers {
                 writer.corners(buffers.indices, run, *corners);
             }
         }
-        (self.written, self.written_s) = (wanted, Some(time_s));
+        (self.written, self.written_at) = (wanted, Some(scene.clone()));
+    }
+}
+
+impl Posed {
+    fn nothing() -> Self {
+        Self { scene: None, moment: nothing(), vertices: Vec::new(), more: Vec::new() }
     }
 }
 

@@ -56,7 +56,7 @@ pub struct PixelVisibility {
 #[derive(Debug)]
 pub struct FrameRenderer {
     pub(super) gpu: Gpu,
-    space: Space,
+    pub(super) space: Space,
     exposure: Exposure,
     pub(super) surroundings: Surroundings,
     eye: Eye,
@@ -315,6 +315,7 @@ impl FrameRenderer {
     /// If the adapter failed.
     pub fn draw_surfaces(&mut self, camera: &Camera) -> Result<(), RenderError> {
         let camera = self.sized(camera);
+        self.predict.follow_edits(&self.gpu, &self.scene, (&self.targets, &self.history))?;
         // Surfaces do not depend on the share.
         self.write_view(&camera, self.visibility_share);
         self.history.begin(&self.seen(camera));

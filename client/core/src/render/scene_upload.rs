@@ -1,7 +1,7 @@
 //! The scene on the adapter: vertices, indices, draws in their order, and one bind group for each material.
 
-use glam::Vec3;
-use gnomon_scene::{AlphaMode, Light, Material, Scene};
+use glam::{DVec3, Vec3};
+use gnomon_scene::{AlphaMode, Animation, Light, Material, Scene, SceneAt};
 use gnomon_shaders::{
     gpu::Gpu,
     material::{features, features_of, is_layered},
@@ -62,8 +62,9 @@ pub(crate) struct SceneUpload {
     pub(crate) layered: bool,
     /// Whether some material emits light.
     pub(crate) emits: bool,
-    /// `None` if everything rests.
+    /// `None` if everything rests, and nothing was edited.
     movers: Option<Movers>,
+    pub(crate) moves_with_time: bool,
     /// BLEND batches that move, with their vertices.
     blended_movers: Vec<(usize, Vec<u32>)>,
 }
@@ -103,19 +104,25 @@ impl SceneUpload {
             layered: scene.materials.iter().any(is_layered),
             emits: scene.materials.iter().any(|material| material.unlit || material.emissive != Vec3::ZERO),
             movers,
+            moves_with_time: scene.animation.as_deref().is_some_and(Animation::moves_scene),
             blended_movers,
         })
     }
 
-    /// What moves. `None` if everything rests.
+    /// What moves or was edited. `None` if there is nothing.
     pub(crate) fn movers(&self) -> Option<&Movers> {
         self.movers.as_ref()
     }
 
-    /// Moves what moves to a time of the scene, in seconds. Returns the lights if it is another time.
-    pub(crate) fn set_time(&mut self, time_s: f64) -> Option<Vec<Light>> {
+    /// Lets people change the lights of a scene in which nothing moves. `lights` are those of the file.
+    pub(crate) fn follow_edits(&mut self, lights: &[Light], origin_m: DVec3) {
+        self.movers.get_or_insert_with(|| Movers::of_lights(lights, origin_m));
+    }
+
+    /// Puts what moves or was edited where it is in this state of the scene. Returns the lights if it is another one.
+    pub(crate) fn set_time(&mut self, scene: SceneAt) -> Option<Vec<Light>> {
         let movers = self.movers.as_mut()?;
-        if !movers.set_time(time_s) {
+        if !movers.set_time(scene) {
             return None;
         }
         for (batch, vertices) in &self.blended_movers {
@@ -129,16 +136,16 @@ impl SceneUpload {
 
     /// Ensures that what `encoder` draws next is the scene as it is now.
     pub(crate) fn show_now(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder) {
-        if let Some(time_s) = self.movers.as_ref().map(Movers::time_s) {
-            self.show(device, encoder, time_s);
+        if let Some(scene) = self.movers.as_ref().map(Movers::scene) {
+            self.show(device, encoder, &scene);
         }
     }
 
-    /// Ensures that what `encoder` draws next is the scene as it is at a time. [`Self::show_now`] is to follow.
-    pub(crate) fn show(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder, time_s: f64) {
+    /// Ensures that what `encoder` draws next is this state of the scene. [`Self::show_now`] is to follow.
+    pub(crate) fn show(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder, scene: &SceneAt) {
         let Self { vertices, more, indices, movers, .. } = self;
         if let Some(movers) = movers {
-            movers.write(device, encoder, Buffers { vertices, more, indices }, time_s);
+            movers.write(device, encoder, Buffers { vertices, more, indices }, scene);
         }
     }
 

@@ -4,7 +4,7 @@
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene, camera::Camera};
+use gnomon_scene::{Aabb, AlphaMode, Draw, Light, LightKind, Material, Scene, SceneAt, camera::Camera};
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use super::{
@@ -93,12 +93,13 @@ pub fn draw_with(gpu: &Gpu, renderer: &mut FrameRenderer, camera: &Camera, mask:
         height: mask.shape().height(),
         ..*traced_for
     });
+    let scene = SceneAt::default();
     let mask = mask.zip(traced_for.as_ref()).map(|((mask, _), traced_for)| MaskView {
         mask,
         coverage: None,
         more: false,
         traced_for,
-        scene_time_s: 0.0,
+        scene: &scene,
     });
     renderer.set_mask(mask).unwrap();
     let target = reader.target();

@@ -40,7 +40,7 @@ impl Play {
         let response = self.frames.accept_masks(self.front.iter(), now)?;
         let digest = self.front.back().map(|mask| digest(&mask.mask)).unwrap_or_default();
         let drawing = self.frames.choose(frame, &camera, now);
-        self.frames.renderer.set_time(drawing.scene_time_s);
+        self.frames.renderer.set_time(&drawing.scene);
         self.frames.renderer.draw_surfaces(&drawing.camera)?;
         target(&mut self.frames.renderer, &drawing.camera, drawing.decision.visibility_share)?;
         let outcome = (&drawing, 0, response);

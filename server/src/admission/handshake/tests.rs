@@ -46,12 +46,14 @@ fn services(folder: &Path, tokens: &str, change: impl FnOnce(&mut ServerConfig))
     std::fs::write(&path, tokens).unwrap();
     let (_, phase_seen) = watch::channel(Phase::Running);
     Services {
+        shared_world: None,
         scene: SceneAsset {
             packed: Bytes::new(),
             digest: SceneDigest([0; 32]),
             lights: u32::try_from(scene.lights.len()).unwrap(),
             weights: vec![1; scene.lights.len()],
             moves: false,
+            stage: gnomon_scene::Scene::default(),
         },
         engine: Fleet::start(&scene, &options).unwrap(),
         tokens: (!tokens.is_empty()).then(|| Arc::new(TokenStore::read(&path).unwrap())),

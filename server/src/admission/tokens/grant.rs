@@ -41,6 +41,11 @@ impl Grant {
         &self.claimed.name
     }
 
+    /// Whether its sessions may change the scene.
+    pub(crate) const fn may_edit(&self) -> bool {
+        self.claimed.may_edit
+    }
+
     /// The client is admitted: a single-use token stays spent.
     pub(crate) const fn keep(&mut self) {
         self.claimed.refundable = false;

@@ -34,6 +34,7 @@ fn toml(entry: &Entry) -> String {
         .iter()
         .map(|scope| match scope {
             Scope::Session => "\"session\"",
+            Scope::Edit => "\"edit\"",
             Scope::Admin => "\"admin\"",
         })
         .collect();

@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 pub enum Scope {
     Session,
+    /// Changes the scene in its sessions, for a token with the scope session.
+    Edit,
     /// Reads `/metrics` and `/sessions`, and ends sessions.
     Admin,
 }

@@ -54,6 +54,8 @@ pub(super) struct Claimed {
     /// The token's name in the file, for people.
     pub(super) name: String,
     pub(super) expires_unix_s: Option<i64>,
+    /// It has the scope edit.
+    pub(super) may_edit: bool,
     /// This claim spent the token.
     pub(super) refundable: bool,
     /// Counts reloads of the file.
@@ -97,7 +99,7 @@ impl TokenStore {
     /// session that its client resumes.
     pub(super) fn claim(&self, token: Option<&str>, resumes: bool, now_unix_s: i64) -> Result<Claimed, TokenRejection> {
         let mut state = self.state.lock();
-        let Listed { digest, name, expires_unix_s, once, .. } =
+        let Listed { digest, name, expires_unix_s, once, scopes } =
             state.examine(token, Scope::Session, now_unix_s)?.clone();
         let refundable = once && state.spent.insert(digest);
         if once && !refundable && !resumes {
@@ -105,7 +107,8 @@ impl TokenStore {
         }
         let (reloads, seen_reloads) = (self.reloads.subscribe(), *self.reloads.borrow());
         drop(state);
-        Ok(Claimed { digest, name, expires_unix_s, refundable, reloads, seen_reloads })
+        let may_edit = scopes.contains(&Scope::Edit);
+        Ok(Claimed { digest, name, expires_unix_s, may_edit, refundable, reloads, seen_reloads })
     }
 
     pub(super) fn give_back(&self, digest: Digest) {

@@ -65,6 +65,7 @@ mod tests {
             client_time_ms,
             mask_px: [64, 36],
             look_ahead_ms,
+            revision: 0,
         }
     }
 

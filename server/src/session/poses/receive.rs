@@ -2,7 +2,11 @@
 
 use std::{convert::Infallible, io, time::Instant};
 
-use gnomon_protocol::{mask::MaskShape, pose};
+use gnomon_protocol::{
+    mask::MaskShape,
+    pose::{self, Pose},
+};
+use gnomon_scene::SceneAt;
 use tokio::sync::watch;
 
 use super::{
@@ -16,6 +20,7 @@ use crate::{
     net::link::DataReceiver,
     session::feedback::{Feedback, receive_feedback},
     visibility::{TraceRequest, engine::RequestSender},
+    world::{Newest, World},
 };
 
 /// Returns only if the link is lost.
@@ -23,7 +28,7 @@ pub(in crate::session) async fn receive_poses(
     mut receiver: DataReceiver,
     requests: &RequestSender,
     feedback: &watch::Sender<Feedback>,
-    (shape, scene_moves): (MaskShape, bool),
+    (shape, scene_moves, world): (MaskShape, bool, &World),
     ledger: &Ledger,
 ) -> io::Result<Infallible> {
     let mut newest = NewestPose::default();
@@ -61,10 +66,15 @@ pub(in crate::session) async fn receive_poses(
         ledger.poses.one();
         // Before the request, so that a stopping session waits for this frame's mask.
         ledger.set_newest_requested(frame);
-        let predicted = look_ahead.predict(&pose);
-        let traced = predicted.as_ref().unwrap_or(&pose);
-        let (camera, scene_time_s) = (pose_camera(traced), traced.scene_time_s);
+        let Newest { revision, edits } = world.newest();
+        // The client learns from the frame's head that it was traced with another state.
+        let newer = (pose.revision != revision).then_some(pose);
+        let ahead = look_ahead.predict(&pose).or(newer).map(|ahead| Pose { revision, ..ahead });
+        let traced = ahead.as_ref().unwrap_or(&pose);
+        let scene = SceneAt { time_s: traced.scene_time_s, edits };
+        let scene = if scene_moves { scene } else { scene.at_any_time() };
+        let camera = pose_camera(traced);
         let interval = interval.update(received_at);
-        requests.request(TraceRequest { frame, camera, scene_time_s, ahead: predicted, received_at, interval });
+        requests.request(TraceRequest { frame, camera, scene, ahead, received_at, interval });
     }
 }

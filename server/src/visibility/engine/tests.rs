@@ -11,7 +11,7 @@ use gnomon_protocol::{
     ids::FrameNumber,
     mask::{Mask, MaskShape},
 };
-use gnomon_scene::{Scene, camera::Camera};
+use gnomon_scene::{Scene, SceneAt, camera::Camera};
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 
 use super::{
@@ -62,7 +62,7 @@ fn request(frame: u32, width: u32, height: u32) -> TraceRequest {
     TraceRequest {
         frame: FrameNumber(frame),
         camera: camera(frame, width, height),
-        scene_time_s: 0.0,
+        scene: SceneAt::default(),
         ahead: None,
         received_at: Instant::now(),
         interval: Duration::from_millis(16),

@@ -9,7 +9,7 @@ use std::{
 };
 
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 use tokio::sync::mpsc::OwnedPermit;
 
 use crate::visibility::{
@@ -127,8 +127,8 @@ impl Tracer {
     pub(super) fn begin(&mut self, job: Job, rows_per_part: u32) -> Result<PartialFrame, TraceError> {
         let progress = match self {
             Self::Device { backend, .. } => {
-                let TraceRequest { camera, scene_time_s, .. } = &job.request;
-                let begin = || backend.begin(camera, *scene_time_s, job.mask.shape());
+                let TraceRequest { camera, scene, .. } = &job.request;
+                let begin = || backend.begin(camera, scene, job.mask.shape());
                 match catch_unwind(AssertUnwindSafe(begin)) {
                     Ok(Ok(rest)) => Progress::Device(rest),
                     Ok(Err(error)) => return Err(TraceError::Device { error, job: Some(Box::new(job)) }),
@@ -136,8 +136,8 @@ impl Tracer {
                 }
             }
             Self::Cpu(backend) => {
-                let (from, time_s) = (Instant::now(), job.request.scene_time_s);
-                let Ok(posed) = catch_unwind(AssertUnwindSafe(|| backend.pose(time_s).map(Box::new))) else {
+                let (from, scene) = (Instant::now(), &job.request.scene);
+                let Ok(posed) = catch_unwind(AssertUnwindSafe(|| backend.pose(scene).map(Box::new))) else {
                     return Err(TraceError::Panicked { job: Box::new(job) });
                 };
                 // Without anything that moves it takes no time.
@@ -248,17 +248,17 @@ impl Tracer {
         }
     }
 
-    /// Traces a whole mask of the scene at a time in seconds. `None` if the device is lost. Errors if the device has
+    /// Traces a whole mask of the scene in this state. `None` if the device is lost. Errors if the device has
     /// failed or frames are in flight.
     pub(super) fn trace(
         &mut self,
         camera: &Camera,
-        scene_time_s: f64,
+        scene: &SceneAt,
         mask: &mut Mask,
     ) -> Result<Option<TraceCost>, BackendError> {
         match self {
-            Self::Device { backend, .. } => backend.trace_at(camera, scene_time_s, mask).map(Some),
-            Self::Cpu(backend) => Ok(Some(backend.trace_at(camera, scene_time_s, mask))),
+            Self::Device { backend, .. } => backend.trace_at(camera, scene, mask).map(Some),
+            Self::Cpu(backend) => Ok(Some(backend.trace_at(camera, scene, mask))),
             Self::Lost => Ok(None),
         }
     }

@@ -8,7 +8,7 @@ use crate::CheckError;
 pub(super) const VERSION: u32 = 3;
 
 /// Version of a scene in which something moves. One in which everything rests keeps its bytes, and its digest.
-pub(super) const MOVING: u32 = 4;
+pub(super) const MOVING: u32 = 5;
 
 /// Why a scene could not be packed or unpacked.
 #[derive(Debug, Error)]

@@ -36,7 +36,8 @@ pub(crate) fn load(path: &Path, options: &LoadOptions) -> Result<(Scene, LoadRep
     compression::expand(&mut document, &mut buffers)?;
     let mut materials = Materials::default();
     materials.variant = variant;
-    let channels = channels::read(&document, &buffers, options.animation.as_deref(), &mut report)?;
+    let mut channels = channels::read(&document, &buffers, options.animation.as_deref(), &mut report)?;
+    channels.allow_edits(&document, &options.editable)?;
     let walk = nodes::walk(&document, &channels, options.scene.as_deref(), &mut report)?;
     let (mut scene, animation) = read(&document, &buffers, (&walk, &channels), materials, folder, &mut report)?;
     animation::finish(&mut scene, animation, walk.animated, &channels, &mut report);

@@ -273,6 +273,8 @@ pub(crate) mod tests {
             Track { period_s: 2.0, interpolation: Interpolation::Linear, times_s: vec![0.0, 2.0], values }
         };
         let node = AnimatedNode {
+            name: String::new(),
+            editable: false,
             parent: None,
             above: DMat4::IDENTITY,
             translation_m: DVec3::ZERO,

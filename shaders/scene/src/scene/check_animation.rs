@@ -96,7 +96,8 @@ impl Animation {
 
 fn is_legal_node(node: &AnimatedNode, index: usize) -> bool {
     let numbers = [node.translation_m, node.scale];
-    node.parent.is_none_or(|parent| (parent as usize) < index)
+    node.name.len() <= MAX_NAME_BYTES
+        && node.parent.is_none_or(|parent| (parent as usize) < index)
         && node.above.to_cols_array().iter().all(|v| v.abs() <= MAX_FACTOR)
         && numbers.iter().all(|vector| vector.to_array().iter().all(|v| v.abs() <= MAX_FACTOR))
         && (node.rotation.length_squared() - 1.0).abs() <= 1e-6

@@ -76,7 +76,7 @@ pub fn measure(options: &LagOptions, mut progress: impl FnMut(&str)) -> Result<T
         for (setting, outcome) in settings.iter().zip(&mut outcomes) {
             let traced_for = rig.traced_for(setting, time_s);
             // Settings that differ only in the predictor share a mask.
-            rig.predict.set_mask_time(traced_for.scene_time_s);
+            rig.predict.set_mask_time(traced_for.scene.time_s);
             let mask = match traced.take().filter(|(seen, _)| *seen == traced_for) {
                 Some((_, mask)) => mask,
                 None => rig.predict.trace(&traced_for.camera)?,
@@ -216,7 +216,7 @@ impl Rig {
             camera = motion.extrapolate(time_s).unwrap_or(camera);
             scene_time_s = time_s;
         }
-        Viewpoint { camera: camera.widened(setting.guard.per_side()), scene_time_s }
+        Viewpoint { camera: camera.widened(setting.guard.per_side()), scene: scene_time_s.into() }
     }
 }
 

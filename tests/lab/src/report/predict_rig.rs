@@ -13,7 +13,7 @@ use gnomon_client::{
     },
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{Scene, camera::Camera};
+use gnomon_scene::{Scene, SceneAt, camera::Camera};
 use gnomon_server::visibility::backend::cpu::CpuBackend;
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use image::RgbImage;
@@ -121,7 +121,7 @@ impl PredictRig {
         mask: Option<(&Mask, &Camera)>,
         copied: bool,
     ) -> Result<Option<Picture>> {
-        let scene_time_s = if self.moving.is_some() { self.then_s } else { 0.0 };
+        let scene = SceneAt::from(if self.moving.is_some() { self.then_s } else { 0.0 });
         self.renderer.set_predictor(predictor);
         self.renderer.draw_surfaces(camera)?;
         self.renderer.set_mask(mask.map(|(mask, traced_for)| MaskView {
@@ -129,7 +129,7 @@ impl PredictRig {
             coverage: None,
             more: false,
             traced_for,
-            scene_time_s,
+            scene: &scene,
         }))?;
         let target = self.pictures.target();
         let submission = self.renderer.shade(camera, 1.0, &target, |encoder| {

@@ -41,14 +41,16 @@ impl Judge {
         let (mut error, mut judged) = (PredictionError::default(), 0);
         let wanted = |frame: u32| places.contains(&frame);
         replay::<anyhow::Error>(&self.gpu, &scene, &start, &mut records, wanted, |replayed| {
-            if let Replayed::Picture { shown, scene_time_s, visibility_share, renderer, .. } = replayed {
+            if let Replayed::Picture { shown, scene: at, visibility_share, renderer, .. } = replayed {
                 let mut visibility = renderer.read_visibility()?;
                 if visibility_share < 0.5 {
                     visibility.iter_mut().for_each(|pixel| (pixel.word, pixel.known) = (pixel.own, false));
                 }
                 judged += 1;
                 let truth = match self.loaded.animation {
-                    Some(_) => Reference::at(&self.loaded, scene_time_s).trace(&shown),
+                    // The referee evaluates animations itself, and takes edits as the scene has them.
+                    _ if !at.edits.is_empty() => Reference::new(&self.loaded.still_at(&at)).trace(&shown),
+                    Some(_) => Reference::at(&self.loaded, at.time_s).trace(&shown),
                     None => self.reference.trace(&shown),
                 };
                 error.add(&visibility, &truth);

@@ -184,6 +184,8 @@ impl SceneBuilder {
     /// Returns a node that stands where its parent does, and changes nothing.
     pub fn node(parent: Option<u32>) -> AnimatedNode {
         AnimatedNode {
+            name: String::new(),
+            editable: false,
             parent,
             above: glam::DMat4::IDENTITY,
             translation_m: DVec3::ZERO,

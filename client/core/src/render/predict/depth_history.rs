@@ -63,7 +63,7 @@ impl DepthHistory {
     /// Advances to the texture for a new picture.
     pub(crate) fn begin(&mut self, seen: &Viewpoint) {
         self.current = (self.current + 1) % self.slots.len();
-        self.slots[self.current].seen = Some(*seen);
+        self.slots[self.current].seen = Some(seen.clone());
     }
 
     /// Returns the index of the picture drawn for exactly this camera and time, if it is still in the ring.
@@ -98,7 +98,7 @@ mod tests {
         let at = |frame: u32| {
             let camera = Camera { yfov_rad: 1.0 + f64::from(frame / 2) * 0.01, ..camera(3840, 2160) };
             // Every second one differs in its time alone.
-            Viewpoint { camera, scene_time_s: f64::from(frame) }
+            Viewpoint { camera, scene: f64::from(frame).into() }
         };
         for frame in 0..20 {
             history.begin(&at(frame));

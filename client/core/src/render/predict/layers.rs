@@ -10,7 +10,7 @@ use gnomon_protocol::{
     limits::MAX_LAYERS,
     mask::MaskShape,
 };
-use gnomon_scene::camera::Space;
+use gnomon_scene::{SceneAt, camera::Space};
 use gnomon_shaders::{gpu::Gpu, shading::View};
 
 use super::{
@@ -61,9 +61,9 @@ pub(crate) struct Layer {
 }
 
 impl Layer {
-    /// Whether it was traced for this time of the scene.
-    pub(crate) fn is_of(&self, scene_time_s: f64) -> bool {
-        self.traced_for.scene_time_s.to_bits() == scene_time_s.to_bits()
+    /// Whether it was traced for this state of the scene.
+    pub(crate) fn is_of(&self, scene: &SceneAt) -> bool {
+        self.traced_for.scene == *scene
     }
 }
 
@@ -191,7 +191,7 @@ impl Layers {
             }
             let (view, group) = &mut self.views[layer.slot as usize];
             view.set(&gpu.queue, View::new(&layer.traced_for.camera, space, 1.0));
-            upload.show(&gpu.device, encoder, layer.traced_for.scene_time_s);
+            upload.show(&gpu.device, encoder, &layer.traced_for.scene);
             let drawn = layer_of(depth, layer.slot);
             let mut render = depth_pass::begin(encoder, "depth of the mask's view", &drawn);
             pass.draw(&mut render, group, upload, (Part::All, Faces::Seen));

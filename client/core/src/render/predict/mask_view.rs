@@ -1,5 +1,5 @@
 use gnomon_protocol::{coverage::Coverage, mask::Mask};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 
 use crate::camera::Viewpoint;
 
@@ -13,13 +13,13 @@ pub struct MaskView<'a> {
     pub more: bool,
     /// Its camera, with the mask's own width, height and field of view.
     pub traced_for: &'a Camera,
-    /// Time of the scene that it was traced for, in seconds; 0 if everything rests.
-    pub scene_time_s: f64,
+    /// The state of the scene that it was traced for. Its time is 0 if nothing moves with time.
+    pub scene: &'a SceneAt,
 }
 
 impl MaskView<'_> {
     /// What the mask shows.
     pub(crate) fn viewpoint(&self) -> Viewpoint {
-        Viewpoint { camera: *self.traced_for, scene_time_s: self.scene_time_s }
+        Viewpoint { camera: *self.traced_for, scene: self.scene.clone() }
     }
 }

@@ -5,7 +5,7 @@
 //! moves has none of this.
 
 use gnomon_protocol::limits::MAX_LAYERS;
-use gnomon_scene::{Scene, camera::Space};
+use gnomon_scene::{Scene, SceneAt, camera::Space};
 use gnomon_shaders::{
     gpu::Gpu,
     shading::{Before, Lighting, View},
@@ -40,7 +40,7 @@ pub(super) struct Moved {
     pub(super) changed: wgpu::TextureView,
     /// [`Before`] of each layer and piece.
     pub(super) before: wgpu::Buffer,
-    /// `None` if everything rests.
+    /// `None` if everything rests, and nothing was edited.
     live: Option<Live>,
 }
 
@@ -61,7 +61,8 @@ struct Live {
 
 #[derive(Debug)]
 struct Then {
-    scene_time_s: f64,
+    /// `None` until it is drawn.
+    scene: Option<SceneAt>,
     map: ShadowMap,
     scene_group: wgpu::BindGroup,
 }
@@ -73,7 +74,7 @@ pub(super) struct Now<'a> {
     pub(super) lighting: &'a wgpu::Buffer,
     pub(super) map: &'a ShadowMap,
     pub(super) space: Space,
-    pub(super) scene_time_s: f64,
+    pub(super) scene: &'a SceneAt,
 }
 
 fn pictures(device: &wgpu::Device, size: (u32, u32)) -> [wgpu::TextureView; 2] {
@@ -83,6 +84,10 @@ fn pictures(device: &wgpu::Device, size: (u32, u32)) -> [wgpu::TextureView; 2] {
                 .create_view(&wgpu::TextureViewDescriptor::default())
         },
     )
+}
+
+fn count(scene: &Scene) -> usize {
+    scene.animation.as_ref().map_or(0, |animation| animation.pieces.len())
 }
 
 fn places(device: &wgpu::Device, count: usize) -> wgpu::Buffer {
@@ -102,18 +107,31 @@ impl Moved {
         (targets, history): (&Targets, &DepthHistory),
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
-        let pieces = scene.animation.as_ref().map_or(0, |animation| animation.pieces.len().max(1));
-        let live = match upload.movers() {
-            Some(_) => {
-                let pieces_pass = PiecesPass::new(gpu, (scene, upload), (depth_pass, view))?;
-                Some(Live::new(gpu, pieces_pass, pieces)?)
-            }
-            None => None,
-        };
+        let before = places(device, count(scene) * MAX_LAYERS);
         let [picture, changed] = pictures(device, (1, 1));
-        let mut moved = Self { pieces: picture, changed, before: places(device, pieces * MAX_LAYERS), live };
+        let mut moved = Self { pieces: picture, changed, before, live: None };
+        if upload.movers().is_some() {
+            moved.begin(gpu, (scene, upload), (depth_pass, view))?;
+        }
         moved.resize(device, targets, history);
         Ok(moved)
+    }
+
+    /// Whether something moves or was edited.
+    pub(super) fn is_live(&self) -> bool {
+        self.live.is_some()
+    }
+
+    /// Makes what is needed where something moves or is edited. [`Self::resize`] is to follow.
+    pub(super) fn begin(
+        &mut self,
+        gpu: &Gpu,
+        (scene, upload): (&Scene, &SceneUpload),
+        (depth_pass, view): (&DepthPass, &wgpu::Buffer),
+    ) -> Result<(), RenderError> {
+        let pieces_pass = PiecesPass::new(gpu, (scene, upload), (depth_pass, view))?;
+        self.live = Some(Live::new(gpu, pieces_pass, count(scene))?);
+        Ok(())
     }
 
     /// Compiles what late masks take.
@@ -135,8 +153,8 @@ impl Moved {
         live.surface_groups = history.views().map(group).collect();
     }
 
-    /// Finds out what has moved since those of these layers' masks were traced that are of another time than the
-    /// picture. Returns false if there are none.
+    /// Finds out what has moved since those of these layers' masks were traced that are of another state of the scene
+    /// than the picture. Returns false if there are none.
     pub(super) fn encode(
         &mut self,
         gpu: &Gpu,
@@ -146,11 +164,11 @@ impl Moved {
         (history, upload): (&DepthHistory, &mut SceneUpload),
     ) -> bool {
         let Some(live) = &mut self.live else { return false };
-        let others = || layers.iter().enumerate().filter(|(_, layer)| !layer.is_of(now.scene_time_s));
+        let others = || layers.iter().enumerate().filter(|(_, layer)| !layer.is_of(now.scene));
         let Some((_, newest)) = others().next() else { return false };
         let Some(movers) = upload.movers() else { return false };
         for (place, layer) in others() {
-            let before = movers.before(&movers.moment_at(layer.traced_for.scene_time_s));
+            let before = movers.before(&movers.moment_at(&layer.traced_for.scene));
             let offset = (place * size_of_val(&*before)) as u64;
             gpu.queue.write_buffer(&self.before, offset, bytemuck::cast_slice(&before));
             if layer.slot == newest.slot {
@@ -158,7 +176,7 @@ impl Moved {
             }
         }
         live.pieces_pass.encode(&gpu.device, encoder, (&self.pieces, history.view()), upload);
-        live.draw_then(gpu, encoder, newest.traced_for.scene_time_s, now, (depth_pass, upload));
+        live.draw_then(gpu, encoder, &newest.traced_for.scene, now, (depth_pass, upload));
         if let Some(then) = &live.then {
             let groups = [&then.scene_group, &live.surface_groups[history.current()]];
             let size = (targets.width, targets.height);
@@ -193,16 +211,16 @@ impl Live {
         })
     }
 
-    /// Draws the shadow maps of another time, unless they are those that were drawn last.
+    /// Draws the shadow maps of another state of the scene, unless they are those that were drawn last.
     fn draw_then(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        scene_time_s: f64,
+        scene: &SceneAt,
         now: Now<'_>,
         (depth_pass, upload): (&DepthPass, &mut SceneUpload),
     ) {
-        let Some(lights) = upload.movers().map(|movers| movers.moment_at(scene_time_s).lights) else { return };
+        let Some(lights) = upload.movers().map(|movers| movers.moment_at(scene).lights) else { return };
         // Only where lights are is read.
         let lighting = Exposure::for_reference(1.0).lighting(&lights, now.space);
         self.lighting_then.set(&gpu.queue, lighting);
@@ -221,14 +239,14 @@ impl Live {
                 before.as_entire_binding(),
             ];
             let scene_group = bind_group(&gpu.device, "changed shadows", layout, &resources);
-            Then { scene_time_s: f64::NAN, map, scene_group }
+            Then { scene: None, map, scene_group }
         });
-        if then.scene_time_s.to_bits() == scene_time_s.to_bits() {
+        if then.scene.as_ref() == Some(scene) {
             return;
         }
-        then.scene_time_s = scene_time_s;
+        then.scene = Some(scene.clone());
         then.map.set_lights(gpu, &lights);
-        upload.show(&gpu.device, encoder, scene_time_s);
+        upload.show(&gpu.device, encoder, scene);
         then.map.need(gpu, encoder, depth_pass, upload);
         upload.show_now(&gpu.device, encoder);
     }

@@ -136,6 +136,24 @@ impl PredictPass {
         &self.shadow_map
     }
 
+    /// Makes what late masks take where lights are edited in a scene in which nothing moves, once there is need.
+    ///
+    /// # Errors
+    /// If the adapter failed.
+    pub(crate) fn follow_edits(
+        &mut self,
+        gpu: &Gpu,
+        upload: &SceneUpload,
+        (targets, history): (&Targets, &DepthHistory),
+    ) -> Result<(), RenderError> {
+        if upload.movers().is_none() || self.moved.is_live() {
+            return Ok(());
+        }
+        self.moved.begin(gpu, (&Scene::default(), upload), (&self.depth_pass, &self.view))?;
+        self.resize(&gpu.device, targets, history);
+        Ok(())
+    }
+
     /// Takes the lights of another time, at which everything is drawn anew.
     pub(crate) fn set_lights(&mut self, gpu: &Gpu, lights: &[Light]) {
         self.shadow_map.set_lights(gpu, lights);
@@ -239,8 +257,8 @@ impl PredictPass {
             self.layers.need_depth(gpu, encoder, (count, space), &self.depth_pass, (history, upload));
             if upload.movers().is_some() {
                 self.need_shadow_map(gpu, encoder, upload);
-                let (view, lighting, scene_time_s) = (&self.view, &self.lighting, seen.scene_time_s);
-                let now = Now { view, lighting, map: &self.shadow_map, space, scene_time_s };
+                let (view, lighting, scene) = (&self.view, &self.lighting, &seen.scene);
+                let now = Now { view, lighting, map: &self.shadow_map, space, scene };
                 let masks = (&self.layers.stack()[..count], now);
                 let pictures = (targets, &self.depth_pass);
                 moved = self.moved.encode(gpu, encoder, masks, pictures, (history, upload));
@@ -292,7 +310,7 @@ impl PredictPass {
                 slot: layer.slot,
                 same_view: same_view.into(),
                 whole: u32::from(layer.coverage.is_none() || most == 1),
-                same_time: u32::from(layer.is_of(seen.scene_time_s)),
+                same_time: u32::from(layer.is_of(&seen.scene)),
             };
             count += 1;
         }

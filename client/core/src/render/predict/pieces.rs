@@ -37,7 +37,8 @@ impl PiecesPass {
         (depth_pass, view): (&DepthPass, &wgpu::Buffer),
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
-        let mut pieces = vec![0_u32; scene.positions.len()];
+        // A binding cannot be empty.
+        let mut pieces = vec![0_u32; scene.positions.len().max(1)];
         for (number, piece) in (1..).zip(scene.animation.iter().flat_map(|animation| &animation.pieces)) {
             let own = piece.first_vertex as usize..piece.first_vertex as usize + piece.vertices as usize;
             pieces.get_mut(own).unwrap_or_default().fill(number);
@@ -129,6 +130,9 @@ impl PiecesPass {
             }),
             ..wgpu::RenderPassDescriptor::default()
         });
+        if drawn(upload).next().is_none() {
+            return;
+        }
         pass.set_bind_group(0, &self.group, &[]);
         upload.bind(&mut pass);
         pass.set_vertex_buffer(2, self.pieces.slice(..));

@@ -47,8 +47,9 @@ pub(crate) struct ShadowMap {
     is_drawn: bool,
     /// What all views cover, and the distance of their near planes in metres.
     space: (Aabb, f64),
-    /// Whether every light's views are the same at any time.
-    lights_rest: bool,
+    /// Every light's views in the pose of the file, if these are the views unless a person moves a light, and if what
+    /// moves is drawn over maps of what rests.
+    views_of_file: Option<Vec<ShadowView>>,
     /// The maps of what rests, once they are drawn. Used only beside something that moves.
     resting: Option<wgpu::TextureView>,
 }
@@ -59,32 +60,32 @@ impl ShadowMap {
         let space = (swept_bounds(scene), Space::of(scene).near_m);
         let limit = gpu.device.limits().max_texture_dimension_2d;
         let (side, lights_views) = layout(&scene.lights, (&space.0, space.1), limit);
-        let lights_rest = scene.animation.as_ref().map(|animation| {
+        let fixed = scene.animation.as_ref().filter(|animation| {
             animation.lights.iter().all(|light| light.place.is_none() && light.outer_cone_track.is_none())
         });
-        Self::allocate(gpu, side, lights_views, (space, lights_rest))
+        let views_of_file = fixed.map(|_| lights_views.clone());
+        Self::allocate(gpu, side, lights_views, (space, views_of_file))
     }
 
     /// Maps of the same lights for another time of the scene, in which something moves.
     pub(crate) fn another(&self, gpu: &Gpu) -> Self {
         let side = self.texture.texture().width();
-        let mut other = Self::allocate(gpu, side, self.lights_views.clone(), (self.space, Some(self.lights_rest)));
+        let mut other = Self::allocate(gpu, side, self.lights_views.clone(), (self.space, self.views_of_file.clone()));
         other.resting.clone_from(&self.resting);
         other
     }
 
-    /// `lights_rest` is `None` if nothing moves.
     fn allocate(
         gpu: &Gpu,
         side: u32,
         lights_views: Vec<ShadowView>,
-        (space, lights_rest): ((Aabb, f64), Option<bool>),
+        (space, views_of_file): ((Aabb, f64), Option<Vec<ShadowView>>),
     ) -> Self {
         let device = &gpu.device;
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-        let (copied, written) = match lights_rest {
-            Some(_) => (wgpu::TextureUsages::COPY_DST, wgpu::BufferUsages::COPY_DST),
-            None => (wgpu::TextureUsages::empty(), wgpu::BufferUsages::empty()),
+        let copied = match views_of_file {
+            Some(_) => wgpu::TextureUsages::COPY_DST,
+            None => wgpu::TextureUsages::empty(),
         };
         let texture = texture(device, "shadow map", (side, side), DEPTH, usage | copied)
             .create_view(&wgpu::TextureViewDescriptor::default());
@@ -93,21 +94,20 @@ impl ShadowMap {
         let views = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: Some("lights' views"),
             contents: bytemuck::cast_slice(&contents),
-            usage: wgpu::BufferUsages::STORAGE | written,
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
         });
         let (groups, is_drawn, resting) = (Vec::new(), false, None);
-        let lights_rest = lights_rest.unwrap_or(true);
-        Self { texture, views, lights_views, groups, is_drawn, space, lights_rest, resting }
+        Self { texture, views, lights_views, groups, is_drawn, space, views_of_file, resting }
     }
 
     /// Takes the lights of another time, at which the maps are to be drawn anew.
     pub(crate) fn set_lights(&mut self, gpu: &Gpu, lights: &[Light]) {
         self.is_drawn = false;
-        if self.lights_rest {
-            return;
-        }
         let (bounds, near_m) = &self.space;
         let (_, views) = layout(lights, (bounds, *near_m), gpu.device.limits().max_texture_dimension_2d);
+        if views == self.lights_views {
+            return;
+        }
         gpu.queue.write_buffer(&self.views, 0, bytemuck::cast_slice(&views));
         self.lights_views = views;
     }
@@ -125,7 +125,7 @@ impl ShadowMap {
         }
         self.bind_views(gpu, pass);
         let clear = wgpu::LoadOp::Clear(0.0);
-        if upload.movers().is_none() || !self.lights_rest {
+        if self.views_of_file.as_ref() != Some(&self.lights_views) {
             self.draw(encoder, (&self.texture, clear), (pass, upload), Part::All);
             return;
         }

@@ -9,7 +9,7 @@ use gnomon_protocol::{
     mask::{Mask, MaskShape},
 };
 use gnomon_scene::{
-    LightKind, Scene,
+    LightKind, Scene, SceneAt,
     camera::{Camera, NEAR_M},
 };
 use gnomon_shaders::gpu::Gpu;
@@ -109,7 +109,7 @@ fn predict(
         gpu,
         renderer,
         camera,
-        &[MaskView { mask, coverage: None, more: false, traced_for, scene_time_s: 0.0 }],
+        &[MaskView { mask, coverage: None, more: false, traced_for, scene: &SceneAt::default() }],
     )
 }
 
@@ -366,6 +366,7 @@ fn place_in(scene: &Scene, camera: &Camera, draw: usize, point: DVec3) -> Option
 /// not arrive must never be used.
 #[test]
 fn missing_tiles_are_looked_up_in_earlier_masks() {
+    let at = SceneAt::default();
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
     let views = [0.6, 0.3, 0.1].map(|left| Camera { position_m: now.position_m - DVec3::X * left, ..now });
     let (oldest, all) = in_part(0b00, |_, _| 0b11);
@@ -380,7 +381,7 @@ fn missing_tiles_are_looked_up_in_earlier_masks() {
             coverage: Some(coverage),
             more: false,
             traced_for,
-            scene_time_s: 0.0,
+            scene: &at,
         })
         .collect();
     let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
@@ -420,6 +421,7 @@ fn missing_tiles_are_looked_up_in_earlier_masks() {
 /// rows that only older ones had are unknown.
 #[test]
 fn the_number_of_layers_is_limited() {
+    let at = SceneAt::default();
     let (gpu, scene, now) = (gpu(), scene_with_shadows(), camera(SIZE.0, SIZE.1));
     let rows = 11;
     let views: Vec<Camera> = (0..rows)
@@ -434,7 +436,7 @@ fn the_number_of_layers_is_limited() {
             coverage: Some(coverage),
             more: false,
             traced_for,
-            scene_time_s: 0.0,
+            scene: &at,
         })
         .collect();
     let mut renderer = with_predictor(&gpu, &scene, Predictor::Surface);
@@ -460,7 +462,7 @@ fn the_number_of_layers_is_limited() {
         coverage: Some(coverage),
         more: false,
         traced_for: &now,
-        scene_time_s: 0.0,
+        scene: &at,
     });
     let known_rows = |masks: &[MaskView<'_>], renderer: &mut FrameRenderer| {
         renderer.set_mask(None).unwrap();

@@ -6,8 +6,8 @@ use gnomon_protocol::{
     mask::{Mask, MaskShape},
 };
 use gnomon_scene::{
-    Aabb, AlphaMode, AnimatedLight, AnimatedNode, Animation, Draw, Interpolation, Material, Piece, Place, Scene, Track,
-    camera::Camera,
+    Aabb, AlphaMode, AnimatedLight, AnimatedNode, Animation, Draw, Interpolation, Material, Piece, Place, Scene,
+    SceneAt, Track, camera::Camera,
 };
 use gnomon_shaders::gpu::Gpu;
 
@@ -37,6 +37,8 @@ fn track(interpolation: Interpolation, times_s: &[f32], values: &[f32]) -> Optio
 
 fn node() -> AnimatedNode {
     AnimatedNode {
+        name: String::new(),
+        editable: false,
         parent: None,
         above: glam::DMat4::IDENTITY,
         // The scene's origin.
@@ -195,15 +197,16 @@ fn a_mask_of_an_earlier_time_is_laid_over_what_was_seen_then() {
     let exposure = Exposure::of_scene(&scene, &Occluders::default());
     let mask = stripes();
     let (then_s, now_s) = (0.4, 0.7);
-    let view = |scene_time_s| MaskView { mask: &mask, coverage: None, more: false, traced_for: &now, scene_time_s };
+    let (then_at, now_at) = (SceneAt::from(then_s), SceneAt::from(now_s));
+    let view = |scene| MaskView { mask: &mask, coverage: None, more: false, traced_for: &now, scene };
     let mut seen_before = renderer(&gpu, &scene, exposure);
     draw(&gpu, &mut seen_before, (&now, then_s), None);
-    let kept = draw(&gpu, &mut seen_before, (&now, now_s), Some(view(then_s)));
+    let kept = draw(&gpu, &mut seen_before, (&now, now_s), Some(view(&then_at)));
     let mut fresh = renderer(&gpu, &scene, exposure);
     // Its depth is drawn again, in the same submission that draws the picture of another time.
-    assert!(kept == draw(&gpu, &mut fresh, (&now, now_s), Some(view(then_s))));
+    assert!(kept == draw(&gpu, &mut fresh, (&now, now_s), Some(view(&then_at))));
     // A mask of this time is taken as it is; the same camera at another time is another view.
-    let own = draw(&gpu, &mut fresh, (&now, now_s), Some(view(now_s)));
+    let own = draw(&gpu, &mut fresh, (&now, now_s), Some(view(&now_at)));
     assert!(own.1.iter().enumerate().all(|(at, pixel)| {
         let x = u32::try_from(at).unwrap() % SIZE.0;
         pixel.word == 0 || pixel.word == 1 << (x / 4 % 2)
@@ -237,7 +240,8 @@ fn late_masks_know_where_movers_and_their_shadows_have_gone() {
         let truth = draw(&gpu, &mut moving, (&camera, now_s), None).1;
         let mask = as_mask(&then);
         let (coverage, more, traced_for) = (None, false, &camera);
-        let view = MaskView { mask: &mask, coverage, more, traced_for, scene_time_s: then_s };
+        let then_at = SceneAt::from(then_s);
+        let view = MaskView { mask: &mask, coverage, more, traced_for, scene: &then_at };
         let found = draw(&gpu, &mut moving, (&camera, now_s), Some(view)).1;
         let wrong = |pixels: &[PixelVisibility]| {
             pixels.iter().zip(&truth).map(|(one, other)| (one.word ^ other.word).count_ones()).sum::<u32>()
@@ -262,13 +266,14 @@ fn late_masks_know_where_movers_and_their_shadows_have_gone() {
 fn an_older_mask_takes_nothing_from_one_of_the_pictures_own_time() {
     let (gpu, camera, scene) = (gpu(), camera(SIZE.0, SIZE.1), living(true));
     let (then_s, now_s) = (0.4, 0.7);
+    let (then_at, now_at) = (SceneAt::from(then_s), SceneAt::from(now_s));
     let shape = MaskShape::new(SIZE.0, SIZE.1, 2).unwrap();
     let [across, down] = Coverage::places(shape);
     let left = (0..down).flat_map(|_| (0..across).map(|x| if x == 0 { 0b11 } else { 0 })).collect();
     let (mask, part) = (stripes(), Coverage::from_words(shape, left).unwrap());
     let aside = Camera { position_m: camera.position_m + DVec3::X * 0.05, ..camera };
-    let newest = MaskView { mask: &mask, coverage: Some(&part), more: false, traced_for: &aside, scene_time_s: now_s };
-    let older = MaskView { coverage: None, scene_time_s: then_s, ..newest };
+    let newest = MaskView { mask: &mask, coverage: Some(&part), more: false, traced_for: &aside, scene: &now_at };
+    let older = MaskView { coverage: None, scene: &then_at, ..newest };
     let found = |older: Option<MaskView<'_>>| {
         let mut renderer = renderer(&gpu, &scene, Exposure::of_scene(&scene, &Occluders::default()));
         assert_eq!(renderer.set_mask(older).unwrap(), older.is_some());

@@ -4,7 +4,7 @@ use std::{collections::VecDeque, time::Duration};
 
 use glam::DVec3;
 use gnomon_protocol::mask::MaskShape;
-use gnomon_scene::Scene;
+use gnomon_scene::{Scene, SceneAt};
 use gnomon_shaders::{
     device_failure::DeviceFailure,
     gpu::{Gpu, GpuOptions},
@@ -41,8 +41,8 @@ pub struct ComputeBackend {
     pub(super) kernels: Kernels,
     /// One; or one a slot, where each has an acceleration structure of its own.
     scenes: Vec<wgpu::BindGroup>,
-    /// What moves, with the buffers that it is in.
-    pub(super) moving: Option<Box<Moving>>,
+    /// What moves or may be edited, with the buffers that it is in.
+    pub(super) moving: Box<Moving>,
     pub(super) timing: Option<Timing>,
     pub(super) origin_m: DVec3,
     pub(super) lights: u32,
@@ -66,11 +66,11 @@ pub(super) struct Moving {
 }
 
 impl Moving {
-    /// Moves what moves to where it is at a time in seconds, in a slot without a frame.
-    pub(super) fn pose(&mut self, queue: &wgpu::Queue, slot: usize, scene_time_s: f64) -> Posed {
+    /// Puts what moves or was edited where it is in this state of the scene, in a slot without a frame.
+    pub(super) fn pose(&mut self, queue: &wgpu::Queue, slot: usize, scene: &SceneAt) -> Posed {
         // Known again when the frame is submitted.
         self.movers.set(slot, None);
-        let posed = self.movers.pose(queue, &self.buffers, slot, scene_time_s);
+        let posed = self.movers.pose(queue, &self.buffers, slot, scene);
         if let Some(structures) = &mut self.structures {
             structures.write(queue, slot, self.movers.triangles(posed));
         }
@@ -96,7 +96,8 @@ pub struct DeviceMemory {
     pub lights_bytes: u64,
     /// Alpha materials, their pictures, and texture coordinates.
     pub alpha_bytes: u64,
-    /// What moves, once for each frame that may have begun: nodes, triangles, normals and lights. An adapter's own
+    /// What moves or may be edited, once for each frame that may have begun: nodes, triangles, normals and lights. An
+    /// adapter's own
     /// structures are not counted.
     pub moving_bytes: u64,
     /// Words of one mask; 0 while there are no buffers.
@@ -171,14 +172,14 @@ impl ComputeBackend {
             triangle_bytes: (size_of_val(&*geometry.triangles) + size_of_val(&*geometry.normals)) as u64,
             lights_bytes: (size_of::<TracedLight>() * scene.lights.len()) as u64,
             alpha_bytes: geometry.alpha_bytes(),
-            moving_bytes: movers.as_ref().map_or(0, Movers::room_bytes),
+            moving_bytes: movers.room_bytes(),
             mask_bytes: 0,
         };
         let kernels = Kernels::new(&gpu, &geometry.alpha_materials, options)?;
         let (nodes, structures) = match traversal {
             Traversal::Hierarchy => (geometry.nodes.len(), None),
             Traversal::RayQuery => {
-                let most_moving = movers.as_ref().map_or(0, Movers::most_triangles);
+                let most_moving = movers.most_triangles();
                 let greatest = enlarge::greatest_moving(scene);
                 (
                     geometry.triangles.len(),
@@ -188,7 +189,7 @@ impl ComputeBackend {
         };
         let nodes =
             u32::try_from(nodes).map_err(|_| BackendError::Setup(format!("the hierarchy has {nodes} nodes")))?;
-        let buffers = upload(&gpu, scene, geometry, movers.as_ref().map(Movers::room))?;
+        let buffers = upload(&gpu, scene, geometry, movers.room())?;
         let scenes = match &structures {
             Some(structures) => {
                 let bind = |top| kernels.bind_scene(&gpu.device, &buffers, Some(top));
@@ -196,10 +197,9 @@ impl ComputeBackend {
             }
             None => vec![kernels.bind_scene(&gpu.device, &buffers, None)],
         };
-        let moving = movers.map(|movers| {
-            let [nodes, triangles, lights, _, _, _, normals] = buffers;
-            Box::new(Moving { movers, buffers: RegionBuffers { nodes, triangles, lights, normals }, structures })
-        });
+        let [nodes_buffer, triangles, lights, _, _, _, normals] = buffers;
+        let regions = RegionBuffers { nodes: nodes_buffer, triangles, lights, normals };
+        let moving = Box::new(Moving { movers, buffers: regions, structures });
         let timing = Timing::new(&gpu.device, &gpu.queue, u32::try_from(SLOTS).unwrap_or(u32::MAX));
         if let Some(reason) = failure.take() {
             return Err(BackendError::Setup(reason));
@@ -338,17 +338,14 @@ fn upload(
     gpu: &Gpu,
     scene: &Scene,
     mut geometry: Geometry,
-    room: Option<Sizes>,
+    room: Sizes,
 ) -> Result<[wgpu::Buffer; SCENE_BUFFERS], BackendError> {
-    let mut usage = wgpu::BufferUsages::STORAGE;
+    let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
     let mut lights: Vec<TracedLight> = scene.lights.iter().map(TracedLight::new).collect();
-    if let Some(room) = room {
-        usage |= wgpu::BufferUsages::COPY_DST;
-        extend(&mut geometry.nodes, room.nodes);
-        extend(&mut geometry.triangles, room.triangles);
-        extend(&mut geometry.normals, room.triangles);
-        extend(&mut lights, room.lights);
-    }
+    extend(&mut geometry.nodes, room.nodes);
+    extend(&mut geometry.triangles, room.triangles);
+    extend(&mut geometry.normals, room.triangles);
+    extend(&mut lights, room.lights);
     let mut texels = geometry.alpha_texels;
     // The kernels read them four at a time.
     texels.resize(texels.len().next_multiple_of(4), 0);

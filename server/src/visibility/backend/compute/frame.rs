@@ -6,7 +6,7 @@
 use std::time::{Duration, Instant};
 
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 use gnomon_shaders::host::{TracedCounts, TracedView};
 
 use super::{
@@ -64,15 +64,15 @@ impl ComputeBackend {
         self.ring.as_ref().map_or(0, |ring| ring.slots.iter().filter(|slot| slot.is_free()).count())
     }
 
-    /// Begins a frame of the scene at a time in seconds, without submitting anything. Moves what moves there. The shape
-    /// must fit ([`Self::fit`]).
+    /// Begins a frame of this state of the scene, without submitting anything; a number is a time in seconds. Puts what
+    /// moves or was edited where it is then. The shape must fit ([`Self::fit`]).
     ///
     /// # Errors
     /// If [`SLOTS`] frames have begun, or the camera or the shape does not fit.
     pub fn begin(
         &mut self,
         camera: &Camera,
-        scene_time_s: f64,
+        scene: impl Into<SceneAt>,
         shape: MaskShape,
     ) -> Result<PartialSubmission, BackendError> {
         if (camera.width, camera.height, self.lights) != (shape.width(), shape.height(), shape.lights()) {
@@ -91,10 +91,11 @@ impl ComputeBackend {
         let mut view = TracedView::new(&basis, shape.width(), shape.height(), shape.lights(), self.nodes);
         let begun_at = Instant::now();
         let (mut posed, mut is_new) = (None, false);
-        if let Some(moving) = &mut self.moving {
-            let at = moving.movers.at(lease.slot(), scene_time_s);
+        let (moving, scene) = (&mut self.moving, scene.into());
+        if moving.movers.needs_region(&scene) {
+            let at = moving.movers.at(lease.slot(), &scene);
             is_new = at.is_none();
-            let now = at.unwrap_or_else(|| moving.pose(&self.gpu.queue, lease.slot(), scene_time_s));
+            let now = at.unwrap_or_else(|| moving.pose(&self.gpu.queue, lease.slot(), &scene));
             (view.root, view.nodes, view.first_light) = (now.root, now.nodes, now.first_light);
             posed = Some(now);
         }
@@ -124,8 +125,8 @@ impl ComputeBackend {
             }
             if frame.parts == 0 {
                 slot.clear(&mut encoder);
-                if let (Some(moving), Some(posed)) = (&mut self.moving, frame.posed.filter(|_| frame.is_new)) {
-                    moving.build(&mut encoder, frame.lease.slot(), posed);
+                if let Some(posed) = frame.posed.filter(|_| frame.is_new) {
+                    self.moving.build(&mut encoder, frame.lease.slot(), posed);
                 }
             }
             let rows = frame.next_rows(rows.max(1));
@@ -270,15 +271,16 @@ impl ComputeBackend {
         Ok(Some(cost))
     }
 
-    /// Submits a whole frame of the scene at a time in seconds. Returns at once. The shape must fit ([`Self::fit`]).
+    /// Submits a whole frame of this state of the scene; a number is a time in seconds. Returns at once. The shape must
+    /// fit ([`Self::fit`]).
     ///
     /// # Errors
     /// If [`RING_FRAMES`] frames are in flight, the shape does not fit, or the device has failed.
-    pub fn submit(&mut self, camera: &Camera, scene_time_s: f64, shape: MaskShape) -> Result<(), BackendError> {
+    pub fn submit(&mut self, camera: &Camera, scene: impl Into<SceneAt>, shape: MaskShape) -> Result<(), BackendError> {
         if self.in_flight.len() >= RING_FRAMES {
             return Err(BackendError::Device(format!("{RING_FRAMES} frames are in flight already")));
         }
-        let frame = self.begin(camera, scene_time_s, shape)?;
+        let frame = self.begin(camera, scene, shape)?;
         self.submit_part(frame, u32::MAX).map(drop)
     }
 
@@ -291,11 +293,16 @@ impl ComputeBackend {
         self.trace_at(camera, 0.0, mask)
     }
 
-    /// As [`Self::trace`], of the scene at a time in seconds.
+    /// As [`Self::trace`], of this state of the scene; a number is a time in seconds.
     ///
     /// # Errors
     /// Those of [`Self::trace`].
-    pub fn trace_at(&mut self, camera: &Camera, scene_time_s: f64, mask: &mut Mask) -> Result<TraceCost, BackendError> {
+    pub fn trace_at(
+        &mut self,
+        camera: &Camera,
+        scene: impl Into<SceneAt>,
+        mask: &mut Mask,
+    ) -> Result<TraceCost, BackendError> {
         if !self.in_flight.is_empty() {
             return Err(BackendError::Device(format!("{} frames are in flight", self.in_flight.len())));
         }
@@ -304,7 +311,7 @@ impl ComputeBackend {
             self.picture_limit().check(shape)?;
             self.fit([shape])?;
         }
-        self.submit(camera, scene_time_s, shape)?;
+        self.submit(camera, scene, shape)?;
         loop {
             if let Some(cost) = self.collect(Duration::from_secs(1), mask)? {
                 return Ok(cost);

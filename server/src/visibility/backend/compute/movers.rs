@@ -1,11 +1,12 @@
 //! What moves, on the device: every slot has a region of its own behind what rests, in the buffers of the hierarchy, of
 //! the triangles and of the lights. A region holds the scene's movers at the time of the slot's frame, and the node
 //! where that frame's rays begin. So frames of different times may be under way at once, in any number of parts, and
-//! the kernels are those of scenes in which nothing moves.
+//! the kernels are those of scenes in which nothing moves. Where nothing moves a region has only lights, for those that
+//! are edited.
 
 use bytemuck::Zeroable as _;
 use glam::Vec3;
-use gnomon_scene::{Placement, Scene};
+use gnomon_scene::{Placement, Scene, SceneAt};
 use gnomon_shaders::host::{TracedLight, TracedTriangle};
 use obvhs::cwbvh::node::CwBvhNode;
 use rayon::{
@@ -52,7 +53,6 @@ pub(super) struct RegionBuffers {
 /// What the kernels must know of a slot's region: see [`gnomon_shaders::host::TracedView`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Posed {
-    time_bits: u64,
     pub(super) root: u32,
     pub(super) nodes: u32,
     pub(super) first_light: u32,
@@ -75,6 +75,8 @@ pub(super) struct Movers {
     scratch: Scratch,
     /// What lies in each slot's region.
     posed: [Option<Posed>; SLOTS],
+    /// Which state of the scene that is.
+    scenes: [SceneAt; SLOTS],
 }
 
 /// A region's content before it is uploaded, and what is needed to make it.
@@ -88,9 +90,8 @@ struct Scratch {
 }
 
 impl Movers {
-    /// Takes the pieces of `geometry`. `None` if everything rests.
-    pub(super) fn new(scene: &Scene, geometry: &mut Geometry, traversal: Traversal) -> Option<Self> {
-        scene.animation.as_ref()?;
+    /// Takes the pieces of `geometry`.
+    pub(super) fn new(scene: &Scene, geometry: &mut Geometry, traversal: Traversal) -> Self {
         let pieces = std::mem::take(&mut geometry.pieces);
         let sum = |of: fn(&PieceGeometry) -> usize| pieces.iter().map(of).sum::<usize>();
         let (nodes, triangles) = (sum(|piece| piece.nodes.len()), sum(|piece| piece.triangles.len()));
@@ -99,7 +100,7 @@ impl Movers {
         let corners = geometry.triangles.iter().flat_map(|triangle| [triangle.a, triangle.b, triangle.c]);
         let bounds = corners.map(Vec3::from_array).fold(NOTHING, |bounds, corner| joined(bounds, [corner; 2]));
         let (animation, lights, origin_m) = (scene.animation.clone(), scene.lights.clone(), scene.origin_m);
-        Some(Self {
+        Self {
             traversal,
             stage: Scene { animation, lights, origin_m, ..Scene::default() },
             resting: geometry.nodes.first().map(|node| Root { node: *node, bounds }),
@@ -118,7 +119,8 @@ impl Movers {
             },
             pieces,
             posed: [None; SLOTS],
-        })
+            scenes: Default::default(),
+        }
     }
 
     /// Room behind what rests: all regions.
@@ -136,9 +138,14 @@ impl Movers {
         self.region.triangles
     }
 
-    /// Returns what is in a slot's region if that is the scene at this time.
-    pub(super) fn at(&self, slot: usize, time_s: f64) -> Option<Posed> {
-        self.posed.get(slot).copied().flatten().filter(|posed| posed.time_bits == time_s.to_bits())
+    /// Returns whether this state of the scene is not what the file has.
+    pub(super) fn needs_region(&self, scene: &SceneAt) -> bool {
+        self.stage.animation.is_some() || !scene.edits.is_empty()
+    }
+
+    /// Returns what is in a slot's region if that is this state of the scene.
+    pub(super) fn at(&self, slot: usize, scene: &SceneAt) -> Option<Posed> {
+        self.posed.get(slot).copied().flatten().filter(|_| self.scenes.get(slot) == Some(scene))
     }
 
     /// Notes what the device will have in a slot's region, once it has done all that is submitted.
@@ -153,11 +160,14 @@ impl Movers {
         self.scratch.triangles.get(..posed.triangles as usize).unwrap_or_default()
     }
 
-    /// Moves what moves to where it is at a time, and writes it into a slot's region. No frame of the slot may be under
+    /// Puts what moves or was edited where it is, and writes it into a slot's region. No frame of the slot may be under
     /// way. Runs on the current rayon pool.
-    pub(super) fn pose(&mut self, queue: &wgpu::Queue, buffers: &RegionBuffers, slot: usize, time_s: f64) -> Posed {
-        let Self { traversal, stage, pieces, resting, before, region, scratch, .. } = self;
-        let moment = stage.moment(time_s);
+    pub(super) fn pose(&mut self, queue: &wgpu::Queue, buffers: &RegionBuffers, slot: usize, scene: &SceneAt) -> Posed {
+        let Self { traversal, stage, pieces, resting, before, region, scratch, scenes, .. } = self;
+        if let Some(known) = scenes.get_mut(slot) {
+            known.clone_from(scene);
+        }
+        let moment = stage.moment(scene);
         let (placements, lights) = moment.map(|moment| (moment.pieces, moment.lights)).unwrap_or_default();
         let first = |before: usize, region: usize| before + slot * region;
         let first_node = first(before.nodes, region.nodes);
@@ -208,7 +218,6 @@ impl Movers {
             Traversal::RayQuery => (first_triangle, before.triangles + triangles),
         };
         Posed {
-            time_bits: time_s.to_bits(),
             root: index(root),
             nodes: index(all_nodes),
             first_light: index(first_light),

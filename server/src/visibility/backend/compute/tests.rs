@@ -1,5 +1,6 @@
 //! Compares the kernels with closed forms, with obvhs' own traversal, and with the `cpu` back end.
 
+mod edited;
 mod moving;
 
 use glam::{DVec3, Vec3, Vec3A};

@@ -3,7 +3,7 @@
 use std::{num::NonZeroUsize, ops::Range, time::Instant};
 
 use gnomon_protocol::mask::{Mask, TILE_PX};
-use gnomon_scene::{Scene, camera::Camera};
+use gnomon_scene::{Scene, SceneAt, camera::Camera};
 use rayon::{
     ThreadPool, ThreadPoolBuilder,
     iter::{IntoParallelIterator, ParallelIterator},
@@ -72,9 +72,11 @@ impl CpuBackend {
         )
     }
 
-    /// Moves what moves to where it is at a time of the scene, in seconds. `None` if everything rests.
-    pub fn pose(&self, scene_time_s: f64) -> Option<Posed> {
-        self.pool.install(|| self.world.pose(scene_time_s))
+    /// Puts what moves or was edited where it is in this state of the scene; a number is a time in seconds. `None` if
+    /// everything is as in the file.
+    pub fn pose(&self, scene: impl Into<SceneAt>) -> Option<Posed> {
+        let scene = scene.into();
+        self.pool.install(|| self.world.pose(&scene))
     }
 
     /// Traces the view of `camera` at time 0 into `mask`, which has the camera's size and a plane for each light of the
@@ -86,13 +88,13 @@ impl CpuBackend {
         self.trace_at(camera, 0.0, mask)
     }
 
-    /// As [`Self::trace`], of the scene at a time in seconds.
+    /// As [`Self::trace`], of this state of the scene; a number is a time in seconds.
     ///
     /// # Panics
     /// Those of [`Self::trace`].
-    pub fn trace_at(&self, camera: &Camera, scene_time_s: f64, mask: &mut Mask) -> TraceCost {
+    pub fn trace_at(&self, camera: &Camera, scene: impl Into<SceneAt>, mask: &mut Mask) -> TraceCost {
         let (from, rows) = (Instant::now(), 0..mask.shape().tiles_y());
-        let posed = self.pose(scene_time_s);
+        let posed = self.pose(scene);
         let pose_ms = posed.as_ref().map_or(0.0, |_| from.elapsed().as_secs_f64() * 1e3);
         TraceCost { pose_ms, ..self.trace_rows(camera, mask, rows, posed.as_ref()) }
     }

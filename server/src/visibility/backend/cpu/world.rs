@@ -1,7 +1,7 @@
 //! All data that tracing reads: geometry that rests, geometry that moves as it is at one time, and the lights.
 
 use glam::Vec3;
-use gnomon_scene::{Aabb, AlphaMode, Light, Moment, Scene};
+use gnomon_scene::{Aabb, AlphaMode, Light, Moment, Scene, SceneAt};
 use rayon::iter::{IntoParallelIterator, IntoParallelRefIterator, ParallelIterator};
 
 use super::{
@@ -22,6 +22,9 @@ pub(super) struct World {
     moving: Option<Box<Moving>>,
     /// Without anything that moves.
     around: Around,
+    bounds: Aabb,
+    /// The scene's lights and origin alone.
+    lights: Scene,
 }
 
 /// What never moves.
@@ -135,7 +138,9 @@ impl World {
             alpha: Alpha::new(scene, &rests)?,
         };
         let moving = if scene.animation.is_some() { Some(Box::new(Moving::new(scene)?)) } else { None };
-        Ok(Self { resting, moving, around: Around::new(&scene.lights, scene.bounds) })
+        let lights = Scene { lights: scene.lights.clone(), origin_m: scene.origin_m, ..Scene::default() };
+        let (around, bounds) = (Around::new(&scene.lights, scene.bounds), scene.bounds);
+        Ok(Self { resting, moving, around, bounds, lights })
     }
 
     pub(super) fn lights(&self) -> usize {
@@ -148,9 +153,18 @@ impl World {
         bvh.memory_bytes() + size_of_val(&**corners) + alpha.memory_bytes() + moving
     }
 
-    /// Moves what moves, on the current rayon pool. `None` if everything rests.
-    pub(super) fn pose(&self, time_s: f64) -> Option<Posed> {
-        self.moving.as_ref().map(|moving| moving.pose(time_s))
+    /// Puts what moves or was edited where it is, on the current rayon pool. `None` if all is as in the file.
+    pub(super) fn pose(&self, at: &SceneAt) -> Option<Posed> {
+        match &self.moving {
+            Some(moving) => Some(moving.pose(at)),
+            None => self.lights.moment(at).map(|moment| self.lit(&moment.lights)),
+        }
+    }
+
+    /// Where nothing moves, lights are all that may be edited.
+    fn lit(&self, lights: &[Light]) -> Posed {
+        let around = Around::new(lights, self.bounds);
+        Posed { bvh: WideBvh::join(Vec::new()), corners: Vec::new(), turned: Vec::new(), around }
     }
 
     /// Returns everything at the time of `posed`.
@@ -218,8 +232,8 @@ impl Moving {
         self.alpha.memory_bytes() + vertices + 2 * trees + self.triangles.len() * size_of::<Corners>()
     }
 
-    fn pose(&self, time_s: f64) -> Posed {
-        let moment = self.stage.moment(time_s).unwrap_or(Moment { pieces: Vec::new(), lights: Vec::new() });
+    fn pose(&self, at: &SceneAt) -> Posed {
+        let moment = self.stage.moment(at).unwrap_or(Moment { pieces: Vec::new(), lights: Vec::new() });
         let Some(animation) = &self.stage.animation else { return self.nothing(&moment) };
         let pieces: Vec<_> = self.pieces.iter().zip(&moment.pieces).collect();
         // Each piece's vertices, in the order of the pieces.

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::visibility::{
+    TraceRequest,
     engine::{shared::PendingSession, tracer::PartialFrame},
     schedule::{dearest::DearestView, pace::Pace, parts, scheduler::Demand},
 };
@@ -91,8 +92,10 @@ impl ActiveSession {
             self.held_back_at = Some(now);
             return None;
         }
-        let request = self.opened.port.newest.borrow().or(self.opened.retry)?;
-        let due = *self.due.get_or_insert(request.received_at + request.interval);
+        let due_at = |request: &TraceRequest| request.received_at + request.interval;
+        let newest = self.opened.port.newest.borrow().as_ref().map(due_at);
+        let due_at = newest.or(self.opened.retry.as_ref().map(due_at))?;
+        let due = *self.due.get_or_insert(due_at);
         let background = self.is_background(now);
         let fits = match (self.opened.costs.expected_ms() > room.split_above_ms, background) {
             (false, _) => room.whole,

@@ -7,7 +7,7 @@ use std::{
 };
 
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 
 use super::session::{ActiveSession, SplitThreshold};
 use crate::visibility::{
@@ -94,8 +94,8 @@ impl Worker {
         let mut costs = Vec::new();
         while costs.len() < WARM_UP_MASKS as usize || began.elapsed() < WARM_UP {
             // Each mask has a time of its own, so that what moves is moved for it.
-            let scene_time_s = costs.len() as f64 * WARM_UP_STEP_S;
-            let Some(cost) = self.tracer.trace(camera, scene_time_s, &mut mask)? else { return Ok(None) };
+            let scene = SceneAt::from(costs.len() as f64 * WARM_UP_STEP_S);
+            let Some(cost) = self.tracer.trace(camera, &scene, &mut mask)? else { return Ok(None) };
             costs.push(cost);
             self.shared.pulse.beat();
             // A slow device: its clock is not what makes it slow.

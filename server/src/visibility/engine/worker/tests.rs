@@ -80,7 +80,7 @@ fn ask(port: &SessionPort, frame: u32, kind: (u32, u32, f64)) {
     port.request(TraceRequest {
         frame: FrameNumber(frame),
         camera,
-        scene_time_s: scene_time_s(frame),
+        scene: scene_time_s(frame).into(),
         ahead: None,
         received_at,
         interval,
@@ -149,7 +149,7 @@ fn expect<T>(result: Result<T, TraceError>) -> T {
 /// The mask of a frame that is traced whole.
 fn whole(tracer: &mut Tracer, frame: u32, kind: (u32, u32, f64)) -> Mask {
     let mut mask = Mask::new(shape(kind));
-    assert!(tracer.trace(&camera(frame, kind), scene_time_s(frame), &mut mask).unwrap().is_some());
+    assert!(tracer.trace(&camera(frame, kind), &scene_time_s(frame).into(), &mut mask).unwrap().is_some());
     mask
 }
 
@@ -267,8 +267,8 @@ fn the_request_of_a_failed_frame_is_kept() {
     let Err(failure) = rig.worker.work() else { panic!("traced without a device") };
     assert!(matches!(&failure, TraceError::Device { job: Some(job), .. } if job.request.frame == FrameNumber(7)));
     assert!(!rig.worker.recover(failure), "there is no other device");
-    let retries: Vec<_> = rig.worker.sessions.values().map(|session| session.opened.retry).collect();
-    assert_eq!(retries[0].map(|request| request.frame), Some(FrameNumber(7)));
+    let retries: Vec<_> = rig.worker.sessions.values().map(|session| session.opened.retry.clone()).collect();
+    assert_eq!(retries[0].as_ref().map(|request| request.frame), Some(FrameNumber(7)));
 }
 
 /// Sessions that ask for more than they declared, or that declared nothing, have used little time and wait for long.

@@ -81,7 +81,7 @@ impl Worker {
         // Only this thread takes permits, so a free one stays free unless the port closes.
         let permit = port.masks.clone().try_reserve_owned();
         let lost = retry.take().filter(|_| !port.newest.has_changed().unwrap_or(false));
-        let newest = *port.newest.borrow_and_update();
+        let (was_lost, newest) = (lost.is_some(), port.newest.borrow_and_update().clone());
         let (Ok(permit), Some(request)) = (permit, lost.or(newest)) else { return None };
         let Some(shape) = shape_within(*largest, &request.camera) else {
             tracing::warn!(engine_session = key, camera = ?request.camera, ?largest, "dropped a pose of a larger size");
@@ -89,8 +89,8 @@ impl Worker {
         };
         costs.record_begin(request.received_at.elapsed());
         let now = Instant::now();
-        session.in_background = lost.is_none() && in_background;
-        if lost.is_none() {
+        session.in_background = !was_lost && in_background;
+        if !was_lost {
             session.pace.take(now);
         }
         let mask = port.used.try_iter().find(|mask| mask.shape() == shape).unwrap_or_else(|| Mask::new(shape));

@@ -27,7 +27,7 @@ pub(crate) fn finish(
 
 /// Tells of skins whose joints move: they stand as the file has them.
 pub(crate) fn tell_skins(document: &Document, channels: &Channels, report: &mut LoadReport) {
-    let moves = |joint: &u32| channels.nodes.get(&(*joint as usize)).is_some_and(|tracks| !tracks.rest());
+    let moves = |joint: &u32| channels.nodes.get(&(*joint as usize)).is_some_and(|tracks| !tracks.never_change());
     for (index, skin) in document.skins.iter().enumerate() {
         if skin.joints.iter().any(moves) {
             report.not_drawn("animated skins: they stand as the file has them", &place("skin", index, None));

@@ -33,6 +33,8 @@ pub(crate) struct Channels {
 
 #[derive(Debug, Default)]
 pub(crate) struct NodeTracks {
+    /// A person may move it.
+    pub(crate) editable: bool,
     pub(crate) translation: Option<Track>,
     pub(crate) rotation: Option<Track>,
     pub(crate) scale: Option<Track>,
@@ -56,6 +58,11 @@ impl NodeTracks {
 
     /// Returns whether nothing ever changes: constant values replace the file's.
     pub(crate) fn rest(&self) -> bool {
+        !self.editable && self.never_change()
+    }
+
+    /// Returns whether no track changes.
+    pub(crate) fn never_change(&self) -> bool {
         let vectors = [(&self.translation, 3), (&self.rotation, 4), (&self.scale, 3), (&self.visible, 1)];
         vectors.iter().all(|(track, width)| track.as_ref().is_none_or(|track| track.is_constant(*width)))
     }
@@ -111,6 +118,24 @@ pub(crate) fn read(
         Reader { document, buffers, here: &here, values: &mut values }.read(animation, &mut channels, report);
     }
     Ok(channels)
+}
+
+impl Channels {
+    /// Lets people move the nodes of these names or numbers; `all` means every node.
+    /// Errors if there is no such node.
+    pub(crate) fn allow_edits(&mut self, document: &Document, wanted: &[String]) -> Result<(), SceneError> {
+        let nodes = document.json.nodes.iter();
+        let names: Vec<&str> = nodes.map(|node| node.name.as_deref().unwrap_or("")).collect();
+        for wanted in wanted {
+            let chosen = if wanted == "all" { None } else { Some(choose("node", wanted, &names)?) };
+            for (index, name) in names.iter().enumerate() {
+                if chosen.is_none_or(|chosen| chosen == index || name == wanted) {
+                    self.nodes.entry(index).or_default().editable = true;
+                }
+            }
+        }
+        Ok(())
+    }
 }
 
 struct Reader<'a> {

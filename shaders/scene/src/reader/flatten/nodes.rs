@@ -12,6 +12,7 @@ use super::{
 use crate::{
     AnimatedNode, LoadReport, Place, Track,
     error::{SceneError, place, within},
+    light::short_name,
     limits::{MAX_DEPTH, MAX_MOVING},
     moment::orthonormal,
     reader::json::{Document, Transform},
@@ -91,7 +92,8 @@ pub(crate) fn walk(
             Some(tracks) => {
                 let visible = is_hidden(node, None) == Hidden::Never;
                 let number = u32::try_from(animated.len()).unwrap_or(u32::MAX);
-                animated.push(animated_node((above, world_from_parent), local, visible, tracks));
+                let name = node.name.as_deref();
+                animated.push(animated_node((above, world_from_parent), local, (name, visible), tracks));
                 Some(Place { node: number, node_from_own: DMat4::IDENTITY })
             }
             None => above.map(|above| Place { node_from_own: above.node_from_own * local.matrix, ..above }),
@@ -109,7 +111,7 @@ pub(crate) fn walk(
 fn animated_node(
     (above, world_from_parent): (Option<Place>, DMat4),
     local: &Local,
-    visible: bool,
+    (name, visible): (Option<&str>, bool),
     tracks: &NodeTracks,
 ) -> AnimatedNode {
     let animated_from_parent = above.map_or(world_from_parent, |above| above.node_from_own);
@@ -121,6 +123,8 @@ fn animated_node(
     let changing = |track: &Option<Track>, width| track.clone().filter(|track| !track.is_constant(width));
     let shown = tracks.visible.as_ref().filter(|track| track.is_constant(1)).map(|track| track.sample::<1>(0.0));
     AnimatedNode {
+        name: if tracks.editable { short_name(name) } else { String::new() },
+        editable: tracks.editable,
         parent: above.map(|above| above.node),
         above: animated_from_own,
         translation_m,
@@ -205,7 +209,11 @@ fn is_hidden(node: &Node, tracks: Option<&NodeTracks>) -> Hidden {
         Some(track) => track.sample::<1>(0.0) != [0.0],
         None => visible,
     };
-    if visible { Hidden::Never } else { Hidden::Always }
+    match visible {
+        true => Hidden::Never,
+        false if tracks.is_some_and(|tracks| tracks.editable) => Hidden::Sometimes,
+        false => Hidden::Always,
+    }
 }
 
 /// Errors if a node has two parents, is its own ancestor, or lies too deep.

@@ -36,6 +36,10 @@ pub struct Animation {
 /// A node whose transform or visibility changes. What has no track keeps the file's value.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AnimatedNode {
+    /// Name in the file, or empty.
+    pub name: String,
+    /// Whether a person may move it: see [`Edits`](crate::Edits).
+    pub editable: bool,
     /// Index of the nearest animated node above.
     pub parent: Option<u32>,
     /// Transform from the file's parent of this node to `parent`'s space, or to the world's.
@@ -115,16 +119,23 @@ impl Animation {
         self.pieces.iter().map(&mut first).collect()
     }
 
-    /// Returns whether nothing moves.
+    /// Returns whether nothing moves or may be moved.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        !self.moves_scene() && self.cameras.is_empty()
+        !self.has_parts() && self.cameras.is_empty()
     }
 
-    /// Returns whether more moves than cameras do, so that one that stands still sees it.
+    /// Returns whether more than cameras may move.
+    #[must_use]
+    pub fn has_parts(&self) -> bool {
+        !self.pieces.is_empty() || !self.lights.is_empty()
+    }
+
+    /// Returns whether more than cameras changes with time, so that a camera that stands still sees it.
     #[must_use]
     pub fn moves_scene(&self) -> bool {
-        !self.pieces.is_empty() || !self.lights.is_empty()
+        let nodes = self.nodes.iter().any(|node| node.tracks().next().is_some());
+        self.has_parts() && (nodes || self.lights.iter().any(|light| light.tracks().next().is_some()))
     }
 }
 

@@ -8,7 +8,7 @@ use std::{
 use anyhow::{Context as _, Result, bail, ensure};
 use gnomon_client::headless::stats::{millis, percentile};
 use gnomon_protocol::{ids::FrameNumber, mask::MaskShape};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 use gnomon_server::{
     RunningServer, Server,
     config::{Backend, ServerConfig},
@@ -263,7 +263,7 @@ fn request(port: &mut SessionPort, shape: MaskShape, frame: u32) {
     port.request(TraceRequest {
         frame: FrameNumber(frame),
         camera: Camera::looking_at(glam::DVec3::ZERO, target, 1.0, shape.width(), shape.height()),
-        scene_time_s: 0.0,
+        scene: SceneAt::default(),
         ahead: None,
         received_at: Instant::now(),
         interval: Duration::from_millis(16),

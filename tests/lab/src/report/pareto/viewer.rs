@@ -7,7 +7,7 @@ use gnomon_client::{
     render::{FrameRenderer, PICTURE_FORMAT, exposure::Exposure, predict::MaskView, readback::PictureReader},
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{Scene, camera::Camera};
+use gnomon_scene::{Scene, SceneAt, camera::Camera};
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use image::RgbImage;
 
@@ -46,7 +46,7 @@ impl Viewer {
             coverage: None,
             more: false,
             traced_for,
-            scene_time_s: 0.0,
+            scene: &SceneAt::default(),
         }))?;
         anyhow::ensure!(used, "the client does not take a mask of {:?}", mask.shape());
         let target = self.reader.target();
