@@ -62,8 +62,8 @@ fn whole(file: &GltfFile) -> Scene {
 /// World position of the moving triangle's first corner, if it is shown.
 fn corner(scene: &Scene, time_s: f64) -> Option<DVec3> {
     let animation = scene.animation.as_ref().unwrap();
-    let placement = scene.moment(time_s).unwrap().pieces[0]?;
-    Some(placement.position(animation.positions[0]).as_dvec3() + scene.origin_m)
+    let placement = scene.moment(time_s).unwrap().pieces[0].clone()?;
+    Some(placement.vertex(&animation.own_vertices()[0], 0).0.as_dvec3() + scene.origin_m)
 }
 
 #[test]

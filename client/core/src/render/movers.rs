@@ -9,6 +9,9 @@ use wgpu::util::DeviceExt as _;
 
 use super::vertex::{MoreOfVertex, Vertex};
 
+/// Vertices that a thread takes at once.
+const RUN: usize = 512;
+
 #[derive(Debug)]
 pub(crate) struct Movers {
     /// The scene without what rests.
@@ -160,24 +163,23 @@ impl Movers {
         let moment = self.moment_at(time_s);
         let none = Animation::default();
         let animation = self.stage.animation.as_deref().unwrap_or(&none);
-        let pieces = || {
-            let pieces = animation.pieces.par_iter().zip(&self.firsts).zip(&moment.pieces);
-            pieces.map(|((piece, first), placement)| (*first..*first + piece.vertices as usize, placement.as_ref()))
-        };
-        let vertices = pieces().flat_map_iter(|(range, placement)| {
-            range.map(move |at| {
-                let (vertex, position, normal) = (self.vertices[at], animation.positions[at], animation.normals[at]);
-                placement.map_or(vertex, |it| vertex.moved(it.position(position), it.normal(normal)))
+        let own = animation.own_vertices();
+        let pieces = || own.par_iter().zip(&self.firsts).zip(&moment.pieces);
+        let vertices = pieces().flat_map(|((own, first), placement)| {
+            (0..own.positions.len()).into_par_iter().with_min_len(RUN).map(move |at| {
+                let vertex = self.vertices[first + at];
+                let moved = placement.as_ref().map(|placement| placement.vertex(own, at));
+                moved.map_or(vertex, |(position, normal)| vertex.moved(position, normal))
             })
         });
         let vertices = vertices.collect();
         let more = if self.more.is_empty() {
             Vec::new()
         } else {
-            let more = pieces().flat_map_iter(|(range, placement)| {
-                range.map(move |at| {
-                    let turned = placement.zip(animation.tangents.get(at)).map(|(it, tangent)| it.tangent(*tangent));
-                    turned.map_or(self.more[at], |tangent| self.more[at].moved(tangent))
+            let more = pieces().flat_map(|((own, first), placement)| {
+                (0..own.positions.len()).into_par_iter().with_min_len(RUN).map(move |at| {
+                    let turned = placement.as_ref().map(|placement| placement.tangent_of(own, at));
+                    turned.map_or(self.more[first + at], |tangent| self.more[first + at].moved(tangent))
                 })
             });
             more.collect()

@@ -313,7 +313,7 @@ pub(crate) mod tests {
                 intensity_track: Some(track(&[1.0, 3.0])),
                 ..AnimatedLight::default()
             }],
-            cameras: Vec::new(),
+            ..Animation::default()
         }));
         scene
     }
