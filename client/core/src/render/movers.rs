@@ -145,10 +145,19 @@ impl Movers {
         self.stage.moment(time_s).unwrap_or_else(nothing)
     }
 
-    /// For each piece, the way from where its points are now to where they were then.
-    pub(crate) fn before(&self, then: &Moment) -> Vec<Before> {
+    /// Whether a piece changes its shape.
+    pub(crate) fn deforms(&self) -> bool {
+        self.stage.animation.as_ref().is_some_and(|animation| !animation.shapes.is_empty())
+    }
+
+    /// For each piece, the way from where its points are now to where they were then. Those of a piece that changes its
+    /// shape have ways of their own, which count if they are `drawn`.
+    pub(crate) fn before(&self, then: &Moment, drawn: bool) -> Vec<Before> {
         let way = |(now, then): (&Option<Placement>, &Option<Placement>)| {
             let ((now, then), origin_m) = (now.as_ref().zip(then.as_ref())?, self.stage.origin_m);
+            if now.is_deformed() {
+                return drawn.then_some(Before::DRAWN);
+            }
             // Local space has the scene's origin.
             let (there, back) = (DMat4::from_translation(-origin_m), DMat4::from_translation(origin_m));
             let way = there * then.world_from_piece * now.world_from_piece.inverse() * back;
@@ -157,6 +166,15 @@ impl Movers {
         };
         let pieces = self.now.moment.pieces.iter().zip(&then.pieces);
         pieces.map(|pair| way(pair).unwrap_or_default()).collect()
+    }
+
+    /// Copies the vertices of what moves to their places in another buffer.
+    pub(crate) fn copy_vertices(&self, encoder: &mut wgpu::CommandEncoder, from: &wgpu::Buffer, to: &wgpu::Buffer) {
+        let stride = size_of::<Vertex>() as u64;
+        for run in &self.vertex_runs {
+            let (first, bytes) = (u64::from(run.first) * stride, u64::from(run.count) * stride);
+            encoder.copy_buffer_to_buffer(from, first, to, first, bytes);
+        }
     }
 
     fn pose(&self, time_s: f64) -> Posed {

@@ -260,11 +260,11 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::scene::check::tests::{moving, scene};
+    use crate::scene::check::tests::{moving, reshaped, scene};
 
     #[test]
     fn scenes_survive_and_pack_to_the_same_bytes() {
-        for scene in [scene(), moving()] {
+        for scene in [scene(), moving(), reshaped()] {
             let packed = scene.pack().unwrap();
             assert_eq!(Scene::unpack(&packed).unwrap(), scene);
             assert_eq!(scene.clone().pack().unwrap(), packed);
@@ -297,7 +297,7 @@ mod tests {
 
     #[test]
     fn cut_and_extended_bytes_are_errors() {
-        for scene in [scene(), moving()] {
+        for scene in [scene(), moving(), reshaped()] {
             let (raw, moves) = decompress(&scene.pack().unwrap()).unwrap();
             assert_eq!(moves, scene.animation.is_some());
             assert!(Scene::unpack(&seal(&raw, moves).unwrap()).is_ok());
@@ -317,7 +317,7 @@ mod tests {
         fn changed_bytes_give_an_error_or_a_legal_scene(
             changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         ) {
-            for scene in [scene(), moving()] {
+            for scene in [scene(), moving(), reshaped()] {
                 let (mut raw, moves) = decompress(&scene.pack().unwrap()).unwrap();
                 for (at, value) in &changes {
                     let at = at.index(raw.len());

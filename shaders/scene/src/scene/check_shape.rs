@@ -25,7 +25,8 @@ impl Animation {
         let (mut influences, mut deltas) = (0, 0);
         for shape in &self.shapes {
             let vertices = self.pieces.get(shape.piece as usize).map_or(0, |piece| piece.vertices);
-            ensure(self.is_legal_shape(shape), || format!("the shape of piece {} is {shape:?}", shape.piece))?;
+            let whole = !shape.flat || vertices.is_multiple_of(3);
+            ensure(whole && self.is_legal_shape(shape), || format!("the shape of piece {} is {shape:?}", shape.piece))?;
             influences += shape.influences(vertices);
             deltas += shape.deltas(vertices);
         }

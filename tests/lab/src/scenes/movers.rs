@@ -3,7 +3,7 @@
 use glam::{DMat4, DQuat, DVec3, Vec2, Vec3, Vec4};
 use gnomon_scene::{Aabb, AlphaMode, AnimatedNode, Draw, Interpolation, Material, Piece, Scene};
 
-use super::{builder::SceneBuilder, living::track};
+use super::builder::{SceneBuilder, track};
 
 /// Triangles of a mover: 2 · SECTORS · (RINGS − 1).
 pub const TRIANGLES: u32 = 1000;
