@@ -111,7 +111,8 @@ fn more_than_four_joints_count_and_weights_are_normalised() {
     let mut file = bending();
     // Five joints, the fifth in a second set; weights that add up to 1.5.
     let nodes = json!([
-        {"mesh": 0, "skin": 0}, {}, {}, {"translation": [0, 0, 1]}, {"translation": [0, 0, 2]}, {"translation": [0, 3, 0]},
+        {"mesh": 0, "skin": 0}, {}, {},
+        {"translation": [0, 0, 1]}, {"translation": [0, 0, 2]}, {"translation": [0, 3, 0]},
     ]);
     file.json["nodes"] = nodes;
     file.json["scenes"][0]["nodes"] = json!([0, 1, 2, 3, 4, 5]);

@@ -1,9 +1,9 @@
 //! Hierarchies of what moves: refitted in place, and joined under a small top for each frame.
 //!
 //! A rigid piece's triangles stay together however it moves, so its tree keeps its shape: only boxes and corners
-//! change. One that changes its shape keeps its tree, too: neighbours on a surface stay neighbours. Boxes are computed from the moved triangles, which are f32 in the scene's space like all others, so a tree of
-//! moved triangles is traversed by the same code, with the same error bounds, as one of resting ones
-//! (`shaders/scene/docs/living.md`).
+//! change. One that changes its shape keeps its tree, too: neighbours on a surface stay neighbours. Boxes are computed
+//! from the moved triangles, which are f32 in the scene's space like all others, so a tree of moved triangles is
+//! traversed by the same code, with the same error bounds, as one of resting ones (`shaders/scene/docs/living.md`).
 
 use glam::Vec3;
 use rayon::iter::{IndexedParallelIterator as _, IntoParallelRefMutIterator as _, ParallelIterator as _};

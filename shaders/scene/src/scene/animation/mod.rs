@@ -63,7 +63,8 @@ pub struct AnimatedNode {
     pub visible_track: Option<Track>,
 }
 
-/// A run of vertices that move with a node, or with the joints of its [`Shape`]. A triangle's vertices all belong to one piece, or all rest.
+/// A run of vertices that move with a node, or as their [`Shape`] says. A triangle's vertices all belong to one piece,
+/// or all rest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Piece {
     pub node: u32,
