@@ -51,7 +51,7 @@ fn main() -> Result<()> {
         let backend = CpuBackend::new(&scene, Some(threads))?;
         println!("{}", backend.describe());
         if nth == 0 {
-            let (cost, [primary, shadow]) = backend.trace_counted(&camera, &mut mask);
+            let (cost, [primary, shadow]) = backend.trace_counted(&camera, 0.0, &mut mask);
             println!("primary: {}", describe(&primary, cost.primary_rays));
             println!("shadow:  {}", describe(&shadow, cost.shadow_rays));
             let bytes: Vec<u8> = mask.words().iter().flat_map(|word| word.to_le_bytes()).collect();

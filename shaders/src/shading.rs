@@ -90,13 +90,18 @@ pub struct Prediction {
 }
 
 /// The way from a piece's place now to that of a mask's time: the rows of an affine transform of local space, all zeros
-/// if it was not shown then. Twin of `Before` in `before.wgsl`.
+/// if it was not shown then or that is not known. Twin of `Before` in `before.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub struct Before {
     pub x: Vec4,
     pub y: Vec4,
     pub z: Vec4,
+}
+
+impl Before {
+    /// Of a piece that changes its shape: what is drawn of its points says where they were.
+    pub const DRAWN: Self = Self { x: Vec4::W, y: Vec4::ZERO, z: Vec4::ZERO };
 }
 
 /// A light's view of the scene, in a square of the shadow map. Twin of `ShadowView` in `shadow_map.wgsl`.

@@ -81,7 +81,7 @@ fn alpha_is_sampled_only_on_mask_materials() {
         [("opaque", &opaque, false), ("masked", &masked, true), ("without a picture", &plain, false)]
     {
         let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, 1).unwrap());
-        let (_, work) = CpuBackend::new(scene, None).unwrap().trace_counted(&camera(), &mut mask);
+        let (_, work) = CpuBackend::new(scene, None).unwrap().trace_counted(&camera(), 0.0, &mut mask);
         let tests: u64 = work.iter().map(|work| work.alpha_tests).sum();
         assert_eq!(tests > 0, asked, "{what} on cpu: {tests} tests of alpha");
         assert_eq!(ComputeBackend::open(scene, None, true).unwrap().tests_alpha(), asked, "{what} on compute");

@@ -35,7 +35,8 @@ pub use pack::PackError;
 pub use reader::{LoadReport, Warning, WarningKind};
 pub use scene::{
     Aabb, AlphaChanges, AlphaMode, AlphaPicture, AnimatedCamera, AnimatedLight, AnimatedNode, Animation, CheckError,
-    Clearcoat, Coordinates, Draw, Filter, Image, Interpolation, Light, LightKind, Material, NamedCamera, Piece, Place,
-    Scene, Sheen, Specular, Summary, Texture, Track, Transmission, Wrap, triangle_normal,
+    Clearcoat, Coordinates, Delta, Draw, Filter, Image, Influence, Interpolation, Joint, Light, LightKind, Material,
+    NamedCamera, OwnVertices, Piece, Place, Scene, Shape, Sheen, Specular, Summary, Target, Texture, Track,
+    Transmission, Wrap, triangle_normal,
 };
 pub use scene_at::SceneAt;

@@ -70,6 +70,15 @@ pub const MAX_TRACK_VALUES: u64 = 1 << 24;
 /// Most animated nodes, and most pieces of geometry that move.
 pub const MAX_MOVING: u64 = 1 << 16;
 
+/// Most joints of all pieces that follow skins, each counted once for each piece. A piece has at most 65,536.
+pub const MAX_JOINTS: u64 = 1 << 18;
+
+/// Most sets of four joints that a vertex follows.
+pub const MAX_JOINT_SETS: u32 = 4;
+
+/// Most changes of a vertex by a morph target whose weight moves: 288 MiB.
+pub const MAX_DELTAS: u64 = 1 << 23;
+
 /// Most different warnings of one file. Further ones are counted.
 pub const MAX_WARNINGS: usize = 64;
 

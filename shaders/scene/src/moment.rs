@@ -2,6 +2,8 @@
 //!
 //! This is the only place that evaluates an animation. Server and client both use it, in f64.
 
+mod deform;
+
 use std::{
     borrow::Cow,
     f64::consts::{FRAC_PI_2, PI},
@@ -9,9 +11,13 @@ use std::{
 
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Vec3, Vec4};
 
+use self::deform::Form;
 use crate::{
     Aabb, AnimatedCamera, AnimatedLight, AnimatedNode, Animation, Draw, Image, Light, LightKind, NamedCamera, NodeEdit,
-    Piece, Place, Scene, SceneAt, Track, light::f32_of, limits::in_reach, scene::triangle_normal,
+    OwnVertices, Piece, Place, Scene, SceneAt, Track,
+    light::f32_of,
+    limits::in_reach,
+    scene::normals::{normal_matrix, triangle_normal},
 };
 
 /// What moves or was edited in a scene, at one time.
@@ -23,38 +29,73 @@ pub struct Moment {
     pub lights: Vec<Light>,
 }
 
-/// Where a piece is.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Where a piece is, and which shape it has. [`Self::vertex`] says where its vertices are.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Placement {
-    /// Transform from the piece's space to the world's.
+    /// Transform from the piece's space to the world's. Joints count instead where it has them.
     pub world_from_piece: DMat4,
     /// The scene's origin, in metres.
     pub origin_m: DVec3,
+    /// Bounds around it in the scene's local space. It may be smaller.
+    pub bounds: Aabb,
     /// The piece is inside out, compared with the pose of the file: two corners of each triangle change places.
     pub turned: bool,
     /// Takes normals to the world, up to their length.
     normals: DMat3,
     /// −1 if the transform mirrors.
     hand: f32,
+    /// `None` if the piece is rigid.
+    form: Option<Box<Form>>,
 }
 
 impl Placement {
-    /// Returns a position in the scene's local space. It is rounded once, as those of what rests are.
+    /// Whether the piece has a shape of this time.
     #[must_use]
-    pub fn position(&self, position: Vec3) -> Vec3 {
+    pub fn is_deformed(&self) -> bool {
+        self.form.is_some()
+    }
+
+    /// Returns where one of the piece's vertices is in the scene's local space, and its unit normal.
+    #[must_use]
+    pub fn vertex(&self, own: &OwnVertices<'_>, vertex: usize) -> (Vec3, Vec3) {
+        let [position, normal] = [own.positions, own.normals].map(|list| list.get(vertex).copied().unwrap_or_default());
+        let Some(form) = &self.form else { return (self.position(position), self.normal(normal)) };
+        let reshaped = |vertex: usize| {
+            let (there, turned) = form.vertex(own, vertex, (&self.world_from_piece, &self.normals));
+            ((there - self.origin_m).as_vec3(), turned)
+        };
+        if !own.shape.is_some_and(|shape| shape.flat) {
+            let (there, turned) = reshaped(vertex);
+            return (there, turned.map_or(normal, |turned| turned.as_vec3().normalize()));
+        }
+        let corners = [0, 1, 2].map(|corner| reshaped(vertex - vertex % 3 + corner).0);
+        let [a, b, c] = self.corners(corners);
+        let flat = triangle_normal(a, b, c).map_or(normal, |flat| flat.as_vec3().normalize());
+        (corners[vertex % 3], flat)
+    }
+
+    /// Returns a vertex's tangent, as [`Scene::tangents`] has it.
+    #[must_use]
+    pub fn tangent_of(&self, own: &OwnVertices<'_>, vertex: usize) -> Vec4 {
+        let tangent = own.tangents.get(vertex).copied().unwrap_or_default();
+        let Some(form) = &self.form else { return self.tangent(tangent) };
+        let turned = form.tangent(own, vertex, &self.world_from_piece);
+        turned.map_or(Vec4::ZERO, |turned| turned.as_vec3().normalize().extend(tangent.w * self.hand))
+    }
+
+    /// Returns a position in the scene's local space. It is rounded once, as those of what rests are.
+    fn position(&self, position: Vec3) -> Vec3 {
         (self.world_from_piece.transform_point3(position.as_dvec3()) - self.origin_m).as_vec3()
     }
 
     /// Returns a unit normal. A transform that flattens the piece may leave none: then it stays as it is.
-    #[must_use]
-    pub fn normal(&self, normal: Vec3) -> Vec3 {
+    fn normal(&self, normal: Vec3) -> Vec3 {
         let turned = (self.normals * normal.as_dvec3()).try_normalize();
         turned.map_or(normal, |turned| turned.as_vec3().normalize())
     }
 
     /// Returns a tangent as [`Scene::tangents`] has it.
-    #[must_use]
-    pub fn tangent(&self, tangent: Vec4) -> Vec4 {
+    fn tangent(&self, tangent: Vec4) -> Vec4 {
         let turned = self.world_from_piece.transform_vector3(tangent.truncate().as_dvec3()).try_normalize();
         turned.map_or(Vec4::ZERO, |turned| turned.as_vec3().normalize().extend(tangent.w * self.hand))
     }
@@ -82,6 +123,13 @@ enum When<'a> {
 }
 
 impl When<'_> {
+    fn time_s(self) -> Option<f64> {
+        match self {
+            Self::File => None,
+            Self::At(at) => Some(at.time_s),
+        }
+    }
+
     fn sample<const N: usize>(self, track: Option<&Track>) -> Option<[f64; N]> {
         match self {
             Self::File => None,
@@ -156,7 +204,8 @@ impl Scene {
         let none = Animation::default();
         let animation = self.animation.as_deref().unwrap_or(&none);
         let worlds = worlds(animation, when);
-        let pieces = animation.pieces.iter().map(|piece| placement(piece, &worlds, self.origin_m)).collect();
+        let pieces = animation.pieces.iter().zip(animation.own_vertices());
+        let pieces = pieces.map(|(piece, own)| placement((piece, &own), &worlds, self.origin_m, when)).collect();
         let mut lights = self.lights.clone();
         let mut off = Vec::new();
         for moving in &animation.lights {
@@ -207,14 +256,15 @@ impl Scene {
         if let When::At(at) = when {
             scene.cameras = self.cameras_of(at);
         }
-        for ((piece, first), placement) in animation.pieces.iter().zip(animation.first_positions()).zip(&moment.pieces)
-        {
+        let pieces = animation.pieces.iter().zip(animation.own_vertices());
+        for ((piece, own), placement) in pieces.zip(&moment.pieces) {
             let Some(placement) = placement else { continue };
-            for at in 0..piece.vertices as usize {
-                let (to, from) = (piece.first_vertex as usize + at, first + at);
-                set(&mut scene.positions, to, animation.positions.get(from).map(|p| placement.position(*p)));
-                set(&mut scene.normals, to, animation.normals.get(from).map(|n| placement.normal(*n)));
-                set(&mut scene.tangents, to, animation.tangents.get(from).map(|t| placement.tangent(*t)));
+            for from in 0..own.positions.len() {
+                let to = piece.first_vertex as usize + from;
+                let (position, normal) = placement.vertex(&own, from);
+                set(&mut scene.positions, to, Some(position));
+                set(&mut scene.normals, to, Some(normal));
+                set(&mut scene.tangents, to, (!own.tangents.is_empty()).then(|| placement.tangent_of(&own, from)));
             }
         }
         let (mut triangles, mut draws) = (Vec::with_capacity(scene.triangles.len()), Vec::new());
@@ -282,35 +332,38 @@ fn own(node: &AnimatedNode, edit: &NodeEdit, when: When<'_>) -> DMat4 {
     )
 }
 
-fn placement(piece: &Piece, worlds: &[World], origin_m: DVec3) -> Option<Placement> {
+fn placement(
+    (piece, own): (&Piece, &OwnVertices<'_>),
+    worlds: &[World],
+    origin_m: DVec3,
+    when: When,
+) -> Option<Placement> {
     let world = worlds.get(piece.node as usize).filter(|world| world.visible)?;
-    let world_from_piece = world.world_from_node;
-    let Aabb { min, max } = piece.bounds;
-    let corner = |number: usize| {
-        let pick = |bit: usize, low: f32, high: f32| if number >> bit & 1 == 1 { high } else { low };
-        Vec3::new(pick(0, min.x, max.x), pick(1, min.y, max.y), pick(2, min.z, max.z)).as_dvec3()
+    let world_from_node = |node: u32| worlds.get(node as usize).map(|world| world.world_from_node);
+    let form = own.shape.map(|shape| Form::of(shape, world_from_node, when.time_s()));
+    let (world_from_piece, bounds) = match own.shape.zip(form.as_ref()) {
+        Some((shape, form)) => {
+            let world_from_own = world.world_from_node * shape.node_from_own;
+            (world_from_own, form.bounds(shape, piece.bounds, &world_from_own)?)
+        }
+        None => {
+            let own = [piece.bounds.min, piece.bounds.max].map(Vec3::as_dvec3);
+            (world.world_from_node, deform::bounds(own, &world.world_from_node)?)
+        }
     };
-    // A transform is affine, so the corners bound the vertices.
-    if !(0..8).all(|number| in_reach(world_from_piece.transform_point3(corner(number)))) {
-        return None;
-    }
+    let [min, max] = bounds.map(|corner| (corner - origin_m).as_vec3());
     let linear = DMat3::from_mat4(world_from_piece);
-    let mirrors = linear.determinant() < 0.0;
+    let skin_mirrors = form.as_ref().and_then(|form| form.mirrors(own));
+    let mirrors = skin_mirrors.unwrap_or_else(|| linear.determinant() < 0.0);
     Some(Placement {
         world_from_piece,
         origin_m,
+        bounds: Aabb { min, max },
         turned: mirrors != piece.mirrored,
         normals: normal_matrix(&linear),
         hand: if mirrors { -1.0 } else { 1.0 },
+        form: form.map(Box::new),
     })
-}
-
-/// Returns the inverse transpose of a transform, up to a positive factor: its cofactors, with the sign of its
-/// determinant. They exist even if a scale of 0 leaves no inverse.
-pub(crate) fn normal_matrix(linear: &DMat3) -> DMat3 {
-    let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
-    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
-    if linear.determinant() < 0.0 { -cofactors } else { cofactors }
 }
 
 /// Where something on a node is, and whether it is shown. `None` if it lies nowhere.

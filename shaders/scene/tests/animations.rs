@@ -6,23 +6,17 @@ mod common;
 
 use std::borrow::Cow;
 
-use common::{files, gltf_file::GltfFile, one_light, scenes};
+use common::{
+    files,
+    gltf_file::{GltfFile, channel},
+    one_light, scenes,
+};
 use glam::{DQuat, DVec3, Vec3};
 use gnomon_scene::{Image, LoadOptions, Scene, SceneError};
 use serde_json::{Value, json};
 
 fn options(animation: &str) -> LoadOptions {
     LoadOptions { animation: Some(animation.to_owned()), ..LoadOptions::default() }
-}
-
-/// Adds a channel with a sampler of its own to animation 0.
-fn channel(file: &mut GltfFile, target: &Value, times: &[f32], shape: &str, values: &[f32]) {
-    let (input, output) = (file.floats("SCALAR", times), file.floats(shape, values));
-    let animation = &mut file.json["animations"][0];
-    let samplers = animation["samplers"].as_array_mut().unwrap();
-    samplers.push(json!({"input": input, "output": output}));
-    let sampler = samplers.len() - 1;
-    animation["channels"].as_array_mut().unwrap().push(json!({"sampler": sampler, "target": target}));
 }
 
 /// The triangle beside a resting one, with an animation that has no channels yet. Node 0 is the moving one.
@@ -62,8 +56,8 @@ fn whole(file: &GltfFile) -> Scene {
 /// World position of the moving triangle's first corner, if it is shown.
 fn corner(scene: &Scene, time_s: f64) -> Option<DVec3> {
     let animation = scene.animation.as_ref().unwrap();
-    let placement = scene.moment(time_s).unwrap().pieces[0]?;
-    Some(placement.position(animation.positions[0]).as_dvec3() + scene.origin_m)
+    let placement = scene.moment(time_s).unwrap().pieces[0].clone()?;
+    Some(placement.vertex(&animation.own_vertices()[0], 0).0.as_dvec3() + scene.origin_m)
 }
 
 #[test]

@@ -40,17 +40,14 @@ fn compare(@builtin(global_invocation_id) id: vec3u) {
     }
     let point = point_at_depth(view, pixel, textureLoad(depth_picture, pixel, 0));
     let normal = unpack_plane_normal(packed);
-    let piece = textureLoad(piece_picture, pixel, 0).x;
-    var point_then = point;
-    var normal_then = normal;
-    if piece != 0u {
-        let place = before[piece - 1u];
-        if !was_shown(place) {
-            textureStore(changed, pixel, vec4u(0xffffffffu, 0u, 0u, 0u));
-            return;
-        }
-        point_then = point_before(place, point);
-        normal_then = normal_before(place, normal);
+    let piece = textureLoad(piece_picture, pixel, 0);
+    var then = Then(point, normal, true);
+    if piece.x != 0u {
+        then = then_of(before[piece.x - 1u], piece, point, normal);
+    }
+    if !then.is_known {
+        textureStore(changed, pixel, vec4u(0xffffffffu, 0u, 0u, 0u));
+        return;
     }
     var word = 0u;
     for (var k = 0u; k < lighting.count; k++) {
@@ -58,9 +55,9 @@ fn compare(@builtin(global_invocation_id) id: vec3u) {
         let shadow = shadow_views[shadow_view_of(light, point)];
         let lit = shadow_map_lit(shadow_map, shadow, light.kind, toward(light, point), point, normal);
         let other = lighting_then.lights[k];
-        let shadow_then = shadow_views_then[shadow_view_of(other, point_then)];
-        let way = toward(other, point_then);
-        let was_lit = shadow_map_lit(shadow_map_then, shadow_then, other.kind, way, point_then, normal_then);
+        let shadow_then = shadow_views_then[shadow_view_of(other, then.point)];
+        let way = toward(other, then.point);
+        let was_lit = shadow_map_lit(shadow_map_then, shadow_then, other.kind, way, then.point, then.normal);
         word |= select(0u, 1u << k, lit != was_lit);
     }
     textureStore(changed, pixel, vec4u(word, 0u, 0u, 0u));

@@ -81,7 +81,7 @@ const PREDICT_SURFACE: u32 = 2u;
 // oldest layer that a light needed.
 @group(1) @binding(2) var visibility: texture_storage_2d<rg32uint, write>;
 @group(1) @binding(3) var<storage, read_write> put_off: PutOff;
-// Index + 1 of the piece that a pixel shows, or 0.
+// Of the piece that a pixel shows: see `pieces.wgsl`.
 @group(1) @binding(4) var piece_picture: texture_2d<u32>;
 // Lights whose shadow has changed, one bit each.
 @group(1) @binding(5) var changed_picture: texture_2d<u32>;
@@ -282,14 +282,13 @@ fn from_mask(layer: u32, pixel: vec2u, point: vec3f, normal: vec3f) -> Found {
     if moved && prediction.layers[layer].same_time == 0u {
         let known = prediction.lights & ~textureLoad(changed_picture, pixel, 0).x;
         var found = NOTHING;
-        let piece = textureLoad(piece_picture, pixel, 0).x;
-        if piece == 0u {
-            found = from_other_view(layer, point, normal);
-        } else {
-            let place = before[layer * (arrayLength(&before) / 8u) + piece - 1u];
-            if was_shown(place) {
-                found = from_other_view(layer, point_before(place, point), normal_before(place, normal));
-            }
+        let piece = textureLoad(piece_picture, pixel, 0);
+        var then = Then(point, normal, true);
+        if piece.x != 0u {
+            then = then_of(before[layer * (arrayLength(&before) / 8u) + piece.x - 1u], piece, point, normal);
+        }
+        if then.is_known {
+            found = from_other_view(layer, then.point, then.normal);
         }
         return Found(found.known & known, found.word & known);
     }

@@ -9,6 +9,9 @@ use wgpu::util::DeviceExt as _;
 
 use super::vertex::{MoreOfVertex, Vertex};
 
+/// Vertices that a thread takes at once.
+const RUN: usize = 512;
+
 #[derive(Debug)]
 pub(crate) struct Movers {
     /// The scene without what rests.
@@ -160,10 +163,19 @@ impl Movers {
         self.stage.moment(scene).unwrap_or_else(as_in_file)
     }
 
-    /// For each piece, the way from where its points are now to where they were then.
-    pub(crate) fn before(&self, then: &Moment) -> Vec<Before> {
+    /// Whether a piece changes its shape.
+    pub(crate) fn deforms(&self) -> bool {
+        self.stage.animation.as_ref().is_some_and(|animation| !animation.shapes.is_empty())
+    }
+
+    /// For each piece, the way from where its points are now to where they were then. Those of a piece that changes its
+    /// shape have ways of their own, which count if they are `drawn`.
+    pub(crate) fn before(&self, then: &Moment, drawn: bool) -> Vec<Before> {
         let way = |(now, then): (&Option<Placement>, &Option<Placement>)| {
             let ((now, then), origin_m) = (now.as_ref().zip(then.as_ref())?, self.stage.origin_m);
+            if now.is_deformed() {
+                return drawn.then_some(Before::DRAWN);
+            }
             // Local space has the scene's origin.
             let (there, back) = (DMat4::from_translation(-origin_m), DMat4::from_translation(origin_m));
             let way = there * then.world_from_piece * now.world_from_piece.inverse() * back;
@@ -174,28 +186,36 @@ impl Movers {
         pieces.map(|pair| way(pair).unwrap_or_default()).collect()
     }
 
+    /// Copies the vertices of what moves to their places in another buffer.
+    pub(crate) fn copy_vertices(&self, encoder: &mut wgpu::CommandEncoder, from: &wgpu::Buffer, to: &wgpu::Buffer) {
+        let stride = size_of::<Vertex>() as u64;
+        for run in &self.vertex_runs {
+            let (first, bytes) = (u64::from(run.first) * stride, u64::from(run.count) * stride);
+            encoder.copy_buffer_to_buffer(from, first, to, first, bytes);
+        }
+    }
+
     fn pose(&self, scene: &SceneAt) -> Posed {
         let moment = self.moment_at(scene);
         let none = Animation::default();
         let animation = self.stage.animation.as_deref().unwrap_or(&none);
-        let pieces = || {
-            let pieces = animation.pieces.par_iter().zip(&self.firsts).zip(&moment.pieces);
-            pieces.map(|((piece, first), placement)| (*first..*first + piece.vertices as usize, placement.as_ref()))
-        };
-        let vertices = pieces().flat_map_iter(|(range, placement)| {
-            range.map(move |at| {
-                let (vertex, position, normal) = (self.vertices[at], animation.positions[at], animation.normals[at]);
-                placement.map_or(vertex, |it| vertex.moved(it.position(position), it.normal(normal)))
+        let own = animation.own_vertices();
+        let pieces = || own.par_iter().zip(&self.firsts).zip(&moment.pieces);
+        let vertices = pieces().flat_map(|((own, first), placement)| {
+            (0..own.positions.len()).into_par_iter().with_min_len(RUN).map(move |at| {
+                let vertex = self.vertices[first + at];
+                let moved = placement.as_ref().map(|placement| placement.vertex(own, at));
+                moved.map_or(vertex, |(position, normal)| vertex.moved(position, normal))
             })
         });
         let vertices = vertices.collect();
         let more = if self.more.is_empty() {
             Vec::new()
         } else {
-            let more = pieces().flat_map_iter(|(range, placement)| {
-                range.map(move |at| {
-                    let turned = placement.zip(animation.tangents.get(at)).map(|(it, tangent)| it.tangent(*tangent));
-                    turned.map_or(self.more[at], |tangent| self.more[at].moved(tangent))
+            let more = pieces().flat_map(|((own, first), placement)| {
+                (0..own.positions.len()).into_par_iter().with_min_len(RUN).map(move |at| {
+                    let turned = placement.as_ref().map(|placement| placement.tangent_of(own, at));
+                    turned.map_or(self.more[first + at], |tangent| self.more[first + at].moved(tangent))
                 })
             });
             more.collect()

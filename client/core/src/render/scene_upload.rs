@@ -88,11 +88,13 @@ impl SceneUpload {
             Some(_) => blended_movers(scene, &batches),
             None => Vec::new(),
         };
-        let written = if movers.is_some() { wgpu::BufferUsages::COPY_DST } else { wgpu::BufferUsages::empty() };
+        let if_so = |so: bool, usage| if so { usage } else { wgpu::BufferUsages::empty() };
+        let written = if_so(movers.is_some(), wgpu::BufferUsages::COPY_DST);
+        let copied = if_so(movers.as_ref().is_some_and(Movers::deforms), wgpu::BufferUsages::COPY_SRC);
         let (vertex_usage, index_usage) = (wgpu::BufferUsages::VERTEX | written, wgpu::BufferUsages::INDEX | written);
         let material_layout = material::layout(gpu);
         Ok(Self {
-            vertices: buffer("vertices", bytemuck::cast_slice(&vertices), vertex_usage)?,
+            vertices: buffer("vertices", bytemuck::cast_slice(&vertices), vertex_usage | copied)?,
             // A stride of 0 gives every vertex the same.
             more_stride: if more.len() == 1 { 0 } else { size_of::<MoreOfVertex>() as u64 },
             more: buffer("more of vertices", bytemuck::cast_slice(&more), vertex_usage)?,
@@ -147,6 +149,30 @@ impl SceneUpload {
         if let Some(movers) = movers {
             movers.write(device, encoder, Buffers { vertices, more, indices }, scene);
         }
+    }
+
+    /// Returns a buffer that has room for the scene's vertices, for [`Self::keep_vertices`]. `None` unless the shape of
+    /// something changes.
+    pub(crate) fn room_for_vertices(&self, device: &wgpu::Device) -> Option<wgpu::Buffer> {
+        self.movers.as_ref().filter(|movers| movers.deforms())?;
+        Some(device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("vertices of another time"),
+            size: self.vertices.size(),
+            usage: wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        }))
+    }
+
+    /// Copies the vertices of what moves, as `encoder` has them now.
+    pub(crate) fn keep_vertices(&self, encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer) {
+        if let Some(movers) = &self.movers {
+            movers.copy_vertices(encoder, &self.vertices, to);
+        }
+    }
+
+    /// The scene's vertices as they are now.
+    pub(crate) fn vertices(&self) -> &wgpu::Buffer {
+        &self.vertices
     }
 
     /// Layouts of the buffers that [`Self::bind`] binds.

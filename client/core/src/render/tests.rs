@@ -4,6 +4,7 @@ mod blend;
 mod coincident;
 mod living;
 mod scale;
+mod shapes;
 
 use glam::{DVec3, Vec3, Vec4};
 use gnomon_protocol::mask::{Mask, MaskShape};

@@ -1,13 +1,17 @@
 //! Hierarchies of what moves: refitted in place, and joined under a small top for each frame.
 //!
 //! A rigid piece's triangles stay together however it moves, so its tree keeps its shape: only boxes and corners
-//! change. They are computed from the moved triangles, which are f32 in the scene's space like all others, so a tree of
-//! moved triangles is traversed by the same code, with the same error bounds, as one of resting ones
-//! (`shaders/scene/docs/living.md`).
+//! change. One that changes its shape keeps its tree, too: neighbours on a surface stay neighbours. Boxes are computed
+//! from the moved triangles, which are f32 in the scene's space like all others, so a tree of moved triangles is
+//! traversed by the same code, with the same error bounds, as one of resting ones (`shaders/scene/docs/living.md`).
 
 use glam::Vec3;
+use rayon::iter::{IndexedParallelIterator as _, IntoParallelRefMutIterator as _, ParallelIterator as _};
 
 use super::bvh::{Child, LEAF_BIT, Leaf, NO_CHILD, Node, WIDTH, WideBvh, span, word};
+
+/// Leaves that a thread takes at once.
+const RUN: usize = 256;
 
 /// Lowest and highest corner. Inverted around nothing.
 pub type Bounds = [Vec3; 2];
@@ -22,8 +26,9 @@ pub(crate) fn joined(one: Bounds, other: Bounds) -> Bounds {
 impl WideBvh {
     /// Moves triangles, without changing which of them lie together. `corners` returns a triangle's new corners, or
     /// `None` if it has no area: then nothing hits it. Returns the bounds of all.
-    pub fn refit(&mut self, mut corners: impl FnMut(u32) -> Option<[Vec3; 3]>) -> Bounds {
-        let leaves: Vec<Bounds> = self.leaves.iter_mut().map(|leaf| leaf.refit(&mut corners)).collect();
+    pub fn refit(&mut self, corners: impl Fn(u32) -> Option<[Vec3; 3]> + Sync) -> Bounds {
+        let leaves: Vec<Bounds> =
+            self.leaves.par_iter_mut().with_min_len(RUN).map(|leaf| leaf.refit(&corners)).collect();
         let mut nodes = vec![NOTHING; self.nodes.len()];
         // Children come after their parents.
         for (n, node) in self.nodes.iter_mut().enumerate().rev() {
@@ -72,7 +77,7 @@ impl WideBvh {
 }
 
 impl Leaf {
-    fn refit(&mut self, corners: &mut impl FnMut(u32) -> Option<[Vec3; 3]>) -> Bounds {
+    fn refit(&mut self, corners: &impl Fn(u32) -> Option<[Vec3; 3]>) -> Bounds {
         let mut bounds = NOTHING;
         self.used = 0;
         for slot in (0..WIDTH).filter(|slot| self.there >> slot & 1 == 1) {

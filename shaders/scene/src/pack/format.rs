@@ -3,7 +3,8 @@
 //! Little-endian throughout: `GNOMSCNE`, the format's version (u32), the number of bytes before compression (u64), then
 //! one Zstandard frame. It holds the length of the head (u32), the head (postcard), what vertices have and triangles in
 //! [planes](super::planes), and the pictures' files. A scene in which something moves has another version and goes on:
-//! the length of the animation (u32), the animation (postcard), and what moving vertices have in planes.
+//! the length of the animation (u32), the animation (postcard), and what moving vertices have in planes: also their
+//! joints, and what morph targets change of them.
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
@@ -14,10 +15,10 @@ use super::{
     zstandard,
 };
 use crate::{
-    Aabb, Animation, Draw, Light, Material, NamedCamera, Scene,
+    Aabb, Animation, Delta, Draw, Influence, Light, Material, NamedCamera, Scene, Shape,
     limits::{
-        MAX_IMAGES, MAX_IMAGES_BYTES, MAX_IMAGES_PIXELS, MAX_PACKED_BYTES, MAX_TRIANGLES, MAX_UNPACKED_BYTES,
-        MAX_VERTICES,
+        MAX_DELTAS, MAX_IMAGES, MAX_IMAGES_BYTES, MAX_IMAGES_PIXELS, MAX_JOINT_SETS, MAX_PACKED_BYTES, MAX_TRIANGLES,
+        MAX_UNPACKED_BYTES, MAX_VERTICES,
     },
     picture::decode,
 };
@@ -88,6 +89,8 @@ impl Scene {
             write_distinct(&mut raw, &animation.positions, |p| p.to_array().map(f32::to_bits));
             write_distinct(&mut raw, &animation.normals, |n| n.to_array().map(f32::to_bits));
             write_distinct(&mut raw, &animation.tangents, |t| t.to_array().map(f32::to_bits));
+            write_distinct(&mut raw, &animation.influences, influence_words);
+            write_distinct(&mut raw, &animation.deltas, delta_words);
         }
         let size =
             |what, bytes, limit| if bytes <= limit { Ok(()) } else { Err(PackError::Size { what, bytes, limit }) };
@@ -181,7 +184,39 @@ fn animation(cursor: &mut Cursor<'_>, scene: &Head) -> Result<Animation, PackErr
     let normals = cursor.distinct(vertices, vec3)?;
     let tangents = if scene.optional[1] { vertices } else { 0 };
     let tangents = cursor.distinct(tangents, |words: [u32; 4]| Vec4::from_array(words.map(f32::from_bits)))?;
-    Ok(Animation { positions, normals, tangents, ..animation })
+    let of_shapes = |count: fn(&Shape, u32) -> u64, limit: u64| {
+        let sizes = animation.shapes.iter().map(|shape| {
+            let piece = animation.pieces.get(shape.piece as usize);
+            count(shape, piece.map_or(0, |piece| piece.vertices))
+        });
+        let sum = sizes.fold(0, u64::saturating_add);
+        let sum = u32::try_from(sum).ok().filter(|sum| u64::from(*sum) <= limit);
+        sum.ok_or_else(|| broken("shapes of more than there is"))
+    };
+    let influences = of_shapes(Shape::influences, u64::from(MAX_JOINT_SETS) * MAX_VERTICES)?;
+    let influences = cursor.distinct(influences, influence)?;
+    let deltas = cursor.distinct(of_shapes(Shape::deltas, MAX_DELTAS)?, delta)?;
+    Ok(Animation { positions, normals, tangents, influences, deltas, ..animation })
+}
+
+fn influence_words(Influence { joints: [a, b, c, d], weights }: &Influence) -> [u32; 6] {
+    let [e, f, g, h] = weights.map(f32::to_bits);
+    [pair(*a, *b), pair(*c, *d), e, f, g, h]
+}
+
+fn influence([ab, cd, e, f, g, h]: [u32; 6]) -> Influence {
+    let ([a, b], [c, d]) = (halves(ab), halves(cd));
+    Influence { joints: [a, b, c, d], weights: [e, f, g, h].map(f32::from_bits) }
+}
+
+fn delta_words(Delta { position, normal, tangent }: &Delta) -> [u32; 9] {
+    let ([a, b, c], [d, e, f], [g, h, i]) = (position.to_array(), normal.to_array(), tangent.to_array());
+    [a, b, c, d, e, f, g, h, i].map(f32::to_bits)
+}
+
+fn delta(words: [u32; 9]) -> Delta {
+    let [a, b, c, d, e, f, g, h, i] = words.map(f32::from_bits);
+    Delta { position: Vec3::new(a, b, c), normal: Vec3::new(d, e, f), tangent: Vec3::new(g, h, i) }
 }
 
 fn pair(low: u16, high: u16) -> u32 {
@@ -225,11 +260,11 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::scene::check::tests::{moving, scene};
+    use crate::scene::check::tests::{moving, reshaped, scene};
 
     #[test]
     fn scenes_survive_and_pack_to_the_same_bytes() {
-        for scene in [scene(), moving()] {
+        for scene in [scene(), moving(), reshaped()] {
             let packed = scene.pack().unwrap();
             assert_eq!(Scene::unpack(&packed).unwrap(), scene);
             assert_eq!(scene.clone().pack().unwrap(), packed);
@@ -262,7 +297,7 @@ mod tests {
 
     #[test]
     fn cut_and_extended_bytes_are_errors() {
-        for scene in [scene(), moving()] {
+        for scene in [scene(), moving(), reshaped()] {
             let (raw, moves) = decompress(&scene.pack().unwrap()).unwrap();
             assert_eq!(moves, scene.animation.is_some());
             assert!(Scene::unpack(&seal(&raw, moves).unwrap()).is_ok());
@@ -282,7 +317,7 @@ mod tests {
         fn changed_bytes_give_an_error_or_a_legal_scene(
             changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         ) {
-            for scene in [scene(), moving()] {
+            for scene in [scene(), moving(), reshaped()] {
                 let (mut raw, moves) = decompress(&scene.pack().unwrap()).unwrap();
                 for (at, value) in &changes {
                     let at = at.index(raw.len());

@@ -40,8 +40,7 @@ pub(crate) fn load(path: &Path, options: &LoadOptions) -> Result<(Scene, LoadRep
     channels.allow_edits(&document, &options.editable)?;
     let walk = nodes::walk(&document, &channels, options.scene.as_deref(), &mut report)?;
     let (mut scene, animation) = read(&document, &buffers, (&walk, &channels), materials, folder, &mut report)?;
-    animation::finish(&mut scene, animation, walk.animated, &channels, &mut report);
-    animation::tell_skins(&document, &channels, &mut report);
+    animation::finish(&mut scene, animation, &channels, &mut report);
     Ok((scene, report))
 }
 
@@ -66,8 +65,9 @@ fn read(
     folder: &Path,
     report: &mut LoadReport,
 ) -> Result<(Scene, Animation), SceneError> {
-    let (mut scene, mut animation) = (Scene::default(), Animation::default());
-    Meshes { document, buffers, walk }.flatten(&mut materials, &mut scene, &mut animation, report)?;
+    let (mut scene, nodes) = (Scene::default(), walk.animated.clone());
+    let mut animation = Animation { nodes, ..Animation::default() };
+    Meshes { document, buffers, walk, channels }.flatten(&mut materials, &mut scene, &mut animation, report)?;
     finish(&mut scene, &mut animation);
     (scene.lights, animation.lights) = light::read(document, channels, &walk.placed, scene.origin_m, report)?;
     (scene.cameras, animation.cameras) = camera::read(document, channels, &walk.placed, report);

@@ -204,7 +204,10 @@ pub(crate) mod tests {
     use glam::{DMat4, DQuat, DVec3, Vec2};
 
     use super::*;
-    use crate::{AnimatedLight, AnimatedNode, Animation, Draw, Interpolation, Piece, Place, Texture, Track, Wrap};
+    use crate::{
+        AnimatedLight, AnimatedNode, Animation, Delta, Draw, Influence, Interpolation, Joint, Piece, Place, Shape,
+        Target, Texture, Track, Wrap,
+    };
 
     /// Two triangles: one OPAQUE, one MASK with a picture of 2 × 1 pixels; a point and a spot light.
     pub(crate) fn scene() -> Scene {
@@ -315,8 +318,38 @@ pub(crate) mod tests {
                 intensity_track: Some(track(&[1.0, 3.0])),
                 ..AnimatedLight::default()
             }],
-            cameras: Vec::new(),
+            ..Animation::default()
         }));
+        scene
+    }
+
+    /// The moving scene, whose piece follows two joints and a morph target.
+    pub(crate) fn reshaped() -> Scene {
+        let mut scene = moving();
+        let animation = scene.animation.as_mut().unwrap();
+        let joint =
+            |node, positions: &[Vec3]| Joint { node, node_from_own: DMat4::IDENTITY, bounds: Aabb::around(positions) };
+        let influence = |joint, weights| Influence { joints: [0, joint, 0, 0], weights };
+        animation.influences = vec![
+            influence(1, [0.5, 0.5, 0.0, 0.0]),
+            influence(0, [1.0, 0.0, 0.0, 0.0]),
+            influence(1, [0.0, 2.0, 0.0, 0.0]),
+        ];
+        let delta = Delta { position: Vec3::Z, normal: Vec3::X, tangent: Vec3::Y };
+        animation.deltas = vec![delta, Delta::default(), Delta { position: Vec3::NEG_Y, ..delta }];
+        let bounds = Aabb::around(&[Vec3::Z, Vec3::ZERO, Vec3::NEG_Y]);
+        let times_s = vec![0.0, 2.0];
+        let weights_track =
+            Track { period_s: 2.0, interpolation: Interpolation::Linear, times_s, values: vec![0.0, 1.0] };
+        animation.shapes = vec![Shape {
+            piece: 0,
+            node_from_own: DMat4::IDENTITY,
+            joints: vec![joint(Some(0), &[Vec3::ZERO, Vec3::X]), joint(None, &[Vec3::ZERO, Vec3::Y])],
+            sets: 1,
+            targets: vec![Target { weight: 0.25, bounds }],
+            weights_track: Some(weights_track),
+            flat: false,
+        }];
         scene
     }
 
@@ -361,6 +394,35 @@ pub(crate) mod tests {
                 animation.tangents.truncate(of_pieces);
                 animation.pieces[0].bounds = Aabb::around(&animation.positions);
             }
+            let fault = scene.check().expect_err(&format!("break {index} ({says}) went unseen")).to_string();
+            assert!(fault.contains(says), "break {index}: {fault:?} does not say {says:?}");
+        }
+    }
+
+    const SHAPE_BREAKS: [MovingBreak; 15] = [
+        ("names a piece that is not there", |a| a.shapes[0].piece = 1),
+        ("names a piece that is not there", |a| a.shapes = vec![a.shapes[0].clone(); 2]),
+        ("the shape of piece 0", |a| a.shapes[0].joints[0].node = Some(2)),
+        ("the shape of piece 0", |a| a.shapes[0].joints[1].node_from_own.x_axis.x = f64::NAN),
+        ("the shape of piece 0", |a| a.shapes[0].node_from_own.w_axis.x = 1e40),
+        ("the shape of piece 0", |a| a.shapes[0].sets = 5),
+        ("the shape of piece 0", |a| a.shapes[0].sets = 0),
+        ("the shape of piece 0", |a| a.shapes[0].targets[0].weight = f32::NAN),
+        ("track", |a| a.shapes[0].weights_track.as_mut().unwrap().values.truncate(1)),
+        ("influences and deltas", |a| a.influences.truncate(2)),
+        ("influences and deltas", |a| a.deltas.clear()),
+        ("change by a morph target 1", |a| a.deltas[1].normal.x = f32::INFINITY),
+        ("follow joints that are not there", |a| a.influences[1].joints[3] = 2),
+        ("follow joints that are not there", |a| a.influences[1].weights = [0.0; 4]),
+        ("other bounds", |a| a.shapes[0].joints[1].bounds.max.x = 7.0),
+    ];
+
+    #[test]
+    fn every_broken_guarantee_of_shapes_is_found() {
+        assert_eq!(reshaped().check(), Ok(()));
+        for (index, (says, break_it)) in SHAPE_BREAKS.iter().enumerate() {
+            let mut scene = reshaped();
+            break_it(scene.animation.as_mut().unwrap());
             let fault = scene.check().expect_err(&format!("break {index} ({says}) went unseen")).to_string();
             assert!(fault.contains(says), "break {index}: {fault:?} does not say {says:?}");
         }

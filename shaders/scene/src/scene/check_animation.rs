@@ -4,7 +4,7 @@ use glam::Vec4;
 
 use super::{
     aabb::Aabb,
-    animation::{AnimatedLight, AnimatedNode, Animation, Place, Track},
+    animation::{AnimatedLight, AnimatedNode, Animation, Place, Shape, Track},
     check::{CheckError, all, at_most, ensure, is_unit},
     normals::triangle_normal,
     types::Scene,
@@ -12,7 +12,7 @@ use super::{
 use crate::limits::{MAX_MOVING, MAX_NAME_BYTES, MAX_TRACK_VALUES, in_reach};
 
 /// Largest factor of a matrix or a scale. Products along 1024 nodes may overflow; what they place is not shown then.
-const MAX_FACTOR: f64 = 1e30;
+pub(super) const MAX_FACTOR: f64 = 1e30;
 
 impl Scene {
     /// Checks what moves.
@@ -34,7 +34,8 @@ impl Animation {
         }
         let lights = self.lights.iter().flat_map(AnimatedLight::tracks);
         let zooms = self.cameras.iter().filter_map(|camera| camera.yfov_track.as_ref()).map(|track| (track, 1));
-        let tracks = self.nodes.iter().flat_map(AnimatedNode::tracks).chain(lights).chain(zooms);
+        let weights = self.shapes.iter().filter_map(Shape::track);
+        let tracks = self.nodes.iter().flat_map(AnimatedNode::tracks).chain(lights).chain(zooms).chain(weights);
         let mut values = 0;
         for (track, width) in tracks {
             ensure(is_legal_track(track, width), || "a track of an animation is broken".to_owned())?;
@@ -80,10 +81,15 @@ impl Animation {
             let legal = Aabb::around(positions) == piece.bounds;
             ensure(legal, || format!("moving piece {index} has other bounds than it says"))?;
         }
+        self.check_shapes()?;
         let firsts = self.first_positions();
         all("triangle", &scene.triangles, |corners| {
             let [a, b, c] = corners.map(|corner| self.piece_of(corner));
             let Some(piece) = a.filter(|_| a == b && a == c) else { return a == b && a == c };
+            // Another shape may give it an area.
+            if self.shape_of(piece).is_some() {
+                return true;
+            }
             let corner = |corner: u32| {
                 let (piece, first) = (self.pieces.get(piece)?, firsts.get(piece)?);
                 self.positions.get(first + (corner - piece.first_vertex) as usize).copied()
@@ -107,7 +113,7 @@ fn is_legal_place(place: &Place, nodes: usize) -> bool {
     (place.node as usize) < nodes && place.node_from_own.to_cols_array().iter().all(|v| v.abs() <= MAX_FACTOR)
 }
 
-fn is_legal_track(track: &Track, width: usize) -> bool {
+pub(super) fn is_legal_track(track: &Track, width: usize) -> bool {
     let keys = track.times_s.len();
     keys > 0
         && track.values.len() == keys * width * track.interpolation.elements()

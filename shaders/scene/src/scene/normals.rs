@@ -1,6 +1,6 @@
-//! Geometric normals, and replacements for zero shading normals.
+//! Geometric normals, how transforms turn normals, and replacements for zero shading normals.
 
-use glam::{DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec3};
 
 /// Smallest ratio of a triangle's height to its longest edge. Thinner triangles are narrower than the rounding of their
 /// f32 edges: they are invisible, and their normals would be noise.
@@ -19,6 +19,14 @@ pub fn triangle_normal(a: Vec3, b: Vec3, c: Vec3) -> Option<DVec3> {
     let longest_squared = ab.length_squared().max(ac.length_squared()).max(bc.length_squared());
     let has_area = double_area > MIN_HEIGHT_RATIO * longest_squared && double_area > MIN_DOUBLE_AREA_M2;
     has_area.then(|| cross / double_area)
+}
+
+/// Returns the inverse transpose of a transform, up to a positive factor: its cofactors, with the sign of its
+/// determinant. They exist even if a scale of 0 leaves no inverse.
+pub(crate) fn normal_matrix(linear: &DMat3) -> DMat3 {
+    let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
+    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
+    if linear.determinant() < 0.0 { -cofactors } else { cofactors }
 }
 
 /// Replaces each zero normal by the mean of its triangles' normals and returns how many were replaced. The weights are

@@ -214,3 +214,13 @@ impl GltfFile {
         (scene, told.collect::<Vec<_>>().join("\n"))
     }
 }
+
+/// Adds a channel with a sampler of its own to animation 0.
+pub(crate) fn channel(file: &mut GltfFile, target: &Value, times: &[f32], shape: &str, values: &[f32]) {
+    let (input, output) = (file.floats("SCALAR", times), file.floats(shape, values));
+    let animation = &mut file.json["animations"][0];
+    let samplers = animation["samplers"].as_array_mut().unwrap();
+    samplers.push(json!({"input": input, "output": output}));
+    let sampler = samplers.len() - 1;
+    animation["channels"].as_array_mut().unwrap().push(json!({"sampler": sampler, "target": target}));
+}

@@ -1,14 +1,20 @@
 //! What moves, evaluated by the referee's own code: points are taken through the nodes one by one, rotations by their
 //! axis, splines by Bézier's control points. It shares the data with `gnomon_scene::Scene::moment`, and nothing else.
 
+use std::collections::HashMap;
+
 use glam::{DQuat, DVec3, DVec4};
 use gnomon_scene::{AnimatedLight, Animation, Interpolation, Light, LightKind, Piece, Scene, Track};
+
+use super::shape::Reshaped;
 
 /// A scene's animation at one time.
 pub(super) struct Animated<'a> {
     scene: &'a Scene,
     animation: &'a Animation,
     time_s: f64,
+    /// Pieces that change their shape, by index.
+    shapes: HashMap<usize, Reshaped<'a>>,
 }
 
 /// A vertex that moves.
@@ -20,7 +26,13 @@ pub(super) struct Vertex {
 
 impl<'a> Animated<'a> {
     pub(super) fn new(scene: &'a Scene, time_s: f64) -> Option<Self> {
-        scene.animation.as_deref().map(|animation| Self { scene, animation, time_s })
+        scene.animation.as_deref().map(|animation| {
+            let mut animated = Self { scene, animation, time_s, shapes: HashMap::new() };
+            let node = |node, point| animated.point(node, point);
+            let shapes = Reshaped::all(animation, node, |track| animated.value::<1>(track)[0]);
+            animated.shapes = shapes.into_iter().collect();
+            animated
+        })
     }
 
     /// Returns the piece that a triangle belongs to.
@@ -44,12 +56,20 @@ impl<'a> Animated<'a> {
 
     /// Returns whether two corners of the piece's triangles change places.
     pub(super) fn is_turned(&self, piece: usize) -> bool {
+        if let Some(reshaped) = self.shapes.get(&piece) {
+            return reshaped.mirrors() != self.animation.pieces[piece].mirrored;
+        }
         let piece = &self.animation.pieces[piece];
         let [x, y, z] = DVec3::AXES.map(|axis| self.vector(piece.node, axis));
         (x.cross(y).dot(z) < 0.0) != piece.mirrored
     }
 
     pub(super) fn vertex(&self, piece: usize, vertex: u32) -> Vertex {
+        if let Some(reshaped) = self.shapes.get(&piece) {
+            let own = vertex - self.animation.pieces[piece].first_vertex;
+            let (position, normal) = reshaped.vertex(own as usize, self.is_turned(piece));
+            return Vertex { position: position - self.scene.origin_m, normal };
+        }
         let before = self.animation.pieces[..piece].iter().map(|piece| piece.vertices).sum::<u32>();
         let piece = &self.animation.pieces[piece];
         let at = (before + vertex - piece.first_vertex) as usize;

@@ -24,6 +24,7 @@ mod bvh;
 #[cfg(test)]
 mod closed_form;
 mod pixel;
+mod shape;
 mod triangle;
 
 use glam::DVec3;

@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use glam::DVec3;
 use gnomon_protocol::mask::{Mask, MaskShape};
 use gnomon_scene::{LoadOptions, Scene, camera::Camera};
+use gnomon_server::visibility::backend::cpu::CpuBackend;
 
 use super::{scene_args, table::Table};
 use crate::{backends::BackendName, metrics::RelevantError, reference::Reference, scenes::living};
@@ -68,29 +69,52 @@ pub fn judge(scene: &Scene, cameras: &[Camera], times_s: &[f64], backends: &[Bac
     Ok(all)
 }
 
+/// Returns how many nodes rays visit on `cpu`, as a share of those that they visit in the scene that stands still then,
+/// whose hierarchy is built anew.
+fn nodes_visited(scene: &Scene, cameras: &[Camera], times_s: &[f64]) -> Result<f64> {
+    let refitted = CpuBackend::new(scene, None)?;
+    let (mut visited, mut anew) = (0, 0);
+    for &time_s in times_s {
+        let built = CpuBackend::new(&scene.still_at(time_s), None)?;
+        for camera in cameras {
+            let shape = MaskShape::new(camera.width, camera.height, u32::try_from(scene.lights.len())?)?;
+            let nodes = |backend: &CpuBackend| {
+                let (_, stats) = backend.trace_counted(camera, time_s, &mut Mask::new(shape));
+                stats.iter().map(|stats| stats.nodes).sum::<u64>()
+            };
+            visited += nodes(&refitted);
+            anew += nodes(&built);
+        }
+    }
+    Ok(visited as f64 / anew.max(1) as f64)
+}
+
 /// Returns one row per scene and back end, summed over its times and views.
 pub fn measure(options: &LivingOptions, mut progress: impl FnMut(&str)) -> Result<Table> {
-    let mut table = Table::new("scene | pieces | back end | relevant bits | wrong | wrong % | undecided % | as still");
+    let mut table = Table::new(
+        "scene | pieces | back end | relevant bits | wrong | wrong % | undecided | as still | shapes | nodes, built anew = 1",
+    );
     let mut row = |name: &str, scene: &Scene| -> Result<()> {
-        let judged = judge(scene, &views(scene, options.size), &options.times, &options.backends)?;
+        let cameras = views(scene, options.size);
+        let judged = judge(scene, &cameras, &options.times, &options.backends)?;
+        let nodes = nodes_visited(scene, &cameras, &options.times)?;
         for &backend in &options.backends {
             let mut sum = RelevantError::default();
             let of_backend = || judged.iter().filter(|judged| judged.backend == backend);
             let as_still = of_backend().all(|judged| judged.as_still);
             of_backend().for_each(|judged| sum += judged.error.clone());
             progress(&format!("{name} on {}: {sum}", backend.name()));
-            let percent = |share: f64| format!("{:.4}", 100.0 * share);
-            #[expect(clippy::cast_precision_loss, reason = "bits of a few pictures")]
-            let undecided = sum.undecided as f64 / sum.relevant.max(1) as f64;
             table.rows.push(vec![
                 name.to_owned(),
                 scene.animation.as_ref().map_or(0, |animation| animation.pieces.len()).to_string(),
                 backend.name().to_owned(),
                 sum.relevant.to_string(),
                 (sum.wrong - sum.wrong_undecided).to_string(),
-                percent(sum.sure_share()),
-                percent(undecided),
+                format!("{:.4}", 100.0 * sum.sure_share()),
+                sum.undecided.to_string(),
                 as_still.to_string(),
+                scene.animation.as_ref().map_or(0, |animation| animation.shapes.len()).to_string(),
+                format!("{nodes:.2}"),
             ]);
         }
         Ok(())

@@ -25,6 +25,9 @@ pub struct MovingTimesOptions {
     /// Numbers of movers, each of 1,000 triangles.
     #[arg(long, value_delimiter = ',', default_value = "0,1,30,300")]
     pub movers: Vec<u32>,
+    /// Bends them by a skin: their 502 vertices follow four joints each.
+    #[arg(long)]
+    pub skinned: bool,
     /// `compute` or `ray-query`.
     #[arg(long, value_enum, default_value = "compute")]
     pub backend: BackendName,
@@ -111,7 +114,7 @@ pub fn measure(options: &MovingTimesOptions, mut progress: impl FnMut(&str)) -> 
         "movers | triangles | shown | pose ms | kernels ms | frame ms | frames/s | device MB | rays | differing",
     );
     for &movers in &options.movers {
-        let moving = movers::with_movers(&bare, movers);
+        let moving = movers::with_movers(&bare, movers, options.skinned);
         let standing = moving.still_at(0.0);
         for (how, scene) in [("standing", &standing), ("moving", &moving)] {
             if movers == 0 && how == "moving" {

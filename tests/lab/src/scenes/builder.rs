@@ -2,9 +2,15 @@
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use gnomon_scene::{
-    Aabb, AlphaMode, AnimatedLight, AnimatedNode, Animation, Draw, Image, Light, LightKind, Material, Piece, Place,
-    Scene, Texture, Wrap,
+    Aabb, AlphaMode, AnimatedLight, AnimatedNode, Animation, Draw, Image, Interpolation, Light, LightKind, Material,
+    Piece, Place, Scene, Texture, Track, Wrap,
 };
+
+/// Returns a track in rounds of its last key's time.
+pub fn track(interpolation: Interpolation, times_s: &[f32], values: &[f32]) -> Option<Track> {
+    let period_s = times_s.last().copied().map_or(0.0, f64::from);
+    Some(Track { period_s, interpolation, times_s: times_s.to_vec(), values: values.to_vec() })
+}
 
 /// Groups triangles by material.
 #[derive(Debug)]

@@ -3,16 +3,13 @@
 use glam::{DQuat, DVec3, Vec3};
 use gnomon_scene::{AlphaMode, AnimatedNode, Interpolation, Scene, Track, Wrap};
 
-use super::builder::SceneBuilder;
+use super::{
+    builder::{SceneBuilder, track},
+    shapes::creatures,
+};
 
 /// Times to look at, in seconds: at keys, between them, and after many rounds.
 pub const TIMES_S: [f64; 5] = [0.0, 0.3, 1.0, 1.77, 1234.5];
-
-/// Returns a track in rounds of its last key's time.
-pub fn track(interpolation: Interpolation, times_s: &[f32], values: &[f32]) -> Option<Track> {
-    let period_s = times_s.last().copied().map_or(0.0, f64::from);
-    Some(Track { period_s, interpolation, times_s: times_s.to_vec(), values: values.to_vec() })
-}
 
 /// Turns from one angle to another within two seconds, about an axis.
 fn turning(axis: DVec3, from_rad: f64, to_rad: f64) -> Option<Track> {
@@ -109,6 +106,6 @@ fn doors() -> Scene {
 }
 
 /// Returns the scenes by name.
-pub fn all() -> [(&'static str, Scene); 3] {
-    [("lamp", lamp()), ("fan", fan()), ("doors", doors())]
+pub fn all() -> [(&'static str, Scene); 4] {
+    [("lamp", lamp()), ("fan", fan()), ("doors", doors()), ("creatures", creatures())]
 }

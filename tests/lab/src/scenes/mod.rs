@@ -4,3 +4,4 @@ pub mod builder;
 pub mod living;
 pub mod movers;
 pub mod real;
+mod shapes;

@@ -1,9 +1,12 @@
-//! Real scenes with many things that move through them: balls of 1,000 triangles, each on a way of its own.
+//! Real scenes with many things that move through them: balls of 1,000 triangles and 502 vertices, each on a way of its
+//! own, rigid or bent by a skin.
 
 use glam::{DMat4, DQuat, DVec3, Vec2, Vec3, Vec4};
-use gnomon_scene::{Aabb, AlphaMode, AnimatedNode, Draw, Interpolation, Material, Piece, Scene};
+use gnomon_scene::{
+    Aabb, AlphaMode, AnimatedNode, Animation, Draw, Influence, Interpolation, Joint, Material, Piece, Scene, Shape,
+};
 
-use super::{builder::SceneBuilder, living::track};
+use super::builder::{SceneBuilder, track};
 
 /// Triangles of a mover: 2 · SECTORS · (RINGS − 1).
 pub const TRIANGLES: u32 = 1000;
@@ -14,8 +17,9 @@ const RINGS: u32 = 21;
 const ROUND_S: f32 = 8.0;
 const CORNERS: u8 = 4;
 
-/// Returns the scene with `count` movers. Their radius is a share of its shortest side; all ways stay within it.
-pub fn with_movers(scene: &Scene, count: u32) -> Scene {
+/// Returns the scene with `count` movers. Their radius is a share of its shortest side; all ways stay within it. Vertices
+/// of skinned ones follow four joints each.
+pub fn with_movers(scene: &Scene, count: u32, skinned: bool) -> Scene {
     let mut scene = scene.clone();
     let (low, size) = (scene.bounds.min, scene.bounds.max - scene.bounds.min);
     let radius = size.min_element() / 40.0;
@@ -41,6 +45,9 @@ pub fn with_movers(scene: &Scene, count: u32) -> Scene {
             rotation_track: track(Interpolation::Linear, &times, &turns),
             ..SceneBuilder::node(None)
         });
+        if skinned {
+            skin(&mut animation, (node, index(animation.pieces.len())), &ball, radius);
+        }
         let bounds = Aabb::around(&ball);
         animation.pieces.push(Piece { node, first_vertex, vertices: index(ball.len()), bounds, mirrored: false });
         for position in &ball {
@@ -68,6 +75,39 @@ pub fn with_movers(scene: &Scene, count: u32) -> Scene {
     scene.triangles = triangles;
     scene.animation = (!animation.is_empty()).then_some(animation);
     scene
+}
+
+/// Gives a ball a skin: four joints below its node, from bottom to top, of which the upper ones turn.
+fn skin(animation: &mut Animation, (node, piece): (u32, u32), ball: &[Vec3], radius: f32) {
+    const JOINTS: u8 = 4;
+    // How much each joint counts: the nearer it is, the more.
+    let weights =
+        |at: &Vec3| [0, 1, 2, 3].map(|joint| 1.0 / (0.1 + (at.y / radius - f32::from(joint) / 1.5 + 1.0).abs()));
+    let turn = |angle: f64| DQuat::from_rotation_z(angle).as_quat().to_array();
+    let mut joint = |number: u8| {
+        let below = index(animation.nodes.len());
+        let most = f64::from(number) * 0.1;
+        animation.nodes.push(AnimatedNode {
+            rotation_track: track(
+                Interpolation::Linear,
+                &[0.0, 1.0, 2.0],
+                &[turn(most), turn(-most), turn(most)].concat(),
+            ),
+            ..SceneBuilder::node(Some(node))
+        });
+        Joint { node: Some(below), node_from_own: DMat4::IDENTITY, bounds: Aabb::around(ball) }
+    };
+    let joints = (0..JOINTS).map(&mut joint).collect();
+    animation.influences.extend(ball.iter().map(|at| Influence { joints: [0, 1, 2, 3], weights: weights(at) }));
+    animation.shapes.push(Shape {
+        piece,
+        node_from_own: DMat4::IDENTITY,
+        joints,
+        sets: 1,
+        targets: Vec::new(),
+        weights_track: None,
+        flat: false,
+    });
 }
 
 /// Vertices and faces of a closed ball around the origin.
@@ -133,9 +173,12 @@ mod tests {
     #[test]
     fn movers_are_closed_balls_of_a_thousand_triangles_that_move() {
         let still = SceneBuilder::new().cuboid(Vec3::ZERO, Vec3::new(4.0, 2.0, 3.0)).sun(Vec3::NEG_Y).build();
-        assert_eq!(with_movers(&still, 0).animation, None);
-        let scene = with_movers(&still, 3);
+        assert_eq!(with_movers(&still, 0, false).animation, None);
+        let bent = with_movers(&still, 3, true);
+        assert_eq!(bent.check(), Ok(()));
+        let scene = with_movers(&still, 3, false);
         assert_eq!(scene.check(), Ok(()));
+        assert_ne!(bent.still_at(2.0).positions, scene.still_at(2.0).positions);
         assert_eq!(scene.triangles.len(), still.triangles.len() + 3 * TRIANGLES as usize);
         let (vertices, faces) = ball(1.0);
         let volume: f32 = faces

@@ -15,7 +15,7 @@ use super::{
     depth_history::DepthHistory,
     depth_pass::DepthPass,
     layers::Layer,
-    pieces::{NUMBER, PiecesPass},
+    pieces::{PiecesPass, format},
     shadow_map::ShadowMap,
 };
 use crate::render::{
@@ -34,8 +34,10 @@ const WORD: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 
 #[derive(Debug)]
 pub(super) struct Moved {
-    /// Index + 1 of each pixel's piece.
+    /// Each pixel's piece, and where it was: see `pieces.wgsl`.
     pub(super) pieces: wgpu::TextureView,
+    /// Their format.
+    format: wgpu::TextureFormat,
     /// Lights whose shadow has changed, one bit each.
     pub(super) changed: wgpu::TextureView,
     /// [`Before`] of each layer and piece.
@@ -77,8 +79,8 @@ pub(super) struct Now<'a> {
     pub(super) scene: &'a SceneAt,
 }
 
-fn pictures(device: &wgpu::Device, size: (u32, u32)) -> [wgpu::TextureView; 2] {
-    [(NUMBER, wgpu::TextureUsages::RENDER_ATTACHMENT), (WORD, wgpu::TextureUsages::STORAGE_BINDING)].map(
+fn pictures(device: &wgpu::Device, size: (u32, u32), pieces: wgpu::TextureFormat) -> [wgpu::TextureView; 2] {
+    [(pieces, wgpu::TextureUsages::RENDER_ATTACHMENT), (WORD, wgpu::TextureUsages::STORAGE_BINDING)].map(
         |(format, usage)| {
             texture(device, "what has moved", size, format, usage | wgpu::TextureUsages::TEXTURE_BINDING)
                 .create_view(&wgpu::TextureViewDescriptor::default())
@@ -107,9 +109,10 @@ impl Moved {
         (targets, history): (&Targets, &DepthHistory),
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
+        let format = format(upload);
+        let [picture, changed] = pictures(device, (1, 1), format);
         let before = places(device, count(scene) * MAX_LAYERS);
-        let [picture, changed] = pictures(device, (1, 1));
-        let mut moved = Self { pieces: picture, changed, before, live: None };
+        let mut moved = Self { pieces: picture, format, changed, before, live: None };
         if upload.movers().is_some() {
             moved.begin(gpu, (scene, upload), (depth_pass, view))?;
         }
@@ -144,7 +147,7 @@ impl Moved {
     /// Changes the pictures' size.
     pub(super) fn resize(&mut self, device: &wgpu::Device, targets: &Targets, history: &DepthHistory) {
         let Some(live) = &mut self.live else { return };
-        [self.pieces, self.changed] = pictures(device, (targets.width, targets.height));
+        [self.pieces, self.changed] = pictures(device, (targets.width, targets.height), self.format);
         let view = wgpu::BindingResource::TextureView;
         let group = |depth| {
             let resources = [view(depth), view(&targets.normal_material), view(&self.pieces), view(&self.changed)];
@@ -168,15 +171,17 @@ impl Moved {
         let Some((_, newest)) = others().next() else { return false };
         let Some(movers) = upload.movers() else { return false };
         for (place, layer) in others() {
-            let before = movers.before(&movers.moment_at(&layer.traced_for.scene));
+            // One state is drawn.
+            let drawn = layer.is_of(&newest.traced_for.scene);
+            let before = movers.before(&movers.moment_at(&layer.traced_for.scene), drawn);
             let offset = (place * size_of_val(&*before)) as u64;
             gpu.queue.write_buffer(&self.before, offset, bytemuck::cast_slice(&before));
             if layer.slot == newest.slot {
                 gpu.queue.write_buffer(&live.before, 0, bytemuck::cast_slice(&before));
             }
         }
-        live.pieces_pass.encode(&gpu.device, encoder, (&self.pieces, history.view()), upload);
         live.draw_then(gpu, encoder, &newest.traced_for.scene, now, (depth_pass, upload));
+        live.pieces_pass.encode(&gpu.device, encoder, (&self.pieces, history.view()), upload);
         if let Some(then) = &live.then {
             let groups = [&then.scene_group, &live.surface_groups[history.current()]];
             let size = (targets.width, targets.height);
@@ -211,7 +216,8 @@ impl Live {
         })
     }
 
-    /// Draws the shadow maps of another state of the scene, unless they are those that were drawn last.
+    /// Draws the shadow maps of another state of the scene, and keeps the vertices, unless they are those that were
+    /// drawn last.
     fn draw_then(
         &mut self,
         gpu: &Gpu,
@@ -247,6 +253,9 @@ impl Live {
         then.scene = Some(scene.clone());
         then.map.set_lights(gpu, &lights);
         upload.show(&gpu.device, encoder, scene);
+        if let Some(vertices) = &self.pieces_pass.then {
+            upload.keep_vertices(encoder, vertices);
+        }
         then.map.need(gpu, encoder, depth_pass, upload);
         upload.show_now(&gpu.device, encoder);
     }

@@ -1,4 +1,5 @@
-//! Draws which moving piece each pixel shows (`pieces.wgsl`): what moves, over the picture's own depth.
+//! Draws which moving piece each pixel shows, and where that surface point was (`pieces.wgsl`): what moves, over the
+//! picture's own depth.
 
 use std::sync::OnceLock;
 
@@ -9,15 +10,21 @@ use wgpu::util::DeviceExt as _;
 use super::depth_pass::DepthPass;
 use crate::render::{
     error::RenderError,
+    movers::Movers,
     pipeline::{cleared, shader},
     scene_upload::{Batch, SceneUpload},
     targets::DEPTH,
+    vertex::Vertex,
 };
 
-/// Numbers of pieces.
-pub(super) const NUMBER: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+/// Numbers of pieces; and with ways, if the shape of some changes.
+pub(super) fn format(upload: &SceneUpload) -> wgpu::TextureFormat {
+    let deforms = upload.movers().is_some_and(Movers::deforms);
+    if deforms { wgpu::TextureFormat::Rgba32Uint } else { wgpu::TextureFormat::R32Uint }
+}
 
 const ATTRIBUTES: [wgpu::VertexAttribute; 1] = wgpu::vertex_attr_array![6 => Uint32];
+const ATTRIBUTES_THEN: [wgpu::VertexAttribute; 1] = wgpu::vertex_attr_array![7 => Float32x3];
 
 #[derive(Debug)]
 pub(super) struct PiecesPass {
@@ -25,6 +32,8 @@ pub(super) struct PiecesPass {
     layout: wgpu::PipelineLayout,
     /// Index + 1 of each vertex's piece, or 0.
     pieces: wgpu::Buffer,
+    /// The scene's vertices as they were when a mask was traced. `None`: no shape changes, and none are read.
+    pub(super) then: Option<wgpu::Buffer>,
     group: wgpu::BindGroup,
     /// OPAQUE or MASK, single-sided or not. Compiled when they are first drawn with.
     pipelines: [OnceLock<wgpu::RenderPipeline>; 4],
@@ -55,7 +64,8 @@ impl PiecesPass {
         });
         let group = depth_pass.group(device, view.as_entire_binding());
         let module = shader(gpu, "shading/pieces.wgsl")?;
-        Ok(Self { module, layout, pieces, group, pipelines: Default::default() })
+        let then = upload.room_for_vertices(device);
+        Ok(Self { module, layout, pieces, then, group, pipelines: Default::default() })
     }
 
     fn pipeline(
@@ -66,11 +76,11 @@ impl PiecesPass {
     ) -> &wgpu::RenderPipeline {
         self.pipelines[usize::from(masked) * 2 + usize::from(double_sided)].get_or_init(|| {
             let [vertices, more] = upload.vertex_layouts();
-            let pieces = wgpu::VertexBufferLayout {
-                array_stride: size_of::<u32>() as u64,
-                step_mode: wgpu::VertexStepMode::Vertex,
-                attributes: &ATTRIBUTES,
+            let layout = |array_stride, attributes| {
+                Some(wgpu::VertexBufferLayout { array_stride, step_mode: wgpu::VertexStepMode::Vertex, attributes })
             };
+            let pieces = layout(size_of::<u32>() as u64, &ATTRIBUTES);
+            let then = layout(size_of::<Vertex>() as u64, &ATTRIBUTES_THEN);
             device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some("pieces"),
                 layout: Some(&self.layout),
@@ -78,7 +88,7 @@ impl PiecesPass {
                     module: &self.module,
                     entry_point: Some("transform"),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    buffers: &[vertices, more, Some(pieces)],
+                    buffers: &[vertices, more, pieces, then],
                 },
                 primitive: wgpu::PrimitiveState {
                     cull_mode: (!double_sided).then_some(wgpu::Face::Back),
@@ -96,7 +106,7 @@ impl PiecesPass {
                     module: &self.module,
                     entry_point: Some(if masked { "masked" } else { "opaque" }),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    targets: &[Some(NUMBER.into())],
+                    targets: &[Some(format(upload).into())],
                 }),
                 multiview_mask: None,
                 cache: None,
@@ -136,6 +146,7 @@ impl PiecesPass {
         pass.set_bind_group(0, &self.group, &[]);
         upload.bind(&mut pass);
         pass.set_vertex_buffer(2, self.pieces.slice(..));
+        pass.set_vertex_buffer(3, self.then.as_ref().unwrap_or(upload.vertices()).slice(..));
         for batch in drawn(upload) {
             pass.set_pipeline(self.pipeline(device, upload, (batch.is_masked(), batch.double_sided)));
             pass.set_bind_group(1, &upload.materials[batch.material], &[]);

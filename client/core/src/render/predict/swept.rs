@@ -1,6 +1,5 @@
 //! Where a scene's geometry is at any time.
 
-use glam::Vec3;
 use gnomon_scene::{Aabb, AnimatedNode, Animation, Scene, Track};
 
 /// Times at which the movers are looked at, spread over a round.
@@ -19,15 +18,9 @@ pub(super) fn swept_bounds(scene: &Scene) -> Aabb {
         rounds_s.iter().flat_map(|round_s| (0..LOOKS).map(move |look| f64::from(look) / f64::from(LOOKS) * round_s));
     for time_s in times_s {
         let Some(moment) = scene.moment(time_s) else { break };
-        for (piece, placement) in animation.pieces.iter().zip(&moment.pieces) {
-            let Some(placement) = placement else { continue };
-            let Aabb { min, max } = piece.bounds;
-            for corner in 0..8 {
-                let pick = |bit: u8, low: f32, high: f32| if corner >> bit & 1 == 0 { low } else { high };
-                let corner = Vec3::new(pick(0, min.x, max.x), pick(1, min.y, max.y), pick(2, min.z, max.z));
-                let there = placement.position(corner);
-                bounds = Aabb { min: bounds.min.min(there), max: bounds.max.max(there) };
-            }
+        for placement in moment.pieces.iter().flatten() {
+            let there = placement.bounds;
+            bounds = Aabb { min: bounds.min.min(there.min), max: bounds.max.max(there.max) };
         }
     }
     bounds
@@ -40,7 +33,9 @@ fn rounds_s(animation: &Animation) -> Vec<f64> {
         let length = |track: &Option<Track>| track.as_ref().map(|track| track.period_s);
         [translation_track, rotation_track, scale_track].map(length)
     };
-    let mut rounds_s: Vec<f64> = animation.nodes.iter().flat_map(tracks).flatten().collect();
+    let weights = animation.shapes.iter().filter_map(|shape| shape.weights_track.as_ref());
+    let weights = weights.map(|track| track.period_s);
+    let mut rounds_s: Vec<f64> = animation.nodes.iter().flat_map(tracks).flatten().chain(weights).collect();
     rounds_s.sort_by(|one, other| other.total_cmp(one));
     rounds_s.dedup();
     rounds_s.truncate(MOST_ROUNDS);

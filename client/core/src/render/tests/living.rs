@@ -25,17 +25,17 @@ use crate::{
     },
 };
 
-const SIZE: (u32, u32) = (160, 90);
+pub(super) const SIZE: (u32, u32) = (160, 90);
 
 /// At keys, between them, after many rounds, and back again.
 const TIMES_S: [f64; 7] = [0.0, 0.3, 0.9, 1.0, 1.7, 1234.5, 0.3];
 
-fn track(interpolation: Interpolation, times_s: &[f32], values: &[f32]) -> Option<Track> {
+pub(super) fn track(interpolation: Interpolation, times_s: &[f32], values: &[f32]) -> Option<Track> {
     let period_s = times_s.last().copied().map_or(0.0, f64::from);
     Some(Track { period_s, interpolation, times_s: times_s.to_vec(), values: values.to_vec() })
 }
 
-fn node() -> AnimatedNode {
+pub(super) fn node() -> AnimatedNode {
     AnimatedNode {
         name: String::new(),
         editable: false,
@@ -122,16 +122,16 @@ pub(in crate::render) fn living(lights_move: bool) -> Scene {
 }
 
 /// The scene that stands still at a time. Maps and near plane are those of the moving one.
-fn still(scene: &Scene, time_s: f64) -> Scene {
+pub(super) fn still(scene: &Scene, time_s: f64) -> Scene {
     Scene { bounds: scene.bounds, ..scene.still_at(time_s) }
 }
 
-fn renderer(gpu: &Gpu, scene: &Scene, exposure: Exposure) -> FrameRenderer {
+pub(super) fn renderer(gpu: &Gpu, scene: &Scene, exposure: Exposure) -> FrameRenderer {
     FrameRenderer::new(gpu, scene, SIZE, exposure, PICTURE_FORMAT, Predictor::Surface).unwrap()
 }
 
 /// Draws what the camera sees at a time. Returns the picture's bytes and its visibility.
-fn draw(
+pub(super) fn draw(
     gpu: &Gpu,
     renderer: &mut FrameRenderer,
     (camera, time_s): (&Camera, f64),
@@ -221,7 +221,7 @@ fn a_mask_of_an_earlier_time_is_laid_over_what_was_seen_then() {
 }
 
 /// The visibility that the client finds by itself, as a mask.
-fn as_mask(pixels: &[PixelVisibility]) -> Mask {
+pub(super) fn as_mask(pixels: &[PixelVisibility]) -> Mask {
     let mut mask = Mask::new(MaskShape::new(SIZE.0, SIZE.1, 2).unwrap());
     for (place, pixel) in (0..).zip(pixels) {
         (0..2).for_each(|light| mask.set(light, place % SIZE.0, place / SIZE.0, pixel.word >> light & 1 == 1));

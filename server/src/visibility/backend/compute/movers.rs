@@ -6,13 +6,10 @@
 
 use bytemuck::Zeroable as _;
 use glam::Vec3;
-use gnomon_scene::{Placement, Scene, SceneAt};
+use gnomon_scene::{OwnVertices, Placement, Scene, SceneAt};
 use gnomon_shaders::host::{TracedLight, TracedTriangle};
 use obvhs::cwbvh::node::CwBvhNode;
-use rayon::{
-    iter::{IndexedParallelIterator, IntoParallelIterator, IntoParallelRefMutIterator, ParallelIterator},
-    slice::{ParallelSlice, ParallelSliceMut},
-};
+use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, IntoParallelRefMutIterator, ParallelIterator};
 
 use super::{
     geometry::{Geometry, PieceGeometry, PieceTriangle, plane_normal},
@@ -175,7 +172,7 @@ impl Movers {
         let first_light = first(before.lights, region.lights);
 
         let animation = stage.animation.as_ref();
-        let (positions, normals) = animation.map_or((&[][..], &[][..]), |it| (&it.positions[..], &it.normals[..]));
+        let own_vertices = animation.map(|animation| animation.own_vertices()).unwrap_or_default();
         let top = most_joined(pieces.len()).min(scratch.nodes.len());
         let (top, blocks) = scratch.nodes.split_at_mut(top);
         let mut left = Left {
@@ -187,15 +184,14 @@ impl Movers {
         };
         let (mut nodes, mut triangles) = (top.len(), 0);
         let mut tasks = Vec::with_capacity(pieces.len());
-        for (piece, placement) in pieces.iter().zip(&placements) {
+        for ((piece, own), placement) in pieces.iter().zip(own_vertices).zip(&placements) {
             let Some(placement) = placement.as_ref().filter(|_| !piece.triangles.is_empty()) else { continue };
             tasks.push(Task {
                 piece,
                 placement,
-                positions: positions.get(piece.vertices.clone()).unwrap_or_default(),
-                normals: normals.get(piece.vertices.clone()).unwrap_or_default(),
+                own,
                 firsts: (index(first_node + nodes), index(first_triangle + triangles)),
-                own: left.take(piece),
+                room: left.take(piece),
             });
             nodes += piece.nodes.len();
             triangles += piece.triangles.len();
@@ -257,23 +253,18 @@ fn split_off<'a, T>(list: &mut &'a mut [T], count: usize) -> &'a mut [T] {
 struct Task<'a> {
     piece: &'a PieceGeometry,
     placement: &'a Placement,
-    positions: &'a [Vec3],
-    normals: &'a [Vec3],
+    own: OwnVertices<'a>,
     /// Its first node and triangle in the buffers.
     firsts: (u32, u32),
-    own: Left<'a>,
+    room: Left<'a>,
 }
 
 impl Task<'_> {
     fn run(self) -> Root {
-        let Self { piece, placement, positions, normals, firsts, own } = self;
-        let Left { nodes, triangles, normals: triangle_normals, vertices, bounds } = own;
-        let moved = positions.par_chunks(RUN).zip(normals.par_chunks(RUN)).zip(vertices.par_chunks_mut(RUN));
-        moved.for_each(|((positions, normals), vertices)| {
-            for ((position, normal), vertex) in positions.iter().zip(normals).zip(vertices) {
-                *vertex = (placement.position(*position), placement.normal(*normal));
-            }
-        });
+        let Self { piece, placement, own, firsts, room } = self;
+        let Left { nodes, triangles, normals: triangle_normals, vertices, bounds } = room;
+        let moved = vertices.par_iter_mut().with_min_len(RUN).enumerate();
+        moved.for_each(|(at, vertex)| *vertex = placement.vertex(&own, at));
         let vertices = &*vertices;
         let placed = triangles.par_iter_mut().zip(triangle_normals.par_iter_mut()).zip(&piece.triangles);
         placed.with_min_len(RUN).for_each(|((triangle, normals), of)| {

@@ -108,13 +108,18 @@ impl CpuBackend {
         self.run::<Silent>(camera, mask, rows, posed).0
     }
 
-    /// As [`Self::trace`], but slower. Also returns traversal counts for camera rays and for shadow rays.
+    /// As [`Self::trace_at`], but slower. Also returns traversal counts for camera rays and for shadow rays.
     ///
     /// # Panics
     /// If the mask's shape is not the camera's and the scene's.
-    pub fn trace_counted(&self, camera: &Camera, mask: &mut Mask) -> (TraceCost, [TraversalStats; 2]) {
+    pub fn trace_counted(
+        &self,
+        camera: &Camera,
+        scene_time_s: f64,
+        mask: &mut Mask,
+    ) -> (TraceCost, [TraversalStats; 2]) {
         let rows = 0..mask.shape().tiles_y();
-        let (cost, costs) = self.run::<TraversalStats>(camera, mask, rows, self.pose(0.0).as_ref());
+        let (cost, costs) = self.run::<TraversalStats>(camera, mask, rows, self.pose(scene_time_s).as_ref());
         let mut stats = [TraversalStats::default(); 2];
         for cost in &costs {
             stats[0].add(&cost.primary_stats);

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use gnomon_scene::{Aabb, AlphaMode, Light, Moment, Scene, SceneAt};
-use rayon::iter::{IntoParallelIterator, IntoParallelRefIterator, ParallelIterator};
+use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, IntoParallelRefIterator, ParallelIterator};
 
 use super::{
     alpha::Alpha,
@@ -16,6 +16,9 @@ use crate::visibility::{
         moving::Bounds,
     },
 };
+
+/// Vertices that a thread takes at once.
+const RUN: usize = 512;
 
 pub(super) struct World {
     pub(super) resting: Resting,
@@ -226,7 +229,11 @@ impl Moving {
 
     fn memory_bytes(&self) -> usize {
         let animation = self.stage.animation.iter();
-        let vertices = animation.map(|animation| size_of_val(&*animation.positions) * 2).sum::<usize>();
+        let vertices = animation.map(|animation| {
+            let shapes = size_of_val(&*animation.influences) + size_of_val(&*animation.deltas);
+            size_of_val(&*animation.positions) * 2 + shapes
+        });
+        let vertices = vertices.sum::<usize>();
         let trees = self.pieces.iter().map(|piece| piece.bvh.memory_bytes()).sum::<usize>();
         // The trees and the corners are there again, posed.
         self.alpha.memory_bytes() + vertices + 2 * trees + self.triangles.len() * size_of::<Corners>()
@@ -237,19 +244,20 @@ impl Moving {
         let Some(animation) = &self.stage.animation else { return self.nothing(&moment) };
         let pieces: Vec<_> = self.pieces.iter().zip(&moment.pieces).collect();
         // Each piece's vertices, in the order of the pieces.
-        let vertices: Vec<(Vec3, Vec3)> = pieces
-            .par_iter()
-            .flat_map_iter(|(piece, placement)| {
-                piece.vertices.clone().map(move |at| {
-                    let (position, normal) = (animation.positions[at], animation.normals[at]);
+        let vertices: Vec<(Vec3, Vec3)> = animation
+            .own_vertices()
+            .into_par_iter()
+            .zip(&moment.pieces)
+            .flat_map(|(own, placement)| {
+                (0..own.positions.len()).into_par_iter().with_min_len(RUN).map(move |at| {
                     // What is not shown is in no tree.
-                    placement.as_ref().map_or((position, normal), |it| (it.position(position), it.normal(normal)))
+                    placement.as_ref().map_or((Vec3::ZERO, Vec3::Y), |placement| placement.vertex(&own, at))
                 })
             })
             .collect();
         let piece_of = |vertex: u32| self.pieces.partition_point(|piece| piece.vertices.end <= vertex as usize);
         let placed = |corners: &[u32; 3]| {
-            let placement = moment.pieces.get(piece_of(corners[0])).copied().flatten()?;
+            let placement = moment.pieces.get(piece_of(corners[0]))?.as_ref()?;
             Some(placement.corners(corners.map(|corner| vertices[corner as usize])))
         };
         let corners: Vec<Corners> = self
@@ -261,7 +269,7 @@ impl Moving {
             })
             .collect();
         let is_turned = |corners: &[u32; 3]| {
-            moment.pieces.get(piece_of(corners[0])).copied().flatten().is_some_and(|placement| placement.turned)
+            moment.pieces.get(piece_of(corners[0])).is_some_and(|it| it.as_ref().is_some_and(|it| it.turned))
         };
         let any = moment.pieces.iter().flatten().any(|placement| placement.turned);
         let turned = if any { self.triangles.iter().map(is_turned).collect() } else { Vec::new() };

@@ -2,23 +2,24 @@
 
 use glam::{DMat3, DMat4, DVec3, Vec2, Vec3, Vec4};
 
-use super::primitive::Geometry;
+use super::{
+    deform::{Deformed, Motion},
+    primitive::Geometry,
+};
 use crate::{
-    Aabb, Animation, Draw, LoadReport, Piece, Place, Scene,
+    Aabb, Animation, Draw, LoadReport, Piece, Scene,
     error::SceneError,
     limits::MAX_VERTICES,
-    moment::normal_matrix,
-    scene::normals::{repair, triangle_normal},
+    scene::normals::{normal_matrix, repair, triangle_normal},
 };
 
-/// Appends one instance of a primitive, and what moves to its animation.
+/// Appends one instance of a primitive with its transform to world space, and what moves to its animation.
 pub(crate) fn append(
-    geometry: &Geometry,
-    world_from_node: &DMat4,
+    (geometry, world_from_node): (&Geometry, &DMat4),
     material: u32,
     scene: &mut Scene,
     report: &mut LoadReport,
-    moving: Option<(&Place, &mut Animation)>,
+    moving: Option<(Motion, &mut Animation)>,
 ) -> Result<(), SceneError> {
     let index = |count: usize| {
         let fault = || SceneError::Limit { what: "vertices".to_owned(), count: count as u64, limit: MAX_VERTICES };
@@ -28,14 +29,18 @@ pub(crate) fn append(
     let mirrored = linear.determinant() < 0.0;
     let local = |position: &Vec3| (world_from_node.transform_point3(position.as_dvec3()) - scene.origin_m).as_vec3();
     let positions: Vec<Vec3> = geometry.positions.iter().map(local).collect();
-    // In the space of the node that moves it.
-    let own: Option<Vec<Vec3>> = moving.as_ref().map(|(place, _)| {
-        let own = |position: &Vec3| place.node_from_own.transform_point3(position.as_dvec3()).as_vec3();
-        geometry.positions.iter().map(own).collect()
+    let motion = moving.as_ref().map(|(motion, _)| motion);
+    let own_geometry = motion.and_then(Motion::deformed).map_or(geometry, |deformed| &deformed.geometry);
+    let node_from_own = motion.map(Motion::node_from_own);
+    // In the space of what moves it.
+    let own: Option<Vec<Vec3>> = node_from_own.map(|node_from_own| {
+        let own = |position: &Vec3| node_from_own.transform_point3(position.as_dvec3()).as_vec3();
+        own_geometry.positions.iter().map(own).collect()
     });
-    // Whether the mover's own transform mirrors in the pose of the file: then corners are clockwise in its space.
-    let clockwise = moving.as_ref().is_some_and(|(place, _)| mirrored != (place.node_from_own.determinant() < 0.0));
-    let mut own_vertices = Own::default();
+    // Whether what moves it mirrors in the pose of the file: then corners are clockwise in its own space.
+    let clockwise = motion.is_some_and(|motion| motion.mirrors(mirrored));
+    let reshaped = motion.is_some_and(|motion| motion.deformed().is_some());
+    let (mut own_vertices, mut expanded) = (Own::default(), Vec::new());
 
     let first_vertex = index(scene.positions.len())?;
     let first_triangle = index(scene.triangles.len())?;
@@ -46,7 +51,11 @@ pub(crate) fn append(
             continue;
         };
         let in_own = own.as_ref().map(|own| [a, b, c].map(|at| own.get(at as usize).copied().unwrap_or_default()));
-        let own_normal = in_own.map(|[a, b, c]| triangle_normal(a, b, c));
+        let own_normal = in_own.map(|[a, b, c]| {
+            // Another shape may give it an area.
+            let stand_in = || triangle_normal(pa, pb, pc).unwrap_or(DVec3::Y);
+            triangle_normal(a, b, c).or_else(|| reshaped.then(stand_in))
+        });
         // What moves may have no area in the file's pose: its own space counts.
         let normal = match own_normal {
             Some(own_normal) => own_normal.map(|own| triangle_normal(pa, pb, pc).unwrap_or(own)),
@@ -69,6 +78,9 @@ pub(crate) fn append(
             own_vertices.normals.extend([rounded(if clockwise { -normal } else { normal }); 3]);
         }
         let corners = [a, b, c].map(|corner| corner as usize);
+        if reshaped {
+            expanded.extend(corners);
+        }
         scene.uvs.extend(corners.map(|corner| geometry.uvs.get(corner).copied().unwrap_or_default()));
         let mut vertices = OptionalVertices::of(scene, first as usize);
         if let Some(uvs) = &geometry.uvs_1 {
@@ -87,9 +99,9 @@ pub(crate) fn append(
         let world = |normal: &Vec3| (turn * normal.as_dvec3()).try_normalize().map_or(Vec3::ZERO, rounded);
         let mut normals: Vec<Vec3> = normals.iter().map(world).collect();
         let mut repaired = repair(&positions, &mut normals, kept, first_vertex);
-        if let (Some((place, _)), Some(own)) = (&moving, &own) {
+        if let (Some(node_from_own), Some(own)) = (&node_from_own, &own) {
             // What has no area in the file's pose is not broken.
-            (own_vertices, repaired) = Own::of(geometry, own, place, (kept, first_vertex, clockwise));
+            (own_vertices, repaired) = Own::of(own_geometry, own, node_from_own, (kept, first_vertex, clockwise));
         }
         report.repaired_normals += repaired;
         scene.positions.extend(positions);
@@ -109,18 +121,50 @@ pub(crate) fn append(
     }
     let triangles = index(scene.triangles.len())? - first_triangle;
     scene.draws.push(Draw { first_triangle, triangles, material });
-    if let Some((place, animation)) = moving {
+    if let Some((motion, animation)) = moving {
         let vertices = index(scene.positions.len())? - first_vertex;
         let bounds = Aabb::around(&own_vertices.positions);
-        animation.pieces.push(Piece { node: place.node, first_vertex, vertices, bounds, mirrored: clockwise });
+        let node = match &motion {
+            Motion::Rigid(place) => place.node,
+            Motion::Deformed(deformed) => deformed.node(animation),
+        };
+        animation.pieces.push(Piece { node, first_vertex, vertices, bounds, mirrored: clockwise });
         animation.positions.append(&mut own_vertices.positions);
         animation.normals.append(&mut own_vertices.normals);
         // Pieces before may have had none.
         animation.tangents.resize(animation.positions.len() - vertices as usize, Vec4::ZERO);
         animation.tangents.append(&mut own_vertices.tangents);
         animation.tangents.resize(animation.positions.len(), Vec4::ZERO);
+        if let Motion::Deformed(deformed) = motion {
+            deformed.append(geometry.normals.is_none().then_some(expanded), animation);
+        }
     }
     Ok(())
+}
+
+impl Motion {
+    fn deformed(&self) -> Option<&Deformed> {
+        match self {
+            Self::Rigid(_) => None,
+            Self::Deformed(deformed) => Some(deformed),
+        }
+    }
+
+    /// Transform from the geometry's space to that which vertices are kept in.
+    fn node_from_own(&self) -> DMat4 {
+        match self {
+            Self::Rigid(place) => place.node_from_own,
+            Self::Deformed(_) => DMat4::IDENTITY,
+        }
+    }
+
+    /// Returns whether it mirrors in the pose of the file, if the transform of the geometry does.
+    fn mirrors(&self, mirrored: bool) -> bool {
+        match self {
+            Self::Rigid(place) => mirrored != (place.node_from_own.determinant() < 0.0),
+            Self::Deformed(deformed) => mirrored != deformed.mirrored,
+        }
+    }
 }
 
 /// Vertices in the space of the node that moves them.
@@ -136,10 +180,10 @@ impl Own {
     fn of(
         geometry: &Geometry,
         positions: &[Vec3],
-        place: &Place,
+        node_from_own: &DMat4,
         (triangles, first_vertex, clockwise): (&[[u32; 3]], u32, bool),
     ) -> (Self, u64) {
-        let linear = DMat3::from_mat4(place.node_from_own);
+        let linear = DMat3::from_mat4(*node_from_own);
         let turn = normal_matrix(&linear);
         let own = |normal: &Vec3| (turn * normal.as_dvec3()).try_normalize().map_or(Vec3::ZERO, rounded);
         let mut normals: Vec<Vec3> = geometry.normals.iter().flatten().map(own).collect();

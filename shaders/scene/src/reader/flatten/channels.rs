@@ -2,7 +2,7 @@
 //!
 //! A channel that cannot be read is left out, and the rest of the file is whole without it.
 
-use std::collections::HashMap;
+use std::{borrow::Cow, collections::HashMap};
 
 use gltf::json::Index;
 
@@ -10,6 +10,7 @@ use super::{accessor, materials::choose};
 use crate::{
     Interpolation, LoadReport, Track,
     error::{SceneError, place},
+    light::f32_of,
     limits::MAX_TRACK_VALUES,
     reader::{
         checks::layout::Layout,
@@ -27,8 +28,21 @@ pub(crate) struct Channels {
     pub(crate) nodes: HashMap<usize, NodeTracks>,
     /// By index of the definition.
     pub(crate) lights: HashMap<usize, LightTracks>,
+    /// Weights of morph targets, by node; and by mesh, for nodes without weights of their own.
+    node_weights: HashMap<usize, Track>,
+    mesh_weights: HashMap<usize, Track>,
     /// Vertical fields of view, by index of the camera's definition.
     pub(crate) zooms: HashMap<usize, Track>,
+}
+
+/// The weights of a node's morph targets.
+pub(crate) struct Weights<'a> {
+    /// In the pose of the file, or always.
+    pub(crate) values: Cow<'a, [f32]>,
+    /// `None` if they never change.
+    pub(crate) track: Option<&'a Track>,
+    /// How many the track has.
+    pub(crate) count: usize,
 }
 
 #[derive(Debug, Default)]
@@ -75,6 +89,9 @@ enum Property {
     Rotation(usize),
     Scale(usize),
     Visible(usize),
+    /// Of a node, of a mesh; and how many they are.
+    NodeWeights(usize, usize),
+    MeshWeights(usize, usize),
     LightColor(usize),
     LightIntensity(usize),
     LightRange(usize),
@@ -136,6 +153,13 @@ impl Channels {
         }
         Ok(())
     }
+}
+
+const OTHERS: &str = "animated properties but transforms, weights, visibility, lights and fields of view";
+
+/// Returns how many morph targets a mesh has.
+fn targets(document: &Document, mesh: usize) -> usize {
+    document.targets.get(mesh).into_iter().flatten().map(Vec::len).max().unwrap_or(0)
 }
 
 struct Reader<'a> {
@@ -204,8 +228,12 @@ impl Reader<'_> {
             "rotation" => Ok(Property::Rotation(node)),
             "scale" => Ok(Property::Scale(node)),
             "extensions/KHR_node_visibility/visible" => Ok(Property::Visible(node)),
-            "weights" => Err(Nothing::NotDrawn("animated morph targets: they keep the file's weights")),
-            _ => Err(Nothing::NotDrawn("animated properties but transforms, visibility, lights and fields of view")),
+            "weights" => {
+                let mesh = self.document.json.nodes.get(node).and_then(|node| node.mesh);
+                let count = mesh.map_or(0, |mesh| targets(self.document, mesh.value()));
+                if count > 0 { Ok(Property::NodeWeights(node, count)) } else { Err(Nothing::NoTarget) }
+            }
+            _ => Err(Nothing::NotDrawn(OTHERS)),
         }
     }
 
@@ -215,9 +243,13 @@ impl Reader<'_> {
             let (index, rest) = pointer.strip_prefix(list)?.split_once('/')?;
             Some((index.parse::<usize>().ok()?, rest))
         };
-        let other = Nothing::NotDrawn("animated properties but transforms, visibility, lights and fields of view");
+        let other = Nothing::NotDrawn(OTHERS);
         if let Some((node, path)) = within("/nodes/") {
             return self.of_node(node, path);
+        }
+        if let Some((mesh, "weights")) = within("/meshes/") {
+            let count = targets(self.document, mesh);
+            return if count > 0 { Ok(Property::MeshWeights(mesh, count)) } else { Err(Nothing::NoTarget) };
         }
         if let Some((light, path)) = within("/extensions/KHR_lights_punctual/lights/") {
             if light >= self.document.lights.len() {
@@ -283,28 +315,32 @@ impl Reader<'_> {
         match property {
             Property::Translation(_) | Property::Scale(_) | Property::LightColor(_) => {
                 let values = self.elements::<3>(output, report)?;
-                self.keys(interpolation, times, &values, report)
+                self.keys((interpolation, 1), times, &values, report)
             }
             Property::Rotation(_) => {
                 let values = self.elements::<4>(output, report)?;
-                self.keys(interpolation, times, &values, report)
+                self.keys((interpolation, 1), times, &values, report)
+            }
+            Property::NodeWeights(_, count) | Property::MeshWeights(_, count) => {
+                let values = self.elements::<1>(output, report)?;
+                self.keys((interpolation, count), times, &values, report)
             }
             _ => {
                 let values = self.elements::<1>(output, report)?;
-                self.keys(interpolation, times, &values, report)
+                self.keys((interpolation, 1), times, &values, report)
             }
         }
     }
 
-    /// Returns the keys that make sense. `None` if there are none.
+    /// Returns the keys that make sense, of so many values each. `None` if there are none.
     fn keys<const N: usize>(
         &self,
-        interpolation: Interpolation,
+        (interpolation, width): (Interpolation, usize),
         times: &[f32],
         values: &[[f32; N]],
         report: &mut LoadReport,
     ) -> Option<Track> {
-        let elements = interpolation.elements();
+        let elements = interpolation.elements() * width;
         if values.len() != times.len() * elements {
             report.mended("an animation with another number of values than its times ask for: cut", self.here);
         }
@@ -326,6 +362,27 @@ impl Reader<'_> {
 }
 
 impl Channels {
+    /// Returns the weights of a node's morph targets: its own, or else its mesh's. Those that never change take the
+    /// places of the file's.
+    pub(crate) fn weights<'a>(&'a self, document: &'a Document, node: usize) -> Weights<'a> {
+        let nothing = Weights { values: Cow::Borrowed(&[]), track: None, count: 0 };
+        let Some((here, mesh)) = document.json.nodes.get(node).and_then(|node| Some((node, node.mesh?))) else {
+            return nothing;
+        };
+        let of_mesh = || document.json.get(mesh).and_then(|mesh| mesh.weights.as_deref());
+        let of_file = here.weights.as_deref().or_else(of_mesh).unwrap_or(&[]);
+        let of_mesh = || self.mesh_weights.get(&mesh.value()).filter(|_| here.weights.is_none());
+        let (track, count) = (self.node_weights.get(&node).or_else(of_mesh), targets(document, mesh.value()));
+        match track {
+            Some(track) if track.is_constant(count) => {
+                let mut values = vec![0.0; count];
+                track.sample_into(0.0, &mut values);
+                Weights { values: values.into_iter().map(f32_of).collect(), ..nothing }
+            }
+            track => Weights { values: Cow::Borrowed(of_file), track, count },
+        }
+    }
+
     /// Of several tracks of a property, the last one counts.
     fn set(&mut self, property: Property, track: Track) {
         let place = match property {
@@ -333,6 +390,14 @@ impl Channels {
             Property::Rotation(node) => &mut self.nodes.entry(node).or_default().rotation,
             Property::Scale(node) => &mut self.nodes.entry(node).or_default().scale,
             Property::Visible(node) => &mut self.nodes.entry(node).or_default().visible,
+            Property::NodeWeights(node, _) => {
+                self.node_weights.insert(node, track);
+                return;
+            }
+            Property::MeshWeights(mesh, _) => {
+                self.mesh_weights.insert(mesh, track);
+                return;
+            }
             Property::LightColor(light) => &mut self.lights.entry(light).or_default().color,
             Property::LightIntensity(light) => &mut self.lights.entry(light).or_default().intensity,
             Property::LightRange(light) => &mut self.lights.entry(light).or_default().range,

@@ -4,7 +4,7 @@ use glam::{DMat4, DQuat, DVec3};
 use gltf::json::Index;
 use serde_json::Value;
 
-use super::{accessor, nodes::Placed, pose::Pose};
+use super::{accessor, channels::Channels, nodes::Placed, pose::Pose};
 use crate::{
     LoadReport, Place,
     error::{SceneError, place, within},
@@ -17,7 +17,7 @@ use crate::{
 pub(crate) struct Instance {
     pub(crate) world_from_node: DMat4,
     pub(crate) pose: Option<Pose>,
-    /// The animated node that moves it.
+    /// The animated node that it hangs on. A skinned mesh follows its joints, and not this.
     pub(crate) place: Option<Place>,
 }
 
@@ -26,7 +26,7 @@ pub(crate) struct Instance {
 pub(crate) fn collect(
     document: &Document,
     buffers: &Buffers<'_>,
-    placed: &[Placed],
+    (placed, channels): (&[Placed], &Channels),
     report: &mut LoadReport,
 ) -> Result<Vec<Vec<Instance>>, SceneError> {
     let mut instances: Vec<Vec<Instance>> = document.json.meshes.iter().map(|_| Vec::new()).collect();
@@ -34,10 +34,8 @@ pub(crate) fn collect(
     for at in placed {
         let Some(node) = document.json.nodes.get(at.node) else { continue };
         let Some(list) = node.mesh.and_then(|mesh| instances.get_mut(mesh.value())) else { continue };
-        let pose = Pose::of(document, at.node);
-        // A skinned mesh follows its joints, and not its node.
-        let moved_by = at.place.filter(|_| !pose.is_some_and(|pose| pose.skinned));
-        let one = Instance { world_from_node: at.world_from_node, pose, place: moved_by };
+        let pose = Pose::of(document, channels, at.node);
+        let one = Instance { world_from_node: at.world_from_node, pose, place: at.place };
         let extension =
             node.extensions.as_ref().and_then(|extensions| extensions.others.get("EXT_mesh_gpu_instancing"));
         let Some(attributes) = extension.and_then(|extension| extension.get("attributes")) else {

@@ -10,15 +10,17 @@ use gltf::json::mesh;
 
 use super::{
     append::append,
+    channels::Channels,
     coordinates::Plan,
+    deform::{self, Motion},
     instances::{self, Instance},
     materials::Materials,
     nodes::Walk,
-    pose::Joints,
-    primitive::{self, Geometry, Mode, Source},
+    pose::{Posed, Skins},
+    primitive::{self, Mode, Source},
 };
 use crate::{
-    Animation, LoadReport, Place, Scene,
+    Animation, LoadReport, Scene,
     error::{SceneError, place, within},
     limits::{MAX_COORDINATE_M, MAX_DRAWS, MAX_POSE_STEPS, MAX_TRIANGLES, MAX_VERTICES, in_reach},
     reader::{
@@ -43,6 +45,7 @@ pub(crate) struct Meshes<'a> {
     pub(crate) document: &'a Document,
     pub(crate) buffers: &'a Buffers<'a>,
     pub(crate) walk: &'a Walk,
+    pub(crate) channels: &'a Channels,
 }
 
 impl Meshes<'_> {
@@ -56,8 +59,8 @@ impl Meshes<'_> {
         report: &mut LoadReport,
     ) -> Result<(), SceneError> {
         let parts = self.parts(materials, scene, report)?;
-        let mut joints = Joints::default();
-        scene.origin_m = self.origin(&parts, &mut joints)?;
+        let mut skins = Skins::default();
+        scene.origin_m = self.origin(&parts, &mut skins)?;
         // OPAQUE, MASK, BLEND: tracers read a prefix, and the rasteriser sets each state once.
         for order in 0..3 {
             for part in &parts {
@@ -65,35 +68,53 @@ impl Meshes<'_> {
                 if material.map_or(0, |material| material.alpha.order()) != order {
                     continue;
                 }
-                self.each(part, &mut joints, report, |geometry, (world, place), report| {
-                    append(geometry, world, part.material, scene, report, place.map(|place| (place, &mut *animation)))
+                self.each(part, &mut skins, Some(&mut *animation), report, |posed, motion, animation, report| {
+                    let moving = motion.zip(animation);
+                    append((&posed.geometry, &posed.world), part.material, scene, report, moving)
                 })?;
             }
         }
         Ok(())
     }
 
-    /// Reads a primitive, and hands each of its instances out: its geometry, the transform to world space, and what
-    /// moves it.
+    /// Reads a primitive, and hands each of its instances out, with what moves it if there is an animation for it.
     fn each(
         &self,
         part: &Part<'_>,
-        joints: &mut Joints,
+        skins: &mut Skins,
+        mut animation: Option<&mut Animation>,
         report: &mut LoadReport,
-        mut use_it: impl FnMut(&Geometry, (&DMat4, Option<&Place>), &mut LoadReport) -> Result<(), SceneError>,
+        mut use_it: impl FnMut(
+            &Posed<'_>,
+            Option<Motion>,
+            Option<&mut Animation>,
+            &mut LoadReport,
+        ) -> Result<(), SceneError>,
     ) -> Result<(), SceneError> {
-        let Self { document, buffers, walk } = *self;
+        let Self { document, buffers, walk, channels } = *self;
         let source = Source { document, buffers, primitive: part.primitive, place: &part.place };
         let geometry = source.read(part.mode, &part.plan, report)?;
         for instance in part.instances.iter() {
+            let world = instance.world_from_node;
+            let rigid = instance.place.map(Motion::Rigid);
             let Some(pose) = instance.pose else {
-                use_it(&geometry, (&instance.world_from_node, instance.place.as_ref()), report)?;
+                let posed = Posed::unchanged(&geometry, world);
+                use_it(&posed, rigid, animation.as_deref_mut(), report)?;
                 continue;
             };
-            let joints = joints.of(document, buffers, &walk.worlds, pose.node, report)?;
-            let world = instance.world_from_node;
-            let (posed, world) = pose.apply(&source, part.targets, &geometry, world, joints, report)?;
-            use_it(&posed, (&world, instance.place.as_ref()), report)?;
+            let skin = skins.of(document, buffers, walk, pose.node, report)?;
+            let keep = animation.is_some();
+            let source = (&source, channels);
+            let mut posed = pose.apply(source, part.targets, (&geometry, world), skin, keep, report)?;
+            let mut motion = rigid.filter(|_| !pose.skinned);
+            if let Some(animation) = &animation {
+                let of_instance = (&pose, instance.place.as_ref(), world);
+                let of_primitive = (part.targets, &mut posed);
+                let read =
+                    deform::read(source.0, (walk, channels), of_instance, of_primitive, skin, animation, report)?;
+                motion = read.map(|deformed| Motion::Deformed(Box::new(deformed))).or(motion);
+            }
+            use_it(&posed, motion, animation.as_deref_mut(), report)?;
         }
         Ok(())
     }
@@ -106,7 +127,7 @@ impl Meshes<'_> {
         report: &mut LoadReport,
     ) -> Result<Vec<Part<'_>>, SceneError> {
         let document = self.document;
-        let instances = instances::collect(document, self.buffers, &self.walk.placed, report)?;
+        let instances = instances::collect(document, self.buffers, (&self.walk.placed, self.channels), report)?;
         let shown = instances.iter().map(Vec::len).sum::<usize>();
         scene.instances = u32::try_from(shown).unwrap_or(u32::MAX);
         let mut parts = Vec::new();
@@ -137,7 +158,7 @@ impl Meshes<'_> {
                 let targets = document.targets.get(index).and_then(|targets| targets.get(number));
                 let targets = targets.map(Vec::as_slice).unwrap_or_default();
                 for pose in instances.iter().filter_map(|instance| instance.pose) {
-                    steps = steps.saturating_add(size.vertices * pose.passes(document, targets.len()));
+                    steps = steps.saturating_add(size.vertices * pose.passes(document, self.channels, targets.len()));
                 }
                 within("vertices that morph targets and skins move, counted for each", steps, MAX_POSE_STEPS)?;
                 let material = materials.get(document, primitive, report)?;
@@ -157,7 +178,7 @@ impl Meshes<'_> {
     /// Returns the scene's origin: the centre of its bounds, rounded to a multiple of the smallest power of two above
     /// the bounds' longest side. So a scene around the world's origin keeps its coordinates bit for bit, and one far
     /// away has local coordinates of at most one and a half times its size.
-    fn origin(&self, parts: &[Part<'_>], joints: &mut Joints) -> Result<DVec3, SceneError> {
+    fn origin(&self, parts: &[Part<'_>], skins: &mut Skins) -> Result<DVec3, SceneError> {
         let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         let mut bound = |position: &Vec3, world: &DMat4, place: &str| {
             let there = world.transform_point3(position.as_dvec3());
@@ -172,7 +193,7 @@ impl Meshes<'_> {
         for part in parts {
             // What is wrong is told when the geometry is read again.
             let mut told = LoadReport::default();
-            self.each(part, joints, &mut told, |geometry, (world, _), _| {
+            self.each(part, skins, None, &mut told, |Posed { geometry, world, .. }, _, _, _| {
                 // Flat triangles take the vertices that they use, others all.
                 let corners = geometry.triangles.iter().flatten().filter(|_| geometry.normals.is_none());
                 let mut corners = corners.filter_map(|corner| geometry.positions.get(*corner as usize));

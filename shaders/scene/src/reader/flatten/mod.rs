@@ -6,6 +6,7 @@ mod append;
 pub(crate) mod camera;
 pub(crate) mod channels;
 mod coordinates;
+mod deform;
 pub(crate) mod image;
 mod instances;
 pub(crate) mod light;

@@ -39,6 +39,8 @@ pub(crate) struct Walk {
     pub(crate) placed: Vec<Placed>,
     /// World transform of each node of the file, in the scene or not. Joints may lie outside it. May overflow.
     pub(crate) worlds: Vec<DMat4>,
+    /// Where each node of the file hangs on one that moves.
+    pub(crate) places: Vec<Option<Place>>,
     /// Nodes that move, parents first.
     pub(crate) animated: Vec<AnimatedNode>,
 }
@@ -69,9 +71,10 @@ pub(crate) fn walk(
 
     let (mut placed, mut animated) = (Vec::new(), Vec::new());
     let mut seen = vec![false; document.json.nodes.len()];
-    let at_root = |root: usize| (root, DMat4::IDENTITY, DQuat::IDENTITY, None);
-    let mut stack: Vec<(usize, DMat4, DQuat, Option<Place>)> = roots.into_iter().rev().map(at_root).collect();
-    while let Some((index, world_from_parent, rotation, above)) = stack.pop() {
+    let mut places = vec![None; document.json.nodes.len()];
+    let at_root = |root: usize| (root, DMat4::IDENTITY, DQuat::IDENTITY, None, false);
+    let mut stack: Vec<(usize, DMat4, DQuat, Option<Place>, bool)> = roots.into_iter().rev().map(at_root).collect();
+    while let Some((index, world_from_parent, rotation, above, hidden)) = stack.pop() {
         let (Some(node), Some(local), Some(seen)) =
             (document.json.nodes.get(index), locals.get(index), seen.get_mut(index))
         else {
@@ -79,7 +82,9 @@ pub(crate) fn walk(
         };
         // A scene may list a root twice, although the schema forbids it. It is shown once.
         let tracks = channels.nodes.get(&index);
-        if std::mem::replace(seen, true) || is_hidden(node, tracks) == Hidden::Always {
+        let hidden = hidden || is_hidden(node, tracks) == Hidden::Always;
+        // Joints move skins even if they are hidden.
+        if std::mem::replace(seen, true) || hidden && document.skins.is_empty() {
             continue;
         }
         let world_from_node = world_from_parent * local.matrix;
@@ -98,12 +103,15 @@ pub(crate) fn walk(
             }
             None => above.map(|above| Place { node_from_own: above.node_from_own * local.matrix, ..above }),
         };
-        placed.push(Placed { node: index, world_from_node, rotation, place });
-        let below = |child: &Index<Node>| (child.value(), world_from_node, rotation, place);
+        places[index] = place;
+        if !hidden {
+            placed.push(Placed { node: index, world_from_node, rotation, place });
+        }
+        let below = |child: &Index<Node>| (child.value(), world_from_node, rotation, place, hidden);
         stack.extend(node.children.iter().flatten().rev().map(below));
     }
     within("animated nodes", animated.len() as u64, MAX_MOVING)?;
-    Ok(Walk { placed, worlds: worlds(document, &parents, &locals), animated })
+    Ok(Walk { placed, worlds: worlds(document, &parents, &locals), places, animated })
 }
 
 /// Returns a node that moves. Constant values are in `local` already. `above` is where the node's parent hangs on an

@@ -2,11 +2,14 @@
 //!
 //! [`Scene::moment`](crate::Scene::moment) evaluates it. Everything that this does not name rests.
 
+mod shape;
 mod track;
 
 use glam::{DMat4, DQuat, DVec3, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
+pub(crate) use shape::blended;
+pub use shape::{Delta, Influence, Joint, OwnVertices, Shape, Target};
 pub use track::{Interpolation, Track};
 
 use super::aabb::Aabb;
@@ -20,7 +23,7 @@ pub struct Animation {
     pub nodes: Vec<AnimatedNode>,
     /// In the order of their vertices.
     pub pieces: Vec<Piece>,
-    /// Positions of the pieces' vertices in their nodes' spaces, in metres, piece by piece.
+    /// Positions of the pieces' vertices, in metres, piece by piece: in the space of the node, or of the shape.
     #[serde(skip)]
     pub positions: Vec<Vec3>,
     /// Their unit shading normals.
@@ -29,6 +32,14 @@ pub struct Animation {
     /// Their tangents, as [`Scene::tangents`](crate::Scene::tangents). Empty if the scene has none.
     #[serde(skip)]
     pub tangents: Vec<Vec4>,
+    /// Of the pieces that are not rigid, in their order.
+    pub shapes: Vec<Shape>,
+    /// The joints that their vertices follow, shape by shape, vertex by vertex.
+    #[serde(skip)]
+    pub influences: Vec<Influence>,
+    /// What morph targets change of their vertices, shape by shape, target by target.
+    #[serde(skip)]
+    pub deltas: Vec<Delta>,
     pub lights: Vec<AnimatedLight>,
     pub cameras: Vec<AnimatedCamera>,
 }
@@ -56,13 +67,14 @@ pub struct AnimatedNode {
     pub visible_track: Option<Track>,
 }
 
-/// A run of vertices that move with a node. A triangle's vertices all belong to one piece, or all rest.
+/// A run of vertices that move with a node, or as their [`Shape`] says. A triangle's vertices all belong to one piece,
+/// or all rest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Piece {
     pub node: u32,
     pub first_vertex: u32,
     pub vertices: u32,
-    /// Bounds of the vertices in the node's space, in metres.
+    /// Bounds of the vertices in their own space, in metres.
     pub bounds: Aabb,
     /// The file's pose mirrors the piece: its triangles' corners are swapped.
     pub mirrored: bool,

@@ -37,6 +37,7 @@ impl Interpolation {
 }
 
 /// Where a time lies among the keys.
+#[derive(Clone, Copy)]
 enum Time {
     /// At a key, or before the first or after the last one.
     At(usize),
@@ -64,6 +65,22 @@ impl Track {
                 }
                 Interpolation::CubicSpline => self.spline(key, share, step_s),
             },
+        }
+    }
+
+    /// Returns the first components of the value at a time, as many as there are in `value`.
+    pub(crate) fn sample_into(&self, time_s: f64, value: &mut [f64]) {
+        let (time, width) = (self.find(time_s), value.len());
+        for (at, component) in value.iter_mut().enumerate() {
+            let element = |number: usize| self.component(number, width, at);
+            *component = match time {
+                Time::At(key) => element(self.value_of(key)),
+                Time::Between { key, share, step_s } => match self.interpolation {
+                    Interpolation::Step => element(key),
+                    Interpolation::Linear => element(key) * (1.0 - share) + element(key + 1) * share,
+                    Interpolation::CubicSpline => hermite([1, 2, 3, 4].map(|n| element(3 * key + n)), share, step_s),
+                },
+            };
         }
     }
 
@@ -105,28 +122,39 @@ impl Track {
     }
 
     fn value<const N: usize>(&self, key: usize) -> [f64; N] {
-        self.element(match self.interpolation {
+        self.element(self.value_of(key))
+    }
+
+    /// The number of the element that is a key's value.
+    fn value_of(&self, key: usize) -> usize {
+        match self.interpolation {
             Interpolation::Step | Interpolation::Linear => key,
             Interpolation::CubicSpline => 3 * key + 1,
-        })
+        }
     }
 
     fn element<const N: usize>(&self, number: usize) -> [f64; N] {
-        std::array::from_fn(|i| self.values.get(number * N + i).copied().map_or(0.0, f64::from))
+        std::array::from_fn(|at| self.component(number, N, at))
     }
 
-    /// A Hermite spline. Tangents are per second, so that they count times the step.
-    fn spline<const N: usize>(&self, key: usize, share: f64, step_s: f64) -> [f64; N] {
-        let [from, out] = [1, 2].map(|element| self.element::<N>(3 * key + element));
-        let [into, to] = [3, 4].map(|element| self.element::<N>(3 * key + element));
-        let (squared, cubed) = (share * share, share * share * share);
-        std::array::from_fn(|i| {
-            (2.0 * cubed - 3.0 * squared + 1.0) * from[i]
-                + step_s * (cubed - 2.0 * squared + share) * out[i]
-                + (3.0 * squared - 2.0 * cubed) * to[i]
-                + step_s * (cubed - squared) * into[i]
-        })
+    fn component(&self, element: usize, width: usize, at: usize) -> f64 {
+        self.values.get(element * width + at).copied().map_or(0.0, f64::from)
     }
+
+    fn spline<const N: usize>(&self, key: usize, share: f64, step_s: f64) -> [f64; N] {
+        let elements = [1, 2, 3, 4].map(|element| self.element::<N>(3 * key + element));
+        std::array::from_fn(|i| hermite(elements.map(|element| element[i]), share, step_s))
+    }
+}
+
+/// A Hermite spline from a value and its out-tangent to the next in-tangent and value. Tangents are per second, so that
+/// they count times the step.
+fn hermite([from, out, into, to]: [f64; 4], share: f64, step_s: f64) -> f64 {
+    let (squared, cubed) = (share * share, share * share * share);
+    (2.0 * cubed - 3.0 * squared + 1.0) * from
+        + step_s * (cubed - 2.0 * squared + share) * out
+        + (3.0 * squared - 2.0 * cubed) * to
+        + step_s * (cubed - squared) * into
 }
 
 fn unit(value: [f64; 4]) -> DQuat {

@@ -95,7 +95,7 @@ pub(super) fn node_visits(name: &str, scene: &Scene, camera: &Camera) -> Result<
         return Ok(None);
     }
     let mut mask = Mask::new(MaskShape::new(camera.width, camera.height, u32::try_from(scene.lights.len())?)?);
-    let (_, stats) = CpuBackend::new(scene, None)?.trace_counted(camera, &mut mask);
+    let (_, stats) = CpuBackend::new(scene, None)?.trace_counted(camera, 0.0, &mut mask);
     Ok(Some(stats.iter().map(|stats| stats.nodes).sum()))
 }
 
