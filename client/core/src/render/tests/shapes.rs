@@ -101,7 +101,7 @@ fn a_late_mask_knows_where_the_points_of_a_bent_blade_were() {
     let then = draw(&gpu, &mut moving, (&camera, then_s), None).1;
     let (picture, truth) = draw(&gpu, &mut moving, (&camera, now_s), None);
     let mask = as_mask(&then);
-    let view = MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera, scene_time_s: then_s };
+    let view = MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera, scene: &then_s.into() };
     let found = draw(&gpu, &mut moving, (&camera, now_s), Some(view)).1;
     let green = |rgba: &[u8]| rgba[1] > 40 && u32::from(rgba[1]) > 2 * u32::from(rgba[0].max(rgba[2]));
     let blade: Vec<usize> = picture.chunks(4).enumerate().filter(|(_, rgba)| green(rgba)).map(|(at, _)| at).collect();

@@ -131,6 +131,8 @@ impl Deformed {
     pub(super) fn node(&self, animation: &mut Animation) -> u32 {
         self.node.unwrap_or_else(|| {
             let resting = AnimatedNode {
+                name: String::new(),
+                editable: false,
                 parent: None,
                 above: DMat4::IDENTITY,
                 translation_m: DVec3::ZERO,

@@ -147,7 +147,8 @@ impl Animation {
     #[must_use]
     pub fn moves_scene(&self) -> bool {
         let nodes = self.nodes.iter().any(|node| node.tracks().next().is_some());
-        self.has_parts() && (nodes || self.lights.iter().any(|light| light.tracks().next().is_some()))
+        let lights = self.lights.iter().any(|light| light.tracks().next().is_some());
+        self.has_parts() && (nodes || lights || self.shapes.iter().any(|shape| shape.weights_track.is_some()))
     }
 }
 
