@@ -336,7 +336,7 @@ fn placement(
     (piece, own): (&Piece, &OwnVertices<'_>),
     worlds: &[World],
     origin_m: DVec3,
-    when: When,
+    when: When<'_>,
 ) -> Option<Placement> {
     let world = worlds.get(piece.node as usize).filter(|world| world.visible)?;
     let world_from_node = |node: u32| worlds.get(node as usize).map(|world| world.world_from_node);
