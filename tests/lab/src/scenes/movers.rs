@@ -17,8 +17,8 @@ const RINGS: u32 = 21;
 const ROUND_S: f32 = 8.0;
 const CORNERS: u8 = 4;
 
-/// Returns the scene with `count` movers. Their radius is a share of its shortest side; all ways stay within it. Vertices
-/// of skinned ones follow four joints each.
+/// Returns the scene with `count` movers. Their radius is a share of its shortest side; all ways stay within it.
+/// Vertices of skinned ones follow four joints each.
 pub fn with_movers(scene: &Scene, count: u32, skinned: bool) -> Scene {
     let mut scene = scene.clone();
     let (low, size) = (scene.bounds.min, scene.bounds.max - scene.bounds.min);
@@ -46,7 +46,8 @@ pub fn with_movers(scene: &Scene, count: u32, skinned: bool) -> Scene {
             ..SceneBuilder::node(None)
         });
         if skinned {
-            skin(&mut animation, (node, index(animation.pieces.len())), &ball, radius);
+            let piece = index(animation.pieces.len());
+            skin(&mut animation, (node, piece), &ball, radius);
         }
         let bounds = Aabb::around(&ball);
         animation.pieces.push(Piece { node, first_vertex, vertices: index(ball.len()), bounds, mirrored: false });
@@ -82,7 +83,7 @@ fn skin(animation: &mut Animation, (node, piece): (u32, u32), ball: &[Vec3], rad
     const JOINTS: u8 = 4;
     // How much each joint counts: the nearer it is, the more.
     let weights =
-        |at: &Vec3| [0, 1, 2, 3].map(|joint| 1.0 / (0.1 + (at.y / radius - f32::from(joint) / 1.5 + 1.0).abs()));
+        |at: &Vec3| [0_u8, 1, 2, 3].map(|joint| 1.0 / (0.1 + (at.y / radius - f32::from(joint) / 1.5 + 1.0).abs()));
     let turn = |angle: f64| DQuat::from_rotation_z(angle).as_quat().to_array();
     let mut joint = |number: u8| {
         let below = index(animation.nodes.len());
