@@ -3,7 +3,7 @@
 //! Without such an adapter a test prints that it did not run: `rig::ray_queries`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-use std::path::Path;
+use std::{path::Path, sync::Arc};
 
 use glam::{DVec3, Vec3};
 use gnomon_lab::{
@@ -14,7 +14,7 @@ use gnomon_lab::{
     scenes::{builder::SceneBuilder, living},
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{AlphaMode, Scene, Wrap, camera::Camera};
+use gnomon_scene::{AlphaMode, Edit, Edits, LightEdit, Scene, SceneAt, Wrap, camera::Camera};
 use gnomon_server::visibility::{
     TraceCost,
     backend::{
@@ -277,6 +277,28 @@ fn frames_of_different_times_are_under_way_at_once() {
                 }
             }
         }
+    });
+}
+
+#[test]
+fn lights_may_be_edited_where_everything_rests() {
+    with_ray_queries("lights_may_be_edited_where_everything_rests", || {
+        let scene = room();
+        let mut edits = Edits::default();
+        let off = LightEdit { intensity: Some(0.0), ..LightEdit::default() };
+        let there = LightEdit { position_m: Some(scene.origin_m + DVec3::new(0.5, 1.5, 0.5)), ..LightEdit::default() };
+        for edit in [Edit::Light(0, off), Edit::Light(1, there)] {
+            edits.apply(edit).unwrap();
+        }
+        let at = SceneAt { time_s: 0.0, edits: Arc::new(edits) };
+        let (camera, still) = (cameras()[0], scene.still_at(&at));
+        let mut backend = ray_query::open(&scene, None, true).unwrap();
+        let [mut edited, mut back] = [(); 2].map(|()| mask_for(&scene, &camera));
+        backend.trace_at(&camera, &at, &mut edited).unwrap();
+        assert_eq!(edited, traced(&still, &camera).0);
+        backend.trace(&camera, &mut back).unwrap();
+        assert_eq!(back, traced(&scene, &camera).0);
+        assert_ne!(edited, back);
     });
 }
 

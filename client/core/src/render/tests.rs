@@ -2,6 +2,7 @@
 
 mod blend;
 mod coincident;
+mod edited;
 mod living;
 mod scale;
 mod shapes;

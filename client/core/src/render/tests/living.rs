@@ -121,24 +121,24 @@ pub(in crate::render) fn living(lights_move: bool) -> Scene {
     scene
 }
 
-/// The scene that stands still at a time. Maps and near plane are those of the moving one.
-pub(super) fn still(scene: &Scene, time_s: f64) -> Scene {
-    Scene { bounds: scene.bounds, ..scene.still_at(time_s) }
+/// The scene that stands still in a state. Maps and near plane are those of the moving one.
+pub(super) fn still(scene: &Scene, at: impl Into<SceneAt>) -> Scene {
+    Scene { bounds: scene.bounds, ..scene.still_at(at) }
 }
 
 pub(super) fn renderer(gpu: &Gpu, scene: &Scene, exposure: Exposure) -> FrameRenderer {
     FrameRenderer::new(gpu, scene, SIZE, exposure, PICTURE_FORMAT, Predictor::Surface).unwrap()
 }
 
-/// Draws what the camera sees at a time. Returns the picture's bytes and its visibility.
+/// Draws what the camera sees of a state. Returns the picture's bytes and its visibility.
 pub(super) fn draw(
     gpu: &Gpu,
     renderer: &mut FrameRenderer,
-    (camera, time_s): (&Camera, f64),
+    (camera, at): (&Camera, impl Into<SceneAt>),
     mask: Option<MaskView<'_>>,
 ) -> (Vec<u8>, Vec<PixelVisibility>) {
     let mut reader = PictureReader::new(gpu, SIZE.0, SIZE.1, 1);
-    renderer.set_time(time_s);
+    renderer.set_time(at);
     renderer.draw_surfaces(camera).unwrap();
     assert_eq!(renderer.set_mask(mask).unwrap(), mask.is_some());
     let submission = renderer.shade(camera, 1.0, &reader.target(), |encoder| reader.copy(encoder)).unwrap();
