@@ -248,9 +248,12 @@ fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
     let origin = s.splat(projection.origin[2]);
     let sign = s.splat(projection.w_sign);
     let mut far = s.splat(f32::NEG_INFINITY);
-    for (point, &lanes) in points[projection.axes[2]].iter().zip(&group.lanes) {
-        let z = (s.load(point) - origin) * sign;
-        far = s.select(s.mask(lanes), s.max(far, z), far);
+    let mut packets = group.packets;
+    while packets != 0 {
+        let p = packets.trailing_zeros() as usize % 8;
+        packets &= packets - 1;
+        let z = (s.load(&points[projection.axes[2]][p]) - origin) * sign;
+        far = s.select(s.mask(group.lanes[p]), s.max(far, z), far);
     }
     let far = s.highest(far);
     far + far.abs() * (DEPTH_SLACK - 1.0)
