@@ -15,6 +15,7 @@ mod frustum;
 mod group;
 mod leaf;
 mod light;
+mod outline;
 mod regroup;
 mod rounding;
 mod simd;

@@ -5,6 +5,7 @@ use super::{
     frustum::Frustum,
     group::{Group, PACKETS},
     leaf::{Prepared, prepare},
+    outline::Neighbourhood,
     rounding::{PLANE_ROUNDINGS, ROUNDING},
     simd::{F8, Simd},
     vector,
@@ -41,6 +42,9 @@ impl Default for Hits {
     }
 }
 
+/// So few packets are tested as fast as ruled out by a triangle's edges.
+const FEW_PACKETS: u32 = 2;
+
 /// Boxes are culled with this margin, since 1/z has a relative error.
 const DEPTH_SLACK: f32 = 1.0 + 1.0 / (1 << 20) as f32;
 
@@ -56,6 +60,7 @@ pub(super) fn intersect<S: Simd, C: Counter>(
     count: &mut C,
 ) {
     let frustum = Frustum::new::<false>(s, group, 0.0);
+    let near = Neighbourhood::of(s, group);
     // The least 1/z that still matters, by packet and overall: that of the farthest hit, 0 while a ray has none.
     let mut packet_far = F8([f32::INFINITY; PACKETS]);
     for p in 0..PACKETS {
@@ -93,13 +98,16 @@ pub(super) fn intersect<S: Simd, C: Counter>(
             Child::Leaf(l) => &geometry.bvh.leaves[l as usize],
         };
         count.leaf(leaf.used.count_ones());
-        let mut alive = prepare::<S, false, true>(s, leaf, group, inverse_far, prepared);
+        let mut alive = prepare::<S, false, true>(s, leaf, (group, &near), inverse_far, prepared);
         let mut found = false;
         while alive != 0 {
             let slot = alive.trailing_zeros() as usize % 8;
             alive &= alive - 1;
+            let mut packets = near.packets(s, &prepared.outlines, slot) & group.packets;
             let edges_of_slot = prepared.edges_of(s, slot);
-            let mut packets = edges_of_slot.packets(s, group);
+            if packets.count_ones() > FEW_PACKETS {
+                packets &= edges_of_slot.packets(s, group);
+            }
             count.packets(packets.count_ones());
             while packets != 0 {
                 let p = packets.trailing_zeros() as usize % 8;
@@ -153,6 +161,7 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
     count: &mut C,
 ) {
     let mut frustum = Frustum::new::<PARALLEL>(s, group, size_m);
+    let near = Neighbourhood::of(s, group);
     let mut swept = group.packets;
     let z_far = s.splat(farthest(s, group, points));
     let Scratch { stack, prepared, blockers } = scratch;
@@ -177,12 +186,15 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
             Child::Leaf(l) => &geometry.bvh.leaves[l as usize],
         };
         count.leaf(leaf.used.count_ones());
-        let mut alive = prepare::<S, PARALLEL, false>(s, leaf, group, 0.0, prepared);
+        let mut alive = prepare::<S, PARALLEL, false>(s, leaf, (group, &near), 0.0, prepared);
         while alive != 0 {
             let slot = alive.trailing_zeros() as usize % 8;
             alive &= alive - 1;
+            let mut packets = near.packets(s, &prepared.outlines, slot) & group.packets;
             let edges_of_slot = prepared.edges_of(s, slot);
-            let mut packets = edges_of_slot.packets(s, group);
+            if packets.count_ones() > FEW_PACKETS {
+                packets &= edges_of_slot.packets(s, group);
+            }
             count.packets(packets.count_ones());
             while packets != 0 {
                 let p = packets.trailing_zeros() as usize % 8;
