@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use super::{
     group::{Group, Projection},
-    outline::{NO_OUTLINES, Neighbourhood, Outlines, outlines},
+    outline::{Neighbourhood, Outlines, outlines},
     rounding::{PLANE_ROUNDINGS, ROUNDING},
     simd::{F8, Simd},
     vector::{self, V3},
@@ -26,6 +26,8 @@ pub(super) struct Prepared {
     pub(super) inverse_depth: [F8; 3],
     /// Rectangles around the triangles.
     pub(super) outlines: Outlines,
+    /// Whether they are known.
+    pub(super) outlined: bool,
     /// Bit i: triangle i's normal points along the rays, so they hit its back.
     pub(super) back: u8,
 }
@@ -56,6 +58,9 @@ fn corner<S: Simd, const PARALLEL: bool>(s: S, projection: &Projection, corner: 
         [x, y, z]
     }
 }
+
+/// A rectangle takes about as long as to rule one triangle out without. Leaves with fewer candidates get none.
+const LEAST_OUTLINED: u32 = 2;
 
 /// Prepares `leaf` for `group`. Returns the triangles that some ray may hit: not edge-on, not wholly outside an edge
 /// and, for closest hits, neither showing a culled back nor wholly beyond 1/z = `inverse_far`.
@@ -132,10 +137,9 @@ fn prepare_as<S: Simd, const PARALLEL: bool, const CLOSEST: bool, const SETTLE: 
         alive &= s.bits(s.gt(highest_over(s, plane, &group.group_x, &group.group_y), s.splat(inverse_far)));
         store(s, plane, &mut prepared.inverse_depth);
     }
-    if SETTLE {
-        // The distances are not those of the rounded corners.
-        prepared.outlines = NO_OUTLINES;
-    } else {
+    // In doubt the distances are not those of the rounded corners.
+    prepared.outlined = !SETTLE && alive.count_ones() >= LEAST_OUTLINED;
+    if prepared.outlined {
         outlines(s, [a, b, c], [to_b, to_c], distance, near.most, &mut prepared.outlines);
     }
     alive

@@ -44,10 +44,6 @@ const EXTENT_ROUNDING: f32 = 1.0 / (1 << 16) as f32;
 /// Rectangles around eight triangles side by side: lowest x, highest x, lowest y, highest y. Infinite if it has none.
 pub(super) type Outlines = [F8; 4];
 
-/// Where all triangles are without a rectangle.
-pub(super) const NO_OUTLINES: Outlines =
-    [F8([f32::NEG_INFINITY; 8]), F8([f32::INFINITY; 8]), F8([f32::NEG_INFINITY; 8]), F8([f32::INFINITY; 8])];
-
 /// The bounds of a group's packets, widened by the margin.
 pub(super) struct Neighbourhood {
     /// Lowest x, highest x, lowest y, highest y.

@@ -11,7 +11,7 @@ use super::{
     vector,
     world::Geometry,
 };
-use crate::visibility::hierarchy::bvh::{Child, Leaf, Node};
+use crate::visibility::hierarchy::bvh::{Child, Leaf, WideBvh};
 
 /// Memory that a thread reuses from group to group.
 pub(super) struct Scratch {
@@ -92,7 +92,7 @@ pub(super) fn intersect<S: Simd, C: Counter>(
             Child::None => continue,
             Child::Node(n) => {
                 count.node();
-                push_nearest_last(s, &frustum, &geometry.bvh.nodes[n as usize], s.splat(z_far), stack);
+                push_nearest_last(s, &frustum, geometry.bvh, n, s.splat(z_far), stack);
                 continue;
             }
             Child::Leaf(l) => &geometry.bvh.leaves[l as usize],
@@ -103,7 +103,10 @@ pub(super) fn intersect<S: Simd, C: Counter>(
         while alive != 0 {
             let slot = alive.trailing_zeros() as usize % 8;
             alive &= alive - 1;
-            let mut packets = near.packets(s, &prepared.outlines, slot) & group.packets;
+            let mut packets = group.packets;
+            if prepared.outlined {
+                packets &= near.packets(s, &prepared.outlines, slot);
+            }
             let edges_of_slot = prepared.edges_of(s, slot);
             if packets.count_ones() > FEW_PACKETS {
                 packets &= edges_of_slot.packets(s, group);
@@ -180,7 +183,7 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
             Child::None => continue,
             Child::Node(n) => {
                 count.node();
-                push_nearest_last(s, &frustum, &geometry.bvh.nodes[n as usize], z_far, stack);
+                push_nearest_last(s, &frustum, geometry.bvh, n, z_far, stack);
                 continue;
             }
             Child::Leaf(l) => &geometry.bvh.leaves[l as usize],
@@ -190,7 +193,10 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
         while alive != 0 {
             let slot = alive.trailing_zeros() as usize % 8;
             alive &= alive - 1;
-            let mut packets = near.packets(s, &prepared.outlines, slot) & group.packets;
+            let mut packets = group.packets;
+            if prepared.outlined {
+                packets &= near.packets(s, &prepared.outlines, slot);
+            }
             let edges_of_slot = prepared.edges_of(s, slot);
             if packets.count_ones() > FEW_PACKETS {
                 packets &= edges_of_slot.packets(s, group);
@@ -207,8 +213,7 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
                 }
                 count.candidate();
                 let back = prepared.back >> slot & 1 == 1;
-                let normal = geometry.corners[leaf.triangles[slot] as usize].geometric();
-                lanes &= s.bits(behind_plane(s, normal, leaf, slot, back, vector::load_packet(s, points, p)));
+                lanes &= s.bits(behind_plane(s, leaf, slot, back, vector::load_packet(s, points, p)));
                 if lanes != 0 && leaf.masked >> slot & 1 == 1 {
                     count.alpha(lanes.count_ones());
                     lanes = alpha_filter(s, geometry, leaf.triangles[slot], edges, lanes);
@@ -231,7 +236,15 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
 
 /// Pushes the children that the group may hit, the nearest last.
 #[inline(always)]
-fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: S::F, stack: &mut Vec<(Child, f32)>) {
+fn push_nearest_last<S: Simd>(
+    s: S,
+    frustum: &Frustum<S>,
+    bvh: &WideBvh,
+    node: u32,
+    z_far: S::F,
+    stack: &mut Vec<(Child, f32)>,
+) {
+    let node = &bvh.nodes[node as usize];
     let (mut hit, z) = frustum.intersect(s, node, z_far);
     if hit == 0 {
         return;
@@ -243,6 +256,7 @@ fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: S:
         let slot = hit.trailing_zeros() as usize % 8;
         hit &= hit - 1;
         let entry = (node.child(slot), near.0[slot]);
+        prefetch(s, bvh, entry.0);
         stack.push(entry);
         let mut place = stack.len() - 1;
         while place > first && stack[place - 1].1 < entry.1 {
@@ -250,6 +264,25 @@ fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: S:
             place -= 1;
         }
         stack[place] = entry;
+    }
+}
+
+/// Asks for what the visit of `child` reads first. Siblings are visited meanwhile.
+#[inline(always)]
+fn prefetch<S: Simd>(s: S, bvh: &WideBvh, child: Child) {
+    match child {
+        Child::None => {}
+        Child::Node(n) => {
+            if let Some(node) = bvh.nodes.get(n as usize) {
+                s.prefetch(node);
+            }
+        }
+        Child::Leaf(l) => {
+            if let Some(leaf) = bvh.leaves.get(l as usize) {
+                s.prefetch(&leaf.corners);
+                s.prefetch(&leaf.span);
+            }
+        }
     }
 }
 
@@ -274,11 +307,12 @@ fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
 /// Returns the points behind the plane of triangle `slot`, seen along the rays, by more than the rounding error
 /// ([`PLANE_ROUNDINGS`]).
 #[inline(always)]
-fn behind_plane<S: Simd>(s: S, normal: [f32; 3], leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
+fn behind_plane<S: Simd>(s: S, leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
     let mut distance = s.splat(0.0);
     let mut terms = s.splat(0.0);
     for axis in 0..3 {
-        let normal = s.splat(if back { normal[axis] } else { -normal[axis] });
+        let normal = leaf.normals[axis].0[slot];
+        let normal = s.splat(if back { normal } else { -normal });
         let way = point[axis] - s.splat(leaf.corners[0][axis].0[slot]);
         distance = s.fma(normal, way, distance);
         terms = s.fma(s.abs(normal), s.abs(way), terms);
