@@ -93,8 +93,19 @@ pub struct Leaf {
 }
 
 impl Leaf {
+    pub(crate) const EMPTY: Self = Self {
+        corners: [[F8([0.0; WIDTH]); 3]; 3],
+        triangles: [0; WIDTH],
+        span: F8([0.0; WIDTH]),
+        used: 0,
+        there: 0,
+        single_sided: 0,
+        masked: 0,
+        normals: [F8([0.0; WIDTH]); 3],
+    };
+
     /// Puts a triangle with this normal into a slot.
-    pub(super) fn place(&mut self, slot: usize, corners: [Vec3; 3], normal: Vec3) {
+    pub(crate) fn place(&mut self, slot: usize, corners: [Vec3; 3], normal: Vec3) {
         let vectors = self.corners.iter_mut().chain([&mut self.normals]).zip(corners.into_iter().chain([normal]));
         for (places, vector) in vectors {
             for (place, coordinate) in places.iter_mut().zip(vector.to_array()) {
@@ -259,16 +270,7 @@ impl<'a> Collapse<'a> {
     }
 
     fn leaf(&self, n: usize, positions: &[Vec3], triangles: &[[u32; 3]], flags: &dyn Fn(u32) -> TriangleFlags) -> Leaf {
-        let mut leaf = Leaf {
-            corners: [[F8::default(); 3]; 3],
-            triangles: [0; WIDTH],
-            span: F8::default(),
-            used: 0,
-            there: 0,
-            single_sided: 0,
-            masked: 0,
-            normals: [F8::default(); 3],
-        };
+        let mut leaf = Leaf::EMPTY;
         let mut slot = 0;
         let mut open = vec![n];
         while let Some(n) = open.pop() {

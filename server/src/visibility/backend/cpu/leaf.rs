@@ -140,7 +140,7 @@ fn prepare_as<S: Simd, const PARALLEL: bool, const CLOSEST: bool, const SETTLE: 
     // In doubt the distances are not those of the rounded corners.
     prepared.outlined = !SETTLE && alive.count_ones() >= LEAST_OUTLINED;
     if prepared.outlined {
-        outlines(s, [a, b, c], [to_b, to_c], distance, near.most, &mut prepared.outlines);
+        outlines(s, [a, b, c], [to_b, to_c], distance, near, &mut prepared.outlines);
     }
     alive
 }

@@ -3,7 +3,8 @@
 //! Neighbouring pixels see neighbouring points, except at silhouettes. There a tile's shadow rays form two or more
 //! bundles, and a group that spans the gap tests most of its nodes and triangles in vain. Seen from the light the rays
 //! are points of a plane, and a group's cost grows with the area that they cover. So the points are split in two
-//! wherever that saves area, and each part is sorted into packets of eight neighbours.
+//! wherever that saves area, and each part is sorted into packets of eight neighbours. If no packet is wide, whole
+//! packets are split from each other instead ([`packet_sets`]): that is as good, and costs next to nothing.
 
 use super::{
     group::{Group, PACKETS, Projection},
@@ -65,8 +66,7 @@ impl Iterator for PacketSets {
     }
 }
 
-/// Splits a group between its packets, as [`Regrouping::sort`] does between its rays. Costs next to nothing, and is as
-/// good where the rays of each packet run close together.
+/// Splits a group between its packets, as [`Regrouping::sort`] does between its rays.
 #[inline(always)]
 pub(super) fn packet_sets<S: Simd>(s: S, group: &Group, padding: f32) -> PacketSets {
     let mut done = PacketSets { sets: [0; PACKETS], count: 0 };
@@ -367,6 +367,41 @@ mod tests {
         for packets in parts {
             let far: Vec<bool> = packets.iter().flatten().map(|(_, point)| point[1] > 0.5).collect();
             assert!(far.iter().all(|&it| it == far[0]));
+        }
+    }
+
+    /// Sets of packets, each eight rays at one place.
+    struct Sets<'a>(&'a [Option<(f32, f32)>; PACKETS]);
+
+    impl WithSimd for Sets<'_> {
+        type Output = Vec<u8>;
+        #[inline(always)]
+        fn run<S: Simd>(self, s: S) -> Vec<u8> {
+            let mut group = Group::empty(Projection::from_apex(Vec3::ZERO, 0));
+            for (p, at) in self.0.iter().enumerate() {
+                if let Some((x, y)) = *at {
+                    group.set_packet(s, p, s.splat(x), s.splat(y), 0xff);
+                }
+            }
+            packet_sets(s, &group, 0.01).collect()
+        }
+    }
+
+    #[test]
+    fn each_packet_is_in_one_set_with_its_neighbours() {
+        let near = |p: usize| (spread(p).0 * 0.01, spread(p).1 * 0.01);
+        for there in [0b1111_1111_u8, 0b1010_0110, 0b0000_1000] {
+            let packets = |from: fn(usize) -> f32| {
+                std::array::from_fn(|p| (there >> p & 1 == 1).then(|| (near(p).0 + from(p), near(p).1)))
+            };
+            assert_eq!(Level::detect().dispatch(Sets(&packets(|_| 0.0))), [there]);
+            let mut sets = Level::detect().dispatch(Sets(&packets(|p| if p < 4 { 0.8 } else { 0.0 })));
+            sets.sort_unstable();
+            let expected: Vec<u8> = [there & 0x0f, there & 0xf0].into_iter().filter(|set| *set != 0).collect();
+            assert_eq!(sets, expected);
+            let apart: Vec<u8> = Level::detect().dispatch(Sets(&packets(|p| p as f32)));
+            assert!(apart.iter().all(|set| set.count_ones() == 1));
+            assert_eq!(apart.iter().fold(0, |all, set| all | set), there);
         }
     }
 
