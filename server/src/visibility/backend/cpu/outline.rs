@@ -200,9 +200,9 @@ mod tests {
             (state >> 8) as f32 / (1 << 23) as f32 - 1.0
         };
         let mut found = [0; 2];
-        for round in 0..3000 {
+        for round in 0..3000_u16 {
             let mut vector = |size: f32| Vec3::new(next(), next(), next()) * size;
-            let scale = 10.0_f32.powi(round % 9 - 4);
+            let scale = 10.0_f32.powi(i32::from(round % 9) - 4);
             // Every third scene lies far from its origin, so that coordinates are coarse.
             let apex = vector(if round % 3 == 0 { 300.0 * scale } else { scale });
             let direction = (vector(1.0) + Vec3::X * 0.01).normalize();
@@ -211,7 +211,7 @@ mod tests {
                 1 => Projection::from_distant(apex - direction * 12.0 * scale, apex),
                 _ => Projection::from_apex(apex, super::super::group::face_of(direction)),
             };
-            let extent = scale * [1.0, 0.1, 1e-2, 1e-3][round as usize / 4 % 4];
+            let extent = scale * [1.0, 0.1, 1e-2, 1e-3][usize::from(round / 4 % 4)];
             let mut leaf = Leaf::EMPTY;
             let triangles: [[Vec3; 3]; 8] = std::array::from_fn(|slot| {
                 let a = apex + direction * scale * (1.0 + slot as f32) + vector(0.3 * scale);
@@ -233,12 +233,14 @@ mod tests {
                 let rays: [(F8, F8); PACKETS] = std::array::from_fn(|p| {
                     let (tip, from) = [(a, b), (b, c), (c, a), (a, c), (b, a), (c, b)][p % 6];
                     let (mut x, mut y) = (F8::default(), F8::default());
-                    // Beyond the tip by 2⁻⁶ to 2⁻²⁵ of a side or of the place, and a little beside it.
-                    let far = 2.0_f32.powi(-6 - (next().abs() * 19.0) as i32);
+                    // Beyond the tip by 2⁻⁶ to 2⁻²⁵ of a side, or of the place.
+                    let far = 2.0_f32.powf(-6.0 - 19.0 * next().abs());
                     let sizes = if p % 2 == 0 { [tip[0] - from[0], tip[1] - from[1]] } else { tip };
                     for lane in 0..8 {
-                        x.0[lane] = (tip[0] + sizes[0] * far * (1.0 + 0.1 * next())).clamp(-1e9, 1e9);
-                        y.0[lane] = (tip[1] + sizes[1] * far * (1.0 + 0.1 * next())).clamp(-1e9, 1e9);
+                        // On the axis, where a tip's two edges differ least.
+                        let step = far * (1.0 + 0.1 * next());
+                        x.0[lane] = tip[0] + sizes[0] * step;
+                        y.0[lane] = tip[1] + sizes[1] * step;
                     }
                     (x, y)
                 });

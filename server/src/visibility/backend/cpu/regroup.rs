@@ -392,7 +392,7 @@ mod tests {
         let near = |p: usize| (spread(p).0 * 0.01, spread(p).1 * 0.01);
         for there in [0b1111_1111_u8, 0b1010_0110, 0b0000_1000] {
             let packets = |from: fn(usize) -> f32| {
-                std::array::from_fn(|p| (there >> p & 1 == 1).then(|| (near(p).0 + from(p), near(p).1)))
+                std::array::from_fn(|p| (there >> p & 1 == 1).then(|| (near(p).0 + from(p), near(p).1 + from(p))))
             };
             assert_eq!(Level::detect().dispatch(Sets(&packets(|_| 0.0))), [there]);
             let mut sets = Level::detect().dispatch(Sets(&packets(|p| if p < 4 { 0.8 } else { 0.0 })));
