@@ -5,6 +5,7 @@
 //! so they are never rounded inwards.
 
 use glam::Vec3;
+use gnomon_scene::triangle_normal;
 use obvhs::{aabb::Aabb, bvh2::Bvh2};
 
 use super::binary;
@@ -87,11 +88,34 @@ pub struct Leaf {
     pub single_sided: u8,
     /// Bit i: triangle i is masked.
     pub masked: u8,
+    /// Unit normals of the triangles' planes by axis, from f64. Read last, only where a ray is inside the edges.
+    pub normals: [F8; 3],
 }
 
-/// Product of two sides' sizes: see [`Leaf::span`].
-pub(super) fn span([a, b, c]: [Vec3; 3]) -> f32 {
-    (b - a).abs().element_sum() * (c - a).abs().element_sum()
+impl Leaf {
+    pub(crate) const EMPTY: Self = Self {
+        corners: [[F8([0.0; WIDTH]); 3]; 3],
+        triangles: [0; WIDTH],
+        span: F8([0.0; WIDTH]),
+        used: 0,
+        there: 0,
+        single_sided: 0,
+        masked: 0,
+        normals: [F8([0.0; WIDTH]); 3],
+    };
+
+    /// Puts a triangle with this normal into a slot.
+    pub(crate) fn place(&mut self, slot: usize, corners: [Vec3; 3], normal: Vec3) {
+        let vectors = self.corners.iter_mut().chain([&mut self.normals]).zip(corners.into_iter().chain([normal]));
+        for (places, vector) in vectors {
+            for (place, coordinate) in places.iter_mut().zip(vector.to_array()) {
+                place.0[slot] = coordinate;
+            }
+        }
+        let [a, b, c] = corners;
+        self.span.0[slot] = (b - a).abs().element_sum() * (c - a).abs().element_sum();
+        self.used |= 1 << slot;
+    }
 }
 
 /// The tree. Node 0 is the root.
@@ -246,15 +270,7 @@ impl<'a> Collapse<'a> {
     }
 
     fn leaf(&self, n: usize, positions: &[Vec3], triangles: &[[u32; 3]], flags: &dyn Fn(u32) -> TriangleFlags) -> Leaf {
-        let mut leaf = Leaf {
-            corners: [[F8::default(); 3]; 3],
-            triangles: [0; WIDTH],
-            span: F8::default(),
-            used: 0,
-            there: 0,
-            single_sided: 0,
-            masked: 0,
-        };
+        let mut leaf = Leaf::EMPTY;
         let mut slot = 0;
         let mut open = vec![n];
         while let Some(n) = open.pop() {
@@ -264,15 +280,10 @@ impl<'a> Collapse<'a> {
             }
             let triangle = self.binary.primitive_indices[self.binary.nodes[n].first_index as usize];
             leaf.triangles[slot] = triangle;
-            for (corner, &index) in triangles[triangle as usize].iter().enumerate() {
-                let position = positions[index as usize].to_array();
-                for (place, coordinate) in leaf.corners[corner].iter_mut().zip(position) {
-                    place.0[slot] = coordinate;
-                }
-            }
-            leaf.span.0[slot] = span(triangles[triangle as usize].map(|index| positions[index as usize]));
+            let corners = triangles[triangle as usize].map(|index| positions[index as usize]);
+            let [a, b, c] = corners;
+            leaf.place(slot, corners, triangle_normal(a, b, c).unwrap_or_default().as_vec3());
             let flags = flags(triangle);
-            leaf.used |= 1 << slot;
             leaf.there |= 1 << slot;
             leaf.single_sided |= u8::from(flags.single_sided) << slot;
             leaf.masked |= u8::from(flags.masked) << slot;

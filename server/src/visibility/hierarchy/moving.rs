@@ -8,7 +8,7 @@
 use glam::Vec3;
 use rayon::iter::{IndexedParallelIterator as _, IntoParallelRefMutIterator as _, ParallelIterator as _};
 
-use super::bvh::{Child, LEAF_BIT, Leaf, NO_CHILD, Node, WIDTH, WideBvh, span, word};
+use super::bvh::{Child, LEAF_BIT, Leaf, NO_CHILD, Node, WIDTH, WideBvh, word};
 
 /// Leaves that a thread takes at once.
 const RUN: usize = 256;
@@ -24,11 +24,11 @@ pub(crate) fn joined(one: Bounds, other: Bounds) -> Bounds {
 }
 
 impl WideBvh {
-    /// Moves triangles, without changing which of them lie together. `corners` returns a triangle's new corners, or
-    /// `None` if it has no area: then nothing hits it. Returns the bounds of all.
-    pub fn refit(&mut self, corners: impl Fn(u32) -> Option<[Vec3; 3]> + Sync) -> Bounds {
+    /// Moves triangles, without changing which of them lie together. `placed` returns a triangle's new corners and its
+    /// unit normal, or `None` if it has no area: then nothing hits it. Returns the bounds of all.
+    pub fn refit(&mut self, placed: impl Fn(u32) -> Option<([Vec3; 3], Vec3)> + Sync) -> Bounds {
         let leaves: Vec<Bounds> =
-            self.leaves.par_iter_mut().with_min_len(RUN).map(|leaf| leaf.refit(&corners)).collect();
+            self.leaves.par_iter_mut().with_min_len(RUN).map(|leaf| leaf.refit(&placed)).collect();
         let mut nodes = vec![NOTHING; self.nodes.len()];
         // Children come after their parents.
         for (n, node) in self.nodes.iter_mut().enumerate().rev() {
@@ -77,19 +77,14 @@ impl WideBvh {
 }
 
 impl Leaf {
-    fn refit(&mut self, corners: &impl Fn(u32) -> Option<[Vec3; 3]>) -> Bounds {
+    fn refit(&mut self, placed: &impl Fn(u32) -> Option<([Vec3; 3], Vec3)>) -> Bounds {
         let mut bounds = NOTHING;
+        let there = self.there;
         self.used = 0;
-        for slot in (0..WIDTH).filter(|slot| self.there >> slot & 1 == 1) {
-            let Some(moved) = corners(self.triangles[slot]) else { continue };
-            self.used |= 1 << slot;
-            for (places, position) in self.corners.iter_mut().zip(moved) {
-                for (place, coordinate) in places.iter_mut().zip(position.to_array()) {
-                    place.0[slot] = coordinate;
-                }
-                bounds = joined(bounds, [position; 2]);
-            }
-            self.span.0[slot] = span(moved);
+        for slot in (0..WIDTH).filter(|slot| there >> slot & 1 == 1) {
+            let Some((corners, normal)) = placed(self.triangles[slot]) else { continue };
+            self.place(slot, corners, normal);
+            bounds = corners.into_iter().fold(bounds, |bounds, position| joined(bounds, [position; 2]));
         }
         bounds
     }
@@ -168,7 +163,7 @@ mod tests {
             let mut all = Vec::new();
             for tree in 0..trees {
                 let (mut bvh, corners) = strip(Vec3::splat(10.0 * tree as f32), 40);
-                let bounds = bvh.refit(|triangle| moved(tree, triangle, &corners[triangle as usize]));
+                let bounds = bvh.refit(|triangle| Some((moved(tree, triangle, &corners[triangle as usize])?, Vec3::Y)));
                 // Indices tell trees apart.
                 bvh.leaves.iter_mut().for_each(|leaf| leaf.triangles = leaf.triangles.map(|t| t + 40 * tree));
                 all.push((bvh, bounds));

@@ -134,6 +134,21 @@ impl Group {
         self.group_y = [self.group_y[0].min(lowest[1]), self.group_y[1].max(highest[1])];
     }
 
+    /// The longer side of the group's bounds.
+    #[inline(always)]
+    pub(super) fn side(&self) -> f32 {
+        (self.group_x[1] - self.group_x[0]).max(self.group_y[1] - self.group_y[0])
+    }
+
+    /// The longest side of a packet's bounds.
+    #[inline(always)]
+    pub(super) fn widest_packet<S: Simd>(&self, s: S) -> f32 {
+        let width = s.load(&self.packet_x[1]) - s.load(&self.packet_x[0]);
+        let height = s.load(&self.packet_y[1]) - s.load(&self.packet_y[0]);
+        // Packets without rays have inverted bounds.
+        s.highest(s.max(width, height))
+    }
+
     /// Shrinks the group's bounds to the remaining packets.
     #[inline(always)]
     pub(super) fn shrink<S: Simd>(&mut self, s: S) {

@@ -10,6 +10,7 @@ use glam::DVec3;
 
 use super::{
     group::{Group, Projection},
+    outline::{Neighbourhood, Outlines, outlines},
     rounding::{PLANE_ROUNDINGS, ROUNDING},
     simd::{F8, Simd},
     vector::{self, V3},
@@ -23,6 +24,10 @@ pub(super) struct Prepared {
     pub(super) edges: [[F8; 3]; 3],
     /// Coefficients of 1/z on the triangle's plane; for closest hits only.
     pub(super) inverse_depth: [F8; 3],
+    /// Rectangles around the triangles.
+    pub(super) outlines: Outlines,
+    /// Whether they are known.
+    pub(super) outlined: bool,
     /// Bit i: triangle i's normal points along the rays, so they hit its back.
     pub(super) back: u8,
 }
@@ -54,17 +59,20 @@ fn corner<S: Simd, const PARALLEL: bool>(s: S, projection: &Projection, corner: 
     }
 }
 
+/// A rectangle takes about as long as to rule one triangle out without. Leaves with fewer candidates get none.
+const LEAST_OUTLINED: u32 = 2;
+
 /// Prepares `leaf` for `group`. Returns the triangles that some ray may hit: not edge-on, not wholly outside an edge
 /// and, for closest hits, neither showing a culled back nor wholly beyond 1/z = `inverse_far`.
 #[inline(always)]
 pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
     s: S,
     leaf: &Leaf,
-    group: &Group,
+    (group, near): (&Group, &Neighbourhood),
     inverse_far: f32,
     prepared: &mut Prepared,
 ) -> u8 {
-    prepare_as::<S, PARALLEL, CLOSEST, false>(s, leaf, group, inverse_far, prepared)
+    prepare_as::<S, PARALLEL, CLOSEST, false>(s, leaf, (group, near), inverse_far, prepared)
 }
 
 /// As [`prepare`], if some triangle's side is in doubt. Separate, so that the common path keeps its registers.
@@ -73,18 +81,18 @@ pub(super) fn prepare<S: Simd, const PARALLEL: bool, const CLOSEST: bool>(
 fn prepare_settled<S: Simd, const CLOSEST: bool>(
     s: S,
     leaf: &Leaf,
-    group: &Group,
+    (group, near): (&Group, &Neighbourhood),
     inverse_far: f32,
     prepared: &mut Prepared,
 ) -> u8 {
-    prepare_as::<S, false, CLOSEST, true>(s, leaf, group, inverse_far, prepared)
+    prepare_as::<S, false, CLOSEST, true>(s, leaf, (group, near), inverse_far, prepared)
 }
 
 #[inline(always)]
 fn prepare_as<S: Simd, const PARALLEL: bool, const CLOSEST: bool, const SETTLE: bool>(
     s: S,
     leaf: &Leaf,
-    group: &Group,
+    (group, near): (&Group, &Neighbourhood),
     inverse_far: f32,
     prepared: &mut Prepared,
 ) -> u8 {
@@ -92,7 +100,8 @@ fn prepare_as<S: Simd, const PARALLEL: bool, const CLOSEST: bool, const SETTLE: 
     let a = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[0]);
     let b = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[1]);
     let c = corner::<S, PARALLEL>(s, &group.projection, &leaf.corners[2]);
-    let normal = vector::cross(s, vector::sub::<S>(b, a), vector::sub::<S>(c, a));
+    let (to_b, to_c) = (vector::sub::<S>(b, a), vector::sub::<S>(c, a));
+    let normal = vector::cross(s, to_b, to_c);
     // Positive if the normal points along the rays, zero if the triangle is edge-on.
     let mut distance = vector::dot(s, normal, a);
     if !PARALLEL {
@@ -100,7 +109,7 @@ fn prepare_as<S: Simd, const PARALLEL: bool, const CLOSEST: bool, const SETTLE: 
         let sure = s.gt(s.abs(distance), rounding * s.splat(APEX_ROUNDINGS * ROUNDING));
         let doubtful = leaf.used & !s.bits(sure);
         if doubtful != 0 && !SETTLE {
-            return prepare_settled::<S, CLOSEST>(s, leaf, group, inverse_far, prepared);
+            return prepare_settled::<S, CLOSEST>(s, leaf, (group, near), inverse_far, prepared);
         }
         if SETTLE {
             let mut distances = F8::default();
@@ -119,12 +128,20 @@ fn prepare_as<S: Simd, const PARALLEL: bool, const CLOSEST: bool, const SETTLE: 
         alive &= s.bits(s.ge(highest_over(s, edge, &group.group_x, &group.group_y), zero));
         store(s, edge, &mut prepared.edges[i]);
     }
+    prepared.back = back;
+    if alive == 0 {
+        return 0;
+    }
     if CLOSEST {
         let plane = vector::scale::<S>(normal, s.div(s.splat(1.0), distance));
         alive &= s.bits(s.gt(highest_over(s, plane, &group.group_x, &group.group_y), s.splat(inverse_far)));
         store(s, plane, &mut prepared.inverse_depth);
     }
-    prepared.back = back;
+    // In doubt the distances are not those of the rounded corners.
+    prepared.outlined = !SETTLE && alive.count_ones() >= LEAST_OUTLINED;
+    if prepared.outlined {
+        outlines(s, [a, b, c], [to_b, to_c], distance, near, &mut prepared.outlines);
+    }
     alive
 }
 

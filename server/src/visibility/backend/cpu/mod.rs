@@ -2,8 +2,9 @@
 //!
 //! Steps of a tile: [`tile`] makes its 64 camera rays → [`group`] projects them to points of a plane → [`traverse`]
 //! takes the group through the tree, testing eight boxes against all rays at once ([`frustum`]), then eight triangles
-//! ([`leaf`]), then packets → [`surface`] computes points and normals → [`light`] picks the lights that need shadow
-//! rays → [`regroup`] sorts rays that end far apart → [`traverse`] again, from the light.
+//! ([`leaf`]), then the packets near a triangle ([`outline`]) → [`surface`] computes points and normals → [`light`]
+//! picks the lights that need shadow rays → [`regroup`] parts rays that end far apart → [`traverse`] again, from the
+//! light.
 //!
 //! Each result depends only on its own ray and the triangles, so masks are the same in every run and for any number of
 //! threads. They may differ in single bits between processors with and without AVX2 (see [`simd`]).
@@ -15,6 +16,7 @@ mod frustum;
 mod group;
 mod leaf;
 mod light;
+mod outline;
 mod regroup;
 mod rounding;
 mod simd;

@@ -3,7 +3,8 @@
 //! Neighbouring pixels see neighbouring points, except at silhouettes. There a tile's shadow rays form two or more
 //! bundles, and a group that spans the gap tests most of its nodes and triangles in vain. Seen from the light the rays
 //! are points of a plane, and a group's cost grows with the area that they cover. So the points are split in two
-//! wherever that saves area, and each part is sorted into packets of eight neighbours.
+//! wherever that saves area, and each part is sorted into packets of eight neighbours. If no packet is wide, whole
+//! packets are split from each other instead ([`packet_sets`]): that is as good, and costs next to nothing.
 
 use super::{
     group::{Group, PACKETS, Projection},
@@ -46,6 +47,60 @@ impl Iterator for Ranges {
         self.from = range.1;
         Some(range)
     }
+}
+
+/// Sets of a group's packets, one bit a packet, each of which is a group of its own.
+pub(super) struct PacketSets {
+    /// A stack: the next set is the last.
+    sets: [u8; PACKETS],
+    count: usize,
+}
+
+impl Iterator for PacketSets {
+    type Item = u8;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<u8> {
+        self.count = self.count.checked_sub(1)?;
+        Some(self.sets[self.count])
+    }
+}
+
+/// Splits a group between its packets, as [`Regrouping::sort`] does between its rays.
+#[inline(always)]
+pub(super) fn packet_sets<S: Simd>(s: S, group: &Group, padding: f32) -> PacketSets {
+    let mut done = PacketSets { sets: [0; PACKETS], count: 0 };
+    let mut open = [0; PACKETS];
+    open[0] = group.packets;
+    let mut left = 1;
+    while left > 0 {
+        let set = open[left - 1];
+        if let Some(low) = low_half(s, group, set, padding) {
+            open[left - 1] = low;
+            open[left] = set & !low;
+            left += 1;
+        } else {
+            done.sets[done.count] = set;
+            done.count += 1;
+            left -= 1;
+        }
+    }
+    done
+}
+
+/// The packets of `set` in the lower half of its longer side, if to split it there saves enough area.
+#[inline(always)]
+fn low_half<S: Simd>(s: S, group: &Group, set: u8, padding: f32) -> Option<u8> {
+    let whole = Rectangle::around_packets(s, group, set);
+    let (along_x, middle) = whole.longer_side();
+    let [low, high] = if along_x { &group.packet_x } else { &group.packet_y };
+    let low = s.bits(s.gt(s.splat(2.0 * middle), s.load(low) + s.load(high))) & set;
+    if low == 0 || low == set {
+        return None;
+    }
+    let parts = Rectangle::around_packets(s, group, low).area(padding)
+        + Rectangle::around_packets(s, group, set & !low).area(padding);
+    (parts < whole.area(padding) * WORTH).then_some(low)
 }
 
 /// One of the new groups.
@@ -205,6 +260,16 @@ impl Rectangle {
         Self { min, max }
     }
 
+    /// Around the packets of `set`.
+    #[inline(always)]
+    fn around_packets<S: Simd>(s: S, group: &Group, set: u8) -> Self {
+        let set = s.mask(set);
+        let (low, high) = (s.splat(f32::INFINITY), s.splat(f32::NEG_INFINITY));
+        let min = [s.select(set, s.load(&group.packet_x[0]), low), s.select(set, s.load(&group.packet_y[0]), low)];
+        let max = [s.select(set, s.load(&group.packet_x[1]), high), s.select(set, s.load(&group.packet_y[1]), high)];
+        Self { min: (s.lowest(min[0]), s.lowest(min[1])), max: (s.highest(max[0]), s.highest(max[1])) }
+    }
+
     /// Returns true if the longer side is along x, and the middle of that side.
     fn longer_side(self) -> (bool, f32) {
         let along_x = self.max.0 - self.min.0 >= self.max.1 - self.min.1;
@@ -302,6 +367,41 @@ mod tests {
         for packets in parts {
             let far: Vec<bool> = packets.iter().flatten().map(|(_, point)| point[1] > 0.5).collect();
             assert!(far.iter().all(|&it| it == far[0]));
+        }
+    }
+
+    /// Sets of packets, each eight rays at one place.
+    struct Sets<'a>(&'a [Option<(f32, f32)>; PACKETS]);
+
+    impl WithSimd for Sets<'_> {
+        type Output = Vec<u8>;
+        #[inline(always)]
+        fn run<S: Simd>(self, s: S) -> Vec<u8> {
+            let mut group = Group::empty(Projection::from_apex(Vec3::ZERO, 0));
+            for (p, at) in self.0.iter().enumerate() {
+                if let Some((x, y)) = *at {
+                    group.set_packet(s, p, s.splat(x), s.splat(y), 0xff);
+                }
+            }
+            packet_sets(s, &group, 0.01).collect()
+        }
+    }
+
+    #[test]
+    fn each_packet_is_in_one_set_with_its_neighbours() {
+        let near = |p: usize| (spread(p).0 * 0.01, spread(p).1 * 0.01);
+        for there in [0b1111_1111_u8, 0b1010_0110, 0b0000_1000] {
+            let packets = |from: fn(usize) -> f32| {
+                std::array::from_fn(|p| (there >> p & 1 == 1).then(|| (near(p).0 + from(p), near(p).1 + from(p))))
+            };
+            assert_eq!(Level::detect().dispatch(Sets(&packets(|_| 0.0))), [there]);
+            let mut sets = Level::detect().dispatch(Sets(&packets(|p| if p < 4 { 0.8 } else { 0.0 })));
+            sets.sort_unstable();
+            let expected: Vec<u8> = [there & 0x0f, there & 0xf0].into_iter().filter(|set| *set != 0).collect();
+            assert_eq!(sets, expected);
+            let apart: Vec<u8> = Level::detect().dispatch(Sets(&packets(|p| p as f32)));
+            assert!(apart.iter().all(|set| set.count_ones() == 1));
+            assert_eq!(apart.iter().fold(0, |all, set| all | set), there);
         }
     }
 

@@ -48,15 +48,9 @@ impl Corners {
         corners.collect()
     }
 
-    /// The positions. `None` if they have no area.
-    pub(super) fn positions(&self) -> Option<[Vec3; 3]> {
-        (self.geometric != [0.0; 3]).then(|| self.positions.map(Vec3::from_array))
-    }
-
-    /// The unit normal of the plane.
-    #[inline(always)]
-    pub(super) fn geometric(&self) -> [f32; 3] {
-        self.geometric
+    /// The positions, and the unit normal of their plane. `None` if they have no area.
+    pub(super) fn placed(&self) -> Option<([Vec3; 3], Vec3)> {
+        (self.geometric != [0.0; 3]).then(|| (self.positions.map(Vec3::from_array), Vec3::from_array(self.geometric)))
     }
 
     pub(super) fn new(positions: [Vec3; 3], normals: [Vec3; 3]) -> Self {

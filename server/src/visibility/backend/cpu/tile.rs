@@ -9,7 +9,7 @@ use super::{
     count::Counter,
     group::{Group, PACKETS, Projection},
     light::{PreparedLight, lanes_by_face},
-    regroup::Regrouping,
+    regroup::{Regrouping, packet_sets},
     simd::{F8, Simd},
     surface::{Coordinates, Surface},
     traverse::{Hits, Scratch, intersect, occluded},
@@ -229,8 +229,15 @@ fn trace_group<S: Simd, C: Counter, const PARALLEL: bool>(
     count: &mut C,
 ) -> u64 {
     let wide = if PARALLEL { WIDE_PARALLEL * stage.size_m } else { WIDE };
-    let side = (group.group_x[1] - group.group_x[0]).max(group.group_y[1] - group.group_y[0]);
-    if side > wide {
+    if group.side() <= wide {
+        occluded_by_any::<S, C, PARALLEL>(s, stage, &mut group, points, scratch, count);
+    } else if group.widest_packet(s) <= wide {
+        for packets in packet_sets(s, &group, wide * PADDING) {
+            group.packets = packets;
+            group.shrink(s);
+            occluded_by_any::<S, C, PARALLEL>(s, stage, &mut group, points, scratch, count);
+        }
+    } else {
         let mut regrouping = Regrouping::of(&group, wide * PADDING);
         let mut left = [0; PACKETS];
         for range in regrouping.sort() {
@@ -239,8 +246,6 @@ fn trace_group<S: Simd, C: Counter, const PARALLEL: bool>(
             part.add_left(&mut left);
         }
         group.lanes = left;
-    } else {
-        occluded_by_any::<S, C, PARALLEL>(s, stage, &mut group, points, scratch, count);
     }
     group.lanes.iter().enumerate().fold(0, |word, (p, &lanes)| word | word_bits(p, lanes))
 }

@@ -5,12 +5,13 @@ use super::{
     frustum::Frustum,
     group::{Group, PACKETS},
     leaf::{Prepared, prepare},
+    outline::Neighbourhood,
     rounding::{PLANE_ROUNDINGS, ROUNDING},
     simd::{F8, Simd},
     vector,
     world::Geometry,
 };
-use crate::visibility::hierarchy::bvh::{Child, Leaf, Node};
+use crate::visibility::hierarchy::bvh::{Child, Leaf, WideBvh};
 
 /// Memory that a thread reuses from group to group.
 pub(super) struct Scratch {
@@ -41,6 +42,9 @@ impl Default for Hits {
     }
 }
 
+/// So few packets are tested as fast as ruled out by a triangle's edges.
+const FEW_PACKETS: u32 = 2;
+
 /// Boxes are culled with this margin, since 1/z has a relative error.
 const DEPTH_SLACK: f32 = 1.0 + 1.0 / (1 << 20) as f32;
 
@@ -56,6 +60,7 @@ pub(super) fn intersect<S: Simd, C: Counter>(
     count: &mut C,
 ) {
     let frustum = Frustum::new::<false>(s, group, 0.0);
+    let near = Neighbourhood::of(s, group);
     // The least 1/z that still matters, by packet and overall: that of the farthest hit, 0 while a ray has none.
     let mut packet_far = F8([f32::INFINITY; PACKETS]);
     for p in 0..PACKETS {
@@ -87,19 +92,25 @@ pub(super) fn intersect<S: Simd, C: Counter>(
             Child::None => continue,
             Child::Node(n) => {
                 count.node();
-                push_nearest_last(s, &frustum, &geometry.bvh.nodes[n as usize], s.splat(z_far), stack);
+                push_nearest_last(s, &frustum, geometry.bvh, n, s.splat(z_far), stack);
                 continue;
             }
             Child::Leaf(l) => &geometry.bvh.leaves[l as usize],
         };
         count.leaf(leaf.used.count_ones());
-        let mut alive = prepare::<S, false, true>(s, leaf, group, inverse_far, prepared);
+        let mut alive = prepare::<S, false, true>(s, leaf, (group, &near), inverse_far, prepared);
         let mut found = false;
         while alive != 0 {
             let slot = alive.trailing_zeros() as usize % 8;
             alive &= alive - 1;
+            let mut packets = group.packets;
+            if prepared.outlined {
+                packets &= near.packets(s, &prepared.outlines, slot);
+            }
             let edges_of_slot = prepared.edges_of(s, slot);
-            let mut packets = edges_of_slot.packets(s, group);
+            if packets.count_ones() > FEW_PACKETS {
+                packets &= edges_of_slot.packets(s, group);
+            }
             count.packets(packets.count_ones());
             while packets != 0 {
                 let p = packets.trailing_zeros() as usize % 8;
@@ -153,6 +164,7 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
     count: &mut C,
 ) {
     let mut frustum = Frustum::new::<PARALLEL>(s, group, size_m);
+    let near = Neighbourhood::of(s, group);
     let mut swept = group.packets;
     let z_far = s.splat(farthest(s, group, points));
     let Scratch { stack, prepared, blockers } = scratch;
@@ -171,18 +183,24 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
             Child::None => continue,
             Child::Node(n) => {
                 count.node();
-                push_nearest_last(s, &frustum, &geometry.bvh.nodes[n as usize], z_far, stack);
+                push_nearest_last(s, &frustum, geometry.bvh, n, z_far, stack);
                 continue;
             }
             Child::Leaf(l) => &geometry.bvh.leaves[l as usize],
         };
         count.leaf(leaf.used.count_ones());
-        let mut alive = prepare::<S, PARALLEL, false>(s, leaf, group, 0.0, prepared);
+        let mut alive = prepare::<S, PARALLEL, false>(s, leaf, (group, &near), 0.0, prepared);
         while alive != 0 {
             let slot = alive.trailing_zeros() as usize % 8;
             alive &= alive - 1;
+            let mut packets = group.packets;
+            if prepared.outlined {
+                packets &= near.packets(s, &prepared.outlines, slot);
+            }
             let edges_of_slot = prepared.edges_of(s, slot);
-            let mut packets = edges_of_slot.packets(s, group);
+            if packets.count_ones() > FEW_PACKETS {
+                packets &= edges_of_slot.packets(s, group);
+            }
             count.packets(packets.count_ones());
             while packets != 0 {
                 let p = packets.trailing_zeros() as usize % 8;
@@ -195,8 +213,7 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
                 }
                 count.candidate();
                 let back = prepared.back >> slot & 1 == 1;
-                let normal = geometry.corners[leaf.triangles[slot] as usize].geometric();
-                lanes &= s.bits(behind_plane(s, normal, leaf, slot, back, vector::load_packet(s, points, p)));
+                lanes &= s.bits(behind_plane(s, leaf, slot, back, vector::load_packet(s, points, p)));
                 if lanes != 0 && leaf.masked >> slot & 1 == 1 {
                     count.alpha(lanes.count_ones());
                     lanes = alpha_filter(s, geometry, leaf.triangles[slot], edges, lanes);
@@ -219,7 +236,15 @@ pub(super) fn occluded<S: Simd, C: Counter, const PARALLEL: bool>(
 
 /// Pushes the children that the group may hit, the nearest last.
 #[inline(always)]
-fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: S::F, stack: &mut Vec<(Child, f32)>) {
+fn push_nearest_last<S: Simd>(
+    s: S,
+    frustum: &Frustum<S>,
+    bvh: &WideBvh,
+    node: u32,
+    z_far: S::F,
+    stack: &mut Vec<(Child, f32)>,
+) {
+    let node = &bvh.nodes[node as usize];
     let (mut hit, z) = frustum.intersect(s, node, z_far);
     if hit == 0 {
         return;
@@ -231,6 +256,7 @@ fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: S:
         let slot = hit.trailing_zeros() as usize % 8;
         hit &= hit - 1;
         let entry = (node.child(slot), near.0[slot]);
+        prefetch(s, bvh, entry.0);
         stack.push(entry);
         let mut place = stack.len() - 1;
         while place > first && stack[place - 1].1 < entry.1 {
@@ -241,6 +267,25 @@ fn push_nearest_last<S: Simd>(s: S, frustum: &Frustum<S>, node: &Node, z_far: S:
     }
 }
 
+/// Asks for what the visit of `child` reads first. Siblings are visited meanwhile.
+#[inline(always)]
+fn prefetch<S: Simd>(s: S, bvh: &WideBvh, child: Child) {
+    match child {
+        Child::None => {}
+        Child::Node(n) => {
+            if let Some(node) = bvh.nodes.get(n as usize) {
+                s.prefetch(node);
+            }
+        }
+        Child::Leaf(l) => {
+            if let Some(leaf) = bvh.leaves.get(l as usize) {
+                s.prefetch(&leaf.corners);
+                s.prefetch(&leaf.span);
+            }
+        }
+    }
+}
+
 /// The z of the group's farthest point, rounded up.
 #[inline(always)]
 fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
@@ -248,9 +293,12 @@ fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
     let origin = s.splat(projection.origin[2]);
     let sign = s.splat(projection.w_sign);
     let mut far = s.splat(f32::NEG_INFINITY);
-    for (point, &lanes) in points[projection.axes[2]].iter().zip(&group.lanes) {
-        let z = (s.load(point) - origin) * sign;
-        far = s.select(s.mask(lanes), s.max(far, z), far);
+    let mut packets = group.packets;
+    while packets != 0 {
+        let p = packets.trailing_zeros() as usize % 8;
+        packets &= packets - 1;
+        let z = (s.load(&points[projection.axes[2]][p]) - origin) * sign;
+        far = s.select(s.mask(group.lanes[p]), s.max(far, z), far);
     }
     let far = s.highest(far);
     far + far.abs() * (DEPTH_SLACK - 1.0)
@@ -259,11 +307,12 @@ fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
 /// Returns the points behind the plane of triangle `slot`, seen along the rays, by more than the rounding error
 /// ([`PLANE_ROUNDINGS`]).
 #[inline(always)]
-fn behind_plane<S: Simd>(s: S, normal: [f32; 3], leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
+fn behind_plane<S: Simd>(s: S, leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
     let mut distance = s.splat(0.0);
     let mut terms = s.splat(0.0);
     for axis in 0..3 {
-        let normal = s.splat(if back { normal[axis] } else { -normal[axis] });
+        let normal = leaf.normals[axis].0[slot];
+        let normal = s.splat(if back { normal } else { -normal });
         let way = point[axis] - s.splat(leaf.corners[0][axis].0[slot]);
         distance = s.fma(normal, way, distance);
         terms = s.fma(s.abs(normal), s.abs(way), terms);

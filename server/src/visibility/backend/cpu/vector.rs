@@ -78,3 +78,8 @@ pub(super) fn at<S: Simd>(s: S, k: V3<S>, x: S::F, y: S::F) -> S::F {
 pub(super) fn least<S: Simd>(s: S, a: V3<S>) -> S::F {
     s.min(s.min(a[0], a[1]), a[2])
 }
+
+#[inline(always)]
+pub(super) fn most<S: Simd>(s: S, a: V3<S>) -> S::F {
+    s.max(s.max(a[0], a[1]), a[2])
+}

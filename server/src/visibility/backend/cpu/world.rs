@@ -278,7 +278,7 @@ impl Moving {
             .filter(|(piece, placement)| placement.is_some() && !piece.bvh.leaves.is_empty())
             .map(|(piece, _)| {
                 let mut bvh = piece.bvh.clone();
-                let bounds = bvh.refit(|triangle| corners[triangle as usize].positions());
+                let bounds = bvh.refit(|triangle| corners[triangle as usize].placed());
                 (bvh, bounds)
             })
             .collect();

@@ -41,6 +41,8 @@ pub(in super::super) trait Simd: Copy + Send + Sync {
     fn select_negative(self, sign: Self::F, a: Self::F, b: Self::F) -> Self::F;
     fn lowest(self, a: Self::F) -> f32;
     fn highest(self, a: Self::F) -> f32;
+    /// Asks for `data` to be in the cache soon.
+    fn prefetch<T>(self, data: &T);
 }
 
 /// Code that runs at any level.

@@ -122,4 +122,6 @@ impl Simd for Portable {
     fn highest(self, a: Array) -> f32 {
         a.0.iter().copied().fold(f32::NEG_INFINITY, f32::max)
     }
+    #[inline(always)]
+    fn prefetch<T>(self, _data: &T) {}
 }
