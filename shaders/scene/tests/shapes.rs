@@ -197,10 +197,10 @@ fn weights_step_run_and_follow_splines() {
     near(world(&step, 0.9), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
     near(world(&step, 1.9), [[2.0, 0.0, 2.0], [1.0, 0.0, 2.0], [0.0, 1.0, 2.0]]);
     // Of each key all in-tangents, then all values, then all out-tangents. Target 0 goes from 0 to 1 within 2 s, leaves
-    // at 1 and arrives at −1 per second; target 1 rests at ¼: at the middle ½ + 2·⅛·1 + 2·⅛·1 = 1, and ¼.
-    let spline = [[9.0, 9.0], [0.0, 0.25], [1.0, 0.0], [-1.0, 0.0], [1.0, 0.25], [9.0, 9.0]];
+    // at 1 and arrives at −1 per second; target 1 rests at ½: at the middle ½ + 2·⅛·1 + 2·⅛·1 = 1, and ½.
+    let spline = [[9.0, 9.0], [0.0, 0.5], [1.0, 0.0], [-1.0, 0.0], [1.0, 0.5], [9.0, 9.0]];
     let spline = whole(&morphing("CUBICSPLINE", &[0.0, 2.0], spline.as_flattened()));
-    near(world(&spline, 1.0), [[1.0, 0.0, 2.0], [1.0, 0.0, 2.0], [0.0, 1.0, 2.0]]);
+    near(world(&spline, 1.0), [[2.0, 0.0, 2.0], [1.0, 0.0, 2.0], [0.0, 1.0, 2.0]]);
     // In the pose of the file its own weights count.
     let rest = run.at_rest();
     assert_eq!(rest.positions[0].x - rest.positions[2].x, 0.5);
@@ -234,11 +234,11 @@ fn pointers_reach_the_weights_of_nodes_and_meshes() {
 #[test]
 fn morph_targets_come_before_joints() {
     let mut file = bending();
-    let up = file.floats("VEC3", &[0.0, 1.0, 0.0].repeat(3));
+    let up = file.floats("VEC3", &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
     file.primitive()["targets"] = json!([{"POSITION": up}]);
     channel(&mut file, &json!({"node": 0, "path": "weights"}), &[0.0, 1.0, 2.0], "SCALAR", &[0.0, 1.0, 0.0]);
     // (0, 2, 0) is half there and half at (−2, 0, 0).
-    near(world(&whole(&file), 1.0), [[0.0, 1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]);
+    near(world(&whole(&file), 1.0), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 1.0, 0.0]]);
 }
 
 #[test]
@@ -289,8 +289,7 @@ fn damaged_skins_and_weights_keep_the_pose_of_the_file() {
     let mut file = morphing("LINEAR", &[0.0, 1.0], &[0.0, 0.0, 1.0, 0.0]);
     file.json["animations"][0]["channels"][0]["target"]["node"] = json!(7);
     let (scene, told) = load(&file);
-    assert!(told.contains("a channel of nothing") || told.contains("channel of nothing"), "{told}");
-    assert!(scene.animation.is_none());
+    assert!(scene.animation.is_none() && told.contains("channel of nothing"), "{told}");
 }
 
 #[test]

@@ -155,6 +155,7 @@ impl Channels {
     }
 }
 
+const NO_TARGETS: &str = "animated weights of meshes without morph targets";
 const OTHERS: &str = "animated properties but transforms, weights, visibility, lights and fields of view";
 
 /// Returns how many morph targets a mesh has.
@@ -231,7 +232,7 @@ impl Reader<'_> {
             "weights" => {
                 let mesh = self.document.json.nodes.get(node).and_then(|node| node.mesh);
                 let count = mesh.map_or(0, |mesh| targets(self.document, mesh.value()));
-                if count > 0 { Ok(Property::NodeWeights(node, count)) } else { Err(Nothing::NoTarget) }
+                if count > 0 { Ok(Property::NodeWeights(node, count)) } else { Err(Nothing::NotDrawn(NO_TARGETS)) }
             }
             _ => Err(Nothing::NotDrawn(OTHERS)),
         }
@@ -249,7 +250,7 @@ impl Reader<'_> {
         }
         if let Some((mesh, "weights")) = within("/meshes/") {
             let count = targets(self.document, mesh);
-            return if count > 0 { Ok(Property::MeshWeights(mesh, count)) } else { Err(Nothing::NoTarget) };
+            return if count > 0 { Ok(Property::MeshWeights(mesh, count)) } else { Err(Nothing::NotDrawn(NO_TARGETS)) };
         }
         if let Some((light, path)) = within("/extensions/KHR_lights_punctual/lights/") {
             if light >= self.document.lights.len() {

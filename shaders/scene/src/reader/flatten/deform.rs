@@ -50,7 +50,11 @@ pub(crate) fn read(
 ) -> Result<Option<Deformed>, SceneError> {
     let weights = channels.weights(source.document, pose.node);
     let skin = skin.filter(|_| posed.influences.is_some());
-    let moves = skin.is_some_and(|skin| skin.joints.iter().any(|joint| joint.node.is_some()) || blinks(walk, place));
+    let followed = posed.influences.iter().flat_map(|influences| &influences.list).flat_map(Influence::each);
+    let moves = skin.is_some_and(|skin| {
+        let moves = |joint: usize| skin.joints.get(joint).is_some_and(|joint| joint.node.is_some());
+        followed.into_iter().any(|(joint, _)| moves(joint)) || blinks(walk, place)
+    });
     let track = weights.track.filter(|_| pose.morphed && !targets.is_empty());
     if !moves && (track.is_none() || pose.skinned && skin.is_none()) {
         return Ok(None);

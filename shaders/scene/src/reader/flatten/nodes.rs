@@ -103,7 +103,7 @@ pub(crate) fn walk(
             }
             None => above.map(|above| Place { node_from_own: above.node_from_own * local.matrix, ..above }),
         };
-        places[index] = place;
+        places.get_mut(index).into_iter().for_each(|known| *known = place);
         if !hidden {
             placed.push(Placed { node: index, world_from_node, rotation, place });
         }

@@ -131,6 +131,34 @@ impl Animation {
         self.pieces.iter().map(&mut first).collect()
     }
 
+    /// Returns the shape of a piece. `None` if it is rigid.
+    #[must_use]
+    pub fn shape_of(&self, piece: usize) -> Option<&Shape> {
+        let at = self.shapes.binary_search_by_key(&piece, |shape| shape.piece as usize).ok()?;
+        self.shapes.get(at)
+    }
+
+    /// Returns the vertices of each piece. Lists that are too short give short pieces.
+    #[must_use]
+    pub fn own_vertices(&self) -> Vec<OwnVertices<'_>> {
+        let (mut positions, mut normals, mut tangents) = (&*self.positions, &*self.normals, &*self.tangents);
+        let (mut influences, mut deltas) = (&*self.influences, &*self.deltas);
+        let mut shapes = self.shapes.iter().peekable();
+        let mut own = |(number, piece): (usize, &Piece)| {
+            let shape = shapes.next_if(|shape| shape.piece as usize == number);
+            let vertices = piece.vertices as usize;
+            OwnVertices {
+                positions: take(&mut positions, vertices),
+                normals: take(&mut normals, vertices),
+                tangents: take(&mut tangents, vertices),
+                shape,
+                influences: take(&mut influences, shape.map_or(0, |shape| shape.sets as usize) * vertices),
+                deltas: take(&mut deltas, shape.map_or(0, |shape| shape.targets.len()) * vertices),
+            }
+        };
+        self.pieces.iter().enumerate().map(&mut own).collect()
+    }
+
     /// Returns whether nothing moves or may be moved.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -150,6 +178,13 @@ impl Animation {
         let lights = self.lights.iter().any(|light| light.tracks().next().is_some());
         self.has_parts() && (nodes || lights || self.shapes.iter().any(|shape| shape.weights_track.is_some()))
     }
+}
+
+/// Takes the first elements of a list, or all.
+fn take<'a, T>(list: &mut &'a [T], count: usize) -> &'a [T] {
+    let (taken, left) = list.split_at(count.min(list.len()));
+    *list = left;
+    taken
 }
 
 impl AnimatedNode {

@@ -3,7 +3,7 @@
 use glam::{DMat4, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
-use super::{Animation, Piece, Track};
+use super::track::Track;
 use crate::scene::aabb::Aabb;
 
 /// How a piece changes its shape: morph targets first, then joints (glTF 2.0, §3.7.2.2 and §3.7.3).
@@ -91,43 +91,6 @@ impl Shape {
     pub(crate) fn deltas(&self, vertices: u32) -> u64 {
         self.targets.len() as u64 * u64::from(vertices)
     }
-}
-
-impl Animation {
-    /// Returns the shape of a piece. `None` if it is rigid.
-    #[must_use]
-    pub fn shape_of(&self, piece: usize) -> Option<&Shape> {
-        let at = self.shapes.binary_search_by_key(&piece, |shape| shape.piece as usize).ok()?;
-        self.shapes.get(at)
-    }
-
-    /// Returns the vertices of each piece. Lists that are too short give short pieces.
-    #[must_use]
-    pub fn own_vertices(&self) -> Vec<OwnVertices<'_>> {
-        let (mut positions, mut normals, mut tangents) = (&*self.positions, &*self.normals, &*self.tangents);
-        let (mut influences, mut deltas) = (&*self.influences, &*self.deltas);
-        let mut shapes = self.shapes.iter().peekable();
-        let mut own = |(number, piece): (usize, &Piece)| {
-            let shape = shapes.next_if(|shape| shape.piece as usize == number);
-            let vertices = piece.vertices as usize;
-            OwnVertices {
-                positions: take(&mut positions, vertices),
-                normals: take(&mut normals, vertices),
-                tangents: take(&mut tangents, vertices),
-                shape,
-                influences: take(&mut influences, shape.map_or(0, |shape| shape.sets as usize) * vertices),
-                deltas: take(&mut deltas, shape.map_or(0, |shape| shape.targets.len()) * vertices),
-            }
-        };
-        self.pieces.iter().enumerate().map(&mut own).collect()
-    }
-}
-
-/// Takes the first elements of a list, or all.
-fn take<'a, T>(list: &mut &'a [T], count: usize) -> &'a [T] {
-    let (taken, left) = list.split_at(count.min(list.len()));
-    *list = left;
-    taken
 }
 
 impl<'a> OwnVertices<'a> {
