@@ -274,7 +274,7 @@ mod tests {
             [dimmed(0, 1.0), vec![node(u32::MAX, wire::NodeEdit::default())]].concat(),
         ];
         for edits in bad {
-            world.edit((ME, 0), edits.clone(), &stage).expect_err(&format!("{edits:?}"));
+            assert!(world.edit((ME, 0), edits.clone(), &stage).is_err(), "{edits:?}");
         }
         assert_eq!((world.newest().revision, world.newest().edits.is_empty()), (0, true));
     }

@@ -20,7 +20,7 @@ impl FrameRenderer {
         if !scene.edits.is_empty() {
             self.scene.follow_edits(&self.lights, self.space.origin_m);
         }
-        let Some(lights) = self.scene.set_time(scene) else { return };
+        let Some(lights) = self.scene.set_time(&scene) else { return };
         self.lights = lights;
         self.predict.set_lights(&self.gpu, &self.lights);
         if self.surroundings.follow(&self.gpu, &self.lights) {
