@@ -12,8 +12,8 @@ impl FrameRenderer {
         self.scene.moves_with_time
     }
 
-    /// Shows this state of the scene from the next picture on; a number is a time in seconds. At first it is time 0, and
-    /// nothing is edited.
+    /// Shows this state of the scene from the next picture on; a number is a time in seconds. At first it is time 0,
+    /// and nothing is edited.
     pub fn set_time(&mut self, scene: impl Into<SceneAt>) {
         let scene = scene.into();
         let scene = if self.moves() { scene } else { scene.at_any_time() };
