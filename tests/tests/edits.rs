@@ -223,7 +223,7 @@ fn two_clients_of_a_shared_world_see_a_dragged_lamp_alike() {
         for (edits, camera, mask) in traced {
             let Some(mask) = mask else { continue };
             let mut expected = Mask::new(mask.shape());
-            tracer.trace_at(camera, &SceneAt { time_s: 0.0, edits: Arc::new(edits.clone()) }, &mut expected);
+            tracer.trace_at(camera, SceneAt { time_s: 0.0, edits: Arc::new(edits.clone()) }, &mut expected);
             assert!(*mask == expected, "a mask is that of its state");
             whole += 1;
         }
