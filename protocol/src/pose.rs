@@ -1,8 +1,8 @@
 //! The client's camera: the only thing that it sends for every frame.
 //!
 //! The dissertation sends three vectors of three f32 (§3.5, 36 bytes). Ours are f64, so that a scene may be far from
-//! its origin. A pose also has the field of view, the scene's time, the mask's size, the look-ahead and the scene's revision:
-//! 86 bytes, little-endian, in the order of the fields.
+//! its origin. A pose also has the field of view, the scene's time, the mask's size, the look-ahead and the scene's
+//! revision: 86 bytes, little-endian, in the order of the fields.
 
 use thiserror::Error;
 

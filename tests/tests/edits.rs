@@ -136,8 +136,11 @@ fn pictures_and_masks_are_those_of_the_edited_scene() {
     assert!(shown.windows(2).all(|pair| pair[0] != pair[1]), "nothing changes");
 }
 
-/// What a recording has: the states of its masks with the masks that came whole, and the states of its pictures.
-fn recorded(file: &Path) -> (Vec<(Edits, Camera, Option<Mask>)>, Vec<Edits>) {
+/// A mask's state and camera, and the mask if it came whole.
+type Traced = (Edits, Camera, Option<Mask>);
+
+/// What a recording has: its masks, and the states of its pictures.
+fn recorded(file: &Path) -> (Vec<Traced>, Vec<Edits>) {
     let (_, mut records) = Records::open(file).unwrap();
     let (mut traced, mut drawn, mut decoder) = (Vec::new(), Vec::new(), Decoder::new());
     while let Some(record) = records.next().unwrap() {
@@ -223,7 +226,7 @@ fn two_clients_of_a_shared_world_see_a_dragged_lamp_alike() {
         for (edits, camera, mask) in traced {
             let Some(mask) = mask else { continue };
             let mut expected = Mask::new(mask.shape());
-            tracer.trace_at(camera, &SceneAt { time_s: 0.0, edits: Arc::new(edits.clone()) }, &mut expected);
+            tracer.trace_at(camera, SceneAt { time_s: 0.0, edits: Arc::new(edits.clone()) }, &mut expected);
             assert!(*mask == expected, "a mask is that of its state");
             whole += 1;
         }

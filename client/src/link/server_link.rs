@@ -99,7 +99,8 @@ impl ServerLink {
     }
 
     /// Starts or ends the search for a new connection. The search runs while the server is lost or silent, or is about
-    /// to stop and names an alternative, but never after it has sent the client away. The old connection is used as long as possible.
+    /// to stop and names an alternative, but never after it has sent the client away. The old connection is used as
+    /// long as possible.
     ///
     /// # Errors
     /// Errors if a file of masks could not be written: no other connection can mend that.

@@ -1,8 +1,8 @@
 //! The scene: flattened triangles, materials, textures and lights, in the space that server and client compute in.
 //!
 //! [`load`] tells glTF from the packed form; [`reader`] turns glTF into a [`Scene`]; [`pack`] turns a scene into bytes
-//! to send, and back. [`moment`] says where everything is at a time, [`edits`] what people have changed. [`camera`] gives
-//! each pixel's ray, [`motion`] predicts the camera. [`limits`] holds every bound.
+//! to send, and back. [`moment`] says where everything is at a time, [`edits`] what people have changed. [`camera`]
+//! gives each pixel's ray, [`motion`] predicts the camera. [`limits`] holds every bound.
 //! Only [`file`], [`testing`] and [`fuzzing`] touch files.
 
 pub mod camera;

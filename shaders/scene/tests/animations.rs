@@ -97,7 +97,7 @@ fn a_scene_at_rest_is_the_scene_without_its_animation() {
     // Nothing that rests is written twice, and a scene that rests has the bytes that it had.
     assert_eq!(moving.animation.as_ref().unwrap().positions.len(), 3);
     assert_eq!(resting.pack().unwrap()[8..12], 3_u32.to_le_bytes());
-    assert_eq!(moving.pack().unwrap()[8..12], 4_u32.to_le_bytes());
+    assert_eq!(moving.pack().unwrap()[8..12], 5_u32.to_le_bytes());
 }
 
 #[test]

@@ -66,7 +66,7 @@ fn an_edited_node_is_where_a_file_would_have_it() {
     let (translation, turn, scale) =
         (DVec3::new(1.5, -2.0, 0.25), DQuat::from_rotation_y(1.1), DVec3::new(-1.0, 2.0, 3.0));
     let moved = NodeEdit { translation_m: Some(translation), rotation: Some(turn), scale: Some(scale), shown: None };
-    let edited = scene.still_at(&at(&[Edit::Node(0, moved)]));
+    let edited = scene.still_at(at(&[Edit::Node(0, moved)]));
     file.json["nodes"][0]["translation"] = json!(translation.to_array());
     file.json["nodes"][0]["rotation"] = json!(turn.to_array());
     file.json["nodes"][0]["scale"] = json!(scale.to_array());
@@ -80,7 +80,7 @@ fn an_edited_node_is_where_a_file_would_have_it() {
     assert!(lamp(&edited).distance(lamp(&expected)) < 1e-5);
     assert_eq!(edited.triangles.len(), 2);
     let hidden = NodeEdit { shown: Some(false), ..NodeEdit::default() };
-    let edited = scene.still_at(&at(&[Edit::Node(0, moved), Edit::Node(0, hidden)]));
+    let edited = scene.still_at(at(&[Edit::Node(0, moved), Edit::Node(0, hidden)]));
     assert_eq!((edited.triangles.len(), edited.lights[0].intensity), (1, 0.0), "the lamp is out with it");
     // The last word counts, and nothing is said any more.
     let undone = at(&[Edit::Node(0, moved), Edit::Node(0, NodeEdit::default())]);

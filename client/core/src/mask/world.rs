@@ -127,10 +127,7 @@ impl World {
     pub fn begin(&mut self, terms: Terms) {
         let under_way = std::mem::take(&mut self.unanswered).into_iter().flat_map(|(_, edits)| edits);
         let newer = std::mem::take(&mut self.unsent);
-        let own: Vec<Edit> = match terms.shared {
-            true => under_way.chain(newer).collect(),
-            false => self.drawn.iter().collect(),
-        };
+        let own: Vec<Edit> = if terms.shared { under_way.chain(newer).collect() } else { self.drawn.iter().collect() };
         own.into_iter().for_each(|edit| put(&mut self.unsent, edit));
         self.states.clear();
         if terms.revision == 0 {

@@ -135,10 +135,10 @@ impl Movers {
     }
 
     /// Moves to a state. Returns whether it is another one.
-    pub(crate) fn set_time(&mut self, scene: SceneAt) -> bool {
-        let is_other = self.now.scene.as_ref() != Some(&scene);
+    pub(crate) fn set_time(&mut self, scene: &SceneAt) -> bool {
+        let is_other = self.now.scene.as_ref() != Some(scene);
         if is_other {
-            self.now = self.pose(&scene);
+            self.now = self.pose(scene);
         }
         is_other
     }

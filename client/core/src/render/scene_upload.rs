@@ -122,7 +122,7 @@ impl SceneUpload {
     }
 
     /// Puts what moves or was edited where it is in this state of the scene. Returns the lights if it is another one.
-    pub(crate) fn set_time(&mut self, scene: SceneAt) -> Option<Vec<Light>> {
+    pub(crate) fn set_time(&mut self, scene: &SceneAt) -> Option<Vec<Light>> {
         let movers = self.movers.as_mut()?;
         if !movers.set_time(scene) {
             return None;

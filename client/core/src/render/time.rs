@@ -12,15 +12,15 @@ impl FrameRenderer {
         self.scene.moves_with_time
     }
 
-    /// Shows this state of the scene from the next picture on; a number is a time in seconds. At first it is time 0, and
-    /// nothing is edited.
+    /// Shows this state of the scene from the next picture on; a number is a time in seconds. At first it is time 0,
+    /// and nothing is edited.
     pub fn set_time(&mut self, scene: impl Into<SceneAt>) {
         let scene = scene.into();
         let scene = if self.moves() { scene } else { scene.at_any_time() };
         if !scene.edits.is_empty() {
             self.scene.follow_edits(&self.lights, self.space.origin_m);
         }
-        let Some(lights) = self.scene.set_time(scene) else { return };
+        let Some(lights) = self.scene.set_time(&scene) else { return };
         self.lights = lights;
         self.predict.set_lights(&self.gpu, &self.lights);
         if self.surroundings.follow(&self.gpu, &self.lights) {

@@ -284,8 +284,8 @@ mod tests {
         assert!(matches!(Scene::unpack(b""), Err(PackError::Magic(0))));
         assert!(matches!(Scene::unpack(&[0; 64]), Err(PackError::Magic(64))));
         let mut newer = packed.clone();
-        newer[8] = 5;
-        assert!(matches!(Scene::unpack(&newer), Err(PackError::Version(5))));
+        newer[8] = 6;
+        assert!(matches!(Scene::unpack(&newer), Err(PackError::Version(6))));
         // A length beyond the bound is refused before memory is taken.
         let mut large = packed.clone();
         large[12..20].copy_from_slice(&u64::MAX.to_le_bytes());

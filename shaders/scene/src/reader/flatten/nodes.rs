@@ -217,10 +217,12 @@ fn is_hidden(node: &Node, tracks: Option<&NodeTracks>) -> Hidden {
         Some(track) => track.sample::<1>(0.0) != [0.0],
         None => visible,
     };
-    match visible {
-        true => Hidden::Never,
-        false if tracks.is_some_and(|tracks| tracks.editable) => Hidden::Sometimes,
-        false => Hidden::Always,
+    if visible {
+        Hidden::Never
+    } else if tracks.is_some_and(|tracks| tracks.editable) {
+        Hidden::Sometimes
+    } else {
+        Hidden::Always
     }
 }
 
