@@ -55,7 +55,8 @@ operator!(Mul, mul, _mm256_mul_ps);
 
 macro_rules! call {
     ($($body:tt)*) => {
-        // SAFETY: `self` proves that the processor has AVX2 and FMA; pointers come from references to aligned F8.
+        // SAFETY: `self` proves that the processor has AVX2 and FMA. Pointers come from references; what is loaded or
+        // stored is an aligned F8.
         unsafe { $($body)* }
     };
 }
