@@ -6,6 +6,7 @@ pub mod cloister;
 pub mod hard_cases;
 pub mod link;
 pub mod metrics;
+pub mod movers;
 pub mod reference;
 pub mod report;
 pub mod rig;

@@ -5,7 +5,7 @@ use std::{path::PathBuf, process::ExitCode};
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use gnomon_lab::{
-    cloister,
+    cloister, movers,
     report::{
         accuracy, chaos, codec, edges, hostile, lag, link, living, load, loss, moving_times, network, pareto, pipeline,
         predict_cost, replay, trace_error, video,
@@ -31,11 +31,17 @@ enum Command {
     Edges(edges::EdgesOptions),
     /// Send bad traffic to a server and measure its cost. Fails if a goal is missed.
     Hostile(hostile::HostileOptions),
-    /// Write Gnomon's own scene: cloister.glb, and its camera paths, cloister.json.
+    /// Write Gnomon's own scene: cloister.glb, and its camera paths, cloister.json. Or put movers into another one.
     MakeScene {
         /// Output folder.
         #[arg(long, default_value = "tests/assets")]
         out: PathBuf,
+        /// A `.gltf` file: write it with things that move (animations `things`, `fan`, `light`) instead.
+        #[arg(long)]
+        from: Option<PathBuf>,
+        /// How many things, of 1,000 triangles each.
+        #[arg(long, default_value_t = 30, requires = "from")]
+        movers: u32,
     },
     /// Rebuild the dissertation's Table 1 with the real programs on loopback: pipeline.csv.
     Pipeline(pipeline::PipelineOptions),
@@ -77,7 +83,11 @@ fn run(arguments: Arguments) -> Result<()> {
         Command::Chaos(options) => chaos::run(&options, progress)?,
         Command::Codec(options) => codec::measure(&options, progress)?,
         Command::Edges(options) => edges::measure(&options, progress)?.1,
-        Command::MakeScene { out } => {
+        Command::MakeScene { out, from: Some(from), movers } => {
+            println!("{}", movers::write(&from, movers, &out)?.display());
+            return Ok(());
+        }
+        Command::MakeScene { out, .. } => {
             let made = cloister::generate(&out)?;
             println!(
                 "{}: {} bytes ({} of pictures), {} meshes, {} instances, {} triangles ({} stored)",

@@ -1,4 +1,5 @@
-//! Writes a binary glTF 2.0 file (glTF 2.0, §4.4): meshes, materials, pictures, lights, nodes and rigid animations.
+//! Writes a binary glTF 2.0 file (glTF 2.0, §4.4): meshes, materials, pictures, lights, nodes and rigid animations; or
+//! adds such parts to a file that there is.
 
 use std::collections::BTreeSet;
 
@@ -22,6 +23,8 @@ pub enum GlbError {
 /// The parts of a file, in the order in which they were added.
 #[derive(Debug, Default)]
 pub(crate) struct Glb {
+    /// Index of the buffer that the parts' bytes go to.
+    buffer: usize,
     binary: Vec<u8>,
     views: Vec<Value>,
     accessors: Vec<Value>,
@@ -33,6 +36,13 @@ pub(crate) struct Glb {
     roots: Vec<Id>,
     animations: Vec<Value>,
     triangles: Vec<usize>,
+}
+
+/// A property of a node that moves: its path in glTF, and its values at the animation's times.
+pub(crate) struct Channel {
+    pub(crate) node: Id,
+    pub(crate) path: &'static str,
+    pub(crate) values: Vec<f32>,
 }
 
 pub(crate) struct Counts {
@@ -90,16 +100,71 @@ impl Glb {
     pub(crate) fn rotation_animation(&mut self, name: &str, node: Id, keys: &[(f64, DQuat)]) {
         #[expect(clippy::cast_possible_truncation, reason = "rounded to the file's precision")]
         let times: Vec<f32> = keys.iter().map(|key| key.0 as f32).collect();
-        let turns: Vec<[f32; 4]> = keys.iter().map(|key| key.1.as_quat().to_array()).collect();
-        let view = self.view(bytemuck::cast_slice(&times), None);
+        let values = keys.iter().flat_map(|key| key.1.as_quat().to_array()).collect();
+        self.animation(name, &times, &[Channel { node, path: "rotation", values }]);
+    }
+
+    /// Adds an animation of several properties with the same key times, in seconds; linear in between.
+    pub(crate) fn animation(&mut self, name: &str, times: &[f32], channels: &[Channel]) {
+        let view = self.view(bytemuck::cast_slice(times), None);
         let input = self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": "SCALAR",
             "count": times.len(), "min": [times.first()], "max": [times.last()] }));
-        let view = self.view(bytemuck::cast_slice(&turns), None);
-        let output =
-            self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": "VEC4", "count": turns.len() }));
-        self.animations.push(json!({ "name": name,
-            "samplers": [{ "input": input, "output": output, "interpolation": "LINEAR" }],
-            "channels": [{ "sampler": 0, "target": { "node": node, "path": "rotation" } }] }));
+        let (mut samplers, mut targets) = (Vec::new(), Vec::new());
+        for (sampler, channel) in channels.iter().enumerate() {
+            let kind = if channel.path == "rotation" { "VEC4" } else { "VEC3" };
+            let view = self.view(bytemuck::cast_slice(&channel.values), None);
+            let output =
+                self.accessor(json!({ "bufferView": view, "componentType": 5126, "type": kind, "count": times.len() }));
+            samplers.push(json!({ "input": input, "output": output, "interpolation": "LINEAR" }));
+            let target = json!({ "node": channel.node, "path": channel.path });
+            targets.push(json!({ "sampler": sampler, "target": target }));
+        }
+        self.animations.push(json!({ "name": name, "samplers": samplers, "channels": targets }));
+    }
+
+    /// Takes the parts of a glTF document, to which others are added. Their bytes make one more buffer.
+    pub(crate) fn within(document: &Value) -> Self {
+        let list = |name: &str| document[name].as_array().cloned().unwrap_or_default();
+        let shown = usize::try_from(document["scene"].as_u64().unwrap_or_default()).unwrap_or_default();
+        let roots = document["scenes"][shown]["nodes"].as_array();
+        let roots = roots.into_iter().flatten().filter_map(|id| usize::try_from(id.as_u64()?).ok()).collect();
+        let meshes = list("meshes");
+        Self {
+            buffer: list("buffers").len(),
+            views: list("bufferViews"),
+            accessors: list("accessors"),
+            materials: list("materials"),
+            nodes: list("nodes"),
+            animations: list("animations"),
+            // Those of the document are not counted.
+            triangles: vec![0; meshes.len()],
+            meshes,
+            roots,
+            ..Self::default()
+        }
+    }
+
+    /// Puts the parts of [`Self::within`] back into their document. Returns the bytes of the new buffer, `uri`.
+    pub(crate) fn put_back(self, document: &mut Value, uri: &str) -> Vec<u8> {
+        let shown = usize::try_from(document["scene"].as_u64().unwrap_or_default()).unwrap_or_default();
+        if let Some(scene) = document.get_mut("scenes").and_then(|scenes| scenes.get_mut(shown)) {
+            scene["nodes"] = json!(self.roots);
+        }
+        let mut buffers = document["buffers"].as_array().cloned().unwrap_or_default();
+        buffers.push(json!({ "byteLength": self.binary.len(), "uri": uri }));
+        let parts = [
+            ("buffers", buffers),
+            ("bufferViews", self.views),
+            ("accessors", self.accessors),
+            ("materials", self.materials),
+            ("nodes", self.nodes),
+            ("animations", self.animations),
+            ("meshes", self.meshes),
+        ];
+        for (name, list) in parts {
+            document[name] = Value::Array(list);
+        }
+        self.binary
     }
 
     /// Returns the file. Errors if a part is longer than 4 GiB.
@@ -199,7 +264,7 @@ impl Glb {
 
     fn view(&mut self, bytes: &[u8], target: Option<u32>) -> Id {
         pad(&mut self.binary, 0);
-        let mut view = json!({ "buffer": 0, "byteOffset": self.binary.len(), "byteLength": bytes.len() });
+        let mut view = json!({ "buffer": self.buffer, "byteOffset": self.binary.len(), "byteLength": bytes.len() });
         if let Some(target) = target {
             view["target"] = json!(target);
         }

@@ -1,6 +1,6 @@
 //! `lab codec`: bytes and time of each codec for the masks along a camera path.
 //!
-//! The cpu back end traces the masks. Every codec must restore each of them exactly, and is timed on one core: the
+//! The cpu back end traces the masks, of a scene that moves at the path's time. Every codec must restore each of them exactly, and is timed on one core: the
 //! least of several rounds, since other programs only add time. Bytes are bytes on the wire, with packet and frame
 //! headers. zstd compresses the same planes as `planes-lz4`; it is not a codec of the product.
 //!
@@ -229,7 +229,7 @@ pub fn measure(options: &CodecOptions, mut progress: impl FnMut(&str)) -> Result
     let (scene, path) = (args.load_scene()?, args.load_path()?);
     let lights = u32::try_from(scene.lights.len()).context("more lights than a mask has")?;
     let (width, height) = args.size;
-    let mut trace = BackendName::Cpu.open(&scene)?;
+    let mut trace = BackendName::Cpu.open_at(&scene)?;
     let mut mask = Mask::new(MaskShape::new(width, height, lights)?);
     let subjects = Subject::all(lags, wrong_ppm, mask.shape())?.into_iter();
     let mut tallied: Vec<_> = subjects.map(|subject| (subject, Tally::default())).collect();
@@ -240,10 +240,11 @@ pub fn measure(options: &CodecOptions, mut progress: impl FnMut(&str)) -> Result
         let mut earlier = Vec::new();
         for &lag in lags {
             let mut mask = Mask::new(mask.shape());
-            trace(&path.camera(time_s - f64::from(lag) / 60.0, width, height), &mut mask)?;
+            let then_s = time_s - f64::from(lag) / 60.0;
+            trace(&path.camera(then_s, width, height), then_s, &mut mask)?;
             earlier.push((lag, mask));
         }
-        trace(&path.camera(time_s, width, height), &mut mask)?;
+        trace(&path.camera(time_s, width, height), time_s, &mut mask)?;
         for (subject, tally) in &mut tallied {
             subject.refer(&earlier)?;
             let added = one_core.install(|| tally.add(subject, &mask, *rounds));

@@ -7,14 +7,16 @@
 mod outcome;
 mod plots;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use gnomon_client::{Viewpoint, camera_path::CameraPath, guard::GuardSize, predictor::Predictor};
 use gnomon_protocol::mask::Mask;
 use gnomon_scene::{AlphaMode, Scene, camera::Camera, motion::Motion};
 
 pub use self::outcome::PosePrediction;
 use self::outcome::{Outcome, Setting};
-use super::{predict_rig::PredictRig, scene_args::SceneArgs, statistics::mean, table::Table};
+use super::{
+    predict_rig::PredictRig, prediction_error::wrong_bits, scene_args::SceneArgs, statistics::mean, table::Table,
+};
 use crate::metrics::{
     image::{ImageError, compare},
     vmaf::vmaf,
@@ -55,6 +57,9 @@ pub struct LagOptions {
     /// Skip the comparison of pictures, which takes most of the time.
     #[arg(long)]
     pub bits_only: bool,
+    /// Write a picture of the wrong bits of each frame and setting.
+    #[arg(long)]
+    pub pictures: bool,
 }
 
 /// Measures, writes `lag.csv` and its plots, and reports each setting to `progress`.
@@ -71,7 +76,8 @@ pub fn measure(options: &LagOptions, mut progress: impl FnMut(&str)) -> Result<T
         let camera = rig.camera(time_s);
         rig.predict.set_time(time_s);
         let truth = rig.predict.truth(&camera);
-        let true_picture = rig.predict.true_picture(&camera)?;
+        let near = rig.predict.near_movers(&camera, &truth);
+        let true_picture = if options.bits_only { None } else { Some(rig.predict.true_picture(&camera)?) };
         let mut traced: Option<(Viewpoint, Mask)> = None;
         for (setting, outcome) in settings.iter().zip(&mut outcomes) {
             let traced_for = rig.traced_for(setting, time_s);
@@ -83,16 +89,21 @@ pub fn measure(options: &LagOptions, mut progress: impl FnMut(&str)) -> Result<T
             };
             let view = Some((&mask, &traced_for.camera));
             let (picture, visibility) = rig.predict.draw(&camera, setting.predictor, view)?;
-            outcome.bits.add(&visibility, &truth);
+            outcome.bits.add(&visibility, &truth, near.as_deref());
+            if options.pictures {
+                let name = format!("wrong-{frame}-{}-{}-{}.png", setting.lag, setting.predictor, setting.guard);
+                let file = options.scene.result(&name)?;
+                wrong_bits(&visibility, &truth).save(&file).with_context(|| format!("writing {}", file.display()))?;
+            }
             outcome.known_share.push(rig.predict.known_share().unwrap_or(f64::NAN));
-            if !options.bits_only {
-                outcome.images.push(compare(&picture, &true_picture));
+            if let Some(true_picture) = &true_picture {
+                outcome.images.push(compare(&picture, true_picture));
                 outcome.shown.push(picture);
             }
             traced = Some((traced_for, mask));
         }
         progress(&format!("frame {} of {} at {time_s:.3} s", frame + 1, options.scene.frames));
-        truths.push(true_picture);
+        truths.extend(true_picture);
     }
     if !options.bits_only {
         for outcome in &mut outcomes {
@@ -125,13 +136,15 @@ fn settings(options: &LagOptions) -> Vec<Setting> {
 fn table(options: &LagOptions, settings: &[Setting], outcomes: &[Outcome]) -> Table {
     let mut table = Table::new(
         "scene | path | lights | size | predictor | guard | server_prediction | lag | bit_error \
-         | known_share | psnr | ssim | flip | vmaf | known_inside_error | known_edge_error | unknown_error",
+         | known_share | psnr | ssim | flip | vmaf | known_inside_error | known_edge_error | unknown_error \
+         | near_movers_share | near_movers_error",
     );
     let path = options.scene.path_text().to_string_lossy().into_owned();
     let path = path.rsplit_once('#').map_or("path", |(_, name)| name);
     let path = options.turn.map_or_else(|| path.to_owned(), |rate| format!("turn {rate}°/s"));
     for (setting, outcome) in settings.iter().zip(outcomes) {
         let bits = &outcome.bits;
+        let near = bits.near_percent();
         let mean_image = |of: fn(&ImageError) -> f64, decimals: usize| {
             let mean = outcome.mean_image(of);
             if mean.is_nan() { String::new() } else { format!("{mean:.decimals$}") }
@@ -154,6 +167,8 @@ fn table(options: &LagOptions, settings: &[Setting], outcomes: &[Outcome]) -> Ta
             format!("{:.4}", bits.percent(bits.known_inside)),
             format!("{:.4}", bits.percent(bits.known_edge)),
             format!("{:.4}", bits.percent(bits.unknown)),
+            near.map_or(String::new(), |_| format!("{:.4}", bits.percent(bits.relevant_near))),
+            near.map_or(String::new(), |near| format!("{near:.4}")),
         ]);
     }
     table

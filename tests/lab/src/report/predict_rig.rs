@@ -1,6 +1,8 @@
 //! Pictures with late visibility, without a network or clock: the cpu back end traces the mask of one view, the
 //! client's renderer predicts another view from it, and the referee has the truth.
 
+use std::cell::OnceCell;
+
 use anyhow::{Context, Result};
 use gnomon_client::{
     occluders::Occluders,
@@ -13,19 +15,59 @@ use gnomon_client::{
     },
 };
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{Scene, SceneAt, camera::Camera};
+use gnomon_scene::{Animation, Scene, SceneAt, camera::Camera};
 use gnomon_server::visibility::backend::cpu::CpuBackend;
 use gnomon_shaders::gpu::{Gpu, GpuOptions};
 use image::RgbImage;
 
+use super::prediction_error::near_movers;
 use crate::reference::{Point, Reference, Truth};
+
+/// Returns the scene without the pieces that move; its lights still do. `None` if no piece does.
+fn without_pieces(scene: &Scene) -> Option<Scene> {
+    let animation = scene.animation.as_deref().filter(|animation| !animation.pieces.is_empty())?;
+    let mut scene = scene.clone();
+    // A draw is one instance's, so all of it moves or rests.
+    scene.draws.retain(|draw| {
+        let first = scene.triangles.get(draw.first_triangle as usize);
+        first.is_none_or(|corners| animation.piece_of(corners[0]).is_none())
+    });
+    let moves = !animation.lights.is_empty();
+    let bare = || Animation { pieces: Vec::new(), shapes: Vec::new(), ..animation.clone() };
+    scene.animation = moves.then(|| Box::new(bare()));
+    Some(scene)
+}
+
+/// A referee of a scene at a time, prepared when it is asked.
+struct Judge {
+    scene: Scene,
+    now_s: f64,
+    reference: OnceCell<Reference>,
+}
+
+impl Judge {
+    fn new(scene: Scene) -> Self {
+        Self { scene, now_s: 0.0, reference: OnceCell::new() }
+    }
+
+    fn set_time(&mut self, now_s: f64) {
+        if self.scene.animation.is_some() {
+            (self.now_s, self.reference) = (now_s, OnceCell::new());
+        }
+    }
+
+    fn now(&self) -> &Reference {
+        self.reference.get_or_init(|| Reference::at(&self.scene, self.now_s))
+    }
+}
 
 pub(super) struct PredictRig {
     lights: u32,
     backend: CpuBackend,
-    reference: Reference,
-    /// `None` if everything rests.
-    moving: Option<Scene>,
+    judge: Judge,
+    /// Of the scene without the pieces that move. `None` if only lights do, or nothing.
+    without: Option<Judge>,
+    moves: bool,
     /// Times of the scene, in seconds: of pictures, and of masks.
     now_s: f64,
     then_s: f64,
@@ -41,8 +83,9 @@ impl PredictRig {
         Ok(Self {
             lights: u32::try_from(scene.lights.len()).context("more lights than a mask has")?,
             backend: CpuBackend::new(scene, None)?,
-            reference: Reference::new(scene),
-            moving: scene.animation.is_some().then(|| scene.clone()),
+            judge: Judge::new(scene.clone()),
+            without: without_pieces(scene).map(Judge::new),
+            moves: scene.animation.is_some(),
             now_s: 0.0,
             then_s: 0.0,
             renderer: FrameRenderer::new(&gpu, scene, size, exposure, PICTURE_FORMAT, Predictor::Surface)?,
@@ -54,9 +97,7 @@ impl PredictRig {
     pub(super) fn set_time(&mut self, now_s: f64) {
         (self.now_s, self.then_s) = (now_s, now_s);
         self.renderer.set_time(now_s);
-        if let Some(scene) = &self.moving {
-            self.reference = Reference::at(scene, now_s);
-        }
+        [Some(&mut self.judge), self.without.as_mut()].into_iter().flatten().for_each(|judge| judge.set_time(now_s));
     }
 
     /// Traces masks at this time of the scene from now on, until [`Self::set_time`].
@@ -65,11 +106,18 @@ impl PredictRig {
     }
 
     pub(super) fn truth(&self, camera: &Camera) -> Truth {
-        self.reference.trace(camera)
+        self.judge.now().trace(camera)
     }
 
     pub(super) fn points(&self, camera: &Camera) -> Vec<Option<Point>> {
-        self.reference.points(camera)
+        self.judge.now().points(camera)
+    }
+
+    /// Returns which pixels are near what moves. `None` if no piece does. `truth` is the camera's.
+    pub(super) fn near_movers(&self, camera: &Camera, truth: &Truth) -> Option<Vec<bool>> {
+        let without = self.without.as_ref()?.now();
+        let bare = (without.trace(camera), without.points(camera));
+        Some(near_movers((truth, &self.points(camera)), (&bare.0, &bare.1)))
     }
 
     /// For settings of pictures.
@@ -121,7 +169,7 @@ impl PredictRig {
         mask: Option<(&Mask, &Camera)>,
         copied: bool,
     ) -> Result<Option<Picture>> {
-        let scene = SceneAt::from(if self.moving.is_some() { self.then_s } else { 0.0 });
+        let scene = SceneAt::from(if self.moves { self.then_s } else { 0.0 });
         self.renderer.set_predictor(predictor);
         self.renderer.draw_surfaces(camera)?;
         self.renderer.set_mask(mask.map(|(mask, traced_for)| MaskView {

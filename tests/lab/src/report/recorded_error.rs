@@ -53,7 +53,7 @@ impl Judge {
                     Some(_) => Reference::at(&self.loaded, at.time_s).trace(&shown),
                     None => self.reference.trace(&shown),
                 };
-                error.add(&visibility, &truth);
+                error.add(&visibility, &truth, None);
             }
             Ok(())
         })?;

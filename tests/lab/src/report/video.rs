@@ -204,8 +204,11 @@ impl<'a> Bench<'a> {
             path.duration_s()
         );
         let mut rig = PredictRig::new(&options.scene.load_scene()?, options.scene.size, options.allow_software)?;
-        let camera = |frame: u32| camera(&path, options, frame);
-        let truths = (0..frames).map(|frame| rig.true_picture(&camera(frame))).collect::<Result<_>>()?;
+        let mut truth = |frame: u32| {
+            rig.set_time(time_s(options, frame));
+            rig.true_picture(&camera(&path, options, frame))
+        };
+        let truths = (0..frames).map(&mut truth).collect::<Result<_>>()?;
         Ok(Self { options, rig, path, truths, first })
     }
 
@@ -244,6 +247,9 @@ impl<'a> Bench<'a> {
         let mut shown = Vec::new();
         for frame in self.first..self.first + options.scene.frames {
             let traced_for = self.traced_for(frame, lag, method);
+            self.rig.set_time(time_s(options, frame));
+            // The server looks ahead in time, too.
+            self.rig.set_mask_time(time_s(options, if method == BEHIND { frame - lag } else { frame }));
             let mask: Mask = self.rig.trace(&traced_for)?;
             for (sender, bytes) in senders.iter_mut().zip(&mut bytes) {
                 *bytes += sender.send(FrameNumber(frame), &mask)? / f64::from(options.scene.frames);
@@ -260,6 +266,7 @@ impl<'a> Bench<'a> {
         let mut shown = Vec::new();
         for frame in self.first..self.first + self.options.scene.frames {
             let camera = camera(&self.path, self.options, frame);
+            self.rig.set_time(time_s(self.options, frame));
             shown.push(self.rig.draw(&camera, Predictor::Surface, None)?.0);
         }
         let quality = Quality::of(&shown, &self.truths[self.measured()], self.fps())?;
@@ -269,16 +276,15 @@ impl<'a> Bench<'a> {
     /// Returns the camera that the server traces for `frame`, extrapolated from the poses that it knew `lag` frames
     /// before.
     fn traced_for(&self, frame: u32, lag: u32, method: &str) -> Camera {
-        let time_s = |frame: u32| f64::from(frame) / self.fps();
         let newest = camera(&self.path, self.options, frame - lag);
         if method == BEHIND {
             return newest;
         }
         let mut motion = Motion::default();
         for frame in frame - lag - POSES_BEFORE..=frame - lag {
-            motion.push(time_s(frame), camera(&self.path, self.options, frame));
+            motion.push(time_s(self.options, frame), camera(&self.path, self.options, frame));
         }
-        motion.extrapolate(time_s(frame)).unwrap_or(newest)
+        motion.extrapolate(time_s(self.options, frame)).unwrap_or(newest)
     }
 
     fn row(&self, method: &'static str, setting: String, rtt_ms: u32, frame_bytes: f64, quality: Quality) -> Row {
@@ -289,7 +295,11 @@ impl<'a> Bench<'a> {
 
 fn camera(path: &CameraPath, options: &VideoOptions, frame: u32) -> Camera {
     let (width, height) = options.scene.size;
-    path.camera(f64::from(frame) / f64::from(options.fps.get()), width, height)
+    path.camera(time_s(options, frame), width, height)
+}
+
+fn time_s(options: &VideoOptions, frame: u32) -> f64 {
+    f64::from(frame) / f64::from(options.fps.get())
 }
 
 fn table(options: &VideoOptions, path: &str, rows: &[Row]) -> Table {
