@@ -1,7 +1,7 @@
 // Lists of the triangles that may stop the rays of a block of pixels: primary rays, and shadow rays to one light. The
 // `…_lists.wgsl` kernels write them, `…_listed.wgsl` test them, and beside that trace the rays of blocks without one.
-// `…_rest.wgsl` trace those of blocks whose list did not do. Blocks count from a part's first row of tiles, so parts may
-// begin at any row. Shadow rays' lists replace those of primary rays.
+// `…_rest.wgsl` trace those of blocks whose list did not do. Blocks count from a part's first row of tiles, so parts
+// may begin at any row. Shadow rays' lists replace those of primary rays.
 //
 // The kernel that imports this declares `QUEUE`: where its counts are.
 

@@ -1,5 +1,5 @@
-// Finds the surface points of a block in the queue ray by ray. A workgroup of 256 takes the block. The kernel that imports
-// this declares `view` and `surfaces`.
+// Finds the surface points of a block in the queue ray by ray. A workgroup of 256 takes the block. The kernel that
+// imports this declares `view` and `surfaces`.
 
 #import "shared/mask.wgsl"
 #import "visibility/counts.wgsl"

@@ -1,4 +1,5 @@
-// Finds the surface points of blocks whose list did not do ray by ray. Few are left, so few workgroups take them in turns.
+// Finds the surface points of blocks whose list did not do ray by ray. Few are left, so few workgroups take them in
+// turns.
 
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"

@@ -1,6 +1,6 @@
 // Tests the shadow rays of each block of pixels and each light against the block's list. A workgroup takes a block, so
-// its 256 rays share what is read of a triangle. The first layer of workgroups traces the rays of blocks without a list:
-// few, and they take long, so they go first, and lists are tested beside them.
+// its 256 rays share what is read of a triangle. The first layer of workgroups traces the rays of blocks without a
+// list: few, and they take long, so they go first, and lists are tested beside them.
 
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"

@@ -1,4 +1,5 @@
-// Traces the shadow rays of blocks whose list did not do one by one. Few are left, so few workgroups take them in turns.
+// Traces the shadow rays of blocks whose list did not do one by one. Few are left, so few workgroups take them in
+// turns.
 
 #import "shared/mask.wgsl"
 #import "shared/traced_scene.wgsl"

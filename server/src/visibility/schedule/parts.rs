@@ -7,8 +7,9 @@
 use gnomon_protocol::mask::MaskShape;
 
 /// Target cost of a part, in milliseconds: long enough to fill a large device. On an H200, parts of 0.15 ms doubled the
-/// time of a greedy client's frames, and parts of 0.5 ms added a sixth (`lab chaos fairness`).
-pub const PART_MS: f64 = 0.5;
+/// time of a greedy client's frames, and parts of 0.5 ms added a sixth (`lab chaos fairness`). Each part waits for its
+/// own slowest rays, a quarter of a millisecond where blocks share lists, so parts of 0.5 ms made frames of 1 ms late.
+pub const PART_MS: f64 = 1.0;
 
 /// Most parts of a frame. The device timestamps each one.
 pub const MAX_PARTS: u32 = 128;
@@ -43,8 +44,8 @@ mod tests {
     fn parts_have_the_wanted_cost_and_are_never_too_many() {
         let shape = |width, height| MaskShape::new(width, height, 4).unwrap();
         // 135 rows in 12 ms.
-        assert_eq!(rows_per_part(shape(1920, 1080), 12.0), 6);
-        assert_eq!(rows_per_part(shape(1920, 1080), 1.0), 68);
+        assert_eq!(rows_per_part(shape(1920, 1080), 12.0), 11);
+        assert_eq!(rows_per_part(shape(1920, 1080), 2.0), 68);
         assert_eq!(rows_per_part(shape(1920, 1080), 0.0), 135);
         for expected_ms in [0.0, 1.0, 1e3, f64::INFINITY, f64::NAN] {
             for (width, height) in [(1, 1), (64, 36), (1920, 1080), (16, 4096)] {

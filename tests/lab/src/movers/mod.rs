@@ -1,8 +1,8 @@
 //! Real scenes in which things move, to measure with: walking figures, rolling balls, opening doors and swinging lamps
 //! among what a file has, a fan of its leaves, and one of its lights that travels.
 //!
-//! [`write`] puts them into a copy of a `.gltf` file. Its animations `things`, `fan` and `light` move them; without one,
-//! they stand in the same scene.
+//! [`write`] puts them into a copy of a `.gltf` file. Its animations `things`, `fan` and `light` move them; without
+//! one, they stand in the same scene.
 
 mod shapes;
 mod things;

@@ -1,8 +1,9 @@
 //! `lab codec`: bytes and time of each codec for the masks along a camera path.
 //!
-//! The cpu back end traces the masks, of a scene that moves at the path's time. Every codec must restore each of them exactly, and is timed on one core: the
-//! least of several rounds, since other programs only add time. Bytes are bytes on the wire, with packet and frame
-//! headers. zstd compresses the same planes as `planes-lz4`; it is not a codec of the product.
+//! The cpu back end traces the masks, of a scene that moves at the path's time. Every codec must restore each of them
+//! exactly, and is timed on one core: the least of several rounds, since other programs only add time. Bytes are bytes
+//! on the wire, with packet and frame headers. zstd compresses the same planes as `planes-lz4`; it is not a codec of the
+//! product.
 //!
 //! Codecs with references are measured without one, and with the mask of N frames before at 60 frames a second: 1 is
 //! the least possible, 3 is what a round trip of 40 ms gives.

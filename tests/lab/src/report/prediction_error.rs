@@ -83,8 +83,8 @@ impl PredictionError {
     }
 }
 
-/// Draws the truth in grey, brighter where more lights reach; over it wrong bits that a mask said in red, and those that
-/// the client's maps said in blue.
+/// Draws the truth in grey, brighter where more lights reach; over it wrong bits that a mask said in red, and those
+/// that the client's maps said in blue.
 pub fn wrong_bits(visibility: &[PixelVisibility], truth: &Truth) -> image::RgbImage {
     let pixels = visibility.iter().zip(&truth.pixels).flat_map(|(found, verdict)| {
         let bits = |word: u32| word.count_ones().to_le_bytes()[0];

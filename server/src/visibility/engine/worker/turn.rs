@@ -7,9 +7,9 @@ use std::{
 };
 
 use super::state::Worker;
-use crate::visibility::engine::tracer::TraceError;
 #[cfg(any(test, feature = "faults"))]
 use crate::visibility::{backend::BackendError, engine::faults::Fault};
+use crate::visibility::{engine::tracer::TraceError, schedule::parts};
 
 /// How long it waits for an empty ring at a time: it must notice a shutdown.
 const EMPTY_RING_WAIT: Duration = Duration::from_millis(100);
@@ -64,12 +64,16 @@ impl Worker {
         Ok(())
     }
 
-    /// Sleeps until the device should have finished its oldest frame, or for a short time if that is over. A wake-up
-    /// ends it. The driver's own waits are no better: short ones keep a core busy, long ones sleep through new poses.
+    /// Sleeps until the device should have finished its oldest frame, or its part of an interrupted one, or for a short
+    /// time if that is over. A wake-up ends it. The driver's own waits are no better: short ones keep a core busy, long
+    /// ones sleep through new poses.
     fn nap(&self) {
         let (at_work, session) = self.tracer.at_work();
         let expected_ms =
             session.and_then(|key| self.sessions.get(&key)).map_or(0.0, |it| it.opened.costs.expected_ms());
+        // The device waits for the next part.
+        let interrupted = self.sessions.values().any(|session| session.partial.is_some());
+        let expected_ms = if interrupted { expected_ms.min(parts::PART_MS) } else { expected_ms };
         let left = Duration::from_secs_f64(expected_ms * 1e-3).saturating_sub(at_work);
         std::thread::park_timeout(left.max(at_work / NAP_SHARE).clamp(*NAPS.start(), *NAPS.end()));
     }
