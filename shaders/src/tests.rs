@@ -15,6 +15,9 @@ use crate::{
     uniforms::Uniforms,
 };
 
+/// What every adapter has that browsers may use: halves of words as small floats are a part of WGSL.
+const WEB_GPU: Capabilities = Capabilities::SHADER_FLOAT16_IN_FLOAT32;
+
 /// Parses and validates a spliced text.
 fn valid(path: &str, text: &str, capabilities: Capabilities) -> naga::Module {
     let module = naga::front::wgsl::parse_str(text)
@@ -28,7 +31,7 @@ fn valid(path: &str, text: &str, capabilities: Capabilities) -> naga::Module {
 fn module(path: &str) -> naga::Module {
     // Only the tracing kernels use immediate data.
     let tracing = path.starts_with("visibility/");
-    valid(path, &splice(path).unwrap(), if tracing { Capabilities::IMMEDIATES } else { Capabilities::empty() })
+    valid(path, &splice(path).unwrap(), if tracing { Capabilities::IMMEDIATES } else { WEB_GPU })
 }
 
 /// Returns the names and offsets of a WGSL struct's members, and its size.
@@ -204,7 +207,7 @@ fn software_adapters_read_no_uniform_buffer() {
     let mut moved = Vec::new();
     for path in with_entry_points().into_iter().filter(|path| path.starts_with("shading/")) {
         let [real, software] = [DeviceType::DiscreteGpu, DeviceType::Cpu]
-            .map(|kind| valid(path, &splice_for(Uniforms::of(kind), path).unwrap(), Capabilities::empty()));
+            .map(|kind| valid(path, &splice_for(Uniforms::of(kind), path).unwrap(), WEB_GPU));
         assert_eq!(globals(&software, is_uniform), Vec::<String>::new(), "{path}");
         let (uniforms, read_only) = (globals(&real, is_uniform), globals(&software, is_read_only));
         assert!(uniforms.iter().all(|name| read_only.contains(name)), "{path}: {uniforms:?} {read_only:?}");
