@@ -17,7 +17,7 @@ use gnomon_scene::{LoadOptions, Scene, SceneError};
 use serde_json::{Value, json};
 
 use crate::cloister::glb::{Glb, at, mesh_node};
-use things::{Kinds, key_times, moving, turning};
+use things::{Kinds, key_times, moving, single, turning};
 
 pub use things::TRIANGLES;
 
@@ -100,7 +100,8 @@ fn add(document: &mut Value, scene: &Scene, count: u32, uri: &str) -> Vec<u8> {
     if let Some(leaves) = leaves {
         let aside = middle + DVec3::Z * 1.5 * unit;
         let hub = DVec3::new(aside.x, floor_below(scene, aside, most) + 2.5 * unit, aside.z);
-        let fan = glb.mesh("fan", &[(leaves, shapes::fan(8, 0.15 * unit as f32, unit as f32))]);
+        let radius = single(unit);
+        let fan = glb.mesh("fan", &[(leaves, shapes::fan(8, 0.15 * radius, radius))]);
         let fan = glb.node(None, at(mesh_node("fan", fan), hub + scene.origin_m));
         let spin = turning(fan, |now| DQuat::from_rotation_x(now * 2.0 * std::f64::consts::TAU));
         glb.animation("fan", &key_times(), &[spin]);
@@ -129,7 +130,7 @@ fn floor_below(scene: &Scene, at: DVec3, most: f64) -> f64 {
         let flat = |v: DVec3| DVec2::new(v.x, v.z);
         let area = flat(b - a).perp_dot(flat(c - a));
         let [u, v] = [flat(at - a).perp_dot(flat(c - a)) / area, flat(b - a).perp_dot(flat(at - a)) / area];
-        (u >= 0.0 && v >= 0.0 && u + v <= 1.0).then(|| a.y + (b.y - a.y) * u + (c.y - a.y) * v)
+        (u >= 0.0 && v >= 0.0 && u + v <= 1.0).then_some(a.y + (b.y - a.y) * u + (c.y - a.y) * v)
     };
     let below = scene.tracing_triangles().iter().filter_map(height).filter(|height| *height <= most);
     below.reduce(f64::max).unwrap_or_else(|| f64::from(scene.bounds.min.y))

@@ -28,9 +28,15 @@ pub(super) struct Kinds {
     unit_m: f64,
 }
 
+/// A time or a length as files have it.
+#[expect(clippy::cast_possible_truncation, reason = "rounded to the nearest")]
+pub(super) fn single(value: f64) -> f32 {
+    value as f32
+}
+
 /// Times of an animation's keys, in seconds.
 pub(super) fn key_times() -> Vec<f32> {
-    (0..=KEYS).map(|key| (ROUND_S * f64::from(key) / f64::from(KEYS)) as f32).collect()
+    (0..=KEYS).map(|key| single(ROUND_S * f64::from(key) / f64::from(KEYS))).collect()
 }
 
 /// A rotation at each key; `pose` takes the share of the round.
@@ -47,7 +53,7 @@ pub(super) fn moving(node: Id, pose: impl Fn(f64) -> DVec3) -> Channel {
 
 impl Kinds {
     pub(super) fn new(glb: &mut Glb, unit_m: f64) -> Self {
-        let unit = unit_m as f32;
+        let unit = single(unit_m);
         let mut mesh = |name: &str, colour: [f32; 3], mesh: Mesh| {
             let [r, g, b] = colour;
             let roughness = json!({ "baseColorFactor": [r, g, b, 1.0], "metallicFactor": 0.0 });

@@ -2,8 +2,8 @@
 //!
 //! The cpu back end traces the masks, of a scene that moves at the path's time. Every codec must restore each of them
 //! exactly, and is timed on one core: the least of several rounds, since other programs only add time. Bytes are bytes
-//! on the wire, with packet and frame headers. zstd compresses the same planes as `planes-lz4`; it is not a codec of the
-//! product.
+//! on the wire, with packet and frame headers. zstd compresses the same planes as `planes-lz4`; it is not a codec of
+//! the product.
 //!
 //! Codecs with references are measured without one, and with the mask of N frames before at 60 frames a second: 1 is
 //! the least possible, 3 is what a round trip of 40 ms gives.

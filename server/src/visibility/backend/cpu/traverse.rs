@@ -310,10 +310,10 @@ fn farthest<S: Simd>(s: S, group: &Group, points: &[[F8; PACKETS]; 3]) -> f32 {
 fn behind_plane<S: Simd>(s: S, leaf: &Leaf, slot: usize, back: bool, point: [S::F; 3]) -> S::M {
     let mut distance = s.splat(0.0);
     let mut terms = s.splat(0.0);
-    for axis in 0..3 {
+    for (axis, position) in point.into_iter().enumerate() {
         let normal = leaf.normals[axis].0[slot];
         let normal = s.splat(if back { normal } else { -normal });
-        let way = point[axis] - s.splat(leaf.corners[0][axis].0[slot]);
+        let way = position - s.splat(leaf.corners[0][axis].0[slot]);
         distance = s.fma(normal, way, distance);
         terms = s.fma(s.abs(normal), s.abs(way), terms);
     }
