@@ -29,9 +29,13 @@ fn valid(path: &str, text: &str, capabilities: Capabilities) -> naga::Module {
 }
 
 fn module(path: &str) -> naga::Module {
-    // Only the tracing kernels use immediate data.
-    let tracing = path.starts_with("visibility/");
-    valid(path, &splice(path).unwrap(), if tracing { Capabilities::IMMEDIATES } else { WEB_GPU })
+    // Only the server's kernels use immediate data, and only those that move things long words.
+    let capabilities = match path {
+        _ if path.starts_with("visibility/pose") => Capabilities::IMMEDIATES | Capabilities::SHADER_INT64,
+        _ if path.starts_with("visibility/") => Capabilities::IMMEDIATES,
+        _ => WEB_GPU,
+    };
+    valid(path, &splice(path).unwrap(), capabilities)
 }
 
 /// Returns the names and offsets of a WGSL struct's members, and its size.

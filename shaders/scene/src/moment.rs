@@ -55,6 +55,13 @@ impl Placement {
         self.form.is_some()
     }
 
+    /// Returns the transforms of a rigid piece's positions to the world, and of its normals, up to their length. `None`
+    /// if it has a shape.
+    #[must_use]
+    pub fn rigid(&self) -> Option<(&DMat4, &DMat3)> {
+        self.form.is_none().then_some((&self.world_from_piece, &self.normals))
+    }
+
     /// Returns where one of the piece's vertices is in the scene's local space, and its unit normal.
     #[must_use]
     pub fn vertex(&self, own: &OwnVertices<'_>, vertex: usize) -> (Vec3, Vec3) {

@@ -8,7 +8,7 @@ use gnomon_scene::{Scene, camera::Camera};
 use gnomon_server::visibility::{
     TraceCost,
     backend::{
-        compute::{ComputeBackend, RING_FRAMES},
+        compute::{ComputeBackend, Posers, RING_FRAMES},
         cpu::CpuBackend,
         ray_query,
     },
@@ -31,6 +31,9 @@ pub struct MovingTimesOptions {
     /// `compute` or `ray-query`.
     #[arg(long, value_enum, default_value = "compute")]
     pub backend: BackendName,
+    /// Moves things on the processor even where the device can; or on the device even where it is software.
+    #[arg(long, value_enum)]
+    pub moved_by: Option<MovedBy>,
     /// Time on the path, in seconds.
     #[arg(long, default_value_t = 0.0)]
     pub at: f64,
@@ -40,6 +43,13 @@ pub struct MovingTimesOptions {
     /// Largest share of the shadow rays whose bits may differ from those of `cpu`.
     #[arg(long, default_value_t = 0.0001)]
     pub tolerance: f64,
+}
+
+/// What moves things, on `compute`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum MovedBy {
+    Host,
+    Device,
 }
 
 /// Steps of the scene's time between frames, in seconds.
@@ -68,9 +78,17 @@ struct Times {
 
 impl Device {
     fn open(options: &MovingTimesOptions, scene: &Scene, camera: Camera) -> Result<Self> {
-        let open = if options.backend == BackendName::RayQuery { ray_query::open } else { ComputeBackend::open };
+        let posers = match options.moved_by {
+            None => Posers::WherePaid,
+            Some(MovedBy::Host) => Posers::Host,
+            Some(MovedBy::Device) => Posers::Device,
+        };
         let shape = MaskShape::new(camera.width, camera.height, u32::try_from(scene.lights.len())?)?;
-        let mut backend = open(scene, None, options.allow_software)?;
+        let mut backend = if options.backend == BackendName::RayQuery {
+            ray_query::open(scene, None, options.allow_software)?
+        } else {
+            ComputeBackend::open_with_posers(scene, None, options.allow_software, posers)?
+        };
         backend.fit([shape])?;
         Ok(Self { backend, mask: Mask::new(shape), camera })
     }

@@ -19,6 +19,7 @@ use super::{
     kernels::{self, KernelOptions, Kernels, Lists, SCENE_BUFFERS, Traversal},
     limit::{PictureLimit, binding_limit},
     movers::{Movers, Posed, RegionBuffers, Sizes},
+    posing::{self, Posers, Posing},
     ring::{Capacity, RING_FRAMES, Ring, SLOTS},
     submission::{InFlight, Submissions},
     timing::Timing,
@@ -63,6 +64,8 @@ pub(super) struct Moving {
     pub(super) buffers: RegionBuffers,
     /// `None` where our own hierarchy is walked.
     pub(super) structures: Option<Structures>,
+    /// `None` where the host moves everything.
+    pub(super) posing: Option<Posing>,
 }
 
 impl Moving {
@@ -70,19 +73,31 @@ impl Moving {
     pub(super) fn pose(&mut self, queue: &wgpu::Queue, slot: usize, scene: &SceneAt) -> Posed {
         // Known again when the frame is submitted.
         self.movers.set(slot, None);
-        let posed = self.movers.pose(queue, &self.buffers, slot, scene);
+        let posed = self.movers.pose(queue, &self.buffers, self.posing.as_ref(), slot, scene);
         if let Some(structures) = &mut self.structures {
             structures.write(queue, slot, self.movers.triangles(posed));
         }
         posed
     }
 
-    /// Builds a slot's acceleration structure, if it has one. Encode before the kernels of its frame.
-    pub(super) fn build(&mut self, encoder: &mut wgpu::CommandEncoder, slot: usize, posed: Posed) {
+    /// Moves what the device moves, and builds a slot's acceleration structure, if it has one. Encode before the
+    /// kernels of its frame. What is moved writes these timestamps. Returns whether the device moves anything.
+    pub(super) fn build(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        slot: usize,
+        posed: Posed,
+        timestamp_writes: Option<wgpu::ComputePassTimestampWrites<'_>>,
+    ) -> bool {
         if let Some(structures) = &self.structures {
             structures.build(encoder, slot, posed.triangles);
         }
         self.movers.set(slot, Some(posed));
+        let posing = self.posing.as_ref().filter(|_| posed.by_device);
+        if let Some(posing) = posing {
+            posing.encode(encoder, slot, timestamp_writes);
+        }
+        posing.is_some()
     }
 }
 
@@ -127,6 +142,20 @@ impl ComputeBackend {
         Self::open_with(scene, adapter, allow_software, options)
     }
 
+    /// As [`Self::open`], but things are moved where `posers` says.
+    ///
+    /// # Errors
+    /// Those of [`Self::open`].
+    pub fn open_with_posers(
+        scene: &Scene,
+        adapter: Option<String>,
+        allow_software: bool,
+        posers: Posers,
+    ) -> Result<Self, BackendError> {
+        let options = KernelOptions { posers, ..KernelOptions::new(Traversal::Hierarchy) };
+        Self::open_with(scene, adapter, allow_software, options)
+    }
+
     /// As [`Self::open`], but shadow rays start `offset_roundings` rounding units off their surface: a fault for tests.
     ///
     /// # Errors
@@ -156,7 +185,8 @@ impl ComputeBackend {
         allow_software: bool,
         options: KernelOptions,
     ) -> Result<Self, BackendError> {
-        let wanted = kernels::NEEDED | kernels::TIMING | kernels::SUBGROUPS | options.traversal.features();
+        let optional = kernels::TIMING | kernels::SUBGROUPS | posing::NEEDED;
+        let wanted = kernels::NEEDED | optional | options.traversal.features();
         let gpu = pollster::block_on(Gpu::open(&GpuOptions { adapter, wanted, allow_software }))?;
         Self::new_with(scene, gpu, options)
     }
@@ -167,7 +197,7 @@ impl ComputeBackend {
         let mut geometry = Geometry::build(scene, traversal)?;
         let movers = Movers::new(scene, &mut geometry, traversal);
         let tests_alpha = !geometry.alpha_materials.is_empty();
-        let memory = DeviceMemory {
+        let mut memory = DeviceMemory {
             hierarchy_bytes: size_of_val(&*geometry.nodes) as u64,
             triangle_bytes: (size_of_val(&*geometry.triangles) + size_of_val(&*geometry.normals)) as u64,
             lights_bytes: (size_of::<TracedLight>() * scene.lights.len()) as u64,
@@ -199,7 +229,9 @@ impl ComputeBackend {
         };
         let [nodes_buffer, triangles, lights, _, _, _, normals] = buffers;
         let regions = RegionBuffers { nodes: nodes_buffer, triangles, lights, normals };
-        let moving = Box::new(Moving { movers, buffers: regions, structures });
+        let posing = Posing::new(&gpu, scene, &movers, &regions, (traversal, options.posers))?;
+        memory.moving_bytes += posing.as_ref().map_or(0, Posing::bytes);
+        let moving = Box::new(Moving { movers, buffers: regions, structures, posing });
         let timing = Timing::new(&gpu.device, &gpu.queue, u32::try_from(SLOTS).unwrap_or(u32::MAX));
         if let Some(reason) = failure.take() {
             return Err(BackendError::Setup(reason));
@@ -340,7 +372,9 @@ fn upload(
     mut geometry: Geometry,
     room: Sizes,
 ) -> Result<[wgpu::Buffer; SCENE_BUFFERS], BackendError> {
-    let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
+    // Tests read what the device has written.
+    let read = if cfg!(test) { wgpu::BufferUsages::COPY_SRC } else { wgpu::BufferUsages::empty() };
+    let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | read;
     let mut lights: Vec<TracedLight> = scene.lights.iter().map(TracedLight::new).collect();
     extend(&mut geometry.nodes, room.nodes);
     extend(&mut geometry.triangles, room.triangles);

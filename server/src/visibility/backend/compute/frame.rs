@@ -123,20 +123,25 @@ impl ComputeBackend {
             if frame.parts >= MAX_PARTS {
                 return Err(BackendError::Device(format!("a frame in more than {MAX_PARTS} parts")));
             }
+            let first = first_query + PART_QUERIES * frame.parts;
+            let mut begun = false;
             if frame.parts == 0 {
                 slot.clear(&mut encoder);
                 if let Some(posed) = frame.posed.filter(|_| frame.is_new) {
-                    self.moving.build(&mut encoder, frame.lease.slot(), posed);
+                    let begins = self.timing.as_ref().map(|timing| timing.begins(first));
+                    begun = self.moving.build(&mut encoder, frame.lease.slot(), posed, begins);
                 }
             }
             let rows = frame.next_rows(rows.max(1));
-            let first = first_query + PART_QUERIES * frame.parts;
             frame.view.end_row = rows.end;
             let tiles = (shape.tiles_x(), rows.end - rows.start);
             for (stage, dispatches) in (0..).zip(self.work(shape, tiles)) {
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                     label: None,
-                    timestamp_writes: self.timing.as_ref().map(|timing| timing.writes(first, stage)),
+                    timestamp_writes: self
+                        .timing
+                        .as_ref()
+                        .map(|timing| timing.writes(first, stage, begun && stage == 0)),
                 });
                 for (kernel, (x, y), z) in dispatches {
                     pass.set_pipeline(kernel);

@@ -6,7 +6,7 @@ use gnomon_shaders::{
     splice::{splice, splice_ray_query, splice_subgroups},
 };
 
-use super::acceleration;
+use super::{acceleration, posing::Posers};
 use crate::visibility::backend::BackendError;
 
 /// How the kernels find the triangles along a ray.
@@ -131,7 +131,7 @@ impl Kernels {
         alpha_materials: &[AlphaMaterial],
         options: KernelOptions,
     ) -> Result<Self, BackendError> {
-        let KernelOptions { traversal, lists, offset_roundings } = options;
+        let KernelOptions { traversal, lists, offset_roundings, .. } = options;
         if traversal == Traversal::RayQuery {
             acceleration::check(gpu)?;
         }
@@ -230,12 +230,37 @@ pub(in super::super) struct KernelOptions {
     pub(in super::super) lists: Lists,
     /// Replaces `OFFSET_ROUNDINGS` of `visibility/surface.wgsl`: a fault for tests.
     pub(in super::super) offset_roundings: Option<u16>,
+    pub(in super::super) posers: Posers,
 }
 
 impl KernelOptions {
     pub(in super::super) fn new(traversal: Traversal) -> Self {
-        Self { traversal, lists: Lists::default(), offset_roundings: None }
+        Self { traversal, lists: Lists::default(), offset_roundings: None, posers: Posers::default() }
     }
+}
+
+/// Compiles a kernel that moves things, with immediate data of so many bytes. Errors if there is no such kernel.
+pub(super) fn posing(
+    gpu: &Gpu,
+    name: &str,
+    layout: &wgpu::BindGroupLayout,
+    immediate_size: u32,
+) -> Result<wgpu::ComputePipeline, BackendError> {
+    let text = splice(&format!("visibility/{name}.wgsl"))
+        .map_err(|error| BackendError::Setup(format!("kernel {name}: {error}")))?;
+    let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some("posing"),
+        bind_group_layouts: &[Some(layout)],
+        immediate_size,
+    });
+    Ok(gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some(name),
+        layout: Some(&pipeline_layout),
+        module: &module(gpu, Traversal::Hierarchy, name, text),
+        entry_point: Some(name),
+        compilation_options: wgpu::PipelineCompilationOptions::default(),
+        cache: None,
+    }))
 }
 
 /// Compiles a kernel without counters in its loops, which cost a tenth of the shadow rays' time. Every loop ends: those
@@ -253,7 +278,7 @@ fn module(gpu: &Gpu, traversal: Traversal, name: &str, text: String) -> wgpu::Sh
     }
 }
 
-fn buffer_type(read_only: bool) -> wgpu::BindingType {
+pub(super) fn buffer_type(read_only: bool) -> wgpu::BindingType {
     wgpu::BindingType::Buffer {
         ty: wgpu::BufferBindingType::Storage { read_only },
         has_dynamic_offset: false,
@@ -262,7 +287,7 @@ fn buffer_type(read_only: bool) -> wgpu::BindingType {
 }
 
 /// A layout of bindings of these types, numbered from 0.
-fn layout(
+pub(super) fn layout(
     device: &wgpu::Device,
     label: &str,
     types: impl IntoIterator<Item = wgpu::BindingType>,
@@ -279,7 +304,7 @@ fn layout(
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
 }
 
-fn bind<'a>(
+pub(super) fn bind<'a>(
     device: &wgpu::Device,
     label: &str,
     layout: &wgpu::BindGroupLayout,

@@ -8,6 +8,7 @@ mod geometry;
 mod kernels;
 mod limit;
 mod movers;
+mod posing;
 mod refit;
 mod ring;
 mod submission;
@@ -20,6 +21,7 @@ pub use self::{
     backend::{ComputeBackend, DeviceMemory},
     kernels::Lists,
     limit::PictureLimit,
+    posing::Posers,
     ring::{RING_FRAMES, SLOTS},
     submission::PartialSubmission,
 };

@@ -14,6 +14,7 @@ use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, IntoParallelRef
 use super::{
     geometry::{Geometry, PieceGeometry, PieceTriangle, plane_normal},
     kernels::Traversal,
+    posing::{Firsts, PlacementWords, Posing},
     refit::{Moved, Root, join, most_joined, refit},
     ring::SLOTS,
 };
@@ -55,6 +56,8 @@ pub(super) struct Posed {
     pub(super) first_light: u32,
     /// Triangles that are shown.
     pub(super) triangles: u32,
+    /// The device has pieces to move.
+    pub(super) by_device: bool,
 }
 
 #[derive(Debug)]
@@ -130,6 +133,11 @@ impl Movers {
         self.room().bytes()
     }
 
+    /// All pieces.
+    pub(super) fn pieces(&self) -> &[PieceGeometry] {
+        &self.pieces
+    }
+
     /// Most triangles that move.
     pub(super) fn most_triangles(&self) -> usize {
         self.region.triangles
@@ -157,9 +165,16 @@ impl Movers {
         self.scratch.triangles.get(..posed.triangles as usize).unwrap_or_default()
     }
 
-    /// Puts what moves or was edited where it is, and writes it into a slot's region. No frame of the slot may be under
-    /// way. Runs on the current rayon pool.
-    pub(super) fn pose(&mut self, queue: &wgpu::Queue, buffers: &RegionBuffers, slot: usize, scene: &SceneAt) -> Posed {
+    /// Puts what moves or was edited where it is, and writes it into a slot's region, or what `posing` needs to do so.
+    /// No frame of the slot may be under way. Runs on the current rayon pool.
+    pub(super) fn pose(
+        &mut self,
+        queue: &wgpu::Queue,
+        buffers: &RegionBuffers,
+        posing: Option<&Posing>,
+        slot: usize,
+        scene: &SceneAt,
+    ) -> Posed {
         let Self { traversal, stage, pieces, resting, before, region, scratch, scenes, .. } = self;
         if let Some(known) = scenes.get_mut(slot) {
             known.clone_from(scene);
@@ -183,32 +198,56 @@ impl Movers {
             bounds: &mut scratch.bounds,
         };
         let (mut nodes, mut triangles) = (top.len(), 0);
-        let mut tasks = Vec::with_capacity(pieces.len());
-        for ((piece, own), placement) in pieces.iter().zip(own_vertices).zip(&placements) {
-            let Some(placement) = placement.as_ref().filter(|_| !piece.triangles.is_empty()) else { continue };
-            tasks.push(Task {
-                piece,
-                placement,
-                own,
-                firsts: (index(first_node + nodes), index(first_triangle + triangles)),
-                room: left.take(piece),
-            });
+        let mut take = |piece: &PieceGeometry| {
+            let firsts = Firsts { node: index(first_node + nodes), triangle: index(first_triangle + triangles) };
             nodes += piece.nodes.len();
             triangles += piece.triangles.len();
+            firsts
+        };
+        // What the host moves lies in front, so that it is uploaded in one piece.
+        let (mut tasks, mut posed) = (Vec::with_capacity(pieces.len()), Vec::new());
+        for (number, ((piece, own), placement)) in pieces.iter().zip(own_vertices).zip(&placements).enumerate() {
+            let Some(placement) = placement.as_ref().filter(|_| !piece.triangles.is_empty()) else { continue };
+            if let Some(here) = posing.and_then(|posing| posing.takes(number, placement)) {
+                posed.push((number, piece, placement, here));
+            } else {
+                tasks.push(Task { piece, placement, own, firsts: take(piece), room: left.take(piece) });
+            }
         }
+        let posed: Vec<_> =
+            posed.into_iter().map(|(number, piece, placement, here)| (number, placement, here, take(piece))).collect();
+        let uploaded = tasks.iter().map(|task| task.piece).fold(Sizes::default(), |sum, piece| Sizes {
+            nodes: sum.nodes + piece.nodes.len(),
+            triangles: sum.triangles + piece.triangles.len(),
+            lights: 0,
+        });
         let roots: Vec<Root> = tasks.into_par_iter().map(Task::run).collect();
         // What has no area has no bounds, and nothing hits it.
-        let roots: Vec<Root> = roots.into_iter().filter(|root| root.bounds[0].cmple(root.bounds[1]).all()).collect();
+        let mut roots: Vec<Root> =
+            roots.into_iter().filter(|root| root.bounds[0].cmple(root.bounds[1]).all()).collect();
+        let moved_by_host = roots.len();
+        roots.extend(
+            posed.iter().map(|(_, placement, ..)| Root { node: CwBvhNode::zeroed(), bounds: around(placement) }),
+        );
 
-        write(queue, &buffers.triangles, first_triangle, &scratch.triangles[..triangles]);
-        write(queue, &buffers.normals, first_triangle, &scratch.normals[..triangles]);
+        write(queue, &buffers.triangles, first_triangle, &scratch.triangles[..uploaded.triangles]);
+        write(queue, &buffers.normals, first_triangle, &scratch.normals[..uploaded.triangles]);
         let lights: Vec<TracedLight> = lights.iter().map(TracedLight::new).collect();
         write(queue, &buffers.lights, first_light, &lights);
         let (root, all_nodes) = match traversal {
             Traversal::Hierarchy if roots.is_empty() => (0, before.nodes),
             Traversal::Hierarchy => {
-                join(resting.as_ref(), &roots, index(first_node), top);
-                write(queue, &buffers.nodes, first_node, &scratch.nodes[..nodes]);
+                let places = join(resting.as_ref(), &roots, index(first_node), top);
+                let places = places.into_iter().skip(moved_by_host);
+                let placed = posed.iter().zip(places).filter_map(|((number, placement, here, there), place)| {
+                    let root = index(first_node + place);
+                    Some((*number, PlacementWords::new(placement, *here, *there, root)?))
+                });
+                if let Some(posing) = posing {
+                    posing.write(queue, slot, &placed.collect::<Vec<_>>());
+                }
+                let uploaded = top.len() + uploaded.nodes;
+                write(queue, &buffers.nodes, first_node, &scratch.nodes[..uploaded]);
                 (first_node, before.nodes + nodes)
             }
             Traversal::RayQuery => (first_triangle, before.triangles + triangles),
@@ -218,8 +257,15 @@ impl Movers {
             nodes: index(all_nodes),
             first_light: index(first_light),
             triangles: index(triangles),
+            by_device: !posed.is_empty(),
         }
     }
+}
+
+/// A piece's bounds. They were rounded to f32 like its vertices, and grow by one unit for the roundings of f64.
+fn around(placement: &Placement) -> Bounds {
+    let [min, max] = [placement.bounds.min, placement.bounds.max].map(|corner| corner.to_array());
+    [Vec3::from_array(min.map(f32::next_down)), Vec3::from_array(max.map(f32::next_up))]
 }
 
 /// The rest of the scratch memory.
@@ -254,8 +300,8 @@ struct Task<'a> {
     piece: &'a PieceGeometry,
     placement: &'a Placement,
     own: OwnVertices<'a>,
-    /// Its first node and triangle in the buffers.
-    firsts: (u32, u32),
+    /// In the scene's buffers.
+    firsts: Firsts,
     room: Left<'a>,
 }
 
@@ -271,7 +317,7 @@ impl Task<'_> {
             (*triangle, *normals) = place(of, placement, vertices);
         });
         let moved = Moved { triangles, normals: triangle_normals };
-        refit(&piece.nodes, &moved, firsts, nodes, bounds)
+        refit(&piece.nodes, &moved, (firsts.node, firsts.triangle), nodes, bounds)
     }
 }
 

@@ -132,8 +132,9 @@ pub(super) fn most_levels(mut trees: usize) -> u32 {
 }
 
 /// Joins trees under a new root, that of what rests right below it. Writes the top and the trees' first nodes, which
-/// are numbered from `first_node` on. Returns how many it wrote; the first is the root.
-pub(super) fn join(resting: Option<&Root>, moving: &[Root], first_node: u32, nodes: &mut [CwBvhNode]) -> usize {
+/// are numbered from `first_node` on; the first is the root. Returns where it wrote the first node of each of `moving`.
+pub(super) fn join(resting: Option<&Root>, moving: &[Root], first_node: u32, nodes: &mut [CwBvhNode]) -> Vec<usize> {
+    let mut places = vec![0; moving.len()];
     let boxes: Vec<Bounds> = moving.iter().map(|root| root.bounds).collect();
     let (tree, _) = top(&boxes, WIDTH - usize::from(resting.is_some()));
     let mut end = 1;
@@ -147,13 +148,13 @@ pub(super) fn join(resting: Option<&Root>, moving: &[Root], first_node: u32, nod
                 let under = match of.child(slot) {
                     Child::None => return None,
                     Child::Node(below) => Under::Top(below as usize),
-                    Child::Leaf(tree) => Under::Tree(&moving[tree as usize]),
+                    Child::Leaf(tree) => Under::Tree(tree as usize),
                 };
                 Some(([side(&of.min), side(&of.max)], under))
             })
             .collect();
         if n == 0 {
-            children.extend(resting.map(|root| (root.bounds, Under::Tree(root))));
+            children.extend(resting.map(|root| (root.bounds, Under::Resting(root))));
         }
         let mut node = CwBvhNode { child_base_idx: first_node + index(end), ..CwBvhNode::default() };
         let mut boxes = [NOTHING; WIDTH];
@@ -164,21 +165,25 @@ pub(super) fn join(resting: Option<&Root>, moving: &[Root], first_node: u32, nod
             node.child_meta[slot] = INNER | u8::try_from(slot).unwrap_or_default();
             match under {
                 Under::Top(below) => open.push((below, end)),
-                Under::Tree(root) => nodes[end] = root.node,
+                Under::Resting(root) => nodes[end] = root.node,
+                Under::Tree(tree) => (nodes[end], places[tree]) = (moving[tree].node, end),
             }
             end += 1;
         }
         set_boxes(&mut node, boxes);
         nodes[place] = node;
     }
-    end
+    places
 }
 
 /// What lies under a slot of the top.
 #[derive(Clone, Copy)]
 enum Under<'a> {
     Top(usize),
-    Tree(&'a Root),
+    /// What rests.
+    Resting(&'a Root),
+    /// One of what moves.
+    Tree(usize),
 }
 
 fn plane(planes: &crate::visibility::hierarchy::bvh::F8, slot: usize) -> f32 {
@@ -276,7 +281,9 @@ mod tests {
                 let resting = roots.pop().filter(|_| with_resting);
                 let shown = per_tree * (trees + usize::from(with_resting));
                 // The nodes of the device count from elsewhere: here, from 0.
-                assert!(join(resting.as_ref(), &roots, 0, &mut nodes) <= most_joined(trees));
+                let places = join(resting.as_ref(), &roots, 0, &mut nodes);
+                assert!(places.iter().all(|place| *place < most_joined(trees)));
+                assert!(places.iter().zip(&roots).all(|(place, root)| nodes[*place] == root.node));
                 let mut seen = vec![0; all.len()];
                 let whole = [DVec3::NEG_INFINITY, DVec3::INFINITY];
                 let (mut open, mut deepest) = (vec![(0, whole, 1)], 0);

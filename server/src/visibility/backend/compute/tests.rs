@@ -2,6 +2,7 @@
 
 mod edited;
 mod moving;
+mod posing;
 
 use glam::{DVec3, Vec3, Vec3A};
 use gnomon_protocol::mask::{Mask, MaskShape};

@@ -38,12 +38,22 @@ impl Timing {
         })
     }
 
-    /// The timestamps that a pass writes. `stage` 0 is the primary kernel, 1 the shadow kernel.
-    pub(super) fn writes(&self, first: u32, stage: u32) -> wgpu::ComputePassTimestampWrites<'_> {
+    /// The timestamps that a pass writes. `stage` 0 is the primary kernel, 1 the shadow kernel. A stage that has
+    /// `begun` with another pass has its first already.
+    pub(super) fn writes(&self, first: u32, stage: u32, begun: bool) -> wgpu::ComputePassTimestampWrites<'_> {
         wgpu::ComputePassTimestampWrites {
             query_set: &self.queries,
-            beginning_of_pass_write_index: Some(first + 2 * stage),
+            beginning_of_pass_write_index: (!begun).then_some(first + 2 * stage),
             end_of_pass_write_index: Some(first + 2 * stage + 1),
+        }
+    }
+
+    /// The timestamp that a pass writes with which a part begins.
+    pub(super) fn begins(&self, first: u32) -> wgpu::ComputePassTimestampWrites<'_> {
+        wgpu::ComputePassTimestampWrites {
+            query_set: &self.queries,
+            beginning_of_pass_write_index: Some(first),
+            end_of_pass_write_index: None,
         }
     }
 

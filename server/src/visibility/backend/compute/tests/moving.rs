@@ -6,7 +6,10 @@ use gnomon_scene::Animation;
 
 use super::*;
 use crate::visibility::{
-    backend::compute::{PartialSubmission, SLOTS},
+    backend::compute::{
+        PartialSubmission, Posers, SLOTS,
+        kernels::{KernelOptions, Traversal},
+    },
     test_scenes::living_room,
 };
 
@@ -49,8 +52,11 @@ fn living() -> Vec<(&'static str, Scene)> {
 fn a_moving_scene_has_the_mask_of_the_scene_that_stands_still_then() {
     for (name, scene) in living() {
         let cpu = CpuBackend::new(&scene, None).unwrap();
-        for lists in [Lists::Never, Lists::Always] {
-            let open = |scene: &Scene| ComputeBackend::open_with_lists(scene, None, true, lists).unwrap();
+        for (lists, posers) in
+            [(Lists::Never, Posers::Host), (Lists::Always, Posers::Device), (Lists::Never, Posers::Device)]
+        {
+            let options = KernelOptions { lists, posers, ..KernelOptions::new(Traversal::Hierarchy) };
+            let open = |scene: &Scene| ComputeBackend::open_with(scene, None, true, options).unwrap();
             let (mut moving, mut masks) = (open(&scene), Vec::new());
             for time_s in TIMES_S {
                 let still = scene.still_at(time_s);
@@ -58,7 +64,8 @@ fn a_moving_scene_has_the_mask_of_the_scene_that_stands_still_then() {
                 for camera in slanted() {
                     let mask = at(&mut moving, &scene, &camera, time_s);
                     let expected = at(&mut standing, &still, &camera, 0.0);
-                    assert_eq!(differing(&mask, &expected), 0, "{name} at {time_s} s, {lists:?}, {camera:?}");
+                    let how = format!("{name} at {time_s} s, {lists:?}, {posers:?}, {camera:?}");
+                    assert_eq!(differing(&mask, &expected), 0, "{how}");
                     // So back ends agree as they do on scenes that stand still.
                     let [mut on_cpu, mut expected] = [(); 2].map(|()| mask_for(&scene, &camera));
                     cpu.trace_at(&camera, time_s, &mut on_cpu);
@@ -77,7 +84,9 @@ fn a_moving_scene_has_the_mask_of_the_scene_that_stands_still_then() {
 #[test]
 fn frames_of_different_times_are_under_way_at_once() {
     let scene = living_room();
-    let mut compute = ComputeBackend::open_with_lists(&scene, None, true, Lists::Always).unwrap();
+    let always =
+        KernelOptions { lists: Lists::Always, posers: Posers::Device, ..KernelOptions::new(Traversal::Hierarchy) };
+    let mut compute = ComputeBackend::open_with(&scene, None, true, always).unwrap();
     let (mut alone, views) = (backend(&scene), cameras());
     let shape = |camera: &Camera| mask_for(&scene, camera).shape();
     compute.fit(views.iter().map(shape)).unwrap();

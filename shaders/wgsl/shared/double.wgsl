@@ -1,0 +1,219 @@
+// f64 by whole numbers, bit by bit that of the processor. An adapter's own f64 may round otherwise: a compiler may fuse
+// products with sums, and quotients and roots need not be rounded correctly. Results are rounded to the nearest, ties to
+// even, as IEEE 754 has it; exponents have no bounds here, so callers see to it that none would leave an f64's.
+
+// ± mantissa · 2^exponent. The mantissa is 0, or has 53 bits.
+struct Double {
+    // 1 below zero.
+    sign: u32,
+    exponent: i32,
+    mantissa: u64,
+}
+
+const ZERO = Double(0u, 0, 0lu);
+const ONE = Double(0u, -52, 0x10000000000000lu);
+
+// A number with 55 or 56 bits, the last of which is set if anything was cut off below it, rounded.
+fn rounded(sign: u32, exponent: i32, bits: u64) -> Double {
+    let short = bits < 0x80000000000000lu;
+    let aligned = select(bits, bits << 1u, short);
+    var mantissa = (aligned + 3lu + ((aligned >> 3u) & 1lu)) >> 3u;
+    var power = exponent + select(3, 2, short);
+    if mantissa == 0x20000000000000lu {
+        mantissa >>= 1u;
+        power += 1;
+    }
+    return Double(sign, power, mantissa);
+}
+
+fn bit_if(is_set: bool) -> u64 {
+    return select(0lu, 1lu, is_set);
+}
+
+fn leading_zeros(bits: u64) -> u32 {
+    let high = u32(bits >> 32u);
+    return select(countLeadingZeros(high), 32u + countLeadingZeros(u32(bits)), high == 0u);
+}
+
+// An f64, as its low and high word: a normal number or zero.
+fn double_of(low: u32, high: u32) -> Double {
+    let power = (high >> 20u) & 0x7ffu;
+    let mantissa = (u64(high & 0xfffffu) << 32u) | u64(low);
+    return Double(high >> 31u, i32(power) - 1075, select(mantissa | 0x10000000000000lu, 0lu, power == 0u));
+}
+
+// An f32, as its bits.
+fn double_of_single(bits: u32) -> Double {
+    let power = (bits >> 23u) & 0xffu;
+    let fraction = bits & 0x7fffffu;
+    if power != 0u {
+        return Double(bits >> 31u, i32(power) - 179, u64(fraction | 0x800000u) << 29u);
+    }
+    // Below 2^-126 the first bit may stand anywhere.
+    let shift = countLeadingZeros(fraction) - 8u;
+    let mantissa = select(u64(fraction << shift) << 29u, 0lu, fraction == 0u);
+    return Double(bits >> 31u, -178 - i32(shift), mantissa);
+}
+
+// The nearest f32, as its bits.
+fn single_of(x: Double) -> u32 {
+    let sign = x.sign << 31u;
+    let power = x.exponent + 179;
+    if x.mantissa == 0lu {
+        return sign;
+    }
+    if power >= 255 {
+        return sign | 0x7f800000u;
+    }
+    // Numbers below 2^-126 lose more bits.
+    let shift = u32(29 + max(1 - power, 0));
+    if shift > 54u {
+        return sign;
+    }
+    let half = (1lu << (shift - 1u)) - 1lu;
+    let fraction = u32((x.mantissa + half + ((x.mantissa >> shift) & 1lu)) >> shift);
+    // The fraction's first bit, and one that rounding carried, count in the exponent.
+    return sign | (select(0u, u32(power - 1) << 23u, power > 1) + fraction);
+}
+
+// The nearest f32.
+fn to_single(x: Double) -> Double {
+    return double_of_single(single_of(x));
+}
+
+fn negative(x: Double) -> Double {
+    return Double(x.sign ^ 1u, x.exponent, x.mantissa);
+}
+
+fn product(x: Double, y: Double) -> Double {
+    let sign = x.sign ^ y.sign;
+    if x.mantissa == 0lu || y.mantissa == 0lu {
+        return Double(sign, 0, 0lu);
+    }
+    // Of 106 bits, the upper half and what lies below it.
+    let a = x.mantissa << 7u;
+    let b = y.mantissa << 7u;
+    let a_low = a & 0xfffffffflu;
+    let b_low = b & 0xfffffffflu;
+    let lowest = a_low * b_low;
+    let middle = a_low * (b >> 32u) + (a >> 32u) * b_low + (lowest >> 32u);
+    let upper = (a >> 32u) * (b >> 32u) + (middle >> 32u);
+    let rest = bit_if((u32(middle) | u32(lowest)) != 0u);
+    return rounded(sign, x.exponent + y.exponent + 50, upper | rest);
+}
+
+fn sum(x: Double, y: Double) -> Double {
+    if y.mantissa == 0lu {
+        return Double(select(x.sign, x.sign & y.sign, x.mantissa == 0lu), x.exponent, x.mantissa);
+    }
+    if x.mantissa == 0lu {
+        return y;
+    }
+    let swapped = x.exponent < y.exponent || (x.exponent == y.exponent && x.mantissa < y.mantissa);
+    var large = x;
+    var small = y;
+    if swapped {
+        large = y;
+        small = x;
+    }
+    let shift = min(u32(large.exponent - small.exponent), 60u);
+    let a = large.mantissa << 3u;
+    let whole = small.mantissa << 3u;
+    let b = (whole >> shift) | bit_if((whole & ((1lu << shift) - 1lu)) != 0lu);
+    let exponent = large.exponent - 3;
+    if x.sign == y.sign {
+        let all = a + b;
+        let long = all >= 0x100000000000000lu;
+        return rounded(large.sign, exponent + i32(long), select(all, (all >> 1u) | (all & 1lu), long));
+    }
+    let rest = a - b;
+    if rest == 0lu {
+        return ZERO;
+    }
+    let up = leading_zeros(rest) - 8u;
+    return rounded(large.sign, exponent - i32(up), rest << up);
+}
+
+fn difference(x: Double, y: Double) -> Double {
+    return sum(x, negative(y));
+}
+
+// y is not 0.
+fn quotient(x: Double, y: Double) -> Double {
+    let sign = x.sign ^ y.sign;
+    if x.mantissa == 0lu {
+        return Double(sign, 0, 0lu);
+    }
+    var rest = x.mantissa;
+    var bits = 0lu;
+    for (var i = 0u; i < 56u; i++) {
+        let fits = rest >= y.mantissa;
+        bits = (bits << 1u) | bit_if(fits);
+        rest = select(rest, rest - y.mantissa, fits) << 1u;
+    }
+    return rounded(sign, x.exponent - y.exponent - 55, bits | bit_if(rest != 0lu));
+}
+
+// x is positive.
+fn root(x: Double) -> Double {
+    let odd = u32(x.exponent & 1);
+    let square = x.mantissa << odd;
+    var rest = 0lu;
+    var bits = 0lu;
+    for (var i = 0u; i < 55u; i++) {
+        // The next two bits of the square, whose last is the 110th.
+        let two = select(0lu, (square >> (52u - 2u * min(i, 26u))) & 3lu, i < 27u);
+        rest = (rest << 2u) | two;
+        let step = (bits << 2u) | 1lu;
+        let fits = rest >= step;
+        rest = select(rest, rest - step, fits);
+        bits = (bits << 1u) | bit_if(fits);
+    }
+    return rounded(0u, (x.exponent - i32(odd)) / 2 - 28, bits | bit_if(rest != 0lu));
+}
+
+// Of numbers that are not negative.
+fn is_greater(x: Double, y: Double) -> bool {
+    if x.mantissa == 0lu || y.mantissa == 0lu {
+        return x.mantissa > y.mantissa;
+    }
+    return x.exponent > y.exponent || (x.exponent == y.exponent && x.mantissa > y.mantissa);
+}
+
+struct Double3 {
+    x: Double,
+    y: Double,
+    z: Double,
+}
+
+fn double3_of_singles(bits: vec3u) -> Double3 {
+    return Double3(double_of_single(bits.x), double_of_single(bits.y), double_of_single(bits.z));
+}
+
+fn singles_of(v: Double3) -> vec3u {
+    return vec3u(single_of(v.x), single_of(v.y), single_of(v.z));
+}
+
+fn sum3(a: Double3, b: Double3) -> Double3 {
+    return Double3(sum(a.x, b.x), sum(a.y, b.y), sum(a.z, b.z));
+}
+
+fn difference3(a: Double3, b: Double3) -> Double3 {
+    return Double3(difference(a.x, b.x), difference(a.y, b.y), difference(a.z, b.z));
+}
+
+fn scaled(v: Double3, by: Double) -> Double3 {
+    return Double3(product(v.x, by), product(v.y, by), product(v.z, by));
+}
+
+fn dot3(a: Double3, b: Double3) -> Double {
+    return sum(sum(product(a.x, b.x), product(a.y, b.y)), product(a.z, b.z));
+}
+
+fn cross3(a: Double3, b: Double3) -> Double3 {
+    return Double3(
+        difference(product(a.y, b.z), product(b.y, a.z)),
+        difference(product(a.z, b.x), product(b.z, a.x)),
+        difference(product(a.x, b.y), product(b.x, a.y)),
+    );
+}
