@@ -55,11 +55,18 @@ impl Placement {
         self.form.is_some()
     }
 
-    /// Returns the transforms of a rigid piece's positions to the world, and of its normals, up to their length. `None`
-    /// if it has a shape.
+    /// Returns the transforms of the piece's positions to the world, and of its normals, up to their length. Joints count
+    /// instead where it has them.
     #[must_use]
-    pub fn rigid(&self) -> Option<(&DMat4, &DMat3)> {
-        self.form.is_none().then_some((&self.world_from_piece, &self.normals))
+    pub fn transforms(&self) -> (&DMat4, &DMat3) {
+        (&self.world_from_piece, &self.normals)
+    }
+
+    /// Returns the world's transforms of the piece's joints, and the morph targets that count, with their weights. `None`
+    /// if it is rigid.
+    #[must_use]
+    pub fn form(&self) -> Option<(&[DMat4], &[(usize, f64)])> {
+        self.form.as_ref().map(|form| form.parts())
     }
 
     /// Returns where one of the piece's vertices is in the scene's local space, and its unit normal.

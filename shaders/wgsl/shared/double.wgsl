@@ -1,8 +1,8 @@
 // f64 by whole numbers, bit by bit that of the processor. An adapter's own f64 may round otherwise: a compiler may fuse
 // products with sums, and quotients and roots need not be rounded correctly. Results are rounded to the nearest, ties to
-// even, as IEEE 754 has it; exponents have no bounds here, so callers see to it that none would leave an f64's.
+// even, as IEEE 754 has it, down to the smallest. Nothing here is infinite: callers see to it that nothing gets so large.
 
-// ± mantissa · 2^exponent. The mantissa is 0, or has 53 bits.
+// ± mantissa · 2^exponent. The mantissa is 0, or has 53 bits; those of numbers below 2^-1022 end in zeros.
 struct Double {
     // 1 below zero.
     sign: u32,
@@ -12,11 +12,17 @@ struct Double {
 
 const ZERO = Double(0u, 0, 0lu);
 const ONE = Double(0u, -52, 0x10000000000000lu);
+// The last bit of the smallest numbers is worth two to this power.
+const LAST_POWER: i32 = -1074;
 
 // A number with 55 or 56 bits, the last of which is set if anything was cut off below it, rounded.
 fn rounded(sign: u32, exponent: i32, bits: u64) -> Double {
     let short = bits < 0x80000000000000lu;
     let aligned = select(bits, bits << 1u, short);
+    let lost = LAST_POWER - (exponent + select(3, 2, short));
+    if lost > 0 {
+        return rounded_small(sign, aligned, u32(lost) + 3u);
+    }
     var mantissa = (aligned + 3lu + ((aligned >> 3u) & 1lu)) >> 3u;
     var power = exponent + select(3, 2, short);
     if mantissa == 0x20000000000000lu {
@@ -24,6 +30,24 @@ fn rounded(sign: u32, exponent: i32, bits: u64) -> Double {
         power += 1;
     }
     return Double(sign, power, mantissa);
+}
+
+// A number of 56 bits, of which so many lie below the last power.
+fn rounded_small(sign: u32, bits: u64, below: u32) -> Double {
+    if below > 57u {
+        return Double(sign, 0, 0lu);
+    }
+    let half = (1lu << (below - 1u)) - 1lu;
+    return normal_double(sign, LAST_POWER, (bits + half + ((bits >> below) & 1lu)) >> below);
+}
+
+// A number of up to 53 bits.
+fn normal_double(sign: u32, exponent: i32, bits: u64) -> Double {
+    if bits == 0lu {
+        return Double(sign, 0, 0lu);
+    }
+    let up = leading_zeros(bits) - 11u;
+    return Double(sign, exponent - i32(up), bits << up);
 }
 
 fn bit_if(is_set: bool) -> u64 {
@@ -35,24 +59,24 @@ fn leading_zeros(bits: u64) -> u32 {
     return select(countLeadingZeros(high), 32u + countLeadingZeros(u32(bits)), high == 0u);
 }
 
-// An f64, as its low and high word: a normal number or zero.
+// A finite f64, as its low and high word.
 fn double_of(low: u32, high: u32) -> Double {
     let power = (high >> 20u) & 0x7ffu;
-    let mantissa = (u64(high & 0xfffffu) << 32u) | u64(low);
-    return Double(high >> 31u, i32(power) - 1075, select(mantissa | 0x10000000000000lu, 0lu, power == 0u));
+    let fraction = (u64(high & 0xfffffu) << 32u) | u64(low);
+    if power == 0u {
+        return normal_double(high >> 31u, LAST_POWER, fraction);
+    }
+    return Double(high >> 31u, i32(power) - 1075, fraction | 0x10000000000000lu);
 }
 
-// An f32, as its bits.
+// A finite f32, as its bits.
 fn double_of_single(bits: u32) -> Double {
     let power = (bits >> 23u) & 0xffu;
     let fraction = bits & 0x7fffffu;
-    if power != 0u {
-        return Double(bits >> 31u, i32(power) - 179, u64(fraction | 0x800000u) << 29u);
+    if power == 0u {
+        return normal_double(bits >> 31u, -149, u64(fraction));
     }
-    // Below 2^-126 the first bit may stand anywhere.
-    let shift = countLeadingZeros(fraction) - 8u;
-    let mantissa = select(u64(fraction << shift) << 29u, 0lu, fraction == 0u);
-    return Double(bits >> 31u, -178 - i32(shift), mantissa);
+    return Double(bits >> 31u, i32(power) - 179, u64(fraction | 0x800000u) << 29u);
 }
 
 // The nearest f32, as its bits.

@@ -46,6 +46,10 @@ impl Form {
         }
     }
 
+    pub(super) fn parts(&self) -> (&[DMat4], &[(usize, f64)]) {
+        (&self.joints, &self.targets)
+    }
+
     /// Returns bounds of what the morph targets make of vertices with these bounds, in their own space.
     fn morphed(&self, shape: &Shape, bounds: Aabb) -> [DVec3; 2] {
         let mut morphed = [bounds.min.as_dvec3(), bounds.max.as_dvec3()];

@@ -14,7 +14,7 @@ use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, IntoParallelRef
 use super::{
     geometry::{Geometry, PieceGeometry, PieceTriangle, plane_normal},
     kernels::Traversal,
-    posing::{Firsts, PlacementWords, Posing},
+    posing::{Firsts, Placed, Posing},
     refit::{Moved, Root, join, most_joined, refit},
     ring::SLOTS,
 };
@@ -208,14 +208,15 @@ impl Movers {
         let (mut tasks, mut posed) = (Vec::with_capacity(pieces.len()), Vec::new());
         for (number, ((piece, own), placement)) in pieces.iter().zip(own_vertices).zip(&placements).enumerate() {
             let Some(placement) = placement.as_ref().filter(|_| !piece.triangles.is_empty()) else { continue };
-            if let Some(here) = posing.and_then(|posing| posing.takes(number, placement)) {
-                posed.push((number, piece, placement, here));
+            if let Some(own) = posing.and_then(|posing| posing.takes(number, placement)) {
+                posed.push(Placed { piece: number, placement, own, firsts: Firsts::default(), root: 0 });
             } else {
                 tasks.push(Task { piece, placement, own, firsts: take(piece), room: left.take(piece) });
             }
         }
-        let posed: Vec<_> =
-            posed.into_iter().map(|(number, piece, placement, here)| (number, placement, here, take(piece))).collect();
+        for placed in &mut posed {
+            placed.firsts = take(&pieces[placed.piece]);
+        }
         let uploaded = tasks.iter().map(|task| task.piece).fold(Sizes::default(), |sum, piece| Sizes {
             nodes: sum.nodes + piece.nodes.len(),
             triangles: sum.triangles + piece.triangles.len(),
@@ -226,9 +227,7 @@ impl Movers {
         let mut roots: Vec<Root> =
             roots.into_iter().filter(|root| root.bounds[0].cmple(root.bounds[1]).all()).collect();
         let moved_by_host = roots.len();
-        roots.extend(
-            posed.iter().map(|(_, placement, ..)| Root { node: CwBvhNode::zeroed(), bounds: around(placement) }),
-        );
+        roots.extend(posed.iter().map(|placed| Root { node: CwBvhNode::zeroed(), bounds: around(placed.placement) }));
 
         write(queue, &buffers.triangles, first_triangle, &scratch.triangles[..uploaded.triangles]);
         write(queue, &buffers.normals, first_triangle, &scratch.normals[..uploaded.triangles]);
@@ -238,13 +237,11 @@ impl Movers {
             Traversal::Hierarchy if roots.is_empty() => (0, before.nodes),
             Traversal::Hierarchy => {
                 let places = join(resting.as_ref(), &roots, index(first_node), top);
-                let places = places.into_iter().skip(moved_by_host);
-                let placed = posed.iter().zip(places).filter_map(|((number, placement, here, there), place)| {
-                    let root = index(first_node + place);
-                    Some((*number, PlacementWords::new(placement, *here, *there, root)?))
-                });
+                for (placed, place) in posed.iter_mut().zip(places.into_iter().skip(moved_by_host)) {
+                    placed.root = index(first_node + place);
+                }
                 if let Some(posing) = posing {
-                    posing.write(queue, slot, &placed.collect::<Vec<_>>());
+                    posing.write(queue, slot, &posed);
                 }
                 let uploaded = top.len() + uploaded.nodes;
                 write(queue, &buffers.nodes, first_node, &scratch.nodes[..uploaded]);

@@ -2,7 +2,7 @@
 
 use glam::{DMat4, DQuat};
 use gnomon_protocol::mask::{Mask, MaskShape};
-use gnomon_scene::{Aabb, AnimatedNode, Animation, Piece};
+use gnomon_scene::{Aabb, AnimatedNode, Animation, Delta, Influence, Joint, Piece, Shape, Target};
 use gnomon_shaders::{gpu::GpuOptions, splice::splice};
 use wgpu::util::DeviceExt as _;
 
@@ -63,15 +63,22 @@ impl Numbers {
 fn pairs() -> Vec<[f64; 2]> {
     let mut numbers = Numbers(1);
     let mut pairs = vec![[0.0, 0.0], [-0.0, 0.0], [0.0, -0.0], [-0.0, -0.0], [1.0, 0.0], [-0.0, 3.0], [1.0, -1.0]];
-    for n in 0..60_000 {
-        let a = numbers.number(-150, 150);
-        let near = i32::try_from(a.to_bits() >> 52 & 0x7ff).unwrap() - 1023;
-        let b = match n % 6 {
+    for n in 0..80_000 {
+        let a = match n % 16 {
+            // Below 2^-1022, and what comes there.
+            13 => f64::from_bits(numbers.word() >> (12 + n / 16 % 52)),
+            14 => numbers.number(-1022, -900),
+            15 => numbers.number(-560, -500),
+            _ => numbers.number(-150, 150),
+        };
+        let near = i32::try_from(a.to_bits() >> 52 & 0x7ff).unwrap().max(60) - 1023;
+        let b = match n % 7 {
             0 => numbers.number(-150, 150),
+            6 => numbers.number(-560, -400),
             1 => -a,
             2 => f64::from_bits(a.to_bits() ^ numbers.word() % 16) * -1.0,
             3 => f64::from_bits((a * 2.0).to_bits() ^ (1 << 63) ^ numbers.word() % 4),
-            _ => numbers.number(near - 56, near + 3),
+            _ => numbers.number(near - 56, near.min(500) + 3),
         };
         pairs.push([a, b]);
     }
@@ -85,6 +92,11 @@ const TEST: &str = "
 
 fn bits_of(x: Double) -> vec2u {
     let power = select(u32(x.exponent + 1075), 0u, x.mantissa == 0lu);
+    if x.mantissa != 0lu && x.exponent < LAST_POWER {
+        // All bits that are cut off are zeros.
+        let small = x.mantissa >> u32(LAST_POWER - x.exponent);
+        return vec2u(u32(small), (x.sign << 31u) | u32(small >> 32u));
+    }
     let high = (x.sign << 31u) | (power << 20u) | (u32(x.mantissa >> 32u) & 0xfffffu);
     return vec2u(u32(x.mantissa), high);
 }
@@ -174,7 +186,8 @@ fn doubles_of_whole_numbers_are_those_of_the_processor() {
     assert!(compared > 5 * pairs.len());
 }
 
-/// Balls that nodes turn, stretch, shear, mirror, flatten and carry far away, and slivers among them.
+/// Balls that nodes turn, stretch, shear, mirror, flatten and carry far away, and slivers among them. Some follow joints,
+/// some change by morph targets.
 fn carried() -> Scene {
     let mut numbers = Numbers(9);
     let nodes = 60;
@@ -231,9 +244,51 @@ fn carried() -> Scene {
         });
         animation.positions.extend_from_slice(positions);
         animation.normals.extend_from_slice(&scene.normals[first..end]);
+        if node % 3 == 1 {
+            bend(&mut animation, node, count, &mut numbers);
+        }
     }
     scene.animation = Some(Box::new(animation));
     scene
+}
+
+/// Gives a piece a shape.
+fn bend(animation: &mut Animation, piece: u32, vertices: u32, numbers: &mut Numbers) {
+    let bounds = Aabb { min: Vec3::splat(-5.0), max: Vec3::splat(5.0) };
+    let (joints, targets) = (if piece % 2 == 0 { 5 } else { 0 }, piece % 4);
+    let sets = if joints > 0 { 1 + piece % 3 } else { 0 };
+    let mut three = |size: f64| DVec3::new(numbers.unit(), numbers.unit(), numbers.unit()) * size;
+    let joint = |n: u16| {
+        let scale = if n == 3 { DVec3::new(1.0, 0.0, 1.0) } else { DVec3::ONE + three(0.7) };
+        let node_from_own = DMat4::from_scale_rotation_translation(
+            scale * if piece % 8 == 0 { 1e-12 } else { 1.0 },
+            DQuat::from_scaled_axis(three(1.0)),
+            three(0.5),
+        );
+        Joint { node: (n % 2 == 0).then_some(piece), node_from_own, bounds }
+    };
+    let shape = Shape {
+        piece,
+        node_from_own: DMat4::from_rotation_y(0.3),
+        joints: (0..joints).map(joint).collect(),
+        sets,
+        targets: (0..targets).map(|n| Target { weight: n as f32 * 0.4 - 0.4, bounds }).collect(),
+        weights_track: None,
+        flat: piece % 5 == 0,
+    };
+    for n in 0..sets * vertices {
+        let mut weight = || (numbers.unit() as f32).max(0.0) * if n % 11 == 3 { 1e-40 } else { 1.0 };
+        let weights = [weight(), weight(), weight(), if n % 2 == 0 { 0.0 } else { weight() }];
+        // Some follow nothing.
+        let weights = if n % 23 == 7 { [0.0; 4] } else { weights };
+        let joint = |at: u32| u16::try_from((n * 3 + at) % u32::from(joints)).unwrap();
+        animation.influences.push(Influence { joints: [joint(0), joint(1), joint(2), joint(7)], weights });
+    }
+    for _ in 0..targets * vertices {
+        let mut three = || Vec3::new(numbers.unit() as f32, numbers.unit() as f32, numbers.unit() as f32) * 0.3;
+        animation.deltas.push(Delta { position: three(), normal: three(), tangent: three() });
+    }
+    animation.shapes.push(shape);
 }
 
 /// The triangles and normals of all regions, sorted: which come first is another matter.
