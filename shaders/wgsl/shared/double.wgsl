@@ -162,38 +162,58 @@ fn difference(x: Double, y: Double) -> Double {
     return sum(x, negative(y));
 }
 
-// y is not 0.
+// y is not 0. Digits of 18, 19 and 18 bits are estimated in f32, which leaves less than a quarter of the last bit's worth
+// of error to each, and the remainder, which is exact, puts the whole right.
 fn quotient(x: Double, y: Double) -> Double {
     let sign = x.sign ^ y.sign;
     if x.mantissa == 0lu {
         return Double(sign, 0, 0lu);
     }
-    var rest = x.mantissa;
-    var bits = 0lu;
-    for (var i = 0u; i < 56u; i++) {
-        let fits = rest >= y.mantissa;
-        bits = (bits << 1u) | bit_if(fits);
-        rest = select(rest, rest - y.mantissa, fits) << 1u;
+    let by = i64(y.mantissa);
+    let share = 1.0 / f32(by);
+    var rest = i64(x.mantissa);
+    var bits = 0li;
+    for (var digit = 0u; digit < 3u; digit++) {
+        let width = select(18u, 19u, digit == 1u);
+        let estimate = i64(i32(f32(rest) * share * f32(1u << width)));
+        bits = (bits << width) + estimate;
+        // What leaves the word above is the same on both sides.
+        rest = (rest << width) - estimate * by;
     }
-    return rounded(sign, x.exponent - y.exponent - 55, bits | bit_if(rest != 0lu));
+    while rest < 0li {
+        bits -= 1li;
+        rest += by;
+    }
+    while rest >= by {
+        bits += 1li;
+        rest -= by;
+    }
+    return rounded(sign, x.exponent - y.exponent - 55, u64(bits) | bit_if(rest != 0li));
 }
 
-// x is positive.
+// x is positive. The root's first 24 bits are estimated in f32, then 21 and 10 more from what its square lacks, which is
+// exact and puts the whole right.
 fn root(x: Double) -> Double {
     let odd = u32(x.exponent & 1);
-    let square = x.mantissa << odd;
-    var rest = 0lu;
-    var bits = 0lu;
-    for (var i = 0u; i < 55u; i++) {
-        // The next two bits of the square, whose last is the 110th.
-        let two = select(0lu, (square >> (52u - 2u * min(i, 26u))) & 3lu, i < 27u);
-        rest = (rest << 2u) | two;
-        let step = (bits << 2u) | 1lu;
-        let fits = rest >= step;
-        rest = select(rest, rest - step, fits);
-        bits = (bits << 1u) | bit_if(fits);
+    let square = i64(x.mantissa << odd);
+    var bits = i64(sqrt(f32(square)) * 0.125);
+    // Of the square times 2^-6, 2^36 and 2^56.
+    var rest = square - ((bits * bits) << 6u);
+    let second = i64(f32(rest) * 16384.0 / f32(bits));
+    bits = (bits << 21u) + second;
+    rest = (square << 36u) - bits * bits;
+    let third = i64(f32(rest) * 512.0 / f32(bits));
+    bits = (bits << 10u) + third;
+    rest = (square << 56u) - bits * bits;
+    while rest < 0li {
+        bits -= 1li;
+        rest += 2li * bits + 1li;
     }
-    return rounded(0u, (x.exponent - i32(odd)) / 2 - 28, bits | bit_if(rest != 0lu));
+    while rest > 2li * bits {
+        rest -= 2li * bits + 1li;
+        bits += 1li;
+    }
+    return rounded(0u, (x.exponent - i32(odd)) / 2 - 28, u64(bits) | bit_if(rest != 0li));
 }
 
 // Of numbers that are not negative.

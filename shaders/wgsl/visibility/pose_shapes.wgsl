@@ -108,21 +108,32 @@ fn pose_shapes(
         return;
     }
     let own_normal = own_vertices[2u * vertex + 1u].xyz;
-    let here = reshaped(placement, vertex);
+    // A loop, since a kernel with four copies of all this waits for its own instructions.
+    let flat_shaded = (flags & FLAT) != 0u;
+    let corner = (vertex - placements[placement + FIRST_VERTEX_AT]) % 3u;
+    var corners: array<vec3u, 3>;
+    var position = vec3u(0u);
     var normal = own_normal;
-    if (flags & FLAT) == 0u {
-        normal = normal_bits(here.turn, here.normal, own_normal);
-    } else {
-        let first = vertex - (vertex - placements[placement + FIRST_VERTEX_AT]) % 3u;
-        let a = reshaped(placement, first).position;
-        let b = reshaped(placement, first + 1u).position;
-        let c = reshaped(placement, first + 2u).position;
+    for (var i = 0u; i < select(1u, 3u, flat_shaded); i++) {
+        let here = reshaped(placement, select(vertex, vertex - corner + i, flat_shaded));
+        corners[i] = here.position;
+        if !flat_shaded {
+            position = here.position;
+            normal = normal_bits(here.turn, here.normal, own_normal);
+        }
+    }
+    if flat_shaded {
+        position = corners[corner];
         let turned = (flags & TURNED) != 0u;
-        let bits = plane(array(a, select(b, c, turned), select(c, b, turned)));
+        let bits = plane(array(
+            corners[0],
+            select(corners[1], corners[2], turned),
+            select(corners[2], corners[1], turned),
+        ));
         if any((bits & vec3u(0x7fffffffu)) != vec3u(0u)) {
             normal = single_unit(double3_of_singles(bits));
         }
     }
-    vertices[2u * vertex] = vec4u(here.position, 0u);
+    vertices[2u * vertex] = vec4u(position, 0u);
     vertices[2u * vertex + 1u] = vec4u(normal, 0u);
 }

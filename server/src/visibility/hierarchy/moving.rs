@@ -119,8 +119,9 @@ pub(crate) fn top(boxes: &[Bounds], most_in_root: usize) -> (Vec<Node>, usize) {
             let centre = |index: &usize| boxes[*index][0] + boxes[*index][1];
             let [min, max] = members.iter().fold(NOTHING, |bounds, index| joined(bounds, [centre(index); 2]));
             let axis = (max - min).max_position();
-            members.sort_unstable_by(|a, b| centre(a)[axis].total_cmp(&centre(b)[axis]));
-            let middle = part.start + part.len() / 2;
+            let half = members.len() / 2;
+            members.select_nth_unstable_by(half, |a, b| centre(a)[axis].total_cmp(&centre(b)[axis]));
+            let middle = part.start + half;
             parts[largest] = part.start..middle;
             parts.push(middle..part.end);
         }

@@ -201,19 +201,20 @@ fn in_slots<T: Copy>(children: Vec<(Bounds, T)>) -> [Option<(Bounds, T)>; WIDTH]
     let centre = |bounds: Bounds| bounds[0] + bounds[1];
     let middle = children.iter().map(|(bounds, _)| centre(*bounds)).sum::<Vec3>() / children.len().max(1) as f32;
     let way = |slot: usize| Vec3::from_array([4, 2, 1].map(|bit| if slot & bit == 0 { 1.0 } else { -1.0 }));
+    let ways: [Vec3; WIDTH] = std::array::from_fn(way);
     let mut slots = [None; WIDTH];
-    let mut left = children;
+    let mut left: Vec<_> =
+        (children.into_iter()).map(|child| (child, ways.map(|way| way.dot(centre(child.0) - middle)))).collect();
     while !left.is_empty() {
         let mut best = (f32::INFINITY, 0, 0);
-        for (child, (bounds, _)) in left.iter().enumerate() {
+        for (child, (_, costs)) in left.iter().enumerate() {
             for slot in (0..WIDTH).filter(|slot| slots[*slot].is_none()) {
-                let cost = way(slot).dot(centre(*bounds) - middle);
-                if cost < best.0 || best.0 == f32::INFINITY {
-                    best = (cost, child, slot);
+                if costs[slot] < best.0 || best.0 == f32::INFINITY {
+                    best = (costs[slot], child, slot);
                 }
             }
         }
-        slots[best.2] = Some(left.swap_remove(best.1));
+        slots[best.2] = Some(left.swap_remove(best.1).0);
     }
     slots
 }
