@@ -6,6 +6,7 @@
 
 mod app;
 mod background;
+mod editing;
 mod events;
 mod gamepad;
 mod keys;
