@@ -10,8 +10,9 @@ use super::{
 /// A ring seen so much from its side that the pointer's ray says little about the angle. Sine of the angle.
 const TOO_FLAT: f64 = 0.15;
 
-/// Least share of a ring's radius in pixels that a radian counts as.
-const LEAST_PACE: f64 = 0.2;
+/// Least share of a ring's radius in pixels that a radian counts as, where the ring is seen from its side: near its ends
+/// it comes towards the camera, and a pixel would be a large turn.
+const LEAST_PACE: f64 = 0.7;
 
 /// Scales at once, at least and at most.
 const SCALES: [f64; 2] = [0.01, 100.0];

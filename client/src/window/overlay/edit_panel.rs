@@ -64,8 +64,12 @@ fn history(ui: &mut Ui, editing: &mut Editing) {
 
 fn list(ui: &mut Ui, editing: &mut Editing) {
     let editor = &editing.editor;
-    // A file's names are a stranger's.
-    let label = |target: Target| Escaped(&editor.stage.label(target)).to_string();
+    // A file's names are a stranger's. A lamp often has its node's.
+    let label = |target: Target| {
+        let name = editor.stage.label(target);
+        let kind = if matches!(target, Target::Light(_)) && !name.starts_with("light") { " (light)" } else { "" };
+        format!("{}{kind}", Escaped(&name))
+    };
     let mut chosen = editor.selected();
     let shown = chosen.map_or_else(|| "–".to_owned(), label);
     egui::ComboBox::from_id_salt("chosen").selected_text(shown).width(200.0).truncate().show_ui(ui, |ui| {
@@ -210,7 +214,7 @@ fn same_rotation(one: DQuat, other: DQuat) -> bool {
 /// Degrees around x, y and z, in the order y, x, z: yaw, then pitch, then roll.
 fn angles_of(rotation: DQuat) -> [f64; 3] {
     let (y, x, z) = rotation.to_euler(EulerRot::YXZ);
-    [x, y, z].map(f64::to_degrees)
+    [x, y, z].map(in_degrees)
 }
 
 fn rotation_of(angles: [f64; 3]) -> DQuat {
@@ -220,7 +224,13 @@ fn rotation_of(angles: [f64; 3]) -> DQuat {
 
 /// Degrees around up, from −z to the right, and above the horizon.
 fn heading_of(direction: DVec3) -> [f64; 2] {
-    [direction.x.atan2(-direction.z), direction.y.clamp(-1.0, 1.0).asin()].map(f64::to_degrees)
+    [direction.x.atan2(-direction.z), direction.y.clamp(-1.0, 1.0).asin()].map(in_degrees)
+}
+
+/// What is next to nothing is shown as 0, not as −0.
+fn in_degrees(angle_rad: f64) -> f64 {
+    let angle = angle_rad.to_degrees();
+    if angle.abs() < 1e-6 { 0.0 } else { angle }
 }
 
 fn direction_of(angles: [f64; 2]) -> DVec3 {
