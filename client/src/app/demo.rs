@@ -22,8 +22,9 @@ pub struct Demo {
 }
 
 impl Demo {
-    /// Starts the server and waits until it listens. `editable` names what may be moved. Without an `animation`, things move if there is a real GPU of the
-    /// name `adapter`: software Vulkan takes several times as long for a late mask of a scene that moves.
+    /// Starts the server and waits until it listens. `editable` names what may be moved, a few things if it is `None`.
+    /// Without an `animation`, things move if there is a real GPU of the name `adapter`: software Vulkan takes several
+    /// times as long for a late mask of a scene that moves.
     ///
     /// # Errors
     /// Errors if there is no server program, or it does not start.

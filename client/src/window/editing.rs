@@ -1,21 +1,15 @@
 //! Editing by hand in the window: what the pointer picks, holds and drags, and the edits that come of it.
 
-use std::{sync::Arc, time::Instant};
+use std::sync::Arc;
 
 use glam::DVec2;
-use gnomon_client_core::{
-    edit::{
-        editor::Editor,
-        handles::{Gizmo, Handle},
-        stage::Posed,
-        view::View,
-    },
-    mask::world::WorldError,
+use gnomon_client_core::edit::{
+    editor::Editor,
+    handles::{Gizmo, Handle},
+    stage::Posed,
+    view::View,
 };
 use gnomon_scene::{Edit, Scene, SceneAt, camera::Camera};
-
-use super::{overlay::edit_panel::Typed, play::Play};
-use crate::{mode::State, window::settings::Settings};
 
 /// A pointer that moves farther while its button is down drags, and does not click. In points.
 const CLICK: f64 = 4.0;
@@ -71,7 +65,6 @@ impl Seen {
 pub(crate) struct Editing {
     pub(crate) editor: Editor,
     pub(crate) seen: Option<Seen>,
-    pub(crate) typed: Typed,
     /// In the window's pixels.
     pointer: DVec2,
     /// Where the button went down, while that may become a click.
@@ -82,14 +75,7 @@ pub(crate) struct Editing {
 
 impl Editing {
     pub(crate) fn new(scene: Scene) -> Self {
-        Self {
-            editor: Editor::new(scene),
-            seen: None,
-            typed: Typed::default(),
-            pointer: DVec2::ZERO,
-            pressed: None,
-            edits: Vec::new(),
-        }
+        Self { editor: Editor::new(scene), seen: None, pointer: DVec2::ZERO, pressed: None, edits: Vec::new() }
     }
 
     /// Takes what the next picture is of, and drags what is held.
@@ -167,54 +153,6 @@ impl Editing {
         self.let_go();
         self.editor.select(None);
         self.seen = None;
-    }
-}
-
-impl Play {
-    /// Why the scene cannot be edited. `None` if it can.
-    pub(super) fn not_editable(&self) -> Option<String> {
-        let may_edit = self.driver.frames.matcher.world.may_edit() && self.editing.is_some();
-        (!may_edit).then(|| WorldError::NotAllowed.to_string())
-    }
-
-    /// What the next picture shows of the scene: at this time, unless the server's clock gives another.
-    pub(super) fn scene_at(&self, scene_time_s: f64) -> SceneAt {
-        let world = &self.driver.frames.matcher.world;
-        let time_s = world.scene_time_s(Instant::now()).unwrap_or(scene_time_s);
-        SceneAt { time_s, edits: Arc::clone(world.drawn()) }
-    }
-
-    /// Looks at what the next picture shows, if the person edits; says why not, if that is so.
-    pub(super) fn look(&mut self, settings: &mut Settings, window: (u32, u32), per_point: f32) {
-        if settings.edit
-            && let Some(why) = self.not_editable()
-        {
-            settings.edit = false;
-            self.message = Some(why);
-        }
-        let (scene_time_s, fit) = (self.scene_time_s(), Fit::new(window, self.size()));
-        let mut camera = self.camera(scene_time_s);
-        let mut at = self.scene_at(scene_time_s);
-        // A picture in step with its masks is of an earlier view.
-        if let Some(last) = self.driver.last.as_ref().filter(|last| last.decision.state == State::Sequential) {
-            (camera, at) = (last.camera, last.scene.clone());
-        }
-        let Some(editing) = &mut self.editing else { return };
-        if settings.edit {
-            editing.look(camera, at, fit, per_point.into());
-        } else {
-            editing.leave();
-        }
-    }
-
-    /// Passes on what the person has edited since the last picture.
-    pub(super) fn send_edits(&mut self) {
-        let Some(editing) = &mut self.editing else { return };
-        let edits = std::mem::take(&mut editing.edits);
-        if let Err(error) = self.driver.frames.edit(&edits) {
-            editing.leave();
-            self.message = Some(error.to_string());
-        }
     }
 }
 

@@ -14,6 +14,7 @@ mod loading;
 mod overlay;
 mod painter;
 mod play;
+mod play_editing;
 mod reference;
 mod screen;
 mod settings;

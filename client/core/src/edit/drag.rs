@@ -10,8 +10,8 @@ use super::{
 /// A ring seen so much from its side that the pointer's ray says little about the angle. Sine of the angle.
 const TOO_FLAT: f64 = 0.15;
 
-/// Least share of a ring's radius in pixels that a radian counts as, where the ring is seen from its side: near its ends
-/// it comes towards the camera, and a pixel would be a large turn.
+/// Least share of a ring's radius in pixels that a radian counts as where the ring is seen from its side: near its ends
+/// it runs towards the camera, and a pixel would be a large turn.
 const LEAST_PACE: f64 = 0.7;
 
 /// Scales at once, at least and at most.
@@ -218,8 +218,8 @@ mod tests {
         let middle = view.project(PIVOT).unwrap();
         let drag = Drag::begin(&view, &gizmo, Handle::Turn(Axis::Y), middle + DVec2::new(1.0, 0.0)).unwrap();
         let Some(Motion::Turn(_, angle_rad)) = drag.motion(&view, middle + DVec2::new(46.0, 0.0)) else { panic!() };
-        // Its nearest point is held, where a radian of a ring of 90 px is seen larger. The corner that is held is half a
-        // side of 64 off at most, where the cosine is 0.9988.
+        // Its nearest point is held, where a radian of a ring of 90 px is seen larger. The corner that is held is half
+        // a side of 64 off at most, where the cosine is 0.9988.
         let pace_px = 90.0 * 5.0 / (5.0 - gizmo.radius_m);
         assert!((angle_rad.abs() * pace_px / 45.0 - 1.0).abs() < 0.002, "{angle_rad}");
         // Up and down is not along the ring.

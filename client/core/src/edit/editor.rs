@@ -75,7 +75,7 @@ impl Editor {
         Space::of(self.stage.scene())
     }
 
-    /// Returns what is under a pixel: a lamp whose marker is within `reach_px`, or else the node of the nearest surface.
+    /// Returns what is under a pixel: a lamp whose marker is within `reach_px`, or else the nearest surface's node.
     #[must_use]
     pub fn pick(&self, view: &View, posed: &Posed, px: DVec2, reach_px: f64) -> Option<Target> {
         let lamps = self.lamps(view, posed).map(|(light, at)| (at.distance(px), light));

@@ -399,6 +399,7 @@ mod tests {
         assert!(world.drawn().is_empty() && !world.is_waiting() && world.refused() == 1);
         let mut watching = begun(Terms { may_edit: false, ..PRIVATE });
         assert_eq!(watching.edit(&[dimmed(1, 2.0)]), Err(WorldError::NotAllowed));
+        assert_eq!([&world, &watching, &World::default()].map(World::may_edit), [true, false, true]);
     }
 
     #[test]

@@ -16,10 +16,19 @@ const MOST_LISTED: usize = 400;
 const SAME: f64 = 1e-6;
 
 /// Angles as they were typed: other angles may give the same direction.
-#[derive(Debug, Default)]
-pub(crate) struct Typed {
+#[derive(Debug, Clone, Copy, Default)]
+struct Typed {
     rotation: Option<(DQuat, [f64; 3])>,
     direction: Option<(DVec3, [f64; 2])>,
+}
+
+/// The overlay remembers them.
+fn typed(ui: &Ui) -> Typed {
+    ui.data(|data| data.get_temp(egui::Id::NULL)).unwrap_or_default()
+}
+
+fn remember(ui: &Ui, typed: Typed) {
+    ui.data_mut(|data| data.insert_temp(egui::Id::NULL, typed));
 }
 
 /// Draws the panel, and changes what is chosen as the person wants.
@@ -124,7 +133,7 @@ fn degrees(value: DragValue<'_>) -> DragValue<'_> {
     value.speed(0.5).suffix("°")
 }
 
-fn node_rows(ui: &mut Ui, editing: &mut Editing, node: u32) -> Option<Edit> {
+fn node_rows(ui: &mut Ui, editing: &Editing, node: u32) -> Option<Edit> {
     let at = &editing.seen.as_ref()?.posed.at;
     let before: NodeAt = editing.editor.stage.scene().node_at(node, at)?;
     let edited = at.edits.node(node);
@@ -133,12 +142,11 @@ fn node_rows(ui: &mut Ui, editing: &mut Editing, node: u32) -> Option<Edit> {
     if numbers(ui, "position, m", &mut place, metres) {
         after.translation_m = place.into();
     }
-    let same = |(known, _): &([f64; 4], [f64; 3])| same_rotation(DQuat::from_array(*known), before.rotation);
-    let typed = editing.typed.rotation.map(|(known, angles)| (known.to_array(), angles)).filter(same);
-    let mut angles = typed.map_or_else(|| angles_of(before.rotation), |(_, angles)| angles);
+    let typed_before = typed(ui).rotation.filter(|(known, _)| same_rotation(*known, before.rotation));
+    let mut angles = typed_before.map_or_else(|| angles_of(before.rotation), |(_, angles)| angles);
     if numbers(ui, "rotation", &mut angles, degrees) {
         after.rotation = rotation_of(angles);
-        editing.typed.rotation = Some((after.rotation, angles));
+        remember(ui, Typed { rotation: Some((after.rotation, angles)), ..typed(ui) });
     }
     let mut scale = before.scale.to_array();
     if numbers(ui, "scale", &mut scale, metres) {
@@ -153,7 +161,7 @@ fn node_rows(ui: &mut Ui, editing: &mut Editing, node: u32) -> Option<Edit> {
     (edit != edited).then_some(Edit::Node(node, edit))
 }
 
-fn light_rows(ui: &mut Ui, editing: &mut Editing, number: u32) -> Option<Edit> {
+fn light_rows(ui: &mut Ui, editing: &Editing, number: u32) -> Option<Edit> {
     let posed = &editing.seen.as_ref()?.posed;
     let light = posed.lights.get(number as usize)?;
     let LightAt { kind, position_m, direction } = editing.editor.light_at(number, posed)?;
@@ -166,12 +174,12 @@ fn light_rows(ui: &mut Ui, editing: &mut Editing, number: u32) -> Option<Edit> {
         }
     }
     if kind != LightKind::Point {
-        let typed = editing.typed.direction.filter(|(known, _)| known.distance(direction) < SAME);
-        let mut angles = typed.map_or_else(|| heading_of(direction), |(_, angles)| angles);
+        let typed_before = typed(ui).direction.filter(|(known, _)| known.distance(direction) < SAME);
+        let mut angles = typed_before.map_or_else(|| heading_of(direction), |(_, angles)| angles);
         if numbers(ui, "shines: heading, height", &mut angles, degrees) {
             let direction = direction_of(angles);
             edit.direction = Some(direction);
-            editing.typed.direction = Some((direction, angles));
+            remember(ui, Typed { direction: Some((direction, angles)), ..typed(ui) });
         }
     }
     let unit = if kind == LightKind::Directional { "lx" } else { "cd" };

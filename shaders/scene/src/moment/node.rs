@@ -2,8 +2,8 @@
 
 use glam::{DMat4, DQuat, DVec3};
 
-use super::{When, worlds};
-use crate::{AnimatedNode, NodeEdit, Scene, SceneAt, Track};
+use super::{When, parts, shown, worlds};
+use crate::{Scene, SceneAt};
 
 /// Where a node of the animation is, and how.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,31 +45,8 @@ impl Scene {
             translation_m,
             rotation,
             scale,
-            shown: edit.shown.unwrap_or_else(|| own.shown(when)),
+            shown: edit.shown.unwrap_or_else(|| shown(own, when)),
             visible: worlds.get(node as usize)?.visible,
         })
     }
-}
-
-impl AnimatedNode {
-    /// Whether it is shown, unless it is edited.
-    pub(super) fn shown(&self, when: When<'_>) -> bool {
-        when.sample::<1>(self.visible_track.as_ref()).map_or(self.visible, |[shown]| shown != 0.0)
-    }
-}
-
-/// Returns scale, rotation and translation of a node's own transform.
-pub(super) fn parts(node: &AnimatedNode, edit: &NodeEdit, when: When<'_>) -> (DVec3, DQuat, DVec3) {
-    let vector = |track: &Option<Track>, fixed| when.sample(track.as_ref()).map_or(fixed, DVec3::from_array);
-    let rotation = match (when, &node.rotation_track) {
-        (When::At(at), Some(track)) => track.rotation(at.time_s),
-        _ => node.rotation,
-    };
-    let (scale, translation_m) =
-        (vector(&node.scale_track, node.scale), vector(&node.translation_track, node.translation_m));
-    (
-        edit.scale.unwrap_or(scale),
-        edit.rotation.map_or(rotation, DQuat::normalize),
-        edit.translation_m.unwrap_or(translation_m),
-    )
 }
