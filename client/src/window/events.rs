@@ -38,6 +38,7 @@ impl App {
             WindowEvent::Occluded(occluded) => self.hidden = *occluded,
             WindowEvent::Focused(false) => {
                 controls.let_go();
+                self.control = false;
                 self.editing().into_iter().for_each(Editing::let_go);
             }
             WindowEvent::ModifiersChanged(now) => self.control = now.state().control_key() || now.state().super_key(),
