@@ -60,7 +60,6 @@ pub(crate) struct FrameDriver {
     pub(crate) recorder: Option<Recorder>,
     drawn: u32,
     /// What the last picture shows.
-    #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window edits it"))]
     pub(crate) last: Option<Drawing>,
     /// `u32::MAX` if unknown.
     planned: u32,

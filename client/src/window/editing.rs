@@ -56,6 +56,13 @@ pub(crate) struct Seen {
 }
 
 impl Seen {
+    /// Returns a pixel of the window in points, in which the overlay counts.
+    pub(crate) fn points(&self, window: DVec2) -> egui::Pos2 {
+        #[expect(clippy::cast_possible_truncation, reason = "far outside the window it does not matter where")]
+        let [x, y] = (window / self.per_point).to_array().map(|side| side.clamp(-1e6, 1e6) as f32);
+        egui::Pos2::new(x, y)
+    }
+
     fn reach_px(&self) -> f64 {
         REACH * self.per_point / self.fit.scale
     }
@@ -99,9 +106,13 @@ impl Editing {
         self.pressed = self.pressed.filter(|from| from.distance(self.pointer) <= most);
     }
 
-    /// The pointer's button goes down on the picture. Returns whether it holds a handle now.
-    pub(crate) fn press(&mut self) -> bool {
+    /// The pointer's button goes down. Returns whether it holds a handle now, or is over a panel, which `covered` tells
+    /// of a place in points.
+    pub(crate) fn press(&mut self, covered: impl FnOnce(egui::Pos2) -> bool) -> bool {
         let Some(seen) = &self.seen else { return false };
+        if covered(seen.points(self.pointer)) {
+            return true;
+        }
         let px = (seen.fit.to_picture(self.pointer), seen.reach_px());
         let holds = seen.gizmo.as_ref().is_some_and(|gizmo| self.editor.grab(&seen.view, &seen.posed, gizmo, px));
         self.pressed = (!holds).then_some(self.pointer);

@@ -67,8 +67,13 @@ impl App {
                 self.editing().into_iter().for_each(|editing| editing.pointer_at(position.x, position.y));
             }
             WindowEvent::MouseInput { state: ElementState::Pressed, button: MouseButton::Left, .. } if !consumed => {
+                let context = egui.egui_ctx().clone();
+                // The overlay learns only with the next picture where the pointer is now.
+                let covered = |place: egui::Pos2| {
+                    context.layer_id_at(place).is_some_and(|layer| layer.order != egui::Order::Background)
+                };
                 // What drags a handle does not turn the view.
-                let holds = self.editing().is_some_and(Editing::press);
+                let holds = self.editing().is_some_and(|editing| editing.press(covered));
                 self.controls.drag(!holds);
             }
             WindowEvent::MouseInput { state: ElementState::Released, button: MouseButton::Left, .. } => {

@@ -48,10 +48,7 @@ pub(crate) fn show(context: &egui::Context, editing: &Editing) {
 }
 
 fn on_screen(seen: &Seen, px: DVec2) -> Pos2 {
-    let place = seen.fit.to_window(px) / seen.per_point;
-    #[expect(clippy::cast_possible_truncation, reason = "far outside the screen it does not matter where")]
-    let [x, y] = place.to_array().map(|side| side.clamp(-1e6, 1e6) as f32);
-    Pos2::new(x, y)
+    seen.points(seen.fit.to_window(px))
 }
 
 /// A light's colour at its full strength, as a screen shows it.
