@@ -109,8 +109,7 @@ impl Gizmo {
     }
 
     /// Radius of the knob in the middle, in pixels.
-    #[must_use]
-    pub fn knob_px(&self) -> f64 {
+    fn knob_px(&self) -> f64 {
         self.radius_px * KNOB
     }
 
