@@ -8,14 +8,14 @@ use std::time::{Duration, Instant};
 use gnomon_client_core::{
     camera::of_scene,
     frame::{
-        frame_loop::{FrameLoop, MaskSource},
+        frame_loop::{Drawing, FrameLoop, MaskSource},
         stats::{FrameStats, StageTimes},
     },
     mask::pose_history::Rejections,
     render::FrameRenderer,
 };
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_LAYERS, mask::MaskShape, message::Welcome};
-use gnomon_scene::{NamedCamera, camera::Camera};
+use gnomon_scene::{Scene, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 
 use crate::{
@@ -59,6 +59,8 @@ pub(crate) struct FrameDriver {
     pub(crate) link: Option<ServerLink>,
     pub(crate) recorder: Option<Recorder>,
     drawn: u32,
+    /// What the last picture shows.
+    pub(crate) last: Option<Drawing>,
     /// `u32::MAX` if unknown.
     planned: u32,
     /// Why the server was first lost.
@@ -86,7 +88,7 @@ pub(crate) struct NewScene {
     pub(crate) welcome: Welcome,
     pub(crate) exposure: Exposure,
     #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window shows it"))]
-    pub(crate) cameras: Vec<NamedCamera>,
+    pub(crate) scene: Scene,
     #[cfg_attr(not(feature = "window"), expect(dead_code, reason = "only a window shows it"))]
     pub(crate) camera_paths: Vec<CameraPath>,
 }
@@ -111,7 +113,7 @@ impl FrameDriver {
         if let Some(link) = &link {
             frames.matcher.world.begin(link.terms());
         }
-        Self { frames, link, recorder, drawn: 0, planned, lost: None, recorded_link: None }
+        Self { frames, link, recorder, drawn: 0, last: None, planned, lost: None, recorded_link: None }
     }
 
     /// Returns the age in frames of the masks used for the last picture, newest first.
@@ -182,6 +184,7 @@ impl FrameDriver {
             }
         }
         self.frames.change_scene(frame, renderer);
+        self.last = None;
         self.begin_world();
         if let Some(mut recorder) = self.recorder.take() {
             let text = format!("the server has the scene {}: the recording ends here", welcome.scene_digest);
@@ -190,7 +193,7 @@ impl FrameDriver {
             recorder.finish()?;
         }
         let camera_paths = of_scene::paths(&scene);
-        Ok(Some(NewScene { url, welcome, exposure, cameras: scene.cameras, camera_paths }))
+        Ok(Some(NewScene { url, welcome, exposure, scene, camera_paths }))
     }
 
     fn begin_world(&mut self) {
@@ -264,6 +267,7 @@ impl FrameDriver {
             })?;
         }
         self.record_link(state)?;
+        self.last = Some(drawing);
         Ok(stats)
     }
 

@@ -91,9 +91,10 @@ fn run(loaded: Loaded<Arguments>, stop: &Stop) -> anyhow::Result<()> {
 /// Runs the client with a local server that stops at the end.
 #[cfg(feature = "window")]
 fn run_demo(mut loaded: Loaded<Arguments>, stop: &Stop) -> anyhow::Result<()> {
-    let animation = loaded.program.reading.animation.take();
+    let reading = &mut loaded.program.reading;
+    let (animation, editable) = (reading.animation.take(), reading.editable.take());
     let settings = &mut loaded.program.settings;
-    let demo = Demo::start(animation, settings.adapter.as_deref())?;
+    let demo = Demo::start(animation, editable.as_deref(), settings.adapter.as_deref())?;
     settings.url = Some(Target::Server(demo.url().clone()));
     if settings.path.is_none() {
         settings.path = Some(demo.path().parse()?);

@@ -3,6 +3,7 @@
 //! No socket, file, thread or clock: time, bytes and masks are arguments, so the crate also builds for browsers.
 
 pub mod camera;
+pub mod edit;
 pub mod frame;
 pub mod input;
 pub mod mask;

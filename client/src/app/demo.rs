@@ -11,6 +11,10 @@ use crate::link::url::ServerUrl;
 const SCENE: &[u8] = include_bytes!("../../../tests/assets/cloister.glb");
 const PATHS: &[u8] = include_bytes!("../../../tests/assets/cloister.json");
 
+/// What a person may move, unless told otherwise: what stands and hangs in the cloister.
+const EDITABLE: &str = "bench,pot,trough,urn,sundial,well,tree,banner,lantern south-west,lantern south-east,lantern \
+                        west,lantern east,spot housing";
+
 /// A running demo. Dropping it stops the server and removes its files.
 pub struct Demo {
     server: LocalServer,
@@ -18,17 +22,18 @@ pub struct Demo {
 }
 
 impl Demo {
-    /// Starts the server and waits until it listens. Without an `animation`, things move if there is a real GPU of the
-    /// name `adapter`: software Vulkan takes several times as long for a late mask of a scene that moves.
+    /// Starts the server and waits until it listens. `editable` names what may be moved, a few things if it is `None`.
+    /// Without an `animation`, things move if there is a real GPU of the name `adapter`: software Vulkan takes several
+    /// times as long for a late mask of a scene that moves.
     ///
     /// # Errors
     /// Errors if there is no server program, or it does not start.
-    pub fn start(animation: Option<String>, adapter: Option<&str>) -> Result<Self> {
+    pub fn start(animation: Option<String>, editable: Option<&str>, adapter: Option<&str>) -> Result<Self> {
         let moves = || (pollster::block_on(Gpu::count(adapter)) > 0).then(|| "all".to_owned());
-        Self::start_server(animation.or_else(moves)).context("--demo")
+        Self::start_server(animation.or_else(moves), editable.unwrap_or(EDITABLE)).context("--demo")
     }
 
-    fn start_server(animation: Option<String>) -> Result<Self> {
+    fn start_server(animation: Option<String>, editable: &str) -> Result<Self> {
         // Reports a missing server before writing anything.
         LocalServer::program()?;
         let folder = temporary_folder("demo")?;
@@ -38,6 +43,7 @@ impl Demo {
         write(&paths, PATHS)?;
         let mut scene = LocalScene::new(file);
         scene.options.animation = animation;
+        scene.options.editable = editable.split(',').map(str::to_owned).collect();
         let server = LocalServer::start(folder, &scene)?;
         Ok(Self { server, path: format!("{}#walk", paths.display()) })
     }

@@ -16,6 +16,7 @@ use winit::{
 };
 
 use super::{
+    editing::Editing,
     gamepad::Gamepad,
     loading::{Loading, Progress},
     overlay,
@@ -57,6 +58,7 @@ pub fn run_window(options: WindowOptions, stop: &Stop) -> Result<(), ClientError
         camera_path,
         settings,
         controls: Controls::default(),
+        control: false,
         gamepad: Gamepad::open(),
         commands: Vec::new(),
         view: None,
@@ -100,6 +102,8 @@ pub(super) struct App {
     camera_path: Option<CameraPath>,
     settings: Settings,
     pub(super) controls: Controls,
+    /// True while Ctrl is held.
+    pub(super) control: bool,
     gamepad: Gamepad,
     /// Commands since the last frame.
     pub(super) commands: Vec<Command>,
@@ -189,7 +193,11 @@ impl App {
             let context = egui.egui_ctx().clone();
             let mut retry = false;
             let notice = self.notice.as_ref().filter(|(_, since)| now - *since < NOTICE_TIME);
-            let (stage, settings) = (&self.stage, &mut self.settings);
+            let (stage, settings) = (&mut self.stage, &mut self.settings);
+            if let Stage::Playing(play) = stage {
+                play.step(&self.controls.take(step_s, f64::from(screen.size().1)), step_s);
+                play.look(settings, screen.size(), context.pixels_per_point());
+            }
             let adapter = screen.gpu.info.name.clone();
             let output = context.run_ui(input, |ui| {
                 retry = draw_ui(ui.ctx(), stage, settings, &self.options.run.source, notice, &adapter);
@@ -202,9 +210,8 @@ impl App {
         };
         let drawn = match &mut self.stage {
             Stage::Playing(play) => {
-                let motion = self.controls.take(step_s, f64::from(screen.size().1));
                 let first = play.figures.now().is_none();
-                let drawn = play.frame(screen, &mut self.settings, &motion, step_s).map(drop);
+                let drawn = play.frame(screen, &mut self.settings, step_s).map(drop);
                 if let Some(text) = play.message.take() {
                     self.notice = Some((text, now));
                 }
@@ -299,6 +306,10 @@ impl App {
     fn execute(&mut self, command: Command, event_loop: &ActiveEventLoop) {
         match command {
             Command::Leave if self.settings.help => self.settings.help = false,
+            Command::Leave if self.editing().is_some_and(Editing::cancel) => {}
+            Command::Leave if self.settings.edit => self.settings.edit = false,
+            Command::Undo => self.editing().into_iter().for_each(Editing::undo),
+            Command::Redo => self.editing().into_iter().for_each(Editing::redo),
             Command::Leave => event_loop.exit(),
             Command::FullScreen => {
                 if let Some(View { window, .. }) = &self.view {
@@ -319,6 +330,14 @@ impl App {
                 }
             }
             command => self.settings.apply(command),
+        }
+    }
+
+    /// The scene under the person's hand, while it is edited.
+    pub(super) fn editing(&mut self) -> Option<&mut Editing> {
+        match &mut self.stage {
+            Stage::Playing(play) if self.settings.edit => play.editing.as_mut(),
+            _ => None,
         }
     }
 
@@ -359,7 +378,7 @@ fn free_name(folder: &Path) -> Option<PathBuf> {
 /// Draws the overlay, or a screen without a picture. Returns whether to try again.
 fn draw_ui(
     context: &egui::Context,
-    stage: &Stage,
+    stage: &mut Stage,
     settings: &mut Settings,
     source: &Source,
     notice: Option<&(String, Instant)>,
@@ -389,6 +408,7 @@ fn draw_ui(
             let pinned = play.server.as_ref().and_then(|(url, _)| url.certificates.first());
             let fingerprint = pinned.map(servers::fingerprint);
             let backend = play.server.as_ref().map(|(_, welcome)| welcome.backend.to_string());
+            let not_editable = play.not_editable();
             let status = overlay::Status {
                 backend: backend.as_deref(),
                 adapter,
@@ -397,9 +417,14 @@ fn draw_ui(
                 picture_px: play.size(),
                 speed_m_per_s: play.fly.speed_m_per_s(),
                 has_reference: play.has_reference(),
+                not_editable: not_editable.as_deref(),
                 notice: notice_of_server.as_deref().or(notice.map(|(text, _)| text.as_str())),
             };
             overlay::show(context, settings, &play.figures, &status);
+            if let Some(editing) = play.editing.as_mut().filter(|_| settings.edit) {
+                overlay::gizmo::show(context, editing);
+                overlay::edit_panel::show(context, editing);
+            }
         }
     }
     false

@@ -18,10 +18,15 @@ pub(super) fn move_key(code: KeyCode) -> Option<MoveKey> {
     })
 }
 
-/// Returns the command of a key, if it has one.
+/// Returns the command of a key, if it has one. `control`: the key is pressed together with Ctrl.
 #[must_use]
-pub(super) fn command(key: &Key) -> Option<Command> {
+pub(super) fn command(key: &Key, control: bool) -> Option<Command> {
     match key {
+        Key::Character(text) if control => match text.as_str() {
+            "z" => Some(Command::Undo),
+            "Z" | "y" => Some(Command::Redo),
+            _ => None,
+        },
         Key::Named(NamedKey::Tab) => Some(Command::Path),
         Key::Named(NamedKey::Escape) => Some(Command::Leave),
         Key::Named(NamedKey::F11) => Some(Command::FullScreen),
@@ -32,6 +37,7 @@ pub(super) fn command(key: &Key) -> Option<Command> {
             "p" => Command::Picture,
             "h" | "?" => Command::Help,
             "o" => Command::Overlay,
+            "i" => Command::Edit,
             "r" => Command::Predictor,
             "m" => Command::Mode,
             "g" => Command::Guard,
@@ -52,7 +58,7 @@ mod tests {
 
     #[test]
     fn commands_ignore_case() {
-        let of = |text: &str| command(&Key::Character(text.into()));
+        let of = |text: &str| command(&Key::Character(text.into()), false);
         assert_eq!(
             (of("f"), of("P"), of("H")),
             (Some(Command::FullScreen), Some(Command::Picture), Some(Command::Help))
@@ -61,8 +67,15 @@ mod tests {
             (of("1"), of("9"), of("0"), of("w")),
             (Some(Command::Digit(0)), Some(Command::Digit(8)), Some(Command::NextLights), None)
         );
-        assert_eq!(command(&Key::Named(NamedKey::Tab)), Some(Command::Path));
-        assert_eq!(command(&Key::Named(NamedKey::Escape)), Some(Command::Leave));
+        assert_eq!(command(&Key::Named(NamedKey::Tab), false), Some(Command::Path));
+        assert_eq!(command(&Key::Named(NamedKey::Escape), false), Some(Command::Leave));
+    }
+
+    #[test]
+    fn keys_with_control_are_others() {
+        let of = |text: &str| command(&Key::Character(text.into()), true);
+        assert_eq!((of("z"), of("Z"), of("y")), (Some(Command::Undo), Some(Command::Redo), Some(Command::Redo)));
+        assert_eq!((of("c"), of("v"), of("1")), (None, None, None));
     }
 
     #[test]

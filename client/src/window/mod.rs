@@ -6,6 +6,7 @@
 
 mod app;
 mod background;
+mod editing;
 mod events;
 mod gamepad;
 mod keys;
@@ -13,6 +14,7 @@ mod loading;
 mod overlay;
 mod painter;
 mod play;
+mod play_editing;
 mod reference;
 mod screen;
 mod settings;

@@ -10,11 +10,12 @@ use gnomon_client_core::{
     frame::frame_loop::{FrameLoop, MaskSource},
 };
 use gnomon_protocol::{ids::FrameNumber, limits::MAX_PIXELS, mask::MaskShape, message::Welcome};
-use gnomon_scene::camera::Camera;
+use gnomon_scene::{SceneAt, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 
 use super::{
     background::Background,
+    editing::Editing,
     reference::{self, Ready, Reference, local_scene},
     screen::Screen,
 };
@@ -49,7 +50,9 @@ const MOST_INITIAL_SPEED_M_PER_S: f64 = 20.0;
 const RESIZE_DELAY: Duration = Duration::from_millis(150);
 
 pub(crate) struct Play {
-    driver: FrameDriver,
+    pub(super) driver: FrameDriver,
+    /// `None` if the server does not let this client edit the scene.
+    pub(crate) editing: Option<Editing>,
     /// The server's URL and its Welcome.
     pub(crate) server: Option<(ServerUrl, Welcome)>,
     pub(crate) figures: Figures,
@@ -144,13 +147,15 @@ impl Play {
         let frames = FrameLoop::new(renderer, machine, guard, source, Instant::now());
         let driver = FrameDriver::new(frames, link, recorder, u32::MAX);
         let first = camera_path.camera(options.settings.start_time, size.0, size.1);
+        let scene_cameras = of_scene::paths(&scene);
         Ok(Self {
+            editing: driver.frames.matcher.world.may_edit().then(|| Editing::new(scene)),
             driver,
             server,
             figures: Figures::default(),
             fly: Fly::from_camera(&first, speed),
             camera_path,
-            scene_cameras: of_scene::paths(&scene),
+            scene_cameras,
             followed: None,
             follows_path: false,
             path_s: options.settings.start_time,
@@ -184,7 +189,7 @@ impl Play {
     }
 
     /// Time of the scene, in seconds.
-    fn scene_time_s(&self) -> f64 {
+    pub(super) fn scene_time_s(&self) -> f64 {
         self.options.settings.start_time + self.driver.frames.started().elapsed().as_secs_f64()
     }
 
@@ -194,12 +199,27 @@ impl Play {
         path.camera(time_s, width, height)
     }
 
-    /// Draws the next frame, `step_s` seconds after the last.
+    /// Moves the camera to where the next frame is drawn from, `step_s` seconds after the last.
+    pub(crate) fn step(&mut self, motion: &Motion, step_s: f64) {
+        if self.follows_path {
+            self.path_s += step_s;
+        } else {
+            self.fly.step(motion, step_s);
+        }
+    }
+
+    /// The next frame's camera.
+    pub(super) fn camera(&self, scene_time_s: f64) -> Camera {
+        let (width, height) = self.size();
+        let path = self.follows_path.then(|| self.path_camera(scene_time_s, (width, height)));
+        path.unwrap_or_else(|| self.fly.camera(width, height))
+    }
+
+    /// Draws the next frame, `step_s` seconds after the last. The camera has been moved.
     pub(crate) fn frame(
         &mut self,
         screen: &mut Screen,
         settings: &mut Settings,
-        motion: &Motion,
         step_s: f64,
     ) -> Result<FrameStats, ClientError> {
         let (width, height) = self.size();
@@ -217,16 +237,11 @@ impl Play {
         self.resize(screen.size())?;
         self.apply(screen, settings)?;
         self.adapt(step_s)?;
-        let (width, height) = self.driver.frames.renderer.size();
-        let camera = if self.follows_path {
-            self.path_s += step_s;
-            self.path_camera(scene_time_s, (width, height))
-        } else {
-            self.fly.step(motion, step_s);
-            self.fly.camera(width, height)
-        };
+        self.send_edits();
+        let camera = self.camera(scene_time_s);
+        let (width, _) = self.size();
         if settings.split == Split::Reference {
-            match self.draw_reference(&screen.gpu, (camera, scene_time_s)) {
+            match self.draw_reference(&screen.gpu, (camera, &self.scene_at(scene_time_s))) {
                 Ok(drawn) => screen.right_half = drawn.map(|picture| (picture, width / 2)),
                 Err(error) => {
                     tracing::warn!(%error, "no local reference");
@@ -258,8 +273,9 @@ impl Play {
 
     /// Goes on in a scene that the driver's renderer is new to. The camera stays.
     fn follow(&mut self, new: NewScene, settings: &mut Settings) {
-        let NewScene { url, welcome, cameras, camera_paths, .. } = new;
-        settings.set_cameras(&cameras);
+        let NewScene { url, welcome, scene, camera_paths, .. } = new;
+        settings.set_cameras(&scene.cameras);
+        self.editing = self.driver.frames.matcher.world.may_edit().then(|| Editing::new(scene));
         if self.followed.is_some() {
             self.stand(&self.path_camera(self.scene_time_s(), self.size()));
         }
@@ -291,7 +307,11 @@ impl Play {
     }
 
     /// Returns the reference picture once the local server runs.
-    fn draw_reference(&mut self, gpu: &Gpu, looked_at: (Camera, f64)) -> Result<Option<wgpu::Texture>, ClientError> {
+    fn draw_reference(
+        &mut self,
+        gpu: &Gpu,
+        looked_at: (Camera, &SceneAt),
+    ) -> Result<Option<wgpu::Texture>, ClientError> {
         let (size, largest) = (self.size(), largest_mask(self.largest));
         match &mut self.reference {
             LocalReference::Off => {
@@ -446,6 +466,7 @@ pub(crate) fn settings(chosen: &ClientSettings) -> Settings {
         vsync: chosen.vsync,
         overlay: false,
         help: false,
+        edit: false,
     }
 }
 

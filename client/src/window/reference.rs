@@ -12,7 +12,7 @@ use gnomon_protocol::{
     mask::MaskShape,
     message::Welcome,
 };
-use gnomon_scene::{Scene, camera::Camera};
+use gnomon_scene::{Scene, SceneAt, camera::Camera};
 use gnomon_shaders::gpu::Gpu;
 
 use super::background::Background;
@@ -141,7 +141,7 @@ impl Reference {
         self.driver.frames.renderer.set_tone(tone);
     }
 
-    /// Draws the picture from `camera` at `size` pixels. Waits for its mask.
+    /// Draws the picture of the scene in this state, from `camera`, at `size` pixels. Waits for its mask.
     ///
     /// # Errors
     /// Errors if the server or the adapter fails.
@@ -149,7 +149,7 @@ impl Reference {
         &mut self,
         gpu: &Gpu,
         size: (u32, u32),
-        (camera, scene_time_s): (Camera, f64),
+        (camera, scene): (Camera, &SceneAt),
         (lights_on, view): (u32, DebugView),
     ) -> Result<wgpu::Texture, ClientError> {
         if size != self.driver.frames.renderer.size() {
@@ -161,7 +161,10 @@ impl Reference {
             self.driver.frames.renderer.set_lights_on(lights_on);
             self.driver.frames.renderer.set_debug_view(view);
         }
-        self.driver.draw(FrameNumber(self.next), camera, scene_time_s, &mut Picture(&self.view))?;
+        let frames = &mut self.driver.frames;
+        // Whoever starts a server on this machine may edit its scene.
+        let _ = frames.edit(&scene.edits.since(frames.matcher.world.drawn()));
+        self.driver.draw(FrameNumber(self.next), camera, scene.time_s, &mut Picture(&self.view))?;
         self.next = self.next.wrapping_add(1);
         Ok(self.target.clone())
     }

@@ -64,6 +64,8 @@ pub(crate) struct Settings {
     pub(crate) overlay: bool,
     /// True if the keys are explained.
     pub(crate) help: bool,
+    /// True if the person edits the scene.
+    pub(crate) edit: bool,
 }
 
 /// The guard bands that a key cycles through.
@@ -122,6 +124,7 @@ impl Settings {
     pub(crate) fn apply(&mut self, command: Command) {
         match command {
             Command::Help => self.help = !self.help,
+            Command::Edit => self.edit = !self.edit,
             Command::Overlay => self.overlay = !self.overlay,
             Command::Predictor => {
                 let all = Predictor::ALL.map(|(_, predictor)| predictor);
@@ -150,6 +153,7 @@ impl Settings {
                 self.first_digit = if next < self.lights { next } else { 0 };
             }
             Command::Camera | Command::Path | Command::FullScreen | Command::Picture | Command::Leave => {}
+            Command::Undo | Command::Redo => {}
         }
     }
 }
@@ -176,6 +180,7 @@ mod tests {
             vsync: true,
             overlay: true,
             help: false,
+            edit: false,
         }
     }
 

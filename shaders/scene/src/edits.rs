@@ -103,6 +103,22 @@ impl Edits {
         nodes.chain(self.lights.iter().map(|(light, edit)| Edit::Light(*light, *edit)))
     }
 
+    /// Returns the edits that lead here from another state.
+    #[must_use]
+    pub fn since(&self, before: &Self) -> Vec<Edit> {
+        let undone = before.iter().filter_map(|edit| match edit {
+            Edit::Node(node, _) => (!self.nodes.contains_key(&node)).then(|| Edit::Node(node, NodeEdit::default())),
+            Edit::Light(light, _) => {
+                (!self.lights.contains_key(&light)).then(|| Edit::Light(light, LightEdit::default()))
+            }
+        });
+        let changed = self.iter().filter(|edit| match edit {
+            Edit::Node(node, edit) => before.nodes.get(node) != Some(edit),
+            Edit::Light(light, edit) => before.lights.get(light) != Some(edit),
+        });
+        undone.chain(changed).collect()
+    }
+
     /// The lights that are changed.
     pub(crate) fn lights(&self) -> impl Iterator<Item = (u32, LightEdit)> {
         self.lights.iter().map(|(light, edit)| (*light, *edit))

@@ -30,7 +30,7 @@ pub mod testing;
 pub use edits::{Edit, EditError, Edits, LightEdit, NodeEdit};
 pub use error::SceneError;
 pub use load_options::LoadOptions;
-pub use moment::{Moment, Placement};
+pub use moment::{Moment, NodeAt, Placement};
 pub use pack::PackError;
 pub use reader::{LoadReport, Warning, WarningKind};
 pub use scene::{

@@ -3,6 +3,7 @@
 //! This is the only place that evaluates an animation. Server and client both use it, in f64.
 
 mod deform;
+mod node;
 
 use std::{
     borrow::Cow,
@@ -12,6 +13,7 @@ use std::{
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Vec3, Vec4};
 
 use self::deform::Form;
+pub use self::node::NodeAt;
 use crate::{
     Aabb, AnimatedCamera, AnimatedLight, AnimatedNode, Animation, Draw, Image, Light, LightKind, NamedCamera, NodeEdit,
     OwnVertices, Piece, Place, Scene, SceneAt, Track,
@@ -322,28 +324,38 @@ fn worlds(animation: &Animation, when: When<'_>) -> Vec<World> {
         let edit = when.edit(number);
         let above = node.parent.and_then(|parent| worlds.get(parent as usize).copied());
         let above = above.unwrap_or(World { world_from_node: DMat4::IDENTITY, visible: true });
-        let shown = when.sample::<1>(node.visible_track.as_ref()).map_or(node.visible, |[shown]| shown != 0.0);
         worlds.push(World {
             world_from_node: above.world_from_node * node.above * own(node, &edit, when),
-            visible: above.visible && edit.shown.unwrap_or(shown),
+            visible: above.visible && edit.shown.unwrap_or_else(|| shown(node, when)),
         });
     }
     worlds
 }
 
-fn own(node: &AnimatedNode, edit: &NodeEdit, when: When<'_>) -> DMat4 {
+/// Whether a node is shown, unless it is edited.
+fn shown(node: &AnimatedNode, when: When<'_>) -> bool {
+    when.sample::<1>(node.visible_track.as_ref()).map_or(node.visible, |[shown]| shown != 0.0)
+}
+
+/// Returns scale, rotation and translation of a node's own transform.
+fn parts(node: &AnimatedNode, edit: &NodeEdit, when: When<'_>) -> (DVec3, DQuat, DVec3) {
     let vector = |track: &Option<Track>, fixed| when.sample(track.as_ref()).map_or(fixed, DVec3::from_array);
     let rotation = match (when, &node.rotation_track) {
         (When::At(at), Some(track)) => track.rotation(at.time_s),
         _ => node.rotation,
     };
-    let (scale, translation) =
+    let (scale, translation_m) =
         (vector(&node.scale_track, node.scale), vector(&node.translation_track, node.translation_m));
-    DMat4::from_scale_rotation_translation(
+    (
         edit.scale.unwrap_or(scale),
         edit.rotation.map_or(rotation, DQuat::normalize),
-        edit.translation_m.unwrap_or(translation),
+        edit.translation_m.unwrap_or(translation_m),
     )
+}
+
+fn own(node: &AnimatedNode, edit: &NodeEdit, when: When<'_>) -> DMat4 {
+    let (scale, rotation, translation_m) = parts(node, edit, when);
+    DMat4::from_scale_rotation_translation(scale, rotation, translation_m)
 }
 
 fn placement(

@@ -139,3 +139,34 @@ fn edits_are_checked_and_bounded() {
     assert_eq!(edits.apply(shown(most)), Err(EditError::TooMany));
     assert_eq!((edits.apply(shown(0)), edits.len()), (Ok(()), most as usize));
 }
+
+#[test]
+fn a_node_tells_where_it_is() {
+    let scene = load(&file(), &["door", "lamp"]);
+    let lamp = scene.node_at(1, &at(&[])).unwrap();
+    assert_eq!((lamp.translation_m, lamp.shown, lamp.visible), (DVec3::Y * 3.0, true, true));
+    assert_eq!(lamp.world_from_node().w_axis.truncate(), DVec3::new(0.0, 3.0, 1.0));
+    let (turn, there) = (DQuat::from_rotation_z(0.5), DVec3::new(4.0, 0.0, 0.0));
+    let door = NodeEdit { translation_m: Some(there), rotation: Some(turn), shown: Some(false), ..NodeEdit::default() };
+    let edited = at(&[Edit::Node(0, door)]);
+    let lamp = scene.node_at(1, &edited).unwrap();
+    assert_eq!((lamp.translation_m, lamp.shown, lamp.visible), (DVec3::Y * 3.0, true, false));
+    // A handful of roundings of a few metres.
+    let expected = there + turn * (DVec3::Y * 3.0);
+    assert!(lamp.world_from_node().w_axis.truncate().distance(expected) < 1e-14);
+    assert_eq!(scene.node_at(2, &edited), None);
+}
+
+#[test]
+fn edits_lead_from_one_state_to_another() {
+    let node = |x: f64| Edit::Node(0, NodeEdit { translation_m: Some(DVec3::X * x), ..NodeEdit::default() });
+    let light = |intensity| Edit::Light(1, LightEdit { intensity: Some(intensity), ..LightEdit::default() });
+    let states = [at(&[]), at(&[node(1.0)]), at(&[node(2.0), light(3.0)]), at(&[light(3.0)])];
+    for (before, after) in states.iter().flat_map(|one| states.iter().map(move |other| (one, other))) {
+        let edits = after.edits.since(&before.edits);
+        let mut state = before.edits.as_ref().clone();
+        edits.iter().for_each(|edit| state.apply(*edit).unwrap());
+        assert_eq!((&state, edits.is_empty()), (after.edits.as_ref(), before == after));
+    }
+    assert_eq!(states[2].edits.since(&states[1].edits), [node(2.0), light(3.0)]);
+}

@@ -31,6 +31,12 @@ pub enum Command {
     Help,
     /// Shows figures and settings.
     Overlay,
+    /// Begins or ends editing the scene.
+    Edit,
+    /// Takes the last edit back.
+    Undo,
+    /// Does again what was undone last.
+    Redo,
     /// Next predictor.
     Predictor,
     Mode,
@@ -51,7 +57,7 @@ pub enum Command {
 }
 
 /// Every key and what it does.
-pub const HELP: [(&str, &str); 17] = [
+pub const HELP: [(&str, &str); 19] = [
     ("W A S D, arrows", "walk"),
     ("Q E", "down and up"),
     ("Shift", "faster while held"),
@@ -62,6 +68,8 @@ pub const HELP: [(&str, &str); 17] = [
     ("F", "full screen"),
     ("P", "picture to a PNG file"),
     ("O", "figures and choices"),
+    ("I", "edit: click an object or a lamp, drag its handles"),
+    ("Ctrl+Z, Ctrl+Y", "undo and redo an edit"),
     ("V", "next debug view"),
     ("B", "right half: without visibility, or a local reference"),
     ("1 to 9", "each light on and off"),

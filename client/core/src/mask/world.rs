@@ -150,7 +150,7 @@ impl World {
     /// # Errors
     /// If the server does not let this client edit.
     pub fn edit(&mut self, edits: &[Edit]) -> Result<(), WorldError> {
-        if self.terms.is_some_and(|terms| !terms.may_edit) {
+        if !self.may_edit() {
             return Err(WorldError::NotAllowed);
         }
         let drawn = Arc::make_mut(&mut self.drawn);
@@ -161,6 +161,12 @@ impl World {
             }
         }
         Ok(())
+    }
+
+    /// Whether this client may edit the scene.
+    #[must_use]
+    pub fn may_edit(&self) -> bool {
+        self.terms.is_none_or(|terms| terms.may_edit)
     }
 
     /// What the next picture shows.
@@ -393,6 +399,7 @@ mod tests {
         assert!(world.drawn().is_empty() && !world.is_waiting() && world.refused() == 1);
         let mut watching = begun(Terms { may_edit: false, ..PRIVATE });
         assert_eq!(watching.edit(&[dimmed(1, 2.0)]), Err(WorldError::NotAllowed));
+        assert_eq!([&world, &watching, &World::default()].map(World::may_edit), [true, false, true]);
     }
 
     #[test]

@@ -27,6 +27,8 @@ pub(crate) struct Status<'a> {
     pub(crate) speed_m_per_s: f64,
     /// True if a local reference can be shown.
     pub(crate) has_reference: bool,
+    /// Why the scene cannot be edited. `None` if it can.
+    pub(crate) not_editable: Option<&'a str>,
     /// About the server or a saved picture.
     pub(crate) notice: Option<&'a str>,
 }
@@ -43,7 +45,7 @@ pub(crate) fn show(context: &egui::Context, settings: &mut Settings, figures: &F
                         rows(ui, &now, status);
                     }
                     graphs::show(ui, figures);
-                    settings_rows(ui, settings);
+                    settings_rows(ui, settings, status.not_editable);
                 });
             });
         });
@@ -160,7 +162,7 @@ fn camera_row(ui: &mut egui::Ui, settings: &mut Settings) {
     });
 }
 
-fn settings_rows(ui: &mut egui::Ui, settings: &mut Settings) {
+fn settings_rows(ui: &mut egui::Ui, settings: &mut Settings, not_editable: Option<&str>) {
     ui.separator();
     camera_row(ui, settings);
     choice_row(ui, "predictor (R)", &mut settings.predictor, &Predictor::ALL.map(|(_, predictor)| predictor));
@@ -189,7 +191,12 @@ fn settings_rows(ui: &mut egui::Ui, settings: &mut Settings) {
     ui.horizontal_wrapped(|ui| {
         ui.checkbox(&mut settings.vsync, "vsync (X)");
         ui.checkbox(&mut settings.help, "help (H)");
+        let edit = ui.add_enabled(not_editable.is_none(), egui::Checkbox::new(&mut settings.edit, "edit (I)"));
+        edit.on_disabled_hover_text(not_editable.unwrap_or_default());
     });
+    if let Some(why) = not_editable {
+        ui.label(format!("edit: {why}"));
+    }
 }
 
 fn choice_row<T: Copy + PartialEq + std::fmt::Display>(ui: &mut egui::Ui, name: &str, now: &mut T, all: &[T]) {

@@ -3,6 +3,7 @@ use egui::Color32;
 pub(super) const BLUE: Color32 = Color32::from_rgb(86, 180, 233);
 pub(super) const GREEN: Color32 = Color32::from_rgb(0, 158, 115);
 pub(super) const ORANGE: Color32 = Color32::from_rgb(230, 159, 0);
+pub(super) const VERMILLION: Color32 = Color32::from_rgb(213, 94, 0);
 pub(super) const TEXT: Color32 = Color32::from_rgb(235, 235, 235);
 pub(super) const BACKGROUND: Color32 = Color32::from_rgba_premultiplied(12, 14, 18, 215);
 
