@@ -4,7 +4,8 @@
 //! Each half of a frame is waited for: drawing surfaces, then all the rest. Then whole frames by the adapter's clock.
 //! The mask has the shadows of the client's own maps. It is of the same view, or of one 5 cm aside, so that it must be
 //! predicted; without any, each light reaches everything. Medians of so many frames, 30 unless told. With an animation,
-//! all that is measured twice: while the scene stands, and while it moves by a sixtieth of a second a frame.
+//! all that is measured twice: while the scene stands, and while it moves by a sixtieth of a second a frame; with what
+//! was drawn into shadow maps.
 
 #![expect(clippy::disallowed_methods, reason = "a program of its own that measures")]
 
@@ -93,6 +94,7 @@ impl Frames {
                 halves.iter_mut().zip(times).for_each(|(all, ms)| all.push(ms));
             }
         }
+        let before = self.renderer.shadow_work();
         for _ in 0..self.count {
             self.draw(mask, false)?;
             for (place, (name, ms)) in self.renderer.stage_times()?.into_iter().enumerate() {
@@ -107,6 +109,13 @@ impl Frames {
         let stages: Vec<_> = stages.into_iter().map(|(name, times)| (name, median(times))).collect();
         stages.iter().for_each(|(name, ms)| print!(" {name} {ms:.2}"));
         println!(", sum {:.2}", stages.iter().map(|(_, ms)| ms).sum::<f64>());
+        let (work, frames) = (self.renderer.shadow_work(), self.count as u64);
+        let [draws, triangles, texels] =
+            [work.draws - before.draws, work.triangles - before.triangles, work.texels - before.texels]
+                .map(|count| count / frames.max(1));
+        if draws > 0 {
+            println!("  shadow maps: {draws} draws, {triangles} triangles, {texels} texels erased a frame");
+        }
         Ok(())
     }
 }

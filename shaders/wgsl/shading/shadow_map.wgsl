@@ -40,6 +40,22 @@ fn map_place(shadow: ShadowView, point: vec3f) -> vec4f {
     return vec4f((clip.xy / clip.w * vec2f(0.5, -0.5) + 0.5) * shadow.side - 0.5, clip.z / clip.w, clip.w);
 }
 
+// Side of a texel at a point, in metres.
+fn texel_at(shadow: ShadowView, kind: u32, point: vec3f) -> f32 {
+    let distance = (shadow.clip_from_local * vec4f(point, 1.0)).w;
+    return shadow.texel_m * select(distance, 1.0, kind == DIRECTIONAL);
+}
+
+// A texel, and those right of it, below it, and beyond both. Reversed depth: greater means nearer to the light.
+fn texels_at(map: texture_depth_2d, texel: vec2i) -> vec4f {
+    return vec4f(
+        textureLoad(map, texel, 0),
+        textureLoad(map, texel + vec2i(1, 0), 0),
+        textureLoad(map, texel + vec2i(0, 1), 0),
+        textureLoad(map, texel + vec2i(1, 1), 0),
+    );
+}
+
 // True if the map shows `point` as lit: the majority of the four texels around it, by their bilinear weights. `normal`
 // faces the eye.
 fn shadow_map_lit(
@@ -50,8 +66,7 @@ fn shadow_map_lit(
         // Rule 4 of server/src/visibility/mod.rs: the surface hides the light from itself.
         return false;
     }
-    let distance = (shadow.clip_from_local * vec4f(point, 1.0)).w;
-    let texel_m = shadow.texel_m * select(distance, 1.0, kind == DIRECTIONAL);
+    let texel_m = texel_at(shadow, kind, point);
     let step = normal * (OFF_SURFACE_TEXELS * texel_m);
     let at = map_place(shadow, point + step);
     if at.w <= 0.0 || any(at.xy < vec2f(0.0)) || any(at.xy >= vec2f(shadow.side - 1.0)) {
@@ -68,13 +83,7 @@ fn shadow_map_lit(
     let corner = vec2i(at.xy);
     let weight = at.xy - vec2f(corner);
     let texel = corner + vec2i(vec2f(shadow.left, shadow.top));
-    // Reversed depth: greater means nearer to the light.
-    let nearest = vec4f(
-        textureLoad(map, texel, 0),
-        textureLoad(map, texel + vec2i(1, 0), 0),
-        textureLoad(map, texel + vec2i(0, 1), 0),
-        textureLoad(map, texel + vec2i(1, 1), 0),
-    );
+    let nearest = texels_at(map, texel);
     let first = at.z - dot(slope, weight);
     let surface = vec4f(first, first + slope.x, first + slope.y, first + slope.x + slope.y);
     let lit = select(vec4f(0.0), vec4f(1.0), nearest <= surface);

@@ -2,7 +2,7 @@
 
 use gnomon_scene::{SceneAt, camera::Camera};
 
-use super::{movers::Movers, renderer::FrameRenderer};
+use super::{movers::Movers, predict::ShadowWork, renderer::FrameRenderer};
 use crate::camera::Viewpoint;
 
 impl FrameRenderer {
@@ -26,6 +26,12 @@ impl FrameRenderer {
         if self.surroundings.follow(&self.gpu, &self.lights) {
             self.shade.bind(&self.gpu.device, &self.targets, &self.history, &self.surroundings);
         }
+    }
+
+    /// What drawing shadow maps took so far.
+    #[must_use]
+    pub fn shadow_work(&self) -> ShadowWork {
+        self.predict.shadow_work()
     }
 
     /// What a picture for `camera` shows.

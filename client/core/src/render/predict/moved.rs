@@ -1,8 +1,8 @@
 //! What prediction must know where something moves: the piece that a pixel shows, where that was when a mask was
 //! traced, and which lights' shadows have changed since (`changed.wgsl`).
 //!
-//! Shadows are compared in two sets of maps, of the picture's time and of the newest mask's. A scene in which nothing
-//! moves has none of this.
+//! Shadows are compared in two sets of maps, of the picture's time and of the newest mask's, and only those of lights
+//! that move or that something moving is near. A scene in which nothing moves has none of this.
 
 use gnomon_protocol::limits::MAX_LAYERS;
 use gnomon_scene::{Scene, SceneAt, camera::Space};
@@ -16,7 +16,8 @@ use super::{
     depth_pass::DepthPass,
     layers::Layer,
     pieces::{PiecesPass, format},
-    shadow_map::ShadowMap,
+    shadow_map::{ShadowMap, ShadowWork},
+    touched,
 };
 use crate::render::{
     error::RenderError,
@@ -66,6 +67,8 @@ struct Then {
     /// `None` until it is drawn.
     scene: Option<SceneAt>,
     map: ShadowMap,
+    /// [`touched::words`].
+    touched: wgpu::Buffer,
     scene_group: wgpu::BindGroup,
 }
 
@@ -74,7 +77,6 @@ struct Then {
 pub(super) struct Now<'a> {
     pub(super) view: &'a wgpu::Buffer,
     pub(super) lighting: &'a wgpu::Buffer,
-    pub(super) map: &'a ShadowMap,
     pub(super) space: Space,
     pub(super) scene: &'a SceneAt,
 }
@@ -156,15 +158,37 @@ impl Moved {
         live.surface_groups = history.views().map(group).collect();
     }
 
+    /// What drawing the maps of other states took so far.
+    pub(super) fn work(&self) -> ShadowWork {
+        let then = self.live.as_ref().and_then(|live| live.then.as_ref());
+        then.map_or_else(ShadowWork::default, |then| then.map.work())
+    }
+
+    /// Draws the shadow maps of the state of the newest of these layers that is not of the picture's, if there is one.
+    /// [`SceneUpload::show_now`] is to follow.
+    pub(super) fn draw_then(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        (layers, now): (&[Layer], Now<'_>),
+        maps: (&mut ShadowMap, &DepthPass, &mut SceneUpload),
+    ) {
+        if let Some(live) = &mut self.live
+            && let Some(newest) = layers.iter().find(|layer| !layer.is_of(now.scene))
+        {
+            live.draw_then(gpu, encoder, &newest.traced_for.scene, now, maps);
+        }
+    }
+
     /// Finds out what has moved since those of these layers' masks were traced that are of another state of the scene
-    /// than the picture. Returns false if there are none.
+    /// than the picture. Returns false if there are none. `map` and `upload` show the picture's state.
     pub(super) fn encode(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         (layers, now): (&[Layer], Now<'_>),
-        (targets, depth_pass): (&Targets, &DepthPass),
-        (history, upload): (&DepthHistory, &mut SceneUpload),
+        (targets, history): (&Targets, &DepthHistory),
+        (map, upload): (&ShadowMap, &SceneUpload),
     ) -> bool {
         let Some(live) = &mut self.live else { return false };
         let others = || layers.iter().enumerate().filter(|(_, layer)| !layer.is_of(now.scene));
@@ -180,9 +204,9 @@ impl Moved {
                 gpu.queue.write_buffer(&live.before, 0, bytemuck::cast_slice(&before));
             }
         }
-        live.draw_then(gpu, encoder, &newest.traced_for.scene, now, (depth_pass, upload));
         live.pieces_pass.encode(&gpu.device, encoder, (&self.pieces, history.view()), upload);
         if let Some(then) = &live.then {
+            gpu.queue.write_buffer(&then.touched, 0, bytemuck::cast_slice(&touched::words(map, &then.map)));
             let groups = [&then.scene_group, &live.surface_groups[history.current()]];
             let size = (targets.width, targets.height);
             compute(encoder, "changed shadows", &live.pipeline, &groups, |pass| dispatch_pixels(pass, size));
@@ -196,7 +220,8 @@ impl Live {
         let device = &gpu.device;
         let [depth, words] = [wgpu::TextureSampleType::Depth, wgpu::TextureSampleType::Uint].map(picture);
         let (view, lighting) = (uniform::<View>(gpu), uniform::<Lighting>(gpu));
-        let of_scene = [view, lighting, depth, storage(true), lighting, depth, storage(true), storage(true)];
+        let (maps, before) = ([depth, storage(true)], storage(true));
+        let of_scene = [view, lighting, maps[0], maps[1], lighting, maps[0], maps[1], before, storage(true)];
         let of_surface = [depth, words, words, written_picture(WORD)];
         let layout = |bindings: &[wgpu::BindingType]| {
             bind_group_layout(device, "changed shadows", wgpu::ShaderStages::COMPUTE, bindings)
@@ -224,29 +249,36 @@ impl Live {
         encoder: &mut wgpu::CommandEncoder,
         scene: &SceneAt,
         now: Now<'_>,
-        (depth_pass, upload): (&DepthPass, &mut SceneUpload),
+        (map_now, depth_pass, upload): (&mut ShadowMap, &DepthPass, &mut SceneUpload),
     ) {
         let Some(lights) = upload.movers().map(|movers| movers.moment_at(scene).lights) else { return };
         // Only where lights are is read.
         let lighting = Exposure::for_reference(1.0).lighting(&lights, now.space);
         self.lighting_then.set(&gpu.queue, lighting);
-        let (before, lighting_then, layout) = (&self.before, &self.lighting_then, &self.scene_layout);
-        let then = self.then.get_or_insert_with(|| {
-            let map = now.map.another(gpu);
+        if self.then.is_none() {
+            let Some(map) = map_now.another(gpu, encoder, depth_pass, upload) else { return };
+            let touched = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("where maps may differ"),
+                size: touched::bytes(&map),
+                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            });
             let view = wgpu::BindingResource::TextureView;
             let resources = [
                 now.view.as_entire_binding(),
                 now.lighting.as_entire_binding(),
-                view(&now.map.texture),
-                now.map.views.as_entire_binding(),
-                lighting_then.buffer().as_entire_binding(),
+                view(&map_now.texture),
+                map_now.views.as_entire_binding(),
+                self.lighting_then.buffer().as_entire_binding(),
                 view(&map.texture),
                 map.views.as_entire_binding(),
-                before.as_entire_binding(),
+                self.before.as_entire_binding(),
+                touched.as_entire_binding(),
             ];
-            let scene_group = bind_group(&gpu.device, "changed shadows", layout, &resources);
-            Then { scene: None, map, scene_group }
-        });
+            let scene_group = bind_group(&gpu.device, "changed shadows", &self.scene_layout, &resources);
+            self.then = Some(Then { scene: None, map, touched, scene_group });
+        }
+        let Some(then) = &mut self.then else { return };
         if then.scene.as_ref() == Some(scene) {
             return;
         }
@@ -257,6 +289,5 @@ impl Live {
             upload.keep_vertices(encoder, vertices);
         }
         then.map.need(gpu, encoder, depth_pass, upload);
-        upload.show_now(&gpu.device, encoder);
     }
 }
