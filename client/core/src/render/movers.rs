@@ -32,6 +32,8 @@ pub(crate) struct Movers {
     written_at: Option<SceneAt>,
     /// How the corners are that they hold then, one for each piece.
     written: Vec<Corners>,
+    /// Bytes that were copied into the buffers so far.
+    pub(crate) copied_bytes: u64,
 }
 
 /// What moves or was edited, in one state of the scene.
@@ -117,7 +119,20 @@ impl Movers {
         let (firsts, triangle_runs) = (animation.first_positions(), triangle_runs(scene, animation));
         let written = vec![Corners::AsInFile; animation.pieces.len()];
         let (vertices, more) = (own, own_more);
-        Some(Self { stage, firsts, vertices, more, vertex_runs, triangle_runs, now, other, written_at, written })
+        let copied_bytes = 0;
+        Some(Self {
+            stage,
+            firsts,
+            vertices,
+            more,
+            vertex_runs,
+            triangle_runs,
+            now,
+            other,
+            written_at,
+            written,
+            copied_bytes,
+        })
     }
 
     /// The lights of a scene in which nothing moves, for people to change.
@@ -133,6 +148,7 @@ impl Movers {
             other: None,
             written_at: None,
             written: Vec::new(),
+            copied_bytes: 0,
         }
     }
 
@@ -268,7 +284,7 @@ impl Movers {
         let [vertices, more] = posed.staged.get_or_insert_with(|| {
             [bytemuck::cast_slice(&posed.vertices), bytemuck::cast_slice(&posed.more)].map(|list| staged(device, list))
         });
-        let mut writer = Writer { device, encoder };
+        let mut writer = Writer { device, encoder, copied_bytes: &mut self.copied_bytes };
         writer.runs::<Vertex>(vertices, buffers.vertices, &self.vertex_runs);
         if !posed.more.is_empty() {
             writer.runs::<MoreOfVertex>(more, buffers.more, &self.vertex_runs);
@@ -318,6 +334,7 @@ fn triangle_runs(scene: &Scene, animation: &Animation) -> Vec<TriangleRun> {
 struct Writer<'a> {
     device: &'a wgpu::Device,
     encoder: &'a mut wgpu::CommandEncoder,
+    copied_bytes: &'a mut u64,
 }
 
 fn staged(device: &wgpu::Device, bytes: &[u8]) -> wgpu::Buffer {
@@ -337,6 +354,7 @@ impl Writer<'_> {
             self.encoder.copy_buffer_to_buffer(staged, from, to, u64::from(run.first) * stride, bytes);
             from += bytes;
         }
+        *self.copied_bytes += from;
     }
 
     fn corners(&mut self, to: &wgpu::Buffer, run: &TriangleRun, corners: Corners) {
@@ -349,5 +367,6 @@ impl Writer<'_> {
         let staged = staged(self.device, bytemuck::cast_slice(&triangles));
         let offset = u64::from(run.first) * size_of::<[u32; 3]>() as u64;
         self.encoder.copy_buffer_to_buffer(&staged, 0, to, offset, staged.size());
+        *self.copied_bytes += staged.size();
     }
 }

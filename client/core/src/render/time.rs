@@ -2,7 +2,7 @@
 
 use gnomon_scene::{SceneAt, camera::Camera};
 
-use super::{movers::Movers, predict::ShadowWork, renderer::FrameRenderer};
+use super::{movers::Movers, renderer::FrameRenderer, work::Work};
 use crate::camera::Viewpoint;
 
 impl FrameRenderer {
@@ -28,10 +28,11 @@ impl FrameRenderer {
         }
     }
 
-    /// What drawing shadow maps took so far.
+    /// What shadow maps and what moves took so far.
     #[must_use]
-    pub fn shadow_work(&self) -> ShadowWork {
-        self.predict.shadow_work()
+    pub fn work(&self) -> Work {
+        let bytes = self.scene.movers().map_or(0, |movers| movers.copied_bytes);
+        self.predict.work() + Work { bytes, ..Work::default() }
     }
 
     /// What a picture for `camera` shows.

@@ -26,4 +26,3 @@ mod touched;
 
 pub use mask_view::MaskView;
 pub(crate) use pass::PredictPass;
-pub use shadow_map::ShadowWork;

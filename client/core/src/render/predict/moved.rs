@@ -16,7 +16,7 @@ use super::{
     depth_pass::DepthPass,
     layers::Layer,
     pieces::{PiecesPass, format},
-    shadow_map::{ShadowMap, ShadowWork},
+    shadow_map::ShadowMap,
     touched,
 };
 use crate::render::{
@@ -26,12 +26,17 @@ use crate::render::{
         Variable, bind_group, bind_group_layout, compute, compute_pipeline, dispatch_pixels, picture, shader, storage,
         uniform, written_picture,
     },
+    put_off::PutOff,
     scene_upload::SceneUpload,
     targets::{Targets, texture},
+    work::Work,
 };
 
 /// Bits of lights.
 const WORD: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+
+/// Side of a tile of pixels. Twin of `TILE_PX` in `changed.wgsl`.
+const TILE_PX: u32 = 8;
 
 #[derive(Debug)]
 pub(super) struct Moved {
@@ -50,7 +55,11 @@ pub(super) struct Moved {
 #[derive(Debug)]
 struct Live {
     pieces_pass: PiecesPass,
-    pipeline: wgpu::ComputePipeline,
+    /// Finds the lights that each tile's pixels are to be compared for.
+    look: wgpu::ComputePipeline,
+    /// Compares what rests, if no light has moved, and puts off the other pixels.
+    compare_resting: wgpu::ComputePipeline,
+    compare: wgpu::ComputePipeline,
     scene_layout: wgpu::BindGroupLayout,
     surface_layout: wgpu::BindGroupLayout,
     /// By the slot of the picture's depth in the history.
@@ -60,6 +69,8 @@ struct Live {
     lighting_then: Variable<Lighting>,
     /// What the picture's shadows are compared with, once there was need.
     then: Option<Then>,
+    /// Other than that of maps.
+    work: Work,
 }
 
 #[derive(Debug)]
@@ -88,6 +99,11 @@ fn pictures(device: &wgpu::Device, size: (u32, u32), pieces: wgpu::TextureFormat
                 .create_view(&wgpu::TextureViewDescriptor::default())
         },
     )
+}
+
+/// Tiles of a picture, across and down.
+fn tiles((width, height): (u32, u32)) -> (u32, u32) {
+    (width.div_ceil(TILE_PX), height.div_ceil(TILE_PX))
 }
 
 fn count(scene: &Scene) -> usize {
@@ -151,17 +167,25 @@ impl Moved {
         let Some(live) = &mut self.live else { return };
         [self.pieces, self.changed] = pictures(device, (targets.width, targets.height), self.format);
         let view = wgpu::BindingResource::TextureView;
+        let (across, down) = tiles((targets.width, targets.height));
+        let tiles = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("lights of tiles"),
+            size: u64::from(across) * u64::from(down) * size_of::<u32>() as u64,
+            usage: wgpu::BufferUsages::STORAGE,
+            mapped_at_creation: false,
+        });
         let group = |depth| {
-            let resources = [view(depth), view(&targets.normal_material), view(&self.pieces), view(&self.changed)];
+            let pictures = [depth, &targets.normal_material, &self.pieces, &self.changed].map(view);
+            let resources = [&pictures[..], &[tiles.as_entire_binding(), targets.put_off.binding()]].concat();
             bind_group(device, "changed shadows", &live.surface_layout, &resources)
         };
         live.surface_groups = history.views().map(group).collect();
     }
 
-    /// What drawing the maps of other states took so far.
-    pub(super) fn work(&self) -> ShadowWork {
-        let then = self.live.as_ref().and_then(|live| live.then.as_ref());
-        then.map_or_else(ShadowWork::default, |then| then.map.work())
+    /// What late masks of other states took so far, their maps included.
+    pub(super) fn work(&self) -> Work {
+        let Some(live) = &self.live else { return Work::default() };
+        live.work + live.then.as_ref().map(|then| then.map.work()).unwrap_or_default()
     }
 
     /// Draws the shadow maps of the state of the newest of these layers that is not of the picture's, if there is one.
@@ -199,17 +223,27 @@ impl Moved {
             let drawn = layer.is_of(&newest.traced_for.scene);
             let before = movers.before(&movers.moment_at(&layer.traced_for.scene), drawn);
             let offset = (place * size_of_val(&*before)) as u64;
-            gpu.queue.write_buffer(&self.before, offset, bytemuck::cast_slice(&before));
+            let before: &[u8] = bytemuck::cast_slice(&before);
+            gpu.queue.write_buffer(&self.before, offset, before);
+            live.work.bytes += before.len() as u64;
             if layer.slot == newest.slot {
-                gpu.queue.write_buffer(&live.before, 0, bytemuck::cast_slice(&before));
+                gpu.queue.write_buffer(&live.before, 0, before);
+                live.work.bytes += before.len() as u64;
             }
         }
         live.pieces_pass.encode(&gpu.device, encoder, (&self.pieces, history.view()), upload);
+        live.work.passes += 1;
         if let Some(then) = &live.then {
-            gpu.queue.write_buffer(&then.touched, 0, bytemuck::cast_slice(&touched::words(map, &then.map)));
+            let words = touched::words(map, &then.map);
+            gpu.queue.write_buffer(&then.touched, 0, bytemuck::cast_slice(&words));
+            live.work.bytes += size_of_val(&*words) as u64;
             let groups = [&then.scene_group, &live.surface_groups[history.current()]];
             let size = (targets.width, targets.height);
-            compute(encoder, "changed shadows", &live.pipeline, &groups, |pass| dispatch_pixels(pass, size));
+            compute(encoder, "lights of tiles", &live.look, &groups, |pass| dispatch_pixels(pass, tiles(size)));
+            // A light that has moved has other shadows everywhere.
+            let first = (map.moved(&then.map) == 0).then_some(&live.compare_resting);
+            targets.put_off.run(encoder, "changed shadows", (first, &live.compare), &groups);
+            live.work.passes += if first.is_some() { 3 } else { 2 };
         }
         true
     }
@@ -222,22 +256,25 @@ impl Live {
         let (view, lighting) = (uniform::<View>(gpu), uniform::<Lighting>(gpu));
         let (maps, before) = ([depth, storage(true)], storage(true));
         let of_scene = [view, lighting, maps[0], maps[1], lighting, maps[0], maps[1], before, storage(true)];
-        let of_surface = [depth, words, words, written_picture(WORD)];
+        let of_surface = [depth, words, words, written_picture(WORD), storage(false), PutOff::layout()];
         let layout = |bindings: &[wgpu::BindingType]| {
             bind_group_layout(device, "changed shadows", wgpu::ShaderStages::COMPUTE, bindings)
         };
         let (scene_layout, surface_layout) = (layout(&of_scene), layout(&of_surface));
         let module = shader(gpu, "shading/changed.wgsl")?;
-        let pipeline = compute_pipeline(device, &module, &[&scene_layout, &surface_layout], ("compare", &[]));
+        let pipeline = |entry| compute_pipeline(device, &module, &[&scene_layout, &surface_layout], (entry, &[]));
         Ok(Self {
             pieces_pass,
-            pipeline,
+            look: pipeline("look"),
+            compare_resting: pipeline("compare_resting"),
+            compare: pipeline("compare"),
             scene_layout,
             surface_layout,
             surface_groups: Vec::new(),
             before: places(device, pieces),
             lighting_then: Variable::new(gpu, "lighting of the mask's time"),
             then: None,
+            work: Work::default(),
         })
     }
 

@@ -20,7 +20,7 @@ use super::{
     mask_view::MaskView,
     mask_words::WordsPass,
     moved::{Moved, Now},
-    shadow_map::{ShadowMap, ShadowWork},
+    shadow_map::ShadowMap,
 };
 use crate::{
     camera::Viewpoint,
@@ -31,6 +31,7 @@ use crate::{
         pipeline::{Variable, bind_group, shader},
         scene_upload::SceneUpload,
         targets::Targets,
+        work::Work,
     },
 };
 
@@ -136,8 +137,8 @@ impl PredictPass {
         &self.shadow_map
     }
 
-    /// What drawing shadow maps took so far.
-    pub(crate) fn shadow_work(&self) -> ShadowWork {
+    /// What shadow maps and late masks took so far.
+    pub(crate) fn work(&self) -> Work {
         self.shadow_map.work() + self.moved.work()
     }
 

@@ -5,8 +5,8 @@
 //! spot, and one of four times the texels for a directional light, which covers the whole scene (`shadow_views.rs`).
 //!
 //! Where something moves or is edited, the maps of what rests are kept beside them. For another state, texels that what
-//! moves had covered are put back, and what moves is drawn where it is now: work in proportion to what moves, not to the
-//! maps. Only squares of lights that are not where the file has them are drawn anew as a whole.
+//! moves had covered are put back, and what moves is drawn where it is now: work in proportion to what moves, not to
+//! the maps. Only squares of lights that are not where the file has them are drawn anew as a whole.
 
 use std::{iter::repeat_n, sync::Arc};
 
@@ -28,35 +28,8 @@ use crate::render::{
     pipeline::{Variable, constant},
     scene_upload::SceneUpload,
     targets::{DEPTH, texture},
+    work::Work,
 };
-
-/// What drawing shadow maps took so far.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct ShadowWork {
-    pub draws: u64,
-    pub triangles: u64,
-    /// Texels that were cleared or put back.
-    pub texels: u64,
-}
-
-impl ShadowWork {
-    fn add(&mut self, (draws, triangles): (u64, u64)) {
-        self.draws += draws;
-        self.triangles += triangles;
-    }
-}
-
-impl std::ops::Add for ShadowWork {
-    type Output = Self;
-
-    fn add(self, other: Self) -> Self {
-        Self {
-            draws: self.draws + other.draws,
-            triangles: self.triangles + other.triangles,
-            texels: self.texels + other.texels,
-        }
-    }
-}
 
 #[derive(Debug)]
 pub(crate) struct ShadowMap {
@@ -72,7 +45,7 @@ pub(crate) struct ShadowMap {
     of_file: Arc<OfFile>,
     /// `None` if everything rests, and nothing was edited.
     moving: Option<Moving>,
-    work: ShadowWork,
+    work: Work,
 }
 
 /// Views that lights have in the pose of the file.
@@ -147,11 +120,11 @@ impl ShadowMap {
             contents: bytemuck::cast_slice(&contents),
             usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
         });
-        let (groups, is_drawn, moving, work) = (Vec::new(), false, None, ShadowWork::default());
+        let (groups, is_drawn, moving, work) = (Vec::new(), false, None, Work::default());
         Self { texture, views, lights_views, groups, is_drawn, space, of_file, moving, work }
     }
 
-    pub(crate) fn work(&self) -> ShadowWork {
+    pub(crate) fn work(&self) -> Work {
         self.work
     }
 
@@ -209,9 +182,10 @@ impl ShadowMap {
             return;
         }
         let mut render = depth_pass::begin(encoder, "shadow map", &self.texture);
+        self.work.passes += 1;
         for (view, (_, group)) in self.lights_views.iter().zip(&self.groups) {
             look(&mut render, view);
-            self.work.add(pass.draw(&mut render, group, upload, (Part::All, Faces::Both)));
+            add(&mut self.work, pass.draw(&mut render, group, upload, (Part::All, Faces::Both)));
         }
     }
 
@@ -228,11 +202,12 @@ impl ShadowMap {
         let resting = texture(device, "shadow map of what rests", (side, side), DEPTH, usage)
             .create_view(&wgpu::TextureViewDescriptor::default());
         let mut render = depth_pass::begin(encoder, "shadow map of what rests", &resting);
+        self.work.passes += 1;
         for view in &self.of_file.views {
             let matrix = constant(gpu, "light's view of the file", &view.clip_from_local);
             let group = pass.group(device, matrix.as_entire_binding());
             look(&mut render, view);
-            self.work.add(pass.draw(&mut render, &group, upload, (Part::Resting, Faces::Both)));
+            add(&mut self.work, pass.draw(&mut render, &group, upload, (Part::Resting, Faces::Both)));
         }
         drop(render);
         let group = moving.eraser.group(device, &resting);
@@ -255,6 +230,7 @@ impl ShadowMap {
         let rests: Vec<bool> =
             self.lights_views.iter().zip(&self.of_file.views).map(|(one, other)| one == other).collect();
         let mut render = depth_pass::begin_with(encoder, "shadow map", &self.texture, wgpu::LoadOp::Load);
+        self.work.passes += 1;
         let moved = self.lights_views.iter().zip(&rests).filter(|(_, rests)| !**rests);
         let old = drawn.iter().zip(&rests).filter(|(_, rests)| **rests).flat_map(|(drawn, _)| drawn);
         self.work.texels += eraser.clear(&mut render, moved.map(|(view, _)| Texels::of(view)));
@@ -265,7 +241,7 @@ impl ShadowMap {
             drawn.clear();
             if !rests {
                 look(&mut render, view);
-                self.work.add(pass.draw(&mut render, group, upload, (Part::All, Faces::Both)));
+                add(&mut self.work, pass.draw(&mut render, group, upload, (Part::All, Faces::Both)));
                 drawn.push(Texels::of(view));
                 continue;
             }
@@ -277,7 +253,7 @@ impl ShadowMap {
             }
             look(&mut render, view);
             let seen = |piece: usize| covered.get(piece).is_some_and(Option::is_some);
-            self.work.add(pass.draw_pieces(&mut render, group, upload, seen));
+            add(&mut self.work, pass.draw_pieces(&mut render, group, upload, seen));
             // Where many things cover each other, the whole square is fewer texels.
             let square = Texels::of(view);
             if drawn.iter().map(|texels| texels.count()).sum::<u64>() > square.count() {
@@ -303,6 +279,12 @@ impl ShadowMap {
 /// A bit for each of these lights.
 fn bits<'a>(lights: impl Iterator<Item = &'a u32>) -> u32 {
     lights.fold(0, |bits, light| bits | 1_u32.checked_shl(*light).unwrap_or(0))
+}
+
+/// Counts draws and their triangles.
+fn add(work: &mut Work, (draws, triangles): (u64, u64)) {
+    work.draws += draws;
+    work.triangles += triangles;
 }
 
 /// Draws into a view's square from now on.

@@ -18,10 +18,11 @@ use crate::{
         FrameRenderer, PICTURE_FORMAT, PixelVisibility,
         environment::Environment,
         exposure::Exposure,
-        predict::{MaskView, ShadowWork},
+        predict::MaskView,
         readback::{self, PictureReader},
         survey::Survey,
         testing::{camera, floor_and_lights, gpu},
+        work::Work,
     },
 };
 
@@ -36,21 +37,8 @@ pub(super) fn track(interpolation: Interpolation, times_s: &[f32], values: &[f32
 }
 
 pub(super) fn node() -> AnimatedNode {
-    AnimatedNode {
-        name: String::new(),
-        editable: false,
-        parent: None,
-        above: glam::DMat4::IDENTITY,
-        // The scene's origin.
-        translation_m: DVec3::X * 1000.0,
-        rotation: DQuat::IDENTITY,
-        scale: DVec3::ONE,
-        visible: true,
-        translation_track: None,
-        rotation_track: None,
-        scale_track: None,
-        visible_track: None,
-    }
+    // At the scene's origin.
+    AnimatedNode { translation_m: DVec3::X * 1000.0, ..AnimatedNode::default() }
 }
 
 /// A swinging wall; a single-sided square that turns inside out; one that is shown half of the time; a pane of BLEND.
@@ -294,30 +282,62 @@ fn maps_of_another_time_cost_what_moves_alone() {
     let (gpu, camera, scene) = (gpu(), camera(SIZE.0, SIZE.1), living(false));
     let mut renderer = renderer(&gpu, &scene, Exposure::of_scene(&scene, &Occluders::default()));
     let mask = stripes();
-    let (mut last, at) = (ShadowWork::default(), |frame: u8| 0.1 + 0.05 * f64::from(frame));
+    let (mut last, at) = (Work::default(), |frame: u8| 0.1 + 0.05 * f64::from(frame));
     for frame in 0..5_u8 {
         let time_s = at(frame);
         let then = SceneAt::from(time_s - 0.1);
         let view = MaskView { mask: &mask, coverage: None, more: false, traced_for: &camera, scene: &then };
         draw(&gpu, &mut renderer, (&camera, time_s), Some(view));
-        let work = renderer.shadow_work();
-        let [draws, triangles, texels] =
-            [work.draws - last.draws, work.triangles - last.triangles, work.texels - last.texels];
-        println!("{draws} draws, {triangles} triangles, {texels} texels");
-        last = work;
+        let work = renderer.work() - last;
+        println!("{work:?}");
+        last = renderer.work();
         // The first maps have what rests; the second ones nothing to take out.
         if frame < 2 {
             continue;
         }
         // A sun has one view and a lamp six, of which a thing is seen in three at most, beside a corner.
-        assert!((1..=2 * 3 * (1 + 3)).contains(&draws), "{draws} draws");
-        assert_eq!(triangles, 2 * draws);
+        assert!((1..=2 * 2 * 3 * (1 + 3)).contains(&work.triangles), "{work:?}");
+        assert!(work.draws * 2 <= work.triangles, "{work:?}");
         // A metre before a view of eight, or of four from the lamp: a 16th of either, and not in all views.
-        assert!((1..=2 * 3 * 4096 * 4096 / 16).contains(&texels), "{texels} texels");
+        assert!((1..=2 * 3 * 4096 * 4096 / 16).contains(&work.texels), "{work:?}");
     }
     // The same time takes nothing.
     draw(&gpu, &mut renderer, (&camera, at(4)), None);
-    assert_eq!(renderer.shadow_work(), last);
+    assert_eq!(renderer.work(), last);
+}
+
+/// Late masks from another place, frame by frame, in a scene at rest, and in one that moves.
+#[test]
+fn a_still_scene_pays_nothing_for_what_might_move() {
+    let (gpu, camera, scene) = (gpu(), camera(SIZE.0, SIZE.1), living(false));
+    let mask = stripes();
+    // What all but the first frame take.
+    let work = |scene: &Scene| {
+        let mut renderer = renderer(&gpu, scene, Exposure::of_scene(scene, &Occluders::default()));
+        let mut first = None;
+        for frame in 0..4_u8 {
+            let aside = DVec3::X * 0.01 * f64::from(frame + 1);
+            let traced_for = Camera { position_m: camera.position_m + aside, ..camera };
+            let time_s = 0.1 * f64::from(frame);
+            let then = SceneAt::from(if renderer.moves() { time_s - 0.1 } else { 0.0 });
+            let view = MaskView { mask: &mask, coverage: None, more: false, traced_for: &traced_for, scene: &then };
+            draw(&gpu, &mut renderer, (&camera, time_s), Some(view));
+            first.get_or_insert(renderer.work());
+        }
+        let first = first.unwrap_or_default();
+        (first, renderer.work() - first)
+    };
+    let resting = still(&scene, 0.3);
+    let (first, later) = work(&resting);
+    // A sun has one view and a lamp six.
+    let is_drawn = |draw: &&Draw| resting.materials[draw.material as usize].alpha != AlphaMode::Blend;
+    let triangles = resting.draws.iter().filter(is_drawn).map(|draw| 7 * u64::from(draw.triangles)).sum();
+    assert_eq!(first, Work { passes: 1, draws: first.draws, triangles, ..Work::default() });
+    assert_eq!(later, Work::default());
+    // The count counts.
+    let (_, later) = work(&scene);
+    let Work { passes, draws, triangles, texels, bytes } = later;
+    assert!([passes, draws, triangles, texels, bytes].iter().all(|count| *count > 0), "{later:?}");
 }
 
 /// The newest mask is partial, and of the picture's own time, from another place. What an older one of another time
