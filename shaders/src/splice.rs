@@ -18,6 +18,7 @@ pub const FILES: &[(&str, &str)] = &[
     ("shading/depth.wgsl", include_str!("../wgsl/shading/depth.wgsl")),
     ("shading/edges.wgsl", include_str!("../wgsl/shading/edges.wgsl")),
     ("shading/environment.wgsl", include_str!("../wgsl/shading/environment.wgsl")),
+    ("shading/erase.wgsl", include_str!("../wgsl/shading/erase.wgsl")),
     ("shading/finish.wgsl", include_str!("../wgsl/shading/finish.wgsl")),
     ("shading/gbuffer.wgsl", include_str!("../wgsl/shading/gbuffer.wgsl")),
     ("shading/inputs.wgsl", include_str!("../wgsl/shading/inputs.wgsl")),

@@ -2,7 +2,7 @@
 
 use std::f32::consts::{PI, TAU};
 
-use glam::{DMat4, DQuat, DVec3, Quat, Vec2, Vec3};
+use glam::{DMat4, DVec3, Quat, Vec2, Vec3};
 use gnomon_scene::{
     Aabb, AlphaMode, AnimatedLight, AnimatedNode, Animation, Draw, Image, Interpolation, Light, LightKind, Material,
     Piece, Place, Scene, Texture, Track, Wrap,
@@ -189,20 +189,7 @@ pub(crate) fn living_room() -> Scene {
         let period_s = times_s.last().copied().map_or(0.0, f64::from);
         Some(Track { period_s, interpolation, times_s: times_s.to_vec(), values: values.to_vec() })
     };
-    let still = AnimatedNode {
-        name: String::new(),
-        editable: false,
-        parent: None,
-        above: DMat4::IDENTITY,
-        translation_m: DVec3::ZERO,
-        rotation: DQuat::IDENTITY,
-        scale: DVec3::ONE,
-        visible: true,
-        translation_track: None,
-        rotation_track: None,
-        scale_track: None,
-        visible_track: None,
-    };
+    let still = AnimatedNode::default();
     let turn = |angle: f32| Quat::from_rotation_y(angle).to_array();
     let turning = AnimatedNode {
         translation_track: track(Interpolation::Linear, &[0.0, 2.0], &[0.0, 0.0, 0.0, 3.0, 0.2, 1.0]),

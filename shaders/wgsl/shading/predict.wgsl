@@ -314,10 +314,11 @@ fn from_masks(pixel: vec2u, point: vec3f, normal: vec3f) -> Told {
     return Told(found, oldest);
 }
 
-// Visibility of the surface point from the client's own shadow maps.
-fn from_shadow_map(point: vec3f, normal: vec3f) -> u32 {
+// Visibility of the surface point from the client's own shadow maps, for some lights.
+fn from_shadow_map(point: vec3f, normal: vec3f, lights: u32) -> u32 {
     var word = 0u;
-    for (var k = 0u; k < lighting.count; k++) {
+    for (var rest = lights; rest != 0u; rest &= rest - 1u) {
+        let k = firstTrailingBit(rest);
         let light = lighting.lights[k];
         let toward = select(normalize(light.position - point), -light.direction, light.kind == DIRECTIONAL);
         let shadow = shadow_views[shadow_view_of(light, point)];
@@ -326,10 +327,10 @@ fn from_shadow_map(point: vec3f, normal: vec3f) -> u32 {
     return word;
 }
 
-// Visibility where no mask has any.
-fn by_itself(pixel: vec2u, point: vec3f, normal: vec3f) -> u32 {
+// Visibility where no mask has any, for some lights.
+fn by_itself(pixel: vec2u, point: vec3f, normal: vec3f, lights: u32) -> u32 {
     if prediction.predictor == PREDICT_SURFACE {
-        return from_shadow_map(point, normal);
+        return from_shadow_map(point, normal, lights);
     }
     if prediction.predictor == PREDICT_DISSERTATION && prediction.count != 0u {
         return unknown_to_dissertation(pixel);
@@ -372,7 +373,8 @@ fn predict(
         put(pixel, vec2u(found.word, 1u + told.oldest));
         return;
     }
-    let own = by_itself(pixel, point, normal);
+    // Below that share, shading mixes in the client's own estimate of every light.
+    let own = by_itself(pixel, point, normal, select(prediction.lights, unknown, view.visibility_share >= 1.0));
     if unknown == 0u {
         put(pixel, vec2u(found.word, own));
         return;

@@ -40,24 +40,31 @@ fn map_place(shadow: ShadowView, point: vec3f) -> vec4f {
     return vec4f((clip.xy / clip.w * vec2f(0.5, -0.5) + 0.5) * shadow.side - 0.5, clip.z / clip.w, clip.w);
 }
 
-// True if the map shows `point` as lit: the majority of the four texels around it, by their bilinear weights. `normal`
-// faces the eye.
-fn shadow_map_lit(
-    map: texture_depth_2d, shadow: ShadowView, kind: u32, toward: vec3f, point: vec3f, normal: vec3f,
-) -> bool {
-    let facing = dot(normal, toward);
-    if facing <= 0.0 {
-        // Rule 4 of server/src/visibility/mod.rs: the surface hides the light from itself.
-        return false;
-    }
+// Where a point is looked up in a light's square.
+struct Lookup {
+    // The first of four texels around it, and where it lies between them.
+    texel: vec2i,
+    weight: vec2f,
+    // The surface's own depth at the four.
+    surface: vec4f,
+    // Whether these decide; if not, whether it is lit.
+    is_inside: bool,
+    otherwise: bool,
+}
+
+// `normal` faces the eye.
+fn lookup_of(shadow: ShadowView, kind: u32, toward: vec3f, point: vec3f, normal: vec3f) -> Lookup {
     let distance = (shadow.clip_from_local * vec4f(point, 1.0)).w;
     let texel_m = shadow.texel_m * select(distance, 1.0, kind == DIRECTIONAL);
     let step = normal * (OFF_SURFACE_TEXELS * texel_m);
     let at = map_place(shadow, point + step);
-    if at.w <= 0.0 || any(at.xy < vec2f(0.0)) || any(at.xy >= vec2f(shadow.side - 1.0)) {
-        return true;
+    // Rule 4 of server/src/visibility/mod.rs: a surface that faces away hides the light from itself.
+    let faces = dot(normal, toward) > 0.0;
+    let is_outside = at.w <= 0.0 || any(at.xy < vec2f(0.0)) || any(at.xy >= vec2f(shadow.side - 1.0));
+    if !faces || is_outside {
+        return Lookup(vec2i(0), vec2f(0.0), vec4f(0.0), false, faces);
     }
-    // The surface's own depth at the four texels. A plane's depth is linear in the map.
+    // A plane's depth is linear in the map.
     let tangent = normalize(
         select(vec3f(0.0, normal.z, -normal.y), vec3f(normal.y, -normal.x, 0.0), abs(normal.z) < 0.7),
     );
@@ -67,16 +74,29 @@ fn shadow_map_lit(
     let slope = vec2f(across.z * along.y - along.z * across.y, along.z * across.x - across.z * along.x) / area;
     let corner = vec2i(at.xy);
     let weight = at.xy - vec2f(corner);
-    let texel = corner + vec2i(vec2f(shadow.left, shadow.top));
-    // Reversed depth: greater means nearer to the light.
-    let nearest = vec4f(
-        textureLoad(map, texel, 0),
-        textureLoad(map, texel + vec2i(1, 0), 0),
-        textureLoad(map, texel + vec2i(0, 1), 0),
-        textureLoad(map, texel + vec2i(1, 1), 0),
-    );
     let first = at.z - dot(slope, weight);
     let surface = vec4f(first, first + slope.x, first + slope.y, first + slope.x + slope.y);
-    let lit = select(vec4f(0.0), vec4f(1.0), nearest <= surface);
-    return mix(mix(lit.x, lit.y, weight.x), mix(lit.z, lit.w, weight.x), weight.y) >= 0.5;
+    return Lookup(corner + vec2i(vec2f(shadow.left, shadow.top)), weight, surface, true, true);
+}
+
+// True if the map shows a point as lit: the majority of the four texels around it, by their bilinear weights.
+fn is_lit(map: texture_depth_2d, place: Lookup) -> bool {
+    if !place.is_inside {
+        return place.otherwise;
+    }
+    // Reversed depth: greater means nearer to the light.
+    let nearest = vec4f(
+        textureLoad(map, place.texel, 0),
+        textureLoad(map, place.texel + vec2i(1, 0), 0),
+        textureLoad(map, place.texel + vec2i(0, 1), 0),
+        textureLoad(map, place.texel + vec2i(1, 1), 0),
+    );
+    let lit = select(vec4f(0.0), vec4f(1.0), nearest <= place.surface);
+    return mix(mix(lit.x, lit.y, place.weight.x), mix(lit.z, lit.w, place.weight.x), place.weight.y) >= 0.5;
+}
+
+fn shadow_map_lit(
+    map: texture_depth_2d, shadow: ShadowView, kind: u32, toward: vec3f, point: vec3f, normal: vec3f,
+) -> bool {
+    return is_lit(map, lookup_of(shadow, kind, toward, point, normal));
 }

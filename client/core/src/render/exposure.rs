@@ -8,7 +8,7 @@ use glam::Vec3;
 use gnomon_scene::{Light as SceneLight, Scene, camera::Space, limits::MAX_LIGHTS};
 use gnomon_shaders::shading::{Light, Lighting};
 
-use super::predict::shadow_map;
+use super::predict::shadow_views;
 use crate::occluders::Occluders;
 
 const SAMPLES: u16 = 768;
@@ -80,7 +80,7 @@ impl Exposure {
         let mut shadow_view = 0;
         for (place, light) in lighting.lights.iter_mut().zip(lights) {
             *place = Light { shadow_view, ..Light::new(light, self.scale).in_space(space) };
-            shadow_view += shadow_map::views_of(light.kind);
+            shadow_view += shadow_views::views_of(light.kind);
             lighting.count += 1;
         }
         debug_assert!(lights.len() <= MAX_LIGHTS);

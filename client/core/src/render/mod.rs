@@ -38,6 +38,7 @@ mod texture;
 mod time;
 pub mod tone;
 mod vertex;
+pub mod work;
 
 pub use error::RenderError;
 pub use renderer::{FrameRenderer, PixelVisibility};

@@ -2,7 +2,7 @@
 //! them that stands still then (`shaders/scene/docs/living.md`). Passes see ordinary triangles.
 
 use glam::{DMat4, DVec3, DVec4, Vec3};
-use gnomon_scene::{Animation, Light, Moment, Placement, Scene, SceneAt};
+use gnomon_scene::{Aabb, Animation, Light, Moment, OwnVertices, Placement, Scene, SceneAt};
 use gnomon_shaders::shading::Before;
 use rayon::prelude::*;
 use wgpu::util::DeviceExt as _;
@@ -26,10 +26,14 @@ pub(crate) struct Movers {
     vertex_runs: Vec<VertexRun>,
     triangle_runs: Vec<TriangleRun>,
     now: Posed,
+    /// The last other state that was drawn: that of a late mask.
+    other: Option<Posed>,
     /// State of the vertices that the buffers hold once all that was encoded has run. `None`: those of the file.
     written_at: Option<SceneAt>,
     /// How the corners are that they hold then, one for each piece.
     written: Vec<Corners>,
+    /// Bytes that were copied into the buffers so far.
+    pub(crate) copied_bytes: u64,
 }
 
 /// What moves or was edited, in one state of the scene.
@@ -40,6 +44,10 @@ struct Posed {
     moment: Moment,
     vertices: Vec<Vertex>,
     more: Vec<MoreOfVertex>,
+    /// What each piece's vertices lie within. `None`: it is not shown.
+    bounds: Vec<Option<Aabb>>,
+    /// Both lists on the adapter, once they were needed there.
+    staged: Option<[wgpu::Buffer; 2]>,
 }
 
 /// Vertices that follow each other, also in [`Movers::vertices`].
@@ -107,11 +115,24 @@ impl Movers {
             origin_m: scene.origin_m,
             ..Scene::default()
         };
-        let (now, written_at) = (Posed::nothing(), None);
+        let (now, other, written_at) = (Posed::nothing(), None, None);
         let (firsts, triangle_runs) = (animation.first_positions(), triangle_runs(scene, animation));
         let written = vec![Corners::AsInFile; animation.pieces.len()];
         let (vertices, more) = (own, own_more);
-        Some(Self { stage, firsts, vertices, more, vertex_runs, triangle_runs, now, written_at, written })
+        let copied_bytes = 0;
+        Some(Self {
+            stage,
+            firsts,
+            vertices,
+            more,
+            vertex_runs,
+            triangle_runs,
+            now,
+            other,
+            written_at,
+            written,
+            copied_bytes,
+        })
     }
 
     /// The lights of a scene in which nothing moves, for people to change.
@@ -124,8 +145,10 @@ impl Movers {
             vertex_runs: Vec::new(),
             triangle_runs: Vec::new(),
             now: Posed::nothing(),
+            other: None,
             written_at: None,
             written: Vec::new(),
+            copied_bytes: 0,
         }
     }
 
@@ -136,7 +159,7 @@ impl Movers {
 
     /// Moves to a state. Returns whether it is another one.
     pub(crate) fn set_time(&mut self, scene: &SceneAt) -> bool {
-        let is_other = self.now.scene.as_ref() != Some(scene);
+        let is_other = !self.now.is_of(scene);
         if is_other {
             self.now = self.pose(scene);
         }
@@ -160,7 +183,18 @@ impl Movers {
     /// What moves or was edited, in this state.
     pub(crate) fn moment_at(&self, scene: &SceneAt) -> Moment {
         let as_in_file = || Moment { lights: self.stage.lights.clone(), ..nothing() };
-        self.stage.moment(scene).unwrap_or_else(as_in_file)
+        let moment = || self.stage.moment(scene).unwrap_or_else(as_in_file);
+        self.posed(scene).map_or_else(moment, |posed| posed.moment.clone())
+    }
+
+    /// What each piece lies within in the buffers, once all that was encoded has run. `None`: it is not shown.
+    pub(crate) fn bounds(&self) -> &[Option<Aabb>] {
+        let written = self.written_at.as_ref().and_then(|written| self.posed(written));
+        written.map_or(&[], |posed| &posed.bounds)
+    }
+
+    fn posed(&self, scene: &SceneAt) -> Option<&Posed> {
+        [Some(&self.now), self.other.as_ref()].into_iter().flatten().find(|posed| posed.is_of(scene))
     }
 
     /// Whether a piece changes its shape.
@@ -208,7 +242,7 @@ impl Movers {
                 moved.map_or(vertex, |(position, normal)| vertex.moved(position, normal))
             })
         });
-        let vertices = vertices.collect();
+        let vertices: Vec<Vertex> = vertices.collect();
         let more = if self.more.is_empty() {
             Vec::new()
         } else {
@@ -220,7 +254,13 @@ impl Movers {
             });
             more.collect()
         };
-        Posed { scene: Some(scene.clone()), moment, vertices, more }
+        let within = |((own, first), placement): ((&OwnVertices<'_>, &usize), &Option<Placement>)| {
+            placement.as_ref()?;
+            let own = vertices.get(*first..first + own.positions.len())?;
+            Some(Aabb::around(own.iter().map(|vertex| &vertex.position)))
+        };
+        let bounds = pieces().map(within).collect();
+        Posed { scene: Some(scene.clone()), moment, vertices, more, bounds, staged: None }
     }
 
     /// Writes what the buffers lack of a state, before what `encoder` does next.
@@ -234,11 +274,21 @@ impl Movers {
         if self.written_at.as_ref() == Some(scene) {
             return;
         }
-        let other = (self.now.scene.as_ref() != Some(scene)).then(|| self.pose(scene));
-        let posed = other.as_ref().unwrap_or(&self.now);
-        let mut writer = Writer { device, encoder };
-        writer.runs(buffers.vertices, &posed.vertices, &self.vertex_runs);
-        writer.runs(buffers.more, &posed.more, &self.vertex_runs);
+        if !self.now.is_of(scene) && self.other.as_ref().is_none_or(|other| !other.is_of(scene)) {
+            self.other = Some(self.pose(scene));
+        }
+        let posed = match &mut self.other {
+            Some(other) if other.is_of(scene) => other,
+            _ => &mut self.now,
+        };
+        let [vertices, more] = posed.staged.get_or_insert_with(|| {
+            [bytemuck::cast_slice(&posed.vertices), bytemuck::cast_slice(&posed.more)].map(|list| staged(device, list))
+        });
+        let mut writer = Writer { device, encoder, copied_bytes: &mut self.copied_bytes };
+        writer.runs::<Vertex>(vertices, buffers.vertices, &self.vertex_runs);
+        if !posed.more.is_empty() {
+            writer.runs::<MoreOfVertex>(more, buffers.more, &self.vertex_runs);
+        }
         let wanted: Vec<Corners> =
             posed.moment.pieces.iter().map(|placement| Corners::of(placement.as_ref())).collect();
         for run in &self.triangle_runs {
@@ -253,7 +303,12 @@ impl Movers {
 
 impl Posed {
     fn nothing() -> Self {
-        Self { scene: None, moment: nothing(), vertices: Vec::new(), more: Vec::new() }
+        let (vertices, more, bounds) = (Vec::new(), Vec::new(), Vec::new());
+        Self { scene: None, moment: nothing(), vertices, more, bounds, staged: None }
+    }
+
+    fn is_of(&self, scene: &SceneAt) -> bool {
+        self.scene.as_ref() == Some(scene)
     }
 }
 
@@ -279,29 +334,27 @@ fn triangle_runs(scene: &Scene, animation: &Animation) -> Vec<TriangleRun> {
 struct Writer<'a> {
     device: &'a wgpu::Device,
     encoder: &'a mut wgpu::CommandEncoder,
+    copied_bytes: &'a mut u64,
+}
+
+fn staged(device: &wgpu::Device, bytes: &[u8]) -> wgpu::Buffer {
+    device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+        label: Some("what moves"),
+        contents: bytes,
+        usage: wgpu::BufferUsages::COPY_SRC,
+    })
 }
 
 impl Writer<'_> {
-    fn staged(&self, bytes: &[u8]) -> wgpu::Buffer {
-        self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some("what moves"),
-            contents: bytes,
-            usage: wgpu::BufferUsages::COPY_SRC,
-        })
-    }
-
-    fn runs<T: bytemuck::NoUninit>(&mut self, to: &wgpu::Buffer, all: &[T], runs: &[VertexRun]) {
-        if all.is_empty() {
-            return;
-        }
-        let staged = self.staged(bytemuck::cast_slice(all));
+    fn runs<T>(&mut self, staged: &wgpu::Buffer, to: &wgpu::Buffer, runs: &[VertexRun]) {
         let stride = size_of::<T>() as u64;
         let mut from = 0;
         for run in runs {
             let bytes = u64::from(run.count) * stride;
-            self.encoder.copy_buffer_to_buffer(&staged, from, to, u64::from(run.first) * stride, bytes);
+            self.encoder.copy_buffer_to_buffer(staged, from, to, u64::from(run.first) * stride, bytes);
             from += bytes;
         }
+        *self.copied_bytes += from;
     }
 
     fn corners(&mut self, to: &wgpu::Buffer, run: &TriangleRun, corners: Corners) {
@@ -311,8 +364,9 @@ impl Writer<'_> {
             Corners::Hidden => [a; 3],
         };
         let triangles: Vec<[u32; 3]> = run.corners.iter().map(|corners| arranged(*corners)).collect();
-        let staged = self.staged(bytemuck::cast_slice(&triangles));
+        let staged = staged(self.device, bytemuck::cast_slice(&triangles));
         let offset = u64::from(run.first) * size_of::<[u32; 3]>() as u64;
         self.encoder.copy_buffer_to_buffer(&staged, 0, to, offset, staged.size());
+        *self.copied_bytes += staged.size();
     }
 }

@@ -320,8 +320,9 @@ impl FrameRenderer {
         self.write_view(&camera, self.visibility_share);
         self.history.begin(&self.seen(camera));
         let mut encoder = self.begin();
-        self.scene.show_now(&self.gpu.device, &mut encoder);
         self.mark(&mut encoder, "begin");
+        self.scene.show_now(&self.gpu.device, &mut encoder);
+        self.mark(&mut encoder, "moving");
         let scene = (&self.scene, self.predict.depth_pass());
         self.gbuffer.encode_depth(&mut encoder, self.history.view(), scene);
         self.mark(&mut encoder, "depth");

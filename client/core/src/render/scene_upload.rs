@@ -1,7 +1,7 @@
 //! The scene on the adapter: vertices, indices, draws in their order, and one bind group for each material.
 
 use glam::{DVec3, Vec3};
-use gnomon_scene::{AlphaMode, Animation, Light, Material, Scene, SceneAt};
+use gnomon_scene::{AlphaMode, Animation, Draw, Light, Material, Scene, SceneAt};
 use gnomon_shaders::{
     gpu::Gpu,
     material::{features, features_of, is_layered},
@@ -44,6 +44,16 @@ impl Batch {
     }
 }
 
+/// Triangles of one piece and one material that are not blended.
+#[derive(Debug)]
+pub(crate) struct PieceDraw {
+    pub(crate) piece: usize,
+    pub(crate) material: usize,
+    pub(crate) indices: std::ops::Range<u32>,
+    /// As a batch's.
+    pub(crate) has_holes: bool,
+}
+
 #[derive(Debug)]
 pub(crate) struct SceneUpload {
     vertices: wgpu::Buffer,
@@ -65,6 +75,8 @@ pub(crate) struct SceneUpload {
     /// `None` if everything rests, and nothing was edited.
     movers: Option<Movers>,
     pub(crate) moves_with_time: bool,
+    /// What moves or may be edited, piece by piece.
+    pub(crate) piece_draws: Vec<PieceDraw>,
     /// BLEND batches that move, with their vertices.
     blended_movers: Vec<(usize, Vec<u32>)>,
 }
@@ -84,9 +96,9 @@ impl SceneUpload {
         let (vertices, more) = (vertices(scene), more_of_vertices(scene));
         let movers = Movers::new(scene, &vertices, &more);
         let batches = batches(scene);
-        let blended_movers = match movers {
-            Some(_) => blended_movers(scene, &batches),
-            None => Vec::new(),
+        let (blended_movers, piece_draws) = match movers {
+            Some(_) => (blended_movers(scene, &batches), piece_draws(scene)),
+            None => (Vec::new(), Vec::new()),
         };
         let if_so = |so: bool, usage| if so { usage } else { wgpu::BufferUsages::empty() };
         let written = if_so(movers.is_some(), wgpu::BufferUsages::COPY_DST);
@@ -107,6 +119,7 @@ impl SceneUpload {
             emits: scene.materials.iter().any(|material| material.unlit || material.emissive != Vec3::ZERO),
             movers,
             moves_with_time: scene.animation.as_deref().is_some_and(Animation::moves_scene),
+            piece_draws,
             blended_movers,
         })
     }
@@ -259,6 +272,19 @@ fn centre(positions: impl Iterator<Item = Vec3>) -> Option<Vec3> {
     let bounds = positions.map(|position| (position, position));
     let bounds = bounds.reduce(|(low, high), (more, _)| (low.min(more), high.max(more)));
     bounds.map(|(low, high)| (low + high) * 0.5)
+}
+
+fn piece_draws(scene: &Scene) -> Vec<PieceDraw> {
+    let (holes, animation) = (holes(scene), scene.animation.as_deref());
+    let draw = |draw: &Draw| {
+        let material = draw.material as usize;
+        let first = scene.triangles.get(draw.first_triangle as usize).filter(|_| draw.triangles > 0)?;
+        let piece = animation?.piece_of(first[0])?;
+        let indices = draw.first_triangle * 3..(draw.first_triangle + draw.triangles) * 3;
+        let is_blended = matches!(scene.materials.get(material)?.alpha, AlphaMode::Blend);
+        (!is_blended).then_some(PieceDraw { piece, material, indices, has_holes: *holes.get(material)? })
+    };
+    scene.draws.iter().filter_map(draw).collect()
 }
 
 fn blended_movers(scene: &Scene, batches: &[Batch]) -> Vec<(usize, Vec<u32>)> {

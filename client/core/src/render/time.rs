@@ -2,7 +2,7 @@
 
 use gnomon_scene::{SceneAt, camera::Camera};
 
-use super::{movers::Movers, renderer::FrameRenderer};
+use super::{movers::Movers, renderer::FrameRenderer, work::Work};
 use crate::camera::Viewpoint;
 
 impl FrameRenderer {
@@ -26,6 +26,13 @@ impl FrameRenderer {
         if self.surroundings.follow(&self.gpu, &self.lights) {
             self.shade.bind(&self.gpu.device, &self.targets, &self.history, &self.surroundings);
         }
+    }
+
+    /// What shadow maps and what moves took so far.
+    #[must_use]
+    pub fn work(&self) -> Work {
+        let bytes = self.scene.movers().map_or(0, |movers| movers.copied_bytes);
+        self.predict.work() + Work { bytes, ..Work::default() }
     }
 
     /// What a picture for `camera` shows.

@@ -275,20 +275,8 @@ pub(crate) mod tests {
             let values = values.to_vec();
             Track { period_s: 2.0, interpolation: Interpolation::Linear, times_s: vec![0.0, 2.0], values }
         };
-        let node = AnimatedNode {
-            name: String::new(),
-            editable: false,
-            parent: None,
-            above: DMat4::IDENTITY,
-            translation_m: DVec3::ZERO,
-            rotation: DQuat::IDENTITY,
-            scale: DVec3::ONE,
-            visible: true,
-            translation_track: Some(track(&[0.0, 0.0, 0.0, 0.0, 4.0, 0.0])),
-            rotation_track: None,
-            scale_track: None,
-            visible_track: None,
-        };
+        let node =
+            AnimatedNode { translation_track: Some(track(&[0.0, 0.0, 0.0, 0.0, 4.0, 0.0])), ..AnimatedNode::default() };
         let below = AnimatedNode {
             parent: Some(0),
             translation_track: None,

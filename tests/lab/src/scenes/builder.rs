@@ -189,20 +189,7 @@ impl SceneBuilder {
 
     /// Returns a node that stands where its parent does, and changes nothing.
     pub fn node(parent: Option<u32>) -> AnimatedNode {
-        AnimatedNode {
-            name: String::new(),
-            editable: false,
-            parent,
-            above: glam::DMat4::IDENTITY,
-            translation_m: DVec3::ZERO,
-            rotation: glam::DQuat::IDENTITY,
-            scale: DVec3::ONE,
-            visible: true,
-            translation_track: None,
-            rotation_track: None,
-            scale_track: None,
-            visible_track: None,
-        }
+        AnimatedNode { parent, ..AnimatedNode::default() }
     }
 
     pub fn build(mut self) -> Scene {

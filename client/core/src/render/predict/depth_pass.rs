@@ -1,6 +1,6 @@
 //! Draws depth alone: before a picture's surfaces, and for views without a picture, those of masks and lights.
 
-use std::sync::OnceLock;
+use std::{ops::Range, sync::OnceLock};
 
 use gnomon_shaders::gpu::Gpu;
 
@@ -34,7 +34,6 @@ pub(crate) enum Faces {
 pub(crate) enum Part {
     All,
     Resting,
-    Moving,
 }
 
 impl Part {
@@ -42,7 +41,6 @@ impl Part {
         match self {
             Self::All => true,
             Self::Resting => !batch.moves,
-            Self::Moving => batch.moves,
         }
     }
 }
@@ -116,21 +114,57 @@ impl DepthPass {
         bind_group(device, "depth", &self.layout, &[view])
     }
 
-    /// Draws the OPAQUE and MASK surfaces into a pass with a depth attachment only.
+    /// Draws the OPAQUE and MASK surfaces into a pass with a depth attachment only. Returns the number of draws and of
+    /// triangles.
     pub(crate) fn draw(
         &self,
         pass: &mut wgpu::RenderPass<'_>,
         view: &wgpu::BindGroup,
         scene: &SceneUpload,
         (part, faces): (Part, Faces),
-    ) {
+    ) -> (u64, u64) {
+        let batches = scene.batches.iter().filter(|batch| !batch.is_blended() && part.has(batch));
+        let both = |batch: &Batch| batch.double_sided || faces == Faces::Both;
+        let draws = batches.map(|batch| (batch.is_masked(), both(batch), batch.material, &batch.indices));
+        self.draw_all(pass, view, scene, draws)
+    }
+
+    /// Draws, as [`Self::draw`] does, both faces of the pieces that are wanted.
+    pub(crate) fn draw_pieces(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        view: &wgpu::BindGroup,
+        scene: &SceneUpload,
+        wanted: impl Fn(usize) -> bool,
+    ) -> (u64, u64) {
+        let draws = scene.piece_draws.iter().filter(|draw| wanted(draw.piece));
+        self.draw_all(pass, view, scene, draws.map(|draw| (draw.has_holes, true, draw.material, &draw.indices)))
+    }
+
+    fn draw_all<'a>(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        view: &wgpu::BindGroup,
+        scene: &SceneUpload,
+        draws: impl Iterator<Item = (bool, bool, usize, &'a Range<u32>)>,
+    ) -> (u64, u64) {
         pass.set_bind_group(0, view, &[]);
         scene.bind(pass);
-        for batch in scene.batches.iter().filter(|batch| !batch.is_blended() && part.has(batch)) {
-            pass.set_pipeline(self.pipeline(scene, batch.is_masked(), batch.double_sided || faces == Faces::Both));
-            pass.set_bind_group(1, &scene.materials[batch.material], &[]);
-            pass.draw_indexed(batch.indices.clone(), 0, 0..1);
+        let (mut drawn, mut draws) = ((0, 0), draws.peekable());
+        while let Some((masked, both, material, first)) = draws.next() {
+            let mut indices = first.clone();
+            // What has no holes looks the same in any material.
+            while let Some((.., more)) = draws.next_if(|next| {
+                (next.0, next.1, next.3.start) == (masked, both, indices.end) && (!masked || next.2 == material)
+            }) {
+                indices.end = more.end;
+            }
+            pass.set_pipeline(self.pipeline(scene, masked, both));
+            pass.set_bind_group(1, &scene.materials[material], &[]);
+            drawn = (drawn.0 + 1, drawn.1 + u64::from(indices.end - indices.start) / 3);
+            pass.draw_indexed(indices, 0, 0..1);
         }
+        drawn
     }
 }
 

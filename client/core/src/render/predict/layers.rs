@@ -158,7 +158,7 @@ impl Layers {
     }
 
     /// Ensures that the newest `count` masks have the depth of their views; draws it if no picture has it. What moves
-    /// is drawn where it was.
+    /// is drawn where it was; [`SceneUpload::show_now`] is to follow.
     pub(crate) fn need_depth(
         &mut self,
         gpu: &Gpu,
@@ -196,7 +196,6 @@ impl Layers {
             let mut render = depth_pass::begin(encoder, "depth of the mask's view", &drawn);
             pass.draw(&mut render, group, upload, (Part::All, Faces::Seen));
         }
-        upload.show_now(&gpu.device, encoder);
     }
 
     /// Words, coverage and depth of all layers, and a sampler. The depth is valid only after [`Self::need_depth`].

@@ -8,6 +8,7 @@
 mod bindings;
 pub(crate) mod depth_history;
 pub(crate) mod depth_pass;
+mod eraser;
 mod kernels;
 mod layers;
 mod mask_view;
@@ -16,9 +17,12 @@ mod moved;
 mod pass;
 mod pieces;
 pub(crate) mod shadow_map;
+pub(crate) mod shadow_views;
 mod swept;
 #[cfg(test)]
 mod tests;
+mod texels;
+mod touched;
 
 pub use mask_view::MaskView;
 pub(crate) use pass::PredictPass;

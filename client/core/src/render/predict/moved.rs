@@ -1,8 +1,8 @@
 //! What prediction must know where something moves: the piece that a pixel shows, where that was when a mask was
 //! traced, and which lights' shadows have changed since (`changed.wgsl`).
 //!
-//! Shadows are compared in two sets of maps, of the picture's time and of the newest mask's. A scene in which nothing
-//! moves has none of this.
+//! Shadows are compared in two sets of maps, of the picture's time and of the newest mask's, and only those of lights
+//! that move or that something moving is near. A scene in which nothing moves has none of this.
 
 use gnomon_protocol::limits::MAX_LAYERS;
 use gnomon_scene::{Scene, SceneAt, camera::Space};
@@ -17,6 +17,7 @@ use super::{
     layers::Layer,
     pieces::{PiecesPass, format},
     shadow_map::ShadowMap,
+    touched,
 };
 use crate::render::{
     error::RenderError,
@@ -25,12 +26,17 @@ use crate::render::{
         Variable, bind_group, bind_group_layout, compute, compute_pipeline, dispatch_pixels, picture, shader, storage,
         uniform, written_picture,
     },
+    put_off::PutOff,
     scene_upload::SceneUpload,
     targets::{Targets, texture},
+    work::Work,
 };
 
 /// Bits of lights.
 const WORD: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+
+/// Side of a tile of pixels. Twin of `TILE_PX` in `changed.wgsl`.
+const TILE_PX: u32 = 8;
 
 #[derive(Debug)]
 pub(super) struct Moved {
@@ -49,7 +55,11 @@ pub(super) struct Moved {
 #[derive(Debug)]
 struct Live {
     pieces_pass: PiecesPass,
-    pipeline: wgpu::ComputePipeline,
+    /// Finds the lights that each tile's pixels are to be compared for.
+    look: wgpu::ComputePipeline,
+    /// Compares what rests, if no light has moved, and puts off the other pixels.
+    compare_resting: wgpu::ComputePipeline,
+    compare: wgpu::ComputePipeline,
     scene_layout: wgpu::BindGroupLayout,
     surface_layout: wgpu::BindGroupLayout,
     /// By the slot of the picture's depth in the history.
@@ -59,6 +69,8 @@ struct Live {
     lighting_then: Variable<Lighting>,
     /// What the picture's shadows are compared with, once there was need.
     then: Option<Then>,
+    /// Other than that of maps.
+    work: Work,
 }
 
 #[derive(Debug)]
@@ -66,6 +78,8 @@ struct Then {
     /// `None` until it is drawn.
     scene: Option<SceneAt>,
     map: ShadowMap,
+    /// [`touched::words`].
+    touched: wgpu::Buffer,
     scene_group: wgpu::BindGroup,
 }
 
@@ -74,7 +88,6 @@ struct Then {
 pub(super) struct Now<'a> {
     pub(super) view: &'a wgpu::Buffer,
     pub(super) lighting: &'a wgpu::Buffer,
-    pub(super) map: &'a ShadowMap,
     pub(super) space: Space,
     pub(super) scene: &'a SceneAt,
 }
@@ -86,6 +99,11 @@ fn pictures(device: &wgpu::Device, size: (u32, u32), pieces: wgpu::TextureFormat
                 .create_view(&wgpu::TextureViewDescriptor::default())
         },
     )
+}
+
+/// Tiles of a picture, across and down.
+fn tiles((width, height): (u32, u32)) -> (u32, u32) {
+    (width.div_ceil(TILE_PX), height.div_ceil(TILE_PX))
 }
 
 fn count(scene: &Scene) -> usize {
@@ -149,22 +167,52 @@ impl Moved {
         let Some(live) = &mut self.live else { return };
         [self.pieces, self.changed] = pictures(device, (targets.width, targets.height), self.format);
         let view = wgpu::BindingResource::TextureView;
+        let (across, down) = tiles((targets.width, targets.height));
+        let tiles = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("lights of tiles"),
+            size: u64::from(across) * u64::from(down) * size_of::<u32>() as u64,
+            usage: wgpu::BufferUsages::STORAGE,
+            mapped_at_creation: false,
+        });
         let group = |depth| {
-            let resources = [view(depth), view(&targets.normal_material), view(&self.pieces), view(&self.changed)];
+            let pictures = [depth, &targets.normal_material, &self.pieces, &self.changed].map(view);
+            let resources = [&pictures[..], &[tiles.as_entire_binding(), targets.put_off.binding()]].concat();
             bind_group(device, "changed shadows", &live.surface_layout, &resources)
         };
         live.surface_groups = history.views().map(group).collect();
     }
 
+    /// What late masks of other states took so far, their maps included.
+    pub(super) fn work(&self) -> Work {
+        let Some(live) = &self.live else { return Work::default() };
+        live.work + live.then.as_ref().map(|then| then.map.work()).unwrap_or_default()
+    }
+
+    /// Draws the shadow maps of the state of the newest of these layers that is not of the picture's, if there is one.
+    /// [`SceneUpload::show_now`] is to follow.
+    pub(super) fn draw_then(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        (layers, now): (&[Layer], Now<'_>),
+        maps: (&mut ShadowMap, &DepthPass, &mut SceneUpload),
+    ) {
+        if let Some(live) = &mut self.live
+            && let Some(newest) = layers.iter().find(|layer| !layer.is_of(now.scene))
+        {
+            live.draw_then(gpu, encoder, &newest.traced_for.scene, now, maps);
+        }
+    }
+
     /// Finds out what has moved since those of these layers' masks were traced that are of another state of the scene
-    /// than the picture. Returns false if there are none.
+    /// than the picture. Returns false if there are none. `map` and `upload` show the picture's state.
     pub(super) fn encode(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         (layers, now): (&[Layer], Now<'_>),
-        (targets, depth_pass): (&Targets, &DepthPass),
-        (history, upload): (&DepthHistory, &mut SceneUpload),
+        (targets, history): (&Targets, &DepthHistory),
+        (map, upload): (&ShadowMap, &SceneUpload),
     ) -> bool {
         let Some(live) = &mut self.live else { return false };
         let others = || layers.iter().enumerate().filter(|(_, layer)| !layer.is_of(now.scene));
@@ -175,17 +223,27 @@ impl Moved {
             let drawn = layer.is_of(&newest.traced_for.scene);
             let before = movers.before(&movers.moment_at(&layer.traced_for.scene), drawn);
             let offset = (place * size_of_val(&*before)) as u64;
-            gpu.queue.write_buffer(&self.before, offset, bytemuck::cast_slice(&before));
+            let before: &[u8] = bytemuck::cast_slice(&before);
+            gpu.queue.write_buffer(&self.before, offset, before);
+            live.work.bytes += before.len() as u64;
             if layer.slot == newest.slot {
-                gpu.queue.write_buffer(&live.before, 0, bytemuck::cast_slice(&before));
+                gpu.queue.write_buffer(&live.before, 0, before);
+                live.work.bytes += before.len() as u64;
             }
         }
-        live.draw_then(gpu, encoder, &newest.traced_for.scene, now, (depth_pass, upload));
         live.pieces_pass.encode(&gpu.device, encoder, (&self.pieces, history.view()), upload);
+        live.work.passes += 1;
         if let Some(then) = &live.then {
+            let words = touched::words(map, &then.map);
+            gpu.queue.write_buffer(&then.touched, 0, bytemuck::cast_slice(&words));
+            live.work.bytes += size_of_val(&*words) as u64;
             let groups = [&then.scene_group, &live.surface_groups[history.current()]];
             let size = (targets.width, targets.height);
-            compute(encoder, "changed shadows", &live.pipeline, &groups, |pass| dispatch_pixels(pass, size));
+            compute(encoder, "lights of tiles", &live.look, &groups, |pass| dispatch_pixels(pass, tiles(size)));
+            // A light that has moved has other shadows everywhere.
+            let first = (map.moved(&then.map) == 0).then_some(&live.compare_resting);
+            targets.put_off.run(encoder, "changed shadows", (first, &live.compare), &groups);
+            live.work.passes += if first.is_some() { 3 } else { 2 };
         }
         true
     }
@@ -196,23 +254,27 @@ impl Live {
         let device = &gpu.device;
         let [depth, words] = [wgpu::TextureSampleType::Depth, wgpu::TextureSampleType::Uint].map(picture);
         let (view, lighting) = (uniform::<View>(gpu), uniform::<Lighting>(gpu));
-        let of_scene = [view, lighting, depth, storage(true), lighting, depth, storage(true), storage(true)];
-        let of_surface = [depth, words, words, written_picture(WORD)];
+        let (maps, before) = ([depth, storage(true)], storage(true));
+        let of_scene = [view, lighting, maps[0], maps[1], lighting, maps[0], maps[1], before, storage(true)];
+        let of_surface = [depth, words, words, written_picture(WORD), storage(false), PutOff::layout()];
         let layout = |bindings: &[wgpu::BindingType]| {
             bind_group_layout(device, "changed shadows", wgpu::ShaderStages::COMPUTE, bindings)
         };
         let (scene_layout, surface_layout) = (layout(&of_scene), layout(&of_surface));
         let module = shader(gpu, "shading/changed.wgsl")?;
-        let pipeline = compute_pipeline(device, &module, &[&scene_layout, &surface_layout], ("compare", &[]));
+        let pipeline = |entry| compute_pipeline(device, &module, &[&scene_layout, &surface_layout], (entry, &[]));
         Ok(Self {
             pieces_pass,
-            pipeline,
+            look: pipeline("look"),
+            compare_resting: pipeline("compare_resting"),
+            compare: pipeline("compare"),
             scene_layout,
             surface_layout,
             surface_groups: Vec::new(),
             before: places(device, pieces),
             lighting_then: Variable::new(gpu, "lighting of the mask's time"),
             then: None,
+            work: Work::default(),
         })
     }
 
@@ -224,29 +286,36 @@ impl Live {
         encoder: &mut wgpu::CommandEncoder,
         scene: &SceneAt,
         now: Now<'_>,
-        (depth_pass, upload): (&DepthPass, &mut SceneUpload),
+        (map_now, depth_pass, upload): (&mut ShadowMap, &DepthPass, &mut SceneUpload),
     ) {
         let Some(lights) = upload.movers().map(|movers| movers.moment_at(scene).lights) else { return };
         // Only where lights are is read.
         let lighting = Exposure::for_reference(1.0).lighting(&lights, now.space);
         self.lighting_then.set(&gpu.queue, lighting);
-        let (before, lighting_then, layout) = (&self.before, &self.lighting_then, &self.scene_layout);
-        let then = self.then.get_or_insert_with(|| {
-            let map = now.map.another(gpu);
+        if self.then.is_none() {
+            let Some(map) = map_now.another(gpu, encoder, depth_pass, upload) else { return };
+            let touched = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("where maps may differ"),
+                size: touched::bytes(&map),
+                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            });
             let view = wgpu::BindingResource::TextureView;
             let resources = [
                 now.view.as_entire_binding(),
                 now.lighting.as_entire_binding(),
-                view(&now.map.texture),
-                now.map.views.as_entire_binding(),
-                lighting_then.buffer().as_entire_binding(),
+                view(&map_now.texture),
+                map_now.views.as_entire_binding(),
+                self.lighting_then.buffer().as_entire_binding(),
                 view(&map.texture),
                 map.views.as_entire_binding(),
-                before.as_entire_binding(),
+                self.before.as_entire_binding(),
+                touched.as_entire_binding(),
             ];
-            let scene_group = bind_group(&gpu.device, "changed shadows", layout, &resources);
-            Then { scene: None, map, scene_group }
-        });
+            let scene_group = bind_group(&gpu.device, "changed shadows", &self.scene_layout, &resources);
+            self.then = Some(Then { scene: None, map, touched, scene_group });
+        }
+        let Some(then) = &mut self.then else { return };
         if then.scene.as_ref() == Some(scene) {
             return;
         }
@@ -257,6 +326,5 @@ impl Live {
             upload.keep_vertices(encoder, vertices);
         }
         then.map.need(gpu, encoder, depth_pass, upload);
-        upload.show_now(&gpu.device, encoder);
     }
 }

@@ -31,6 +31,7 @@ use crate::{
         pipeline::{Variable, bind_group, shader},
         scene_upload::SceneUpload,
         targets::Targets,
+        work::Work,
     },
 };
 
@@ -75,7 +76,7 @@ impl PredictPass {
     ) -> Result<Self, RenderError> {
         let device = &gpu.device;
         let depth_pass = DepthPass::new(gpu, upload)?;
-        let shadow_map = ShadowMap::new(gpu, scene);
+        let shadow_map = ShadowMap::new(gpu, scene, upload)?;
         let moved = Moved::new(gpu, (scene, upload), (&depth_pass, view), (targets, history))?;
         let unknown = Counts::new(device, "unknown pixels", 1);
         let uniform = Variable::new(gpu, "prediction");
@@ -136,6 +137,11 @@ impl PredictPass {
         &self.shadow_map
     }
 
+    /// What shadow maps and late masks took so far.
+    pub(crate) fn work(&self) -> Work {
+        self.shadow_map.work() + self.moved.work()
+    }
+
     /// Makes what late masks take where lights are edited in a scene in which nothing moves, once there is need.
     ///
     /// # Errors
@@ -149,6 +155,7 @@ impl PredictPass {
         if upload.movers().is_none() || self.moved.is_live() {
             return Ok(());
         }
+        self.shadow_map.follow_edits(gpu)?;
         self.moved.begin(gpu, (&Scene::default(), upload), (&self.depth_pass, &self.view))?;
         self.resize(&gpu.device, targets, history);
         Ok(())
@@ -256,12 +263,14 @@ impl PredictPass {
         if self.predictor == Predictor::Surface && layers[..count].iter().any(|layer| layer.same_view == 0) {
             self.layers.need_depth(gpu, encoder, (count, space), &self.depth_pass, (history, upload));
             if upload.movers().is_some() {
-                self.need_shadow_map(gpu, encoder, upload);
                 let (view, lighting, scene) = (&self.view, &self.lighting, &seen.scene);
-                let now = Now { view, lighting, map: &self.shadow_map, space, scene };
-                let masks = (&self.layers.stack()[..count], now);
-                let pictures = (targets, &self.depth_pass);
-                moved = self.moved.encode(gpu, encoder, masks, pictures, (history, upload));
+                let now = Now { view, lighting, space, scene };
+                let (masks, map) = (&self.layers.stack()[..count], &mut self.shadow_map);
+                // What was then comes first, while it is shown.
+                self.moved.draw_then(gpu, encoder, (masks, now), (&mut *map, &self.depth_pass, &mut *upload));
+                upload.show_now(&gpu.device, encoder);
+                map.need(gpu, encoder, &self.depth_pass, upload);
+                moved = self.moved.encode(gpu, encoder, (masks, now), (targets, history), (&*map, &*upload));
             }
         }
         let mask_group = self.layers.group(&gpu.device, &self.mask_layout, &self.nearest).clone();

@@ -1,94 +1,118 @@
 //! The client's own shadow maps, drawn once, with the first picture that needs them; anew when something has moved.
 //!
 //! Received visibility lacks surfaces that its view did not see. There the client looks into a map of its own: coarser
-//! than the server's rays, but never late. All maps share one square of [`BUDGET_BYTES`]: six cube faces for a point
-//! light, one map for a spot, and one of four times the texels for a directional light, which covers the whole scene.
-//! Where no light moves, the maps of what rests are kept beside them, and only what moves is drawn over these.
+//! than the server's rays, but never late. All maps share one square: six cube faces for a point light, one map for a
+//! spot, and one of four times the texels for a directional light, which covers the whole scene (`shadow_views.rs`).
+//!
+//! Where something moves or is edited, the maps of what rests are kept beside them. For another state, texels that what
+//! moves had covered are put back, and what moves is drawn where it is now: work in proportion to what moves, not to
+//! the maps. Only squares of lights that are not where the file has them are drawn anew as a whole.
 
-use glam::{DMat4, DVec3, DVec4, Mat4, Vec3};
-use gnomon_scene::{Aabb, Light, LightKind, Scene, camera::Space};
+use std::{iter::repeat_n, sync::Arc};
+
+use glam::Mat4;
+use gnomon_scene::{Aabb, Light, Scene, camera::Space};
 use gnomon_shaders::{gpu::Gpu, shading::ShadowView};
 use wgpu::util::DeviceExt as _;
 
 use super::{
     depth_pass::{self, DepthPass, Faces, Part},
+    eraser::Eraser,
+    shadow_views::{layout, views_of},
     swept::swept_bounds,
+    texels::{Texels, covered},
 };
 use crate::render::{
-    pipeline::constant,
+    error::RenderError,
+    movers::Movers,
+    pipeline::{Variable, constant},
     scene_upload::SceneUpload,
     targets::{DEPTH, texture},
+    work::Work,
 };
-
-/// Memory for all maps.
-const BUDGET_BYTES: u64 = 64 << 20;
-
-/// Longest side of the square: half of it in each direction fills the budget.
-const MOST_SIDE: u32 = 4096;
-
-/// Texels by which a cube face extends beyond its edges, so that the four texels around a point lie on one face.
-const MARGIN_TEXELS: f64 = 2.0;
-
-/// Number of views for a light of this kind.
-pub(crate) fn views_of(kind: LightKind) -> u32 {
-    match kind {
-        LightKind::Point => 6,
-        LightKind::Directional | LightKind::Spot { .. } => 1,
-    }
-}
 
 #[derive(Debug)]
 pub(crate) struct ShadowMap {
     pub(crate) texture: wgpu::TextureView,
     pub(crate) views: wgpu::Buffer,
-    /// Every light's views, one light after the other, with the matrix that a view's group binds.
+    /// Every light's views, one light after the other.
     lights_views: Vec<ShadowView>,
-    groups: Vec<(Mat4, wgpu::BindGroup)>,
+    /// The matrix of each view, as it is drawn with.
+    groups: Vec<(Variable<Mat4>, wgpu::BindGroup)>,
     is_drawn: bool,
     /// What all views cover, and the distance of their near planes in metres.
     space: (Aabb, f64),
-    /// Every light's views in the pose of the file, if these are the views unless a person moves a light, and if what
-    /// moves is drawn over maps of what rests.
-    views_of_file: Option<Vec<ShadowView>>,
-    /// The maps of what rests, once they are drawn. Used only beside something that moves.
-    resting: Option<wgpu::TextureView>,
+    of_file: Arc<OfFile>,
+    /// `None` if everything rests, and nothing was edited.
+    moving: Option<Moving>,
+    work: Work,
+}
+
+/// Views that lights have in the pose of the file.
+#[derive(Debug)]
+struct OfFile {
+    views: Vec<ShadowView>,
+    /// The number of each view's light.
+    lights: Vec<u32>,
+}
+
+/// What maps have beside something that moves.
+#[derive(Debug)]
+struct Moving {
+    eraser: Eraser,
+    /// The maps of what rests, in the views of the file, once they are drawn.
+    resting: Option<(wgpu::TextureView, wgpu::BindGroup)>,
+    /// For each view, where the map may differ from that. Empty until the map is first drawn.
+    drawn: Vec<Vec<Texels>>,
 }
 
 impl ShadowMap {
     /// Allocates the maps of all lights of `scene`.
-    pub(crate) fn new(gpu: &Gpu, scene: &Scene) -> Self {
+    pub(crate) fn new(gpu: &Gpu, scene: &Scene, upload: &SceneUpload) -> Result<Self, RenderError> {
         let space = (swept_bounds(scene), Space::of(scene).near_m);
         let limit = gpu.device.limits().max_texture_dimension_2d;
-        let (side, lights_views) = layout(&scene.lights, (&space.0, space.1), limit);
-        let fixed = scene.animation.as_ref().filter(|animation| {
-            animation.lights.iter().all(|light| light.place.is_none() && light.outer_cone_track.is_none())
-        });
-        let views_of_file = fixed.map(|_| lights_views.clone());
-        Self::allocate(gpu, side, lights_views, (space, views_of_file))
+        let (side, views) = layout(&scene.lights, (&space.0, space.1), limit);
+        let numbers = |(number, light): (u32, &Light)| repeat_n(number, views_of(light.kind) as usize);
+        let lights = (0..).zip(&scene.lights).flat_map(numbers).collect();
+        let mut map = Self::allocate(gpu, (side, space), Arc::new(OfFile { views, lights }));
+        if upload.movers().is_some() {
+            map.follow_edits(gpu)?;
+        }
+        Ok(map)
     }
 
-    /// Maps of the same lights for another time of the scene, in which something moves.
-    pub(crate) fn another(&self, gpu: &Gpu) -> Self {
-        let side = self.texture.texture().width();
-        let mut other = Self::allocate(gpu, side, self.lights_views.clone(), (self.space, self.views_of_file.clone()));
-        other.resting.clone_from(&self.resting);
-        other
+    /// Keeps maps of what rests from now on.
+    ///
+    /// # Errors
+    /// If the adapter failed.
+    pub(crate) fn follow_edits(&mut self, gpu: &Gpu) -> Result<(), RenderError> {
+        self.moving = Some(Moving { eraser: Eraser::new(gpu)?, resting: None, drawn: Vec::new() });
+        Ok(())
     }
 
-    fn allocate(
+    /// Maps of the same lights for another state of the scene. `None` if everything rests.
+    pub(crate) fn another(
+        &mut self,
         gpu: &Gpu,
-        side: u32,
-        lights_views: Vec<ShadowView>,
-        (space, views_of_file): ((Aabb, f64), Option<Vec<ShadowView>>),
-    ) -> Self {
+        encoder: &mut wgpu::CommandEncoder,
+        pass: &DepthPass,
+        upload: &SceneUpload,
+    ) -> Option<Self> {
+        self.need_resting(gpu, encoder, (pass, upload));
+        let Moving { eraser, resting, .. } = self.moving.as_ref()?;
+        let (eraser, resting) = (eraser.clone(), resting.clone());
+        let (side, of_file) = (self.texture.texture().width(), Arc::clone(&self.of_file));
+        let mut other = Self::allocate(gpu, (side, self.space), of_file);
+        other.moving = Some(Moving { eraser, resting, drawn: Vec::new() });
+        Some(other)
+    }
+
+    fn allocate(gpu: &Gpu, (side, space): (u32, (Aabb, f64)), of_file: Arc<OfFile>) -> Self {
         let device = &gpu.device;
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-        let copied = match views_of_file {
-            Some(_) => wgpu::TextureUsages::COPY_DST,
-            None => wgpu::TextureUsages::empty(),
-        };
-        let texture = texture(device, "shadow map", (side, side), DEPTH, usage | copied)
+        let texture = texture(device, "shadow map", (side, side), DEPTH, usage)
             .create_view(&wgpu::TextureViewDescriptor::default());
+        let lights_views = of_file.views.clone();
         // A binding cannot be empty.
         let contents = [&lights_views[..], &[bytemuck::Zeroable::zeroed()]].concat();
         let views = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
@@ -96,11 +120,38 @@ impl ShadowMap {
             contents: bytemuck::cast_slice(&contents),
             usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
         });
-        let (groups, is_drawn, resting) = (Vec::new(), false, None);
-        Self { texture, views, lights_views, groups, is_drawn, space, views_of_file, resting }
+        let (groups, is_drawn, moving, work) = (Vec::new(), false, None, Work::default());
+        Self { texture, views, lights_views, groups, is_drawn, space, of_file, moving, work }
     }
 
-    /// Takes the lights of another time, at which the maps are to be drawn anew.
+    pub(crate) fn work(&self) -> Work {
+        self.work
+    }
+
+    /// Bits of all lights.
+    pub(super) fn lights(&self) -> u32 {
+        bits(self.of_file.lights.iter())
+    }
+
+    /// Bits of lights in whose maps something may differ from what rests.
+    pub(super) fn touched(&self) -> u32 {
+        let drawn = self.moving.iter().flat_map(|moving| &moving.drawn);
+        let lights = self.of_file.lights.iter().zip(drawn);
+        bits(lights.filter(|(_, drawn)| !drawn.is_empty()).map(|(light, _)| light))
+    }
+
+    /// Bits of lights that have other views there.
+    pub(super) fn moved(&self, other: &Self) -> u32 {
+        let views = self.of_file.lights.iter().zip(self.lights_views.iter().zip(&other.lights_views));
+        bits(views.filter(|(_, (one, other))| one != other).map(|(light, _)| light))
+    }
+
+    /// Where something moving is drawn, or lights have moved.
+    pub(super) fn drawn(&self) -> impl Iterator<Item = &Texels> {
+        self.moving.iter().flat_map(|moving| moving.drawn.iter().flatten())
+    }
+
+    /// Takes the lights of another state, in which the maps are to be drawn anew.
     pub(crate) fn set_lights(&mut self, gpu: &Gpu, lights: &[Light]) {
         self.is_drawn = false;
         let (bounds, near_m) = &self.space;
@@ -112,7 +163,7 @@ impl ShadowMap {
         self.lights_views = views;
     }
 
-    /// Ensures that the maps are drawn before what `encoder` does next.
+    /// Ensures that the maps are drawn before what `encoder` does next, of what `upload` shows then.
     pub(crate) fn need(
         &mut self,
         gpu: &Gpu,
@@ -123,275 +174,122 @@ impl ShadowMap {
         if std::mem::replace(&mut self.is_drawn, true) || self.lights_views.is_empty() {
             return;
         }
+        self.need_resting(gpu, encoder, (pass, upload));
         self.bind_views(gpu, pass);
-        let clear = wgpu::LoadOp::Clear(0.0);
-        if self.views_of_file.as_ref() != Some(&self.lights_views) {
-            self.draw(encoder, (&self.texture, clear), (pass, upload), Part::All);
+        if let Some(mut moving) = self.moving.take() {
+            self.draw_moving(encoder, (pass, upload), &mut moving);
+            self.moving = Some(moving);
             return;
         }
-        let resting = self.resting.take().unwrap_or_else(|| {
-            let side = self.texture.texture().width();
-            let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
-            let resting = texture(&gpu.device, "shadow map of what rests", (side, side), DEPTH, usage);
-            let resting = resting.create_view(&wgpu::TextureViewDescriptor::default());
-            self.draw(encoder, (&resting, clear), (pass, upload), Part::Resting);
-            resting
-        });
-        let (from, to) = (resting.texture(), self.texture.texture());
-        encoder.copy_texture_to_texture(from.as_image_copy(), to.as_image_copy(), from.size());
-        self.draw(encoder, (&self.texture, wgpu::LoadOp::Load), (pass, upload), Part::Moving);
-        self.resting = Some(resting);
-    }
-
-    /// Binds the views' matrices that have changed.
-    fn bind_views(&mut self, gpu: &Gpu, pass: &DepthPass) {
-        let matrices = self.lights_views.iter().map(|view| view.clip_from_local);
-        for (number, matrix) in matrices.enumerate() {
-            if self.groups.get(number).is_some_and(|(bound, _)| *bound == matrix) {
-                continue;
-            }
-            let buffer = constant(gpu, "light's view", &matrix);
-            let bound = (matrix, pass.group(&gpu.device, buffer.as_entire_binding()));
-            match self.groups.get_mut(number) {
-                Some(group) => *group = bound,
-                None => self.groups.push(bound),
-            }
-        }
-    }
-
-    fn draw(
-        &self,
-        encoder: &mut wgpu::CommandEncoder,
-        (target, load): (&wgpu::TextureView, wgpu::LoadOp<f32>),
-        (pass, upload): (&DepthPass, &SceneUpload),
-        part: Part,
-    ) {
-        let mut render = depth_pass::begin_with(encoder, "shadow map", target, load);
+        let mut render = depth_pass::begin(encoder, "shadow map", &self.texture);
+        self.work.passes += 1;
         for (view, (_, group)) in self.lights_views.iter().zip(&self.groups) {
-            render.set_viewport(view.left, view.top, view.side, view.side, 0.0, 1.0);
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "whole, at most 4096")]
-            let [left, top, side] = [view.left, view.top, view.side].map(|texels| texels as u32);
-            render.set_scissor_rect(left, top, side, side);
-            pass.draw(&mut render, group, upload, (part, Faces::Both));
-        }
-    }
-}
-
-/// Returns the square's side in texels, and every light's views, one light after the other. Objects nearer to a lamp
-/// than the near plane cast no shadow in its map.
-fn layout(lights: &[Light], (bounds, near_m): (&Aabb, f64), limit: u32) -> (u32, Vec<ShadowView>) {
-    let directional = lights.iter().filter(|light| light.kind == LightKind::Directional).count();
-    let others: u32 =
-        lights.iter().filter(|light| light.kind != LightKind::Directional).map(|light| views_of(light.kind)).sum();
-    let cells = directional * 4 + others as usize;
-    // Cells of the grid: directional lights take blocks of 2×2, which fill rows of two from the top.
-    let grid = (2_usize..).find(|side| {
-        let blocks = side / 2;
-        side * side >= cells && (blocks * blocks) >= directional
-    });
-    let grid = grid.unwrap_or(2);
-    let side = MOST_SIDE.min(limit).min(isqrt(BUDGET_BYTES / 4));
-    #[expect(clippy::cast_possible_truncation, reason = "at most 32 lights make a grid of at most 16")]
-    let cell = (side / grid as u32).max(8);
-    let mut taken = vec![false; grid * grid];
-    let mut place = |span: usize| {
-        let fits =
-            |x: usize, y: usize, taken: &[bool]| (0..span * span).all(|i| !taken[(y + i / span) * grid + x + i % span]);
-        let step = span;
-        let spots = (0..=grid - span).step_by(step).flat_map(|y| (0..=grid - span).step_by(step).map(move |x| (x, y)));
-        let (x, y) = spots.into_iter().find(|(x, y)| fits(*x, *y, &taken)).unwrap_or((0, 0));
-        for i in 0..span * span {
-            taken[(y + i / span) * grid + x + i % span] = true;
-        }
-        (x, y)
-    };
-    // Directional lights are placed first, since they need whole blocks.
-    let blocks: Vec<(usize, usize)> = (0..directional).map(|_| place(2)).collect();
-    let mut blocks = blocks.into_iter();
-    let mut views = Vec::new();
-    for light in lights {
-        for face in 0..views_of(light.kind) {
-            let (at, span) = match light.kind {
-                LightKind::Directional => (blocks.next().unwrap_or((0, 0)), 2),
-                LightKind::Point | LightKind::Spot { .. } => (place(1), 1),
-            };
-            views.push(view(light, face, (bounds, near_m), at, cell, span));
-        }
-    }
-    (side, views)
-}
-
-fn isqrt(value: u64) -> u32 {
-    u32::try_from(value.isqrt()).unwrap_or(u32::MAX)
-}
-
-#[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "texels and rounding to f32")]
-fn view(
-    light: &Light,
-    face: u32,
-    (bounds, near_m): (&Aabb, f64),
-    (x, y): (usize, usize),
-    cell: u32,
-    span: u32,
-) -> ShadowView {
-    let side = cell * span;
-    let (clip_from_local, texel_m) = match light.kind {
-        LightKind::Directional => parallel(light.direction, bounds, f64::from(side)),
-        LightKind::Point => {
-            let half = f64::from(side) / (f64::from(side) - 2.0 * MARGIN_TEXELS);
-            (perspective(light.position, face_rotation(face), (half, near_m)), 2.0 * half / f64::from(side))
-        }
-        LightKind::Spot { outer_cone_rad, .. } => {
-            let half = f64::from(outer_cone_rad).clamp(0.01, 1.45).tan() * 1.02;
-            let rotation = toward(light.direction.as_dvec3());
-            (perspective(light.position, rotation, (half, near_m)), 2.0 * half / f64::from(side))
-        }
-    };
-    ShadowView {
-        clip_from_local,
-        left: x as f32 * cell as f32,
-        top: y as f32 * cell as f32,
-        side: side as f32,
-        texel_m: texel_m as f32,
-    }
-}
-
-/// A rotation from local space to one whose −z lies along `forward`.
-fn toward(forward: DVec3) -> DMat4 {
-    let forward = forward.normalize_or(DVec3::NEG_Y);
-    let right = forward.any_orthonormal_vector();
-    DMat4::from_cols(right.extend(0.0), right.cross(forward).extend(0.0), (-forward).extend(0.0), DVec4::W).transpose()
-}
-
-/// The rotation of a cube face, in the order of `cube_face` in `shadow_map.wgsl`.
-fn face_rotation(face: u32) -> DMat4 {
-    let axis = [DVec3::X, DVec3::Y, DVec3::Z][face as usize / 2 % 3];
-    toward(if face.is_multiple_of(2) { axis } else { -axis })
-}
-
-/// Reversed-Z with an infinite far plane, `half` wide at distance 1.
-fn perspective(position: Vec3, rotation: DMat4, (half, near_m): (f64, f64)) -> Mat4 {
-    let projection = DMat4::from_cols(
-        DVec4::new(1.0 / half, 0.0, 0.0, 0.0),
-        DVec4::new(0.0, 1.0 / half, 0.0, 0.0),
-        DVec4::new(0.0, 0.0, 0.0, -1.0),
-        DVec4::new(0.0, 0.0, near_m, 0.0),
-    );
-    (projection * rotation * DMat4::from_translation(-position.as_dvec3())).as_mat4()
-}
-
-/// Covers all of `bounds` along `direction`, nearest depth 1 and farthest 0. Also returns a texel's side in metres.
-fn parallel(direction: Vec3, bounds: &Aabb, side: f64) -> (Mat4, f64) {
-    let rotation = toward(direction.as_dvec3());
-    let (low, high) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
-    let corners = (0..8).map(|i| {
-        let pick = |bit: u32, axis: usize| if i >> bit & 1 == 0 { low[axis] } else { high[axis] };
-        rotation.transform_point3(DVec3::new(pick(0, 0), pick(1, 1), pick(2, 2)))
-    });
-    let (low, high) =
-        corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), corner| (low.min(corner), high.max(corner)));
-    // Square, so that texels are square, with room for the four texels around a point at its edge and a margin in
-    // depth.
-    let extent = (high - low).max_element().max(1e-9);
-    let wide = (high.x - low.x).max(high.y - low.y).max(extent * 1e-3) * side / (side - 2.0 * MARGIN_TEXELS);
-    let deep = (high.z - low.z).max(extent * 1e-3) * 1.02;
-    let middle = (low + high) * 0.5;
-    let projection = DMat4::from_cols(
-        DVec4::new(2.0 / wide, 0.0, 0.0, 0.0),
-        DVec4::new(0.0, 2.0 / wide, 0.0, 0.0),
-        DVec4::new(0.0, 0.0, 1.0 / deep, 0.0),
-        DVec4::new(0.0, 0.0, 0.5, 1.0),
-    );
-    ((projection * DMat4::from_translation(-middle) * rotation).as_mat4(), wide / side)
-}
-
-#[cfg(test)]
-mod tests {
-    use gnomon_scene::camera::NEAR_M;
-
-    use super::*;
-
-    fn light(kind: LightKind) -> Light {
-        Light {
-            name: String::new(),
-            kind,
-            position: Vec3::new(1.0, 2.0, 3.0),
-            direction: Vec3::new(0.6, -0.8, 0.0),
-            color: Vec3::ONE,
-            intensity: 1.0,
-            range_m: f32::INFINITY,
+            look(&mut render, view);
+            add(&mut self.work, pass.draw(&mut render, group, upload, (Part::All, Faces::Both)));
         }
     }
 
-    const BOUNDS: Aabb = Aabb { min: Vec3::new(-4.0, 0.0, -2.0), max: Vec3::new(5.0, 3.0, 8.0) };
-
-    #[test]
-    fn map_squares_do_not_overlap() {
-        let spot = LightKind::Spot { inner_cone_rad: 0.1, outer_cone_rad: 0.5 };
-        for kinds in [
-            vec![],
-            vec![LightKind::Directional],
-            vec![LightKind::Directional, LightKind::Point, LightKind::Point, LightKind::Point],
-            vec![LightKind::Directional; 32],
-            vec![LightKind::Point; 32],
-            [vec![spot; 7], vec![LightKind::Directional; 3], vec![LightKind::Point; 5]].concat(),
-        ] {
-            let lights: Vec<Light> = kinds.iter().map(|kind| light(*kind)).collect();
-            let (side, views) = layout(&lights, (&BOUNDS, NEAR_M), 16384);
-            assert_eq!(views.len(), kinds.iter().map(|kind| views_of(*kind) as usize).sum::<usize>());
-            assert!(u64::from(side) * u64::from(side) * 4 <= BUDGET_BYTES);
-            for (i, one) in views.iter().enumerate() {
-                assert!(one.left + one.side <= side as f32 && one.top + one.side <= side as f32, "{kinds:?}");
-                for other in &views[..i] {
-                    let apart = one.left + one.side <= other.left
-                        || other.left + other.side <= one.left
-                        || one.top + one.side <= other.top
-                        || other.top + other.side <= one.top;
-                    assert!(apart, "{kinds:?}: {one:?} {other:?}");
-                }
-            }
+    /// Ensures that there are maps of what rests, beside something that moves.
+    fn need_resting(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        (pass, upload): (&DepthPass, &SceneUpload),
+    ) {
+        let Some(moving) = self.moving.as_mut().filter(|moving| moving.resting.is_none()) else { return };
+        let (side, device) = (self.texture.texture().width(), &gpu.device);
+        let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
+        let resting = texture(device, "shadow map of what rests", (side, side), DEPTH, usage)
+            .create_view(&wgpu::TextureViewDescriptor::default());
+        let mut render = depth_pass::begin(encoder, "shadow map of what rests", &resting);
+        self.work.passes += 1;
+        for view in &self.of_file.views {
+            let matrix = constant(gpu, "light's view of the file", &view.clip_from_local);
+            let group = pass.group(device, matrix.as_entire_binding());
+            look(&mut render, view);
+            add(&mut self.work, pass.draw(&mut render, &group, upload, (Part::Resting, Faces::Both)));
         }
+        drop(render);
+        let group = moving.eraser.group(device, &resting);
+        moving.resting = Some((resting, group));
     }
 
-    #[test]
-    fn points_around_a_lamp_lie_on_the_face_that_the_shader_picks() {
-        let lamp = light(LightKind::Point);
-        let (_, views) = layout(std::slice::from_ref(&lamp), (&BOUNDS, NEAR_M), 4096);
-        let steps = [-1.0_f32, -0.7, -0.2, 0.0, 0.3, 0.9, 1.0];
-        for i in 0..7 * 7 * 7 {
-            let from_light = Vec3::new(steps[i % 7], steps[i / 7 % 7], steps[i / 49]);
-            let size = from_light.abs();
-            if size.max_element() == 0.0 {
+    /// Takes out of the maps what moved, and draws it where it is now. The square of a light that has moved is drawn
+    /// as a whole.
+    fn draw_moving(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        (pass, upload): (&DepthPass, &SceneUpload),
+        moving: &mut Moving,
+    ) {
+        let Moving { eraser, resting: Some((_, resting)), drawn } = moving else { return };
+        if drawn.is_empty() {
+            // Nothing is drawn yet.
+            drawn.extend(self.lights_views.iter().map(|view| vec![Texels::of(view)]));
+        }
+        let rests: Vec<bool> =
+            self.lights_views.iter().zip(&self.of_file.views).map(|(one, other)| one == other).collect();
+        let mut render = depth_pass::begin_with(encoder, "shadow map", &self.texture, wgpu::LoadOp::Load);
+        self.work.passes += 1;
+        let moved = self.lights_views.iter().zip(&rests).filter(|(_, rests)| !**rests);
+        let old = drawn.iter().zip(&rests).filter(|(_, rests)| **rests).flat_map(|(drawn, _)| drawn);
+        self.work.texels += eraser.clear(&mut render, moved.map(|(view, _)| Texels::of(view)));
+        self.work.texels += eraser.put_back(&mut render, resting, old.copied());
+        let bounds = upload.movers().map(Movers::bounds).unwrap_or_default();
+        let views = self.lights_views.iter().zip(&self.groups).zip(rests);
+        for (((view, (_, group)), rests), drawn) in views.zip(drawn) {
+            drawn.clear();
+            if !rests {
+                look(&mut render, view);
+                add(&mut self.work, pass.draw(&mut render, group, upload, (Part::All, Faces::Both)));
+                drawn.push(Texels::of(view));
                 continue;
             }
-            // Mirrors `cube_face`.
-            let axis = if size.x >= size.y && size.x >= size.z {
-                0
-            } else if size.y >= size.z {
-                1
-            } else {
-                2
-            };
-            let face = axis * 2 + usize::from(from_light[axis] < 0.0);
-            let clip = views[face].clip_from_local * (lamp.position + from_light).extend(1.0);
-            assert!((clip.w - size.max_element()).abs() < 1e-5);
-            assert!((clip.x / clip.w).abs() < 1.0 && (clip.y / clip.w).abs() < 1.0, "{from_light} on face {face}");
+            let covered: Vec<Option<Texels>> =
+                bounds.iter().map(|bounds| bounds.as_ref().and_then(|bounds| covered(view, bounds))).collect();
+            drawn.extend(covered.iter().flatten());
+            if drawn.is_empty() {
+                continue;
+            }
+            look(&mut render, view);
+            let seen = |piece: usize| covered.get(piece).is_some_and(Option::is_some);
+            add(&mut self.work, pass.draw_pieces(&mut render, group, upload, seen));
+            // Where many things cover each other, the whole square is fewer texels.
+            let square = Texels::of(view);
+            if drawn.iter().map(|texels| texels.count()).sum::<u64>() > square.count() {
+                drawn.clear();
+                drawn.push(square);
+            }
         }
     }
 
-    #[test]
-    fn a_directional_view_covers_the_scene_with_reversed_depth() {
-        let (_, views) = layout(&[light(LightKind::Directional)], (&BOUNDS, NEAR_M), 4096);
-        let clip = |point: Vec3| views[0].clip_from_local.project_point3(point);
-        for i in 0..8 {
-            let pick = |bit: u32, axis: usize| if i >> bit & 1 == 0 { BOUNDS.min[axis] } else { BOUNDS.max[axis] };
-            let ndc = clip(Vec3::new(pick(0, 0), pick(1, 1), pick(2, 2)));
-            assert!(ndc.x.abs() < 1.0 && ndc.y.abs() < 1.0 && (0.0..=1.0).contains(&ndc.z), "{ndc}");
+    /// Binds the views' matrices.
+    fn bind_views(&mut self, gpu: &Gpu, pass: &DepthPass) {
+        while self.groups.len() < self.lights_views.len() {
+            let matrix = Variable::new(gpu, "light's view");
+            let group = pass.group(&gpu.device, matrix.buffer().as_entire_binding());
+            self.groups.push((matrix, group));
         }
-        let (near, far) = (clip(Vec3::new(0.0, 2.0, 0.0)), clip(Vec3::new(0.6, 1.2, 0.0)));
-        assert!(near.z > far.z && (near - far).truncate().length() < 1e-5, "{near} {far}");
-        let moved = clip(Vec3::new(0.0, 2.0, 1.0));
-        let texels = (moved - near).truncate().length() * 0.5 * views[0].side;
-        assert!((texels * views[0].texel_m - 1.0).abs() < 1e-3);
+        for (view, (matrix, _)) in self.lights_views.iter().zip(&mut self.groups) {
+            matrix.set(&gpu.queue, view.clip_from_local);
+        }
     }
+}
+
+/// A bit for each of these lights.
+fn bits<'a>(lights: impl Iterator<Item = &'a u32>) -> u32 {
+    lights.fold(0, |bits, light| bits | 1_u32.checked_shl(*light).unwrap_or(0))
+}
+
+/// Counts draws and their triangles.
+fn add(work: &mut Work, (draws, triangles): (u64, u64)) {
+    work.draws += draws;
+    work.triangles += triangles;
+}
+
+/// Draws into a view's square from now on.
+fn look(render: &mut wgpu::RenderPass<'_>, view: &ShadowView) {
+    render.set_viewport(view.left, view.top, view.side, view.side, 0.0, 1.0);
+    let square = Texels::of(view);
+    render.set_scissor_rect(square.left, square.top, square.width, square.height);
 }

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3};
-use gnomon_scene::{Edit, Edits, LightEdit, NodeEdit, Scene, SceneAt};
+use gnomon_scene::{AnimatedNode, Edit, Edits, LightEdit, NodeEdit, Scene, SceneAt};
 
-use super::living::{SIZE, as_mask, draw, living, renderer, still};
+use super::living::{SIZE, as_mask, draw, living, node, renderer, still};
 use crate::{
     occluders::Occluders,
     render::{
@@ -80,5 +80,39 @@ fn late_masks_know_where_an_edited_lamp_has_gone() {
         assert!(wrong(&found) * 10 < wrong(&then), "{} of {}", wrong(&found), wrong(&then));
         let known = found.iter().filter(|pixel| pixel.known).count();
         assert!(known * 2 > found.len(), "{known} known");
+    }
+}
+
+/// Only what may be edited is drawn into maps again.
+#[test]
+fn late_masks_know_where_a_thing_has_gone_that_rests_unless_it_is_edited() {
+    let (gpu, camera, mut scene) = (gpu(), camera(SIZE.0, SIZE.1), living(false));
+    let animation = scene.animation.as_mut().unwrap();
+    animation.nodes.fill(AnimatedNode { editable: true, ..node() });
+    animation.lights.clear();
+    let mut changing = renderer(&gpu, &scene, Exposure::of_scene(&scene, &Occluders::default()));
+    assert!(!changing.moves());
+    let carried = |aside_m: f64| {
+        let translation_m = Some(DVec3::new(1000.0 + aside_m, 0.2, 0.1));
+        at(0.0, &[Edit::Node(0, NodeEdit { translation_m, ..NodeEdit::default() })])
+    };
+    let mut then_at = SceneAt::default();
+    let mut then = draw(&gpu, &mut changing, (&camera, &then_at), None).1;
+    for (edit, aside_m) in [0.3, 0.8].into_iter().enumerate() {
+        let now_at = carried(aside_m);
+        let truth = draw(&gpu, &mut changing, (&camera, &now_at), None).1;
+        let (mask, coverage, more, before) = (as_mask(&then), None, false, changing.work());
+        let view = MaskView { mask: &mask, coverage, more, traced_for: &camera, scene: &then_at };
+        let found = draw(&gpu, &mut changing, (&camera, &now_at), Some(view)).1;
+        let wrong = |pixels: &[PixelVisibility]| {
+            pixels.iter().zip(&truth).map(|(one, other)| (one.word ^ other.word).count_ones()).sum::<u32>()
+        };
+        println!("{} wrong of old bits, {} of predicted ones", wrong(&then), wrong(&found));
+        assert!(wrong(&then) > 100, "nothing is carried: {}", wrong(&then));
+        assert!(wrong(&found) * 10 < wrong(&then), "{} of {}", wrong(&found), wrong(&then));
+        let work = changing.work() - before;
+        // Three things of two triangles, in the sun's view and the lamp's six, once what rests is kept.
+        assert!(edit == 0 || work.triangles <= 3 * 2 * 7, "{work:?}");
+        (then, then_at) = (truth, now_at);
     }
 }

@@ -1,6 +1,6 @@
 //! Keeps what gives a primitive another shape at other times: the joints of its skin, and its morph targets.
 
-use glam::{DMat4, DQuat, DVec3, Vec3};
+use glam::{DMat4, Vec3};
 use gltf::json::Index;
 
 use super::{
@@ -134,20 +134,7 @@ impl Deformed {
     /// Returns the animated node that the piece hangs on: one that rests, if it has none of its own.
     pub(super) fn node(&self, animation: &mut Animation) -> u32 {
         self.node.unwrap_or_else(|| {
-            let resting = AnimatedNode {
-                name: String::new(),
-                editable: false,
-                parent: None,
-                above: DMat4::IDENTITY,
-                translation_m: DVec3::ZERO,
-                rotation: DQuat::IDENTITY,
-                scale: DVec3::ONE,
-                visible: true,
-                translation_track: None,
-                rotation_track: None,
-                scale_track: None,
-                visible_track: None,
-            };
+            let resting = AnimatedNode::default();
             // They follow all others, so it is the last one if there is one.
             if animation.nodes.last() != Some(&resting) {
                 animation.nodes.push(resting);

@@ -67,6 +67,26 @@ pub struct AnimatedNode {
     pub visible_track: Option<Track>,
 }
 
+/// A node that stands where its parent does.
+impl Default for AnimatedNode {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            editable: false,
+            parent: None,
+            above: DMat4::IDENTITY,
+            translation_m: DVec3::ZERO,
+            rotation: DQuat::IDENTITY,
+            scale: DVec3::ONE,
+            visible: true,
+            translation_track: None,
+            rotation_track: None,
+            scale_track: None,
+            visible_track: None,
+        }
+    }
+}
+
 /// A run of vertices that move with a node, or as their [`Shape`] says. A triangle's vertices all belong to one piece,
 /// or all rest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
