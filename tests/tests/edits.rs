@@ -9,6 +9,7 @@ use std::{
     net::SocketAddr,
     path::{Path, PathBuf},
     sync::Arc,
+    time::{Duration, Instant},
 };
 
 use gnomon_client::{
@@ -27,7 +28,7 @@ use gnomon_scene::{
     Edit, Edits, LightEdit, LoadOptions, NodeEdit, Scene, SceneAt, camera::Camera, testing::write_living_scene,
 };
 use gnomon_server::visibility::backend::cpu::CpuBackend;
-use serde_json::json;
+use serde_json::{Value, json};
 
 const SIZE: (u32, u32) = (160, 90);
 const FREE: &str = "127.0.0.1:0";
@@ -195,10 +196,10 @@ fn two_clients_of_a_shared_world_see_a_dragged_lamp_alike() {
     // It is there before anything moves, and longer.
     let watching = lossy("watching", 100_000, &[]);
     let seen = || fs::read_to_string(folder.join("watching/stats.jsonl")).unwrap_or_default().lines().count();
-    let waits = std::time::Instant::now();
+    let waits = Instant::now();
     while seen() < 2 {
         assert!(waits.elapsed() < PATIENCE, "the watching client does not draw");
-        std::thread::sleep(std::time::Duration::from_millis(20));
+        std::thread::sleep(Duration::from_millis(20));
     }
     let mut recordings = Vec::new();
     let dragging = lossy("dragging", 120, &["--edits", drag.to_str().unwrap()]);
@@ -208,7 +209,7 @@ fn two_clients_of_a_shared_world_see_a_dragged_lamp_alike() {
     let heard = seen() + 100;
     while seen() < heard {
         assert!(waits.elapsed() < 2 * PATIENCE, "the watching client has stopped");
-        std::thread::sleep(std::time::Duration::from_millis(20));
+        std::thread::sleep(Duration::from_millis(20));
     }
     watching.1.terminate().unwrap();
     watching.1.finish(PATIENCE).unwrap();
@@ -239,4 +240,112 @@ fn two_clients_of_a_shared_world_see_a_dragged_lamp_alike() {
     for seen in &states[..2] {
         assert!(seen.is_sorted() && seen.first() < seen.last(), "{seen:?}");
     }
+}
+
+/// Waits for a line of a running client's statistics.
+fn wait_for<T>(folder: &Path, wanted: impl Fn(&Value) -> Option<T>) -> T {
+    let begun = Instant::now();
+    loop {
+        let text = fs::read_to_string(folder.join("stats.jsonl")).unwrap_or_default();
+        // The last line may not be whole.
+        let last = text.rfind('\n').and_then(|end| text[..end].lines().last().map(str::to_owned));
+        let last = last.map(|line| serde_json::from_str::<Value>(&line).unwrap());
+        if let Some(found) = last.as_ref().and_then(&wanted) {
+            return found;
+        }
+        assert!(begun.elapsed() < PATIENCE, "{last:?}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// The number of the frame, if it shows a mask of a frame after `since`.
+fn served_since(since: u64) -> impl Fn(&Value) -> Option<u64> {
+    move |frame| (frame["link"] == "live" && frame["mask_frame"].as_u64() > Some(since)).then(|| number(frame))
+}
+
+/// The number of the frame, if its client has no server.
+fn lost(frame: &Value) -> Option<u64> {
+    (frame["link"] != "live" && frame["link"] != "draining").then(|| number(frame))
+}
+
+fn number(frame: &Value) -> u64 {
+    frame["frame"].as_u64().unwrap()
+}
+
+/// Masks are those of the states that they name. Returns where the lamp was in each.
+fn lamps_of(scene: &Scene, traced: &[Traced]) -> Vec<Option<f64>> {
+    let tracer = CpuBackend::new(scene, None).unwrap();
+    let mut lamps = Vec::new();
+    for (edits, camera, mask) in traced {
+        let Some(mask) = mask else { continue };
+        let mut expected = Mask::new(mask.shape());
+        tracer.trace_at(camera, SceneAt { time_s: 0.0, edits: Arc::new(edits.clone()) }, &mut expected);
+        assert!(*mask == expected, "a mask is that of its state");
+        lamps.push(lamp_x(edits));
+    }
+    lamps
+}
+
+const ENDLESS: u32 = 1_000_000;
+
+#[test]
+fn a_world_of_its_own_outlives_its_server() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = write_living_scene(folder.path()).unwrap();
+    let (scene, path, own) = (editable(&file), write_path(folder.path()), folder.path().join("own"));
+    let (certificate, script, record) =
+        (folder.path().join("certificate"), folder.path().join("edits.jsonl"), own.join("recording"));
+    fs::write(&script, json!({"t": 0, "node": LAMP, "translation": [-1.0, 2.0, 0.5]}).to_string()).unwrap();
+    let serve = |listen: &str| server(&file, &["--listen", listen, "--cert-dir", certificate.to_str().unwrap()]);
+    let first = serve(FREE);
+    let url = first.url().to_owned();
+    let more = ["--fps", "20", "--edits", script.to_str().unwrap(), "--record", record.to_str().unwrap()];
+    let job = job(&url, &path, &own, ENDLESS, &more);
+    let client = job.start().unwrap();
+    wait_for(&own, served_since(0));
+    first.kill().unwrap();
+    let since = wait_for(&own, lost);
+    let second = serve(url.split_once("://").unwrap().1.split('/').next().unwrap());
+    wait_for(&own, served_since(since));
+    client.terminate().unwrap();
+    client.finish(PATIENCE).unwrap();
+    second.stop().unwrap();
+    let summary = job.summary().unwrap();
+    assert_eq!((&summary["reconnects"], &summary["edits_refused"]), (&1.into(), &0.into()));
+    // The second server knows the lamp's place from the client alone.
+    let lamps = lamps_of(&scene, &recorded(&record).0);
+    assert_eq!(lamps.last(), Some(&Some(-1.0)), "{lamps:?}");
+}
+
+#[test]
+fn who_returns_to_a_shared_world_finds_what_others_have_changed() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = write_living_scene(folder.path()).unwrap();
+    let (scene, path, own) = (editable(&file), write_path(folder.path()), folder.path().join("own"));
+    let (script, record) = (folder.path().join("edits.jsonl"), own.join("recording"));
+    fs::write(&script, json!({"t": 0, "node": LAMP, "translation": [-1.0, 2.0, 0.5]}).to_string()).unwrap();
+    let server = server(&file, &["--shared-world"]);
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let relay = |listen: SocketAddr| {
+        runtime.block_on(link::server::start(listen, server.url(), LinkSettings::default())).unwrap()
+    };
+    let first = relay(FREE.parse().unwrap());
+    let (address, url) = (first.address(), first.url(server.url()).unwrap());
+    let job_of = job(&url, &path, &own, ENDLESS, &["--fps", "20", "--record", record.to_str().unwrap()]);
+    let client = job_of.start().unwrap();
+    wait_for(&own, served_since(0));
+    // The network is gone, but the server is not.
+    drop(first);
+    let since = wait_for(&own, lost);
+    let other = folder.path().join("other");
+    let edits = ["--wait", "--edits", script.to_str().unwrap()];
+    job(server.url(), &path, &other, 5, &edits).start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
+    let _second = relay(address);
+    wait_for(&own, served_since(since));
+    client.terminate().unwrap();
+    client.finish(PATIENCE).unwrap();
+    server.stop().unwrap();
+    assert_eq!(job_of.summary().unwrap()["reconnects"], 1);
+    let lamps = lamps_of(&scene, &recorded(&record).0);
+    assert_eq!((lamps.first(), lamps.last()), (Some(&None), Some(&Some(-1.0))), "{lamps:?}");
 }

@@ -217,18 +217,13 @@ fn carried() -> Scene {
         let turned = DQuat::from_scaled_axis(three(3.0));
         let above = DMat4::from_scale_rotation_translation(three(1.5), DQuat::from_scaled_axis(three(3.0)), three(1.0));
         animation.nodes.push(AnimatedNode {
-            name: String::new(),
             editable: true,
-            parent: None,
             above: if node % 4 == 0 { DMat4::IDENTITY } else { above },
             translation_m: if node % 5 == 0 { three(1e6) } else { three(4.0) },
             rotation: turned.normalize(),
             scale,
             visible: node % 13 != 5,
-            translation_track: None,
-            rotation_track: None,
-            scale_track: None,
-            visible_track: None,
+            ..AnimatedNode::default()
         });
         let (first, end) = ((node * count) as usize, ((node + 1) * count) as usize);
         let positions = &scene.positions[first..end];
