@@ -18,8 +18,8 @@
 @group(0) @binding(6) var<storage, read> shadow_views_then: array<ShadowView>;
 // For each piece.
 @group(0) @binding(7) var<storage, read> before: array<Before>;
-// What may differ between both maps: for each row of blocks of 32×32 texels, a bit for each block, 1 if something moving
-// may be in it or just beside it; then three rows of lights. Twin: `render/predict/touched.rs`.
+// What may differ between both maps: for each row of blocks of 32×32 texels, a bit for each block, 1 if something
+// moving may be in it or just beside it; then three rows of lights. Twin: `render/predict/touched.rs`.
 @group(0) @binding(8) var touched: texture_2d<u32>;
 @group(1) @binding(0) var depth_picture: texture_depth_2d;
 @group(1) @binding(1) var normal_material_picture: texture_2d<u32>;
