@@ -86,7 +86,7 @@ fn tile_is_touched(tile: Tile, shadow: ShadowView) -> bool {
     var low = vec2f(shadow.side);
     var high = vec2f(0.0);
     for (var corner = 0u; corner < 8u; corner++) {
-        let ray = first + f32(corner & 1u) * across + f32(corner >> 1u & 1u) * down;
+        let ray = first + f32(corner & 1u) * across + f32((corner >> 1u) & 1u) * down;
         let clip = eye + ray * select(tile.near, tile.far, corner >= 4u);
         beyond &= vec4<bool>(clip.xy > vec2f(clip.w * wide), clip.xy < vec2f(-clip.w * wide));
         behind |= clip.w <= 0.0;
