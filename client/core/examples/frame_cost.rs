@@ -111,9 +111,8 @@ impl Frames {
         print!("{what}: {surfaces:.2} + {rest:.2} ms;");
         let stages: Vec<_> = stages.into_iter().map(|(name, times)| (name, median(times))).collect();
         stages.iter().for_each(|(name, ms)| print!(" {name} {ms:.2}"));
-        let known = self.renderer.known_share().map(|share| share * 100.0);
         let sum = stages.iter().map(|(_, ms)| ms).sum::<f64>();
-        println!(", sum {sum:.2}; {:.1} % of pixels known", known.unwrap_or(f64::NAN));
+        println!(", sum {sum:.2}");
         let work = self.renderer.work() - before;
         if work != Work::default() {
             let frames = self.count.max(1) as u64;

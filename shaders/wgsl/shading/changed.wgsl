@@ -18,7 +18,9 @@
 @group(0) @binding(6) var<storage, read> shadow_views_then: array<ShadowView>;
 // For each piece.
 @group(0) @binding(7) var<storage, read> before: array<Before>;
-@group(0) @binding(8) var<storage, read> touched: Touched;
+// What may differ between both maps: for each row of blocks of 32×32 texels, a bit for each block, 1 if something
+// moving may be in it or just beside it; then three rows of lights. Twin: `render/predict/touched.rs`.
+@group(0) @binding(8) var touched: texture_2d<u32>;
 @group(1) @binding(0) var depth_picture: texture_depth_2d;
 @group(1) @binding(1) var normal_material_picture: texture_2d<u32>;
 @group(1) @binding(2) var piece_picture: texture_2d<u32>;
@@ -27,17 +29,6 @@
 // For each tile of 8×8 pixels, row by row: see `look`.
 @group(1) @binding(4) var<storage, read_write> tiles: array<u32>;
 @group(1) @binding(5) var<storage, read_write> put_off: PutOff;
-
-// What may differ between both maps. Twin: `render/predict/touched.rs`.
-struct Touched {
-    // Bits of lights: those whose maps may differ; all; those that have moved.
-    some: u32,
-    all: u32,
-    moved: u32,
-    unused: u32,
-    // A bit for each block of 32×32 texels, row by row. 1: something moving may be in it, or just beside it.
-    blocks: array<u32>,
-}
 
 fn tiles_across() -> u32 {
     return (view.width + TILE_PX - 1u) / TILE_PX;
@@ -50,17 +41,24 @@ fn toward(light: Light, point: vec3f) -> vec3f {
 const BLOCK_TEXELS: u32 = 32u;
 const TILE_PX: u32 = 8u;
 
+// Rows of bits of lights: those whose maps may differ, all, and those that have moved.
+const SOME: u32 = 0u;
+const ALL: u32 = 1u;
+const MOVED: u32 = 2u;
+
+fn touched_lights(row: u32) -> u32 {
+    return textureLoad(touched, vec2u(0u, textureDimensions(shadow_map).y / BLOCK_TEXELS + row), 0).x;
+}
+
 // Whether one of these blocks of the map is touched.
 fn some_touched(first: vec2u, last: vec2u) -> bool {
-    let across = textureDimensions(shadow_map).x / BLOCK_TEXELS;
     var some = 0u;
     for (var y = first.y; y <= last.y; y++) {
-        let low = y * across + first.x;
-        let high = y * across + last.x;
-        for (var place = low >> 5u; place <= high >> 5u; place++) {
-            let least = max(low, place << 5u) & 31u;
-            let most = min(high, (place << 5u) + 31u) & 31u;
-            some |= touched.blocks[place] & (0xffffffffu << least) & (0xffffffffu >> (31u - most));
+        for (var place = first.x >> 5u; place <= last.x >> 5u; place++) {
+            let least = max(first.x, place << 5u) & 31u;
+            let most = min(last.x, (place << 5u) + 31u) & 31u;
+            let blocks = textureLoad(touched, vec2u(place, y), 0).x;
+            some |= blocks & (0xffffffffu << least) & (0xffffffffu >> (31u - most));
         }
     }
     return some != 0u;
@@ -88,7 +86,7 @@ fn tile_is_touched(tile: Tile, shadow: ShadowView) -> bool {
     var low = vec2f(shadow.side);
     var high = vec2f(0.0);
     for (var corner = 0u; corner < 8u; corner++) {
-        let ray = first + f32(corner & 1u) * across + f32(corner >> 1u & 1u) * down;
+        let ray = first + f32(corner & 1u) * across + f32((corner >> 1u) & 1u) * down;
         let clip = eye + ray * select(tile.near, tile.far, corner >= 4u);
         beyond &= vec4<bool>(clip.xy > vec2f(clip.w * wide), clip.xy < vec2f(-clip.w * wide));
         behind |= clip.w <= 0.0;
@@ -134,7 +132,8 @@ fn look(@builtin(global_invocation_id) id: vec3u) {
         view.near_m / farthest,
     );
     var word = 0u;
-    for (var rest = select(touched.some & ~touched.moved, 0u, nearest == 0.0); rest != 0u; rest &= rest - 1u) {
+    let asked = touched_lights(SOME) & ~touched_lights(MOVED);
+    for (var rest = select(asked, 0u, nearest == 0.0); rest != 0u; rest &= rest - 1u) {
         let k = firstTrailingBit(rest);
         let views = select(1u, 6u, lighting.lights[k].kind == POINT);
         let first_view = lighting.lights[k].shadow_view;
@@ -210,7 +209,7 @@ fn compare(
         return;
     }
     // What moves may turn to a light, wherever its shadow falls.
-    let suspects = select(touched.moved | lights_around(pixel), touched.all, piece.x != 0u);
+    let suspects = select(touched_lights(MOVED) | lights_around(pixel), touched_lights(ALL), piece.x != 0u);
     var word = 0u;
     for (var rest = suspects; rest != 0u; rest &= rest - 1u) {
         let k = firstTrailingBit(rest);

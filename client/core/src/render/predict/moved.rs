@@ -79,7 +79,7 @@ struct Then {
     scene: Option<SceneAt>,
     map: ShadowMap,
     /// [`touched::words`].
-    touched: wgpu::Buffer,
+    touched: wgpu::TextureView,
     scene_group: wgpu::BindGroup,
 }
 
@@ -235,7 +235,12 @@ impl Moved {
         live.work.passes += 1;
         if let Some(then) = &live.then {
             let words = touched::words(map, &then.map);
-            gpu.queue.write_buffer(&then.touched, 0, bytemuck::cast_slice(&words));
+            let picture = then.touched.texture();
+            let layout = wgpu::TexelCopyBufferLayout {
+                bytes_per_row: Some(picture.width() * 4),
+                ..wgpu::TexelCopyBufferLayout::default()
+            };
+            gpu.queue.write_texture(picture.as_image_copy(), bytemuck::cast_slice(&words), layout, picture.size());
             live.work.bytes += size_of_val(&*words) as u64;
             let groups = [&then.scene_group, &live.surface_groups[history.current()]];
             let size = (targets.width, targets.height);
@@ -255,7 +260,7 @@ impl Live {
         let [depth, words] = [wgpu::TextureSampleType::Depth, wgpu::TextureSampleType::Uint].map(picture);
         let (view, lighting) = (uniform::<View>(gpu), uniform::<Lighting>(gpu));
         let (maps, before) = ([depth, storage(true)], storage(true));
-        let of_scene = [view, lighting, maps[0], maps[1], lighting, maps[0], maps[1], before, storage(true)];
+        let of_scene = [view, lighting, maps[0], maps[1], lighting, maps[0], maps[1], before, words];
         let of_surface = [depth, words, words, written_picture(WORD), storage(false), PutOff::layout()];
         let layout = |bindings: &[wgpu::BindingType]| {
             bind_group_layout(device, "changed shadows", wgpu::ShaderStages::COMPUTE, bindings)
@@ -294,12 +299,9 @@ impl Live {
         self.lighting_then.set(&gpu.queue, lighting);
         if self.then.is_none() {
             let Some(map) = map_now.another(gpu, encoder, depth_pass, upload) else { return };
-            let touched = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("where maps may differ"),
-                size: touched::bytes(&map),
-                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            });
+            let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
+            let touched = texture(&gpu.device, "where maps may differ", touched::size(&map), WORD, usage)
+                .create_view(&wgpu::TextureViewDescriptor::default());
             let view = wgpu::BindingResource::TextureView;
             let resources = [
                 now.view.as_entire_binding(),
@@ -310,7 +312,7 @@ impl Live {
                 view(&map.texture),
                 map.views.as_entire_binding(),
                 self.before.as_entire_binding(),
-                touched.as_entire_binding(),
+                view(&touched),
             ];
             let scene_group = bind_group(&gpu.device, "changed shadows", &self.scene_layout, &resources);
             self.then = Some(Then { scene: None, map, touched, scene_group });

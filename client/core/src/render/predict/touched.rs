@@ -9,26 +9,33 @@ const BLOCK_TEXELS: u32 = 32;
 /// side, since it is made a little above the surface.
 const BESIDE_TEXELS: u32 = 2;
 
-const HEAD_WORDS: usize = 4;
+/// Rows of [`words`] behind those of blocks.
+const FOOT_ROWS: u32 = 3;
 
-/// The words of `Touched` in `changed.wgsl`.
+/// Returns the width and height of the picture that [`words`] are.
+pub(super) fn size(map: &ShadowMap) -> (u32, u32) {
+    let across = map.texture.texture().width() / BLOCK_TEXELS;
+    (across.div_ceil(u32::BITS), across + FOOT_ROWS)
+}
+
+/// Returns a picture of words: for each row of blocks, a bit for each block; then rows that begin with bits of lights:
+/// those whose maps may differ, all, and those that have moved.
 pub(super) fn words(now: &ShadowMap, then: &ShadowMap) -> Vec<u32> {
     let moved = now.moved(then);
-    let some = now.touched() | then.touched() | moved;
-    let blocks = blocks_of(now.texture.texture().width(), now.drawn().chain(then.drawn()));
-    [&[some, now.lights(), moved, 0][..], &blocks].concat()
+    let mut words = blocks_of(now.texture.texture().width(), now.drawn().chain(then.drawn()));
+    let (width, _) = size(now);
+    for lights in [now.touched() | then.touched() | moved, now.lights(), moved] {
+        words.push(lights);
+        words.extend((1..width).map(|_| 0));
+    }
+    words
 }
 
-/// Length of [`words`] in bytes.
-pub(super) fn bytes(map: &ShadowMap) -> u64 {
-    let blocks = blocks_of(map.texture.texture().width(), std::iter::empty());
-    ((HEAD_WORDS + blocks.len()) * size_of::<u32>()) as u64
-}
-
-/// A bit for each block of a map with this side, row by row. Bits of blocks that texels lie in or beside are 1.
+/// Bits of the blocks of a map with this side, row by row. Bits of blocks that texels lie in or beside are 1.
 fn blocks_of<'a>(side: u32, texels: impl Iterator<Item = &'a Texels>) -> Vec<u32> {
     let across = side / BLOCK_TEXELS;
-    let mut words = vec![0_u32; (across * across).div_ceil(u32::BITS) as usize];
+    let width = across.div_ceil(u32::BITS);
+    let mut words = vec![0_u32; (width * across) as usize];
     let span = |from: u32, length: u32| {
         let first = from.saturating_sub(BESIDE_TEXELS) / BLOCK_TEXELS;
         let last = (from + length - 1 + BESIDE_TEXELS) / BLOCK_TEXELS;
@@ -37,8 +44,7 @@ fn blocks_of<'a>(side: u32, texels: impl Iterator<Item = &'a Texels>) -> Vec<u32
     for texels in texels {
         for y in span(texels.top, texels.height) {
             for x in span(texels.left, texels.width) {
-                let bit = y * across + x;
-                words[(bit / u32::BITS) as usize] |= 1 << (bit % u32::BITS);
+                words[(y * width + x / u32::BITS) as usize] |= 1 << (x % u32::BITS);
             }
         }
     }
@@ -53,7 +59,7 @@ mod tests {
     fn blocks_are_touched_by_texels_in_them_or_beside_them() {
         let touched = |left, top, width, height| {
             let words = blocks_of(128, [Texels { left, top, width, height }].iter());
-            (0..16).filter(|bit| words[0] >> bit & 1 == 1).collect::<Vec<u32>>()
+            (0..16).filter(|block| words[*block / 4] >> (block % 4) & 1 == 1).collect::<Vec<usize>>()
         };
         assert_eq!(touched(2, 2, 28, 28), [0]);
         assert_eq!(touched(1, 34, 29, 1), [4]);
