@@ -57,15 +57,15 @@ impl Placement {
         self.form.is_some()
     }
 
-    /// Returns the transforms of the piece's positions to the world, and of its normals, up to their length. Joints count
-    /// instead where it has them.
+    /// Returns the transforms of the piece's positions to the world, and of its normals, up to their length. Joints
+    /// count instead where it has them.
     #[must_use]
     pub fn transforms(&self) -> (&DMat4, &DMat3) {
         (&self.world_from_piece, &self.normals)
     }
 
-    /// Returns the world's transforms of the piece's joints, and the morph targets that count, with their weights. `None`
-    /// if it is rigid.
+    /// Returns the world's transforms of the piece's joints, and the morph targets that count, with their weights.
+    /// `None` if it is rigid.
     #[must_use]
     pub fn form(&self) -> Option<(&[DMat4], &[(usize, f64)])> {
         self.form.as_ref().map(|form| form.parts())

@@ -16,10 +16,11 @@ use super::{
     acceleration::Structures,
     enlarge,
     geometry::Geometry,
-    kernels::{self, KernelOptions, Kernels, Lists, SCENE_BUFFERS, Traversal},
+    kernels::{self, KernelOptions, Kernels, Lists, Posers, SCENE_BUFFERS, Traversal},
     limit::{PictureLimit, binding_limit},
-    movers::{Movers, Posed, RegionBuffers, Sizes},
-    posing::{self, Posers, Posing},
+    movers::{Movers, Posed},
+    posing::{self, Posing},
+    regions::{RegionBuffers, Sizes},
     ring::{Capacity, RING_FRAMES, Ring, SLOTS},
     submission::{InFlight, Submissions},
     timing::Timing,
@@ -229,7 +230,7 @@ impl ComputeBackend {
         };
         let [nodes_buffer, triangles, lights, _, _, _, normals] = buffers;
         let regions = RegionBuffers { nodes: nodes_buffer, triangles, lights, normals };
-        let posing = Posing::new(&gpu, scene, &movers, &regions, (traversal, options.posers))?;
+        let posing = Posing::new(&gpu, scene, movers.pieces(), &regions, (traversal, options.posers))?;
         memory.moving_bytes += posing.as_ref().map_or(0, Posing::bytes);
         let moving = Box::new(Moving { movers, buffers: regions, structures, posing });
         let timing = Timing::new(&gpu.device, &gpu.queue, u32::try_from(SLOTS).unwrap_or(u32::MAX));

@@ -6,7 +6,7 @@ use gnomon_shaders::{
     splice::{splice, splice_ray_query, splice_subgroups},
 };
 
-use super::{acceleration, posing::Posers};
+use super::acceleration;
 use crate::visibility::backend::BackendError;
 
 /// How the kernels find the triangles along a ray.
@@ -110,6 +110,17 @@ impl Lists {
 fn has_subgroups(gpu: &Gpu) -> bool {
     let sizes = (gpu.info.subgroup_min_size, gpu.info.subgroup_max_size);
     gpu.device.features().contains(SUBGROUPS) && sizes == (32, 32)
+}
+
+/// Where things are moved.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Posers {
+    /// On the device where it is a GPU that can; software would take longer than the host.
+    #[default]
+    WherePaid,
+    /// On every device that can.
+    Device,
+    Host,
 }
 
 #[derive(Debug, Clone, Copy)]

@@ -10,6 +10,7 @@ mod limit;
 mod movers;
 mod posing;
 mod refit;
+mod regions;
 mod ring;
 mod submission;
 #[cfg(test)]
@@ -19,9 +20,8 @@ mod timing;
 pub(super) use self::kernels::{KernelOptions, Traversal};
 pub use self::{
     backend::{ComputeBackend, DeviceMemory},
-    kernels::Lists,
+    kernels::{Lists, Posers},
     limit::PictureLimit,
-    posing::Posers,
     ring::{RING_FRAMES, SLOTS},
     submission::PartialSubmission,
 };

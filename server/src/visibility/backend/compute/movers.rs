@@ -16,37 +16,13 @@ use super::{
     kernels::Traversal,
     posing::{Firsts, Placed, Posing},
     refit::{Moved, Root, join, most_joined, refit},
+    regions::{RegionBuffers, Sizes},
     ring::SLOTS,
 };
 use crate::visibility::hierarchy::moving::{Bounds, NOTHING, joined};
 
 /// Vertices or triangles that a thread takes at once.
 const RUN: usize = 512;
-
-/// Entries of the scene's buffers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Sizes {
-    pub(super) nodes: usize,
-    pub(super) triangles: usize,
-    pub(super) lights: usize,
-}
-
-impl Sizes {
-    fn bytes(self) -> u64 {
-        let triangle = size_of::<TracedTriangle>() + size_of::<[Vec3; 4]>();
-        let bytes = self.nodes * size_of::<CwBvhNode>() + self.triangles * triangle;
-        (bytes + self.lights * size_of::<TracedLight>()) as u64
-    }
-}
-
-/// The buffers that have regions.
-#[derive(Debug, Clone)]
-pub(super) struct RegionBuffers {
-    pub(super) nodes: wgpu::Buffer,
-    pub(super) triangles: wgpu::Buffer,
-    pub(super) lights: wgpu::Buffer,
-    pub(super) normals: wgpu::Buffer,
-}
 
 /// What the kernels must know of a slot's region: see [`gnomon_shaders::host::TracedView`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

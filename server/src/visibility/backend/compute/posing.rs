@@ -1,5 +1,5 @@
-//! Moves pieces on the device: their vertices, triangles and planes, bit by bit as the host does, and the boxes of their
-//! trees. The host says where pieces and joints are, and makes the small top above the trees.
+//! Moves pieces on the device: their vertices, triangles and planes, bit by bit as the host does, and the boxes of
+//! their trees. The host says where pieces and joints are, and makes the small top above the trees.
 //!
 //! The kernels have f64 made of whole numbers (`wgsl/shared/double.wgsl`), since bits decide where a shadow begins.
 
@@ -13,9 +13,9 @@ use wgpu::util::DeviceExt as _;
 
 use super::{
     geometry::PieceGeometry,
-    kernels::{self, Traversal},
+    kernels::{self, Posers, Traversal},
     limit::binding_limit,
-    movers::{Movers, RegionBuffers},
+    regions::RegionBuffers,
     ring::SLOTS,
 };
 use crate::visibility::backend::BackendError;
@@ -33,17 +33,6 @@ const ROW: u32 = 65_535;
 /// product of two such numbers and a weighted f32, and its square is still an f64: the kernels have no infinity.
 const MOST: f64 = 1e30;
 const MOST_WEIGHT: f64 = 1e12;
-
-/// Where things are moved.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Posers {
-    /// On the device where it is a GPU that can; software would take longer than the host.
-    #[default]
-    WherePaid,
-    /// On every device that can.
-    Device,
-    Host,
-}
 
 /// The kernels and buffers that move pieces.
 #[derive(Debug)]
@@ -142,7 +131,7 @@ impl Posing {
     pub(super) fn new(
         gpu: &Gpu,
         scene: &Scene,
-        movers: &Movers,
+        pieces: &[PieceGeometry],
         regions: &RegionBuffers,
         (traversal, posers): (Traversal, Posers),
     ) -> Result<Option<Self>, BackendError> {
@@ -155,7 +144,7 @@ impl Posing {
             && gpu.device.features().contains(NEEDED)
             && gpu.device.limits().max_storage_buffers_per_shader_stage >= BUFFERS;
         let Some(animation) = scene.animation.as_deref().filter(|_| wanted && able) else { return Ok(None) };
-        let own = OwnGeometry::of(animation, movers);
+        let own = OwnGeometry::of(animation, pieces);
         let per_slot = own.pieces.len() * size_of::<PlacementWords>();
         let forms_bytes = SLOTS * own.form_words * size_of::<u32>();
         let most = own.largest_bytes().max(SLOTS * per_slot).max(forms_bytes) as u64;
@@ -319,10 +308,10 @@ struct OwnGeometry {
 }
 
 impl OwnGeometry {
-    fn of(animation: &Animation, movers: &Movers) -> Self {
-        let mut all = Self { pieces: vec![None; movers.pieces().len()], ..Self::default() };
+    fn of(animation: &Animation, pieces: &[PieceGeometry]) -> Self {
+        let mut all = Self { pieces: vec![None; pieces.len()], ..Self::default() };
         for shaped in [false, true] {
-            for (number, (piece, own)) in movers.pieces().iter().zip(animation.own_vertices()).enumerate() {
+            for (number, (piece, own)) in pieces.iter().zip(animation.own_vertices()).enumerate() {
                 if own.shape.is_some() == shaped && !piece.nodes.is_empty() && is_whole(&own) {
                     all.pieces[number] = Some(all.add(word(number), piece, &own));
                 }

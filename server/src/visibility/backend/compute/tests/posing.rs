@@ -186,8 +186,8 @@ fn doubles_of_whole_numbers_are_those_of_the_processor() {
     assert!(compared > 5 * pairs.len());
 }
 
-/// Balls that nodes turn, stretch, shear, mirror, flatten and carry far away, and slivers among them. Some follow joints,
-/// some change by morph targets.
+/// Balls that nodes turn, stretch, shear, mirror, flatten and carry far away, and slivers among them. Some follow
+/// joints, some change by morph targets.
 fn carried() -> Scene {
     let mut numbers = Numbers(9);
     let nodes = 60;
