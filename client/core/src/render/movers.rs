@@ -234,22 +234,24 @@ impl Movers {
         let none = Animation::default();
         let animation = self.stage.animation.as_deref().unwrap_or(&none);
         let own = animation.own_vertices();
-        let pieces = || own.par_iter().zip(&self.firsts).zip(&moment.pieces);
+        // Without `self`, whose buffers a browser keeps to one thread.
+        let (resting, more_of, firsts) = (&self.vertices, &self.more, &self.firsts);
+        let pieces = || own.par_iter().zip(firsts).zip(&moment.pieces);
         let vertices = pieces().flat_map(|((own, first), placement)| {
             (0..own.positions.len()).into_par_iter().with_min_len(RUN).map(move |at| {
-                let vertex = self.vertices[first + at];
+                let vertex = resting[first + at];
                 let moved = placement.as_ref().map(|placement| placement.vertex(own, at));
                 moved.map_or(vertex, |(position, normal)| vertex.moved(position, normal))
             })
         });
         let vertices: Vec<Vertex> = vertices.collect();
-        let more = if self.more.is_empty() {
+        let more = if more_of.is_empty() {
             Vec::new()
         } else {
             let more = pieces().flat_map(|((own, first), placement)| {
                 (0..own.positions.len()).into_par_iter().with_min_len(RUN).map(move |at| {
                     let turned = placement.as_ref().map(|placement| placement.tangent_of(own, at));
-                    turned.map_or(self.more[first + at], |tangent| self.more[first + at].moved(tangent))
+                    turned.map_or(more_of[first + at], |tangent| more_of[first + at].moved(tangent))
                 })
             });
             more.collect()
