@@ -64,11 +64,16 @@ impl Placement {
         (&self.world_from_piece, &self.normals)
     }
 
-    /// Returns the world's transforms of the piece's joints, and the morph targets that count, with their weights.
-    /// `None` if it is rigid.
+    /// Returns the world's transforms of the piece's joints. Empty without a skin.
     #[must_use]
-    pub fn form(&self) -> Option<(&[DMat4], &[(usize, f64)])> {
-        self.form.as_ref().map(|form| form.parts())
+    pub fn joints(&self) -> &[DMat4] {
+        self.form.as_ref().map_or(&[], |form| form.joints())
+    }
+
+    /// Returns the morph targets that count, with their weights.
+    #[must_use]
+    pub fn targets(&self) -> &[(usize, f64)] {
+        self.form.as_ref().map_or(&[], |form| form.targets())
     }
 
     /// Returns where one of the piece's vertices is in the scene's local space, and its unit normal.

@@ -46,8 +46,12 @@ impl Form {
         }
     }
 
-    pub(super) fn parts(&self) -> (&[DMat4], &[(usize, f64)]) {
-        (&self.joints, &self.targets)
+    pub(super) fn joints(&self) -> &[DMat4] {
+        &self.joints
+    }
+
+    pub(super) fn targets(&self) -> &[(usize, f64)] {
+        &self.targets
     }
 
     /// Returns bounds of what the morph targets make of vertices with these bounds, in their own space.

@@ -223,7 +223,7 @@ impl Posing {
     pub(super) fn takes(&self, piece: usize, placement: &Placement) -> Option<Own> {
         let own = self.pieces.get(piece).copied().flatten()?;
         let (world_from_piece, normals) = placement.transforms();
-        let (joints, targets) = placement.form().unwrap_or_default();
+        let (joints, targets) = (placement.joints(), placement.targets());
         let fits = |number: &f64| number.abs() <= MOST;
         let numbers_fit = world_from_piece.to_cols_array().iter().all(fits)
             && normals.to_cols_array().iter().all(|number| number.abs() <= MOST * MOST)
@@ -240,7 +240,7 @@ impl Posing {
         let first_form = word(slot * self.form_words);
         for placed in placed {
             words[placed.piece] = placed.words(first_form);
-            let (joints, targets) = placed.placement.form().unwrap_or_default();
+            let (joints, targets) = (placed.placement.joints(), placed.placement.targets());
             let columns = joints.iter().flat_map(|joint| [0, 1, 2, 3].map(|n| joint.col(n).truncate().to_array()));
             let numbers = columns.flatten().flat_map(halves);
             set(&mut forms, placed.own.shape.joints, numbers);
@@ -401,7 +401,6 @@ impl Placed<'_> {
         let Self { placement, own, firsts, root, .. } = self;
         let Own { firsts: here, first_vertex, vertices, shape } = *own;
         let (world_from_piece, normals) = placement.transforms();
-        let targets = placement.form().map_or(0, |(_, targets)| targets.len());
         PlacementWords {
             world_from_piece: [0, 1, 2, 3].map(|n| world_from_piece.col(n).truncate().to_array()),
             normals: [0, 1, 2].map(|n| normals.col(n).to_array()),
@@ -418,7 +417,7 @@ impl Placed<'_> {
             deltas: shape.deltas,
             joints: first_form + shape.joints,
             targets: first_form + shape.targets,
-            target_count: word(targets),
+            target_count: word(placement.targets().len()),
             unused: [0; 3],
         }
     }

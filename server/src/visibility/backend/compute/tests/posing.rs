@@ -43,6 +43,11 @@ impl Numbers {
         (self.word() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
     }
 
+    #[expect(clippy::cast_possible_truncation, reason = "any number will do")]
+    fn single(&mut self) -> f32 {
+        self.unit() as f32
+    }
+
     /// A number with an exponent of this range, of any bits, few bits or all bits.
     fn number(&mut self, least: i32, most: i32) -> f64 {
         let range = u64::try_from(most - least).unwrap();
@@ -51,8 +56,8 @@ impl Numbers {
             0 => self.word() % 8,
             1 => (1 << 52) - 1 - self.word() % 8,
             // As of an f32, or just beside the middle between two.
-            2 => self.word() % (1 << 23) << 29,
-            3 => (self.word() % (1 << 23) << 29 | 1 << 28).wrapping_add(self.word() % 3).wrapping_sub(1) % (1 << 52),
+            2 => (self.word() % (1 << 23)) << 29,
+            3 => ((self.word() % (1 << 23)) << 29 | 1 << 28).wrapping_add(self.word() % 3).wrapping_sub(1) % (1 << 52),
             _ => self.word() % (1 << 52),
         };
         f64::from_bits(self.word() << 63 | u64::try_from(exponent).unwrap() << 52 | fraction)
@@ -76,8 +81,8 @@ fn pairs() -> Vec<[f64; 2]> {
             0 => numbers.number(-150, 150),
             6 => numbers.number(-560, -400),
             1 => -a,
-            2 => f64::from_bits(a.to_bits() ^ numbers.word() % 16) * -1.0,
-            3 => f64::from_bits((a * 2.0).to_bits() ^ (1 << 63) ^ numbers.word() % 4),
+            2 => -f64::from_bits(a.to_bits() ^ (numbers.word() % 16)),
+            3 => f64::from_bits((a * 2.0).to_bits() ^ (1 << 63) ^ (numbers.word() % 4)),
             _ => numbers.number(near - 56, near.min(500) + 3),
         };
         pairs.push([a, b]);
@@ -177,6 +182,7 @@ fn doubles_of_whole_numbers_are_those_of_the_processor() {
                 compared += 1;
             }
         }
+        #[expect(clippy::cast_possible_truncation, reason = "what the kernel rounds, too")]
         let rounded = *a as f32;
         assert_eq!(rounded.to_bits(), found[10], "{a:e} as f32: {rounded:e}");
         let low = single(a.to_bits());
@@ -193,7 +199,7 @@ fn carried() -> Scene {
     let nodes = 60;
     let mut test = TestScene::default().point(Vec3::new(0.0, 3.0, 0.0));
     for _ in 0..nodes {
-        let [x, y, z] = [(); 3].map(|()| numbers.unit() as f32);
+        let [x, y, z] = [(); 3].map(|()| numbers.single());
         let at = Vec3::new(x, y, z) * 3.0;
         test = test.sphere(DOUBLE_SIDED, at, 0.3 + 0.2 * x, 6, y > 0.0);
         test = test.quad(DOUBLE_SIDED, at, Vec3::X * 1e-7, Vec3::Y * z).quad(DOUBLE_SIDED, at, at, at * (1.0 + 1e-7));
@@ -218,8 +224,8 @@ fn carried() -> Scene {
         let above = DMat4::from_scale_rotation_translation(three(1.5), DQuat::from_scaled_axis(three(3.0)), three(1.0));
         animation.nodes.push(AnimatedNode {
             editable: true,
-            above: if node % 4 == 0 { DMat4::IDENTITY } else { above },
-            translation_m: if node % 5 == 0 { three(1e6) } else { three(4.0) },
+            above: if node.is_multiple_of(4) { DMat4::IDENTITY } else { above },
+            translation_m: if node.is_multiple_of(5) { three(1e6) } else { three(4.0) },
             rotation: turned.normalize(),
             scale,
             visible: node % 13 != 5,
@@ -235,7 +241,7 @@ fn carried() -> Scene {
             first_vertex: node * count,
             vertices: count,
             bounds,
-            mirrored: node % 7 == 0,
+            mirrored: node.is_multiple_of(7),
         });
         animation.positions.extend_from_slice(positions);
         animation.normals.extend_from_slice(&scene.normals[first..end]);
@@ -250,17 +256,17 @@ fn carried() -> Scene {
 /// Gives a piece a shape.
 fn bend(animation: &mut Animation, piece: u32, vertices: u32, numbers: &mut Numbers) {
     let bounds = Aabb { min: Vec3::splat(-5.0), max: Vec3::splat(5.0) };
-    let (joints, targets) = (if piece % 2 == 0 { 5 } else { 0 }, piece % 4);
+    let (joints, targets) = (if piece.is_multiple_of(2) { 5 } else { 0 }, piece % 4);
     let sets = if joints > 0 { 1 + piece % 3 } else { 0 };
     let mut three = |size: f64| DVec3::new(numbers.unit(), numbers.unit(), numbers.unit()) * size;
     let joint = |n: u16| {
         let scale = if n == 3 { DVec3::new(1.0, 0.0, 1.0) } else { DVec3::ONE + three(0.7) };
         let node_from_own = DMat4::from_scale_rotation_translation(
-            scale * if piece % 8 == 0 { 1e-12 } else { 1.0 },
+            scale * if piece.is_multiple_of(8) { 1e-12 } else { 1.0 },
             DQuat::from_scaled_axis(three(1.0)),
             three(0.5),
         );
-        Joint { node: (n % 2 == 0).then_some(piece), node_from_own, bounds }
+        Joint { node: n.is_multiple_of(2).then_some(piece), node_from_own, bounds }
     };
     let shape = Shape {
         piece,
@@ -269,18 +275,18 @@ fn bend(animation: &mut Animation, piece: u32, vertices: u32, numbers: &mut Numb
         sets,
         targets: (0..targets).map(|n| Target { weight: n as f32 * 0.4 - 0.4, bounds }).collect(),
         weights_track: None,
-        flat: piece % 5 == 0,
+        flat: piece.is_multiple_of(5),
     };
     for n in 0..sets * vertices {
-        let mut weight = || (numbers.unit() as f32).max(0.0) * if n % 11 == 3 { 1e-40 } else { 1.0 };
-        let weights = [weight(), weight(), weight(), if n % 2 == 0 { 0.0 } else { weight() }];
+        let mut weight = || numbers.single().max(0.0) * if n % 11 == 3 { 1e-40 } else { 1.0 };
+        let weights = [weight(), weight(), weight(), if n.is_multiple_of(2) { 0.0 } else { weight() }];
         // Some follow nothing.
         let weights = if n % 23 == 7 { [0.0; 4] } else { weights };
         let joint = |at: u32| u16::try_from((n * 3 + at) % u32::from(joints)).unwrap();
         animation.influences.push(Influence { joints: [joint(0), joint(1), joint(2), joint(7)], weights });
     }
     for _ in 0..targets * vertices {
-        let mut three = || Vec3::new(numbers.unit() as f32, numbers.unit() as f32, numbers.unit() as f32) * 0.3;
+        let mut three = || Vec3::new(numbers.single(), numbers.single(), numbers.single()) * 0.3;
         animation.deltas.push(Delta { position: three(), normal: three(), tangent: three() });
     }
     animation.shapes.push(shape);
