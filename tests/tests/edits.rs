@@ -334,12 +334,14 @@ fn who_returns_to_a_shared_world_finds_what_others_have_changed() {
     let job_of = job(&url, &path, &own, ENDLESS, &["--fps", "20", "--record", record.to_str().unwrap()]);
     let client = job_of.start().unwrap();
     wait_for(&own, served_since(0));
-    // The network is gone, but the server is not.
+    // The network is gone, but the server is not. A connection outlives ten seconds of silence at most.
     drop(first);
+    let gone = Instant::now() + Duration::from_secs(12);
     let since = wait_for(&own, lost);
     let other = folder.path().join("other");
     let edits = ["--wait", "--edits", script.to_str().unwrap()];
     job(server.url(), &path, &other, 5, &edits).start().unwrap().finish(PATIENCE).unwrap().success().unwrap();
+    std::thread::sleep(gone.saturating_duration_since(Instant::now()));
     let _second = relay(address);
     wait_for(&own, served_since(since));
     client.terminate().unwrap();
