@@ -341,6 +341,15 @@ impl App {
         }
     }
 
+    /// Moves the pointer to a pixel of the window: whoever begins to edit knows where it is.
+    pub(super) fn pointer_at(&mut self, x: f64, y: f64) {
+        if let Stage::Playing(play) = &mut self.stage
+            && let Some(editing) = &mut play.editing
+        {
+            editing.pointer_at(x, y);
+        }
+    }
+
     /// Leaves the server. Returns the error that stopped the pictures, or why a file is not written, if any.
     fn close(mut self) -> Result<(), ClientError> {
         tracing::info!(peak_memory_mib = peak_memory_mib(), "leaving");

@@ -9,7 +9,7 @@ use gnomon_client_core::edit::{
     stage::Posed,
     view::View,
 };
-use gnomon_scene::{Edit, Scene, SceneAt, camera::Camera};
+use gnomon_scene::{Edit, Edits, Scene, SceneAt, camera::Camera};
 
 /// A pointer that moves farther while its button is down drags, and does not click. In points.
 const CLICK: f64 = 4.0;
@@ -49,6 +49,8 @@ impl Fit {
 pub(crate) struct Seen {
     pub(crate) view: View,
     pub(crate) posed: Posed,
+    /// With all that was edited, from which edits go on: a picture in step with its masks may lack the newest.
+    pub(crate) latest: Posed,
     pub(crate) gizmo: Option<Gizmo>,
     pub(crate) fit: Fit,
     /// Pixels of the window for one point.
@@ -85,18 +87,25 @@ impl Editing {
         Self { editor: Editor::new(scene), seen: None, pointer: DVec2::ZERO, pressed: None, edits: Vec::new() }
     }
 
-    /// Takes what the next picture is of, and drags what is held.
-    pub(crate) fn look(&mut self, camera: Camera, mut at: SceneAt, fit: Fit, per_point: f64) {
+    /// Takes what the next picture is of, and drags what is held. `edited` is all that was edited.
+    pub(crate) fn look(&mut self, camera: Camera, mut at: SceneAt, edited: Arc<Edits>, fit: Fit, per_point: f64) {
         let view = View::new(camera, self.editor.space());
-        self.edits.extend(self.editor.drag_to(&view, fit.to_picture(self.pointer)));
-        let edits = Arc::make_mut(&mut at.edits);
-        for edit in &self.edits {
-            // What goes beyond the most is not drawn.
-            let _ = edits.apply(*edit);
+        let size = |camera: &Camera| (camera.width, camera.height);
+        // A drag counts from a pixel of a picture of one size.
+        if self.seen.as_ref().is_some_and(|seen| size(&seen.view.camera) != size(&view.camera)) {
+            self.let_go();
         }
-        let posed = self.editor.stage.pose(&at);
+        self.edits.extend(self.editor.drag_to(&view, fit.to_picture(self.pointer)));
+        let mut latest = SceneAt { time_s: at.time_s, edits: edited };
+        for edits in [&mut at.edits, &mut latest.edits].map(Arc::make_mut) {
+            for edit in &self.edits {
+                // What goes beyond the most is not drawn.
+                let _ = edits.apply(*edit);
+            }
+        }
+        let (posed, latest) = (self.editor.stage.pose(&at), self.editor.stage.pose(&latest));
         let gizmo = self.editor.gizmo(&view, &posed, RADIUS * per_point / fit.scale);
-        self.seen = Some(Seen { view, posed, gizmo, fit, per_point });
+        self.seen = Some(Seen { view, posed, latest, gizmo, fit, per_point });
     }
 
     /// Moves the pointer to a pixel of the window.
@@ -114,7 +123,7 @@ impl Editing {
             return true;
         }
         let px = (seen.fit.to_picture(self.pointer), seen.reach_px());
-        let holds = seen.gizmo.as_ref().is_some_and(|gizmo| self.editor.grab(&seen.view, &seen.posed, gizmo, px));
+        let holds = seen.gizmo.as_ref().is_some_and(|gizmo| self.editor.grab(&seen.view, &seen.latest, gizmo, px));
         self.pressed = (!holds).then_some(self.pointer);
         holds
     }

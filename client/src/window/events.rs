@@ -64,7 +64,7 @@ impl App {
             }
             WindowEvent::CursorMoved { position, .. } => {
                 controls.pointer_at(position.x, position.y);
-                self.editing().into_iter().for_each(|editing| editing.pointer_at(position.x, position.y));
+                self.pointer_at(position.x, position.y);
             }
             WindowEvent::MouseInput { state: ElementState::Pressed, button: MouseButton::Left, .. } if !consumed => {
                 let context = egui.egui_ctx().clone();

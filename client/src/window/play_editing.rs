@@ -33,13 +33,14 @@ impl Play {
         let (scene_time_s, fit) = (self.scene_time_s(), Fit::new(window, self.size()));
         let mut camera = self.camera(scene_time_s);
         let mut at = self.scene_at(scene_time_s);
+        let edited = Arc::clone(&at.edits);
         // A picture in step with its masks is of an earlier view.
         if let Some(last) = self.driver.last.as_ref().filter(|last| last.decision.state == State::Sequential) {
             (camera, at) = (last.camera, last.scene.clone());
         }
         let Some(editing) = &mut self.editing else { return };
         if settings.edit {
-            editing.look(camera, at, fit, per_point.into());
+            editing.look(camera, at, edited, fit, per_point.into());
         } else {
             editing.leave();
         }

@@ -1,4 +1,4 @@
-// Takes what moves out of a shadow map again (`render/predict/shadow_map.rs`).
+// Takes what moves out of a shadow map again (`render/predict/eraser.rs`).
 
 #import "shading/view.wgsl"
 

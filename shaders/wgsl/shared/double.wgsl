@@ -1,6 +1,6 @@
 // f64 by whole numbers, bit by bit that of the processor. An adapter's own f64 may round otherwise: a compiler may fuse
 // products with sums, and quotients and roots need not be rounded correctly. Results are rounded to the nearest, ties to
-// even, as IEEE 754 has it, down to the smallest. Nothing here is infinite: callers see to it that nothing gets so large.
+// even, as IEEE 754 has it, down to the smallest. Nothing infinite is read back: callers see to it that nothing gets so large.
 
 // ± mantissa · 2^exponent. The mantissa is 0, or has 53 bits; those of numbers below 2^-1022 end in zeros.
 struct Double {
@@ -14,6 +14,8 @@ const ZERO = Double(0u, 0, 0lu);
 const ONE = Double(0u, -52, 0x10000000000000lu);
 // The last bit of the smallest numbers is worth two to this power.
 const LAST_POWER: i32 = -1074;
+// Twice the steps by which an estimate is put right.
+const MOST_STEPS: u32 = 4u;
 
 // A number with 55 or 56 bits, the last of which is set if anything was cut off below it, rounded.
 fn rounded(sign: u32, exponent: i32, bits: u64) -> Double {
@@ -162,11 +164,11 @@ fn difference(x: Double, y: Double) -> Double {
     return sum(x, negative(y));
 }
 
-// y is not 0. Digits of 18, 19 and 18 bits are estimated in f32, which leaves less than a quarter of the last bit's worth
-// of error to each, and the remainder, which is exact, puts the whole right.
+// Digits of 18, 19 and 18 bits are estimated in f32, which leaves less than a quarter of the last bit's worth of error to
+// each, and the remainder, which is exact, puts the whole right: by one step, or two. By zero, it is zero.
 fn quotient(x: Double, y: Double) -> Double {
     let sign = x.sign ^ y.sign;
-    if x.mantissa == 0lu {
+    if x.mantissa == 0lu || y.mantissa == 0lu {
         return Double(sign, 0, 0lu);
     }
     let by = i64(y.mantissa);
@@ -180,20 +182,24 @@ fn quotient(x: Double, y: Double) -> Double {
         // What leaves the word above is the same on both sides.
         rest = (rest << width) - estimate * by;
     }
-    while rest < 0li {
-        bits -= 1li;
-        rest += by;
-    }
-    while rest >= by {
-        bits += 1li;
-        rest -= by;
+    for (var step = 0u; step < MOST_STEPS; step++) {
+        if rest < 0li {
+            bits -= 1li;
+            rest += by;
+        } else if rest >= by {
+            bits += 1li;
+            rest -= by;
+        }
     }
     return rounded(sign, x.exponent - y.exponent - 55, u64(bits) | bit_if(rest != 0li));
 }
 
-// x is positive. The root's first 24 bits are estimated in f32, then 21 and 10 more from what its square lacks, which is
-// exact and puts the whole right.
+// x is not negative. The root's first 24 bits are estimated in f32, then 21 and 10 more from what its square lacks, which
+// is exact and puts the whole right: by two steps at most.
 fn root(x: Double) -> Double {
+    if x.mantissa == 0lu {
+        return x;
+    }
     let odd = u32(x.exponent & 1);
     let square = i64(x.mantissa << odd);
     var bits = i64(sqrt(f32(square)) * 0.125);
@@ -205,13 +211,14 @@ fn root(x: Double) -> Double {
     let third = i64(f32(rest) * 512.0 / f32(bits));
     bits = (bits << 10u) + third;
     rest = (square << 56u) - bits * bits;
-    while rest < 0li {
-        bits -= 1li;
-        rest += 2li * bits + 1li;
-    }
-    while rest > 2li * bits {
-        rest -= 2li * bits + 1li;
-        bits += 1li;
+    for (var step = 0u; step < MOST_STEPS; step++) {
+        if rest < 0li {
+            bits -= 1li;
+            rest += 2li * bits + 1li;
+        } else if rest > 2li * bits {
+            rest -= 2li * bits + 1li;
+            bits += 1li;
+        }
     }
     return rounded(0u, (x.exponent - i32(odd)) / 2 - 28, u64(bits) | bit_if(rest != 0li));
 }

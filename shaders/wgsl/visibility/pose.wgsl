@@ -1,5 +1,5 @@
 // What moves, put where it is at a frame's time, in the slot's region of the scene's buffers: vertices, then triangles,
-// then the nodes above them. Bit by bit what the host would write there, but for nodes, whose boxes may be larger.
+// then the nodes above them. Bit by bit what the host would write there, but for nodes, whose boxes may differ.
 // Twins: `backend/compute/posing.rs`.
 
 // What one dispatch works on.

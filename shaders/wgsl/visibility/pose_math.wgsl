@@ -62,8 +62,8 @@ fn normal_bits(by: Transform, normal: Double3, own: vec3u) -> vec3u {
 }
 
 // 1e-7 and 1e-16, as f64.
-const MIN_HEIGHT_RATIO = vec2u(0x9abcaf48u, 0x3e7ad7f2u);
-const MIN_DOUBLE_AREA_M2 = vec2u(0x97d889bcu, 0x3c9cd2b2u);
+const MIN_HEIGHT_RATIO = Double(0u, -76, 0x1ad7f29abcaf48lu);
+const MIN_DOUBLE_AREA_M2 = Double(0u, -106, 0x1cd2b297d889bclu);
 
 fn larger(x: Double, y: Double) -> Double {
     if is_greater(y, x) {
@@ -87,9 +87,8 @@ fn plane(corners: array<vec3u, 3>) -> vec3u {
     }
     let double_area = root(squared);
     let longest_squared = larger(larger(dot3(ab, ab), dot3(ac, ac)), dot3(bc, bc));
-    let ratio = double_of(MIN_HEIGHT_RATIO.x, MIN_HEIGHT_RATIO.y);
-    let least = double_of(MIN_DOUBLE_AREA_M2.x, MIN_DOUBLE_AREA_M2.y);
-    if !is_greater(double_area, product(ratio, longest_squared)) || !is_greater(double_area, least) {
+    let least = product(MIN_HEIGHT_RATIO, longest_squared);
+    if !is_greater(double_area, least) || !is_greater(double_area, MIN_DOUBLE_AREA_M2) {
         return vec3u(0u);
     }
     return vec3u(

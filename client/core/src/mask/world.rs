@@ -155,8 +155,12 @@ impl World {
         }
         let drawn = Arc::make_mut(&mut self.drawn);
         for edit in edits {
-            // What goes beyond the most, the server would refuse.
-            if drawn.apply(*edit).is_ok() {
+            let is_so = match edit {
+                Edit::Node(node, edit) => drawn.node(*node) == *edit,
+                Edit::Light(light, edit) => drawn.light(*light) == *edit,
+            };
+            // A handle that is held still says the same again. What goes beyond the most, the server would refuse.
+            if !is_so && drawn.apply(*edit).is_ok() {
                 put(&mut self.unsent, *edit);
             }
         }

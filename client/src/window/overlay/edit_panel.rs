@@ -12,7 +12,7 @@ use crate::window::editing::Editing;
 /// Most entries of the list; others are found with a click.
 const MOST_LISTED: usize = 400;
 
-/// Quaternions and directions that are farther apart are not those that were typed. They have gone through f32.
+/// Quaternions and directions that are farther apart are not those that were typed. The latter have gone through f32.
 const SAME: f64 = 1e-6;
 
 /// Angles as they were typed: other angles may give the same direction.
@@ -47,7 +47,7 @@ pub(crate) fn show(context: &egui::Context, editing: &mut Editing) {
                 Some(Target::Light(light)) => light_rows(ui, editing, light),
             };
             if let (Some(edit), Some(seen)) = (edit, &editing.seen) {
-                editing.edits.extend(editing.editor.change(&seen.posed.at, edit));
+                editing.edits.extend(editing.editor.change(&seen.latest.at, edit));
             }
         });
     });
@@ -119,10 +119,30 @@ fn numbers<const N: usize>(
 ) -> bool {
     title(ui, name);
     let row = ui.horizontal(|ui| {
-        let add = |value: &mut f64| ui.add_sized([70.0, 18.0], kind(DragValue::new(value).max_decimals(3))).changed();
+        let add = |value: &mut f64| number(ui, 70.0, value, &kind);
         values.iter_mut().map(add).fold(false, |any, changed| any | changed)
     });
     row.inner
+}
+
+/// A number. Returns whether it was changed.
+fn number(ui: &mut Ui, width: f32, value: &mut f64, kind: impl Fn(DragValue<'_>) -> DragValue<'_>) -> bool {
+    let (was, decimals) = (*value, decimals(*value));
+    let shown = kind(DragValue::new(value).max_decimals(decimals));
+    let changed = ui.add_sized([width, 18.0], shown).changed();
+    // Whoever clicks into it and away again leaves what it showed, which is rounded.
+    let is_news = changed && (*value - was).abs() > 0.51 * 0.1_f64.powi(i32::try_from(decimals).unwrap_or(i32::MAX));
+    if !is_news {
+        *value = was;
+    }
+    is_news
+}
+
+/// Thousandths, or three digits of what is smaller.
+fn decimals(value: f64) -> usize {
+    (3..9)
+        .find(|decimals| value == 0.0 || value.abs() * 10_f64.powi(*decimals) >= 100.0)
+        .map_or(9, |decimals| usize::try_from(decimals).unwrap_or(9))
 }
 
 fn metres(value: DragValue<'_>) -> DragValue<'_> {
@@ -134,7 +154,7 @@ fn degrees(value: DragValue<'_>) -> DragValue<'_> {
 }
 
 fn node_rows(ui: &mut Ui, editing: &Editing, node: u32) -> Option<Edit> {
-    let at = &editing.seen.as_ref()?.posed.at;
+    let at = &editing.seen.as_ref()?.latest.at;
     let before: NodeAt = editing.editor.stage.scene().node_at(node, at)?;
     let edited = at.edits.node(node);
     let mut after = before;
@@ -149,7 +169,9 @@ fn node_rows(ui: &mut Ui, editing: &Editing, node: u32) -> Option<Edit> {
         remember(ui, Typed { rotation: Some((after.rotation, angles)), ..typed(ui) });
     }
     let mut scale = before.scale.to_array();
-    if numbers(ui, "scale", &mut scale, metres) {
+    // A hundredth of what it is, so that things in any unit grow alike.
+    let speed = 0.01 * before.scale.abs().max_element().max(1e-6);
+    if numbers(ui, "scale", &mut scale, |value| value.speed(speed)) {
         after.scale = scale.into();
     }
     ui.checkbox(&mut after.shown, "shown");
@@ -162,7 +184,7 @@ fn node_rows(ui: &mut Ui, editing: &Editing, node: u32) -> Option<Edit> {
 }
 
 fn light_rows(ui: &mut Ui, editing: &Editing, number: u32) -> Option<Edit> {
-    let posed = &editing.seen.as_ref()?.posed;
+    let posed = &editing.seen.as_ref()?.latest;
     let light = posed.lights.get(number as usize)?;
     let LightAt { kind, position_m, direction } = editing.editor.light_at(number, posed)?;
     let edited = posed.at.edits.light(number);
@@ -183,18 +205,21 @@ fn light_rows(ui: &mut Ui, editing: &Editing, number: u32) -> Option<Edit> {
         }
     }
     let unit = if kind == LightKind::Directional { "lx" } else { "cd" };
-    let mut intensity = light.intensity;
+    let mut intensity = f64::from(light.intensity);
     title(ui, "brightness");
     ui.horizontal(|ui| {
         // A hundredth of what it is, so that lamps of any strength dim alike.
-        let speed = f64::from(intensity.max(0.1)) * 0.01;
-        let value = DragValue::new(&mut intensity).range(0.0..=f32::MAX).speed(speed).max_decimals(3);
-        let dragged = ui.add_sized([110.0, 18.0], value.suffix(format!(" {unit}"))).changed();
+        let speed = intensity.max(1e-3) * 0.01;
+        let dragged = number(ui, 110.0, &mut intensity, |value| {
+            value.range(0.0..=f64::from(f32::MAX)).speed(speed).suffix(format!(" {unit}"))
+        });
         let off = ui.add_enabled(light.intensity > 0.0, egui::Button::new("off")).clicked();
         if off {
             intensity = 0.0;
         }
         if dragged || off {
+            #[expect(clippy::cast_possible_truncation, reason = "what lights have")]
+            let intensity = intensity as f32;
             edit.intensity = Some(intensity);
         }
     });
@@ -261,5 +286,12 @@ mod tests {
             assert!(direction_of(heading_of(direction)).distance(direction) < 1e-7, "{direction}");
         }
         assert_eq!(heading_of(DVec3::X), [90.0, 0.0]);
+    }
+
+    #[test]
+    fn small_numbers_show_three_digits() {
+        for (value, expected) in [(0.0, 3), (12.5, 3), (0.1, 3), (-0.012_345_6, 4), (4e-4, 6), (1e-12, 9)] {
+            assert_eq!(decimals(value), expected, "{value}");
+        }
     }
 }

@@ -13,6 +13,10 @@ use crate::{
 /// Largest number in a joint's transform. Beyond it, products overflow.
 const MAX_FACTOR: f64 = 1e60;
 
+/// A vertex is at most this share of what its joints' products add up to beside a mean of the places where they would
+/// have it: 64 joints' products and sums, their weights' sum, its reciprocal and two products more, each rounded by 2⁻⁵³.
+const BLEND_ROUNDING: f64 = 2.0 / (1_u64 << 46) as f64;
+
 /// A shape at one time.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Form {
@@ -66,18 +70,22 @@ impl Form {
     }
 
     /// Returns bounds of the piece in the world. `None` if it may lie out of reach. A vertex is a mean of the places
-    /// where its joints would have it, so it lies between them.
+    /// where its joints would have it, so it lies between them, but for what rounds their mean ([`BLEND_ROUNDING`]).
     pub(super) fn bounds(&self, shape: &Shape, own: Aabb, world_from_own: &DMat4) -> Option<[DVec3; 2]> {
         if self.joints.is_empty() {
             return bounds(self.morphed(shape, own), world_from_own);
         }
-        let joints = self.joints.iter().zip(&shape.joints);
-        let each = joints.map(|(world, joint)| {
+        let (mut all, mut size) = ([DVec3::INFINITY, DVec3::NEG_INFINITY], DVec3::ZERO);
+        for (world, joint) in self.joints.iter().zip(&shape.joints) {
             let legal = world.to_cols_array().iter().all(|v| v.abs() <= MAX_FACTOR);
-            bounds(self.morphed(shape, joint.bounds), world).filter(|_| legal)
-        });
-        let all: Option<Vec<[DVec3; 2]>> = each.collect();
-        all?.into_iter().reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])])
+            let morphed = self.morphed(shape, joint.bounds);
+            let there = bounds(morphed, world).filter(|_| legal)?;
+            all = [all[0].min(there[0]), all[1].max(there[1])];
+            let farthest = morphed[0].abs().max(morphed[1].abs());
+            let [x, y, z, w] = [0, 1, 2, 3].map(|n| world.col(n).truncate().abs());
+            size = size.max(x * farthest.x + y * farthest.y + z * farthest.z + w);
+        }
+        Some([all[0] - size * BLEND_ROUNDING, all[1] + size * BLEND_ROUNDING])
     }
 
     /// Returns whether the skin mirrors the piece: as its first vertex says. `None` without a skin.

@@ -34,7 +34,7 @@ pub(super) fn covered(view: &ShadowView, bounds: &Aabb) -> Option<Texels> {
         let pick = |axis: usize| if corner >> axis & 1 == 0 { bounds.min[axis] } else { bounds.max[axis] };
         view.clip_from_local * Vec3::new(pick(0), pick(1), pick(2)).extend(1.0)
     });
-    // Beyond one of the planes that clip. Depth is reversed, and has no far plane.
+    // Beyond one of the planes that clip. Depth is reversed; a far plane is not asked.
     let wide = 1.0 + 2.0 * MARGIN / view.side;
     let beyond = |side: fn(&glam::Vec4, f32) -> bool| corners.iter().all(|corner| side(corner, corner.w * wide));
     if beyond(|at, w| at.x > w)

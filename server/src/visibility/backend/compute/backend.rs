@@ -112,9 +112,8 @@ pub struct DeviceMemory {
     pub lights_bytes: u64,
     /// Alpha materials, their pictures, and texture coordinates.
     pub alpha_bytes: u64,
-    /// What moves or may be edited, once for each frame that may have begun: nodes, triangles, normals and lights. An
-    /// adapter's own
-    /// structures are not counted.
+    /// What moves or may be edited, once for each frame that may have begun: nodes, triangles, normals and lights; and
+    /// what the device moves it by. An adapter's own structures are not counted.
     pub moving_bytes: u64,
     /// Words of one mask; 0 while there are no buffers.
     pub mask_bytes: u64,
@@ -230,7 +229,14 @@ impl ComputeBackend {
         };
         let [nodes_buffer, triangles, lights, _, _, _, normals] = buffers;
         let regions = RegionBuffers { nodes: nodes_buffer, triangles, lights, normals };
-        let posing = Posing::new(&gpu, scene, movers.pieces(), &regions, (traversal, options.posers))?;
+        if let Some(reason) = failure.take() {
+            return Err(BackendError::Setup(reason));
+        }
+        let mut posing = Posing::new(&gpu, scene, movers.pieces(), &regions, (traversal, options.posers))?;
+        if let Some(reason) = failure.take() {
+            tracing::warn!(%reason, "the processor moves what moves, since the device cannot");
+            posing = None;
+        }
         memory.moving_bytes += posing.as_ref().map_or(0, Posing::bytes);
         let moving = Box::new(Moving { movers, buffers: regions, structures, posing });
         let timing = Timing::new(&gpu.device, &gpu.queue, u32::try_from(SLOTS).unwrap_or(u32::MAX));

@@ -86,7 +86,7 @@ pub(super) struct Firsts {
 /// Twin: `wgsl/visibility/pose.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
-pub(super) struct PlacementWords {
+struct PlacementWords {
     world_from_piece: [[f64; 3]; 4],
     normals: [[f64; 3]; 3],
     origin_m: [f64; 3],
@@ -425,7 +425,7 @@ impl Placed<'_> {
 
 /// The low and the high word of a number.
 fn halves(number: f64) -> [u32; 2] {
-    bytemuck::cast(number.to_bits().to_le())
+    bytemuck::cast(number)
 }
 
 /// Writes words from a place on.

@@ -138,7 +138,8 @@ fn only_scenes_that_move_have_regions_of_geometry() {
     let resting = room();
     assert_eq!(backend(&resting).memory().moving_bytes, SLOTS as u64 * 48 * resting.lights.len() as u64);
     let scene = living_room();
-    let memory = backend(&scene).memory();
+    let open = |posers| ComputeBackend::open_with_posers(&scene, None, true, posers).unwrap();
+    let memory = open(Posers::Host).memory();
     let animation = scene.animation.as_ref().unwrap();
     let moves = |corners: &&[u32; 3]| animation.piece_of(corners[0]).is_some();
     let triangles = scene.tracing_triangles().iter().filter(moves).count() as u64;
@@ -146,4 +147,5 @@ fn only_scenes_that_move_have_regions_of_geometry() {
     // A triangle and its normals take 48 bytes each, as does a light. Nodes are few.
     let least = SLOTS as u64 * (96 * triangles + 48 * lights);
     assert!((least..2 * least).contains(&memory.moving_bytes), "{memory:?}, at least {least}");
+    assert!(open(Posers::Device).memory().moving_bytes > memory.moving_bytes, "what moves them counts, too");
 }
