@@ -119,14 +119,14 @@ fn numbers<const N: usize>(
 ) -> bool {
     title(ui, name);
     let row = ui.horizontal(|ui| {
-        let add = |value: &mut f64| number(ui, 70.0, value, &kind);
+        let add = |value: &mut f64| one_number(ui, 70.0, value, &kind);
         values.iter_mut().map(add).fold(false, |any, changed| any | changed)
     });
     row.inner
 }
 
 /// A number. Returns whether it was changed.
-fn number(ui: &mut Ui, width: f32, value: &mut f64, kind: impl Fn(DragValue<'_>) -> DragValue<'_>) -> bool {
+fn one_number(ui: &mut Ui, width: f32, value: &mut f64, kind: impl Fn(DragValue<'_>) -> DragValue<'_>) -> bool {
     let (was, decimals) = (*value, decimals(*value));
     let shown = kind(DragValue::new(value).max_decimals(decimals));
     let changed = ui.add_sized([width, 18.0], shown).changed();
@@ -210,7 +210,7 @@ fn light_rows(ui: &mut Ui, editing: &Editing, number: u32) -> Option<Edit> {
     ui.horizontal(|ui| {
         // A hundredth of what it is, so that lamps of any strength dim alike.
         let speed = intensity.max(1e-3) * 0.01;
-        let dragged = number(ui, 110.0, &mut intensity, |value| {
+        let dragged = one_number(ui, 110.0, &mut intensity, |value| {
             value.range(0.0..=f64::from(f32::MAX)).speed(speed).suffix(format!(" {unit}"))
         });
         let off = ui.add_enabled(light.intensity > 0.0, egui::Button::new("off")).clicked();
