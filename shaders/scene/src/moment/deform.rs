@@ -13,9 +13,10 @@ use crate::{
 /// Largest number in a joint's transform. Beyond it, products overflow.
 const MAX_FACTOR: f64 = 1e60;
 
-/// A vertex is at most this share of what its joints' products add up to beside a mean of the places where they would
-/// have it: 64 joints' products and sums, their weights' sum, its reciprocal and two products more, each rounded by 2⁻⁵³.
-const BLEND_ROUNDING: f64 = 2.0 / (1_u64 << 46) as f64;
+/// How far a vertex may lie from a mean of the places where its joints would have it, as a share of what a joint's
+/// products add up to: sums of 16 joints and of their weights, a reciprocal and the transform itself are rounded fewer
+/// than 64 times, by 2⁻⁵³ each.
+const BLEND_ROUNDING: f64 = 1.0 / (1_u64 << 47) as f64;
 
 /// A shape at one time.
 #[derive(Debug, Clone, PartialEq)]
