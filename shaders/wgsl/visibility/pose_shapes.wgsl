@@ -108,7 +108,7 @@ fn pose_shapes(
         return;
     }
     let own_normal = own_vertices[2u * vertex + 1u].xyz;
-    // A loop, since a kernel with four copies of all this waits for its own instructions.
+    // A loop, so that the kernel has all this once.
     let flat_shaded = (flags & FLAT) != 0u;
     let corner = (vertex - placements[placement + FIRST_VERTEX_AT]) % 3u;
     var corners: array<vec3u, 3>;
