@@ -7,8 +7,14 @@ use thiserror::Error;
 
 use crate::uniforms::Uniforms;
 
-/// Every WGSL file: its path under `wgsl/`, and its text.
-pub const FILES: &[(&str, &str)] = &[
+/// WGSL files: their paths under `wgsl/`, and their texts.
+type Files = &'static [(&'static str, &'static str)];
+
+/// Every WGSL file.
+pub const FILES: [Files; 2] = [SHADING, TRACING];
+
+/// Those of the client.
+const SHADING: Files = &[
     ("shading/around.wgsl", include_str!("../wgsl/shading/around.wgsl")),
     ("shading/baseline.wgsl", include_str!("../wgsl/shading/baseline.wgsl")),
     ("shading/before.wgsl", include_str!("../wgsl/shading/before.wgsl")),
@@ -36,12 +42,17 @@ pub const FILES: &[(&str, &str)] = &[
     ("shading/surface.wgsl", include_str!("../wgsl/shading/surface.wgsl")),
     ("shading/tone.wgsl", include_str!("../wgsl/shading/tone.wgsl")),
     ("shading/view.wgsl", include_str!("../wgsl/shading/view.wgsl")),
+    ("shared/mask.wgsl", include_str!("../wgsl/shared/mask.wgsl")),
+    ("shared/texels.wgsl", include_str!("../wgsl/shared/texels.wgsl")),
+];
+
+/// Those of the server alone. A page fetches less without them.
+#[cfg(not(target_family = "wasm"))]
+const TRACING: Files = &[
     ("shared/alpha.wgsl", include_str!("../wgsl/shared/alpha.wgsl")),
     ("shared/cwbvh.wgsl", include_str!("../wgsl/shared/cwbvh.wgsl")),
     ("shared/double.wgsl", include_str!("../wgsl/shared/double.wgsl")),
-    ("shared/mask.wgsl", include_str!("../wgsl/shared/mask.wgsl")),
     ("shared/ray.wgsl", include_str!("../wgsl/shared/ray.wgsl")),
-    ("shared/texels.wgsl", include_str!("../wgsl/shared/texels.wgsl")),
     ("shared/traced_scene.wgsl", include_str!("../wgsl/shared/traced_scene.wgsl")),
     ("visibility/block_walk.wgsl", include_str!("../wgsl/visibility/block_walk.wgsl")),
     ("visibility/candidates.wgsl", include_str!("../wgsl/visibility/candidates.wgsl")),
@@ -76,6 +87,8 @@ pub const FILES: &[(&str, &str)] = &[
     ("visibility/surface.wgsl", include_str!("../wgsl/visibility/surface.wgsl")),
     ("visibility/traverse.wgsl", include_str!("../wgsl/visibility/traverse.wgsl")),
 ];
+#[cfg(target_family = "wasm")]
+const TRACING: Files = &[];
 
 /// Why a shader cannot be spliced.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -92,7 +105,7 @@ pub enum SpliceError {
 /// # Errors
 /// If a file does not exist or a directive is malformed.
 pub fn splice(path: &str) -> Result<String, SpliceError> {
-    splice_from(FILES, &[], path)
+    splice_from(&FILES, &[], path)
 }
 
 /// As [`splice`], with uniform buffers declared as `uniforms` says.
@@ -108,7 +121,7 @@ pub fn splice_for(uniforms: Uniforms, path: &str) -> Result<String, SpliceError>
 /// # Errors
 /// Those of [`splice`].
 pub fn splice_ray_query(path: &str) -> Result<String, SpliceError> {
-    let text = splice_from(FILES, &[("visibility/traverse.wgsl", "visibility/ray_query.wgsl")], path)?;
+    let text = splice_from(&FILES, &[("visibility/traverse.wgsl", "visibility/ray_query.wgsl")], path)?;
     // Directives come before everything else.
     Ok(format!("enable wgpu_ray_query;\n{text}"))
 }
@@ -118,18 +131,18 @@ pub fn splice_ray_query(path: &str) -> Result<String, SpliceError> {
 /// # Errors
 /// Those of [`splice`].
 pub fn splice_subgroups(path: &str) -> Result<String, SpliceError> {
-    splice_from(FILES, &[("visibility/lanes_workgroup.wgsl", "visibility/lanes_subgroup.wgsl")], path)
+    splice_from(&FILES, &[("visibility/lanes_workgroup.wgsl", "visibility/lanes_subgroup.wgsl")], path)
 }
 
 /// Splices `path`. `replaced` has pairs of an import and the import that replaces it.
-fn splice_from(files: &[(&str, &str)], replaced: &[(&str, &str)], path: &str) -> Result<String, SpliceError> {
+fn splice_from(files: &[&[(&str, &str)]], replaced: &[(&str, &str)], path: &str) -> Result<String, SpliceError> {
     let (mut text, mut seen) = (String::new(), Vec::new());
     append(files, replaced, path, &mut seen, &mut text)?;
     Ok(text)
 }
 
 fn append(
-    files: &[(&str, &str)],
+    files: &[&[(&str, &str)]],
     replaced: &[(&str, &str)],
     path: &str,
     seen: &mut Vec<String>,
@@ -140,8 +153,8 @@ fn append(
         return Ok(());
     }
     seen.push(path.to_owned());
-    let (_, source) =
-        files.iter().find(|(name, _)| *name == path).ok_or_else(|| SpliceError::Missing(path.to_owned()))?;
+    let mut all = files.iter().copied().flatten();
+    let (_, source) = all.find(|(name, _)| *name == path).ok_or_else(|| SpliceError::Missing(path.to_owned()))?;
     for (index, line) in source.lines().enumerate() {
         if let Some(directive) = line.strip_prefix('#') {
             let import = directive
@@ -173,18 +186,25 @@ mod tests {
 
     #[test]
     fn imports_come_once_and_before_the_importer() {
-        assert_eq!(splice_from(TREE, &[], "a").as_deref(), Ok("C\nB\nA\n"));
-        assert_eq!(splice_from(TREE, &[], "loop").as_deref(), Ok("L\n"));
+        assert_eq!(splice_from(&[TREE], &[], "a").as_deref(), Ok("C\nB\nA\n"));
+        assert_eq!(splice_from(&[TREE], &[], "loop").as_deref(), Ok("L\n"));
     }
 
     #[test]
     fn a_replacement_takes_the_place_of_the_import() {
-        assert_eq!(splice_from(TREE, &[("b", "d")], "a").as_deref(), Ok("D\nC\nA\n"));
+        assert_eq!(splice_from(&[TREE], &[("b", "d")], "a").as_deref(), Ok("D\nC\nA\n"));
+    }
+
+    #[test]
+    fn the_client_needs_nothing_of_the_server() {
+        for (path, _) in SHADING {
+            splice_from(&[SHADING], &[], path).unwrap();
+        }
     }
 
     #[test]
     fn errors_name_file_and_line() {
-        assert_eq!(splice_from(TREE, &[], "bad"), Err(SpliceError::Directive { file: "bad".into(), line: 2 }));
-        assert_eq!(splice_from(TREE, &[], "gone"), Err(SpliceError::Missing("nowhere".into())));
+        assert_eq!(splice_from(&[TREE], &[], "bad"), Err(SpliceError::Directive { file: "bad".into(), line: 2 }));
+        assert_eq!(splice_from(&[TREE], &[], "gone"), Err(SpliceError::Missing("nowhere".into())));
     }
 }

@@ -166,7 +166,7 @@ fn constants_of_host_and_wgsl_are_equal() {
 /// Files without an entry point are validated in their importers.
 fn with_entry_points() -> Vec<&'static str> {
     let has_one = |text: &str| ["@compute", "@vertex", "@fragment"].iter().any(|stage| text.contains(stage));
-    FILES.iter().filter(|(_, text)| has_one(text)).map(|(path, _)| *path).collect()
+    FILES.into_iter().flatten().filter(|(_, text)| has_one(text)).map(|(path, _)| *path).collect()
 }
 
 #[test]
@@ -238,9 +238,10 @@ fn every_file_of_the_folder_is_compiled_in() {
             let path = file.unwrap().path();
             let name = path.strip_prefix(&folder).unwrap().to_str().unwrap().to_owned();
             let text = std::fs::read_to_string(&path).unwrap();
-            assert!(FILES.contains(&(name.as_str(), text.as_str())), "{name} is missing in splice::FILES");
+            let compiled = FILES.into_iter().flatten().any(|file| *file == (name.as_str(), text.as_str()));
+            assert!(compiled, "{name} is missing in splice::FILES");
             found.push(name);
         }
     }
-    assert_eq!(found.len(), FILES.len());
+    assert_eq!(found.len(), FILES.into_iter().flatten().count());
 }
