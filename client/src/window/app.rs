@@ -341,7 +341,8 @@ impl App {
         }
     }
 
-    /// Moves the pointer to a pixel of the window: whoever begins to edit knows where it is.
+    /// Tells the editor where the pointer is, in pixels of the window, also while nobody edits. So the first click
+    /// after the key that begins editing picks what is under the pointer.
     pub(super) fn pointer_at(&mut self, x: f64, y: f64) {
         if let Stage::Playing(play) = &mut self.stage
             && let Some(editing) = &mut play.editing

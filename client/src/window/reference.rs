@@ -162,7 +162,7 @@ impl Reference {
             self.driver.frames.renderer.set_debug_view(view);
         }
         let frames = &mut self.driver.frames;
-        // Whoever starts a server on this machine may edit its scene.
+        // The local server was started by this client without tokens, so it allows edits.
         let _ = frames.edit(&scene.edits.since(frames.matcher.world.drawn()));
         self.driver.draw(FrameNumber(self.next), camera, scene.time_s, &mut Picture(&self.view))?;
         self.next = self.next.wrapping_add(1);

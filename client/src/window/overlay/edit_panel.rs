@@ -130,7 +130,7 @@ fn one_number(ui: &mut Ui, width: f32, value: &mut f64, kind: impl Fn(DragValue<
     let (was, decimals) = (*value, decimals(*value));
     let shown = kind(DragValue::new(value).max_decimals(decimals));
     let changed = ui.add_sized([width, 18.0], shown).changed();
-    // Whoever clicks into it and away again leaves what it showed, which is rounded.
+    // A click into the field and away again sets the value to the text shown, which is rounded. That is no change.
     let is_news = changed && (*value - was).abs() > 0.51 * 0.1_f64.powi(i32::try_from(decimals).unwrap_or(i32::MAX));
     if !is_news {
         *value = was;

@@ -293,6 +293,9 @@ impl Live {
         now: Now<'_>,
         (map_now, depth_pass, upload): (&mut ShadowMap, &DepthPass, &mut SceneUpload),
     ) {
+        if self.then.as_ref().is_some_and(|then| then.scene.as_ref() == Some(scene)) {
+            return;
+        }
         let Some(lights) = upload.movers().map(|movers| movers.moment_at(scene).lights) else { return };
         // Only where lights are is read.
         let lighting = Exposure::for_reference(1.0).lighting(&lights, now.space);
@@ -318,9 +321,6 @@ impl Live {
             self.then = Some(Then { scene: None, map, touched, scene_group });
         }
         let Some(then) = &mut self.then else { return };
-        if then.scene.as_ref() == Some(scene) {
-            return;
-        }
         then.scene = Some(scene.clone());
         then.map.set_lights(gpu, &lights);
         upload.show(&gpu.device, encoder, scene);

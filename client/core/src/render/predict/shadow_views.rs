@@ -41,8 +41,7 @@ pub(super) fn layout(lights: &[Light], (bounds, near_m): (&Aabb, f64), limit: u3
     let mut place = |span: usize| {
         let fits =
             |x: usize, y: usize, taken: &[bool]| (0..span * span).all(|i| !taken[(y + i / span) * grid + x + i % span]);
-        let step = span;
-        let spots = (0..=grid - span).step_by(step).flat_map(|y| (0..=grid - span).step_by(step).map(move |x| (x, y)));
+        let spots = (0..=grid - span).step_by(span).flat_map(|y| (0..=grid - span).step_by(span).map(move |x| (x, y)));
         let (x, y) = spots.into_iter().find(|(x, y)| fits(*x, *y, &taken)).unwrap_or((0, 0));
         for i in 0..span * span {
             taken[(y + i / span) * grid + x + i % span] = true;

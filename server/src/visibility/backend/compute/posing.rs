@@ -197,7 +197,10 @@ impl Posing {
         let group = kernels::bind(&gpu.device, "posing", &layout, entries);
         let kernel = |name| kernels::posing(gpu, name, &layout, word(size_of::<Dispatch>()));
         let (rigid, all_vertices) = (own.rigid_vertices, word(own.vertices.len() / 2));
-        let mut steps = vec![Step { kernel: kernel("pose_vertices")?, of: 0..rigid }];
+        let mut steps = Vec::new();
+        if rigid > 0 {
+            steps.push(Step { kernel: kernel("pose_vertices")?, of: 0..rigid });
+        }
         if rigid < all_vertices {
             steps.push(Step { kernel: kernel("pose_shapes")?, of: rigid..all_vertices });
         }
@@ -209,7 +212,6 @@ impl Posing {
             end += word(nodes.len());
             steps.push(Step { kernel: nodes_kernel.clone(), of: first..end });
         }
-        steps.retain(|step| !step.of.is_empty());
         let (pieces, form_words) = (own.pieces, own.form_words);
         Ok(Some(Self { steps, group, placements, forms, form_words, pieces, bytes }))
     }
