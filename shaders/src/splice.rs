@@ -33,6 +33,7 @@ const SHADING: Files = &[
     ("shading/material.wgsl", include_str!("../wgsl/shading/material.wgsl")),
     ("shading/meter.wgsl", include_str!("../wgsl/shading/meter.wgsl")),
     ("shading/pieces.wgsl", include_str!("../wgsl/shading/pieces.wgsl")),
+    ("shading/pose.wgsl", include_str!("../wgsl/shading/pose.wgsl")),
     ("shading/predict.wgsl", include_str!("../wgsl/shading/predict.wgsl")),
     ("shading/present.wgsl", include_str!("../wgsl/shading/present.wgsl")),
     ("shading/put_off.wgsl", include_str!("../wgsl/shading/put_off.wgsl")),

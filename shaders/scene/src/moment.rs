@@ -10,7 +10,8 @@ use std::{
     f64::consts::{FRAC_PI_2, PI},
 };
 
-use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Vec3, Vec4};
+use glam::{BVec3, DMat3, DMat4, DQuat, DVec3, DVec4, Vec3, Vec4};
+use rayon::iter::{IndexedParallelIterator as _, IntoParallelRefIterator as _, ParallelIterator as _};
 
 use self::deform::Form;
 pub use self::node::NodeAt;
@@ -57,6 +58,12 @@ impl Placement {
         self.form.is_some()
     }
 
+    /// Whether tangents change hands.
+    #[must_use]
+    pub fn is_mirrored(&self) -> bool {
+        self.hand < 0.0
+    }
+
     /// Returns the transforms of the piece's positions to the world, and of its normals, up to their length. Joints
     /// count instead where it has them.
     #[must_use]
@@ -95,6 +102,17 @@ impl Placement {
         (corners[vertex % 3], flat)
     }
 
+    /// Returns the corners of a box around the piece in the scene's local space. `own` has its vertices in their own
+    /// space. The box of a rigid piece turns with it.
+    #[must_use]
+    pub fn box_around(&self, own: &Aabb) -> [Vec3; 8] {
+        let Aabb { min, max } = if self.is_deformed() { &self.bounds } else { own };
+        std::array::from_fn(|number| {
+            let corner = Vec3::select(BVec3::new(number & 1 == 1, number & 2 == 2, number & 4 == 4), *max, *min);
+            if self.is_deformed() { corner } else { self.position(corner) }
+        })
+    }
+
     /// Returns a vertex's tangent, as [`Scene::tangents`] has it.
     #[must_use]
     pub fn tangent_of(&self, own: &OwnVertices<'_>, vertex: usize) -> Vec4 {
@@ -127,6 +145,9 @@ impl Placement {
         if self.turned { [a, c, b] } else { [a, b, c] }
     }
 }
+
+/// Nodes or pieces that a thread takes at once.
+const RUN: usize = 32;
 
 /// A node at one time.
 #[derive(Clone, Copy)]
@@ -173,6 +194,12 @@ impl Scene {
     pub fn moment(&self, at: impl Into<SceneAt>) -> Option<Moment> {
         let at = at.into();
         (!self.rests(&at)).then(|| self.moment_of(When::At(&at)))
+    }
+
+    /// Returns what may move or be edited, in the pose of the file.
+    #[must_use]
+    pub fn moment_at_rest(&self) -> Moment {
+        self.moment_of(When::File)
     }
 
     /// Returns the cameras at a time in seconds.
@@ -225,7 +252,7 @@ impl Scene {
         let none = Animation::default();
         let animation = self.animation.as_deref().unwrap_or(&none);
         let worlds = worlds(animation, when);
-        let pieces = animation.pieces.iter().zip(animation.own_vertices());
+        let pieces = animation.pieces.par_iter().zip(animation.own_vertices()).with_min_len(RUN);
         let pieces = pieces.map(|(piece, own)| placement((piece, &own), &worlds, self.origin_m, when)).collect();
         let mut lights = self.lights.clone();
         let mut off = Vec::new();
@@ -324,15 +351,17 @@ fn set<T>(list: &mut [T], at: usize, value: Option<T>) {
 
 /// Returns the animated nodes' transforms. Parents come first.
 fn worlds(animation: &Animation, when: When<'_>) -> Vec<World> {
-    let mut worlds: Vec<World> = Vec::with_capacity(animation.nodes.len());
-    for (number, node) in animation.nodes.iter().enumerate() {
+    let of_node = |(number, node): (usize, &AnimatedNode)| {
         let edit = when.edit(number);
+        (own(node, &edit, when), edit.shown.unwrap_or_else(|| shown(node, when)))
+    };
+    let all: Vec<(DMat4, bool)> = animation.nodes.par_iter().enumerate().with_min_len(RUN).map(of_node).collect();
+    let mut worlds: Vec<World> = Vec::with_capacity(animation.nodes.len());
+    for (node, (own, shown)) in animation.nodes.iter().zip(all) {
         let above = node.parent.and_then(|parent| worlds.get(parent as usize).copied());
         let above = above.unwrap_or(World { world_from_node: DMat4::IDENTITY, visible: true });
-        worlds.push(World {
-            world_from_node: above.world_from_node * node.above * own(node, &edit, when),
-            visible: above.visible && edit.shown.unwrap_or_else(|| shown(node, when)),
-        });
+        worlds
+            .push(World { world_from_node: above.world_from_node * node.above * own, visible: above.visible && shown });
     }
     worlds
 }

@@ -22,7 +22,7 @@ use super::{
     gbuffer::GbufferPass,
     meter::{self, Eye, MeterPass},
     pipeline::{Variable, check_side},
-    predict::{MaskView, PredictPass, depth_history::DepthHistory},
+    predict::{MaskView, PredictPass, Seen, depth_history::DepthHistory},
     quality::Quality,
     readback,
     scene_upload::SceneUpload,
@@ -410,7 +410,8 @@ impl FrameRenderer {
         self.mark(&mut encoder, "shading");
         if !self.draft && self.blend.has_any() {
             if self.predict.by_surface() {
-                self.predict.need_shadow_map(&self.gpu, &mut encoder, &self.scene);
+                let seen = Seen::new(&camera, self.space);
+                self.predict.need_shadow_map(&self.gpu, &mut encoder, &self.scene, &seen);
             }
             let eye = (camera.position_m - self.space.origin_m).as_vec3();
             let group = self.shade.group(&self.history);

@@ -11,7 +11,7 @@ use wgpu::util::DeviceExt as _;
 use super::{
     error::RenderError,
     material,
-    movers::{Buffers, Movers},
+    movers::{AtRest, Buffers, Movers},
     vertex::{ATTRIBUTES, MORE_ATTRIBUTES, MoreOfVertex, Vertex, more_of_vertices, vertices},
 };
 
@@ -77,8 +77,8 @@ pub(crate) struct SceneUpload {
     pub(crate) moves_with_time: bool,
     /// What moves or may be edited, piece by piece.
     pub(crate) piece_draws: Vec<PieceDraw>,
-    /// BLEND batches that move, with their vertices.
-    blended_movers: Vec<(usize, Vec<u32>)>,
+    /// BLEND batches that move, each with its piece and its centre in that one's space.
+    blended_movers: Vec<(usize, usize, Vec3)>,
 }
 
 impl SceneUpload {
@@ -93,24 +93,30 @@ impl SceneUpload {
             let contents = if bytes.is_empty() { &[0; size_of::<Vertex>()] } else { bytes };
             Ok(device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(what), contents, usage }))
         };
-        let (vertices, more) = (vertices(scene), more_of_vertices(scene));
-        let movers = Movers::new(scene, &vertices, &more);
+        let (mut vertices, mut more) = (vertices(scene), more_of_vertices(scene));
+        let at_rest = AtRest::new(scene, &mut vertices, &mut more);
         let batches = batches(scene);
+        let if_moves = |usage| if at_rest.has_pieces() { usage } else { wgpu::BufferUsages::empty() };
+        // Written by the host and a kernel; read to be kept, and by tests.
+        let written = if_moves(wgpu::BufferUsages::COPY_DST);
+        let posed =
+            wgpu::BufferUsages::VERTEX | written | if_moves(wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC);
+        // A stride of 0 gives every vertex the same.
+        let more_stride = if more.len() == 1 { 0 } else { size_of::<MoreOfVertex>() as u64 };
+        let vertices = buffer("vertices", bytemuck::cast_slice(&vertices), posed)?;
+        let more = buffer("more of vertices", bytemuck::cast_slice(&more), posed)?;
+        let indices = buffer("indices", bytemuck::cast_slice(&scene.triangles), wgpu::BufferUsages::INDEX | written)?;
+        let movers = Movers::new(gpu, scene, at_rest, Buffers { vertices: &vertices, more: &more })?;
         let (blended_movers, piece_draws) = match movers {
             Some(_) => (blended_movers(scene, &batches), piece_draws(scene)),
             None => (Vec::new(), Vec::new()),
         };
-        let if_so = |so: bool, usage| if so { usage } else { wgpu::BufferUsages::empty() };
-        let written = if_so(movers.is_some(), wgpu::BufferUsages::COPY_DST);
-        let copied = if_so(movers.as_ref().is_some_and(Movers::deforms), wgpu::BufferUsages::COPY_SRC);
-        let (vertex_usage, index_usage) = (wgpu::BufferUsages::VERTEX | written, wgpu::BufferUsages::INDEX | written);
         let material_layout = material::layout(gpu);
         Ok(Self {
-            vertices: buffer("vertices", bytemuck::cast_slice(&vertices), vertex_usage | copied)?,
-            // A stride of 0 gives every vertex the same.
-            more_stride: if more.len() == 1 { 0 } else { size_of::<MoreOfVertex>() as u64 },
-            more: buffer("more of vertices", bytemuck::cast_slice(&more), vertex_usage)?,
-            indices: buffer("indices", bytemuck::cast_slice(&scene.triangles), index_usage)?,
+            vertices,
+            more_stride,
+            more,
+            indices,
             batches,
             materials: material::groups(gpu, scene, &material_layout, anisotropy)?,
             material_layout,
@@ -129,6 +135,11 @@ impl SceneUpload {
         self.movers.as_ref()
     }
 
+    /// How far a point of what moves may be from where it is in another state, in metres.
+    pub(crate) fn farthest_m(&mut self, then: &SceneAt) -> f32 {
+        self.movers.as_mut().map_or(0.0, |movers| movers.farthest_m(then))
+    }
+
     /// Lets people change the lights of a scene in which nothing moves. `lights` are those of the file.
     pub(crate) fn follow_edits(&mut self, lights: &[Light], origin_m: DVec3) {
         self.movers.get_or_insert_with(|| Movers::of_lights(lights, origin_m));
@@ -140,9 +151,8 @@ impl SceneUpload {
         if !movers.set_time(scene) {
             return None;
         }
-        for (batch, vertices) in &self.blended_movers {
-            let shown = || vertices.iter().filter_map(|vertex| movers.position(*vertex));
-            if let (Some(batch), Some(centre)) = (self.batches.get_mut(*batch), centre(shown())) {
+        for (batch, piece, own) in &self.blended_movers {
+            if let (Some(batch), Some(centre)) = (self.batches.get_mut(*batch), movers.centre(*piece, *own)) {
                 batch.centre = centre;
             }
         }
@@ -160,7 +170,7 @@ impl SceneUpload {
     pub(crate) fn show(&mut self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder, scene: &SceneAt) {
         let Self { vertices, more, indices, movers, .. } = self;
         if let Some(movers) = movers {
-            movers.write(device, encoder, Buffers { vertices, more, indices }, scene);
+            movers.write(device, encoder, (Buffers { vertices, more }, indices), scene);
         }
     }
 
@@ -186,6 +196,11 @@ impl SceneUpload {
     /// The scene's vertices as they are now.
     pub(crate) fn vertices(&self) -> &wgpu::Buffer {
         &self.vertices
+    }
+
+    #[cfg(test)]
+    pub(crate) fn more(&self) -> &wgpu::Buffer {
+        &self.more
     }
 
     /// Layouts of the buffers that [`Self::bind`] binds.
@@ -287,14 +302,18 @@ fn piece_draws(scene: &Scene) -> Vec<PieceDraw> {
     scene.draws.iter().filter_map(draw).collect()
 }
 
-fn blended_movers(scene: &Scene, batches: &[Batch]) -> Vec<(usize, Vec<u32>)> {
+fn blended_movers(scene: &Scene, batches: &[Batch]) -> Vec<(usize, usize, Vec3)> {
+    let Some(animation) = scene.animation.as_deref() else { return Vec::new() };
+    let firsts = animation.first_positions();
     let moving = batches.iter().enumerate().filter(|(_, batch)| batch.moves && batch.is_blended());
-    let vertices = |batch: &Batch| {
+    // A batch of blended triangles is one draw, and so of one piece.
+    let placed = |(number, batch): (usize, &Batch)| {
         let indices = batch.indices.start as usize..batch.indices.end as usize;
-        let mut vertices = scene.triangles.as_flattened().get(indices).unwrap_or_default().to_vec();
-        vertices.sort_unstable();
-        vertices.dedup();
-        vertices
+        let vertices = scene.triangles.as_flattened().get(indices)?;
+        let piece = animation.piece_of(*vertices.first()?)?;
+        let (first, of_scene) = (firsts.get(piece)?, animation.pieces.get(piece)?.first_vertex);
+        let own = |vertex: &u32| animation.positions.get(first + vertex.checked_sub(of_scene)? as usize);
+        Some((number, piece, centre(vertices.iter().filter_map(own).copied())?))
     };
-    moving.map(|(number, batch)| (number, vertices(batch))).collect()
+    moving.filter_map(placed).collect()
 }

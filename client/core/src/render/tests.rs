@@ -3,9 +3,9 @@
 mod blend;
 mod coincident;
 mod edited;
-mod living;
+pub(super) mod living;
 mod scale;
-mod shapes;
+pub(super) mod shapes;
 
 use glam::{DVec3, Vec3, Vec4};
 use gnomon_protocol::mask::{Mask, MaskShape};

@@ -42,6 +42,26 @@ impl MoreOfVertex {
     }
 }
 
+#[cfg(test)]
+impl Vertex {
+    pub(crate) fn unit_normal(&self) -> Vec3 {
+        let [x, y, z, _] = self.normal;
+        Vec3::from_array([x, y, z].map(unit))
+    }
+}
+
+#[cfg(test)]
+impl MoreOfVertex {
+    pub(crate) fn unit_tangent(&self) -> Vec4 {
+        Vec4::from_array(self.tangent.map(unit))
+    }
+}
+
+#[cfg(test)]
+fn unit(value: i16) -> f32 {
+    f32::from(value) / f32::from(i16::MAX)
+}
+
 pub(crate) fn vertices(scene: &Scene) -> Vec<Vertex> {
     (scene.positions.iter().zip(&scene.normals).zip(&scene.uvs).zip(leans(scene)))
         .map(|(((position, normal), uv), lean)| Vertex {

@@ -150,7 +150,7 @@ impl DepthPass {
     ) -> (u64, u64) {
         pass.set_bind_group(0, view, &[]);
         scene.bind(pass);
-        let (mut drawn, mut draws) = ((0, 0), draws.peekable());
+        let (mut drawn, mut draws, mut set) = ((0, 0), draws.peekable(), None);
         while let Some((masked, both, material, first)) = draws.next() {
             let mut indices = first.clone();
             // What has no holes looks the same in any material.
@@ -159,8 +159,13 @@ impl DepthPass {
             }) {
                 indices.end = more.end;
             }
-            pass.set_pipeline(self.pipeline(scene, masked, both));
-            pass.set_bind_group(1, &scene.materials[material], &[]);
+            // What has no holes reads nothing of its material.
+            let wanted = Some((masked, both, masked.then_some(material)));
+            if set != wanted {
+                pass.set_pipeline(self.pipeline(scene, masked, both));
+                pass.set_bind_group(1, &scene.materials[material], &[]);
+                set = wanted;
+            }
             drawn = (drawn.0 + 1, drawn.1 + u64::from(indices.end - indices.start) / 3);
             pass.draw_indexed(indices, 0, 0..1);
         }

@@ -16,6 +16,7 @@ mod mask_words;
 mod moved;
 mod pass;
 mod pieces;
+mod seen;
 pub(crate) mod shadow_map;
 pub(crate) mod shadow_views;
 mod swept;
@@ -26,3 +27,4 @@ mod touched;
 
 pub use mask_view::MaskView;
 pub(crate) use pass::PredictPass;
+pub(crate) use seen::Seen;

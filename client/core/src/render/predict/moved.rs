@@ -16,6 +16,7 @@ use super::{
     depth_pass::DepthPass,
     layers::Layer,
     pieces::{PiecesPass, format},
+    seen::Seen,
     shadow_map::ShadowMap,
     touched,
 };
@@ -90,6 +91,7 @@ pub(super) struct Now<'a> {
     pub(super) lighting: &'a wgpu::Buffer,
     pub(super) space: Space,
     pub(super) scene: &'a SceneAt,
+    pub(super) seen: &'a Seen,
 }
 
 fn pictures(device: &wgpu::Device, size: (u32, u32), pieces: wgpu::TextureFormat) -> [wgpu::TextureView; 2] {
@@ -293,40 +295,49 @@ impl Live {
         now: Now<'_>,
         (map_now, depth_pass, upload): (&mut ShadowMap, &DepthPass, &mut SceneUpload),
     ) {
-        if self.then.as_ref().is_some_and(|then| then.scene.as_ref() == Some(scene)) {
+        // Shadows are looked up where points were then. The same maps are to serve pictures of a little later, too.
+        let moved_m = upload.farthest_m(scene).log2().ceil().exp2();
+        let seen = now.seen.and_around(moved_m);
+        if self.then.as_ref().is_some_and(|then| then.scene.as_ref() == Some(scene) && then.map.serves(&seen)) {
             return;
         }
-        let Some(lights) = upload.movers().map(|movers| movers.moment_at(scene).lights) else { return };
-        // Only where lights are is read.
-        let lighting = Exposure::for_reference(1.0).lighting(&lights, now.space);
-        self.lighting_then.set(&gpu.queue, lighting);
         if self.then.is_none() {
             let Some(map) = map_now.another(gpu, encoder, depth_pass, upload) else { return };
-            let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
-            let touched = texture(&gpu.device, "where maps may differ", touched::size(&map), WORD, usage)
-                .create_view(&wgpu::TextureViewDescriptor::default());
-            let view = wgpu::BindingResource::TextureView;
-            let resources = [
-                now.view.as_entire_binding(),
-                now.lighting.as_entire_binding(),
-                view(&map_now.texture),
-                map_now.views.as_entire_binding(),
-                self.lighting_then.buffer().as_entire_binding(),
-                view(&map.texture),
-                map.views.as_entire_binding(),
-                self.before.as_entire_binding(),
-                view(&touched),
-            ];
-            let scene_group = bind_group(&gpu.device, "changed shadows", &self.scene_layout, &resources);
-            self.then = Some(Then { scene: None, map, touched, scene_group });
+            self.then = Some(self.then_with(gpu, map, map_now, now));
         }
         let Some(then) = &mut self.then else { return };
-        then.scene = Some(scene.clone());
-        then.map.set_lights(gpu, &lights);
+        if then.scene.as_ref() != Some(scene) {
+            let Some(lights) = upload.movers().map(|movers| movers.moment_at(scene).lights.clone()) else { return };
+            // Only where lights are is read.
+            let lighting = Exposure::for_reference(1.0).lighting(&lights, now.space);
+            self.lighting_then.set(&gpu.queue, lighting);
+            then.map.set_lights(gpu, &lights);
+            then.scene = Some(scene.clone());
+        }
         upload.show(&gpu.device, encoder, scene);
         if let Some(vertices) = &self.pieces_pass.then {
             upload.keep_vertices(encoder, vertices);
         }
-        then.map.need(gpu, encoder, depth_pass, upload);
+        then.map.need(gpu, encoder, (depth_pass, upload), &seen);
+    }
+
+    fn then_with(&self, gpu: &Gpu, map: ShadowMap, map_now: &ShadowMap, now: Now<'_>) -> Then {
+        let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
+        let touched = texture(&gpu.device, "where maps may differ", touched::size(&map), WORD, usage)
+            .create_view(&wgpu::TextureViewDescriptor::default());
+        let view = wgpu::BindingResource::TextureView;
+        let resources = [
+            now.view.as_entire_binding(),
+            now.lighting.as_entire_binding(),
+            view(&map_now.texture),
+            map_now.views.as_entire_binding(),
+            self.lighting_then.buffer().as_entire_binding(),
+            view(&map.texture),
+            map.views.as_entire_binding(),
+            self.before.as_entire_binding(),
+            view(&touched),
+        ];
+        let scene_group = bind_group(&gpu.device, "changed shadows", &self.scene_layout, &resources);
+        Then { scene: None, map, touched, scene_group }
     }
 }

@@ -20,6 +20,7 @@ use super::{
     mask_view::MaskView,
     mask_words::WordsPass,
     moved::{Moved, Now},
+    seen::Seen,
     shadow_map::ShadowMap,
 };
 use crate::{
@@ -166,9 +167,15 @@ impl PredictPass {
         self.shadow_map.set_lights(gpu, lights);
     }
 
-    /// Ensures that the shadow maps are drawn before what `encoder` does next.
-    pub(crate) fn need_shadow_map(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, upload: &SceneUpload) {
-        self.shadow_map.need(gpu, encoder, &self.depth_pass, upload);
+    /// Ensures that the shadow maps are drawn before what `encoder` does next, for what is seen.
+    pub(crate) fn need_shadow_map(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        upload: &SceneUpload,
+        seen: &Seen,
+    ) {
+        self.shadow_map.need(gpu, encoder, (&self.depth_pass, upload), seen);
     }
 
     /// Compiles what pictures take. With `own_view`, only what those take that have whole masks of their own views.
@@ -258,18 +265,19 @@ impl PredictPass {
             lights: u32::MAX.checked_shr(32 - self.lights.min(32)).unwrap_or(0),
         };
         self.uniform.set(&gpu.queue, prediction);
+        let in_picture = Seen::new(&seen.camera, space);
         // Only prediction by surface reads the depth of the masks' views.
         let mut moved = false;
         if self.predictor == Predictor::Surface && layers[..count].iter().any(|layer| layer.same_view == 0) {
             self.layers.need_depth(gpu, encoder, (count, space), &self.depth_pass, (history, upload));
             if upload.movers().is_some() {
                 let (view, lighting, scene) = (&self.view, &self.lighting, &seen.scene);
-                let now = Now { view, lighting, space, scene };
+                let now = Now { view, lighting, space, scene, seen: &in_picture };
                 let (masks, map) = (&self.layers.stack()[..count], &mut self.shadow_map);
                 // What was then comes first, while it is shown.
                 self.moved.draw_then(gpu, encoder, (masks, now), (&mut *map, &self.depth_pass, &mut *upload));
                 upload.show_now(&gpu.device, encoder);
-                map.need(gpu, encoder, &self.depth_pass, upload);
+                map.need(gpu, encoder, (&self.depth_pass, upload), &in_picture);
                 moved = self.moved.encode(gpu, encoder, (masks, now), (targets, history), (&*map, &*upload));
             }
         }
@@ -284,7 +292,7 @@ impl PredictPass {
             (puts_off.then_some(Kernel::First { layered, moved }), Kernel::Every { layered, moved })
         };
         if every != Kernel::OwnView && self.by_surface() {
-            self.need_shadow_map(gpu, encoder, upload);
+            self.need_shadow_map(gpu, encoder, upload, &in_picture);
         }
         let first = first.map(|first| self.kernels.get(&gpu.device, first));
         let every = self.kernels.get(&gpu.device, every);

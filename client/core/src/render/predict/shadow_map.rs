@@ -5,19 +5,21 @@
 //! spot, and one of four times the texels for a directional light, which covers the whole scene (`shadow_views.rs`).
 //!
 //! Where something moves or is edited, the maps of what rests are kept beside them. For another state, texels that what
-//! moves had covered are put back, and what moves is drawn where it is now: work in proportion to what moves, not to
-//! the maps. Only squares of lights that are not where the file has them are drawn anew as a whole.
+//! moves had covered are put back, and what moves is drawn where it is now, if its shadow may be seen: work in
+//! proportion to what moves, not to the maps. Only squares of lights that are not where the file has them are drawn
+//! anew as a whole.
 
 use std::{iter::repeat_n, sync::Arc};
 
-use glam::Mat4;
-use gnomon_scene::{Aabb, Light, Scene, camera::Space};
+use glam::{Mat4, Vec3};
+use gnomon_scene::{Aabb, Light, LightKind, Scene, camera::Space};
 use gnomon_shaders::{gpu::Gpu, shading::ShadowView};
 use wgpu::util::DeviceExt as _;
 
 use super::{
     depth_pass::{self, DepthPass, Faces, Part},
     eraser::Eraser,
+    seen::Seen,
     shadow_views::{layout, views_of},
     swept::swept_bounds,
     texels::{Texels, covered},
@@ -31,6 +33,9 @@ use crate::render::{
     work::Work,
 };
 
+/// A lookup is made up to a texel off its point, and reads the four around; their centres are as far again.
+const LOOKUP_TEXELS: f32 = 4.0;
+
 #[derive(Debug)]
 pub(crate) struct ShadowMap {
     pub(crate) texture: wgpu::TextureView,
@@ -39,13 +44,24 @@ pub(crate) struct ShadowMap {
     lights_views: Vec<ShadowView>,
     /// The matrix of each view, as it is drawn with.
     groups: Vec<(Variable<Mat4>, wgpu::BindGroup)>,
-    is_drawn: bool,
+    /// The lights of the state that is drawn next.
+    lights: Vec<Light>,
+    drawn_for: DrawnFor,
     /// What all views cover, and the distance of their near planes in metres.
     space: (Aabb, f64),
     of_file: Arc<OfFile>,
     /// `None` if everything rests, and nothing was edited.
     moving: Option<Moving>,
     work: Work,
+}
+
+/// For whom the maps are drawn, as they are in this state.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum DrawnFor {
+    Nobody,
+    /// Of what moves, only what may shade this is there.
+    These(Seen),
+    All,
 }
 
 /// Views that lights have in the pose of the file.
@@ -74,7 +90,8 @@ impl ShadowMap {
         let (side, views) = layout(&scene.lights, (&space.0, space.1), limit);
         let numbers = |(number, light): (u32, &Light)| repeat_n(number, views_of(light.kind) as usize);
         let lights = (0..).zip(&scene.lights).flat_map(numbers).collect();
-        let mut map = Self::allocate(gpu, (side, space), Arc::new(OfFile { views, lights }));
+        let of_file = Arc::new(OfFile { views, lights });
+        let mut map = Self::allocate(gpu, (side, space), of_file, scene.lights.clone());
         if upload.movers().is_some() {
             map.follow_edits(gpu)?;
         }
@@ -102,12 +119,12 @@ impl ShadowMap {
         let Moving { eraser, resting, .. } = self.moving.as_ref()?;
         let (eraser, resting) = (eraser.clone(), resting.clone());
         let (side, of_file) = (self.texture.texture().width(), Arc::clone(&self.of_file));
-        let mut other = Self::allocate(gpu, (side, self.space), of_file);
+        let mut other = Self::allocate(gpu, (side, self.space), of_file, self.lights.clone());
         other.moving = Some(Moving { eraser, resting, drawn: Vec::new() });
         Some(other)
     }
 
-    fn allocate(gpu: &Gpu, (side, space): (u32, (Aabb, f64)), of_file: Arc<OfFile>) -> Self {
+    fn allocate(gpu: &Gpu, (side, space): (u32, (Aabb, f64)), of_file: Arc<OfFile>, lights: Vec<Light>) -> Self {
         let device = &gpu.device;
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
         let texture = texture(device, "shadow map", (side, side), DEPTH, usage)
@@ -120,8 +137,8 @@ impl ShadowMap {
             contents: bytemuck::cast_slice(&contents),
             usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
         });
-        let (groups, is_drawn, moving, work) = (Vec::new(), false, None, Work::default());
-        Self { texture, views, lights_views, groups, is_drawn, space, of_file, moving, work }
+        let (groups, drawn_for, moving, work) = (Vec::new(), DrawnFor::Nobody, None, Work::default());
+        Self { texture, views, lights_views, groups, lights, drawn_for, space, of_file, moving, work }
     }
 
     pub(crate) fn work(&self) -> Work {
@@ -153,7 +170,9 @@ impl ShadowMap {
 
     /// Takes the lights of another state, in which the maps are to be drawn anew.
     pub(crate) fn set_lights(&mut self, gpu: &Gpu, lights: &[Light]) {
-        self.is_drawn = false;
+        self.drawn_for = DrawnFor::Nobody;
+        self.lights.clear();
+        self.lights.extend_from_slice(lights);
         let (bounds, near_m) = &self.space;
         let (_, views) = layout(lights, (bounds, *near_m), gpu.device.limits().max_texture_dimension_2d);
         if views == self.lights_views {
@@ -163,21 +182,30 @@ impl ShadowMap {
         self.lights_views = views;
     }
 
-    /// Ensures that the maps are drawn before what `encoder` does next, of what `upload` shows then.
+    /// Ensures that the maps are drawn before what `encoder` does next, of what `upload` shows then: all that may shade
+    /// what is seen. If the same state is seen from elsewhere, all of it is drawn, once.
     pub(crate) fn need(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        pass: &DepthPass,
-        upload: &SceneUpload,
+        (pass, upload): (&DepthPass, &SceneUpload),
+        seen: &Seen,
     ) {
-        if std::mem::replace(&mut self.is_drawn, true) || self.lights_views.is_empty() {
+        if self.serves(seen) || self.lights_views.is_empty() {
             return;
         }
+        let again = self.drawn_for != DrawnFor::Nobody;
+        self.drawn_for = match self.drawn_for {
+            DrawnFor::Nobody if self.moving.is_some() => DrawnFor::These(seen.and_around(self.lookup_m())),
+            _ => DrawnFor::All,
+        };
         self.need_resting(gpu, encoder, (pass, upload));
         self.bind_views(gpu, pass);
         if let Some(mut moving) = self.moving.take() {
-            self.draw_moving(encoder, (pass, upload), &mut moving);
+            let leaves_out = self.draw_moving(encoder, (pass, upload), &mut moving, again);
+            if !leaves_out {
+                self.drawn_for = DrawnFor::All;
+            }
             self.moving = Some(moving);
             return;
         }
@@ -187,6 +215,27 @@ impl ShadowMap {
             look(&mut render, view);
             add(&mut self.work, pass.draw(&mut render, group, upload, (Part::All, Faces::Both)));
         }
+    }
+
+    /// Whether the maps are drawn for what is seen.
+    pub(super) fn serves(&self, seen: &Seen) -> bool {
+        match &self.drawn_for {
+            DrawnFor::Nobody => false,
+            DrawnFor::These(these) => these.covers(&seen.and_around(self.lookup_m())),
+            DrawnFor::All => true,
+        }
+    }
+
+    /// How far from a point its lookups may look, in metres, in any view.
+    fn lookup_m(&self) -> f32 {
+        let Aabb { min, max } = self.space.0;
+        let farthest_m = |from: Vec3| (min - from).abs().max((max - from).abs()).length();
+        let lights = self.of_file.lights.iter().filter_map(|light| self.lights.get(*light as usize));
+        let texels = lights.zip(&self.lights_views).map(|(light, view)| match light.kind {
+            LightKind::Directional => view.texel_m,
+            LightKind::Point | LightKind::Spot { .. } => view.texel_m * farthest_m(light.position),
+        });
+        LOOKUP_TEXELS * texels.fold(0.0, f32::max)
     }
 
     /// Ensures that there are maps of what rests, beside something that moves.
@@ -215,14 +264,15 @@ impl ShadowMap {
     }
 
     /// Takes out of the maps what moved, and draws it where it is now. The square of a light that has moved is drawn
-    /// as a whole.
+    /// as a whole, but not `again` for the same state. Returns whether something is left out.
     fn draw_moving(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         (pass, upload): (&DepthPass, &SceneUpload),
         moving: &mut Moving,
-    ) {
-        let Moving { eraser, resting: Some((_, resting)), drawn } = moving else { return };
+        again: bool,
+    ) -> bool {
+        let Moving { eraser, resting: Some((_, resting)), drawn } = moving else { return false };
         if drawn.is_empty() {
             // Nothing is drawn yet.
             drawn.extend(self.lights_views.iter().map(|view| vec![Texels::of(view)]));
@@ -231,22 +281,36 @@ impl ShadowMap {
             self.lights_views.iter().zip(&self.of_file.views).map(|(one, other)| one == other).collect();
         let mut render = depth_pass::begin_with(encoder, "shadow map", &self.texture, wgpu::LoadOp::Load);
         self.work.passes += 1;
-        let moved = self.lights_views.iter().zip(&rests).filter(|(_, rests)| !**rests);
+        let moved = self.lights_views.iter().zip(&rests).filter(|(_, rests)| !**rests && !again);
         let old = drawn.iter().zip(&rests).filter(|(_, rests)| **rests).flat_map(|(drawn, _)| drawn);
         self.work.texels += eraser.clear(&mut render, moved.map(|(view, _)| Texels::of(view)));
         self.work.texels += eraser.put_back(&mut render, resting, old.copied());
-        let bounds = upload.movers().map(Movers::bounds).unwrap_or_default();
-        let views = self.lights_views.iter().zip(&self.groups).zip(rests);
-        for (((view, (_, group)), rests), drawn) in views.zip(drawn) {
+        let boxes = upload.movers().map(Movers::boxes).unwrap_or_default();
+        let shades = |light: &Light, corners: &[Vec3; 8]| match &self.drawn_for {
+            DrawnFor::These(seen) => seen.may_be_shaded(light, corners),
+            DrawnFor::Nobody | DrawnFor::All => true,
+        };
+        // The boxes of what each light may shade with.
+        let casters = |light: &Light| -> Vec<Option<&[Vec3; 8]>> {
+            boxes.iter().map(|corners| corners.as_ref().filter(|corners| shades(light, corners))).collect()
+        };
+        let casters: Vec<Vec<Option<&[Vec3; 8]>>> = self.lights.iter().map(casters).collect();
+        let shown = boxes.iter().flatten().count();
+        let leaves_out = casters.iter().any(|of_light| of_light.iter().flatten().count() < shown);
+        let views = self.lights_views.iter().zip(&self.groups).zip(rests).zip(&self.of_file.lights);
+        for ((((view, (_, group)), rests), light), drawn) in views.zip(drawn) {
             drawn.clear();
             if !rests {
-                look(&mut render, view);
-                add(&mut self.work, pass.draw(&mut render, group, upload, (Part::All, Faces::Both)));
                 drawn.push(Texels::of(view));
+                if !again {
+                    look(&mut render, view);
+                    add(&mut self.work, pass.draw(&mut render, group, upload, (Part::All, Faces::Both)));
+                }
                 continue;
             }
+            let casters = casters.get(*light as usize).into_iter().flatten();
             let covered: Vec<Option<Texels>> =
-                bounds.iter().map(|bounds| bounds.as_ref().and_then(|bounds| covered(view, bounds))).collect();
+                casters.map(|corners| corners.and_then(|corners| covered(view, corners))).collect();
             drawn.extend(covered.iter().flatten());
             if drawn.is_empty() {
                 continue;
@@ -261,6 +325,7 @@ impl ShadowMap {
                 drawn.push(square);
             }
         }
+        leaves_out
     }
 
     /// Binds the views' matrices.

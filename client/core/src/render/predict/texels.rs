@@ -1,7 +1,6 @@
 //! Rectangles of a shadow map, and which of its texels a thing may cover.
 
 use glam::{Vec3, Vec4Swizzles as _};
-use gnomon_scene::Aabb;
 use gnomon_shaders::shading::ShadowView;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,12 +27,9 @@ impl Texels {
 /// Texels around what is computed here, which the adapter may round to: it snaps corners to 1/256 of a texel or finer.
 const MARGIN: f32 = 1.0;
 
-/// Returns the texels of a view that a thing within `bounds` may cover. `None` if it covers none.
-pub(super) fn covered(view: &ShadowView, bounds: &Aabb) -> Option<Texels> {
-    let corners: [glam::Vec4; 8] = std::array::from_fn(|corner| {
-        let pick = |axis: usize| if corner >> axis & 1 == 0 { bounds.min[axis] } else { bounds.max[axis] };
-        view.clip_from_local * Vec3::new(pick(0), pick(1), pick(2)).extend(1.0)
-    });
+/// Returns the texels of a view that a thing between these corners may cover. `None` if it covers none.
+pub(super) fn covered(view: &ShadowView, corners: &[Vec3; 8]) -> Option<Texels> {
+    let corners = corners.map(|corner| view.clip_from_local * corner.extend(1.0));
     // Beyond one of the planes that clip. Depth is reversed; a far plane is not asked.
     let wide = 1.0 + 2.0 * MARGIN / view.side;
     let beyond = |side: fn(&glam::Vec4, f32) -> bool| corners.iter().all(|corner| side(corner, corner.w * wide));
@@ -76,7 +72,10 @@ mod tests {
     #[test]
     fn a_thing_covers_the_texels_that_it_is_seen_through() {
         let view = view(100.0);
-        let around = |centre: Vec3, half: f32| Aabb { min: centre - half, max: centre + half };
+        let sign = |number: usize, bit: usize| if number >> bit & 1 == 1 { 1.0 } else { -1.0 };
+        let around = |centre: Vec3, half: f32| {
+            std::array::from_fn(|n| centre + half * Vec3::new(sign(n, 0), sign(n, 1), sign(n, 2)))
+        };
         // From −1 to 1 of ±10 m at 10 m: texels 45 to 55, seen from the near side a little more.
         let found = covered(&view, &around(Vec3::new(0.0, 0.0, -10.0), 1.0)).unwrap();
         assert_eq!(found, Texels { left: 64 + 43, top: 128 + 43, width: 14, height: 14 });
