@@ -119,7 +119,7 @@ impl Leaf {
 }
 
 /// The tree. Node 0 is the root.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct WideBvh {
     /// Nodes, parents before children.
     pub nodes: Vec<Node>,

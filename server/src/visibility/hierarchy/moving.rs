@@ -5,8 +5,12 @@
 //! from the moved triangles, which are f32 in the scene's space like all others, so a tree of moved triangles is
 //! traversed by the same code, with the same error bounds, as one of resting ones (`shaders/scene/docs/living.md`).
 
+use std::ops::Range;
+
 use glam::Vec3;
-use rayon::iter::{IndexedParallelIterator as _, IntoParallelRefMutIterator as _, ParallelIterator as _};
+use rayon::iter::{
+    IndexedParallelIterator as _, IntoParallelIterator as _, IntoParallelRefMutIterator as _, ParallelIterator as _,
+};
 
 use super::bvh::{Child, LEAF_BIT, Leaf, NO_CHILD, Node, WIDTH, WideBvh, word};
 
@@ -23,38 +27,30 @@ pub(crate) fn joined(one: Bounds, other: Bounds) -> Bounds {
     [one[0].min(other[0]), one[1].max(other[1])]
 }
 
-impl WideBvh {
-    /// Moves triangles, without changing which of them lie together. `placed` returns a triangle's new corners and its
-    /// unit normal, or `None` if it has no area: then nothing hits it. Returns the bounds of all.
-    pub fn refit(&mut self, placed: impl Fn(u32) -> Option<([Vec3; 3], Vec3)> + Sync) -> Bounds {
-        let leaves: Vec<Bounds> =
-            self.leaves.par_iter_mut().with_min_len(RUN).map(|leaf| leaf.refit(&placed)).collect();
-        let mut nodes = vec![NOTHING; self.nodes.len()];
-        // Children come after their parents.
-        for (n, node) in self.nodes.iter_mut().enumerate().rev() {
-            for slot in 0..WIDTH {
-                let bounds = match node.child(slot) {
-                    Child::None => continue,
-                    Child::Node(child) => nodes[child as usize],
-                    Child::Leaf(child) => leaves[child as usize],
-                };
-                node.set_bounds(slot, bounds);
-                nodes[n] = joined(nodes[n], bounds);
-            }
-        }
-        nodes.first().copied().unwrap_or(NOTHING)
-    }
+/// Trees of what moves, side by side, behind room for a small top. Each frame has a copy, in which
+/// [`Self::refit`] writes whatever a frame may change: a copy of an earlier frame serves as well.
+pub struct Forest {
+    trees: Vec<Tree>,
+    unmoved: WideBvh,
+}
 
-    /// Joins trees with their bounds under one root. Indices of triangles stay as they are.
+/// Where a tree lies. Its first node is its root.
+struct Tree {
+    nodes: Range<usize>,
+    leaves: Range<usize>,
+    depth: usize,
+}
+
+impl Forest {
+    /// Takes trees. Indices of triangles stay as they are.
     #[must_use]
-    pub fn join(trees: Vec<(Self, Bounds)>) -> Self {
-        let (nodes, levels) = top(&trees.iter().map(|(_, bounds)| *bounds).collect::<Vec<_>>(), WIDTH);
-        let of_top = nodes.len();
-        let mut all = Self { nodes, leaves: Vec::new(), depth: levels };
-        let mut roots = Vec::with_capacity(trees.len());
-        for (mut tree, _) in trees {
-            let (first_node, first_leaf) = (all.nodes.len(), all.leaves.len());
-            roots.push(word(first_node));
+    pub fn new(trees: Vec<WideBvh>) -> Self {
+        // Every node of the top has two children at least, but for a root alone.
+        let nodes = vec![Node::EMPTY; trees.len().max(1)];
+        let mut all = Self { trees: Vec::new(), unmoved: WideBvh { nodes, leaves: Vec::new(), depth: 1 } };
+        for mut tree in trees {
+            let WideBvh { nodes, leaves, .. } = &mut all.unmoved;
+            let (first_node, first_leaf) = (nodes.len(), leaves.len());
             for node in &mut tree.nodes {
                 node.children = std::array::from_fn(|slot| match node.child(slot) {
                     Child::None => NO_CHILD,
@@ -62,17 +58,86 @@ impl WideBvh {
                     Child::Leaf(child) => word(child as usize + first_leaf) | LEAF_BIT,
                 });
             }
-            all.nodes.append(&mut tree.nodes);
-            all.leaves.append(&mut tree.leaves);
-            all.depth = all.depth.max(tree.depth + levels);
-        }
-        // In the top, leaves stand for whole trees.
-        for node in &mut all.nodes[..of_top] {
-            for child in node.children.iter_mut().filter(|child| **child != NO_CHILD && **child & LEAF_BIT != 0) {
-                *child = roots[(*child & !LEAF_BIT) as usize];
-            }
+            nodes.append(&mut tree.nodes);
+            leaves.append(&mut tree.leaves);
+            let (nodes, leaves) = (first_node..nodes.len(), first_leaf..leaves.len());
+            all.trees.push(Tree { nodes, leaves, depth: tree.depth });
         }
         all
+    }
+
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.unmoved.memory_bytes()
+    }
+
+    /// Returns a copy for a frame.
+    #[must_use]
+    pub fn copy(&self) -> WideBvh {
+        self.unmoved.clone()
+    }
+
+    /// Moves the triangles of the trees that are shown, and joins these, in a copy. `placed` returns a triangle's
+    /// corners and its unit normal, or `None` if it has no area: then nothing hits it. Returns the bounds of all, if
+    /// there is anything.
+    pub fn refit(
+        &self,
+        copy: &mut WideBvh,
+        shown: impl Fn(usize) -> bool,
+        placed: impl Fn(u32) -> Option<([Vec3; 3], Vec3)> + Sync,
+    ) -> Option<Bounds> {
+        let WideBvh { nodes, leaves, depth } = copy;
+        let (top_nodes, mut nodes) = nodes.split_at_mut(self.trees.len().max(1));
+        let mut leaves = &mut leaves[..];
+        let mut tasks = Vec::with_capacity(self.trees.len());
+        for (number, tree) in self.trees.iter().enumerate() {
+            let of_tree = nodes.split_off_mut(..tree.nodes.len()).zip(leaves.split_off_mut(..tree.leaves.len()));
+            tasks.extend(of_tree.filter(|_| shown(number)).map(|of_tree| (number, tree, of_tree)));
+        }
+        let refitted =
+            tasks.into_par_iter().map(|(number, tree, (nodes, leaves))| (number, tree.refit(nodes, leaves, &placed)));
+        // What has no area has inverted bounds.
+        let refitted: Vec<(usize, Bounds)> =
+            refitted.collect::<Vec<_>>().into_iter().filter(|(_, [min, max])| min.cmple(*max).all()).collect();
+        let boxes: Vec<Bounds> = refitted.iter().map(|(_, bounds)| *bounds).collect();
+        let (mut joined_nodes, levels) = top(&boxes, WIDTH);
+        // In the top, leaves stand for whole trees.
+        for child in joined_nodes.iter_mut().flat_map(|node| &mut node.children) {
+            if *child != NO_CHILD && *child & LEAF_BIT != 0 {
+                let (number, _) = refitted[(*child & !LEAF_BIT) as usize];
+                *child = word(self.trees[number].nodes.start);
+            }
+        }
+        for (place, node) in top_nodes.iter_mut().zip(joined_nodes) {
+            *place = node;
+        }
+        let deepest = refitted.iter().map(|(number, _)| self.trees[*number].depth).max().unwrap_or(0);
+        *depth = levels + deepest;
+        boxes.into_iter().reduce(joined)
+    }
+}
+
+impl Tree {
+    fn refit(
+        &self,
+        nodes: &mut [Node],
+        leaves: &mut [Leaf],
+        placed: &(impl Fn(u32) -> Option<([Vec3; 3], Vec3)> + Sync),
+    ) -> Bounds {
+        let leaves: Vec<Bounds> = leaves.par_iter_mut().with_min_len(RUN).map(|leaf| leaf.refit(placed)).collect();
+        let mut bounds = vec![NOTHING; nodes.len()];
+        // Children come after their parents.
+        for (n, node) in nodes.iter_mut().enumerate().rev() {
+            for slot in 0..WIDTH {
+                let of_child = match node.child(slot) {
+                    Child::None => continue,
+                    Child::Node(child) => bounds[child as usize - self.nodes.start],
+                    Child::Leaf(child) => leaves[child as usize - self.leaves.start],
+                };
+                node.set_bounds(slot, of_child);
+                bounds[n] = joined(bounds[n], of_child);
+            }
+        }
+        bounds.first().copied().unwrap_or(NOTHING)
     }
 }
 
@@ -103,7 +168,8 @@ impl Node {
 /// largest part until there are eight, along the longest side of the centres. The root has at most `most_in_root`.
 pub(crate) fn top(boxes: &[Bounds], most_in_root: usize) -> (Vec<Node>, usize) {
     let (mut nodes, mut levels) = (vec![Node::EMPTY], 1);
-    let mut order: Vec<usize> = (0..boxes.len()).collect();
+    // Centres, twice as far out, and indices.
+    let mut order: Vec<(Vec3, usize)> = boxes.iter().map(|[min, max]| min + max).zip(0..).collect();
     let mut open = vec![(0, 0..boxes.len(), 1)];
     while let Some((place, range, level)) = open.pop() {
         levels = levels.max(level);
@@ -116,20 +182,19 @@ pub(crate) fn top(boxes: &[Bounds], most_in_root: usize) -> (Vec<Node>, usize) {
                 break;
             }
             let members = &mut order[part.clone()];
-            let centre = |index: &usize| boxes[*index][0] + boxes[*index][1];
-            let [min, max] = members.iter().fold(NOTHING, |bounds, index| joined(bounds, [centre(index); 2]));
+            let [min, max] = members.iter().fold(NOTHING, |bounds, (centre, _)| joined(bounds, [*centre; 2]));
             let axis = (max - min).max_position();
             let half = members.len() / 2;
-            members.select_nth_unstable_by(half, |a, b| centre(a)[axis].total_cmp(&centre(b)[axis]));
+            members.select_nth_unstable_by(half, |(a, _), (b, _)| a[axis].total_cmp(&b[axis]));
             let middle = part.start + half;
             parts[largest] = part.start..middle;
             parts.push(middle..part.end);
         }
         for (slot, part) in parts.into_iter().filter(|part| !part.is_empty()).enumerate() {
-            let bounds = order[part.clone()].iter().fold(NOTHING, |bounds, index| joined(bounds, boxes[*index]));
+            let bounds = order[part.clone()].iter().fold(NOTHING, |bounds, (_, index)| joined(bounds, boxes[*index]));
             nodes[place].set_bounds(slot, bounds);
             nodes[place].children[slot] = if part.len() == 1 {
-                word(order[part.start]) | LEAF_BIT
+                word(order[part.start].1) | LEAF_BIT
             } else {
                 nodes.push(Node::EMPTY);
                 open.push((nodes.len() - 1, part, level + 1));
@@ -161,15 +226,23 @@ mod tests {
                 let turn = glam::Quat::from_rotation_x(tree as f32);
                 (!triangle.is_multiple_of(3)).then(|| corners.map(|corner| turn * corner * 3.0 - Vec3::Y))
             };
-            let mut all = Vec::new();
-            for tree in 0..trees {
-                let (mut bvh, corners) = strip(Vec3::splat(10.0 * tree as f32), 40);
-                let bounds = bvh.refit(|triangle| Some((moved(tree, triangle, &corners[triangle as usize])?, Vec3::Y)));
+            let strips: Vec<_> = (0..trees).map(|tree| strip(Vec3::splat(10.0 * tree as f32), 40)).collect();
+            let of_tree = |(tree, (bvh, _)): (u32, &(WideBvh, Vec<[Vec3; 3]>))| {
+                let mut bvh = bvh.clone();
                 // Indices tell trees apart.
                 bvh.leaves.iter_mut().for_each(|leaf| leaf.triangles = leaf.triangles.map(|t| t + 40 * tree));
-                all.push((bvh, bounds));
-            }
-            let joined = WideBvh::join(all);
+                bvh
+            };
+            let forest = Forest::new((0..).zip(&strips).map(of_tree).collect());
+            let mut joined = forest.copy();
+            let placed = |triangle: u32| {
+                let (tree, triangle) = (triangle / 40, triangle % 40);
+                Some((moved(tree, triangle, &strips[tree as usize].1[triangle as usize])?, Vec3::Y))
+            };
+            // An earlier frame's copy, with fewer trees and elsewhere.
+            let elsewhere = |triangle| placed(triangle + 1 - 2 * (triangle % 2));
+            forest.refit(&mut joined, |tree| tree % 2 == 0, elsewhere);
+            forest.refit(&mut joined, |tree| tree != 1, placed);
             let mut seen = vec![0; 40 * trees as usize];
             let mut open = vec![(Child::Node(0), [Vec3::NEG_INFINITY, Vec3::INFINITY], 0)];
             while let Some((child, [min, max], depth)) = open.pop() {
@@ -204,7 +277,8 @@ mod tests {
                 }
             }
             for (triangle, seen) in seen.into_iter().enumerate() {
-                assert_eq!(seen, u32::from(!(triangle % 40).is_multiple_of(3)), "{triangle}");
+                let shown = triangle / 40 != 1 && !(triangle % 40).is_multiple_of(3);
+                assert_eq!(seen, u32::from(shown), "{triangle}");
             }
         }
     }

@@ -89,20 +89,30 @@ fn set_boxes(node: &mut CwBvhNode, boxes: [Bounds; WIDTH]) -> Bounds {
     let corner = min.as_dvec3();
     let exponents = (max.as_dvec3() - corner).to_array().map(exponent);
     node.e = exponents.map(|(biased, _)| biased);
-    let spacing = DVec3::from_array(exponents.map(|(_, spacing)| spacing));
+    // Of powers of two: products are exact.
+    let per_m = DVec3::from_array(exponents.map(|(_, spacing)| spacing.recip()));
     for (slot, [low, high]) in boxes.into_iter().enumerate() {
         let (low, high) = if low.cmple(high).all() {
-            (((low.as_dvec3() - corner) / spacing).floor(), ((high.as_dvec3() - corner) / spacing).ceil())
+            let [low, high] = [low, high].map(|corner_of_box| ((corner_of_box.as_dvec3() - corner) * per_m).to_array());
+            (low.map(rounded_down), high.map(rounded_up))
         } else {
-            (DVec3::splat(STEPS), DVec3::ZERO)
+            ([u8::MAX; 3], [0; 3])
         };
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "whole numbers from 0 to 255")]
-        let [low, high] =
-            [low, high].map(|place| place.clamp(DVec3::ZERO, DVec3::splat(STEPS)).to_array().map(|x| x as u8));
         [node.child_min_x[slot], node.child_min_y[slot], node.child_min_z[slot]] = low;
         [node.child_max_x[slot], node.child_max_y[slot], node.child_max_z[slot]] = high;
     }
     all
+}
+
+/// A place from 0 on, to a whole step.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "stops at 0 and 255")]
+fn rounded_down(place: f64) -> u8 {
+    place as u8
+}
+
+fn rounded_up(place: f64) -> u8 {
+    let below = rounded_down(place);
+    below.saturating_add(u8::from(f64::from(below) < place))
 }
 
 /// The least power of two of which [`STEPS`] cover an extent: as the exponent of an f32, and itself.

@@ -57,10 +57,16 @@ impl CpuBackend {
         Ok(Self { world, origin_m: scene.origin_m, pool, level })
     }
 
+    /// What it keeps of the scene.
+    #[must_use]
+    pub fn memory_bytes(&self) -> usize {
+        self.world.memory_bytes()
+    }
+
     /// One line for logs: instructions, threads, and the tree.
     #[must_use]
     pub fn describe(&self) -> String {
-        let (world, bytes) = (&self.world.resting, self.world.memory_bytes());
+        let (world, bytes) = (&self.world.resting, self.memory_bytes());
         format!(
             "cpu: {} packets of eight, {} threads, {} triangles in {} leaves under {} nodes of eight, {:.1} MB",
             self.level.name(),

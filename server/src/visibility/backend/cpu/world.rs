@@ -1,8 +1,13 @@
 //! All data that tracing reads: geometry that rests, geometry that moves as it is at one time, and the lights.
 
+use std::sync::{Arc, Mutex, PoisonError};
+
 use glam::Vec3;
-use gnomon_scene::{Aabb, AlphaMode, Light, Moment, Scene, SceneAt};
-use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, IntoParallelRefIterator, ParallelIterator};
+use gnomon_scene::{Aabb, AlphaMode, Animation, Light, Moment, Placement, Scene, SceneAt};
+use rayon::iter::{
+    IndexedParallelIterator, IntoParallelIterator, IntoParallelRefIterator, IntoParallelRefMutIterator,
+    ParallelIterator,
+};
 
 use super::{
     alpha::Alpha,
@@ -13,7 +18,7 @@ use crate::visibility::{
     backend::BackendError,
     hierarchy::{
         bvh::{TriangleFlags, WideBvh},
-        moving::Bounds,
+        moving::{Bounds, Forest},
     },
 };
 
@@ -46,25 +51,49 @@ struct Moving {
     /// through, which only bound the scene.
     triangles: Vec<[u32; 3]>,
     through: Vec<[u32; 3]>,
-    pieces: Vec<MovingPiece>,
+    /// The piece of each of `triangles`.
+    pieces: Vec<u32>,
+    /// The end of each piece's vertices among the animation's.
+    ends: Vec<usize>,
+    /// The pieces' trees. Their triangles are indices into `triangles`.
+    forest: Forest,
+    spare: Arc<Spare>,
     /// Bounds of what rests, BLEND triangles too. `None` if nothing does.
     resting: Option<Bounds>,
 }
 
-struct MovingPiece {
-    /// Its vertices, as a range of the animation's.
-    vertices: std::ops::Range<usize>,
-    /// Its tree. Triangles are indices into `Moving::triangles`.
+/// Memory of frames that are done, for those that come: it is large, and new pages are slow.
+type Spare = Mutex<Vec<Memory>>;
+
+/// Most frames whose memory is kept.
+const MOST_SPARE: usize = 2;
+
+#[derive(Default)]
+struct Memory {
+    /// A copy of the forest, or nothing.
     bvh: WideBvh,
+    corners: Vec<Corners>,
+    vertices: Vec<(Vec3, Vec3)>,
 }
 
 /// What moves, as it is at one time.
 pub struct Posed {
-    bvh: WideBvh,
-    corners: Vec<Corners>,
+    memory: Memory,
+    /// Where the memory goes afterwards.
+    spare: Option<Arc<Spare>>,
     /// Triangles two of whose corners have changed places, by index. Empty if none has.
     turned: Vec<bool>,
     around: Around,
+}
+
+impl Drop for Posed {
+    fn drop(&mut self) {
+        let Some(spare) = &self.spare else { return };
+        let mut spare = spare.lock().unwrap_or_else(PoisonError::into_inner);
+        if spare.len() < MOST_SPARE {
+            spare.push(std::mem::take(&mut self.memory));
+        }
+    }
 }
 
 /// Lights, and how large the scene is.
@@ -167,7 +196,7 @@ impl World {
     /// Where nothing moves, lights are all that may be edited.
     fn lit(&self, lights: &[Light]) -> Posed {
         let around = Around::new(lights, self.bounds);
-        Posed { bvh: WideBvh::join(Vec::new()), corners: Vec::new(), turned: Vec::new(), around }
+        Posed { memory: Memory::default(), spare: None, turned: Vec::new(), around }
     }
 
     /// Returns everything at the time of `posed`.
@@ -177,7 +206,7 @@ impl World {
         // Fewer than 2^31 triangles: see `MAX_TRIANGLES`.
         let first = u32::try_from(corners.len()).unwrap_or(u32::MAX);
         let moving = posed.zip(self.moving.as_ref()).map(|(posed, moving)| {
-            let Posed { bvh, corners, turned, .. } = posed;
+            let Posed { memory: Memory { bvh, corners, .. }, turned, .. } = posed;
             Geometry { bvh, corners, alpha: &moving.alpha, first, turned }
         });
         let Around { lights, middle, size_m } = posed.map_or(&self.around, |posed| &posed.around);
@@ -206,7 +235,7 @@ impl Moving {
             }
         }
         let through = scene.triangles[all.len()..].iter().filter_map(|corners| Some(own(corners)?.1)).collect();
-        let build = |(piece, members): (usize, Vec<(usize, [u32; 3], TriangleFlags)>)| {
+        let build = |members: Vec<(usize, [u32; 3], TriangleFlags)>| {
             let (corners, flags): (Vec<[u32; 3]>, Vec<TriangleFlags>) =
                 members.iter().map(|(_, corners, flags)| (*corners, *flags)).unzip();
             let mut bvh = WideBvh::build(&animation.positions, &corners, &|t| flags[t as usize]);
@@ -214,9 +243,15 @@ impl Moving {
                 let index = members.get(*triangle as usize).map_or(0, |(index, ..)| *index);
                 *triangle = u32::try_from(index).unwrap_or(u32::MAX);
             }
-            MovingPiece { vertices: firsts[piece]..firsts[piece] + animation.pieces[piece].vertices as usize, bvh }
+            bvh
         };
-        let pieces = of_pieces.into_iter().enumerate().map(build).collect();
+        let mut pieces = vec![0; triangles.len()];
+        for (number, members) in (0..).zip(&of_pieces) {
+            members.iter().for_each(|(triangle, ..)| pieces[*triangle] = number);
+        }
+        let forest = Forest::new(of_pieces.into_iter().map(build).collect());
+        let vertices = animation.pieces.iter().map(|piece| piece.vertices as usize);
+        let ends = firsts.iter().zip(vertices).map(|(first, vertices)| first + vertices).collect();
         let corners = scene.triangles.iter().filter(|corners| !moves(scene, corners)).flatten();
         let mut positions = corners.map(|corner| scene.positions[*corner as usize]);
         let resting = positions
@@ -224,7 +259,8 @@ impl Moving {
             .map(|first| positions.fold([first; 2], |[min, max], position| [min.min(position), max.max(position)]));
         let (lights, origin_m) = (scene.lights.clone(), scene.origin_m);
         let stage = Scene { animation: Some(animation), lights, origin_m, ..Scene::default() };
-        Ok(Self { stage, alpha, triangles, through, pieces, resting })
+        let spare = Arc::default();
+        Ok(Self { stage, alpha, triangles, through, pieces, ends, forest, spare, resting })
     }
 
     fn memory_bytes(&self) -> usize {
@@ -234,68 +270,62 @@ impl Moving {
             size_of_val(&*animation.positions) * 2 + shapes
         });
         let vertices = vertices.sum::<usize>();
-        let trees = self.pieces.iter().map(|piece| piece.bvh.memory_bytes()).sum::<usize>();
-        // The trees and the corners are there again, posed.
-        self.alpha.memory_bytes() + vertices + 2 * trees + self.triangles.len() * size_of::<Corners>()
+        let triangles = self.triangles.len() * size_of::<([u32; 3], u32)>();
+        let moved = self.ends.last().map_or(0, |vertices| vertices * size_of::<(Vec3, Vec3)>());
+        let posed = self.forest.memory_bytes() + self.triangles.len() * size_of::<Corners>() + moved;
+        self.alpha.memory_bytes() + vertices + triangles + self.forest.memory_bytes() + posed
     }
 
     fn pose(&self, at: &SceneAt) -> Posed {
-        let moment = self.stage.moment(at).unwrap_or(Moment { pieces: Vec::new(), lights: Vec::new() });
-        let Some(animation) = &self.stage.animation else { return self.nothing(&moment) };
-        let pieces: Vec<_> = self.pieces.iter().zip(&moment.pieces).collect();
-        // Each piece's vertices, in the order of the pieces.
-        let vertices: Vec<(Vec3, Vec3)> = animation
-            .own_vertices()
-            .into_par_iter()
-            .zip(&moment.pieces)
-            .flat_map(|(own, placement)| {
-                (0..own.positions.len()).into_par_iter().with_min_len(RUN).map(move |at| {
-                    // What is not shown is in no tree.
-                    placement.as_ref().map_or((Vec3::ZERO, Vec3::Y), |placement| placement.vertex(&own, at))
-                })
-            })
-            .collect();
-        let piece_of = |vertex: u32| self.pieces.partition_point(|piece| piece.vertices.end <= vertex as usize);
-        let placed = |corners: &[u32; 3]| {
-            let placement = moment.pieces.get(piece_of(corners[0]))?.as_ref()?;
-            Some(placement.corners(corners.map(|corner| vertices[corner as usize])))
+        let nothing = || Moment { pieces: Vec::new(), lights: Vec::new() };
+        let Moment { pieces: placements, lights } = self.stage.moment(at).unwrap_or_else(nothing);
+        let mut memory = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
+        let Memory { bvh, corners, vertices } = &mut memory;
+        if bvh.nodes.is_empty() {
+            *bvh = self.forest.copy();
+        }
+        self.move_vertices(&placements, vertices);
+        let placement_of = |piece: u32| placements.get(piece as usize)?.as_ref();
+        let placed = |(corners, piece): (&[u32; 3], &u32)| {
+            let [a, b, c] = corners.map(|corner| vertices[corner as usize]);
+            let [a, b, c] = placement_of(*piece).map(|it| it.corners([a, b, c])).unwrap_or_default();
+            Corners::new([a.0, b.0, c.0], [a.1, b.1, c.1])
         };
-        let corners: Vec<Corners> = self
-            .triangles
-            .par_iter()
-            .map(|corners| {
-                let [a, b, c] = placed(corners).unwrap_or_default();
-                Corners::new([a.0, b.0, c.0], [a.1, b.1, c.1])
-            })
-            .collect();
-        let is_turned = |corners: &[u32; 3]| {
-            moment.pieces.get(piece_of(corners[0])).is_some_and(|it| it.as_ref().is_some_and(|it| it.turned))
-        };
-        let any = moment.pieces.iter().flatten().any(|placement| placement.turned);
-        let turned = if any { self.triangles.iter().map(is_turned).collect() } else { Vec::new() };
-        let trees: Vec<(WideBvh, Bounds)> = pieces
-            .into_par_iter()
-            .filter(|(piece, placement)| placement.is_some() && !piece.bvh.leaves.is_empty())
-            .map(|(piece, _)| {
-                let mut bvh = piece.bvh.clone();
-                let bounds = bvh.refit(|triangle| corners[triangle as usize].placed());
-                (bvh, bounds)
-            })
-            .collect();
-        // Those without any area have inverted bounds.
-        let trees: Vec<_> = trees.into_iter().filter(|(_, [min, max])| min.cmple(*max).all()).collect();
-        let through = self.through.iter().filter_map(placed);
-        let through = through.map(|[a, b, c]| [a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0)]);
-        let all = self.resting.into_iter().chain(trees.iter().map(|(_, bounds)| *bounds)).chain(through);
+        self.triangles.par_iter().zip(&self.pieces).with_min_len(RUN).map(placed).collect_into_vec(corners);
+        let any = placements.iter().flatten().any(|placement| placement.turned);
+        let is_turned = |piece: &u32| placement_of(*piece).is_some_and(|placement| placement.turned);
+        let turned = if any { self.pieces.iter().map(is_turned).collect() } else { Vec::new() };
+        let shown = |piece: usize| placements.get(piece).is_some_and(Option::is_some);
+        let moved = self.forest.refit(bvh, shown, |triangle| corners[triangle as usize].placed());
+        let through = self.through.iter().filter(|corners| shown(self.piece_of(corners[0])));
+        let through = through.map(|corners| {
+            let [a, b, c] = corners.map(|corner| vertices[corner as usize].0);
+            [a.min(b).min(c), a.max(b).max(c)]
+        });
+        let all = self.resting.into_iter().chain(moved).chain(through);
         let bounds = all.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])]);
         let [min, max] = bounds.unwrap_or_default();
-        Posed { bvh: WideBvh::join(trees), corners, turned, around: Around::new(&moment.lights, Aabb { min, max }) }
+        Posed { memory, spare: Some(Arc::clone(&self.spare)), turned, around: Around::new(&lights, Aabb { min, max }) }
     }
 
-    fn nothing(&self, moment: &Moment) -> Posed {
-        let [min, max] = self.resting.unwrap_or_default();
-        let around = Around::new(&moment.lights, Aabb { min, max });
-        Posed { bvh: WideBvh::join(Vec::new()), corners: Vec::new(), turned: Vec::new(), around }
+    /// Puts each piece's vertices, in the order of the pieces, where they are. Those that are not shown stay where
+    /// another frame had them.
+    fn move_vertices(&self, placements: &[Option<Placement>], vertices: &mut Vec<(Vec3, Vec3)>) {
+        vertices.resize(self.ends.last().copied().unwrap_or(0), (Vec3::ZERO, Vec3::Y));
+        let own = self.stage.animation.as_deref().map(Animation::own_vertices).unwrap_or_default();
+        let mut left = &mut vertices[..];
+        let each = own.into_iter().zip(placements).filter_map(|(own, placement)| {
+            let of_piece = left.split_off_mut(..own.positions.len())?;
+            Some((own, placement.as_ref()?, of_piece))
+        });
+        each.collect::<Vec<_>>().into_par_iter().for_each(|(own, placement, of_piece)| {
+            let moved = of_piece.par_iter_mut().with_min_len(RUN).enumerate();
+            moved.for_each(|(at, vertex)| *vertex = placement.vertex(&own, at));
+        });
+    }
+
+    fn piece_of(&self, vertex: u32) -> usize {
+        self.ends.partition_point(|end| *end <= vertex as usize)
     }
 }
 
