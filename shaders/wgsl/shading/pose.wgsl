@@ -1,6 +1,6 @@
 // Puts the vertices of what moves where they are in a state of the scene, as `Placement::vertex` in gnomon-scene says,
 // but in f32, so that a vertex may lie a few rounding units from where the server has it. Pieces that stand as in the
-// file are not touched. Twins: `render/movers/poser.rs`.
+// file are not touched. Twins: `render/movers/poser.rs`, `own.rs`.
 
 // Four numbers for each row of an affine transform.
 struct Transform {
@@ -43,7 +43,7 @@ const FLAT: u32 = 4u;
 // Tangents change hands.
 const MIRRORED: u32 = 8u;
 
-// Words of four of a piece and a joint in `state`. A target is one: its number, and its weight.
+// Places of `state` that a run and a joint take. A target takes one: its number, and its weight.
 const PLACED_QUADS: u32 = 9u;
 const JOINT_QUADS: u32 = 3u;
 
