@@ -221,7 +221,7 @@ mod tests {
 
     #[test]
     fn moved_triangles_lie_in_all_boxes_above_them_and_flat_ones_are_hit_by_nothing() {
-        for trees in [0, 1, 2, 8, 9, 70] {
+        for trees in [0_u32, 1, 2, 8, 9, 70] {
             let moved = |tree: u32, triangle: u32, corners: &[Vec3; 3]| {
                 let turn = glam::Quat::from_rotation_x(tree as f32);
                 (!triangle.is_multiple_of(3)).then(|| corners.map(|corner| turn * corner * 3.0 - Vec3::Y))

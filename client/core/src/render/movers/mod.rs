@@ -178,16 +178,19 @@ impl Movers {
     /// How far a point of a piece may be from where it is in another state, in metres.
     pub(crate) fn farthest_m(&mut self, then: &SceneAt) -> f32 {
         self.prepare(then);
-        let way = |((now, then), placement): ((&Option<[Vec3; 8]>, &Option<[Vec3; 8]>), &Option<Placement>)| {
-            let (now, then, placement) = (now.as_ref()?, then.as_ref()?, placement.as_ref()?);
-            let along = now.iter().zip(then).map(|(now, then)| now.distance(*then));
-            let across = now.iter().flat_map(|now| then.iter().map(|then| now.distance(*then)));
-            // Points of a rigid piece move as its corners do.
-            Some(if placement.is_deformed() { across.fold(0.0, f32::max) } else { along.fold(0.0, f32::max) })
-        };
         let then = self.posed(then).map_or(&[][..], |posed| &posed.boxes);
-        let pieces = self.now.boxes.iter().zip(then).zip(&self.now.moment.pieces);
-        pieces.filter_map(way).fold(0.0, f32::max)
+        let mut farthest_m = 0.0_f32;
+        for ((now, then), placement) in self.now.boxes.iter().zip(then).zip(&self.now.moment.pieces) {
+            let (Some(now), Some(then), Some(placement)) = (now, then, placement) else { continue };
+            for (number, corner) in now.iter().enumerate() {
+                // Points of a rigid piece move as its corners do; those of another, anywhere between the boxes.
+                let others = if placement.is_deformed() { 0..then.len() } else { number..number + 1 };
+                for other in &then[others] {
+                    farthest_m = farthest_m.max(corner.distance(*other));
+                }
+            }
+        }
+        farthest_m
     }
 
     /// Ensures that a state is evaluated.
