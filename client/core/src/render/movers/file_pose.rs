@@ -1,7 +1,7 @@
 //! What moves, as the file has it. Where nothing has moved it, its vertices are the host's, which those of what rests
 //! meet exactly.
 
-use gnomon_scene::{Moment, Placement, Scene};
+use gnomon_scene::{Moment, OwnVertices, Piece, Placement, Scene};
 use rayon::prelude::*;
 use wgpu::util::DeviceExt as _;
 
@@ -13,11 +13,11 @@ const RUN: usize = 512;
 
 #[derive(Debug)]
 pub(super) struct FilePose {
-    pieces: Vec<Piece>,
+    pieces: Vec<PieceAtRest>,
 }
 
 #[derive(Debug)]
-struct Piece {
+struct PieceAtRest {
     placement: Option<Placement>,
     first_vertex: u32,
     vertices: Vec<Vertex>,
@@ -34,8 +34,7 @@ impl FilePose {
         let turns = !scene.tangents.is_empty();
         let animation = scene.animation.iter();
         let own = animation.flat_map(|animation| animation.pieces.iter().zip(animation.own_vertices()));
-        let piece = |((piece, own), placement): ((&gnomon_scene::Piece, _), Option<Placement>)| {
-            let own: gnomon_scene::OwnVertices<'_> = own;
+        let at_rest = |((piece, own), placement): ((&Piece, OwnVertices<'_>), Option<Placement>)| {
             let range = piece.first_vertex as usize..(piece.first_vertex + piece.vertices) as usize;
             let of_piece = vertices.get_mut(range.clone()).unwrap_or_default();
             let more_of_piece = more.get_mut(range).filter(|_| turns).unwrap_or_default();
@@ -49,9 +48,9 @@ impl FilePose {
                 });
             }
             let (vertices, more) = (of_piece.to_vec(), more_of_piece.to_vec());
-            Piece { placement, first_vertex: piece.first_vertex, vertices, more, is_away: false }
+            PieceAtRest { placement, first_vertex: piece.first_vertex, vertices, more, is_away: false }
         };
-        Self { pieces: own.zip(placements).map(piece).collect() }
+        Self { pieces: own.zip(placements).map(at_rest).collect() }
     }
 
     /// Returns whether each piece is shown, and elsewhere.
